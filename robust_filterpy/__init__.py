@@ -1,0 +1,28 @@
+"""Kalman filtering and recursive identification that survive outliers: a plug-in to filterpy.
+
+`RobustKalmanFilter` takes the place of `filterpy.kalman.KalmanFilter`; `ParameterTracker` follows
+the parameters of a linear model. Everything but the filter itself is imported when it is first used,
+so that importing this package costs little more than importing `filterpy.kalman`.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from robust_filterpy._version import __version__
+
+_LAZY: dict[str, str] = {}
+__all__ = ["__version__", *_LAZY]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a name of another module when it is first asked for (PEP 562)."""
+    if name in _LAZY:
+        return getattr(importlib.import_module(_LAZY[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """List the lazily imported names too."""
+    return sorted({*globals(), *__all__})
