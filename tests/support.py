@@ -1,0 +1,272 @@
+"""Oracles, random problems and comparisons that several test files share.
+
+Nothing here calls the package: the reference formulas are written from the definitions, with another way to
+every matrix function than the package takes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+import scipy.stats
+
+STATE = ("x", "P", "x_prior", "P_prior", "x_post", "P_post")
+CORRECTION = ("y", "K", "S", "SI", "z")
+ROBUST = ("e", "weights", "clipped", "T", "y_bounded")
+
+
+@dataclass(frozen=True)
+class Problem:
+    """The matrices of one linear estimation problem and its starting point, x as a column."""
+
+    x: np.ndarray
+    P: np.ndarray
+    F: np.ndarray
+    H: np.ndarray
+    Q: np.ndarray
+    R: np.ndarray
+    B: np.ndarray | None
+    M: np.ndarray
+
+    @property
+    def dims(self):
+        return len(self.x), len(self.R), 0 if self.B is None else self.B.shape[1]
+
+
+def spd(rng, n, scale=1.0):
+    """Draw a well-conditioned symmetric positive definite matrix."""
+    a = rng.normal(size=(n, n))
+    return scale * (a @ a.T / n + 0.5 * np.eye(n))
+
+
+def stable(rng, n, radius=0.95):
+    """Draw a matrix of the given spectral radius."""
+    a = rng.normal(size=(n, n))
+    return a * radius / np.abs(np.linalg.eigvals(a)).max()
+
+
+def random_problem(seed, dim_x, dim_z, dim_u=0):
+    """Draw a stable problem whose M is legal with every P >= Q."""
+    rng = np.random.default_rng(seed)
+    Q, R = spd(rng, dim_x, 0.1), spd(rng, dim_z, 0.5)
+    u, _, vt = np.linalg.svd(rng.normal(size=(dim_x, dim_z)), full_matrices=False)
+    return Problem(
+        x=rng.normal(size=(dim_x, 1)),
+        P=spd(rng, dim_x) + Q,
+        F=stable(rng, dim_x),
+        H=rng.normal(size=(dim_z, dim_x)),
+        Q=Q,
+        R=R,
+        B=rng.normal(size=(dim_x, dim_u)) if dim_u else None,
+        M=0.5 * np.linalg.cholesky(Q) @ (u @ vt) @ np.linalg.cholesky(R).T,
+    )
+
+
+def load(kf, problem, ndim=2):
+    """Put the problem into a filter and return the filter."""
+    for name in ("P", "F", "H", "Q", "R", "M"):
+        setattr(kf, name, getattr(problem, name).copy())
+    kf.x = problem.x.copy() if ndim == 2 else problem.x[:, 0].copy()
+    kf.B = None if problem.B is None else problem.B.copy()
+    return kf
+
+
+def make(cls, problem, ndim=2, **choices):
+    """Build a filter of class `cls` for the problem."""
+    return load(cls(*problem.dims, **choices), problem, ndim)
+
+
+def simulate(problem, n, seed, contamination=0.0, size=100.0):
+    """Return n measurements (n, dim_z) of the problem, and which components are outliers."""
+    rng = np.random.default_rng(seed)
+    dim_x, dim_z, _ = problem.dims
+    w = rng.multivariate_normal(np.zeros(dim_x), problem.Q, n)
+    v = rng.multivariate_normal(np.zeros(dim_z), problem.R, n)
+    bad = rng.random((n, dim_z)) < contamination
+    x, z = problem.x[:, 0], np.empty((n, dim_z))
+    for k in range(n):
+        x = problem.F @ x + w[k]
+        z[k] = problem.H @ x + v[k]
+    return z + bad * size * rng.choice([-1.0, 1.0], (n, dim_z)), bad
+
+
+def cart():
+    """A point with position and velocity whose position is measured: the smallest useful problem."""
+    return Problem(
+        x=np.zeros((2, 1)),
+        P=np.eye(2),
+        F=np.array([[1.0, 1.0], [0.0, 1.0]]),
+        H=np.array([[1.0, 0.0]]),
+        Q=np.array([[0.01, 0.0], [0.0, 0.01]]),
+        R=np.array([[1.0]]),
+        B=None,
+        M=np.zeros((2, 1)),
+    )
+
+
+def paper_problem(P0=0.1):
+    """The state-estimation problem of the paper, equations 31-34, from P(0|0) = P0 I."""
+    return Problem(
+        x=np.zeros((4, 1)),
+        P=P0 * np.eye(4),
+        F=np.array(
+            [
+                [0.99, -0.012, 0.001, -0.001],
+                [-0.005, 0.98, -0.001, 0.005],
+                [-0.001, 0.01, 1.0, -0.001],
+                [0.01, 0.001, -0.002, 1.0],
+            ]
+        ),
+        H=np.array([[1.0, 0.0, 0.0, 0.0]]),
+        Q=0.001 * np.eye(4),
+        R=np.array([[0.1]]),
+        B=None,
+        M=np.zeros((4, 1)),
+    )
+
+
+def with_(problem, **changes):
+    """Return the problem with some of its matrices replaced."""
+    return replace(problem, **changes)
+
+
+def inverse_root(S):
+    """S^(-1/2), by Schur decomposition of the inverse rather than by the eigenvalues of S."""
+    return np.real(scipy.linalg.sqrtm(np.linalg.inv(S)))
+
+
+class HuberFormulas:
+    """Huber's functions, written with np.clip."""
+
+    def __init__(self, threshold):
+        self.threshold = threshold
+
+    def psi(self, e):
+        return np.clip(e, -self.threshold, self.threshold)
+
+    def psi_deriv(self, e):
+        return (np.abs(e) <= self.threshold) * 1.0
+
+    def weights(self, e):
+        return np.minimum(1.0, self.threshold / np.maximum(np.abs(e), 1e-300))
+
+    @property
+    def contamination(self):
+        ratio = 2 * scipy.stats.norm.pdf(self.threshold) / self.threshold - 2 * scipy.stats.norm.sf(self.threshold)
+        return ratio / (1 + ratio)
+
+    @property
+    def expected(self):
+        return (1 - self.contamination) * (2 * scipy.stats.norm.cdf(self.threshold) - 1)
+
+
+def joint_jacobian(e, functions):
+    """The Jacobian of w(|e|) e by central differences, its eigenvalues clipped to [0, 1]."""
+    e = np.asarray(e, dtype=float)
+
+    def field(v):
+        return functions.weights(np.array([np.linalg.norm(v)])) * v
+
+    h = 1e-6 * max(1.0, np.linalg.norm(e))
+    jacobian = np.column_stack([(field(e + h * d) - field(e - h * d)) / (2 * h) for d in np.eye(len(e))])
+    values, vectors = np.linalg.eigh((jacobian + jacobian.T) / 2)
+    return vectors @ np.diag(np.clip(values, 0, 1)) @ vectors.T
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What the correction of the design's section 2 should give; x as a 1-D array."""
+
+    x: np.ndarray
+    P: np.ndarray
+    y: np.ndarray
+    e: np.ndarray
+    S: np.ndarray
+    T: np.ndarray
+    K: np.ndarray
+    weights: np.ndarray
+
+
+def reference_correction(
+    x, P, z, H, R, functions, *, scaling="innovation", information="realized", grouping="component", M=None
+):
+    """x+ = x + C T' psi(T y), P+ = P - C T' D T C', exactly as they are written."""
+    x, z = np.ravel(x).astype(float), np.ravel(z).astype(float)
+    M = np.zeros((len(x), len(z))) if M is None else M
+    S = H @ P @ H.T + H @ M + M.T @ H.T + R
+    C = P @ H.T + M
+    if scaling == "unit":
+        T = np.eye(len(z))
+    elif scaling == "innovation":
+        T = inverse_root(S)
+    else:
+        values, vectors = np.linalg.eigh(S)
+        T = vectors @ np.diag(np.maximum(values, 1.0) ** -0.5) @ vectors.T
+    y = z - H @ x
+    e = T @ y
+    if grouping == "joint":
+        weights = np.full(len(e), float(functions.weights(np.array([np.linalg.norm(e)]))[0]))
+        D = {"weight": lambda: np.diag(weights), "realized": lambda: joint_jacobian(e, functions)}[information]()
+    else:
+        weights = functions.weights(e)
+        d = {
+            "weight": lambda: weights,
+            "realized": lambda: np.clip(functions.psi_deriv(e), 0, 1),
+            "expected": lambda: np.full(len(e), functions.expected),
+        }[information]()
+        D = np.diag(d)
+    G = C @ T.T
+    return Reference(
+        x=x + G @ (weights * e),
+        P=P - G @ D @ G.T,
+        y=y,
+        e=e,
+        S=S,
+        T=T,
+        K=C @ T.T @ T,
+        weights=weights,
+    )
+
+
+def assert_close(actual, desired, rtol=1e-10, what=""):
+    """Compare in the norm of the whole array, which is how rounding enters a matrix."""
+    actual, desired = np.asarray(actual, dtype=float), np.asarray(desired, dtype=float)
+    assert actual.shape == desired.shape, f"{what}: shape {actual.shape}, expected {desired.shape}"
+    assert np.all(np.isfinite(actual)), f"{what}: {actual}"
+    scale = max(np.abs(desired).max(initial=0.0), np.finfo(float).tiny)
+    difference = np.abs(actual - desired).max(initial=0.0)
+    assert difference <= rtol * scale, f"{what}: differs by {difference / scale:.3g} of its size"
+
+
+def assert_same_state(robust, plain, names=(*STATE, "y", "K", "S", "SI"), rtol=1e-10):
+    """Compare attribute by attribute."""
+    for name in names:
+        assert_close(getattr(robust, name), getattr(plain, name), rtol, name)
+
+
+def assert_positive_definite(P, what="P"):
+    """Symmetric to the last bit that matters, finite, and with a Cholesky factor."""
+    assert np.all(np.isfinite(P)), f"{what}: {P}"
+    np.testing.assert_allclose(P, P.T, rtol=0, atol=1e-12 * np.abs(P).max(), err_msg=what)
+    np.linalg.cholesky(P)
+
+
+def snapshot(kf, names=(*STATE, *CORRECTION, *ROBUST)):
+    """Copy what a refused call must leave alone."""
+    return {name: np.array(getattr(kf, name), copy=True) for name in names}
+
+
+def assert_unchanged(before, kf):
+    """Compare with a snapshot to the last bit."""
+    for name, value in before.items():
+        np.testing.assert_array_equal(np.asarray(getattr(kf, name)), value, err_msg=name, strict=True)
+
+
+def assert_all_finite(kf):
+    """Nothing that a user or a consumer can read is NaN or infinite."""
+    for name in (*STATE, "y", "K", "S", "SI", "e", "weights", "T", "y_bounded"):
+        assert np.all(np.isfinite(np.asarray(getattr(kf, name), dtype=float))), name
+    for name in ("log_likelihood", "likelihood", "mahalanobis"):
+        assert np.isfinite(getattr(kf, name)), name

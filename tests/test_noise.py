@@ -1,0 +1,221 @@
+"""The contaminated and the least favourable distribution, and Fisher information, by quadrature and sampling."""
+
+import pickle
+
+import numpy as np
+import pytest
+import scipy.stats
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import quad
+
+from robust_filterpy import Huber
+from robust_filterpy.noise import EpsilonContaminated, LeastFavorable, fisher_information
+
+CONTAMINATED = [EpsilonContaminated(0.1), EpsilonContaminated(0.3, 0.5, 4.0), EpsilonContaminated(0.0, 2.0)]
+LEAST = [LeastFavorable(0.05), LeastFavorable(0.1, 3.0), LeastFavorable(0.4, 0.2)]
+ALL = CONTAMINATED + LEAST
+GRID = np.linspace(-9.0, 9.0, 61)
+
+
+def name(noise):
+    """Name the distribution and its parameters for pytest."""
+    return f"{type(noise).__name__}-{noise.contamination}-{noise.scale}"
+
+
+def spread(noise):
+    """A length that covers most of the probability, to split integrals at."""
+    return [x for scale in (0.5, 1.0, 2.0, 5.0, 20.0) for x in (-scale * noise.scale, scale * noise.scale)]
+
+
+def integrate(function, noise):
+    """Integrate over the line, in pieces that the density cannot hide between."""
+    edges = [-np.inf, *sorted(spread(noise)), np.inf]
+    return sum(quad(function, a, b, limit=200)[0] for a, b in zip(edges[:-1], edges[1:], strict=True))
+
+
+@pytest.mark.parametrize("noise", ALL, ids=name)
+def test_is_a_scipy_distribution(noise):
+    assert isinstance(noise, scipy.stats.rv_continuous)
+    for method in ("pdf", "logpdf", "cdf", "sf"):
+        assert getattr(noise, method)(GRID).shape == GRID.shape
+
+
+@pytest.mark.parametrize("noise", CONTAMINATED, ids=name)
+def test_contaminated_density_is_the_mixture(noise):
+    good, bad = scipy.stats.norm(scale=noise.scale), scipy.stats.norm(scale=noise.outlier_scale)
+    c = noise.contamination
+    for method in ("pdf", "cdf", "sf"):
+        expected = (1 - c) * getattr(good, method)(GRID) + c * getattr(bad, method)(GRID)
+        np.testing.assert_allclose(getattr(noise, method)(GRID), expected, rtol=1e-12)
+    with np.errstate(divide="ignore"):
+        np.testing.assert_allclose(noise.logpdf(GRID), np.log(noise.pdf(GRID)), rtol=1e-9)
+
+
+def test_contaminated_logpdf_does_not_underflow():
+    noise = EpsilonContaminated(0.1, 1.0, 10.0)
+    far = scipy.stats.norm(scale=10.0).logpdf(1e4) + np.log(0.1)
+    assert noise.logpdf(1e4) == pytest.approx(far, rel=1e-12)
+    assert EpsilonContaminated(0.0).logpdf(60.0) == pytest.approx(scipy.stats.norm.logpdf(60.0))
+
+
+@pytest.mark.parametrize("noise", CONTAMINATED, ids=name)
+def test_contaminated_moments(noise):
+    variance = (1 - noise.contamination) * noise.scale**2 + noise.contamination * noise.outlier_scale**2
+    assert noise.mean() == pytest.approx(0, abs=1e-12)
+    assert noise.var() == pytest.approx(variance, rel=1e-8)
+    assert noise.std() == pytest.approx(np.sqrt(variance), rel=1e-8)
+
+
+@pytest.mark.parametrize("noise", LEAST, ids=name)
+def test_least_favourable_density_is_exp_of_minus_hubers_rho(noise):
+    k, e = Huber.from_contamination(noise.contamination).threshold, GRID / noise.scale
+    rho = np.where(np.abs(e) <= k, e**2 / 2, k * np.abs(e) - k**2 / 2)
+    log_density = np.log((1 - noise.contamination) / np.sqrt(2 * np.pi) / noise.scale) - rho
+    np.testing.assert_allclose(noise.logpdf(GRID), log_density, rtol=1e-10)
+    np.testing.assert_allclose(noise.pdf(GRID), np.exp(log_density), rtol=1e-9)
+
+
+@pytest.mark.parametrize("noise", LEAST, ids=name)
+def test_least_favourable_density_is_a_contaminated_normal(noise):
+    """The part that is not (1 - contamination) of the normal is nowhere negative: f0 belongs to the class (15)."""
+    normal = (1 - noise.contamination) * scipy.stats.norm(scale=noise.scale).pdf(GRID)
+    assert np.all(noise.pdf(GRID) - normal >= -1e-15)
+
+
+@pytest.mark.parametrize("noise", ALL, ids=name)
+def test_density_integrates_to_one(noise):
+    assert integrate(noise.pdf, noise) == pytest.approx(1.0, abs=1e-8)
+
+
+@pytest.mark.parametrize("noise", ALL, ids=name)
+@pytest.mark.parametrize("a, b", [(-3.0, -0.4), (-0.5, 0.5), (0.1, 2.0), (1.0, 8.0)])
+def test_cdf_is_the_integral_of_the_density(noise, a, b):
+    inside = [x for x in spread(noise) if a < x < b]
+    area = quad(noise.pdf, a, b, points=inside or None, limit=200)[0]
+    assert noise.cdf(b) - noise.cdf(a) == pytest.approx(area, abs=1e-9)
+    assert noise.sf(a) - noise.sf(b) == pytest.approx(area, abs=1e-9)
+
+
+@pytest.mark.parametrize("noise", LEAST, ids=name)
+def test_least_favourable_moments(noise):
+    second = integrate(lambda e: e**2 * noise.pdf(e), noise)
+    assert noise.mean() == pytest.approx(0, abs=1e-9)
+    assert noise.var() == pytest.approx(second, rel=1e-6)
+
+
+@pytest.mark.parametrize("noise", ALL, ids=name)
+def test_quantiles_invert_the_distribution_function(noise):
+    q = np.array([1e-6, 0.01, 0.2, 0.5, 0.77, 0.999])
+    np.testing.assert_allclose(noise.cdf(noise.ppf(q)), q, rtol=1e-7)
+
+
+@pytest.mark.parametrize("noise", ALL, ids=name)
+def test_sample_follows_the_distribution_function(noise):
+    sample = noise.rvs(size=20_000, random_state=np.random.default_rng(7))
+    assert sample.shape == (20_000,)
+    assert scipy.stats.kstest(sample, noise.cdf).pvalue > 1e-6
+
+
+@pytest.mark.parametrize("noise", ALL, ids=name)
+def test_sampling_is_reproducible_and_leaves_the_global_state_alone(noise):
+    before = pickle.dumps(np.random.get_state())
+    first = noise.rvs(size=(3, 2), random_state=np.random.default_rng(1))
+    second = noise.rvs(size=(3, 2), random_state=np.random.default_rng(1))
+    np.testing.assert_array_equal(first, second)
+    assert first.shape == (3, 2)
+    assert np.any(first != noise.rvs(size=(3, 2), random_state=np.random.default_rng(2)))
+    assert pickle.dumps(np.random.get_state()) == before
+
+
+def test_labelled_sample_has_the_two_populations():
+    noise, n = EpsilonContaminated(0.2, 1.5, 30.0), 50_000
+    values, labels = noise.rvs_labelled(size=n, random_state=np.random.default_rng(3))
+    assert values.shape == labels.shape == (n,)
+    assert labels.dtype == bool
+    assert abs(labels.mean() - 0.2) < 5 * np.sqrt(0.2 * 0.8 / n)
+    for part, scale in ((values[labels], 30.0), (values[~labels], 1.5)):
+        assert abs(part.mean()) < 5 * scale / np.sqrt(len(part))
+        assert abs(part.std() / scale - 1) < 5 / np.sqrt(2 * len(part))
+
+
+def test_labelled_sample_is_reproducible():
+    noise = EpsilonContaminated(0.2)
+    draws = [noise.rvs_labelled(size=(4, 3), random_state=np.random.default_rng(5)) for _ in range(2)]
+    np.testing.assert_array_equal(draws[0][0], draws[1][0])
+    np.testing.assert_array_equal(draws[0][1], draws[1][1])
+    assert draws[0][0].shape == (4, 3)
+
+
+@pytest.mark.parametrize("noise", ALL, ids=name)
+def test_survives_pickling(noise):
+    twin = pickle.loads(pickle.dumps(noise))
+    np.testing.assert_array_equal(twin.pdf(GRID), noise.pdf(GRID))
+
+
+@pytest.mark.parametrize(
+    "noise, expected",
+    [
+        (scipy.stats.norm(), 1.0),
+        (scipy.stats.norm(scale=3.0), 1 / 9),
+        (scipy.stats.norm(loc=5.0, scale=0.01), 1e4),
+        (scipy.stats.t(3), 4 / 6),
+        (scipy.stats.t(10), 11 / 13),
+        (scipy.stats.cauchy(), 0.5),
+        (scipy.stats.logistic(), 1 / 3),
+        (scipy.stats.laplace(), 1.0),
+    ],
+    ids=["norm", "norm-scale", "norm-shifted", "t3", "t10", "cauchy", "logistic", "laplace"],
+)
+def test_fisher_information_in_closed_form(noise, expected):
+    assert fisher_information(noise) == pytest.approx(expected, rel=1e-5)
+
+
+@settings(max_examples=15, deadline=None)
+@given(contamination=st.floats(0.01, 0.8), scale=st.floats(0.1, 10.0))
+def test_fisher_information_of_the_least_favourable_density(contamination, scale):
+    """By quadrature here, so that the closed form cannot vouch for itself."""
+    k = Huber.from_contamination(contamination).threshold
+    closed = (1 - contamination) * (2 * scipy.stats.norm.cdf(k) - 1) / scale**2
+    noise = LeastFavorable(contamination, scale)
+
+    def integrand(e):
+        h = 1e-5 * scale
+        slope = (noise.pdf(e + h) - noise.pdf(e - h)) / (2 * h)
+        return slope**2 / noise.pdf(e)
+
+    half = quad(integrand, 0, k * scale)[0] + quad(integrand, k * scale, (k + 50 / k) * scale, limit=400)[0]
+    assert 2 * half == pytest.approx(closed, rel=1e-4)
+    assert fisher_information(noise) == pytest.approx(closed, rel=1e-5)
+
+
+def test_fisher_information_of_the_contaminated_density():
+    noise, (s, t, c) = EpsilonContaminated(0.1, 0.5, 6.0), (0.5, 6.0, 0.1)
+    good, bad = scipy.stats.norm(scale=s), scipy.stats.norm(scale=t)
+
+    def integrand(e):
+        slope = (1 - c) * e / s**2 * good.pdf(e) + c * e / t**2 * bad.pdf(e)
+        return slope**2 / ((1 - c) * good.pdf(e) + c * bad.pdf(e))
+
+    expected = 2 * sum(quad(integrand, a, b)[0] for a, b in [(0, 1), (1, 2), (2, 4), (4, 80)])
+    assert fisher_information(noise) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("contamination", [0.02, 0.1, 0.3])
+@pytest.mark.parametrize("outlier_scale", [1.5, 3.0, 10.0])
+def test_no_contaminated_density_carries_less_information_than_the_least_favourable(contamination, outlier_scale):
+    least = fisher_information(LeastFavorable(contamination))
+    assert least <= fisher_information(EpsilonContaminated(contamination, 1.0, outlier_scale)) + 1e-9
+
+
+@pytest.mark.parametrize("kind", [EpsilonContaminated, LeastFavorable])
+@pytest.mark.parametrize("arguments", [(1.0,), (-0.1,), (np.nan,), ("a",), (0.1, 0.0), (0.1, -1.0), (0.1, np.nan)])
+def test_refuses(kind, arguments):
+    with pytest.raises((ValueError, TypeError), match="expected"):
+        kind(*arguments)
+
+
+def test_refuses_a_bad_outlier_scale():
+    for scale in (0.0, -1.0, np.nan):
+        with pytest.raises((ValueError, TypeError), match="expected"):
+            EpsilonContaminated(0.1, 1.0, scale)
