@@ -1,0 +1,355 @@
+"""What is refused, in which words, and that a refused call changes nothing."""
+
+import numpy as np
+import pytest
+import support
+
+from robust_filterpy import Huber, Linear, RobustKalmanFilter
+
+pytestmark = pytest.mark.core
+
+NAN, INF = np.nan, np.inf
+REFUSED = (ValueError, TypeError)
+OTHER = support.random_problem(62, 5, 3, dim_u=2)
+
+
+def started(ndim=2, **choices):
+    """A filter with dim_x=4, dim_z=2, dim_u=1 in the middle of its work."""
+    kf = support.make(RobustKalmanFilter, support.random_problem(61, 4, 2, dim_u=1), ndim, **choices)
+    kf.predict()
+    kf.update([0.1, 0.2])
+    kf.predict()
+    return kf
+
+
+def column(kf, values):
+    return np.reshape(values, (-1, 1)) if kf.x.ndim == 2 else np.asarray(values)
+
+
+def refuse(kf, call, match=None, names=(*support.STATE, *support.CORRECTION, *support.ROBUST)):
+    """The call raises, leaves the filter alone, and the next call is as if it had not been."""
+    before, likelihood = support.snapshot(kf, names), kf.log_likelihood
+    with pytest.raises(REFUSED, match=match) as error:
+        call(kf)
+    support.assert_unchanged(before, kf)
+    assert kf.log_likelihood == likelihood
+    assert not isinstance(error.value, np.linalg.LinAlgError)
+    return str(error.value)
+
+
+def goes_on(kf, ndim=2, **choices):
+    """Compare the next steps with those of a filter that never saw the bad call."""
+    innocent = started(ndim, **choices)
+    for one in (kf, innocent):
+        one.update([0.3, 9.0])
+        one.predict(column(one, [0.5]))
+        one.update([0.1, NAN])
+    support.assert_unchanged(support.snapshot(innocent), kf)
+
+
+BAD_Z = {
+    "scalar": 3.0,
+    "too short": [1.0],
+    "too long": [1.0, 2.0, 3.0],
+    "matrix": [[1.0, 2.0], [3.0, 4.0]],
+    "three axes": [[[1.0], [2.0]]],
+    "ragged": [[1.0], [2.0, 3.0]],
+    "empty": [],
+    "infinite": [1.0, INF],
+    "minus infinite": [-INF, 1.0],
+    "infinite beside missing": [NAN, INF],
+    "text": ["a", "b"],
+    "one text": "12",
+    "complex": [1.0 + 2.0j, 3.0],
+    "dictionary": {"z": 1.0},
+}
+CORRECTING = {
+    "update": lambda z: lambda kf: kf.update(z),
+    "update_correlated": lambda z: lambda kf: kf.update_correlated(z),
+    "update_steadystate": lambda z: lambda kf: kf.update_steadystate(z),
+    "get_update": lambda z: lambda kf: kf.get_update(z),
+    "update with H": lambda z: lambda kf: kf.update(z, H=kf.H),
+    "update_correlated with H": lambda z: lambda kf: kf.update_correlated(z, H=kf.H),
+}
+
+
+@pytest.mark.parametrize("case", BAD_Z)
+@pytest.mark.parametrize("method", CORRECTING)
+@pytest.mark.parametrize("ndim", [1, 2])
+def test_z(case, method, ndim):
+    kf = started(ndim)
+    refuse(kf, CORRECTING[method](BAD_Z[case]), match="^z")
+    goes_on(kf, ndim)
+
+
+def test_the_message_says_what_was_expected_and_what_was_found():
+    message = refuse(started(), lambda kf: kf.update([1.0, 2.0, 3.0]))
+    assert "expected" in message and "got" in message and "2" in message and "3" in message
+    message = refuse(started(), lambda kf: kf.update([1.0, INF]), match="z.*finite|z.*inf")
+    assert "NaN" in message or "nan" in message, "the likely mend is NaN for missing"
+
+
+def test_a_scalar_r_is_refused_in_the_documented_words():
+    kf = started()
+    kf.R = 5.0
+    message = refuse(kf, lambda kf: kf.update([1.0, 2.0]))
+    assert message == "R: expected shape (2, 2) for dim_z=2, got scalar 5.0; use 5.0*np.eye(2)"
+
+
+BAD_R = {
+    "too large": np.eye(3),
+    "a vector": np.ones(2),
+    "not square": np.ones((2, 3)),
+    "indefinite": np.array([[1.0, 2.0], [2.0, 1.0]]),
+    "negative": -np.eye(2),
+    "zero": np.zeros((2, 2)),
+    "NaN": np.array([[NAN, 0.0], [0.0, 1.0]]),
+    "infinite": np.diag([INF, 1.0]),
+    "text": "R",
+}
+
+
+@pytest.mark.parametrize("case", BAD_R)
+@pytest.mark.parametrize("method", ["update", "update_correlated", "get_update", "batch_filter", "update_sequential"])
+def test_r_as_an_attribute(case, method):
+    kf, good = started(), started().R
+    kf.R = BAD_R[case]
+    arguments = {"batch_filter": ([[[0.1], [0.2]]],), "update_sequential": (0, np.array([0.1, 0.2]))}
+    if method == "batch_filter":
+        # A batch stops where it finds the fault: after the prediction, before the correction.
+        with pytest.raises(REFUSED):
+            kf.batch_filter([[[0.1], [0.2]]])
+        assert np.all(np.isfinite(kf.x)) and kf.x.shape == (4, 1)
+        return
+    refuse(kf, lambda kf: getattr(kf, method)(*arguments.get(method, ([0.1, 0.2],))), match="^R")
+    kf.R = good
+    goes_on(kf)
+
+
+@pytest.mark.parametrize("case", [*BAD_R, "scalar zero", "negative scalar", "scalar NaN"])
+@pytest.mark.parametrize("method", ["update", "update_correlated"])
+def test_r_for_one_call(case, method):
+    kf = started()
+    R = {**BAD_R, "scalar zero": 0.0, "negative scalar": -1.0, "scalar NaN": NAN}[case]
+    refuse(kf, lambda kf: getattr(kf, method)([0.1, 0.2], R=R), match="^R")
+    goes_on(kf)
+
+
+BAD_H = {
+    "too wide": np.ones((2, 5)),
+    "too narrow": np.ones((2, 3)),
+    "a vector": np.ones(4),
+    "scalar": 1.0,
+    "NaN": np.full((2, 4), NAN),
+    "infinite": np.full((2, 4), INF),
+    "taller than z": np.ones((3, 4)),
+    "lower than z": np.ones((1, 4)),
+}
+
+
+@pytest.mark.parametrize("case", BAD_H)
+@pytest.mark.parametrize("method", ["update", "update_correlated"])
+@pytest.mark.parametrize("ndim", [1, 2])
+def test_h(case, method, ndim):
+    kf = started(ndim)
+    good = kf.H
+    refuse(kf, lambda kf: getattr(kf, method)(column(kf, [0.1, 0.2]), H=BAD_H[case]), match="^[HRzM]")
+    kf.H = BAD_H[case]
+    refuse(kf, lambda kf: getattr(kf, method)([0.1, 0.2]), match="^[HRzM]")
+    kf.H = good
+    goes_on(kf, ndim)
+
+
+def test_z_of_another_height_than_h_does_not_widen_the_state():
+    """With filterpy 2.0 a flat z beside H turns a column x into a matrix."""
+    kf = started()
+    for z in ([0.1], [0.1, 0.2, 0.3], np.ones((1, 3))):
+        refuse(kf, lambda kf, z=z: kf.update(z, H=kf.H))
+    kf.update([0.1, 0.2], H=kf.H)
+    assert kf.x.shape == (4, 1)
+
+
+BAD_PREDICTIONS = {
+    "F too small": {"F": np.eye(3)},
+    "F a vector": {"F": np.ones(4)},
+    "F NaN": {"F": np.full((4, 4), NAN)},
+    "F infinite": {"F": np.full((4, 4), INF)},
+    "Q too large": {"Q": np.eye(5)},
+    "Q a vector": {"Q": np.ones(4)},
+    "Q a column": {"Q": np.ones((4, 1))},
+    "Q NaN": {"Q": np.full((4, 4), NAN)},
+    "B of another height": {"B": np.ones((3, 1)), "u": np.ones((1, 1))},
+    "B of another width": {"B": np.ones((4, 2)), "u": np.ones((1, 1))},
+    "B NaN": {"B": np.full((4, 1), NAN), "u": np.ones((1, 1))},
+    "u too long": {"u": np.ones((2, 1))},
+    "u a row": {"u": np.ones((1, 4))},
+    "u NaN": {"u": np.array([[NAN]])},
+    "u infinite": {"u": np.array([[INF]])},
+}
+
+
+@pytest.mark.parametrize("case", BAD_PREDICTIONS)
+@pytest.mark.parametrize("method", ["predict", "get_prediction"])
+def test_predict_for_one_call(case, method):
+    kf = started()
+    refuse(kf, lambda kf: getattr(kf, method)(**BAD_PREDICTIONS[case]), match="^[FQBu]")
+    goes_on(kf)
+
+
+@pytest.mark.parametrize("case", [c for c in BAD_PREDICTIONS if not c.startswith("u")])
+@pytest.mark.parametrize("method", ["predict", "predict_steadystate"])
+def test_predict_with_a_bad_attribute(case, method):
+    arguments = dict(BAD_PREDICTIONS[case])
+    u = arguments.pop("u", None)
+    (name, value), *_ = arguments.items()
+    if method == "predict_steadystate" and name == "Q":
+        pytest.skip("it does not use Q")
+    kf = started()
+    good = getattr(kf, name)
+    setattr(kf, name, value)
+    refuse(kf, lambda kf: getattr(kf, method)(np.ones((1, 1)) if u is None else u), match=f"^[{name}u]")
+    setattr(kf, name, good)
+    goes_on(kf)
+
+
+@pytest.mark.parametrize("call", [lambda kf: kf.predict(), lambda kf: kf.update([0.1, 0.2])], ids=["predict", "update"])
+@pytest.mark.parametrize(
+    "name, value",
+    [
+        ("x", np.zeros((5, 1))),
+        ("x", np.zeros(3)),
+        ("x", np.zeros((4, 2))),
+        ("x", np.zeros((1, 4))),
+        ("x", np.full((4, 1), NAN)),
+        ("P", np.eye(3)),
+        ("P", np.ones(4)),
+        ("P", np.full((4, 4), NAN)),
+        ("P", np.diag([1.0, 1.0, 1.0, INF])),
+    ],
+)
+def test_x_and_p(name, value, call):
+    kf = started()
+    names = [n for n in (*support.STATE, *support.CORRECTION, *support.ROBUST) if n != name]
+    setattr(kf, name, value)
+    before = support.snapshot(kf, names)
+    with pytest.raises(REFUSED, match=f"^{name}"):
+        call(kf)
+    support.assert_unchanged(before, kf)
+    np.testing.assert_array_equal(getattr(kf, name), value)
+
+
+@pytest.mark.parametrize("M", [np.zeros((2, 4)), np.zeros((4, 3)), np.zeros(4), np.full((4, 2), NAN)])
+def test_m(M):
+    kf = started()
+    kf.M = M
+    refuse(kf, lambda kf: kf.update_correlated([0.1, 0.2]), match="^M")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (2, 0.5),
+        (-1, 0.5),
+        (1, np.array([0.1, 0.2])),
+        (0, np.array([0.1, 0.2, 0.3])),
+        (0, INF),
+        (0.5, 0.1),
+        (0, 0.1, np.eye(2)),
+        (0, 0.1, -1.0),
+        (0, 0.1, None, np.ones((2, 4))),
+        (0, 0.1, None, np.ones((1, 3))),
+    ],
+    ids=str,
+)
+def test_sequential(arguments):
+    kf = started()
+    refuse(kf, lambda kf: kf.update_sequential(*arguments))
+    goes_on(kf)
+
+
+@pytest.mark.parametrize("name", ["Fs", "Qs", "Hs", "Rs", "us"])
+def test_a_list_for_the_batch_of_another_length(name):
+    """filterpy stops at the shorter one and returns zeros for the rest."""
+    kf = started()
+    value = {"Fs": kf.F, "Qs": kf.Q, "Hs": kf.H, "Rs": kf.R, "us": np.ones((1, 1))}[name]
+    refuse(kf, lambda kf: kf.batch_filter([[[0.1], [0.2]]] * 3, **{name: [value] * 2}), match=name)
+    goes_on(kf)
+
+
+@pytest.mark.parametrize("alpha", [0.5, -1.0, [1.0, 2.0], NAN, INF])
+def test_alpha(alpha):
+    kf = started()
+    with pytest.raises(REFUSED, match="alpha"):
+        kf.alpha = alpha
+    assert kf.alpha == 1.0
+
+
+BAD_CHOICES = [
+    ("scaling", "inovation"),
+    ("scaling", None),
+    ("scaling", 1),
+    ("information", "realised"),
+    ("information", ["realized"]),
+    ("grouping", "components"),
+    ("grouping", True),
+    ("influence", "huber"),
+    ("influence", 1.345),
+    ("influence", None),
+    ("influence", Huber),
+    ("influence", object()),
+]
+
+
+@pytest.mark.parametrize("name, value", BAD_CHOICES, ids=str)
+def test_choices(name, value):
+    with pytest.raises(REFUSED, match=name):
+        RobustKalmanFilter(4, 2, **{name: value})
+    kf = started()
+    good = getattr(kf, name)
+    refuse(kf, lambda kf: setattr(kf, name, value), match=name)
+    assert getattr(kf, name) == good
+    goes_on(kf)
+
+
+def test_an_unknown_option_is_answered_with_the_known_ones():
+    with pytest.raises(ValueError, match="innovation") as error:
+        RobustKalmanFilter(4, 2, scaling="none")
+    for option in ("innovation", "unit", "bounded", "none"):
+        assert option in str(error.value)
+
+
+@pytest.mark.parametrize("dims", [(0, 1), (1, 0), (1, 1, -1), (-2, 1), (2.5, 1), ("2", 1)])
+def test_dimensions(dims):
+    with pytest.raises(REFUSED, match="dim_"):
+        RobustKalmanFilter(*dims)
+
+
+def test_choices_are_keywords_only():
+    with pytest.raises(TypeError):
+        RobustKalmanFilter(4, 2, 0, Huber())
+
+
+@pytest.mark.parametrize("size", [1e3, 1e10, 1e100, 1e154, 1e155, 1e200, 1e300, -1e300])
+@pytest.mark.parametrize("scaling", ["innovation", "bounded"])
+@pytest.mark.parametrize("ndim", [1, 2])
+@pytest.mark.filterwarnings("error")
+def test_an_enormous_measurement_is_no_bad_input(size, scaling, ndim):
+    """It moves x by a bounded amount, and nothing overflows on the way, not even in a warning."""
+    kf = started(ndim, scaling=scaling)
+    for z in ([size, -size], [size, 0.1], [NAN, size]):
+        x = kf.x.copy()
+        kf.update(z)
+        assert np.abs(kf.x - x).max() < 20
+        for name in (*support.STATE, "y", "K", "S", "SI", "e", "T", "y_bounded"):
+            assert np.all(np.isfinite(getattr(kf, name))), name
+        assert np.isfinite(kf.log_likelihood) and np.isfinite(kf.likelihood) and np.isfinite(kf.mahalanobis)
+        assert kf.likelihood >= 0
+        repr(kf)
+        kf.predict()
+
+
+def test_bad_r_is_told_from_a_good_one_after_it_was_written_into():
+    """A factor of R that is remembered must not outlive the R that it belongs to."""
+    kf = started(influence=Linear())
+    kf.R[0, 0] = -1.0
+    refuse(kf, lambda kf: kf.update([0.1, 0.2]), match="^R")

@@ -1,0 +1,172 @@
+"""The robust likelihood is a density, and it still tells models apart after an outlier."""
+
+import numpy as np
+import pytest
+import scipy.stats
+import support
+from filterpy.kalman import IMMEstimator, KalmanFilter
+from scipy.integrate import dblquad, quad
+from statsmodels.robust import norms
+
+from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy.noise import LeastFavorable
+
+pytestmark = pytest.mark.core
+
+PROPER = [Huber(), Huber(0.5), Linear(), StudentT(4.0)]
+SCALINGS = ["innovation", "bounded"]
+
+
+def predicted(problem, **choices):
+    kf = support.make(RobustKalmanFilter, problem, **choices)
+    kf.predict()
+    return kf
+
+
+def log_likelihood(kf, z):
+    """The log-likelihood of z given the filter's prediction, which is left as it was."""
+    x, P = kf.x.copy(), kf.P.copy()
+    kf.update(z)
+    kf.x, kf.P = x, P
+    return kf.log_likelihood
+
+
+@pytest.mark.parametrize("influence", PROPER, ids=repr)
+def test_likelihood_of_a_scalar_integrates_to_one(influence):
+    kf = predicted(support.with_(support.cart(), R=np.array([[3.0]])), influence=influence)
+    edges = [-np.inf, -30, -10, -3, 0, 3, 10, 30, np.inf]
+    with np.errstate(over="ignore"):
+        total = sum(
+            quad(lambda z: np.exp(log_likelihood(kf, z)), a, b, limit=60, epsabs=1e-7)[0]
+            for a, b in zip(edges[:-1], edges[1:], strict=True)
+        )
+    assert total == pytest.approx(1.0, abs=1e-5)
+
+
+def test_likelihood_of_a_vector_integrates_to_one():
+    kf = predicted(support.with_(support.random_problem(3, 2, 2), P=0.1 * np.eye(2)), influence=Huber(2.0))
+    kf.update([0.0, 0.0])
+    root = np.linalg.inv(support.inverse_root(kf.S))
+    kf.x = np.zeros((2, 1))
+
+    def density(b, a):
+        return np.exp(kf.log_likelihood_of(root @ np.array([[a], [b]])))
+
+    total = sum(
+        dblquad(density, *a, *b, epsabs=1e-4, epsrel=1e-4)[0]
+        for a in ((-9.0, 0.0), (0.0, 9.0))
+        for b in ((-9.0, 0.0), (0.0, 9.0))
+    )
+    assert total * np.linalg.det(root) == pytest.approx(1.0, abs=2e-3)
+
+
+@pytest.mark.parametrize("scaling", SCALINGS)
+@pytest.mark.parametrize("information", ["realized", "expected", "weight"])
+@pytest.mark.parametrize("z", [[0.1, 0.3], [0.1, 50.0], [-1e5, 1e8]])
+def test_log_likelihood_is_that_of_the_least_favourable_density(scaling, information, z):
+    problem = support.random_problem(4, 3, 2)
+    kf = predicted(problem, scaling=scaling, information=information)
+    kf.update(z)
+    T = support.inverse_root(kf.S)
+    density = LeastFavorable(Huber().contamination)
+    expected = density.logpdf(T @ np.ravel(kf.y)).sum() + np.log(np.linalg.det(T))
+    assert kf.log_likelihood == pytest.approx(expected, rel=1e-9)
+
+
+def test_log_likelihood_does_not_depend_on_the_scaling():
+    problem = support.paper_problem()
+    values = [log_likelihood(predicted(problem, scaling=s), 7.0) for s in ("innovation", "bounded", "unit")]
+    np.testing.assert_allclose(values, values[0], rtol=1e-10)
+
+
+def test_log_likelihood_of_student():
+    problem = support.random_problem(4, 3, 2)
+    kf = predicted(problem, influence=StudentT(4.0))
+    kf.update([0.1, 20.0])
+    T = support.inverse_root(kf.S)
+    density = scipy.stats.t(4.0, scale=np.sqrt(5 / 4))
+    expected = density.logpdf(T @ np.ravel(kf.y)).sum() + np.log(np.linalg.det(T))
+    assert kf.log_likelihood == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("influence", [Hampel(), TukeyBiweight(), norms.AndrewWave()], ids=lambda i: type(i).__name__)
+def test_log_likelihood_of_a_psi_without_density(influence):
+    kf = predicted(support.cart(), influence=influence)
+    for z in (0.5, 3.0, 1e4):
+        value = log_likelihood(kf, z)
+        T = kf.S.item() ** -0.5
+        rho = np.asarray(influence.rho(np.array([T * kf.y.item()]))).item()
+        assert value == pytest.approx(-rho - np.log(np.sqrt(2 * np.pi)) + np.log(T), rel=1e-9)
+
+
+def test_log_likelihood_is_linear_in_a_large_residual():
+    kf = predicted(support.cart())
+    one, two, three = (log_likelihood(kf, kf.x[0, 0] + size) for size in (1e6, 2e6, 3e6))
+    assert three - two == pytest.approx(two - one, rel=1e-9)
+    assert (two - one) / 1e6 == pytest.approx(-1.345 / np.sqrt(kf.S.item()), rel=1e-9)
+
+
+def test_log_likelihood_of_a_measurement():
+    kf = predicted(support.random_problem(4, 3, 2))
+    kf.update([0.1, 0.2])
+    z = np.array([[0.4], [90.0]])
+    T = support.inverse_root(kf.S)
+    e = T @ (z - kf.H @ kf.x)[:, 0]
+    expected = LeastFavorable(Huber().contamination).logpdf(e).sum() + np.log(np.linalg.det(T))
+    assert kf.log_likelihood_of(z) == pytest.approx(expected, rel=1e-9)
+
+
+def test_likelihood_is_the_exponential_and_never_zero():
+    kf = predicted(support.cart())
+    kf.update(1.0)
+    assert kf.likelihood == pytest.approx(np.exp(kf.log_likelihood))
+    kf.update(1e12)
+    assert kf.likelihood > 0
+    assert np.isfinite(kf.log_likelihood)
+
+
+def two_models(cls, **choices):
+    """A bank of two levels that drift to either side; the first is the true one."""
+    filters = []
+    for drift in (1.0, -1.0):
+        kf = cls(1, 1, 1, **choices)
+        kf.x, kf.P, kf.F, kf.H = np.zeros((1, 1)), np.eye(1), np.eye(1), np.eye(1)
+        kf.Q, kf.R, kf.B = 0.01 * np.eye(1), np.eye(1), np.array([[drift]])
+        filters.append(kf)
+    return IMMEstimator(filters, (0.5, 0.5), np.array([[0.95, 0.05], [0.05, 0.95]]))
+
+
+def run(bank, outlier):
+    """Five good samples, the outlier, five good samples; yield the bank after each."""
+    rng = np.random.default_rng(8)
+    for k in range(1, 12):
+        bank.predict(np.ones((1, 1)))
+        bank.update(np.array([[k + rng.normal() + (outlier if k == 6 else 0.0)]]))
+        yield k
+
+
+@pytest.mark.parametrize("outlier", [300.0, 1e6])
+def test_an_imm_still_discriminates_after_an_outlier(outlier):
+    robust, plain = two_models(RobustKalmanFilter), two_models(KalmanFilter)
+    for k in run(robust, outlier):
+        assert np.all(np.isfinite(robust.mu)) and np.all(np.isfinite(robust.x))
+        if k != 6:
+            assert robust.mu[0] > 0.5, f"sample {k}"
+    assert robust.mu[0] > 0.9
+    assert abs(robust.x.item() - 11) < 3
+
+    # What it is measured against: the same bank of filterpy's filters.
+    smallest = []
+    for _ in run(plain, outlier):
+        smallest.append(max(kf.likelihood for kf in plain.filters) <= np.finfo(float).tiny)
+    assert any(smallest[5:]), "filterpy's likelihood did not underflow, so nothing was shown"
+
+
+def test_an_imm_discriminates_at_the_outlier_where_filterpys_likelihood_underflows():
+    robust, plain = two_models(RobustKalmanFilter), two_models(KalmanFilter)
+    for bank in (robust, plain):
+        for k in run(bank, 100.0):
+            if k == 6:
+                break
+    np.testing.assert_array_equal(plain.likelihood, np.finfo(float).tiny)
+    assert robust.likelihood[0] > 2 * robust.likelihood[1] > 0
