@@ -11,9 +11,11 @@ import importlib
 from typing import Any
 
 from robust_filterpy._version import __version__
+from robust_filterpy.influence import Hampel, Huber, Linear, StudentT, TukeyBiweight
+from robust_filterpy.kalman_filter import RobustKalmanFilter
 
 _LAZY: dict[str, str] = {}
-__all__ = ["__version__", *_LAZY]
+__all__ = ["Hampel", "Huber", "Linear", "RobustKalmanFilter", "StudentT", "TukeyBiweight", "__version__", *_LAZY]
 
 
 def __getattr__(name: str) -> Any:

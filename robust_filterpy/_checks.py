@@ -1,0 +1,119 @@
+"""Sentences that help: every argument check of the package, in one form."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def positive(name: str, value: Any, *, infinite: bool = False) -> float:
+    """Return value as a float > 0 or raise."""
+    number = real(name, value)
+    if not number > 0 or (math.isinf(number) and not infinite):
+        kind = "a number > 0" if infinite else "a finite number > 0"
+        raise ValueError(f"{name}: expected {kind}, got {value!r}")
+    return number
+
+
+def fraction(name: str, value: Any) -> float:
+    """Return value as a float in [0, 1) or raise."""
+    number = real(name, value)
+    if not 0 <= number < 1:
+        raise ValueError(f"{name}: expected a number in [0, 1), got {value!r}")
+    return number
+
+
+def real(name: str, value: Any) -> float:
+    """Return value as a float or raise."""
+    if isinstance(value, (str, bytes, bool)) or np.ndim(value) != 0:
+        raise TypeError(f"{name}: expected a number, got {value!r}")
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise TypeError(f"{name}: expected a number, got {value!r}") from None
+
+
+def count(name: str, value: Any, least: int = 0) -> int:
+    """Return value as an int >= least or raise."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+        raise TypeError(f"{name}: expected an integer >= {least}, got {value!r}")
+    if value < least:
+        raise ValueError(f"{name}: expected an integer >= {least}, got {value!r}")
+    return int(value)
+
+
+def option(name: str, value: Any, allowed: Iterable[str]) -> str:
+    """Return value if it is one of the allowed strings or raise."""
+    allowed = tuple(allowed)
+    if not isinstance(value, str):
+        raise TypeError(f"{name}: expected one of {', '.join(map(repr, allowed))}, got {value!r}")
+    if value not in allowed:
+        raise ValueError(f"{name}: expected one of {', '.join(map(repr, allowed))}, got {value!r}")
+    return value
+
+
+def numbers(name: str, value: Any) -> Array:
+    """Return value as a float array (None and masked entries become NaN) or raise TypeError."""
+    if isinstance(value, np.ma.MaskedArray):
+        value = value.astype(float).filled(np.nan)
+    if np.iscomplexobj(value):
+        raise TypeError(f"{name}: expected real numbers, got complex ones")
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise TypeError(f"{name}: expected real numbers, got {value!r}") from None
+
+
+def matrix(name: str, value: Any, shape: tuple[int, int], reason: str) -> Array:
+    """Return value as a float array of this shape or raise, telling what the shape follows from."""
+    if type(value) is np.ndarray and value.dtype == np.float64 and value.shape == shape:
+        return value
+    if value is None:
+        raise TypeError(f"{name}: expected an array of shape {shape} for {reason}, got None")
+    found = numbers(name, value)
+    if found.shape == shape:
+        return found
+    if found.size == 1 and shape == (1, 1):
+        return found.reshape(shape)
+    raise ValueError(f"{name}: expected shape {shape} for {reason}, got {_mend(name, found, shape)}")
+
+
+def _mend(name: str, found: Array, shape: tuple[int, int]) -> str:
+    """Describe what was found and, where it is plain, what was meant."""
+    if found.ndim == 0:
+        return (
+            f"scalar {found}; use {found}*np.eye({shape[0]})" if shape[0] == shape[1] else f"scalar {found}"
+        )
+    text = f"{found.shape}"
+    if found.ndim == 1 and shape[0] == shape[1] == found.size:
+        return f"{text}; use np.diag({name})"
+    if found.ndim == 1 and found.size == shape[0] * shape[1]:
+        return f"{text}; use {name}.reshape{shape}"
+    if found.ndim == 2 and found.T.shape == shape:
+        return f"{text}; use {name}.T"
+    return text
+
+
+def described(found: Array) -> str:
+    """Say what was found: a scalar's value or an array's shape."""
+    return f"scalar {found}" if found.ndim == 0 else f"shape {found.shape}"
+
+
+def positive_definite(name: str, value: Array) -> None:
+    """Raise ValueError unless value is symmetric positive definite."""
+    if not np.allclose(value, value.T, rtol=1e-8, atol=0.0):
+        raise ValueError(f"{name}: expected a symmetric matrix, got one that differs from its transpose")
+    try:
+        np.linalg.cholesky(value)
+    except np.linalg.LinAlgError:
+        least = np.linalg.eigvalsh(value)[0] if np.isfinite(value).all() else np.nan
+        raise ValueError(
+            f"{name}: expected a positive definite matrix, got one whose least eigenvalue is {least:.3g}; "
+            f"give every sensor a noise variance > 0, and NaN in z for a sensor that is absent"
+        ) from None

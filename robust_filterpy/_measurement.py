@@ -1,0 +1,99 @@
+"""From filterpy's many shapes to one: what the filters make of the arrays that users set and pass."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+
+
+def state_of(kf: Any) -> tuple[Array, Array]:
+    """Return x, shape (n,) or (n, 1), and P, shape (n, n), as float arrays."""
+    x, P, n = kf.x, kf.P, kf.dim_x
+    if not (type(x) is np.ndarray and x.dtype == np.float64 and x.shape in ((n, 1), (n,))):
+        x = _checks.numbers("x", x)
+        if x.ndim == 0 and n == 1:
+            x = x.reshape(1)
+        if x.shape not in ((n, 1), (n,)):
+            raise ValueError(f"x: expected shape {(n, 1)} or {(n,)} for dim_x={n}, got {_checks.described(x)}")
+    if not (type(P) is np.ndarray and P.dtype == np.float64 and P.shape == (n, n)):
+        if np.ndim(P) == 0 and P is not None:
+            # filterpy multiplies by P, so there a scalar acts as P I.
+            P = _checks.real("P", P) * np.eye(n)
+        P = _checks.matrix("P", P, (n, n), f"dim_x={n}")
+    return x, P
+
+
+def measured(z: Any, m: int, missing: bool = False) -> Any:
+    """Return z as an array of shape (m,), as a float if m = 1, or None if nothing was measured."""
+    if m == 1 and type(z) is float:
+        number = z
+    else:
+        array = _checks.numbers("z", z)
+        if array.size != m or array.ndim > 2 or (array.ndim == 2 and 1 not in array.shape):
+            plural = "number" if m == 1 else "numbers"
+            raise ValueError(f"z: expected {m} {plural} for H with {m} row(s), got {_checks.described(array)}")
+        if m > 1:
+            if np.isinf(array).any():
+                raise ValueError(f"z: expected finite numbers or NaN (missing), got {array.ravel()}")
+            # A copy: what the caller does to his array afterwards must not change kf.z.
+            array = np.array(array).reshape(m)
+            return array if missing or (array == array).any() else None
+        number = array.item()
+    if math.isinf(number):
+        raise ValueError(f"z: expected a finite number or NaN (missing), got {number}")
+    return number if missing or number == number else None
+
+
+def noise_covariance(default: Any, given: Any, m: int, trusted: bytes) -> tuple[Array, bytes]:
+    """Return R, shape (m, m), positive definite; trusted holds the bytes of the last one that passed."""
+    if given is None:
+        R = default
+    elif np.ndim(given) == 0:
+        R = _checks.real("R", given) * np.eye(m)
+    else:
+        R = given
+    R = _checks.matrix("R", R, (m, m), f"dim_z={m}")
+    if m == 1:
+        if not 0.0 < R.item() < math.inf:
+            raise ValueError(
+                f"R: expected a variance > 0, got {R.item()}; use NaN in z for a sensor that is absent"
+            )
+        return R, trusted
+    key = R.tobytes()
+    if key != trusted:
+        _checks.positive_definite("R", R)
+    return R, key
+
+
+def process_noise(default: Any, given: Any, n: int) -> Any:
+    """Return Q, shape (n, n), or filterpy's scalar attribute, which it adds to every entry of P."""
+    if given is None:
+        if np.ndim(default) == 0 and default is not None:
+            return _checks.real("Q", default)
+        return _checks.matrix("Q", default, (n, n), f"dim_x={n}")
+    if np.ndim(given) == 0:
+        return _checks.real("Q", given) * np.eye(n)
+    return _checks.matrix("Q", given, (n, n), f"dim_x={n}")
+
+
+def control_term(B: Any, u: Any, shape: tuple[int, ...]) -> Any:
+    """Return B u in the shape of x."""
+    B, u = _checks.numbers("B", B), _checks.numbers("u", u)
+    if B.ndim == 0 and B == 0.0:
+        return 0.0
+    n = shape[0]
+    if B.ndim > 2 or B.shape[:1] != (n,):
+        if not (B.ndim == 0 and n == 1):
+            raise ValueError(f"B: expected shape ({n}, dim_u) for dim_x={n}, got {_checks.described(B)}")
+    B = B.reshape(n, -1)
+    width = B.shape[1]
+    if u.ndim == 0 and (u == 0.0 or width == 1):
+        return (B[:, 0] * u if width else np.zeros(n)).reshape(shape)
+    if u.size != width:
+        raise ValueError(f"u: expected {width} numbers for B of shape {B.shape}, got {_checks.described(u)}")
+    return B.dot(u.reshape(width)).reshape(shape)

@@ -1,0 +1,185 @@
+"""The three independent choices of a robust filter, and how psi meets several sensors: checked, and evaluated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+from robust_filterpy._expectation import expected_information, expected_joint_information
+from robust_filterpy.influence import Huber, Influence, Linear
+
+SCALINGS: Final = ("innovation", "unit", "bounded")
+INFORMATIONS: Final = ("realized", "expected", "weight")
+GROUPINGS: Final = ("component", "joint")
+
+# Beyond this an influence function of somebody else's may square its argument into infinity.
+_SAFE = 1e150
+
+
+class Bounded(NamedTuple):
+    """What psi makes of a standardized innovation e of m components."""
+
+    psi: Array
+    """psi(e), shape (m,)."""
+    D: Array
+    """Information: the diagonal, shape (m,), or for joint grouping the matrix, shape (m, m)."""
+    weights: Array
+    """psi(e)/e, shape (m,)."""
+    clipped: np.ndarray
+    """Whether psi' <= 0, bool, shape (m,): the component no longer tells more by being further away."""
+
+
+@dataclass(frozen=True)
+class Choices:
+    """Hold the choices of a robust filter.
+
+    Parameters
+    ----------
+    influence : Influence, default Huber(1.345)
+        psi, with its rho, psi_deriv and weights.
+    scaling : {"innovation", "unit", "bounded"}
+        T in e = T y: S^(-1/2) (paper 36), I (42), or S^(-1/2) with the eigenvalues of S floored at 1.
+    information : {"realized", "expected", "weight"}
+        d in P+ = P - C T' D T C': psi'(e) (46, 49), E[psi'] (40, 45), or psi(e)/e; clipped to [0, 1].
+    grouping : {"component", "joint"}
+        psi of each component of e, or of its length.
+
+    Raises
+    ------
+    TypeError
+        If influence lacks one of ``rho, psi, psi_deriv, weights``, or an option is no string.
+    ValueError
+        If an option is unknown.
+
+    Examples
+    --------
+    >>> Choices(scaling="bounded").information
+    'realized'
+    """
+
+    influence: Any = Huber()
+    scaling: str = "innovation"
+    information: str = "realized"
+    grouping: str = "component"
+
+    def __post_init__(self) -> None:
+        """Check every choice."""
+        if isinstance(self.influence, type) or not isinstance(self.influence, Influence):
+            raise TypeError(
+                f"influence: expected an object with rho, psi, psi_deriv and weights, such as Huber(1.345), "
+                f"got {self.influence!r}"
+            )
+        _checks.option("scaling", self.scaling, SCALINGS)
+        _checks.option("information", self.information, INFORMATIONS)
+        _checks.option("grouping", self.grouping, GROUPINGS)
+
+    def changed(self, **choice: Any) -> Choices:
+        """Return the same choices but for the ones given."""
+        return replace(self, **choice)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Choices:
+        """Return self: nothing in here changes, and filterpy's Saver copies a filter at every epoch."""
+        return self
+
+    @cached_property
+    def pointwise(self) -> tuple[Callable[..., tuple[float, float]], float, float, float] | None:
+        """psi and psi' of one float and their parameters, if the influence function has that form."""
+        if hasattr(self.influence, "pointwise"):
+            return (self.influence.pointwise, *self.influence.parameters)
+        return None
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether psi is the identity, that is, the filter is Kalman's."""
+        return isinstance(self.influence, Linear) or getattr(self.influence, "threshold", 0.0) == np.inf
+
+    @cached_property
+    def expected(self) -> float:
+        """E[psi'] clipped to [0, 1] (paper 40, 45)."""
+        return min(max(expected_information(self.influence), 0.0), 1.0)
+
+    def bound(self, e: Array, visible: np.ndarray | None = None) -> Bounded:
+        """Apply psi to a standardized innovation.
+
+        Parameters
+        ----------
+        e : ndarray, shape (m,)
+            Standardized innovation, finite.
+        visible : ndarray of bool, shape (m,), optional
+            For joint grouping: the components that the state has a part in. The length is taken over these;
+            the others, which cannot tell the state anything, are treated one by one.
+
+        Returns
+        -------
+        Bounded
+        """
+        if self.grouping == "component":
+            return self._componentwise(e)
+        if visible is None or visible.all():
+            return self._jointly(e)
+        return self._jointly_where(e, visible)
+
+    def _componentwise(self, e: Array) -> Bounded:
+        """Apply psi to each component."""
+        if self.pointwise is not None and e.size <= 8:
+            function, a, b, c = self.pointwise
+            values = [function(v, a, b, c) for v in e.tolist()]
+            psi, slope = (np.array(part) for part in zip(*values, strict=True))
+        else:
+            e = np.clip(e, -_SAFE, _SAFE) if self.pointwise is None else e
+            psi = np.asarray(self.influence.psi(e), dtype=float)
+            slope = np.asarray(self.influence.psi_deriv(e), dtype=float)
+        weights = _ratio(psi, e)
+        if self.information == "realized":
+            D = np.minimum(np.maximum(slope, 0.0), 1.0)
+        elif self.information == "weight":
+            D = np.minimum(np.maximum(weights, 0.0), 1.0)
+        else:
+            D = np.full(e.size, self.expected)
+        return Bounded(psi, D, weights, slope <= 0.0)
+
+    def _jointly(self, e: Array) -> Bounded:
+        """Apply psi to the length: psi(e) = w(|e|) e, D its Jacobian, its mean, or w I."""
+        m = e.size
+        peak = float(np.max(np.abs(e)))
+        length = peak * float(np.linalg.norm(e / peak)) if peak > 0.0 else 0.0
+        length = min(length, _SAFE) if self.pointwise is None else min(length, float(np.finfo(float).max))
+        at = np.array([length])
+        slope, along = float(self.influence.psi_deriv(at)[0]), float(self.influence.psi(at)[0])
+        weight = along / length if length > 0.0 else 1.0
+        direction = (e / peak) / np.linalg.norm(e / peak) if peak > 0.0 else e
+        if self.information == "expected":
+            D = np.eye(m) * min(max(expected_joint_information(self.influence, m), 0.0), 1.0)
+        else:
+            across = min(max(weight, 0.0), 1.0)
+            radial = min(max(slope, 0.0), 1.0) if self.information == "realized" and peak > 0.0 else across
+            D = across * np.eye(m) + (radial - across) * np.outer(direction, direction)
+        return Bounded(along * direction, D, np.full(m, weight), np.full(m, slope <= 0.0))
+
+    def _jointly_where(self, e: Array, visible: np.ndarray) -> Bounded:
+        """Take the visible components together and the others one by one."""
+        m = e.size
+        alone = self.changed(grouping="component").bound(e)
+        psi, weights, clipped = alone.psi.copy(), alone.weights.copy(), alone.clipped.copy()
+        D = np.diag(alone.D)
+        if visible.any():
+            together = self._jointly(e[visible])
+            psi[visible], weights[visible], clipped[visible] = together.psi, together.weights, together.clipped
+            D[np.ix_(visible, np.ones(m, dtype=bool))] = 0.0
+            D[np.ix_(visible, visible)] = together.D
+        return Bounded(psi, D, weights, clipped)
+
+
+def _ratio(psi: Array, e: Array) -> Array:
+    """Return psi/e, 1 where e = 0."""
+    if e.all():
+        return np.asarray(psi / e)
+    weights = np.ones_like(e)
+    np.divide(psi, e, out=weights, where=e != 0.0)
+    return weights

@@ -1,0 +1,541 @@
+"""The equations of the robust correction, as pure functions of arrays: the one place where they stand.
+
+For an innovation y = z - H x with covariance S = H P H' + R and cross-covariance C = P H'::
+
+    e  = T y                       standardized innovation            (paper 29, 36)
+    x+ = x + C T' psi(e)           bounded influence                  (26, 37, 42, 47)
+    P+ = P - C T' D T C'           information D between 0 and I      (28, 39, 44, 49)
+
+T, D and psi are `Choices`. `correct` is the definition; the short forms for one sensor below it say the same in
+floats, and the tests hold the two together.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+from robust_filterpy.choices import Choices
+
+__all__ = [
+    "Choices",
+    "Correction",
+    "NotPositiveDefiniteError",
+    "SingularInnovationError",
+    "Standardization",
+    "correct",
+    "log_density",
+    "posterior_covariance",
+    "standardize",
+]
+
+Inverse = Callable[[Array], Array]
+_DEFAULT = Choices()
+_LARGEST = float(np.finfo(float).max)
+
+
+class NotPositiveDefiniteError(np.linalg.LinAlgError):
+    """Say that scaling "unit" would make P indefinite: it is a filter only while H P H' < 1."""
+
+
+class SingularInnovationError(np.linalg.LinAlgError):
+    """Say that the innovation covariance S has no inverse."""
+
+
+class Standardization(NamedTuple):
+    """T and what follows from it."""
+
+    T: Array
+    """Shape (m, m), symmetric."""
+    T_inv: Array
+    """Inverse of T (pseudo-inverse where S is singular), shape (m, m)."""
+    SI: Array
+    """Inverse of S, shape (m, m)."""
+    defect: Array | None
+    """I - T S T', shape (m, m); None where it is 0."""
+
+
+class Correction(NamedTuple):
+    """Posterior and everything that led to it. Where a component is missing, T, SI, K, e, psi, y_bounded are 0."""
+
+    x: Array
+    """Posterior mean, shape (n,)."""
+    P: Array
+    """Posterior covariance, shape (n, n)."""
+    y: Array
+    """Innovation z - H x, 0 where missing, shape (m,)."""
+    S: Array
+    """Innovation covariance, shape (m, m)."""
+    SI: Array
+    """Its inverse, shape (m, m)."""
+    K: Array
+    """Gain before psi, C T'T, shape (n, m): x+ = x + K y_bounded."""
+    T: Array
+    """Scaling, shape (m, m)."""
+    e: Array
+    """Standardized innovation T y, shape (m,)."""
+    y_bounded: Array
+    """Bounded innovation T^-1 psi(T y), in the measurement's unit, shape (m,)."""
+    weights: Array
+    """psi(e)/e, NaN where missing, shape (m,)."""
+    clipped: np.ndarray
+    """Whether psi'(e) <= 0, bool, shape (m,)."""
+
+
+def correct(
+    x: Array,
+    P: Array,
+    y: Array,
+    H: Array,
+    R: Array,
+    choices: Choices = _DEFAULT,
+    M: Array | None = None,
+    inv: Inverse | None = None,
+) -> Correction:
+    """Correct a state by an innovation whose influence is bounded.
+
+    x+ = x + C T' psi(T y) and P+ = P - C T' D T C' (paper 26-28, 37-39, 42-44, 47-49).
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+        Prior mean.
+    P : ndarray, shape (n, n)
+        Prior covariance.
+    y : ndarray, shape (m,)
+        Innovation z - H x; NaN marks a missing component.
+    H : ndarray, shape (m, n)
+        Measurement matrix.
+    R : ndarray, shape (m, m)
+        Measurement noise covariance, positive definite.
+    choices : Choices
+        Influence function, scaling, information, grouping.
+    M : ndarray, shape (n, m), optional
+        Covariance of the state's error and the measurement noise; then C = P H' + M and
+        S = H P H' + H M + M' H' + R.
+    inv : callable, optional
+        What inverts S, such as `numpy.linalg.pinv`; T is then the symmetric root of inv(S). By default a
+        singular S is an error.
+
+    Returns
+    -------
+    Correction
+
+    Raises
+    ------
+    NotPositiveDefiniteError
+        If scaling is "unit" and P+ would be indefinite.
+    SingularInnovationError
+        If S is singular and inv is not given.
+
+    Examples
+    --------
+    >>> c = correct(np.zeros(1), np.eye(1), np.array([100.0]), np.eye(1), np.eye(1))
+    >>> c.x.round(3), c.P, c.clipped
+    (array([0.951]), array([[1.]]), array([ True]))
+    """
+    PHt = P @ H.T
+    S = H @ PHt + R
+    C = PHt
+    if M is not None:
+        C = PHt + M
+        HM = H @ M
+        S = S + HM + HM.T
+    observed = y == y
+    if observed.all():
+        return _correct_all(x, P, y, H, R, S, C, choices, M, inv)
+    part = np.flatnonzero(observed)
+    if part.size == 0:
+        return _nothing_observed(x, P, S, y.size)
+    pick = np.ix_(part, part)
+    some = _correct_all(
+        x, P, y[part], H[part], R[pick], S[pick], C[:, part], choices, None if M is None else M[:, part], inv
+    )
+    return _embed(some, part, S)
+
+
+def _correct_all(
+    x: Array,
+    P: Array,
+    y: Array,
+    H: Array,
+    R: Array,
+    S: Array,
+    C: Array,
+    choices: Choices,
+    M: Array | None,
+    inv: Inverse | None,
+) -> Correction:
+    """Correct with every component observed: the equations as they read."""
+    T, T_inv, SI, defect = standardize(S, choices.scaling, inv)
+    e = standardized(T, y)
+    psi, D, weights, clipped = choices.bound(e, None if choices.grouping == "component" else H.any(axis=1))
+    G = C @ T.T
+    x_post = x + G @ psi
+    P_post = posterior_covariance(P, H, R, G, T, D, defect, M)
+    if choices.scaling == "unit":
+        _require_positive(P_post, D, S - R)
+    return Correction(x_post, P_post, y, S, SI, G @ T, T, e, T_inv @ psi, weights, clipped)
+
+
+def standardize(S: Array, scaling: str, inv: Inverse | None = None) -> Standardization:
+    """Return the scaling T of innovations with covariance S.
+
+    T = S^(-1/2), the symmetric root (paper 36); T = I (42); or S^(-1/2) with the eigenvalues of S floored at 1.
+
+    Parameters
+    ----------
+    S : ndarray, shape (m, m)
+        Innovation covariance.
+    scaling : {"innovation", "unit", "bounded"}
+        Which T.
+    inv : callable, optional
+        What inverts S; by default a singular S is an error.
+
+    Returns
+    -------
+    Standardization
+
+    Raises
+    ------
+    SingularInnovationError
+        If S is not positive definite and inv is not given.
+    """
+    m = S.shape[0]
+    if scaling == "unit":
+        identity = np.eye(m)
+        return Standardization(identity, identity, _inverse(S) if inv is None else inv(S), identity - S)
+    if inv is not None:
+        return _root_of_inverse(inv(S), S, scaling)
+    if scaling == "innovation" and m == 2:
+        return _root_2x2(S)
+    values, vectors = _eigen(S)
+    if scaling == "bounded":
+        root = np.sqrt(np.maximum(values, 1.0))
+        defect = (vectors * np.maximum(1.0 - values, 0.0)) @ vectors.T
+        T, T_inv = (vectors / root) @ vectors.T, (vectors * root) @ vectors.T
+        return Standardization(T, T_inv, (vectors / values) @ vectors.T, defect)
+    fourth = np.sqrt(np.sqrt(values))
+    # T as a product of one factor with its own transpose is symmetric to the last bit.
+    half, whole = vectors / fourth, vectors * fourth
+    T = half @ half.T
+    return Standardization(T, whole @ whole.T, T @ T, None)
+
+
+def standardized(T: Array, y: Array) -> Array:
+    """Return e = T y (paper 29), finite even where the product overflows."""
+    e = T @ y
+    # The comparison is false for NaN too, which inf - inf leaves behind.
+    if not np.abs(e).max() <= _LARGEST:
+        peak = np.abs(y).max()
+        with np.errstate(over="ignore"):
+            e = np.clip((T @ (y / peak)) * peak, -_LARGEST, _LARGEST)
+    return e
+
+
+def posterior_covariance(
+    P: Array, H: Array, R: Array, G: Array, T: Array, D: Array, defect: Array | None = None, M: Array | None = None
+) -> Array:
+    """Return P+ = P - G D G' with G = C T', in a form that stays positive semidefinite in rounding.
+
+    With K = G D T it is Joseph's form of the gain K, plus what psi leaves unused::
+
+        P+ = (I - K H) P (I - K H)' + K R K' - (I - K H) M K' - K M' (I - K H)'
+             + G (D - D^2 + D (I - T S T') D) G'
+
+    Parameters
+    ----------
+    P : ndarray, shape (n, n)
+        Prior covariance.
+    H : ndarray, shape (m, n)
+        Measurement matrix.
+    R : ndarray, shape (m, m)
+        Measurement noise covariance.
+    G : ndarray, shape (n, m)
+        Standardized gain C T'.
+    T : ndarray, shape (m, m)
+        Scaling.
+    D : ndarray, shape (m,) or (m, m)
+        Information, its diagonal or the matrix.
+    defect : ndarray, shape (m, m), optional
+        I - T S T'; None where it is 0.
+    M : ndarray, shape (n, m), optional
+        Covariance of the state's error and the measurement noise.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        Symmetric.
+    """
+    diagonal = D.ndim == 1
+    GD = G * D if diagonal else G @ D
+    K = GD @ T
+    I_KH = K @ H
+    np.negative(I_KH, out=I_KH)
+    I_KH.ravel()[:: P.shape[0] + 1] += 1.0
+    P_post = I_KH @ P @ I_KH.T + K @ R @ K.T
+    if M is not None:
+        cross = I_KH @ M @ K.T
+        P_post -= cross + cross.T
+    if diagonal:
+        unused = D - D * D
+        if unused.any():
+            P_post += (G * unused) @ G.T
+    else:
+        P_post += G @ (D - D @ D) @ G.T
+    if defect is not None:
+        P_post += GD @ defect @ GD.T
+    return np.asarray(0.5 * (P_post + P_post.T))
+
+
+def _require_positive(P_post: Array, D: Array, N: Array) -> None:
+    """Raise if P+ is indefinite, naming H P H'."""
+    if np.linalg.eigvalsh(P_post)[0] < -1e-13 * np.abs(P_post).max():
+        informed = np.diag(D) if D.ndim == 1 else D
+        raise _indefinite(float(np.linalg.eigvals(informed @ N).real.max()))
+
+
+def _indefinite(hph: float) -> NotPositiveDefiniteError:
+    """Return the error of a "unit" correction that would make P indefinite."""
+    return NotPositiveDefiniteError(
+        f'scaling="unit" would make P indefinite: it needs D H P H\' < 1 in the unit of the measurement squared, '
+        f'found {hph:.6g}; use scaling="bounded" or "innovation", a smaller P, or a larger unit of measurement'
+    )
+
+
+def _eigen(S: Array) -> tuple[Array, Array]:
+    """Return eigenvalues, ascending, and eigenvectors of a positive definite S."""
+    if not np.isfinite(S).all():
+        raise SingularInnovationError("S = H P H' + R: not finite; check H, P and R for NaN, infinity and overflow")
+    if np.count_nonzero(S) == np.count_nonzero(S.diagonal()):
+        # Sensors in very different units: as long as they are uncorrelated, the root is exact.
+        values, vectors = S.diagonal(), np.eye(S.shape[0])
+        least = values.min()
+    else:
+        values, vectors = np.linalg.eigh(S)
+        least = values[0] if values[0] > S.shape[0] * np.finfo(float).eps * values[-1] else min(values[0], 0.0)
+    if not least > 0.0:
+        raise _singular(float(least))
+    return values, vectors
+
+
+def _singular(least: float) -> SingularInnovationError:
+    """Return the error of an S without inverse."""
+    return SingularInnovationError(
+        f"S = H P H' + R: singular (least eigenvalue {least:.3g}); make R positive definite, or set "
+        f"inv=numpy.linalg.pinv to ignore the directions that carry no information"
+    )
+
+
+def _inverse(S: Array) -> Array:
+    """Return the symmetric inverse of a positive definite S."""
+    values, vectors = _eigen(S)
+    return np.asarray((vectors / values) @ vectors.T)
+
+
+def _root_2x2(S: Array) -> Standardization:
+    """Return S^(-1/2) in closed form: with s = sqrt(det S), S^(1/2) = (S + s I)/sqrt(tr S + 2 s)."""
+    (a, b), (_, c) = S.tolist()
+    determinant = a * c - b * b
+    if not (a > 0.0 and c > 0.0 and determinant > 4.0 * np.finfo(float).eps * a * c and determinant < math.inf):
+        _eigen(S)
+        correlation = b / math.sqrt(a) / math.sqrt(c)
+        s = math.sqrt(a) * math.sqrt(c) * math.sqrt(max(1.0 - correlation**2, 0.0))
+        if not 0.0 < s < math.inf:
+            raise _singular(s)
+    else:
+        s = math.sqrt(determinant)
+    t = math.sqrt(a + c + 2.0 * s)
+    p, q, r = (c + s) / t / s, -b / t / s, (a + s) / t / s
+    T = np.array([[p, q], [q, r]])
+    T_inv = np.array([[(a + s) / t, b / t], [b / t, (c + s) / t]])
+    off = q * (p + r)
+    return Standardization(T, T_inv, np.array([[p * p + q * q, off], [off, q * q + r * r]]), None)
+
+
+def _root_of_inverse(SI: Array, S: Array, scaling: str) -> Standardization:
+    """Return the symmetric root of whatever inverse the user wants of S."""
+    values, vectors = np.linalg.eigh(0.5 * (SI + SI.T))
+    if values[0] < -1e-10 * max(values[-1], 0.0) or not np.isfinite(values).all():
+        raise SingularInnovationError(
+            f"inv(S): expected a positive semidefinite matrix, got least eigenvalue {values[0]:.3g}; check R and inv"
+        )
+    kept = values > S.shape[0] * np.finfo(float).eps * max(values[-1], 0.0)
+    root = np.sqrt(np.where(kept, values, 0.0))
+    if scaling == "bounded":
+        root = np.minimum(root, 1.0)
+    T = (vectors * root) @ vectors.T
+    T_inv = (vectors * np.divide(1.0, root, out=np.zeros_like(root), where=root > 0.0)) @ vectors.T
+    return Standardization(T, T_inv, np.asarray(SI, dtype=float), np.eye(S.shape[0]) - T @ S @ T.T)
+
+
+def _nothing_observed(x: Array, P: Array, S: Array, m: int) -> Correction:
+    """Return the correction by a measurement that is missing altogether."""
+    zero, square = np.zeros(m), np.zeros((m, m))
+    gain = np.zeros((x.size, m))
+    return Correction(
+        x, P, zero, S, square, gain, square, zero, zero, np.full(m, np.nan), np.zeros(m, dtype=bool)
+    )
+
+
+def _embed(some: Correction, part: np.ndarray, S: Array) -> Correction:
+    """Put the correction by the observed components where it belongs among all of them."""
+    m = S.shape[0]
+    vectors = {}
+    for name in ("y", "e", "y_bounded", "clipped"):
+        value = getattr(some, name)
+        vectors[name] = np.zeros(m, dtype=value.dtype)
+        vectors[name][part] = value
+    weights = np.full(m, np.nan)
+    weights[part] = some.weights
+    square = np.ix_(part, part)
+    T, SI, K = np.zeros((m, m)), np.zeros((m, m)), np.zeros((some.x.size, m))
+    T[square], SI[square], K[:, part] = some.T, some.SI, some.K
+    return Correction(some.x, some.P, S=S, SI=SI, K=K, T=T, weights=weights, **vectors)
+
+
+def log_density(y: Array, S: Array, choices: Choices = _DEFAULT, inv: Inverse | None = None) -> float:
+    """Return the log-likelihood of an innovation: log f(S^(-1/2) y) + log det S^(-1/2).
+
+    f(e) is proportional to exp(-rho(e)), so it is normal for an infinite threshold and linear in \\|e\\| beyond a
+    finite one. It is standardized by S^(-1/2) whatever the scaling of the filter.
+
+    Parameters
+    ----------
+    y : ndarray, shape (m,)
+        Innovation; NaN marks a missing component.
+    S : ndarray, shape (m, m)
+        Innovation covariance.
+    choices : Choices
+        Influence function and grouping.
+    inv : callable, optional
+        What inverts S; where that leaves out directions, so does the likelihood.
+
+    Returns
+    -------
+    float
+        0 if every component is missing: such a sample tells no model from another.
+
+    Raises
+    ------
+    SingularInnovationError
+        If S is not positive definite and inv is not given.
+
+    Notes
+    -----
+    An influence function without a density of its own (redescending, or somebody else's) has f(e) =
+    exp(-rho(e))/sqrt(2 pi), which does not integrate to 1.
+    """
+    observed = np.flatnonzero(y == y)
+    if observed.size == 0:
+        return 0.0
+    if observed.size < y.size:
+        y, S = y[observed], S[np.ix_(observed, observed)]
+    T, _, SI, _ = standardize(S, "innovation", inv)
+    rank, log_det = observed.size, -np.linalg.slogdet(T)[1]
+    if inv is not None:
+        values = np.linalg.eigvalsh(0.5 * (SI + SI.T))
+        values = values[values > values.size * np.finfo(float).eps * values[-1]]
+        rank, log_det = values.size, -0.5 * float(np.log(values).sum())
+    e = standardized(T, y)
+    return _log_standard_density(e, rank, choices) - float(log_det)
+
+
+def _log_standard_density(e: Array, rank: int, choices: Choices) -> float:
+    """Return log f(e), component by component or of the length."""
+    normalizer = getattr(choices.influence, "log_normalizer", lambda dim: 0.5 * dim * math.log(2.0 * math.pi))
+    if choices.grouping == "component":
+        losses = np.asarray(choices.influence.rho(e), dtype=float)
+        total = float(np.minimum(losses, _LARGEST / e.size).sum())
+        return -total - rank * normalizer(1)
+    peak = float(np.abs(e).max())
+    length = peak * float(np.linalg.norm(e / peak)) if peak > 0.0 else 0.0
+    return -min(float(choices.influence.rho(np.array([min(length, _LARGEST)]))[0]), _LARGEST) - normalizer(rank)
+
+
+# One sensor. The same equations in floats, because numpy's call overhead is most of what so small a filter costs.
+
+
+class ScalarCorrection(NamedTuple):
+    """`Correction` for m = 1, the parts of shape (1,) and (1, 1) as floats."""
+
+    x: Array
+    P: Array
+    y: float
+    S: float
+    SI: float
+    K: Array
+    T: float
+    e: float
+    y_bounded: float
+    weights: float
+    clipped: bool
+
+
+def correct_scalar(
+    x: Array, P: Array, y: float, H: Array, r: float, choices: Choices, M: Array | None = None
+) -> ScalarCorrection:
+    """Correct by one number y, observed; choices.pointwise must exist. H has shape (1, n), x the shape of H.T or (n,)."""
+    PHt = P.dot(H.T)
+    C = PHt
+    s = H.dot(PHt).item()
+    hph = s
+    if M is not None:
+        C = PHt + M
+        s += 2.0 * H.dot(M).item()
+    s += r
+    if not 0.0 < s < math.inf:
+        raise _singular(s)
+    scaling = choices.scaling
+    if scaling == "innovation":
+        t2 = 1.0 / s
+        t = math.sqrt(t2)
+    elif scaling == "unit":
+        t = t2 = 1.0
+    else:
+        t2 = 1.0 / max(s, 1.0)
+        t = math.sqrt(t2)
+    e = t * y
+    if not -_LARGEST <= e <= _LARGEST:
+        e = math.copysign(_LARGEST, y)
+    function, a, b, c = choices.pointwise  # type: ignore[misc]
+    psi, slope = function(e, a, b, c)
+    weight = psi / e if e != 0.0 else 1.0
+    information = choices.information
+    d = slope if information == "realized" else weight if information == "weight" else choices.expected
+    d = 0.0 if d <= 0.0 else 1.0 if d >= 1.0 else d
+    K = C * t2
+    y_bounded = psi / t
+    x_post = x + (K * y_bounded if x.ndim == 2 else K.ravel() * y_bounded)
+    if d == 0.0:
+        P_post = P.copy()
+    else:
+        K_d = K if d == 1.0 else K * d
+        I_KH = K_d.dot(H)
+        np.negative(I_KH, out=I_KH)
+        I_KH.ravel()[:: P.shape[0] + 1] += 1.0
+        # What psi leaves unused, G (d - d^2 + d^2 (1 - t^2 s)) G' with G = K/t, joins the noise term d^2 r K K'.
+        spare = r + ((1.0 - d) / d + (1.0 - t2 * s if scaling != "innovation" else 0.0)) / t2
+        P_post = I_KH.dot(P).dot(I_KH.T)
+        P_post += (K_d * spare).dot(K_d.T)
+        if M is not None:
+            cross = I_KH.dot(M).dot(K_d.T)
+            P_post -= cross + cross.T
+        P_post = 0.5 * (P_post + P_post.T)
+        if scaling == "unit" and d * hph > 1.0 + 1e-13:
+            _require_positive(P_post, np.array([d]), np.array([[hph]]))
+    return ScalarCorrection(x_post, P_post, y, s, 1.0 / s, K, t, e, y_bounded, weight, slope <= 0.0)
+
+
+def as_arrays(scalar: ScalarCorrection) -> Correction:
+    """Give the floats of a `ScalarCorrection` their shapes."""
+    x, P, y, S, SI, K, T, e, y_bounded, weights, clipped = scalar
+    one, square = (lambda v: np.array([v])), (lambda v: np.array([[v]]))
+    return Correction(
+        x.ravel(), P, one(y), square(S), square(SI), K, square(T), one(e), one(y_bounded), one(weights), one(clipped)
+    )
+

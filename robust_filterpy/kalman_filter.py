@@ -1,0 +1,554 @@
+"""RobustKalmanFilter: filterpy's KalmanFilter with a bounded correction.
+
+A thin shell: it turns filterpy's attributes, shapes and calls into calls of `robust_filterpy.correction`, where
+the equations stand.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import Any
+
+import numpy as np
+from filterpy.common import pretty_str
+from filterpy.kalman import KalmanFilter
+from numpy.typing import ArrayLike
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+from robust_filterpy._measurement import control_term, measured, noise_covariance, process_noise, state_of
+from robust_filterpy.choices import Choices
+from robust_filterpy.correction import (
+    Correction,
+    ScalarCorrection,
+    correct,
+    correct_scalar,
+    log_density,
+    standardize,
+    standardized,
+)
+from robust_filterpy.influence import Huber, Influence
+
+_DEFAULT_INV = np.linalg.inv
+
+
+class RobustKalmanFilter(KalmanFilter):
+    """Filter like `filterpy.kalman.KalmanFilter`, without believing outliers.
+
+    Every attribute, method and shape is filterpy's. What differs is the correction: the standardized innovation
+    e = T y goes through a bounded function psi before it moves the state, and what psi cuts off does not shrink
+    P (paper 26-28 and 37-49)::
+
+        x+ = x + C T' psi(T y),    P+ = P - C T' D T C',    C = P H'
+
+    Parameters
+    ----------
+    dim_x : int
+        Length of the state, >= 1.
+    dim_z : int
+        Length of the measurement, >= 1.
+    dim_u : int, default 0
+        Length of the control input.
+    influence : Influence, default Huber(1.345)
+        psi: `Huber`, `Linear` (the Kalman filter), `Hampel`, `TukeyBiweight`, `StudentT`, or any norm of
+        `statsmodels.robust.norms`. Thresholds are in standard deviations of the innovation (with scaling
+        "unit": in the unit of z).
+    scaling : {"innovation", "unit", "bounded"}
+        T: S^(-1/2), the symmetric root (36), so that an infinite threshold gives the Kalman filter; I, the
+        paper's modification (42)-(49), a filter only while H P H' < 1 in the unit of z squared; or S^(-1/2)
+        with the eigenvalues of S floored at 1: "unit" wherever that is a valid filter.
+    information : {"realized", "expected", "weight"}
+        D: psi'(e) (46), so that P stays while innovations are clipped and a filter that is wrong, not its
+        sensor, comes back; E[psi'] (40, 45), which can lock out after a true jump; or psi(e)/e.
+    grouping : {"component", "joint"}
+        psi of each component of e, or of the length of e: for one sensor that reports a vector and fails as a
+        whole.
+
+    Attributes
+    ----------
+    weights : ndarray, shape of y
+        psi(e)/e of the last update: 1 is full trust, NaN a missing component.
+    clipped : ndarray of bool, shape of y
+        Whether psi'(e) <= 0.
+    e : ndarray, shape of y
+        Standardized innovation T y.
+    T : ndarray, shape (dim_z, dim_z)
+        Scaling.
+    y_bounded : ndarray, shape of y
+        T^-1 psi(T y), so that x_post == x_prior + K @ y_bounded, in the unit of z.
+
+    Raises
+    ------
+    ValueError
+        If a dimension or an option is out of range. Every call checks its arrays first and raises ValueError or
+        TypeError before it changes anything.
+
+    See Also
+    --------
+    robust_filterpy.correction.correct : The equations as a pure function.
+
+    Notes
+    -----
+    ``y``, ``S``, ``SI`` and ``mahalanobis`` are those of the Kalman filter; ``K`` is the gain before psi, C T'T.
+    ``log_likelihood`` is that of the least favourable density, linear in \\|e\\| beyond the threshold.
+
+    NaN (or None, or a masked entry) in z is a missing component: the others are used; y, e, y_bounded and the
+    columns of K are 0 there. A measurement that is missing altogether is ``update(None)``, with log-likelihood 0.
+
+    The scalings are independent of the noise: "unit" raises `NotPositiveDefiniteError` where it would make P
+    indefinite and leaves the filter as it was.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from robust_filterpy import RobustKalmanFilter
+    >>> kf = RobustKalmanFilter(dim_x=2, dim_z=1)
+    >>> kf.F = np.array([[1.0, 1.0], [0.0, 1.0]])
+    >>> kf.H = np.array([[1.0, 0.0]])
+    >>> for z in [1.0, 2.0, 3e6, 4.0]:
+    ...     kf.predict()
+    ...     kf.update(z)
+    >>> bool(abs(kf.x[0, 0] - 4.0) < 1.5)
+    True
+    """
+
+    # Outside __dict__, which filterpy's Saver copies at every epoch and turns into arrays.
+    __slots__ = ("_last", "_trusted_R")
+
+    def __init__(
+        self,
+        dim_x: int,
+        dim_z: int,
+        dim_u: int = 0,
+        *,
+        influence: Influence = Huber(),
+        scaling: str = "innovation",
+        information: str = "realized",
+        grouping: str = "component",
+    ) -> None:
+        """Set up filterpy's attributes and the choices."""
+        for name, value, least in (("dim_x", dim_x, 1), ("dim_z", dim_z, 1), ("dim_u", dim_u, 0)):
+            _checks.count(name, value, least)
+        self._choices = Choices(influence, scaling, information, grouping)
+        self._last: Correction | ScalarCorrection | None = None
+        self._trusted_R = b""
+        super().__init__(dim_x, dim_z, dim_u)
+        # filterpy 1.4.5 has it as (dim_z, dim_z), with which update_correlated cannot work.
+        self.M = np.zeros((dim_x, dim_z))
+
+    # ------------------------------------------------------------------ choices
+
+    @property
+    def influence(self) -> Any:
+        """The influence function psi."""
+        return self._choices.influence
+
+    @influence.setter
+    def influence(self, value: Influence) -> None:
+        self._choices = self._choices.changed(influence=value)
+
+    @property
+    def scaling(self) -> str:
+        """Which T: "innovation", "unit" or "bounded"."""
+        return self._choices.scaling
+
+    @scaling.setter
+    def scaling(self, value: str) -> None:
+        self._choices = self._choices.changed(scaling=value)
+
+    @property
+    def information(self) -> str:
+        """Which D: "realized", "expected" or "weight"."""
+        return self._choices.information
+
+    @information.setter
+    def information(self, value: str) -> None:
+        self._choices = self._choices.changed(information=value)
+
+    @property
+    def grouping(self) -> str:
+        """psi of each "component" or of all of them "joint"."""
+        return self._choices.grouping
+
+    @grouping.setter
+    def grouping(self, value: str) -> None:
+        self._choices = self._choices.changed(grouping=value)
+
+    # ------------------------------------------------------------------ what the last correction did
+
+    @property
+    def weights(self) -> Array:
+        """psi(e)/e of the last correction, shape of y; NaN where a component was missing."""
+        return self._shown("weights", np.nan)
+
+    @property
+    def clipped(self) -> np.ndarray:
+        """Whether psi'(e) <= 0 in the last correction, shape of y."""
+        return self._shown("clipped", False)
+
+    @property
+    def e(self) -> Array:
+        """Standardized innovation T y of the last correction, shape of y (paper 29)."""
+        return self._shown("e", 0.0)
+
+    @property
+    def y_bounded(self) -> Array:
+        """Bounded innovation T^-1 psi(T y) of the last correction, shape of y, in the unit of z."""
+        return self._shown("y_bounded", 0.0)
+
+    @property
+    def T(self) -> Array:
+        """Scaling of the last correction, shape (dim_z, dim_z) (paper 36)."""
+        if self._last is None:
+            return np.eye(self.dim_z)
+        return np.array(self._last.T, dtype=float).reshape(self.S.shape)
+
+    def _shown(self, name: str, absent: Any) -> Array:
+        """Return a field of the last correction in the shape that y has for this kind of state."""
+        column = np.ndim(self.x) != 1
+        if self._last is None:
+            return np.full((self.dim_z, 1) if column else self.dim_z, absent)
+        flat = np.array(getattr(self._last, name)).ravel()
+        return flat[:, None] if column else flat
+
+    # ------------------------------------------------------------------ prediction: filterpy's, checked
+
+    def predict(
+        self, u: ArrayLike | None = None, B: ArrayLike | None = None, F: ArrayLike | None = None, Q: Any = None
+    ) -> None:
+        """Predict the next state: x = F x + B u, P = alpha^2 F P F' + Q (paper 27, 38, 43, 48).
+
+        Parameters
+        ----------
+        u : array_like, shape (dim_u,) or (dim_u, 1), or scalar, optional
+            Control input.
+        B : array_like, shape (dim_x, dim_u), optional
+            Control matrix for this call, otherwise ``self.B``.
+        F : array_like, shape (dim_x, dim_x), optional
+            Transition matrix for this call, otherwise ``self.F``.
+        Q : array_like, shape (dim_x, dim_x), or scalar, optional
+            Process noise covariance for this call, otherwise ``self.Q``. A scalar here means Q I.
+
+        Raises
+        ------
+        ValueError
+            If a shape does not fit; nothing has changed then.
+        """
+        x, P = self._predicted(u, B, F, Q)
+        self.x, self.P = x, P
+        self.x_prior, self.P_prior = x.copy(), P.copy()
+
+    def get_prediction(
+        self, u: ArrayLike | None = None, B: ArrayLike | None = None, F: ArrayLike | None = None, Q: Any = None
+    ) -> tuple[Array, Array]:
+        """Return what `predict` would make of x and P, and change nothing.
+
+        Parameters
+        ----------
+        u, B, F, Q : optional
+            As in `predict`.
+
+        Returns
+        -------
+        x : ndarray, shape of ``self.x``
+            Predicted state.
+        P : ndarray, shape (dim_x, dim_x)
+            Its covariance.
+        """
+        return self._predicted(u, B, F, Q)
+
+    def _predicted(self, u: Any, B: Any, F: Any, Q: Any) -> tuple[Array, Array]:
+        """Return the predicted mean, in the shape of x, and covariance."""
+        x, P = state_of(self)
+        n = len(x)
+        F = _checks.matrix("F", self.F if F is None else F, (n, n), "dim_x")
+        noise = process_noise(self.Q, Q, n)
+        x = F.dot(x)
+        B = self.B if B is None else B
+        if B is not None and u is not None:
+            x = x + control_term(B, u, x.shape)
+        P = F.dot(P).dot(F.T)
+        if self._alpha_sq != 1.0:
+            P *= self._alpha_sq
+        P += noise
+        return x, P
+
+    def predict_steadystate(self, u: ArrayLike | None = 0, B: ArrayLike | None = None) -> None:
+        """Predict the next state and leave P as it is.
+
+        Parameters
+        ----------
+        u : array_like, shape (dim_u,) or (dim_u, 1), or scalar
+            Control input.
+        B : array_like, shape (dim_x, dim_u), optional
+            Control matrix for this call, otherwise ``self.B``.
+
+        Raises
+        ------
+        ValueError
+            If a shape does not fit; nothing has changed then.
+        """
+        x, P = state_of(self)
+        x = _checks.matrix("F", self.F, (len(x), len(x)), "dim_x").dot(x)
+        B = self.B if B is None else B
+        if B is not None and u is not None:
+            x = x + control_term(B, u, x.shape)
+        self.x = x
+        self.x_prior, self.P_prior = x.copy(), P.copy()
+
+    # ------------------------------------------------------------------ correction
+
+    def update(self, z: ArrayLike | None, R: Any = None, H: ArrayLike | None = None) -> None:
+        """Correct the state by a measurement whose influence is bounded (paper 37, 39, 42, 44, 47, 49).
+
+        Parameters
+        ----------
+        z : array_like, shape (dim_z,) or (dim_z, 1), or scalar, or None
+            Measurement; NaN marks a missing component, None a missing measurement.
+        R : array_like, shape (dim_z, dim_z), or scalar, optional
+            Noise covariance for this call, otherwise ``self.R``. A scalar here means R I.
+        H : array_like, shape (m, dim_x), optional
+            Measurement matrix for this call, otherwise ``self.H``; z and R then have its height m.
+
+        Raises
+        ------
+        ValueError
+            If a shape does not fit, z is infinite or R not positive definite; nothing has changed then.
+        SingularInnovationError
+            If S is singular and ``self.inv`` is numpy's inverse.
+        NotPositiveDefiniteError
+            If scaling is "unit" and P would become indefinite.
+        """
+        self._update(z, R, H, None)
+
+    def update_correlated(self, z: ArrayLike | None, R: Any = None, H: ArrayLike | None = None) -> None:
+        """Correct the state by a measurement whose noise is correlated with the state's error.
+
+        Uses ``self.M``, shape (dim_x, dim_z): C = P H' + M and S = H P H' + H M + M' H' + R.
+
+        Parameters
+        ----------
+        z, R, H : optional
+            As in `update`.
+
+        Raises
+        ------
+        ValueError, SingularInnovationError, NotPositiveDefiniteError
+            As in `update`.
+        """
+        self._update(z, R, H, self.M)
+
+    def _update(self, z: Any, R: Any, H: Any, M: Any) -> None:
+        """Correct by a whole measurement; every check comes before the first assignment."""
+        x, P = state_of(self)
+        H, R, values, M = self._measurement(z, R, H, M, len(x))
+        if values is None:
+            self._skip()
+            return
+        last = self._corrected(x, P, values, H, R, M)
+        m = H.shape[0]
+        if m == 1 and isinstance(last, ScalarCorrection):
+            shape = (1, 1) if x.ndim == 2 else (1,)
+            self.x = last.x
+            self.y, self.z = np.array(last.y).reshape(shape), np.array(values).reshape(shape)
+            self.S, self.SI = np.array([[last.S]]), np.array([[last.SI]])
+        else:
+            shape = (m, 1) if x.ndim == 2 else (m,)
+            self.x = np.reshape(last.x, x.shape)
+            self.y, self.z = np.reshape(last.y, shape), values.reshape(shape)
+            self.S, self.SI = last.S, last.SI
+        self.P, self.K, self._last = last.P, last.K, last
+        self.x_post, self.P_post = self.x.copy(), self.P.copy()
+        self._log_likelihood = self._likelihood = self._mahalanobis = None
+
+    def _measurement(self, z: Any, R: Any, H: Any, M: Any, n: int) -> tuple[Array, Array, Any, Any]:
+        """Return checked H, R, z (a float, an array of shape (m,), or None if all is missing) and M."""
+        given = H is not None
+        H = self.H if H is None else H
+        if not (type(H) is np.ndarray and H.dtype == np.float64 and H.ndim == 2 and H.shape[1] == n):
+            rows = np.shape(H)[0] if given and np.ndim(H) == 2 else self.dim_z
+            H = _checks.matrix("H", H, (rows, n), f"dim_z={rows}, dim_x={n}")
+        m = H.shape[0]
+        if m != self.dim_z and not given:
+            raise ValueError(f"H: expected shape {(self.dim_z, n)} for dim_z={self.dim_z}, dim_x={n}, got {H.shape}")
+        values = None if z is None else measured(z, m)
+        if values is None:
+            return H, self.R, None, M
+        R, key = noise_covariance(self.R, R, m, self._trusted_R)
+        self._trusted_R = key
+        if M is not None:
+            M = _checks.matrix("M", M, (n, m), f"dim_x={n}, dim_z={m}")
+        return H, R, values, M
+
+    def _corrected(self, x: Array, P: Array, values: Any, H: Array, R: Array, M: Any) -> Correction | ScalarCorrection:
+        """Return the correction of x by checked values; changes nothing."""
+        inv = None if self.inv is _DEFAULT_INV else self.inv
+        if H.shape[0] == 1 and inv is None and self._choices.pointwise is not None:
+            y = float(values) - H.dot(x).item()
+            if y != y:
+                raise ValueError("x: expected finite numbers, got NaN or infinity in H x")
+            return correct_scalar(x, P, y, H, R.item(), self._choices, M)
+        values = np.atleast_1d(values)
+        y = values - H.dot(x).ravel()
+        if not ((y == y) == (values == values)).all():
+            raise ValueError("x: expected finite numbers, got NaN or infinity in H x")
+        return correct(x.ravel(), P, y, H, R, self._choices, M, inv)
+
+    def _skip(self) -> None:
+        """Do what filterpy does for update(None), and forget the last innovation."""
+        m = self.dim_z
+        self.z = np.array([[None] * m]).T
+        self.x_post, self.P_post = np.copy(self.x), np.copy(self.P)
+        self.y = np.zeros((m, 1) if np.ndim(self.x) != 1 else m)
+        T = self.T if self.T.shape == (m, m) else np.eye(m)
+        zero = np.zeros(m)
+        self._last = Correction(
+            self.x, self.P, zero, self.S, self.SI, self.K, T, zero, zero, np.full(m, np.nan), np.zeros(m, dtype=bool)
+        )
+        self._log_likelihood = self._likelihood = self._mahalanobis = None
+
+    def get_update(self, z: ArrayLike | None = None) -> tuple[Array, Array]:
+        """Return what `update` would make of x and P, and change nothing.
+
+        Parameters
+        ----------
+        z : array_like, shape (dim_z,) or (dim_z, 1), or scalar, or None
+            Measurement, as in `update`.
+
+        Returns
+        -------
+        x : ndarray, shape of ``self.x``
+            Corrected state.
+        P : ndarray, shape (dim_x, dim_x)
+            Its covariance.
+        """
+        x, P = state_of(self)
+        H, R, values, _ = self._measurement(z, None, None, None, len(x))
+        if values is None:
+            return self.x, self.P
+        last = self._corrected(x, P, values, H, R, None)
+        return np.reshape(last.x, x.shape), last.P
+
+    def update_steadystate(self, z: ArrayLike | None) -> None:
+        """Correct the state with the gain K as it stands, and leave P and K as they are.
+
+        x+ = x + K T^-1 psi(T y), with T from the S of the last correction (from H P H' + R if there was none).
+
+        Parameters
+        ----------
+        z : array_like, shape (dim_z,) or (dim_z, 1), or scalar, or None
+            Measurement, as in `update`.
+
+        Raises
+        ------
+        ValueError, SingularInnovationError
+            As in `update`; also if K does not have shape (dim_x, dim_z).
+
+        Notes
+        -----
+        K has a column of zeros for a sensor that was missing in the last `update`; let the last one before the
+        steady state be complete.
+        """
+        x, P = state_of(self)
+        n = len(x)
+        H, R, values, _ = self._measurement(z, None, None, None, n)
+        if values is None:
+            self._skip()
+            return
+        m = H.shape[0]
+        K = _checks.matrix("K", self.K, (n, m), f"dim_x={n}, dim_z={m}")
+        S = self.S if np.shape(self.S) == (m, m) and np.any(self.S) else H.dot(P).dot(H.T) + R
+        values = np.atleast_1d(values)
+        y = values - H.dot(x).ravel()
+        part = np.flatnonzero(y == y)
+        inv = None if self.inv is _DEFAULT_INV else self.inv
+        pick = np.ix_(part, part)
+        T, T_inv, _, _ = standardize(S[pick], self.scaling, inv)
+        e = standardized(T, y[part])
+        bound = self._choices.bound(e, None if self.grouping == "component" else H[part].any(axis=1))
+        moved = x.ravel() + K[:, part] @ (T_inv @ bound.psi)
+        shape = (m, 1) if x.ndim == 2 else (m,)
+        fields = {"y": y[part], "e": e, "y_bounded": T_inv @ bound.psi, "clipped": bound.clipped}
+        whole = {name: np.zeros(m, dtype=value.dtype) for name, value in fields.items()}
+        for name, value in fields.items():
+            whole[name][part] = value
+        weights, T_whole = np.full(m, np.nan), np.zeros((m, m))
+        weights[part], T_whole[pick] = bound.weights, T
+        self.x = moved.reshape(x.shape)
+        self.y, self.z, self.S = whole["y"].reshape(shape), values.reshape(shape), S
+        self._last = Correction(moved, P, S=S, SI=self.SI, K=K, T=T_whole, weights=weights, **whole)
+        self.x_post, self.P_post = self.x.copy(), P.copy()
+        self._log_likelihood = self._likelihood = self._mahalanobis = None
+
+    # ------------------------------------------------------------------ likelihood
+
+    @property
+    def log_likelihood(self) -> float:
+        """Log-likelihood of the last measurement under the density of psi; 0 if it was missing altogether."""
+        if self._log_likelihood is None:
+            weights = self.weights.ravel()
+            y = np.where(np.isnan(weights), np.nan, np.ravel(self.y))
+            self._log_likelihood = log_density(
+                y, np.atleast_2d(self.S), self._choices, None if self.inv is _DEFAULT_INV else self.inv
+            )
+        return self._log_likelihood
+
+    @property
+    def likelihood(self) -> float:
+        """exp(log_likelihood), at least the smallest normal float."""
+        if self._likelihood is None:
+            self._likelihood = max(math.exp(min(self.log_likelihood, 700.0)), sys.float_info.min)
+        return self._likelihood
+
+    def log_likelihood_of(self, z: ArrayLike | None) -> float:
+        """Return the log-likelihood of a measurement given the present state and S.
+
+        Parameters
+        ----------
+        z : array_like, shape (dim_z,) or (dim_z, 1), or scalar, or None
+            Measurement; NaN marks a missing component.
+
+        Returns
+        -------
+        float
+            0 if z is missing altogether.
+        """
+        x, _ = state_of(self)
+        H, _, values, _ = self._measurement(z, None, None, None, len(x))
+        if values is None:
+            return 0.0
+        y = np.atleast_1d(values) - H.dot(x).ravel()
+        return log_density(y, self.S, self._choices, None if self.inv is _DEFAULT_INV else self.inv)
+
+    @property
+    def mahalanobis(self) -> float:
+        """Length of the innovation in standard deviations, sqrt(y' S^-1 y), the Kalman filter's."""
+        if self._mahalanobis is None:
+            y = np.ravel(self.y)
+            peak = float(np.abs(y).max()) or 1.0
+            self._mahalanobis = peak * math.sqrt(max(float(y / peak @ self.SI @ (y / peak)), 0.0))
+        return self._mahalanobis
+
+    def residual_of(self, z: ArrayLike) -> Array:
+        """Return z - H x_prior.
+
+        Parameters
+        ----------
+        z : array_like, shape (dim_z,) or (dim_z, 1), or scalar
+            Measurement.
+
+        Returns
+        -------
+        ndarray, shape of y
+        """
+        predicted = np.dot(self.H, self.x_prior)
+        return np.reshape(measured(z, len(predicted), missing=True), predicted.shape) - predicted
+
+    def __repr__(self) -> str:
+        """Show the choices and everything that filterpy shows."""
+        lines = super().__repr__().split("\n")
+        names = ("influence", "scaling", "information", "grouping", "weights", "clipped", "e", "T", "y_bounded")
+        return "\n".join(
+            [f"{type(self).__name__} object", *lines[1:], *(pretty_str(name, getattr(self, name)) for name in names)]
+        )
