@@ -33,16 +33,19 @@ def measured(z: Any, m: int, missing: bool = False) -> Any:
     if m == 1 and type(z) is float:
         number = z
     else:
-        array = _checks.numbers("z", z)
+        array = z if type(z) is np.ndarray and z.dtype == np.float64 else _checks.numbers("z", z)
         if array.size != m or array.ndim > 2 or (array.ndim == 2 and 1 not in array.shape):
             plural = "number" if m == 1 else "numbers"
             raise ValueError(f"z: expected {m} {plural} for H with {m} row(s), got {_checks.described(array)}")
         if m > 1:
-            if np.isinf(array).any():
-                raise ValueError(f"z: expected finite numbers or NaN (missing), got {array.ravel()}")
             # A copy: what the caller does to his array afterwards must not change kf.z.
-            array = np.array(array).reshape(m)
-            return array if missing or (array == array).any() else None
+            array = array.flatten()
+            total = sum(array.tolist())
+            if total - total == 0.0:
+                return array
+            if np.isinf(array).any():
+                raise ValueError(f"z: expected finite numbers or NaN (missing), got {array}")
+            return array if missing or not np.isnan(array).all() else None
         number = array.item()
     if math.isinf(number):
         raise ValueError(f"z: expected a finite number or NaN (missing), got {number}")

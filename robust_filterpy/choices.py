@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -29,10 +31,8 @@ class Bounded(NamedTuple):
     """psi(e), shape (m,)."""
     D: Array
     """Information: the diagonal, shape (m,), or for joint grouping the matrix, shape (m, m)."""
-    weights: Array
-    """psi(e)/e, shape (m,)."""
-    clipped: np.ndarray
-    """Whether psi' <= 0, bool, shape (m,): the component no longer tells more by being further away."""
+    slope: Array
+    """psi'(e), shape (m,); for joint grouping psi'(|e|) in every place."""
 
 
 @dataclass(frozen=True)
@@ -130,56 +130,67 @@ class Choices:
         if self.pointwise is not None and e.size <= 8:
             function, a, b, c = self.pointwise
             values = [function(v, a, b, c) for v in e.tolist()]
-            psi, slope = (np.array(part) for part in zip(*values, strict=True))
+            psi, slope = np.array(values).T
         else:
             e = np.clip(e, -_SAFE, _SAFE) if self.pointwise is None else e
             psi = np.asarray(self.influence.psi(e), dtype=float)
             slope = np.asarray(self.influence.psi_deriv(e), dtype=float)
-        weights = _ratio(psi, e)
-        if self.information == "realized":
-            D = np.minimum(np.maximum(slope, 0.0), 1.0)
-        elif self.information == "weight":
-            D = np.minimum(np.maximum(weights, 0.0), 1.0)
-        else:
+        if self.information == "expected":
             D = np.full(e.size, self.expected)
-        return Bounded(psi, D, weights, slope <= 0.0)
+        else:
+            D = slope if self.information == "realized" else ratio(psi, e)
+            if not (isinstance(self.influence, Huber) or self.is_linear):
+                D = np.minimum(np.maximum(D, 0.0), 1.0)
+        return Bounded(psi, D, slope)
 
     def _jointly(self, e: Array) -> Bounded:
         """Apply psi to the length: psi(e) = w(|e|) e, D its Jacobian, its mean, or w I."""
         m = e.size
-        peak = float(np.max(np.abs(e)))
-        length = peak * float(np.linalg.norm(e / peak)) if peak > 0.0 else 0.0
-        length = min(length, _SAFE) if self.pointwise is None else min(length, float(np.finfo(float).max))
-        at = np.array([length])
-        slope, along = float(self.influence.psi_deriv(at)[0]), float(self.influence.psi(at)[0])
+        length, direction = length_and_direction(e)
+        slope, along = self._of_length(length)
         weight = along / length if length > 0.0 else 1.0
-        direction = (e / peak) / np.linalg.norm(e / peak) if peak > 0.0 else e
         if self.information == "expected":
             D = np.eye(m) * min(max(expected_joint_information(self.influence, m), 0.0), 1.0)
         else:
             across = min(max(weight, 0.0), 1.0)
-            radial = min(max(slope, 0.0), 1.0) if self.information == "realized" and peak > 0.0 else across
-            D = across * np.eye(m) + (radial - across) * np.outer(direction, direction)
-        return Bounded(along * direction, D, np.full(m, weight), np.full(m, slope <= 0.0))
+            radial = min(max(slope, 0.0), 1.0) if self.information == "realized" and length > 0.0 else across
+            D = across * np.eye(m)
+            if radial != across:
+                D += (radial - across) * direction[:, None] * direction
+        return Bounded(along * direction, D, np.full(m, slope))
+
+    def _of_length(self, length: float) -> tuple[float, float]:
+        """Return psi' and psi of a length."""
+        if self.pointwise is not None:
+            function, a, b, c = self.pointwise
+            along, slope = function(length, a, b, c)
+            return slope, along
+        at = np.array([min(length, _SAFE)])
+        return float(self.influence.psi_deriv(at)[0]), float(self.influence.psi(at)[0])
 
     def _jointly_where(self, e: Array, visible: np.ndarray) -> Bounded:
         """Take the visible components together and the others one by one."""
-        m = e.size
         alone = self.changed(grouping="component").bound(e)
-        psi, weights, clipped = alone.psi.copy(), alone.weights.copy(), alone.clipped.copy()
-        D = np.diag(alone.D)
+        psi, slope, D = alone.psi.copy(), alone.slope.copy(), np.diag(alone.D)
         if visible.any():
             together = self._jointly(e[visible])
-            psi[visible], weights[visible], clipped[visible] = together.psi, together.weights, together.clipped
-            D[np.ix_(visible, np.ones(m, dtype=bool))] = 0.0
+            psi[visible], slope[visible] = together.psi, together.slope
             D[np.ix_(visible, visible)] = together.D
-        return Bounded(psi, D, weights, clipped)
+        return Bounded(psi, D, slope)
 
 
-def _ratio(psi: Array, e: Array) -> Array:
+def length_and_direction(e: Array) -> tuple[float, Array]:
+    """Return |e|, at most the largest float, and e/|e| (0 if e = 0), without overflow."""
+    peak = max(map(abs, e.tolist()))
+    if peak == 0.0:
+        return 0.0, e
+    relative = e / peak
+    length = math.sqrt(relative.dot(relative))
+    return min(peak * length, sys.float_info.max), relative / length
+
+
+def ratio(psi: Array, e: Array) -> Array:
     """Return psi/e, 1 where e = 0."""
-    if e.all():
-        return np.asarray(psi / e)
     weights = np.ones_like(e)
     np.divide(psi, e, out=weights, where=e != 0.0)
     return weights

@@ -13,13 +13,16 @@ floats, and the tests hold the two together.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import lapack
 
 from robust_filterpy._checks import Array
-from robust_filterpy.choices import Choices
+from robust_filterpy.choices import Choices, length_and_direction, ratio
 
 __all__ = [
     "Choices",
@@ -35,7 +38,8 @@ __all__ = [
 
 Inverse = Callable[[Array], Array]
 _DEFAULT = Choices()
-_LARGEST = float(np.finfo(float).max)
+_LARGEST = sys.float_info.max
+_EPS = sys.float_info.epsilon
 
 
 class NotPositiveDefiniteError(np.linalg.LinAlgError):
@@ -51,8 +55,6 @@ class Standardization(NamedTuple):
 
     T: Array
     """Shape (m, m), symmetric."""
-    T_inv: Array
-    """Inverse of T (pseudo-inverse where S is singular), shape (m, m)."""
     SI: Array
     """Inverse of S, shape (m, m)."""
     defect: Array | None
@@ -60,14 +62,14 @@ class Standardization(NamedTuple):
 
 
 class Correction(NamedTuple):
-    """Posterior and everything that led to it. Where a component is missing, T, SI, K, e, psi, y_bounded are 0."""
+    """Posterior and everything that led to it. Where a component is missing, y, e, psi, T, SI and K are 0."""
 
     x: Array
     """Posterior mean, shape (n,)."""
     P: Array
     """Posterior covariance, shape (n, n)."""
     y: Array
-    """Innovation z - H x, 0 where missing, shape (m,)."""
+    """Innovation z - H x, shape (m,)."""
     S: Array
     """Innovation covariance, shape (m, m)."""
     SI: Array
@@ -78,12 +80,27 @@ class Correction(NamedTuple):
     """Scaling, shape (m, m)."""
     e: Array
     """Standardized innovation T y, shape (m,)."""
-    y_bounded: Array
-    """Bounded innovation T^-1 psi(T y), in the measurement's unit, shape (m,)."""
-    weights: Array
-    """psi(e)/e, NaN where missing, shape (m,)."""
-    clipped: np.ndarray
-    """Whether psi'(e) <= 0, bool, shape (m,)."""
+    psi: Array
+    """psi(e), shape (m,)."""
+    slope: Array
+    """psi'(e), NaN where missing, shape (m,)."""
+
+    @property
+    def y_bounded(self) -> Array:
+        """Bounded innovation T^-1 psi(T y), in the measurement's unit, shape (m,)."""
+        if self.T.shape == (1, 1):
+            return self.psi / self.T[0] if self.T[0, 0] else np.zeros(1)
+        return np.asarray(np.linalg.pinv(self.T, hermitian=True) @ self.psi)
+
+    @property
+    def weights(self) -> Array:
+        """psi(e)/e, NaN where missing, shape (m,)."""
+        return np.where(np.isnan(self.slope), np.nan, ratio(self.psi, self.e))
+
+    @property
+    def clipped(self) -> np.ndarray:
+        """Whether psi'(e) <= 0, bool, shape (m,): the component tells no more by being further away."""
+        return np.asarray(self.slope <= 0.0)
 
 
 def correct(
@@ -138,19 +155,19 @@ def correct(
     >>> c.x.round(3), c.P, c.clipped
     (array([0.951]), array([[1.]]), array([ True]))
     """
-    PHt = P @ H.T
-    S = H @ PHt + R
-    C = PHt
+    C = P.dot(H.T)
+    S = H.dot(C)
+    S += R
     if M is not None:
-        C = PHt + M
-        HM = H @ M
-        S = S + HM + HM.T
-    observed = y == y
-    if observed.all():
+        C += M
+        HM = H.dot(M)
+        S += HM + HM.T
+    total = sum(y.tolist())
+    if total == total:
         return _correct_all(x, P, y, H, R, S, C, choices, M, inv)
-    part = np.flatnonzero(observed)
+    part = np.flatnonzero(y == y)
     if part.size == 0:
-        return _nothing_observed(x, P, S, y.size)
+        return nothing_observed(x, P, S, y.size)
     pick = np.ix_(part, part)
     some = _correct_all(
         x, P, y[part], H[part], R[pick], S[pick], C[:, part], choices, None if M is None else M[:, part], inv
@@ -171,15 +188,15 @@ def _correct_all(
     inv: Inverse | None,
 ) -> Correction:
     """Correct with every component observed: the equations as they read."""
-    T, T_inv, SI, defect = standardize(S, choices.scaling, inv)
+    T, SI, defect = standardize(S, choices.scaling, inv)
     e = standardized(T, y)
-    psi, D, weights, clipped = choices.bound(e, None if choices.grouping == "component" else H.any(axis=1))
-    G = C @ T.T
-    x_post = x + G @ psi
+    psi, D, slope = choices.bound(e, None if choices.grouping == "component" else H.any(axis=1))
+    G = C.dot(T)
+    K = G.dot(T)
     P_post = posterior_covariance(P, H, R, G, T, D, defect, M)
     if choices.scaling == "unit":
         _require_positive(P_post, D, S - R)
-    return Correction(x_post, P_post, y, S, SI, G @ T, T, e, T_inv @ psi, weights, clipped)
+    return Correction(x + G.dot(psi), P_post, y, S, SI, K, T, e, psi, slope)
 
 
 def standardize(S: Array, scaling: str, inv: Inverse | None = None) -> Standardization:
@@ -207,33 +224,30 @@ def standardize(S: Array, scaling: str, inv: Inverse | None = None) -> Standardi
     """
     m = S.shape[0]
     if scaling == "unit":
-        identity = np.eye(m)
-        return Standardization(identity, identity, _inverse(S) if inv is None else inv(S), identity - S)
+        return Standardization(np.eye(m), _inverse(S) if inv is None else inv(S), np.eye(m) - S)
     if inv is not None:
         return _root_of_inverse(inv(S), S, scaling)
     if scaling == "innovation" and m == 2:
         return _root_2x2(S)
     values, vectors = _eigen(S)
     if scaling == "bounded":
-        root = np.sqrt(np.maximum(values, 1.0))
-        defect = (vectors * np.maximum(1.0 - values, 0.0)) @ vectors.T
-        T, T_inv = (vectors / root) @ vectors.T, (vectors * root) @ vectors.T
-        return Standardization(T, T_inv, (vectors / values) @ vectors.T, defect)
-    fourth = np.sqrt(np.sqrt(values))
+        quarter = vectors / np.maximum(values, 1.0) ** 0.25
+        defect = (vectors * np.maximum(1.0 - values, 0.0)).dot(vectors.T)
+        return Standardization(quarter.dot(quarter.T), (vectors / values).dot(vectors.T), defect)
     # T as a product of one factor with its own transpose is symmetric to the last bit.
-    half, whole = vectors / fourth, vectors * fourth
-    T = half @ half.T
-    return Standardization(T, whole @ whole.T, T @ T, None)
+    quarter = vectors / values**0.25
+    T = quarter.dot(quarter.T)
+    return Standardization(T, T.dot(T), None)
 
 
 def standardized(T: Array, y: Array) -> Array:
     """Return e = T y (paper 29), finite even where the product overflows."""
-    e = T @ y
+    e = T.dot(y)
     # The comparison is false for NaN too, which inf - inf leaves behind.
-    if not np.abs(e).max() <= _LARGEST:
+    if not -_LARGEST <= sum(e.tolist()) <= _LARGEST:
         peak = np.abs(y).max()
         with np.errstate(over="ignore"):
-            e = np.clip((T @ (y / peak)) * peak, -_LARGEST, _LARGEST)
+            e = np.clip(T.dot(y / peak) * peak, -_LARGEST, _LARGEST)
     return e
 
 
@@ -271,25 +285,42 @@ def posterior_covariance(
     ndarray, shape (n, n)
         Symmetric.
     """
-    diagonal = D.ndim == 1
-    GD = G * D if diagonal else G @ D
-    K = GD @ T
-    I_KH = K @ H
-    np.negative(I_KH, out=I_KH)
-    I_KH.ravel()[:: P.shape[0] + 1] += 1.0
-    P_post = I_KH @ P @ I_KH.T + K @ R @ K.T
-    if M is not None:
-        cross = I_KH @ M @ K.T
-        P_post -= cross + cross.T
-    if diagonal:
-        unused = D - D * D
-        if unused.any():
-            P_post += (G * unused) @ G.T
+    if D.ndim == 1:
+        diagonal = D.tolist()
+        if max(diagonal) == 0.0:
+            return P.copy()
+        GD = G if min(diagonal) == 1.0 else G * D
+        unused = None if all(d in (0.0, 1.0) for d in diagonal) else (G * (D - D * D)).dot(G.T)
     else:
-        P_post += G @ (D - D @ D) @ G.T
+        GD = G.dot(D)
+        unused = G.dot(D - D.dot(D)).dot(G.T)
+    K = GD.dot(T)
+    I_KH = _identity(len(P)) - K.dot(H)
+    P_post = I_KH.dot(P).dot(I_KH.T)
+    P_post += K.dot(R).dot(K.T)
+    if M is not None:
+        cross = I_KH.dot(M).dot(K.T)
+        P_post -= cross + cross.T
+    if unused is not None:
+        P_post += unused
     if defect is not None:
-        P_post += GD @ defect @ GD.T
-    return np.asarray(0.5 * (P_post + P_post.T))
+        P_post += GD.dot(defect).dot(GD.T)
+    return _symmetric(P_post)
+
+
+@lru_cache(maxsize=64)
+def _identity(n: int) -> Array:
+    """Return I, to be read only."""
+    identity = np.eye(n)
+    identity.flags.writeable = False
+    return identity
+
+
+def _symmetric(P: Array) -> Array:
+    """Return (P + P')/2."""
+    P = P + P.T
+    P *= 0.5
+    return P
 
 
 def _require_positive(P_post: Array, D: Array, N: Array) -> None:
@@ -309,17 +340,15 @@ def _indefinite(hph: float) -> NotPositiveDefiniteError:
 
 def _eigen(S: Array) -> tuple[Array, Array]:
     """Return eigenvalues, ascending, and eigenvectors of a positive definite S."""
-    if not np.isfinite(S).all():
-        raise SingularInnovationError("S = H P H' + R: not finite; check H, P and R for NaN, infinity and overflow")
-    if np.count_nonzero(S) == np.count_nonzero(S.diagonal()):
+    values, vectors, failed = lapack.dsyev(S)
+    spread = values.tolist()
+    if failed or not spread[0] > len(spread) * _EPS * spread[-1]:
+        if not np.isfinite(S).all():
+            raise SingularInnovationError("S = H P H' + R: not finite; check H, P and R for NaN, infinity and overflow")
         # Sensors in very different units: as long as they are uncorrelated, the root is exact.
-        values, vectors = S.diagonal(), np.eye(S.shape[0])
-        least = values.min()
-    else:
-        values, vectors = np.linalg.eigh(S)
-        least = values[0] if values[0] > S.shape[0] * np.finfo(float).eps * values[-1] else min(values[0], 0.0)
-    if not least > 0.0:
-        raise _singular(float(least))
+        values, vectors = S.diagonal(), np.eye(len(spread))
+        if np.count_nonzero(S) > np.count_nonzero(values) or not values.min() > 0.0:
+            raise _singular(spread[0])
     return values, vectors
 
 
@@ -341,7 +370,7 @@ def _root_2x2(S: Array) -> Standardization:
     """Return S^(-1/2) in closed form: with s = sqrt(det S), S^(1/2) = (S + s I)/sqrt(tr S + 2 s)."""
     (a, b), (_, c) = S.tolist()
     determinant = a * c - b * b
-    if not (a > 0.0 and c > 0.0 and determinant > 4.0 * np.finfo(float).eps * a * c and determinant < math.inf):
+    if not (a > 0.0 and c > 0.0 and determinant > 4.0 * _EPS * a * c and determinant < math.inf):
         _eigen(S)
         correlation = b / math.sqrt(a) / math.sqrt(c)
         s = math.sqrt(a) * math.sqrt(c) * math.sqrt(max(1.0 - correlation**2, 0.0))
@@ -352,9 +381,7 @@ def _root_2x2(S: Array) -> Standardization:
     t = math.sqrt(a + c + 2.0 * s)
     p, q, r = (c + s) / t / s, -b / t / s, (a + s) / t / s
     T = np.array([[p, q], [q, r]])
-    T_inv = np.array([[(a + s) / t, b / t], [b / t, (c + s) / t]])
-    off = q * (p + r)
-    return Standardization(T, T_inv, np.array([[p * p + q * q, off], [off, q * q + r * r]]), None)
+    return Standardization(T, T.dot(T), None)
 
 
 def _root_of_inverse(SI: Array, S: Array, scaling: str) -> Standardization:
@@ -364,38 +391,34 @@ def _root_of_inverse(SI: Array, S: Array, scaling: str) -> Standardization:
         raise SingularInnovationError(
             f"inv(S): expected a positive semidefinite matrix, got least eigenvalue {values[0]:.3g}; check R and inv"
         )
-    kept = values > S.shape[0] * np.finfo(float).eps * max(values[-1], 0.0)
+    kept = values > S.shape[0] * _EPS * max(values[-1], 0.0)
     root = np.sqrt(np.where(kept, values, 0.0))
     if scaling == "bounded":
         root = np.minimum(root, 1.0)
     T = (vectors * root) @ vectors.T
-    T_inv = (vectors * np.divide(1.0, root, out=np.zeros_like(root), where=root > 0.0)) @ vectors.T
-    return Standardization(T, T_inv, np.asarray(SI, dtype=float), np.eye(S.shape[0]) - T @ S @ T.T)
+    return Standardization(T, np.asarray(SI, dtype=float), np.eye(S.shape[0]) - T @ S @ T)
 
 
-def _nothing_observed(x: Array, P: Array, S: Array, m: int) -> Correction:
+def nothing_observed(x: Array, P: Array, S: Array, m: int) -> Correction:
     """Return the correction by a measurement that is missing altogether."""
     zero, square = np.zeros(m), np.zeros((m, m))
-    gain = np.zeros((x.size, m))
-    return Correction(
-        x, P, zero, S, square, gain, square, zero, zero, np.full(m, np.nan), np.zeros(m, dtype=bool)
-    )
+    return Correction(x, P, zero, S, square, np.zeros((len(x), m)), square, zero, zero, np.full(m, np.nan))
 
 
 def _embed(some: Correction, part: np.ndarray, S: Array) -> Correction:
     """Put the correction by the observed components where it belongs among all of them."""
-    m = S.shape[0]
-    vectors = {}
-    for name in ("y", "e", "y_bounded", "clipped"):
-        value = getattr(some, name)
-        vectors[name] = np.zeros(m, dtype=value.dtype)
-        vectors[name][part] = value
-    weights = np.full(m, np.nan)
-    weights[part] = some.weights
-    square = np.ix_(part, part)
+    m, square = len(S), np.ix_(part, part)
     T, SI, K = np.zeros((m, m)), np.zeros((m, m)), np.zeros((some.x.size, m))
     T[square], SI[square], K[:, part] = some.T, some.SI, some.K
-    return Correction(some.x, some.P, S=S, SI=SI, K=K, T=T, weights=weights, **vectors)
+    y, e, psi = (spread(v, part, m) for v in (some.y, some.e, some.psi))
+    return Correction(some.x, some.P, y, S, SI, K, T, e, psi, spread(some.slope, part, m, np.nan))
+
+
+def spread(values: Array, part: np.ndarray, m: int, rest: float = 0.0) -> Array:
+    """Return m numbers: values at the places in part, rest elsewhere."""
+    whole = np.full(m, rest)
+    whole[part] = values
+    return whole
 
 
 def log_density(y: Array, S: Array, choices: Choices = _DEFAULT, inv: Inverse | None = None) -> float:
@@ -435,11 +458,11 @@ def log_density(y: Array, S: Array, choices: Choices = _DEFAULT, inv: Inverse | 
         return 0.0
     if observed.size < y.size:
         y, S = y[observed], S[np.ix_(observed, observed)]
-    T, _, SI, _ = standardize(S, "innovation", inv)
+    T, SI, _ = standardize(S, "innovation", inv)
     rank, log_det = observed.size, -np.linalg.slogdet(T)[1]
     if inv is not None:
         values = np.linalg.eigvalsh(0.5 * (SI + SI.T))
-        values = values[values > values.size * np.finfo(float).eps * values[-1]]
+        values = values[values > values.size * _EPS * values[-1]]
         rank, log_det = values.size, -0.5 * float(np.log(values).sum())
     e = standardized(T, y)
     return _log_standard_density(e, rank, choices) - float(log_det)
@@ -452,16 +475,15 @@ def _log_standard_density(e: Array, rank: int, choices: Choices) -> float:
         losses = np.asarray(choices.influence.rho(e), dtype=float)
         total = float(np.minimum(losses, _LARGEST / e.size).sum())
         return -total - rank * normalizer(1)
-    peak = float(np.abs(e).max())
-    length = peak * float(np.linalg.norm(e / peak)) if peak > 0.0 else 0.0
-    return -min(float(choices.influence.rho(np.array([min(length, _LARGEST)]))[0]), _LARGEST) - normalizer(rank)
+    length, _ = length_and_direction(e)
+    return -min(float(choices.influence.rho(np.array([length]))[0]), _LARGEST) - normalizer(rank)
 
 
 # One sensor. The same equations in floats, because numpy's call overhead is most of what so small a filter costs.
 
 
 class ScalarCorrection(NamedTuple):
-    """`Correction` for m = 1, the parts of shape (1,) and (1, 1) as floats."""
+    """`Correction` for m = 1: what has shape (1,) or (1, 1) there is a float here, and x keeps its shape."""
 
     x: Array
     P: Array
@@ -471,71 +493,61 @@ class ScalarCorrection(NamedTuple):
     K: Array
     T: float
     e: float
-    y_bounded: float
-    weights: float
-    clipped: bool
+    psi: float
+    slope: float
+
+    def as_arrays(self) -> Correction:
+        """Return the same with arrays."""
+        x, P, y, S, SI, K, T, e, psi, slope = self
+        one, square = np.array([y, e, psi, slope])[:, None], np.array([S, SI, T])[:, None, None]
+        return Correction(x.ravel(), P, one[0], square[0], square[1], K, square[2], one[1], one[2], one[3])
 
 
 def correct_scalar(
     x: Array, P: Array, y: float, H: Array, r: float, choices: Choices, M: Array | None = None
 ) -> ScalarCorrection:
-    """Correct by one number y, observed; choices.pointwise must exist. H has shape (1, n), x the shape of H.T or (n,)."""
-    PHt = P.dot(H.T)
-    C = PHt
-    s = H.dot(PHt).item()
-    hph = s
+    """Correct by one observed number y: x has shape (n,) or (n, 1), H (1, n); choices.pointwise must exist."""
+    C = P.dot(H.T)
+    hph = H.dot(C).item()
+    s = hph + r
     if M is not None:
-        C = PHt + M
+        C = C + M
         s += 2.0 * H.dot(M).item()
-    s += r
     if not 0.0 < s < math.inf:
         raise _singular(s)
-    scaling = choices.scaling
-    if scaling == "innovation":
-        t2 = 1.0 / s
-        t = math.sqrt(t2)
-    elif scaling == "unit":
-        t = t2 = 1.0
-    else:
-        t2 = 1.0 / max(s, 1.0)
-        t = math.sqrt(t2)
+    scaling, information = choices.scaling, choices.information
+    # T^2 and 1 - T S T'
+    t2, defect = 1.0 / s, 0.0
+    if scaling == "unit":
+        t2, defect = 1.0, 1.0 - s
+    elif scaling == "bounded" and s < 1.0:
+        t2, defect = 1.0, 1.0 - s
+    t = math.sqrt(t2)
     e = t * y
     if not -_LARGEST <= e <= _LARGEST:
         e = math.copysign(_LARGEST, y)
     function, a, b, c = choices.pointwise  # type: ignore[misc]
     psi, slope = function(e, a, b, c)
-    weight = psi / e if e != 0.0 else 1.0
-    information = choices.information
-    d = slope if information == "realized" else weight if information == "weight" else choices.expected
-    d = 0.0 if d <= 0.0 else 1.0 if d >= 1.0 else d
-    K = C * t2
-    y_bounded = psi / t
-    x_post = x + (K * y_bounded if x.ndim == 2 else K.ravel() * y_bounded)
-    if d == 0.0:
-        P_post = P.copy()
+    if information == "realized":
+        d = min(max(slope, 0.0), 1.0)
+    elif information == "expected":
+        d = choices.expected
     else:
-        K_d = K if d == 1.0 else K * d
-        I_KH = K_d.dot(H)
-        np.negative(I_KH, out=I_KH)
-        I_KH.ravel()[:: P.shape[0] + 1] += 1.0
-        # What psi leaves unused, G (d - d^2 + d^2 (1 - t^2 s)) G' with G = K/t, joins the noise term d^2 r K K'.
-        spare = r + ((1.0 - d) / d + (1.0 - t2 * s if scaling != "innovation" else 0.0)) / t2
-        P_post = I_KH.dot(P).dot(I_KH.T)
-        P_post += (K_d * spare).dot(K_d.T)
-        if M is not None:
-            cross = I_KH.dot(M).dot(K_d.T)
-            P_post -= cross + cross.T
-        P_post = 0.5 * (P_post + P_post.T)
-        if scaling == "unit" and d * hph > 1.0 + 1e-13:
-            _require_positive(P_post, np.array([d]), np.array([[hph]]))
-    return ScalarCorrection(x_post, P_post, y, s, 1.0 / s, K, t, e, y_bounded, weight, slope <= 0.0)
-
-
-def as_arrays(scalar: ScalarCorrection) -> Correction:
-    """Give the floats of a `ScalarCorrection` their shapes."""
-    x, P, y, S, SI, K, T, e, y_bounded, weights, clipped = scalar
-    one, square = (lambda v: np.array([v])), (lambda v: np.array([[v]]))
-    return Correction(
-        x.ravel(), P, one(y), square(S), square(SI), K, square(T), one(e), one(y_bounded), one(weights), one(clipped)
-    )
-
+        d = min(max(psi / e, 0.0), 1.0) if e != 0.0 else 1.0
+    K = C * t2
+    moved = K * (psi / t)
+    x_post = x + (moved if x.ndim == 2 else moved.ravel())
+    if d == 0.0:
+        return ScalarCorrection(x_post, P.copy(), y, s, 1.0 / s, K, t, e, psi, slope)
+    K_d = K if d == 1.0 else K * d
+    I_KH = _identity(len(P)) - K_d.dot(H)
+    P_post = I_KH.dot(P).dot(I_KH.T)
+    # With G = K/T the unused part G (d - d^2 + d^2 (1 - T S T')) G' joins the noise term d^2 K r K'.
+    P_post += (K_d * (r + ((1.0 - d) / d + defect) / t2)).dot(K_d.T)
+    if M is not None:
+        cross = I_KH.dot(M).dot(K_d.T)
+        P_post -= cross + cross.T
+    P_post = _symmetric(P_post)
+    if scaling == "unit" and d * hph > 1.0 - 1e-9:
+        _require_positive(P_post, np.array([d]), np.array([[hph]]))
+    return ScalarCorrection(x_post, P_post, y, s, 1.0 / s, K, t, e, psi, slope)

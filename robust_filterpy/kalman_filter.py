@@ -25,6 +25,8 @@ from robust_filterpy.correction import (
     correct,
     correct_scalar,
     log_density,
+    nothing_observed,
+    spread,
     standardize,
     standardized,
 )
@@ -202,15 +204,17 @@ class RobustKalmanFilter(KalmanFilter):
         """Scaling of the last correction, shape (dim_z, dim_z) (paper 36)."""
         if self._last is None:
             return np.eye(self.dim_z)
-        return np.array(self._last.T, dtype=float).reshape(self.S.shape)
+        return np.atleast_2d(np.array(self._last.T))
 
     def _shown(self, name: str, absent: Any) -> Array:
         """Return a field of the last correction in the shape that y has for this kind of state."""
         column = np.ndim(self.x) != 1
         if self._last is None:
             return np.full((self.dim_z, 1) if column else self.dim_z, absent)
-        flat = np.array(getattr(self._last, name)).ravel()
-        return flat[:, None] if column else flat
+        if isinstance(self._last, ScalarCorrection):
+            self._last = self._last.as_arrays()
+        values = np.array(getattr(self._last, name))
+        return values[:, None] if column else values
 
     # ------------------------------------------------------------------ prediction: filterpy's, checked
 
@@ -347,19 +351,17 @@ class RobustKalmanFilter(KalmanFilter):
             self._skip()
             return
         last = self._corrected(x, P, values, H, R, M)
-        m = H.shape[0]
-        if m == 1 and isinstance(last, ScalarCorrection):
-            shape = (1, 1) if x.ndim == 2 else (1,)
+        if type(last) is ScalarCorrection:
+            values = np.array([values])
             self.x = last.x
-            self.y, self.z = np.array(last.y).reshape(shape), np.array(values).reshape(shape)
-            self.S, self.SI = np.array([[last.S]]), np.array([[last.SI]])
+            self.y, self.S, self.SI = np.array([last.y]), np.array([[last.S]]), np.array([[last.SI]])
         else:
-            shape = (m, 1) if x.ndim == 2 else (m,)
-            self.x = np.reshape(last.x, x.shape)
-            self.y, self.z = np.reshape(last.y, shape), values.reshape(shape)
-            self.S, self.SI = last.S, last.SI
-        self.P, self.K, self._last = last.P, last.K, last
-        self.x_post, self.P_post = self.x.copy(), self.P.copy()
+            self.x = last.x.reshape(x.shape)
+            self.y, self.S, self.SI = last.y, last.S, last.SI
+        if x.ndim == 2:
+            values, self.y = values[:, None], self.y[:, None]
+        self.z, self.P, self.K, self._last = values, last.P, last.K, last
+        self.x_post, self.P_post = self.x.copy(), last.P.copy()
         self._log_likelihood = self._likelihood = self._mahalanobis = None
 
     def _measurement(self, z: Any, R: Any, H: Any, M: Any, n: int) -> tuple[Array, Array, Any, Any]:
@@ -384,16 +386,13 @@ class RobustKalmanFilter(KalmanFilter):
     def _corrected(self, x: Array, P: Array, values: Any, H: Array, R: Array, M: Any) -> Correction | ScalarCorrection:
         """Return the correction of x by checked values; changes nothing."""
         inv = None if self.inv is _DEFAULT_INV else self.inv
+        predicted = H.dot(x)
+        expected = sum(predicted.ravel().tolist())
+        if expected != expected or expected - expected != 0.0:
+            raise ValueError(f"x: expected finite numbers, got H x = {predicted.ravel()}")
         if H.shape[0] == 1 and inv is None and self._choices.pointwise is not None:
-            y = float(values) - H.dot(x).item()
-            if y != y:
-                raise ValueError("x: expected finite numbers, got NaN or infinity in H x")
-            return correct_scalar(x, P, y, H, R.item(), self._choices, M)
-        values = np.atleast_1d(values)
-        y = values - H.dot(x).ravel()
-        if not ((y == y) == (values == values)).all():
-            raise ValueError("x: expected finite numbers, got NaN or infinity in H x")
-        return correct(x.ravel(), P, y, H, R, self._choices, M, inv)
+            return correct_scalar(x, P, values - predicted.item(), H, R.item(), self._choices, M)
+        return correct(x.ravel(), P, np.atleast_1d(values) - predicted.ravel(), H, R, self._choices, M, inv)
 
     def _skip(self) -> None:
         """Do what filterpy does for update(None), and forget the last innovation."""
@@ -402,10 +401,7 @@ class RobustKalmanFilter(KalmanFilter):
         self.x_post, self.P_post = np.copy(self.x), np.copy(self.P)
         self.y = np.zeros((m, 1) if np.ndim(self.x) != 1 else m)
         T = self.T if self.T.shape == (m, m) else np.eye(m)
-        zero = np.zeros(m)
-        self._last = Correction(
-            self.x, self.P, zero, self.S, self.SI, self.K, T, zero, zero, np.full(m, np.nan), np.zeros(m, dtype=bool)
-        )
+        self._last = nothing_observed(self.x, self.P, self.S, m)._replace(T=T)
         self._log_likelihood = self._likelihood = self._mahalanobis = None
 
     def get_update(self, z: ArrayLike | None = None) -> tuple[Array, Array]:
@@ -464,20 +460,16 @@ class RobustKalmanFilter(KalmanFilter):
         part = np.flatnonzero(y == y)
         inv = None if self.inv is _DEFAULT_INV else self.inv
         pick = np.ix_(part, part)
-        T, T_inv, _, _ = standardize(S[pick], self.scaling, inv)
+        T, SI, _ = standardize(S[pick], self.scaling, inv)
         e = standardized(T, y[part])
-        bound = self._choices.bound(e, None if self.grouping == "component" else H[part].any(axis=1))
-        moved = x.ravel() + K[:, part] @ (T_inv @ bound.psi)
+        psi, _, slope = self._choices.bound(e, None if self.grouping == "component" else H[part].any(axis=1))
+        whole = np.zeros((m, m))
+        whole[pick] = T
+        y, e, psi = (spread(values_, part, m) for values_ in (y[part], e, psi))
+        last = Correction(x, P, y, S, self.SI, K, whole, e, psi, spread(slope, part, m, np.nan))
+        self.x = (x.ravel() + K @ last.y_bounded).reshape(x.shape)
         shape = (m, 1) if x.ndim == 2 else (m,)
-        fields = {"y": y[part], "e": e, "y_bounded": T_inv @ bound.psi, "clipped": bound.clipped}
-        whole = {name: np.zeros(m, dtype=value.dtype) for name, value in fields.items()}
-        for name, value in fields.items():
-            whole[name][part] = value
-        weights, T_whole = np.full(m, np.nan), np.zeros((m, m))
-        weights[part], T_whole[pick] = bound.weights, T
-        self.x = moved.reshape(x.shape)
-        self.y, self.z, self.S = whole["y"].reshape(shape), values.reshape(shape), S
-        self._last = Correction(moved, P, S=S, SI=self.SI, K=K, T=T_whole, weights=weights, **whole)
+        self.y, self.z, self.S, self._last = y.reshape(shape), values.reshape(shape), S, last
         self.x_post, self.P_post = self.x.copy(), P.copy()
         self._log_likelihood = self._likelihood = self._mahalanobis = None
 
