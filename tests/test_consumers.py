@@ -1,6 +1,7 @@
 """What filterpy and the trackers built on it do with a filter: banks, Saver, copies, kinematic_kf, slices."""
 
 import copy
+import inspect
 import pickle
 
 import numpy as np
@@ -96,7 +97,8 @@ def test_saver(ndim, gaps):
     assert saver.T.shape == saver.S.shape == (n, 2, 2)
     assert saver.K.shape == (n, 4, 2)
     assert saver.log_likelihood.shape == saver.likelihood.shape == saver.mahalanobis.shape == (n,)
-    np.testing.assert_allclose(saver.x_post, saver.x_prior + saver.K @ saver.y_bounded, atol=1e-9)
+    step = np.einsum("kij,kj...->ki...", saver.K, saver.y_bounded)
+    np.testing.assert_allclose(saver.x_post, saver.x_prior + step, atol=1e-9)
     assert saver.clipped.any() and not saver.clipped.all()
 
 
@@ -107,8 +109,8 @@ def test_saver_from_before_the_first_update():
     for z in recording(5):
         travel(kf, [z])
         saver.save()
-    saver.to_array(flatten=True)
-    assert saver.weights.shape == saver.y.shape == (6, 2)
+    saver.to_array()
+    assert saver.weights.shape == saver.y.shape == (6, 2, 1)
 
 
 def test_what_the_class_adds_is_small():
@@ -195,6 +197,9 @@ def test_mmae_survives_an_outlier():
     assert abs(mmae.x[0, 0] - z[0]) < 10
 
 
+@pytest.mark.skipif(
+    "kf" not in inspect.signature(kinematic_kf).parameters, reason="filterpy 1.4.5 builds the filter itself"
+)
 @pytest.mark.parametrize("order_by_dim", [True, False])
 def test_kinematic_kf_fills_the_filter_in_place(order_by_dim):
     kf = RobustKalmanFilter(dim_x=6, dim_z=1)

@@ -194,9 +194,9 @@ def test_student_is_the_score_of_its_density():
 def test_expected_information_under_the_normal_distribution(influence, expected):
     if expected is None:
         points = [b for x in breaks_of(influence) for b in (-x, x)]
-        expected = quad(
-            lambda e: influence.psi_deriv(e) * scipy.stats.norm.pdf(e), -20, 20, points=points, limit=400
-        )[0]
+        expected = quad(lambda e: influence.psi_deriv(e) * scipy.stats.norm.pdf(e), -20, 20, points=points, limit=400)[
+            0
+        ]
     assert expected_information(influence) == pytest.approx(expected, rel=1e-7)
 
 

@@ -1,0 +1,147 @@
+"""filterpy's own tests, with the class swapped in at infinite threshold.
+
+They come from filterpy's 1.4.5 source distribution, fetched with pip when the test runs and kept in pytest's cache:
+later wheels do not ship them. They run twice in a process of their own, first as they are and then with
+`filterpy.kalman.KalmanFilter` replaced; what passes the first time must pass the second time.
+"""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import textwrap
+import zipfile
+
+import pytest
+
+REQUIREMENT = "filterpy==1.4.5"
+
+# Runs inside those processes: seeds every test, counts the filters that each one builds, and swaps the class.
+PLUGIN = """
+import json
+import os
+
+import filterpy.kalman
+import numpy as np
+import pytest
+
+plain = filterpy.kalman.KalmanFilter
+if os.environ["SWAP"] == "yes":
+    from robust_filterpy import Linear, RobustKalmanFilter
+
+    class KalmanFilter(RobustKalmanFilter):
+        def __init__(self, dim_x, dim_z, dim_u=0):
+            super().__init__(dim_x, dim_z, dim_u, influence=Linear())
+else:
+    class KalmanFilter(plain):
+        pass
+
+built, results = 0, {}
+original = KalmanFilter.__init__
+
+
+def counting(self, *args, **kwargs):
+    global built
+    built += 1
+    original(self, *args, **kwargs)
+
+
+KalmanFilter.__init__ = counting
+filterpy.kalman.KalmanFilter = filterpy.kalman.kalman_filter.KalmanFilter = KalmanFilter
+
+
+@pytest.fixture(autouse=True)
+def seeded():
+    global built
+    built = 0
+    np.random.seed(12345)
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_makereport(item, call):
+    report = (yield).get_result()
+    if report.when == "call":
+        results[item.nodeid] = {"passed": report.passed, "built": built, "why": report.longreprtext[-1500:]}
+
+
+def pytest_sessionfinish(session):
+    with open(os.environ["RESULTS"], "w") as file:
+        json.dump(results, file)
+"""
+
+
+def source_distribution(directory):
+    """Download the archive with pip into the directory, unless it is there."""
+    if not list(directory.glob("filterpy-*")):
+        command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--no-binary", ":all:"]
+        done = subprocess.run(
+            [*command, "--dest", str(directory), REQUIREMENT], capture_output=True, text=True, timeout=300
+        )
+        if done.returncode:
+            pytest.skip(f"pip cannot download the source distribution of {REQUIREMENT}: {done.stderr[-300:]}")
+    return next(directory.glob("filterpy-*"))
+
+
+def extract_tests(archive, directory):
+    """Copy the test files that use the class out of the archive, without filterpy itself."""
+    if archive.suffix != ".zip":
+        pytest.skip(f"{archive.name} is not the zip file that {REQUIREMENT} is published as")
+    with zipfile.ZipFile(archive) as contents:
+        for member in contents.namelist():
+            if re.search(r"/tests/test_\w+\.py$", member):
+                text = contents.read(member).decode()
+                if re.search(r"\b(KalmanFilter|kinematic_kf)\b", text):
+                    (directory / member.rsplit("/", 1)[1]).write_text(text, encoding="utf-8")
+    return directory
+
+
+def run(tests, directory, swap, names=()):
+    """Run the tests, or those named, in a new process and return what became of each."""
+    results = directory / f"results-{swap}.json"
+    (directory / "swap_plugin.py").write_text(textwrap.dedent(PLUGIN))
+    environment = dict(os.environ, SWAP=swap, RESULTS=str(results), MPLBACKEND="Agg")
+    environment["PYTHONPATH"] = os.pathsep.join([str(directory), *filter(None, [os.environ.get("PYTHONPATH")])])
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "swap_plugin", "-p", "no:cacheprovider", "-c", os.devnull]
+    done = subprocess.run(
+        [*command, "--rootdir", str(tests), "-k", "not outer_product", *(names or ["."])],
+        env=environment,
+        cwd=tests,
+        capture_output=True,
+        text=True,
+        timeout=500,
+    )
+    assert results.exists(), done.stdout[-3000:] + done.stderr[-3000:]
+    return json.loads(results.read_text())
+
+
+@pytest.fixture(scope="module")
+def outcomes(request, tmp_path_factory):
+    archive = source_distribution(request.config.cache.mkdir("filterpy-1.4.5"))
+    directory = tmp_path_factory.mktemp("filterpy")
+    tests = directory / "tests"
+    tests.mkdir()
+    extract_tests(archive, tests)
+    plain = run(tests, directory, "no")
+    return plain, run(tests, directory, "yes", [name for name, result in plain.items() if result["built"]])
+
+
+def passing(results):
+    """The tests that build at least one Kalman filter and pass."""
+    return [name for name, result in results.items() if result["built"] and result["passed"]]
+
+
+def test_filterpy_passes_most_of_its_own_tests(outcomes):
+    """So that the comparison below is not empty."""
+    plain, swapped = outcomes
+    using = passing(plain)
+    assert len(using) >= 20, using
+    for file in ("test_kf.py", "test_imm.py", "test_mmae.py", "test_rts.py", "test_sensor_fusion.py"):
+        assert any(file in name for name in using), file
+    assert all(swapped[name]["built"] for name in using)
+
+
+def test_what_passes_with_filterpys_class_passes_with_the_robust_one(outcomes):
+    plain, swapped = outcomes
+    broken = {name: swapped[name]["why"] for name in passing(plain) if not swapped[name]["passed"]}
+    assert not broken, "\n".join(f"{name}\n{why}" for name, why in broken.items())
