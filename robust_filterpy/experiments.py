@@ -1,0 +1,788 @@
+"""Repeat an experiment with other random numbers, and say what the repetitions show.
+
+`monte_carlo` runs a trial many times, on as many processes as you like, with the same answer whatever their
+number; the other functions turn its results into the figures that a study prints: errors per step, their ratio
+to the filter that knows which samples are outliers, percentages of fit, and intervals around all of them.
+
+joblib does the work. Its back ends for Dask, Ray and Spark are chosen around the call, not in it::
+
+    with joblib.parallel_config(backend="dask"):
+        study = monte_carlo(trial, 1000)
+"""
+
+from __future__ import annotations
+
+import collections.abc
+import dataclasses
+import inspect
+import operator
+import sys
+import traceback
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.random import Generator, SeedSequence, default_rng
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = [
+    "Failure",
+    "Interval",
+    "MonteCarloResult",
+    "bootstrap_interval",
+    "fit_percent",
+    "log_squared_error",
+    "mean_square_error",
+    "monte_carlo",
+    "ratio_to",
+    "rerun",
+]
+
+Trial = Callable[[Generator], Any]
+Seed = int | Sequence[int] | SeedSequence | None
+
+
+class Failure(NamedTuple):
+    """Describe a run that raised an exception.
+
+    ``trial(numpy.random.default_rng(failure.seed))`` repeats it, and so does ``rerun(trial, seed, index)``.
+    """
+
+    index: int  # type: ignore[assignment]
+    """Number of the run."""
+    seed: SeedSequence
+    """Seed of this run, unused."""
+    error: str
+    """Type and message of the exception."""
+    traceback: str
+    """Where it was raised, as Python prints it."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class MonteCarloResult:
+    """Hold what the runs of `monte_carlo` returned.
+
+    Attributes
+    ----------
+    results : list
+        What `trial` returned, one entry for each run that succeeded, in the order of the runs.
+    indices : ndarray of int, shape (len(results),)
+        Numbers of those runs.
+    failures : list of Failure
+        The runs that raised an exception.
+    runs : int
+        How many runs were asked for.
+    seed : numpy.random.SeedSequence
+        Seed of the whole study; ``rerun(trial, result.seed, index)`` repeats one run of it.
+    stopped : str or None
+        Why the study ended before its last run (``"KeyboardInterrupt"``, or the error of the back end);
+        None if it did not.
+    """
+
+    results: list[Any]
+    indices: NDArray[np.intp]
+    failures: list[Failure]
+    runs: int
+    seed: SeedSequence
+    stopped: str | None = None
+
+    def __len__(self) -> int:
+        """Count the runs that succeeded."""
+        return len(self.results)
+
+    def __repr__(self) -> str:
+        """Count instead of printing every result."""
+        stopped = f", stopped={self.stopped!r}" if self.stopped else ""
+        return f"MonteCarloResult({len(self)} of {self.runs} runs, {len(self.failures)} failed{stopped})"
+
+    def stacked(self) -> Any:
+        """Stack the results leaf by leaf into arrays with a leading axis of runs.
+
+        Returns
+        -------
+        same structure as one result
+            A number becomes an array of shape (runs,), an array or list of shape s one of shape (runs, *s);
+            a dict stays a dict, a tuple a tuple, a NamedTuple the same NamedTuple; a dataclass becomes a dict of
+            its fields. Runs that failed have no row: row i belongs to run ``indices[i]``.
+
+        Raises
+        ------
+        ValueError
+            If no run succeeded, or the runs differ in structure or in the shape of a leaf.
+
+        Examples
+        --------
+        >>> def trial(rng):
+        ...     return {"path": rng.normal(size=5), "end": 1.0}
+        >>> stack = monte_carlo(trial, 3).stacked()
+        >>> stack["path"].shape, stack["end"].shape
+        ((3, 5), (3,))
+        """
+        if not self.results:
+            first = f"; run {self.failures[0].index}: {self.failures[0].error}" if self.failures else ""
+            raise ValueError(f"results: expected at least one run that succeeded, found none{first}")
+        return _stack(self.results, self.indices, "result")
+
+
+def monte_carlo(
+    trial: Trial,
+    runs: int | Iterable[int],
+    seed: Seed = 0,
+    n_jobs: int | None = None,
+    progress: bool | None = None,
+) -> MonteCarloResult:
+    """Run an experiment many times, each time with its own random numbers.
+
+    Run i calls ``trial(numpy.random.default_rng(child))`` with the i-th child of ``SeedSequence(seed).spawn``, so
+    its result depends on the trial, the seed and i only: not on the number of processes, nor on how many runs
+    there are, nor on which of them failed.
+
+    Parameters
+    ----------
+    trial : callable
+        ``trial(rng)`` does one run with the `numpy.random.Generator` it is given and returns anything that can be
+        pickled. It may be defined in a script or be a `functools.partial`. It should neither draw from numpy's
+        global generator nor change objects that outlive it; both would tie the runs together.
+    runs : int or iterable of int
+        How many runs (0 .. runs-1), or the numbers of the runs to do: ``range(500, 1000)`` extends a study of 500.
+    seed : int, sequence of int, SeedSequence or None
+        Seed of the study. None takes a fresh one from the operating system, to be found in the result. A
+        SeedSequence is not changed.
+    n_jobs : int or None
+        How many runs at a time, as in joblib: -1 is one per processor; None is 1, or what an enclosing
+        `joblib.parallel_config` says. joblib's own worker processes share the processors' cores: each gets
+        cpu_count // n_jobs threads for BLAS, OpenMP and numba.
+    progress : bool or None
+        Show a progress bar (tqdm) on standard error: True always, False never, None if that is a terminal.
+
+    Returns
+    -------
+    MonteCarloResult
+        Fields ``results, indices, failures, runs, seed, stopped``; its `~MonteCarloResult.stacked` gives arrays.
+
+    Raises
+    ------
+    TypeError
+        If `trial` cannot be called with one argument, or `runs`, `n_jobs` or `seed` is of the wrong type.
+    ValueError
+        If `runs` is empty or negative or repeats a run, `n_jobs` is 0, or `seed` has spawned children already
+        (the runs would get their random numbers).
+    ImportError
+        If joblib is missing, or `progress` is True and tqdm is missing.
+    KeyboardInterrupt
+        If it comes before the first run is done.
+
+    Warns
+    -----
+    RuntimeWarning
+        If a run fails (the others are kept, see ``failures``); if Ctrl-C or the death of a worker ends the
+        study early (the runs done are kept, see ``stopped``).
+
+    Notes
+    -----
+    An interrupted study keeps the runs in front of the first unfinished one, not all that happen to be ready:
+    those would be the quick ones, and a mean over them is biased wherever the time depends on the outcome.
+
+    A worker that is interrupted or dies takes its runs with it. Back ends that cannot deliver runs one by one
+    (multiprocessing, Ray and Spark) deliver them in about twenty blocks, of which an
+    interruption keeps the complete ones.
+
+    Examples
+    --------
+    >>> study = monte_carlo(lambda rng: rng.normal(), 1000)
+    >>> study
+    MonteCarloResult(1000 of 1000 runs, 0 failed)
+    >>> bool(abs(study.stacked().mean()) < 0.2)
+    True
+    >>> bool(rerun(lambda rng: rng.normal(), study.seed, 7) == study.results[7])
+    True
+    """
+    _check_trial(trial)
+    indices = _run_numbers(runs)
+    root = _root_seed(seed)
+    if n_jobs is not None:
+        n_jobs = _integer("n_jobs", n_jobs)
+        if n_jobs == 0:
+            raise ValueError("n_jobs: expected a positive number, -1 for all processors, or None, got 0")
+    outcomes = _outcomes(trial, root, indices, n_jobs)
+    bar = _progress_bar(len(indices), progress)
+
+    done: list[int] = []
+    results: list[Any] = []
+    failures: list[Failure] = []
+    stopped = None
+    try:
+        for index, outcome in zip(indices, outcomes, strict=True):
+            if isinstance(outcome, _Raised):
+                failures.append(Failure(index, _child(root, index), *outcome))
+                bar.set_postfix(failed=len(failures), refresh=False)
+            else:
+                results.append(outcome)
+                done.append(index)
+            bar.update()
+    except (KeyboardInterrupt, Exception) as reason:
+        # An error here is the back end's (a dead worker, a lost cluster, a result that cannot be pickled).
+        if not results and not failures:
+            raise
+        stopped = traceback.format_exception_only(reason)[-1].strip()
+    finally:
+        bar.close()
+        with warnings.catch_warnings():
+            # joblib warns that finished runs are dropped; the Notes above say why they are.
+            warnings.simplefilter("ignore")
+            outcomes.close()
+
+    # A signal between two appends would leave the lists unequal.
+    del results[len(done) :]
+    _warn_of(failures, stopped, len(done) + len(failures), len(indices))
+    return MonteCarloResult(results, np.array(done, dtype=np.intp), failures, len(indices), root, stopped)
+
+
+def rerun(trial: Trial, seed: Seed, index: int) -> Any:
+    """Repeat one run of a study in this process, to debug it.
+
+    Parameters
+    ----------
+    trial : callable
+        The same as in `monte_carlo`.
+    seed : int, sequence of int or SeedSequence
+        The study's seed: the argument of `monte_carlo`, or ``result.seed``.
+    index : int
+        Number of the run, such as ``failure.index``.
+
+    Returns
+    -------
+    object
+        What ``trial(rng)`` returns; an exception it raises comes through.
+
+    Raises
+    ------
+    ValueError
+        If `index` is negative, or `seed` is None, which no run can be repeated from.
+
+    Examples
+    --------
+    >>> def trial(rng):
+    ...     return rng.integers(10, size=3)
+    >>> bool((rerun(trial, 0, 5) == monte_carlo(trial, 8, seed=0).results[5]).all())
+    True
+    """
+    _check_trial(trial)
+    if seed is None:
+        raise ValueError("seed: expected the study's seed, got None; use result.seed")
+    index = _integer("index", index)
+    if index < 0:
+        raise ValueError(f"index: expected the number of a run, 0 or more, got {index}")
+    return trial(default_rng(_child(_root_seed(seed), index)))
+
+
+def mean_square_error(x_hat: ArrayLike, x: ArrayLike) -> NDArray[np.float64]:
+    """Average the squared length of the error over the runs, step by step.
+
+    ``MSE(k) = mean over runs of ||x_hat(k) - x(k)||^2``
+
+    Parameters
+    ----------
+    x_hat : array_like, shape (runs, steps) or (runs, steps, ...)
+        Estimates; the axes after the second are the components of one state.
+    x : array_like, of the shape of `x_hat`, or of that without its first axis
+        True states, of each run or the same in all.
+
+    Returns
+    -------
+    ndarray, shape (steps,)
+        In the squared unit of x. NaN where an estimate is NaN: a run that diverged is not left out.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit, or `x_hat` has no axis of steps.
+
+    Examples
+    --------
+    >>> mean_square_error([[1.0, 2.0], [3.0, 2.0]], [1.0, 1.0])
+    array([2., 1.])
+    """
+    estimate, truth = np.asarray(x_hat, dtype=float), np.asarray(x, dtype=float)
+    if estimate.ndim < 2 or 0 in estimate.shape:
+        raise ValueError(
+            f"x_hat: expected shape (runs, steps) or (runs, steps, n), none of them 0, got {estimate.shape}; "
+            "use x_hat[None] for a single run"
+        )
+    if truth.shape not in (estimate.shape, estimate.shape[1:]):
+        raise ValueError(
+            f"x: expected shape {estimate.shape} or {estimate.shape[1:]} as x_hat has it, got {truth.shape}"
+        )
+    squared = (estimate - truth) ** 2
+    return squared.sum(axis=tuple(range(2, estimate.ndim))).mean(axis=0)
+
+
+def log_squared_error(theta_hat: ArrayLike, theta: ArrayLike) -> NDArray[np.float64]:
+    """Compute the logarithm of the squared parameter error (section 4 of the paper, MSE).
+
+    ``MSE(k) = ln(||theta_hat(k) - theta(k)||^2)``
+
+    Parameters
+    ----------
+    theta_hat : array_like, shape (..., n)
+        Estimates, such as (steps, n) or (runs, steps, n).
+    theta : array_like, shape (n,), (steps, n) or that of `theta_hat`
+        True parameters: constant, a path common to all runs, or one path for each.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        -inf where the estimate is exact.
+
+    Raises
+    ------
+    ValueError
+        If the shape of `theta` is not that of the last axes of `theta_hat`.
+
+    Notes
+    -----
+    The paper writes "log"; this is the natural logarithm. For several runs the paper does not say what is averaged:
+    the mean of these values is the logarithm of the geometric mean of the squared error, which is less than
+    ``log(mean_square_error(...))``.
+
+    Examples
+    --------
+    >>> log_squared_error([[1.0, 1.0], [0.0, 1.0]], [0.0, 1.0])
+    array([  0., -inf])
+    """
+    estimate, truth = np.asarray(theta_hat, dtype=float), np.asarray(theta, dtype=float)
+    if truth.ndim == 0 or truth.shape != estimate.shape[-truth.ndim :]:
+        raise ValueError(
+            f"theta: expected the last axes of theta_hat, which has shape {estimate.shape}, got {truth.shape}"
+        )
+    with np.errstate(divide="ignore"):
+        return np.log(((estimate - truth) ** 2).sum(axis=-1))
+
+
+def ratio_to(
+    reference: ArrayLike,
+    errors: ArrayLike | Mapping[str, ArrayLike],
+    statistic: str | Callable[..., Any] = "mean",
+) -> Any:
+    """Divide the average error of filters by that of a reference, such as the filter that knows the outliers.
+
+    Parameters
+    ----------
+    reference : array_like, shape (runs, ...)
+        Errors of the reference, run by run.
+    errors : array_like, shape (runs, ...), or a mapping from names to such arrays
+        Errors of the filters compared, in the same runs.
+    statistic : {"mean", "median"} or callable
+        What to average the runs by; a callable takes ``(errors, axis=0)``.
+
+    Returns
+    -------
+    ndarray, shape (...), or dict of such arrays
+        ``statistic(errors) / statistic(reference)``: NaN for 0/0, inf where only the reference is without error.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ.
+
+    See Also
+    --------
+    bootstrap_interval : with ``statistic="ratio"``, how well the runs determine this.
+
+    Examples
+    --------
+    >>> ratio_to([1.0, 3.0], {"Kalman": [6.0, 4.0], "robust": [2.0, 3.0]})
+    {'Kalman': 2.5, 'robust': 1.25}
+    """
+    if isinstance(errors, Mapping):
+        return {name: ratio_to(reference, error, statistic) for name, error in errors.items()}
+    average = _statistic(statistic, ("mean", "median"))
+    error, base = _same_runs([errors, reference], ["errors", "reference"])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.asarray(np.divide(average(error, axis=0), average(base, axis=0)))
+    return ratio if ratio.ndim else float(ratio)
+
+
+def fit_percent(y: ArrayLike, y_model: ArrayLike, axis: int = 0) -> Any:
+    """Compute the normalised root-mean-square fit of a model's output.
+
+    ``100 (1 - ||y - y_model|| / ||y - mean(y)||)``: 100 is perfect, 0 no better than the mean, below 0 worse.
+
+    Parameters
+    ----------
+    y : array_like, shape (steps,), or with more axes for several outputs or runs
+        Measured output. NaN is a missing sample and does not count.
+    y_model : array_like, of the shape of `y`
+        Simulated or predicted output.
+    axis : int
+        The axis of time.
+
+    Returns
+    -------
+    float, or ndarray without the axis of time
+        Percent.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ, or an output is constant (or wholly missing), for which the fit is undefined.
+
+    Examples
+    --------
+    >>> round(fit_percent([0.0, 2.0, 0.0, 2.0], [0.0, 1.0, 0.0, 1.0]), 1)
+    29.3
+    """
+    measured, model = np.asarray(y, dtype=float), np.asarray(y_model, dtype=float)
+    if measured.ndim == 0 or measured.shape != model.shape:
+        raise ValueError(f"y_model: expected shape {measured.shape} as y has it, got {model.shape}")
+    present = ~np.isnan(measured)
+    count = present.sum(axis=axis, keepdims=True)
+    mean = np.where(present, measured, 0.0).sum(axis=axis, keepdims=True) / np.maximum(count, 1)
+    spread = np.linalg.norm(np.where(present, measured - mean, 0.0), axis=axis)
+    missed = np.linalg.norm(np.where(present, measured - model, 0.0), axis=axis)
+    # The mean of equal numbers need not be that number to the last bit.
+    scale = np.max(np.where(present, np.abs(measured), 0.0), axis=axis, initial=0.0)
+    if np.any(spread <= 4 * np.finfo(float).eps * scale * np.sqrt(count.squeeze(axis))):
+        raise ValueError("y: expected samples that differ, found a constant output; its fit is undefined")
+    fit = 100 * (1 - missed / spread)
+    return fit if fit.ndim else float(fit)
+
+
+class Interval(NamedTuple):
+    """Hold an estimate and its confidence interval; every field has the shape of one run's sample."""
+
+    estimate: Any
+    """The statistic of the samples."""
+    low: Any
+    """Lower end of the interval."""
+    high: Any
+    """Upper end of the interval."""
+    standard_error: Any
+    """Standard deviation of the statistic over the resamples."""
+
+
+def bootstrap_interval(
+    samples: ArrayLike | tuple[ArrayLike, ...],
+    statistic: str | Callable[..., Any] = "mean",
+    level: float = 0.95,
+    rng: int | Generator | None = None,
+    n_resamples: int = 9999,
+    method: str = "BCa",
+) -> Interval:
+    """Find a confidence interval by resampling whole runs (`scipy.stats.bootstrap`).
+
+    Parameters
+    ----------
+    samples : array_like, shape (runs, ...), or a tuple of such arrays of the same runs
+        What the runs gave. Several arrays are resampled together, run by run: filters compared on the same
+        noise share its luck, and their ratio is far better known than their errors.
+    statistic : {"mean", "median", "rms", "ratio"} or callable
+        "ratio" is the mean of the first of two arrays over the mean of the second (`ratio_to`). A callable takes
+        as many arrays as there are samples and, to be fast, ``axis``.
+    level : float
+        Confidence level, between 0 and 1.
+    rng : int, numpy.random.Generator or None
+        Source of the resampling.
+    n_resamples : int
+        How many resamples.
+    method : {"BCa", "percentile", "basic"}
+        As in `scipy.stats.bootstrap`; for "BCa", bias-corrected and accelerated.
+
+    Returns
+    -------
+    Interval
+        Fields ``estimate, low, high, standard_error``: floats, or arrays of shape (...): one interval for each
+        element, not a band for all of them at once.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two runs, the arrays differ in shape, or an argument is out of its range.
+
+    Notes
+    -----
+    Where all resamples agree, as at a first step common to all runs, the interval is that point.
+    The time is proportional to ``n_resamples * samples.size``.
+
+    Examples
+    --------
+    >>> errors = np.random.default_rng(0).exponential(size=200)
+    >>> interval = bootstrap_interval(errors, rng=1)
+    >>> bool(interval.low < errors.mean() < interval.high)
+    True
+    """
+    from scipy import stats
+
+    named = ("mean", "median", "rms", "ratio")
+    function = _statistic(statistic, named)
+    given = samples if isinstance(samples, tuple) else (samples,)
+    arrays = _same_runs(given, [f"samples[{i}]" for i in range(len(given))])
+    if statistic in named and len(arrays) != (2 if statistic == "ratio" else 1):
+        wanted = "a tuple of two arrays" if statistic == "ratio" else "one array"
+        raise ValueError(
+            f"samples: expected {wanted} for statistic={statistic!r}, got {len(arrays)}; "
+            "use np.asarray(samples) if a tuple was meant as one array"
+        )
+    if len(arrays[0]) < 2:
+        raise ValueError(f"samples: expected at least 2 runs, got {len(arrays[0])}")
+    if not 0 < level < 1:
+        raise ValueError(f"level: expected a number between 0 and 1, got {level!r}; use 0.95 for 95 percent")
+    if method not in ("BCa", "percentile", "basic"):
+        raise ValueError(f"method: expected 'BCa', 'percentile' or 'basic', got {method!r}")
+    if _integer("n_resamples", n_resamples) < 2:
+        raise ValueError(f"n_resamples: expected at least 2, got {n_resamples}")
+
+    # Of a study with many steps all resamples at once would not fit into memory.
+    batch = max(1, 4_000_000 // sum(array.size for array in arrays))
+    # scipy calls the argument `rng` from 1.15 on and will drop the older name.
+    source = "rng" if "rng" in inspect.signature(stats.bootstrap).parameters else "random_state"
+    with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):
+        warnings.filterwarnings("ignore", category=stats.DegenerateDataWarning)
+        found = stats.bootstrap(
+            arrays,
+            function,
+            paired=True,
+            axis=0,
+            confidence_level=level,
+            n_resamples=n_resamples,
+            batch=batch,
+            method=method,
+            **{source: default_rng(rng)},
+        )
+        estimate = np.asarray(_apply(function, arrays))
+    low, high = (np.array(end, dtype=float) for end in found.confidence_interval)
+    constant = found.standard_error == 0
+    low, high = np.where(constant, estimate, low), np.where(constant, estimate, high)
+    fields = (estimate, low, high, np.asarray(found.standard_error))
+    return Interval(*(field if field.ndim else float(field) for field in fields))
+
+
+class _Raised(NamedTuple):
+    """Carry an exception home as text: the exception itself may not survive pickling."""
+
+    error: str
+    traceback: str
+
+
+def _run(trial: Trial, root: SeedSequence, index: int) -> Any:
+    """Do one run, wherever this is called."""
+    try:
+        return trial(default_rng(_child(root, index)))
+    except Exception as error:
+        lines = traceback.format_exception_only(error)
+        return _Raised(lines[-1].strip(), traceback.format_exc())
+
+
+def _child(root: SeedSequence, index: int) -> SeedSequence:
+    """Return the index-th of ``root.spawn``, without counting in root."""
+    return SeedSequence(root.entropy, spawn_key=(*root.spawn_key, index), pool_size=root.pool_size)
+
+
+def _root_seed(seed: Seed) -> SeedSequence:
+    """Turn what the caller gave into a seed sequence of our own."""
+    if not isinstance(seed, SeedSequence):
+        try:
+            return SeedSequence(seed)
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"seed: expected integers of 0 or more, a SeedSequence or None, got {seed!r}") from error
+    if seed.n_children_spawned:
+        raise ValueError(
+            f"seed: expected a SeedSequence that has not spawned, found {seed.n_children_spawned} children, "
+            "whose random numbers the runs would repeat; use seed.spawn(1)[0]"
+        )
+    return SeedSequence(seed.entropy, spawn_key=seed.spawn_key, pool_size=seed.pool_size)
+
+
+def _outcomes(
+    trial: Trial, root: SeedSequence, indices: Sequence[int], n_jobs: int | None
+) -> collections.abc.Generator[Any, None, None]:
+    """Yield the outcome of each run in order, as soon as it and those before are there."""
+    try:
+        import joblib
+    except ImportError as error:
+        raise ImportError("monte_carlo needs joblib; use pip install robust_filterpy[studies]") from error
+    task = joblib.delayed(_run)
+    try:
+        parallel = joblib.Parallel(n_jobs=n_jobs, return_as="generator")
+    except ValueError:
+        # Not every back end can hand over runs one by one.
+        parallel = joblib.Parallel(n_jobs=n_jobs)
+        size = max(-(-len(indices) // 20), 1)
+        with parallel:
+            for start in range(0, len(indices), size):
+                yield from parallel(task(trial, root, i) for i in indices[start : start + size])
+        return
+    yield from parallel(task(trial, root, index) for index in indices)
+
+
+def _progress_bar(total: int, progress: bool | None) -> Any:
+    """Return tqdm's bar, or something that takes its calls and shows nothing."""
+    shown = sys.stderr is not None and sys.stderr.isatty() if progress is None else progress
+    if shown:
+        try:
+            from tqdm import tqdm
+
+            return tqdm(total=total, unit="run")
+        except ImportError as error:
+            if progress:
+                raise ImportError("progress=True needs tqdm; use pip install tqdm") from error
+    return _NoBar()
+
+
+class _NoBar:
+    """Stand in for a progress bar."""
+
+    def update(self) -> None:
+        """Ignore a finished run."""
+
+    def set_postfix(self, **_: Any) -> None:
+        """Ignore a count."""
+
+    def close(self) -> None:
+        """Have nothing to close."""
+
+
+def _warn_of(failures: Sequence[Failure], stopped: str | None, done: int, runs: int) -> None:
+    """Tell the caller of monte_carlo what is missing from its result."""
+    if failures:
+        first = failures[0]
+        warnings.warn(
+            f"{len(failures)} of {done} runs failed, first run {first.index}: {first.error}; "
+            f"rerun(trial, result.seed, {first.index}) repeats it",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+    if stopped:
+        warnings.warn(f"ended after {done} of {runs} runs: {stopped}", RuntimeWarning, stacklevel=3)
+
+
+def _stack(values: Sequence[Any], indices: NDArray[np.intp], name: str) -> Any:
+    """Stack one branch of the results; name says where it is."""
+    first = values[0]
+    parts = _parts(first)
+    if parts is None:
+        leaves = [np.asarray(value) for value in values]
+        for leaf, index in zip(leaves, indices, strict=True):
+            if leaf.shape != leaves[0].shape:
+                raise ValueError(
+                    f"{name}: expected equal shapes, run {indices[0]} has {leaves[0].shape} and run {index} has "
+                    f"{leaf.shape}; work on .results instead"
+                )
+        return np.stack(leaves)
+    for value, index in zip(values, indices, strict=True):
+        other = _parts(value)
+        if type(value) is not type(first) or other is None or other.keys() != parts.keys():
+            raise ValueError(
+                f"{name}: expected the same structure in all runs, run {indices[0]} has {_describe(first)} and "
+                f"run {index} has {_describe(value)}"
+            )
+    rows = [_parts(value) for value in values]
+    stacked = {key: _stack([row[key] for row in rows if row], indices, f"{name}[{key!r}]") for key in parts}
+    if isinstance(first, tuple):
+        return type(first)(*stacked.values()) if hasattr(first, "_fields") else tuple(stacked.values())
+    return stacked
+
+
+def _parts(value: Any) -> dict[Any, Any] | None:
+    """Take a container apart by key; None for a leaf."""
+    if isinstance(value, Mapping):
+        return dict(value)
+    if isinstance(value, tuple):
+        return dict(zip(getattr(value, "_fields", range(len(value))), value, strict=True))
+    if dataclasses.is_dataclass(value):
+        return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+    return None
+
+
+def _describe(value: Any) -> str:
+    """Name a branch's type and keys."""
+    parts = _parts(value)
+    return type(value).__name__ + ("" if parts is None else f" with {list(parts)}")
+
+
+def _check_trial(trial: Trial) -> None:
+    """Refuse what every run would fail with."""
+    mend = "trial: expected a callable that takes one numpy Generator, got "
+    if not callable(trial):
+        raise TypeError(f"{mend}{trial!r}; use lambda rng: ... or functools.partial")
+    try:
+        signature = inspect.signature(trial)
+    except (TypeError, ValueError):
+        return
+    try:
+        signature.bind(None)
+    except TypeError as error:
+        raise TypeError(f"{mend}signature {signature}: {error}") from None
+
+
+def _integer(name: str, value: Any) -> int:
+    """Return an integer of any integer type."""
+    if not isinstance(value, bool | np.bool_):
+        try:
+            return operator.index(value)
+        except TypeError:
+            pass
+    raise TypeError(f"{name}: expected an integer, got {value!r}")
+
+
+def _run_numbers(runs: int | Iterable[int]) -> list[int]:
+    """Return the numbers of the runs to do."""
+    if isinstance(runs, Iterable) and not isinstance(runs, str) and bool(getattr(runs, "ndim", True)):
+        numbers = [_integer("runs", run) for run in runs]
+    else:
+        numbers = list(range(_integer("runs", runs)))
+    if not numbers or min(numbers) < 0:
+        raise ValueError(f"runs: expected at least one run, numbered from 0, got {runs!r}")
+    if len(set(numbers)) < len(numbers):
+        raise ValueError("runs: expected every run once, found one repeated; a repeated run is the same run")
+    return numbers
+
+
+def _same_runs(values: Iterable[ArrayLike], names: Sequence[str]) -> tuple[NDArray[np.float64], ...]:
+    """Return float arrays of one shape with an axis of runs."""
+    arrays = tuple(np.asarray(value, dtype=float) for value in values)
+    for array, name in zip(arrays, names, strict=True):
+        if array.ndim == 0 or array.size == 0:
+            raise ValueError(f"{name}: expected shape (runs, ...), got {array.shape}")
+        if array.shape != arrays[0].shape:
+            raise ValueError(f"{name}: expected shape {arrays[0].shape} as {names[0]} has it, got {array.shape}")
+    return arrays
+
+
+def _statistic(statistic: str | Callable[..., Any], allowed: Sequence[str]) -> Callable[..., Any]:
+    """Return the function of that name, or the caller's own."""
+    if callable(statistic):
+        return statistic
+    if statistic not in allowed:
+        raise ValueError(f"statistic: expected a callable or one of {', '.join(allowed)}, got {statistic!r}")
+    functions: dict[str, Callable[..., Any]] = {
+        "mean": np.mean,
+        "median": np.median,
+        "rms": _rms,
+        "ratio": _ratio_of_means,
+    }
+    return functions[statistic]
+
+
+def _rms(samples: NDArray[np.float64], axis: int) -> Any:
+    """Take the root of the mean square."""
+    return np.sqrt(np.mean(samples**2, axis=axis))
+
+
+def _ratio_of_means(error: NDArray[np.float64], reference: NDArray[np.float64], axis: int) -> Any:
+    """Divide the means of two samples."""
+    return np.mean(error, axis=axis) / np.mean(reference, axis=axis)
+
+
+def _apply(function: Callable[..., Any], arrays: Sequence[NDArray[np.float64]]) -> Any:
+    """Evaluate a statistic over the runs."""
+    try:
+        takes_axis = "axis" in inspect.signature(function).parameters
+    except (TypeError, ValueError):
+        takes_axis = True
+    if takes_axis:
+        return function(*arrays, axis=0)
+    columns = [array.reshape(len(array), -1) for array in arrays]
+    values = [function(*(c[:, i] for c in columns)) for i in range(columns[0].shape[1])]
+    return np.reshape(values, arrays[0].shape[1:])
