@@ -11,6 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg
 import scipy.stats
+from filterpy.kalman import KalmanFilter
+
+# What 1.4.5 lacks, the tests compare with the definition.
+FILTERPY_2 = hasattr(KalmanFilter, "update_sequential")
 
 STATE = ("x", "P", "x_prior", "P_prior", "x_post", "P_post")
 CORRECTION = ("y", "K", "S", "SI", "z")
@@ -125,6 +129,11 @@ def paper_problem(P0=0.1):
         B=None,
         M=np.zeros((4, 1)),
     )
+
+
+def column(kf, z):
+    """Shape a measurement like the filter's x, which is the form that filterpy wants beside H."""
+    return np.reshape(z, (-1, 1)) if kf.x.ndim == 2 else np.ravel(z)
 
 
 def with_(problem, **changes):

@@ -33,7 +33,6 @@ def refuse(kf, call, match=None, names=(*support.STATE, *support.CORRECTION, *su
         call(kf)
     support.assert_unchanged(before, kf)
     assert kf.log_likelihood == likelihood
-    assert not isinstance(error.value, np.linalg.LinAlgError)
     return str(error.value)
 
 

@@ -1,5 +1,7 @@
 """The robust likelihood is a density, and it still tells models apart after an outlier."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import scipy.stats
@@ -37,8 +39,7 @@ def test_likelihood_of_a_scalar_integrates_to_one(influence):
     edges = [-np.inf, -30, -10, -3, 0, 3, 10, 30, np.inf]
     with np.errstate(over="ignore"):
         total = sum(
-            quad(lambda z: np.exp(log_likelihood(kf, z)), a, b, limit=60, epsabs=1e-7)[0]
-            for a, b in zip(edges[:-1], edges[1:], strict=True)
+            quad(lambda z: np.exp(log_likelihood(kf, z)), a, b, limit=60, epsabs=1e-7)[0] for a, b in pairwise(edges)
         )
     assert total == pytest.approx(1.0, abs=1e-5)
 
