@@ -146,6 +146,12 @@ def inverse_root(S):
     return np.real(scipy.linalg.sqrtm(np.linalg.inv(S)))
 
 
+def mild(dim_x=4, dim_z=2, seed=21):
+    """A problem with H P H' < 1, where even unit scaling is a filter."""
+    problem = random_problem(seed, dim_x, dim_z)
+    return with_(problem, P=0.02 * problem.P, Q=0.02 * problem.Q, M=0.1 * problem.M, H=0.5 * problem.H)
+
+
 class HuberFormulas:
     """Huber's functions, written with np.clip."""
 
@@ -279,3 +285,14 @@ def assert_all_finite(kf):
         assert np.all(np.isfinite(np.asarray(getattr(kf, name), dtype=float))), name
     for name in ("log_likelihood", "likelihood", "mahalanobis"):
         assert np.isfinite(getattr(kf, name)), name
+
+
+def assert_corrected(kf, reference, rtol=1e-9):
+    """Compare everything that the filter shows with the reference."""
+    for name in ("x", "y", "e", "weights"):
+        assert_close(np.ravel(getattr(kf, name)), getattr(reference, name), rtol, name)
+    for name in ("P", "S", "T", "K"):
+        assert_close(getattr(kf, name), getattr(reference, name), rtol, name)
+    bounded = np.linalg.solve(reference.T, reference.weights * reference.e)
+    assert_close(np.ravel(kf.y_bounded), bounded, rtol, "y_bounded")
+    assert_close(kf.SI, np.linalg.inv(reference.S), rtol, "SI")

@@ -1,0 +1,144 @@
+"""The robust filter in a program: its defaults, changes between calls, shared memory, jumps, singular S."""
+
+import numpy as np
+import pytest
+import support
+from filterpy.kalman import KalmanFilter
+
+from robust_filterpy import Huber, RobustKalmanFilter
+
+pytestmark = pytest.mark.core
+
+SCALINGS = ["innovation", "bounded", "unit"]
+COMPONENT = [("component", information) for information in ("realized", "expected", "weight")]
+JOINT = [("joint", information) for information in ("realized", "weight")]
+NDIMS = [1, 2]
+
+
+def robust(problem=None, ndim=2, **choices):
+    """A robust filter for the problem, or for one of four states and two sensors."""
+    return support.make(RobustKalmanFilter, problem or support.random_problem(21, 4, 2), ndim, **choices)
+
+
+@pytest.mark.parametrize("missing_first", [False, True])
+def test_choices_can_be_changed_between_calls(missing_first):
+    problem = support.mild()
+    kf = robust(problem)
+    if missing_first:
+        kf.update(None)
+    for scaling in SCALINGS:
+        for grouping, information in COMPONENT + JOINT[1:]:
+            for influence in (Huber(0.8), Huber(2.0)):
+                choices = {"scaling": scaling, "grouping": grouping, "information": information}
+                support.load(kf, problem)
+                for name, value in {**choices, "influence": influence}.items():
+                    setattr(kf, name, value)
+                    assert getattr(kf, name) == value
+                fresh = robust(problem, influence=influence, **choices)
+                for one in (kf, fresh):
+                    one.update([0.1, 30.0])
+                support.assert_same_state(kf, fresh, ("x", "P", "K", "T", "e", "weights"), rtol=1e-14)
+
+
+def test_defaults():
+    kf = RobustKalmanFilter(2, 1)
+    assert kf.influence == Huber(1.345)
+    assert (kf.scaling, kf.information, kf.grouping) == ("innovation", "realized", "component")
+
+
+@pytest.mark.parametrize("name", ["R", "H", "P", "F", "Q", "x"])
+@pytest.mark.parametrize("ndim", NDIMS)
+def test_writing_into_a_matrix_counts_from_the_next_call(name, ndim):
+    """Trackers write into slices; nothing may be remembered from before."""
+    problem = support.random_problem(29, 3, 2)
+    written, fresh = robust(problem, ndim), robust(problem, ndim)
+    for kf in (written, fresh):
+        kf.predict()
+        kf.update([0.1, 0.2])
+    changed = getattr(fresh, name).copy()
+    changed[0] = changed[0] * 1.5 + (0.0 if name in ("P", "Q", "R") else 0.1)
+    if name in ("P", "Q", "R"):
+        changed[:, 0] = changed[0]
+    getattr(written, name)[:] = changed
+    setattr(fresh, name, changed)
+    for kf in (written, fresh):
+        kf.predict()
+        kf.update([0.3, 20.0])
+    support.assert_same_state(written, fresh, rtol=1e-14)
+
+
+def test_what_is_saved_does_not_share_memory():
+    kf = robust()
+    z = np.array([0.1, 0.2])
+    kf.predict()
+    kf.update(z)
+    before = support.snapshot(kf, ("x_prior", "P_prior", "x_post", "P_post", "z"))
+    kf.x[0], kf.P[0, 0], z[:] = 99.0, 99.0, 99.0
+    support.assert_unchanged(before, kf)
+
+
+def test_arguments_are_not_written_to():
+    problem = support.random_problem(30, 3, 2, dim_u=1)
+    kf = robust(problem)
+    arguments = {name: getattr(problem, name).copy() for name in "FQBRH"} | {"u": np.ones((1, 1)), "z": np.ones((2, 1))}
+    copies = {name: value.copy() for name, value in arguments.items()}
+    for _ in range(3):
+        kf.predict(arguments["u"], arguments["B"], arguments["F"], arguments["Q"])
+        kf.update(arguments["z"], arguments["R"], arguments["H"])
+    for name, value in arguments.items():
+        np.testing.assert_array_equal(value, copies[name], err_msg=name)
+
+
+def test_a_singular_s_is_said_and_a_pseudo_inverse_is_obeyed():
+    problem = support.with_(
+        support.cart(),
+        H=np.array([[1.0, 0.0], [1.0, 0.0]]),
+        R=1e-10 * np.eye(2),
+        P=1e30 * np.eye(2),
+        M=np.zeros((2, 2)),
+    )
+    kf = robust(problem)
+    before = support.snapshot(kf)
+    with pytest.raises(np.linalg.LinAlgError):
+        kf.update([1.0, 1.0])
+    support.assert_unchanged(before, kf)
+    kf.inv = np.linalg.pinv
+    kf.update([1.0, 1.0])
+    support.assert_close(kf.T @ kf.T, np.linalg.pinv(kf.S), 1e-6)
+    assert np.all(np.isfinite(kf.x))
+    assert kf.x[0, 0] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_comes_back_after_a_jump_of_the_state():
+    """A level shift is not an outlier: P grows while the innovation is clipped, and the filter follows."""
+    problem = support.with_(support.cart(), F=np.eye(2), H=np.array([[1.0, 0.0]]))
+    kf, rng = robust(problem), np.random.default_rng(3)
+    for level in (0.0, 30.0):
+        for z in level + rng.normal(size=400):
+            kf.predict()
+            kf.update(z)
+        assert abs(kf.x[0, 0] - level) < 2.0
+
+
+def test_outliers_hurt_less_than_they_hurt_filterpy():
+    problem = support.random_problem(31, 3, 2)
+    dirty, _ = support.simulate(problem, 1500, seed=5, contamination=0.2, size=50.0)
+    clean, _ = support.simulate(problem, 1500, seed=5)
+    errors = {}
+    for cls in (RobustKalmanFilter, KalmanFilter):
+        kf, oracle = support.make(cls, problem), support.make(KalmanFilter, problem)
+        dirty_x = kf.batch_filter(list(dirty[:, :, None]))[0]
+        errors[cls] = np.mean((dirty_x - oracle.batch_filter(list(clean[:, :, None]))[0]) ** 2)
+    assert errors[RobustKalmanFilter] < 0.1 * errors[KalmanFilter]
+
+
+def test_repr_names_the_class_and_the_choices():
+    text = repr(
+        RobustKalmanFilter(2, 1, influence=Huber(1.5), scaling="bounded", information="weight", grouping="joint")
+    )
+    for part in ("RobustKalmanFilter", "Huber(threshold=1.5)", "bounded", "weight", "joint", "dim_x = 2"):
+        assert part in text, part
+    kf = robust()
+    kf.predict()
+    kf.update([1.0, 1e6])
+    assert "y_bounded" in repr(kf)
