@@ -7,7 +7,7 @@ import support
 from filterpy.kalman import KalmanFilter
 from statsmodels.robust import norms
 
-from robust_filterpy import Hampel, Huber, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.influence import expected_information
 
 pytestmark = pytest.mark.core
@@ -28,9 +28,11 @@ def robust(problem=None, ndim=2, **choices):
 @pytest.mark.parametrize("scaling", SCALINGS)
 @pytest.mark.parametrize("grouping, information", COMPONENT + JOINT)
 @pytest.mark.parametrize("ndim", NDIMS)
-@pytest.mark.parametrize("z", [[0.1, -0.2], [0.1, 40.0], [-30.0, 1e4]])
-def test_update_is_the_correction(scaling, grouping, information, ndim, z):
-    problem, choices = support.mild(), {"scaling": scaling, "grouping": grouping, "information": information}
+@pytest.mark.parametrize("z", [[0.1, -0.2, 0.3], [0.1, 40.0, 0.2], [-30.0, 1e4, 7.0]])
+@pytest.mark.parametrize("dim_z", [1, 2, 3])
+def test_update_is_the_correction(scaling, grouping, information, ndim, z, dim_z):
+    z, problem = z[:dim_z], support.mild(4, dim_z)
+    choices = {"scaling": scaling, "grouping": grouping, "information": information}
     kf = robust(problem, ndim, **choices)
     reference = support.reference_correction(problem.x, problem.P, z, problem.H, problem.R, FORMULAS, **choices)
     kf.update(z)
@@ -38,14 +40,28 @@ def test_update_is_the_correction(scaling, grouping, information, ndim, z):
 
 
 @pytest.mark.parametrize("norm", [norms.TukeyBiweight(), norms.Hampel(), norms.HuberT(2.0), norms.AndrewWave()])
-@pytest.mark.parametrize("z", [[0.1, -0.2], [2.0, -5.0], [1e3, -9.0]])
+@pytest.mark.parametrize("z", [[0.1, -0.2], [2.0, -5.0], [1e3, -9.0], [0.3], [-4.0], [60.0]])
 def test_update_with_a_norm_of_statsmodels(norm, z):
-    problem = support.random_problem(22, 4, 2)
+    problem = support.random_problem(22, 4, len(z))
     kf = robust(problem, influence=norm)
     reference = support.reference_correction(problem.x, problem.P, z, problem.H, problem.R, norm)
     kf.update(z)
     support.assert_corrected(kf, reference)
     assert np.isfinite(kf.log_likelihood)
+
+
+@pytest.mark.parametrize("influence", [Linear(), Huber(0.7), Hampel(), TukeyBiweight(), StudentT(2.5)], ids=repr)
+@pytest.mark.parametrize("scaling", SCALINGS)
+@pytest.mark.parametrize("information", ["realized", "weight"])
+@pytest.mark.parametrize("dim_z", [1, 3])
+def test_update_with_every_influence_at_every_size_of_residual(influence, scaling, information, dim_z):
+    problem, choices = support.mild(3, dim_z, seed=24), {"scaling": scaling, "information": information}
+    for size in (0.0, 0.5, 1.5, 3.0, 5.0, 9.0, 1e3):
+        z = (problem.H @ problem.x)[:, 0] + size * np.array([1.0, -0.7, 0.4])[:dim_z]
+        kf = robust(problem, influence=influence, **choices)
+        reference = support.reference_correction(problem.x, problem.P, z, problem.H, problem.R, influence, **choices)
+        kf.update(z)
+        support.assert_corrected(kf, reference)
 
 
 @pytest.mark.parametrize("influence", [Huber(), Hampel(), TukeyBiweight(), StudentT()], ids=repr)
