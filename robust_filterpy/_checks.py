@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+FLOAT = np.dtype(np.float64)
 
 
 def positive(name: str, value: Any, *, infinite: bool = False) -> float:
@@ -62,9 +63,9 @@ def numbers(name: str, value: Any) -> Array:
     """Return value as a float array (None and masked entries become NaN) or raise TypeError."""
     if isinstance(value, np.ma.MaskedArray):
         value = value.astype(float).filled(np.nan)
-    if np.iscomplexobj(value):
-        raise TypeError(f"{name}: expected real numbers, got complex ones")
     try:
+        if np.iscomplexobj(value):
+            raise TypeError
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError):
         raise TypeError(f"{name}: expected real numbers, got {value!r}") from None
@@ -72,7 +73,7 @@ def numbers(name: str, value: Any) -> Array:
 
 def matrix(name: str, value: Any, shape: tuple[int, int], reason: str) -> Array:
     """Return value as a float array of this shape or raise, telling what the shape follows from."""
-    if type(value) is np.ndarray and value.dtype == np.float64 and value.shape == shape:
+    if type(value) is np.ndarray and value.dtype is FLOAT and value.shape == shape:
         return value
     if value is None:
         raise TypeError(f"{name}: expected an array of shape {shape} for {reason}, got None")
@@ -87,9 +88,7 @@ def matrix(name: str, value: Any, shape: tuple[int, int], reason: str) -> Array:
 def _mend(name: str, found: Array, shape: tuple[int, int]) -> str:
     """Describe what was found and, where it is plain, what was meant."""
     if found.ndim == 0:
-        return (
-            f"scalar {found}; use {found}*np.eye({shape[0]})" if shape[0] == shape[1] else f"scalar {found}"
-        )
+        return f"scalar {found}; use {found}*np.eye({shape[0]})" if shape[0] == shape[1] else f"scalar {found}"
     text = f"{found.shape}"
     if found.ndim == 1 and shape[0] == shape[1] == found.size:
         return f"{text}; use np.diag({name})"

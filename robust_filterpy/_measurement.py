@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from robust_filterpy import _checks
-from robust_filterpy._checks import Array
+from robust_filterpy._checks import FLOAT, Array
 
 
 def state_of(kf: Any) -> tuple[Array, Array]:
     """Return x, shape (n,) or (n, 1), and P, shape (n, n), as float arrays."""
     x, P, n = kf.x, kf.P, kf.dim_x
-    if not (type(x) is np.ndarray and x.dtype == np.float64 and x.shape in ((n, 1), (n,))):
+    if not (type(x) is np.ndarray and x.dtype is FLOAT and x.shape in ((n, 1), (n,))):
         x = _checks.numbers("x", x)
         if x.ndim == 0 and n == 1:
             x = x.reshape(1)
         if x.shape not in ((n, 1), (n,)):
             raise ValueError(f"x: expected shape {(n, 1)} or {(n,)} for dim_x={n}, got {_checks.described(x)}")
-    if not (type(P) is np.ndarray and P.dtype == np.float64 and P.shape == (n, n)):
+    if not (type(P) is np.ndarray and P.dtype is FLOAT and P.shape == (n, n)):
         if np.ndim(P) == 0 and P is not None:
             # filterpy multiplies by P, so there a scalar acts as P I.
             P = _checks.real("P", P) * np.eye(n)
@@ -33,7 +34,7 @@ def measured(z: Any, m: int, missing: bool = False) -> Any:
     if m == 1 and type(z) is float:
         number = z
     else:
-        array = z if type(z) is np.ndarray and z.dtype == np.float64 else _checks.numbers("z", z)
+        array = z if type(z) is np.ndarray and z.dtype is FLOAT else _checks.numbers("z", z)
         if array.size != m or array.ndim > 2 or (array.ndim == 2 and 1 not in array.shape):
             plural = "number" if m == 1 else "numbers"
             raise ValueError(f"z: expected {m} {plural} for H with {m} row(s), got {_checks.described(array)}")
@@ -52,8 +53,8 @@ def measured(z: Any, m: int, missing: bool = False) -> Any:
     return number if missing or number == number else None
 
 
-def noise_covariance(default: Any, given: Any, m: int, trusted: bytes) -> tuple[Array, bytes]:
-    """Return R, shape (m, m), positive definite; trusted holds the bytes of the last one that passed."""
+def noise_covariance(default: Any, given: Any, m: int) -> Array:
+    """Return R, shape (m, m), positive definite."""
     if given is None:
         R = default
     elif np.ndim(given) == 0:
@@ -63,14 +64,17 @@ def noise_covariance(default: Any, given: Any, m: int, trusted: bytes) -> tuple[
     R = _checks.matrix("R", R, (m, m), f"dim_z={m}")
     if m == 1:
         if not 0.0 < R.item() < math.inf:
-            raise ValueError(
-                f"R: expected a variance > 0, got {R.item()}; use NaN in z for a sensor that is absent"
-            )
-        return R, trusted
-    key = R.tobytes()
-    if key != trusted:
-        _checks.positive_definite("R", R)
-    return R, key
+            raise ValueError(f"R: expected a variance > 0, got {R.item()}; use NaN in z for a sensor that is absent")
+        return R
+    # By content, since users write into R, and by the bytes, since most never do.
+    _require_positive_definite(R.tobytes(), m)
+    return R
+
+
+@lru_cache(maxsize=256)
+def _require_positive_definite(content: bytes, m: int) -> None:
+    """Raise unless R is positive definite; what passed once is remembered."""
+    _checks.positive_definite("R", np.frombuffer(content).reshape(m, m))
 
 
 def process_noise(default: Any, given: Any, n: int) -> Any:
@@ -100,3 +104,20 @@ def control_term(B: Any, u: Any, shape: tuple[int, ...]) -> Any:
     if u.size != width:
         raise ValueError(f"u: expected {width} numbers for B of shape {B.shape}, got {_checks.described(u)}")
     return B.dot(u.reshape(width)).reshape(shape)
+
+
+def require_finite_prediction(x: Array, P: Array) -> None:
+    """Raise unless x and P are finite; the sums are finite whenever the entries are and rarely otherwise."""
+    total = sum(x.ravel().tolist()) + P.ravel().dot(_ones(P.size))
+    if total - total != 0.0:
+        for name, value, causes in (("x", x, "x, F, B and u"), ("P", P, "P, F and Q")):
+            if not np.isfinite(value).all():
+                raise ValueError(f"predict: expected a finite {name}, got NaN or infinity; check {causes}")
+
+
+@lru_cache(maxsize=64)
+def _ones(size: int) -> Array:
+    """Return ones, to be read only."""
+    ones = np.ones(size)
+    ones.flags.writeable = False
+    return ones

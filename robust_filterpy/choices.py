@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -22,17 +22,6 @@ GROUPINGS: Final = ("component", "joint")
 
 # Beyond this an influence function of somebody else's may square its argument into infinity.
 _SAFE = 1e150
-
-
-class Bounded(NamedTuple):
-    """What psi makes of a standardized innovation e of m components."""
-
-    psi: Array
-    """psi(e), shape (m,)."""
-    D: Array
-    """Information: the diagonal, shape (m,), or for joint grouping the matrix, shape (m, m)."""
-    slope: Array
-    """psi'(e), shape (m,); for joint grouping psi'(|e|) in every place."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +93,7 @@ class Choices:
         """E[psi'] clipped to [0, 1] (paper 40, 45)."""
         return min(max(expected_information(self.influence), 0.0), 1.0)
 
-    def bound(self, e: Array, visible: np.ndarray | None = None) -> Bounded:
+    def bound(self, e: Array, visible: np.ndarray | None = None) -> tuple[Array, Array | list[float], list[float]]:
         """Apply psi to a standardized innovation.
 
         Parameters
@@ -117,7 +106,12 @@ class Choices:
 
         Returns
         -------
-        Bounded
+        psi : ndarray, shape (m,)
+            psi(e).
+        D : list of m floats, or ndarray, shape (m, m)
+            Information: its diagonal, or for joint grouping the matrix.
+        slope : list of m floats
+            psi'(e); for joint grouping psi'(\\|e\\|) in every place.
         """
         if self.grouping == "component":
             return self._componentwise(e)
@@ -125,25 +119,26 @@ class Choices:
             return self._jointly(e)
         return self._jointly_where(e, visible)
 
-    def _componentwise(self, e: Array) -> Bounded:
+    def _componentwise(self, e: Array) -> tuple[Array, list[float], list[float]]:
         """Apply psi to each component."""
-        if self.pointwise is not None and e.size <= 8:
+        if self.pointwise is not None and len(e) <= 8:
             function, a, b, c = self.pointwise
-            values = [function(v, a, b, c) for v in e.tolist()]
-            psi, slope = np.array(values).T
+            values, slope = [], []
+            for v in e.tolist():
+                p, d = function(v, a, b, c)
+                values.append(p)
+                slope.append(d)
+            psi = np.array(values)
         else:
             e = np.clip(e, -_SAFE, _SAFE) if self.pointwise is None else e
             psi = np.asarray(self.influence.psi(e), dtype=float)
-            slope = np.asarray(self.influence.psi_deriv(e), dtype=float)
+            slope = np.asarray(self.influence.psi_deriv(e), dtype=float).tolist()
         if self.information == "expected":
-            D = np.full(e.size, self.expected)
-        else:
-            D = slope if self.information == "realized" else ratio(psi, e)
-            if not (isinstance(self.influence, Huber) or self.is_linear):
-                D = np.minimum(np.maximum(D, 0.0), 1.0)
-        return Bounded(psi, D, slope)
+            return psi, [self.expected] * len(e), slope
+        D = slope if self.information == "realized" else ratio(psi, e).tolist()
+        return psi, [0.0 if d <= 0.0 else 1.0 if d >= 1.0 else d for d in D], slope
 
-    def _jointly(self, e: Array) -> Bounded:
+    def _jointly(self, e: Array) -> tuple[Array, Array, list[float]]:
         """Apply psi to the length: psi(e) = w(|e|) e, D its Jacobian, its mean, or w I."""
         m = e.size
         length, direction = length_and_direction(e)
@@ -157,7 +152,7 @@ class Choices:
             D = across * np.eye(m)
             if radial != across:
                 D += (radial - across) * direction[:, None] * direction
-        return Bounded(along * direction, D, np.full(m, slope))
+        return along * direction, D, [slope] * m
 
     def _of_length(self, length: float) -> tuple[float, float]:
         """Return psi' and psi of a length."""
@@ -168,15 +163,13 @@ class Choices:
         at = np.array([min(length, _SAFE)])
         return float(self.influence.psi_deriv(at)[0]), float(self.influence.psi(at)[0])
 
-    def _jointly_where(self, e: Array, visible: np.ndarray) -> Bounded:
+    def _jointly_where(self, e: Array, visible: np.ndarray) -> tuple[Array, Array, list[float]]:
         """Take the visible components together and the others one by one."""
-        alone = self.changed(grouping="component").bound(e)
-        psi, slope, D = alone.psi.copy(), alone.slope.copy(), np.diag(alone.D)
+        psi, diagonal, slopes = self._componentwise(e)
+        D, slope = np.diag(diagonal), np.array(slopes)
         if visible.any():
-            together = self._jointly(e[visible])
-            psi[visible], slope[visible] = together.psi, together.slope
-            D[np.ix_(visible, visible)] = together.D
-        return Bounded(psi, D, slope)
+            psi[visible], D[np.ix_(visible, visible)], slope[visible] = self._jointly(e[visible])
+        return psi, D, slope.tolist()
 
 
 def length_and_direction(e: Array) -> tuple[float, Array]:

@@ -29,7 +29,6 @@ __all__ = [
     "Correction",
     "NotPositiveDefiniteError",
     "SingularInnovationError",
-    "Standardization",
     "correct",
     "log_density",
     "posterior_covariance",
@@ -50,17 +49,6 @@ class SingularInnovationError(np.linalg.LinAlgError):
     """Say that the innovation covariance S has no inverse."""
 
 
-class Standardization(NamedTuple):
-    """T and what follows from it."""
-
-    T: Array
-    """Shape (m, m), symmetric."""
-    SI: Array
-    """Inverse of S, shape (m, m)."""
-    defect: Array | None
-    """I - T S T', shape (m, m); None where it is 0."""
-
-
 class Correction(NamedTuple):
     """Posterior and everything that led to it. Where a component is missing, y, e, psi, T, SI and K are 0."""
 
@@ -72,8 +60,8 @@ class Correction(NamedTuple):
     """Innovation z - H x, shape (m,)."""
     S: Array
     """Innovation covariance, shape (m, m)."""
-    SI: Array
-    """Its inverse, shape (m, m)."""
+    SI: Array | None
+    """Its inverse, shape (m, m); None under scaling "innovation", where it is T T."""
     K: Array
     """Gain before psi, C T'T, shape (n, m): x+ = x + K y_bounded."""
     T: Array
@@ -82,8 +70,13 @@ class Correction(NamedTuple):
     """Standardized innovation T y, shape (m,)."""
     psi: Array
     """psi(e), shape (m,)."""
-    slope: Array
-    """psi'(e), NaN where missing, shape (m,)."""
+    slope: Array | list[float]
+    """psi'(e), NaN where missing, m floats."""
+
+    @property
+    def inverse(self) -> Array:
+        """Inverse of S, shape (m, m)."""
+        return self.T.dot(self.T) if self.SI is None else self.SI
 
     @property
     def y_bounded(self) -> Array:
@@ -100,7 +93,7 @@ class Correction(NamedTuple):
     @property
     def clipped(self) -> np.ndarray:
         """Whether psi'(e) <= 0, bool, shape (m,): the component tells no more by being further away."""
-        return np.asarray(self.slope <= 0.0)
+        return np.asarray(self.slope) <= 0.0
 
 
 def correct(
@@ -193,13 +186,13 @@ def _correct_all(
     psi, D, slope = choices.bound(e, None if choices.grouping == "component" else H.any(axis=1))
     G = C.dot(T)
     K = G.dot(T)
-    P_post = posterior_covariance(P, H, R, G, T, D, defect, M)
+    P_post = posterior_covariance(P, H, R, G, T, D, K, defect, M)
     if choices.scaling == "unit":
         _require_positive(P_post, D, S - R)
     return Correction(x + G.dot(psi), P_post, y, S, SI, K, T, e, psi, slope)
 
 
-def standardize(S: Array, scaling: str, inv: Inverse | None = None) -> Standardization:
+def standardize(S: Array, scaling: str, inv: Inverse | None = None) -> tuple[Array, Array | None, Array | None]:
     """Return the scaling T of innovations with covariance S.
 
     T = S^(-1/2), the symmetric root (paper 36); T = I (42); or S^(-1/2) with the eigenvalues of S floored at 1.
@@ -215,16 +208,21 @@ def standardize(S: Array, scaling: str, inv: Inverse | None = None) -> Standardi
 
     Returns
     -------
-    Standardization
+    T : ndarray, shape (m, m)
+        Symmetric.
+    SI : ndarray, shape (m, m), or None
+        Inverse of S; None where it is T T.
+    defect : ndarray, shape (m, m), or None
+        I - T S T'; None where it is 0.
 
     Raises
     ------
     SingularInnovationError
         If S is not positive definite and inv is not given.
     """
-    m = S.shape[0]
+    m = len(S)
     if scaling == "unit":
-        return Standardization(np.eye(m), _inverse(S) if inv is None else inv(S), np.eye(m) - S)
+        return np.eye(m), _inverse(S) if inv is None else inv(S), np.eye(m) - S
     if inv is not None:
         return _root_of_inverse(inv(S), S, scaling)
     if scaling == "innovation" and m == 2:
@@ -233,11 +231,10 @@ def standardize(S: Array, scaling: str, inv: Inverse | None = None) -> Standardi
     if scaling == "bounded":
         quarter = vectors / np.maximum(values, 1.0) ** 0.25
         defect = (vectors * np.maximum(1.0 - values, 0.0)).dot(vectors.T)
-        return Standardization(quarter.dot(quarter.T), (vectors / values).dot(vectors.T), defect)
+        return quarter.dot(quarter.T), (vectors / values).dot(vectors.T), defect
     # T as a product of one factor with its own transpose is symmetric to the last bit.
-    quarter = vectors / values**0.25
-    T = quarter.dot(quarter.T)
-    return Standardization(T, T.dot(T), None)
+    quarter = vectors / np.sqrt(np.sqrt(values))
+    return quarter.dot(quarter.T), None, None
 
 
 def standardized(T: Array, y: Array) -> Array:
@@ -252,13 +249,21 @@ def standardized(T: Array, y: Array) -> Array:
 
 
 def posterior_covariance(
-    P: Array, H: Array, R: Array, G: Array, T: Array, D: Array, defect: Array | None = None, M: Array | None = None
+    P: Array,
+    H: Array,
+    R: Array,
+    G: Array,
+    T: Array,
+    D: Array | list[float],
+    K: Array | None = None,
+    defect: Array | None = None,
+    M: Array | None = None,
 ) -> Array:
     """Return P+ = P - G D G' with G = C T', in a form that stays positive semidefinite in rounding.
 
-    With K = G D T it is Joseph's form of the gain K, plus what psi leaves unused::
+    With K_D = G D T it is Joseph's form of the gain K_D, plus what psi leaves unused::
 
-        P+ = (I - K H) P (I - K H)' + K R K' - (I - K H) M K' - K M' (I - K H)'
+        P+ = (I - K_D H) P (I - K_D H)' + K_D R K_D' - (I - K_D H) M K_D' - K_D M' (I - K_D H)'
              + G (D - D^2 + D (I - T S T') D) G'
 
     Parameters
@@ -273,8 +278,10 @@ def posterior_covariance(
         Standardized gain C T'.
     T : ndarray, shape (m, m)
         Scaling.
-    D : ndarray, shape (m,) or (m, m)
+    D : list of m floats, or ndarray, shape (m, m)
         Information, its diagonal or the matrix.
+    K : ndarray, shape (n, m), optional
+        G T, if it is known: what K_D is for D = I.
     defect : ndarray, shape (m, m), optional
         I - T S T'; None where it is 0.
     M : ndarray, shape (n, m), optional
@@ -283,29 +290,35 @@ def posterior_covariance(
     Returns
     -------
     ndarray, shape (n, n)
-        Symmetric.
+        Symmetric to rounding; the form contracts what asymmetry there is.
     """
-    if D.ndim == 1:
-        diagonal = D.tolist()
-        if max(diagonal) == 0.0:
+    unused = None
+    if isinstance(D, list):
+        if max(D) == 0.0:
             return P.copy()
-        GD = G if min(diagonal) == 1.0 else G * D
-        unused = None if all(d in (0.0, 1.0) for d in diagonal) else (G * (D - D * D)).dot(G.T)
+        if min(D) == 1.0:
+            GD, K_D = G, G.dot(T) if K is None else K
+        else:
+            d = np.array(D)
+            GD = G * d
+            K_D = GD.dot(T)
+            if sum(D) != D.count(1.0):
+                unused = (G * (d - d * d)).dot(G.T)
     else:
         GD = G.dot(D)
+        K_D = GD.dot(T)
         unused = G.dot(D - D.dot(D)).dot(G.T)
-    K = GD.dot(T)
-    I_KH = _identity(len(P)) - K.dot(H)
+    I_KH = _identity(len(P)) - K_D.dot(H)
     P_post = I_KH.dot(P).dot(I_KH.T)
-    P_post += K.dot(R).dot(K.T)
+    P_post += K_D.dot(R).dot(K_D.T)
     if M is not None:
-        cross = I_KH.dot(M).dot(K.T)
+        cross = I_KH.dot(M).dot(K_D.T)
         P_post -= cross + cross.T
     if unused is not None:
         P_post += unused
     if defect is not None:
         P_post += GD.dot(defect).dot(GD.T)
-    return _symmetric(P_post)
+    return P_post
 
 
 @lru_cache(maxsize=64)
@@ -316,17 +329,10 @@ def _identity(n: int) -> Array:
     return identity
 
 
-def _symmetric(P: Array) -> Array:
-    """Return (P + P')/2."""
-    P = P + P.T
-    P *= 0.5
-    return P
-
-
-def _require_positive(P_post: Array, D: Array, N: Array) -> None:
+def _require_positive(P_post: Array, D: Array | list[float], N: Array) -> None:
     """Raise if P+ is indefinite, naming H P H'."""
     if np.linalg.eigvalsh(P_post)[0] < -1e-13 * np.abs(P_post).max():
-        informed = np.diag(D) if D.ndim == 1 else D
+        informed = np.diag(D) if isinstance(D, list) else D
         raise _indefinite(float(np.linalg.eigvals(informed @ N).real.max()))
 
 
@@ -366,7 +372,7 @@ def _inverse(S: Array) -> Array:
     return np.asarray((vectors / values) @ vectors.T)
 
 
-def _root_2x2(S: Array) -> Standardization:
+def _root_2x2(S: Array) -> tuple[Array, Array | None, Array | None]:
     """Return S^(-1/2) in closed form: with s = sqrt(det S), S^(1/2) = (S + s I)/sqrt(tr S + 2 s)."""
     (a, b), (_, c) = S.tolist()
     determinant = a * c - b * b
@@ -380,11 +386,10 @@ def _root_2x2(S: Array) -> Standardization:
         s = math.sqrt(determinant)
     t = math.sqrt(a + c + 2.0 * s)
     p, q, r = (c + s) / t / s, -b / t / s, (a + s) / t / s
-    T = np.array([[p, q], [q, r]])
-    return Standardization(T, T.dot(T), None)
+    return np.array([[p, q], [q, r]]), None, None
 
 
-def _root_of_inverse(SI: Array, S: Array, scaling: str) -> Standardization:
+def _root_of_inverse(SI: Array, S: Array, scaling: str) -> tuple[Array, Array | None, Array | None]:
     """Return the symmetric root of whatever inverse the user wants of S."""
     values, vectors = np.linalg.eigh(0.5 * (SI + SI.T))
     if values[0] < -1e-10 * max(values[-1], 0.0) or not np.isfinite(values).all():
@@ -396,7 +401,7 @@ def _root_of_inverse(SI: Array, S: Array, scaling: str) -> Standardization:
     if scaling == "bounded":
         root = np.minimum(root, 1.0)
     T = (vectors * root) @ vectors.T
-    return Standardization(T, np.asarray(SI, dtype=float), np.eye(S.shape[0]) - T @ S @ T)
+    return T, np.asarray(SI, dtype=float), np.eye(S.shape[0]) - T @ S @ T
 
 
 def nothing_observed(x: Array, P: Array, S: Array, m: int) -> Correction:
@@ -409,9 +414,30 @@ def _embed(some: Correction, part: np.ndarray, S: Array) -> Correction:
     """Put the correction by the observed components where it belongs among all of them."""
     m, square = len(S), np.ix_(part, part)
     T, SI, K = np.zeros((m, m)), np.zeros((m, m)), np.zeros((some.x.size, m))
-    T[square], SI[square], K[:, part] = some.T, some.SI, some.K
+    T[square], SI[square], K[:, part] = some.T, some.inverse, some.K
     y, e, psi = (spread(v, part, m) for v in (some.y, some.e, some.psi))
-    return Correction(some.x, some.P, y, S, SI, K, T, e, psi, spread(some.slope, part, m, np.nan))
+    return Correction(some.x, some.P, y, S, SI, K, T, e, psi, spread(np.array(some.slope), part, m, np.nan))
+
+
+def embed_block(before: Correction | None, some: Correction | ScalarCorrection, part: slice, m: int) -> Correction:
+    """Put the correction by one block of a measurement beside those by the blocks before it."""
+    some = some.as_arrays() if isinstance(some, ScalarCorrection) else some
+    n = len(some.P)
+    if before is None or before.T.shape != (m, m) or before.K.shape != (n, m):
+        before = nothing_observed(some.x, some.P, np.zeros((m, m)), m)
+    square = {}
+    for name, block in (("S", some.S), ("SI", some.inverse), ("T", some.T)):
+        whole = (before.inverse if name == "SI" else getattr(before, name)).copy()
+        whole[part], whole[:, part] = 0.0, 0.0
+        whole[part, part] = block
+        square[name] = whole
+    K = before.K.copy()
+    K[:, part] = some.K
+    vectors = {}
+    for name in ("y", "e", "psi", "slope"):
+        vectors[name] = np.array(getattr(before, name), dtype=float)
+        vectors[name][part] = getattr(some, name)
+    return Correction(some.x, some.P, K=K, **square, **vectors)
 
 
 def spread(values: Array, part: np.ndarray, m: int, rest: float = 0.0) -> Array:
@@ -460,7 +486,7 @@ def log_density(y: Array, S: Array, choices: Choices = _DEFAULT, inv: Inverse | 
         y, S = y[observed], S[np.ix_(observed, observed)]
     T, SI, _ = standardize(S, "innovation", inv)
     rank, log_det = observed.size, -np.linalg.slogdet(T)[1]
-    if inv is not None:
+    if SI is not None:
         values = np.linalg.eigvalsh(0.5 * (SI + SI.T))
         values = values[values > values.size * _EPS * values[-1]]
         rank, log_det = values.size, -0.5 * float(np.log(values).sum())
@@ -500,7 +526,7 @@ class ScalarCorrection(NamedTuple):
         """Return the same with arrays."""
         x, P, y, S, SI, K, T, e, psi, slope = self
         one, square = np.array([y, e, psi, slope])[:, None], np.array([S, SI, T])[:, None, None]
-        return Correction(x.ravel(), P, one[0], square[0], square[1], K, square[2], one[1], one[2], one[3])
+        return Correction(x.ravel(), P, one[0], square[0], square[1], K, square[2], one[1], one[2], [slope])
 
 
 def correct_scalar(
@@ -547,7 +573,6 @@ def correct_scalar(
     if M is not None:
         cross = I_KH.dot(M).dot(K_d.T)
         P_post -= cross + cross.T
-    P_post = _symmetric(P_post)
     if scaling == "unit" and d * hph > 1.0 - 1e-9:
-        _require_positive(P_post, np.array([d]), np.array([[hph]]))
+        _require_positive(P_post, [d], np.array([[hph]]))
     return ScalarCorrection(x_post, P_post, y, s, 1.0 / s, K, t, e, psi, slope)

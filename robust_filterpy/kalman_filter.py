@@ -7,23 +7,30 @@ the equations stand.
 from __future__ import annotations
 
 import math
-import sys
 from typing import Any
 
 import numpy as np
-from filterpy.common import pretty_str
 from filterpy.kalman import KalmanFilter
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
-from robust_filterpy._checks import Array
-from robust_filterpy._measurement import control_term, measured, noise_covariance, process_noise, state_of
-from robust_filterpy.choices import Choices
+from robust_filterpy._checks import FLOAT, Array
+from robust_filterpy._measurement import (
+    control_term,
+    measured,
+    noise_covariance,
+    process_noise,
+    require_finite_prediction,
+    state_of,
+)
+from robust_filterpy._robust import Robust
+from robust_filterpy.batch import filter_recording
 from robust_filterpy.correction import (
     Correction,
     ScalarCorrection,
     correct,
     correct_scalar,
+    embed_block,
     log_density,
     nothing_observed,
     spread,
@@ -32,10 +39,8 @@ from robust_filterpy.correction import (
 )
 from robust_filterpy.influence import Huber, Influence
 
-_DEFAULT_INV = np.linalg.inv
 
-
-class RobustKalmanFilter(KalmanFilter):
+class RobustKalmanFilter(Robust, KalmanFilter):
     """Filter like `filterpy.kalman.KalmanFilter`, without believing outliers.
 
     Every attribute, method and shape is filterpy's. What differs is the correction: the standardized innovation
@@ -115,9 +120,6 @@ class RobustKalmanFilter(KalmanFilter):
     True
     """
 
-    # Outside __dict__, which filterpy's Saver copies at every epoch and turns into arrays.
-    __slots__ = ("_last", "_trusted_R")
-
     def __init__(
         self,
         dim_x: int,
@@ -132,91 +134,10 @@ class RobustKalmanFilter(KalmanFilter):
         """Set up filterpy's attributes and the choices."""
         for name, value, least in (("dim_x", dim_x, 1), ("dim_z", dim_z, 1), ("dim_u", dim_u, 0)):
             _checks.count(name, value, least)
-        self._choices = Choices(influence, scaling, information, grouping)
-        self._last: Correction | ScalarCorrection | None = None
-        self._trusted_R = b""
+        self._set_choices(influence, scaling, information, grouping)
         super().__init__(dim_x, dim_z, dim_u)
         # filterpy 1.4.5 has it as (dim_z, dim_z), with which update_correlated cannot work.
         self.M = np.zeros((dim_x, dim_z))
-
-    # ------------------------------------------------------------------ choices
-
-    @property
-    def influence(self) -> Any:
-        """The influence function psi."""
-        return self._choices.influence
-
-    @influence.setter
-    def influence(self, value: Influence) -> None:
-        self._choices = self._choices.changed(influence=value)
-
-    @property
-    def scaling(self) -> str:
-        """Which T: "innovation", "unit" or "bounded"."""
-        return self._choices.scaling
-
-    @scaling.setter
-    def scaling(self, value: str) -> None:
-        self._choices = self._choices.changed(scaling=value)
-
-    @property
-    def information(self) -> str:
-        """Which D: "realized", "expected" or "weight"."""
-        return self._choices.information
-
-    @information.setter
-    def information(self, value: str) -> None:
-        self._choices = self._choices.changed(information=value)
-
-    @property
-    def grouping(self) -> str:
-        """psi of each "component" or of all of them "joint"."""
-        return self._choices.grouping
-
-    @grouping.setter
-    def grouping(self, value: str) -> None:
-        self._choices = self._choices.changed(grouping=value)
-
-    # ------------------------------------------------------------------ what the last correction did
-
-    @property
-    def weights(self) -> Array:
-        """psi(e)/e of the last correction, shape of y; NaN where a component was missing."""
-        return self._shown("weights", np.nan)
-
-    @property
-    def clipped(self) -> np.ndarray:
-        """Whether psi'(e) <= 0 in the last correction, shape of y."""
-        return self._shown("clipped", False)
-
-    @property
-    def e(self) -> Array:
-        """Standardized innovation T y of the last correction, shape of y (paper 29)."""
-        return self._shown("e", 0.0)
-
-    @property
-    def y_bounded(self) -> Array:
-        """Bounded innovation T^-1 psi(T y) of the last correction, shape of y, in the unit of z."""
-        return self._shown("y_bounded", 0.0)
-
-    @property
-    def T(self) -> Array:
-        """Scaling of the last correction, shape (dim_z, dim_z) (paper 36)."""
-        if self._last is None:
-            return np.eye(self.dim_z)
-        return np.atleast_2d(np.array(self._last.T))
-
-    def _shown(self, name: str, absent: Any) -> Array:
-        """Return a field of the last correction in the shape that y has for this kind of state."""
-        column = np.ndim(self.x) != 1
-        if self._last is None:
-            return np.full((self.dim_z, 1) if column else self.dim_z, absent)
-        if isinstance(self._last, ScalarCorrection):
-            self._last = self._last.as_arrays()
-        values = np.array(getattr(self._last, name))
-        return values[:, None] if column else values
-
-    # ------------------------------------------------------------------ prediction: filterpy's, checked
 
     def predict(
         self, u: ArrayLike | None = None, B: ArrayLike | None = None, F: ArrayLike | None = None, Q: Any = None
@@ -276,6 +197,7 @@ class RobustKalmanFilter(KalmanFilter):
         if self._alpha_sq != 1.0:
             P *= self._alpha_sq
         P += noise
+        require_finite_prediction(x, P)
         return x, P
 
     def predict_steadystate(self, u: ArrayLike | None = 0, B: ArrayLike | None = None) -> None:
@@ -298,10 +220,20 @@ class RobustKalmanFilter(KalmanFilter):
         B = self.B if B is None else B
         if B is not None and u is not None:
             x = x + control_term(B, u, x.shape)
+        require_finite_prediction(x, P)
         self.x = x
         self.x_prior, self.P_prior = x.copy(), P.copy()
 
-    # ------------------------------------------------------------------ correction
+    @property
+    def alpha(self) -> float:
+        """Fading memory factor, >= 1: P is multiplied by alpha^2 at each prediction."""
+        return math.sqrt(self._alpha_sq)
+
+    @alpha.setter
+    def alpha(self, value: float) -> None:
+        if not 1.0 <= _checks.real("alpha", value) < math.inf:
+            raise ValueError(f"alpha: expected a finite number >= 1, got {value!r}")
+        self._alpha_sq = float(value) ** 2
 
     def update(self, z: ArrayLike | None, R: Any = None, H: ArrayLike | None = None) -> None:
         """Correct the state by a measurement whose influence is bounded (paper 37, 39, 42, 44, 47, 49).
@@ -351,24 +283,23 @@ class RobustKalmanFilter(KalmanFilter):
             self._skip()
             return
         last = self._corrected(x, P, values, H, R, M)
-        if type(last) is ScalarCorrection:
+        x_post, P_post = last.x, last.P
+        if len(H) == 1:
             values = np.array([values])
-            self.x = last.x
-            self.y, self.S, self.SI = np.array([last.y]), np.array([[last.S]]), np.array([[last.SI]])
-        else:
-            self.x = last.x.reshape(x.shape)
-            self.y, self.S, self.SI = last.y, last.S, last.SI
         if x.ndim == 2:
-            values, self.y = values[:, None], self.y[:, None]
-        self.z, self.P, self.K, self._last = values, last.P, last.K, last
-        self.x_post, self.P_post = self.x.copy(), last.P.copy()
+            values = values[:, None]
+            if x_post.ndim == 1:
+                x_post = x_post[:, None]
+        self.x, self.P, self.z, self.K, self._last = x_post, P_post, values, last.K, last
+        self._y = self._S = self._SI = None
+        self.x_post, self.P_post = x_post.copy(), P_post.copy()
         self._log_likelihood = self._likelihood = self._mahalanobis = None
 
     def _measurement(self, z: Any, R: Any, H: Any, M: Any, n: int) -> tuple[Array, Array, Any, Any]:
         """Return checked H, R, z (a float, an array of shape (m,), or None if all is missing) and M."""
         given = H is not None
         H = self.H if H is None else H
-        if not (type(H) is np.ndarray and H.dtype == np.float64 and H.ndim == 2 and H.shape[1] == n):
+        if not (type(H) is np.ndarray and H.dtype is FLOAT and H.ndim == 2 and H.shape[1] == n):
             rows = np.shape(H)[0] if given and np.ndim(H) == 2 else self.dim_z
             H = _checks.matrix("H", H, (rows, n), f"dim_z={rows}, dim_x={n}")
         m = H.shape[0]
@@ -377,22 +308,29 @@ class RobustKalmanFilter(KalmanFilter):
         values = None if z is None else measured(z, m)
         if values is None:
             return H, self.R, None, M
-        R, key = noise_covariance(self.R, R, m, self._trusted_R)
-        self._trusted_R = key
+        R = noise_covariance(self.R, R, m)
         if M is not None:
             M = _checks.matrix("M", M, (n, m), f"dim_x={n}, dim_z={m}")
         return H, R, values, M
 
     def _corrected(self, x: Array, P: Array, values: Any, H: Array, R: Array, M: Any) -> Correction | ScalarCorrection:
         """Return the correction of x by checked values; changes nothing."""
-        inv = None if self.inv is _DEFAULT_INV else self.inv
+        inv = self._inverse
         predicted = H.dot(x)
-        expected = sum(predicted.ravel().tolist())
-        if expected != expected or expected - expected != 0.0:
-            raise ValueError(f"x: expected finite numbers, got H x = {predicted.ravel()}")
-        if H.shape[0] == 1 and inv is None and self._choices.pointwise is not None:
-            return correct_scalar(x, P, values - predicted.item(), H, R.item(), self._choices, M)
-        return correct(x.ravel(), P, np.atleast_1d(values) - predicted.ravel(), H, R, self._choices, M, inv)
+        if len(H) == 1:
+            y = values - predicted.item()
+            if y - y != 0.0:
+                raise ValueError(f"x: expected finite numbers, got H x = {predicted.ravel()}")
+            if inv is None and self._choices.pointwise is not None:
+                return correct_scalar(x, P, y, H, R.item(), self._choices, M)
+            return correct(x.ravel(), P, np.array([y]), H, R, self._choices, M, inv)
+        if x.ndim == 2:
+            x, predicted = x[:, 0], predicted[:, 0]
+        y = values - predicted
+        total = sum(y.tolist())
+        if total - total != 0.0 and not np.isfinite(predicted).all():
+            raise ValueError(f"x: expected finite numbers, got H x = {predicted}")
+        return correct(x, P, y, H, R, self._choices, M, inv)
 
     def _skip(self) -> None:
         """Do what filterpy does for update(None), and forget the last innovation."""
@@ -400,8 +338,10 @@ class RobustKalmanFilter(KalmanFilter):
         self.z = np.array([[None] * m]).T
         self.x_post, self.P_post = np.copy(self.x), np.copy(self.P)
         self.y = np.zeros((m, 1) if np.ndim(self.x) != 1 else m)
-        T = self.T if self.T.shape == (m, m) else np.eye(m)
-        self._last = nothing_observed(self.x, self.P, self.S, m)._replace(T=T)
+        T, S, SI = self.T, self.S, self.SI
+        T = T if T.shape == (m, m) else np.eye(m)
+        self._last = nothing_observed(self.x, self.P, S, m)._replace(T=T)
+        self.S, self.SI = S, SI
         self._log_likelihood = self._likelihood = self._mahalanobis = None
 
     def get_update(self, z: ArrayLike | None = None) -> tuple[Array, Array]:
@@ -424,7 +364,7 @@ class RobustKalmanFilter(KalmanFilter):
         if values is None:
             return self.x, self.P
         last = self._corrected(x, P, values, H, R, None)
-        return np.reshape(last.x, x.shape), last.P
+        return last.x.reshape(x.shape), last.P
 
     def update_steadystate(self, z: ArrayLike | None) -> None:
         """Correct the state with the gain K as it stands, and leave P and K as they are.
@@ -458,40 +398,124 @@ class RobustKalmanFilter(KalmanFilter):
         values = np.atleast_1d(values)
         y = values - H.dot(x).ravel()
         part = np.flatnonzero(y == y)
-        inv = None if self.inv is _DEFAULT_INV else self.inv
+        inv = self._inverse
         pick = np.ix_(part, part)
-        T, SI, _ = standardize(S[pick], self.scaling, inv)
+        T, _, _ = standardize(S[pick], self.scaling, inv)
         e = standardized(T, y[part])
         psi, _, slope = self._choices.bound(e, None if self.grouping == "component" else H[part].any(axis=1))
         whole = np.zeros((m, m))
         whole[pick] = T
         y, e, psi = (spread(values_, part, m) for values_ in (y[part], e, psi))
-        last = Correction(x, P, y, S, self.SI, K, whole, e, psi, spread(slope, part, m, np.nan))
+        last = Correction(x, P, y, S, self.SI, K, whole, e, psi, spread(np.array(slope), part, m, np.nan))
         self.x = (x.ravel() + K @ last.y_bounded).reshape(x.shape)
         shape = (m, 1) if x.ndim == 2 else (m,)
         self.y, self.z, self.S, self._last = y.reshape(shape), values.reshape(shape), S, last
         self.x_post, self.P_post = self.x.copy(), P.copy()
         self._log_likelihood = self._likelihood = self._mahalanobis = None
 
-    # ------------------------------------------------------------------ likelihood
+    def residual_of(self, z: ArrayLike) -> Array:
+        """Return z - H x_prior.
 
-    @property
-    def log_likelihood(self) -> float:
-        """Log-likelihood of the last measurement under the density of psi; 0 if it was missing altogether."""
-        if self._log_likelihood is None:
-            weights = self.weights.ravel()
-            y = np.where(np.isnan(weights), np.nan, np.ravel(self.y))
-            self._log_likelihood = log_density(
-                y, np.atleast_2d(self.S), self._choices, None if self.inv is _DEFAULT_INV else self.inv
-            )
-        return self._log_likelihood
+        Parameters
+        ----------
+        z : array_like, shape (dim_z,) or (dim_z, 1), or scalar
+            Measurement.
 
-    @property
-    def likelihood(self) -> float:
-        """exp(log_likelihood), at least the smallest normal float."""
-        if self._likelihood is None:
-            self._likelihood = max(math.exp(min(self.log_likelihood, 700.0)), sys.float_info.min)
-        return self._likelihood
+        Returns
+        -------
+        ndarray, shape of y
+        """
+        predicted = np.dot(self.H, self.x_prior)
+        return np.reshape(measured(z, len(predicted), missing=True), predicted.shape) - predicted
+
+    def update_sequential(self, start: int, z_i: ArrayLike, R_i: Any = None, H_i: ArrayLike | None = None) -> None:
+        """Correct the state by a part of the measurement: one robust correction by z[start:start + len(z_i)].
+
+        Parameters
+        ----------
+        start : int
+            Place of the first component in z.
+        z_i : array_like, shape (k,) or (k, 1), or scalar
+            The components; NaN marks a missing one.
+        R_i : array_like, shape (k, k), or scalar, optional
+            Their noise covariance, otherwise that block of ``self.R``.
+        H_i : array_like, shape (k, dim_x), optional
+            Their measurement matrix, otherwise those rows of ``self.H``.
+
+        Raises
+        ------
+        ValueError, SingularInnovationError, NotPositiveDefiniteError
+            As in `update`; also if the part leaves z.
+
+        Notes
+        -----
+        y, S, SI, K, T, e and weights keep what earlier blocks left in their places, so that after the last block
+        ``log_likelihood`` is that of the whole measurement.
+        """
+        x, P = state_of(self)
+        n, m, k = len(x), self.dim_z, int(np.size(z_i))
+        start = _checks.count("start", start)
+        part = slice(start, start + k)
+        if k < 1 or start + k > m:
+            raise ValueError(f"z_i: expected 1 to {m - start} numbers from start={start} for dim_z={m}, got {k}")
+        H = _checks.matrix("H", self.H, (m, n), f"dim_z={m}, dim_x={n}")[part] if H_i is None else H_i
+        H = _checks.matrix("H_i", np.reshape(H, (1, -1)) if k == 1 else H, (k, n), f"{k} number(s) in z_i, dim_x={n}")
+        R = noise_covariance(
+            _checks.matrix("R", self.R, (m, m), f"dim_z={m}")[part, part] if R_i is None else R_i, R_i, k
+        )
+        values = measured(z_i, k, missing=True)
+        some = self._corrected(x, P, values, H, np.ascontiguousarray(R), None)
+        last, self._last = embed_block(self._arrays(), some, part, m), None
+        z = np.array([None] * m) if np.size(self.z) != m else np.ravel(self.z).copy()
+        z[part] = values
+        self.x, self.P, self.K, self._last = some.x.reshape(x.shape), some.P, last.K, last
+        self.z = (z if None in z.tolist() else z.astype(float)).reshape((m, 1) if x.ndim == 2 else m)
+        self._y = self._S = self._SI = None
+        self.x_post, self.P_post = self.x.copy(), self.P.copy()
+        self._log_likelihood = self._likelihood = self._mahalanobis = None
+
+    def batch_filter(
+        self,
+        zs: Any,
+        Fs: Any = None,
+        Qs: Any = None,
+        Hs: Any = None,
+        Rs: Any = None,
+        Bs: Any = None,
+        us: Any = None,
+        update_first: bool = False,
+        saver: Any = None,
+    ) -> tuple[Array, Array, Array, Array]:
+        """Filter a whole recording.
+
+        Parameters
+        ----------
+        zs : sequence of length N
+            Measurements as `update` takes them: numbers, arrays, rows with NaN, None.
+        Fs, Qs, Hs, Rs, Bs, us : sequence of length N, optional
+            Matrices and control inputs for each step, otherwise the filter's own and no input.
+        update_first : bool, default False
+            Whether each step corrects first and then predicts.
+        saver : filterpy.common.Saver, optional
+            Its ``save()`` is called after each step.
+
+        Returns
+        -------
+        means : ndarray, shape (N, dim_x) or (N, dim_x, 1)
+            Corrected states.
+        covariances : ndarray, shape (N, dim_x, dim_x)
+            Their covariances.
+        means_p : ndarray, shape of means
+            Predicted states.
+        covariances_p : ndarray, shape (N, dim_x, dim_x)
+            Their covariances.
+
+        Raises
+        ------
+        ValueError, LinAlgError
+            As in `predict` and `update`, with the step named; the filter is then as it was before the call.
+        """
+        return filter_recording(self, zs, Fs, Qs, Hs, Rs, Bs, us, update_first, saver)
 
     def log_likelihood_of(self, z: ArrayLike | None) -> float:
         """Return the log-likelihood of a measurement given the present state and S.
@@ -511,36 +535,4 @@ class RobustKalmanFilter(KalmanFilter):
         if values is None:
             return 0.0
         y = np.atleast_1d(values) - H.dot(x).ravel()
-        return log_density(y, self.S, self._choices, None if self.inv is _DEFAULT_INV else self.inv)
-
-    @property
-    def mahalanobis(self) -> float:
-        """Length of the innovation in standard deviations, sqrt(y' S^-1 y), the Kalman filter's."""
-        if self._mahalanobis is None:
-            y = np.ravel(self.y)
-            peak = float(np.abs(y).max()) or 1.0
-            self._mahalanobis = peak * math.sqrt(max(float(y / peak @ self.SI @ (y / peak)), 0.0))
-        return self._mahalanobis
-
-    def residual_of(self, z: ArrayLike) -> Array:
-        """Return z - H x_prior.
-
-        Parameters
-        ----------
-        z : array_like, shape (dim_z,) or (dim_z, 1), or scalar
-            Measurement.
-
-        Returns
-        -------
-        ndarray, shape of y
-        """
-        predicted = np.dot(self.H, self.x_prior)
-        return np.reshape(measured(z, len(predicted), missing=True), predicted.shape) - predicted
-
-    def __repr__(self) -> str:
-        """Show the choices and everything that filterpy shows."""
-        lines = super().__repr__().split("\n")
-        names = ("influence", "scaling", "information", "grouping", "weights", "clipped", "e", "T", "y_bounded")
-        return "\n".join(
-            [f"{type(self).__name__} object", *lines[1:], *(pretty_str(name, getattr(self, name)) for name in names)]
-        )
+        return log_density(y, self.S, self._choices, self._inverse)
