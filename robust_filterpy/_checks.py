@@ -106,7 +106,8 @@ def described(found: Array) -> str:
 
 def positive_definite(name: str, value: Array) -> None:
     """Raise ValueError unless value is symmetric positive definite."""
-    if not np.allclose(value, value.T, rtol=1e-8, atol=0.0):
+    scale = np.sqrt(np.abs(value.diagonal()))
+    if (np.abs(value - value.T) > 1e-8 * np.outer(scale, scale)).any():
         raise ValueError(f"{name}: expected a symmetric matrix, got one that differs from its transpose")
     try:
         np.linalg.cholesky(value)

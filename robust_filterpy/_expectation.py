@@ -92,8 +92,7 @@ def _integral(function: Any, corners: tuple[float, ...], positive_only: bool = F
     if not positive_only:
         edges = [-e for e in reversed(edges)][:-1] + edges
     return sum(
-        quad(lambda e: float(function(np.array([e]))[0]), low, high, limit=200)[0]
-        for low, high in pairwise(edges)
+        quad(lambda e: float(function(np.array([e]))[0]), low, high, limit=200)[0] for low, high in pairwise(edges)
     )
 
 

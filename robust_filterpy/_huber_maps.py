@@ -34,9 +34,7 @@ def minimax_threshold(contamination: float) -> float:
     odds = contamination / (1.0 - contamination)
     if odds < 1e-290:
         return math.inf
-    return math.exp(
-        brentq(lambda s: math.log(outlier_odds(math.exp(s)) / odds), -700.0, math.log(36.0), xtol=1e-15)
-    )
+    return math.exp(brentq(lambda s: math.log(outlier_odds(math.exp(s)) / odds), -700.0, math.log(36.0), xtol=1e-15))
 
 
 @lru_cache(maxsize=256)
@@ -56,9 +54,7 @@ def huber_log_normalizer(k: float, dim: int) -> float:
     if math.isinf(k):
         return dim * _LOG_SQRT_2PI
     sphere = math.log(2.0) + half * math.log(math.pi) - special.gammaln(half)
-    core = (
-        math.log(special.gammainc(half, 0.5 * k * k)) + special.gammaln(half) + (half - 1.0) * math.log(2.0)
-    )
+    core = math.log(special.gammainc(half, 0.5 * k * k)) + special.gammaln(half) + (half - 1.0) * math.log(2.0)
     # log(exp(k^2/2) Gamma(dim, k^2)/k^dim); for integer dim the upper incomplete gamma is a finite sum.
     terms = -special.gammaln(np.arange(dim) + 1.0) + 2.0 * np.arange(dim) * math.log(k)
     tail = special.gammaln(dim) - 0.5 * k * k + special.logsumexp(terms) - dim * math.log(k)

@@ -107,17 +107,9 @@ def control_term(B: Any, u: Any, shape: tuple[int, ...]) -> Any:
 
 
 def require_finite_prediction(x: Array, P: Array) -> None:
-    """Raise unless x and P are finite; the sums are finite whenever the entries are and rarely otherwise."""
-    total = sum(x.ravel().tolist()) + P.ravel().dot(_ones(P.size))
+    """Raise unless x and P are finite: one product shows whether any entry of either is not."""
+    total = sum(P.dot(x).ravel().tolist())
     if total - total != 0.0:
         for name, value, causes in (("x", x, "x, F, B and u"), ("P", P, "P, F and Q")):
             if not np.isfinite(value).all():
                 raise ValueError(f"predict: expected a finite {name}, got NaN or infinity; check {causes}")
-
-
-@lru_cache(maxsize=64)
-def _ones(size: int) -> Array:
-    """Return ones, to be read only."""
-    ones = np.ones(size)
-    ones.flags.writeable = False
-    return ones

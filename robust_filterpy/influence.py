@@ -424,9 +424,7 @@ class StudentT(_Base):
         if dim >= a:
             return super().log_normalizer(dim)
         sphere = math.log(2.0) + 0.5 * dim * math.log(math.pi) - special.gammaln(0.5 * dim)
-        return float(
-            sphere + 0.5 * dim * math.log(a) + special.betaln(0.5 * dim, 0.5 * (a - dim)) - math.log(2.0)
-        )
+        return float(sphere + 0.5 * dim * math.log(a) + special.betaln(0.5 * dim, 0.5 * (a - dim)) - math.log(2.0))
 
     def rho(self, e: ArrayLike) -> Array:
         """Return (df + 1)/2 log(1 + e^2/(df + 1)); the shape of e."""

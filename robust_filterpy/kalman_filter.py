@@ -311,6 +311,8 @@ class RobustKalmanFilter(Robust, KalmanFilter):
         R = noise_covariance(self.R, R, m)
         if M is not None:
             M = _checks.matrix("M", M, (n, m), f"dim_x={n}, dim_z={m}")
+            if not np.isfinite(M).all():
+                raise ValueError("M: expected finite numbers, got NaN or infinity")
         return H, R, values, M
 
     def _corrected(self, x: Array, P: Array, values: Any, H: Array, R: Array, M: Any) -> Correction | ScalarCorrection:
