@@ -1,0 +1,227 @@
+"""Linear plants to identify: ARX and output-error data from a transfer function or from drifting parameters.
+
+A parameter vector is ``theta = [a_1 .. a_na, b_1 .. b_nb]``, eq (12), and stands for
+
+    y_n(k) = -a_1 y_n(k-1) - .. - a_na y_n(k-na) + b_1 u(k-nk) + .. + b_nb u(k-nk-nb+1)            (11)
+
+where theta may change from sample to sample: row k of a path is the theta(k) that makes y(k).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.signal
+from numpy.typing import ArrayLike
+
+from robust_filterpy._checks import Array
+from robust_filterpy._series import finite_vector
+
+from .parameters import System, orders_of
+
+__all__ = [
+    "Simulation",
+    "simulate_arx",
+    "simulate_output_error",
+]
+
+
+class Simulation(NamedTuple):
+    """Data of a simulated plant, and the truth behind them; N samples of each.
+
+    Attributes
+    ----------
+    u : ndarray, shape (N,)
+        Input.
+    y : ndarray, shape (N,)
+        Measured output.
+    y_clean : ndarray, shape (N,)
+        Output without noise, y_n of eq (11).
+    theta : ndarray, shape (N, na + nb)
+        Parameters; row k made sample k.
+    """
+
+    u: Array
+    y: Array
+    y_clean: Array
+    theta: Array
+
+
+def simulate_arx(
+    system: System,
+    u: ArrayLike,
+    *,
+    noise: Any = None,
+    rng: np.random.Generator | int | None = None,
+    na: int | None = None,
+    nb: int | None = None,
+    nk: int | None = None,
+) -> Simulation:
+    """Simulate a plant with the noise inside its loop: ``A(q) y = B(q) u + noise``.
+
+    ``y(k) = theta(k)' [-y(k-1) .. -y(k-na), u(k-nk) .. u(k-nk-nb+1)] + noise(k)``: an outlier goes round the loop
+    with the output and decays with the plant's own dynamics.
+
+    Parameters
+    ----------
+    system : control.TransferFunction or array_like, shape (na + nb,) or (N, na + nb)
+        Discrete transfer function with one input and one output, or theta (constant, or one row per sample).
+    u : array_like, shape (N,)
+        Input.
+    noise : scipy.stats distribution or array_like of shape (N,), optional
+        A distribution (anything with ``rvs(size=, random_state=)``) to draw from, or the noise itself, in the unit
+        of y. Default: none.
+    rng : numpy.random.Generator or int, optional
+        Draws the noise.
+    na, nb : int, optional
+        Number of a's and b's in theta; with a transfer function they are read from it and must not be given.
+    nk : int, optional
+        Delay of b_1 in samples, 0 for direct feed-through. Default: 1 with theta, read from a transfer function.
+
+    Returns
+    -------
+    Simulation
+        u, y, y_clean (the same recursion without noise), theta.
+
+    Raises
+    ------
+    ValueError
+        If shapes or orders do not fit together, a number is not finite, or the output overflows.
+    TypeError
+        If an argument is of the wrong kind.
+
+    Notes
+    -----
+    The plant is at rest before sample 0: u and y are zero there. theta(k) makes y(k), eqs (11) and (14).
+
+    Examples
+    --------
+    >>> simulate_arx([-0.5, 1.0], [1, 0, 0, 0], na=1, nb=1).y
+    array([0.  , 1.  , 0.5 , 0.25])
+    """
+    plant = _Plant.of(system, u, na, nb, nk)
+    v = _noise(noise, plant.u.size, rng)
+    y_clean = plant.output(plant.forcing)
+    y = plant.output(plant.forcing + v) if v.any() else y_clean.copy()
+    return Simulation(plant.u, y, y_clean, plant.theta)
+
+
+def simulate_output_error(
+    system: System,
+    u: ArrayLike,
+    *,
+    noise: Any = None,
+    rng: np.random.Generator | int | None = None,
+    na: int | None = None,
+    nb: int | None = None,
+    nk: int | None = None,
+) -> Simulation:
+    """Simulate a plant with the noise on its output: ``y = B(q)/A(q) u + noise``, eqs (11)-(14).
+
+    Parameters
+    ----------
+    system : control.TransferFunction or array_like, shape (na + nb,) or (N, na + nb)
+        Discrete transfer function with one input and one output, or theta (constant, or one row per sample).
+    u : array_like, shape (N,)
+        Input.
+    noise : scipy.stats distribution or array_like of shape (N,), optional
+        A distribution (anything with ``rvs(size=, random_state=)``) to draw from, or the noise itself, in the unit
+        of y. Default: none.
+    rng : numpy.random.Generator or int, optional
+        Draws the noise.
+    na, nb : int, optional
+        Number of a's and b's in theta; with a transfer function they are read from it and must not be given.
+    nk : int, optional
+        Delay of b_1 in samples, 0 for direct feed-through. Default: 1 with theta, read from a transfer function.
+
+    Returns
+    -------
+    Simulation
+        u, y, y_clean (y_n of eq (11)), theta.
+
+    Raises
+    ------
+    ValueError
+        If shapes or orders do not fit together, a number is not finite, or the output overflows.
+    TypeError
+        If an argument is of the wrong kind.
+
+    Notes
+    -----
+    The plant is at rest before sample 0: u and y_n are zero there. theta(k) makes y_n(k), eqs (11) and (14).
+
+    Examples
+    --------
+    >>> from scipy.stats import norm
+    >>> data = simulate_output_error([-0.5, 1.0], [1, 0, 0, 0], na=1, nb=1, noise=norm(scale=0.1), rng=1)
+    >>> data.y_clean
+    array([0.  , 1.  , 0.5 , 0.25])
+    >>> (data.y - data.y_clean).round(3)
+    array([ 0.035,  0.082,  0.033, -0.13 ])
+    """
+    plant = _Plant.of(system, u, na, nb, nk)
+    v = _noise(noise, plant.u.size, rng)
+    y_clean = plant.output(plant.forcing)
+    return Simulation(plant.u, y_clean + v, y_clean, plant.theta)
+
+
+class _Plant(NamedTuple):
+    """Checked arguments: what drives the recursion, and its coefficients."""
+
+    u: Array
+    theta: Array  # (N, na + nb)
+    na: int
+    forcing: Array  # b_1(k) u(k-nk) + .. + b_nb(k) u(k-nk-nb+1)
+    constant: bool
+
+    @classmethod
+    def of(cls, system: System, u: ArrayLike, na: int | None, nb: int | None, nk: int | None) -> _Plant:
+        """Bring every accepted form of system to a theta per sample."""
+        signal = finite_vector("u", u).copy()
+        theta, na, nb, nk = orders_of(system, na, nb, nk)
+        constant = theta.ndim == 1
+        if not constant and len(theta) != signal.size:
+            raise ValueError(f"theta: expected a row for each of the {signal.size} samples of u, got {len(theta)} rows")
+        theta = np.tile(theta, (signal.size, 1)) if constant else theta.copy()
+        padded = np.concatenate((np.zeros(nk + nb), signal))
+        forcing = np.zeros(signal.size)
+        for j in range(nb):
+            forcing += theta[:, na + j] * padded[nb - j : nb - j + signal.size]
+        return cls(signal, theta, na, forcing, constant)
+
+    def output(self, forcing: Array) -> Array:
+        """Run y(k) = forcing(k) - a_1(k) y(k-1) - .. - a_na(k) y(k-na) from rest."""
+        na = self.na
+        with np.errstate(over="ignore", invalid="ignore"):
+            if self.constant:
+                y = scipy.signal.lfilter([1.0], np.concatenate(([1.0], self.theta[0, :na])), forcing)
+            else:
+                padded = np.zeros(na + forcing.size)
+                # Oldest first, as the samples stand in the buffer.
+                a = np.ascontiguousarray(self.theta[:, na - 1 :: -1] if na else self.theta[:, :0])
+                for k, drive in enumerate(forcing):
+                    padded[na + k] = drive - a[k].dot(padded[k : k + na])
+                y = padded[na:]
+        if not np.isfinite(y).all():
+            raise ValueError(
+                f"theta: the output overflows at sample {int(np.argmin(np.isfinite(y)))}, the plant is unstable; "
+                "random_walk(..., accept=stable(na)) keeps a path stable"
+            )
+        return y
+
+
+def _noise(noise: Any, n: int, rng: np.random.Generator | int | None) -> Array:
+    """Return n samples of noise, drawn or given."""
+    if noise is None:
+        return np.zeros(n)
+    if isinstance(noise, type):
+        raise TypeError(
+            f"noise: expected a distribution, got the class {noise.__name__}; make one: {noise.__name__}(..)"
+        )
+    if hasattr(noise, "rvs"):
+        noise = noise.rvs(size=n, random_state=np.random.default_rng(rng))
+    v = finite_vector("noise", noise)
+    if v.size != n:
+        raise ValueError(f"noise: expected {n} samples, one for each of u, got {v.size}")
+    return v
