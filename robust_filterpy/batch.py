@@ -9,6 +9,8 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 
+__all__: list[str] = []
+
 
 def filter_recording(
     kf: Any, zs: Any, Fs: Any, Qs: Any, Hs: Any, Rs: Any, Bs: Any, us: Any, update_first: bool, saver: Any
