@@ -261,10 +261,10 @@ def assert_same_state(robust, plain, names=(*STATE, "y", "K", "S", "SI"), rtol=1
         assert_close(getattr(robust, name), getattr(plain, name), rtol, name)
 
 
-def assert_positive_definite(P, what="P"):
-    """Symmetric to the last bit that matters, finite, and with a Cholesky factor."""
+def assert_positive_definite(P, what="P", size=0.0):
+    """Finite, with a Cholesky factor, and symmetric but for rounding at the size that P has or had before."""
     assert np.all(np.isfinite(P)), f"{what}: {P}"
-    np.testing.assert_allclose(P, P.T, rtol=0, atol=1e-12 * np.abs(P).max(), err_msg=what)
+    np.testing.assert_allclose(P, P.T, rtol=0, atol=1e-12 * max(size, np.abs(P).max()), err_msg=what)
     np.linalg.cholesky(P)
 
 
