@@ -15,6 +15,8 @@ import zipfile
 
 import pytest
 
+pytestmark = pytest.mark.core
+
 REQUIREMENT = "filterpy==1.4.5"
 
 # Runs inside those processes: seeds every test, counts the filters that each one builds, and swaps the class.
