@@ -359,12 +359,12 @@ def test_fit_percent_leaves_missing_samples_out():
 
 
 def test_bootstrap_interval_covers_as_often_as_it_says():
-    # One call bootstraps 400 samples of 60 runs at once.
-    samples = default_rng(4).exponential(size=(60, 400))
+    # One call bootstraps 2000 samples of 60 runs at once.
+    samples = default_rng(4).exponential(size=(60, 2000))
     interval = bootstrap_interval(samples, level=0.9, rng=0, n_resamples=999)
     covered = np.mean((interval.low < 1) & (1 < interval.high))
     # 5 standard errors, and .02 more because the coverage is nominal only for many runs.
-    assert abs(covered - 0.9) < 5 * np.sqrt(0.9 * 0.1 / 400) + 0.02
+    assert abs(covered - 0.9) < 5 * np.sqrt(0.9 * 0.1 / 2000) + 0.02
     assert_allclose(np.mean(interval.standard_error), 1 / np.sqrt(60), rtol=0.05)
     assert_allclose(interval.estimate, samples.mean(axis=0))
 
