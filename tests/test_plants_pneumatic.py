@@ -1,0 +1,392 @@
+"""Physics of the pneumatic servo: the paper's eqs (1)-(7), conservation laws, symmetries, range of the pressures."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+from scipy.integrate import quad, solve_ivp
+
+from robust_filterpy.plants.pneumatic import (
+    PneumaticParameters,
+    beta_coefficient,
+    critical_ratio,
+    flow_function,
+    operating_point,
+    pneumatic_servo,
+    servo_derivatives,
+    simulate_actuator,
+)
+
+P = PneumaticParameters()
+# A piston too heavy to move: the chambers are two vessels of constant volume.
+FIXED = replace(P, mass=1e12)
+FREE = replace(P, viscous_friction=0.0, coulomb_friction=0.0, static_friction=0.0)
+ALPHA, BETA = 1.3, 0.4
+
+
+def textbook_flow(p_up, p_down, kappa=1.4):
+    """Flow through a nozzle over C_d A p_up / sqrt(R T), from velocity and density of the isentropic jet."""
+    pressure = max(p_down, p_up * (2 / (kappa + 1)) ** (kappa / (kappa - 1)))
+    ratio = pressure / p_up
+    velocity = math.sqrt(2 * kappa / (kappa - 1) * (1 - ratio ** ((kappa - 1) / kappa)))
+    return velocity * ratio ** (1 / kappa)
+
+
+def port_flow(p_outer, p_chamber):
+    """Return f of eq (5), positive into the chamber, by the textbook."""
+    if p_outer >= p_chamber:
+        return p_outer * textbook_flow(p_outer, p_chamber)
+    return -p_chamber * textbook_flow(p_chamber, p_outer)
+
+
+def volumes(p, y):
+    half = p.dead_length + p.stroke / 2
+    return p.area_a * (half + y), p.area_b * (half - y)
+
+
+def ode(p, x, duration, valve=0.0, load=0.0, alpha=ALPHA, beta=BETA, **options):
+    """Integrate the plant by scipy, tightly: the oracle of the fast path, and the path of the balances."""
+    rhs = servo_derivatives(p)
+    u = valve if callable(valve) else lambda t: valve
+    return solve_ivp(
+        lambda t, s: rhs(*s, u(t), load, alpha, beta),
+        (0, duration),
+        x,
+        method="LSODA",
+        rtol=1e-10,
+        atol=[1e-12, 1e-11, 1e-4, 1e-4],
+        dense_output=True,
+        **options,
+    )
+
+
+def random_states(n=50, seed=0):
+    rng = np.random.default_rng(seed)
+    for _ in range(n):
+        yield (
+            rng.uniform(-0.037, 0.037),
+            rng.normal(0, 0.2),
+            rng.uniform(0.9e5, 5.5e5),
+            rng.uniform(0.9e5, 5.5e5),
+            rng.uniform(-1, 1),
+            rng.normal(0, 20),
+        )
+
+
+# --- the reduced flow function -----------------------------------------------------------------------------------
+
+
+def test_choked_and_subsonic_branches_meet():
+    critical = critical_ratio()
+    assert critical == pytest.approx(0.5283, abs=5e-5)
+    assert flow_function(critical) == pytest.approx(flow_function(critical + 1e-9), abs=1e-12)
+    # The subsonic branch has its maximum where it meets the choked one: no kink.
+    slope = (flow_function(critical + 1e-5) - flow_function(critical)) / 1e-5
+    assert abs(slope) < 1e-4
+    assert flow_function(0.0) == flow_function(0.5) == pytest.approx(0.6847, abs=5e-5)
+
+
+@pytest.mark.parametrize("kappa", [1.1, 1.4, 5 / 3])
+def test_flow_is_that_of_an_isentropic_nozzle(kappa):
+    ratios = np.linspace(0, 1, 101)
+    expected = [textbook_flow(1.0, r, kappa) for r in ratios]
+    assert flow_function(ratios, kappa) == pytest.approx(expected, abs=1e-8)
+    assert flow_function(1.0, kappa) == 0
+
+
+def test_laminar_line_joins_the_subsonic_branch_to_zero():
+    exact, line = flow_function(0.999), flow_function(np.array([0.9989999, 0.999, 0.9995, 1.0]), laminar_ratio=0.999)
+    assert line == pytest.approx([exact, exact, exact / 2, 0.0], rel=1e-4)
+
+
+# --- one test for each numbered equation --------------------------------------------------------------------------
+
+
+def test_equation_1_forces_on_the_piston_with_the_atmosphere_on_the_rod():
+    p = replace(P, spring=120.0)
+    rhs = servo_derivatives(p)
+    for y, v, p_a, p_b, u, load in random_states():
+        dry = (0.486 + (0.6 - 0.486) * math.exp(-((v / 0.02) ** 2))) * math.tanh(v / 1e-3)
+        gauge_force = p.area_a * (p_a - 1e5) - p.area_b * (p_b - 1e5)
+        expected = (gauge_force - 4.47 * v - dry - 120 * y - load) / p.mass
+        assert rhs(y, v, p_a, p_b, u, load, ALPHA, BETA)[1] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    # An open cylinder in the atmosphere does not push its rod.
+    assert servo_derivatives(P)(0.0, 0.0, 1e5, 1e5, 0.0, 0.0, ALPHA, BETA)[1] == pytest.approx(0, abs=1e-12)
+
+
+def test_equation_2_and_3_a_closed_chamber_is_polytropic():
+    path = ode(FREE, [0.0, 0.3, 3e5, 3e5], 0.2)
+    for chamber, index in ((2, 0), (3, 1)):
+        volume = volumes(P, path.y[0])[index]
+        constant = path.y[chamber] * volume**ALPHA
+        assert np.ptp(volume) > 0.02 * volume[0]
+        assert constant == pytest.approx(constant[0], rel=1e-7)
+
+
+def test_equation_4_pressure_grows_with_the_flow_through_the_opening():
+    rhs = servo_derivatives(replace(P, laminar_ratio=1.0))
+    for y, _, p_a, p_b, u, load in random_states():
+        _, _, dp_a, dp_b = rhs(y, 0.0, p_a, p_b, u, load, ALPHA, BETA)
+        outer = (5e5, 1e5) if u > 0 else (1e5, 5e5)
+        scale = BETA * math.sqrt(287.06 * 293.15) * 2.815e-5 * abs(u)
+        v_a, v_b = volumes(P, y)
+        assert dp_a == pytest.approx(scale * port_flow(outer[0], p_a) / v_a, rel=1e-6)
+        assert dp_b == pytest.approx(scale * port_flow(outer[1], p_b) / v_b, rel=1e-6)
+
+
+def test_equation_5_the_sign_of_the_flow_follows_the_pressures_not_the_valve():
+    rhs = servo_derivatives(FIXED)
+
+    def signs(p_a, p_b, u):
+        return tuple(np.sign(rhs(0.0, 0.0, p_a, p_b, u, 0.0, ALPHA, BETA)[2:]).astype(int))
+
+    assert signs(3e5, 3e5, 0.1) == (1, -1)
+    assert signs(3e5, 3e5, -0.1) == (-1, 1)
+    assert signs(6e5, 0.8e5, 0.1) == (-1, 1)  # back into the supply, in from the atmosphere
+    assert signs(0.8e5, 6e5, -0.1) == (1, -1)
+    assert signs(5e5, 1e5, 0.1) == (0, 0)
+    assert signs(3e5, 3e5, 0.0) == (0, 0)
+
+
+def test_equation_6_beta_joins_heat_discharge_and_temperature():
+    assert beta_coefficient(1.2, 0.25, 1.44) == pytest.approx(0.36)
+    assert beta_coefficient([1.0, 1.2], 0.3) == pytest.approx([0.3, 0.36])
+    # The servo's own default is the equation at the nominal temperature.
+    x, u = np.array([0.0, 0.1, 3e5, 2e5]), np.array([0.3, 0.0])
+    default, explicit = pneumatic_servo(alpha=1.1), pneumatic_servo(alpha=1.1, beta=1.1 * 0.25)
+    assert default.dynamics(0, x, u) == pytest.approx(explicit.dynamics(0, x, u), rel=1e-14)
+
+
+def test_equation_7_is_the_dynamics_of_the_python_control_system():
+    servo = pneumatic_servo(alpha=lambda t: 1.1 + 0.1 * t, beta=([0.0, 2.0], [0.2, 0.4]))
+    assert isinstance(servo, control.NonlinearIOSystem)
+    assert servo.state_labels == servo.output_labels == ["position", "velocity", "P_a", "P_b"]
+    assert servo.input_labels == ["valve", "load"] and servo.dt == 0
+    rhs = servo_derivatives(P)
+    for *x, u, load in random_states(10):
+        got = servo.dynamics(1.0, np.array(x), np.array([u, load]))
+        assert got == pytest.approx(rhs(*x, u, load, 1.2, 0.3), rel=1e-14)
+        assert got[0] == x[1]
+        assert servo.output(1.0, np.array(x), np.array([u, load])) == pytest.approx(x)
+    chosen = pneumatic_servo(outputs=["P_b", "position"])
+    assert chosen.output(0, np.array([1.0, 2.0, 3.0, 4.0]), np.zeros(2)).tolist() == [4.0, 1.0]
+
+
+def test_areas_are_the_published_ones():
+    assert pytest.approx(2.850e-4, abs=5e-8) == P.area_a
+    assert pytest.approx(2.534e-4, abs=5e-8) == P.area_b
+
+
+# --- conservation -------------------------------------------------------------------------------------------------
+
+
+def isothermal_mass(p, p_chamber, volume):
+    return p_chamber * volume / (p.gas_constant * p.temperature)
+
+
+@pytest.mark.parametrize("chamber", [0, 1])
+def test_mass_in_a_chamber_changes_by_what_flows_in(chamber):
+    valve, discharge = (lambda t: 0.03 * math.sin(30 * t)), 0.35
+    path = ode(P, [0.0, 0.0, 3e5, 3e5], 0.3, valve, alpha=1.0, beta=discharge, max_step=1e-3)
+    assert np.ptp(path.y[0]) > 5e-3
+
+    def mass_flow(t):
+        fills = (valve(t) >= 0) == (chamber == 0)
+        flow = port_flow(5e5 if fills else 1e5, path.sol(t)[2 + chamber])
+        return discharge * P.valve_area * abs(valve(t)) * flow / math.sqrt(P.gas_constant * P.temperature)
+
+    gained = quad(mass_flow, 0, 0.3, limit=400, epsrel=1e-9, points=[math.pi / 30, 2 * math.pi / 30])[0]
+    passed = quad(lambda t: abs(mass_flow(t)), 0, 0.3, limit=400, points=[math.pi / 30, 2 * math.pi / 30])[0]
+    first, last = (isothermal_mass(P, s[2 + chamber], volumes(P, s[0])[chamber]) for s in (path.y[:, 0], path.y[:, -1]))
+    assert abs(last - first - gained) < 1e-5 * passed
+
+
+def stored_energy(p, x, alpha):
+    """Kinetic energy, internal energy of the air at exponent alpha, and work done on the atmosphere."""
+    y, v, p_a, p_b = x
+    v_a, v_b = volumes(p, y)
+    atmosphere = (p.area_a - p.area_b) * p.atmospheric_pressure * y
+    return 0.5 * p.mass * v**2 + (p_a * v_a + p_b * v_b) / (alpha - 1) + atmosphere + 0.5 * p.spring * y**2
+
+
+def test_energy_of_a_frictionless_closed_actuator_is_constant():
+    p = replace(FREE, spring=300.0)
+    path = ode(p, [0.0, 0.5, 3e5, 3.2e5], 1.0)
+    energy = stored_energy(p, path.y, ALPHA)
+    kinetic = 0.5 * p.mass * path.y[1] ** 2
+    assert energy == pytest.approx(energy[0], abs=1e-5 * kinetic.max())
+    assert kinetic.min() < 0.01 * kinetic.max()
+
+
+def test_energy_does_not_appear_from_nowhere():
+    path = ode(P, [0.0, 3.0, 3e5, 3e5], 0.5)
+    assert np.max(path.y[0]) > 0.03
+    energy = stored_energy(P, path.y, ALPHA)
+    assert np.all(np.diff(energy) < 1e-6)
+    assert energy[-1] < energy[0] - 4.0
+
+
+def test_first_law_with_the_valve_open():
+    valve = 0.05
+    path = ode(P, [-0.02, 0.0, 3e5, 3e5], 0.1, valve, load=2.0, max_step=5e-4)
+    scale = BETA * math.sqrt(P.gas_constant * P.temperature) * P.valve_area * valve
+
+    def power(t):
+        _, v, p_a, p_b = path.sol(t)
+        enthalpy = scale * (port_flow(5e5, p_a) + port_flow(1e5, p_b)) / (ALPHA - 1)
+        dry = (0.486 + (0.6 - 0.486) * math.exp(-((v / 0.02) ** 2))) * math.tanh(v / 1e-3)
+        return enthalpy - (4.47 * v + dry + 2.0) * v
+
+    supplied = quad(power, 0, 0.1, limit=400, epsabs=1e-7)[0]
+    change = np.diff(stored_energy(P, path.y[:, [0, -1]], ALPHA))[0]
+    assert change == pytest.approx(supplied, abs=1e-5)
+    assert abs(change) > 0.1
+
+
+# --- motion -------------------------------------------------------------------------------------------------------
+
+
+def test_balanced_pressures_and_a_closed_valve_give_no_motion():
+    point = operating_point(velocity=0.0)
+    recording = simulate_actuator(np.zeros(200), 0.01)
+    assert np.max(np.abs(recording.position)) < 1e-9
+    assert recording.P_a == pytest.approx(point.P_a, rel=1e-9)
+    pushed = simulate_actuator(np.zeros(200), 0.01, initial=[0, 0, point.P_a + 2e4, point.P_b])
+    assert pushed.position[-1] > 1e-4
+
+
+def test_without_a_rod_reversing_the_valve_mirrors_the_motion():
+    u = 0.1 * np.sign(np.random.default_rng(1).standard_normal(60)).repeat(5)
+    start = np.array([0.005, 0.1, 3.1e5, 2.9e5])
+    options = dict(parameters=replace(P, rod=0.0), rtol=1e-9, load=1.0)
+    ahead = simulate_actuator(u, 0.005, initial=start, **options)
+    back = simulate_actuator(-u, 0.005, initial=[-0.005, -0.1, 2.9e5, 3.1e5], **{**options, "load": -1.0})
+    assert np.ptp(ahead.position) > 0.01
+    assert back.position == pytest.approx(-ahead.position, abs=1e-7)
+    assert back.P_a == pytest.approx(ahead.P_b, rel=1e-6)
+
+
+def test_with_a_rod_steady_velocities_are_mirrored_up_to_the_area_ratio():
+    # Venting is choked: the volume of air that leaves in a second is the same, whatever the pressures.
+    forward, backward = (operating_point(velocity=v).valve / v for v in (0.1, -0.1))
+    assert backward / forward == pytest.approx(P.area_a / P.area_b, rel=1e-9)
+    u = 0.01
+    ahead = simulate_actuator(np.full(100, u), 0.005, initial=[-0.02, 0, 3.7e5, 4.0e5])
+    back = simulate_actuator(np.full(100, -u), 0.005, initial=[0.02, 0, 3.7e5, 4.0e5])
+    speeds = [np.mean(np.abs(recording.velocity[60:])) for recording in (ahead, back)]
+    assert speeds[0] / speeds[1] == pytest.approx(P.area_a / P.area_b, rel=0.02)
+
+
+def test_end_stops_hold_the_piston():
+    recording = simulate_actuator(np.full(200, 1.0), 0.005)
+    end = P.stroke / 2
+    assert recording.position.max() < end + P.dead_length
+    force = P.area_a * 4e5
+    assert recording.position[-1] == pytest.approx(end + force / P.stop_stiffness, abs=2e-6)
+    assert abs(recording.velocity[-1]) < 1e-6
+    back = simulate_actuator(np.full(200, -1.0), 0.005)
+    assert back.position[-1] == pytest.approx(-end - P.area_b * 4e5 / P.stop_stiffness, abs=2e-6)
+
+
+def test_end_stops_never_pull_and_never_return_more_than_they_took():
+    rhs = servo_derivatives(replace(FREE, stop_damping=10.0))
+    y, balanced = P.stroke / 2 + 1e-4, 1e5
+    accelerations = [rhs(y, v, balanced, balanced, 0.0, 0.0, ALPHA, BETA)[1] for v in (-5.0, -0.05, 0.0, 0.05)]
+    assert accelerations[0] == pytest.approx(0, abs=1e-9)
+    assert 0 > accelerations[1] > accelerations[2] > accelerations[3]
+
+
+def test_a_valve_beyond_full_opening_saturates():
+    rhs = servo_derivatives(P)
+    for u in (1.0, -1.0):
+        assert rhs(0.0, 0.1, 3e5, 3e5, 7 * u, 0.0, 1.2, 0.3) == rhs(0.0, 0.1, 3e5, 3e5, u, 0.0, 1.2, 0.3)
+
+
+# --- range of the pressures ---------------------------------------------------------------------------------------
+
+
+def test_flow_alone_never_carries_a_pressure_out_of_the_range():
+    u = np.random.default_rng(0).uniform(-1, 1, 300)
+    recording = simulate_actuator(u, 0.01, FIXED, initial=[0.01, 0, 1e5, 5e5])
+    pressures = np.concatenate([recording.P_a, recording.P_b])
+    assert pressures.min() >= 1e5 - 1 and pressures.max() <= 5e5 + 1
+    assert np.ptp(pressures) > 3.9e5
+
+
+def test_motion_against_the_ports_carries_a_pressure_out_of_the_range():
+    compressed = simulate_actuator(np.zeros(20), 0.005, load=-60.0, initial=[0, 0, 4e5, 4.3e5])
+    assert compressed.P_b.max() > P.supply_pressure
+
+
+# --- bad input ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"bore": 0.0}, "bore: expected a finite number > 0, got 0.0"),
+        ({"mass": math.nan}, "mass"),
+        ({"rod": -1e-3}, "rod: expected a finite number >= 0"),
+        ({"rod": 0.02}, "rod: expected less than the bore"),
+        ({"supply_pressure": 0.9e5}, "pressures are absolute"),
+        ({"kappa": 1.0}, "kappa"),
+        ({"static_friction": 0.1}, "static_friction: expected at least"),
+        ({"laminar_ratio": 0.5}, "laminar_ratio"),
+        ({"laminar_ratio": 1.1}, "laminar_ratio"),
+    ],
+)
+def test_impossible_parameters_are_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        PneumaticParameters(**change)
+
+
+def test_parameters_of_the_wrong_kind_are_refused():
+    with pytest.raises(TypeError, match="mass: expected a number, got str"):
+        PneumaticParameters(mass="1")
+    with pytest.raises(TypeError, match="expected PneumaticParameters, got dict"):
+        pneumatic_servo({"mass": 1})
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"alpha": 0.99}, r"alpha: expected values in \[1, 1.3997\], got 0.99"),
+        ({"alpha": 1.4}, "alpha"),
+        ({"beta": 0.07}, r"beta: expected values in \[0.075, 1.3297\]"),
+        ({"beta": math.nan}, "beta"),
+        ({"beta": ([0.0, 1.0], [0.3, 1.5])}, "beta: .* got 1.5"),
+        ({"beta": ([0.0, 0.0], [0.3, 0.5])}, "times of beta: .*increasing"),
+        ({"beta": ([0.0, 1.0], [0.3])}, "beta: expected as many values as times"),
+        ({"beta": (0.3,)}, "beta: expected a pair"),
+        ({"outputs": ["position", "force"]}, "outputs: expected names"),
+        ({"outputs": "position"}, "outputs"),
+        ({"outputs": []}, "outputs"),
+    ],
+)
+def test_impossible_options_of_the_servo_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        pneumatic_servo(**options)
+
+
+def test_coefficients_of_the_wrong_kind_are_refused():
+    with pytest.raises(TypeError, match=r"use \(t, beta\)"):
+        pneumatic_servo(beta=[0.3, 0.4])
+    with pytest.raises(TypeError, match="alpha: expected numbers"):
+        pneumatic_servo(alpha="slow")
+    late = pneumatic_servo(alpha=lambda t: 1.0 + t)
+    with pytest.raises(ValueError, match=r"alpha\(0.5\): expected values in"):
+        late.dynamics(0.5, np.array([0, 0, 3e5, 3e5]), np.zeros(2))
+
+
+def test_flow_function_refuses_what_is_no_pressure_ratio():
+    for r in (1.1, math.nan, [0.5, 2.0]):
+        with pytest.raises(ValueError, match="r: expected downstream over upstream"):
+            flow_function(r)
+    with pytest.raises(ValueError, match="kappa"):
+        flow_function(0.5, 1.0)
+    with pytest.raises(ValueError, match="laminar_ratio"):
+        flow_function(0.5, laminar_ratio=0.2)
