@@ -299,7 +299,7 @@ BAD_CHOICES = [
 ]
 
 
-@pytest.mark.parametrize("name, value", BAD_CHOICES, ids=str)
+@pytest.mark.parametrize("name, value", BAD_CHOICES)
 def test_choices(name, value):
     with pytest.raises(REFUSED, match=name):
         RobustKalmanFilter(4, 2, **{name: value})
