@@ -7,7 +7,6 @@ is expected. Arguments are standardized: e = T y has unit variance when the mode
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
@@ -29,7 +28,6 @@ from robust_filterpy._huber_maps import (
 __all__ = ["Hampel", "Huber", "Influence", "Linear", "StudentT", "TukeyBiweight", "expected_information"]
 
 _LOG_SQRT_2PI = 0.5 * math.log(2.0 * math.pi)
-Pointwise = Callable[[float, float, float, float], tuple[float, float]]
 
 
 @runtime_checkable
@@ -52,8 +50,9 @@ class Influence(Protocol):
 class _Base:
     """What the package's own influence functions add: a form for single numbers, a density."""
 
-    pointwise: ClassVar[Pointwise]
-    pointwise_rho: ClassVar[Callable[[float, float, float, float], float]]
+    # Functions of _pointwise, (e, a, b, c) -> (psi, psi') and -> rho; a typed Callable would count as a method.
+    pointwise: ClassVar[Any]
+    pointwise_rho: ClassVar[Any]
 
     @property
     def parameters(self) -> tuple[float, float, float]:
