@@ -184,8 +184,8 @@ def simulate_actuator(
     Examples
     --------
     >>> recording = simulate_actuator([0.01] * 50, 0.01)
-    >>> print(f"{recording.velocity[-1]:.3f}")
-    0.055
+    >>> print(f"{recording.position[-1]:.3f}")
+    0.027
     """
     u = np.asarray(valve, dtype=float)
     if u.ndim != 1 or u.size == 0:
