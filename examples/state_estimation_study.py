@@ -1,0 +1,260 @@
+"""Which of the paper's robust filters estimates a state best when one measurement in ten is an outlier?
+
+Question. The fourth-order problem (31)-(34) is filtered by the four filters that two choices make, T(k) = S^(-1/2)
+or T = 1 and E[psi'] or psi'(nu) in the covariance, and by the plain Kalman filter; the paper's figures 3 and 4 show
+one run each. What do many runs say, and what remains of the difference to a filter that is told which
+measurements are outliers?
+
+One equation (37, 39, 47, 49)::
+
+    x+ = x + P H' T psi(T y),     P+ = P - P H' T d T H P,     d = E[psi'] or psi'(T y)
+
+Run ``python examples/state_estimation_study.py`` (seconds); ``--help`` lists --runs, --steps, --seed, --jobs, --out.
+The same seed gives the same table, whatever the number of jobs.
+"""
+
+# %%
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from filterpy.kalman import KalmanFilter
+
+from robust_filterpy import Huber, RobustKalmanFilter
+from robust_filterpy.correction import NotPositiveDefiniteError
+from robust_filterpy.experiments import bootstrap_interval, mean_square_error, monte_carlo
+from robust_filterpy.noise import EpsilonContaminated
+
+# %% The problem, equations (31)-(34)
+F = np.array(
+    [
+        [0.99, -0.012, 0.001, -0.001],
+        [-0.005, 0.98, -0.001, 0.005],
+        [-0.001, 0.01, 1.0, -0.001],
+        [0.01, 0.001, -0.002, 1.0],
+    ]
+)
+H = np.array([[1.0, 0.0, 0.0, 0.0]])
+W = 0.001 * np.eye(4)
+VARIANCE, OUTLIER_VARIANCE = 0.1, 10.0
+
+KALMAN, KALMAN_TOTAL, LABELS = "Kalman, R nominal", "Kalman, R of all noise", "Kalman, labels known"
+ROBUST = {
+    "T(k), expected": ("innovation", "expected"),  # (37)-(41), Masreliez and Martin
+    "T(k), realized": ("innovation", "realized"),  # this package's default
+    "T=1,  expected": ("unit", "expected"),  # (42)-(45)
+    "T=1,  realized": ("unit", "realized"),  # (47)-(49), the paper's proposal
+}
+FILTERS = (KALMAN, KALMAN_TOTAL, *ROBUST, LABELS)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One experiment: how many outliers, how uncertain the start, and in which unit everything is written."""
+
+    title: str
+    contamination: float = 0.1
+    P0: float = 0.1
+    unit: float = 1.0  # every number is multiplied by this, every variance by its square
+
+
+SETTINGS = (
+    Setting("contamination 0.1, P0 = 0.1 I"),
+    Setting("contamination 0.2, P0 = 0.1 I", contamination=0.2),
+    Setting("contamination 0.3, P0 = 0.1 I", contamination=0.3),
+    Setting("contamination 0.1, P0 = 10 I", P0=10.0),
+    Setting("contamination 0.1, P0 = 0.1 I, in a unit ten times smaller", unit=10.0),
+    Setting("contamination 0.1, P0 = 0.1 I, in a unit ten times larger", unit=0.1),
+)
+
+
+# %% One run: the same data to every filter; only class and choices differ
+def build(name: str, setting: Setting) -> KalmanFilter:
+    """Set up a filter; in a unit ten times smaller every number is 10 times, every variance 100 times as large."""
+    if name in ROBUST:
+        scaling, information = ROBUST[name]
+        influence = Huber.from_contamination(setting.contamination)
+        kf = RobustKalmanFilter(4, 1, influence=influence, scaling=scaling, information=information)
+    else:
+        kf = KalmanFilter(4, 1)
+    square = setting.unit**2
+    R = VARIANCE
+    if name == KALMAN_TOTAL:
+        R = (1 - setting.contamination) * VARIANCE + setting.contamination * OUTLIER_VARIANCE
+    kf.x, kf.P = np.zeros(4), square * setting.P0 * np.eye(4)
+    kf.F, kf.H, kf.Q, kf.R = F, H, square * W, np.array([[square * R]])
+    return kf
+
+
+def simulate(setting: Setting, steps: int, rng: np.random.Generator):
+    """Draw states (steps, 4), measurements (steps,) and labels (steps,) of (24)-(25), in the paper's unit."""
+    noise = EpsilonContaminated(setting.contamination, VARIANCE**0.5, OUTLIER_VARIANCE**0.5)
+    v, is_outlier = noise.rvs_labelled(steps, rng)
+    w = rng.multivariate_normal(np.zeros(4), W, steps)
+    x = rng.multivariate_normal(np.zeros(4), setting.P0 * np.eye(4))
+    states = np.empty((steps, 4))
+    for k in range(steps):
+        x = F @ x + w[k]
+        states[k] = x
+    return states, states @ H[0] + v, is_outlier
+
+
+def trial(rng: np.random.Generator, setting: Setting, steps: int):
+    """Return the errors (filters, steps, 4) in the paper's unit; NaN from the step at which a filter refused."""
+    states, z, is_outlier = simulate(setting, steps, rng)
+    errors = np.full((len(FILTERS), steps, 4), np.nan)
+    for row, name in enumerate(FILTERS):
+        kf = build(name, setting)
+        known = [setting.unit**2 * (OUTLIER_VARIANCE if bad else VARIANCE) for bad in is_outlier]
+        try:
+            for k in range(steps):
+                kf.predict()
+                kf.update(setting.unit * z[k], R=known[k] if name == LABELS else None)
+                errors[row, k] = kf.x / setting.unit - states[k]
+        except NotPositiveDefiniteError:
+            continue
+    return errors
+
+
+# %% What the runs say about one filter
+@dataclass(frozen=True)
+class Row:
+    """What one filter did in one setting; mean-square errors over the runs that it finished."""
+
+    refused: int
+    x1: float
+    total: float
+    ratio: float
+    ratio_low: float
+    ratio_high: float
+    per_step_x1: np.ndarray
+    per_step_total: np.ndarray
+
+
+def summarize(errors: np.ndarray, seed: int) -> dict[str, Row]:
+    """Turn errors (runs, filters, steps, 4) into rows; ratios compare the same runs with the label-knowing filter."""
+    rows, steps = {}, errors.shape[2]
+    x1 = np.mean(errors[..., 0] ** 2, axis=2)
+    best = x1[:, FILTERS.index(LABELS)]
+    for i, name in enumerate(FILTERS):
+        done = np.isfinite(x1[:, i])
+        if done.sum() < 2:
+            missing = np.full(steps, np.nan)
+            rows[name] = Row(int((~done).sum()), *[np.nan] * 5, missing, missing)
+            continue
+        e = errors[done, i]
+        ratio = bootstrap_interval((x1[done, i], best[done]), "ratio", rng=seed, n_resamples=1999, method="percentile")
+        per_step = mean_square_error(e[..., 0], np.zeros(steps)), mean_square_error(e, np.zeros((steps, 4)))
+        rows[name] = Row(
+            int((~done).sum()), per_step[0].mean(), per_step[1].mean(), ratio.estimate, ratio.low, ratio.high, *per_step
+        )
+    return rows
+
+
+def table(rows: dict[str, Row], runs: int) -> str:
+    """Format one setting."""
+    lines = [f"  {'filter':24}{'MSE x1':>9}  {'x1 / labels known (95 %)':>26}{'MSE total':>12}   refused runs"]
+    for name, row in rows.items():
+        refused = f"{row.refused} of {runs}" if row.refused else "-"
+        if np.isnan(row.x1):
+            lines.append(f"  {name:24}{'-':>9}  {'-':>26}{'-':>12}   {refused}")
+            continue
+        ratio = f"{row.ratio:6.2f} ({row.ratio_low:.2f} .. {row.ratio_high:.2f})"
+        lines.append(f"  {name:24}{row.x1:9.4f}  {ratio:>26}{row.total:12.2f}   {refused}")
+    return "\n".join(lines)
+
+
+# %% The figure: the paper's figures 3 and 4, over many runs
+STYLE = {
+    KALMAN: dict(color="0.45", linestyle="--", linewidth=1.6),
+    KALMAN_TOTAL: dict(color="0.65", linestyle="-.", linewidth=1.6),
+    "T(k), expected": dict(color="navy", linestyle=":", linewidth=2.2),
+    "T(k), realized": dict(color="navy", linestyle="-", linewidth=2.2),
+    "T=1,  expected": dict(color="darkorange", linestyle=":", linewidth=2.0),
+    "T=1,  realized": dict(color="darkorange", linestyle="-", linewidth=1.4),
+    LABELS: dict(color="black", linestyle="-", linewidth=1.4),
+}
+MARKER = {"Ka": "o", "T(": "s", "T=": "^"}
+
+
+def draw(results: dict[str, dict[str, Row]], runs: int, path: Path) -> None:
+    """Draw the error of the observed state and of all four, and the observed one against the contamination."""
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, 3, figsize=(13, 4.6), layout="constrained")
+    window = 15
+    first = results[SETTINGS[0].title]
+    for axis, field, what in ((axes[0], "per_step_x1", "observed state x1"), (axes[1], "per_step_total", "all states")):
+        for name, row in first.items():
+            # A mean over neighbouring steps: a hundred runs leave each step alone with some 15 percent of scatter.
+            smooth = np.convolve(getattr(row, field), np.ones(window) / window, mode="valid")
+            axis.plot(np.arange(len(smooth)) + window // 2, smooth, **STYLE[name])
+        axis.set(xlabel="step k", ylabel="mean-square error", title=f"{what}, contamination 0.1")
+    axes[0].set_yscale("log")
+    settings = SETTINGS[:3]
+    shares = np.array([s.contamination for s in settings])
+    for offset, name in zip(np.linspace(-0.015, 0.015, len(FILTERS)), FILTERS, strict=True):
+        rows = [results[s.title][name] for s in settings]
+        ratio = np.array([row.ratio for row in rows])
+        bars = np.array([[r.ratio - r.ratio_low for r in rows], [r.ratio_high - r.ratio for r in rows]])
+        axes[2].errorbar(
+            shares + offset, ratio, bars, label=name, marker=MARKER[name[:2]], markersize=4, capsize=2, **STYLE[name]
+        )
+    axes[2].set(xlabel="contamination", ylabel="ratio of mean-square errors", yscale="log", xticks=shares)
+    axes[2].set_title("x1, relative to labels known (95 % intervals)")
+    axes[2].set_yticks([1, 2, 5, 10], ["1", "2", "5", "10"])
+    figure.legend(*axes[2].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
+    figure.suptitle(
+        f"Equations (31)-(34), P0 = 0.1 I, {runs} runs; time series averaged over {window} steps", fontsize=11
+    )
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def conclusion(results: dict[str, dict[str, Row]], runs: int) -> str:
+    """Say in a few lines what the tables show."""
+    usual, wide, small, large = (results[SETTINGS[i].title] for i in (0, 3, 4, 5))
+    ours, paper = "T(k), realized", "T=1,  realized"
+    return (
+        f"Conclusion: at contamination 0.1 the Kalman filter's mean-square error of x1 is {usual[KALMAN].ratio:.1f} "
+        f"times that of the filter\nthat knows the outliers; the robust filter's is {usual[ours].ratio:.2f} times with T(k), "
+        f"{usual[paper].ratio:.2f} times with T = 1 (psi' realized).\nT = 1 depends on the unit: with P0 = 10 I "
+        f"{wide[paper].refused} of {runs} runs were refused (P would turn indefinite), in a unit ten times\nsmaller "
+        f"{small[paper].refused} of {runs}, and in one ten times larger its error is {large[paper].ratio:.1f} times; "
+        f"T(k) stays at {small[ours].ratio:.2f} and {large[ours].ratio:.2f}.\nThe total is ruled by states that the "
+        f"measurement hardly shows: there all filters are within {usual[KALMAN].total / usual[LABELS].total:.1f} times."
+    )
+
+
+# %%
+def main(argv: list[str] | None = None) -> dict[str, dict[str, Row]]:
+    """Run the study, print its tables, save its figure, and return the rows of every setting."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=int, default=60, help="runs of each setting, at least 2 (default %(default)s)")
+    parser.add_argument("--steps", type=int, default=200, help="samples in a run, at least 20 (default %(default)s)")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=-1, help="processes, -1 for one per processor (the default)")
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "output", help="folder of the figure")
+    args = parser.parse_args(argv)
+    if args.runs < 2 or args.steps < 20:
+        parser.error("--runs must be at least 2, --steps at least 20")
+    args.out.mkdir(parents=True, exist_ok=True)
+
+    results = {}
+    for setting in SETTINGS:
+        study = monte_carlo(partial(trial, setting=setting, steps=args.steps), args.runs, args.seed, args.jobs)
+        results[setting.title] = summarize(study.stacked(), args.seed)
+        print(f"{setting.title}\n{table(results[setting.title], args.runs)}\n", flush=True)
+    draw(results, args.runs, args.out / "state_estimation_study.png")
+    print(conclusion(results, args.runs))
+    print("Figure: state_estimation_study.png")
+    return results
+
+
+if __name__ == "__main__":
+    main([] if "ipykernel" in sys.modules else None)
