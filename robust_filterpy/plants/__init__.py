@@ -6,6 +6,7 @@ The only part of the package that uses python-control, and it imports it when a 
 from __future__ import annotations
 
 import importlib
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -22,26 +23,27 @@ if TYPE_CHECKING:
 _MODULES = ("linear", "drift", "parameters", "pneumatic")
 
 
-def _owner(name: str) -> Any:
-    """Find the module that has a public name, or None."""
+def _public() -> Iterator[tuple[str, Any]]:
+    """Yield each public name with its module; what comes late in the list is imported late."""
     for module in _MODULES:
         found = importlib.import_module(f"{__name__}.{module}")
-        if name in found.__all__:
-            return found
-    return None
+        yield from ((name, found) for name in found.__all__)
 
 
 def __getattr__(name: str) -> Any:
     """Import a name of one of the modules when it is first asked for (PEP 562)."""
     if name in _MODULES:
         return importlib.import_module(f"{__name__}.{name}")
-    owner = None if name.startswith("_") else _owner(name)
-    if owner is None:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(owner, name)
+    if name == "__all__":
+        return sorted(public for public, _ in _public())
+    # Probing for a special name, as inspect and doctest do, should not import every plant.
+    if not name.startswith("_"):
+        for public, module in _public():
+            if public == name:
+                return getattr(module, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
     """List the lazily imported names too."""
-    public = [name for module in _MODULES for name in importlib.import_module(f"{__name__}.{module}").__all__]
-    return sorted({*globals(), *public})
+    return sorted({*globals(), *(public for public, _ in _public())})

@@ -102,9 +102,7 @@ def simulate_arx(
     """
     plant = _Plant.of(system, u, na, nb, nk)
     v = _noise(noise, plant.u.size, rng)
-    y_clean = plant.output(plant.forcing)
-    y = plant.output(plant.forcing + v) if v.any() else y_clean.copy()
-    return Simulation(plant.u, y, y_clean, plant.theta)
+    return Simulation(plant.u, plant.output(plant.forcing + v), plant.output(plant.forcing), plant.theta)
 
 
 def simulate_output_error(

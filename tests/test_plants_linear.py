@@ -1,0 +1,397 @@
+"""Linear plants: against python-control, the recursion written out, and the statistics of a random walk."""
+
+import pickle
+
+import control
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+import robust_filterpy.plants as plants
+from robust_filterpy.noise import EpsilonContaminated
+from robust_filterpy.plants import (
+    THETA_BAR,
+    LinearParameters,
+    linear_parameters,
+    random_walk,
+    simulate_arx,
+    simulate_output_error,
+    stable,
+)
+
+SIMULATORS = (simulate_arx, simulate_output_error)
+G = control.tf([1.0, 0.5], [1.0, -1.5, 0.7], dt=1)
+THETA = np.array([-1.5, 0.7, 1.0, 0.5])
+
+
+def stable_theta(rng, na, nb, radius=0.95):
+    """Draw theta from poles inside a circle."""
+    poles = radius * np.sqrt(rng.uniform(size=na // 2)) * np.exp(1j * rng.uniform(0, np.pi, na // 2))
+    real = rng.uniform(-radius, radius, na % 2)
+    a = np.atleast_1d(np.poly([*poles, *poles.conj(), *real])).real[1:]
+    return np.concatenate((a, rng.normal(size=nb)))
+
+
+def by_definition(theta, u, v, na, nk, inside):
+    """Run eqs (11)-(14) term by term; v enters the recursion (ARX) or only what is measured (output error)."""
+    fed_back, measured = [], []
+    for k in range(len(u)):
+        y = v[k] if inside else 0.0
+        for i in range(1, na + 1):
+            y -= theta[k][i - 1] * (fed_back[k - i] if k >= i else 0.0)
+        for j in range(theta.shape[1] - na):
+            y += theta[k][na + j] * (u[k - nk - j] if k >= nk + j else 0.0)
+        fed_back.append(y)
+        measured.append(y if inside else y + v[k])
+    return np.array(measured)
+
+
+# --- fixed parameters ---
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 5), st.integers(0, 5))
+def test_fixed_parameters_agree_with_control(seed, na, degree):
+    rng = np.random.default_rng(seed)
+    den = np.concatenate(([1.0], stable_theta(rng, na, 0))) * rng.uniform(0.5, 2.0)
+    system = control.tf(rng.normal(size=min(degree, na) + 1), den, dt=0.1)
+    u = rng.normal(size=200)
+    expected = control.forced_response(system, inputs=u).outputs
+    for simulate in SIMULATORS:
+        found = simulate(system, u)
+        np.testing.assert_allclose(found.y, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+        np.testing.assert_array_equal(found.y, found.y_clean)
+        np.testing.assert_array_equal(found.u, u)
+
+
+def test_the_papers_plant_agrees_with_control_to_rounding():
+    u = np.random.default_rng(0).choice((-1.0, 1.0), 1000)
+    system = control.tf(THETA_BAR[4:], np.concatenate(([1.0], THETA_BAR[:4])), dt=True)
+    expected = control.forced_response(system, inputs=u).outputs
+    found = simulate_output_error(system, u)
+    np.testing.assert_allclose(found.y_clean, expected, atol=1e-13)
+    np.testing.assert_array_equal(found.theta, np.tile(THETA_BAR, (1000, 1)))
+
+
+def test_the_papers_plant_has_the_poles_it_is_said_to_have():
+    poles = np.sort_complex(np.roots(np.concatenate(([1.0], THETA_BAR[:4]))))
+    expected = [-0.411 - 0.363j, -0.411 + 0.363j, 0.867 - 0.139j, 0.867 + 0.139j]
+    np.testing.assert_allclose(poles, expected, atol=6e-4)
+    with pytest.raises(ValueError, match="read-only"):
+        THETA_BAR[0] = 0.0
+
+
+def test_direct_feed_through_and_delay_agree_with_control():
+    u = np.random.default_rng(1).normal(size=50)
+    for num, nk in (([2.0, 1.0, 0.5], 0), ([2.0, 1.0], 1), ([2.0], 2)):
+        system = control.tf(num, [1.0, -0.5, 0.1], dt=1)
+        expected = control.forced_response(system, inputs=u).outputs
+        np.testing.assert_allclose(simulate_output_error(system, u).y, expected, atol=1e-12)
+        by_theta = simulate_output_error([-0.5, 0.1, *num], u, na=2, nb=len(num), nk=nk)
+        np.testing.assert_allclose(by_theta.y, expected, atol=1e-12)
+
+
+def test_linear_parameters_are_normalised_and_carry_the_delay():
+    found = linear_parameters(control.tf([2.0], [2.0, 1.0, 0.0, 0.0], dt=1))
+    assert (found.na, found.nb, found.nk) == (3, 1, 3)
+    np.testing.assert_allclose(found.theta, [0.5, 0.0, 0.0, 1.0])
+    gain = linear_parameters(control.tf([3.0], [2.0], dt=1))
+    assert isinstance(gain, LinearParameters)
+    assert (gain.theta.tolist(), *gain[1:]) == ([1.5], 0, 1, 0)
+    assert linear_parameters(control.tf([0.0], [1.0, 0.5], dt=1)).nb == 0
+    assert not simulate_arx(control.tf([0.0], [1.0, 0.5], dt=1), [1.0, 1.0]).y.any()
+
+
+# --- noise ---
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10**6), st.integers(0, 3), st.integers(0, 3), st.integers(0, 3), st.booleans())
+def test_equations_11_to_14_term_by_term(seed, na, nb, nk, moving):
+    if na + nb == 0:
+        nb = 1
+    rng = np.random.default_rng(seed)
+    u, v = rng.normal(size=(2, 25))
+    theta = 0.2 * rng.normal(size=(25, na + nb)) if moving else stable_theta(rng, na, nb)
+    path = np.broadcast_to(theta, (25, na + nb))
+    for simulate, inside in zip(SIMULATORS, (True, False), strict=True):
+        found = simulate(theta, u, noise=v, na=na, nb=nb, nk=nk)
+        np.testing.assert_allclose(found.y, by_definition(path, u, v, na, nk, inside), atol=1e-10)
+        np.testing.assert_allclose(found.y_clean, by_definition(path, u, 0 * v, na, nk, inside), atol=1e-10)
+        np.testing.assert_array_equal(found.theta, path)
+
+
+def test_a_constant_path_gives_what_the_constant_gives():
+    rng = np.random.default_rng(2)
+    u, v = rng.normal(size=(2, 300))
+    for simulate in SIMULATORS:
+        fixed = simulate(THETA, u, noise=v, na=2, nb=2)
+        path = simulate(np.tile(THETA, (300, 1)), u, noise=v, na=2, nb=2)
+        np.testing.assert_allclose(path.y, fixed.y, atol=1e-12)
+
+
+def test_row_k_of_a_path_makes_sample_k():
+    path = np.array([[0.0, 1.0], [0.0, 1.0], [0.0, 9.0], [0.0, 1.0]])
+    assert simulate_output_error(path, [1, 1, 1, 1], na=1, nb=1, nk=0).y.tolist() == [1, 1, 9, 1]
+    assert simulate_output_error(path, [1, 1, 1, 1], na=1, nb=1).y.tolist() == [0, 1, 9, 1]
+
+
+def test_noise_goes_round_the_loop_of_arx_and_not_of_output_error():
+    u, v = np.zeros(5), np.array([0.0, 1.0, 0.0, 0.0, 0.0])
+    options = {"noise": v, "na": 1, "nb": 1}
+    assert simulate_arx([-0.5, 1.0], u, **options).y.tolist() == [0, 1, 0.5, 0.25, 0.125]
+    assert simulate_output_error([-0.5, 1.0], u, **options).y.tolist() == v.tolist()
+
+
+@pytest.mark.parametrize("simulate", SIMULATORS)
+@pytest.mark.parametrize(
+    "noise",
+    [stats.norm(scale=0.3), stats.t(3), stats.norm, EpsilonContaminated(0.1, 0.1**0.5, 10**0.5)],
+    ids=["frozen", "heavy", "generic", "contaminated"],
+)
+def test_any_distribution_serves_as_noise(simulate, noise):
+    u = np.ones(400)
+    first, again = (simulate(G, u, noise=noise, rng=5) for _ in range(2))
+    np.testing.assert_array_equal(first.y, again.y)
+    v = noise.rvs(size=400, random_state=np.random.default_rng(5))
+    np.testing.assert_array_equal(first.y, simulate(G, u, noise=v).y)
+    assert (first.y != simulate(G, u, noise=noise, rng=6).y).any()
+    np.testing.assert_array_equal(first.y_clean, simulate(G, u).y)
+
+
+def test_the_global_random_state_is_neither_used_nor_moved():
+    before = np.random.get_state()[1].copy()  # noqa: NPY002
+    simulate_arx(G, np.ones(10), noise=stats.norm)
+    random_walk(THETA, 1e-3, 10)
+    np.testing.assert_array_equal(before, np.random.get_state()[1])  # noqa: NPY002
+    assert (simulate_arx(G, np.ones(9), noise=stats.norm).y != simulate_arx(G, np.ones(9), noise=stats.norm).y).any()
+
+
+def test_pandas_columns_and_lists_are_taken():
+    frame = pd.DataFrame({"u": [1.0, 0.0, 2.0], "v": [0.1, 0.2, 0.3]}, index=[5, 6, 7])
+    expected = simulate_arx(G, [1, 0, 2], noise=[0.1, 0.2, 0.3]).y
+    np.testing.assert_array_equal(simulate_arx(G, frame.u, noise=frame.v).y, expected)
+
+
+@pytest.mark.parametrize("simulate", SIMULATORS)
+def test_the_result_shares_no_memory_with_the_arguments(simulate):
+    u, v, path = np.ones(5), np.ones(5), np.tile(THETA, (5, 1))
+    found = simulate(path, u, noise=v, na=2, nb=2)
+    for part in found:
+        part += 1.0
+    assert (u == 1).all()
+    assert (v == 1).all()
+    assert (path == THETA).all()
+    assert not np.shares_memory(found.y, found.y_clean)
+
+
+# --- bad input ---
+
+
+@pytest.mark.parametrize("simulate", SIMULATORS)
+@pytest.mark.parametrize(
+    ("system", "u", "options", "error", "words"),
+    [
+        (G, [], {}, ValueError, "u: .*at least 1"),
+        (G, [[1.0], [2.0]], {}, ValueError, r"u.ravel\(\)"),
+        (G, [1.0, np.nan], {}, ValueError, "u: expected finite.*index 1"),
+        (G, ["a"], {}, TypeError, "u: expected real"),
+        (G, [1.0], {"na": 2}, ValueError, "with a transfer function"),
+        (G, [1.0], {"nk": 1}, ValueError, "with a transfer function"),
+        (G, [1.0, 2.0], {"noise": [1.0]}, ValueError, "noise: expected 2 samples"),
+        (G, [1.0, 2.0], {"noise": [1.0, np.inf]}, ValueError, "noise: expected finite"),
+        (G, [1.0], {"noise": EpsilonContaminated}, TypeError, "got the class"),
+        (control.tf([1.0], [1.0, 1.0]), [1.0], {}, ValueError, "sample_system"),
+        (control.tf([1.0], [1.0, 1.0], dt=None), [1.0], {}, ValueError, "discrete"),
+        (control.tf([1.0, 0.0, 0.0], [1.0, 1.0], dt=1), [1.0], {}, ValueError, "degree 2 over 1"),
+        (control.tf([[[1.0], [1.0]]], [[[1.0, 0.5], [1.0, 0.5]]], dt=1), [1.0], {}, ValueError, "one input"),
+        (control.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt=1), [1.0], {}, TypeError, r"control.tf\(system\)"),
+        ("plant", [1.0], {"na": 1, "nb": 1}, TypeError, "system"),
+        (THETA, [1.0], {}, ValueError, "na, nb: expected both"),
+        (THETA, [1.0], {"na": 2, "nb": 1}, ValueError, r"shape \(3,\) or \(N, 3\)"),
+        (THETA, [1.0], {"na": -1, "nb": 5}, ValueError, "na"),
+        (THETA, [1.0], {"na": 2.0, "nb": 2}, TypeError, "na"),
+        (THETA, [1.0], {"na": 2, "nb": 2, "nk": -1}, ValueError, "nk"),
+        ([], [1.0], {"na": 0, "nb": 0}, ValueError, "at least one parameter"),
+        ([np.nan, 1.0], [1.0], {"na": 1, "nb": 1}, ValueError, "theta: expected finite"),
+        (np.zeros((3, 2)), [1.0], {"na": 1, "nb": 1}, ValueError, "a row for each of the 1 samples"),
+        ([-9.0, 1.0], np.ones(2000), {"na": 1, "nb": 1}, ValueError, "overflows at sample .*unstable"),
+        (np.tile([-9.0, 1.0], (2000, 1)), np.ones(2000), {"na": 1, "nb": 1}, ValueError, "overflows at sample"),
+    ],
+)
+def test_simulation_refuses(simulate, system, u, options, error, words):
+    with pytest.raises(error, match=words):
+        simulate(system, u, **options)
+
+
+# --- eqs (8)-(10) ---
+
+
+def test_equation_8_steps_have_covariance_Q():
+    Q = np.array([[2.0, 0.6], [0.6, 0.5]]) * 1e-4
+    n = 20_000
+    path = random_walk([1.0, -1.0], Q, n, rng=0)
+    assert path[0].tolist() == [1.0, -1.0]
+    steps = np.diff(path, axis=0)
+    error = steps.T @ steps / (n - 1) - Q
+    # Five standard errors of a normal sample's second moments.
+    bound = 5 * np.sqrt((np.outer(np.diag(Q), np.diag(Q)) + Q**2) / n)
+    assert (np.abs(error) < bound).all()
+    assert (np.abs(steps.mean(0)) < 5 * np.sqrt(np.diag(Q) / n)).all()
+    ahead, behind = steps[1:], steps[:-1]
+    assert (np.abs(ahead.T @ behind / n) < 5 * np.sqrt(np.outer(np.diag(Q), np.diag(Q)) / n)).all()
+
+
+def test_equation_9_is_an_autoregression():
+    C, Q = 0.9 * np.eye(2), 0.19 * np.eye(2)
+    path = random_walk([0.0, 0.0], Q, 50_000, rng=3, C=C)
+    w = path[1:] - path[:-1] @ C.T
+    np.testing.assert_allclose(w, np.diff(random_walk([0.0, 0.0], Q, 50_000, rng=3), axis=0), atol=1e-9)
+    # Variance .19 / (1 - .81) = 1 of each; its estimate has (1 + .81)/(1 - .81) times the error of a white sample's.
+    assert path.var(0) == pytest.approx([1.0, 1.0], abs=5 * np.sqrt(2 / 50_000 * 1.81 / 0.19))
+
+
+def test_equation_10_is_deterministic():
+    C = np.array([[0.9, 0.1], [0.0, 0.8]])
+    path = random_walk([1.0, 2.0], 0, 6, C=C)
+    for k in range(6):
+        np.testing.assert_allclose(path[k], np.linalg.matrix_power(C, k) @ [1.0, 2.0], rtol=1e-12)
+
+
+def test_a_number_stands_for_its_multiple_of_the_identity():
+    np.testing.assert_array_equal(random_walk(THETA, 1e-3, 20, rng=1), random_walk(THETA, 1e-3 * np.eye(4), 20, rng=1))
+    assert (random_walk(THETA, 0, 5) == THETA).all()
+    assert random_walk(THETA, 1.0, 1).tolist() == [THETA.tolist()]
+
+
+def test_what_stands_still_under_a_singular_Q_stays():
+    path = random_walk(THETA, np.diag([1e-3, 0.0, 1e-3, 0.0]), 200, rng=0)
+    assert (path[:, [1, 3]] == THETA[[1, 3]]).all()
+    assert (np.diff(path[:, [0, 2]], axis=0) != 0).all()
+
+
+def test_a_refused_step_keeps_the_old_theta_and_every_theta_is_accepted():
+    accept = stable(4)
+    free = random_walk(THETA_BAR, 1e-4, 1000, rng=0)
+    kept = random_walk(THETA_BAR, 1e-4, 1000, rng=0, accept=accept)
+    assert not all(accept(theta) for theta in free)
+    assert all(accept(theta) for theta in kept)
+    still = (np.diff(kept, axis=0) == 0).all(1)
+    assert 0 < still.sum() < 999
+    # What was refused is the step that the free walk makes at that sample.
+    steps = np.diff(free, axis=0)
+    for k in np.flatnonzero(still):
+        assert not accept(kept[k] + steps[k])
+    np.testing.assert_allclose(np.diff(kept, axis=0)[~still], steps[~still], atol=1e-12)
+
+
+def test_a_refused_step_keeps_theta_also_under_C():
+    calls = []
+
+    def accept(theta):
+        calls.append(theta.copy())
+        return len(calls) != 3
+
+    path = random_walk([1.0], 0, 4, accept=accept, C=[[0.5]])
+    assert path.ravel().tolist() == [1.0, 0.5, 0.5, 0.25]
+
+
+def test_accept_cannot_write_into_the_path():
+    def accept(theta):
+        theta[:] = 7.0
+        return True
+
+    assert (random_walk(THETA, 0, 5, accept=accept) == THETA).all()
+
+
+@pytest.mark.parametrize(("q", "share"), [(1e-6, 0.213), (1e-5, 0.737), (1e-4, 0.980)])
+def test_walks_from_the_papers_mean_leave_the_stable_region_as_often_as_the_notes_say(q, share):
+    runs = 300
+    left = 0
+    for seed in range(runs):
+        companion = np.tile(np.eye(4, k=-1), (1000, 1, 1))
+        companion[:, 0] = -random_walk(THETA_BAR, q, 1000, rng=10_000 + seed)[:, :4]
+        left += bool((np.abs(np.linalg.eigvals(companion)) >= 1).any())
+    # The noted share has its own error, of 2000 runs.
+    assert left / runs == pytest.approx(share, abs=5 * np.sqrt(share * (1 - share) * (1 / runs + 1 / 2000)))
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 10**6), st.integers(0, 6), st.floats(0.2, 1.5))
+def test_stable_looks_at_the_poles(seed, na, radius):
+    rng = np.random.default_rng(seed)
+    theta = stable_theta(rng, na, 2, radius=0.999 * radius)
+    assert stable(na, radius)(theta)
+    if na:
+        outside = np.poly([1.01 * radius, *rng.uniform(-radius, radius, na - 1)])[1:]
+        assert not stable(na, radius)(outside)
+
+
+def test_a_pole_on_the_circle_is_not_stable():
+    assert not stable(1)([-1.0])
+    assert not stable(2)([0.0, 1.0])
+    assert stable(0)([5.0])
+
+
+def test_stable_can_be_pickled():
+    accept = pickle.loads(pickle.dumps(stable(2)))
+    assert accept(THETA)
+    assert not accept([-2.5, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "error", "words"),
+    [
+        (([], 1.0, 5), {}, ValueError, "theta0"),
+        (([np.nan], 1.0, 5), {}, ValueError, "theta0"),
+        (([1.0], 1.0, 0), {}, ValueError, "n:"),
+        (([1.0], 1.0, 5.0), {}, TypeError, "n:"),
+        (([1.0], -1.0, 5), {}, ValueError, "semidefinite"),
+        (([1.0, 2.0], [1.0, 2.0], 5), {}, ValueError, r"Q: expected shape \(2, 2\)"),
+        (([1.0, 2.0], [[1.0, 0.0], [1.0, 1.0]], 5), {}, ValueError, "symmetric"),
+        (([1.0, 2.0], [[1.0, 2.0], [2.0, 1.0]], 5), {}, ValueError, "semidefinite"),
+        (([1.0], np.inf, 5), {}, ValueError, "Q: expected finite"),
+        (([1.0], 1.0, 5), {"C": np.eye(2)}, ValueError, r"C: expected shape \(1, 1\)"),
+        (([1.0], 1.0, 5000), {"C": [[9.0]]}, ValueError, "overflows"),
+        (([1.0], 1.0, 5), {"accept": 1}, TypeError, "accept"),
+        (([-2.0], 1.0, 5), {"accept": stable(1)}, ValueError, "theta0: expected a start that accept takes"),
+        (([1.0], 1.0, 5), {"accept": stable(2)}, ValueError, "at least na=2"),
+    ],
+)
+def test_random_walk_refuses(arguments, options, error, words):
+    with pytest.raises(error, match=words):
+        random_walk(*arguments, **options)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error"), [((-1,), ValueError), ((1.0,), TypeError), ((1, 0.0), ValueError), ((1, "a"), TypeError)]
+)
+def test_stable_refuses(arguments, error):
+    with pytest.raises(error):
+        stable(*arguments)
+
+
+# --- the package's front door ---
+
+
+def test_plants_finds_its_names_when_they_are_asked_for():
+    assert {"simulate_arx", "random_walk", "stable", "THETA_BAR"} <= set(dir(plants))
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        _ = plants.nonsense
+    assert not hasattr(plants, "__wrapped__")
+    everything = {}
+    exec("from robust_filterpy.plants import *", everything)
+    assert everything["simulate_arx"] is simulate_arx
+
+
+def test_a_drifting_plant_can_be_followed_by_hand():
+    # theta(k) is what explains y(k): the regression (14) has no residual but the noise.
+    rng = np.random.default_rng(0)
+    u, v = rng.choice((-1.0, 1.0), 300), 0.1 * rng.normal(size=300)
+    path = random_walk(THETA, 1e-5, 300, rng=rng, accept=stable(2))
+    y = simulate_arx(path, u, noise=v, na=2, nb=2).y
+    phi = np.column_stack((-y[1:-1], -y[:-2], u[1:-1], u[:-2]))
+    np.testing.assert_allclose(y[2:] - (phi * path[2:]).sum(1), v[2:], atol=1e-12)
