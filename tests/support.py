@@ -245,12 +245,12 @@ def reference_correction(
     )
 
 
-def assert_close(actual, desired, rtol=1e-10, what=""):
-    """Compare in the norm of the whole array, which is how rounding enters a matrix."""
+def assert_close(actual, desired, rtol=1e-10, what="", size=0.0):
+    """Compare in the norm of the whole array, or of the size given: that is how rounding enters a matrix."""
     actual, desired = np.asarray(actual, dtype=float), np.asarray(desired, dtype=float)
     assert actual.shape == desired.shape, f"{what}: shape {actual.shape}, expected {desired.shape}"
     assert np.all(np.isfinite(actual)), f"{what}: {actual}"
-    scale = max(np.abs(desired).max(initial=0.0), np.finfo(float).tiny)
+    scale = max(np.abs(desired).max(initial=0.0), size, np.finfo(float).tiny)
     difference = np.abs(actual - desired).max(initial=0.0)
     assert difference <= rtol * scale, f"{what}: differs by {difference / scale:.3g} of its size"
 

@@ -347,6 +347,18 @@ def test_an_enormous_measurement_is_no_bad_input(size, scaling, ndim):
         kf.predict()
 
 
+@pytest.mark.parametrize("dim_z", [1, 2, 3])
+@pytest.mark.parametrize("grouping", ["component", "joint"])
+def test_nothing_overflows_where_a_tiny_s_makes_the_standardized_innovation_infinite(dim_z, grouping):
+    problem = support.random_problem(63, 3, dim_z)
+    tiny = support.with_(problem, P=1e-24 * problem.P, Q=1e-24 * problem.Q, R=1e-24 * problem.R)
+    kf = support.make(RobustKalmanFilter, tiny, grouping=grouping)
+    kf.update([1e300, -1e300, 3.0][:dim_z])
+    support.assert_all_finite(kf)
+    support.assert_positive_definite(kf.P)
+    assert 0 < np.abs(kf.x - problem.x).max() < 1e-9
+
+
 def test_bad_r_is_told_from_a_good_one_after_it_was_written_into():
     """A factor of R that is remembered must not outlive the R that it belongs to."""
     kf = started(influence=Linear())

@@ -148,6 +148,19 @@ def test_k_is_the_papers_gain_coefficient_under_unit_scaling():
     np.testing.assert_array_equal(kf.T, np.eye(2))
 
 
+def test_a_sensor_with_a_zero_row_in_h_is_not_one_of_the_group():
+    """A tracker's unseen point: what it reports must not decide whether the others are clipped."""
+    seen = support.random_problem(25, 4, 2)
+    H, R = np.vstack([seen.H, np.zeros(4)]), np.eye(3)
+    R[:2, :2] = seen.R
+    both = support.with_(seen, H=H, R=R, M=np.zeros((4, 3)))
+    for garbage in (0.0, 1e6):
+        with_garbage, without = robust(both, grouping="joint"), robust(seen, grouping="joint")
+        with_garbage.update([1.0, -2.0, garbage])
+        without.update([1.0, -2.0])
+        support.assert_same_state(with_garbage, without, ("x", "P"))
+
+
 def test_before_the_first_update():
     kf = RobustKalmanFilter(3, 2)
     assert np.all(np.isnan(kf.weights)) and not kf.clipped.any()
