@@ -114,12 +114,6 @@ def test_r_as_an_attribute(case, method):
     kf, good = started(), started().R
     kf.R = BAD_R[case]
     arguments = {"batch_filter": ([[[0.1], [0.2]]],), "update_sequential": (0, np.array([0.1, 0.2]))}
-    if method == "batch_filter":
-        # A batch stops where it finds the fault: after the prediction, before the correction.
-        with pytest.raises(REFUSED):
-            kf.batch_filter([[[0.1], [0.2]]])
-        assert np.all(np.isfinite(kf.x)) and kf.x.shape == (4, 1)
-        return
     refuse(kf, lambda kf: getattr(kf, method)(*arguments.get(method, ([0.1, 0.2],))), match=r"\bR\b")
     kf.R = good
     goes_on(kf)
@@ -272,6 +266,20 @@ def test_a_list_for_the_batch_of_another_length(name):
     kf = started()
     value = {"Fs": kf.F, "Qs": kf.Q, "Hs": kf.H, "Rs": kf.R, "us": np.ones((1, 1))}[name]
     refuse(kf, lambda kf: kf.batch_filter([[[0.1], [0.2]]] * 3, **{name: [value] * 2}), match=name)
+    goes_on(kf)
+
+
+@pytest.mark.parametrize("update_first", [False, True])
+@pytest.mark.parametrize("fault", ["z", "R", "Q"])
+def test_a_fault_in_the_middle_of_a_batch_undoes_the_batch(update_first, fault):
+    kf = started()
+    zs, lists = [[[0.1], [0.2]] for _ in range(5)], {"Rs": [kf.R] * 5, "Qs": [kf.Q] * 5}
+    if fault == "z":
+        zs[3] = [[0.1], [INF]]
+    else:
+        lists[fault + "s"] = [*lists[fault + "s"][:3], np.eye(7), np.eye(7)]
+    message = refuse(kf, lambda kf: kf.batch_filter(zs, update_first=update_first, **lists), match=rf"\b{fault}\b")
+    assert "3" in message, "the step is named"
     goes_on(kf)
 
 

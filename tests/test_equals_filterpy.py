@@ -179,6 +179,26 @@ def test_update_sequential_equals_filterpys():
 
 
 @pytest.mark.parametrize("ndim", NDIMS)
+@pytest.mark.parametrize("blocks", [[1, 1, 1], [2, 1], [1, 2]])
+def test_blocks_of_independent_sensors_are_one_update(ndim, blocks):
+    """And by the chain rule their log-likelihoods add up to that of the whole measurement."""
+    problem = support.with_(support.random_problem(8, 4, 3), R=np.diag([0.5, 1.0, 2.0]))
+    robust, plain = pair(problem, ndim)
+    for z in support.simulate(problem, 20, seed=4)[0]:
+        for kf in (robust, plain):
+            kf.predict()
+        start = 0
+        for length in blocks:
+            robust.update_sequential(start, z[start : start + length])
+            start += length
+        plain.update(z)
+        support.assert_same_state(robust, plain, support.STATE)
+        assert robust.log_likelihood == pytest.approx(plain.log_likelihood, rel=1e-9)
+        assert robust.mahalanobis == pytest.approx(np.sqrt(np.ravel(plain.y) @ plain.SI @ np.ravel(plain.y)), rel=1e-9)
+        np.testing.assert_array_equal(np.ravel(robust.z).astype(float), z)
+
+
+@pytest.mark.parametrize("ndim", NDIMS)
 def test_steady_state(ndim):
     problem = support.random_problem(9, 4, 2, dim_u=1)
     robust, plain = pair(problem, ndim)
