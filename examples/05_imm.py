@@ -77,7 +77,7 @@ def main(argv=None):
         print(f"{name:28} {told[name]:>20.0%} {rms[name]:>22.1f} m")
     huber, tukey = list(KINDS)[1:]
     print(
-        f"Conclusion: while the target flies straight, the calm model is the likelier one in {told['KalmanFilter']:.0%} "
+        f"Conclusion: in straight flight the calm model is the likelier one in {told['KalmanFilter']:.0%} "
         f"of the samples with KalmanFilter, {told[huber]:.0%} with Huber's psi and {told[tukey]:.0%} with Tukey's; the "
         f"position errors are {rms['KalmanFilter']:.1f}, {rms[huber]:.1f} and {rms[tukey]:.1f} m. Where model "
         f"probabilities matter, take a bounded rho."
