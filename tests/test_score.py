@@ -79,6 +79,14 @@ def test_merging_hypotheses_is_the_score(grouping):
         np.testing.assert_allclose(merged.information, law.information(y), rtol=1e-8, atol=1e-12)
 
 
+def test_sensors_that_fail_each_on_its_own_are_independent():
+    S, R = np.diag([2.0, 3.0]), np.diag([1.0, 0.5])
+    law = NOISE.for_innovation(S, R, "component")
+    alone = [NOISE.for_innovation(S[i : i + 1, i : i + 1], R[i : i + 1, i : i + 1]) for i in range(2)]
+    for y in ([0.3, -1.0], [8.0, 0.0], [5.0, -20.0]):
+        assert law.log_density(y) == pytest.approx(sum(one.log_density(v) for one, v in zip(alone, y, strict=True)))
+
+
 def test_for_one_sensor_it_is_an_influence_function():
     law = NOISE.for_innovation([[1.6]], [[0.9]])
     assert isinstance(law, Influence)
