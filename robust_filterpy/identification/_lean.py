@@ -1,0 +1,128 @@
+"""A recording through `RobustKalmanFilter` with F = I: `ParameterTracker.update` without what it costs to call it.
+
+The numbers are those of `update`, to the last bit. Everything that the loop carries is a plain array, so that a
+compiled loop can take its place.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+from robust_filterpy.choices import Choices
+from robust_filterpy.correction import correct_scalar
+from robust_filterpy.identification._memory import Layout, Memory, bounded, gradient
+from robust_filterpy.identification.guard import is_stable, restrained
+
+
+class Rules(NamedTuple):
+    """What a tracker does to each sample, fixed for a recording."""
+
+    uses_model_output: bool
+    filtered: bool
+    guard: str
+    windup: float
+
+
+class Columns(NamedTuple):
+    """The columns of a `TrackingResult` while they are being filled; variance is diag P."""
+
+    theta: Array
+    variance: Array
+    prediction: Array
+    residual: Array
+    weight: Array
+    guard: np.ndarray
+
+    @classmethod
+    def empty(cls, length: int, n: int) -> Columns:
+        """Return columns for a recording."""
+        theta, variance = np.empty((length, n)), np.empty((length, n))
+        prediction, residual, weight = np.full((3, length), np.nan)
+        return cls(theta, variance, prediction, residual, weight, np.zeros(length, dtype=np.int64))
+
+
+class Noise(NamedTuple):
+    """Covariances of a filter: of a step of theta, of the measurement; and the factor that forgets."""
+
+    Q: Any
+    r: float
+    alpha_sq: float
+
+
+def run_lean(
+    layout: Layout,
+    rules: Rules,
+    choices: Choices,
+    noise: Noise,
+    memory: Memory,
+    x: Array,
+    P: Array,
+    y: Array,
+    u: Array,
+    out: Columns,
+) -> tuple[Array, Array]:
+    """Advance x, P and the memory through a recording, fill the columns, return x and P."""
+    length, na, nc, order, part = len(y), layout.na, layout.nc, layout.order, layout.part
+    phi, inputs = memory.regressors(layout, u)
+    # Newest first, so that what phi needs is one contiguous piece that moves by one place a sample.
+    outputs = np.concatenate((np.zeros(length), memory.outputs))
+    residuals = np.concatenate((np.zeros(length), memory.residuals))
+    filtered = rules.filtered and part is not None
+    gradients = np.concatenate((np.zeros((length, layout.n)), memory.gradients)) if filtered else memory.gradients
+    Q, r, alpha_sq = noise
+    drifts, guarded, model_output = bool(np.any(Q)), rules.guard != "none", rules.uses_model_output
+    theta, variance, prediction, residual, weight, guard = out
+    first_residual = layout.n - nc
+    for k, measured in enumerate(y.tolist()):
+        at = length - k
+        row, H = phi[k], phi[k : k + 1]
+        if na:
+            row[:na] = outputs[at : at + na]
+        if nc:
+            row[first_residual:] = residuals[at : at + nc]
+        if alpha_sq == 1.0:
+            if drifts:
+                P = P + Q
+        elif P.trace() <= rules.windup:
+            P = P * alpha_sq + Q
+        predicted = H.dot(x).item()
+        prediction[k] = predicted
+        if filtered:
+            past = x.ravel()[part]
+            psi = row
+            if guarded or is_stable(past.tolist()):
+                psi = gradient(row, past, gradients[at : at + order])
+            gradients[at - 1] = psi
+        if measured == measured:
+            difference = measured - predicted
+            if filtered:
+                G = psi[None, :]
+                along = G.dot(x).item()
+                last = correct_scalar(x, P, (difference + along) - along, G, r, choices)
+            else:
+                last = correct_scalar(x, P, difference, H, r, choices)
+            if part is not None:
+                moved, guard[k] = restrained(last.x.ravel(), x.ravel(), part, rules.guard)
+                x = moved.reshape(x.shape)
+            else:
+                x = last.x
+            P = last.P
+            residual[k] = difference
+            weight[k] = last.psi / last.e if last.e != 0.0 else 1.0
+        if na or nc:
+            known = measured == measured
+            if model_output:
+                outputs[at - 1] = -bounded(H.dot(x).item())
+            else:
+                outputs[at - 1] = -(measured if known else bounded(predicted))
+            if nc and known:
+                residuals[at - 1] = bounded(measured - H.dot(x).item())
+        theta[k] = x.ravel()
+        variance[k] = P.diagonal()
+    memory.outputs, memory.residuals, memory.inputs = outputs[:na].copy(), residuals[:nc].copy(), inputs
+    if filtered:
+        memory.gradients = gradients[:order].copy()
+    return x, P

@@ -1,0 +1,144 @@
+"""From a tracker's arguments to a filter that carries them, and from a filter to plain arrays and back."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import FLOAT, Array
+from robust_filterpy.identification.guard import is_stable
+from robust_filterpy.identification.structures import Structure
+from robust_filterpy.kalman_filter import RobustKalmanFilter
+
+# Before the data have spoken the parameters may be anything of moderate size.
+_VAGUE = 100.0
+
+# What a filter's behaviour depends on besides x and P: name in a state, attribute.
+_SETTINGS = {"Q": "Q", "R": "R", "F": "F", "alpha_sq": "_alpha_sq"}
+
+
+def is_array(value: Any, shape: tuple[int, ...]) -> bool:
+    """Tell whether value is a float array of this shape."""
+    return type(value) is np.ndarray and value.dtype is FLOAT and value.shape == shape
+
+
+def make_filter(n: int, given: Any, choices: dict[str, Any]) -> Any:
+    """Return the filter that a tracker wraps, or raise if it cannot serve."""
+    chosen = {name: value for name, value in choices.items() if value is not None}
+    if given is None:
+        kf = RobustKalmanFilter(n, 1, **chosen)
+        kf.x, kf.P, kf.Q = np.zeros(n), _VAGUE * np.eye(n), np.zeros((n, n))
+        return kf
+    if chosen:
+        raise ValueError(f"{', '.join(chosen)}: expected only without filter=; set them on the filter that you pass")
+    kf = given
+    if isinstance(given, type):
+        kf = given(dim_x=n, dim_z=1)
+        if np.ndim(kf.Q) == 2:
+            kf.Q = np.zeros((n, n))
+        kf.P = _VAGUE * np.eye(n)
+    for name in ("x", "P", "H", "predict", "update"):
+        if not hasattr(kf, name):
+            raise TypeError(f"filter: expected x, P, H, predict() and update(z) as filterpy's filters have, no {name}")
+    if np.size(kf.x) != n:
+        raise ValueError(f"filter: expected dim_x={n} for the structure's parameters, got {np.size(kf.x)}")
+    if getattr(kf, "dim_z", 1) != 1:
+        raise ValueError(f"filter: expected dim_z=1, got {kf.dim_z}; a tracker has one output")
+    return kf
+
+
+def configure(
+    kf: Any, structure: Structure, *, theta: Any, P: Any, Q: Any, R: Any, F: Any, forgetting: float | None
+) -> None:
+    """Check the arguments that are given and write them into the filter."""
+    n, values = structure.n_theta, {}
+    start = np.ravel(kf.x).astype(float) if theta is None else _start(theta, n)
+    if structure.feeds_back is not None and not is_stable(start[structure.feeds_back].tolist()):
+        raise ValueError(
+            f"theta: expected a stable model to start from, got {start[structure.feeds_back]} as the coefficients "
+            f"that feed back, whose roots leave the unit circle"
+        )
+    for name, value in (("P", P), ("Q", Q)):
+        if value is not None:
+            values[name] = _covariance(name, value, n)
+    if R is not None:
+        variance = _checks.numbers("R", R)
+        if variance.size != 1:
+            raise ValueError(f"R: expected one variance for the one output, got {_checks.described(variance)}")
+        values["R"] = np.array([[_checks.positive("R", variance.item())]])
+    if F is not None:
+        values["F"] = _finite("F", _checks.matrix("F", F, (n, n), f"{n} parameters")).copy()
+    elif not hasattr(kf, "F") or np.shape(kf.F) != (n, n):
+        values["F"] = np.eye(n)
+    if forgetting is not None:
+        if not hasattr(kf, "alpha"):
+            raise ValueError(f"forgetting: expected a filter with alpha, {type(kf).__name__} has none; use Q")
+        if not 0.0 < _checks.real("forgetting", forgetting) <= 1.0:
+            raise ValueError(f"forgetting: expected a number in (0, 1], got {forgetting!r}")
+        kf.alpha = 1.0 / math.sqrt(forgetting)
+    if theta is not None:
+        kf.x = start.reshape(np.shape(kf.x))
+    for name, value in values.items():
+        setattr(kf, name, value)
+
+
+def _start(theta: Any, n: int) -> Array:
+    """Return the parameters to start from, shape (n,)."""
+    values = _checks.numbers("theta", theta)
+    if values.ndim == 0:
+        values = np.full(n, values.item())
+    if values.ndim > 2 or values.size != n:
+        raise ValueError(f"theta: expected {n} parameters, got {_checks.described(values)}")
+    return _finite("theta", values.ravel()).copy()
+
+
+def _finite(name: str, values: Array) -> Array:
+    """Return values or raise unless all of them are finite."""
+    if not np.isfinite(values).all():
+        raise ValueError(f"{name}: expected finite numbers, got NaN or infinity among them")
+    return values
+
+
+def _covariance(name: str, value: Any, n: int) -> Array:
+    """Return a covariance of the parameters; a number stands for a multiple of I."""
+    scalar = np.ndim(value) == 0 and value is not None
+    matrix = _checks.real(name, value) * np.eye(n) if scalar else _checks.matrix(name, value, (n, n), f"{n} parameters")
+    _finite(name, matrix)
+    scale = np.sqrt(np.abs(matrix.diagonal()))
+    if (np.abs(matrix - matrix.T) > 1e-8 * np.outer(scale, scale)).any():
+        raise ValueError(f"{name}: expected a symmetric matrix, got one that differs from its transpose")
+    least = np.linalg.eigvalsh(matrix)[0]
+    if least < -1e-10 * np.abs(matrix).max():
+        raise ValueError(f"{name}: expected a positive semidefinite matrix, got one with eigenvalue {least:.3g}")
+    return matrix.copy()
+
+
+def settings(kf: Any) -> dict[str, Array]:
+    """Return what else a filter's behaviour depends on, as arrays."""
+    found = {key: getattr(kf, name) for key, name in _SETTINGS.items() if hasattr(kf, name)}
+    return {key: np.array(value, dtype=float) for key, value in found.items() if value is not None}
+
+
+def apply_settings(kf: Any, state: dict[str, Array]) -> None:
+    """Write them back where they differ."""
+    for key, value in settings(kf).items():
+        if key in state and not np.array_equal(state[key], value):
+            setattr(kf, _SETTINGS[key], state[key].item() if state[key].ndim == 0 else state[key])
+
+
+def checked_state(state: Any, shapes: dict[str, tuple[int, ...]], present: dict[str, Array]) -> dict[str, Array]:
+    """Return a state's arrays, copied, or raise if one is missing or does not fit."""
+    found = {}
+    for name, shape in {**shapes, **{name: value.shape for name, value in present.items()}}.items():
+        if name not in state:
+            if name in present:
+                continue
+            raise ValueError(f"state: expected {name}, of shape {shape}, got none")
+        value = np.array(state[name], dtype=bool if name == "enabled" else float)
+        if value.shape != shape:
+            raise ValueError(f"state: expected {name} of shape {shape}, got {value.shape}")
+        found[name] = value
+    return found

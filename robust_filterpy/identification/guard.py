@@ -1,0 +1,84 @@
+"""Keep a model that feeds on its own output stable while its parameters move."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from robust_filterpy._checks import Array
+
+__all__ = ["GUARDS", "is_stable", "restrained"]
+
+#: What to do with a step of theta that leaves the stable region.
+GUARDS: Final = ("none", "reject", "halve")
+
+# 2^-30 of a step is no step worth taking.
+_MOST_HALVINGS = 30
+
+
+def is_stable(coefficients: Sequence[float]) -> bool:
+    """Tell whether z^n + c_1 z^(n-1) + .. + c_n has all its roots strictly inside the unit circle.
+
+    Parameters
+    ----------
+    coefficients : sequence of float
+        c_1 .. c_n.
+
+    Returns
+    -------
+    bool
+        True for no coefficients at all, False for NaN.
+
+    Notes
+    -----
+    By the step-down recursion of Schur and Cohn, as Jury's table has it: stable if and only if every reflection
+    coefficient is inside (-1, 1).
+
+    Examples
+    --------
+    >>> is_stable([-1.5, 0.7]), is_stable([-2.5, 1.0])
+    (True, False)
+    """
+    c = list(coefficients)
+    while c:
+        k = c.pop()
+        # False for NaN as well.
+        if not -1.0 < k < 1.0:
+            return False
+        if c:
+            d = 1.0 - k * k
+            c = [(a - k * b) / d for a, b in zip(c, reversed(c), strict=True)]
+    return True
+
+
+def restrained(theta: Array, old: Array, part: slice, guard: str) -> tuple[Array, int]:
+    """Return theta as far towards its new value as the guard lets it, and what the guard did.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (n,)
+        New parameters.
+    old : ndarray, shape (n,)
+        Parameters before the step.
+    part : slice
+        Where the polynomial that must be stable stands in theta.
+    guard : {"none", "reject", "halve"}
+        What to do with a step out of the stable region.
+
+    Returns
+    -------
+    theta : ndarray, shape (n,)
+        The same array if the step is taken as it is.
+    event : int
+        0: as it is; h > 0: the step was halved h times; -1: it was not taken.
+    """
+    if guard == "none" or is_stable(theta[part].tolist()):
+        return theta, 0
+    if guard == "halve":
+        step = theta - old
+        for halvings in range(1, _MOST_HALVINGS + 1):
+            step *= 0.5
+            shorter = old + step
+            if is_stable(shorter[part].tolist()):
+                return shorter, halvings
+    return old.copy(), -1

@@ -1,0 +1,544 @@
+"""ParameterTracker: a filter whose state is the parameter vector of a model."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+from robust_filterpy.identification import _model, _setup
+from robust_filterpy.identification._lean import Columns, Noise, Rules, run_lean
+from robust_filterpy.identification._memory import LARGEST, Layout, Memory, bounded, gradient, pushed
+from robust_filterpy.identification.guard import GUARDS, is_stable, restrained
+from robust_filterpy.identification.results import Coefficients, Intervals, Sample, TrackingResult, intervals
+from robust_filterpy.identification.structures import LinearRegression, Structure, input_columns
+from robust_filterpy.influence import Influence
+from robust_filterpy.kalman_filter import RobustKalmanFilter
+
+if TYPE_CHECKING:
+    import control
+
+__all__ = ["GRADIENTS", "ParameterTracker"]
+
+#: What the gain is computed from.
+GRADIENTS: Final = ("pseudolinear", "filtered")
+
+# With forgetting and no excitation P grows without end; at so many times its first trace it has forgotten everything.
+_WINDUP = 1e8
+
+
+class ParameterTracker:
+    """Follow the parameters of a linear model, sample by sample, through outliers.
+
+    A filter with the parameters as its state, F = I and H = phi'(k) (paper 53 and Table 1)::
+
+        theta(k+1) = F theta(k) + w(k)            w ~ N(0, Q)                             (8)-(10)
+        y(k)       = phi(k)' theta(k) + v(k)      v mostly N(0, R), sometimes an outlier  (14)-(17)
+
+    Parameters
+    ----------
+    structure : ARX, OutputError, ARMAX, FIR or LinearRegression
+        What phi is made of.
+    filter : filter object or class, optional
+        Any filter of filterpy's kind with ``x, P, H, predict(), update(z)``, dim_x = structure.n_theta and dim_z = 1,
+        or its class: ``filter=filterpy.kalman.KalmanFilter`` is the baseline without robustness. Default: a
+        `RobustKalmanFilter`.
+    theta : array_like, shape (n,), or float, optional
+        Parameters to start from, a number standing for all of them. Default: 0, or what filter has.
+    P : array_like, shape (n, n), or float, optional
+        Their covariance; a number p stands for p I. Default: 100 I, or what filter has.
+    Q : array_like, shape (n, n), or float, optional
+        Covariance W of a step of theta (8). Default: 0, parameters that stand still, or what filter has.
+    R : float, optional
+        Variance of the ordinary noise, in the unit of y squared; outliers are judged by it. Default: 1, or what
+        filter has.
+    F : array_like, shape (n, n), optional
+        Transition matrix C of (9). Default: the identity, or what filter has.
+    forgetting : float, optional
+        Forgetting factor in (0, 1] as in recursive least squares, instead of Q or beside it: P is divided by it at
+        each sample (filterpy's alpha is its -1/2 power).
+    gradient : {"filtered", "pseudolinear"}
+        What the gain of an OutputError (ARMAX) model is computed from: phi filtered by 1/A_hat (1/C_hat), the
+        derivative of the prediction, or phi itself as in the paper. See Notes. No difference for other structures.
+    guard : {"halve", "reject", "none"}
+        What to do with a step of theta that makes A (ARMAX: C) unstable: halve it until it does not, stay at the old
+        theta, or take it. See Notes. No difference for other structures.
+    influence, scaling, information : optional
+        Choices of the `RobustKalmanFilter`; not together with filter.
+
+    Attributes
+    ----------
+    structure : Structure
+        As given.
+    filter : filter object
+        The filter; its H, Q, R, F may be changed between samples.
+    enabled : bool
+        False freezes theta and P, while predictions go on.
+
+    Raises
+    ------
+    ValueError
+        If a shape, a number or an option does not fit, or the model to start from is unstable.
+    TypeError
+        If structure or filter is of the wrong kind.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from robust_filterpy.identification import ARX
+    >>> rng = np.random.default_rng(1)
+    >>> u = rng.choice([-1.0, 1.0], 500)
+    >>> y = np.zeros(500)
+    >>> for k in range(1, 500):
+    ...     y[k] = 0.8 * y[k - 1] + 2.0 * u[k - 1] + 0.1 * rng.normal()
+    >>> tracker = ParameterTracker(ARX(1, 1), R=0.01)
+    >>> result = tracker.run(y, u)
+    >>> tracker.theta.round(2)
+    array([-0.8,  2. ])
+    """
+
+    def __init__(
+        self,
+        structure: Structure,
+        *,
+        filter: Any = None,
+        theta: ArrayLike | None = None,
+        P: ArrayLike | None = None,
+        Q: ArrayLike | None = None,
+        R: ArrayLike | None = None,
+        F: ArrayLike | None = None,
+        forgetting: float | None = None,
+        gradient: str = "filtered",
+        guard: str = "halve",
+        influence: Influence | None = None,
+        scaling: str | None = None,
+        information: str | None = None,
+    ) -> None:
+        """Set up the filter and a memory at rest."""
+        if not isinstance(structure, Structure):
+            raise TypeError(f"structure: expected ARX(..), OutputError(..) or another structure, got {structure!r}")
+        self._gradient = _checks.option("gradient", gradient, GRADIENTS)
+        self._guard = _checks.option("guard", guard, GUARDS)
+        choices = {"influence": influence, "scaling": scaling, "information": information}
+        self.structure = structure
+        self.filter = _setup.make_filter(structure.n_theta, filter, choices)
+        _setup.configure(self.filter, structure, theta=theta, P=P, Q=Q, R=R, F=F, forgetting=forgetting)
+        self.enabled = True
+        self._layout = Layout(structure)
+        self._memory = Memory(self._layout)
+        self._windup = _WINDUP * max(float(np.trace(self.filter.P)), 1e-300)
+        self._initial = self.state()
+
+    def __repr__(self) -> str:
+        """Show the model as it stands."""
+        values = ", ".join(f"{name}={value:.4g}" for name, value in zip(self.structure.names, self.theta, strict=True))
+        return f"ParameterTracker({self.structure}, {values})"
+
+    # The model as it stands.
+
+    @property
+    def gradient(self) -> str:
+        """What the gain is computed from: "filtered" or "pseudolinear"."""
+        return self._gradient
+
+    @property
+    def guard(self) -> str:
+        """What happens to an unstable step: "halve", "reject" or "none"."""
+        return self._guard
+
+    @property
+    def theta(self) -> Array:
+        """Parameters, shape (n,)."""
+        return np.array(self.filter.x, dtype=float).ravel()
+
+    @property
+    def P(self) -> Array:
+        """Covariance of the parameters, shape (n, n)."""
+        return np.array(self.filter.P, dtype=float)
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations of the parameters, shape (n,)."""
+        return np.sqrt(np.maximum(self.P.diagonal(), 0.0))
+
+    @property
+    def coefficients(self) -> Coefficients:
+        """a, b and c of the model; see `Coefficients`."""
+        return _model.coefficients(self.structure, self.theta)
+
+    def confidence_intervals(self, level: float = 0.95) -> Intervals:
+        """Return theta -+ z std, z the normal quantile of the level.
+
+        Parameters
+        ----------
+        level : float, default 0.95
+            Probability of each interval, in (0, 1).
+
+        Returns
+        -------
+        Intervals
+            lower, upper, each of shape (n,).
+
+        Raises
+        ------
+        ValueError
+            If level is no probability.
+
+        Notes
+        -----
+        As honest as Q and R: P is the covariance for noise of variance R.
+        """
+        return intervals(self.theta, self.std, level)
+
+    def transfer_function(self, dt: float | bool = True) -> control.TransferFunction:
+        """Return the model B(q)/A(q) as it stands.
+
+        Parameters
+        ----------
+        dt : float or True, default True
+            Sampling period in s; True leaves it open.
+
+        Returns
+        -------
+        control.TransferFunction
+            One output and as many inputs as the structure has.
+
+        Raises
+        ------
+        ValueError
+            If the structure has no input, or a regressor of the caller's.
+
+        Examples
+        --------
+        >>> from robust_filterpy.identification import ARX
+        >>> tf = ParameterTracker(ARX(1, 1), theta=[-0.5, 2.0]).transfer_function(dt=0.1)
+        >>> tf.poles().real, float(tf.dcgain())
+        (array([0.5]), 4.0)
+        """
+        return _model.transfer_function(self.structure, self.theta, dt)
+
+    def predict(self, u: ArrayLike | None = None) -> float:
+        """Predict the next output, phi(k+1)' theta (paper 22), and change nothing.
+
+        Parameters
+        ----------
+        u : array_like, shape (n_inputs,), or float, optional
+            The next input; needed if it acts at once (nk = 0).
+
+        Returns
+        -------
+        float
+
+        Raises
+        ------
+        ValueError
+            If the next input is needed and not given.
+        """
+        if u is None and self._layout.direct:
+            raise ValueError(f"u: expected the next input, which acts at once in {self.structure}, got None")
+        values = np.zeros(self.structure.n_inputs) if u is None else self._input(u)
+        H = self._memory.regressor(self._layout, self._memory.with_input(self._layout, values))
+        theta = self.theta
+        if self.enabled and hasattr(self.filter, "F"):
+            theta = np.asarray(self.filter.F, dtype=float).dot(theta)
+        return bounded(H.dot(theta).item())
+
+    def simulate(self, u: ArrayLike, *, continued: bool = False) -> Array:
+        """Run the model as it stands on inputs alone, without measurements: y = B/A u.
+
+        Parameters
+        ----------
+        u : array_like, shape (N,) or (N, n_inputs)
+            Input.
+        continued : bool, default False
+            Whether the run goes on where the tracker is, with its past inputs and outputs; otherwise it starts at
+            rest.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+
+        Raises
+        ------
+        ValueError
+            If u does not fit or is not finite, or the output of an unstable model overflows.
+        """
+        signal = self._recorded_input(u, None)
+        memory = self._memory if continued else Memory(self._layout)
+        return _model.simulate(self.structure, self._layout, memory, self.theta, signal)
+
+    @staticmethod
+    def fit(y: ArrayLike, y_model: ArrayLike) -> float:
+        """Compute the normalised root-mean-square fit, 100 (1 - ||y - y_model||/||y - mean(y)||), in percent.
+
+        Parameters
+        ----------
+        y : array_like, shape (N,)
+            Measured output; NaN does not count.
+        y_model : array_like, shape (N,)
+            Output of the model.
+
+        Returns
+        -------
+        float
+            100 is perfect, 0 no better than the mean.
+
+        Raises
+        ------
+        ValueError
+            If the shapes differ or y is constant.
+        """
+        from robust_filterpy.experiments import fit_percent
+
+        return fit_percent(y, y_model)
+
+    # The recursion.
+
+    def update(self, y: float | None, u: ArrayLike | None = None) -> Sample:
+        """Take one sample: the output y(k) and the input u(k).
+
+        Parameters
+        ----------
+        y : float or None
+            Measured output; NaN or None if it is missing: the recursion then goes on with its own prediction.
+        u : array_like, shape (n_inputs,), or float
+            Input of the same sample (which first acts nk samples later); phi(k) for a LinearRegression.
+
+        Returns
+        -------
+        Sample
+            prediction, residual, weight, guard.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If y is infinite or u not finite or of the wrong length; nothing has changed then.
+        LinAlgError
+            If the filter refuses the sample; nothing has changed then.
+        """
+        output = math.nan if y is None else _checks.real("y", y)
+        if math.isinf(output):
+            raise ValueError(f"y: expected a finite number or NaN (missing), got {output}")
+        return self._step(bounded(output) if output == output else output, self._input(u))
+
+    def run(self, y: ArrayLike, u: ArrayLike | None = None) -> TrackingResult:
+        """Take a whole recording; the numbers are those of `update`, sample by sample.
+
+        Parameters
+        ----------
+        y : array_like, shape (N,)
+            Measured output, N >= 1; NaN where it is missing.
+        u : array_like, shape (N,) or (N, n_inputs)
+            Input; the rows phi(k) for a LinearRegression.
+
+        Returns
+        -------
+        TrackingResult
+            theta, std, prediction, residual, weight, guard, a row for each sample.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If y or u is empty, not finite, or they differ in length; nothing has changed then.
+        LinAlgError
+            If the filter refuses a sample, which the message names; nothing has changed then.
+        """
+        output = _checks.numbers("y", y)
+        if output.ndim == 2 and 1 in output.shape:
+            output = output.ravel()
+        if output.ndim != 1 or output.size == 0:
+            raise ValueError(f"y: expected a recording of shape (N,), N >= 1, got shape {output.shape}")
+        if np.isinf(output).any():
+            raise ValueError(f"y: expected finite numbers or NaN (missing), got inf at {np.isinf(output).argmax()}")
+        signal = self._recorded_input(u, output.size)
+        output = np.clip(output, -LARGEST, LARGEST)
+        out = Columns.empty(output.size, self._layout.n)
+        before = self.state()
+        try:
+            if self._is_lean:
+                self._run_lean(output, signal, out)
+            else:
+                self._run_stepwise(output, signal, out)
+        except (ValueError, TypeError, np.linalg.LinAlgError):
+            self.restore(before)
+            raise
+        std = np.sqrt(np.maximum(out.variance, 0.0))
+        return TrackingResult(out.theta, std, out.prediction, out.residual, out.weight, out.guard)
+
+    def _step(self, y: float, u: Array) -> Sample:
+        """Advance by one checked sample."""
+        kf, layout, memory, part = self.filter, self._layout, self._memory, self._layout.part
+        inputs = memory.with_input(layout, u)
+        H = memory.regressor(layout, inputs)
+        known, old_x, old_P = y == y, kf.x, kf.P
+        old, gradients = np.ravel(old_x), memory.gradients
+        weight, event = math.nan, 0
+        try:
+            if self.enabled and (getattr(kf, "alpha", 1.0) == 1.0 or np.trace(kf.P) <= self._windup):
+                kf.predict()
+            x = kf.x
+            predicted = H.dot(x).item()
+            G, target = H, y
+            if self._gradient == "filtered" and part is not None:
+                past = np.ravel(x)[part]
+                if self._guard != "none" or is_stable(past.tolist()):
+                    G = gradient(H[0], past, gradients)[None, :]
+                gradients = pushed(gradients, G[0])
+                target = (y - predicted) + G.dot(x).item()
+            if self.enabled and known:
+                kf.H = G
+                kf.update(target)
+                weight = float(np.ravel(getattr(kf, "weights", 1.0))[0])
+            if self.enabled and part is not None:
+                moved, event = restrained(np.ravel(kf.x), old, part, self._guard)
+                if event:
+                    kf.x = moved.reshape(np.shape(kf.x))
+            after = H.dot(kf.x).item()
+        except (ValueError, TypeError, np.linalg.LinAlgError):
+            kf.x, kf.P = old_x, old_P
+            raise
+        if self.structure.uses_model_output:
+            memory.outputs = pushed(memory.outputs, -bounded(after))
+        else:
+            memory.outputs = pushed(memory.outputs, -(y if known else bounded(predicted)))
+        memory.residuals = pushed(memory.residuals, bounded(y - after) if known else 0.0)
+        memory.inputs, memory.gradients = inputs, gradients
+        return Sample(predicted, y - predicted, weight, event)
+
+    def _run_stepwise(self, y: Array, u: Array, out: Columns) -> None:
+        """Advance through a recording with any filter, sample by sample."""
+        k = 0
+        try:
+            for k, output in enumerate(y.tolist()):
+                out.prediction[k], out.residual[k], out.weight[k], out.guard[k] = self._step(output, u[k])
+                out.theta[k], out.variance[k] = np.ravel(self.filter.x), np.diagonal(self.filter.P)
+        except (ValueError, TypeError, np.linalg.LinAlgError) as error:
+            error.args = (f"sample {k}: {error}", *error.args[1:])
+            raise
+
+    @property
+    def _is_lean(self) -> bool:
+        """Whether the lean loop does what `update` does: our own filter as it comes, F = I."""
+        kf, n = self.filter, self._layout.n
+        return (
+            self.enabled
+            and type(kf) is RobustKalmanFilter
+            and kf._choices.pointwise is not None
+            and kf._inverse is None
+            and _setup.is_array(kf.F, (n, n))
+            and _setup.is_array(kf.Q, (n, n))
+            and _setup.is_array(kf.R, (1, 1))
+            and _setup.is_array(kf.P, (n, n))
+            and np.array_equal(kf.F, np.eye(n))
+        )
+
+    def _run_lean(self, y: Array, u: Array, out: Columns) -> None:
+        """Advance through all samples but the last in the lean loop; the last one leaves the filter's attributes."""
+        kf, last = self.filter, len(y) - 1
+        if last:
+            rules = Rules(self.structure.uses_model_output, self._gradient == "filtered", self._guard, self._windup)
+            noise = Noise(kf.Q, kf.R.item(), kf._alpha_sq)
+            head = Columns(*(column[:last] for column in out))
+            kf.x, kf.P = run_lean(
+                self._layout, rules, kf._choices, noise, self._memory, kf.x, kf.P, y[:last], u[:last], head
+            )
+        self._run_stepwise(y[last:], u[last:], Columns(*(column[last:] for column in out)))
+
+    # Checked inputs.
+
+    def _input(self, u: Any) -> Array:
+        """Return the input of one sample, shape (n_inputs,), or raise."""
+        n_inputs = self.structure.n_inputs
+        if u is None:
+            if n_inputs:
+                what = "phi" if isinstance(self.structure, LinearRegression) else "input"
+                raise ValueError(f"u: expected the {what} of this sample, {n_inputs} number(s), got None")
+            return np.zeros(0)
+        values = _checks.numbers("u", u)
+        if values.size != n_inputs or values.ndim > 2:
+            raise ValueError(f"u: expected {n_inputs} number(s) for {self.structure}, got {_checks.described(values)}")
+        values = values.ravel()
+        self._require_finite(values)
+        return values
+
+    def _recorded_input(self, u: Any, length: int | None) -> Array:
+        """Return a recorded input, shape (N, n_inputs), or raise."""
+        n_inputs = self.structure.n_inputs
+        if u is None:
+            if n_inputs or length is None:
+                raise ValueError(f"u: expected a recording of {n_inputs} input(s) for {self.structure}, got None")
+            return np.zeros((length, 0))
+        signal = input_columns("u", u, n_inputs)
+        if len(signal) == 0:
+            raise ValueError("u: expected a recording of at least one sample, got none")
+        if length is not None and len(signal) != length:
+            raise ValueError(f"u: expected {length} samples like y, got {len(signal)}")
+        self._require_finite(signal)
+        return signal
+
+    @staticmethod
+    def _require_finite(values: Array) -> None:
+        """Raise unless every input is a number that can be squared."""
+        good = np.abs(values) <= LARGEST
+        if not good.all():
+            k = np.unravel_index(int(np.argmin(good)), good.shape)
+            where = f" in sample {k[0]}" if good.ndim == 2 else ""
+            raise ValueError(
+                f"u: expected finite numbers up to {LARGEST:g} in size (an input cannot be missing), "
+                f"got {values[k]}{where}"
+            )
+
+    # Interruption.
+
+    def state(self) -> dict[str, Array]:
+        """Return everything the recursion needs to go on, as plain arrays.
+
+        Returns
+        -------
+        dict of str to ndarray
+            theta, P; the signals in memory: outputs (na,), inputs, residuals (nc,), gradients; enabled; and the
+            filter's Q, R, F and alpha_sq where it has them. ``numpy.savez(file, **state)`` stores it.
+        """
+        memory = {name: getattr(self._memory, name).copy() for name in self._layout.shapes()}
+        return {
+            "theta": self.theta,
+            "P": self.P,
+            **memory,
+            "enabled": np.array(bool(self.enabled)),
+            **_setup.settings(self.filter),
+        }
+
+    def restore(self, state: Any) -> None:
+        """Go back to a state of this tracker, or of another one with the same structure and kind of filter.
+
+        Parameters
+        ----------
+        state : mapping of str to ndarray
+            From `state`, or what ``numpy.load`` makes of a file that holds it.
+
+        Raises
+        ------
+        ValueError
+            If an array is missing or does not fit; nothing has changed then.
+
+        Notes
+        -----
+        The continuation is the same to the last bit, for filters that hold x and P themselves.
+        """
+        n = self._layout.n
+        shapes = {"theta": (n,), "P": (n, n), **self._layout.shapes(), "enabled": ()}
+        found = _setup.checked_state(state, shapes, _setup.settings(self.filter))
+        self.filter.x = found["theta"].reshape(np.shape(self.filter.x))
+        _setup.apply_settings(self.filter, found)
+        self.filter.P = found["P"]
+        for name in self._layout.shapes():
+            setattr(self._memory, name, found[name])
+        self.enabled = bool(found["enabled"])
+
+    def reset(self) -> None:
+        """Go back to the start: theta, P, Q, R, F and the memory as they were when the tracker was made."""
+        self.restore(self._initial)
