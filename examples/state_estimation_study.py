@@ -222,8 +222,9 @@ def conclusion(results: dict[str, dict[str, Row]], runs: int) -> str:
     ours, paper = "T(k), realized", "T=1,  realized"
     return (
         f"Conclusion: at contamination 0.1 the Kalman filter's mean-square error of x1 is {usual[KALMAN].ratio:.1f} "
-        f"times that of the filter\nthat knows the outliers; the robust filter's is {usual[ours].ratio:.2f} times with T(k), "
-        f"{usual[paper].ratio:.2f} times with T = 1 (psi' realized).\nT = 1 depends on the unit: with P0 = 10 I "
+        f"times that of the filter\nthat knows the outliers; the robust filter's is {usual[ours].ratio:.2f} times "
+        f"with T(k), {usual[paper].ratio:.2f} times with T = 1 (psi' realized).\n"
+        f"T = 1 depends on the unit: with P0 = 10 I "
         f"{wide[paper].refused} of {runs} runs were refused (P would turn indefinite), in a unit ten times\nsmaller "
         f"{small[paper].refused} of {runs}, and in one ten times larger its error is {large[paper].ratio:.1f} times; "
         f"T(k) stays at {small[ours].ratio:.2f} and {large[ours].ratio:.2f}.\nThe total is ruled by states that the "
