@@ -178,7 +178,8 @@ class Robust:
         if self._mahalanobis is None:
             y = np.ravel(self.y)
             peak = float(np.abs(y).max()) or 1.0
-            self._mahalanobis = peak * math.sqrt(max(float(y / peak @ self.SI @ (y / peak)), 0.0))
+            length = math.sqrt(max(float(y / peak @ self.SI @ (y / peak)), 0.0))
+            self._mahalanobis = min(peak * length, sys.float_info.max)
         return self._mahalanobis
 
     def __repr__(self) -> str:

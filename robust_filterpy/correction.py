@@ -499,7 +499,7 @@ def _log_standard_density(e: Array, rank: int, choices: Choices) -> float:
     normalizer = getattr(choices.influence, "log_normalizer", lambda dim: 0.5 * dim * math.log(2.0 * math.pi))
     if choices.grouping == "component":
         losses = np.asarray(choices.influence.rho(e), dtype=float)
-        total = float(np.minimum(losses, _LARGEST / e.size).sum())
+        total = float(np.minimum(losses, 0.5 * _LARGEST / e.size).sum())
         return -total - rank * normalizer(1)
     length, _ = length_and_direction(e)
     return -min(float(choices.influence.rho(np.array([length]))[0]), _LARGEST) - normalizer(rank)

@@ -321,9 +321,9 @@ class RobustKalmanFilter(Robust, KalmanFilter):
         predicted = H.dot(x)
         if len(H) == 1:
             y = values - predicted.item()
-            if y - y != 0.0:
+            if y - y != 0.0 and not np.isfinite(predicted).all():
                 raise ValueError(f"x: expected finite numbers, got H x = {predicted.ravel()}")
-            if inv is None and self._choices.pointwise is not None:
+            if inv is None and self._choices.pointwise is not None and y == y:
                 return correct_scalar(x, P, y, H, R.item(), self._choices, M)
             return correct(x.ravel(), P, np.array([y]), H, R, self._choices, M, inv)
         if x.ndim == 2:
@@ -337,7 +337,7 @@ class RobustKalmanFilter(Robust, KalmanFilter):
     def _skip(self) -> None:
         """Do what filterpy does for update(None), and forget the last innovation."""
         m = self.dim_z
-        self.z = np.array([[None] * m]).T
+        self.z = np.full((m, 1) if np.ndim(self.x) != 1 else m, None)
         self.x_post, self.P_post = np.copy(self.x), np.copy(self.P)
         self.y = np.zeros((m, 1) if np.ndim(self.x) != 1 else m)
         T, S, SI = self.T, self.S, self.SI
@@ -364,7 +364,7 @@ class RobustKalmanFilter(Robust, KalmanFilter):
         x, P = state_of(self)
         H, R, values, _ = self._measurement(z, None, None, None, len(x))
         if values is None:
-            return self.x, self.P
+            return x.copy(), P.copy()
         last = self._corrected(x, P, values, H, R, None)
         return last.x.reshape(x.shape), last.P
 
