@@ -39,6 +39,8 @@ Inverse = Callable[[Array], Array]
 _DEFAULT = Choices()
 _LARGEST = sys.float_info.max
 _EPS = sys.float_info.epsilon
+# Up to here a product with T does not overflow.
+_SAFE = 1e150
 
 
 class NotPositiveDefiniteError(np.linalg.LinAlgError):
@@ -239,13 +241,11 @@ def standardize(S: Array, scaling: str, inv: Inverse | None = None) -> tuple[Arr
 
 def standardized(T: Array, y: Array) -> Array:
     """Return e = T y (paper 29), finite even where the product overflows."""
-    e = T.dot(y)
-    # The comparison is false for NaN too, which inf - inf leaves behind.
-    if not -_LARGEST <= sum(e.tolist()) <= _LARGEST:
-        peak = np.abs(y).max()
-        with np.errstate(over="ignore"):
-            e = np.clip(T.dot(y / peak) * peak, -_LARGEST, _LARGEST)
-    return e
+    peak = max(map(abs, y.tolist()))
+    if peak < _SAFE:
+        return T.dot(y)
+    with np.errstate(over="ignore"):
+        return np.clip(T.dot(y / peak) * peak, -_LARGEST, _LARGEST)
 
 
 def posterior_covariance(
