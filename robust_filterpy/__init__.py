@@ -14,14 +14,37 @@ from robust_filterpy._version import __version__
 from robust_filterpy.influence import Hampel, Huber, Linear, StudentT, TukeyBiweight
 from robust_filterpy.kalman_filter import RobustKalmanFilter
 
-_LAZY: dict[str, str] = {}
-__all__ = ["Hampel", "Huber", "Linear", "RobustKalmanFilter", "StudentT", "TukeyBiweight", "__version__", *_LAZY]
+_LAZY = {
+    "ARMAX": "identification",
+    "ARX": "identification",
+    "FIR": "identification",
+    "LinearRegression": "identification",
+    "OutputError": "identification",
+    "ParameterTracker": "identification",
+    "RobustExtendedKalmanFilter": "nonlinear",
+    "RobustUnscentedKalmanFilter": "nonlinear",
+    "RobustCubatureKalmanFilter": "nonlinear",
+    "ContaminatedScore": "score",
+    "NoiseMatchedKalmanFilter": "process",
+    "TwoSidedKalmanFilter": "two_sided",
+    "estimate_noise": "estimation",
+}
+__all__ = [
+    "Hampel",
+    "Huber",
+    "Linear",
+    "RobustKalmanFilter",
+    "StudentT",
+    "TukeyBiweight",
+    "__version__",
+    *_LAZY,
+]
 
 
 def __getattr__(name: str) -> Any:
     """Import a name of another module when it is first asked for (PEP 562)."""
     if name in _LAZY:
-        return getattr(importlib.import_module(_LAZY[name]), name)
+        return getattr(importlib.import_module(f"{__name__}.{_LAZY[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
