@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import support
 
-from robust_filterpy import Huber, Linear, RobustKalmanFilter
+from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight
 
 pytestmark = pytest.mark.core
 
@@ -353,6 +353,21 @@ def test_an_enormous_measurement_is_no_bad_input(size, scaling, ndim):
         assert kf.likelihood >= 0
         repr(kf)
         kf.predict()
+
+
+@pytest.mark.parametrize("influence", [Huber(0.5), Hampel(), TukeyBiweight(), StudentT(), StudentT(50.0)], ids=repr)
+@pytest.mark.parametrize("information", ["realized", "weight"])
+@pytest.mark.parametrize("dim_z", [1, 2])
+def test_no_size_of_measurement_up_to_1e300_is_special(influence, information, dim_z):
+    """Where e^2 overflows, where psi(e)/e turns subnormal, and everywhere between."""
+    problem = support.random_problem(64, 2, dim_z)
+    kf = support.make(RobustKalmanFilter, problem, influence=influence, information=information)
+    for exponent in np.arange(0.0, 300.5, 0.5):
+        support.load(kf, problem)
+        kf.update([10.0**exponent, 0.1][:dim_z])
+        support.assert_positive_definite(kf.P, f"P after z = 1e{exponent}")
+        assert np.abs(kf.x - problem.x).max() < 100, exponent
+        assert np.isfinite(kf.log_likelihood) and np.isfinite(kf.mahalanobis), exponent
 
 
 @pytest.mark.parametrize("dim_z", [1, 2, 3])
