@@ -62,7 +62,7 @@ def option(name: str, value: Any, allowed: Iterable[str]) -> str:
 def numbers(name: str, value: Any) -> Array:
     """Return value as a float array (None and masked entries become NaN) or raise TypeError."""
     if isinstance(value, np.ma.MaskedArray):
-        value = value.astype(float).filled(np.nan)
+        value = np.ma.filled(value.astype(float), np.nan)
     try:
         if np.iscomplexobj(value):
             raise TypeError

@@ -25,10 +25,15 @@ class Robust:
     """
 
     # Outside __dict__, which filterpy's Saver copies at every epoch and turns into arrays.
-    __slots__ = ("_S", "_SI", "_last", "_y")
+    # (Not a literal: a type checker would then believe that there is no __dict__ at all.)
+    __slots__ = tuple("_S _SI _last _y".split())
 
     x: Array
     dim_z: int
+    _y: Any
+    _S: Any
+    _SI: Any
+    _last: Any
     inv: Inverse
     _choices: Choices
     _log_likelihood: float | None
@@ -38,7 +43,7 @@ class Robust:
     def _set_choices(self, influence: Influence, scaling: str, information: str, grouping: str) -> None:
         """Check and keep the choices; called before filterpy's constructor."""
         self._choices = Choices(influence, scaling, information, grouping)
-        self._last: Correction | ScalarCorrection | None = None
+        self._last = None
 
     @property
     def _inverse(self) -> Inverse | None:

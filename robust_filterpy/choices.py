@@ -93,7 +93,7 @@ class Choices:
         """E[psi'] clipped to [0, 1] (paper 40, 45)."""
         return min(max(expected_information(self.influence), 0.0), 1.0)
 
-    def bound(self, e: Array, visible: np.ndarray | None = None) -> tuple[Array, Array | list[float], list[float]]:
+    def bound(self, e: Array, visible: Any = None) -> tuple[Array, Array | list[float], list[float]]:
         """Apply psi to a standardized innovation.
 
         Parameters
