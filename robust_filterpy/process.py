@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._hypotheses import SeveralHypotheses, finite_product
 from robust_filterpy._measurement import process_noise, state_of
@@ -286,7 +287,7 @@ class NoiseMatchedKalmanFilter(SeveralHypotheses):
             Its covariance.
         """
         x, P = super().get_update(z)
-        if P is self.P and self._may_have_jumped:
+        if self._may_have_jumped and (z is None or np.isnan(_checks.numbers("z", z)).all()):
             P = P + self._process_noise.contamination * self._jump
         return x, P
 

@@ -1,0 +1,109 @@
+"""The problems that `outlier_tables` compares filters on, and the filters beside ours."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from filterpy.kalman import KalmanFilter
+from scipy import stats
+from statsmodels.robust.norms import TrimmedMean
+
+from robust_filterpy import RobustKalmanFilter
+
+
+class Recording(NamedTuple):
+    """A problem's matrices, its true states and measurements, and what no filter is told."""
+
+    F: np.ndarray
+    H: np.ndarray
+    Q: np.ndarray
+    R: np.ndarray
+    x0: np.ndarray
+    P0: np.ndarray
+    truth: np.ndarray
+    zs: np.ndarray
+    jumps: np.ndarray
+    outliers: np.ndarray
+
+
+def paper(rng: np.random.Generator, contamination: float, steps: int) -> Recording:
+    """Equations 31-34 of the paper: four states, the first measured, outliers of ten times the deviation."""
+    F = np.array(
+        [
+            [0.99, -0.012, 0.001, -0.001],
+            [-0.005, 0.98, -0.001, 0.005],
+            [-0.001, 0.01, 1.0, -0.001],
+            [0.01, 0.001, -0.002, 1.0],
+        ]
+    )
+    Q, R, P0 = 0.001 * np.eye(4), 0.1 * np.eye(1), 0.1 * np.eye(4)
+    return _simulate(rng, F, np.eye(1, 4), Q, np.sqrt(0.001) * np.eye(4), R, np.zeros(4), P0, 0.0, contamination, steps)
+
+
+def vehicle(rng: np.random.Generator, process: float, measurement: float, steps: int) -> Recording:
+    """The vehicle of Yang and Boyd (2025): gusts and position fixes, each with outliers of ten times the deviation."""
+    h, gamma = 0.05, 0.05
+    d, I, zero = h * (1 - 0.5 * gamma * h), np.eye(2), np.zeros((2, 2))
+    F = np.block([[I, d * I], [zero, (1 - gamma * h) * I]])
+    B = np.sqrt(10) * np.vstack([0.5 * h * h * I, h * I])
+    x0 = np.array([0.0, 0.0, 5.0, 5.0])
+    return _simulate(rng, F, np.eye(2, 4), B @ B.T, B, 5 * I, x0, np.zeros((4, 4)), process, measurement, steps)
+
+
+def _simulate(
+    rng: np.random.Generator,
+    F: Any,
+    H: Any,
+    Q: Any,
+    root: Any,
+    R: Any,
+    x0: Any,
+    P0: Any,
+    jump: float,
+    bad: float,
+    n: int,
+) -> Recording:
+    """Draw a recording; each noise is ten times larger with its own probability."""
+    jumps, outliers = rng.random(n) < jump, rng.random(n) < bad
+    w = rng.normal(size=(n, root.shape[1])) @ root.T * np.where(jumps, 10.0, 1.0)[:, None]
+    v = rng.normal(size=(n, len(R))) * np.sqrt(R.diagonal()) * np.where(outliers, 10.0, 1.0)[:, None]
+    x, truth = x0 + np.sqrt(P0.diagonal()) * rng.normal(size=len(x0)), np.empty((n, len(x0)))
+    for k in range(n):
+        x = truth[k] = F @ x + w[k]
+    return Recording(F, H, Q, R, x0, P0, truth, truth @ H.T + v, jumps, outliers)
+
+
+def prepared(kf: Any, data: Recording) -> Any:
+    """Put the problem into a filter."""
+    kf.F, kf.H, kf.Q, kf.R = (getattr(data, name).copy() for name in "FHQR")
+    kf.x, kf.P = data.x0.copy(), data.P0 + 1e-9 * np.eye(len(data.x0))
+    return kf
+
+
+def errors(kf: Any, data: Recording) -> np.ndarray:
+    """Return the estimates' errors, shape (steps, n)."""
+    prepared(kf, data)
+    path = np.empty_like(data.truth)
+    for k, z in enumerate(data.zs):
+        kf.predict()
+        kf.update(z)
+        path[k] = kf.x
+    return path - data.truth
+
+
+def errors_with_labels(data: Recording) -> np.ndarray:
+    """Return the errors of the Kalman filter that is told which noises are large."""
+    kf = prepared(KalmanFilter(len(data.x0), len(data.R)), data)
+    path = np.empty_like(data.truth)
+    for k, z in enumerate(data.zs):
+        kf.predict(Q=data.Q * (100.0 if data.jumps[k] else 1.0))
+        kf.update(z, R=data.R * (100.0 if data.outliers[k] else 1.0))
+        path[k] = kf.x
+    return path - data.truth
+
+
+def gate(dim_x: int, dim_z: int, level: float = 0.9973) -> RobustKalmanFilter:
+    """Return the Kalman filter that leaves out what its chi-square gate refuses."""
+    threshold = float(np.sqrt(stats.chi2.ppf(level, dim_z)))
+    return RobustKalmanFilter(dim_x, dim_z, influence=TrimmedMean(threshold), grouping="joint")

@@ -1,0 +1,120 @@
+"""Compare filters under outliers: of the measurement, of the process, and after true jumps.
+
+Run ``python tests/benchmarks/outlier_tables.py [--runs N] [--jobs J] [--seed S] [--table NAME]``; each table says
+which problem, how many runs, and gives 95 % bootstrap intervals over the runs, which all filters share.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from filterpy.kalman import KalmanFilter
+from outlier_problems import errors, errors_with_labels, gate, paper, vehicle
+
+from robust_filterpy import Hampel, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy.experiments import bootstrap_interval, monte_carlo
+from robust_filterpy.process import NoiseMatchedKalmanFilter
+from robust_filterpy.score import ContaminatedScore
+from robust_filterpy.two_sided import TwoSidedKalmanFilter
+
+LABELS = "Kalman, told the labels"
+
+
+def one_sided(dim_x: int, dim_z: int) -> dict[str, Callable[[], Any]]:
+    """Return the filters that doubt the measurement alone."""
+    return {
+        "Kalman (filterpy)": lambda: KalmanFilter(dim_x, dim_z),
+        "chi-square gate, 99.73 %": lambda: gate(dim_x, dim_z),
+        "Huber 1.345": lambda: RobustKalmanFilter(dim_x, dim_z, grouping="joint"),
+        "Hampel": lambda: RobustKalmanFilter(dim_x, dim_z, influence=Hampel(), grouping="joint"),
+        "Tukey 4.685": lambda: RobustKalmanFilter(dim_x, dim_z, influence=TukeyBiweight(), grouping="joint"),
+        "Student t, 4": lambda: RobustKalmanFilter(dim_x, dim_z, influence=StudentT(), grouping="joint"),
+    }
+
+
+def score_trial(rng: np.random.Generator, contamination: float, steps: int = 900) -> dict[str, float]:
+    """Return each filter's mean square error of the observed state."""
+    data = paper(rng, contamination, steps)
+    noise = ContaminatedScore(contamination, 10.0)
+    filters = {
+        **one_sided(4, 1),
+        "noise-matched": lambda: NoiseMatchedKalmanFilter(4, 1, measurement=noise),
+        "two-sided": lambda: TwoSidedKalmanFilter(4, 1),
+    }
+    found = {name: float(np.mean(errors(build(), data)[:, 0] ** 2)) for name, build in filters.items()}
+    return {**found, LABELS: float(np.mean(errors_with_labels(data)[:, 0] ** 2))}
+
+
+def vehicle_trial(rng: np.random.Generator, process: float, measurement: float, steps: int = 1000) -> dict[str, float]:
+    """Return each filter's root mean square error of the whole state."""
+    data = vehicle(rng, process, measurement, steps)
+    noise = {"measurement": ContaminatedScore(measurement, 10.0), "process": ContaminatedScore(process, 10.0)}
+    filters = {
+        **one_sided(4, 2),
+        "(a) noise-matched": lambda: NoiseMatchedKalmanFilter(4, 2, **noise),
+        "(b) two-sided": lambda: TwoSidedKalmanFilter(4, 2, grouping="joint"),
+    }
+    found = {name: _rms(errors(build(), data)) for name, build in filters.items()}
+    return {**found, LABELS: _rms(errors_with_labels(data))}
+
+
+def _rms(error: np.ndarray) -> float:
+    """Return the root of the mean squared length of the rows."""
+    return float(np.sqrt((error**2).sum(axis=1).mean()))
+
+
+def ratios(title: str, trial: Callable[..., Any], reference: str, runs: int, seed: int, jobs: int) -> None:
+    """Print each filter's error over that of the reference, with its interval."""
+    start = time.perf_counter()
+    found = monte_carlo(trial, runs, seed=seed, n_jobs=jobs).stacked()
+    print(
+        f"\n{title}\n{runs} runs, seed {seed}, {time.perf_counter() - start:.0f} s; error over that of: {reference}\n"
+    )
+    print("| filter | ratio | 95 % interval |\n|---|---|---|")
+    for name, values in found.items():
+        interval = bootstrap_interval((values, found[reference]), "ratio", rng=seed)
+        print(f"| {name} | {interval.estimate:.3f} | {interval.low:.3f} to {interval.high:.3f} |")
+
+
+def score_table(runs: int, seed: int, jobs: int) -> None:
+    """Print the table of measurement outliers: equations 31-34."""
+    for contamination in (0.0, 0.1, 0.3):
+        title = f"Equations 31-34, contamination {contamination}, 900 steps: mean square error of x1"
+        ratios(title, partial(score_trial, contamination=contamination), LABELS, runs, seed, jobs)
+
+
+def process_table(runs: int, seed: int, jobs: int) -> None:
+    """Print the table of process outliers: the vehicle of Yang and Boyd."""
+    for process, measurement in ((0.1, 0.1), (0.02, 0.1), (0.0, 0.1), (0.0, 0.0)):
+        title = (
+            f"Vehicle, process outliers {process}, measurement outliers {measurement}, 1000 steps: RMSE of the state"
+        )
+        trial = partial(vehicle_trial, process=process, measurement=measurement)
+        ratios(title, trial, "Kalman (filterpy)", runs, seed, jobs)
+
+
+TABLES = {"score": (score_table, 150), "process": (process_table, 40)}
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Print the tables that were asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "--runs", type=int, help="runs of each table, otherwise " + str({k: v[1] for k, v in TABLES.items()})
+    )
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--seed", type=int, default=2025)
+    parser.add_argument("--table", choices=TABLES, action="append", help="only this one (may be repeated)")
+    chosen = parser.parse_args(argv)
+    for name in chosen.table or TABLES:
+        table, runs = TABLES[name]
+        table(chosen.runs or runs, chosen.seed, chosen.jobs)
+
+
+if __name__ == "__main__":
+    main()
