@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from robust_filterpy._checks import Array
 from robust_filterpy.choices import Choices
@@ -76,10 +77,16 @@ def run_lean(
     drifts, guarded, model_output = bool(np.any(Q)), rules.guard != "none", rules.uses_model_output
     theta, variance, prediction, residual, weight, guard = out
     first_residual = layout.n - nc
+    complete = not np.isnan(y).any()
+    if na and complete and not model_output:
+        # Nothing of phi's first part waits for the recursion.
+        outputs[:length] = -y[::-1]
+        phi[:, :na] = sliding_window_view(outputs[1:], na)[::-1][:length]
+    waits, column = bool(na) and (model_output or not complete), x.ndim == 2
     for k, measured in enumerate(y.tolist()):
         at = length - k
         row, H = phi[k], phi[k : k + 1]
-        if na:
+        if waits:
             row[:na] = outputs[at : at + na]
         if nc:
             row[first_residual:] = residuals[at : at + nc]
@@ -112,15 +119,14 @@ def run_lean(
             P = last.P
             residual[k] = difference
             weight[k] = last.psi / last.e if last.e != 0.0 else 1.0
-        if na or nc:
-            known = measured == measured
+        if waits:
             if model_output:
                 outputs[at - 1] = -bounded(H.dot(x).item())
             else:
-                outputs[at - 1] = -(measured if known else bounded(predicted))
-            if nc and known:
-                residuals[at - 1] = bounded(measured - H.dot(x).item())
-        theta[k] = x.ravel()
+                outputs[at - 1] = -(measured if measured == measured else bounded(predicted))
+        if nc and measured == measured:
+            residuals[at - 1] = bounded(measured - H.dot(x).item())
+        theta[k] = x[:, 0] if column else x
         variance[k] = P.diagonal()
     memory.outputs, memory.residuals, memory.inputs = outputs[:na].copy(), residuals[:nc].copy(), inputs
     if filtered:

@@ -1,0 +1,242 @@
+"""How well output-error models are tracked through outliers: gradients, guards, and the paper's own example.
+
+    python tests/benchmarks/output_error_study.py [gradients] [guards] [paper] [armax] [--runs 50] [--jobs 2]
+
+prints the tables that the docstrings of `ParameterTracker` cite, and for each target whether it is met.
+"""
+
+from __future__ import annotations
+
+import argparse
+from functools import partial
+
+import numpy as np
+import scipy.signal
+
+from robust_filterpy import Linear
+from robust_filterpy.excitation import bandlimited_pink_autocovariance, receding_horizon_binary
+from robust_filterpy.experiments import monte_carlo
+from robust_filterpy.identification import ARMAX, OutputError, ParameterTracker
+from robust_filterpy.identification.guard import GUARDS
+from robust_filterpy.identification.tracker import GRADIENTS
+from robust_filterpy.noise import EpsilonContaminated, fisher_information
+from robust_filterpy.plants import THETA_BAR, random_walk, simulate_output_error, stable
+
+PLANT = np.array([-1.5, 0.7, 1.0, 0.5])
+SIGMA = 0.5
+WALKS = (0.0, 1e-6, 1e-5)
+CONTAMINATIONS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3)
+TRACKERS = ("Kalman", "robust", "labels")
+SAMPLES = 1000
+
+
+def tracked(kind, structure, y, u, labels, sigma, contamination, ratio=10.0, **options):
+    """Run one kind of tracker on a recording and return its path of theta."""
+    if kind == "robust":
+        return ParameterTracker(structure, R=sigma**2, **options).run(y, u).theta
+    mixture = sigma**2 * (1 - contamination + ratio**2 * contamination)
+    tracker = ParameterTracker(structure, R=mixture, influence=Linear(), **options)
+    if kind == "Kalman":
+        return tracker.run(y, u).theta
+    path = np.empty((len(y), structure.n_theta))
+    for k in range(len(y)):
+        tracker.filter.R = np.array([[(ratio * sigma if labels[k] else sigma) ** 2]])
+        tracker.update(y[k], u[k])
+        path[k] = tracker.theta
+    return path
+
+
+def late_error(path, theta):
+    """Return the mean of ||theta_hat - theta|| over the second half."""
+    return np.linalg.norm(path - theta, axis=1)[len(path) // 2 :].mean()
+
+
+def gradient_trial(rng, contamination, walks, gradients=GRADIENTS, trackers=TRACKERS, **options):
+    """Track the well-conditioned plant from theta = 0 in every way."""
+    noise = EpsilonContaminated(contamination, SIGMA, 10 * SIGMA).rvs_labelled(SAMPLES, rng)
+    u = rng.choice([-1.0, 1.0], SAMPLES)
+    y = simulate_output_error(PLANT, u, noise=noise.values, na=2, nb=2).y
+    return {
+        (gradient, Q, kind): late_error(
+            tracked(
+                kind, OutputError(2, 2), y, u, noise.is_outlier, SIGMA, contamination,
+                P=1.0, Q=Q, gradient=gradient, **options,
+            ),
+            PLANT,
+        )
+        for gradient in gradients
+        for Q in walks
+        for kind in trackers
+    }  # fmt: skip
+
+
+def medians(trial, runs, jobs, **arguments):
+    """Return the median over seeds of every entry of a trial's result."""
+    return {
+        key: float(np.median(values))
+        for key, values in monte_carlo(partial(trial, **arguments), runs, n_jobs=jobs).stacked().items()
+    }
+
+
+def target(what, value, limit):
+    """Print one line: a measured value against its target."""
+    print(f"  {'met    ' if value <= limit else 'NOT MET'}  {value:.2f} <= {limit}  {what}")
+
+
+def print_gradients(runs, jobs):
+    """Print the table of gradients with its targets."""
+    table = {c: medians(gradient_trial, runs, jobs, contamination=c, walks=WALKS) for c in CONTAMINATIONS}
+    print(f"Output error, a = [-1.5, .7], b = [1, .5], median of the late ||theta_hat - theta||, {runs} runs")
+    print(
+        f"{'Q':>7} {'cont.':>6}   "
+        + "   ".join(f"{gradient + ': ' + ' '.join(TRACKERS):>37}" for gradient in GRADIENTS)
+    )
+    for Q in WALKS:
+        for c, row in table.items():
+            cells = [" ".join(f"{row[g, Q, kind]:7.4f}" for kind in TRACKERS) for g in GRADIENTS]
+            print(f"{Q:7.0e} {c:6.2f}   " + "   ".join(f"{cell:>37}" for cell in cells))
+    print("Targets: ratio of median errors")
+    for Q in WALKS:
+        for c, row in table.items():
+            kalman, robust, labels = (row["filtered", Q, kind] for kind in TRACKERS)
+            where = f"Q = {Q:.0e}, contamination {c}, filtered"
+            if c == 0.0:
+                target(f"robust / Kalman, {where}", robust / kalman, 1.1)
+            if c >= 0.1:
+                target(f"robust / Kalman, {where}", robust / kalman, 0.55)
+                target(f"robust / label-knowing, {where}", robust / labels, 1.35)
+            if c in (0.1, 0.15):
+                kalman, robust = (row["pseudolinear", Q, kind] for kind in TRACKERS[:2])
+                target(f"robust / Kalman, Q = {Q:.0e}, contamination {c}, pseudolinear", robust / kalman, 0.65)
+
+
+def guard_trial(rng, W, theta0, order, sigma, contamination):
+    """Track a drifting plant with every guard and gradient."""
+    path = random_walk(theta0, W, SAMPLES, rng, accept=stable(order))
+    noise = EpsilonContaminated(contamination, sigma, 10 * sigma)
+    u = rng.choice([-1.0, 1.0], SAMPLES)
+    data = simulate_output_error(path, u, noise=noise, rng=rng, na=order, nb=order)
+    result = {}
+    for gradient in GRADIENTS:
+        for guard in GUARDS:
+            tracker = ParameterTracker(
+                OutputError(order, order), theta=0.0, P=1.0, Q=W, R=sigma**2, gradient=gradient, guard=guard
+            )
+            result[gradient, guard] = late_error(tracker.run(data.y, u).theta, path)
+    return result
+
+
+def print_guards(runs, jobs):
+    """Print the table of guards."""
+    print(f"Guards, drifting plants, contamination 0.1, median of the late ||theta_hat - theta||, {runs} runs")
+    for name, theta0, order, sigma in (
+        ("a = [-1.5, .7]", PLANT, 2, SIGMA),
+        ("theta-bar of section 4", THETA_BAR, 4, 0.1**0.5),
+    ):
+        for W in (1e-6, 1e-5, 1e-4):
+            row = medians(
+                guard_trial, runs, jobs, W=W, theta0=theta0, order=order, sigma=sigma, contamination=0.1
+            )  # fmt: skip
+            cells = (f"{g}: " + " ".join(f"{guard} {row[g, guard]:6.3f}" for guard in GUARDS) for g in GRADIENTS)
+            print(f"{name:>23} W = {W:.0e}  " + "   ".join(cells))
+
+
+def sensitivity(theta, u, na):
+    """Return the derivative of the noise-free output by theta, shape (N, n)."""
+    a = np.concatenate(([1.0], theta[:na]))
+    y = scipy.signal.lfilter(np.concatenate(([0.0], theta[na:])), a, u)
+    phi = OutputError(na, theta.size - na).regressors(u, y)
+    return scipy.signal.lfilter([1.0], a, phi, axis=0)
+
+
+def paper_trial(rng, contamination, pink):
+    """Track theta-bar of section 4, W = 1e-6 I, with the noise of the paper."""
+    sigma, W = 0.1**0.5, 1e-6
+    path = random_walk(THETA_BAR, W, SAMPLES, rng, accept=stable(4))
+    noise = EpsilonContaminated(contamination, sigma, 10 * sigma)
+    labelled = noise.rvs_labelled(SAMPLES, rng)
+    if pink:
+        u = receding_horizon_binary(bandlimited_pink_autocovariance(0.5, 2.5, 40), SAMPLES, rng=rng)
+    else:
+        u = rng.choice([-1.0, 1.0], SAMPLES)
+    data = simulate_output_error(path, u, noise=labelled.values, na=4, nb=4)
+    structure, w = OutputError(4, 4), np.linspace(0.05, np.pi, 200)
+    information = np.linalg.inv(sensitivity(THETA_BAR, u, 4).T @ sensitivity(THETA_BAR, u, 4))
+    score = fisher_information(noise)
+    result = {("bound", "theta"): np.sqrt(np.trace(information) / score)}
+    true = response(path[-1], w)
+    for gradient in GRADIENTS:
+        for kind in TRACKERS:
+            theta = tracked(
+                kind, structure, data.y, u, labelled.is_outlier, sigma, contamination, P=0.1, Q=W, gradient=gradient
+            )
+            model = ParameterTracker(structure, theta=theta[-1]).simulate(u)
+            clean = ParameterTracker(structure, theta=path[-1]).simulate(u)
+            result[gradient, kind] = np.array(
+                [
+                    np.linalg.norm(theta[-1] - path[-1]),
+                    np.linalg.norm(model - clean) / np.linalg.norm(clean),
+                    np.linalg.norm(response(theta[-1], w) - true) / np.linalg.norm(true),
+                ]
+            )
+    return result
+
+
+def response(theta, w):
+    """Return the frequency response of B/A with four a's, at w in rad per sample."""
+    return scipy.signal.freqz(np.concatenate(([0.0], theta[4:])), np.concatenate(([1.0], theta[:4])), w)[1]
+
+
+def print_paper(runs, jobs):
+    """Print section 4: what 1000 samples tell about theta-bar, and about the plant."""
+    print(f"Section 4, theta-bar, from theta = 0, P0 = 0.1 I, W = 1e-6 I, last sample, medians of {runs} runs")
+    print("  theta: ||theta_hat - theta||; output, response: relative errors of B/A u and B/A, noise-free")
+    for pink in (True, False):
+        for c in (0.05, 0.1, 0.15):
+            study = monte_carlo(partial(paper_trial, contamination=c, pink=pink), runs, n_jobs=jobs).stacked()
+            bound = np.median(study.pop(("bound", "theta")))
+            print(
+                f"{'1/f input' if pink else 'white +-1'}, contamination {c}: Cramer-Rao bound of ||theta_hat - theta|| "
+                f"{bound:.3f}, ||theta-bar|| {np.linalg.norm(THETA_BAR):.3f}"
+            )
+            for (gradient, kind), errors in study.items():
+                theta, output, frequency = np.median(errors, axis=0)
+                print(f"    {gradient:>12} {kind:>7}: theta {theta:.3f}  output {output:.3f}  response {frequency:.3f}")
+
+
+def armax_trial(rng, contamination, Q):
+    """Track A = [-1.5, .7], B = [1, .5], C = [-1, .2] from 0."""
+    true = np.array([-1.5, 0.7, 1.0, 0.5, -1.0, 0.2])
+    v = EpsilonContaminated(contamination, SIGMA, 10 * SIGMA).rvs(size=SAMPLES, random_state=rng)
+    u = rng.choice([-1.0, 1.0], SAMPLES)
+    a = np.concatenate(([1.0], true[:2]))
+    y = scipy.signal.lfilter([0.0, 1.0, 0.5], a, u) + scipy.signal.lfilter([1.0, -1.0, 0.2], a, v)
+    return {
+        (gradient, guard): late_error(
+            ParameterTracker(ARMAX(2, 2, 2), P=1.0, Q=Q, R=SIGMA**2, gradient=gradient, guard=guard).run(y, u).theta,
+            true,
+        )
+        for gradient in GRADIENTS
+        for guard in GUARDS
+    }
+
+
+def print_armax(runs, jobs):
+    """Print both gradients on an ARMAX plant."""
+    print(f"ARMAX, a = [-1.5, .7], b = [1, .5], c = [-1, .2], median late ||theta_hat - theta||, {runs} runs")
+    for c in (0.0, 0.1):
+        row = medians(armax_trial, runs, jobs, contamination=c, Q=1e-6)
+        cells = (f"{g}: " + " ".join(f"{guard} {row[g, guard]:6.3f}" for guard in GUARDS) for g in GRADIENTS)
+        print(f"  contamination {c}  " + "   ".join(cells))
+
+
+PARTS = {"gradients": print_gradients, "guards": print_guards, "paper": print_paper, "armax": print_armax}
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("parts", nargs="*", choices=[*PARTS, []], help="which tables (default: all)")
+    parser.add_argument("--runs", type=int, default=50)
+    parser.add_argument("--jobs", type=int, default=1)
+    arguments = parser.parse_args()
+    for part in arguments.parts or PARTS:
+        PARTS[part](arguments.runs, arguments.jobs)
