@@ -83,14 +83,15 @@ def encoded(choices: Choices, m: int) -> Psi:
         _KINDS.index(function.__name__),
         SCALINGS.index(choices.scaling),
         INFORMATIONS.index(choices.information),
-        GROUPINGS.index(choices.grouping),
+        GROUPINGS.index(choices.grouping) if m > 1 else 0,
     )
     expected = np.full(m + 1, choices.expected)
-    if choices.grouping == "joint" and choices.information == "expected":
+    if m > 1 and choices.grouping == "joint" and choices.information == "expected":
         for dim in range(1, m + 1):
             expected[dim] = min(max(expected_joint_information(choices.influence, dim), 0.0), 1.0)
         # A component that the state has no part in is bounded by itself, and the first place is for those.
         expected[0] = choices.expected
+    # One sensor alone is bounded as a component, in the filter too.
     normalizer = np.array([0.0] + [choices.influence.log_normalizer(dim) for dim in range(1, m + 1)])
     return Psi(codes, (float(a), float(b), float(c)), expected, normalizer)
 

@@ -124,18 +124,39 @@ def predict(F, Q, bu, alpha_sq, x, P, x_next, P_next, work):
 
 
 @_jit
-def _eigen(A, V, m):
-    """Turn A into its eigenvalues (on the diagonal) and V into its vectors, by Jacobi's rotations."""
-    for i in range(m):
-        for j in range(m):
-            V[i, j] = 0.0
-        V[i, i] = 1.0
+def _eigen(A, V, m, work, last):
+    """Turn A into its eigenvalues (on the diagonal) and V into its vectors, by Jacobi's rotations.
+
+    Starts from the vectors of the last step, which are nearly right; last: their number, and their age in steps.
+    """
+    if last[0] == m and last[1] < 64:
+        last[1] += 1
+        for i in range(m):
+            for j in range(m):
+                total = 0.0
+                for k in range(m):
+                    total += A[i, k] * V[k, j]
+                work[i, j] = total
+        for i in range(m):
+            for j in range(i + 1):
+                total = 0.0
+                for k in range(m):
+                    total += V[k, i] * work[k, j]
+                A[i, j] = total
+                A[j, i] = total
+    else:
+        # Afresh now and then, before the rounding of many rotations adds up.
+        last[0], last[1] = m, 0
+        for i in range(m):
+            for j in range(m):
+                V[i, j] = 0.0
+            V[i, i] = 1.0
     for _ in range(60):
         off = 0.0
         for p in range(m - 1):
             for q in range(p + 1, m):
                 apq = A[p, q]
-                if abs(apq) <= 1e-17 * math.sqrt(abs(A[p, p] * A[q, q])):
+                if abs(apq) <= 2e-16 * math.sqrt(abs(A[p, p] * A[q, q])):
                     continue
                 off += 1.0
                 tau = (A[q, q] - A[p, p]) / (2.0 * apq)
@@ -159,14 +180,14 @@ def _eigen(A, V, m):
 
 
 @_jit
-def _root(S, T, V, A, m, floor):
+def _root(S, T, V, A, m, floor, last):
     """Write S^(-1/2), the eigenvalues floored, into T; return log det S, NaN if S is not well conditioned.
 
     A and V are left with what `_defect` needs.
     """
     if m == 1:
         s = S[0, 0]
-        A[0, 0], V[0, 0] = s, 1.0
+        A[0, 0], V[0, 0], last[0] = s, 1.0, 0
         if not 0.0 < s < math.inf:
             return np.nan
         T[0, 0] = 1.0 / math.sqrt(max(s, floor))
@@ -183,7 +204,8 @@ def _root(S, T, V, A, m, floor):
     for i in range(m):
         for j in range(m):
             A[i, j] = S[i, j]
-    if not _eigen(A, V, m):
+    if not _eigen(A, V, m, T, last):
+        last[0] = 0
         return np.nan
     least, most, log_det = A[0, 0], A[0, 0], 0.0
     for i in range(m):
@@ -281,10 +303,12 @@ def _unit_is_safe(S, R, D, m, L):
 
 
 @_jit
-def update(z, H_all, R_all, x, P, x_next, P_next, weights, space, rule, a, b, c, expected, normalizer, likely):
+def update(
+    z, H_all, R_all, x, P, x_next, P_next, weights, rule, a, b, c, expected, normalizer, likely,
+    y, e, psi, w, index, mask, H, R, S, T, V, A, D, E, C, G, K, GD, W, work, last,
+):  # fmt: skip
     """Correct x and P; return whether that was an ordinary step, and its log-likelihood."""
     n, m_all = x.shape[0], z.shape[0]
-    y, e, psi, w, index, mask, H, R, S, T, V, A, D, E, C, G, K, GD, W, work = space
     m = 0
     for i in range(m_all):
         weights[i] = np.nan
@@ -292,8 +316,7 @@ def update(z, H_all, R_all, x, P, x_next, P_next, weights, space, rule, a, b, c,
             index[m] = i
             m += 1
     if m == 0:
-        x_next[:] = x
-        P_next[:] = P
+        _copy(x, P, x_next, P_next)
         return True, 0.0
     check = 0.0
     for i in range(m):
@@ -325,7 +348,7 @@ def update(z, H_all, R_all, x, P, x_next, P_next, weights, space, rule, a, b, c,
     log_likelihood = 0.0
     scaling = rule[1]
     if likely or scaling != 2:
-        log_det = _root(S, T, V, A, m, 0.0)
+        log_det = _root(S, T, V, A, m, 0.0, last)
         if log_det != log_det:
             return False, 0.0
         for i in range(m):
@@ -351,7 +374,7 @@ def update(z, H_all, R_all, x, P, x_next, P_next, weights, space, rule, a, b, c,
             e[i] = y[i]
         defective = True
     elif scaling == 2:
-        log_det = _root(S, T, V, A, m, 1.0)
+        log_det = _root(S, T, V, A, m, 1.0, last)
         if log_det != log_det:
             return False, 0.0
         for i in range(m):
@@ -391,7 +414,7 @@ def update(z, H_all, R_all, x, P, x_next, P_next, weights, space, rule, a, b, c,
             total += G[i, j] * psi[j]
         x_next[i] = total
     if most == 0.0:
-        P_next[:] = P
+        _copy(x_next, P, x_next, P_next)
         return True, log_likelihood
     for i in range(n):
         for j in range(m):
@@ -416,9 +439,9 @@ def update(z, H_all, R_all, x, P, x_next, P_next, weights, space, rule, a, b, c,
                 total -= K[i, k] * H[k, j]
             W[i, j] = total
     _sandwich(W, P, P_next, work)
-    _add(P_next, K, R, m, work)
+    _add(P_next, K, R, m, psi)
     if defective:
-        _add(P_next, GD, E, m, work)
+        _add(P_next, GD, E, m, psi)
     if not ones:
         # D - D^2 is what psi leaves unused.
         extra = False
@@ -430,12 +453,12 @@ def update(z, H_all, R_all, x, P, x_next, P_next, weights, space, rule, a, b, c,
                 E[i, j] = total
                 extra = extra or total != 0.0
         if extra:
-            _add(P_next, G, E, m, work)
+            _add(P_next, G, E, m, psi)
     return _mirror(P_next), log_likelihood
 
 
 @_jit
-def _add(P, A, B, m, work):
+def _add(P, A, B, m, row):
     """Add the lower half of A B A' to P, A with m columns."""
     n = P.shape[0]
     for i in range(n):
@@ -443,11 +466,11 @@ def _add(P, A, B, m, work):
             total = 0.0
             for k in range(m):
                 total += A[i, k] * B[k, j]
-            work[0, j] = total
+            row[j] = total
         for j in range(i + 1):
             total = 0.0
             for k in range(m):
-                total += work[0, k] * A[j, k]
+                total += row[k] * A[j, k]
             P[i, j] += total
 
 
@@ -458,8 +481,25 @@ def workspace(n, m):
         np.empty(m), np.empty(m), np.empty(m), np.empty(m), np.empty(m, np.int64), np.empty(m, np.bool_),
         np.empty((m, n)), np.empty((m, m)), np.empty((m, m)), np.empty((m, m)), np.empty((m, m)), np.empty((m, m)),
         np.empty((m, m)), np.empty((m, m)), np.empty((n, m)), np.empty((n, m)), np.empty((n, m)), np.empty((n, m)),
-        np.empty((n, n)), np.empty((n, max(n, m))),
+        np.empty((n, n)), np.empty((n, n)), np.zeros(2, np.int64),
     )  # fmt: skip
+
+
+@_jit
+def _copy(x, P, x_to, P_to):
+    """Copy a state; element by element, which is faster than a slice at this size."""
+    n = x.shape[0]
+    for i in range(n):
+        x_to[i] = x[i]
+        for j in range(n):
+            P_to[i, j] = P[i, j]
+
+
+@_jit
+def _store(v, to):
+    """Copy a vector."""
+    for i in range(v.shape[0]):
+        to[i] = v[i]
 
 
 @_jit
@@ -467,7 +507,9 @@ def _keep(P, to):
     """Store a covariance whole, its diagonal, or nothing, as the room for it says."""
     n = P.shape[0]
     if to.shape[0] == n and to.shape[1] == n:
-        to[:] = P
+        for i in range(n):
+            for j in range(n):
+                to[i, j] = P[i, j]
     elif to.shape[0] == 1:
         for i in range(n):
             to[0, i] = P[i, i]
@@ -486,9 +528,9 @@ def recurse(
     steps, m, n = zs.shape[1], zs.shape[2], x.shape[1]
     a, b, c = parameters
     first, every, likely = rule[4] == 1, rule[5], rule[6] == 1
-    space = workspace(n, m)
-    work = space[19][:, :n].copy()
-    x1, P1, x2, P2, w = np.empty(n), np.empty((n, n)), np.empty(n), np.empty((n, n)), np.empty(m)
+    y, e, psi, w, index, mask, H1, R1, S, T, V, A, D, E, C, G, K, GD, W, work, last = workspace(n, m)  # fmt: skip
+    square = np.empty((n, n))
+    x1, P1, x2, P2, shown = np.empty(n), np.empty((n, n)), np.empty(n), np.empty((n, n)), np.empty(m)
     for s in range(low, high):
         sF, sQ, sH = s % F.shape[0], s % Q.shape[0], s % H.shape[0]
         sR, sb = s % R.shape[0], s % bu.shape[0]
@@ -496,37 +538,39 @@ def recurse(
         tR, tb = R.shape[1] > 1, bu.shape[1] > 1
         xs, Ps = x[s], P[s]
         taken = steps
+        last[0] = 0
         for k in range(start, steps):
             F_k, Q_k, bu_k = F[sF, k if tF else 0], Q[sQ, k if tQ else 0], bu[sb, k if tb else 0]
             H_k, R_k = H[sH, k if tH else 0], R[sR, k if tR else 0]
             fine = True
             if first:
                 fine, ll = update(
-                    zs[s, k], H_k, R_k, xs, Ps, x1, P1, w, space, rule, a, b, c, expected, normalizer, likely
-                )
-                fine = fine and predict(F_k, Q_k, bu_k, alpha_sq, x1, P1, x2, P2, work)
+                    zs[s, k], H_k, R_k, xs, Ps, x1, P1, shown, rule, a, b, c, expected, normalizer, likely,
+                    y, e, psi, w, index, mask, H1, R1, S, T, V, A, D, E, C, G, K, GD, W, work, last,
+                )  # fmt: skip
+                fine = fine and predict(F_k, Q_k, bu_k, alpha_sq, x1, P1, x2, P2, square)
             else:
-                fine = predict(F_k, Q_k, bu_k, alpha_sq, xs, Ps, x1, P1, work)
+                fine = predict(F_k, Q_k, bu_k, alpha_sq, xs, Ps, x1, P1, square)
                 ll = 0.0
                 if fine:
                     fine, ll = update(
-                        zs[s, k], H_k, R_k, x1, P1, x2, P2, w, space, rule, a, b, c, expected, normalizer, likely
-                    )
+                        zs[s, k], H_k, R_k, x1, P1, x2, P2, shown, rule, a, b, c, expected, normalizer, likely,
+                        y, e, psi, w, index, mask, H1, R1, S, T, V, A, D, E, C, G, K, GD, W, work, last,
+                    )  # fmt: skip
             if not fine:
                 taken = k
                 break
-            xs[:] = x2
-            Ps[:] = P2
+            _copy(x2, P2, xs, Ps)
             log_likelihood[s] += ll
             if (k + 1) % every == 0:
                 row = (k + 1) // every - 1
                 if means.shape[1]:
-                    means[s, row] = x1 if first else x2
+                    _store(x1 if first else x2, means[s, row])
                 if covariances.shape[2]:
                     _keep(P1 if first else P2, covariances[s, row])
                 if means_p.shape[1]:
-                    means_p[s, row] = x2 if first else x1
+                    _store(x2 if first else x1, means_p[s, row])
                     _keep(P2 if first else P1, covariances_p[s, row])
                 if weights.shape[1]:
-                    weights[s, row] = w
+                    _store(shown, weights[s, row])
         done[s] = taken

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from robust_filterpy import _batch_arrays, _compiled
 from robust_filterpy._checks import Array
 
 __all__: list[str] = []
@@ -16,15 +17,25 @@ def filter_recording(
     kf: Any, zs: Any, Fs: Any, Qs: Any, Hs: Any, Rs: Any, Bs: Any, us: Any, update_first: bool, saver: Any
 ) -> tuple[Array, Array, Array, Array]:
     """Advance kf through a recording; see `RobustKalmanFilter.batch_filter`."""
-    steps = _steps(zs, Fs=Fs, Qs=Qs, Hs=Hs, Rs=Rs, Bs=Bs, us=us)
-    n, dim_x = len(steps), kf.dim_x
+    columns = _columns(zs, Fs=Fs, Qs=Qs, Hs=Hs, Rs=Rs, Bs=Bs, us=us)
+    n, dim_x = len(zs), kf.dim_x
     shape = (n, dim_x) if np.ndim(kf.x) == 1 else (n, dim_x, 1)
     means, means_p = np.zeros(shape), np.zeros(shape)
     covariances, covariances_p = np.zeros((n, dim_x, dim_x)), np.zeros((n, dim_x, dim_x))
     before = _snapshot(kf)
+    compiled = None
+    if n >= _compiled.LONG and saver is None and _compiled.can_compile(kf._choices):
+        kept = _compiled.Kept(
+            means.reshape(1, n, dim_x), covariances[None], means_p.reshape(1, n, dim_x), covariances_p[None],
+            np.empty((1, 0, 0)), np.zeros(1),
+        )  # fmt: skip
+        compiled = _batch_arrays.prepared(kf, zs, Fs, Qs, Hs, Rs, Bs, us, kept, bool(update_first))
     k = 0
     try:
-        for k, (z, F, Q, H, R, B, u) in enumerate(steps):
+        while k < n:
+            if compiled is not None:
+                k = compiled.advance(kf, k)
+            z, F, Q, H, R, B, u = (None if column is None else column[k] for column in columns)
             if update_first:
                 kf.update(z, R=R, H=H)
                 means[k], covariances[k] = kf.x, kf.P
@@ -35,6 +46,7 @@ def filter_recording(
                 means[k], covariances[k] = kf.x, kf.P
             if saver is not None:
                 saver.save()
+            k += 1
     except (TypeError, ValueError, np.linalg.LinAlgError) as error:
         _restore(kf, before)
         error.args = (f"step {k}: {error}", *error.args[1:])
@@ -42,21 +54,22 @@ def filter_recording(
     return means, covariances, means_p, covariances_p
 
 
-def _steps(zs: Any, **per_step: Any) -> list[tuple[Any, ...]]:
-    """Return (z, F, Q, H, R, B, u) of every step."""
+def _columns(zs: Any, **per_step: Any) -> list[Any]:
+    """Return zs, F, Q, H, R, B, u, each with an entry for every step, or None."""
     try:
         n = len(zs)
     except TypeError:
         raise TypeError(f"zs: expected a sequence of measurements, got {zs!r}") from None
     columns = [zs]
     for name, values in per_step.items():
-        if values is None:
-            values = [None] * n
-        elif not hasattr(values, "__len__") or len(values) < n:
+        if values is not None and (not hasattr(values, "__len__") or len(values) < n):
             found = len(values) if hasattr(values, "__len__") else repr(values)
             raise ValueError(f"{name}: expected an entry for each of the {n} measurements in zs, got {found}")
         columns.append(values)
-    return list(zip(*columns, strict=False))
+    # An iterator reads what has a length but no places, such as the values of a dictionary or a data frame's column.
+    return [
+        None if column is None else column if isinstance(column, np.ndarray) else list(column) for column in columns
+    ]
 
 
 def _snapshot(kf: Any) -> tuple[dict[str, Any], dict[str, Any]]:
