@@ -1,0 +1,77 @@
+"""What is to be drawn, as arrays: from batch results, a Saver or a tracker's run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from robust_filterpy._checks import Array, count, numbers
+
+
+def is_saver(source: Any) -> bool:
+    """Tell a filterpy Saver."""
+    return hasattr(source, "_kf") and hasattr(source, "save")
+
+
+def is_run(source: Any) -> bool:
+    """Tell the result of a tracker's run."""
+    return all(hasattr(source, name) for name in ("theta", "std", "residual", "weight"))
+
+
+def kept(saver: Any, name: str) -> Array:
+    """Return a column of a Saver, shape (N, size), or say what it lacks."""
+    values = saver.__dict__.get(name)
+    if values is None or not len(values):
+        raise ValueError(
+            f"source: expected a Saver that kept {name!r}; call save() after each update of a robust filter"
+        )
+    return np.array([numbers(name, value).ravel() for value in values])
+
+
+def rows(name: str, values: Any) -> Array:
+    """Return an array as (N, size): (N,), (N, size) and (N, size, 1) are all understood."""
+    array = numbers(name, values)
+    if array.ndim == 0 or array.ndim > 3 or (array.ndim == 3 and array.shape[2] != 1):
+        raise ValueError(f"{name}: expected shape (N,), (N, n) or (N, n, 1), got {array.shape}")
+    return array.reshape(len(array), -1)
+
+
+def mean_and_deviation(source: Any, covariances: Any) -> tuple[Array, Array | None]:
+    """Return states or parameters (N, n) and their standard deviations."""
+    if is_run(source):
+        return np.asarray(source.theta), np.asarray(source.std)
+    if is_saver(source):
+        mean, covariance = kept(source, "x"), kept(source, "P")
+        return mean, deviation("P", covariance.reshape(len(mean), mean.shape[1], -1), mean.shape[1])
+    mean = rows("source", source)
+    return mean, None if covariances is None else deviation("covariances", covariances, mean.shape[1], len(mean))
+
+
+def deviation(name: str, covariances: Any, n: int, length: int | None = None) -> Array:
+    """Return sqrt of the diagonals, shape (N, n)."""
+    values = numbers(name, covariances)
+    length = len(values) if length is None else length
+    if values.shape != (length, n, n):
+        raise ValueError(f"{name}: expected shape {(length, n, n)} for {length} rows of {n}, got {values.shape}")
+    return np.asarray(np.sqrt(np.maximum(np.einsum("kii->ki", values), 0.0)))
+
+
+def time(t: Any, length: int) -> Array:
+    """Return the abscissa: t, or the number of the sample."""
+    values = np.arange(length, dtype=float) if t is None else numbers("t", t).ravel()
+    if len(values) != length:
+        raise ValueError(f"t: expected {length} times for {length} samples, got {len(values)}")
+    return values
+
+
+def chosen(name: str, which: Any, n: int) -> list[int]:
+    """Return the numbers of the columns to draw."""
+    if which is None:
+        return list(range(n))
+    each = list(which) if isinstance(which, (Sequence, np.ndarray)) else [which]
+    for i in each:
+        if count(name, i) >= n:
+            raise ValueError(f"{name}: expected numbers below {n}, got {i}")
+    return each

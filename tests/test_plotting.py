@@ -1,0 +1,161 @@
+"""Each picture draws into the axes it is given and shows what its labels say."""
+
+import matplotlib
+import numpy as np
+import pytest
+from filterpy.common import Saver
+
+from robust_filterpy import RobustKalmanFilter, plotting
+from robust_filterpy.identification import ARX, ParameterTracker
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+N = 120
+
+
+@pytest.fixture
+def ax():
+    figure, axes = plt.subplots()
+    yield axes
+    plt.close(figure)
+
+
+@pytest.fixture(scope="module")
+def batch():
+    rng = np.random.default_rng(3)
+    kf = RobustKalmanFilter(2, 1)
+    kf.F, kf.H, kf.Q, kf.R = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]]), 0.01 * np.eye(2), np.eye(1)
+    truth = 0.2 * np.arange(N)
+    zs = truth + rng.normal(size=N) * np.where(rng.random(N) < 0.1, 20.0, 1.0)
+    zs[50:60] = np.nan
+    saver = Saver(kf)
+    means, covariances, _, _ = kf.batch_filter(zs, saver=saver)
+    return means, covariances, saver, zs, truth
+
+
+@pytest.fixture(scope="module")
+def run():
+    rng = np.random.default_rng(4)
+    u = rng.choice([-1.0, 1.0], N)
+    y = np.zeros(N)
+    for k in range(1, N):
+        y[k] = 0.8 * y[k - 1] + u[k - 1] + 0.2 * rng.normal()
+    return ParameterTracker(ARX(1, 1), R=0.04).run(y, u), y
+
+
+def labels(ax):
+    return [text.get_text() for text in ax.get_legend().get_texts()]
+
+
+def test_states_show_each_mean_its_band_and_the_truth(ax, batch):
+    means, covariances, _, zs, truth = batch
+    out = plotting.plot_states(means, covariances, states=0, truth=truth, zs=zs, unit="m", time_unit="s", ax=ax)
+    assert out is ax
+    assert (ax.get_ylabel(), ax.get_xlabel()) == ("x[0] [m]", "time [s]")
+    assert labels(ax) == ["±2 sigma", "x[0]", "x[0], true", "measured"]
+    assert len(ax.lines) == 3 and len(ax.collections) == 1
+    np.testing.assert_array_equal(ax.lines[0].get_ydata(), means[:, 0, 0])
+    band = ax.collections[0].get_paths()[0].get_extents()
+    assert band.y1 == pytest.approx((means[:, 0, 0] + 2 * np.sqrt(covariances[:, 0, 0])).max())
+
+
+def test_a_saver_shows_the_states_of_the_batch(ax, batch):
+    means, _, saver, _, _ = batch
+    plotting.plot_states(saver, ax=ax)
+    assert len(ax.lines) == 2 and len(ax.collections) == 2
+    np.testing.assert_array_equal(ax.lines[1].get_ydata(), means[:, 1, 0])
+
+
+def test_innovations_mark_exactly_the_clipped(ax, batch):
+    saver = batch[2]
+    assert plotting.plot_innovations(saver, unit="m", ax=ax) is ax
+    clipped = np.array(saver.clipped).ravel()
+    y = np.array(saver.y).ravel()
+    assert labels(ax) == ["±2 sigma", "innovation", "clipped"]
+    assert 0 < clipped.sum() < N
+    np.testing.assert_array_equal(ax.lines[1].get_ydata(), y[clipped])
+    # A missing sample has no innovation.
+    assert np.isfinite(ax.lines[0].get_ydata()).sum() == N - 10 - clipped.sum()
+
+
+def test_innovations_given_as_arrays(ax, batch):
+    saver = batch[2]
+    plotting.plot_innovations(np.array(saver.y), np.array(saver.S), clipped=np.array(saver.clipped), ax=ax)
+    assert len(ax.lines[1].get_ydata()) == np.sum(saver.clipped)
+    assert len(ax.collections) == 1
+
+
+def test_innovations_of_a_tracker_mark_what_was_weighed_down(ax, run):
+    result, _ = run
+    plotting.plot_innovations(result, ax=ax)
+    assert len(ax.lines[1].get_ydata()) == np.sum(result.weight < 1) > 0
+
+
+@pytest.mark.parametrize("kind", ["saver", "array", "run"])
+def test_weights_lie_between_zero_and_one(ax, batch, run, kind):
+    saver = batch[2]
+    source = {"saver": saver, "array": np.array(saver.weights), "run": run[0]}[kind]
+    assert plotting.plot_weights(source, time_unit="s", ax=ax) is ax
+    drawn = ax.lines[0].get_ydata()
+    assert len(drawn) == N and np.nanmin(drawn) < 1.0 == np.nanmax(drawn)
+    assert ax.get_ylabel() == "weight" and ax.get_xlabel() == "time [s]"
+
+
+def test_parameters_have_paths_bands_and_one_truth_in_the_legend(ax, run):
+    result, _ = run
+    assert plotting.plot_parameters(result, truth=[-0.8, 1.0], names=["a1", "b1"], ax=ax) is ax
+    assert labels(ax) == ["±2 sigma", "a1", "b1", "true"]
+    assert len(ax.lines) == 4 and len(ax.collections) == 2
+    np.testing.assert_array_equal(ax.lines[1].get_ydata(), result.theta[:, 1])
+    assert set(ax.lines[2].get_ydata()) == {-0.8}
+
+
+def test_lines_differ_without_colour(ax, run):
+    plotting.plot_parameters(run[0], ax=ax)
+    styles = {line.get_linestyle() for line in ax.lines}
+    assert len(styles) == len(ax.lines)
+
+
+def test_fit_says_the_percentage(ax):
+    y = np.sin(np.arange(50.0))
+    assert plotting.plot_fit(y, y, unit="mm", ax=ax) is ax
+    assert labels(ax) == ["measured", "simulated (fit 100.0 %)"]
+    assert ax.get_ylabel() == "output [mm]"
+
+
+def test_fit_of_the_mean_is_zero(ax):
+    y = np.sin(np.arange(50.0))
+    plotting.plot_fit(y, np.full(50, y.mean()), ax=ax)
+    assert labels(ax)[1] == "simulated (fit 0.0 %)"
+
+
+def test_fit_takes_a_run(ax, run):
+    result, y = run
+    plotting.plot_fit(y, result, ax=ax)
+    np.testing.assert_array_equal(ax.lines[1].get_ydata(), result.prediction)
+
+
+def test_without_axes_there_is_a_new_figure(run):
+    before = set(plt.get_fignums())
+    ax = plotting.plot_parameters(run[0])
+    assert set(plt.get_fignums()) - before == {ax.figure.number}
+    plt.close(ax.figure)
+
+
+@pytest.mark.parametrize(
+    ("call", "match"),
+    [
+        (lambda m, c: plotting.plot_states(m, c[:-1]), "covariances: expected shape"),
+        (lambda m, c: plotting.plot_states(m, c, t=[1.0]), "t: expected 120 times"),
+        (lambda m, c: plotting.plot_states(m, c, states=2), "states: expected numbers below 2"),
+        (lambda m, c: plotting.plot_states(m, c, names=["a"]), "names: expected 2"),
+        (lambda m, c: plotting.plot_states(m, c, truth=[1.0]), "truth: expected shape"),
+        (lambda m, c: plotting.plot_fit(m[:, 0], m), "simulated: expected 120"),
+    ],
+)
+def test_what_does_not_fit_is_named_and_nothing_drawn(batch, call, match):
+    before = plt.get_fignums()
+    with pytest.raises(ValueError, match=match):
+        call(batch[0], batch[1])
+    assert plt.get_fignums() == before
