@@ -1,0 +1,116 @@
+"""The compiled loops say what correction.py says."""
+
+import itertools
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import support
+
+from robust_filterpy import Hampel, Huber, Linear, StudentT, TukeyBiweight, _compiled
+from robust_filterpy.choices import Choices
+from robust_filterpy.correction import correct, log_density
+
+pytest.importorskip("numba")
+
+INFLUENCES = [Huber(), Linear(), Hampel(), TukeyBiweight(), StudentT()]
+CHOICES = list(
+    itertools.product(["innovation", "unit", "bounded"], ["realized", "expected", "weight"], ["component", "joint"])
+)
+
+
+def compiled(choices, zs, F, Q, H, R, P, **options):
+    """Run one series from x = 0 and return what the loops kept, and how far they came."""
+    (steps, m), n = zs.shape, len(F)
+    kept = _compiled.Kept(
+        np.zeros((1, steps, n)), np.zeros((1, steps, n, n)), np.zeros((1, steps, n)), np.zeros((1, steps, n, n)),
+        np.zeros((1, steps, m)), np.zeros(1),
+    )  # fmt: skip
+    model = tuple(np.ascontiguousarray(a)[None, None] for a in (F, Q, H, R, np.zeros(n)))
+    done = _compiled.recurse(choices, zs[None], model, np.zeros((1, n)), P[None].copy(), kept, **options)
+    return kept, int(done[0])
+
+
+@pytest.mark.parametrize("influence", INFLUENCES, ids=lambda f: type(f).__name__)
+def test_every_choice_agrees_with_the_definition(influence):
+    for (scaling, information, grouping), (n, m) in itertools.product(
+        CHOICES, [(2, 1), (4, 2), (4, 3), (13, 3), (2, 4)]
+    ):
+        if m == 1 and grouping == "joint":
+            continue
+        rng = np.random.default_rng(10 * n + m)
+        choices = Choices(influence, scaling, information, grouping)
+        F, Q, H, R, P = (
+            support.stable(rng, n),
+            0.01 * np.eye(n),
+            rng.normal(size=(m, n)) / n,
+            support.spd(rng, m),
+            0.1 * np.eye(n),
+        )
+        zs = rng.normal(size=(25, m))
+        zs[rng.random(zs.shape) < 0.1] += 50.0
+        zs[rng.random(zs.shape) < 0.2] = np.nan
+        kept, done = compiled(choices, zs, F, Q, H, R, P)
+        assert done == 25
+        x, total = np.zeros(n), 0.0
+        for k, z in enumerate(zs):
+            x, P = F @ x, F @ P @ F.T + Q
+            np.testing.assert_allclose(kept.means_p[0, k], x, rtol=1e-10, atol=1e-11)
+            np.testing.assert_allclose(kept.covariances_p[0, k], P, rtol=1e-10, atol=1e-11)
+            c = correct(x, P, z - H @ x, H, R, choices)
+            total += log_density(z - H @ x, c.S, choices)
+            x, P = c.x, c.P
+            np.testing.assert_allclose(kept.means[0, k], x, rtol=1e-10, atol=1e-11)
+            np.testing.assert_allclose(kept.covariances[0, k], P, rtol=1e-10, atol=1e-11)
+            np.testing.assert_allclose(kept.weights[0, k], c.weights, rtol=1e-10, atol=1e-11)
+        assert kept.log_likelihood[0] == pytest.approx(total, rel=1e-10)
+
+
+def test_the_loop_stops_before_a_step_that_is_out_of_the_ordinary():
+    zs = np.zeros((6, 1))
+    zs[3] = np.inf
+    eye = np.eye(1)
+    assert compiled(Choices(), zs, eye, eye, eye, eye, eye)[1] == 3
+    assert compiled(Choices(scaling="unit"), zs, eye, eye, eye, eye, eye)[1] == 0
+    assert compiled(Choices(), zs, 1e200 * eye, eye, eye, eye, eye)[1] == 0
+
+
+def test_a_long_run_stays_symmetric_and_positive_definite():
+    rng = np.random.default_rng(3)
+    n, m = 4, 3
+    zs = rng.standard_t(1.5, size=(20000, m))
+    kept, done = compiled(
+        Choices(), zs, support.stable(rng, n), 1e-6 * np.eye(n), rng.normal(size=(m, n)), np.eye(m), 1e9 * np.eye(n)
+    )
+    assert done == len(zs)
+    covariances = kept.covariances[0, 1000::100]
+    np.testing.assert_array_equal(covariances, covariances.transpose(0, 2, 1))
+    assert np.linalg.eigvalsh(covariances).min() > 0.0
+
+
+def run_python(code, **environment):
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ, **environment}, check=True
+    )
+    return done.stdout, done.stderr
+
+
+def test_numba_is_imported_with_the_first_long_batch_and_not_before():
+    code = (
+        "import sys, numpy as np; from robust_filterpy import RobustKalmanFilter, _compiled\n"
+        "kf = RobustKalmanFilter(1, 1); kf.H[:] = 1.0; kf.batch_filter(np.zeros(50)); print('numba' in sys.modules)\n"
+        "kf.batch_filter(np.zeros(_compiled.LONG)); print('numba' in sys.modules)"
+    )
+    assert run_python(code)[0].split() == ["False", "True"]
+
+
+@pytest.mark.slow
+def test_the_first_compilation_is_announced_and_the_second_process_compiles_nothing(tmp_path):
+    code = (
+        "import numpy as np; from robust_filterpy import RobustKalmanFilter\n"
+        "kf = RobustKalmanFilter(1, 1); kf.H[:] = 1.0; kf.batch_filter(np.zeros(2000))"
+    )
+    told = [run_python(code, NUMBA_CACHE_DIR=str(tmp_path))[1].count("compiling its loops") for _ in range(2)]
+    assert told == [1, 0]
