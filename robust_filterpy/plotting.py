@@ -89,7 +89,7 @@ def plot_states(
     for place, i in enumerate(which):
         _with_band(ax, time, mean[:, i], None if deviation is None else width * deviation[:, i], names[i], place, width)
         if real is not None and i in real:
-            ax.plot(time, real[i], color="black", linewidth=0.9, linestyle=(0, (1, 1)), label=f"{names[i]}, true")
+            ax.plot(time, real[i], color="black", linewidth=1.5, linestyle=(0, (1, 1.5)), label=f"{names[i]}, true")
     if seen is not None:
         limits = ax.get_ylim()
         margin = 0.25 * (limits[1] - limits[0])
@@ -274,6 +274,10 @@ def plot_parameters(
     ------
     ValueError
         If lengths do not fit.
+
+    Notes
+    -----
+    Axes that were empty show the paths; the band of the first samples, when little is known, may reach beyond.
     """
     theta, deviation = _series_of.mean_and_deviation(source, covariances)
     N, n = theta.shape
@@ -288,6 +292,7 @@ def plot_parameters(
             raise ValueError(f"truth: expected shape {(n,)} or {(N, n)}, got {real.shape}")
         real = np.broadcast_to(real, (N, n))
     ax = _axes(ax)
+    own = not ax.has_data()
     for place, i in enumerate(which):
         _with_band(
             ax, time, theta[:, i], None if deviation is None else width * deviation[:, i], names[i], place, width
@@ -295,7 +300,9 @@ def plot_parameters(
     if real is not None:
         for place, i in enumerate(which):
             label = "true" if place == 0 else "_nolegend_"
-            ax.plot(time, real[:, i], color="black", linewidth=0.9, linestyle=(0, (1, 1)), label=label)
+            ax.plot(time, real[:, i], color="black", linewidth=1.5, linestyle=(0, (1, 1.5)), label=label)
+    if deviation is not None and own:
+        _look_at_the_paths(ax, width * deviation[:, which])
     return _finish(ax, "parameter" if len(which) > 1 else names[which[0]], unit, time_unit)
 
 
@@ -377,6 +384,16 @@ def _with_band(ax: Any, t: Any, mean: Any, half: Any, name: str, place: int, sig
         band = f"±{sigmas:g} sigma" if place == 0 else "_nolegend_"
         ax.fill_between(t, mean - half, mean + half, color=colour, alpha=0.2, linewidth=0, label=band)
     ax.plot(t, mean, color=colour, linestyle=style, linewidth=1.4, label=name)
+
+
+def _look_at_the_paths(ax: Any, half: Any) -> None:
+    """Fit the limits to the lines and to bands of ordinary width."""
+    drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in ax.lines])
+    drawn, half = drawn[np.isfinite(drawn)], half[np.isfinite(half)]
+    if len(drawn) and len(half):
+        margin = 3.0 * float(np.median(half)) + 0.05 * float(np.ptp(drawn))
+        if margin > 0:
+            ax.set_ylim(drawn.min() - margin, drawn.max() + margin)
 
 
 def _names(names: Sequence[str] | None, n: int, stem: str) -> list[str]:

@@ -111,6 +111,14 @@ def test_parameters_have_paths_bands_and_one_truth_in_the_legend(ax, run):
     assert set(ax.lines[2].get_ydata()) == {-0.8}
 
 
+def test_the_first_band_does_not_flatten_the_paths(ax, run):
+    result, _ = run
+    assert result.std.max() > 5.0
+    plotting.plot_parameters(result, truth=[-0.8, 1.0], ax=ax)
+    low, high = ax.get_ylim()
+    assert low < -0.8 and 1.0 < high and high - low < 5.0
+
+
 def test_lines_differ_without_colour(ax, run):
     plotting.plot_parameters(run[0], ax=ax)
     styles = {line.get_linestyle() for line in ax.lines}
