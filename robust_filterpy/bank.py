@@ -93,6 +93,7 @@ class FilterBank:
         """Show the size and the choices."""
         return f"FilterBank(n={self.n}, dim_x={self.dim_x}, dim_z={self.dim_z}, {self._choices})"
 
+    @np.errstate(over="ignore", invalid="ignore")
     def predict(self, u: ArrayLike | None = None, B: ArrayLike | None = None) -> None:
         """Predict every state: x = F x + B u, P = F P F' + Q.
 

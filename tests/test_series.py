@@ -1,0 +1,135 @@
+"""Many series are a loop over filters, whatever runs them."""
+
+import numpy as np
+import pytest
+import support
+from filterpy.kalman import KalmanFilter
+
+from robust_filterpy import Linear, RobustKalmanFilter, StudentT, _compiled
+from robust_filterpy.series import filter_series, smooth_series
+
+
+def problem_and_series(dims=(3, 2, 0), series=4, steps=30):
+    problem = support.random_problem(8, *dims)
+    zs = np.array([support.simulate(problem, steps, seed, contamination=0.1)[0] for seed in range(series)])
+    zs[np.random.default_rng(0).random(zs.shape) < 0.1] = np.nan
+    return problem, zs
+
+
+def arguments(problem):
+    return problem.F, problem.H, problem.Q, problem.R, problem.x[:, 0], problem.P
+
+
+@pytest.fixture(params=["compiled", "numpy"])
+def path(request, monkeypatch):
+    if request.param == "numpy":
+        monkeypatch.setattr(_compiled, "available", lambda: False)
+    else:
+        pytest.importorskip("numba")
+    return request.param
+
+
+@pytest.mark.parametrize("choices", [{}, {"influence": StudentT(3), "scaling": "bounded", "grouping": "joint"}])
+def test_series_are_a_loop_over_filters(path, choices):
+    problem, zs = problem_and_series()
+    result = filter_series(zs, *arguments(problem), **choices)
+    for s, z in enumerate(zs):
+        kf, total = support.make(RobustKalmanFilter, problem, 1, **choices), 0.0
+        for k, z_k in enumerate(z):
+            kf.predict()
+            kf.update(z_k)
+            total += kf.log_likelihood
+            for ours, theirs in [(result.x, kf.x), (result.P, kf.P), (result.weights, kf.weights)]:
+                np.testing.assert_allclose(ours[s, k], theirs, rtol=1e-10, atol=1e-11)
+        assert result.log_likelihood[s] == pytest.approx(total, rel=1e-10)
+
+
+def test_each_series_may_have_its_own_matrices_at_each_step(path):
+    problem, zs = problem_and_series()
+    rng = np.random.default_rng(1)
+    F = np.array([[support.stable(rng, 3) for _ in range(30)] for _ in range(4)])
+    R = np.array([[support.spd(rng, 2)] for _ in range(4)])
+    x0, P0 = rng.normal(size=(4, 3)), np.array([support.spd(rng, 3) for _ in range(4)])
+    result = filter_series(zs, F, problem.H, problem.Q, R, x0, P0)
+    for s in range(4):
+        one = filter_series(zs[s : s + 1], F[s], problem.H, problem.Q, R[s, 0], x0[s], P0[s])
+        np.testing.assert_allclose(result.x[s], one.x[0], rtol=1e-11, atol=1e-12)
+        kf = RobustKalmanFilter(3, 2)
+        kf.x, kf.P, kf.H, kf.Q, kf.R = x0[s], P0[s], problem.H, problem.Q, R[s, 0]
+        np.testing.assert_allclose(result.x[s], kf.batch_filter(list(zs[s]), Fs=list(F[s]))[0], rtol=1e-10, atol=1e-11)
+
+
+def test_keeping_less_changes_nothing_else(path):
+    problem, zs = problem_and_series()
+    whole = filter_series(zs, *arguments(problem))
+    last = filter_series(zs, *arguments(problem), keep="last", covariance="diagonal")
+    some = filter_series(zs, *arguments(problem), keep=7, covariance="none", n_threads=1)
+    np.testing.assert_array_equal(last.x, whole.x[:, -1:])
+    np.testing.assert_array_equal(last.P, np.diagonal(whole.P[:, -1:], axis1=2, axis2=3))
+    np.testing.assert_array_equal(some.x, whole.x[:, 6::7])
+    assert some.P is None
+    np.testing.assert_array_equal(some.log_likelihood, whole.log_likelihood)
+
+
+def test_smoothing_is_filterpys(path):
+    problem, zs = problem_and_series()
+    filtered = filter_series(zs, *arguments(problem), influence=Linear())
+    smooth = smooth_series(filtered.x, filtered.P, problem.F, problem.Q)
+    for s in range(4):
+        kf = support.make(KalmanFilter, problem, 1)
+        x, P, _, _ = kf.rts_smoother(filtered.x[s], filtered.P[s])
+        np.testing.assert_allclose(smooth.x[s], x, rtol=1e-9, atol=1e-10)
+        np.testing.assert_allclose(smooth.P[s], P, rtol=1e-9, atol=1e-10)
+
+
+def test_smoothing_takes_the_matrix_that_leads_to_a_step():
+    """Against the joint normal distribution of all states, solved at once."""
+    rng = np.random.default_rng(2)
+    F, Q = rng.normal(size=(3, 1, 1)), np.array([[[0.5]], [[2.0]], [[1.0]]])
+    z = rng.normal(size=(1, 3, 1))
+    filtered = filter_series(z, F, np.eye(1), Q, np.eye(1), np.zeros(1), np.eye(1), influence=Linear())
+    smooth = smooth_series(filtered.x, filtered.P, F, Q)
+    information = np.diag([1.0, 0.0, 0.0, 0.0])
+    for k in range(3):
+        row = np.zeros(4)
+        row[k], row[k + 1] = -F[k, 0, 0], 1.0
+        information += np.outer(row, row) / Q[k, 0, 0]
+        information[k + 1, k + 1] += 1.0
+    covariance = np.linalg.inv(information)
+    np.testing.assert_allclose(smooth.x[0, :, 0], (covariance @ np.r_[0.0, z[0, :, 0]])[1:], rtol=1e-10)
+    np.testing.assert_allclose(smooth.P[0, :, 0, 0], covariance.diagonal()[1:], rtol=1e-10)
+
+
+@pytest.mark.parametrize(
+    "change, match",
+    [
+        ({"zs": np.zeros((2, 3))}, "zs: expected shape"),
+        ({"zs": np.full((1, 2, 2), np.inf)}, "zs: expected finite"),
+        ({"R": 5.0}, "R: expected shape"),
+        ({"R": -np.eye(2)}, "R: expected a positive definite"),
+        ({"P0": np.eye(2)}, "P0: expected shape"),
+        ({"keep": 0}, "keep"),
+        ({"keep": "some"}, "keep"),
+        ({"covariance": "half"}, "covariance"),
+        ({"F": 1e200 * np.eye(3)}, "step 0: predict"),
+    ],
+)
+def test_refusals_say_what_was_expected(path, change, match):
+    problem, zs = problem_and_series()
+    call = dict(zip(["F", "H", "Q", "R", "x0", "P0"], arguments(problem), strict=True), zs=zs)
+    with pytest.raises(ValueError, match=match):
+        filter_series(**{**call, **change})
+
+
+@pytest.mark.slow
+def test_blocks_on_a_dask_cluster_are_the_whole():
+    pytest.importorskip("distributed")
+    import dask.array
+    from dask.distributed import Client, LocalCluster
+
+    problem, zs = problem_and_series(series=8)
+    model = arguments(problem)
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster, Client(cluster):
+        blocks = dask.array.from_array(zs, chunks=(2, -1, -1))
+        x = blocks.map_blocks(lambda z: filter_series(z, *model).x, dtype=float, chunks=((2,) * 4, (30,), (3,)))
+        np.testing.assert_array_equal(x.compute(), filter_series(zs, *model).x)
