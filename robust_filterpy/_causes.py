@@ -29,7 +29,9 @@ def find(model: Linear, z: Array, clipped: Array, e: Array) -> list[tuple[Repair
         candidates = _candidates(model, z, clipped, e, so_far)
         best, likelihood = _search(model, z, candidates, so_far)
         gain = likelihood - base
-        if gain - best.cost < _GAIN or _is_slight(best):
+        # After a large misfit is repaired, small ones may be left by the roughness of the repair.
+        least = max(_GAIN, 0.1 * found[0][1]) if found else _GAIN
+        if gain - best.cost < least or _is_slight(best):
             break
         found.append((best, gain))
         so_far, base = so_far.then(best), likelihood
@@ -82,7 +84,7 @@ def _noise(cause: str, sensor: int | None, factor: float, m: int) -> Repair:
 
 def _candidates(model: Linear, z: Array, clipped: Array, e: Array, so_far: Repair) -> list[Repair]:
     """Return every candidate of the first, coarse round."""
-    m, n = model.H.shape[1:]
+    m = model.H.shape[1]
     grid = [10.0**power for power in (-6, -5, -4, -3, -2, -1, -0.5, 0.5, 1, 2, 3, 4, 5, 6)]
     result = [_noise(cause, None, factor, m) for cause in ("R", "Q", "R and Q") for factor in grid]
     if m > 1:
@@ -98,6 +100,7 @@ def _candidates(model: Linear, z: Array, clipped: Array, e: Array, so_far: Repai
                     coupling[i, j] = coupling[j, i] = r
                     result.append(Repair("coupled noise", i, r, 3.0, coupling=coupling))
     result += [Repair("correlated noise", None, a, 3.0, memory=a) for a in (-0.8, -0.5, 0.3, 0.5, 0.7, 0.8, 0.9, 0.96)]
+    result += [Repair("more outliers", None, share, 2.0, tail=share) for share in (0.02, 0.2, 0.3, 0.4, 0.5)]
     return result + _rows(model, z, so_far) + _jumps(model, z, clipped, e)
 
 
@@ -137,7 +140,7 @@ def _regressed(x: Array, z: Array) -> Array | None:
 
 def _jumps(model: Linear, z: Array, clipped: Array, e: Array) -> list[Repair]:
     """Return jumps of the state and of each sensor where a run of clipped samples or a change of mean begins."""
-    (N, m), n = z.shape, model.H.shape[2]
+    m, n = model.H.shape[1:]
     result = []
     for i in range(m):
         size = float(np.nanmax(np.abs(z[:, i] - np.nanmedian(z[:, i])), initial=1e-300)) ** 2
@@ -155,18 +158,23 @@ def _jumps(model: Linear, z: Array, clipped: Array, e: Array) -> list[Repair]:
 
 
 def _breaks(e: Array) -> list[int]:
-    """Return where one sensor's longest run of large innovations of one sign starts, and where its mean changes most."""
-    sign = np.where(np.abs(e) > 2.0, np.sign(e), 0.0)
-    start, length, best = 0, 0, (0, 0)
+    """Return where one sensor's heaviest run of large innovations starts, and where its mean changes most."""
+    size = np.minimum(np.abs(np.nan_to_num(e)), 30.0)
+    sign = np.where(size > 2.0, np.sign(e), 0.0)
+    start, weight, best = 0, 0.0, (0.0, 0)
     for k, s in enumerate(sign):
-        start, length = (start, length + 1) if s and k and s == sign[k - 1] else (k, int(s != 0))
-        if length > best[0]:
-            best = (length, start)
+        if not (s and k and s == sign[k - 1]):
+            start, weight = k, 0.0
+        elif s:
+            # The first of a run does not count: alone it is an outlier.
+            weight += float(size[k])
+        if weight > best[0]:
+            best = (weight, start)
     bounded = np.clip(np.nan_to_num(e), -3.0, 3.0)
     N = len(e)
-    k = np.arange(1, N)
-    change = np.abs(np.cumsum(bounded)[:-1] - k / N * bounded.sum()) / np.sqrt(k * (N - k) / N)
-    found = [best[1]] if best[0] > 2 else []
+    before = np.arange(1, N)
+    change = np.abs(np.cumsum(bounded)[:-1] - before / N * bounded.sum()) / np.sqrt(before * (N - before) / N)
+    found = [best[1]]
     if N > 20:
         found.append(int(change[5:-5].argmax()) + 6)
     return [k for around in found for k in (around - 1, around) if 0 < k < N]

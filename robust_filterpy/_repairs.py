@@ -15,7 +15,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._recording import Linear
 
 _THRESHOLD = 2.0
-# Density of e that no outlier can dominate: normal, with a tenth from a Cauchy distribution five times as wide.
+# Density of e that no outlier can dominate: normal, with a share from a Cauchy distribution five times as wide.
 _TAIL_SHARE, _TAIL_SCALE = 0.1, 5.0
 
 
@@ -34,6 +34,7 @@ class Repair:
     rows: Array | float = np.nan  # (m, n), rows instead of those of H
     memory: float = 0.0  # lag-one correlation of the noise
     coupling: Array | float = 0.0  # (m, m), added to the correlations of R
+    tail: float = _TAIL_SHARE  # share of outliers
     missing: Array | float = 0.0  # (m,), sensors not to be used
     jump_at: int = -1
     jump: Array | float = 0.0  # (n + m,), variances of what jumps there
@@ -51,6 +52,7 @@ class Repair:
             rows=rows,
             memory=other.memory or self.memory,
             coupling=self.coupling + np.asarray(other.coupling),
+            tail=other.tail if other.cause == "more outliers" else self.tail,
             jump_at=keep.jump_at,
             jump=keep.jump,
         )
@@ -111,11 +113,20 @@ def scores(model: Linear, z: Array, repairs: list[Repair]) -> Scores:
             continue
         H[:, :, states] = np.where(own, replaced, shaped["gain"][:, :, None] * model.H[k])
         R = np.where(memory != 0.0, 1e-6 * R, R)
-        _correct(x, P, H[:, seen], R[:, seen][:, :, seen], z[k, seen], shaped["missing"][:, seen], total)
+        _correct(
+            x,
+            P,
+            H[:, seen],
+            R[:, seen][:, :, seen],
+            z[k, seen],
+            shaped["missing"][:, seen],
+            parts["tail"][:, None],
+            total,
+        )
     return Scores(np.where(np.isfinite(total), total, -np.inf), path)
 
 
-def _correct(x: Array, P: Array, H: Array, R: Array, z: Array, missing: Array, total: Array) -> None:
+def _correct(x: Array, P: Array, H: Array, R: Array, z: Array, missing: Array, tail: Array, total: Array) -> None:
     """Correct x and P in place by z and add its log density to total."""
     PH = P @ H.transpose(0, 2, 1)
     S = H @ PH + R
@@ -131,16 +142,16 @@ def _correct(x: Array, P: Array, H: Array, R: Array, z: Array, missing: Array, t
         T = (vectors / np.sqrt(values)[:, None, :]) @ vectors.transpose(0, 2, 1)
         logdet = -0.5 * np.log(values).sum(axis=1)
     e = np.einsum("cij,cj->ci", T, z - np.einsum("cij,cj->ci", H, x))
-    total += logdet + log_density(e).sum(axis=1)
+    total += logdet + log_density(e, tail).sum(axis=1)
     G = PH @ T
     inside = (np.abs(e) <= _THRESHOLD).astype(float)
     x += np.einsum("cij,cj->ci", G, np.clip(e, -_THRESHOLD, _THRESHOLD))
     P -= (G * inside[:, None, :]) @ G.transpose(0, 2, 1)
 
 
-def log_density(e: Array) -> Array:
+def log_density(e: Array, share: Array) -> Array:
     """Return the log density of a standardized innovation that may be an outlier."""
     with np.errstate(over="ignore", under="ignore"):
-        body = (1.0 - _TAIL_SHARE) * np.exp(-0.5 * e * e) / np.sqrt(2.0 * np.pi)
-        tail = _TAIL_SHARE / (np.pi * _TAIL_SCALE * (1.0 + (e / _TAIL_SCALE) ** 2))
+        body = (1.0 - share) * np.exp(-0.5 * e * e) / np.sqrt(2.0 * np.pi)
+        tail = share / (np.pi * _TAIL_SCALE * (1.0 + (e / _TAIL_SCALE) ** 2))
     return np.log(body + tail + 1e-300)

@@ -269,7 +269,7 @@ def _findings(recording: Recording, e: Array, figures: dict[str, Any], contamina
     findings, z = [], recording.z.copy()
     for i in range(z.shape[1]):
         limit, run = _figures.saturated(z[:, i]), _figures.frozen(z[:, i])
-        if limit is not None:
+        if limit is not None and not (run and run == np.sum(z[:, i] == limit) and z[-1, i] != limit):
             share = float(np.mean(z[:, i] == limit))
             text = f"z[{i}] saturates: {share:.0%} of its samples are exactly {limit:.6g}, the end of its range."
             findings.append(Finding("saturation", i, limit, math.nan, text + " Pass them as NaN (missing)."))
@@ -281,23 +281,19 @@ def _findings(recording: Recording, e: Array, figures: dict[str, Any], contamina
         # What a clipped or frozen signal does to the innovations afterwards says nothing about the model.
         return findings
     if recording.model is None or len(z) < 20:
-        findings = _by_innovations(figures)
+        findings = _by_innovations(figures, contamination)
     else:
         part = slice(0, _SEARCHED)
         causes = _causes.find(recording.model, z[part], recording.clipped[part], e[part])
-        findings = [_told(repair, gain, figures) for repair, gain in causes]
-    noisy = [f.sensor for f in findings]
-    for i, share in enumerate(figures["outliers"]):
-        if share > max(2.0 * contamination, contamination + 0.1) and i not in noisy and None not in noisy:
-            text = (
-                f"z[{i}] has more outliers than psi is made for: {share:.0%} beside ordinary samples of the right size, "
-                f"where {contamination:.0%} are expected; Huber.from_contamination({share:.2f}) is made for them."
-            )
-            findings.append(Finding("more outliers", i, float(share), math.nan, text))
+        findings = [
+            _told(repair, gain, figures)
+            for repair, gain in causes
+            if repair.cause != "more outliers" or _is_excessive(repair.value, contamination)
+        ]
     return findings
 
 
-def _by_innovations(figures: dict[str, Any]) -> list[Finding]:
+def _by_innovations(figures: dict[str, Any], contamination: float) -> list[Finding]:
     """Return what the innovations alone show, where there is no linear model to repair."""
     findings = []
     for i, (scale, p) in enumerate(zip(figures["scale"], figures["whiteness"], strict=True)):
@@ -313,7 +309,23 @@ def _by_innovations(figures: dict[str, Any]) -> list[Finding]:
             why = "Q too small, or the model or its linearization wrong" if r > 0 else "Q too large or R too small"
             text = f"Successive innovations of z[{i}] are correlated ({r:+.2f}): {why}."
             findings.append(Finding("not white", i, r, math.nan, text))
+        share = float(figures["outliers"][i])
+        if not findings and _is_excessive(share, contamination):
+            findings.append(Finding("more outliers", i, share, math.nan, _many_outliers(f"z[{i}]", share)))
     return findings
+
+
+def _is_excessive(share: float, contamination: float) -> bool:
+    """Tell clearly more outliers than expected."""
+    return share > max(2.0 * contamination, contamination + 0.1)
+
+
+def _many_outliers(z: str, share: float) -> str:
+    """Return the advice for many outliers."""
+    return (
+        f"{z} has more outliers than psi is made for: about {share:.0%} beside ordinary samples; "
+        f"Huber.from_contamination({share:.2g}) is made for them."
+    )
 
 
 def _told(repair: Repair, gain: float, figures: dict[str, Any]) -> Finding:
@@ -348,8 +360,9 @@ def _told(repair: Repair, gain: float, figures: dict[str, Any]) -> Finding:
         ),
         "coupled noise": (
             "coupled noise",
-            f"The noise of two sensors is correlated, by {value:+.2g} more than R says.",
+            f"The noise of two sensors is correlated, by roughly {value:+.1g} more than R says.",
         ),
+        "more outliers": ("more outliers", _many_outliers(z, value)),
         "state jump": (
             "level shift",
             f"A level shift at sample {value:.0f}: {z} moves to another level and stays there.",
