@@ -56,8 +56,7 @@ def make(options: Options) -> Part:
                 "6",
                 "The discrepancies do not shrink with larger m and n.",
                 "no (m, n) with n >= 40 has less than 0.8 of the discrepancy of m = 1, n = 40",
-                f"{base:.4f} at m = 1, n = 40; least {best:.4f} = {best / base:.2f} of it (the design is deterministic: "
-                "no interval)",
+                f"{base:.4f} at m = 1, n = 40; least {best:.4f} = {best / base:.2f} of it (deterministic: no interval)",
                 best >= 0.8 * base,
             )
         )

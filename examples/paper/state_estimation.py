@@ -14,7 +14,7 @@ import numpy as np
 from report import Claim, Options, Part, geometric_ratio, judged, markdown_table, ratio_interval, shown
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from state_estimation_study import FILTERS, KALMAN, KALMAN_TOTAL, LABELS, Setting, trial
+from state_estimation_study import FILTERS, KALMAN, LABELS, Setting, trial
 
 from robust_filterpy import Huber
 from robust_filterpy.experiments import monte_carlo, rerun
@@ -67,8 +67,9 @@ def table(x1: np.ndarray, total: np.ndarray, options: Options) -> str:
         rows.append([name, f"{by_name(x1, name).mean():.4f}", shown(ratio), f"{by_name(total, name).mean():.3f}"])
     head = ["filter", "MSE of x1", "relative to outliers known (95 %)", "MSE of all four"]
     return (
-        f"{options.runs} runs of {STEPS} steps, P0 = 0.1 I (our choice). x3 and x4 hardly show in y, so that the error of "
-        "all four states is much the same for every filter; claims are tested on x1.\n\n" + markdown_table(head, rows)
+        f"{options.runs} runs of {STEPS} steps, P0 = 0.1 I (our choice). x3 and x4 hardly show in y, so that "
+        "the error of all four states is much the same for every filter; claims are tested on x1.\n\n"
+        + markdown_table(head, rows)
     )
 
 
@@ -83,7 +84,8 @@ def claims(x1: np.ndarray, total: np.ndarray, options: Options) -> list[Claim]:
     return [
         Claim("3", "T(k) = 1 loses nothing.", "MSE of x1, (42)-(45) over (37)-(41), at most 1.05",
               shown(unit), judged(unit, high=1.05)),
-        Claim("4", "T(k) = 1 with the realized psi' loses nothing.", "MSE of x1, (47)-(49) over (37)-(41), at most 1.05",
+        Claim("4", "T(k) = 1 with the realized psi' loses nothing.",
+              "MSE of x1, (47)-(49) over (37)-(41), at most 1.05",
               shown(both), judged(both, high=1.05)),
         Claim("4", "The realized psi' raises the initial rate of convergence.",
               f"MSE of x1 over the first {INITIAL} steps, (47)-(49) over (42)-(45), below 1",
