@@ -16,7 +16,31 @@ __all__: list[str] = []
 def filter_recording(
     kf: Any, zs: Any, Fs: Any, Qs: Any, Hs: Any, Rs: Any, Bs: Any, us: Any, update_first: bool, saver: Any
 ) -> tuple[Array, Array, Array, Array]:
-    """Advance kf through a recording; see `RobustKalmanFilter.batch_filter`."""
+    """Advance a filter through a recording: by the compiled loops where they can, else by its own methods.
+
+    Parameters
+    ----------
+    kf : RobustKalmanFilter
+        The filter.
+    zs, Fs, Qs, Hs, Rs, Bs, us, update_first, saver
+        As in `RobustKalmanFilter.batch_filter`.
+
+    Returns
+    -------
+    means : ndarray, shape (N, dim_x) or (N, dim_x, 1)
+        Corrected states.
+    covariances : ndarray, shape (N, dim_x, dim_x)
+        Their covariances.
+    means_p : ndarray, shape of means
+        Predicted states.
+    covariances_p : ndarray, shape (N, dim_x, dim_x)
+        Their covariances.
+
+    Raises
+    ------
+    ValueError, TypeError, LinAlgError
+        As the filter's own methods do, with the step named; the filter is then as it was.
+    """
     columns = _columns(zs, Fs=Fs, Qs=Qs, Hs=Hs, Rs=Rs, Bs=Bs, us=us)
     n, dim_x = len(zs), kf.dim_x
     shape = (n, dim_x) if np.ndim(kf.x) == 1 else (n, dim_x, 1)

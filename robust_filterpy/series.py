@@ -260,7 +260,7 @@ def smooth_series(x: ArrayLike, P: ArrayLike, F: ArrayLike, Q: ArrayLike) -> Smo
         Corrected states of all steps, from `filter_series`.
     P : array_like, shape (S, N, dim_x, dim_x)
         Their covariances.
-    F, Q : array_like
+    F, Q : array_like, shape (dim_x, dim_x), (N, dim_x, dim_x) or (S or 1, N or 1, dim_x, dim_x)
         As in `filter_series`; the entry of step k leads to step k.
 
     Returns
