@@ -79,14 +79,15 @@ def _noise(cause: str, sensor: int | None, factor: float, m: int) -> Repair:
         return Repair("R", sensor, factor, 1.0 if sensor is None else 1.5, R=r)
     if cause == "Q":
         return Repair("Q", None, factor, 1.0, Q=factor)
-    return Repair("R and Q", None, factor, 4.0, Q=factor, P=factor, R=r)
+    return Repair("R and Q", None, factor, 4.0, Q=factor, R=r)
 
 
 def _candidates(model: Linear, z: Array, clipped: Array, e: Array, so_far: Repair) -> list[Repair]:
     """Return every candidate of the first, coarse round."""
     m = model.H.shape[1]
     grid = [10.0**power for power in (-6, -5, -4, -3, -2, -1, -0.5, 0.5, 1, 2, 3, 4, 5, 6)]
-    result = [_noise(cause, None, factor, m) for cause in ("R", "Q", "R and Q") for factor in grid]
+    causes = ("R", "Q", "R and Q") if model.Q.any() else ("R",)
+    result = [_noise(cause, None, factor, m) for cause in causes for factor in grid]
     if m > 1:
         result += [_noise("R", i, factor, m) for i in range(m) for factor in grid]
         for i in range(m):
@@ -142,7 +143,7 @@ def _jumps(model: Linear, z: Array, clipped: Array, e: Array) -> list[Repair]:
     """Return jumps of the state and of each sensor where a run of clipped samples or a change of mean begins."""
     m, n = model.H.shape[1:]
     result = []
-    for i in range(m):
+    for i in np.flatnonzero(~np.isnan(z).all(axis=0)).tolist():
         size = float(np.nanmax(np.abs(z[:, i] - np.nanmedian(z[:, i])), initial=1e-300)) ** 2
         for k in sorted({0, *_breaks(e[:, i])}):
             if k:

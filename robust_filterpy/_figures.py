@@ -168,3 +168,16 @@ def frozen(z: Array) -> int:
     run = longest_run(same) + 1
     alive = 1.0 - float(same.sum() - (run - 1)) / len(same)
     return run if run >= 10 and alive > 0.9 else 0
+
+
+def breaks_loose(z: Array, value: float) -> bool:
+    """Tell a sensor that was frozen at its extreme value: once, and what comes next is far from it.
+
+    A signal that saturates comes back the way it went.
+    """
+    z = z[~np.isnan(z)]
+    at = np.flatnonzero(z == value)
+    if len(at) != at[-1] - at[0] + 1 or at[-1] == len(z) - 1:
+        return False
+    steps = np.abs(np.diff(z))
+    return bool(abs(z[at[-1] + 1] - value) > 5.0 * np.median(steps[steps > 0]))

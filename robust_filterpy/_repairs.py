@@ -28,7 +28,6 @@ class Repair:
     value: float = 1.0
     cost: float = 0.0  # log-likelihood that the candidate must earn
     Q: float = 1.0  # factor of Q
-    P: float = 1.0  # factor of the first P
     R: Array | float = 1.0  # (m,), factors of the standard deviations
     gain: Array | float = 1.0  # (m,), factors of the rows of H
     rows: Array | float = np.nan  # (m, n), rows instead of those of H
@@ -46,7 +45,6 @@ class Repair:
         return replace(
             other,
             Q=self.Q * other.Q,
-            P=self.P * other.P,
             R=self.R * np.asarray(other.R),
             gain=self.gain * np.asarray(other.gain),
             rows=rows,
@@ -83,7 +81,7 @@ def scores(model: Linear, z: Array, repairs: list[Repair]) -> Scores:
     sensors, states = slice(n, None), slice(0, n)
 
     x, P = np.zeros((C, n + m)), np.zeros((C, n + m, n + m))
-    x[:, states], P[:, states, states] = model.x, parts["P"][:, None, None] * model.P
+    x[:, states], P[:, states, states] = model.x, model.P
     H = np.zeros((C, m, n + m))
     H[:, :, sensors] = np.eye(m)
     # What lasts: a correlated error decays, a shifted level stays.

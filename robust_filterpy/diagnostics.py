@@ -269,7 +269,7 @@ def _findings(recording: Recording, e: Array, figures: dict[str, Any], contamina
     findings, z = [], recording.z.copy()
     for i in range(z.shape[1]):
         limit, run = _figures.saturated(z[:, i]), _figures.frozen(z[:, i])
-        if limit is not None and not (run and run == np.sum(z[:, i] == limit) and z[-1, i] != limit):
+        if limit is not None and not (run and _figures.breaks_loose(z[:, i], limit)):
             share = float(np.mean(z[:, i] == limit))
             text = f"z[{i}] saturates: {share:.0%} of its samples are exactly {limit:.6g}, the end of its range."
             findings.append(Finding("saturation", i, limit, math.nan, text + " Pass them as NaN (missing)."))
@@ -280,7 +280,7 @@ def _findings(recording: Recording, e: Array, figures: dict[str, Any], contamina
     if findings:
         # What a clipped or frozen signal does to the innovations afterwards says nothing about the model.
         return findings
-    if recording.model is None or len(z) < 20:
+    if recording.model is None or figures["observed"].max() < 20:
         findings = _by_innovations(figures, contamination)
     else:
         part = slice(0, _SEARCHED)
