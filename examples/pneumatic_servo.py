@@ -259,6 +259,11 @@ def main(argv: list[str] | None = None) -> dict:
     found = fits(data, results)
     print("Figures: servo_recording.png, servo_parameters.png, servo_bode.png")
     print(table(found))
+    clean, robust, kalman = (found["OE", which][1] for which in (CLEAN, ROBUST, KALMAN))
+    print(
+        f"Conclusion: of the output-error model's free-run fit the outliers cost {clean - robust:.1f} points with the "
+        f"robust tracker,\n{clean - kalman:.1f} with the Kalman filter."
+    )
     return found
 
 
