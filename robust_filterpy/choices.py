@@ -16,6 +16,8 @@ from robust_filterpy._checks import Array
 from robust_filterpy._expectation import expected_information, expected_joint_information
 from robust_filterpy.influence import Huber, Influence, Linear
 
+__all__ = ["GROUPINGS", "INFORMATIONS", "SCALINGS", "Choices"]
+
 SCALINGS: Final = ("innovation", "unit", "bounded")
 INFORMATIONS: Final = ("realized", "expected", "weight")
 GROUPINGS: Final = ("component", "joint")

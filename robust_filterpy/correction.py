@@ -83,8 +83,10 @@ class Correction(NamedTuple):
     @property
     def y_bounded(self) -> Array:
         """Bounded innovation T^-1 psi(T y), in the measurement's unit, shape (m,)."""
+        if np.array_equal(self.psi, self.e):
+            return np.array(self.y)
         if self.T.shape == (1, 1):
-            return self.psi / self.T[0] if self.T[0, 0] else np.zeros(1)
+            return self.psi / self.T[0]
         return np.asarray(np.linalg.pinv(self.T, hermitian=True) @ self.psi)
 
     @property
@@ -561,7 +563,8 @@ def correct_scalar(
     else:
         d = min(max(psi / e, 0.0), 1.0) if e != 0.0 else 1.0
     K = C * t2
-    moved = K * (psi / t)
+    # An innovation that is not bounded moves x by exactly what filterpy's arithmetic gives.
+    moved = K * (y if psi == e else psi / t)
     x_post = x + (moved if x.ndim == 2 else moved.ravel())
     if d == 0.0:
         return ScalarCorrection(x_post, P.copy(), y, s, 1.0 / s, K, t, e, psi, slope)
@@ -569,7 +572,7 @@ def correct_scalar(
     I_KH = _identity(len(P)) - K_d.dot(H)
     P_post = I_KH.dot(P).dot(I_KH.T)
     # With G = K/T the unused part G (d - d^2 + d^2 (1 - T S T')) G' joins the noise term d^2 K r K'.
-    P_post += (K_d * (r + ((1.0 - d) / d + defect) / t2)).dot(K_d.T)
+    P_post += (K * (d * d * r + (d - d * d + d * d * defect) / t2)).dot(K.T)
     if M is not None:
         cross = I_KH.dot(M).dot(K_d.T)
         P_post -= cross + cross.T

@@ -39,6 +39,8 @@ from robust_filterpy.correction import (
 )
 from robust_filterpy.influence import Huber, Influence
 
+__all__ = ["RobustKalmanFilter"]
+
 
 class RobustKalmanFilter(Robust, KalmanFilter):
     """Filter like `filterpy.kalman.KalmanFilter`, without believing outliers.

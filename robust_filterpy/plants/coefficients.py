@@ -12,6 +12,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+__all__ = ["ALPHA_RANGE", "BETA_RANGE", "beta_coefficient", "random_alpha", "random_beta"]
+
 Array: TypeAlias = NDArray[np.floating[Any]]
 #: A number, a function of time, or a pair (times, values) that is interpolated linearly.
 Coefficient: TypeAlias = "float | Callable[[float], float] | tuple[ArrayLike, ArrayLike]"
@@ -151,7 +153,7 @@ def coefficient_function(value: Coefficient, name: str, limits: tuple[float, flo
 
     Parameters
     ----------
-    value : float, callable or pair of array_like
+    value : float, callable or pair of array_like, each of shape (k,)
         A constant, a function of time in s, or ``(times, values)``, interpolated linearly and held at its ends.
     name : str
         What error messages call it.

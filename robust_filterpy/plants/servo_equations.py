@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike
 
 from .servo_parameters import PneumaticParameters, critical_ratio
 
+__all__ = ["INPUTS", "STATES", "flow_function", "servo_derivatives"]
+
 STATES = ("position", "velocity", "P_a", "P_b")
 INPUTS = ("valve", "load")
 #: (y, v, P_a, P_b, valve, load, alpha, beta) -> (y', v', P_a', P_b')
@@ -28,7 +30,7 @@ def flow_function(r: ArrayLike, kappa: float = 1.4, *, laminar_ratio: float = 1.
 
     Parameters
     ----------
-    r : float or array_like
+    r : float or array_like, any shape
         Downstream over upstream absolute pressure, at most 1.
     kappa : float
         Ratio of the specific heats, above 1.
