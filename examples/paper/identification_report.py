@@ -141,7 +141,7 @@ def _table(run: Run, plant: Plant) -> str:
     head = ["tracker", "||theta_hat - theta||", "fit to noise-free output", "frequency response", "P indefinite"]
     return (
         f"**{plant.name}, contamination {plant.contamination:g}**: medians of {len(error)} runs over samples 500-1000. "
-        f"Cramer-Rao bound of ||theta_hat - theta|| from 1000 samples without a prior (median): {without_prior:.3f}; Bayesian "
+        f"Cramer-Rao bound of ||theta_hat - theta|| without a prior (median): {without_prior:.3f}; Bayesian "
         f"bound with the prior: {bound[-1] ** 0.5:.3f}. An error far below the first comes from the "
         f"prior, not from the data.\n\n{markdown_table(head, rows)}"
     )
