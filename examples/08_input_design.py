@@ -1,8 +1,9 @@
 """Which input tells most about a plant, if the actuator only knows two positions?
 
-A binary signal has the most power its amplitude allows. Its autocovariance r_k = [Ci(k w_hi) - Ci(k w_lo)]/ln(w_hi/w_lo)
-is that of band-limited 1/f noise (57), approached by receding horizon (54)-(55). Compared with white +-1 and a slow
-square wave by the Cramer-Rao bound of an ARX model: the covariance s^2 (sum phi phi')^-1 that no unbiased estimate beats.
+A binary signal has the most power its amplitude allows. Here its autocovariance is that of band-limited 1/f noise,
+r_k = [Ci(k w_hi) - Ci(k w_lo)]/ln(w_hi/w_lo) (57), approached by receding horizon (54)-(55). Compared with white +-1
+and a slow square wave by the Cramer-Rao bound of an ARX model, the covariance s^2 (sum phi phi')^-1 that no unbiased
+estimate beats.
 """
 
 # %% Three inputs of the same amplitude and length.
@@ -55,10 +56,10 @@ def main(argv=None):
         print(f"{name:36}" + "".join(f"{value:8.4f}" for value in row))
     achieved = sample_autocovariance(signals["designed, 1/f"], LAGS)
     gain = {name: np.linalg.norm(row) / np.linalg.norm(bounds["designed, 1/f"]) for name, row in bounds.items()}
+    miss = np.sqrt(np.mean((achieved - target) ** 2))
     print(
-        f"Conclusion: the designed binary input meets its autocovariance to {np.sqrt(np.mean((achieved - target) ** 2)):.3f} "
-        f"(rms); with it the bound of all four parameters together is {gain['white (PRBS)']:.2f} times smaller than with "
-        f"white +-1 and {gain['slow square']:.2f} times smaller than with a slow square wave."
+        f"Conclusion: the designed binary input meets its autocovariance to {miss:.3f} (rms); with it the bound of all "
+        f"four parameters together is {gain['white (PRBS)']:.2f} times smaller than with white +-1 and {gain['slow square']:.2f} times smaller than with a slow square wave."
     )
 
 

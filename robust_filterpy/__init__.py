@@ -27,6 +27,10 @@ _LAZY = {
     "ContaminatedScore": "score",
     "NoiseMatchedKalmanFilter": "process",
     "TwoSidedKalmanFilter": "two_sided",
+    "FilterBank": "bank",
+    "filter_series": "series",
+    "smooth_series": "series",
+    "diagnose": "diagnostics",
     "estimate_noise": "estimation",
 }
 __all__ = [

@@ -78,10 +78,12 @@ def test_docstring_is_complete(thing):
     )
     for parameter in doc["Parameters"]:
         assert parameter.type or len(parameter.name.split(",")) > 1, f"{parameter.name}: no type"
-        if "array_like" in parameter.type or "ndarray" in parameter.type and "mapping" not in parameter.type:
+        if "array_like" in parameter.type or ("ndarray" in parameter.type and "mapping" not in parameter.type):
             assert "shape" in parameter.type, f"{parameter.name}: an array without its shape"
 
 
 @pytest.mark.parametrize("module", public_modules(), ids=lambda module: module.__name__)
 def test_module_says_what_it_is_for(module):
-    assert module.__doc__ and module.__doc__.strip().splitlines()[0].endswith((".", ":", ",")) or "\n" in module.__doc__
+    assert (
+        module.__doc__ and module.__doc__.strip().splitlines()[0].endswith((".", ":", ","))
+    ) or "\n" in module.__doc__

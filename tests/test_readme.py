@@ -25,7 +25,11 @@ def test_there_are_snippets():
 
 def test_first_snippet_differs_from_filterpy_by_import_and_class_only():
     """Put filterpy's import and class back: it must still run, and the outlier must then hurt."""
-    original = SNIPPETS[0].replace("from robust_filterpy import RobustKalmanFilter", "from filterpy.kalman import KalmanFilter")
+    ours_imported, theirs_imported = (
+        "from robust_filterpy import RobustKalmanFilter",
+        "from filterpy.kalman import KalmanFilter",
+    )
+    original = SNIPPETS[0].replace(ours_imported, theirs_imported)
     original = original.replace("RobustKalmanFilter", "KalmanFilter")
     assert "robust" not in original.lower()
     # The last line prints the weights, which filterpy's filter does not have.
