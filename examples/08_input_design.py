@@ -59,7 +59,8 @@ def main(argv=None):
     miss = np.sqrt(np.mean((achieved - target) ** 2))
     print(
         f"Conclusion: the designed binary input meets its autocovariance to {miss:.3f} (rms); with it the bound of all "
-        f"four parameters together is {gain['white (PRBS)']:.2f} times smaller than with white +-1 and {gain['slow square']:.2f} times smaller than with a slow square wave."
+        f"four parameters together is {gain['white (PRBS)']:.2f} times smaller than with white +-1 and "
+        f"{gain['slow square']:.2f} times smaller than with a slow square wave."
     )
 
 
