@@ -9,18 +9,18 @@ the same side tell a lot.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import logsumexp
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._hypotheses import SeveralHypotheses, finite_product
 from robust_filterpy._measurement import process_noise, require_finite_prediction, state_of
-from robust_filterpy.choices import Choices
+from robust_filterpy.choices import Choices, length_and_direction
 from robust_filterpy.correction import Correction, correct, log_density
 from robust_filterpy.influence import Influence, Linear, StudentT
 
@@ -32,6 +32,9 @@ __all__ = ["TwoSidedKalmanFilter"]
 _OUTLIER_SHARE = 0.5
 _OUTLIER_SCALE = 5.0
 _GAUSSIAN = Choices(Linear())
+_LOG_2PI = math.log(2.0 * math.pi)
+# The square of this is finite, and so is the sum of a few.
+_LARGE = 1e150
 
 
 class _Bank(NamedTuple):
@@ -196,11 +199,10 @@ class TwoSidedKalmanFilter(SeveralHypotheses):
         F = np.asarray(self.F if F is None else F, dtype=float)
         noise = process_noise(self.Q, Q, n)
         mixed = origin.T @ bank.means
-        covariances = np.empty((q, n, n))
-        for j in range(q):
-            apart = bank.means - mixed[j]
-            P = np.tensordot(origin[:, j], bank.covariances, 1) + (apart.T * origin[:, j]) @ apart
-            covariances[j] = self._alpha_sq * F.dot(P).dot(F.T) + self._scales[j] * noise
+        # Row j: the copies as seen from the mixture that copy j starts from.
+        apart = bank.means - mixed[:, None]
+        P = np.tensordot(origin.T, bank.covariances, 1) + np.swapaxes(apart * origin.T[:, :, None], 1, 2) @ apart
+        covariances = self._alpha_sq * (F @ P @ F.T) + self._scales[:, None, None] * noise
         # B u moves every copy as it moves the mean.
         means = x + (mixed - bank.x) @ F.T
         merged = _merged(means, covariances, shares)
@@ -214,18 +216,23 @@ class TwoSidedKalmanFilter(SeveralHypotheses):
         shown = correct(x.ravel(), P, values - finite_product(H, x.ravel()), H, R, self._choices, M, inv)
         if np.isnan(values).all():
             return shown
-        logs, means, covariances = [], [], []
-        for mean, covariance in zip(bank.means, bank.covariances, strict=True):
-            some = correct(mean, covariance, values - H.dot(mean), H, R, self._choices, M, inv)
-            logs.append(log_density(_observed(some), some.S, _GAUSSIAN, inv))
-            means.append(some.x)
-            covariances.append(some.P)
+        copies = [
+            correct(mean, covariance, values - H.dot(mean), H, R, self._choices, M, inv)
+            for mean, covariance in zip(bank.means, bank.covariances, strict=True)
+        ]
+        part = np.flatnonzero(~np.isnan(values))
+        wide = shown._replace(S=_OUTLIER_SCALE**2 * shown.S)
+        *logs, outlier = _log_normal([*copies, wide], part, inv)
+        # Relative to the outlier's, so that what is nearly impossible under all of them still compares.
+        relative = np.array(logs) - outlier
         if not self._choices.is_linear:
-            outlier = log_density(_observed(shown), _OUTLIER_SCALE**2 * shown.S, _GAUSSIAN, inv)
-            logs = np.logaddexp(np.log1p(-_OUTLIER_SHARE) + logs, np.log(_OUTLIER_SHARE) + outlier)
-        joint = np.log(bank.shares) + logs
-        total = float(logsumexp(joint))
-        merged = _merged(np.array(means), np.array(covariances), np.exp(joint - total))
+            relative = np.logaddexp(np.log1p(-_OUTLIER_SHARE) + relative, np.log(_OUTLIER_SHARE))
+        joint = np.log(bank.shares) + relative
+        peak = joint.max()
+        weights = np.exp(joint - peak)
+        total = float(outlier + peak + np.log(weights.sum()))
+        shares = weights / weights.sum()
+        merged = _merged(np.array([c.x for c in copies]), np.array([c.P for c in copies]), shares)
         self._found = (total, merged)
         return shown._replace(x=merged.x, P=merged.P)
 
@@ -262,9 +269,20 @@ class TwoSidedKalmanFilter(SeveralHypotheses):
         return _Bank(np.tile(x.ravel(), (q, 1)), np.tile(P, (q, 1, 1)), shares, x.ravel().copy(), P.copy())
 
 
-def _observed(some: Correction) -> Array:
-    """Return the innovation, NaN where missing, shape (m,)."""
-    return np.where(np.isnan(some.slope), np.nan, some.y)
+def _log_normal(found: list[Correction], part: np.ndarray, inv: Any) -> list[float]:
+    """Return log N(y; 0, S) of the observed part of each innovation."""
+    pick = np.ix_(part, part)
+    if inv is not None:
+        return [log_density(one.y[part], one.S[pick], _GAUSSIAN, inv) for one in found]
+    # What has passed `correct` has a factor, unless rounding alone was at fault; then the slower way finds it.
+    try:
+        factors = np.linalg.cholesky(np.array([one.S[pick] for one in found]))
+    except np.linalg.LinAlgError:
+        return [log_density(one.y[part], one.S[pick], _GAUSSIAN) for one in found]
+    e = np.linalg.solve(factors, np.array([one.y[part] for one in found])[:, :, None])[:, :, 0]
+    log_dets = 2.0 * np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)
+    lengths = [length_and_direction(one)[0] for one in np.clip(e, -_LARGE, _LARGE)]
+    return [-0.5 * (r * r + d + part.size * _LOG_2PI) for r, d in zip(lengths, log_dets.tolist(), strict=True)]
 
 
 def _merged(means: Array, covariances: Array, shares: Array) -> _Bank:

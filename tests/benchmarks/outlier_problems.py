@@ -83,13 +83,7 @@ def prepared(kf: Any, data: Recording) -> Any:
 
 def errors(kf: Any, data: Recording) -> np.ndarray:
     """Return the estimates' errors, shape (steps, n)."""
-    prepared(kf, data)
-    path = np.empty_like(data.truth)
-    for k, z in enumerate(data.zs):
-        kf.predict()
-        kf.update(z)
-        path[k] = kf.x
-    return path - data.truth
+    return np.asarray(prepared(kf, data).batch_filter(data.zs)[0] - data.truth)
 
 
 def errors_with_labels(data: Recording) -> np.ndarray:
@@ -107,3 +101,15 @@ def gate(dim_x: int, dim_z: int, level: float = 0.9973) -> RobustKalmanFilter:
     """Return the Kalman filter that leaves out what its chi-square gate refuses."""
     threshold = float(np.sqrt(stats.chi2.ppf(level, dim_z)))
     return RobustKalmanFilter(dim_x, dim_z, influence=TrimmedMean(threshold), grouping="joint")
+
+
+def level(rng: np.random.Generator, jump: float = 0.0, run: int = 0, size: float = 0.0, steps: int = 250) -> Recording:
+    """A wandering level measured with noise of deviation 1: after 50 steps a true jump, or a run of outliers alike."""
+    one = np.eye(1)
+    truth = 0.1 * np.cumsum(rng.normal(size=steps))
+    truth[50:] += jump
+    v = rng.normal(size=steps)
+    v[50 : 50 + run] += size
+    none = np.zeros(steps, dtype=bool)
+    data = (truth[:, None], (truth + v)[:, None], none, none)
+    return Recording(one, one, 0.01 * one, one, np.zeros(1), 0.1 * one, *data)

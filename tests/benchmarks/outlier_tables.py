@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
-from outlier_problems import errors, errors_with_labels, gate, paper, vehicle
+from outlier_problems import errors, errors_with_labels, gate, level, paper, vehicle
 
-from robust_filterpy import Hampel, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy import Hampel, Huber, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.experiments import bootstrap_interval, monte_carlo
 from robust_filterpy.process import NoiseMatchedKalmanFilter
+from robust_filterpy.recovery import RecoveringKalmanFilter
 from robust_filterpy.score import ContaminatedScore
 from robust_filterpy.two_sided import TwoSidedKalmanFilter
 
@@ -98,7 +99,71 @@ def process_table(runs: int, seed: int, jobs: int) -> None:
         ratios(title, trial, "Kalman (filterpy)", runs, seed, jobs)
 
 
-TABLES = {"score": (score_table, 150), "process": (process_table, 40)}
+JUMPS = (3.0, 6.0, 10.0, 30.0, 100.0)
+RUN_LENGTHS = (3, 5, 10, 30)
+INFORMATIONS = ("realized", "expected", "weight")
+
+
+def locking_filters() -> dict[str, Callable[[], Any]]:
+    """Return every influence with every information, without recovery and, where it locks out, with it."""
+    gated = gate(1, 1).influence
+    kinds = {"gate": gated, "Huber": Huber(), "Hampel": Hampel(), "Tukey": TukeyBiweight(), "Student t": StudentT()}
+    filters: dict[str, Callable[[], Any]] = {"Kalman (filterpy)": lambda: KalmanFilter(1, 1)}
+    for name, psi in kinds.items():
+        for information in INFORMATIONS:
+            choice = {"influence": psi, "information": information}
+            filters[f"{name}, {information}"] = partial(RobustKalmanFilter, 1, 1, **choice)
+    for name in ("gate", "Hampel", "Tukey"):
+        for information in INFORMATIONS:
+            choice = {"influence": kinds[name], "information": information}
+            filters[f"{name}, {information}, recovering"] = partial(RecoveringKalmanFilter, 1, 1, **choice)
+    return {**filters, "two-sided": lambda: TwoSidedKalmanFilter(1, 1)}
+
+
+def recovery_trial(rng: np.random.Generator) -> dict[str, list[list[float]]]:
+    """Return for each filter the steps to recover from each jump, and the peak error of each run of each size."""
+    jumps = [level(rng, jump=size * rng.choice([-1.0, 1.0])) for size in JUMPS]
+    runs = [[level(rng, run=n, size=size, steps=130) for size in JUMPS] for n in RUN_LENGTHS]
+    found = {}
+    for name, build in locking_filters().items():
+        steps = [_steps_to_recover(errors(build(), data)[50:, 0]) for data in jumps]
+        peaks = [[float(np.abs(errors(build(), data)[50:, 0]).max()) for data in row] for row in runs]
+        found[name] = [steps, *peaks]
+    return found
+
+
+def _steps_to_recover(error: np.ndarray) -> float:
+    """Return the first of five steps in a row whose error is under 1, infinite if there is none."""
+    calm = np.convolve(np.abs(error) < 1.0, np.ones(5), "valid") == 5.0
+    return float(np.argmax(calm)) if calm.any() else np.inf
+
+
+def recovery_table(runs: int, seed: int, jobs: int) -> None:
+    """Print the table of lock-out and capture."""
+    start = time.perf_counter()
+    found = monte_carlo(recovery_trial, runs, seed=seed, n_jobs=jobs).stacked()
+    seconds = time.perf_counter() - start
+    print(
+        f"\nA level (Q = 0.01, R = 1) that jumps by {JUMPS}, or whose sensor is off by as much for {RUN_LENGTHS} samples"
+    )
+    print(
+        f"{runs} runs, seed {seed}, {seconds:.0f} s; peak: mean of the largest error, for the worst size, in sqrt(R)\n"
+    )
+    heads = [f"jump {j:g}: steps" for j in JUMPS] + ["never, %"] + [f"run {n}: peak" for n in RUN_LENGTHS]
+    print("| filter | " + " | ".join(heads) + " |\n|" + "---|" * (len(heads) + 1))
+    for name, values in found.items():
+        steps, peaks = values[:, 0], values[:, 1:]
+        never = bootstrap_interval(100.0 * np.isinf(steps).mean(axis=1), rng=seed)
+        cells = [f"{np.median(column):.0f}" for column in steps.T]
+        cells.append(f"{never.estimate:.0f} ({never.low:.0f} to {never.high:.0f})")
+        for k in range(len(RUN_LENGTHS)):
+            worst = int(np.argmax(peaks[:, k].mean(axis=0)))
+            peak = bootstrap_interval(peaks[:, k, worst], rng=seed)
+            cells.append(f"{peak.estimate:.2f} ({peak.low:.2f} to {peak.high:.2f})")
+        print(f"| {name} | " + " | ".join(cells) + " |")
+
+
+TABLES = {"score": (score_table, 150), "process": (process_table, 20), "recovery": (recovery_table, 20)}
 
 
 def main(argv: list[str] | None = None) -> None:
