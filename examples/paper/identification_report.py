@@ -161,7 +161,8 @@ def _claims(found: dict[float, Run], plant: Plant, options: Options, robust: str
     def claim(figures: str, text: str, criterion: str, interval: object, **limits: float) -> None:
         measured = "refused (P indefinite)" if interval is None else shown(interval)
         holds = False if interval is None else judged(interval, **limits)
-        claims.append(Claim(figures, f"{text} ({plant.name})", f"squared error, {criterion}", measured, holds))
+        place = figures if plant.name == SECTION4.name else plant.name
+        claims.append(Claim(place, f"{text} ({plant.name})", f"squared error, {criterion}", measured, holds))
 
     for contamination in (0.05, 0.1, 0.15):
         for baseline in (KALMAN, KALMAN_TOTAL):
