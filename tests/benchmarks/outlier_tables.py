@@ -143,9 +143,7 @@ def recovery_table(runs: int, seed: int, jobs: int) -> None:
     start = time.perf_counter()
     found = monte_carlo(recovery_trial, runs, seed=seed, n_jobs=jobs).stacked()
     seconds = time.perf_counter() - start
-    print(
-        f"\nA level (Q = 0.01, R = 1) that jumps by {JUMPS}, or whose sensor is off by as much for {RUN_LENGTHS} samples"
-    )
+    print(f"\nA level (Q = 0.01, R = 1) that jumps by {JUMPS}, or an error alike for {RUN_LENGTHS} samples")
     print(
         f"{runs} runs, seed {seed}, {seconds:.0f} s; peak: mean of the largest error, for the worst size, in sqrt(R)\n"
     )
