@@ -14,7 +14,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from robust_filterpy._checks import Array
 from robust_filterpy.choices import Choices
 from robust_filterpy.correction import correct_scalar
-from robust_filterpy.identification._memory import Layout, Memory, bounded, gradient
+from robust_filterpy.identification._memory import SHARPEST, Layout, Memory, bounded, gradient, tempering
 from robust_filterpy.identification.guard import is_stable, restrained
 
 
@@ -74,6 +74,8 @@ def run_lean(
     filtered = rules.filtered and part is not None
     gradients = np.concatenate((np.zeros((length, layout.n)), memory.gradients)) if filtered else memory.gradients
     Q, r, alpha_sq = noise
+    # More than the trace of P, which corrections only make smaller; worked out anew where it matters.
+    trace, added, most = 2.0 * P.trace(), 2.0 * np.trace(Q), SHARPEST * r
     drifts, guarded, model_output = bool(np.any(Q)), rules.guard != "none", rules.uses_model_output
     theta, variance, prediction, residual, weight, guard = out
     first_residual = layout.n - nc
@@ -83,51 +85,68 @@ def run_lean(
         outputs[:length] = -y[::-1]
         phi[:, :na] = sliding_window_view(outputs[1:], na)[::-1][:length]
     waits, column = bool(na) and (model_output or not complete), x.ndim == 2
-    for k, measured in enumerate(y.tolist()):
-        at = length - k
-        row, H = phi[k], phi[k : k + 1]
-        if waits:
-            row[:na] = outputs[at : at + na]
-        if nc:
-            row[first_residual:] = residuals[at : at + nc]
-        if alpha_sq == 1.0:
-            if drifts:
-                P = P + Q
-        elif P.trace() <= rules.windup:
-            P = P * alpha_sq + Q
-        predicted = H.dot(x).item()
-        prediction[k] = predicted
-        if filtered:
-            past = x.ravel()[part]
-            psi = row
-            if guarded or is_stable(past.tolist()):
-                psi = gradient(row, past, gradients[at : at + order])
-            gradients[at - 1] = psi
-        if measured == measured:
-            difference = measured - predicted
+    known = not (filtered or nc or waits)
+    squares = np.einsum("ij,ij->i", phi, phi).tolist() if known else []
+    k = 0
+    try:
+        for k, measured in enumerate(y.tolist()):
+            at = length - k
+            row, H = phi[k], phi[k : k + 1]
+            if waits:
+                row[:na] = outputs[at : at + na]
+            if nc:
+                row[first_residual:] = residuals[at : at + nc]
+            if alpha_sq == 1.0:
+                if drifts:
+                    P = P + Q
+                    trace += added
+            elif trace <= rules.windup or P.trace() <= rules.windup:
+                P = P * alpha_sq
+                if drifts:
+                    P += Q
+                trace = trace * alpha_sq + added
+            predicted = H.dot(x).item()
+            prediction[k] = predicted
             if filtered:
-                G = psi[None, :]
-                along = G.dot(x).item()
-                last = correct_scalar(x, P, (difference + along) - along, G, r, choices)
-            else:
-                last = correct_scalar(x, P, difference, H, r, choices)
-            if part is not None:
-                moved, guard[k] = restrained(last.x.ravel(), x.ravel(), part, rules.guard)
-                x = moved.reshape(x.shape)
-            else:
-                x = last.x
-            P = last.P
-            residual[k] = difference
-            weight[k] = last.psi / last.e if last.e != 0.0 else 1.0
-        if waits:
-            if model_output:
-                outputs[at - 1] = -bounded(H.dot(x).item())
-            else:
-                outputs[at - 1] = -(measured if measured == measured else bounded(predicted))
-        if nc and measured == measured:
-            residuals[at - 1] = bounded(measured - H.dot(x).item())
-        theta[k] = x[:, 0] if column else x
-        variance[k] = P.diagonal()
+                past = x.ravel()[part]
+                psi = row
+                if guarded or is_stable(past.tolist()):
+                    psi = gradient(row, past, gradients[at : at + order])
+                gradients[at - 1] = psi
+            if measured == measured:
+                difference = measured - predicted
+                G, factor = H, 1.0
+                if filtered:
+                    G, row = psi[None, :], psi
+                if (squares[k] if known else row.dot(row)) * trace > most:
+                    exact = P.trace()
+                    factor, trace = tempering(row.dot(row), exact, r), 2.0 * exact
+                if filtered or factor < 1.0:
+                    G = G * factor
+                    along = G.dot(x).item()
+                    last = correct_scalar(x, P, (difference * factor + along) - along, G, r, choices)
+                else:
+                    last = correct_scalar(x, P, difference, H, r, choices)
+                if part is not None:
+                    moved, guard[k] = restrained(last.x.ravel(), x.ravel(), part, rules.guard)
+                    x = moved.reshape(x.shape)
+                else:
+                    x = last.x
+                P = last.P
+                residual[k] = difference
+                weight[k] = last.psi / last.e if last.e != 0.0 else 1.0
+            if waits:
+                if model_output:
+                    outputs[at - 1] = -bounded(H.dot(x).item())
+                else:
+                    outputs[at - 1] = -(measured if measured == measured else bounded(predicted))
+            if nc and measured == measured:
+                residuals[at - 1] = bounded(measured - H.dot(x).item())
+            theta[k] = x[:, 0] if column else x
+            variance[k] = P.diagonal()
+    except (ValueError, np.linalg.LinAlgError) as error:
+        error.args = (f"sample {k}: {error}", *error.args[1:])
+        raise
     memory.outputs, memory.residuals, memory.inputs = outputs[:na].copy(), residuals[:nc].copy(), inputs
     if filtered:
         memory.gradients = gradients[:order].copy()

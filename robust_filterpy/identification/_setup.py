@@ -37,12 +37,17 @@ def make_filter(n: int, given: Any, choices: dict[str, Any]) -> Any:
     kf = given
     if isinstance(given, type):
         kf = given(dim_x=n, dim_z=1)
-        if np.ndim(kf.Q) == 2:
-            kf.Q = np.zeros((n, n))
-        kf.P = _VAGUE * np.eye(n)
     for name in ("x", "P", "H", "predict", "update"):
         if not hasattr(kf, name):
             raise TypeError(f"filter: expected x, P, H, predict() and update(z) as filterpy's filters have, no {name}")
+    try:
+        kf.P = _VAGUE * np.eye(n) if kf is not given else kf.P
+        if kf is not given and hasattr(kf, "Q"):
+            kf.Q = np.zeros((n, n))
+    except AttributeError:
+        raise TypeError(
+            f"filter: expected P to be an attribute that can be set, {type(kf).__name__} has none"
+        ) from None
     if np.size(kf.x) != n:
         raise ValueError(f"filter: expected dim_x={n} for the structure's parameters, got {np.size(kf.x)}")
     if getattr(kf, "dim_z", 1) != 1:
@@ -114,6 +119,11 @@ def _covariance(name: str, value: Any, n: int) -> Array:
     if least < -1e-10 * np.abs(matrix).max():
         raise ValueError(f"{name}: expected a positive semidefinite matrix, got one with eigenvalue {least:.3g}")
     return matrix.copy()
+
+
+def noise_variance(kf: Any) -> float:
+    """Return a filter's R as a number, 1 if it has none."""
+    return float(np.ravel(getattr(kf, "R", 1.0))[0])
 
 
 def settings(kf: Any) -> dict[str, Array]:

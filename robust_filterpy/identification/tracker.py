@@ -12,7 +12,7 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.identification import _model, _setup
 from robust_filterpy.identification._lean import Columns, Noise, Rules, run_lean
-from robust_filterpy.identification._memory import LARGEST, Layout, Memory, bounded, gradient, pushed
+from robust_filterpy.identification._memory import LARGEST, Layout, Memory, bounded, gradient, pushed, tempering
 from robust_filterpy.identification.guard import GUARDS, is_stable, restrained
 from robust_filterpy.identification.results import Coefficients, Intervals, Sample, TrackingResult, intervals
 from robust_filterpy.identification.structures import LinearRegression, Structure, input_columns
@@ -377,19 +377,24 @@ class ParameterTracker:
         known, old_x, old_P = y == y, kf.x, kf.P
         old, gradients = np.ravel(old_x), memory.gradients
         weight, event = math.nan, 0
+        filtered = self._gradient == "filtered" and part is not None
         try:
             if self.enabled and (getattr(kf, "alpha", 1.0) == 1.0 or np.trace(kf.P) <= self._windup):
                 kf.predict()
             x = kf.x
             predicted = H.dot(x).item()
             G, target = H, y
-            if self._gradient == "filtered" and part is not None:
+            if filtered:
                 past = np.ravel(x)[part]
                 if self._guard != "none" or is_stable(past.tolist()):
                     G = gradient(H[0], past, gradients)[None, :]
                 gradients = pushed(gradients, G[0])
-                target = (y - predicted) + G.dot(x).item()
             if self.enabled and known:
+                factor = tempering(G[0].dot(G[0]), np.trace(kf.P), _setup.noise_variance(kf))
+                if filtered or factor < 1.0:
+                    G = G * factor
+                    # So that the filter's own innovation, target - G x, is y - phi' theta.
+                    target = (y - predicted) * factor + G.dot(x).item()
                 kf.H = G
                 kf.update(target)
                 weight = float(np.ravel(getattr(kf, "weights", 1.0))[0])
@@ -409,11 +414,11 @@ class ParameterTracker:
         memory.inputs, memory.gradients = inputs, gradients
         return Sample(predicted, y - predicted, weight, event)
 
-    def _run_stepwise(self, y: Array, u: Array, out: Columns) -> None:
-        """Advance through a recording with any filter, sample by sample."""
-        k = 0
+    def _run_stepwise(self, y: Array, u: Array, out: Columns, start: int = 0) -> None:
+        """Advance from sample start to the end of a recording with any filter, sample by sample."""
+        k = start
         try:
-            for k, output in enumerate(y.tolist()):
+            for k, output in enumerate(y[start:].tolist(), start):
                 out.prediction[k], out.residual[k], out.weight[k], out.guard[k] = self._step(output, u[k])
                 out.theta[k], out.variance[k] = np.ravel(self.filter.x), np.diagonal(self.filter.P)
         except (ValueError, TypeError, np.linalg.LinAlgError) as error:
@@ -446,7 +451,7 @@ class ParameterTracker:
             kf.x, kf.P = run_lean(
                 self._layout, rules, kf._choices, noise, self._memory, kf.x, kf.P, y[:last], u[:last], head
             )
-        self._run_stepwise(y[last:], u[last:], Columns(*(column[last:] for column in out)))
+        self._run_stepwise(y, u, out, start=last)
 
     # Checked inputs.
 

@@ -1,0 +1,419 @@
+"""ParameterTracker as a program meets it: samples, recordings, any filter, missing data, interruption, bad input."""
+
+import io
+import pickle
+
+import control
+import numpy as np
+import pytest
+from filterpy.kalman import FadingKalmanFilter, InformationFilter, KalmanFilter, SquareRootKalmanFilter
+
+from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter
+from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError, ParameterTracker
+from robust_filterpy.noise import EpsilonContaminated
+from robust_filterpy.plants import simulate_arx, simulate_output_error
+
+PLANT = np.array([-1.5, 0.7, 1.0, 0.5])
+STRUCTURES = [ARX(2, 2), OutputError(2, 2), ARMAX(2, 2, 2), FIR(6), FIR(2, nk=0), ARX(1, 2, nk=3), ARMAX(0, 1, 1)]
+
+
+def recording(length=150, contamination=0.1, missing=True, seed=1):
+    """A contaminated recording of the plant with a gap."""
+    rng = np.random.default_rng(seed)
+    u = rng.choice([-1.0, 1.0], length)
+    y = simulate_output_error(PLANT, u, noise=EpsilonContaminated(contamination, 0.5, 5.0), rng=rng, na=2, nb=2).y
+    if missing:
+        y[[20, 21, 22, 60]] = np.nan
+    return y, u
+
+
+def step_by_step(tracker, y, u):
+    """The columns of a TrackingResult by `update`."""
+    rows = [(tracker.update(y[k], u[k]), tracker.theta, tracker.std) for k in range(len(y))]
+    samples, theta, std = zip(*rows, strict=True)
+    return theta, std, *zip(*samples, strict=True)
+
+
+def same(a, b):
+    """Hold every column together, to the last bit."""
+    for x, y in zip(a, b, strict=True):
+        np.testing.assert_array_equal(np.asarray(x), np.asarray(y))
+
+
+# One sample or a recording
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"Q": 1e-4}, {"forgetting": 0.97}, {"influence": Hampel()}, {"scaling": "bounded"}]
+)
+@pytest.mark.parametrize("guard", ["none", "reject", "halve"])
+@pytest.mark.parametrize("gradient", ["pseudolinear", "filtered"])
+@pytest.mark.parametrize("structure", STRUCTURES, ids=str)
+def test_run_gives_the_numbers_of_update(structure, gradient, guard, options):
+    y, u = recording()
+    y[40] = 1e12
+    one, other = (ParameterTracker(structure, R=0.25, gradient=gradient, guard=guard, **options) for _ in range(2))
+    same(one.run(y, u), step_by_step(other, y, u))
+    same(one.state().values(), other.state().values())
+    same([one.filter.K, one.filter.y, one.filter.S], [other.filter.K, other.filter.y, other.filter.S])
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda n: KalmanFilter(n, 1),
+        lambda n: FadingKalmanFilter(1.01, n, 1),
+        lambda n: SquareRootKalmanFilter(n, 1),
+        lambda n: RobustKalmanFilter(n, 1, influence=Huber(2.0)),
+        lambda n: RobustKalmanFilter(n, 1, grouping="joint"),
+    ],
+)
+def test_any_filter_serves_and_run_is_update(make):
+    y, u = recording()
+    one, other = (ParameterTracker(OutputError(2, 2), filter=make(4), R=0.25) for _ in range(2))
+    same(one.run(y, u), step_by_step(other, y, u))
+
+
+def test_one_recording_in_two_parts_is_one_recording():
+    y, u = recording()
+    for structure in STRUCTURES:
+        whole, parts = ParameterTracker(structure), ParameterTracker(structure)
+        result = whole.run(y, u)
+        same(result, map(np.concatenate, zip(parts.run(y[:61], u[:61]), parts.run(y[61:], u[61:]), strict=True)))
+
+
+def test_kalman_baseline_is_the_linear_tracker():
+    y, u = recording()
+    for structure in STRUCTURES:
+        ours = ParameterTracker(structure, influence=Linear(), P=3.0, Q=1e-4, R=0.5).run(y, u)
+        theirs = ParameterTracker(structure, filter=KalmanFilter, P=3.0, Q=1e-4, R=0.5).run(y, u)
+        np.testing.assert_allclose(ours.theta, theirs.theta, rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(ours.std, theirs.std, rtol=1e-7)
+
+
+def test_recordings_may_be_lists_or_pandas_columns():
+    pd = pytest.importorskip("pandas")
+    y, u = recording()
+    frame = pd.DataFrame({"y": y, "u": u, "w": -u})
+    expected = ParameterTracker(ARX(2, 2)).run(y, u)
+    same(expected, ParameterTracker(ARX(2, 2)).run(frame["y"], frame["u"]))
+    same(expected, ParameterTracker(ARX(2, 2)).run([None if v != v else v for v in y], list(u)))
+    same(expected, ParameterTracker(ARX(2, 2)).run(y[:, None], u[:, None]))
+    two = ARX(2, (2, 1))
+    same(ParameterTracker(two).run(frame["y"], frame[["u", "w"]]), ParameterTracker(two).run(y, np.c_[u, -u]))
+
+
+def test_result_has_a_row_for_each_sample():
+    y, u = recording()
+    result = ParameterTracker(OutputError(2, 2), R=0.25).run(y, u)
+    assert result.theta.shape == result.std.shape == (150, 4)
+    gap = np.isnan(y)
+    np.testing.assert_array_equal(np.isnan(result.residual), gap)
+    np.testing.assert_array_equal(np.isnan(result.weight), gap)
+    np.testing.assert_allclose(result.residual[~gap], (y - result.prediction)[~gap])
+    assert np.isfinite(result.prediction).all()
+    assert ((result.weight[~gap] > 0) & (result.weight[~gap] <= 1)).all() and (result.weight < 0.5).any()
+    assert result.guard.dtype.kind == "i"
+
+
+def test_identity_of_a_linear_regression():
+    rng = np.random.default_rng(0)
+    phi, theta = rng.normal(size=(50, 3)), np.array([1.0, -2.0, 0.5])
+    tracker = ParameterTracker(LinearRegression(3), R=1e-6)
+    tracker.run(phi @ theta, phi)
+    np.testing.assert_allclose(tracker.theta, theta, atol=1e-8)
+    assert tracker.predict([1.0, 1.0, 1.0]) == pytest.approx(-0.5)
+    with pytest.raises(ValueError, match="your regressor"):
+        tracker.coefficients  # noqa: B018
+
+
+def test_model_without_input():
+    y = np.sin(0.3 * np.arange(60))
+    tracker = ParameterTracker(ARX(2, 0), R=1e-6)
+    tracker.run(y)
+    np.testing.assert_allclose(tracker.theta, [-2 * np.cos(0.3), 1.0], atol=1e-5)
+    assert tracker.predict() == pytest.approx(np.sin(0.3 * 60), abs=1e-4)
+    with pytest.raises(ValueError, match="input"):
+        tracker.transfer_function()
+
+
+# The model
+
+
+def test_prediction_is_what_the_next_update_finds():
+    y, u = recording()
+    for structure in STRUCTURES:
+        tracker = ParameterTracker(structure, R=0.25, F=0.999 * np.eye(structure.n_theta))
+        for k in range(60):
+            ahead = tracker.predict(u[k]) if structure == FIR(2, nk=0) else tracker.predict()
+            before = tracker.state()
+            assert tracker.update(y[k], u[k]).prediction == pytest.approx(ahead, rel=1e-12, abs=1e-12)
+            assert before["theta"].shape == (structure.n_theta,)
+
+
+def test_coefficients_split_theta():
+    a, b, c = ParameterTracker(ARMAX(1, (2, 1), 1), theta=[0.1, 1, 2, 3, 0.5]).coefficients
+    assert a == [0.1] and c == [0.5]
+    same(b, ([1, 2], [3]))
+    a, b, c = ParameterTracker(OutputError(2, 2), theta=PLANT).coefficients
+    same((a, b, c), (PLANT[:2], PLANT[2:], []))
+
+
+@pytest.mark.parametrize("nk", [0, 1, 3])
+def test_transfer_function_answers_as_simulate_does(nk):
+    u = np.random.default_rng(0).normal(size=(2, 80))
+    theta = [-0.9, 0.4, 1.0, 0.5, 0.0, -2.0]
+    tracker = ParameterTracker(OutputError(2, (3, 1), nk=(nk, 2)), theta=theta)
+    tf = tracker.transfer_function(0.1)
+    assert (tf.ninputs, tf.noutputs, tf.dt) == (2, 1, 0.1)
+    parts = [control.forced_response(tf[0, i], inputs=u[i]).outputs for i in range(2)]
+    np.testing.assert_allclose(tracker.simulate(u.T), sum(np.ravel(p) for p in parts), atol=1e-10)
+
+
+def test_simulate_is_the_plant():
+    u = np.random.default_rng(0).normal(size=80)
+    for structure in (ARX(2, 2), OutputError(2, 2)):
+        model = ParameterTracker(structure, theta=PLANT).simulate(u)
+        np.testing.assert_allclose(model, simulate_arx(PLANT, u, na=2, nb=2).y_clean, atol=1e-12)
+
+
+@pytest.mark.parametrize("structure", STRUCTURES, ids=str)
+def test_continued_simulation_is_the_tracker_with_every_sample_missing(structure):
+    y, u = recording()
+    tracker = ParameterTracker(structure, R=0.25, gradient="filtered")
+    tracker.run(y[:100], u[:100])
+    free = tracker.simulate(u[100:], continued=True)
+    np.testing.assert_allclose(free, tracker.run(np.full(50, np.nan), u[100:]).prediction, rtol=1e-9, atol=1e-9)
+
+
+def test_simulation_of_an_unstable_model_is_refused_when_it_overflows():
+    tracker = ParameterTracker(ARX(1, 1), theta=[-3.0, 1.0])
+    assert np.isfinite(tracker.simulate(np.ones(20))).all()
+    with pytest.raises(ValueError, match="unstable"):
+        tracker.simulate(np.ones(2000))
+
+
+def test_fit_and_intervals():
+    assert ParameterTracker.fit([0.0, 2.0], [0.0, 2.0]) == 100.0
+    assert ParameterTracker.fit([0.0, 2.0], [1.0, 1.0]) == pytest.approx(0.0)
+    tracker = ParameterTracker(FIR(2), theta=[1.0, 2.0], P=np.diag([4.0, 9.0]))
+    lower, upper = tracker.confidence_intervals(0.95)
+    np.testing.assert_allclose(lower, [1 - 1.959964 * 2, 2 - 1.959964 * 3], rtol=1e-6)
+    np.testing.assert_allclose(upper - tracker.theta, tracker.theta - lower)
+    result = tracker.run(np.ones(5), np.ones(5))
+    same([band[-1] for band in result.confidence_intervals(0.5)], tracker.confidence_intervals(0.5))
+    with pytest.raises(ValueError, match="level"):
+        tracker.confidence_intervals(95)
+
+
+def test_repr_shows_the_model():
+    assert repr(ParameterTracker(FIR(1), theta=2.0)) == "ParameterTracker(FIR(nb=1, nk=1), b1=2)"
+
+
+# Missing samples, freezing, forgetting
+
+
+def test_missing_sample_is_replaced_by_the_prediction():
+    y, u = recording(missing=False)
+    gap, filled = ParameterTracker(ARX(2, 2)), ParameterTracker(ARX(2, 2))
+    for tracker in (gap, filled):
+        tracker.run(y[:50], u[:50])
+    missing = gap.update(None, u[50])
+    filled.enabled = False
+    filled.update(missing.prediction, u[50])
+    filled.enabled = True
+    same(gap.run(y[51:], u[51:]), filled.run(y[51:], u[51:]))
+
+
+def test_missing_samples_add_to_the_uncertainty():
+    tracker = ParameterTracker(FIR(2), P=1.0, Q=0.1)
+    tracker.run(np.full(5, np.nan), np.ones(5))
+    np.testing.assert_allclose(tracker.P, 1.5 * np.eye(2))
+    np.testing.assert_array_equal(tracker.theta, 0.0)
+
+
+@pytest.mark.parametrize("structure", STRUCTURES, ids=str)
+def test_frozen_tracker_predicts_and_does_not_learn(structure):
+    y, u = recording()
+    tracker = ParameterTracker(structure, R=0.25, Q=1e-3)
+    tracker.run(y[:100], u[:100])
+    theta, P = tracker.theta, tracker.P
+    tracker.enabled = False
+    result = tracker.run(y[100:], u[100:])
+    same([tracker.theta, tracker.P], [theta, P])
+    assert np.isnan(result.weight).all() and np.isfinite(result.residual).all() and np.ptp(result.prediction) > 0.1
+
+
+def test_forgetting_is_recursive_least_squares():
+    rng = np.random.default_rng(2)
+    phi, y = rng.normal(size=(60, 3)), rng.normal(size=60)
+    factor, P, theta = 0.9, 10.0 * np.eye(3), np.zeros(3)
+    for row, value in zip(phi, y, strict=True):
+        gain = P @ row / (factor + row @ P @ row)
+        theta = theta + gain * (value - row @ theta)
+        P = (P - np.outer(gain, row @ P)) / factor
+    tracker = ParameterTracker(LinearRegression(3), forgetting=factor, P=10.0, influence=Linear())
+    tracker.run(y, phi)
+    np.testing.assert_allclose(tracker.theta, theta, rtol=1e-10)
+    np.testing.assert_allclose(tracker.P, P, rtol=1e-10)
+
+
+def test_forgetting_without_excitation_does_not_blow_up():
+    tracker = ParameterTracker(FIR(2), forgetting=0.5)
+    tracker.run(np.zeros(3000), np.zeros(3000))
+    assert np.isfinite(tracker.P).all()
+    tracker.run([0.0, 2.0, 3.0, 2.0], [1.0, 1.0, 0.0, 0.0])
+    np.testing.assert_allclose(tracker.theta, [2.0, 1.0], atol=1.01)
+
+
+# Interruption
+
+
+@pytest.mark.parametrize("structure", STRUCTURES, ids=str)
+@pytest.mark.parametrize("kind", [None, KalmanFilter])
+def test_pickle_and_state_continue_bit_for_bit(structure, kind):
+    y, u = recording()
+    original = ParameterTracker(structure, filter=kind, Q=1e-5, R=0.25, forgetting=0.99)
+    original.run(y[:70], u[:70])
+    thawed = pickle.loads(pickle.dumps(original))
+    file = io.BytesIO()
+    np.savez(file, **original.state())
+    file.seek(0)
+    restored = ParameterTracker(structure, filter=kind)
+    with np.load(file, allow_pickle=False) as stored:
+        restored.restore(stored)
+    expected = original.run(y[70:], u[70:])
+    same(expected, thawed.run(y[70:], u[70:]))
+    same(expected, restored.run(y[70:], u[70:]))
+
+
+def test_state_is_a_copy_both_ways():
+    y, u = recording()
+    tracker = ParameterTracker(OutputError(2, 2))
+    tracker.run(y[:50], u[:50])
+    state = tracker.state()
+    first = tracker.run(y[50:], u[50:])
+    tracker.restore(state)
+    same(first, tracker.run(y[50:], u[50:]))
+
+
+def test_reset_goes_back_to_the_start():
+    y, u = recording()
+    tracker = ParameterTracker(ARMAX(2, 2, 1), theta=0.1, P=2.0)
+    first = tracker.run(y, u)
+    tracker.enabled = False
+    tracker.reset()
+    assert tracker.enabled
+    same(first, tracker.run(y, u))
+
+
+def test_state_of_another_structure_is_refused():
+    tracker = ParameterTracker(ARX(2, 2))
+    before = tracker.state()
+    for state in (ParameterTracker(ARX(1, 3)).state(), {"theta": np.zeros(4)}):
+        with pytest.raises(ValueError, match="state: expected"):
+            tracker.restore(state)
+        same(before.values(), tracker.state().values())
+
+
+# Bad input
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ({"theta": [1.0, 2.0]}, ValueError, "theta: expected 4 parameters"),
+        ({"theta": [np.nan, 0, 0, 0]}, ValueError, "theta: expected finite"),
+        ({"theta": [-2.0, 1.5, 1.0, 1.0]}, ValueError, "stable model"),
+        ({"P": -1.0}, ValueError, "positive semidefinite"),
+        ({"P": np.ones(4)}, ValueError, r"P: expected shape \(4, 4\).*np.diag\(P\)"),
+        ({"Q": np.triu(np.ones((4, 4)))}, ValueError, "Q: expected a symmetric"),
+        ({"R": 0.0}, ValueError, "R: expected"),
+        ({"R": np.eye(2)}, ValueError, "one variance"),
+        ({"F": np.eye(3)}, ValueError, "F: expected shape"),
+        ({"forgetting": 1.1}, ValueError, "forgetting"),
+        ({"forgetting": 0.0}, ValueError, "forgetting"),
+        ({"guard": "project"}, ValueError, "guard: expected one of"),
+        ({"gradient": "exact"}, ValueError, "gradient: expected one of"),
+        ({"filter": KalmanFilter(3, 1)}, ValueError, "dim_x=4"),
+        ({"filter": KalmanFilter(4, 2)}, ValueError, "dim_z=1"),
+        ({"filter": object()}, TypeError, "filter: expected x, P, H"),
+        ({"filter": InformationFilter}, TypeError, "filter: expected"),
+        ({"filter": KalmanFilter, "influence": Huber()}, ValueError, "influence: expected only without"),
+        ({"filter": SquareRootKalmanFilter(4, 1), "forgetting": 0.9}, ValueError, "alpha"),
+    ],
+)
+def test_bad_arguments_are_refused(options, error, words):
+    with pytest.raises(error, match=words):
+        ParameterTracker(OutputError(2, 2), **options)
+
+
+def test_structure_must_be_one():
+    with pytest.raises(TypeError, match="structure: expected ARX"):
+        ParameterTracker(4)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda t: t.run([1.0, 2.0], [1.0]), "u: expected 2 samples like y, got 1"),
+        (lambda t: t.run([], []), "y: expected a recording"),
+        (lambda t: t.run(np.zeros((2, 2)), [1.0, 2.0]), "y: expected a recording"),
+        (lambda t: t.run([1.0, np.inf], [1.0, 2.0]), "y: expected finite numbers"),
+        (lambda t: t.run([1.0, 2.0], [1.0, np.nan]), "u: expected finite numbers.*sample 1"),
+        (lambda t: t.run([1.0, 2.0], np.ones((2, 2))), "u: expected shape"),
+        (lambda t: t.run([1.0, 2.0]), "u: expected a recording"),
+        (lambda t: t.update(1.0, np.nan), "u: expected finite"),
+        (lambda t: t.update(1.0, 1e200), "u: expected finite numbers up to"),
+        (lambda t: t.update(1.0, [1.0, 2.0]), r"u: expected 1 number\(s\)"),
+        (lambda t: t.update(1.0), "u: expected the input"),
+        (lambda t: t.update(-np.inf, 1.0), "y: expected a finite number"),
+        (lambda t: t.simulate([]), "at least one sample"),
+        (lambda t: t.simulate([np.inf]), "u: expected finite"),
+    ],
+)
+def test_bad_data_are_refused_and_nothing_changes(call, words):
+    y, u = recording()
+    tracker = ParameterTracker(OutputError(2, 2))
+    tracker.run(y, u)
+    before = tracker.state()
+    with pytest.raises(ValueError, match=words):
+        call(tracker)
+    same(before.values(), tracker.state().values())
+
+
+def test_prediction_without_the_input_it_needs_is_refused():
+    with pytest.raises(ValueError, match="next input"):
+        ParameterTracker(FIR(2, nk=0)).predict()
+
+
+def test_sample_that_the_filter_refuses_changes_nothing_and_is_named():
+    y, u = recording(missing=False)
+    tracker = ParameterTracker(ARX(2, 2), scaling="unit", influence=Linear())
+    before = tracker.state()
+    with pytest.raises(np.linalg.LinAlgError, match='sample 1: scaling="unit" would make P indefinite'):
+        tracker.run(y, u)
+    same(before.values(), tracker.state().values())
+    tracker.update(y[0], u[0])
+    before = tracker.state()
+    with pytest.raises(np.linalg.LinAlgError):
+        tracker.update(y[1], u[1])
+    same(before.values(), tracker.state().values())
+
+
+class Moody(KalmanFilter):
+    """A filter that refuses its third sample."""
+
+    def update(self, z):
+        if self.x[2] > 1e-3:
+            raise ValueError("enough")
+        super().update(z)
+
+
+def test_sample_that_another_filter_refuses_changes_nothing_and_is_named():
+    y, u = recording(missing=False)
+    tracker = ParameterTracker(ARX(2, 2), filter=Moody)
+    before = tracker.state()
+    with pytest.raises(ValueError, match=r"sample \d+: enough"):
+        tracker.run(y, u)
+    same(before.values(), tracker.state().values())
