@@ -71,7 +71,8 @@ class RecoveringKalmanFilter(RobustKalmanFilter):
     Only `update` and `update_correlated` count (and `batch_filter`, which calls them). Outliers that are longer than
     `patience` and agree are a jump to this filter; nothing in the measurement says otherwise. A sensor that fails
     for good beside a healthy one is believed in turn: give a sensor that is known to fail NaN. What insists from more
-    than 1e7 standard deviations away is no jump.
+    than 1e7 standard deviations away is no jump. Innovations agree only while H stays about the same, so this does not
+    help a `ParameterTracker`, whose H is the regressor: give that a `TwoSidedKalmanFilter`.
 
     Examples
     --------

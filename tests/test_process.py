@@ -12,7 +12,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 from support import FILTERPY_2, cart, load, make, paper_problem, random_problem, simulate, with_
 
-from robust_filterpy import Linear, RobustKalmanFilter, StudentT
+from robust_filterpy import Linear, OutputError, ParameterTracker, RobustKalmanFilter, StudentT
 from robust_filterpy.process import NoiseMatchedKalmanFilter
 from robust_filterpy.score import ContaminatedScore
 from robust_filterpy.two_sided import TwoSidedKalmanFilter
@@ -341,6 +341,23 @@ def test_an_imm_of_these_filters_runs():
 def test_bad_options_are_refused(make_it, error):
     with pytest.raises(error):
         make_it()
+
+
+def test_a_tracker_around_the_two_sided_filter_follows_a_parameter_that_jumps():
+    rng = np.random.default_rng(0)
+    n = 1000
+    a, u, y = np.where(np.arange(n) < 500, 0.5, -0.3), rng.choice([-1.0, 1.0], n), np.zeros(n)
+    for k in range(1, n):
+        y[k] = a[k] * y[k - 1] + u[k - 1]
+    y += 0.1 * rng.normal(size=n) * np.where(rng.random(n) < 0.1, 10, 1)
+    error = {}
+    for cls in (RobustKalmanFilter, TwoSidedKalmanFilter):
+        tracker = ParameterTracker(OutputError(1, 1), filter=cls, P=1.0, Q=1e-6 * np.eye(2), R=0.01)
+        theta = tracker.run(y, u).theta
+        error[cls] = np.abs(theta - np.column_stack([-a, np.ones(n)])).sum(axis=1)
+    # Before the jump as good, long after it far better.
+    assert error[TwoSidedKalmanFilter][200:500].mean() < 1.2 * error[RobustKalmanFilter][200:500].mean()
+    assert error[TwoSidedKalmanFilter][700:].mean() < 0.2 * error[RobustKalmanFilter][700:].mean()
 
 
 def yang_boyd(seed, process=0.1, n=1000):
