@@ -14,7 +14,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from robust_filterpy._checks import Array
 from robust_filterpy.choices import Choices
 from robust_filterpy.correction import correct_scalar
-from robust_filterpy.identification._memory import SHARPEST, Layout, Memory, bounded, gradient, tempering
+from robust_filterpy.identification._memory import Layout, Memory, bounded, gradient
+from robust_filterpy.identification._sharpness import SHARP, repaired, tempering
 from robust_filterpy.identification.guard import is_stable, restrained
 
 
@@ -75,7 +76,7 @@ def run_lean(
     gradients = np.concatenate((np.zeros((length, layout.n)), memory.gradients)) if filtered else memory.gradients
     Q, r, alpha_sq = noise
     # More than the trace of P, which corrections only make smaller; worked out anew where it matters.
-    trace, added, most = 2.0 * P.trace(), 2.0 * np.trace(Q), SHARPEST * r
+    trace, added, most = 2.0 * P.trace(), 2.0 * np.trace(Q), SHARP * r
     drifts, guarded, model_output = bool(np.any(Q)), rules.guard != "none", rules.uses_model_output
     theta, variance, prediction, residual, weight, guard = out
     first_residual = layout.n - nc
@@ -115,12 +116,13 @@ def run_lean(
                 gradients[at - 1] = psi
             if measured == measured:
                 difference = measured - predicted
-                G, factor = H, 1.0
+                G, factor, sharp = H, 1.0, False
                 if filtered:
                     G, row = psi[None, :], psi
                 if (squares[k] if known else row.dot(row)) * trace > most:
                     exact = P.trace()
-                    factor, trace = tempering(row.dot(row), exact, r), 2.0 * exact
+                    square, trace = row.dot(row), 2.0 * exact
+                    sharp, factor = square * exact > most, tempering(square, exact, r)
                 if filtered or factor < 1.0:
                     G = G * factor
                     along = G.dot(x).item()
@@ -132,7 +134,7 @@ def run_lean(
                     x = moved.reshape(x.shape)
                 else:
                     x = last.x
-                P = last.P
+                P = repaired(last.P) if sharp else last.P
                 residual[k] = difference
                 weight[k] = last.psi / last.e if last.e != 0.0 else 1.0
             if waits:

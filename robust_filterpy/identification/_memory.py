@@ -13,17 +13,6 @@ from robust_filterpy.identification.structures import Structure
 # Beyond this the square of a signal, times P, leaves the range of floats.
 LARGEST: Final = 1e100
 
-# How much less uncertain one sample may make a direction of theta, in variance: beyond it P would lose its sign in
-# rounding, as after a spike of 1e9 in a signal of size 1 that stands in phi.
-SHARPEST: Final = 1e11
-
-
-def tempering(square: float, trace: float, r: float) -> float:
-    """Return the factor, at most 1, by which to shrink a regressor with phi'phi = square that tells too much."""
-    if square * trace <= SHARPEST * r:
-        return 1.0
-    return math.sqrt(SHARPEST / square) * math.sqrt(r / trace)
-
 
 def bounded(value: float) -> float:
     """Return value, at most LARGEST in size; NaN, which is inf - inf here, becomes 0."""

@@ -12,7 +12,8 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.identification import _model, _setup
 from robust_filterpy.identification._lean import Columns, Noise, Rules, run_lean
-from robust_filterpy.identification._memory import Layout, Memory, bounded, gradient, pushed, tempering
+from robust_filterpy.identification._memory import Layout, Memory, bounded, gradient, pushed
+from robust_filterpy.identification._sharpness import SHARP, repaired, tempering
 from robust_filterpy.identification._signals import one_input, one_output, recorded_input, recorded_output
 from robust_filterpy.identification.guard import GUARDS, is_stable, restrained
 from robust_filterpy.identification.results import Coefficients, Intervals, Sample, TrackingResult, intervals
@@ -131,9 +132,9 @@ class ParameterTracker:
     leaves a model that can be simulated; "none" does not. ``tests/benchmarks/output_error_study.py`` prints the
     tables.
 
-    Extremes. Signals beyond 1e100 are clipped there, and so is what an unstable model feeds back. A regressor that
-    would make a direction of theta more certain by a factor above 1e11 in variance at once (a spike in the y that
-    stands in phi) is scaled down, noise and all, to that. P stops growing under forgetting at 1e8 times its first
+    Extremes. Signals beyond 1e100 are clipped there, and so is what an unstable model feeds back. A sample that
+    would make a direction of theta more certain by a factor above about 1e13 in variance at once (a spike in the y
+    that stands in phi) is weighed down to that. P stops growing under forgetting at 1e8 times its first
     trace.
 
     Examples
@@ -430,13 +431,19 @@ class ParameterTracker:
                     G = gradient(H[0], past, gradients)[None, :]
                 gradients = pushed(gradients, G[0])
             if self.enabled and known:
-                factor = tempering(G[0].dot(G[0]), np.trace(kf.P), _setup.noise_variance(kf))
+                square, trace, r = G[0].dot(G[0]), np.trace(kf.P), _setup.noise_variance(kf)
+                factor = tempering(square, trace, r)
                 if filtered or factor < 1.0:
                     G = G * factor
                     # So that the filter's own innovation, target - G x, is y - phi' theta.
                     target = (y - predicted) * factor + G.dot(x).item()
                 kf.H = G
                 kf.update(target)
+                if square * trace > SHARP * r:
+                    P = kf.P
+                    mended = repaired(P)
+                    if mended is not P:
+                        kf.P = mended
                 weight = float(np.ravel(getattr(kf, "weights", 1.0))[0])
             if self.enabled and part is not None:
                 moved, event = restrained(np.ravel(kf.x), old, part, self._guard)
