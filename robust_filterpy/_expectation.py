@@ -40,7 +40,7 @@ def expected_information(influence: Any, noise: Any = None) -> float:
     >>> from robust_filterpy import Huber
     >>> from scipy import stats
     >>> round(expected_information(Huber(1.14)), 4)
-    0.6712
+    0.6711
     >>> round(expected_information(Huber(1.14), stats.norm()), 4)
     0.7457
     """
