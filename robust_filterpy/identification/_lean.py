@@ -90,13 +90,12 @@ def run_lean(
     squares = np.einsum("ij,ij->i", phi, phi).tolist() if known else []
     k = 0
     try:
-        for k, measured in enumerate(y.tolist()):
+        for k, (measured, H) in enumerate(zip(y.tolist(), phi[:, None, :], strict=True)):
             at = length - k
-            row, H = phi[k], phi[k : k + 1]
             if waits:
-                row[:na] = outputs[at : at + na]
+                H[0, :na] = outputs[at : at + na]
             if nc:
-                row[first_residual:] = residuals[at : at + nc]
+                H[0, first_residual:] = residuals[at : at + nc]
             if alpha_sq == 1.0:
                 if drifts:
                     P = P + Q
@@ -110,18 +109,18 @@ def run_lean(
             prediction[k] = predicted
             if filtered:
                 past = x.ravel()[part]
-                psi = row
+                psi = H[0]
                 if guarded or is_stable(past.tolist()):
-                    psi = gradient(row, past, gradients[at : at + order])
+                    psi = gradient(psi, past, gradients[at : at + order])
                 gradients[at - 1] = psi
             if measured == measured:
                 difference = measured - predicted
                 G, factor, sharp = H, 1.0, False
                 if filtered:
-                    G, row = psi[None, :], psi
-                if (squares[k] if known else row.dot(row)) * trace > most:
+                    G = psi[None, :]
+                if (squares[k] if known else G[0].dot(G[0])) * trace > most:
                     exact = P.trace()
-                    square, trace = row.dot(row), 2.0 * exact
+                    square, trace = G[0].dot(G[0]), 2.0 * exact
                     sharp, factor = square * exact > most, tempering(square, exact, r)
                 if filtered or factor < 1.0:
                     G = G * factor
