@@ -26,6 +26,7 @@ _LAZY = {
     "RobustCubatureKalmanFilter": "nonlinear",
     "ContaminatedScore": "score",
     "NoiseMatchedKalmanFilter": "process",
+    "RecoveringKalmanFilter": "recovery",
     "TwoSidedKalmanFilter": "two_sided",
     "FilterBank": "bank",
     "filter_series": "series",
