@@ -389,7 +389,7 @@ def test_prediction_without_the_input_it_needs_is_refused():
 
 def test_sample_that_the_filter_refuses_changes_nothing_and_is_named():
     y, u = recording(missing=False)
-    tracker = ParameterTracker(ARX(2, 2), scaling="unit", influence=Linear())
+    tracker = ParameterTracker(ARX(2, 2), Q=1e-3, scaling="unit", influence=Linear())
     before = tracker.state()
     with pytest.raises(np.linalg.LinAlgError, match='sample 1: scaling="unit" would make P indefinite'):
         tracker.run(y, u)
