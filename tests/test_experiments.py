@@ -178,7 +178,14 @@ SCRIPT = """
 def start_script(tmp_path, pause, runs):
     script = tmp_path / "study.py"
     script.write_text(textwrap.dedent(SCRIPT).format(pause=pause, runs=runs))
-    return subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True, start_new_session=True)
+    # A shell's background jobs ignore Ctrl-C, and their children would too.
+    return subprocess.Popen(
+        [sys.executable, script],
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends a signal")
