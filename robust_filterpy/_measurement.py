@@ -35,7 +35,7 @@ def measured(z: Any, m: int, missing: bool = False) -> Any:
         number = z
     else:
         array = z if type(z) is np.ndarray and z.dtype is FLOAT else _checks.numbers("z", z)
-        if array.size != m or array.ndim > 2 or (array.ndim == 2 and 1 not in array.shape):
+        if array.shape != (m,) and (array.size != m or array.ndim > 2 or (array.ndim == 2 and 1 not in array.shape)):
             plural = "number" if m == 1 else "numbers"
             raise ValueError(f"z: expected {m} {plural} for H with {m} row(s), got {_checks.described(array)}")
         if m > 1:
@@ -55,13 +55,11 @@ def measured(z: Any, m: int, missing: bool = False) -> Any:
 
 def noise_covariance(default: Any, given: Any, m: int) -> Array:
     """Return R, shape (m, m), positive definite."""
-    if given is None:
-        R = default
-    elif np.ndim(given) == 0:
-        R = _checks.real("R", given) * np.eye(m)
-    else:
-        R = given
-    R = _checks.matrix("R", R, (m, m), f"dim_z={m}")
+    R = default if given is None else given
+    if not (type(R) is np.ndarray and R.dtype is FLOAT and R.shape == (m, m)):
+        if given is not None and np.ndim(given) == 0:
+            R = _checks.real("R", given) * np.eye(m)
+        R = _checks.matrix("R", R, (m, m), f"dim_z={m}")
     if m == 1:
         if not 0.0 < R.item() < math.inf:
             raise ValueError(f"R: expected a variance > 0, got {R.item()}; use NaN in z for a sensor that is absent")
@@ -79,13 +77,12 @@ def _require_positive_definite(content: bytes, m: int) -> None:
 
 def process_noise(default: Any, given: Any, n: int) -> Any:
     """Return Q, shape (n, n), or filterpy's scalar attribute, which it adds to every entry of P."""
-    if given is None:
-        if np.ndim(default) == 0 and default is not None:
-            return _checks.real("Q", default)
-        return _checks.matrix("Q", default, (n, n), f"dim_x={n}")
-    if np.ndim(given) == 0:
-        return _checks.real("Q", given) * np.eye(n)
-    return _checks.matrix("Q", given, (n, n), f"dim_x={n}")
+    Q = default if given is None else given
+    if type(Q) is np.ndarray and Q.dtype is FLOAT and Q.shape == (n, n):
+        return Q
+    if np.ndim(Q) == 0 and Q is not None:
+        return _checks.real("Q", Q) if given is None else _checks.real("Q", Q) * np.eye(n)
+    return _checks.matrix("Q", Q, (n, n), f"dim_x={n}")
 
 
 def control_term(B: Any, u: Any, shape: tuple[int, ...]) -> Any:

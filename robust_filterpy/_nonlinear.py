@@ -83,7 +83,7 @@ def innovation_of(
 def unchanged_if_refused(kf: Any) -> Iterator[None]:
     """Put a filter back as it was if the block raises."""
     attributes = {k: v.copy() if type(v) is np.ndarray else v for k, v in kf.__dict__.items()}
-    slots = {name: getattr(kf, name) for name in ("_last", "_y", "_S", "_SI") if hasattr(kf, name)}
+    slots = {name: getattr(kf, name) for name in Robust.__slots__ if hasattr(kf, name)}
     try:
         yield
     except BaseException:

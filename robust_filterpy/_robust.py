@@ -11,7 +11,7 @@ from filterpy.common import pretty_str
 
 from robust_filterpy._checks import Array
 from robust_filterpy.choices import Choices
-from robust_filterpy.correction import Correction, Inverse, ScalarCorrection, log_density
+from robust_filterpy.correction import Correction, Inverse, log_density
 from robust_filterpy.influence import Influence
 
 _DEFAULT_INVERSE = np.linalg.inv
@@ -21,15 +21,16 @@ class Robust:
     """Add to a filter of filterpy's the choices of a robust correction and the attributes that show what it did.
 
     Comes before filterpy's class among the bases. The filter stores its `Correction` in ``_last`` and sets
-    ``_y = _S = _SI = None``.
+    ``_y = _S = _SI = None`` (and ``_K = None``, unless it sets K).
     """
 
     # Outside __dict__, which filterpy's Saver copies at every epoch and turns into arrays.
     # (Not a literal: a type checker would then believe that there is no __dict__ at all.)
-    __slots__ = tuple("_S _SI _last _y".split())
+    __slots__ = tuple("_K _S _SI _last _y".split())
 
     x: Array
     dim_z: int
+    _K: Any
     _y: Any
     _S: Any
     _SI: Any
@@ -114,9 +115,9 @@ class Robust:
 
     def _arrays(self) -> Correction | None:
         """Return the last correction, as arrays."""
-        if type(self._last) is ScalarCorrection:
+        if self._last is not None and type(self._last) is not Correction:
             self._last = self._last.as_arrays()
-        return self._last  # type: ignore[return-value]
+        return self._last  # type: ignore[no-any-return]
 
     def _shown(self, name: str, absent: Any) -> Array:
         """Return a field of the last correction in the shape that y has for this kind of state."""
@@ -126,7 +127,7 @@ class Robust:
         values = np.array(getattr(last, name))
         return values[:, None] if column else values
 
-    # y, S and SI are filterpy's attributes. Few programs look at them at every step, so they are made when asked for.
+    # y, S, SI and K are filterpy's. Few programs look at them at every step, so they are made when asked for.
 
     @property
     def y(self) -> Array:
@@ -160,6 +161,17 @@ class Robust:
     @SI.setter
     def SI(self, value: Array) -> None:
         self._SI = value
+
+    @property
+    def K(self) -> Array:
+        """Gain before psi, C T'T, shape (dim_x, dim_z)."""
+        if self._K is None:
+            self._K = self._arrays().K  # type: ignore[union-attr]
+        return self._K
+
+    @K.setter
+    def K(self, value: Array) -> None:
+        self._K = value
 
     @property
     def log_likelihood(self) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 
 from robust_filterpy import _batch_arrays, _compiled
 from robust_filterpy._checks import Array
+from robust_filterpy._robust import Robust
 
 __all__: list[str] = []
 
@@ -98,7 +99,7 @@ def _columns(zs: Any, **per_step: Any) -> list[Any]:
 
 def _snapshot(kf: Any) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return what it takes to put a filter back: arrays are replaced, never written into, by a correction."""
-    slots = {name: getattr(kf, name) for name in ("_last", "_y", "_S", "_SI") if hasattr(kf, name)}
+    slots = {name: getattr(kf, name) for name in Robust.__slots__ if hasattr(kf, name)}
     return copy.copy(kf.__dict__), slots
 
 

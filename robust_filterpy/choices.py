@@ -111,7 +111,7 @@ class Choices:
         psi : ndarray, shape (m,)
             psi(e).
         D : list of m floats, or ndarray, shape (m, m)
-            Information: its diagonal, or for joint grouping the matrix.
+            Information: its diagonal, or the matrix if that is not diagonal.
         slope : list of m floats
             psi'(e); for joint grouping psi'(\\|e\\|) in every place.
         """
@@ -125,12 +125,8 @@ class Choices:
         """Apply psi to each component."""
         if self.pointwise is not None and len(e) <= 8:
             function, a, b, c = self.pointwise
-            values, slope = [], []
-            for v in e.tolist():
-                p, d = function(v, a, b, c)
-                values.append(p)
-                slope.append(d)
-            psi = np.array(values)
+            pairs = [function(v, a, b, c) for v in e.tolist()]
+            psi, slope = np.array([p for p, _ in pairs]), [d for _, d in pairs]
         else:
             e = np.clip(e, -_SAFE, _SAFE) if self.pointwise is None else e
             psi = np.asarray(self.influence.psi(e), dtype=float)
@@ -140,37 +136,40 @@ class Choices:
         D = slope if self.information == "realized" else ratio(psi, e).tolist()
         return psi, [0.0 if d <= 0.0 else 1.0 if d >= 1.0 else d for d in D], slope
 
-    def _jointly(self, e: Array) -> tuple[Array, Array, list[float]]:
+    def _jointly(self, e: Array) -> tuple[Array, Array | list[float], list[float]]:
         """Apply psi to the length: psi(e) = w(|e|) e, D its Jacobian, its mean, or w I."""
         m = e.size
         length, direction = length_and_direction(e)
-        slope, along = self._of_length(length)
-        weight = along / length if length > 0.0 else 1.0
-        if self.information == "expected":
-            D = np.eye(m) * min(max(expected_joint_information(self.influence, m), 0.0), 1.0)
-        else:
-            across = min(max(weight, 0.0), 1.0)
-            radial = min(max(slope, 0.0), 1.0) if self.information == "realized" and length > 0.0 else across
-            D = across * np.eye(m)
-            if radial != across:
-                D += (radial - across) * direction[:, None] * direction
+        along, slope, across, radial = self._of_length(length, m)
+        if across == radial:
+            return along * direction, [across] * m, [slope] * m
+        column = direction[:, None]
+        D = (radial - across) * column.dot(column.T)
+        D.ravel()[:: m + 1] += across
         return along * direction, D, [slope] * m
 
-    def _of_length(self, length: float) -> tuple[float, float]:
-        """Return psi' and psi of a length."""
+    def _of_length(self, length: float, m: int) -> tuple[float, float, float, float]:
+        """Return psi and psi' of the length of m components, and the eigenvalues of D across and along e."""
         if self.pointwise is not None:
             function, a, b, c = self.pointwise
             along, slope = function(length, a, b, c)
-            return slope, along
-        at = np.array([min(length, _SAFE)])
-        return float(self.influence.psi_deriv(at)[0]), float(self.influence.psi(at)[0])
+        else:
+            at = np.array([min(length, _SAFE)])
+            along, slope = float(self.influence.psi(at)[0]), float(self.influence.psi_deriv(at)[0])
+        if self.information == "expected":
+            across = min(max(expected_joint_information(self.influence, m), 0.0), 1.0)
+        else:
+            across = min(max(along / length, 0.0), 1.0) if length > 0.0 else 1.0
+        radial = min(max(slope, 0.0), 1.0) if self.information == "realized" and length > 0.0 else across
+        return along, slope, across, radial
 
     def _jointly_where(self, e: Array, visible: np.ndarray) -> tuple[Array, Array, list[float]]:
         """Take the visible components together and the others one by one."""
         psi, diagonal, slopes = self._componentwise(e)
         D, slope = np.diag(diagonal), np.array(slopes)
         if visible.any():
-            psi[visible], D[np.ix_(visible, visible)], slope[visible] = self._jointly(e[visible])
+            psi[visible], together, slope[visible] = self._jointly(e[visible])
+            D[np.ix_(visible, visible)] = np.diag(together) if isinstance(together, list) else together
         return psi, D, slope.tolist()
 
 

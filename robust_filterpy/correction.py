@@ -159,15 +159,15 @@ def correct(
         C += M
         HM = H.dot(M)
         S += HM + HM.T
-    total = sum(y.tolist())
-    if total == total:
-        return _correct_all(x, P, y, H, R, S, C, choices, M, inv)
+    size = sum(map(abs, y.tolist()))
+    if size == size:
+        return _correct_all(x, P, y, H, R, S, C, choices, M, inv, size < _SAFE)
     part = np.flatnonzero(y == y)
     if part.size == 0:
         return nothing_observed(x, P, S, y.size)
     pick = np.ix_(part, part)
     some = _correct_all(
-        x, P, y[part], H[part], R[pick], S[pick], C[:, part], choices, None if M is None else M[:, part], inv
+        x, P, y[part], H[part], R[pick], S[pick], C[:, part], choices, None if M is None else M[:, part], inv, False
     )
     return _embed(some, part, S)
 
@@ -183,11 +183,14 @@ def _correct_all(
     choices: Choices,
     M: Array | None,
     inv: Inverse | None,
+    small: bool,
 ) -> Correction:
-    """Correct with every component observed: the equations as they read."""
+    """Correct with every component observed, small or not: the equations as they read."""
     T, SI, defect = standardize(S, choices.scaling, inv)
-    e = standardized(T, y)
-    psi, D, slope = choices.bound(e, None if choices.grouping == "component" else H.any(axis=1))
+    e = T.dot(y) if small else standardized(T, y)
+    # In plain Python, since a reduction in numpy costs as much as five products.
+    plain = choices.grouping == "component" or all(map(any, H.tolist()))
+    psi, D, slope = choices.bound(e, None if plain else H.any(axis=1))
     G = C.dot(T)
     K = G.dot(T)
     P_post = posterior_covariance(P, H, R, G, T, D, K, defect, M)
@@ -230,7 +233,9 @@ def standardize(S: Array, scaling: str, inv: Inverse | None = None) -> tuple[Arr
     if inv is not None:
         return _root_of_inverse(inv(S), S, scaling)
     if scaling == "innovation" and m == 2:
-        return _root_2x2(S)
+        (a, b), (_, c) = S.tolist()
+        p, q, r = root_of_pair(a, b, c)
+        return np.array([[p, q], [q, r]]), None, None
     values, vectors = _eigen(S)
     if scaling == "bounded":
         quarter = vectors / np.maximum(values, 1.0) ** 0.25
@@ -295,31 +300,40 @@ def posterior_covariance(
         Symmetric to rounding; the form contracts what asymmetry there is.
     """
     unused = None
-    if isinstance(D, list):
-        if max(D) == 0.0:
-            return P.copy()
-        if min(D) == 1.0:
-            GD, K_D = G, G.dot(T) if K is None else K
-        else:
-            d = np.array(D)
-            GD = G * d
-            K_D = GD.dot(T)
-            if sum(D) != D.count(1.0):
-                unused = (G * (d - d * d)).dot(G.T)
-    else:
-        GD = G.dot(D)
-        K_D = GD.dot(T)
+    if not isinstance(D, list):
+        K_D = G.dot(D).dot(T)
         unused = G.dot(D - D.dot(D)).dot(G.T)
-    I_KH = _identity(len(P)) - K_D.dot(H)
-    P_post = I_KH.dot(P).dot(I_KH.T)
-    P_post += K_D.dot(R).dot(K_D.T)
-    if M is not None:
-        cross = I_KH.dot(M).dot(K_D.T)
-        P_post -= cross + cross.T
+    elif D.count(0.0) == len(D):
+        return P.copy()
+    elif D.count(1.0) == len(D):
+        K_D = G.dot(T) if K is None else K
+    elif D.count(0.0) + D.count(1.0) == len(D):
+        DT = T.copy()
+        for i, share in enumerate(D):
+            if share == 0.0:
+                DT[i] = 0.0
+        K_D = G.dot(DT)
+    else:
+        d = np.array(D)
+        K_D = (G * d).dot(T)
+        unused = (G * (d - d * d)).dot(G.T)
+    P_post = joseph(P, H, R, K_D, M)
     if unused is not None:
         P_post += unused
     if defect is not None:
+        GD = G * D if isinstance(D, list) else G.dot(D)
         P_post += GD.dot(defect).dot(GD.T)
+    return P_post
+
+
+def joseph(P: Array, H: Array, R: Array, K: Array, M: Array | None) -> Array:
+    """Return the covariance that any gain K leaves: (I - K H) P (I - K H)' + K R K', and the terms of M."""
+    I_KH = _identity(len(P)) - K.dot(H)
+    P_post = I_KH.dot(P).dot(I_KH.T)
+    P_post += K.dot(R).dot(K.T)
+    if M is not None:
+        cross = I_KH.dot(M).dot(K.T)
+        P_post -= cross + cross.T
     return P_post
 
 
@@ -374,12 +388,11 @@ def _inverse(S: Array) -> Array:
     return np.asarray((vectors / values) @ vectors.T)
 
 
-def _root_2x2(S: Array) -> tuple[Array, Array | None, Array | None]:
-    """Return S^(-1/2) in closed form: with s = sqrt(det S), S^(1/2) = (S + s I)/sqrt(tr S + 2 s)."""
-    (a, b), (_, c) = S.tolist()
+def root_of_pair(a: float, b: float, c: float) -> tuple[float, float, float]:
+    """Return S^(-1/2), S = [[a, b], [b, c]]: with s = sqrt(det S), S^(1/2) = (S + s I)/sqrt(tr S + 2 s)."""
     determinant = a * c - b * b
     if not (a > 0.0 and c > 0.0 and determinant > 4.0 * _EPS * a * c and determinant < math.inf):
-        _eigen(S)
+        _eigen(np.array([[a, b], [b, c]]))
         correlation = b / math.sqrt(a) / math.sqrt(c)
         s = math.sqrt(a) * math.sqrt(c) * math.sqrt(max(1.0 - correlation**2, 0.0))
         if not 0.0 < s < math.inf:
@@ -387,8 +400,7 @@ def _root_2x2(S: Array) -> tuple[Array, Array | None, Array | None]:
     else:
         s = math.sqrt(determinant)
     t = math.sqrt(a + c + 2.0 * s)
-    p, q, r = (c + s) / t / s, -b / t / s, (a + s) / t / s
-    return np.array([[p, q], [q, r]]), None, None
+    return (c + s) / t / s, -b / t / s, (a + s) / t / s
 
 
 def _root_of_inverse(SI: Array, S: Array, scaling: str) -> tuple[Array, Array | None, Array | None]:
@@ -421,9 +433,8 @@ def _embed(some: Correction, part: np.ndarray, S: Array) -> Correction:
     return Correction(some.x, some.P, y, S, SI, K, T, e, psi, spread(np.array(some.slope), part, m, np.nan))
 
 
-def embed_block(before: Correction | None, some: Correction | ScalarCorrection, part: slice, m: int) -> Correction:
+def embed_block(before: Correction | None, some: Correction, part: slice, m: int) -> Correction:
     """Put the correction by one block of a measurement beside those by the blocks before it."""
-    some = some.as_arrays() if isinstance(some, ScalarCorrection) else some
     n = len(some.P)
     if before is None or before.T.shape != (m, m) or before.K.shape != (n, m):
         before = nothing_observed(some.x, some.P, np.zeros((m, m)), m)

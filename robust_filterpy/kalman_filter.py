@@ -13,7 +13,7 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 from numpy.typing import ArrayLike
 
-from robust_filterpy import _checks
+from robust_filterpy import _checks, _pair
 from robust_filterpy._checks import FLOAT, Array
 from robust_filterpy._measurement import (
     control_term,
@@ -292,8 +292,8 @@ class RobustKalmanFilter(Robust, KalmanFilter):
             values = values[:, None]
             if x_post.ndim == 1:
                 x_post = x_post[:, None]
-        self.x, self.P, self.z, self.K, self._last = x_post, P_post, values, last.K, last
-        self._y = self._S = self._SI = None
+        self.x, self.P, self.z, self._last = x_post, P_post, values, last
+        self._y = self._S = self._SI = self._K = None
         self.x_post, self.P_post = x_post.copy(), P_post.copy()
         self._log_likelihood = self._likelihood = self._mahalanobis = None
 
@@ -317,7 +317,9 @@ class RobustKalmanFilter(Robust, KalmanFilter):
                 raise ValueError("M: expected finite numbers, got NaN or infinity")
         return H, R, values, M
 
-    def _corrected(self, x: Array, P: Array, values: Any, H: Array, R: Array, M: Any) -> Correction | ScalarCorrection:
+    def _corrected(
+        self, x: Array, P: Array, values: Any, H: Array, R: Array, M: Any
+    ) -> Correction | ScalarCorrection | _pair.PairCorrection:
         """Return the correction of x by checked values; changes nothing."""
         inv = self._inverse
         predicted = H.dot(x)
@@ -328,6 +330,11 @@ class RobustKalmanFilter(Robust, KalmanFilter):
             if inv is None and self._choices.pointwise is not None and y == y:
                 return correct_scalar(x, P, y, H, R.item(), self._choices, M)
             return correct(x.ravel(), P, np.array([y]), H, R, self._choices, M, inv)
+        if len(H) == 2 and inv is None:
+            (v, w), (a, b) = values.tolist(), predicted.ravel().tolist()
+            pair = [v - a, w - b]
+            if _pair.applies(pair, H, self._choices):
+                return _pair.correct_pair(x, P, pair, H, R, self._choices, M)
         if x.ndim == 2:
             x, predicted = x[:, 0], predicted[:, 0]
         y = values - predicted
@@ -342,10 +349,10 @@ class RobustKalmanFilter(Robust, KalmanFilter):
         self.z = np.full((m, 1) if np.ndim(self.x) != 1 else m, None)
         self.x_post, self.P_post = np.copy(self.x), np.copy(self.P)
         self.y = np.zeros((m, 1) if np.ndim(self.x) != 1 else m)
-        T, S, SI = self.T, self.S, self.SI
+        T, S, SI, K = self.T, self.S, self.SI, self.K
         T = T if T.shape == (m, m) else np.eye(m)
         self._last = nothing_observed(self.x, self.P, S, m)._replace(T=T)
-        self.S, self.SI = S, SI
+        self.S, self.SI, self.K = S, SI, K
         self._log_likelihood = self._likelihood = self._mahalanobis = None
 
     def get_update(self, z: ArrayLike | None = None) -> tuple[Array, Array]:
@@ -469,6 +476,7 @@ class RobustKalmanFilter(Robust, KalmanFilter):
         )
         values = measured(z_i, k, missing=True)
         some = self._corrected(x, P, values, H, np.ascontiguousarray(R), None)
+        some = some if isinstance(some, Correction) else some.as_arrays()
         last, self._last = embed_block(self._arrays(), some, part, m), None
         z = np.array([None] * m) if np.size(self.z) != m else np.ravel(self.z).copy()
         z[part] = values

@@ -1,0 +1,164 @@
+"""The short forms for one and two sensors say what the definition says.
+
+`correct` is the definition, itself held to formulas from elsewhere in test_kalman_filter.py. A filter whose `inv` is
+not numpy's own function takes that general path throughout, so that it is the oracle for a whole filter.
+"""
+
+from itertools import product
+
+import numpy as np
+import pytest
+import support
+
+from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight, _pair
+from robust_filterpy.choices import GROUPINGS, INFORMATIONS, SCALINGS, Choices
+from robust_filterpy.correction import Correction, SingularInnovationError, correct, correct_scalar
+
+pytestmark = pytest.mark.core
+
+INFLUENCES = (Linear(), Huber(), Huber(0.5), Hampel(1.0, 2.0, 4.0), TukeyBiweight(), StudentT())
+FIELDS = ("x", "P", "y", "S", "inverse", "K", "T", "e", "psi", "slope", "y_bounded", "weights")
+
+
+def problems(dim_z):
+    """Problems of several sizes, small enough for every scaling to be legal."""
+    return [support.mild(dim_x, dim_z, seed) for seed, dim_x in zip(range(3), (1, 4, 7), strict=True)]
+
+
+def innovations(dim_z, seed):
+    """Innovations from none to enormous, in one component or in all."""
+    rng = np.random.default_rng(seed)
+    sizes = product((0.0, 1.0, 1e3, 1e140), repeat=dim_z)
+    return [rng.choice([-1.0, 1.0], dim_z) * rng.uniform(0.5, 1.5, dim_z) * size for size in sizes]
+
+
+def assert_same_correction(short, general, y):
+    """Compare every field; x and psi at the size of what moved them."""
+    assert isinstance(short, Correction)
+    assert general.SI is None or len(y) == 1
+    for name in FIELDS:
+        support.assert_close(getattr(short, name), getattr(general, name), 1e-11, f"{name} for y={y}")
+    np.testing.assert_array_equal(short.clipped, general.clipped)
+
+
+@pytest.mark.parametrize("influence", INFLUENCES, ids=repr)
+@pytest.mark.parametrize("information", INFORMATIONS)
+@pytest.mark.parametrize("scaling", SCALINGS)
+def test_one_sensor_in_floats_equals_the_definition(scaling, information, influence):
+    choices = Choices(influence, scaling, information)
+    for seed, problem in enumerate(problems(1)):
+        x = problem.x[:, 0]
+        for M, y in product((None, problem.M), innovations(1, seed)):
+            general = correct(x, problem.P, y, problem.H, problem.R, choices, M)
+            for state in (x, problem.x):
+                short = correct_scalar(state, problem.P, y.item(), problem.H, problem.R.item(), choices, M)
+                assert short.x.shape == state.shape
+                assert_same_correction(short.as_arrays(), general, y)
+
+
+@pytest.mark.parametrize("influence", INFLUENCES, ids=repr)
+@pytest.mark.parametrize("information", INFORMATIONS)
+@pytest.mark.parametrize("grouping", GROUPINGS)
+def test_two_sensors_in_floats_equal_the_definition(grouping, information, influence):
+    choices = Choices(influence, "innovation", information, grouping)
+    for seed, problem in enumerate(problems(2)):
+        x = problem.x[:, 0]
+        for M, y in product((None, problem.M), innovations(2, seed)):
+            assert _pair.applies(y.tolist(), problem.H, choices)
+            general = correct(x, problem.P, y, problem.H, problem.R, choices, M)
+            for state in (x, problem.x):
+                short = _pair.correct_pair(state, problem.P, y.tolist(), problem.H, problem.R, choices, M)
+                assert short.x.shape == state.shape
+                assert_same_correction(short.as_arrays(), general, y)
+
+
+@pytest.mark.parametrize("noise", [1e-3, 1e-6, 1e-9, 1e-12])
+def test_two_sensors_that_see_almost_the_same_keep_p_positive_definite(noise):
+    P, H, R = 4.0 * np.eye(2), np.array([[1.0, 0.0], [1.0, 1e-3]]), noise * np.eye(2)
+    S = H @ P @ H.T + R
+    for y in innovations(2, 5):
+        short = _pair.correct_pair(np.zeros(2), P, y.tolist(), H, R, Choices())
+        general = correct(np.zeros(2), P, y, H, R)
+        # Rounding enters the root in proportion to the condition of S.
+        rtol = 1e-14 * np.linalg.cond(S)
+        np.testing.assert_array_equal(short.as_arrays().clipped, general.clipped)
+        support.assert_close(short.P, general.P, rtol, f"P for y={y}", size=np.abs(P).max())
+        support.assert_positive_definite(short.P, size=np.abs(P).max())
+
+
+def test_two_sensors_that_see_the_same_without_noise_are_refused():
+    H = np.ones((2, 1))
+    for form in (_pair.correct_pair, lambda x, P, y, H, R, c: correct(x, P, np.array(y), H, R, c)):
+        with pytest.raises(SingularInnovationError, match="singular"):
+            form(np.zeros(1), np.eye(1), [1.0, 2.0], H, 1e-20 * np.eye(2), Choices())
+
+
+@pytest.mark.parametrize(
+    ("y", "zero_row", "choices"),
+    [
+        ([np.nan, 1.0], False, {}),
+        ([1.0, np.nan], False, {}),
+        ([1e200, 1.0], False, {}),
+        ([1.0, -np.inf], False, {}),
+        ([1.0, 1.0], True, {"grouping": "joint"}),
+        ([1.0, 1.0], False, {"scaling": "unit"}),
+        ([1.0, 1.0], False, {"scaling": "bounded"}),
+    ],
+)
+def test_what_the_short_form_leaves_to_the_definition(y, zero_row, choices):
+    H = np.array([[1.0, 2.0], [0.0, 0.0]]) if zero_row else np.eye(2)
+    assert not _pair.applies(y, H, Choices(**choices))
+    assert _pair.applies([1.0, 1.0], np.eye(2), Choices())
+
+
+def measurements(dim_z):
+    """Ordinary samples, outliers of every size, missing components and missing samples."""
+    rng = np.random.default_rng(3)
+    zs = rng.normal(size=(30, dim_z)) * np.where(rng.random((30, dim_z)) < 0.3, 100.0, 1.0)
+    zs[rng.random((30, dim_z)) < 0.15] = np.nan
+    zs[8], zs[18], zs[24] = np.nan, 1e250, -1e300
+    return list(zs)
+
+
+@pytest.mark.parametrize("ndim", [1, 2])
+@pytest.mark.parametrize("grouping", GROUPINGS)
+@pytest.mark.parametrize("scaling", SCALINGS)
+@pytest.mark.parametrize("dim_z", [1, 2, 3])
+def test_a_filter_equals_one_that_takes_the_general_path(dim_z, scaling, grouping, ndim):
+    problem = support.mild(4, dim_z)
+    if dim_z > 1:
+        problem.H[0] = 0.0
+    for information, influence, method in product(
+        INFORMATIONS, (Huber(), Hampel(1.0, 2.0, 4.0)), ("update", "update_correlated")
+    ):
+        choices = dict(scaling=scaling, grouping=grouping, information=information, influence=influence)
+        kf, oracle = (support.make(RobustKalmanFilter, problem, ndim, **choices) for _ in range(2))
+        oracle.inv = lambda S: np.linalg.inv(S)
+        for k, z in enumerate(measurements(dim_z)):
+            if k == 15 and dim_z > 1:
+                for f in (kf, oracle):
+                    f.H = support.mild(4, dim_z).H
+            for f in (kf, oracle):
+                f.predict()
+                getattr(f, method)(z)
+            for name in ("x", "P", "K", "S", "T", "e", "y", "y_bounded"):
+                support.assert_close(getattr(kf, name), getattr(oracle, name), 1e-9, f"{name} at sample {k}")
+            np.testing.assert_array_equal(np.isnan(kf.weights), np.isnan(oracle.weights))
+            assert kf.log_likelihood == pytest.approx(oracle.log_likelihood, rel=1e-9)
+
+
+@pytest.mark.parametrize("dim_z", [1, 2, 4])
+def test_the_gain_is_there_whenever_it_is_asked_for(dim_z):
+    problem = support.random_problem(2, 4, dim_z)
+    asked, later = (support.make(RobustKalmanFilter, problem) for _ in range(2))
+    for z in support.simulate(problem, 20, 1, 0.3)[0]:
+        for kf in (asked, later):
+            kf.predict()
+            kf.update(z)
+        gain = asked.K
+        assert gain.shape == (4, dim_z)
+    for kf in (asked, later):
+        kf.predict()
+        kf.update(None)
+    np.testing.assert_array_equal(asked.K, gain)
+    np.testing.assert_array_equal(later.K, gain)
