@@ -78,7 +78,7 @@ def draw(u, y, results, out):
     figure, (top, bottom) = plt.subplots(2, 1, figsize=(9, 5.5), sharex=True, layout="constrained")
     robust = results["OE, robust"]
     top.plot(y, ".", color="0.6", ms=3, label="measured y")
-    outlier = robust.weight < 0.3
+    outlier = robust.weights < 0.3
     top.plot(np.flatnonzero(outlier), y[outlier], "kx", ms=4, label="weight below 0.3")
     top.plot(robust.prediction, "C0-", lw=0.8, label="prediction, OE robust")
     top.set(ylabel="output y", title="Recording")

@@ -132,7 +132,7 @@ def draw_recording(data: Data, results: dict, path: Path) -> None:
         y = free_run(results["OE", which].theta, data.u)
         axes[1].plot(t[part], y[part], linewidth=1.2, label=f"free run, {which}", **style)
     axes[1].set(ylabel="position / cm", title="output-error models, from the reference alone")
-    weight = results["OE", ROBUST].weight
+    weight = results["OE", ROBUST].weights
     axes[2].vlines(t[part], weight[part], 1, color="0.6", linewidth=0.8)
     axes[2].plot(t[part], weight[part], ".", color="black", markersize=3, label="ordinary sample")
     axes[2].plot(t[bad], weight[bad], "x", color="tab:red", label="outlier")

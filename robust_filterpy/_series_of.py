@@ -17,7 +17,7 @@ def is_saver(source: Any) -> bool:
 
 def is_run(source: Any) -> bool:
     """Tell the result of a tracker's run."""
-    return all(hasattr(source, name) for name in ("theta", "std", "residual", "weight"))
+    return all(hasattr(source, name) for name in ("theta", "std", "residual", "weights"))
 
 
 def kept(saver: Any, name: str) -> Array:

@@ -147,7 +147,7 @@ def plot_innovations(
     width = _checks.positive("sigmas", sigmas)
     deviation = None
     if _series_of.is_run(source):
-        y, marked = np.asarray(source.residual)[:, None], np.asarray(source.weight)[:, None] < 1.0
+        y, marked = np.asarray(source.residual)[:, None], np.asarray(source.weights)[:, None] < 1.0
         label = "weight below 1"
     else:
         label = "clipped"
@@ -213,7 +213,7 @@ def plot_weights(
         If lengths do not fit.
     """
     if _series_of.is_run(source):
-        weights = np.asarray(source.weight)[:, None]
+        weights = np.asarray(source.weights)[:, None]
     elif _series_of.is_saver(source):
         weights = _series_of.kept(source, "weights")
     else:

@@ -272,7 +272,7 @@ def test_a_trackers_run_is_diagnosed(variance, cause):
     assert d.causes == cause
     assert (tracker.theta == 0.0).all()
     run = tracker.run(y, u)
-    assert d.clipped[0] == pytest.approx(np.mean(run.weight < 1), abs=0.01)
+    assert d.clipped[0] == pytest.approx(np.mean(run.weights < 1), abs=0.01)
 
 
 def test_without_a_linear_model_the_innovations_are_judged():

@@ -89,7 +89,7 @@ def test_innovations_given_as_arrays(ax, batch):
 def test_innovations_of_a_tracker_mark_what_was_weighed_down(ax, run):
     result, _ = run
     plotting.plot_innovations(result, ax=ax)
-    assert len(ax.lines[1].get_ydata()) == np.sum(result.weight < 1) > 0
+    assert len(ax.lines[1].get_ydata()) == np.sum(result.weights < 1) > 0
 
 
 @pytest.mark.parametrize("kind", ["saver", "array", "run"])

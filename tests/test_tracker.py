@@ -109,10 +109,10 @@ def test_result_has_a_row_for_each_sample():
     assert result.theta.shape == result.std.shape == (150, 4)
     gap = np.isnan(y)
     np.testing.assert_array_equal(np.isnan(result.residual), gap)
-    np.testing.assert_array_equal(np.isnan(result.weight), gap)
+    np.testing.assert_array_equal(np.isnan(result.weights), gap)
     np.testing.assert_allclose(result.residual[~gap], (y - result.prediction)[~gap])
     assert np.isfinite(result.prediction).all()
-    assert ((result.weight[~gap] > 0) & (result.weight[~gap] <= 1)).all() and (result.weight < 0.5).any()
+    assert ((result.weights[~gap] > 0) & (result.weights[~gap] <= 1)).all() and (result.weights < 0.5).any()
     assert result.guard.dtype.kind == "i"
 
 
@@ -241,7 +241,7 @@ def test_frozen_tracker_predicts_and_does_not_learn(structure):
     tracker.enabled = False
     result = tracker.run(y[100:], u[100:])
     same([tracker.theta, tracker.P], [theta, P])
-    assert np.isnan(result.weight).all() and np.isfinite(result.residual).all() and np.ptp(result.prediction) > 0.1
+    assert np.isnan(result.weights).all() and np.isfinite(result.residual).all() and np.ptp(result.prediction) > 0.1
 
 
 def test_forgetting_is_recursive_least_squares():

@@ -268,7 +268,7 @@ def test_tracker_follows_a_drifting_plant_through_outliers():
     errors = [np.linalg.norm(r.theta - path, axis=1)[500:].mean() for r in (robust, kalman)]
     assert errors[0] < 0.7 * errors[1]
     # Of samples 10 times as far away as the others psi believes less.
-    assert np.median(robust.weight[noise.is_outlier]) < 0.5 < np.median(robust.weight[~noise.is_outlier])
+    assert np.median(robust.weights[noise.is_outlier]) < 0.5 < np.median(robust.weights[~noise.is_outlier])
 
 
 @pytest.mark.parametrize("structure", [OutputError(2, 2), ARX(2, 2)], ids=str)

@@ -35,15 +35,15 @@ class Columns(NamedTuple):
     variance: Array
     prediction: Array
     residual: Array
-    weight: Array
+    weights: Array
     guard: np.ndarray
 
     @classmethod
     def empty(cls, length: int, n: int) -> Columns:
         """Return columns for a recording."""
         theta, variance = np.empty((length, n)), np.empty((length, n))
-        prediction, residual, weight = np.full((3, length), np.nan)
-        return cls(theta, variance, prediction, residual, weight, np.zeros(length, dtype=np.int64))
+        prediction, residual, weights = np.full((3, length), np.nan)
+        return cls(theta, variance, prediction, residual, weights, np.zeros(length, dtype=np.int64))
 
 
 class Noise(NamedTuple):
@@ -78,7 +78,7 @@ def run_lean(
     # More than the trace of P, which corrections only make smaller; worked out anew where it matters.
     trace, added, most = 2.0 * P.trace(), 2.0 * np.trace(Q), SHARP * r
     drifts, guarded, model_output = bool(np.any(Q)), rules.guard != "none", rules.uses_model_output
-    theta, variance, prediction, residual, weight, guard = out
+    theta, variance, prediction, residual, weights, guard = out
     first_residual = layout.n - nc
     complete = not np.isnan(y).any()
     if na and complete and not model_output:
@@ -135,7 +135,7 @@ def run_lean(
                     x = last.x
                 P = repaired(last.P) if sharp else last.P
                 residual[k] = difference
-                weight[k] = last.psi / last.e if last.e != 0.0 else 1.0
+                weights[k] = last.psi / last.e if last.e != 0.0 else 1.0
             if waits:
                 if model_output:
                     outputs[at - 1] = -bounded(H.dot(x).item())

@@ -78,7 +78,7 @@ class TrackingResult(NamedTuple):
         phi(k)' theta(k-1), before y(k) is used (paper 22).
     residual : ndarray, shape (N,)
         y(k) - prediction (23), NaN where y is missing.
-    weight : ndarray, shape (N,)
+    weights : ndarray, shape (N,)
         psi(e)/e; 1 for a filter that has no weights, NaN where there was no correction.
     guard : ndarray of int, shape (N,)
         0: step taken as it is; h > 0: halved h times; -1: not taken.
@@ -88,7 +88,7 @@ class TrackingResult(NamedTuple):
     std: Array
     prediction: Array
     residual: Array
-    weight: Array
+    weights: Array
     guard: np.ndarray
 
     def confidence_intervals(self, level: float = 0.95) -> Intervals:

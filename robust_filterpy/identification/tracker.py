@@ -386,7 +386,7 @@ class ParameterTracker:
         Returns
         -------
         TrackingResult
-            theta, std, prediction, residual, weight, guard, a row for each sample.
+            theta, std, prediction, residual, weights, guard, a row for each sample.
 
         Raises
         ------
@@ -408,7 +408,7 @@ class ParameterTracker:
             self.restore(before)
             raise
         std = np.sqrt(np.maximum(out.variance, 0.0))
-        return TrackingResult(out.theta, std, out.prediction, out.residual, out.weight, out.guard)
+        return TrackingResult(out.theta, std, out.prediction, out.residual, out.weights, out.guard)
 
     def _step(self, y: float, u: Array) -> Sample:
         """Advance by one checked sample."""
@@ -466,7 +466,7 @@ class ParameterTracker:
         k = start
         try:
             for k, output in enumerate(y[start:].tolist(), start):
-                out.prediction[k], out.residual[k], out.weight[k], out.guard[k] = self._step(output, u[k])
+                out.prediction[k], out.residual[k], out.weights[k], out.guard[k] = self._step(output, u[k])
                 out.theta[k], out.variance[k] = np.ravel(self.filter.x), np.diagonal(self.filter.P)
         except (ValueError, TypeError, np.linalg.LinAlgError) as error:
             error.args = (f"sample {k}: {error}", *error.args[1:])
