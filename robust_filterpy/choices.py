@@ -81,11 +81,11 @@ class Choices:
     @cached_property
     def pointwise(self) -> tuple[Callable[..., tuple[float, float]], float, float, float] | None:
         """psi and psi' of one float and their parameters, if the influence function has that form."""
-        if hasattr(self.influence, "pointwise"):
+        if getattr(self.influence, "pointwise", None) is not None:
             return (self.influence.pointwise, *self.influence.parameters)
         return None
 
-    @property
+    @cached_property
     def is_linear(self) -> bool:
         """Whether psi is the identity, that is, the filter is Kalman's."""
         return isinstance(self.influence, Linear) or getattr(self.influence, "threshold", 0.0) == np.inf
@@ -125,8 +125,10 @@ class Choices:
         """Apply psi to each component."""
         if self.pointwise is not None and len(e) <= 8:
             function, a, b, c = self.pointwise
-            pairs = [function(v, a, b, c) for v in e.tolist()]
-            psi, slope = np.array([p for p, _ in pairs]), [d for _, d in pairs]
+            values = e.tolist()
+            pairs = [function(v, a, b, c) for v in values]
+            moved, slope = [p for p, _ in pairs], [d for _, d in pairs]
+            psi = e if moved == values else np.array(moved)
         else:
             e = np.clip(e, -_SAFE, _SAFE) if self.pointwise is None else e
             psi = np.asarray(self.influence.psi(e), dtype=float)
@@ -134,13 +136,15 @@ class Choices:
         if self.information == "expected":
             return psi, [self.expected] * len(e), slope
         D = slope if self.information == "realized" else ratio(psi, e).tolist()
-        return psi, [0.0 if d <= 0.0 else 1.0 if d >= 1.0 else d for d in D], slope
+        if min(D) < 0.0 or max(D) > 1.0:
+            D = [min(max(d, 0.0), 1.0) for d in D]
+        return psi, D, slope
 
     def _jointly(self, e: Array) -> tuple[Array, Array | list[float], list[float]]:
         """Apply psi to the length: psi(e) = w(|e|) e, D its Jacobian, its mean, or w I."""
         m = e.size
         length, direction = length_and_direction(e)
-        along, slope, across, radial = self._of_length(length, m)
+        along, slope, across, radial = self.of_length(length, m)
         if across == radial:
             return along * direction, [across] * m, [slope] * m
         column = direction[:, None]
@@ -148,7 +152,7 @@ class Choices:
         D.ravel()[:: m + 1] += across
         return along * direction, D, [slope] * m
 
-    def _of_length(self, length: float, m: int) -> tuple[float, float, float, float]:
+    def of_length(self, length: float, m: int) -> tuple[float, float, float, float]:
         """Return psi and psi' of the length of m components, and the eigenvalues of D across and along e."""
         if self.pointwise is not None:
             function, a, b, c = self.pointwise
@@ -165,7 +169,7 @@ class Choices:
 
     def _jointly_where(self, e: Array, visible: np.ndarray) -> tuple[Array, Array, list[float]]:
         """Take the visible components together and the others one by one."""
-        psi, diagonal, slopes = self._componentwise(e)
+        psi, diagonal, slopes = self._componentwise(e.copy())
         D, slope = np.diag(diagonal), np.array(slopes)
         if visible.any():
             psi[visible], together, slope[visible] = self._jointly(e[visible])

@@ -54,6 +54,11 @@ class _Base:
     pointwise: ClassVar[Any]
     pointwise_rho: ClassVar[Any]
 
+    def __init_subclass__(cls) -> None:
+        """Keep a user's subclass with a psi of its own from being filtered by the inherited form of its parent."""
+        if not {"psi", "psi_deriv"}.isdisjoint(vars(cls)) and "pointwise" not in vars(cls):
+            cls.pointwise = cls.pointwise_rho = None
+
     @property
     def parameters(self) -> tuple[float, float, float]:
         """The three trailing arguments of the functions in `_pointwise`."""

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from statsmodels.robust import norms
 
-from robust_filterpy import Hampel, Huber, Linear, StudentT, TukeyBiweight
+from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy.choices import Choices
 from robust_filterpy.influence import expected_information
 
 OURS = [Huber(), Huber(0.5), Linear(), Hampel(), Hampel(1.5, 3.5, 8.0), TukeyBiweight(), StudentT(), StudentT(1.5)]
@@ -263,3 +264,20 @@ def test_says_what_it_is():
 def test_refuses(build):
     with pytest.raises((ValueError, TypeError), match="expected"):
         build()
+
+
+def test_a_psi_overridden_in_a_subclass_is_the_one_that_is_applied():
+    class Half(Huber):
+        def psi(self, e):
+            return 0.5 * super().psi(e)
+
+        def psi_deriv(self, e):
+            return 0.5 * super().psi_deriv(e)
+
+    for influence in (Half(), Half(2.0)):
+        psi, D, _ = Choices(influence).bound(np.array([1.0]))
+        assert psi == [0.5] and D == [0.5]
+        kf, halved = RobustKalmanFilter(1, 1, influence=influence), RobustKalmanFilter(1, 1, influence=Linear())
+        for f in (kf, halved):
+            f.update(1.0)
+        assert kf.x[0, 0] == pytest.approx(0.5 * halved.x[0, 0])

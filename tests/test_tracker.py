@@ -417,3 +417,51 @@ def test_sample_that_another_filter_refuses_changes_nothing_and_is_named():
     with pytest.raises(ValueError, match=r"sample \d+: enough"):
         tracker.run(y, u)
     same(before.values(), tracker.state().values())
+
+
+# A variance for each sample
+
+
+@pytest.mark.parametrize("make", [RobustKalmanFilter, KalmanFilter])
+def test_a_variance_for_each_sample_is_that_of_the_filter_set_by_hand(make):
+    y, u = recording()
+    R = np.where(np.arange(len(y)) % 3 == 0, 25.0, 0.25)
+    for structure in STRUCTURES[:4]:
+        given, stepped, by_hand = (ParameterTracker(structure, filter=make, P=1.0, R=0.25) for _ in range(3))
+        result = given.run(y, u, R)
+        for k in range(len(y)):
+            stepped.update(y[k], u[k], R[k])
+            by_hand.filter.R = np.array([[R[k]]])
+            by_hand.update(y[k], u[k])
+            np.testing.assert_array_equal(result.theta[k], stepped.theta)
+            np.testing.assert_allclose(by_hand.theta, stepped.theta, rtol=1e-12, atol=1e-14)
+        assert given.filter.R.item() == 0.25
+        same(given.state().values(), stepped.state().values())
+
+
+def test_one_variance_serves_all_samples():
+    y, u = recording()
+    same(ParameterTracker(ARX(2, 2)).run(y, u, 0.5), ParameterTracker(ARX(2, 2), R=0.5).run(y, u))
+
+
+@pytest.mark.parametrize(
+    ("R", "message"),
+    [
+        (np.ones(149), r"R: expected a variance or one for each of the 150 samples, got shape \(149,\)"),
+        (np.ones((150, 1)), "R: expected a variance"),
+        (np.r_[np.ones(7), 0.0, np.ones(142)], "R: expected variances > 0, got 0.0 in sample 7"),
+        (np.r_[np.ones(7), np.nan, np.ones(142)], "got nan in sample 7"),
+        (-1.0, "got -1.0 in sample 0"),
+        (np.inf, "got inf"),
+    ],
+)
+def test_bad_variances_are_refused(R, message):
+    y, u = recording()
+    tracker = ParameterTracker(OutputError(2, 2))
+    before = tracker.state()
+    with pytest.raises(ValueError, match=message):
+        tracker.run(y, u, R)
+    if np.ndim(R) == 0:
+        with pytest.raises(ValueError, match="R: expected"):
+            tracker.update(y[0], u[0], R)
+    same(before.values(), tracker.state().values())

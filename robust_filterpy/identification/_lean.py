@@ -1,7 +1,6 @@
 """A recording through `RobustKalmanFilter` with F = I: `ParameterTracker.update` without what it costs to call it.
 
-The numbers are those of `update`, to the last bit. Everything that the loop carries is a plain array, so that a
-compiled loop can take its place.
+The numbers are those of `update`, to the last bit. It serves where numba is not installed, and short recordings.
 """
 
 from __future__ import annotations
@@ -47,10 +46,10 @@ class Columns(NamedTuple):
 
 
 class Noise(NamedTuple):
-    """Covariances of a filter: of a step of theta, of the measurement; and the factor that forgets."""
+    """Covariances of a filter: of a step of theta, of the measurements, (1,) or (N,); and the factor that forgets."""
 
     Q: Any
-    r: float
+    r: Array
     alpha_sq: float
 
 
@@ -74,9 +73,9 @@ def run_lean(
     residuals = np.concatenate((np.zeros(length), memory.residuals))
     filtered = rules.filtered and part is not None
     gradients = np.concatenate((np.zeros((length, layout.n)), memory.gradients)) if filtered else memory.gradients
-    Q, r, alpha_sq = noise
+    Q, variances, alpha_sq = noise
     # More than the trace of P, which corrections only make smaller; worked out anew where it matters.
-    trace, added, most = 2.0 * P.trace(), 2.0 * np.trace(Q), SHARP * r
+    trace, added = 2.0 * P.trace(), 2.0 * np.trace(Q)
     drifts, guarded, model_output = bool(np.any(Q)), rules.guard != "none", rules.uses_model_output
     theta, variance, prediction, residual, weights, guard = out
     first_residual = layout.n - nc
@@ -90,7 +89,8 @@ def run_lean(
     squares = np.einsum("ij,ij->i", phi, phi).tolist() if known else []
     k = 0
     try:
-        for k, (measured, H) in enumerate(zip(y.tolist(), phi[:, None, :], strict=True)):
+        samples = zip(y.tolist(), phi[:, None, :], np.broadcast_to(variances, length).tolist(), strict=True)
+        for k, (measured, H, r) in enumerate(samples):
             at = length - k
             if waits:
                 H[0, :na] = outputs[at : at + na]
@@ -118,24 +118,26 @@ def run_lean(
                 G, factor, sharp = H, 1.0, False
                 if filtered:
                     G = psi[None, :]
-                if (squares[k] if known else G[0].dot(G[0])) * trace > most:
+                if (squares[k] if known else G[0].dot(G[0])) * trace > SHARP * r:
                     exact = P.trace()
                     square, trace = G[0].dot(G[0]), 2.0 * exact
-                    sharp, factor = square * exact > most, tempering(square, exact, r)
+                    sharp, factor = square * exact > SHARP * r, tempering(square, exact, r)
                 if filtered or factor < 1.0:
                     G = G * factor
                     along = G.dot(x).item()
                     last = correct_scalar(x, P, (difference * factor + along) - along, G, r, choices)
                 else:
                     last = correct_scalar(x, P, difference, H, r, choices)
-                if part is not None:
-                    moved, guard[k] = restrained(last.x.ravel(), x.ravel(), part, rules.guard)
-                    x = moved.reshape(x.shape)
-                else:
-                    x = last.x
+                moved = last.x
                 P = repaired(last.P) if sharp else last.P
                 residual[k] = difference
                 weights[k] = last.psi / last.e if last.e != 0.0 else 1.0
+            else:
+                moved = x
+            if part is not None:
+                restricted, guard[k] = restrained(moved.ravel(), x.ravel(), part, rules.guard)
+                moved = restricted.reshape(x.shape)
+            x = moved
             if waits:
                 if model_output:
                     outputs[at - 1] = -bounded(H.dot(x).item())

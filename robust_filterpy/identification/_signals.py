@@ -65,6 +65,18 @@ def recorded_input(structure: Structure, u: Any, length: int | None) -> Array:
     return signal
 
 
+def recorded_variance(R: Any, length: int) -> Array:
+    """Return the variance of the noise in each sample, shape (N,), or raise."""
+    variances = _checks.numbers("R", R)
+    if variances.shape not in ((), (1,), (length,)):
+        raise ValueError(f"R: expected a variance or one for each of the {length} samples, got shape {variances.shape}")
+    good = (variances > 0.0) & (variances < np.inf)
+    if not good.all():
+        k = int(np.argmin(good.ravel()))
+        raise ValueError(f"R: expected variances > 0, got {variances.ravel()[k]} in sample {k}; NaN in y is a gap")
+    return np.full(length, variances) if variances.size == 1 else variances
+
+
 def _require_finite(values: Array) -> None:
     """Raise unless every input is a number that can be squared."""
     good = np.abs(values) <= LARGEST

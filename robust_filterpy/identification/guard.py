@@ -13,7 +13,7 @@ __all__ = ["GUARDS", "is_stable", "restrained"]
 GUARDS: Final = ("none", "reject", "halve")
 
 # 2^-30 of a step is no step worth taking.
-_MOST_HALVINGS = 30
+MOST_HALVINGS: Final = 30
 
 
 def is_stable(coefficients: Sequence[float]) -> bool:
@@ -76,7 +76,7 @@ def restrained(theta: Array, old: Array, part: slice, guard: str) -> tuple[Array
         return theta, 0
     if guard == "halve":
         step = theta - old
-        for halvings in range(1, _MOST_HALVINGS + 1):
+        for halvings in range(1, MOST_HALVINGS + 1):
             step *= 0.5
             shorter = old + step
             if is_stable(shorter[part].tolist()):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import repeat
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -10,11 +11,17 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.identification import _model, _setup
+from robust_filterpy.identification import _compiled_run, _model, _setup
 from robust_filterpy.identification._lean import Columns, Noise, Rules, run_lean
 from robust_filterpy.identification._memory import Layout, Memory, bounded, gradient, pushed
 from robust_filterpy.identification._sharpness import SHARP, repaired, tempering
-from robust_filterpy.identification._signals import one_input, one_output, recorded_input, recorded_output
+from robust_filterpy.identification._signals import (
+    one_input,
+    one_output,
+    recorded_input,
+    recorded_output,
+    recorded_variance,
+)
 from robust_filterpy.identification.guard import GUARDS, is_stable, restrained
 from robust_filterpy.identification.results import Coefficients, Intervals, Sample, TrackingResult, intervals
 from robust_filterpy.identification.structures import Structure
@@ -349,7 +356,7 @@ class ParameterTracker:
 
     # The recursion.
 
-    def update(self, y: float | None, u: ArrayLike | None = None) -> Sample:
+    def update(self, y: float | None, u: ArrayLike | None = None, R: float | None = None) -> Sample:
         """Take one sample: the output y(k) and the input u(k).
 
         Parameters
@@ -358,6 +365,8 @@ class ParameterTracker:
             Measured output; NaN or None if it is missing: the recursion then goes on with its own prediction.
         u : array_like, shape (n_inputs,), or float
             Input of the same sample (which first acts nk samples later); phi(k) for a LinearRegression.
+        R : float, optional
+            Variance of the noise in this sample. Default: the filter's R.
 
         Returns
         -------
@@ -367,13 +376,14 @@ class ParameterTracker:
         Raises
         ------
         ValueError, TypeError
-            If y is infinite or u not finite or of the wrong length; nothing has changed then.
+            If y is infinite, u not finite or of the wrong length, or R not positive; nothing has changed then.
         LinAlgError
             If the filter refuses the sample; nothing has changed then.
         """
-        return self._step(one_output(y), one_input(self.structure, u))
+        variance = None if R is None else _checks.positive("R", R)
+        return self._step(one_output(y), one_input(self.structure, u), variance)
 
-    def run(self, y: ArrayLike, u: ArrayLike | None = None) -> TrackingResult:
+    def run(self, y: ArrayLike, u: ArrayLike | None = None, R: ArrayLike | None = None) -> TrackingResult:
         """Take a whole recording; the numbers are those of `update`, sample by sample.
 
         Parameters
@@ -382,6 +392,8 @@ class ParameterTracker:
             Measured output, N >= 1; NaN where it is missing.
         u : array_like, shape (N,) or (N, n_inputs)
             Input; the rows phi(k) for a LinearRegression.
+        R : array_like, shape (N,), or float, optional
+            Variance of the noise in each sample, for sensors that say how sure they are. Default: the filter's R.
 
         Returns
         -------
@@ -391,26 +403,32 @@ class ParameterTracker:
         Raises
         ------
         ValueError, TypeError
-            If y or u is empty, not finite, or they differ in length; nothing has changed then.
+            If y or u is empty, not finite, they differ in length, or R is not positive; nothing has changed then.
         LinAlgError
             If the filter refuses a sample, which the message names; nothing has changed then.
+
+        Notes
+        -----
+        With numba installed, recordings of 1000 samples and more go through a compiled loop, whose numbers agree to
+        rounding, if the filter is a `RobustKalmanFilter` as it comes with an influence function of this package.
         """
         output = recorded_output(y)
         signal = recorded_input(self.structure, u, output.size)
+        variances = None if R is None else recorded_variance(R, output.size)
         out = Columns.empty(output.size, self._layout.n)
         before = self.state()
         try:
-            if self._is_lean:
-                self._run_lean(output, signal, out)
+            if self._is_plain:
+                self._run_fast(output, signal, variances, out)
             else:
-                self._run_stepwise(output, signal, out)
+                self._run_stepwise(output, signal, variances, out, 0, output.size)
         except (ValueError, TypeError, np.linalg.LinAlgError):
             self.restore(before)
             raise
         std = np.sqrt(np.maximum(out.variance, 0.0))
         return TrackingResult(out.theta, std, out.prediction, out.residual, out.weights, out.guard)
 
-    def _step(self, y: float, u: Array) -> Sample:
+    def _step(self, y: float, u: Array, R: float | None) -> Sample:
         """Advance by one checked sample."""
         kf, layout, memory, part = self.filter, self._layout, self._memory, self._layout.part
         inputs = memory.with_input(layout, u)
@@ -431,14 +449,17 @@ class ParameterTracker:
                     G = gradient(H[0], past, gradients)[None, :]
                 gradients = pushed(gradients, G[0])
             if self.enabled and known:
-                square, trace, r = G[0].dot(G[0]), np.trace(kf.P), _setup.noise_variance(kf)
+                square, trace, r = G[0].dot(G[0]), np.trace(kf.P), _setup.noise_variance(kf) if R is None else R
                 factor = tempering(square, trace, r)
                 if filtered or factor < 1.0:
                     G = G * factor
                     # So that the filter's own innovation, target - G x, is y - phi' theta.
                     target = (y - predicted) * factor + G.dot(x).item()
                 kf.H = G
-                kf.update(target)
+                if R is None:
+                    kf.update(target)
+                else:
+                    kf.update(target, R=R)
                 if square * trace > SHARP * r:
                     P = kf.P
                     mended = repaired(P)
@@ -461,20 +482,21 @@ class ParameterTracker:
         memory.inputs, memory.gradients = inputs, gradients
         return Sample(predicted, y - predicted, weight, event)
 
-    def _run_stepwise(self, y: Array, u: Array, out: Columns, start: int = 0) -> None:
-        """Advance from sample start to the end of a recording with any filter, sample by sample."""
+    def _run_stepwise(self, y: Array, u: Array, R: Array | None, out: Columns, start: int, stop: int) -> None:
+        """Advance through samples start to stop - 1 of a recording with any filter, one by one."""
         k = start
+        variances = repeat(None) if R is None else R[start:stop].tolist()
         try:
-            for k, output in enumerate(y[start:].tolist(), start):
-                out.prediction[k], out.residual[k], out.weights[k], out.guard[k] = self._step(output, u[k])
+            for k, output, r in zip(range(start, stop), y[start:stop].tolist(), variances, strict=False):
+                out.prediction[k], out.residual[k], out.weights[k], out.guard[k] = self._step(output, u[k], r)
                 out.theta[k], out.variance[k] = np.ravel(self.filter.x), np.diagonal(self.filter.P)
         except (ValueError, TypeError, np.linalg.LinAlgError) as error:
             error.args = (f"sample {k}: {error}", *error.args[1:])
             raise
 
     @property
-    def _is_lean(self) -> bool:
-        """Whether the lean loop does what `update` does: our own filter as it comes, F = I."""
+    def _is_plain(self) -> bool:
+        """Whether the filter is our own as it comes, for which there are faster ways to the numbers of `update`."""
         kf, n = self.filter, self._layout.n
         return (
             self.enabled
@@ -485,20 +507,30 @@ class ParameterTracker:
             and _setup.is_array(kf.Q, (n, n))
             and _setup.is_array(kf.R, (1, 1))
             and _setup.is_array(kf.P, (n, n))
-            and np.array_equal(kf.F, np.eye(n))
         )
 
-    def _run_lean(self, y: Array, u: Array, out: Columns) -> None:
-        """Advance through all samples but the last in the lean loop; the last one leaves the filter's attributes."""
-        kf, last = self.filter, len(y) - 1
-        if last:
-            rules = Rules(self.structure.uses_model_output, self._gradient == "filtered", self._guard, self._windup)
-            noise = Noise(kf.Q, kf.R.item(), kf._alpha_sq)
-            head = Columns(*(column[:last] for column in out))
+    def _run_fast(self, y: Array, u: Array, R: Array | None, out: Columns) -> None:
+        """Advance through all samples but the last without `update`; the last one leaves the filter's attributes."""
+        kf, last, start = self.filter, len(y) - 1, 0
+        rules = Rules(self.structure.uses_model_output, self._gradient == "filtered", self._guard, self._windup)
+        variances = kf.R.ravel() if R is None else R[:last]
+        head = Columns(*(column[:last] for column in out))
+        if last and _compiled_run.can_run(kf, len(y)):
+
+            def by_definition(first: int, stop: int) -> None:
+                self._run_stepwise(y, u, R, out, first, stop)
+
+            _compiled_run.run_compiled(
+                self._layout, rules, self._memory, kf, y[:last], u[:last], variances, head, by_definition
+            )
+            start = last
+        elif last and np.array_equal(kf.F, np.eye(self._layout.n)):
+            noise = Noise(kf.Q, variances, kf._alpha_sq)
             kf.x, kf.P = run_lean(
                 self._layout, rules, kf._choices, noise, self._memory, kf.x, kf.P, y[:last], u[:last], head
             )
-        self._run_stepwise(y, u, out, start=last)
+            start = last
+        self._run_stepwise(y, u, R, out, start, len(y))
 
     # Interruption.
 
