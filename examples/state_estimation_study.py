@@ -19,13 +19,14 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from robust_filterpy import Huber, RobustKalmanFilter
+from robust_filterpy import Huber, Linear, RobustKalmanFilter, filter_series
 from robust_filterpy.correction import NotPositiveDefiniteError
 from robust_filterpy.experiments import bootstrap_interval, mean_square_error, monte_carlo
 from robust_filterpy.noise import EpsilonContaminated
@@ -62,6 +63,11 @@ class Setting:
     P0: float = 0.1
     unit: float = 1.0  # every number is multiplied by this, every variance by its square
 
+    @cached_property
+    def noise(self) -> EpsilonContaminated:
+        """The noise of eq (34); scipy takes longer to set a distribution up than to draw a run from it."""
+        return EpsilonContaminated(self.contamination, VARIANCE**0.5, OUTLIER_VARIANCE**0.5)
+
 
 SETTINGS = (
     Setting("contamination 0.1, P0 = 0.1 I"),
@@ -73,52 +79,112 @@ SETTINGS = (
 )
 
 
-# %% One run: the same data to every filter; only class and choices differ
-def build(name: str, setting: Setting) -> KalmanFilter:
-    """Set up a filter; in a unit ten times smaller every number is 10 times, every variance 100 times as large."""
-    if name in ROBUST:
-        scaling, information = ROBUST[name]
-        influence = Huber.from_contamination(setting.contamination)
-        kf = RobustKalmanFilter(4, 1, influence=influence, scaling=scaling, information=information)
-    else:
-        kf = KalmanFilter(4, 1)
-    square = setting.unit**2
-    R = VARIANCE
-    if name == KALMAN_TOTAL:
-        R = (1 - setting.contamination) * VARIANCE + setting.contamination * OUTLIER_VARIANCE
-    kf.x, kf.P = np.zeros(4), square * setting.P0 * np.eye(4)
-    kf.F, kf.H, kf.Q, kf.R = F, H, square * W, np.array([[square * R]])
-    return kf
+# %% The data of a run: what is drawn, and what follows from it
+class Draw(NamedTuple):
+    """The random numbers of a run, in the paper's unit; `monte_carlo` stacks those of all runs."""
+
+    v: np.ndarray  # (steps,) measurement noise
+    is_outlier: np.ndarray  # (steps,)
+    w: np.ndarray  # (steps, 4) process noise
+    x0: np.ndarray  # (4,)
 
 
-def simulate(setting: Setting, steps: int, rng: np.random.Generator):
-    """Draw states (steps, 4), measurements (steps,) and labels (steps,) of (24)-(25), in the paper's unit."""
-    noise = EpsilonContaminated(setting.contamination, VARIANCE**0.5, OUTLIER_VARIANCE**0.5)
-    v, is_outlier = noise.rvs_labelled(steps, rng)
+def drawn(rng: np.random.Generator, setting: Setting, steps: int) -> Draw:
+    """Draw noise, labels and a start."""
+    v, is_outlier = setting.noise.rvs_labelled(steps, rng)
     w = rng.multivariate_normal(np.zeros(4), W, steps)
-    x = rng.multivariate_normal(np.zeros(4), setting.P0 * np.eye(4))
-    states = np.empty((steps, 4))
-    for k in range(steps):
-        x = F @ x + w[k]
-        states[k] = x
-    return states, states @ H[0] + v, is_outlier
+    return Draw(v, is_outlier, w, rng.multivariate_normal(np.zeros(4), setting.P0 * np.eye(4)))
 
 
-def trial(rng: np.random.Generator, setting: Setting, steps: int):
-    """Return the errors (filters, steps, 4) in the paper's unit; NaN from the step at which a filter refused."""
-    states, z, is_outlier = simulate(setting, steps, rng)
-    errors = np.full((len(FILTERS), steps, 4), np.nan)
-    for row, name in enumerate(FILTERS):
-        kf = build(name, setting)
-        known = [setting.unit**2 * (OUTLIER_VARIANCE if bad else VARIANCE) for bad in is_outlier]
+def simulate(draws: Draw) -> tuple[np.ndarray, np.ndarray]:
+    """Return states (runs, steps, 4) and measurements (runs, steps) of all runs, eqs (24)-(25)."""
+    states, x = np.empty_like(draws.w), draws.x0
+    for k in range(states.shape[1]):
+        states[:, k] = x = x @ F.T + draws.w[:, k]
+    return states, states @ H[0] + draws.v
+
+
+# %% The filters: the same data to each; only psi and its use differ
+def choices(name: str, setting: Setting) -> dict:
+    """Return what makes the filter; with psi(e) = e the robust filter is the Kalman filter."""
+    if name not in ROBUST:
+        return {"influence": Linear()}
+    scaling, information = ROBUST[name]
+    return {
+        "influence": Huber.from_contamination(setting.contamination),
+        "scaling": scaling,
+        "information": information,
+    }
+
+
+def variances(name: str, setting: Setting, is_outlier: np.ndarray) -> np.ndarray:
+    """Return R: of shape (1, 1) for all samples, (runs, steps, 1, 1) for the filter that knows the labels."""
+    R = np.array([[VARIANCE]])
+    if name == KALMAN_TOTAL:
+        R = (1 - setting.contamination) * R + setting.contamination * OUTLIER_VARIANCE
+    if name == LABELS:
+        R = np.where(is_outlier, OUTLIER_VARIANCE, VARIANCE)[..., None, None]
+    return setting.unit**2 * R
+
+
+def filtered(
+    name: str, setting: Setting, z: np.ndarray, is_outlier: np.ndarray, threads: int | None = None
+) -> np.ndarray:
+    """Return the estimates (runs, steps, 4) of one filter; NaN from the step at which it refused.
+
+    In a unit ten times smaller every number is 10 times, every variance 100 times as large.
+    """
+    square = setting.unit**2
+    Q, R, P0 = square * W, variances(name, setting, is_outlier), square * setting.P0 * np.eye(4)
+    try:
+        return filter_series(
+            setting.unit * z[..., None], F, H, Q, R, np.zeros(4), P0,
+            covariance="none", n_threads=threads, **choices(name, setting),
+        ).x  # fmt: skip
+    except NotPositiveDefiniteError:
+        if len(z) == 1:
+            return looped(name, setting, z, is_outlier)
+    # Some run is refused: find out which.
+    return np.concatenate([filtered(name, setting, z[i : i + 1], is_outlier[i : i + 1], 1) for i in range(len(z))])
+
+
+def looped(name: str, setting: Setting, z: np.ndarray, is_outlier: np.ndarray) -> np.ndarray:
+    """Do what `filtered` does sample by sample, with filterpy's own Kalman filter, as a program online does."""
+    square = setting.unit**2
+    R = np.broadcast_to(variances(name, setting, is_outlier), (*z.shape, 1, 1))
+    estimates = np.full((*z.shape, 4), np.nan)
+    for run in range(len(z)):
+        kf = RobustKalmanFilter(4, 1, **choices(name, setting)) if name in ROBUST else KalmanFilter(4, 1)
+        kf.x, kf.P = np.zeros(4), square * setting.P0 * np.eye(4)
+        kf.F, kf.H, kf.Q = F, H, square * W
         try:
-            for k in range(steps):
+            for k in range(z.shape[1]):
                 kf.predict()
-                kf.update(setting.unit * z[k], R=known[k] if name == LABELS else None)
-                errors[row, k] = kf.x / setting.unit - states[k]
+                kf.update(setting.unit * z[run, k], R=R[run, k])
+                estimates[run, k] = kf.x
         except NotPositiveDefiniteError:
             continue
-    return errors
+    return estimates
+
+
+# %% The study: random numbers run by run, filters over all runs at once
+def study(setting: Setting, runs: int, steps: int, seed: int, jobs: int = -1) -> np.ndarray:
+    """Return the errors (runs, filters, steps, 4) in the paper's unit; NaN from the step at which a filter refused."""
+    # Drawing a run takes less time than sending it to another process.
+    draws = monte_carlo(partial(drawn, setting=setting, steps=steps), runs, seed, n_jobs=1).stacked()
+    return errors_of(draws, setting, partial(filtered, threads=jobs if jobs > 0 else None))
+
+
+def trial(rng: np.random.Generator, setting: Setting, steps: int) -> np.ndarray:
+    """Return the errors (filters, steps, 4) of one run."""
+    return errors_of(Draw(*(value[None] for value in drawn(rng, setting, steps))), setting)[0]
+
+
+def errors_of(draws: Draw, setting: Setting, filtering=filtered) -> np.ndarray:
+    """Run every filter and return its errors (runs, filters, steps, 4)."""
+    states, z = simulate(draws)
+    errors = [filtering(name, setting, z, draws.is_outlier) / setting.unit - states for name in FILTERS]
+    return np.stack(errors, axis=1)
 
 
 # %% What the runs say about one filter
@@ -239,7 +305,7 @@ def main(argv: list[str] | None = None) -> dict[str, dict[str, Row]]:
     parser.add_argument("--runs", type=int, default=60, help="runs of each setting, at least 2 (default %(default)s)")
     parser.add_argument("--steps", type=int, default=200, help="samples in a run, at least 20 (default %(default)s)")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=-1, help="processes, -1 for one per processor (the default)")
+    parser.add_argument("--jobs", type=int, default=-1, help="threads, -1 for one per processor (the default)")
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "output", help="folder of the figure")
     args = parser.parse_args(argv)
     if args.runs < 2 or args.steps < 20:
@@ -248,8 +314,8 @@ def main(argv: list[str] | None = None) -> dict[str, dict[str, Row]]:
 
     results = {}
     for setting in SETTINGS:
-        study = monte_carlo(partial(trial, setting=setting, steps=args.steps), args.runs, args.seed, args.jobs)
-        results[setting.title] = summarize(study.stacked(), args.seed)
+        errors = study(setting, args.runs, args.steps, args.seed, args.jobs)
+        results[setting.title] = summarize(errors, args.seed)
         print(f"{setting.title}\n{table(results[setting.title], args.runs)}\n", flush=True)
     draw(results, args.runs, args.out / "state_estimation_study.png")
     print(conclusion(results, args.runs))

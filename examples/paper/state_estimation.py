@@ -1,12 +1,11 @@
 """Figures 2-4: Huber's function, and the state-estimation problem (31)-(34) with its four robust filters.
 
-Problem, filters and trial are those of ``examples/state_estimation_study.py``.
+Problem, filters and study are those of ``examples/state_estimation_study.py``.
 """
 
 from __future__ import annotations
 
 import sys
-from functools import partial
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -14,10 +13,9 @@ import numpy as np
 from report import Claim, Options, Part, geometric_ratio, judged, markdown_table, ratio_interval, shown
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from state_estimation_study import FILTERS, KALMAN, LABELS, Setting, trial
+from state_estimation_study import FILTERS, KALMAN, LABELS, Setting, study
 
 from robust_filterpy import Huber
-from robust_filterpy.experiments import monte_carlo, rerun
 
 STEPS, INITIAL = 200, 20
 T_EXPECTED, T_REALIZED, UNIT_EXPECTED, UNIT_REALIZED = FILTERS[2:6]
@@ -40,13 +38,11 @@ def make(options: Options) -> Part:
         part.save(influence_figure(), "fig02.png", caption, options)
     if not options.wants(3, 4):
         return part
-    one = partial(trial, setting=Setting("contamination 0.1"), steps=STEPS)
-    errors = monte_carlo(one, options.runs, options.seed, options.jobs).stacked()  # (runs, filters, steps, 4)
-    single = rerun(one, options.seed, 0)
+    errors = study(Setting("contamination 0.1"), options.runs, STEPS, options.seed, options.jobs)
     for number, names in COMPARED.items():
         if options.wants(number):
             caption = f"One run as in the paper, and median with quartile band of {options.runs} runs."
-            part.save(error_figure(single, errors, names), f"fig{number:02d}.png", caption, options)
+            part.save(error_figure(errors, names), f"fig{number:02d}.png", caption, options)
     x1, total = errors[..., 0] ** 2, np.sum(errors**2, axis=-1)
     part.text.append(table(x1, total, options))
     part.claims += claims(x1, total, options)
@@ -100,8 +96,7 @@ def claims(x1: np.ndarray, total: np.ndarray, options: Options) -> list[Claim]:
 
 def broken_unit(options: Options) -> Claim:
     """Count the runs in which T = 1 would make P indefinite from an uncertain start."""
-    wide = partial(trial, setting=Setting("P0 = 10 I", P0=10.0), steps=STEPS)
-    errors = monte_carlo(wide, options.runs, options.seed, options.jobs).stacked()
+    errors = study(Setting("P0 = 10 I", P0=10.0), options.runs, STEPS, options.seed, options.jobs)
     x1 = errors[..., 0] ** 2
     refused = int(np.isnan(by_name(x1, UNIT_REALIZED)).sum())
     ratio = geometric_ratio(by_name(x1, T_REALIZED), by_name(x1, LABELS), options.seed)
@@ -135,7 +130,7 @@ def influence_figure() -> plt.Figure:
     return figure
 
 
-def error_figure(single: np.ndarray, errors: np.ndarray, names: tuple[str, ...]) -> plt.Figure:
+def error_figure(errors: np.ndarray, names: tuple[str, ...]) -> plt.Figure:
     """Draw ln ||error||^2 of the observed state and of all four, for one run and over all runs."""
     figure, axes = plt.subplots(2, 2, figsize=(9, 6.2), sharex=True, layout="constrained")
     k = np.arange(1, STEPS + 1)
@@ -145,7 +140,7 @@ def error_figure(single: np.ndarray, errors: np.ndarray, names: tuple[str, ...])
             for name in names:
                 i = FILTERS.index(name)
                 if column == 0:
-                    axis.plot(k, np.log(np.sum(single[i, :, components] ** 2, axis=-1)), **STYLE[name])
+                    axis.plot(k, np.log(np.sum(errors[0, i, :, components] ** 2, axis=-1)), **STYLE[name])
                     continue
                 logs = np.log(np.sum(errors[:, i, :, components] ** 2, axis=-1))
                 low, middle, high = np.nanquantile(logs, [0.25, 0.5, 0.75], axis=0)
