@@ -103,17 +103,24 @@ def _predict(F, moves, Q, drifts, alpha_sq, x, P, x_next, P_next, work):
                     total += work[i, k] * F[j, k]
                 P_next[i, j] = total
                 P_next[j, i] = total
+        if alpha_sq != 1.0:
+            for i in range(n):
+                for j in range(n):
+                    P_next[i, j] *= alpha_sq
+        if drifts:
+            for i in range(n):
+                for j in range(n):
+                    P_next[i, j] += Q[i, j]
     else:
         for i in range(n):
             x_next[i] = x[i]
-            for j in range(n):
-                P_next[i, j] = P[i, j]
-    for i in range(n):
-        for j in range(n):
-            if alpha_sq != 1.0:
-                P_next[i, j] *= alpha_sq
             if drifts:
-                P_next[i, j] += Q[i, j]
+                for j in range(n):
+                    P_next[i, j] = alpha_sq * P[i, j] + Q[i, j]
+            else:
+                for j in range(n):
+                    P_next[i, j] = alpha_sq * P[i, j]
+    for i in range(n):
         trace += P_next[i, i]
     return trace
 
@@ -126,15 +133,14 @@ def _correct(x, P, y, h, r, rule, a, b, c, expected, gain, work):
     """
     n = x.shape[0]
     scaling, information = rule[1], rule[2]
-    ph = work[0]
+    ph, left = work[0], work[1]
     hph = 0.0
     for i in range(n):
         total = 0.0
-        for k in range(n):
-            total += P[i, k] * h[k]
+        for j in range(n):
+            total += P[i, j] * h[j]
         ph[i] = total
-    for i in range(n):
-        hph += h[i] * ph[i]
+        hph += h[i] * total
     s = hph + r
     if not 0.0 < s < _ORDINARY:
         return False, 0.0
@@ -162,17 +168,18 @@ def _correct(x, P, y, h, r, rule, a, b, c, expected, gain, work):
     if d == 0.0:
         return True, weight
     # Joseph's (I - K h) P (I - K h)', one factor after the other, each a difference by a rank of one.
-    left = work[1]
     for i in range(n):
         factor, total = d * gain[i], 0.0
-        for k in range(n):
-            P[i, k] -= factor * ph[k]
-            total += P[i, k] * h[k]
+        for j in range(n):
+            v = P[i, j] - factor * ph[j]
+            P[i, j] = v
+            total += v * h[j]
         left[i] = total
     noise = d * d * r + (d - d * d + d * d * defect) / t2
     for i in range(n):
+        factor = noise * gain[i] - d * left[i]
         for j in range(i + 1):
-            v = P[i, j] - d * gain[j] * left[i] + gain[i] * noise * gain[j]
+            v = P[i, j] + factor * gain[j]
             P[i, j] = v
             P[j, i] = v
     return True, weight
@@ -183,9 +190,10 @@ def track(
     y, phi, r, F, Q, alpha_sq, windup, rule, parameters, expected, layout, x, P, outputs, residuals, gradients,
     theta, variance, prediction, residual, weights, guard,
 ):  # fmt: skip
-    """Advance through a recording; return the first sample that is not for this loop, or N.
+    """Advance through a recording; return the first sample that is not for this loop, or N, and x and P before it.
 
-    x, P, outputs, residuals and gradients (see `Memory`) go in and come out, phi (N, n) holds the inputs, r (1 or N,).
+    x and P are written over; outputs, residuals and gradients (see `Memory`) go in and come out. phi (N, n) holds the
+    inputs, r (1 or N,).
     rule: kind, scaling, information, whether phi holds the model's own outputs, whether the gradient is filtered, the
     guard, whether F is other than I, whether Q is other than 0. layout: na, nc, first and last place that feeds back.
     """
@@ -222,13 +230,13 @@ def track(
         for i in range(n):
             length_squared += g[i] * g[i]
         if not (abs(predicted) < _ORDINARY and length_squared < LARGEST * LARGEST):
-            return k
+            return k, x, P
         known = measured == measured
         weight = np.nan
         if known:
             # False for NaN, too.
             if not length_squared * trace <= SHARP * r_k:
-                return k
+                return k, x, P
             innovation = measured - predicted
             if filtered:
                 along = 0.0
@@ -237,16 +245,14 @@ def track(
                 innovation = (innovation + along) - along
             fine, weight = _correct(x1, P1, innovation, g, r_k, rule, a, b, c, expected, gain, square)
             if not fine:
-                return k
+                return k, x, P
         event = _restrain(x1, x, first, last, restrains, polynomial, work) if feeds_back else 0
         after = 0.0
         for i in range(n):
             after += h[i] * x1[i]
-            x[i] = x1[i]
             theta[k, i] = x1[i]
             variance[k, i] = P1[i, i]
-            for j in range(n):
-                P[i, j] = P1[i, j]
+        x, x1, P, P1 = x1, x, P1, P
         prediction[k], residual[k], weights[k], guard[k] = predicted, measured - predicted, weight, event
         if na:
             if model_output:
@@ -261,4 +267,4 @@ def track(
                     gradients[j, i] = gradients[j - 1, i]
             for i in range(n):
                 gradients[0, i] = g[i]
-    return length
+    return length, x, P
