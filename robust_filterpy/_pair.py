@@ -1,4 +1,5 @@
-"""Two sensors: the equations of `robust_filterpy.correction.correct` in floats, for scaling "innovation".
+"""Two sensors: the equations of `robust_filterpy.correction.correct` in floats, for scaling "innovation" and
+grouping "component".
 
 numpy's call overhead is most of what so small a filter costs: what has shape (2,) or (2, 2) is spelled out here, and
 made into arrays only where it meets the state, or when somebody asks for it. The tests hold it to the definition.
@@ -6,7 +7,6 @@ made into arrays only where it meets the state, or when somebody asks for it. Th
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -40,16 +40,15 @@ class PairCorrection(NamedTuple):
         return Correction(x.ravel(), P, vectors[0], _square(S), None, K, T, vectors[1], vectors[2], list(slope))
 
 
-def applies(y: list[float], H: Array, choices: Choices) -> bool:
+def applies(y: list[float], choices: Choices) -> bool:
     """Whether `correct_pair` can take the place of `correct`, which also knows the rare cases."""
     return (
         choices.scaling == "innovation"
+        and choices.grouping == "component"
         and choices.pointwise is not None
         # False for NaN, too. Up to here a product with T does not overflow.
         and -1e150 < y[0] < 1e150
         and -1e150 < y[1] < 1e150
-        # A sensor that the state has no part in stands outside the group.
-        and (choices.grouping == "component" or all(map(any, H.tolist())))
     )
 
 
@@ -68,34 +67,24 @@ def correct_pair(
     p, q, r = root_of_pair(a, b, c)
     v, w = y
     e = p * v + q * w, q * v + r * w
-    psi, slope, (d, g, h) = _bound(e, choices)
+    psi, slope, (d, h) = _bound(e, choices)
     v, w = psi
     moved = C.dot(np.array([p * v + q * w, q * v + r * w]))
     x_post = x + (moved[:, None] if x.ndim == 2 else moved)
-    # T D T, which is the inverse of S where nothing was bounded, so that C T D T is the informed gain.
-    td, tg, gr, hr = p * d + q * g, p * g + q * h, q * d + r * g, q * g + r * h
-    off = td * q + tg * r
     if d or h:
-        K = C.dot(np.array([[td * p + tg * q, off], [off, gr * q + hr * r]]))
-        P_post = joseph(P, H, R, K, M)
+        # C T D T, the informed gain
+        P_post = joseph(P, H, R, C.dot(_congruent(p, q, r, d, h)), M)
     else:
         P_post = P.copy()
     # D - D^2, what psi leaves unused
-    unused = d - d * d - g * g, g - g * (d + h), h - h * h - g * g
-    if unused != (0.0, 0.0, 0.0):
-        G = C.dot(_square((p, q, r)))
-        P_post += G.dot(_square(unused)).dot(G.T)
+    d, h = d - d * d, h - h * h
+    if d or h:
+        P_post += C.dot(_congruent(p, q, r, d, h)).dot(C.T)
     return PairCorrection(x_post, P_post, C, (y[0], y[1]), (a, b, c), (p, q, r), e, psi, slope)
 
 
-def _bound(e: tuple[float, float], choices: Choices) -> tuple[tuple[float, float], tuple[float, float], Triple]:
-    """Return psi(e), psi' and D, as `Choices.bound` does."""
-    if choices.grouping == "joint":
-        length = math.hypot(*e)
-        along, slope, across, radial = choices._of_length(length, 2)
-        i, j = (e[0] / length, e[1] / length) if length else (0.0, 0.0)
-        more = radial - across
-        return (along * i, along * j), (slope, slope), (across + more * i * i, more * i * j, across + more * j * j)
+def _bound(e: tuple[float, float], choices: Choices) -> tuple[tuple[float, float], ...]:
+    """Return psi(e), psi' and the diagonal of D, as `Choices.bound` does."""
     function, a, b, c = choices.pointwise  # type: ignore[misc]
     (v, s), (w, t) = function(e[0], a, b, c), function(e[1], a, b, c)
     if choices.information == "realized":
@@ -104,7 +93,13 @@ def _bound(e: tuple[float, float], choices: Choices) -> tuple[tuple[float, float
         d = h = choices.expected
     else:
         d, h = v / e[0] if e[0] else 1.0, w / e[1] if e[1] else 1.0
-    return (v, w), (s, t), (min(max(d, 0.0), 1.0), 0.0, min(max(h, 0.0), 1.0))
+    return (v, w), (s, t), (min(max(d, 0.0), 1.0), min(max(h, 0.0), 1.0))
+
+
+def _congruent(p: float, q: float, r: float, d: float, h: float) -> Array:
+    """Return T diag(d, h) T for T = [[p, q], [q, r]]."""
+    off = p * d * q + q * h * r
+    return np.array([[p * d * p + q * h * q, off], [off, q * d * q + r * h * r]])
 
 
 def _square(triple: Triple) -> Array:

@@ -88,7 +88,14 @@ class Choices:
     @cached_property
     def is_linear(self) -> bool:
         """Whether psi is the identity, that is, the filter is Kalman's."""
-        return isinstance(self.influence, Linear) or getattr(self.influence, "threshold", 0.0) == np.inf
+        unbounded = isinstance(self.influence, Linear) or getattr(self.influence, "threshold", 0.0) == np.inf
+        # A user's subclass of Linear may have a psi of its own, and then has no pointwise form.
+        return unbounded and self.pointwise is not None
+
+    @cached_property
+    def by_length(self) -> bool:
+        """Whether all that a correction needs to know of e is its length and direction."""
+        return self.scaling == "innovation" and (self.grouping == "joint" or self.is_linear)
 
     @cached_property
     def expected(self) -> float:

@@ -40,7 +40,7 @@ _DEFAULT = Choices()
 _LARGEST = sys.float_info.max
 _EPS = sys.float_info.epsilon
 # Up to here a product with T does not overflow.
-_SAFE = 1e150
+SAFE = 1e150
 
 
 class NotPositiveDefiniteError(np.linalg.LinAlgError):
@@ -152,6 +152,45 @@ def correct(
     >>> c.x.round(3), c.P, c.clipped
     (array([0.951]), array([[1.]]), array([ True]))
     """
+    if sum(map(abs, y.tolist())) < SAFE:
+        return correct_observed(x, P, y, H, R, choices, M, inv)
+    part = np.flatnonzero(y == y)
+    if part.size == y.size:
+        return correct_observed(x, P, y, H, R, choices, M, inv, small=False)
+    _, S = innovation_moments(P, H, R, M)
+    if part.size == 0:
+        return nothing_observed(x, P, S, y.size)
+    M = None if M is None else M[:, part]
+    some = correct_observed(x, P, y[part], H[part], R[np.ix_(part, part)], choices, M, inv, small=False)
+    return _embed(some, part, S)
+
+
+def correct_observed(
+    x: Array,
+    P: Array,
+    y: Array,
+    H: Array,
+    R: Array,
+    choices: Choices,
+    M: Array | None = None,
+    inv: Inverse | None = None,
+    small: bool = True,
+) -> Correction:
+    """Correct with every component observed, all of them below `SAFE` or not: the equations as they read."""
+    C, S = innovation_moments(P, H, R, M)
+    T, SI, defect = standardize(S, choices.scaling, inv)
+    e = T.dot(y) if small else standardized(T, y)
+    psi, D, slope = choices.bound(e, None if choices.grouping == "component" else H.any(axis=1))
+    G = C.dot(T)
+    K = G.dot(T)
+    P_post = posterior_covariance(P, H, R, G, T, D, K, defect, M)
+    if choices.scaling == "unit":
+        _require_positive(P_post, D, S - R)
+    return Correction(x + G.dot(psi), P_post, y, S, SI, K, T, e, psi, slope)
+
+
+def innovation_moments(P: Array, H: Array, R: Array, M: Array | None) -> tuple[Array, Array]:
+    """Return C = P H' + M and S = H P H' + H M + M' H' + R."""
     C = P.dot(H.T)
     S = H.dot(C)
     S += R
@@ -159,44 +198,7 @@ def correct(
         C += M
         HM = H.dot(M)
         S += HM + HM.T
-    size = sum(map(abs, y.tolist()))
-    if size == size:
-        return _correct_all(x, P, y, H, R, S, C, choices, M, inv, size < _SAFE)
-    part = np.flatnonzero(y == y)
-    if part.size == 0:
-        return nothing_observed(x, P, S, y.size)
-    pick = np.ix_(part, part)
-    some = _correct_all(
-        x, P, y[part], H[part], R[pick], S[pick], C[:, part], choices, None if M is None else M[:, part], inv, False
-    )
-    return _embed(some, part, S)
-
-
-def _correct_all(
-    x: Array,
-    P: Array,
-    y: Array,
-    H: Array,
-    R: Array,
-    S: Array,
-    C: Array,
-    choices: Choices,
-    M: Array | None,
-    inv: Inverse | None,
-    small: bool,
-) -> Correction:
-    """Correct with every component observed, small or not: the equations as they read."""
-    T, SI, defect = standardize(S, choices.scaling, inv)
-    e = T.dot(y) if small else standardized(T, y)
-    # In plain Python, since a reduction in numpy costs as much as five products.
-    plain = choices.grouping == "component" or all(map(any, H.tolist()))
-    psi, D, slope = choices.bound(e, None if plain else H.any(axis=1))
-    G = C.dot(T)
-    K = G.dot(T)
-    P_post = posterior_covariance(P, H, R, G, T, D, K, defect, M)
-    if choices.scaling == "unit":
-        _require_positive(P_post, D, S - R)
-    return Correction(x + G.dot(psi), P_post, y, S, SI, K, T, e, psi, slope)
+    return C, S
 
 
 def standardize(S: Array, scaling: str, inv: Inverse | None = None) -> tuple[Array, Array | None, Array | None]:
@@ -249,7 +251,7 @@ def standardize(S: Array, scaling: str, inv: Inverse | None = None) -> tuple[Arr
 def standardized(T: Array, y: Array) -> Array:
     """Return e = T y (paper 29), finite even where the product overflows."""
     peak = max(map(abs, y.tolist()))
-    if peak < _SAFE:
+    if peak < SAFE:
         return T.dot(y)
     with np.errstate(over="ignore"):
         return np.clip(T.dot(y / peak) * peak, -_LARGEST, _LARGEST)

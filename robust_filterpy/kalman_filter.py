@@ -13,7 +13,7 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 from numpy.typing import ArrayLike
 
-from robust_filterpy import _checks, _pair
+from robust_filterpy import _checks, _joint, _pair
 from robust_filterpy._checks import FLOAT, Array
 from robust_filterpy._measurement import (
     control_term,
@@ -26,9 +26,11 @@ from robust_filterpy._measurement import (
 from robust_filterpy._robust import Robust
 from robust_filterpy.batch import filter_recording
 from robust_filterpy.correction import (
+    SAFE,
     Correction,
     ScalarCorrection,
     correct,
+    correct_observed,
     correct_scalar,
     embed_block,
     log_density,
@@ -319,29 +321,33 @@ class RobustKalmanFilter(Robust, KalmanFilter):
 
     def _corrected(
         self, x: Array, P: Array, values: Any, H: Array, R: Array, M: Any
-    ) -> Correction | ScalarCorrection | _pair.PairCorrection:
+    ) -> Correction | ScalarCorrection | _pair.PairCorrection | _joint.JointCorrection:
         """Return the correction of x by checked values; changes nothing."""
-        inv = self._inverse
+        inv, choices = self._inverse, self._choices
         predicted = H.dot(x)
         if len(H) == 1:
             y = values - predicted.item()
             if y - y != 0.0 and not np.isfinite(predicted).all():
                 raise ValueError(f"x: expected finite numbers, got H x = {predicted.ravel()}")
-            if inv is None and self._choices.pointwise is not None and y == y:
-                return correct_scalar(x, P, y, H, R.item(), self._choices, M)
-            return correct(x.ravel(), P, np.array([y]), H, R, self._choices, M, inv)
-        if len(H) == 2 and inv is None:
+            if inv is None and choices.pointwise is not None and y == y:
+                return correct_scalar(x, P, y, H, R.item(), choices, M)
+            return correct(x.ravel(), P, np.array([y]), H, R, choices, M, inv)
+        if len(H) == 2 and inv is None and not choices.by_length:
             (v, w), (a, b) = values.tolist(), predicted.ravel().tolist()
             pair = [v - a, w - b]
-            if _pair.applies(pair, H, self._choices):
-                return _pair.correct_pair(x, P, pair, H, R, self._choices, M)
+            if _pair.applies(pair, choices):
+                return _pair.correct_pair(x, P, pair, H, R, choices, M)
         if x.ndim == 2:
             x, predicted = x[:, 0], predicted[:, 0]
         y = values - predicted
-        total = sum(y.tolist())
-        if total - total != 0.0 and not np.isfinite(predicted).all():
+        size = sum(map(abs, y.tolist()))
+        if size < SAFE:
+            if choices.by_length and inv is None and _joint.applies(H, choices):
+                return _joint.correct_jointly(x, P, y, H, R, choices, M)
+            return correct_observed(x, P, y, H, R, choices, M, inv)
+        if size - size != 0.0 and not np.isfinite(predicted).all():
             raise ValueError(f"x: expected finite numbers, got H x = {predicted}")
-        return correct(x, P, y, H, R, self._choices, M, inv)
+        return correct(x, P, y, H, R, choices, M, inv)
 
     def _skip(self) -> None:
         """Do what filterpy does for update(None), and forget the last innovation."""

@@ -1,4 +1,4 @@
-"""The short forms for one and two sensors say what the definition says.
+"""The short forms for one sensor, for two, and for joint grouping say what the definition says.
 
 `correct` is the definition, itself held to formulas from elsewhere in test_kalman_filter.py. A filter whose `inv` is
 not numpy's own function takes that general path throughout, so that it is the oracle for a whole filter.
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import support
 
-from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight, _pair
+from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight, _joint, _pair
 from robust_filterpy.choices import GROUPINGS, INFORMATIONS, SCALINGS, Choices
 from robust_filterpy.correction import Correction, SingularInnovationError, correct, correct_scalar
 
@@ -58,18 +58,51 @@ def test_one_sensor_in_floats_equals_the_definition(scaling, information, influe
 
 @pytest.mark.parametrize("influence", INFLUENCES, ids=repr)
 @pytest.mark.parametrize("information", INFORMATIONS)
-@pytest.mark.parametrize("grouping", GROUPINGS)
-def test_two_sensors_in_floats_equal_the_definition(grouping, information, influence):
-    choices = Choices(influence, "innovation", information, grouping)
+def test_two_sensors_in_floats_equal_the_definition(information, influence):
+    choices = Choices(influence, "innovation", information)
     for seed, problem in enumerate(problems(2)):
         x = problem.x[:, 0]
         for M, y in product((None, problem.M), innovations(2, seed)):
-            assert _pair.applies(y.tolist(), problem.H, choices)
+            assert _pair.applies(y.tolist(), choices)
             general = correct(x, problem.P, y, problem.H, problem.R, choices, M)
             for state in (x, problem.x):
                 short = _pair.correct_pair(state, problem.P, y.tolist(), problem.H, problem.R, choices, M)
                 assert short.x.shape == state.shape
                 assert_same_correction(short.as_arrays(), general, y)
+
+
+@pytest.mark.parametrize("influence", INFLUENCES, ids=repr)
+@pytest.mark.parametrize("information", INFORMATIONS)
+@pytest.mark.parametrize("dim_z", [2, 4])
+def test_joint_grouping_without_a_root_equals_the_definition(dim_z, information, influence):
+    choices = Choices(influence, "innovation", information, "joint")
+    for seed, problem in enumerate(problems(dim_z)):
+        assert _joint.applies(problem.H, choices)
+        x = problem.x[:, 0]
+        for M, y in product((None, problem.M), innovations(dim_z, seed)[:: 3 ** (dim_z - 2)]):
+            short = _joint.correct_jointly(x, problem.P, y, problem.H, problem.R, choices, M)
+            assert isinstance(short, _joint.JointCorrection)
+            assert_same_correction(short.as_arrays(), correct(x, problem.P, y, problem.H, problem.R, choices, M), y)
+
+
+@pytest.mark.parametrize("influence", [Linear(), Huber(np.inf)], ids=repr)
+@pytest.mark.parametrize("information", INFORMATIONS)
+def test_the_kalman_filter_without_a_root_equals_the_definition(information, influence):
+    choices = Choices(influence, "innovation", information)
+    problem = support.mild(5, 3)
+    x, blind = problem.x[:, 0], problem.H * [[1.0], [0.0], [1.0]]
+    for H, y in product((problem.H, blind), innovations(3, 1)):
+        assert _joint.applies(H, choices)
+        short = _joint.correct_jointly(x, problem.P, y, H, problem.R, choices)
+        assert_same_correction(short.as_arrays(), correct(x, problem.P, y, H, problem.R, choices), y)
+
+
+def test_a_users_subclass_of_linear_is_not_taken_for_linear():
+    class Clipped(Linear):
+        def psi(self, e):
+            return np.clip(e, -1.0, 1.0)
+
+    assert not _joint.applies(np.eye(2), Choices(Clipped()))
 
 
 @pytest.mark.parametrize("noise", [1e-3, 1e-6, 1e-9, 1e-12])
@@ -94,21 +127,45 @@ def test_two_sensors_that_see_the_same_without_noise_are_refused():
 
 
 @pytest.mark.parametrize(
-    ("y", "zero_row", "choices"),
+    ("y", "choices"),
     [
-        ([np.nan, 1.0], False, {}),
-        ([1.0, np.nan], False, {}),
-        ([1e200, 1.0], False, {}),
-        ([1.0, -np.inf], False, {}),
-        ([1.0, 1.0], True, {"grouping": "joint"}),
-        ([1.0, 1.0], False, {"scaling": "unit"}),
-        ([1.0, 1.0], False, {"scaling": "bounded"}),
+        ([np.nan, 1.0], {}),
+        ([1.0, np.nan], {}),
+        ([1e200, 1.0], {}),
+        ([1.0, -np.inf], {}),
+        ([1.0, 1.0], {"grouping": "joint"}),
+        ([1.0, 1.0], {"scaling": "unit"}),
+        ([1.0, 1.0], {"scaling": "bounded"}),
     ],
 )
-def test_what_the_short_form_leaves_to_the_definition(y, zero_row, choices):
-    H = np.array([[1.0, 2.0], [0.0, 0.0]]) if zero_row else np.eye(2)
-    assert not _pair.applies(y, H, Choices(**choices))
-    assert _pair.applies([1.0, 1.0], np.eye(2), Choices())
+def test_what_the_form_for_two_leaves_to_the_definition(y, choices):
+    assert not _pair.applies(y, Choices(**choices))
+    assert _pair.applies([1.0, 1.0], Choices())
+
+
+@pytest.mark.parametrize(
+    ("row", "choices"),
+    [
+        ([0.0, 0.0], {}),
+        ([1.0, 2.0], {"grouping": "component"}),
+        ([1.0, 2.0], {"scaling": "unit"}),
+        ([1.0, 2.0], {"scaling": "bounded"}),
+    ],
+)
+def test_what_the_joint_form_leaves_to_the_definition(row, choices):
+    assert not _joint.applies(np.array([[1.0, 0.0], row]), Choices(**{"grouping": "joint"} | choices))
+    assert _joint.applies(np.eye(2), Choices(grouping="joint"))
+
+
+@pytest.mark.parametrize("noise", [1e-3, 1e-6, 1e-9])
+def test_joint_sensors_that_see_almost_the_same_keep_p_positive_definite(noise):
+    P, H, R = 4.0 * np.eye(3), np.array([[1.0, 0.0, 0.0], [1.0, 1e-3, 0.0], [0.0, 1e-2, 1.0]]), noise * np.eye(3)
+    choices = Choices(grouping="joint")
+    for y in innovations(3, 5):
+        short = _joint.correct_jointly(np.zeros(3), P, y, H, R, choices)
+        general = correct(np.zeros(3), P, y, H, R, choices)
+        support.assert_close(short.P, general.P, 1e-9, f"P for y={y}", size=np.abs(P).max())
+        support.assert_positive_definite(short.P, size=np.abs(P).max())
 
 
 def measurements(dim_z):

@@ -1,0 +1,84 @@
+"""psi of the length of e: the equations of `robust_filterpy.correction.correct` without a root of S.
+
+Under scaling "innovation" and grouping "joint" (or for psi = identity) e enters only through its length and direction::
+
+    |e|^2 = y' s,   T e = s,   s = S^-1 y,   D = a I + (r - a) e e'/|e|^2
+
+so that one Cholesky factor of S does for its eigenvalues and eigenvectors. T, e and psi are made when somebody asks
+for them. The tests hold it to the definition.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from scipy.linalg import blas, lapack
+
+from robust_filterpy._checks import Array
+from robust_filterpy.choices import Choices
+from robust_filterpy.correction import Correction, correct, innovation_moments, joseph, standardize
+
+# Least ratio of the factor's pivots, above which S is far from singular.
+_SURELY_REGULAR = 1e-3
+
+
+class JointCorrection(NamedTuple):
+    """`Correction` under grouping "joint": the share psi(|e|)/|e| in place of T, e and psi."""
+
+    x: Array
+    P: Array
+    y: Array
+    S: Array
+    K: Array
+    share: float
+    slope: float
+
+    def as_arrays(self) -> Correction:
+        """Return the same with T, e and psi."""
+        x, P, y, S, K, share, slope = self
+        T, SI, _ = standardize(S, "innovation")
+        e = T.dot(y)
+        return Correction(x, P, y, S, SI, K, T, e, share * e, [slope] * len(y))
+
+
+def applies(H: Array, choices: Choices) -> bool:
+    """Whether `correct_jointly` can take the place of `correct` if y is neither missing nor enormous."""
+    # A sensor that the state has no part in stands outside the group.
+    return choices.by_length and (choices.is_linear or all(map(any, H.tolist())))
+
+
+def correct_jointly(
+    x: Array, P: Array, y: Array, H: Array, R: Array, choices: Choices, M: Array | None = None
+) -> JointCorrection | Correction:
+    """Correct by a measurement of which every component is observed; `applies` must be true."""
+    C, S = innovation_moments(P, H, R, M)
+    factor, gain, failed = lapack.dposv(S, C.T)
+    pivots = factor.diagonal().tolist()
+    if failed or not min(pivots) > _SURELY_REGULAR * max(pivots):
+        return correct(x, P, y, H, R, choices, M)
+    K = gain.T
+    s = lapack.dpotrs(factor, y)[0]
+    square = y.dot(s).item()
+    along = length = math.sqrt(max(square, 0.0))
+    slope = across = radial = 1.0
+    if not choices.is_linear:
+        along, slope, across, radial = choices.of_length(length, len(y))
+    share = along / length if length > 0.0 else 1.0
+    step = K.dot(y)
+    x_post = x + share * step
+    if across == radial == 0.0:
+        return JointCorrection(x_post, P.copy(), y, S, K, share, slope)
+    if across == radial == 1.0:
+        return JointCorrection(x_post, joseph(P, H, R, K, M), y, S, K, share, slope)
+    # The informed gain C T D T, transposed.
+    informed = across * gain
+    if radial != across:
+        informed = blas.dger((radial - across) / square, s, step, a=informed, overwrite_a=True)
+    P_post = joseph(P, H, R, informed.T, M)
+    # D - D^2 = (1 - a) D + r (a - r) e e'/|e|^2, what psi leaves unused
+    P_post += ((1.0 - across) * C).dot(informed)
+    rest = radial * (across - radial)
+    if rest:
+        P_post += (rest / square * step[:, None]).dot(step[None])
+    return JointCorrection(x_post, P_post, y, S, K, share, slope)
