@@ -18,10 +18,11 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
@@ -52,6 +53,9 @@ ROBUST = {
     "T=1,  realized": ("unit", "realized"),  # (47)-(49), the paper's proposal
 }
 FILTERS = (KALMAN, KALMAN_TOTAL, *ROBUST, LABELS)
+
+#: A way to run a filter: name, setting, measurements (runs, steps) and labels; estimates (runs, steps, 4).
+Filtering: TypeAlias = Callable[[str, "Setting", np.ndarray, np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -130,7 +134,7 @@ def variances(name: str, setting: Setting, is_outlier: np.ndarray) -> np.ndarray
 def filtered(
     name: str, setting: Setting, z: np.ndarray, is_outlier: np.ndarray, threads: int | None = None
 ) -> np.ndarray:
-    """Return the estimates (runs, steps, 4) of one filter; NaN from the step at which it refused.
+    """Return the estimates (runs, steps, 4) of one filter; NaN for the runs that it refused.
 
     In a unit ten times smaller every number is 10 times, every variance 100 times as large.
     """
@@ -143,7 +147,7 @@ def filtered(
         ).x  # fmt: skip
     except NotPositiveDefiniteError:
         if len(z) == 1:
-            return looped(name, setting, z, is_outlier)
+            return np.full((*z.shape, 4), np.nan)
     # Some run is refused: find out which.
     return np.concatenate([filtered(name, setting, z[i : i + 1], is_outlier[i : i + 1], 1) for i in range(len(z))])
 
@@ -152,7 +156,7 @@ def looped(name: str, setting: Setting, z: np.ndarray, is_outlier: np.ndarray) -
     """Do what `filtered` does sample by sample, with filterpy's own Kalman filter, as a program online does."""
     square = setting.unit**2
     R = np.broadcast_to(variances(name, setting, is_outlier), (*z.shape, 1, 1))
-    estimates = np.full((*z.shape, 4), np.nan)
+    estimates = np.empty((*z.shape, 4))
     for run in range(len(z)):
         kf = RobustKalmanFilter(4, 1, **choices(name, setting)) if name in ROBUST else KalmanFilter(4, 1)
         kf.x, kf.P = np.zeros(4), square * setting.P0 * np.eye(4)
@@ -163,16 +167,21 @@ def looped(name: str, setting: Setting, z: np.ndarray, is_outlier: np.ndarray) -
                 kf.update(setting.unit * z[run, k], R=R[run, k])
                 estimates[run, k] = kf.x
         except NotPositiveDefiniteError:
-            continue
+            estimates[run] = np.nan
     return estimates
 
 
 # %% The study: random numbers run by run, filters over all runs at once
-def study(setting: Setting, runs: int, steps: int, seed: int, jobs: int = -1) -> np.ndarray:
-    """Return the errors (runs, filters, steps, 4) in the paper's unit; NaN from the step at which a filter refused."""
+def study(setting: Setting, runs: int, steps: int, seed: int, filtering: Filtering = filtered) -> np.ndarray:
+    """Return the errors (runs, filters, steps, 4) in the paper's unit; NaN where a filter refused the run."""
     # Drawing a run takes less time than sending it to another process.
     draws = monte_carlo(partial(drawn, setting=setting, steps=steps), runs, seed, n_jobs=1).stacked()
-    return errors_of(draws, setting, partial(filtered, threads=jobs if jobs > 0 else None))
+    return errors_of(draws, setting, filtering)
+
+
+def on_threads(jobs: int) -> Filtering:
+    """Return `filtered` on so many threads, on one per processor for -1."""
+    return partial(filtered, threads=jobs if jobs > 0 else None)
 
 
 def trial(rng: np.random.Generator, setting: Setting, steps: int) -> np.ndarray:
@@ -180,7 +189,7 @@ def trial(rng: np.random.Generator, setting: Setting, steps: int) -> np.ndarray:
     return errors_of(Draw(*(value[None] for value in drawn(rng, setting, steps))), setting)[0]
 
 
-def errors_of(draws: Draw, setting: Setting, filtering=filtered) -> np.ndarray:
+def errors_of(draws: Draw, setting: Setting, filtering: Filtering = filtered) -> np.ndarray:
     """Run every filter and return its errors (runs, filters, steps, 4)."""
     states, z = simulate(draws)
     errors = [filtering(name, setting, z, draws.is_outlier) / setting.unit - states for name in FILTERS]
@@ -314,7 +323,7 @@ def main(argv: list[str] | None = None) -> dict[str, dict[str, Row]]:
 
     results = {}
     for setting in SETTINGS:
-        errors = study(setting, args.runs, args.steps, args.seed, args.jobs)
+        errors = study(setting, args.runs, args.steps, args.seed, on_threads(args.jobs))
         results[setting.title] = summarize(errors, args.seed)
         print(f"{setting.title}\n{table(results[setting.title], args.runs)}\n", flush=True)
     draw(results, args.runs, args.out / "state_estimation_study.png")

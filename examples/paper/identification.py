@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property, lru_cache
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
-import scipy.signal
 from excitation import binary_input
 from filterpy.kalman import KalmanFilter
+from scipy.linalg.blas import dtbsv
 
-from robust_filterpy import Huber
+from robust_filterpy import Huber, Linear
 from robust_filterpy.correction import NotPositiveDefiniteError
 from robust_filterpy.experiments import fit_percent
 from robust_filterpy.identification import OutputError, ParameterTracker
 from robust_filterpy.noise import EpsilonContaminated
-from robust_filterpy.plants import THETA_BAR, random_walk, simulate_output_error, stable
+from robust_filterpy.plants import THETA_BAR, Simulation, random_walk, simulate_output_error, stable
 
 STEPS = 1000
 KALMAN, KALMAN_TOTAL, LABELS = "Kalman, R nominal", "Kalman, R of all noise", "Kalman, outliers known"
@@ -29,6 +31,10 @@ FORMS = {
 }
 TRACKERS = (KALMAN, KALMAN_TOTAL, *FORMS, LABELS)
 FREQUENCIES = np.linspace(0.05, 3.0, 60)  # rad/sample
+
+#: Path of theta (steps, n) and one-step predictions (steps,) of a tracker.
+Tracked: TypeAlias = "tuple[np.ndarray, np.ndarray]"
+Tracking: TypeAlias = Callable[..., Tracked]
 
 
 @dataclass(frozen=True)
@@ -50,9 +56,88 @@ class Plant:
         """na = nb."""
         return len(self.theta) // 2
 
+    @cached_property
+    def noise(self) -> EpsilonContaminated:
+        """The noise of Table 1; scipy takes longer to set a distribution up than to draw a run from it."""
+        return EpsilonContaminated(self.contamination, self.variance**0.5, 10 * self.variance**0.5)
+
 
 SECTION4 = Plant("section 4", tuple(THETA_BAR.tolist()), None, 0.1)
 WELL = Plant("well-conditioned", (-1.5, 0.7, 1.0, 0.5), 0.0, 0.25, P0=1.0, gradient="filtered", guard="halve")
+
+
+class Draw(NamedTuple):
+    """The data of a run."""
+
+    data: Simulation
+    is_outlier: np.ndarray  # (steps,)
+
+
+def drawn(rng: np.random.Generator, plant: Plant) -> Draw:
+    """Draw parameters, noise and labels, and simulate the plant."""
+    n, order, inside = len(plant.theta), plant.order, stable(plant.order)
+    start = np.array(plant.theta)
+    if plant.start is None:
+        # The prior of Table 1, as far as it is a stable plant.
+        while True:
+            start = np.array(plant.theta) + np.sqrt(plant.P0) * rng.standard_normal(n)
+            if inside(start):
+                break
+    theta = random_walk(start, plant.Q, STEPS, rng, accept=inside)
+    offset = int(rng.integers(1000, 8000))
+    v, is_outlier = plant.noise.rvs_labelled(STEPS, rng)
+    u = INPUT[offset : offset + STEPS]
+    return Draw(simulate_output_error(theta, u, noise=v, na=order, nb=order), is_outlier)
+
+
+def tracked(name: str, plant: Plant, y: np.ndarray, u: np.ndarray, is_outlier: np.ndarray) -> Tracked:
+    """Run one tracker over the recording; with psi(e) = e the robust filter is the Kalman filter."""
+    choices = _choices(name, plant) or {"influence": Linear()}
+    result = _tracker(name, plant, choices).run(y, u, R=_known_variance(plant, is_outlier) if name == LABELS else None)
+    return result.theta, result.prediction
+
+
+def looped(name: str, plant: Plant, y: np.ndarray, u: np.ndarray, is_outlier: np.ndarray) -> Tracked:
+    """Do what `tracked` does sample by sample, with filterpy's own Kalman filter, as a program online does."""
+    tracker = _tracker(name, plant, _choices(name, plant) or {"filter": KalmanFilter})
+    variance = _known_variance(plant, is_outlier)
+    path, prediction = np.empty((STEPS, len(plant.theta))), np.empty(STEPS)
+    for k in range(STEPS):
+        if name == LABELS:
+            tracker.filter.R[0, 0] = variance[k]
+        prediction[k] = tracker.update(y[k], u[k]).prediction
+        path[k] = tracker.theta
+    return path, prediction
+
+
+def _known_variance(plant: Plant, is_outlier: np.ndarray) -> np.ndarray:
+    """Return the variance of each sample's noise."""
+    return plant.variance * np.where(is_outlier, 100.0, 1.0)
+
+
+def _choices(name: str, plant: Plant) -> dict:
+    """Return the choices of a robust tracker, none for a Kalman filter."""
+    if name not in FORMS:
+        return {}
+    scaling, information = FORMS[name]
+    # Without outliers the threshold of 0.05 stands: an infinite one would be the Kalman filter itself.
+    influence = Huber.from_contamination(max(plant.contamination, 0.05))
+    return {"influence": influence, "scaling": scaling, "information": information}
+
+
+def _tracker(name: str, plant: Plant, choices: dict) -> ParameterTracker:
+    """Set up a tracker before the first sample."""
+    total = plant.variance * (1 - plant.contamination + 100 * plant.contamination)
+    return ParameterTracker(
+        OutputError(plant.order, plant.order),
+        theta=plant.theta if plant.start is None else plant.start,
+        P=plant.P0,
+        Q=plant.Q,
+        R=total if name == KALMAN_TOTAL else plant.variance,
+        gradient=plant.gradient,
+        guard=plant.guard,
+        **choices,
+    )
 
 
 class Run(NamedTuple):
@@ -67,103 +152,76 @@ class Run(NamedTuple):
     information: np.ndarray  # (steps, n, n) of each sample about theta, for noise without outliers
 
 
-def trial(rng: np.random.Generator, plant: Plant, trackers: tuple[str, ...] = TRACKERS) -> Run:
-    """Draw parameters, noise and labels, and run every tracker on them."""
-    n, order, inside = len(plant.theta), plant.order, stable(plant.order)
-    start = np.array(plant.theta)
-    if plant.start is None:
-        # The prior of Table 1, as far as it is a stable plant.
-        while True:
-            start = np.array(plant.theta) + np.sqrt(plant.P0) * rng.standard_normal(n)
-            if inside(start):
-                break
-    theta = random_walk(start, plant.Q, STEPS, rng, accept=inside)
-    offset = int(rng.integers(1000, 8000))
-    u = INPUT[offset : offset + STEPS]
-    v, is_outlier = EpsilonContaminated(
-        plant.contamination, plant.variance**0.5, 10 * plant.variance**0.5
-    ).rvs_labelled(STEPS, rng)
-    data = simulate_output_error(theta, u, noise=v, na=order, nb=order)
-    estimates, fits, response = (np.full((len(trackers), *s), np.nan) for s in ((STEPS, n), (), ()))
+def trial(
+    rng: np.random.Generator, plant: Plant, trackers: tuple[str, ...] = TRACKERS, tracking: Tracking = tracked
+) -> Run:
+    """Draw the data of a run, run every tracker on them, and compare what it says with the truth."""
+    (u, y, y_clean, theta), is_outlier = drawn(rng, plant)
+    estimates, fits = np.full((len(trackers), *theta.shape), np.nan), np.full(len(trackers), np.nan)
+    half = slice(STEPS // 2, None)
     for i, name in enumerate(trackers):
         try:
-            path, prediction = _tracked(name, plant, data.y, u, is_outlier)
+            estimates[i], prediction = tracking(name, plant, y, u, is_outlier)
         except NotPositiveDefiniteError:
             continue
-        estimates[i] = path
-        half = slice(STEPS // 2, None)
-        fits[i] = fit_percent(data.y_clean[half], prediction[half])
-        response[i] = _response_error(path[-1], theta[-1], order)
-    return Run(u, data.y, theta, estimates, fits, response, _information(theta, u, data.y_clean, order, plant.variance))
+        fits[i] = fit_percent(y_clean[half], prediction[half])
+    response = _response_error(estimates[:, -1], theta[-1], plant.order)
+    return Run(u, y, theta, estimates, fits, response, _information(theta, u, y_clean, plant.order, plant.variance))
 
 
-def _tracked(name: str, plant: Plant, y: np.ndarray, u: np.ndarray, is_outlier: np.ndarray):
-    """Run one tracker; return its path of theta and its one-step predictions."""
-    total = plant.variance * (1 - plant.contamination + 100 * plant.contamination)
-    choices: dict = {"filter": KalmanFilter}
-    if name in FORMS:
-        scaling, information = FORMS[name]
-        # Without outliers the threshold of 0.05 stands: an infinite one would be the Kalman filter itself.
-        influence = Huber.from_contamination(max(plant.contamination, 0.05))
-        choices = {"influence": influence, "scaling": scaling, "information": information}
-    tracker = ParameterTracker(
-        OutputError(plant.order, plant.order),
-        theta=plant.theta if plant.start is None else plant.start,
-        P=plant.P0,
-        Q=plant.Q,
-        R=total if name == KALMAN_TOTAL else plant.variance,
-        gradient=plant.gradient,
-        guard=plant.guard,
-        **choices,
-    )
-    if name != LABELS:
-        result = tracker.run(y, u)
-        return result.theta, result.prediction
-    path, prediction = np.empty((STEPS, len(plant.theta))), np.empty(STEPS)
-    for k in range(STEPS):
-        tracker.filter.R[0, 0] = plant.variance * (100 if is_outlier[k] else 1)
-        prediction[k] = tracker.update(y[k], u[k]).prediction
-        path[k] = tracker.theta
-    return path, prediction
-
-
-def _response_error(estimate: np.ndarray, theta: np.ndarray, order: int) -> float:
-    """Return ||G_hat - G|| / ||G|| over a grid of frequencies."""
-    found, true = (
-        scipy.signal.freqz(np.r_[0, t[order:]], np.r_[1, t[:order]], FREQUENCIES)[1] for t in (estimate, theta)
-    )
-    return float(np.linalg.norm(found - true) / np.linalg.norm(true))
+def _response_error(estimates: np.ndarray, theta: np.ndarray, order: int) -> np.ndarray:
+    """Return ||G_hat - G|| / ||G|| over a grid of frequencies for each row of estimates."""
+    delays = np.exp(-1j * np.outer(np.arange(1, order + 1), FREQUENCIES))
+    # numpy warns of complex NaN, of which the row of a tracker that refused is full.
+    with np.errstate(invalid="ignore"):
+        found, true = ((t[..., order:] @ delays) / (1 + t[..., :order] @ delays) for t in (estimates, theta))
+        return np.linalg.norm(found - true, axis=-1) / np.linalg.norm(true)
 
 
 def _information(theta: np.ndarray, u: np.ndarray, y: np.ndarray, order: int, variance: float) -> np.ndarray:
     """Return g g' / variance, g the derivative of the noise-free output, phi filtered by 1/A."""
-    gradient, past = np.zeros((STEPS + order, 2 * order)), np.concatenate((np.zeros((order, 2)), np.c_[-y, u]))
-    for k in range(STEPS):
-        recent = past[k : k + order][::-1]
-        gradient[k + order] = np.r_[recent[:, 0], recent[:, 1]] - theta[k, :order] @ gradient[k : k + order][::-1]
-    g = gradient[order:]
+    g = OutputError(order, order).regressors(u, y)
+    # Row k of a banded triangular system: g(k) + a_1(k) g(k-1) + .. + a_n(k) g(k-n) = phi(k).
+    bands = np.ones((order + 1, len(theta)))
+    for lag in range(1, order + 1):
+        bands[lag, :-lag] = theta[lag:, lag - 1]
+    for column in g.T:
+        column[:] = dtbsv(order, bands, column, lower=1, diag=1)
     return g[:, :, None] * g[:, None, :] / variance
 
 
-def bounds(information: np.ndarray, plant: Plant) -> tuple[np.ndarray, float]:
+class Limits(NamedTuple):
+    """What no estimator can do better than."""
+
+    bayesian: np.ndarray  # (steps,), of ||error||^2 with the prior
+    without_prior: float  # of ||error|| after all samples, of an unbiased estimator
+
+
+def bounds(information: np.ndarray, plant: Plant) -> Limits:
     """Return the Bayesian bound of ||error||^2 after each sample, and the Cramer-Rao bound without a prior.
 
     The first takes the information averaged over runs, which lightly damped plants rule: it is valid and loose. The
     second is the median over runs, for theta that stands still. Both have the noise's Fisher information (30).
     """
-    if plant.contamination:
-        noise = EpsilonContaminated(plant.contamination, 1.0, 10.0)
-        x = np.linspace(-60, 60, 60001)
-        p = noise.pdf(x)
-        information = information * np.trapezoid(np.gradient(p, x) ** 2 / np.maximum(p, 1e-300), x)
+    information = information * _fisher(plant.contamination)
     mean = information.mean(axis=0)
-    n = mean.shape[1]
-    J, bound = np.eye(n) / plant.P0, np.empty(STEPS)
+    drift = plant.Q * np.eye(mean.shape[1])
+    P, bound = plant.P0 * np.eye(mean.shape[1]), np.empty(STEPS)
     for k in range(STEPS):
-        J = np.linalg.inv(np.linalg.inv(J) + plant.Q * np.eye(n)) + mean[k]
-        bound[k] = np.trace(np.linalg.inv(J))
+        P = np.linalg.inv(np.linalg.inv(P + drift) + mean[k])
+        bound[k] = np.trace(P)
     without_prior = np.trace(np.linalg.inv(information.sum(axis=1)), axis1=1, axis2=2)
-    return bound, float(np.sqrt(np.median(without_prior)))
+    return Limits(bound, float(np.sqrt(np.median(without_prior))))
+
+
+@lru_cache
+def _fisher(contamination: float) -> float:
+    """Return the Fisher information (30) of the noise in units of that of its ordinary part."""
+    if not contamination:
+        return 1.0
+    noise, x = EpsilonContaminated(contamination, 1.0, 10.0), np.linspace(-60, 60, 60001)
+    p = noise.pdf(x)
+    return float(np.trapezoid(np.gradient(p, x) ** 2 / np.maximum(p, 1e-300), x))
 
 
 INPUT = binary_input()

@@ -19,6 +19,7 @@ from identification import (
     TRACKERS,
     UNIT_EXPECTED,
     WELL,
+    Limits,
     Plant,
     Run,
     bounds,
@@ -59,24 +60,29 @@ def make(options: Options) -> Part:
         if options.wants(*range(first, first + 4)):
             plant = replace(SECTION4, contamination=contamination)
             found[contamination] = run = study(plant, options.runs, options)
-            _figures(part, run, plant, first, options)
-            part.text.append(_table(run, plant))
+            limits = bounds(run.information, plant)
+            _figures(part, run, plant, limits, first, options)
+            part.text.append(_table(run, plant, limits))
     if options.only is None:
-        found[0.0] = study(replace(SECTION4, contamination=0.0), options.runs, options)
-        part.text.append(_table(found[0.0], replace(SECTION4, contamination=0.0)))
+        plant = replace(SECTION4, contamination=0.0)
+        found[0.0] = study(plant, options.runs, options)
+        part.text.append(_table(found[0.0], plant, bounds(found[0.0].information, plant)))
         part.claims += _claims(found, SECTION4, options)
         well = {}
         for contamination in (0.0, 0.05, 0.1, 0.15):
             plant = replace(WELL, contamination=contamination)
-            well[contamination] = study(plant, options.runs, options)
-            part.text.append(_table(well[contamination], plant))
-        part.save(_error_figure(well[0.1], WELL), "well_conditioned.png", "The plant where theta can be told.", options)
+            well[contamination] = run = study(plant, options.runs, options)
+            limits = bounds(run.information, plant)
+            part.text.append(_table(run, plant, limits))
+            if contamination == WELL.contamination:
+                caption = "The plant where theta can be told."
+                part.save(_error_figure(run, limits), "well_conditioned.png", caption, options)
         part.claims += _claims(well, WELL, options, INNOVATION)
         part.text.append(_sensitivity(options))
     return part
 
 
-def _figures(part: Part, run: Run, plant: Plant, first: int, options: Options) -> None:
+def _figures(part: Part, run: Run, plant: Plant, limits: Limits, first: int, options: Options) -> None:
     """Save output, a_i, b_i and error of one contamination."""
     level = f"contamination {plant.contamination:g}"
     if options.wants(first):
@@ -100,14 +106,14 @@ def _figures(part: Part, run: Run, plant: Plant, first: int, options: Options) -
             part.save(figure, f"fig{first + offset:02d}.png", f"Estimates of {letter}_i, one run, {level}.", options)
     if options.wants(first + 3):
         caption = f"ln ||theta_hat - theta||^2, {level}, with the Bayesian bound (prior) and the Cramer-Rao bound."
-        part.save(_error_figure(run, plant), f"fig{first + 3:02d}.png", caption, options)
+        part.save(_error_figure(run, limits), f"fig{first + 3:02d}.png", caption, options)
 
 
-def _error_figure(run: Run, plant: Plant) -> plt.Figure:
+def _error_figure(run: Run, limits: Limits) -> plt.Figure:
     """Draw the log squared error of one run and of all, beside the bounds."""
     figure, axes = plt.subplots(1, 2, figsize=(10, 4.6), sharey=True, layout="constrained")
     logs = np.log(squared(run))
-    bound, without_prior = bounds(run.information, plant)
+    bound, without_prior = limits
     for column, axis in enumerate(axes):
         for name, style in STYLE.items():
             values = logs[:, TRACKERS.index(name)]
@@ -126,10 +132,10 @@ def _error_figure(run: Run, plant: Plant) -> plt.Figure:
     return figure
 
 
-def _table(run: Run, plant: Plant) -> str:
+def _table(run: Run, plant: Plant, limits: Limits) -> str:
     """Say what every tracker did at one contamination."""
     error = np.sqrt(squared(run)[:, :, LATE].mean(axis=2))
-    bound, without_prior = bounds(run.information, plant)
+    bound, without_prior = limits
     rows = []
     for i, name in enumerate(TRACKERS):
         refused = int(np.isnan(error[:, i]).sum())

@@ -13,6 +13,7 @@ from pathlib import Path
 import excitation
 import identification_report
 import matplotlib
+import speed
 import state_estimation
 from report import Options, write_report
 
@@ -37,8 +38,8 @@ PARTS = (
 )
 
 
-def main(argv: list[str] | None = None) -> Path:
-    """Make every part asked for, and the report; return the report's path."""
+def main(argv: list[str] | None = None) -> Path | None:
+    """Make every part asked for, and the report; return the report's path, None for a comparison of durations."""
     from tqdm import tqdm
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -47,9 +48,15 @@ def main(argv: list[str] | None = None) -> Path:
     parser.add_argument("--jobs", type=int, default=-1, help="processes, -1 for one per processor (the default)")
     parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "output" / "paper")
     parser.add_argument("--only", type=int, nargs="+", metavar="FIG", help="numbers of figures, 2 to 19")
+    parser.add_argument(
+        "--compare-loop", action="store_true", help="only time both studies against a Python loop over the samples"
+    )
     args = parser.parse_args(argv)
     if args.runs < 2 or (args.only and not set(args.only) <= set(range(2, 20))):
         parser.error("--runs must be at least 2, --only takes figures 2 to 19")
+    if args.compare_loop:
+        print(speed.report(args.runs, args.seed))
+        return None
     matplotlib.use("Agg")
     # The folder of these modules, for processes that joblib starts.
     here = str(Path(__file__).resolve().parent)

@@ -13,11 +13,12 @@ import numpy as np
 from report import Claim, Options, Part, geometric_ratio, judged, markdown_table, ratio_interval, shown
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from state_estimation_study import FILTERS, KALMAN, LABELS, Setting, study
+from state_estimation_study import FILTERS, KALMAN, LABELS, Setting, on_threads, study
 
 from robust_filterpy import Huber
 
 STEPS, INITIAL = 200, 20
+USUAL, UNCERTAIN = Setting("contamination 0.1"), Setting("P0 = 10 I", P0=10.0)
 T_EXPECTED, T_REALIZED, UNIT_EXPECTED, UNIT_REALIZED = FILTERS[2:6]
 STYLE = {
     KALMAN: dict(color="0.6", linestyle="-", linewidth=1.2, label="Kalman, nominal R"),
@@ -38,7 +39,7 @@ def make(options: Options) -> Part:
         part.save(influence_figure(), "fig02.png", caption, options)
     if not options.wants(3, 4):
         return part
-    errors = study(Setting("contamination 0.1"), options.runs, STEPS, options.seed, options.jobs)
+    errors = study(USUAL, options.runs, STEPS, options.seed, on_threads(options.jobs))
     for number, names in COMPARED.items():
         if options.wants(number):
             caption = f"One run as in the paper, and median with quartile band of {options.runs} runs."
@@ -96,7 +97,7 @@ def claims(x1: np.ndarray, total: np.ndarray, options: Options) -> list[Claim]:
 
 def broken_unit(options: Options) -> Claim:
     """Count the runs in which T = 1 would make P indefinite from an uncertain start."""
-    errors = study(Setting("P0 = 10 I", P0=10.0), options.runs, STEPS, options.seed, options.jobs)
+    errors = study(UNCERTAIN, options.runs, STEPS, options.seed, on_threads(options.jobs))
     x1 = errors[..., 0] ** 2
     refused = int(np.isnan(by_name(x1, UNIT_REALIZED)).sum())
     ratio = geometric_ratio(by_name(x1, T_REALIZED), by_name(x1, LABELS), options.seed)
