@@ -322,7 +322,7 @@ class TrackerBank:
             scaling=choices.scaling,
             information=choices.information,
         )
-        tracker.restore(self._row(self.state(), i))
+        tracker.restore(self._row(self._arrays(), i))
         return tracker
 
     # The recursion.
@@ -419,9 +419,8 @@ class TrackerBank:
         prediction = rowwise(phi, theta)
         G, filtered, gradients = self._gain_regressor(phi, theta, past.gradients)
         theta, P, weights = self._corrected(theta, P, G, filtered, y, prediction, R)
-        events = np.zeros(self.n, dtype=np.int64)
-        if layout.part is not None:
-            free = (self._guard == "none") | ~self._enabled
+        events, free = np.zeros(self.n, dtype=np.int64), (self._guard == "none") | ~self._enabled
+        if layout.part is not None and not free.all():
             theta, events = all_restrained(theta, now.theta, layout.part, free, self._guard == "halve")
         after = rowwise(phi, theta)
         outputs, residuals = past.outputs, past.residuals
@@ -514,10 +513,7 @@ class TrackerBank:
             What `ParameterTracker.state` returns, with a leading axis of n; Q and F without it if they are shared.
             ``numpy.savez(file, **state)`` stores it.
         """
-        theta, P, past = self._now
-        arrays = {"theta": theta, "P": P, **past._asdict(), "enabled": self._enabled, "Q": self.Q, "F": self.F}
-        arrays |= {"R": np.broadcast_to(self.R, self.n), "alpha_sq": self._alpha_sq}
-        return {name: np.array(value) for name, value in arrays.items()}
+        return {name: np.array(value, order="C") for name, value in self._arrays().items()}
 
     def restore(self, state: Any) -> None:
         """Go back to a state of this bank, or of another one with the same n and structure.
@@ -553,6 +549,12 @@ class TrackerBank:
     def reset(self) -> None:
         """Go back to the start: theta, P, Q, R, F and the memory as they were when the bank was made."""
         self.restore(self._initial)
+
+    def _arrays(self) -> dict[str, Array]:
+        """Return the arrays of `state`, not copied."""
+        theta, P, past = self._now
+        arrays = {"theta": theta, "P": P, **past._asdict(), "enabled": self._enabled, "Q": self.Q, "F": self.F}
+        return arrays | {"R": np.broadcast_to(self.R, self.n), "alpha_sq": self._alpha_sq}
 
     def _row(self, state: dict[str, Array], i: int) -> dict[str, Array]:
         """Return the state of one actuator's tracker."""
