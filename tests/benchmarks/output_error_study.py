@@ -1,6 +1,6 @@
 """How well output-error models are tracked through outliers: gradients, guards, and the paper's own example.
 
-    python tests/benchmarks/output_error_study.py [gradients] [guards] [paper] [armax] [--runs 400] [--jobs 2] [--seed 0]
+    python tests/benchmarks/output_error_study.py [gradients] [guards] [paper] [armax] [--runs N] [--jobs 2] [--seed 0]
 
 prints the tables that the docstrings of `ParameterTracker` cite, and for each target whether it is met.
 """
