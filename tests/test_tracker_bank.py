@@ -423,6 +423,24 @@ def test_frozen_actuators_predict_and_do_not_learn(structure):
     assert bank.enabled.tolist() == [True, True, True, False, True]
 
 
+@pytest.mark.parametrize("guard", GUARDS)
+@pytest.mark.parametrize("gradient", GRADIENTS)
+def test_models_made_unstable_by_hand_stay_in_the_range_of_floats_as_in_the_loop(gradient, guard):
+    y, u = recording(OutputError(1, 1))
+    bank = TrackerBank(N, OutputError(1, 1), guard=guard, gradient=gradient, P=1.0)
+    theta = np.column_stack([np.linspace(-30.0, 0.5, N), np.ones(N)])
+    bank.restore({**bank.state(), "theta": theta})
+    for enabled in (False, True):
+        bank.enabled = enabled
+        trackers = [bank.tracker(i) for i in range(N)]
+        result = bank.run(y, u)
+        assert np.isfinite(result.prediction).all() and np.isfinite(result.theta).all()
+        # What a model of the size 1e100 that adapts without a guard does next is rounding.
+        for i in range(0 if guard == "none" and enabled else N):
+            close(result.tracker(i), trackers[i].run(y[:, i], u[:, i]))
+            close([bank.state()["outputs"][i]], [trackers[i].state()["outputs"]])
+
+
 @pytest.mark.parametrize("structure", STRUCTURES, ids=str)
 def test_pickle_and_state_continue_bit_for_bit(structure):
     y, u = recording(structure)
