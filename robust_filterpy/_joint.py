@@ -11,8 +11,10 @@ for them. The tests hold it to the definition.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
+import numpy as np
 from scipy.linalg import blas, lapack
 
 from robust_filterpy._checks import Array
@@ -45,7 +47,13 @@ class JointCorrection(NamedTuple):
 def applies(H: Array, choices: Choices) -> bool:
     """Whether `correct_jointly` can take the place of `correct` if y is neither missing nor enormous."""
     # A sensor that the state has no part in stands outside the group.
-    return choices.by_length and (choices.is_linear or all(map(any, H.tolist())))
+    return choices.by_length and (choices.is_linear or _all_seen(H.tobytes(), len(H)))
+
+
+@lru_cache(maxsize=256)
+def _all_seen(content: bytes, m: int) -> bool:
+    """Whether the state has a part in every sensor: by the bytes of H, since most users never write into it."""
+    return bool(np.frombuffer(content).reshape(m, -1).any(axis=1).all())
 
 
 def correct_jointly(
@@ -66,7 +74,7 @@ def correct_jointly(
         along, slope, across, radial = choices.of_length(length, len(y))
     share = along / length if length > 0.0 else 1.0
     step = K.dot(y)
-    x_post = x + share * step
+    x_post = x + (step if share == 1.0 else share * step)
     if across == radial == 0.0:
         return JointCorrection(x_post, P.copy(), y, S, K, share, slope)
     if across == radial == 1.0:
@@ -75,9 +83,8 @@ def correct_jointly(
     informed = across * gain
     if radial != across:
         informed = blas.dger((radial - across) / square, s, step, a=informed, overwrite_a=True)
-    P_post = joseph(P, H, R, informed.T, M)
     # D - D^2 = (1 - a) D + r (a - r) e e'/|e|^2, what psi leaves unused
-    P_post += ((1.0 - across) * C).dot(informed)
+    P_post = joseph(P, H, R, informed.T, M, (1.0 - across) * C)
     rest = radial * (across - radial)
     if rest:
         P_post += (rest / square * step[:, None]).dot(step[None])

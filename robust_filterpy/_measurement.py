@@ -15,17 +15,18 @@ from robust_filterpy._checks import FLOAT, Array
 def state_of(kf: Any) -> tuple[Array, Array]:
     """Return x, shape (n,) or (n, 1), and P, shape (n, n), as float arrays."""
     x, P, n = kf.x, kf.P, kf.dim_x
-    if not (type(x) is np.ndarray and x.dtype is FLOAT and x.shape in ((n, 1), (n,))):
-        x = _checks.numbers("x", x)
-        if x.ndim == 0 and n == 1:
-            x = x.reshape(1)
-        if x.shape not in ((n, 1), (n,)):
-            raise ValueError(f"x: expected shape {(n, 1)} or {(n,)} for dim_x={n}, got {_checks.described(x)}")
-    if not (type(P) is np.ndarray and P.dtype is FLOAT and P.shape == (n, n)):
-        if np.ndim(P) == 0 and P is not None:
-            # filterpy multiplies by P, so there a scalar acts as P I.
-            P = _checks.real("P", P) * np.eye(n)
-        P = _checks.matrix("P", P, (n, n), f"dim_x={n}")
+    if type(x) is type(P) is np.ndarray and x.dtype is P.dtype is FLOAT:
+        if P.shape == (n, n) and (x.shape == (n, 1) or x.shape == (n,)):
+            return x, P
+    x = _checks.numbers("x", x)
+    if x.ndim == 0 and n == 1:
+        x = x.reshape(1)
+    if x.shape not in ((n, 1), (n,)):
+        raise ValueError(f"x: expected shape {(n, 1)} or {(n,)} for dim_x={n}, got {_checks.described(x)}")
+    if np.ndim(P) == 0 and P is not None:
+        # filterpy multiplies by P, so there a scalar acts as P I.
+        P = _checks.real("P", P) * np.eye(n)
+    P = _checks.matrix("P", P, (n, n), f"dim_x={n}")
     return x, P
 
 

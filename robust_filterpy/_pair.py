@@ -20,7 +20,7 @@ Triple = tuple[float, float, float]
 
 
 class PairCorrection(NamedTuple):
-    """`Correction` for m = 2: floats for what has shape (2,) or (2, 2) there, C for K, and x in its own shape."""
+    """`Correction` for m = 2: floats for what has shape (2,) or (2, 2) there, and C for K."""
 
     x: Array
     P: Array
@@ -37,7 +37,7 @@ class PairCorrection(NamedTuple):
         x, P, C, y, S, triple, e, psi, slope = self
         T, vectors = _square(triple), np.array([y, e, psi])
         K = C.dot(T).dot(T)
-        return Correction(x.ravel(), P, vectors[0], _square(S), None, K, T, vectors[1], vectors[2], list(slope))
+        return Correction(x, P, vectors[0], _square(S), None, K, T, vectors[1], vectors[2], list(slope))
 
 
 def applies(y: list[float], choices: Choices) -> bool:
@@ -55,7 +55,7 @@ def applies(y: list[float], choices: Choices) -> bool:
 def correct_pair(
     x: Array, P: Array, y: list[float], H: Array, R: Array, choices: Choices, M: Array | None = None
 ) -> PairCorrection:
-    """Correct by two observed numbers y: x has shape (n,) or (n, 1), H (2, n); `applies` must be true."""
+    """Correct by two observed numbers y: x has shape (n,), H (2, n); `applies` must be true."""
     C = P.dot(H.T)
     (a, b), (_, c) = H.dot(C).tolist()
     (ra, rb), (_, rc) = R.tolist()
@@ -69,8 +69,7 @@ def correct_pair(
     e = p * v + q * w, q * v + r * w
     psi, slope, (d, h) = _bound(e, choices)
     v, w = psi
-    moved = C.dot(np.array([p * v + q * w, q * v + r * w]))
-    x_post = x + (moved[:, None] if x.ndim == 2 else moved)
+    x_post = x + C.dot(np.array([p * v + q * w, q * v + r * w]))
     if d or h:
         # C T D T, the informed gain
         P_post = joseph(P, H, R, C.dot(_congruent(p, q, r, d, h)), M)

@@ -132,9 +132,11 @@ class Choices:
         """Apply psi to each component."""
         if self.pointwise is not None and len(e) <= 8:
             function, a, b, c = self.pointwise
-            values = e.tolist()
-            pairs = [function(v, a, b, c) for v in values]
-            moved, slope = [p for p, _ in pairs], [d for _, d in pairs]
+            values, moved, slope = e.tolist(), [], []
+            for value in values:
+                p, d = function(value, a, b, c)
+                moved.append(p)
+                slope.append(d)
             psi = e if moved == values else np.array(moved)
         else:
             e = np.clip(e, -_SAFE, _SAFE) if self.pointwise is None else e
@@ -143,7 +145,7 @@ class Choices:
         if self.information == "expected":
             return psi, [self.expected] * len(e), slope
         D = slope if self.information == "realized" else ratio(psi, e).tolist()
-        if min(D) < 0.0 or max(D) > 1.0:
+        if D.count(1.0) + D.count(0.0) < len(D):
             D = [min(max(d, 0.0), 1.0) for d in D]
         return psi, D, slope
 

@@ -28,6 +28,7 @@ from robust_filterpy.batch import filter_recording
 from robust_filterpy.correction import (
     SAFE,
     Correction,
+    Observed,
     ScalarCorrection,
     correct,
     correct_observed,
@@ -321,24 +322,24 @@ class RobustKalmanFilter(Robust, KalmanFilter):
 
     def _corrected(
         self, x: Array, P: Array, values: Any, H: Array, R: Array, M: Any
-    ) -> Correction | ScalarCorrection | _pair.PairCorrection | _joint.JointCorrection:
+    ) -> Correction | Observed | ScalarCorrection | _pair.PairCorrection | _joint.JointCorrection:
         """Return the correction of x by checked values; changes nothing."""
         inv, choices = self._inverse, self._choices
-        predicted = H.dot(x)
         if len(H) == 1:
+            predicted = H.dot(x)
             y = values - predicted.item()
             if y - y != 0.0 and not np.isfinite(predicted).all():
                 raise ValueError(f"x: expected finite numbers, got H x = {predicted.ravel()}")
             if inv is None and choices.pointwise is not None and y == y:
                 return correct_scalar(x, P, y, H, R.item(), choices, M)
             return correct(x.ravel(), P, np.array([y]), H, R, choices, M, inv)
+        x = x.ravel()
+        predicted = H.dot(x)
         if len(H) == 2 and inv is None and not choices.by_length:
-            (v, w), (a, b) = values.tolist(), predicted.ravel().tolist()
+            (v, w), (a, b) = values.tolist(), predicted.tolist()
             pair = [v - a, w - b]
             if _pair.applies(pair, choices):
                 return _pair.correct_pair(x, P, pair, H, R, choices, M)
-        if x.ndim == 2:
-            x, predicted = x[:, 0], predicted[:, 0]
         y = values - predicted
         size = sum(map(abs, y.tolist()))
         if size < SAFE:

@@ -19,7 +19,8 @@ from robust_filterpy import Linear, RobustKalmanFilter
 SIZES = ((1, 1), (4, 1), (4, 2), (7, 4), (20, 5))
 TARGETS = {(4, 1): 0.75, (4, 2): 1.0, (7, 4): 1.2}
 VARIANTS = {"robust": {}, "Linear()": {"influence": Linear()}, "joint": {"grouping": "joint"}}
-STEPS, TURNS = 100, 150
+# A turn is shorter than the slice of time that a busy machine gives a process.
+STEPS, TURNS = 30, 500
 
 
 def built(cls, dim_x, dim_z, **choices):
