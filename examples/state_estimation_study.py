@@ -138,13 +138,17 @@ def filtered(
 
     In a unit ten times smaller every number is 10 times, every variance 100 times as large.
     """
-    square = setting.unit**2
+    square, data = setting.unit**2, setting.unit * z[..., None]
     Q, R, P0 = square * W, variances(name, setting, is_outlier), square * setting.P0 * np.eye(4)
+    rows = H
+    if R.ndim > 2:
+        # A sample and its row of H divided by the deviation of its noise: one R for all is checked once.
+        deviation = np.sqrt(R)
+        data, rows, R = data / deviation[..., 0], H / deviation, np.eye(1)
     try:
         return filter_series(
-            setting.unit * z[..., None], F, H, Q, R, np.zeros(4), P0,
-            covariance="none", n_threads=threads, **choices(name, setting),
-        ).x  # fmt: skip
+            data, F, rows, Q, R, np.zeros(4), P0, covariance="none", n_threads=threads, **choices(name, setting)
+        ).x
     except NotPositiveDefiniteError:
         if len(z) == 1:
             return np.full((*z.shape, 4), np.nan)
