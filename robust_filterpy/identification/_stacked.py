@@ -14,6 +14,9 @@ from robust_filterpy.identification._memory import LARGEST, Layout
 from robust_filterpy.identification._sharpness import _SHARPEST
 from robust_filterpy.identification.guard import MOST_HALVINGS
 
+# So many halvings are tried at once: numpy's calls cost more than a few more polynomials.
+_TOGETHER = 6
+
 
 class Past(NamedTuple):
     """Past signals of n actuators, newest first; each array of a `Memory` with a leading axis, never written into."""
@@ -61,6 +64,9 @@ def all_pushed(past: Array, newest: Array) -> Array:
 
 def all_bounded(values: Array) -> Array:
     """Return values, at most LARGEST in size; NaN becomes 0."""
+    # False for NaN as well.
+    if np.abs(values).max() <= LARGEST:
+        return values
     return np.clip(np.nan_to_num(values, posinf=LARGEST, neginf=-LARGEST), -LARGEST, LARGEST)
 
 
@@ -75,14 +81,15 @@ def all_gradients(phi: Array, coefficients: Array, past: Array) -> Array:
 
 def are_stable(coefficients: Array) -> np.ndarray:
     """Tell of each row c_1 .. c_m whether z^m + c_1 z^(m-1) + .. + c_m is stable, as `is_stable` does."""
-    c = np.array(coefficients.T)
+    c = np.ascontiguousarray(coefficients.T)
     stable = np.ones(c.shape[1], dtype=bool)
     # The rows that have failed go on, to no avail: their divisors may be 0.
     with np.errstate(all="ignore"):
         while len(c):
             c, k = c[:-1], c[-1]
             stable &= np.abs(k) < 1.0
-            c = (c - k * c[::-1]) / (1.0 - k * k)
+            if len(c):
+                c = (c - k * c[::-1]) / (1.0 - k * k)
     return stable
 
 
@@ -97,18 +104,20 @@ def all_restrained(
     failed = ~(are_stable(theta[:, part]) | free)
     if not failed.any():
         return theta, events
-    theta = theta.copy()
     left = np.flatnonzero(failed & halves)
     step = theta[left] - old[left]
-    events[failed], theta[failed] = -1, old[failed]
-    for halvings in range(1, MOST_HALVINGS + 1):
+    theta = np.where(failed[:, None], old, theta)
+    events[failed] = -1
+    for first in range(1, MOST_HALVINGS + 1, _TOGETHER):
         if left.size == 0:
             break
-        step *= 0.5
-        shorter = old[left] + step
-        stable = are_stable(shorter[:, part])
-        theta[left[stable]], events[left[stable]] = shorter[stable], halvings
-        left, step = left[~stable], step[~stable]
+        halvings = np.arange(first, min(first + _TOGETHER, MOST_HALVINGS + 1))
+        shorter = old[left] + 0.5 ** halvings[:, None, None] * step
+        stable = are_stable(shorter[:, :, part].reshape(-1, part.stop - part.start)).reshape(halvings.size, -1)
+        found, at = stable.any(axis=0), stable.argmax(axis=0)
+        theta[left[found]] = shorter[at[found], np.flatnonzero(found)]
+        events[left[found]] = halvings[at[found]]
+        left, step = left[~found], step[~found]
     return theta, events
 
 
