@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 from robust_filterpy import Hampel, Huber, Linear, StudentT, TukeyBiweight
 from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError, ParameterTracker
+from robust_filterpy.identification._memory import bounded
 from robust_filterpy.identification._sharpness import SHARP, repaired, tempering
-from robust_filterpy.identification._stacked import all_repaired, all_restrained, all_tempering, are_stable
+from robust_filterpy.identification._stacked import all_bounded, all_repaired, all_restrained, all_tempering, are_stable
 from robust_filterpy.identification.bank import TrackerBank
 from robust_filterpy.identification.guard import GUARDS, is_stable, restrained
 from robust_filterpy.identification.tracker import GRADIENTS
@@ -508,9 +509,8 @@ def test_state_of_another_bank_is_refused(state):
 
 def polynomials(order):
     """Rows of coefficients."""
-    return st.lists(
-        st.lists(st.floats(-3, 3) | st.just(np.nan), min_size=order, max_size=order), min_size=1, max_size=8
-    )
+    row = st.lists(st.floats(-3, 3) | st.sampled_from([-1.0, 0.0, 1.0, np.nan]), min_size=order, max_size=order)
+    return st.lists(row, min_size=1, max_size=8)
 
 
 @settings(max_examples=100, deadline=None)
@@ -533,6 +533,11 @@ def test_restraining_many_is_restraining_each(seed, order):
         expected, event = restrained(theta[i].copy(), old[i], part, guard)
         np.testing.assert_array_equal(moved[i], expected)
         assert events[i] == event
+
+
+def test_bounding_many_is_bounding_each():
+    for values in ([1.0, np.nan], [np.inf, 3.0, -np.inf], [1e200, -1e101, 1e99], [-1e100, 1e100]):
+        same([all_bounded(np.array(values))], [[bounded(value) for value in values]])
 
 
 def test_tempering_and_repair_of_many_are_those_of_each():
