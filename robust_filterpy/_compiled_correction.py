@@ -15,10 +15,9 @@ import numpy as np
 from robust_filterpy import _compiled_places as at
 from robust_filterpy._compiled_products import (
     copy_rows,
-    mirror,
     product,
     product_added,
-    transposed_product_added,
+    symmetric_transposed_product_added,
 )
 from robust_filterpy._compiled_psi import bound_components, bound_length, compiled, inlined, length_of, rho
 from robust_filterpy._compiled_roots import inverse_root
@@ -190,20 +189,19 @@ def _covariance(w, P, P_next, diagonal, ones, defective, n, m):
         GD_T = at.GD_T
         _use_part(w, diagonal, n, m)
     product(w, at.K_T, at.T, GD_T, m, m, n)
-    transposed_product_added(w, at.WORK, P, -1.0, at.C_T, at.K_T, n, m, n, at.WHOLE)
+    symmetric_transposed_product_added(w, at.WORK, P, -1.0, at.C_T, at.K_T, n, m)
     product(w, at.B, at.H, at.WORK, m, n, n)
     product_added(w, at.B, at.B, -1.0, at.R, at.K_T, m, m, n)
-    transposed_product_added(w, P_next, at.WORK, -1.0, at.K_T, at.B, n, m, n, at.HALF)
+    symmetric_transposed_product_added(w, P_next, at.WORK, -1.0, at.K_T, at.B, n, m)
     if defective:
         product(w, at.B, at.DEFECT, GD_T, m, m, n)
-        transposed_product_added(w, P_next, P_next, 1.0, GD_T, at.B, n, m, n, at.HALF)
+        symmetric_transposed_product_added(w, P_next, P_next, 1.0, GD_T, at.B, n, m)
     if not ones and _write_unused(w, diagonal, m):
         product(w, at.B, at.A, at.G_T, m, m, n)
-        transposed_product_added(w, P_next, P_next, 1.0, at.G_T, at.B, n, m, n, at.HALF)
-    mirror(w, P_next, n)
+        symmetric_transposed_product_added(w, P_next, P_next, 1.0, at.G_T, at.B, n, m)
 
 
-@compiled
+@inlined
 def correct(w, r, x, P, x_next, P_next, n, m_all, index, last):
     """Correct x and P by z; return the log-likelihood, NaN if that was no ordinary step, and the number observed."""
     m = _observed(w, n, m_all, index, last)

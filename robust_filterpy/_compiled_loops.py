@@ -15,10 +15,9 @@ from robust_filterpy import _compiled_places as at
 from robust_filterpy._compiled_correction import Rule, correct
 from robust_filterpy._compiled_products import (
     copy_rows,
-    mirror,
     product,
     product_added,
-    transposed_product_added,
+    symmetric_transposed_product_added,
 )
 from robust_filterpy._compiled_psi import compiled, influence, inlined
 
@@ -62,8 +61,7 @@ def _predict(w, x, P, x_next, P_next, n, alpha_sq):
     """Write F x + B u and alpha^2 F P F' + Q."""
     product_added(w, x_next, at.CONTROL, 1.0, x, at.F_T, at.ONE, n, n)
     product(w, at.WORK, P, at.F_T, n, n, n)
-    transposed_product_added(w, P_next, at.Q, alpha_sq, at.F_T, at.WORK, n, n, n, at.HALF)
-    mirror(w, P_next, n)
+    symmetric_transposed_product_added(w, P_next, at.Q, alpha_sq, at.F_T, at.WORK, n, n)
 
 
 @inlined
@@ -81,7 +79,7 @@ def _finite(w, x, P, n):
     return total - total == 0.0
 
 
-@compiled
+@inlined
 def _keep(w, x, P, n, s, row, means, covariances):
     """Store a mean, and a covariance whole, its diagonal, or nothing, as the room for it says."""
     if means.shape[1]:
@@ -106,25 +104,14 @@ def _keep_weights(w, m, m_all, index, s, row, weights):
             weights[s, row, index[i]] = w[at.WEIGHT, 0, i]
 
 
-@_jit
-def recurse(
-    zs, F, Q, H, R, bu, alpha_sq, x, P, rule, parameters, expected, normalizer,
+@compiled
+def _run(
+    w, r, index, last, zs, F, Q, H, R, bu, alpha_sq, x, P, first, every,
     start, low, high, means, covariances, means_p, covariances_p, weights, log_likelihood, done,
 ):  # fmt: skip
-    """Advance series low..high-1 from step start; x and P go in and come out, done says how many steps were taken.
-
-    Leading axes of length 1 serve every series or step. rule: kind, scaling, information, grouping, update_first,
-    every, whether the likelihood is wanted.
-    """
+    """Advance series low..high-1 in the working array."""
     steps, m_all, n = zs.shape[1], zs.shape[2], x.shape[1]
-    a, b, c = parameters
-    r = Rule(rule[0], rule[1], rule[2], rule[3], rule[6], a, b, c, expected[0], normalizer[1])
-    first, every = rule[4] == 1, rule[5]
-    rows = max(n, m_all)
-    w = np.zeros((at.COUNT, rows, (rows + 3) // 4 * 4))
-    index, last = np.zeros(m_all, np.int64), np.zeros(3, np.int64)
-    for i in range(m_all):
-        w[at.EXPECTED, 0, i], w[at.NORMALIZER, 0, i] = expected[i + 1], normalizer[i + 1]
+    from_x, from_P = (at.X0, at.P0) if first else (at.X1, at.P1)
     for s in range(low, high):
         for i in range(n):
             w[at.X0, 0, i] = x[s, i]
@@ -136,12 +123,11 @@ def recurse(
             _load_model(w, F, Q, H, R, bu, s, k, k == start, last)
             for i in range(m_all):
                 w[at.Z, 0, i] = zs[s, k, i]
-            if first:
-                ll, m = correct(w, r, at.X0, at.P0, at.X1, at.P1, n, m_all, index, last)
-                _predict(w, at.X1, at.P1, at.X2, at.P2, n, alpha_sq)
-            else:
+            if not first:
                 _predict(w, at.X0, at.P0, at.X1, at.P1, n, alpha_sq)
-                ll, m = correct(w, r, at.X1, at.P1, at.X2, at.P2, n, m_all, index, last)
+            ll, m = correct(w, r, from_x, from_P, from_x + 1, from_P + 1, n, m_all, index, last)
+            if first:
+                _predict(w, at.X1, at.P1, at.X2, at.P2, n, alpha_sq)
             if math.isnan(ll) or not _finite(w, at.X2, at.P2, n):
                 taken = k
                 break
@@ -159,3 +145,26 @@ def recurse(
             for j in range(n):
                 P[s, i, j] = w[at.P0, i, j]
         done[s] = taken
+
+
+@_jit
+def recurse(
+    zs, F, Q, H, R, bu, alpha_sq, x, P, rule, parameters, expected, normalizer,
+    start, low, high, means, covariances, means_p, covariances_p, weights, log_likelihood, done,
+):  # fmt: skip
+    """Advance series low..high-1 from step start; x and P go in and come out, done says how many steps were taken.
+
+    Leading axes of length 1 serve every series or step. rule: kind, scaling, information, grouping, update_first,
+    every, whether the likelihood is wanted.
+    """
+    m = zs.shape[2]
+    a, b, c = parameters
+    r = Rule(rule[0], rule[1], rule[2], rule[3], rule[6], a, b, c, expected[0], normalizer[1])
+    rows = (max(x.shape[1], m) + 3) // 4 * 4
+    w = np.zeros((at.COUNT, rows, rows))
+    for i in range(m):
+        w[at.EXPECTED, 0, i], w[at.NORMALIZER, 0, i] = expected[i + 1], normalizer[i + 1]
+    _run(
+        w, r, np.zeros(m, np.int64), np.zeros(3, np.int64), zs, F, Q, H, R, bu, alpha_sq, x, P, rule[4] == 1, rule[5],
+        start, low, high, means, covariances, means_p, covariances_p, weights, log_likelihood, done,
+    )  # fmt: skip

@@ -10,7 +10,6 @@ import numpy as np
 
 # Numbers that are passed on are of numpy's type: numba compiles a function anew for each plain one.
 NONE, ONE, FLOAT = np.int64(0), np.int64(1), np.int64(8)
-WHOLE, HALF = np.int64(0), np.int64(1)
 NO, YES = np.int64(0), np.int64(1)
 
 (

@@ -11,8 +11,10 @@ from numba import njit
 from robust_filterpy import _compiled_places as at
 from robust_filterpy import _pointwise
 
-# Only what a run enters by can be called from Python, and has a file in numba's cache.
-_INNER: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+# Only what a run enters by can be called from Python, has a file in numba's cache, and counts references to arrays.
+_INNER: dict[str, Any] = {
+    "nogil": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True, "_nrt": False
+}  # fmt: skip
 compiled = njit(**_INNER)
 inlined = njit(forceinline=True, **_INNER)
 
