@@ -10,6 +10,10 @@ from scipy import stats
 from statsmodels.robust.norms import TrimmedMean
 
 from robust_filterpy import RobustKalmanFilter
+from robust_filterpy.identification import ARX, FIR, OutputError
+from robust_filterpy.identification.structures import Structure
+from robust_filterpy.noise import EpsilonContaminated
+from robust_filterpy.plants import simulate_arx, simulate_output_error, stable
 
 
 class Recording(NamedTuple):
@@ -113,3 +117,35 @@ def level(rng: np.random.Generator, jump: float = 0.0, run: int = 0, size: float
     none = np.zeros(steps, dtype=bool)
     data = (truth[:, None], (truth + v)[:, None], none, none)
     return Recording(one, one, 0.01 * one, one, np.zeros(1), 0.1 * one, *data)
+
+
+class Identification(NamedTuple):
+    """A recording of a plant whose parameters jump, and what no tracker is told."""
+
+    structure: Structure
+    theta: np.ndarray
+    u: np.ndarray
+    y: np.ndarray
+    outliers: np.ndarray
+
+
+JUMP_RATE, JUMP_SIZE = 1.0 / 250.0, 0.3
+
+
+def jumping_parameters(rng: np.random.Generator, kind: str, contamination: float, steps: int) -> Identification:
+    """A plant of four parameters that stand still and then jump, all at once; noise .5, outliers ten times that."""
+    theta = np.empty((steps, 4))
+    inside = (lambda new: True) if kind == "FIR" else stable(2)
+    now = np.array([1.0, 0.5, -0.3, 0.2] if kind == "FIR" else [-1.5, 0.7, 1.0, 0.5])
+    for k in range(steps):
+        if rng.random() < JUMP_RATE:
+            drawn = now + JUMP_SIZE * rng.standard_normal((1000, 4))
+            now = next(new for new in drawn if inside(new))
+        theta[k] = now
+    u = rng.choice([-1.0, 1.0], steps)
+    noise = EpsilonContaminated(contamination, 0.5, 5.0).rvs_labelled(steps, rng)
+    if kind == "FIR":
+        y = np.einsum("ij,ij->i", FIR(4).regressors(u), theta) + noise.values
+        return Identification(FIR(4), theta, u, y, noise.is_outlier)
+    structure, simulated = {"ARX": (ARX(2, 2), simulate_arx), "OE": (OutputError(2, 2), simulate_output_error)}[kind]
+    return Identification(structure, theta, u, simulated(theta, u, noise=noise.values, na=2, nb=2).y, noise.is_outlier)

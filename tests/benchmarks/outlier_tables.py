@@ -1,4 +1,4 @@
-"""Compare filters under outliers: of the measurement, of the process, and after true jumps.
+"""Compare filters under outliers: of the measurement, of the process, after true jumps, and of jumping parameters.
 
 Run ``python tests/benchmarks/outlier_tables.py [--runs N] [--jobs J] [--seed S] [--table NAME]``; each table says
 which problem, how many runs, and gives 95 % bootstrap intervals over the runs, which all filters share.
@@ -14,10 +14,21 @@ from typing import Any
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
-from outlier_problems import errors, errors_with_labels, gate, level, paper, vehicle
+from outlier_problems import (
+    JUMP_RATE,
+    JUMP_SIZE,
+    errors,
+    errors_with_labels,
+    gate,
+    jumping_parameters,
+    level,
+    paper,
+    vehicle,
+)
 
 from robust_filterpy import Hampel, Huber, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.experiments import bootstrap_interval, monte_carlo
+from robust_filterpy.identification import ParameterTracker
 from robust_filterpy.process import NoiseMatchedKalmanFilter
 from robust_filterpy.recovery import RecoveringKalmanFilter
 from robust_filterpy.score import ContaminatedScore
@@ -161,7 +172,50 @@ def recovery_table(runs: int, seed: int, jobs: int) -> None:
         print(f"| {name} | " + " | ".join(cells) + " |")
 
 
-TABLES = {"score": (score_table, 150), "process": (process_table, 20), "recovery": (recovery_table, 20)}
+def parameters_trial(rng: np.random.Generator, kind: str, contamination: float, steps: int = 2000) -> dict[str, float]:
+    """Return each tracker's mean ||theta_hat - theta|| from sample 200 on."""
+    data = jumping_parameters(rng, kind, contamination, steps)
+    # A random walk of the same variance; and for those that know of jumps, what makes the widest scale, 100, a jump.
+    walk, still = JUMP_RATE * JUMP_SIZE**2, (JUMP_SIZE / 100.0) ** 2
+    mixture = 0.25 * (1.0 + 99.0 * contamination)
+    noise = {"measurement": ContaminatedScore(contamination, 10.0), "process": ContaminatedScore(JUMP_RATE, 100.0)}
+    trackers: dict[str, dict[str, Any]] = {
+        "Kalman (filterpy), random walk": {"filter": KalmanFilter(4, 1), "Q": walk, "R": mixture},
+        "Huber 1.345, random walk": {"Q": walk, "R": 0.25},
+        "Student t, 4, random walk": {"influence": StudentT(), "Q": walk, "R": 0.25},
+        "(a) noise-matched": {"filter": NoiseMatchedKalmanFilter(4, 1, **noise), "Q": still, "R": 0.25},
+        "(b) two-sided": {"filter": TwoSidedKalmanFilter(4, 1), "Q": still, "R": 0.25},
+        "Tukey 4.685, recovering": {"filter": RecoveringKalmanFilter(4, 1), "Q": still, "R": 0.25},
+    }
+    return {
+        name: float(np.linalg.norm(_tracked(data, **choices) - data.theta, axis=1)[200:].mean())
+        for name, choices in trackers.items()
+    }
+
+
+def _tracked(data: Any, **choices: Any) -> np.ndarray:
+    """Return a tracker's path of theta."""
+    return ParameterTracker(data.structure, P=1.0, **choices).run(data.y, data.u).theta
+
+
+def parameters_table(runs: int, seed: int, jobs: int) -> None:
+    """Print the table of parameters that jump."""
+    for kind in ("FIR", "ARX", "OE"):
+        for contamination in (0.0, 0.1):
+            title = (
+                f"{kind}, four parameters that jump by {JUMP_SIZE} each every {1 / JUMP_RATE:g} samples, "
+                f"contamination {contamination}: mean ||theta_hat - theta||"
+            )
+            trial = partial(parameters_trial, kind=kind, contamination=contamination)
+            ratios(title, trial, "Huber 1.345, random walk", runs, seed, jobs)
+
+
+TABLES = {
+    "score": (score_table, 150),
+    "process": (process_table, 20),
+    "recovery": (recovery_table, 20),
+    "parameters": (parameters_table, 20),
+}
 
 
 def main(argv: list[str] | None = None) -> None:
