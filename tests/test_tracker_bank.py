@@ -570,6 +570,7 @@ def test_tempering_and_repair_of_many_are_those_of_each():
         ({"P": np.ones(4)}, ValueError, "P: expected"),
         ({"Q": np.triu(np.ones((N, 4, 4)))}, ValueError, r"Q\[0\]: expected a symmetric"),
         ({"R": 0.0}, ValueError, "R: expected"),
+        ({"R": np.inf}, ValueError, "R: expected"),
         ({"R": [1.0, 1.0, 0.0, 1.0, np.nan]}, ValueError, "R: expected.*actuators 2, 4"),
         ({"R": np.eye(2)}, ValueError, r"R: expected shape \(5,\)"),
         ({"F": np.eye(3)}, ValueError, "F: expected shape"),
