@@ -214,11 +214,11 @@ def assert_steps_are_the_loop(structure, y, u, **options):
 
 @pytest.mark.parametrize("gradient", ["filtered", "pseudolinear"])
 @pytest.mark.parametrize("structure", [ARX(2, 2), ARMAX(2, 2, 1), OutputError(2, 2), FIR(2)], ids=str)
-@pytest.mark.parametrize("spike", [1e5, 1e8, 1e12, 1e40, 1e300])
+@pytest.mark.parametrize("spike", [1e8, 1e12, 1e40, 1e300])
 def test_a_spike_in_phi_is_tempered_as_in_the_loop(structure, gradient, spike):
     y, u = recording(structure)
-    y, u = y[:70, 1:4].copy(), u[:70, 1:4].copy()
-    y[40, 0], y[50, 2], u[45, 1] = spike, -spike, min(spike, 1e90)
+    y, u = y[15:60, 1:4].copy(), u[15:60, 1:4].copy()
+    y[20, 0], y[30, 2], u[25, 1] = spike, -spike, min(spike, 1e90)
     assert_steps_are_the_loop(structure, y, u, gradient=gradient, R=0.25)
     if isinstance(structure, (ARX, FIR)):
         assert_is_the_loop(structure, y, u, gradient=gradient, R=0.25)
