@@ -84,7 +84,7 @@ def test_a_refused_call_changes_nothing(spoil, match):
     bank = FilterBank(3, 2, 1)
     bank.H = np.array([[1.0, 0.0]])
     x, P = bank.x.copy(), bank.P.copy()
-    with pytest.raises(ValueError, match=match):
+    with pytest.raises((ValueError, np.linalg.LinAlgError), match=match):
         spoil(bank)
     np.testing.assert_array_equal(bank.x, x)
     np.testing.assert_array_equal(bank.P, P)
