@@ -21,6 +21,7 @@ _LAZY = {
     "LinearRegression": "identification",
     "OutputError": "identification",
     "ParameterTracker": "identification",
+    "TrackerBank": "identification",
     "RobustExtendedKalmanFilter": "nonlinear",
     "RobustUnscentedKalmanFilter": "nonlinear",
     "RobustCubatureKalmanFilter": "nonlinear",

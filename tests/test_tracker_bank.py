@@ -9,11 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robust_filterpy import Hampel, Huber, Linear, StudentT, TukeyBiweight
-from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError, ParameterTracker
+from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError, ParameterTracker, TrackerBank
 from robust_filterpy.identification._memory import bounded
 from robust_filterpy.identification._sharpness import SHARP, repaired, tempering
 from robust_filterpy.identification._stacked import all_bounded, all_repaired, all_restrained, all_tempering, are_stable
-from robust_filterpy.identification.bank import TrackerBank
 from robust_filterpy.identification.guard import GUARDS, is_stable, restrained
 from robust_filterpy.identification.tracker import GRADIENTS
 from robust_filterpy.noise import EpsilonContaminated

@@ -11,8 +11,7 @@ import time
 
 import numpy as np
 
-from robust_filterpy.identification import ARX, OutputError, ParameterTracker
-from robust_filterpy.identification.bank import TrackerBank
+from robust_filterpy.identification import ARX, OutputError, ParameterTracker, TrackerBank
 
 TARGET, SAMPLES, ROUNDS, ALONE = 0.1, 60, 7, 10
 CASES = {
