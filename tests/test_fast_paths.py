@@ -117,11 +117,26 @@ def test_two_sensors_that_see_almost_the_same_keep_p_positive_definite(noise):
         support.assert_positive_definite(short.P, size=np.abs(P).max())
 
 
-def test_two_sensors_that_see_the_same_without_noise_are_refused():
-    H = np.ones((2, 1))
-    for form in (_pair.correct_pair, lambda x, P, y, H, R, c: correct(x, P, np.array(y), H, R, c)):
+@pytest.mark.parametrize("noise", [1e-20, 5e-16])
+def test_two_sensors_that_see_the_same_without_noise_are_refused(noise):
+    H, R, y = np.ones((2, 1)), noise * np.eye(2), np.array([1.0, 2.0])
+    for form, innovation, grouping in (
+        (_pair.correct_pair, y.tolist(), "component"),
+        (_joint.correct_jointly, y, "joint"),
+        (correct, y, "component"),
+        (correct, y, "joint"),
+    ):
         with pytest.raises(SingularInnovationError, match="singular"):
-            form(np.zeros(1), np.eye(1), [1.0, 2.0], H, 1e-20 * np.eye(2), Choices())
+            form(np.zeros(1), np.eye(1), innovation, H, R, Choices(grouping=grouping))
+
+
+def test_psi_of_the_length_leaves_e_as_it_is_beside_a_sensor_outside_the_group():
+    H = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
+    c = correct(np.zeros(2), np.eye(2), np.array([1.8, 1.8, 0.1]), H, np.eye(3), Choices(grouping="joint"))
+    np.testing.assert_array_equal(c.e, c.T @ c.y)
+    # Neither is far out by itself, but together they are.
+    assert np.abs(c.e).max() < 1.345
+    assert c.clipped.tolist() == [True, True, False]
 
 
 @pytest.mark.parametrize(
