@@ -7,6 +7,9 @@ overflow, a "unit" correction near its limit) stops the loop before the step, an
 from __future__ import annotations
 
 import math
+from pathlib import Path
+from typing import Any
+from zlib import crc32
 
 import numpy as np
 from numba import njit
@@ -147,24 +150,40 @@ def _run(
         done[s] = taken
 
 
-@_jit
-def recurse(
-    zs, F, Q, H, R, bu, alpha_sq, x, P, rule, parameters, expected, normalizer,
-    start, low, high, means, covariances, means_p, covariances_p, weights, log_likelihood, done,
-):  # fmt: skip
-    """Advance series low..high-1 from step start; x and P go in and come out, done says how many steps were taken.
+def stamp(folder: Path) -> int:
+    """Return a number that changes with what is compiled of the sources in a folder; numba itself looks at one file."""
+    paths = sorted([*folder.glob("_compiled*.py"), *folder.glob("_pointwise.py")])
+    return crc32(b"".join(path.read_bytes() for path in paths))
 
-    Leading axes of length 1 serve every series or step. rule: kind, scaling, information, grouping, update_first,
-    every, whether the likelihood is wanted.
-    """
-    m = zs.shape[2]
-    a, b, c = parameters
-    r = Rule(rule[0], rule[1], rule[2], rule[3], rule[6], a, b, c, expected[0], normalizer[1])
-    rows = (max(x.shape[1], m) + 3) // 4 * 4
-    w = np.zeros((at.COUNT, rows, rows))
-    for i in range(m):
-        w[at.EXPECTED, 0, i], w[at.NORMALIZER, 0, i] = expected[i + 1], normalizer[i + 1]
-    _run(
-        w, r, np.zeros(m, np.int64), np.zeros(3, np.int64), zs, F, Q, H, R, bu, alpha_sq, x, P, rule[4] == 1, rule[5],
+
+def _entry(version: int) -> Any:
+    """Return what a run enters by; a variable from outside is part of its key in numba's cache."""
+
+    @_jit
+    def recurse(
+        zs, F, Q, H, R, bu, alpha_sq, x, P, rule, parameters, expected, normalizer,
         start, low, high, means, covariances, means_p, covariances_p, weights, log_likelihood, done,
-    )  # fmt: skip
+    ):  # fmt: skip
+        """Advance series low..high-1 from step start; x and P go in and come out, done says how many steps were taken.
+
+        Leading axes of length 1 serve every series or step. rule: kind, scaling, information, grouping, update_first,
+        every, whether the likelihood is wanted. Returns the version of the sources that this was compiled from.
+        """
+        m = zs.shape[2]
+        a, b, c = parameters
+        r = Rule(rule[0], rule[1], rule[2], rule[3], rule[6], a, b, c, expected[0], normalizer[1])
+        rows = (max(x.shape[1], m) + 3) // 4 * 4
+        w = np.zeros((at.COUNT, rows, rows))
+        for i in range(m):
+            w[at.EXPECTED, 0, i], w[at.NORMALIZER, 0, i] = expected[i + 1], normalizer[i + 1]
+        _run(
+            w, r, np.zeros(m, np.int64), np.zeros(3, np.int64), zs, F, Q, H, R, bu, alpha_sq, x, P,
+            rule[4] == 1, rule[5],
+            start, low, high, means, covariances, means_p, covariances_p, weights, log_likelihood, done,
+        )  # fmt: skip
+        return version
+
+    return recurse
+
+
+recurse = _entry(stamp(Path(__file__).parent))

@@ -1,9 +1,12 @@
 """The compiled loops say what correction.py says."""
 
+import functools
 import itertools
 import os
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -106,11 +109,39 @@ def test_numba_is_imported_with_the_first_long_batch_and_not_before():
     assert run_python(code)[0].split() == ["False", "True"]
 
 
+def test_short_recordings_wait_for_the_loops_to_pay(monkeypatch):
+    monkeypatch.setattr(_compiled._Waiting, "steps", 0.0)
+    monkeypatch.setattr(_compiled, "loops", functools.lru_cache(lambda: None))
+    half = _compiled.LONG // 2
+    assert [_compiled.worthwhile(half - 1), _compiled.worthwhile(half), _compiled.worthwhile(1)] == [False, False, True]
+    _compiled.loops()
+    assert [_compiled.worthwhile(_compiled.SHORT - 1), _compiled.worthwhile(_compiled.SHORT)] == [False, True]
+
+
+@pytest.mark.parametrize("name", ["_pointwise.py", "_compiled_roots.py"])
+def test_the_cache_sees_an_edit_of_any_source(tmp_path, name):
+    from robust_filterpy import _compiled_loops
+
+    here = Path(_compiled_loops.__file__).parent
+    for path in here.glob("_*.py"):
+        shutil.copy(path, tmp_path)
+    assert _compiled_loops.stamp(tmp_path) == _compiled_loops.stamp(here)
+    with open(tmp_path / name, "a") as source:
+        source.write("# edited")
+    assert _compiled_loops.stamp(tmp_path) != _compiled_loops.stamp(here)
+
+
 @pytest.mark.slow
-def test_the_first_compilation_is_announced_and_the_second_process_compiles_nothing(tmp_path):
+def test_a_compilation_is_announced_and_comes_again_only_after_an_edit(tmp_path):
+    package = shutil.copytree(Path(_compiled.__file__).parent, tmp_path / "robust_filterpy")
     code = (
-        "import numpy as np; from robust_filterpy import RobustKalmanFilter\n"
-        "kf = RobustKalmanFilter(1, 1); kf.H[:] = 1.0; kf.batch_filter(np.zeros(2000))"
+        f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n"
+        "import numpy as np; from robust_filterpy import RobustKalmanFilter, _compiled\n"
+        "kf = RobustKalmanFilter(1, 1); kf.H[:] = 1.0; kf.batch_filter(np.zeros(_compiled.LONG))"
     )
-    told = [run_python(code, NUMBA_CACHE_DIR=str(tmp_path))[1].count("compiling its loops") for _ in range(2)]
-    assert told == [1, 0]
+    environment = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    told = [run_python(code, **environment)[1].count("compiling its loops") for _ in range(2)]
+    with open(package / "_pointwise.py", "a") as source:
+        source.write("# edited")
+    told.append(run_python(code, **environment)[1].count("compiling its loops"))
+    assert told == [1, 0, 1]
