@@ -23,6 +23,8 @@ from robust_filterpy.correction import Correction, correct, innovation_moments, 
 
 # Least ratio of the factor's pivots, above which S is far from singular.
 _SURELY_REGULAR = 1e-3
+# For |y| up to the one and pivots down to the other |e|^2 does not overflow.
+_SAFE, _LEAST = 1e100, 1e-50
 
 
 class JointCorrection(NamedTuple):
@@ -44,10 +46,10 @@ class JointCorrection(NamedTuple):
         return Correction(x, P, y, S, SI, K, T, e, share * e, [slope] * len(y))
 
 
-def applies(H: Array, choices: Choices) -> bool:
-    """Whether `correct_jointly` can take the place of `correct` if y is neither missing nor enormous."""
+def applies(size: float, H: Array, choices: Choices) -> bool:
+    """Whether `correct_jointly` can take the place of `correct` for an innovation of this size, NaN if incomplete."""
     # A sensor that the state has no part in stands outside the group.
-    return choices.by_length and (choices.is_linear or _all_seen(H.tobytes(), len(H)))
+    return choices.by_length and size < _SAFE and (choices.is_linear or _all_seen(H.tobytes(), len(H)))
 
 
 @lru_cache(maxsize=256)
@@ -63,7 +65,7 @@ def correct_jointly(
     C, S = innovation_moments(P, H, R, M)
     factor, gain, failed = lapack.dposv(S, C.T)
     pivots = factor.diagonal().tolist()
-    if failed or not min(pivots) > _SURELY_REGULAR * max(pivots):
+    if failed or not min(pivots) > max(_SURELY_REGULAR * max(pivots), _LEAST):
         return correct(x, P, y, H, R, choices, M)
     K = gain.T
     s = lapack.dpotrs(factor, y)[0]

@@ -6,8 +6,8 @@ For an innovation y = z - H x with covariance S = H P H' + R and cross-covarianc
     x+ = x + C T' psi(e)           bounded influence                  (26, 37, 42, 47)
     P+ = P - C T' D T C'           information D between 0 and I      (28, 39, 44, 49)
 
-T, D and psi are `Choices`. `correct` is the definition; the short forms for one sensor below it say the same in
-floats, and the tests hold the two together.
+T, D and psi are `Choices`. `correct` is the definition; the short forms for one sensor (below it), for two (`_pair`)
+and for joint grouping (`_joint`) say the same, and the tests hold them together.
 """
 
 from __future__ import annotations

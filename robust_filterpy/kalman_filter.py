@@ -342,9 +342,9 @@ class RobustKalmanFilter(Robust, KalmanFilter):
                 return _pair.correct_pair(x, P, pair, H, R, choices, M)
         y = values - predicted
         size = sum(map(abs, y.tolist()))
+        if inv is None and _joint.applies(size, H, choices):
+            return _joint.correct_jointly(x, P, y, H, R, choices, M)
         if size < SAFE:
-            if choices.by_length and inv is None and _joint.applies(H, choices):
-                return _joint.correct_jointly(x, P, y, H, R, choices, M)
             return correct_observed(x, P, y, H, R, choices, M, inv)
         if size - size != 0.0 and not np.isfinite(predicted).all():
             raise ValueError(f"x: expected finite numbers, got H x = {predicted}")

@@ -20,6 +20,16 @@ INFLUENCES = (Linear(), Huber(), Huber(0.5), Hampel(1.0, 2.0, 4.0), TukeyBiweigh
 FIELDS = ("x", "P", "y", "S", "inverse", "K", "T", "e", "psi", "slope", "y_bounded", "weights")
 
 
+class Users(Huber):
+    """A psi that has no form for single numbers."""
+
+    def psi(self, e):
+        return 0.5 * super().psi(e)
+
+    def psi_deriv(self, e):
+        return 0.5 * super().psi_deriv(e)
+
+
 def problems(dim_z):
     """Problems of several sizes, small enough for every scaling to be legal."""
     return [support.mild(dim_x, dim_z, seed) for seed, dim_x in zip(range(3), (1, 4, 7), strict=True)]
@@ -69,13 +79,13 @@ def test_two_sensors_in_floats_equal_the_definition(information, influence):
             assert_same_correction(short.as_arrays(), general, y)
 
 
-@pytest.mark.parametrize("influence", INFLUENCES, ids=repr)
+@pytest.mark.parametrize("influence", [*INFLUENCES, Users()], ids=repr)
 @pytest.mark.parametrize("information", INFORMATIONS)
 @pytest.mark.parametrize("dim_z", [2, 4])
 def test_joint_grouping_without_a_root_equals_the_definition(dim_z, information, influence):
     choices = Choices(influence, "innovation", information, "joint")
     for seed, problem in enumerate(problems(dim_z)):
-        assert _joint.applies(problem.H, choices)
+        assert _joint.applies(1.0, problem.H, choices)
         x = problem.x[:, 0]
         for M, y in product((None, problem.M), innovations(dim_z, seed)[:: 3 ** (dim_z - 2)]):
             short = _joint.correct_jointly(x, problem.P, y, problem.H, problem.R, choices, M)
@@ -90,7 +100,7 @@ def test_the_kalman_filter_without_a_root_equals_the_definition(information, inf
     problem = support.mild(5, 3)
     x, blind = problem.x[:, 0], problem.H * [[1.0], [0.0], [1.0]]
     for H, y in product((problem.H, blind), innovations(3, 1)):
-        assert _joint.applies(H, choices)
+        assert _joint.applies(1.0, H, choices)
         short = _joint.correct_jointly(x, problem.P, y, H, problem.R, choices)
         assert_same_correction(short.as_arrays(), correct(x, problem.P, y, H, problem.R, choices), y)
 
@@ -100,7 +110,7 @@ def test_a_users_subclass_of_linear_is_not_taken_for_linear():
         def psi(self, e):
             return np.clip(e, -1.0, 1.0)
 
-    assert not _joint.applies(np.eye(2), Choices(Clipped()))
+    assert not _joint.applies(1.0, np.eye(2), Choices(Clipped()))
 
 
 @pytest.mark.parametrize("noise", [1e-3, 1e-6, 1e-9, 1e-12])
@@ -157,17 +167,19 @@ def test_what_the_form_for_two_leaves_to_the_definition(y, choices):
 
 
 @pytest.mark.parametrize(
-    ("row", "choices"),
+    ("size", "row", "choices"),
     [
-        ([0.0, 0.0], {}),
-        ([1.0, 2.0], {"grouping": "component"}),
-        ([1.0, 2.0], {"scaling": "unit"}),
-        ([1.0, 2.0], {"scaling": "bounded"}),
+        (np.nan, [1.0, 2.0], {}),
+        (1e120, [1.0, 2.0], {}),
+        (1.0, [0.0, 0.0], {}),
+        (1.0, [1.0, 2.0], {"grouping": "component"}),
+        (1.0, [1.0, 2.0], {"scaling": "unit"}),
+        (1.0, [1.0, 2.0], {"scaling": "bounded"}),
     ],
 )
-def test_what_the_joint_form_leaves_to_the_definition(row, choices):
-    assert not _joint.applies(np.array([[1.0, 0.0], row]), Choices(**{"grouping": "joint"} | choices))
-    assert _joint.applies(np.eye(2), Choices(grouping="joint"))
+def test_what_the_joint_form_leaves_to_the_definition(size, row, choices):
+    assert not _joint.applies(size, np.array([[1.0, 0.0], row]), Choices(**{"grouping": "joint"} | choices))
+    assert _joint.applies(1.0, np.eye(2), Choices(grouping="joint"))
 
 
 @pytest.mark.parametrize("noise", [1e-3, 1e-6, 1e-9])
@@ -179,6 +191,17 @@ def test_joint_sensors_that_see_almost_the_same_keep_p_positive_definite(noise):
         general = correct(np.zeros(3), P, y, H, R, choices)
         support.assert_close(short.P, general.P, 1e-9, f"P for y={y}", size=np.abs(P).max())
         support.assert_positive_definite(short.P, size=np.abs(P).max())
+
+
+@pytest.mark.parametrize("size", [1e99, 1e149, 1e299])
+@pytest.mark.parametrize("unit", [1e-60, 1e-9, 1.0])
+@pytest.mark.filterwarnings("error")
+def test_a_joint_outlier_of_any_size_in_any_unit_moves_the_state_by_the_threshold(size, unit):
+    kf = RobustKalmanFilter(2, 2, grouping="joint")
+    kf.H, kf.P, kf.R = np.eye(2), unit**2 * np.eye(2), 3.0 * unit**2 * np.eye(2)
+    kf.update(np.array([size, 0.0]))
+    # x+ = P S^(-1/2) k
+    np.testing.assert_allclose(kf.x.ravel(), [0.5 * unit * kf.influence.threshold, 0.0], rtol=1e-12)
 
 
 def measurements(dim_z):
