@@ -207,7 +207,7 @@ def correct(w, r, x, P, x_next, P_next, n, m_all, index, last):
     m = _observed(w, n, m_all, index, last)
     if m == 0:
         copy_rows(w, x, x_next, at.ONE)
-        copy_rows(w, P, P_next, n)
+        copy_rows(w, P, P_next, (n + 3) // 4 * 4)
         return 0.0, 0
     if not _innovation(w, x, n, m, index):
         return np.nan, m
@@ -235,7 +235,7 @@ def correct(w, r, x, P, x_next, P_next, n, m_all, index, last):
     product(w, at.G_T, at.T, at.C_T, m, m, n)
     product_added(w, x_next, x, 1.0, at.PSI, at.G_T, at.ONE, m, n)
     if most == 0.0:
-        copy_rows(w, P, P_next, n)
+        copy_rows(w, P, P_next, (n + 3) // 4 * 4)
     else:
         _covariance(w, P, P_next, diagonal, diagonal and least == 1.0, defective == 1, n, m)
     return log_likelihood, m

@@ -17,7 +17,6 @@ from numba import njit
 from robust_filterpy import _compiled_places as at
 from robust_filterpy._compiled_correction import Rule, correct
 from robust_filterpy._compiled_products import (
-    copy_rows,
     product,
     product_added,
     symmetric_transposed_product_added,
@@ -69,16 +68,21 @@ def _predict(w, x, P, x_next, P_next, n, alpha_sq):
 
 @inlined
 def _finite(w, x, P, n):
-    """Return whether all of x and P is finite; four sums, since one would wait for itself."""
-    s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
-    for i in range(n):
+    """Return whether all of x and P is finite; eight sums, since one would wait for itself."""
+    s0, s1, s2, s3, t0, t1, t2, t3 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(0, n, 2):
         for j in range((n + 3) // 4):
             s0 += w[P, i, 4 * j]
             s1 += w[P, i, 4 * j + 1]
             s2 += w[P, i, 4 * j + 2]
             s3 += w[P, i, 4 * j + 3]
-        s0 += w[x, 0, i]
-    total = (s0 + s1) + (s2 + s3)
+            t0 += w[P, i + 1, 4 * j]
+            t1 += w[P, i + 1, 4 * j + 1]
+            t2 += w[P, i + 1, 4 * j + 2]
+            t3 += w[P, i + 1, 4 * j + 3]
+    total = ((s0 + s1) + (s2 + s3)) + ((t0 + t1) + (t2 + t3))
+    for i in range(n):
+        total += w[x, 0, i]
     return total - total == 0.0
 
 
@@ -114,39 +118,42 @@ def _run(
 ):  # fmt: skip
     """Advance series low..high-1 in the working array."""
     steps, m_all, n = zs.shape[1], zs.shape[2], x.shape[1]
-    from_x, from_P = (at.X0, at.P0) if first else (at.X1, at.P1)
     for s in range(low, high):
-        for i in range(n):
-            w[at.X0, 0, i] = x[s, i]
-            for j in range(n):
-                w[at.P0, i, j] = P[s, i, j]
+        x_from, P_from, x_to, P_to = at.X0, at.P0, at.X2, at.P2
+        # With zeros around it, whatever the last series left.
+        for i in range(w.shape[1]):
+            w[x_from, 0, i] = x[s, i] if i < n else 0.0
+            for j in range(w.shape[2]):
+                w[P_from, i, j] = P[s, i, j] if i < n and j < n else 0.0
         last[0] = 0
         taken = steps
         for k in range(start, steps):
             _load_model(w, F, Q, H, R, bu, s, k, k == start, last)
             for i in range(m_all):
                 w[at.Z, 0, i] = zs[s, k, i]
-            if not first:
-                _predict(w, at.X0, at.P0, at.X1, at.P1, n, alpha_sq)
-            ll, m = correct(w, r, from_x, from_P, from_x + 1, from_P + 1, n, m_all, index, last)
+            x_prior, P_prior, x_post, P_post = at.X1, at.P1, x_to, P_to
             if first:
-                _predict(w, at.X1, at.P1, at.X2, at.P2, n, alpha_sq)
-            if math.isnan(ll) or not _finite(w, at.X2, at.P2, n):
+                x_prior, P_prior, x_post, P_post = x_from, P_from, at.X1, at.P1
+            else:
+                _predict(w, x_from, P_from, x_prior, P_prior, n, alpha_sq)
+            ll, m = correct(w, r, x_prior, P_prior, x_post, P_post, n, m_all, index, last)
+            if first:
+                _predict(w, x_post, P_post, x_to, P_to, n, alpha_sq)
+                x_prior, P_prior = x_to, P_to
+            if math.isnan(ll) or not _finite(w, x_to, P_to, n):
                 taken = k
                 break
-            copy_rows(w, at.X2, at.X0, at.ONE)
-            copy_rows(w, at.P2, at.P0, n)
             log_likelihood[s] += ll
             if (k + 1) % every == 0:
                 row = (k + 1) // every - 1
-                shift = 1 if first else 0
-                _keep(w, at.X2 - shift, at.P2 - shift, n, s, row, means, covariances)
-                _keep(w, at.X1 + shift, at.P1 + shift, n, s, row, means_p, covariances_p)
+                _keep(w, x_post, P_post, n, s, row, means, covariances)
+                _keep(w, x_prior, P_prior, n, s, row, means_p, covariances_p)
                 _keep_weights(w, m, m_all, index, s, row, weights)
+            x_from, P_from, x_to, P_to = x_to, P_to, x_from, P_from
         for i in range(n):
-            x[s, i] = w[at.X0, 0, i]
+            x[s, i] = w[x_from, 0, i]
             for j in range(n):
-                P[s, i, j] = w[at.P0, i, j]
+                P[s, i, j] = w[P_from, i, j]
         done[s] = taken
 
 

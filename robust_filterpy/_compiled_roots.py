@@ -38,15 +38,17 @@ def _axes(w, m, last):
 def _angle(b, d):
     """Return cosine, sine and tangent of the rotation that annihilates half of b, d being the diagonal's difference."""
     if b * b < 1e-4 * (d * d):
-        # The first terms are all that count, and take a third of the time of two roots.
+        # The first terms are all that count; side by side they take a third of the time of two roots.
         x = b / d
         q = x * x
-        t = 0.5 * x * (1.0 - 0.25 * q * (1.0 - 0.5 * q * (1.0 - 0.625 * q)))
-        q = t * t
-        c = 1.0 - 0.5 * q * (1.0 - 0.75 * q * (1.0 - 0.8333333333333333 * q))
-    else:
-        t = b / (d + math.copysign(math.sqrt(d * d + b * b), d))
-        c = 1.0 / math.sqrt(1.0 + t * t)
+        p = q * q
+        t = 0.5 * x * ((1.0 - 0.25 * q) + p * (0.125 - 0.078125 * q))
+        c = (1.0 - 0.125 * q) + p * (0.0859375 - 0.0673828125 * q)
+        s = 0.5 * x * ((1.0 - 0.375 * q) + p * (0.2421875 - 0.1826171875 * q))
+        return c, s, t
+    r = math.sqrt(d * d + b * b)
+    t = b / (d + math.copysign(r, d))
+    c = math.sqrt(0.5 + 0.5 * abs(d) / r)
     return c, t * c, t
 
 
@@ -55,8 +57,12 @@ def _rotate(w, m, tolerance, last):
     """Rotate until no correlation in A exceeds the tolerance; return whether that came about."""
     for sweep in range(60):
         rotated = False
-        for i in range(m - 1):
-            for j in range(i + 1, m):
+        for turn in range(m):
+            for i in range(m):
+                # Pairs of one turn have no row in common, so that the processor can overlap them.
+                j = turn - i if turn >= i else turn - i + m
+                if j <= i:
+                    continue
                 a_ij, a_ii, a_jj = w[at.A, i, j], w[at.A, i, i], w[at.A, j, j]
                 if not a_ij * a_ij > tolerance * tolerance * abs(a_ii * a_jj):
                     continue

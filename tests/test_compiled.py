@@ -80,6 +80,30 @@ def test_the_loop_stops_before_a_step_that_is_out_of_the_ordinary():
     assert compiled(Choices(), zs, 1e200 * eye, eye, eye, eye, eye)[1] == 0
 
 
+def test_a_series_that_overflows_leaves_the_others_alone():
+    rng = np.random.default_rng(0)
+    n, m, steps = 5, 2, 40
+    F, H, eye = support.stable(rng, n), rng.normal(size=(m, n)), np.eye(n)
+    zs = rng.normal(size=(3, steps, m))
+    zs[0, 3] = 1e300
+    P = np.array([1e307 * eye, eye, eye])
+    model = tuple(np.ascontiguousarray(a)[None, None] for a in (F, 0.1 * eye, H, np.eye(m), np.zeros(n)))
+
+    def run(part):
+        k = len(zs[part])
+        kept = _compiled.Kept(
+            np.zeros((k, steps, n)), np.zeros((k, steps, n, n)), np.zeros((k, 0, n)), np.zeros((k, 0, n, n)),
+            np.zeros((k, steps, m)), np.zeros(k),
+        )  # fmt: skip
+        return kept, _compiled.recurse(Choices(), zs[part], model, np.zeros((k, n)), P[part].copy(), kept)
+
+    together, done = run(slice(0, 3))
+    alone, done_alone = run(slice(1, 3))
+    assert done[0] < steps and done[1:].tolist() == done_alone.tolist() == [steps, steps]
+    np.testing.assert_array_equal(together.covariances[1:], alone.covariances)
+    np.testing.assert_array_equal(together.means[1:], alone.means)
+
+
 def test_a_long_run_stays_symmetric_and_positive_definite():
     rng = np.random.default_rng(3)
     n, m = 4, 3
