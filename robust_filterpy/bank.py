@@ -19,8 +19,6 @@ __all__ = ["FilterBank"]
 
 _EPS = sys.float_info.epsilon
 _SAFE = 1e150
-# Entries of P that are worked on at once.
-_PART = 2**15
 
 
 class FilterBank:
@@ -90,7 +88,6 @@ class FilterBank:
         self.H, self.R = np.zeros((dim_z, dim_x)), np.eye(dim_z)
         self.y, self.e = np.zeros((n, dim_z)), np.zeros((n, dim_z))
         self.S, self.weights = np.zeros((n, dim_z, dim_z)), np.full((n, dim_z), np.nan)
-        self._filler = np.ones(n)
 
     def __repr__(self) -> str:
         """Show the size and the choices."""
@@ -115,10 +112,15 @@ class FilterBank:
         d = self.dim_x
         x, P = self._state()
         F, Q = self._matrix("F", (d, d)), self._matrix("Q", (d, d))
-        moved = x @ F[0].T if len(F) == 1 else (F @ x[:, :, None])[:, :, 0]
-        covariance = np.empty_like(P)
-        for part in self._parts():
-            covariance[part] = _congruent(P[part], _of(F, part)) + _of(Q, part)
+        if len(F) == 1:
+            # One product for all: P F' as rows, and then the other side through the transpose.
+            moved = x @ F[0].T
+            half = (P.reshape(-1, d) @ F[0].T).reshape(P.shape)
+            covariance = (half.transpose(0, 2, 1).reshape(-1, d) @ F[0].T).reshape(P.shape)
+        else:
+            moved = (F @ x[:, :, None])[:, :, 0]
+            covariance = F @ P @ F.transpose(0, 2, 1)
+        covariance += Q
         if u is not None:
             B = numbers("B", B)
             if B.ndim not in (2, 3) or B.shape[-2] != d:
@@ -143,7 +145,7 @@ class FilterBank:
         SingularInnovationError, NotPositiveDefiniteError
             As in `RobustKalmanFilter.update`; no filter has changed then.
         """
-        m, d = self.dim_z, self.dim_x
+        m, d, choices = self.dim_z, self.dim_x, self._choices
         x, P = self._state()
         z = numbers("z", z)
         if z.shape != (self.n, m):
@@ -151,18 +153,10 @@ class FilterBank:
         if np.isinf(z).any():
             raise ValueError("z: expected finite numbers or NaN (missing), got infinity")
         H, R = self._matrix("H", (m, d)), self._matrix("R", (m, m))
-        parts = self._parts()
-        found = [self._corrected(x[i], P[i], z[i], _of(H, i), _of(R, i), i.start) for i in parts]
-        whole = found[0] if len(found) == 1 else map(np.concatenate, zip(*found, strict=True))
-        self.x, self.P, self.y, self.e, self.S, self.weights, self._filler = whole
-
-    def _corrected(self, x: Array, P: Array, z: Array, H: Array, R: Array, first: int) -> tuple[Array, ...]:
-        """Return x, P, y, e, S, weights and the fillers of some of the filters after their measurements."""
-        n, m, d, choices = len(x), self.dim_z, self.dim_x, self._choices
         seen = z == z
         everything = bool(seen.all())
         if len(H) == 1 and everything:
-            C = (P.reshape(-1, d) @ H[0].T).reshape(n, d, m)
+            C = (P.reshape(-1, d) @ H[0].T).reshape(self.n, d, m)
             y = z - x @ H[0].T
         else:
             # A sensor without sight, whose noise is independent: it moves nothing, like one that is not there.
@@ -171,12 +165,12 @@ class FilterBank:
             y = np.where(seen, z, 0.0) - (H @ x[:, :, None])[:, :, 0]
             R = R * (seen[:, :, None] & seen[:, None, :])
         S = H @ C + R
-        filler = np.ones(n)
+        filler = None
         if not everything:
             filler = np.where(seen, np.diagonal(S, axis1=1, axis2=2), 0.0).max(axis=1)
             filler[filler == 0.0] = 1.0
             S[:, np.arange(m), np.arange(m)] += np.where(seen, 0.0, filler[:, None])
-        T, defect = self._standardize(S, first)
+        T, defect = self._standardize(S)
         e = y * T[:, :, 0] if m == 1 else (T @ y[:, :, None])[:, :, 0]
         if not np.isfinite(e).all():
             raise ValueError("update: expected finite innovations, got NaN or infinity; check x and H")
@@ -186,7 +180,9 @@ class FilterBank:
         GD = G if full else G * D[:, None, :] if D.ndim == 2 else G @ D
         K = GD * T if m == 1 else GD @ T
         moved = x + (G[:, :, 0] * psi if m == 1 else (G @ psi[:, :, None])[:, :, 0])
-        W = np.eye(d) - (K * H if m == 1 else K @ H)
+        # In place: a large array's fresh memory costs more than the arithmetic.
+        W = K * H if m == 1 else K @ H
+        np.subtract(np.eye(d), W, out=W)
         covariance = W @ P @ W.transpose(0, 2, 1)
         # What is left of the noise: K R K' + G (D - D^2) G' + G D (I - T S T) D G'.
         covariance += _sandwich(K, R)
@@ -200,10 +196,12 @@ class FilterBank:
             bad = np.flatnonzero(least < -1e-13 * np.abs(covariance).max(axis=(1, 2)))
             if bad.size:
                 raise NotPositiveDefiniteError(
-                    f'filter {first + bad[0]}: scaling="unit" would make P indefinite: it needs D H P H\' < 1 in the '
-                    f'unit of the measurement squared; use scaling="bounded" or "innovation"'
+                    f'filter {bad[0]}: scaling="unit" would make P indefinite: it needs D H P H\' < 1 in the unit of '
+                    f'the measurement squared; use scaling="bounded" or "innovation"'
                 )
-        return moved, covariance, y, e, S, w if everything else np.where(seen, w, np.nan), filler
+        self.x, self.P, self.y, self.e, self.S = moved, covariance, y, e, S
+        self.weights = w if everything else np.where(seen, w, np.nan)
+        self._filler = filler
 
     @property
     def log_likelihood(self) -> Array:
@@ -216,7 +214,8 @@ class FilterBank:
         if choices.scaling != "innovation":
             e = (_root(self.S, 0.0)[0] @ self.y[:, :, None])[:, :, 0]
         log_det = np.log(self.S[:, 0, 0]) if self.dim_z == 1 else np.linalg.slogdet(self.S)[1]
-        log_det = log_det - (self.dim_z - count) * np.log(self._filler)
+        if self._filler is not None:
+            log_det = log_det - (self.dim_z - count) * np.log(self._filler)
         normal = getattr(choices.influence, "log_normalizer", lambda dim: 0.5 * dim * math.log(2.0 * math.pi))
         if choices.grouping == "component":
             loss = np.where(seen, choices.influence.rho(e), 0.0).sum(axis=1) + count * normal(1)
@@ -225,10 +224,7 @@ class FilterBank:
             loss = choices.influence.rho(np.linalg.norm(e, axis=1)) + table[count]
         return np.where(count > 0, -np.minimum(loss, sys.float_info.max) - 0.5 * log_det, 0.0)
 
-    def _parts(self) -> list[slice]:
-        """Return the filters in parts whose arrays fit the processor's cache, and need no fresh pages of memory."""
-        size = max(1, _PART // self.dim_x**2)
-        return [slice(first, min(first + size, self.n)) for first in range(0, self.n, size)]
+    _filler: Array | None = None
 
     def _state(self) -> tuple[Array, Array]:
         """Return x and P, checked."""
@@ -246,14 +242,14 @@ class FilterBank:
             raise ValueError(f"{name}: expected shape {shape} or {(self.n, *shape)}, got {value.shape}")
         return value
 
-    def _standardize(self, S: Array, first: int) -> tuple[Array, Array | None]:
+    def _standardize(self, S: Array) -> tuple[Array, Array | None]:
         """Return T and I - T S T', None where that is 0."""
         scaling = self._choices.scaling
         if scaling == "unit":
-            _root(S, 0.0, first)
+            _root(S, 0.0)
             unit = np.broadcast_to(np.eye(self.dim_z), S.shape)
             return unit, unit - S
-        return _root(S, 1.0 if scaling == "bounded" else 0.0, first)
+        return _root(S, 1.0 if scaling == "bounded" else 0.0)
 
     def _bound(self, e: Array, seen: np.ndarray, H: Array) -> tuple[Array, Array, Array]:
         """Return psi(e), psi(e)/e and D, its diagonals (n, m) or matrices (n, m, m)."""
@@ -284,21 +280,6 @@ class FilterBank:
         return psi, np.where(visible, weight[:, None], w), matrices
 
 
-def _of(matrices: Array, part: slice) -> Array:
-    """Return the matrices of some of the filters; one alone is everybody's."""
-    return matrices if len(matrices) == 1 else matrices[part]
-
-
-def _congruent(P: Array, F: Array) -> Array:
-    """Return F P F' for stacks."""
-    if len(F) > 1:
-        return F @ P @ F.transpose(0, 2, 1)
-    # One product for all: P F' as rows, and then the other side through the transpose.
-    d = P.shape[1]
-    half = (P.reshape(-1, d) @ F[0].T).reshape(P.shape)
-    return (half.transpose(0, 2, 1).reshape(-1, d) @ F[0].T).reshape(P.shape)
-
-
 def _sandwich(A: Array, B: Array) -> Array:
     """Return A B A' for stacks."""
     if A.shape[2] == 1:
@@ -306,34 +287,34 @@ def _sandwich(A: Array, B: Array) -> Array:
     return A @ B @ A.transpose(0, 2, 1)
 
 
-def _root(S: Array, floor: float, first: int = 0) -> tuple[Array, Array | None]:
+def _root(S: Array, floor: float) -> tuple[Array, Array | None]:
     """Return S^(-1/2) with the eigenvalues of S floored, and I - T S T', None if floor = 0."""
     m = S.shape[1]
     if m == 1:
-        _require_positive(S[:, 0, 0], S[:, 0, 0], 1, first)
+        _require_positive(S[:, 0, 0], S[:, 0, 0], 1)
         T = 1.0 / np.sqrt(np.maximum(S, floor))
         return T, np.maximum(1.0 - S, 0.0) if floor else None
     if m == 2 and not floor:
         a, b, c = S[:, 0, 0], S[:, 0, 1], S[:, 1, 1]
         determinant = a * c - b * b
-        _require_positive(np.where(np.minimum(a, c) > 0.0, determinant, -1.0), a * c, 4, first)
+        _require_positive(np.where(np.minimum(a, c) > 0.0, determinant, -1.0), a * c, 4)
         s = np.sqrt(determinant)
         t = np.sqrt(a + c + 2.0 * s) * s
         return np.stack([(c + s) / t, -b / t, -b / t, (a + s) / t], axis=1).reshape(-1, 2, 2), None
     if not np.isfinite(S).all():
         raise SingularInnovationError("S = H P H' + R: not finite; check H, P and R")
     values, vectors = np.linalg.eigh(S)
-    _require_positive(values[:, 0], values[:, -1], m, first)
+    _require_positive(values[:, 0], values[:, -1], m)
     T = (vectors / np.sqrt(np.maximum(values, floor))[:, None, :]) @ vectors.transpose(0, 2, 1)
     if not floor:
         return T, None
     return T, (vectors * np.maximum(1.0 - values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1)
 
 
-def _require_positive(least: Array, scale: Array, m: int, first: int) -> None:
+def _require_positive(least: Array, scale: Array, m: int) -> None:
     """Raise unless every S has an inverse."""
     bad = np.flatnonzero(~((least > m * _EPS * scale * (m > 1)) & (least < math.inf)))
     if bad.size:
         raise SingularInnovationError(
-            f"filter {first + bad[0]}: S = H P H' + R is singular or not finite; make R positive definite"
+            f"filter {bad[0]}: S = H P H' + R is singular or not finite; make R positive definite"
         )

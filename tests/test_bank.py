@@ -5,7 +5,6 @@ import pytest
 import support
 
 from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight
-from robust_filterpy import bank as bank_module
 from robust_filterpy.bank import FilterBank
 from robust_filterpy.correction import NotPositiveDefiniteError, SingularInnovationError
 
@@ -90,34 +89,14 @@ def test_a_refused_call_changes_nothing(spoil, match):
     np.testing.assert_array_equal(bank.P, P)
 
 
-def filled(n, **choices):
-    rng = np.random.default_rng(11)
-    bank = FilterBank(n, 3, 2, **choices)
-    bank.F = np.array([support.stable(rng, 3) for _ in range(n)])
-    bank.H, bank.R = rng.normal(size=(2, 3)), np.array([support.spd(rng, 2) for _ in range(n)])
-    return bank, gappy(rng, 5, n, 2)
-
-
-@pytest.mark.parametrize("grouping", ["component", "joint"])
-def test_it_does_not_matter_in_how_many_parts_the_filters_are_advanced(grouping, monkeypatch):
-    (whole, zs), (parted, _) = filled(7, grouping=grouping), filled(7, grouping=grouping)
-    for z in zs:
-        for bank, size in ((whole, 2**15), (parted, 3 * 3**2)):
-            monkeypatch.setattr(bank_module, "_PART", size)
-            bank.predict()
-            bank.update(z)
-        for name in ("x", "P", "y", "e", "S", "weights", "log_likelihood"):
-            np.testing.assert_allclose(getattr(parted, name), getattr(whole, name), rtol=1e-12, atol=1e-13)
-
-
 @pytest.mark.parametrize("spoilt", [0, 4, 6])
-def test_an_error_names_the_filter_whatever_part_it_is_in(spoilt, monkeypatch):
-    monkeypatch.setattr(bank_module, "_PART", 3 * 3**2)
-    bank = filled(7)[0]
-    bank.R[spoilt] = -100.0 * np.eye(2)
+def test_an_error_names_the_filter(spoilt):
+    bank = FilterBank(7, 3, 2)
+    bank.R = np.tile(np.eye(2), (7, 1, 1))
+    bank.R[spoilt] *= -100.0
     with pytest.raises(SingularInnovationError, match=f"filter {spoilt}:"):
         bank.update(np.zeros((7, 2)))
-    bank = filled(7, scaling="unit")[0]
+    bank = FilterBank(7, 3, 2, scaling="unit")
     bank.P, bank.H = 0.01 * bank.P, np.eye(2, 3)
     bank.P[spoilt] = 10.0 * np.eye(3)
     with pytest.raises(NotPositiveDefiniteError, match=f"filter {spoilt}:"):
