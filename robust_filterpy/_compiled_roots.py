@@ -1,8 +1,8 @@
 """S^(-1/2), the symmetric root, for the compiled loops.
 
 S changes little from one step to the next, so in the axes of the last step A = V'SV is nearly diagonal. Jacobi's
-rotations make it so where it is not, until the correlations in A are less than 1e-8: one step of Newton's method from
-diag(A)^(-1/2), in which the equation for each entry stands alone, then gives A^(-1/2) to rounding.
+rotations make it so where it is not, until the correlations in A are less than 1e-6: one step of Newton's method from
+diag(A)^(-1/2), in which the equation for each entry stands alone, then gives A^(-1/2) to 1e-12.
 """
 
 from __future__ import annotations
@@ -85,22 +85,15 @@ def _rotate(w, m, tolerance, last):
 
 
 @inlined
-def _log_determinant(w, A, L, m):
-    """Return log det A by elimination, which leaves its rows in L."""
-    log_det, pivots = 0.0, 1.0
+def _log_product(w, A, m):
+    """Return the logarithm of the product of a diagonal, which for a nearly diagonal A is log det A."""
+    total, factor = 0.0, 1.0
     for i in range(m):
-        for j in range(i + 1):
-            total = w[A, i, j]
-            for k in range(j):
-                total -= w[L, i, k] * w[L, j, k] * w[L, k, k]
-            w[L, i, j] = total
-            if j < i:
-                w[L, i, j] = total / w[L, j, j]
-        pivots *= w[L, i, i]
-        if not 1e-100 < pivots < 1e100:
-            log_det += math.log(pivots)
-            pivots = 1.0
-    return log_det + math.log(pivots)
+        factor *= w[A, i, i]
+        if not 1e-100 < factor < 1e100:
+            total += math.log(factor)
+            factor = 1.0
+    return total + math.log(factor)
 
 
 @inlined
@@ -134,7 +127,7 @@ def _root_of_pair(w):
 def _root_of_many(w, m, floor, likely, last):
     """Write the root by axes, rotations and Newton's method; return log det S if it is wanted."""
     _axes(w, m, last)
-    if not _rotate(w, m, 1e-8 / m if floor == 0.0 else 1e-16, last):
+    if not _rotate(w, m, 1e-6 / m if floor == 0.0 else 1e-16, last):
         last[0] = 0
         return np.nan
     least, most, total = w[at.A, 0, 0], w[at.A, 0, 0], 0.0
@@ -153,7 +146,7 @@ def _root_of_many(w, m, floor, likely, last):
         _settle(w, m)
     product(w, at.DEFECT, at.ROOT, at.V_T, m, m, m)
     symmetric_product(w, at.T, at.V, at.DEFECT, m, m)
-    return _log_determinant(w, at.A, at.DEFECT, m) if likely == 1 else 0.0
+    return _log_product(w, at.A, m) if likely == 1 else 0.0
 
 
 @inlined

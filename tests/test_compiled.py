@@ -83,23 +83,23 @@ def test_the_loop_stops_before_a_step_that_is_out_of_the_ordinary():
 def test_a_series_that_overflows_leaves_the_others_alone():
     rng = np.random.default_rng(0)
     n, m, steps = 5, 2, 40
-    F, H, eye = support.stable(rng, n), rng.normal(size=(m, n)), np.eye(n)
-    zs = rng.normal(size=(3, steps, m))
-    zs[0, 3] = 1e300
-    P = np.array([1e307 * eye, eye, eye])
-    model = tuple(np.ascontiguousarray(a)[None, None] for a in (F, 0.1 * eye, H, np.eye(m), np.zeros(n)))
+    H, eye = rng.normal(size=(m, n)), np.eye(n)
+    F = np.array([1e80 * eye, support.stable(rng, n), support.stable(rng, n)])[:, None]
+    zs, P = rng.normal(size=(3, steps, m)), np.array([eye] * 3)
 
     def run(part):
         k = len(zs[part])
+        model = (F[part], *(np.ascontiguousarray(a)[None, None] for a in (0.1 * eye, H, np.eye(m), np.zeros(n))))
         kept = _compiled.Kept(
             np.zeros((k, steps, n)), np.zeros((k, steps, n, n)), np.zeros((k, 0, n)), np.zeros((k, 0, n, n)),
             np.zeros((k, steps, m)), np.zeros(k),
         )  # fmt: skip
-        return kept, _compiled.recurse(Choices(), zs[part], model, np.zeros((k, n)), P[part].copy(), kept)
+        x, choices = np.zeros((k, n)), Choices()
+        return kept, _compiled.recurse(choices, zs[part], model, x, P[part].copy(), kept, update_first=True)
 
     together, done = run(slice(0, 3))
     alone, done_alone = run(slice(1, 3))
-    assert done[0] < steps and done[1:].tolist() == done_alone.tolist() == [steps, steps]
+    assert done[0] == 1 and done[1:].tolist() == done_alone.tolist() == [steps, steps]
     np.testing.assert_array_equal(together.covariances[1:], alone.covariances)
     np.testing.assert_array_equal(together.means[1:], alone.means)
 
