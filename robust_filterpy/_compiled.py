@@ -16,11 +16,11 @@ from robust_filterpy._checks import Array
 from robust_filterpy._expectation import expected_joint_information
 from robust_filterpy.choices import GROUPINGS, INFORMATIONS, SCALINGS, Choices
 
-#: Steps by the definition that take as long as loading the loops from numba's cache: 0.35 s, which with 18 to 45 us a
-#: step is 8,000 (20 states, 5 sensors) to 20,000 of them (2 states, 1 sensor).
-LONG = 10_000
-#: Steps from which on loops that are loaded are the faster: getting the arrays ready takes as long as 5 to 7 steps.
-SHORT = 10
+#: Shorter recordings are filtered by the definition. Loading the loops from numba's cache takes .35 s, as long as
+#: 8,000 steps by the definition with 20 states and 5 sensors, 20,000 with 2 and 1: a study of a few dozen recordings
+#: of this length has paid for it, one recording alone loses a third of a second at most. The rule looks at nothing but
+#: the recording, so that the numbers of a study do not depend on how its runs are spread over processes.
+LONG = 1000
 
 _KINDS = ("linear", "huber", "hampel", "tukey", "student_t")
 
@@ -34,25 +34,6 @@ def available() -> bool:
 def can_compile(choices: Choices) -> bool:
     """Return whether the loops know the influence function and numba is installed."""
     return choices.pointwise is not None and choices.pointwise[0].__name__ in _KINDS and available()
-
-
-class _Waiting:
-    """How many steps this process has left to the definition since the loops could have been loaded."""
-
-    steps = 0.0
-
-
-def worthwhile(steps: float) -> bool:
-    """Return whether so many steps should go through the loops, and remember those that should not.
-
-    Loops that are loaded serve from `SHORT` steps on. They are loaded once this recording and those before it have
-    `LONG` steps together: then loading takes no longer than what has been spent already, whatever is still to come.
-    The two ways agree to rounding, not to the last bit.
-    """
-    if loops.cache_info().currsize:
-        return steps >= SHORT
-    _Waiting.steps += steps
-    return _Waiting.steps >= LONG
 
 
 @lru_cache(maxsize=1)

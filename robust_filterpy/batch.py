@@ -49,7 +49,7 @@ def filter_recording(
     covariances, covariances_p = np.zeros((n, dim_x, dim_x)), np.zeros((n, dim_x, dim_x))
     before = _snapshot(kf)
     compiled = None
-    if saver is None and _compiled.can_compile(kf._choices) and _compiled.worthwhile(n):
+    if n >= _compiled.LONG and saver is None and _compiled.can_compile(kf._choices):
         kept = _compiled.Kept(
             means.reshape(1, n, dim_x), covariances[None], means_p.reshape(1, n, dim_x), covariances_p[None],
             np.empty((1, 0, 0)), np.zeros(1),

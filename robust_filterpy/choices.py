@@ -162,7 +162,22 @@ class Choices:
         return along * direction, D, [slope] * m
 
     def of_length(self, length: float, m: int) -> tuple[float, float, float, float]:
-        """Return psi and psi' of the length of m components, and the eigenvalues of D across and along e."""
+        """Apply psi to the length of several components.
+
+        Parameters
+        ----------
+        length : float
+            Length of e, >= 0.
+        m : int
+            How many components it is taken over.
+
+        Returns
+        -------
+        psi, slope : float
+            psi and psi' of the length.
+        across, along : float
+            Eigenvalues of D: of the directions across e, and of that along e.
+        """
         if self.pointwise is not None:
             function, a, b, c = self.pointwise
             along, slope = function(length, a, b, c)

@@ -1,6 +1,5 @@
 """The compiled loops say what correction.py says."""
 
-import functools
 import itertools
 import os
 import shutil
@@ -131,15 +130,6 @@ def test_numba_is_imported_with_the_first_long_batch_and_not_before():
         "kf.batch_filter(np.zeros(_compiled.LONG)); print('numba' in sys.modules)"
     )
     assert run_python(code)[0].split() == ["False", "True"]
-
-
-def test_short_recordings_wait_for_the_loops_to_pay(monkeypatch):
-    monkeypatch.setattr(_compiled._Waiting, "steps", 0.0)
-    monkeypatch.setattr(_compiled, "loops", functools.lru_cache(lambda: None))
-    half = _compiled.LONG // 2
-    assert [_compiled.worthwhile(half - 1), _compiled.worthwhile(half), _compiled.worthwhile(1)] == [False, False, True]
-    _compiled.loops()
-    assert [_compiled.worthwhile(_compiled.SHORT - 1), _compiled.worthwhile(_compiled.SHORT)] == [False, True]
 
 
 @pytest.mark.parametrize("name", ["_pointwise.py", "_compiled_roots.py"])
