@@ -140,20 +140,11 @@ def filtered(
     """
     square, data = setting.unit**2, setting.unit * z[..., None]
     Q, R, P0 = square * W, variances(name, setting, is_outlier), square * setting.P0 * np.eye(4)
-    rows = H
-    if R.ndim > 2:
-        # A sample and its row of H divided by the deviation of its noise: one R for all is checked once.
-        deviation = np.sqrt(R)
-        data, rows, R = data / deviation[..., 0], H / deviation, np.eye(1)
-    try:
-        return filter_series(
-            data, F, rows, Q, R, np.zeros(4), P0, covariance="none", n_threads=threads, **choices(name, setting)
-        ).x
-    except NotPositiveDefiniteError:
-        if len(z) == 1:
-            return np.full((*z.shape, 4), np.nan)
-    # Some run is refused: find out which.
-    return np.concatenate([filtered(name, setting, z[i : i + 1], is_outlier[i : i + 1], 1) for i in range(len(z))])
+    estimates = filter_series(
+        data, F, H, Q, R, np.zeros(4), P0, covariance="none", refused="nan", n_threads=threads, **choices(name, setting)
+    ).x
+    estimates[np.isnan(estimates).any(axis=(1, 2))] = np.nan
+    return estimates
 
 
 def looped(name: str, setting: Setting, z: np.ndarray, is_outlier: np.ndarray) -> np.ndarray:

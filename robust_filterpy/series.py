@@ -19,6 +19,7 @@ from robust_filterpy.influence import Huber, Influence
 __all__ = ["FilteredSeries", "SmoothedSeries", "filter_series", "smooth_series"]
 
 _COVARIANCES = ("full", "diagonal", "none")
+_REFUSED = ("raise", "nan")
 
 
 class FilteredSeries(NamedTuple):
@@ -72,6 +73,7 @@ def filter_series(
     grouping: str = "component",
     keep: str | int = "all",
     covariance: str = "full",
+    refused: str = "raise",
     n_threads: int | None = None,
 ) -> FilteredSeries:
     """Filter S series of N measurements each, every step a prediction and then a correction.
@@ -97,6 +99,8 @@ def filter_series(
         bounded.
     covariance : {"full", "diagonal", "none"}
         What to return of the covariances.
+    refused : {"raise", "nan"}
+        What becomes of a series with a correction that is impossible: an error for all, or NaN from that step on.
     n_threads : int, optional
         Threads of the compiled loops; by default as many as the process may use.
 
@@ -110,7 +114,7 @@ def filter_series(
     ValueError, TypeError
         If a shape does not fit, a number is infinite, or an option unknown.
     LinAlgError
-        If a correction is impossible; the message names the step.
+        If a correction is impossible and refused is "raise"; the message names series and step.
 
     Notes
     -----
@@ -129,6 +133,7 @@ def filter_series(
     """
     choices = Choices(influence, scaling, information, grouping)
     _checks.option("covariance", covariance, _COVARIANCES)
+    skips = _checks.option("refused", refused, _REFUSED) == "nan"
     z = np.ascontiguousarray(numbers("zs", zs))
     if z.ndim != 3:
         raise ValueError(f"zs: expected shape (series, steps, dim_z), got {z.shape}; use zs[None] for one series")
@@ -141,8 +146,7 @@ def filter_series(
         _leading(name, value, shape, series, steps)
         for name, value, shape in (("F", F, (n, n)), ("Q", Q, (n, n)), ("H", H, (m, n)), ("R", R, (m, m)))
     )
-    for R_s in model[3].reshape(-1, m, m):
-        _checks.positive_definite("R", R_s)
+    _require_positive_definite(model[3].reshape(-1, m, m))
     if x0.shape not in ((n,), (series, n)):
         raise ValueError(f"x0: expected shape {(n,)} or {(series, n)}, got {x0.shape}")
     if P0.shape not in ((n, n), (series, n, n)):
@@ -155,12 +159,35 @@ def filter_series(
         np.empty((series, rows, n)), np.empty((series, rows, *shape)), np.empty((series, 0, n)),
         np.empty((series, 0, n, n)), np.empty((series, rows, m)), np.zeros(series),
     )  # fmt: skip
-    if _compiled.can_compile(choices) and steps:
-        _run_compiled(choices, z, model, x, P, kept, every, n_threads)
-    else:
-        _run_bank(choices, z, model, x, P, kept, every, range(series), 0)
+    n_threads = _threads(n_threads)
+    left = [(range(series), 0)]
+    # However few there are, so that a series has the same numbers in every block of a cluster.
+    if series * steps > 0 and _compiled.can_compile(choices):
+        taken = _run_compiled(choices, z, model, x, P, kept, every, n_threads).tolist()
+        left = [(range(s, s + 1), k) for s, k in enumerate(taken) if k < steps]
+    for part, start in left:
+        _run_bank(choices, z, model, x, P, kept, every, part, start, skips)
     covariances = {"full": kept.covariances, "diagonal": kept.covariances[:, :, :1].reshape(series, rows, -1)}
     return FilteredSeries(kept.means, covariances.get(covariance), kept.log_likelihood, kept.weights)
+
+
+def _require_positive_definite(R: Array) -> None:
+    """Raise unless every R of a stack is positive definite; one by one only where the stack as a whole is not."""
+    try:
+        np.linalg.cholesky(R)
+        fine = np.array_equal(R, R.transpose(0, 2, 1))
+    except np.linalg.LinAlgError:
+        fine = False
+    if not fine:
+        for R_s in R:
+            _checks.positive_definite("R", R_s)
+
+
+def _threads(n_threads: int | None) -> int:
+    """Return how many threads to use: by default as many as the process may."""
+    if n_threads is not None:
+        return _checks.count("n_threads", n_threads, 1)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _leading(name: str, value: Any, shape: tuple[int, int], series: int, steps: int) -> Array:
@@ -188,13 +215,11 @@ def _every(keep: Any, steps: int) -> int:
 
 
 def _run_compiled(
-    choices: Choices, z: Array, model: Any, x: Array, P: Array, kept: _compiled.Kept, every: int, n_threads: int | None
-) -> None:
-    """Run the loops on as many threads as there are cores; they let go of the interpreter."""
+    choices: Choices, z: Array, model: Any, x: Array, P: Array, kept: _compiled.Kept, every: int, threads: int
+) -> np.ndarray:
+    """Run the loops, which let go of the interpreter, on several threads; return how many steps of each were taken."""
     F, Q, H, R = model
     full = (F, Q, H, R, np.zeros((1, 1, x.shape[1])))
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    threads = cores if n_threads is None else _checks.count("n_threads", n_threads, 1)
     edges = np.unique(np.linspace(0, len(z), 4 * threads + 1).astype(int)).tolist() if threads > 1 else [0, len(z)]
     spans = list(itertools.pairwise(edges))
 
@@ -208,9 +233,7 @@ def _run_compiled(
         _compiled.recurse(choices, z, full, x, P, kept, every=every, span=(0, 0))
         with ThreadPoolExecutor(threads) as pool:
             done = list(pool.map(part, spans))
-    taken = np.concatenate(done) if done else np.zeros(0, dtype=int)
-    for s in np.flatnonzero(taken < z.shape[1]).tolist():
-        _run_bank(choices, z, model, x, P, kept, every, range(s, s + 1), int(taken[s]))
+    return np.concatenate(done)
 
 
 def _run_bank(
@@ -223,8 +246,9 @@ def _run_bank(
     every: int,
     part: range,
     start: int,
+    skips: bool,
 ) -> None:
-    """Run series together in numpy from a step on."""
+    """Run series together in numpy from a step on; skips: whether one that is refused becomes NaN."""
     at = slice(part.start, part.stop)
     F, Q, H, R = (matrix if len(matrix) == 1 else matrix[at] for matrix in model)
     bank = FilterBank(
@@ -238,7 +262,20 @@ def _run_bank(
             bank.predict()
             bank.update(z[at, k])
         except (ValueError, np.linalg.LinAlgError) as error:
-            error.args = (f"step {k}: {error}", *error.args[1:])
+            refused = skips and isinstance(error, np.linalg.LinAlgError)
+            if refused and len(part) == 1:
+                for column in (kept.means, kept.covariances, kept.weights):
+                    column[at, k // every :] = np.nan
+                kept.log_likelihood[at] = np.nan
+                return
+            if refused:
+                # Which of them it was, each tells alone.
+                kept.log_likelihood[at] = 0.0
+                for s in part:
+                    _run_bank(choices, z, model, x, P, kept, every, range(s, s + 1), start, skips)
+                return
+            where = f"series {part.start}, " if len(part) == 1 else ""
+            error.args = (f"{where}step {k}: {error}", *error.args[1:])
             raise
         kept.log_likelihood[at] += bank.log_likelihood
         if (k + 1) % every == 0:

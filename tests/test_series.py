@@ -6,6 +6,7 @@ import support
 from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import Linear, RobustKalmanFilter, StudentT, _compiled
+from robust_filterpy.correction import NotPositiveDefiniteError
 from robust_filterpy.series import filter_series, smooth_series
 
 
@@ -133,3 +134,42 @@ def test_blocks_on_a_dask_cluster_are_the_whole():
         blocks = dask.array.from_array(zs, chunks=(2, -1, -1))
         x = blocks.map_blocks(lambda z: filter_series(z, *model).x, dtype=float, chunks=((2,) * 4, (30,), (3,)))
         np.testing.assert_array_equal(x.compute(), filter_series(zs, *model).x)
+
+
+def test_a_series_that_is_refused_leaves_the_others_alone(path):
+    zs = np.random.default_rng(3).normal(size=(5, 30, 1))
+    P0 = np.tile(0.1 * np.eye(2), (5, 1, 1))
+    P0[3] *= 1e4
+    model = (np.eye(2), np.eye(1, 2), 1e-3 * np.eye(2), np.eye(1), np.zeros(2))
+    with pytest.raises(NotPositiveDefiniteError, match=r"step 0: .*scaling"):
+        filter_series(zs, *model, P0, scaling="unit")
+    result = filter_series(zs, *model, P0, scaling="unit", refused="nan")
+    others = [0, 1, 2, 4]
+    alone = filter_series(zs[others], *model, P0[others], scaling="unit")
+    for found, expected in zip(result, alone, strict=True):
+        np.testing.assert_allclose(found[others], expected, rtol=1e-12)
+        assert np.isnan(found[3]).all()
+
+
+def test_a_series_is_nan_from_the_refused_step_on(path):
+    zs = np.zeros((2, 30, 1))
+    H = np.tile(np.eye(1, 2), (2, 30, 1, 1))
+    H[1, 20] *= 100.0
+    model = (np.eye(2), H, 1e-3 * np.eye(2), np.eye(1), np.zeros(2), 0.1 * np.eye(2))
+    for keep, row in ((1, 20), (4, 5), (7, 2), ("last", 0)):
+        result = filter_series(zs, *model, scaling="unit", refused="nan", keep=keep)
+        for column in (result.x, result.P, result.weights):
+            assert np.isnan(column[1, row:]).all() and not np.isnan(column[1, :row]).any()
+            assert not np.isnan(column[0]).any()
+        np.testing.assert_array_equal(np.isnan(result.log_likelihood), [False, True])
+    with pytest.raises(NotPositiveDefiniteError, match=r"step 20: .*scaling"):
+        filter_series(zs, *model, scaling="unit")
+
+
+def test_a_bad_R_among_many_is_found():
+    problem, zs = problem_and_series((3, 1, 0))
+    R = np.ones((4, 30, 1, 1))
+    R[2, 7] = 0.0
+    F, H, Q, _, x0, P0 = arguments(problem)
+    with pytest.raises(ValueError, match="R: expected a positive definite matrix"):
+        filter_series(zs, F, H, Q, R, x0, P0)
