@@ -21,9 +21,9 @@ from robust_filterpy._compiled_products import (
     product_added,
     symmetric_transposed_product_added,
 )
-from robust_filterpy._compiled_psi import compiled, influence, inlined
+from robust_filterpy._compiled_psi import compiled, inlined
 
-__all__ = ["influence", "recurse"]
+__all__ = ["recurse", "stamp"]
 
 _jit = njit(cache=True, nogil=True, error_model="numpy")
 

@@ -69,7 +69,7 @@ def run_compiled(
         chunk = slice(k, min(k + _CHUNK, length))
         phi, inputs = memory.regressors(layout, u[chunk])
         x, P = np.array(kf.x).ravel(), np.array(kf.P, order="C")
-        done, x, P = track(
+        done, x, P, _ = track(
             y[chunk], phi, r[chunk] if len(r) > 1 else r, F, Q, kf._alpha_sq, rules.windup, rule, psi.parameters,
             psi.expected[1], places, x, P, memory.outputs, memory.residuals, memory.gradients,
             *(column[chunk] for column in out),

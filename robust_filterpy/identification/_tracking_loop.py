@@ -8,19 +8,26 @@ takes it by the definition.
 from __future__ import annotations
 
 import math
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numba import njit
 
-from robust_filterpy._compiled_loops import _jit, influence
+from robust_filterpy._compiled_loops import stamp
+from robust_filterpy._compiled_psi import influence
 from robust_filterpy.identification._memory import LARGEST
 from robust_filterpy.identification._sharpness import SHARP
 from robust_filterpy.identification.guard import MOST_HALVINGS
+
+# In numba's cache there is only what a run enters by, so that its key, with the version of all sources, holds for all.
+_inner = njit(nogil=True, error_model="numpy")
 
 # Far from what overflows; beyond it the definition knows what to do.
 _ORDINARY = 1e150
 
 
-@_jit
+@_inner
 def _bounded(value):
     """Return value, at most LARGEST in size, 0 for NaN."""
     if value != value:
@@ -28,7 +35,7 @@ def _bounded(value):
     return min(max(value, -LARGEST), LARGEST)
 
 
-@_jit
+@_inner
 def _push(past, newest):
     """Move past values one place on and put a new one in front."""
     for i in range(past.shape[0] - 1, 0, -1):
@@ -37,7 +44,7 @@ def _push(past, newest):
         past[0] = newest
 
 
-@_jit
+@_inner
 def _is_stable(theta, first, last, c, work):
     """Tell whether z^m + theta_first z^(m-1) + .. has its roots inside the unit circle, by Schur and Cohn."""
     m = last - first
@@ -56,7 +63,7 @@ def _is_stable(theta, first, last, c, work):
     return True
 
 
-@_jit
+@_inner
 def _restrain(theta, old, first, last, guard, c, work):
     """Take theta back towards old until it is stable, and return what was done: as `restrained` does."""
     n = theta.shape[0]
@@ -80,7 +87,7 @@ def _restrain(theta, old, first, last, guard, c, work):
     return -1
 
 
-@_jit
+@_inner
 def _predict(F, moves, Q, drifts, alpha_sq, x, P, x_next, P_next, work):
     """Write F x and alpha^2 F P F' + Q; return the trace."""
     n = x.shape[0]
@@ -125,7 +132,7 @@ def _predict(F, moves, Q, drifts, alpha_sq, x, P, x_next, P_next, work):
     return trace
 
 
-@_jit
+@_inner
 def _correct(x, P, y, h, r, rule, a, b, c, expected, gain, work):
     """Correct x and P by an innovation y, h being H; return whether that was ordinary, and the weight.
 
@@ -185,8 +192,8 @@ def _correct(x, P, y, h, r, rule, a, b, c, expected, gain, work):
     return True, weight
 
 
-@_jit
-def track(
+@_inner
+def _advance(
     y, phi, r, F, Q, alpha_sq, windup, rule, parameters, expected, layout, x, P, outputs, residuals, gradients,
     theta, variance, prediction, residual, weights, guard,
 ):  # fmt: skip
@@ -268,3 +275,24 @@ def track(
             for i in range(n):
                 gradients[0, i] = g[i]
     return length, x, P
+
+
+def _entry(version: int) -> Any:
+    """Return what a run enters by; a variable from outside is part of its key in numba's cache."""
+
+    @njit(cache=True, nogil=True, error_model="numpy")
+    def track(
+        y, phi, r, F, Q, alpha_sq, windup, rule, parameters, expected, layout, x, P, outputs, residuals, gradients,
+        theta, variance, prediction, residual, weights, guard,
+    ):  # fmt: skip
+        """Advance as `_advance` does; return what it returns, and the version of the sources."""
+        k, x, P = _advance(
+            y, phi, r, F, Q, alpha_sq, windup, rule, parameters, expected, layout, x, P, outputs, residuals, gradients,
+            theta, variance, prediction, residual, weights, guard,
+        )  # fmt: skip
+        return k, x, P, version
+
+    return track
+
+
+track = _entry(stamp(Path(__file__).parents[1]))
