@@ -2,6 +2,7 @@
 
 import io
 import pickle
+import signal
 
 import control
 import numpy as np
@@ -464,4 +465,133 @@ def test_bad_variances_are_refused(R, message):
     if np.ndim(R) == 0:
         with pytest.raises(ValueError, match="R: expected"):
             tracker.update(y[0], u[0], R)
+    same(before.values(), tracker.state().values())
+
+
+# What a filter holds before, while and after
+
+
+def left_behind(kf):
+    """What a correction leaves in a filter."""
+    names = "x P H x_prior P_prior x_post P_post z y S SI K T e weights y_bounded log_likelihood".split()
+    return [np.array(getattr(kf, name), dtype=float) for name in names]
+
+
+@pytest.mark.parametrize("length", [100, 1200])
+@pytest.mark.parametrize("gap", [1, 3, 99])
+def test_a_recording_that_ends_in_a_gap_leaves_what_update_leaves(length, gap):
+    y, u = recording(length)
+    y[-gap:] = np.nan
+    for structure in STRUCTURES[:3]:
+        one, other = (ParameterTracker(structure, P=1.0, R=0.25) for _ in range(2))
+        one.run(y, u)
+        step_by_step(other, y, u)
+        for found, expected in zip(left_behind(one.filter), left_behind(other.filter), strict=True):
+            np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9)
+
+
+@pytest.mark.parametrize("length", [1, 40, 1200])
+def test_nothing_but_gaps_and_a_whole_number_as_theta(length):
+    y, u = np.full(length, np.nan), np.ones(length)
+    tracker = ParameterTracker(ARX(1, 1), theta=[-0.5, 1.0])
+    np.testing.assert_array_equal(tracker.run(y, u).theta[-1], [-0.5, 1.0])
+    y, u = recording(length, missing=False)
+    for x in (np.zeros(2, dtype=int), np.zeros(2, dtype=np.float32), np.zeros((2, 1)), [0.0, 0.0]):
+        tracker, plain = ParameterTracker(ARX(1, 1)), ParameterTracker(ARX(1, 1))
+        tracker.filter.x = x
+        np.testing.assert_allclose(tracker.run(y, u).theta, plain.run(y, u).theta, rtol=1e-9)
+
+
+@pytest.mark.parametrize("length", [30, 1500])
+def test_a_refused_sample_leaves_the_filter_as_it_was(length):
+    y, u = recording(length, missing=False)
+    tracker = ParameterTracker(ARX(2, 2), P=1e-4, R=0.25, scaling="unit")
+    tracker.run(y[:20], u[:20])
+    before = [tracker.filter.H, tracker.filter.x_prior, tracker.filter.P_prior, *tracker.state().values()]
+    with pytest.raises(np.linalg.LinAlgError, match="scaling"):
+        tracker.run(y, 300.0 * u)
+    with pytest.raises(np.linalg.LinAlgError, match="scaling"):
+        for _ in range(9):
+            before = [tracker.filter.H, tracker.filter.x_prior, tracker.filter.P_prior, *tracker.state().values()]
+            tracker.update(1.0, 300.0)
+    same(before, [tracker.filter.H, tracker.filter.x_prior, tracker.filter.P_prior, *tracker.state().values()])
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs POSIX timers")
+@pytest.mark.parametrize("make", [None, KalmanFilter])
+def test_an_interrupted_run_changes_nothing(make):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    y, u = recording(1_000_000 if make is None else 20_000)
+    tracker = ParameterTracker(OutputError(2, 2), filter=make, P=1.0, R=0.25)
+    tracker.run(y[:1500], u[:1500])
+    before = tracker.state()
+    previous = signal.signal(signal.SIGALRM, stop)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.1)
+        with pytest.raises(KeyboardInterrupt):
+            tracker.run(y, u)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, previous)
+    same(before.values(), tracker.state().values())
+
+
+def test_predict_knows_that_a_wound_up_tracker_stands_still():
+    tracker = ParameterTracker(ARX(1, 1), forgetting=0.5, F=1.5 * np.eye(2), theta=[-0.5, 1.0])
+    for k in range(40):
+        tracker.update(np.nan, 0.0 if k < 39 else 1.0)
+        assert tracker.predict() == tracker.update(np.nan, 0.0).prediction
+
+
+def test_matrices_are_the_filters():
+    y, u = recording()
+    one, other = ParameterTracker(ARX(2, 2), R=0.25), ParameterTracker(ARX(2, 2), R=4.0, Q=1e-3, forgetting=0.9)
+    one.R, one.Q, one.forgetting = 4.0, 1e-3, 0.9
+    assert one.R == one.filter.R.item() == 4.0 and one.forgetting == pytest.approx(0.9)
+    np.testing.assert_array_equal(one.Q, 1e-3 * np.eye(4))
+    np.testing.assert_array_equal(one.F, np.eye(4))
+    same(one.run(y, u), other.run(y, u))
+    one.F = 0.5 * np.eye(4)
+    np.testing.assert_array_equal(one.filter.F, 0.5 * np.eye(4))
+    for name, value in {"R": -1.0, "Q": -1.0, "F": np.eye(3), "forgetting": 1.5}.items():
+        before = one.state()
+        with pytest.raises(ValueError, match=f"{name}: expected"):
+            setattr(one, name, value)
+        same(before.values(), one.state().values())
+
+
+@pytest.mark.parametrize("R", [np.nan, -1.0, None, np.array([[np.nan]]), np.array([[-1.0]])])
+@pytest.mark.parametrize("structure", STRUCTURES[:3], ids=str)
+def test_a_bad_variance_in_the_filter_is_named(structure, R):
+    y, u = recording(1200)
+    for length in (20, 1200):
+        tracker = ParameterTracker(structure)
+        tracker.filter.R = R
+        with pytest.raises(ValueError, match=r"sample 0: R: expected a variance > 0"):
+            tracker.run(y[:length], u[:length])
+        with pytest.raises(ValueError, match="R: expected a variance > 0"):
+            tracker.update(1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"theta": np.full(4, np.nan)}, ValueError, "theta: expected finite"),
+        ({"theta": "a"}, TypeError, "theta: expected"),
+        ({"outputs": np.full(2, np.inf)}, ValueError, "outputs: expected finite"),
+        ({"R": np.array([[-1.0]])}, ValueError, "state: expected R > 0"),
+        ({"alpha_sq": np.array(0.0)}, ValueError, "state: expected alpha_sq > 0"),
+        ({"P": -np.eye(4)}, ValueError, "state: expected variances >= 0"),
+    ],
+)
+def test_a_bad_state_is_refused(change, error, message):
+    tracker = ParameterTracker(OutputError(2, 2))
+    before = tracker.state()
+    with pytest.raises(error, match=message):
+        tracker.restore(before | change)
+    for wrong in (None, "state.npz", 3):
+        with pytest.raises(TypeError, match=r"what numpy\.load makes of a file"):
+            tracker.restore(wrong)
     same(before.values(), tracker.state().values())

@@ -35,7 +35,7 @@ def can_run(kf: Any, length: int) -> bool:
     return (
         length >= _compiled.LONG
         and _compiled.can_compile(kf._choices)
-        and all(np.isfinite(a).all() for a in (kf.x, kf.P, kf.Q, kf.F))
+        and all(np.isfinite(a).all() for a in (kf.Q, kf.F))
         and all(np.abs(a - a.T).max() <= 1e-13 * np.abs(a).max() for a in (kf.P, kf.Q))
     )
 
@@ -57,7 +57,8 @@ def run_compiled(
     """
     psi = _compiled.encoded(kf._choices, 1)
     part = slice(0, 0) if layout.part is None else layout.part
-    F, Q = np.ascontiguousarray(kf.F), np.ascontiguousarray(kf.Q)
+    # Copies, since numba would compile anew for arrays that are read only.
+    F, Q = np.array(kf.F, order="C"), np.array(kf.Q, order="C")
     filtered = rules.filtered and layout.part is not None
     rule = np.array(
         [*psi.codes[:3], rules.uses_model_output, filtered, GUARDS.index(rules.guard),
@@ -69,7 +70,7 @@ def run_compiled(
         chunk = slice(k, min(k + _CHUNK, length))
         phi, inputs = memory.regressors(layout, u[chunk])
         x, P = np.array(kf.x).ravel(), np.array(kf.P, order="C")
-        done, x, P, _ = track(
+        done = track(
             y[chunk], phi, r[chunk] if len(r) > 1 else r, F, Q, kf._alpha_sq, rules.windup, rule, psi.parameters,
             psi.expected[1], places, x, P, memory.outputs, memory.residuals, memory.gradients,
             *(column[chunk] for column in out),

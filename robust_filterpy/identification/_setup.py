@@ -59,16 +59,27 @@ def configure(
     kf: Any, structure: Structure, *, theta: Any, P: Any, Q: Any, R: Any, F: Any, forgetting: float | None
 ) -> None:
     """Check the arguments that are given and write them into the filter."""
-    n, values = structure.n_theta, {}
+    n = structure.n_theta
     start = np.ravel(kf.x).astype(float) if theta is None else _start(theta, n)
     if structure.feeds_back is not None and not is_stable(start[structure.feeds_back].tolist()):
         raise ValueError(
             f"theta: expected a stable model to start from, got {start[structure.feeds_back]} as the coefficients "
             f"that feed back, whose roots leave the unit circle"
         )
-    for name, value in (("P", P), ("Q", Q)):
-        if value is not None:
-            values[name] = _covariance(name, value, n)
+    values = checked_values(n, P, Q, R, F)
+    if F is None and (not hasattr(kf, "F") or np.shape(kf.F) != (n, n)):
+        values["F"] = np.eye(n)
+    if forgetting is not None:
+        forget(kf, forgetting)
+    if theta is not None:
+        kf.x = start.reshape(np.shape(kf.x))
+    for name, value in values.items():
+        setattr(kf, name, value)
+
+
+def checked_values(n: int, P: Any = None, Q: Any = None, R: Any = None, F: Any = None) -> dict[str, Array]:
+    """Return those matrices that are given, as a filter of n parameters wants them, or raise."""
+    values = {name: _covariance(name, value, n) for name, value in (("P", P), ("Q", Q)) if value is not None}
     if R is not None:
         variance = _checks.numbers("R", R)
         if variance.size != 1:
@@ -76,18 +87,16 @@ def configure(
         values["R"] = np.array([[_checks.positive("R", variance.item())]])
     if F is not None:
         values["F"] = _finite("F", _checks.matrix("F", F, (n, n), f"{n} parameters")).copy()
-    elif not hasattr(kf, "F") or np.shape(kf.F) != (n, n):
-        values["F"] = np.eye(n)
-    if forgetting is not None:
-        if not hasattr(kf, "alpha"):
-            raise ValueError(f"forgetting: expected a filter with alpha, {type(kf).__name__} has none; use Q")
-        if not 0.0 < _checks.real("forgetting", forgetting) <= 1.0:
-            raise ValueError(f"forgetting: expected a number in (0, 1], got {forgetting!r}")
-        kf.alpha = 1.0 / math.sqrt(forgetting)
-    if theta is not None:
-        kf.x = start.reshape(np.shape(kf.x))
-    for name, value in values.items():
-        setattr(kf, name, value)
+    return values
+
+
+def forget(kf: Any, forgetting: Any) -> None:
+    """Give a filter a forgetting factor, or raise."""
+    if not hasattr(kf, "alpha"):
+        raise ValueError(f"forgetting: expected a filter with alpha, {type(kf).__name__} has none; use Q")
+    if not 0.0 < _checks.real("forgetting", forgetting) <= 1.0:
+        raise ValueError(f"forgetting: expected a number in (0, 1], got {forgetting!r}")
+    kf.alpha = 1.0 / math.sqrt(forgetting)
 
 
 def _start(theta: Any, n: int) -> Array:
@@ -122,8 +131,15 @@ def _covariance(name: str, value: Any, n: int) -> Array:
 
 
 def noise_variance(kf: Any) -> float:
-    """Return a filter's R as a number, 1 if it has none."""
-    return float(np.ravel(getattr(kf, "R", 1.0))[0])
+    """Return a filter's R as a number, 1 if it has none, or raise."""
+    R = getattr(kf, "R", 1.0)
+    try:
+        r = float(np.ravel(R)[0])
+    except (TypeError, ValueError, IndexError):
+        r = math.nan
+    if not 0.0 < r < math.inf:
+        raise ValueError(f"R: expected a variance > 0, got {R!r}; NaN in y is for a sample that is missing")
+    return r
 
 
 def settings(kf: Any) -> dict[str, Array]:
@@ -141,14 +157,24 @@ def apply_settings(kf: Any, state: dict[str, Array]) -> None:
 
 def checked_state(state: Any, shapes: dict[str, tuple[int, ...]], present: dict[str, Array]) -> dict[str, Array]:
     """Return a state's arrays, copied, or raise if one is missing or does not fit."""
+    if not (hasattr(state, "keys") and hasattr(state, "__getitem__")):
+        raise TypeError(
+            f"state: expected what state() returned, or what numpy.load makes of a file that holds it, "
+            f"got {type(state).__name__}"
+        )
     found = {}
     for name, shape in {**shapes, **{name: value.shape for name, value in present.items()}}.items():
         if name not in state:
             if name in present:
                 continue
             raise ValueError(f"state: expected {name}, of shape {shape}, got none")
-        value = np.array(state[name], dtype=bool if name == "enabled" else float)
+        value = _checks.numbers(name, state[name]).copy() if name != "enabled" else np.array(state[name], dtype=bool)
         if value.shape != shape:
             raise ValueError(f"state: expected {name} of shape {shape}, got {value.shape}")
-        found[name] = value
+        found[name] = _finite(name, value)
+    for name in ("R", "alpha_sq"):
+        if name in found and not (found[name] > 0.0).all():
+            raise ValueError(f"state: expected {name} > 0, got {found[name]}")
+    if (found["P"].diagonal() < 0.0).any():
+        raise ValueError(f"state: expected variances >= 0 on the diagonal of P, got {found['P'].diagonal()}")
     return found

@@ -74,7 +74,7 @@ def recorded_variance(R: Any, length: int) -> Array:
     if not good.all():
         k = int(np.argmin(good.ravel()))
         raise ValueError(f"R: expected variances > 0, got {variances.ravel()[k]} in sample {k}; NaN in y is a gap")
-    return np.full(length, variances) if variances.size == 1 else variances
+    return np.array(np.broadcast_to(variances, length))
 
 
 def _require_finite(values: Array) -> None:

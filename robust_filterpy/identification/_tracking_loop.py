@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 from numba import njit
@@ -285,14 +286,23 @@ def _entry(version: int) -> Any:
         y, phi, r, F, Q, alpha_sq, windup, rule, parameters, expected, layout, x, P, outputs, residuals, gradients,
         theta, variance, prediction, residual, weights, guard,
     ):  # fmt: skip
-        """Advance as `_advance` does; return what it returns, and the version of the sources."""
-        k, x, P = _advance(
+        """Advance as `_advance` does, x and P in place; return the next sample."""
+        # A result that holds arrays would be lost, with the state, where an interrupt comes while it is made.
+        k, x_now, P_now = _advance(
             y, phi, r, F, Q, alpha_sq, windup, rule, parameters, expected, layout, x, P, outputs, residuals, gradients,
             theta, variance, prediction, residual, weights, guard,
         )  # fmt: skip
-        return k, x, P, version
+        x[:], P[:] = x_now, P_now
+        return k if version >= 0 else -1
 
     return track
 
 
-track = _entry(stamp(Path(__file__).parents[1]))
+def _version() -> int:
+    """Return a number that changes with what is compiled, of other files too."""
+    here = Path(__file__).parent
+    own = b"".join((here / name).read_bytes() for name in ("_memory.py", "_sharpness.py", "guard.py"))
+    return stamp(here.parent) ^ crc32(own)
+
+
+track = _entry(_version())

@@ -37,6 +37,9 @@ __all__ = ["GRADIENTS", "ParameterTracker"]
 #: What the gain is computed from.
 GRADIENTS: Final = ("pseudolinear", "filtered")
 
+# What a sample moves in a filter, besides what only shows its last correction.
+_MOVING: Final = ("x", "P", "H", "x_prior", "P_prior")
+
 # With forgetting and no excitation P grows without end; at so many times its first trace it has forgotten everything.
 _WINDUP = 1e8
 
@@ -85,7 +88,7 @@ class ParameterTracker:
     structure : Structure
         As given.
     filter : filter object
-        The filter; its H, Q, R, F may be changed between samples.
+        The filter; Q, R, F and forgetting are read from it and written to it.
     enabled : bool
         False freezes theta and P, while predictions go on.
 
@@ -223,6 +226,42 @@ class ParameterTracker:
         return np.array(self.filter.P, dtype=float)
 
     @property
+    def Q(self) -> Array:
+        """Covariance of a step of theta (paper 8), shape (n, n); may be set, to a number q for q I."""
+        return np.array(self.filter.Q, dtype=float)
+
+    @Q.setter
+    def Q(self, value: ArrayLike) -> None:
+        self.filter.Q = _setup.checked_values(self._layout.n, Q=value)["Q"]
+
+    @property
+    def R(self) -> float:
+        """Variance of the ordinary noise; may be set."""
+        return _setup.noise_variance(self.filter)
+
+    @R.setter
+    def R(self, value: float) -> None:
+        self.filter.R = _setup.checked_values(self._layout.n, R=value)["R"]
+
+    @property
+    def F(self) -> Array:
+        """Transition matrix C of (9), shape (n, n); may be set."""
+        return np.array(self.filter.F, dtype=float)
+
+    @F.setter
+    def F(self, value: ArrayLike) -> None:
+        self.filter.F = _setup.checked_values(self._layout.n, F=value)["F"]
+
+    @property
+    def forgetting(self) -> float:
+        """Forgetting factor, in (0, 1]; may be set."""
+        return float(getattr(self.filter, "alpha", 1.0)) ** -2
+
+    @forgetting.setter
+    def forgetting(self, value: float) -> None:
+        _setup.forget(self.filter, value)
+
+    @property
     def std(self) -> Array:
         """Standard deviations of the parameters, shape (n,)."""
         return np.sqrt(np.maximum(self.P.diagonal(), 0.0))
@@ -305,7 +344,7 @@ class ParameterTracker:
         values = np.zeros(self.structure.n_inputs) if u is None else one_input(self.structure, u)
         H = self._memory.regressor(self._layout, self._memory.with_input(self._layout, values))
         theta = self.theta
-        if self.enabled and hasattr(self.filter, "F"):
+        if self.enabled and hasattr(self.filter, "F") and self._drifts:
             theta = np.asarray(self.filter.F, dtype=float).dot(theta)
         return bounded(H.dot(theta).item())
 
@@ -418,29 +457,45 @@ class ParameterTracker:
         signal = recorded_input(self.structure, u, output.size)
         variances = None if R is None else recorded_variance(R, output.size)
         out = Columns.empty(output.size, self._layout.n)
-        before = self.state()
+        before, held = self.state(), self._held()
         try:
             if self._is_plain:
                 self._run_fast(output, signal, variances, out)
             else:
                 self._run_stepwise(output, signal, variances, out, 0, output.size)
-        except (ValueError, TypeError, np.linalg.LinAlgError):
-            self.restore(before)
+        except BaseException:
+            self._set_state(before)
+            self._put_back(held)
             raise
         std = np.sqrt(np.maximum(out.variance, 0.0))
         return TrackingResult(out.theta, std, out.prediction, out.residual, out.weights, out.guard)
+
+    @property
+    def _drifts(self) -> bool:
+        """Whether the next sample begins with a step of theta: not once P has wound up under forgetting."""
+        kf = self.filter
+        return bool(getattr(kf, "alpha", 1.0) == 1.0 or np.trace(kf.P) <= self._windup)
+
+    def _held(self) -> dict[str, Any]:
+        """Return what a sample changes in a filter of filterpy's kind."""
+        return {name: getattr(self.filter, name) for name in _MOVING if hasattr(self.filter, name)}
+
+    def _put_back(self, held: dict[str, Any]) -> None:
+        """Undo a sample that was refused, or interrupted."""
+        for name, value in held.items():
+            setattr(self.filter, name, value)
 
     def _step(self, y: float, u: Array, R: float | None) -> Sample:
         """Advance by one checked sample."""
         kf, layout, memory, part = self.filter, self._layout, self._memory, self._layout.part
         inputs = memory.with_input(layout, u)
         H = memory.regressor(layout, inputs)
-        known, old_x, old_P = y == y, kf.x, kf.P
-        old, gradients = np.ravel(old_x), memory.gradients
+        known, held = y == y, self._held()
+        old, gradients = np.ravel(kf.x), memory.gradients
         weight, event = math.nan, 0
         filtered = self._gradient == "filtered" and part is not None
         try:
-            if self.enabled and (getattr(kf, "alpha", 1.0) == 1.0 or np.trace(kf.P) <= self._windup):
+            if self.enabled and self._drifts:
                 kf.predict()
             x = kf.x
             predicted = H.dot(x).item()
@@ -473,8 +528,8 @@ class ParameterTracker:
                 if event:
                     kf.x = moved.reshape(np.shape(kf.x))
             after = H.dot(kf.x).item()
-        except (ValueError, TypeError, np.linalg.LinAlgError):
-            kf.x, kf.P = old_x, old_P
+        except BaseException:
+            self._put_back(held)
             raise
         if self.structure.uses_model_output:
             memory.outputs = pushed(memory.outputs, -bounded(after))
@@ -500,7 +555,7 @@ class ParameterTracker:
     def _is_plain(self) -> bool:
         """Whether the filter is our own as it comes, for which there are faster ways to the numbers of `update`."""
         kf, n = self.filter, self._layout.n
-        return (
+        return bool(
             self.enabled
             and type(kf) is RobustKalmanFilter
             and kf._choices.pointwise is not None
@@ -509,30 +564,50 @@ class ParameterTracker:
             and _setup.is_array(kf.Q, (n, n))
             and _setup.is_array(kf.R, (1, 1))
             and _setup.is_array(kf.P, (n, n))
+            and (_setup.is_array(kf.x, (n,)) or _setup.is_array(kf.x, (n, 1)))
+            and np.isfinite(kf.x).all()
+            and np.isfinite(kf.P).all()
+            and 0.0 < kf.R.item() < math.inf
         )
 
     def _run_fast(self, y: Array, u: Array, R: Array | None, out: Columns) -> None:
-        """Advance through all samples but the last without `update`; the last one leaves the filter's attributes."""
-        kf, last, start = self.filter, len(y) - 1, 0
+        """Advance without `update`, except for the last sample and the last measured one.
+
+        These two leave the attributes that the filter shows.
+        """
+        measured = np.flatnonzero(y == y)
+        stops = sorted({*measured[-1:].tolist(), len(y) - 1})
+        compiled, start = _compiled_run.can_run(self.filter, len(y)), 0
+        for stop in stops:
+            if stop > start:
+                self._run_piece(y, u, R, out, start, stop, compiled)
+            self._run_stepwise(y, u, R, out, stop, stop + 1)
+            start = stop + 1
+
+    def _run_piece(
+        self, y: Array, u: Array, R: Array | None, out: Columns, start: int, stop: int, compiled: bool
+    ) -> None:
+        """Advance from sample start to stop - 1 in the compiled loop or the lean one, if one of them can."""
+        kf, piece = self.filter, slice(start, stop)
         rules = Rules(self.structure.uses_model_output, self._gradient == "filtered", self._guard, self._windup)
-        variances = kf.R.ravel() if R is None else R[:last]
-        head = Columns(*(column[:last] for column in out))
-        if last and _compiled_run.can_run(kf, len(y)):
+        variances = kf.R.flatten() if R is None else R[piece]
+        columns = Columns(*(column[piece] for column in out))
 
-            def by_definition(first: int, stop: int) -> None:
-                self._run_stepwise(y, u, R, out, first, stop)
+        def by_definition(first: int, last: int) -> None:
+            self._run_stepwise(y, u, R, out, start + first, start + last)
 
+        if compiled:
             _compiled_run.run_compiled(
-                self._layout, rules, self._memory, kf, y[:last], u[:last], variances, head, by_definition
+                self._layout, rules, self._memory, kf, y[piece], u[piece], variances, columns, by_definition
             )
-            start = last
-        elif last and np.array_equal(kf.F, np.eye(self._layout.n)):
+        elif np.array_equal(kf.F, np.eye(self._layout.n)):
             noise = Noise(kf.Q, variances, kf._alpha_sq)
+            # Only a first piece, which starts at 0, holds measurements and can be refused.
             kf.x, kf.P = run_lean(
-                self._layout, rules, kf._choices, noise, self._memory, kf.x, kf.P, y[:last], u[:last], head
+                self._layout, rules, kf._choices, noise, self._memory, kf.x, kf.P, y[piece], u[piece], columns
             )
-            start = last
-        self._run_stepwise(y, u, R, out, start, len(y))
+        else:
+            by_definition(0, stop - start)
 
     # Interruption.
 
@@ -565,7 +640,10 @@ class ParameterTracker:
         Raises
         ------
         ValueError
-            If an array is missing or does not fit; nothing has changed then.
+            If an array is missing, does not fit, or holds NaN or a variance that is not positive; nothing has changed
+            then.
+        TypeError
+            If state is no mapping.
 
         Notes
         -----
@@ -573,7 +651,10 @@ class ParameterTracker:
         """
         n = self._layout.n
         shapes = {"theta": (n,), "P": (n, n), **self._layout.shapes(), "enabled": ()}
-        found = _setup.checked_state(state, shapes, _setup.settings(self.filter))
+        self._set_state(_setup.checked_state(state, shapes, _setup.settings(self.filter)))
+
+    def _set_state(self, found: dict[str, Array]) -> None:
+        """Take over a checked state."""
         self.filter.x = found["theta"].reshape(np.shape(self.filter.x))
         _setup.apply_settings(self.filter, found)
         self.filter.P = found["P"]
