@@ -361,6 +361,15 @@ def test_prediction_is_what_the_next_update_finds(structure):
         close([bank.update(y[k], u[k]).prediction], [ahead], rtol=1e-13)
 
 
+def test_prediction_is_what_the_next_update_finds_once_P_has_wound_up():
+    """`update` then leaves out the whole step of theta, F included."""
+    bank = TrackerBank(1, ARX(1, 1), forgetting=0.5, F=1.5 * np.eye(2), theta=[-0.5, 1.0], P=100.0)
+    for k in range(40):
+        bank.update([np.nan], [0.0 if k < 39 else 1.0])
+    ahead = bank.predict()
+    same([bank.update([1.0], [0.0]).prediction], [ahead])
+
+
 def test_repr_shows_size_and_structure():
     assert repr(TrackerBank(3, FIR(1))) == "TrackerBank(n=3, FIR(nb=1, nk=1))"
 

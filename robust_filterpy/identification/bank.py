@@ -278,17 +278,16 @@ class TrackerBank:
         Raises
         ------
         ValueError
-            If the next input is needed and not given.
+            If the next input is needed and not given, or F or Q would make theta or P infinite.
         """
-        layout, (theta, _, past) = self._layout, self._now
+        layout, past = self._layout, self._now.past
         if u is None and layout.direct:
             raise ValueError(f"u: expected the next input, which acts at once in {self.structure}, got None")
         width = self.structure.n_inputs
         values = np.zeros((self.n, width)) if u is None else _bank_setup.inputs(self.structure, u, self.n)
         phi = past.regressors(layout, past.with_inputs(layout, values))
-        F = _bank_setup.matrices("F", self.F, self.n, layout.n)
-        moved = np.where(self._enabled[:, None], (F @ theta[:, :, None])[:, :, 0], theta)
-        return all_bounded(rowwise(phi, moved))
+        with np.errstate(over="ignore", invalid="ignore"):
+            return all_bounded(rowwise(phi, self._predicted(self._now)[0]))
 
     def tracker(self, i: int) -> ParameterTracker:
         """Return a tracker of one actuator that goes on where the bank is, and resets to where the bank began.
