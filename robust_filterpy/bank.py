@@ -44,7 +44,7 @@ class FilterBank:
     H : ndarray, shape (dim_z, dim_x) or (n, dim_z, dim_x)
         Measurement matrix.
     R : ndarray, shape (dim_z, dim_z) or (n, dim_z, dim_z)
-        Measurement noise covariance.
+        Measurement noise covariance, positive definite.
     y, e, weights : ndarray, shape (n, dim_z)
         Innovation, standardized innovation (0 where missing) and psi(e)/e (NaN where missing) of the last update.
     S : ndarray, shape (n, dim_z, dim_z)
@@ -141,7 +141,7 @@ class FilterBank:
         Raises
         ------
         ValueError
-            If a shape does not fit or z is infinite.
+            If a shape does not fit, z is infinite or an R not positive definite.
         SingularInnovationError, NotPositiveDefiniteError
             As in `RobustKalmanFilter.update`; no filter has changed then.
         """
@@ -153,6 +153,10 @@ class FilterBank:
         if np.isinf(z).any():
             raise ValueError("z: expected finite numbers or NaN (missing), got infinity")
         H, R = self._matrix("H", (m, d)), self._matrix("R", (m, m))
+        # By content, since users write into R.
+        if m == 1 or self._checked is None or not np.array_equal(R, self._checked):
+            _require_positive_definite(R)
+            self._checked = R.copy() if m > 1 else None
         seen = z == z
         everything = bool(seen.all())
         if len(H) == 1 and everything:
@@ -225,6 +229,7 @@ class FilterBank:
         return np.where(count > 0, -np.minimum(loss, sys.float_info.max) - 0.5 * log_det, 0.0)
 
     _filler: Array | None = None
+    _checked: Array | None = None
 
     def _state(self) -> tuple[Array, Array]:
         """Return x and P, checked."""
@@ -278,6 +283,37 @@ class FilterBank:
         matrices += (radial - across)[:, None, None] * direction[:, :, None] * direction[:, None, :]
         psi = np.where(visible, weight[:, None] * inside, psi)
         return psi, np.where(visible, weight[:, None], w), matrices
+
+
+@np.errstate(invalid="ignore")
+def _require_positive_definite(R: Array) -> None:
+    """Raise unless every R is symmetric positive definite, and finite where it is one number."""
+    if R.shape[1] == 1:
+        fine = bool(R.min() > 0.0 and R.max() < math.inf)
+    else:
+        apart = np.abs(R - R.transpose(0, 2, 1))
+        fine = not apart.any()
+        if not fine:
+            scale = np.sqrt(np.abs(np.diagonal(R, axis1=1, axis2=2)))
+            fine = bool((apart <= 1e-8 * scale[:, :, None] * scale[:, None, :]).all())
+        try:
+            np.linalg.cholesky(R)
+        except np.linalg.LinAlgError:
+            fine = False
+    if fine:
+        return
+    bad: list[int] = []
+    sentence = ""
+    for s, R_s in enumerate(R):
+        try:
+            if not np.isfinite(R_s).all():
+                raise ValueError("R: expected finite numbers, got NaN or infinity")
+            _checks.positive_definite("R", R_s)
+        except ValueError as error:
+            sentence = sentence if bad else str(error)
+            bad.append(s)
+    which = "" if len(R) == 1 else f" (filter {bad[0]}{f' and {len(bad) - 1} more' if len(bad) > 1 else ''})"
+    raise ValueError(sentence + which)
 
 
 def _sandwich(A: Array, B: Array) -> Array:

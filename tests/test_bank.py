@@ -75,7 +75,7 @@ def test_each_filter_may_have_its_own_matrices_and_input():
         (lambda bank: bank.update(np.zeros(3)), "z: expected shape"),
         (lambda bank: bank.update(np.full((3, 1), np.inf)), "infinity"),
         (lambda bank: setattr(bank, "R", 5.0) or bank.update(np.zeros((3, 1))), "R: expected shape"),
-        (lambda bank: setattr(bank, "R", -5.0 * np.eye(1)) or bank.update(np.zeros((3, 1))), "singular"),
+        (lambda bank: setattr(bank, "R", -0.5 * np.eye(1)) or bank.update(np.zeros((3, 1))), "R: expected a positive"),
         (lambda bank: setattr(bank, "F", np.full((2, 2), np.nan)) or bank.predict(), "finite"),
     ],
 )
@@ -93,7 +93,8 @@ def test_a_refused_call_changes_nothing(spoil, match):
 def test_an_error_names_the_filter(spoilt):
     bank = FilterBank(7, 3, 2)
     bank.R = np.tile(np.eye(2), (7, 1, 1))
-    bank.R[spoilt] *= -100.0
+    bank.P[spoilt] *= -100.0
+    bank.H = np.eye(2, 3)
     with pytest.raises(SingularInnovationError, match=f"filter {spoilt}:"):
         bank.update(np.zeros((7, 2)))
     bank = FilterBank(7, 3, 2, scaling="unit")
@@ -102,3 +103,33 @@ def test_an_error_names_the_filter(spoilt):
     with pytest.raises(NotPositiveDefiniteError, match=f"filter {spoilt}:"):
         bank.update(np.zeros((7, 2)))
     assert not bank.x.any()
+
+
+@pytest.mark.parametrize("m", [1, 2, 3])
+@pytest.mark.parametrize("own", [True, False])
+@pytest.mark.parametrize("bad", ["negative", "zero", "NaN", "infinite", "asymmetric"])
+def test_a_bad_R_is_refused_and_its_filters_named(m, own, bad):
+    bank = FilterBank(5, 3, m)
+    bank.H, bank.R = np.eye(m, 3), np.tile(np.eye(m), (5, 1, 1)) if own else np.eye(m)
+    for R in bank.R[2::2] if own else [bank.R]:
+        if bad == "asymmetric":
+            R[0, -1] += 0.1 if m > 1 else -2.0
+        else:
+            R[-1, -1] = {"negative": -0.5, "zero": 0.0, "NaN": np.nan, "infinite": np.inf}[bad]
+    with pytest.raises(ValueError, match=r"^R: expected .*\(filter 2 and 1 more\)$" if own else r"^R: expected [^(]*$"):
+        bank.update(np.ones((5, m)))
+    assert not bank.x.any() and not bank.y.any()
+
+
+def test_an_R_that_was_written_into_is_checked_again():
+    bank = FilterBank(3, 2, 2)
+    bank.update(np.ones((3, 2)))
+    bank.R[1, 1] = -0.1
+    with pytest.raises(ValueError, match="R: expected a positive definite"):
+        bank.update(np.ones((3, 2)))
+
+
+def test_an_R_symmetric_but_for_rounding_is_taken():
+    bank = FilterBank(2, 2, 2)
+    bank.R = np.array([[2.0, 0.3], [0.3 + 1e-15, 1.0]])
+    bank.update(np.ones((2, 2)))
