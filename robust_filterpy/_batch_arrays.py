@@ -19,10 +19,15 @@ class Recording:
     def __init__(self, choices: Any, zs: Array, model: Any, kept: _compiled.Kept, options: dict[str, Any]) -> None:
         """Keep the arrays; zs has shape (1, N, m)."""
         self.choices, self.zs, self.model, self.kept, self.options = choices, zs, model, kept, options
+        seen = np.flatnonzero(~np.isnan(zs[0]).all(axis=1))
+        self.last_seen = int(seen[-1]) if len(seen) else -1
 
     def advance(self, kf: Any, k: int) -> int:
-        """Take steps from k on as far as the loops can, never the last, and return the next, which is the filter's."""
-        last = self.zs.shape[1] - 1
+        """Take steps from k on as far as the loops can and return the next, which is the filter's.
+
+        The filter's own are the last step and the last with a measurement: what they leave in it stays.
+        """
+        last = self.last_seen if k <= self.last_seen else self.zs.shape[1] - 1
         if k >= last:
             return k
         x, P = state_of(kf)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -69,6 +69,15 @@ def numbers(name: str, value: Any) -> Array:
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError):
         raise TypeError(f"{name}: expected real numbers, got {value!r}") from None
+
+
+def entries(name: str, values: Any) -> Any:
+    """Return values that are read step by step: a table (pandas, polars) as its rows, else as given; or raise."""
+    if isinstance(values, (Mapping, set, frozenset)):
+        raise TypeError(f"{name}: expected a sequence with an entry for each step, got a {type(values).__name__}")
+    if hasattr(values, "to_numpy") and len(getattr(values, "shape", ())) == 2:
+        return np.asarray(values)
+    return values
 
 
 def matrix(name: str, value: Any, shape: tuple[int, int], reason: str) -> Array:

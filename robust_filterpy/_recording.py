@@ -55,6 +55,8 @@ def of_saver(saver: Any) -> Recording:
 
 def of_filter(kf: Any, zs: Any, per_step: dict[str, Any]) -> Recording:
     """Run a copy of the filter over zs."""
+    zs = _checks.entries("zs", zs)
+    per_step = {name: _checks.entries(name, values) for name, values in per_step.items()}
     if len(zs) == 0:
         raise ValueError("zs: expected at least one measurement, got none")
     kf = copy.deepcopy(kf)
@@ -83,6 +85,8 @@ def of_filter(kf: Any, zs: Any, per_step: dict[str, Any]) -> Recording:
 def of_tracker(tracker: Any, y: Any, u: Any) -> Recording:
     """Run a copy of the tracker over a recording."""
     y = _checks.numbers("zs", y).ravel()
+    # By place, not by a label of a table or a column of one.
+    u = np.asarray(u) if hasattr(u, "to_numpy") else u
     if len(y) == 0:
         raise ValueError("zs: expected at least one output, got none")
     tracker = copy.deepcopy(tracker)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from robust_filterpy import _batch_arrays, _compiled
-from robust_filterpy._checks import Array
+from robust_filterpy._checks import Array, entries
 from robust_filterpy._robust import Robust
 
 __all__: list[str] = []
@@ -42,6 +42,12 @@ def filter_recording(
     ValueError, TypeError, LinAlgError
         As the filter's own methods do, with the step named; the filter is then as it was.
     """
+    if saver is not None and not callable(getattr(saver, "save", None)):
+        raise TypeError(
+            f"saver: expected an object with save(), such as filterpy.common.Saver(kf), got {type(saver).__name__}"
+        )
+    given = {"zs": zs, "Fs": Fs, "Qs": Qs, "Hs": Hs, "Rs": Rs, "Bs": Bs, "us": us}
+    zs, Fs, Qs, Hs, Rs, Bs, us = (entries(name, values) for name, values in given.items())
     columns = _columns(zs, Fs=Fs, Qs=Qs, Hs=Hs, Rs=Rs, Bs=Bs, us=us)
     n, dim_x = len(zs), kf.dim_x
     shape = (n, dim_x) if np.ndim(kf.x) == 1 else (n, dim_x, 1)

@@ -55,9 +55,13 @@ class _Base:
     pointwise_rho: ClassVar[Any]
 
     def __init_subclass__(cls) -> None:
-        """Keep a user's subclass with a psi of its own from being filtered by the inherited form of its parent."""
-        if not {"psi", "psi_deriv"}.isdisjoint(vars(cls)) and "pointwise" not in vars(cls):
-            cls.pointwise = cls.pointwise_rho = None
+        """Keep a user's subclass with a psi or rho of its own, or a mixin's, from being filtered by its parent's."""
+        for owner in cls.__mro__:
+            if "pointwise" in vars(owner):
+                return
+            if not {"psi", "psi_deriv", "weights", "rho"}.isdisjoint(vars(owner)):
+                cls.pointwise = cls.pointwise_rho = None
+                return
 
     @property
     def parameters(self) -> tuple[float, float, float]:

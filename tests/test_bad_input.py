@@ -269,6 +269,18 @@ def test_a_list_for_the_batch_of_another_length(name):
     goes_on(kf)
 
 
+@pytest.mark.parametrize(("arguments", "match"), [
+    ({"zs": {0: [0.1, 0.2]}}, "zs: expected a sequence"),
+    ({"zs": {0.1, 0.2}}, "zs: expected a sequence"),
+    ({"zs": [[0.1, 0.2]], "us": {0: 1.0}}, "us: expected a sequence"),
+    ({"zs": [[0.1, 0.2]], "saver": 3}, r"saver: expected an object with save\(\)"),
+])  # fmt: skip
+def test_what_has_no_order_or_cannot_save_is_refused_before_the_first_step(arguments, match):
+    kf = started()
+    refuse(kf, lambda kf: kf.batch_filter(**arguments), match=f"^{match}")
+    goes_on(kf)
+
+
 @pytest.mark.parametrize("update_first", [False, True])
 @pytest.mark.parametrize("fault", ["z", "R", "Q"])
 def test_a_fault_in_the_middle_of_a_batch_undoes_the_batch(update_first, fault):

@@ -74,6 +74,28 @@ def test_compiled_batch_is_the_loop(count, ndim, dims, case, update_first):
         np.testing.assert_allclose(getattr(one, name), getattr(two, name), rtol=1e-9, atol=1e-10, err_msg=name)
 
 
+@pytest.mark.parametrize("update_first", [False, True])
+@pytest.mark.parametrize("gaps", [1, 400, N])
+def test_a_recording_that_ends_with_gaps_leaves_what_the_loop_leaves(count, gaps, update_first):
+    problem = support.random_problem(4, 3, 2)
+    zs, _ = support.simulate(problem, N, seed=5, contamination=0.1)
+    zs[N - gaps :] = np.nan
+    one, two = (support.make(RobustKalmanFilter, problem) for _ in range(2))
+    for kf in (one, two):
+        kf.predict()
+        kf.update([0.3, 5.0])
+    ours = one.batch_filter(zs, update_first=update_first)
+    assert sum(count) == (N - 1 if gaps in (1, N) else N - 2) - (gaps == 1)
+    for a, b in zip(ours, by_loop(two, zs, update_first), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-10)
+    assert one.z.tolist() == two.z.tolist()
+    names = ("y", "K", "S", "SI", "T", "x_post", "P_post", "x_prior", "P_prior", "log_likelihood", "mahalanobis")
+    for name in (*support.STATE, *names, *support.ROBUST):
+        a, b = getattr(one, name), getattr(two, name)
+        if name != "z":
+            np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-10, err_msg=name)
+
+
 def test_a_step_that_the_loops_decline_is_taken_by_the_filter(count):
     """Near the limit of "unit" the loops stop; the filter's own step decides, and they go on after it."""
     problem = support.with_(
@@ -134,3 +156,15 @@ def test_a_custom_inverse_goes_by_the_methods(count):
     zs = np.random.default_rng(2).normal(size=N)
     np.testing.assert_array_equal(one.batch_filter(zs)[0], by_loop(two, zs)[0])
     assert not count
+
+
+@pytest.mark.parametrize("length", [6, N])
+def test_a_data_frame_is_read_by_its_rows(length):
+    """Its iterator gives the labels of its columns, which are numbers in a frame made from an array."""
+    pd = pytest.importorskip("pandas")
+    rng = np.random.default_rng(3)
+    zs, us = rng.normal(size=(length, 2)), rng.normal(size=(length, 1))
+    problem = support.random_problem(4, 4, 2, 1)
+    one, two = (support.make(RobustKalmanFilter, problem) for _ in range(2))
+    ours = one.batch_filter(pd.DataFrame(zs), us=pd.DataFrame(us, index=range(7, 7 + length)))
+    np.testing.assert_array_equal(ours[0], two.batch_filter(zs, us=us)[0])

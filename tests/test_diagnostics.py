@@ -378,3 +378,14 @@ def test_a_recording_of_nothing_is_nothing_unusual():
     d = diagnose(robust(), [None] * 30)
     assert not d.findings and d.observed.tolist() == [0, 0]
     assert "Nothing unusual" in str(d)
+
+
+def test_a_data_frame_is_diagnosed_by_its_rows():
+    pd = pytest.importorskip("pandas")
+    plain = KalmanFilter(2, 1)
+    plain.F, plain.H, plain.Q, plain.R = F, H[:1], Q, R[:1, :1]
+    zs = np.random.default_rng(4).normal(size=(60, 2))
+    for kf, measurements in ((robust(), zs), (plain, zs[:, :1])):
+        ours, theirs = diagnose(kf, pd.DataFrame(measurements)), diagnose(kf, measurements)
+        assert ours.samples == 60
+        np.testing.assert_array_equal(ours.scale, theirs.scale)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from statsmodels.robust import norms
 
-from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight, filter_series
 from robust_filterpy.choices import Choices
 from robust_filterpy.influence import expected_information
 
@@ -281,3 +281,44 @@ def test_a_psi_overridden_in_a_subclass_is_the_one_that_is_applied():
         for f in (kf, halved):
             f.update(1.0)
         assert kf.x[0, 0] == pytest.approx(0.5 * halved.x[0, 0])
+
+
+class Halved:
+    """A psi to be mixed in before a class of the package's own."""
+
+    def psi(self, e):
+        return 0.5 * super().psi(e)
+
+
+class Steeper(Huber):
+    """A density of its own, and the parent's psi."""
+
+    def rho(self, e):
+        return 2.0 * super().rho(e)
+
+
+def test_a_psi_from_a_mixin_is_the_one_that_is_applied():
+    class Mine(Halved, Huber):
+        pass
+
+    class Again(Mine):
+        pass
+
+    class Unchanged(Huber, Halved):
+        pass
+
+    for influence in (Mine(), Again()):
+        assert Choices(influence).bound(np.array([1.0]))[0] == [0.5]
+    assert Choices(Unchanged()).pointwise == Choices(Huber()).pointwise
+
+
+def test_a_rho_overridden_in_a_subclass_is_the_one_of_the_likelihood():
+    assert Choices(Steeper()).pointwise is None
+    kf = RobustKalmanFilter(1, 1, influence=Steeper(0.5))
+    kf.F, kf.H, total = np.eye(1), np.eye(1), 0.0
+    model, zs = (kf.F, kf.H, kf.Q, kf.R, kf.x.ravel(), kf.P), np.random.default_rng(0).normal(size=(40, 1000, 1))
+    for z in zs[0]:
+        kf.predict()
+        kf.update(z)
+        total += kf.log_likelihood
+    assert filter_series(zs, *model, influence=Steeper(0.5)).log_likelihood[0] == pytest.approx(total, rel=1e-9)
