@@ -99,6 +99,11 @@ def encoded(choices: Choices, m: int) -> Psi:
     return Psi(codes, (float(a), float(b), float(c)), expected, normalizer)
 
 
+def ready(array: Array) -> Array:
+    """Return an array that the loops take as it is: numba compiles anew for one that is read only or strided."""
+    return np.require(array, dtype=np.float64, requirements=("C", "W"))
+
+
 class Kept(NamedTuple):
     """What a run writes into: arrays over (series, kept step, ...), of length 0 where nothing is wanted."""
 
@@ -134,7 +139,7 @@ def recurse(
     done = np.zeros(len(zs), dtype=np.int64)
     low, high = (0, len(zs)) if span is None else span
     loops().recurse(
-        zs, *model, alpha_sq, x, P, rule, psi.parameters, psi.expected, psi.normalizer,
+        ready(zs), *map(ready, model), alpha_sq, x, P, rule, psi.parameters, psi.expected, psi.normalizer,
         start, low, high, *kept, done,
     )  # fmt: skip
     return done

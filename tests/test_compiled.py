@@ -132,6 +132,31 @@ def test_numba_is_imported_with_the_first_long_batch_and_not_before():
     assert run_python(code)[0].split() == ["False", "True"]
 
 
+def test_arrays_that_are_read_only_or_strided_are_not_compiled_for():
+    from robust_filterpy import _compiled_loops
+
+    def run(change):
+        kept = _compiled.Kept(
+            np.zeros((2, 9, 3)), np.zeros((2, 9, 3, 3)), np.zeros((2, 0, 3)), np.zeros((2, 0, 3, 3)),
+            np.zeros((2, 9, 2)), np.zeros(2),
+        )  # fmt: skip
+        rng = np.random.default_rng(0)
+        eye, H, z = np.eye(3)[None, None], rng.normal(size=(1, 1, 2, 3)), rng.normal(size=(2, 9, 2))
+        model = (0.9 * eye, 0.1 * eye, H, np.eye(2)[None, None], np.zeros((1, 1, 3)))
+        P = np.tile(np.eye(3), (2, 1, 1))
+        _compiled.recurse(Choices(), change(z), tuple(change(a) for a in model), np.zeros((2, 3)), P, kept)
+        return kept.means, list(_compiled_loops.recurse.signatures)
+
+    def strided(a):
+        return np.repeat(a, 2, axis=-1)[..., ::2]
+
+    means, signatures = run(np.copy)
+    for change in (strided, np.asfortranarray, lambda a: np.frombuffer(a.tobytes()).reshape(a.shape)):
+        found, after = run(change)
+        assert after == signatures
+        np.testing.assert_array_equal(found, means)
+
+
 @pytest.mark.parametrize("name", ["_pointwise.py", "_compiled_roots.py"])
 def test_the_cache_sees_an_edit_of_any_source(tmp_path, name):
     from robust_filterpy import _compiled_loops
