@@ -130,13 +130,13 @@ class FilterBank:
             raise ValueError("predict: expected finite x and P, got NaN or infinity; check x, P, F, Q, B and u")
         self.x, self.P = moved, covariance
 
-    def update(self, z: ArrayLike) -> None:
+    def update(self, z: ArrayLike | None) -> None:
         """Correct every state by its measurement (paper 37, 39, 42, 44, 47, 49).
 
         Parameters
         ----------
-        z : array_like, shape (n, dim_z)
-            Measurements; NaN marks a missing component, a row of NaN a filter that has none.
+        z : array_like, shape (n, dim_z), or None
+            Measurements; NaN marks a missing component, a row of NaN a filter that has none, None that all have none.
 
         Raises
         ------
@@ -147,9 +147,10 @@ class FilterBank:
         """
         m, d, choices = self.dim_z, self.dim_x, self._choices
         x, P = self._state()
-        z = numbers("z", z)
+        z = np.full((self.n, m), np.nan) if z is None else numbers("z", z)
         if z.shape != (self.n, m):
-            raise ValueError(f"z: expected shape {(self.n, m)}, got {z.shape}")
+            mend = "; use z[:, None]" if z.shape == (self.n,) and m == 1 else ""
+            raise ValueError(f"z: expected shape {(self.n, m)}, got {z.shape}{mend}")
         if np.isinf(z).any():
             raise ValueError("z: expected finite numbers or NaN (missing), got infinity")
         H, R = self._matrix("H", (m, d)), self._matrix("R", (m, m))
@@ -241,7 +242,10 @@ class FilterBank:
 
     def _matrix(self, name: str, shape: tuple[int, int]) -> Array:
         """Return a matrix as shape (1 or n, ., .), checked."""
-        value = numbers(name, getattr(self, name))
+        given = getattr(self, name)
+        if given is None:
+            raise ValueError(f"{name}: expected shape {shape} or {(self.n, *shape)}, got None")
+        value = numbers(name, given)
         value = value[None] if value.ndim == 2 else value
         if value.ndim != 3 or value.shape[1:] != shape or len(value) not in (1, self.n):
             raise ValueError(f"{name}: expected shape {shape} or {(self.n, *shape)}, got {value.shape}")

@@ -72,7 +72,9 @@ def test_each_filter_may_have_its_own_matrices_and_input():
 @pytest.mark.parametrize(
     "spoil, match",
     [
-        (lambda bank: bank.update(np.zeros(3)), "z: expected shape"),
+        (lambda bank: bank.update(np.zeros(3)), r"z: expected shape .*use z\[:, None\]"),
+        (lambda bank: setattr(bank, "R", None) or bank.update(np.zeros((3, 1))), "R: .*got None"),
+        (lambda bank: setattr(bank, "F", None) or bank.predict(), "F: .*got None"),
         (lambda bank: bank.update(np.full((3, 1), np.inf)), "infinity"),
         (lambda bank: setattr(bank, "R", 5.0) or bank.update(np.zeros((3, 1))), "R: expected shape"),
         (lambda bank: setattr(bank, "R", -0.5 * np.eye(1)) or bank.update(np.zeros((3, 1))), "R: expected a positive"),
@@ -133,3 +135,12 @@ def test_an_R_symmetric_but_for_rounding_is_taken():
     bank = FilterBank(2, 2, 2)
     bank.R = np.array([[2.0, 0.3], [0.3 + 1e-15, 1.0]])
     bank.update(np.ones((2, 2)))
+
+
+def test_None_is_a_measurement_that_all_filters_miss():
+    bank = FilterBank(3, 2, 2)
+    bank.H, bank.x = np.eye(2), np.ones((3, 2))
+    bank.update(None)
+    np.testing.assert_array_equal(bank.x, np.ones((3, 2)))
+    np.testing.assert_array_equal(bank.P, np.tile(np.eye(2), (3, 1, 1)))
+    assert np.isnan(bank.weights).all() and not bank.log_likelihood.any()
