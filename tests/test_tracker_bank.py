@@ -438,7 +438,8 @@ def test_models_made_unstable_by_hand_stay_in_the_range_of_floats_as_in_the_loop
     y, u = recording(OutputError(1, 1))
     bank = TrackerBank(N, OutputError(1, 1), guard=guard, gradient=gradient, P=1.0)
     theta = np.column_stack([np.linspace(-30.0, 0.5, N), np.ones(N)])
-    bank.restore({**bank.state(), "theta": theta})
+    # By hand, as `restore` takes an unstable model without a guard only.
+    bank._now = bank._now._replace(theta=theta)
     for enabled in (False, True):
         bank.enabled = enabled
         trackers = [bank.tracker(i) for i in range(N)]
@@ -510,6 +511,47 @@ def test_state_of_another_bank_is_refused(state):
     with pytest.raises(ValueError, match="state: expected"):
         bank.restore(state)
     same(before.values(), bank.state().values())
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("R", 0.0, "R > 0: actuator 2$"),
+        ("R", -1.0, "R > 0: actuator 2$"),
+        ("alpha_sq", 0.0, "alpha_sq > 0: actuator 2$"),
+        ("alpha_sq", np.inf, "finite numbers in alpha_sq.*: actuator 2$"),
+        ("P", np.diag([1.0, 1.0, 1.0, -1e-3]), "positive semidefinite P: actuator 2$"),
+        ("P", np.eye(4) + np.triu(np.full((4, 4), 0.1)), "symmetric positive semidefinite P: actuator 2$"),
+        ("P", np.nan, "finite numbers in P.*: actuator 2$"),
+        ("outputs", np.inf, "finite numbers in outputs.*: actuator 2$"),
+        ("theta", [-2.5, 1.0, 0.0, 0.0], "theta of a stable model.*: actuator 2$"),
+    ],
+)
+def test_state_that_no_bank_can_be_in_is_refused(name, value, words):
+    y, u = recording(OutputError(2, 2))
+    bank = TrackerBank(N, OutputError(2, 2), R=0.25)
+    bank.run(y, u)
+    before = bank.state()
+    spoilt = bank.state()
+    spoilt[name][2] = value
+    with pytest.raises(ValueError, match=f"^state: expected .*{words}"):
+        bank.restore(spoilt)
+    same(before.values(), bank.state().values())
+
+
+def test_unstable_model_is_restored_where_no_guard_keeps_it_stable():
+    bank = TrackerBank(2, ARMAX(1, 1, 1), guard=["none", "halve"])
+    theta = np.array([[0.5, 1.0, 2.0], [2.0, 1.0, 0.5]])
+    bank.restore({**bank.state(), "theta": theta})
+    same(bank.theta, theta)
+    with pytest.raises(ValueError, match=r"stable model.*: actuator 1$"):
+        bank.restore({**bank.state(), "theta": theta[::-1]})
+
+
+@pytest.mark.parametrize("state", [None, "bank.npz", [1.0]])
+def test_what_is_no_state_is_refused(state):
+    with pytest.raises(TypeError, match=r"state: expected what state\(\) returned, or what numpy\.load"):
+        TrackerBank(N, ARX(2, 2)).restore(state)
 
 
 # The stacked rules are the scalar ones

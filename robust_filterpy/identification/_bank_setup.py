@@ -10,7 +10,7 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array, described, numbers
 from robust_filterpy.bank import FilterBank
 from robust_filterpy.identification import _setup
-from robust_filterpy.identification._memory import LARGEST
+from robust_filterpy.identification._memory import LARGEST, Layout
 from robust_filterpy.identification._stacked import are_stable
 from robust_filterpy.identification.structures import LinearRegression, Structure
 
@@ -139,6 +139,44 @@ def require(sentence: str, good: Any) -> None:
     """Raise ValueError with the sentence and the actuators unless all are good."""
     if not good.all():
         raise ValueError(f"{sentence}: {actuators(~good)}")
+
+
+def checked_state(state: Any, layout: Layout, n: int, guarded: np.ndarray) -> dict[str, Array]:
+    """Return the arrays of a bank's state, copied, or raise."""
+    if not (hasattr(state, "keys") and hasattr(state, "__getitem__")):
+        raise TypeError(
+            f"state: expected what state() returned, or what numpy.load makes of a file that holds it, got "
+            f"{type(state).__name__}"
+        )
+    d, found = layout.n, {}
+    shapes = {name: (n, *shape) for name, shape in layout.shapes().items()}
+    shapes |= {"theta": (n, d), "P": (n, d, d), "enabled": (n,), "R": (n,), "alpha_sq": (n,), "Q": (d, d), "F": (d, d)}
+    for name, shape in shapes.items():
+        if name not in state:
+            raise ValueError(f"state: expected {name}, of shape {shape}, got none")
+        value = np.array(state[name], dtype=bool) if name == "enabled" else numbers(name, state[name]).copy()
+        if value.shape != shape and not (name in ("Q", "F") and value.shape == (n, d, d)):
+            raise ValueError(f"state: expected {name} of shape {shape}, got {value.shape}")
+        sentence, finite = f"state: expected finite numbers in {name}, got NaN or infinity", np.isfinite(value)
+        if value.shape != (d, d) or name not in ("Q", "F"):
+            require(sentence, finite.reshape(n, -1).all(axis=1))
+        elif not finite.all():
+            raise ValueError(sentence)
+        found[name] = value
+    for name in ("R", "alpha_sq"):
+        require(f"state: expected {name} > 0", found[name] > 0.0)
+    P = found["P"]
+    # Wider than rounding in a long recursion, so that what `state` gave is always taken back.
+    slack = 1e-8 * np.abs(P).max(axis=(1, 2))
+    even = np.abs(P - P.swapaxes(1, 2)).max(axis=(1, 2)) <= slack
+    require("state: expected a symmetric positive semidefinite P", even & (np.linalg.eigvalsh(P)[:, 0] >= -slack))
+    if layout.part is not None:
+        require(
+            "state: expected theta of a stable model, got coefficients that feed back with roots outside the unit "
+            "circle",
+            ~guarded | are_stable(found["theta"][:, layout.part]),
+        )
+    return found
 
 
 # Samples.

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.identification import _bank_setup, _model, _setup
+from robust_filterpy.identification import _bank_setup, _model
 from robust_filterpy.identification._memory import Layout
 from robust_filterpy.identification._sharpness import SHARP
 from robust_filterpy.identification._stacked import (
@@ -525,22 +525,16 @@ class TrackerBank:
         Raises
         ------
         ValueError
-            If an array is missing, does not fit or is not finite; nothing has changed then.
+            If an array is missing, does not fit or is not finite, a variance is not positive, P not positive
+            semidefinite, or a model unstable that the guard keeps stable; nothing has changed then.
+        TypeError
+            If state is no mapping.
 
         Notes
         -----
         The continuation is the same to the last bit.
         """
-        n, d = self.n, self._layout.n
-        shapes = {name: (n, *shape) for name, shape in self._layout.shapes().items()}
-        shapes |= {"theta": (n, d), "P": (n, d, d), "enabled": (n,), "R": (n,), "alpha_sq": (n,)}
-        for name in ("Q", "F"):
-            shared = name not in state or np.ndim(state[name]) == 2
-            shapes[name] = (d, d) if shared else (n, d, d)
-        found = _setup.checked_state(state, shapes, {})
-        for name, value in found.items():
-            if not np.isfinite(value).all():
-                raise ValueError(f"state: expected finite numbers in {name}, got NaN or infinity")
+        found = _bank_setup.checked_state(state, self._layout, self.n, self._guard != "none")
         self._now = _Now(found["theta"], found["P"], Past(*(found[name] for name in Past._fields)))
         self._enabled, self._alpha_sq = found["enabled"], found["alpha_sq"]
         self.Q, self.R, self.F = found["Q"], found["R"], found["F"]
