@@ -12,13 +12,24 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 FLOAT = np.dtype(np.float64)
 
+# numpy makes floats of text, of dates and of durations without a word.
+_NO_NUMBERS = "cmMSU"
+_NO_NUMBER = (str, bytes, np.datetime64, np.timedelta64)
+
+
+def shown(value: Any) -> str:
+    """Return a value as a message can show it: as its repr, the middle of a long one left out."""
+    with np.printoptions(threshold=20):
+        text = repr(value)
+    return text if len(text) <= 200 else f"{text[:120]} ... {text[-40:]}"
+
 
 def positive(name: str, value: Any, *, infinite: bool = False) -> float:
     """Return value as a float > 0 or raise."""
     number = real(name, value)
     if not number > 0 or (math.isinf(number) and not infinite):
         kind = "a number > 0" if infinite else "a finite number > 0"
-        raise ValueError(f"{name}: expected {kind}, got {value!r}")
+        raise ValueError(f"{name}: expected {kind}, got {shown(value)}")
     return number
 
 
@@ -26,26 +37,26 @@ def fraction(name: str, value: Any) -> float:
     """Return value as a float in [0, 1) or raise."""
     number = real(name, value)
     if not 0 <= number < 1:
-        raise ValueError(f"{name}: expected a number in [0, 1), got {value!r}")
+        raise ValueError(f"{name}: expected a number in [0, 1), got {shown(value)}")
     return number
 
 
 def real(name: str, value: Any) -> float:
     """Return value as a float or raise."""
-    if isinstance(value, (str, bytes, bool)) or np.ndim(value) != 0:
-        raise TypeError(f"{name}: expected a number, got {value!r}")
+    if isinstance(value, (*_NO_NUMBER, bool)) or np.ndim(value) != 0:
+        raise TypeError(f"{name}: expected a number, got {shown(value)}")
     try:
         return float(value)
     except (TypeError, ValueError):
-        raise TypeError(f"{name}: expected a number, got {value!r}") from None
+        raise TypeError(f"{name}: expected a number, got {shown(value)}") from None
 
 
 def count(name: str, value: Any, least: int = 0) -> int:
     """Return value as an int >= least or raise."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-        raise TypeError(f"{name}: expected an integer >= {least}, got {value!r}")
+        raise TypeError(f"{name}: expected an integer >= {least}, got {shown(value)}")
     if value < least:
-        raise ValueError(f"{name}: expected an integer >= {least}, got {value!r}")
+        raise ValueError(f"{name}: expected an integer >= {least}, got {shown(value)}")
     return int(value)
 
 
@@ -53,9 +64,9 @@ def option(name: str, value: Any, allowed: Iterable[str]) -> str:
     """Return value if it is one of the allowed strings or raise."""
     allowed = tuple(allowed)
     if not isinstance(value, str):
-        raise TypeError(f"{name}: expected one of {', '.join(map(repr, allowed))}, got {value!r}")
+        raise TypeError(f"{name}: expected one of {', '.join(map(repr, allowed))}, got {shown(value)}")
     if value not in allowed:
-        raise ValueError(f"{name}: expected one of {', '.join(map(repr, allowed))}, got {value!r}")
+        raise ValueError(f"{name}: expected one of {', '.join(map(repr, allowed))}, got {shown(value)}")
     return value
 
 
@@ -64,11 +75,17 @@ def numbers(name: str, value: Any) -> Array:
     if isinstance(value, np.ma.MaskedArray):
         value = np.ma.filled(value.astype(float), np.nan)
     try:
-        if np.iscomplexobj(value):
-            raise TypeError
+        found = np.asarray(value)
+        if found.dtype.kind in _NO_NUMBERS:
+            raise TypeError(f"{name}: expected real numbers, got dtype {found.dtype}: {shown(value)}")
+        if found.dtype.kind == "O" and any(isinstance(item, _NO_NUMBER) for item in found.flat):
+            raise TypeError(f"{name}: expected real numbers, got text or times among them: {shown(value)}")
+    except ValueError:
+        raise TypeError(f"{name}: expected real numbers, got {shown(value)}") from None
+    try:
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError):
-        raise TypeError(f"{name}: expected real numbers, got {value!r}") from None
+        raise TypeError(f"{name}: expected real numbers, got {shown(value)}") from None
 
 
 def entries(name: str, values: Any) -> Any:
@@ -115,6 +132,8 @@ def described(found: Array) -> str:
 
 def positive_definite(name: str, value: Array) -> None:
     """Raise ValueError unless value is symmetric positive definite."""
+    if not np.isfinite(value).all():
+        raise ValueError(f"{name}: expected finite numbers, got NaN or infinity; use NaN in z for an absent sensor")
     scale = np.sqrt(np.abs(value.diagonal()))
     if (np.abs(value - value.T) > 1e-8 * np.outer(scale, scale)).any():
         raise ValueError(f"{name}: expected a symmetric matrix, got one that differs from its transpose")

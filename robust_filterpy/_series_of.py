@@ -32,6 +32,9 @@ def kept(saver: Any, name: str) -> Array:
 
 def rows(name: str, values: Any) -> Array:
     """Return an array as (N, size): (N,), (N, size) and (N, size, 1) are all understood."""
+    if not hasattr(values, "__len__") and not hasattr(values, "__array__"):
+        kind = "a Saver or the result of tracker.run(..)" if name == "source" else "an array"
+        raise TypeError(f"{name}: expected {kind}, got {type(values).__name__}")
     array = numbers(name, values)
     if array.ndim == 0 or array.ndim > 3 or (array.ndim == 3 and array.shape[2] != 1):
         raise ValueError(f"{name}: expected shape (N,), (N, n) or (N, n, 1), got {array.shape}")

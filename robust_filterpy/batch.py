@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from robust_filterpy import _batch_arrays, _compiled
-from robust_filterpy._checks import Array, entries
+from robust_filterpy._checks import Array, entries, shown
 from robust_filterpy._robust import Robust
 
 __all__: list[str] = []
@@ -90,11 +90,11 @@ def _columns(zs: Any, **per_step: Any) -> list[Any]:
     try:
         n = len(zs)
     except TypeError:
-        raise TypeError(f"zs: expected a sequence of measurements, got {zs!r}") from None
+        raise TypeError(f"zs: expected a sequence of measurements, got {shown(zs)}") from None
     columns = [zs]
     for name, values in per_step.items():
         if values is not None and (not hasattr(values, "__len__") or len(values) < n):
-            found = len(values) if hasattr(values, "__len__") else repr(values)
+            found = len(values) if hasattr(values, "__len__") else shown(values)
             raise ValueError(f"{name}: expected an entry for each of the {n} measurements in zs, got {found}")
         columns.append(values)
     # An iterator reads what has a length but no places, such as the values of a dictionary or a data frame's column.

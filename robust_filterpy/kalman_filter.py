@@ -329,7 +329,7 @@ class RobustKalmanFilter(Robust, KalmanFilter):
             predicted = H.dot(x)
             y = values - predicted.item()
             if y - y != 0.0 and not np.isfinite(predicted).all():
-                raise ValueError(f"x: expected finite numbers, got H x = {predicted.ravel()}")
+                raise _not_finite(H, predicted.ravel())
             if inv is None and choices.pointwise is not None and y == y:
                 return correct_scalar(x, P, y, H, R.item(), choices, M)
             return correct(x.ravel(), P, np.array([y]), H, R, choices, M, inv)
@@ -347,7 +347,7 @@ class RobustKalmanFilter(Robust, KalmanFilter):
         if size < SAFE:
             return correct_observed(x, P, y, H, R, choices, M, inv)
         if size - size != 0.0 and not np.isfinite(predicted).all():
-            raise ValueError(f"x: expected finite numbers, got H x = {predicted}")
+            raise _not_finite(H, predicted)
         return correct(x, P, y, H, R, choices, M, inv)
 
     def _skip(self) -> None:
@@ -413,8 +413,10 @@ class RobustKalmanFilter(Robust, KalmanFilter):
         m = H.shape[0]
         K = _checks.matrix("K", self.K, (n, m), f"dim_x={n}, dim_z={m}")
         S = self.S if np.shape(self.S) == (m, m) and np.any(self.S) else H.dot(P).dot(H.T) + R
-        values = np.atleast_1d(values)
-        y = values - H.dot(x).ravel()
+        values, predicted = np.atleast_1d(values), H.dot(x).ravel()
+        if not np.isfinite(predicted).all():
+            raise _not_finite(H, predicted)
+        y = values - predicted
         part = np.flatnonzero(y == y)
         inv = self._inverse
         pick = np.ix_(part, part)
@@ -536,6 +538,54 @@ class RobustKalmanFilter(Robust, KalmanFilter):
         """
         return filter_recording(self, zs, Fs, Qs, Hs, Rs, Bs, us, update_first, saver)
 
+    def rts_smoother(
+        self, Xs: Array, Ps: Array, Fs: Any = None, Qs: Any = None, inv: Any = np.linalg.inv
+    ) -> tuple[Array, Array, Array, Array]:
+        """Smooth what `batch_filter` returned, by Rauch, Tung and Striebel.
+
+        Parameters
+        ----------
+        Xs : ndarray, shape (N, dim_x) or (N, dim_x, 1)
+            Corrected states.
+        Ps : ndarray, shape (N, dim_x, dim_x)
+            Their covariances.
+        Fs, Qs : sequence of length N, optional
+            Matrices of each step, otherwise the filter's own.
+        inv : callable, default numpy.linalg.inv
+            Inverse of a predicted covariance.
+
+        Returns
+        -------
+        x : ndarray, shape of Xs
+            Smoothed states.
+        P : ndarray, shape (N, dim_x, dim_x)
+            Their covariances.
+        K : ndarray, shape (N, dim_x, dim_x)
+            Gains of the smoother.
+        Pp : ndarray, shape (N, dim_x, dim_x)
+            Predicted covariances.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the lengths or shapes do not fit.
+        """
+        n = self.dim_x
+        Xs, Ps = _checks.numbers("Xs", Xs), _checks.numbers("Ps", Ps)
+        if Xs.shape[1:] not in ((n,), (n, 1)):
+            raise ValueError(f"Xs: expected shape (N, {n}) or (N, {n}, 1) for dim_x={n}, got {Xs.shape}")
+        if Ps.shape != (len(Xs), n, n):
+            raise ValueError(f"Ps: expected shape {(len(Xs), n, n)} for {len(Xs)} states in Xs, got {Ps.shape}")
+        for name, values in (("Fs", Fs), ("Qs", Qs)):
+            if values is None:
+                continue
+            if not hasattr(values, "__getitem__") or not hasattr(values, "__len__"):
+                raise TypeError(f"{name}: expected a sequence of {len(Xs)} matrices, got {type(values).__name__}")
+            if len(values) < len(Xs):
+                raise ValueError(f"{name}: expected an entry for each of the {len(Xs)} states in Xs, got {len(values)}")
+        smoothed: tuple[Array, Array, Array, Array] = super().rts_smoother(Xs, Ps, Fs, Qs, inv)
+        return smoothed
+
     def log_likelihood_of(self, z: ArrayLike | None) -> float:
         """Return the log-likelihood of a measurement given the present state and S.
 
@@ -555,3 +605,10 @@ class RobustKalmanFilter(Robust, KalmanFilter):
             return 0.0
         y = np.atleast_1d(values) - H.dot(x).ravel()
         return log_density(y, self.S, self._choices, self._inverse)
+
+
+def _not_finite(H: Array, predicted: Array) -> ValueError:
+    """Return what to raise for a predicted measurement that is NaN or infinite."""
+    if not np.isfinite(H).all():
+        return ValueError("H: expected finite numbers, got NaN or infinity")
+    return ValueError(f"x: expected finite numbers, got H x = {predicted}")

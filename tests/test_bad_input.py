@@ -399,3 +399,49 @@ def test_bad_r_is_told_from_a_good_one_after_it_was_written_into():
     kf = started(influence=Linear())
     kf.R[0, 0] = -1.0
     refuse(kf, lambda kf: kf.update([0.1, 0.2]), match=r"\bR\b")
+
+
+@pytest.mark.parametrize("name", ["H", "R"])
+@pytest.mark.parametrize("dim_z", [1, 2, 4])
+@pytest.mark.parametrize("method", ["update", "get_update", "update_steadystate"])
+def test_nan_in_h_or_r_is_named(method, dim_z, name):
+    kf = support.make(RobustKalmanFilter, support.random_problem(61, 4, dim_z))
+    kf.predict()
+    kf.update(np.full(dim_z, 0.1))
+    setattr(kf, name, np.array(getattr(kf, name)))
+    getattr(kf, name)[0, 0] = NAN
+    x = kf.x.copy()
+    with pytest.raises(ValueError, match=f"^{name}: expected"):
+        getattr(kf, method)(np.full(dim_z, 0.1))
+    np.testing.assert_array_equal(kf.x, x)
+
+
+@pytest.mark.parametrize("z", [
+    np.datetime64("2026-01-01"), np.timedelta64(3, "s"), "3.0", np.array(["1.0"]), np.array(["1.0"], dtype=object),
+])  # fmt: skip
+def test_times_and_text_are_no_measurements(z):
+    kf = RobustKalmanFilter(dim_x=1, dim_z=1)
+    with pytest.raises(TypeError, match=r"^z: expected real numbers, got (dtype (datetime64|timedelta64|<U)|text)"):
+        kf.update(z)
+    assert kf.x.tolist() == [[0.0]]
+
+
+def test_a_message_is_short_however_long_the_value():
+    kf = started()
+    assert len(refuse(kf, lambda kf: kf.update(["a"] * 5000), match="^z: expected real numbers")) < 300
+    assert len(refuse(kf, lambda kf: setattr(kf, "alpha", np.zeros(5000)), match="^alpha: expected a number")) < 300
+
+
+@pytest.mark.parametrize(("arguments", "match"), [
+    ({"Fs": [np.eye(4)] * 4}, "Fs: expected an entry for each of the 5"),
+    ({"Qs": [np.eye(4)] * 4}, "Qs: expected an entry for each of the 5"),
+    ({"Qs": 0.1}, "Qs: expected a sequence"),
+    ({"Xs": None}, "Xs: expected"),
+    ({"Ps": None}, "Ps: expected"),
+    ({"Ps": np.zeros((4, 4, 4))}, "Ps: expected shape"),
+])  # fmt: skip
+def test_the_smoother(arguments, match):
+    kf = started()
+    means, covariances, _, _ = kf.batch_filter([[0.1, 0.2]] * 5)
+    with pytest.raises(REFUSED, match=f"^{match}"):
+        kf.rts_smoother(**{"Xs": means, "Ps": covariances} | arguments)

@@ -167,3 +167,16 @@ def test_what_does_not_fit_is_named_and_nothing_drawn(batch, call, match):
     with pytest.raises(ValueError, match=match):
         call(batch[0], batch[1])
     assert plt.get_fignums() == before
+
+
+@pytest.mark.parametrize("plot", [
+    plotting.plot_states, plotting.plot_innovations, plotting.plot_weights, plotting.plot_parameters,
+])  # fmt: skip
+@pytest.mark.parametrize("source", [RobustKalmanFilter(2, 1), None])
+def test_a_filter_is_no_source(plot, source):
+    before = plt.get_fignums()
+    with pytest.raises(TypeError) as error:
+        plot(source)
+    expected = "source: expected a Saver or the result of tracker.run(..), got " + type(source).__name__
+    assert str(error.value) == expected
+    assert plt.get_fignums() == before
