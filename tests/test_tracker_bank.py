@@ -389,8 +389,22 @@ def test_tracker_goes_on_where_the_bank_is(structure):
         close(tracker.run(y[70:, i], u[70:, i]), expected.tracker(i))
         tracker.reset()
         close(tracker.run(y[:70, i], u[:70, i]), first.tracker(i))
-    with pytest.raises(IndexError, match="actuator: expected 0 to 4"):
-        bank.tracker(N)
+    for outside in (N, -1):
+        with pytest.raises(IndexError, match="actuator: expected 0 to 4"):
+            bank.tracker(outside)
+    for wrong in ("a", True, 1.0, None):
+        with pytest.raises(TypeError, match="actuator: expected an integer from 0 to 4, got"):
+            bank.tracker(wrong)
+
+
+@pytest.mark.parametrize("name", ["Q", "F"])
+def test_tracker_takes_settings_that_update_takes(name):
+    matrix = 0.9 * np.eye(2)
+    for value in (matrix, [matrix, 0.5 * matrix]):
+        bank = TrackerBank(2, ARX(1, 1))
+        setattr(bank, name, np.asarray(value).tolist())
+        bank.update([1.0, 2.0], 1.0)
+        same([getattr(bank.tracker(1).filter, name)], [np.broadcast_to(value, (2, 2, 2))[1]])
 
 
 def test_tracker_has_the_limit_of_windup_that_the_bank_has():

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
-from robust_filterpy._checks import Array
+from robust_filterpy._checks import Array, numbers
 from robust_filterpy.identification import _bank_setup, _model
 from robust_filterpy.identification._memory import Layout
 from robust_filterpy.identification._sharpness import SHARP
@@ -306,7 +306,11 @@ class TrackerBank:
         ------
         IndexError
             If there is no such actuator.
+        TypeError
+            If i is no integer.
         """
+        if isinstance(i, bool) or not isinstance(i, (int, np.integer)):
+            raise TypeError(f"actuator: expected an integer from 0 to {self.n - 1}, got {i!r}")
         if not 0 <= i < self.n:
             raise IndexError(f"actuator: expected 0 to {self.n - 1}, got {i}")
         start = self._row(self._initial, i)
@@ -546,7 +550,9 @@ class TrackerBank:
     def _arrays(self) -> dict[str, Array]:
         """Return the arrays of `state`, not copied."""
         theta, P, past = self._now
-        arrays = {"theta": theta, "P": P, **past._asdict(), "enabled": self._enabled, "Q": self.Q, "F": self.F}
+        arrays = {"theta": theta, "P": P, **past._asdict(), "enabled": self._enabled}
+        # What a user sets may be a list.
+        arrays |= {name: numbers(name, getattr(self, name)) for name in "QF"}
         return arrays | {"R": np.broadcast_to(self.R, self.n), "alpha_sq": self._alpha_sq}
 
     def _row(self, state: dict[str, Array], i: int) -> dict[str, Array]:
