@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import Any
 
@@ -30,6 +31,8 @@ def transfer_function(structure: Structure, theta: Array, dt: Any) -> Any:
     a, b, _ = coefficients(structure, theta)
     if not structure.inputs:
         raise ValueError(f"{structure}: expected a model with an input, this one has no transfer function")
+    if dt is not True and not (_is_number(dt) and 0.0 < dt < math.inf):
+        raise ValueError(f"dt: expected a sampling period > 0 in s, or True, got {dt!r}")
     numerators, denominators = [], []
     for part, (nb, nk) in zip(b if isinstance(b, tuple) else (b,), structure.inputs, strict=True):
         degree = max(a.size, nk + nb - 1) if nb else a.size
@@ -40,6 +43,11 @@ def transfer_function(structure: Structure, theta: Array, dt: Any) -> Any:
         numerators.append(numerator if numerator.any() else np.zeros(1))
         denominators.append(denominator)
     return control.tf([numerators], [denominators], dt)
+
+
+def _is_number(value: Any) -> bool:
+    """Tell whether value can be compared as a real number."""
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
 
 
 def simulate(structure: Structure, layout: Layout, memory: Memory, theta: Array, u: Array) -> Array:
