@@ -163,6 +163,14 @@ def test_each_actuator_may_have_its_own_options(structure):
         assert_is_the_loop(structure, y, u, **{name: value})
 
 
+def test_options_may_be_arrays_without_axes():
+    structure = OutputError(2, 2)
+    y, u = recording(structure)
+    options = {"guard": "reject", "gradient": "pseudolinear", "scaling": "bounded", "influence": Huber(2.0)}
+    arrays = {name: np.array(value) for name, value in options.items()}
+    same(TrackerBank(N, structure, **arrays).run(y, u), TrackerBank(N, structure, **options).run(y, u))
+
+
 def test_options_may_be_shared():
     structure = OutputError(2, 2)
     y, u = recording(structure)
@@ -368,6 +376,16 @@ def test_prediction_is_what_the_next_update_finds_once_P_has_wound_up():
         bank.update([np.nan], [0.0 if k < 39 else 1.0])
     ahead = bank.predict()
     same([bank.update([1.0], [0.0]).prediction], [ahead])
+
+
+@pytest.mark.parametrize("dt", [-1, 0.0, np.nan, np.inf, False, None, "1"])
+def test_transfer_function_of_no_sampling_period_is_refused(dt):
+    pytest.importorskip("control")
+    tracker = TrackerBank(1, OutputError(1, 1), theta=[-0.5, 2.0]).tracker(0)
+    with pytest.raises(ValueError, match="dt: expected a sampling period > 0 in s, or True, got"):
+        tracker.transfer_function(dt=dt)
+    for good in (True, 0.1, np.float64(0.1), 2):
+        assert tracker.transfer_function(dt=good).dt == good
 
 
 def test_repr_shows_size_and_structure():
@@ -629,6 +647,10 @@ def test_tempering_and_repair_of_many_are_those_of_each():
         ({"theta": np.full((N, 4), np.nan)}, ValueError, "theta: expected finite"),
         ({"theta": [-2.0, 1.5, 1.0, 1.0]}, ValueError, "stable model"),
         ({"theta": np.eye(N)[:, :4] * 1.5}, ValueError, "stable model.*actuators 0, 1"),
+        ({"theta": None}, TypeError, "theta: expected numbers, got None"),
+        ({"P": None}, TypeError, "P: expected numbers, got None"),
+        ({"Q": None}, TypeError, "Q: expected numbers, got None"),
+        ({"guard": np.array("project")}, ValueError, "guard: expected one of"),
         ({"P": -1.0}, ValueError, "P: expected a positive semidefinite"),
         ({"P": [1.0, 1.0, -1.0, 1.0, 1.0]}, ValueError, r"P\[2\]: expected a positive semidefinite"),
         ({"P": np.ones(4)}, ValueError, "P: expected"),

@@ -36,6 +36,8 @@ def actuators(where: np.ndarray) -> str:
 
 def each(name: str, value: Any, n: int) -> list[Any]:
     """Return an option that is no number as a list, of one if it is shared by all."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        return [value.item()]
     if not isinstance(value, (list, tuple, np.ndarray)):
         return [value]
     if len(value) != n:
@@ -46,7 +48,7 @@ def each(name: str, value: Any, n: int) -> list[Any]:
 def options(name: str, value: Any, n: int, allowed: tuple[str, ...]) -> np.ndarray:
     """Return an option of each actuator, shape (n,)."""
     chosen = each(name, value, n)
-    shared = len(chosen) == 1 and chosen[0] is value
+    shared = not isinstance(value, (list, tuple)) and np.ndim(value) == 0
     found = [_checks.option(name if shared else f"{name}[{i}]", entry, allowed) for i, entry in enumerate(chosen)]
     return np.array(np.broadcast_to(found, n), order="C")
 
@@ -68,10 +70,17 @@ def groups(n: int, dim_x: int, choices: dict[str, Any]) -> tuple[Group, ...]:
     return tuple(Group(np.array(rows), FilterBank(len(rows), dim_x, 1, **chosen)) for chosen, rows in found)
 
 
+def given(name: str, value: Any) -> Array:
+    """Return numbers, or raise; None is none."""
+    if value is None:
+        raise TypeError(f"{name}: expected numbers, got None; leave {name} out for its default")
+    return numbers(name, value)
+
+
 def parameters(structure: Structure, theta: Any, n: int) -> Array:
     """Return the parameters to start from, shape (n, n_theta), or raise."""
     d, part = structure.n_theta, structure.feeds_back
-    values = numbers("theta", theta)
+    values = given("theta", theta)
     if values.shape not in ((), (d,), (n, d)):
         raise ValueError(
             f"theta: expected shape ({d},) or ({n}, {d}) for {structure} and n={n}, got {described(values)}"
@@ -89,7 +98,7 @@ def parameters(structure: Structure, theta: Any, n: int) -> Array:
 
 def covariances(name: str, value: Any, n: int, d: int) -> Array:
     """Return a covariance of the parameters, shape (d, d), or (n, d, d) for one of each actuator; or raise."""
-    found = numbers(name, value)
+    found = given(name, value)
     if found.ndim in (0, 2):
         return _setup._covariance(name, found[()], d)
     if found.shape not in ((n,), (n, d, d)):
