@@ -136,21 +136,31 @@ def filter_series(
     skips = _checks.option("refused", refused, _REFUSED) == "nan"
     z = np.ascontiguousarray(numbers("zs", zs))
     if z.ndim != 3:
-        raise ValueError(f"zs: expected shape (series, steps, dim_z), got {z.shape}; use zs[None] for one series")
+        mend = "; use zs[:, :, None] for series of one sensor, zs[None] for one series" if z.ndim == 2 else ""
+        raise ValueError(f"zs: expected shape (series, steps, dim_z), got {z.shape}{mend}")
     if np.isinf(z).any():
         raise ValueError("zs: expected finite numbers or NaN (missing), got infinity")
     series, steps, m = z.shape
+    if m == 0:
+        raise ValueError(f"zs: expected dim_z >= 1, got shape {z.shape}")
     x0, P0 = numbers("x0", x0), numbers("P0", P0)
-    n = x0.shape[-1] if x0.ndim else 1
+    # A column, as filterpy keeps its state, would pass for one number for each series.
+    unclear = x0.ndim == 0 or (x0.ndim == 2 and x0.shape[1] == 1)
+    n = P0.shape[-1] if unclear and P0.ndim else x0.shape[-1] if x0.ndim else 1
+    if n == 0:
+        raise ValueError(f"x0: expected dim_x >= 1, got shape {x0.shape}")
+    if x0.shape not in ((n,), (series, n)):
+        mend = "; use x0.ravel()" if x0.shape == (n, 1) else f"; use x0*np.ones({n})" if x0.ndim == 0 else ""
+        raise ValueError(f"x0: expected shape {(n,)} or {(series, n)}, got {x0.shape}{mend}")
+    if P0.shape not in ((n, n), (series, n, n)):
+        raise ValueError(f"P0: expected shape {(n, n)} or {(series, n, n)} for dim_x={n}, got {P0.shape}")
     model = tuple(
         _leading(name, value, shape, series, steps)
         for name, value, shape in (("F", F, (n, n)), ("Q", Q, (n, n)), ("H", H, (m, n)), ("R", R, (m, m)))
     )
     _require_positive_definite(model[3].reshape(-1, m, m))
-    if x0.shape not in ((n,), (series, n)):
-        raise ValueError(f"x0: expected shape {(n,)} or {(series, n)}, got {x0.shape}")
-    if P0.shape not in ((n, n), (series, n, n)):
-        raise ValueError(f"P0: expected shape {(n, n)} or {(series, n, n)} for dim_x={n}, got {P0.shape}")
+    _require_symmetric("Q", model[1])
+    _require_symmetric("P0", P0)
     x, P = np.broadcast_to(x0, (series, n)).copy(), np.broadcast_to(P0, (series, n, n)).copy()
     every = _every(keep, steps)
     rows = steps // every if every else 0
@@ -165,10 +175,12 @@ def filter_series(
     if series * steps > 0 and _compiled.can_compile(choices):
         taken = _run_compiled(choices, z, model, x, P, kept, every, n_threads).tolist()
         left = [(range(s, s + 1), k) for s, k in enumerate(taken) if k < steps]
-    for part, start in left:
+    for part, start in left if series else ():
         _run_bank(choices, z, model, x, P, kept, every, part, start, skips)
-    covariances = {"full": kept.covariances, "diagonal": kept.covariances[:, :, :1].reshape(series, rows, -1)}
-    return FilteredSeries(kept.means, covariances.get(covariance), kept.log_likelihood, kept.weights)
+    covariances = kept.covariances if covariance == "full" else None
+    if covariance == "diagonal":
+        covariances = kept.covariances[:, :, 0]
+    return FilteredSeries(kept.means, covariances, kept.log_likelihood, kept.weights)
 
 
 def _require_positive_definite(R: Array) -> None:
@@ -181,6 +193,15 @@ def _require_positive_definite(R: Array) -> None:
     if not fine:
         for R_s in R:
             _checks.positive_definite("R", R_s)
+
+
+def _require_symmetric(name: str, value: Array) -> None:
+    """Raise unless every matrix of a stack is symmetric, to rounding."""
+    apart = np.abs(value - value.swapaxes(-1, -2))
+    if apart.any():
+        scale = np.sqrt(np.abs(np.diagonal(value, axis1=-2, axis2=-1)))
+        if (apart > 1e-8 * scale[..., :, None] * scale[..., None, :]).any():
+            raise ValueError(f"{name}: expected a symmetric matrix, got one that differs from its transpose")
 
 
 def _threads(n_threads: int | None) -> int:

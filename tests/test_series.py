@@ -104,7 +104,13 @@ def test_smoothing_takes_the_matrix_that_leads_to_a_step():
 @pytest.mark.parametrize(
     "change, match",
     [
-        ({"zs": np.zeros((2, 3))}, "zs: expected shape"),
+        ({"zs": np.zeros((2, 3))}, r"zs: expected shape .*zs\[:, :, None\].*zs\[None\]"),
+        ({"zs": np.zeros((2, 3, 0))}, "zs: expected dim_z >= 1"),
+        ({"x0": np.zeros((3, 1))}, r"x0: expected shape .* got \(3, 1\); use x0.ravel"),
+        ({"x0": 0.0}, "x0: expected shape"),
+        ({"x0": np.zeros(0), "P0": np.zeros((0, 0))}, "x0: expected dim_x >= 1"),
+        ({"Q": np.eye(3) + 0.1 * np.eye(3, k=1)}, "Q: expected a symmetric"),
+        ({"P0": np.eye(3) + 0.1 * np.eye(3, k=1)}, "P0: expected a symmetric"),
         ({"zs": np.full((1, 2, 2), np.inf)}, "zs: expected finite"),
         ({"R": 5.0}, "R: expected shape"),
         ({"R": -np.eye(2)}, "R: expected a positive definite"),
@@ -173,3 +179,11 @@ def test_a_bad_R_among_many_is_found():
     F, H, Q, _, x0, P0 = arguments(problem)
     with pytest.raises(ValueError, match="R: expected a positive definite matrix"):
         filter_series(zs, F, H, Q, R, x0, P0)
+
+
+@pytest.mark.parametrize("shape", [(0, 7, 2), (4, 0, 2), (0, 0, 2)])
+def test_of_nothing_comes_nothing(path, shape):
+    problem, _ = problem_and_series()
+    result = filter_series(np.zeros(shape), *arguments(problem))
+    assert result.x.shape == (*shape[:2], 3) and result.P.shape == (*shape[:2], 3, 3)
+    np.testing.assert_array_equal(result.log_likelihood, np.zeros(shape[0]))
