@@ -100,7 +100,8 @@ def filter_series(
     covariance : {"full", "diagonal", "none"}
         What to return of the covariances.
     refused : {"raise", "nan"}
-        What becomes of a series with a correction that is impossible: an error for all, or NaN from that step on.
+        What becomes of a series with a correction that is impossible, a state or covariance that overflows, or NaN
+        in its x0 or P0: an error for all, or NaN from that step on.
     n_threads : int, optional
         Threads of the compiled loops; by default as many as the process may use.
 
@@ -283,7 +284,8 @@ def _run_bank(
             bank.predict()
             bank.update(z[at, k])
         except (ValueError, np.linalg.LinAlgError) as error:
-            refused = skips and isinstance(error, np.linalg.LinAlgError)
+            # All arguments are checked by now but for NaN in x0 and P0: what is left is the numbers of one series.
+            refused = skips
             if refused and len(part) == 1:
                 for column in (kept.means, kept.covariances, kept.weights):
                     column[at, k // every :] = np.nan
@@ -296,7 +298,9 @@ def _run_bank(
                     _run_bank(choices, z, model, x, P, kept, every, range(s, s + 1), start, skips)
                 return
             where = f"series {part.start}, " if len(part) == 1 else ""
-            error.args = (f"{where}step {k}: {error}", *error.args[1:])
+            # The bank counts its filters, which a series alone is the first and only of.
+            sentence = str(error).removeprefix("filter 0: ") if where else str(error)
+            error.args = (f"{where}step {k}: {sentence}", *error.args[1:])
             raise
         kept.log_likelihood[at] += bank.log_likelihood
         if (k + 1) % every == 0:

@@ -187,3 +187,36 @@ def test_of_nothing_comes_nothing(path, shape):
     result = filter_series(np.zeros(shape), *arguments(problem))
     assert result.x.shape == (*shape[:2], 3) and result.P.shape == (*shape[:2], 3, 3)
     np.testing.assert_array_equal(result.log_likelihood, np.zeros(shape[0]))
+
+
+@pytest.mark.parametrize("spoil", ["x0", "P0", "F"])
+def test_a_series_of_numbers_that_are_not_finite_leaves_the_others_alone(path, spoil):
+    zs = np.random.default_rng(4).normal(size=(3, 30, 1))
+    x0, P0 = np.zeros((3, 2)), np.tile(np.eye(2), (3, 1, 1))
+    F = np.tile(np.eye(2), (3, 1, 1, 1))
+    if spoil == "F":
+        F[1] *= 1e200
+    else:
+        {"x0": x0, "P0": P0}[spoil][1] = np.nan
+
+    def run(rows, **options):
+        return filter_series(
+            zs[rows], F[rows], np.eye(1, 2), 1e-3 * np.eye(2), np.eye(1), x0[rows], P0[rows], **options
+        )
+
+    with pytest.raises(ValueError, match="step 0: "):
+        run([0, 1, 2])
+    result = run([0, 1, 2], refused="nan")
+    for found, expected in zip(result, run([0, 2]), strict=True):
+        np.testing.assert_allclose(found[[0, 2]], expected, rtol=1e-12)
+        assert np.isnan(found[1]).all()
+
+
+def test_an_error_names_the_series_alone():
+    pytest.importorskip("numba")
+    P0 = np.tile(0.1 * np.eye(2), (3, 1, 1))
+    P0[2] *= 1e4
+    with pytest.raises(NotPositiveDefiniteError, match=r"^series 2, step 0: scaling"):
+        filter_series(
+            np.zeros((3, 5, 1)), np.eye(2), np.eye(1, 2), 1e-3 * np.eye(2), np.eye(1), np.zeros(2), P0, scaling="unit"
+        )
