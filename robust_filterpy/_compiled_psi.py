@@ -24,9 +24,6 @@ _linear_rho, _huber_rho = inlined(_pointwise.linear_rho), inlined(_pointwise.hub
 _hampel_rho, _tukey_rho = inlined(_pointwise.hampel_rho), inlined(_pointwise.tukey_rho)
 _student_t_rho = inlined(_pointwise.student_t_rho)
 
-#: Numbers of the influence functions by the name of their pointwise form.
-KINDS = {"linear": 0, "huber": 1, "hampel": 2, "tukey": 3, "student_t": 4}
-
 _LARGEST = float(np.finfo(float).max)
 
 
