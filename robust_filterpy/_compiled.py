@@ -49,7 +49,7 @@ def announce_compilation() -> None:
             if not self.said and "robust_filterpy" in str(getattr(event.data["dispatcher"], "py_func", "").__module__):
                 self.said = True
                 logging.getLogger("robust_filterpy").warning(
-                    "robust_filterpy: compiling its loops for calls like this with numba, about 20 s; kept for the next time"
+                    "robust_filterpy: compiling its loops for such calls with numba, about 20 s; kept for the next time"
                 )
 
         def on_end(self, event: Any) -> None:
