@@ -130,6 +130,22 @@ def described(found: Array) -> str:
     return f"scalar {found}" if found.ndim == 0 else f"shape {found.shape}"
 
 
+def all_positive_definite(stack: Array) -> bool:
+    """Return whether every matrix of a stack is symmetric, to rounding, and positive definite; quickly, if all are."""
+    if stack.shape[1] == 1:
+        return stack.size == 0 or bool(stack.min() > 0.0 and stack.max() < math.inf)
+    apart = np.abs(stack - stack.transpose(0, 2, 1))
+    if apart.any():
+        scale = np.sqrt(np.abs(np.diagonal(stack, axis1=1, axis2=2)))
+        if not (apart <= 1e-8 * scale[:, :, None] * scale[:, None, :]).all():
+            return False
+    try:
+        np.linalg.cholesky(stack)
+    except np.linalg.LinAlgError:
+        return False
+    return True
+
+
 def positive_definite(name: str, value: Array) -> None:
     """Raise ValueError unless value is symmetric positive definite."""
     if not np.isfinite(value).all():

@@ -292,19 +292,7 @@ class FilterBank:
 @np.errstate(invalid="ignore")
 def _require_positive_definite(R: Array) -> None:
     """Raise unless every R is symmetric positive definite, and finite where it is one number."""
-    if R.shape[1] == 1:
-        fine = bool(R.min() > 0.0 and R.max() < math.inf)
-    else:
-        apart = np.abs(R - R.transpose(0, 2, 1))
-        fine = not apart.any()
-        if not fine:
-            scale = np.sqrt(np.abs(np.diagonal(R, axis1=1, axis2=2)))
-            fine = bool((apart <= 1e-8 * scale[:, :, None] * scale[:, None, :]).all())
-        try:
-            np.linalg.cholesky(R)
-        except np.linalg.LinAlgError:
-            fine = False
-    if fine:
+    if _checks.all_positive_definite(R):
         return
     bad: list[int] = []
     sentence = ""

@@ -186,12 +186,7 @@ def filter_series(
 
 def _require_positive_definite(R: Array) -> None:
     """Raise unless every R of a stack is positive definite; one by one only where the stack as a whole is not."""
-    try:
-        np.linalg.cholesky(R)
-        fine = np.array_equal(R, R.transpose(0, 2, 1))
-    except np.linalg.LinAlgError:
-        fine = False
-    if not fine:
+    if not _checks.all_positive_definite(R):
         for R_s in R:
             _checks.positive_definite("R", R_s)
 
