@@ -249,3 +249,20 @@ def test_without_numba_the_numbers_are_the_same(compiled, monkeypatch):
         for found, expected in zip(fast, slow, strict=True):
             np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-9)
     assert compiled == ["done"] * 3
+
+
+def test_bounded_scaling_on_both_sides_of_one(compiled):
+    y, u = recording()
+    for R in (0.25, 0.9, 4.0):
+        assert_same_run(*pair(ARX(2, 2), P=0.01, Q=1e-4, R=R, scaling="bounded"), y, u)
+    assert compiled == ["done"] * 3
+
+
+def test_the_arrays_that_a_filter_held_before_a_run_are_left_alone(compiled):
+    y, u = recording()
+    tracker = next(pair(OutputError(2, 2)))
+    held = tracker.filter.x, tracker.filter.P
+    copies = [value.copy() for value in held]
+    tracker.run(y, u)
+    for value, copy in zip(held, copies, strict=True):
+        np.testing.assert_array_equal(value, copy)
