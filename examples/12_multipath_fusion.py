@@ -14,7 +14,7 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import RobustKalmanFilter, TukeyBiweight
-from robust_filterpy.recovery import RecoveringKalmanFilter
+from robust_filterpy.filters.recovering import RecoveringKalmanFilter
 
 DT, STEPS = 1.0, 600
 SIGMA_FIX, SIGMA_ACCELERATION = 3.0, 0.15  # m, m/s2

@@ -8,42 +8,83 @@ so that importing this package costs little more than importing `filterpy.kalman
 from __future__ import annotations
 
 import importlib
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from robust_filterpy._version import __version__
+from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.influence import Hampel, Huber, Linear, StudentT, TukeyBiweight
-from robust_filterpy.kalman_filter import RobustKalmanFilter
+
+if TYPE_CHECKING:
+    from robust_filterpy.batch import FilterBank, filter_series, smooth_series
+    from robust_filterpy.correction.mixture import ContaminatedScore
+    from robust_filterpy.diagnostics import diagnose
+    from robust_filterpy.filters import (
+        NoiseMatchedKalmanFilter,
+        RecoveringKalmanFilter,
+        RobustCubatureKalmanFilter,
+        RobustExtendedKalmanFilter,
+        RobustUnscentedKalmanFilter,
+        TwoSidedKalmanFilter,
+    )
+    from robust_filterpy.identification import (
+        ARMAX,
+        ARX,
+        FIR,
+        LinearRegression,
+        OutputError,
+        ParameterTracker,
+        TrackerBank,
+    )
+    from robust_filterpy.noise import estimate_noise
 
 _LAZY = {
     "ARMAX": "identification",
     "ARX": "identification",
+    "ContaminatedScore": "correction.mixture",
     "FIR": "identification",
+    "FilterBank": "batch",
     "LinearRegression": "identification",
+    "NoiseMatchedKalmanFilter": "filters",
     "OutputError": "identification",
     "ParameterTracker": "identification",
+    "RecoveringKalmanFilter": "filters",
+    "RobustCubatureKalmanFilter": "filters",
+    "RobustExtendedKalmanFilter": "filters",
+    "RobustUnscentedKalmanFilter": "filters",
     "TrackerBank": "identification",
-    "RobustExtendedKalmanFilter": "nonlinear",
-    "RobustUnscentedKalmanFilter": "nonlinear",
-    "RobustCubatureKalmanFilter": "nonlinear",
-    "ContaminatedScore": "score",
-    "NoiseMatchedKalmanFilter": "process",
-    "RecoveringKalmanFilter": "recovery",
-    "TwoSidedKalmanFilter": "two_sided",
-    "FilterBank": "bank",
-    "filter_series": "series",
-    "smooth_series": "series",
+    "TwoSidedKalmanFilter": "filters",
     "diagnose": "diagnostics",
-    "estimate_noise": "estimation",
+    "estimate_noise": "noise",
+    "filter_series": "batch",
+    "smooth_series": "batch",
 }
 __all__ = [
+    "ARMAX",
+    "ARX",
+    "FIR",
+    "ContaminatedScore",
+    "FilterBank",
     "Hampel",
     "Huber",
     "Linear",
+    "LinearRegression",
+    "NoiseMatchedKalmanFilter",
+    "OutputError",
+    "ParameterTracker",
+    "RecoveringKalmanFilter",
+    "RobustCubatureKalmanFilter",
+    "RobustExtendedKalmanFilter",
     "RobustKalmanFilter",
+    "RobustUnscentedKalmanFilter",
     "StudentT",
+    "TrackerBank",
     "TukeyBiweight",
+    "TwoSidedKalmanFilter",
     "__version__",
-    *_LAZY,
+    "diagnose",
+    "estimate_noise",
+    "filter_series",
+    "smooth_series",
 ]
 
 

@@ -1,7 +1,13 @@
 """Recursive identification: the parameters of a linear model, sample by sample, by any filter of filterpy's kind.
 
-`structures` says which signals the regressor phi is made of, `tracker` estimates theta in y = phi' theta + v, `bank`
-does so for many actuators at once.
+* `structures`: which signals the regressor phi is made of.
+* `tracker`: theta in y = phi' theta + v, sample by sample.
+* `bank`: the same for many actuators at once.
+* `results`: what they return.
+* `guard`: keeping a model that feeds back its own output stable.
+* `validation`: how well a model agrees with a recording.
+
+Imports from below: `influence`, `correction`, `compiled`, `filters`, `batch`.
 """
 
 from __future__ import annotations

@@ -8,10 +8,10 @@ import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array, described, numbers
-from robust_filterpy.bank import FilterBank
+from robust_filterpy.batch.bank import FilterBank
 from robust_filterpy.identification import _setup
-from robust_filterpy.identification._memory import LARGEST, Layout
-from robust_filterpy.identification._stacked import are_stable
+from robust_filterpy.identification._bank_steps import are_stable
+from robust_filterpy.identification._regressor import LARGEST, Layout
 from robust_filterpy.identification.structures import LinearRegression, Structure
 
 _ABSENT = "NaN in y is for a sample that is missing"

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from robust_filterpy._checks import Array
-from robust_filterpy.choices import Choices
-from robust_filterpy.correction import correct_scalar
-from robust_filterpy.identification._memory import Layout, Memory, bounded, gradient
-from robust_filterpy.identification._sharpness import SHARP, repaired, tempering
+from robust_filterpy.correction.options import Choices
+from robust_filterpy.correction.scalar import correct_scalar
+from robust_filterpy.identification._conditioning import SHARP, repaired, tempering
+from robust_filterpy.identification._regressor import Layout, Memory, bounded, gradient
 from robust_filterpy.identification.guard import is_stable, restrained
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.signal
 
 from robust_filterpy._checks import Array
-from robust_filterpy.identification._memory import Layout, Memory
+from robust_filterpy.identification._regressor import Layout, Memory
 from robust_filterpy.identification.results import Coefficients
 from robust_filterpy.identification.structures import LinearRegression, Structure
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import FLOAT, Array
+from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.identification.guard import is_stable
 from robust_filterpy.identification.structures import Structure
-from robust_filterpy.kalman_filter import RobustKalmanFilter
 
 # Before the data have spoken the parameters may be anything of moderate size.
 _VAGUE = 100.0

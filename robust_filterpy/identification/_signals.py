@@ -9,7 +9,7 @@ import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.identification._memory import LARGEST, bounded
+from robust_filterpy.identification._regressor import LARGEST, bounded
 from robust_filterpy.identification.structures import LinearRegression, Structure, input_columns
 
 

@@ -11,9 +11,7 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array, numbers
 from robust_filterpy.identification import _bank_setup, _model
-from robust_filterpy.identification._memory import Layout
-from robust_filterpy.identification._sharpness import SHARP
-from robust_filterpy.identification._stacked import (
+from robust_filterpy.identification._bank_steps import (
     Past,
     all_bounded,
     all_gradients,
@@ -24,11 +22,13 @@ from robust_filterpy.identification._stacked import (
     are_stable,
     rowwise,
 )
+from robust_filterpy.identification._conditioning import SHARP
+from robust_filterpy.identification._regressor import Layout
 from robust_filterpy.identification.guard import GUARDS
 from robust_filterpy.identification.results import Coefficients, Intervals, TrackingResult, intervals
 from robust_filterpy.identification.structures import Structure
 from robust_filterpy.identification.tracker import _WINDUP, GRADIENTS, ParameterTracker
-from robust_filterpy.influence import Influence
+from robust_filterpy.influence.functions import Influence
 
 __all__ = ["BankResult", "BankSample", "TrackerBank"]
 

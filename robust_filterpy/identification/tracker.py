@@ -11,10 +11,11 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.identification import _compiled_run, _model, _setup
+from robust_filterpy.filters.kalman import RobustKalmanFilter
+from robust_filterpy.identification import _compiled_dispatch, _model, _setup
+from robust_filterpy.identification._conditioning import SHARP, repaired, tempering
 from robust_filterpy.identification._lean import Columns, Noise, Rules, run_lean
-from robust_filterpy.identification._memory import Layout, Memory, bounded, gradient, pushed
-from robust_filterpy.identification._sharpness import SHARP, repaired, tempering
+from robust_filterpy.identification._regressor import Layout, Memory, bounded, gradient, pushed
 from robust_filterpy.identification._signals import (
     one_input,
     one_output,
@@ -25,9 +26,8 @@ from robust_filterpy.identification._signals import (
 from robust_filterpy.identification.guard import GUARDS, is_stable, restrained
 from robust_filterpy.identification.results import Coefficients, Intervals, Sample, TrackingResult, intervals
 from robust_filterpy.identification.structures import Structure
-from robust_filterpy.influence import Influence
-from robust_filterpy.kalman_filter import RobustKalmanFilter
-from robust_filterpy.metrics import fit_percent
+from robust_filterpy.identification.validation import fit_percent
+from robust_filterpy.influence.functions import Influence
 
 if TYPE_CHECKING:
     import control
@@ -577,7 +577,7 @@ class ParameterTracker:
         """
         measured = np.flatnonzero(y == y)
         stops = sorted({*measured[-1:].tolist(), len(y) - 1})
-        compiled, start = _compiled_run.can_run(self.filter, len(y)), 0
+        compiled, start = _compiled_dispatch.can_run(self.filter, len(y)), 0
         for stop in stops:
             if stop > start:
                 self._run_piece(y, u, R, out, start, stop, compiled)
@@ -597,7 +597,7 @@ class ParameterTracker:
             self._run_stepwise(y, u, R, out, start + first, start + last)
 
         if compiled:
-            _compiled_run.run_compiled(
+            _compiled_dispatch.run_compiled(
                 self._layout, rules, self._memory, kf, y[piece], u[piece], variances, columns, by_definition
             )
         elif np.array_equal(kf.F, np.eye(self._layout.n)):

@@ -1,6 +1,13 @@
 """Plants to test estimators on: linear ones whose parameters may drift, and a pneumatic servo.
 
-The only part of the package that uses python-control, and it imports it when a plant asks for it.
+* `linear`: ARX and output-error data from a transfer function or from drifting parameters.
+* `drift`: parameters on a random walk that stays stable.
+* `parameters`: what stands for a linear plant, and its orders.
+* `pneumatic`: the servo of the paper's section 2; everything public about it can be imported from there.
+* `servo_parameters`, `servo_equations`, `coefficients`: its constants, its equations, its uncertain alpha and beta.
+* `servo_linearization`, `position_loop`: its operating points, and recordings from a sampled loop.
+
+The only room that uses python-control, which is imported when a plant asks for it. Imports from below: `_checks` alone.
 """
 
 from __future__ import annotations

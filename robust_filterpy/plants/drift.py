@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robust_filterpy._checks import Array, count, numbers, positive
-from robust_filterpy._series import finite_vector
+from robust_filterpy._checks import Array, count, finite_vector, numbers, positive
 
 __all__ = ["THETA_BAR", "random_walk", "stable"]
 

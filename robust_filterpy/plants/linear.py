@@ -15,8 +15,7 @@ import numpy as np
 import scipy.signal
 from numpy.typing import ArrayLike
 
-from robust_filterpy._checks import Array
-from robust_filterpy._series import finite_vector
+from robust_filterpy._checks import Array, finite_vector
 
 from .parameters import System, orders_of
 

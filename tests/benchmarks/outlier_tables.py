@@ -27,12 +27,12 @@ from outlier_problems import (
 )
 
 from robust_filterpy import Hampel, Huber, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy.correction.mixture import ContaminatedScore
 from robust_filterpy.experiments import bootstrap_interval, monte_carlo
+from robust_filterpy.filters.gaussian_sum import NoiseMatchedKalmanFilter
+from robust_filterpy.filters.multiple_model import TwoSidedKalmanFilter
+from robust_filterpy.filters.recovering import RecoveringKalmanFilter
 from robust_filterpy.identification import ParameterTracker
-from robust_filterpy.process import NoiseMatchedKalmanFilter
-from robust_filterpy.recovery import RecoveringKalmanFilter
-from robust_filterpy.score import ContaminatedScore
-from robust_filterpy.two_sided import TwoSidedKalmanFilter
 
 LABELS = "Kalman, told the labels"
 

@@ -11,7 +11,7 @@ import time
 import numpy as np
 from padasip.filters import FilterRLS
 
-from robust_filterpy import _compiled
+from robust_filterpy.compiled import dispatch
 from robust_filterpy.identification import ARX, OutputError, ParameterTracker
 from robust_filterpy.plants import simulate_arx, simulate_output_error
 
@@ -34,14 +34,14 @@ def against_least_squares(rng):
     names = ("forgetting", "Q")
     settings = {"forgetting": {"forgetting": 0.999}, "Q": {"Q": 1e-6}}
     rounds = []
-    threshold = _compiled.LONG
+    threshold = dispatch.LONG
     for _ in range(ROUNDS):
         row = [duration(FilterRLS(8, mu=0.999, w="zeros").run, y, phi)]
         for limit in (threshold, np.inf):
-            _compiled.LONG = limit
+            dispatch.LONG = limit
             row += [duration(ParameterTracker(ARX(4, 4), R=0.01, **settings[name]).run, y, u) for name in names]
         rounds.append(row)
-    _compiled.LONG = threshold
+    dispatch.LONG = threshold
     theirs, *ours = np.transpose(rounds)
     for own, name, how, target in zip(ours, names * 2, ("with",) * 2 + ("without",) * 2, (0.05,) * 2 + (1.0,) * 2,
                                       strict=True):  # fmt: skip
@@ -73,7 +73,7 @@ def against_the_online_loop(rng):
 def main():
     """Compile, then measure."""
     rng = np.random.default_rng(0)
-    warm = rng.standard_normal(_compiled.LONG)
+    warm = rng.standard_normal(dispatch.LONG)
     ParameterTracker(ARX(4, 4)).run(warm, warm)
     against_least_squares(rng)
     against_the_online_loop(rng)

@@ -1,0 +1,14 @@
+"""Many series, many filters at once.
+
+* `bank`: many filters advanced together online.
+* `series`: many recordings filtered and smoothed.
+
+Imports from below: `influence`, `correction`, `compiled`.
+"""
+
+from __future__ import annotations
+
+from robust_filterpy.batch.bank import FilterBank
+from robust_filterpy.batch.series import FilteredSeries, SmoothedSeries, filter_series, smooth_series
+
+__all__ = ["FilterBank", "FilteredSeries", "SmoothedSeries", "filter_series", "smooth_series"]

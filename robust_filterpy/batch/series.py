@@ -1,0 +1,354 @@
+"""Many series at once, as a pure function of arrays: what runs on one machine's cores, or on a cluster's blocks."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array, numbers
+from robust_filterpy.batch.bank import FilterBank
+from robust_filterpy.compiled import dispatch
+from robust_filterpy.correction.options import Choices
+from robust_filterpy.influence.functions import Huber, Influence
+
+__all__ = ["FilteredSeries", "SmoothedSeries", "filter_series", "smooth_series"]
+
+_COVARIANCES = ("full", "diagonal", "none")
+_REFUSED = ("raise", "nan")
+
+
+class FilteredSeries(NamedTuple):
+    """What `filter_series` returns; K is the number of kept steps.
+
+    Attributes
+    ----------
+    x : ndarray, shape (S, K, dim_x)
+        Corrected states.
+    P : ndarray, shape (S, K, dim_x, dim_x), (S, K, dim_x), or None
+        Their covariances, the diagonals of these, or nothing, as asked for.
+    log_likelihood : ndarray, shape (S,)
+        Log-likelihood of each whole series.
+    weights : ndarray, shape (S, K, dim_z)
+        psi(e)/e, NaN where a component was missing.
+    """
+
+    x: Array
+    P: Array | None
+    log_likelihood: Array
+    weights: Array
+
+
+class SmoothedSeries(NamedTuple):
+    """What `smooth_series` returns.
+
+    Attributes
+    ----------
+    x : ndarray, shape (S, N, dim_x)
+        Smoothed states.
+    P : ndarray, shape (S, N, dim_x, dim_x)
+        Their covariances.
+    """
+
+    x: Array
+    P: Array
+
+
+def filter_series(
+    zs: ArrayLike,
+    F: ArrayLike,
+    H: ArrayLike,
+    Q: ArrayLike,
+    R: ArrayLike,
+    x0: ArrayLike,
+    P0: ArrayLike,
+    *,
+    influence: Influence = Huber(),
+    scaling: str = "innovation",
+    information: str = "realized",
+    grouping: str = "component",
+    keep: str | int = "all",
+    covariance: str = "full",
+    refused: str = "raise",
+    n_threads: int | None = None,
+) -> FilteredSeries:
+    """Filter S series of N measurements each, every step a prediction and then a correction.
+
+    Parameters
+    ----------
+    zs : array_like, shape (S, N, dim_z)
+        Measurements; NaN marks a missing component.
+    F, Q : array_like, shape (dim_x, dim_x), (N, dim_x, dim_x) or (S or 1, N or 1, dim_x, dim_x)
+        Transition matrix and process noise covariance: shared, one a step, or each series' own.
+    H : array_like, shape (dim_z, dim_x), or with the same axes in front
+        Measurement matrix.
+    R : array_like, shape (dim_z, dim_z), or with the same axes in front
+        Measurement noise covariance, positive definite.
+    x0 : array_like, shape (dim_x,) or (S, dim_x)
+        Mean before the first prediction.
+    P0 : array_like, shape (dim_x, dim_x) or (S, dim_x, dim_x)
+        Its covariance.
+    influence, scaling, information, grouping
+        As in `RobustKalmanFilter`.
+    keep : {"all", "last"} or int, default "all"
+        Which steps to return: all, the last, or every keep-th (steps keep - 1, 2 keep - 1, ..), so that memory is
+        bounded.
+    covariance : {"full", "diagonal", "none"}
+        What to return of the covariances.
+    refused : {"raise", "nan"}
+        What becomes of a series with a correction that is impossible, a state or covariance that overflows, or NaN
+        in its x0 or P0: an error for all, or NaN from that step on.
+    n_threads : int, optional
+        Threads of the compiled loops; by default as many as the process may use.
+
+    Returns
+    -------
+    FilteredSeries
+        x, P, log_likelihood, weights.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a shape does not fit, a number is infinite, or an option unknown.
+    LinAlgError
+        If a correction is impossible and refused is "raise"; the message names series and step.
+
+    Notes
+    -----
+    Same numbers, to rounding, as a loop over `RobustKalmanFilter`. Compiled if numba is installed; otherwise in
+    numpy, all series together. A function of arrays alone, so an engine for data that do not fit one machine can
+    call it block by block over the series: with Dask
+    ``dask.array.map_blocks(lambda z: filter_series(z, F, H, Q, R, x0, P0).x, zs, dtype=float, chunks=..)``.
+
+    Examples
+    --------
+    >>> zs = np.array([[[1.0], [2.0], [3e6]], [[0.0], [np.nan], [0.5]]])
+    >>> F = np.array([[1.0, 1.0], [0.0, 1.0]])
+    >>> result = filter_series(zs, F, [[1.0, 0.0]], 0.01 * np.eye(2), np.eye(1), np.zeros(2), np.eye(2))
+    >>> result.x.shape, result.weights[1, :, 0]
+    ((2, 3, 2), array([ 1., nan,  1.]))
+    """
+    choices = Choices(influence, scaling, information, grouping)
+    _checks.option("covariance", covariance, _COVARIANCES)
+    skips = _checks.option("refused", refused, _REFUSED) == "nan"
+    z = np.ascontiguousarray(numbers("zs", zs))
+    if z.ndim != 3:
+        mend = "; use zs[:, :, None] for series of one sensor, zs[None] for one series" if z.ndim == 2 else ""
+        raise ValueError(f"zs: expected shape (series, steps, dim_z), got {z.shape}{mend}")
+    if np.isinf(z).any():
+        raise ValueError("zs: expected finite numbers or NaN (missing), got infinity")
+    series, steps, m = z.shape
+    if m == 0:
+        raise ValueError(f"zs: expected dim_z >= 1, got shape {z.shape}")
+    x0, P0 = numbers("x0", x0), numbers("P0", P0)
+    # A column, as filterpy keeps its state, would pass for one number for each series.
+    unclear = x0.ndim == 0 or (x0.ndim == 2 and x0.shape[1] == 1)
+    n = P0.shape[-1] if unclear and P0.ndim else x0.shape[-1] if x0.ndim else 1
+    if n == 0:
+        raise ValueError(f"x0: expected dim_x >= 1, got shape {x0.shape}")
+    if x0.shape not in ((n,), (series, n)):
+        mend = "; use x0.ravel()" if x0.shape == (n, 1) else f"; use x0*np.ones({n})" if x0.ndim == 0 else ""
+        raise ValueError(f"x0: expected shape {(n,)} or {(series, n)}, got {x0.shape}{mend}")
+    if P0.shape not in ((n, n), (series, n, n)):
+        raise ValueError(f"P0: expected shape {(n, n)} or {(series, n, n)} for dim_x={n}, got {P0.shape}")
+    model = tuple(
+        _leading(name, value, shape, series, steps)
+        for name, value, shape in (("F", F, (n, n)), ("Q", Q, (n, n)), ("H", H, (m, n)), ("R", R, (m, m)))
+    )
+    _require_positive_definite(model[3].reshape(-1, m, m))
+    _require_symmetric("Q", model[1])
+    _require_symmetric("P0", P0)
+    x, P = np.broadcast_to(x0, (series, n)).copy(), np.broadcast_to(P0, (series, n, n)).copy()
+    every = _every(keep, steps)
+    rows = steps // every if every else 0
+    shape = {"full": (n, n), "diagonal": (1, n), "none": (0, 0)}[covariance]
+    kept = dispatch.Kept(
+        np.empty((series, rows, n)), np.empty((series, rows, *shape)), np.empty((series, 0, n)),
+        np.empty((series, 0, n, n)), np.empty((series, rows, m)), np.zeros(series),
+    )  # fmt: skip
+    n_threads = _threads(n_threads)
+    left = [(range(series), 0)]
+    # However few there are, so that a series has the same numbers in every block of a cluster.
+    if series * steps > 0 and dispatch.can_compile(choices):
+        taken = _run_compiled(choices, z, model, x, P, kept, every, n_threads).tolist()
+        left = [(range(s, s + 1), k) for s, k in enumerate(taken) if k < steps]
+    for part, start in left if series else ():
+        _run_bank(choices, z, model, x, P, kept, every, part, start, skips)
+    covariances = kept.covariances if covariance == "full" else None
+    if covariance == "diagonal":
+        covariances = kept.covariances[:, :, 0]
+    return FilteredSeries(kept.means, covariances, kept.log_likelihood, kept.weights)
+
+
+def _require_positive_definite(R: Array) -> None:
+    """Raise unless every R of a stack is positive definite; one by one only where the stack as a whole is not."""
+    if not _checks.all_positive_definite(R):
+        for R_s in R:
+            _checks.positive_definite("R", R_s)
+
+
+def _require_symmetric(name: str, value: Array) -> None:
+    """Raise unless every matrix of a stack is symmetric, to rounding."""
+    apart = np.abs(value - value.swapaxes(-1, -2))
+    if apart.any():
+        scale = np.sqrt(np.abs(np.diagonal(value, axis1=-2, axis2=-1)))
+        if (apart > 1e-8 * scale[..., :, None] * scale[..., None, :]).any():
+            raise ValueError(f"{name}: expected a symmetric matrix, got one that differs from its transpose")
+
+
+def _threads(n_threads: int | None) -> int:
+    """Return how many threads to use: by default as many as the process may."""
+    if n_threads is not None:
+        return _checks.count("n_threads", n_threads, 1)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _leading(name: str, value: Any, shape: tuple[int, int], series: int, steps: int) -> Array:
+    """Return a matrix with the axes (series or 1, step or 1) in front, or raise."""
+    found = numbers(name, value)
+    if found.ndim in (2, 3):
+        found = found[(None,) * (4 - found.ndim)]
+    good = found.ndim == 4 and found.shape[2:] == shape and found.shape[0] in (1, series)
+    if not good or found.shape[1] not in (1, steps):
+        raise ValueError(
+            f"{name}: expected shape {shape}, ({steps}, ..) with one a step, or ({series}, {steps} or 1, ..) with each "
+            f"series' own, got {np.shape(value)}"
+        )
+    if not np.isfinite(found).all():
+        raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
+    return np.ascontiguousarray(found)
+
+
+def _every(keep: Any, steps: int) -> int:
+    """Return the distance of kept steps."""
+    if isinstance(keep, str):
+        _checks.option("keep", keep, ("all", "last"))
+        return 1 if keep == "all" else max(steps, 1)
+    return _checks.count("keep", keep, 1)
+
+
+def _run_compiled(
+    choices: Choices, z: Array, model: Any, x: Array, P: Array, kept: dispatch.Kept, every: int, threads: int
+) -> np.ndarray:
+    """Run the loops, which let go of the interpreter, on several threads; return how many steps of each were taken."""
+    F, Q, H, R = model
+    full = (F, Q, H, R, np.zeros((1, 1, x.shape[1])))
+    edges = np.unique(np.linspace(0, len(z), 4 * threads + 1).astype(int)).tolist() if threads > 1 else [0, len(z)]
+    spans = list(itertools.pairwise(edges))
+
+    def part(span: tuple[int, int]) -> np.ndarray:
+        return dispatch.recurse(choices, z, full, x, P, kept, every=every, span=span)[slice(*span)]
+
+    if len(spans) < 2:
+        done = [part(span) for span in spans]
+    else:
+        # Compile, or load from the cache, before there are two who would.
+        dispatch.recurse(choices, z, full, x, P, kept, every=every, span=(0, 0))
+        with ThreadPoolExecutor(threads) as pool:
+            done = list(pool.map(part, spans))
+    return np.concatenate(done)
+
+
+def _run_bank(
+    choices: Choices,
+    z: Array,
+    model: Any,
+    x: Array,
+    P: Array,
+    kept: dispatch.Kept,
+    every: int,
+    part: range,
+    start: int,
+    skips: bool,
+) -> None:
+    """Run series together in numpy from a step on; skips: whether one that is refused becomes NaN."""
+    at = slice(part.start, part.stop)
+    F, Q, H, R = (matrix if len(matrix) == 1 else matrix[at] for matrix in model)
+    bank = FilterBank(
+        len(part), x.shape[1], z.shape[2], influence=choices.influence, scaling=choices.scaling,
+        information=choices.information, grouping=choices.grouping,
+    )  # fmt: skip
+    bank.x, bank.P = x[at].copy(), P[at].copy()
+    for k in range(start, z.shape[1]):
+        try:
+            bank.F, bank.Q, bank.H, bank.R = (a[:, k if a.shape[1] > 1 else 0] for a in (F, Q, H, R))
+            bank.predict()
+            bank.update(z[at, k])
+        except (ValueError, np.linalg.LinAlgError) as error:
+            # All arguments are checked by now but for NaN in x0 and P0: what is left is the numbers of one series.
+            refused = skips
+            if refused and len(part) == 1:
+                for column in (kept.means, kept.covariances, kept.weights):
+                    column[at, k // every :] = np.nan
+                kept.log_likelihood[at] = np.nan
+                return
+            if refused:
+                # Which of them it was, each tells alone.
+                kept.log_likelihood[at] = 0.0
+                for s in part:
+                    _run_bank(choices, z, model, x, P, kept, every, range(s, s + 1), start, skips)
+                return
+            where = f"series {part.start}, " if len(part) == 1 else ""
+            # The bank counts its filters, which a series alone is the first and only of.
+            sentence = str(error).removeprefix("filter 0: ") if where else str(error)
+            error.args = (f"{where}step {k}: {sentence}", *error.args[1:])
+            raise
+        kept.log_likelihood[at] += bank.log_likelihood
+        if (k + 1) % every == 0:
+            row = (k + 1) // every - 1
+            kept.means[at, row], kept.weights[at, row] = bank.x, bank.weights
+            if kept.covariances.shape[2] == 1:
+                kept.covariances[at, row, 0] = np.diagonal(bank.P, axis1=1, axis2=2)
+            elif kept.covariances.shape[2]:
+                kept.covariances[at, row] = bank.P
+    x[at], P[at] = bank.x, bank.P
+
+
+def smooth_series(x: ArrayLike, P: ArrayLike, F: ArrayLike, Q: ArrayLike) -> SmoothedSeries:
+    """Smooth filtered series by Rauch, Tung and Striebel's backward recursion, all series together.
+
+    Parameters
+    ----------
+    x : array_like, shape (S, N, dim_x)
+        Corrected states of all steps, from `filter_series`.
+    P : array_like, shape (S, N, dim_x, dim_x)
+        Their covariances.
+    F, Q : array_like, shape (dim_x, dim_x), (N, dim_x, dim_x) or (S or 1, N or 1, dim_x, dim_x)
+        As in `filter_series`; the entry of step k leads to step k.
+
+    Returns
+    -------
+    SmoothedSeries
+        x, P.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a shape does not fit.
+
+    Notes
+    -----
+    The backward recursion reads no measurement, so a bounded correction needs no other smoother. filterpy's
+    ``rts_smoother`` takes F and Q from index k for the step from k to k + 1; here that is index k + 1.
+    """
+    x, P = numbers("x", x), numbers("P", P)
+    if x.ndim != 3 or P.shape != (*x.shape, x.shape[-1]):
+        raise ValueError(f"x, P: expected shapes (S, N, n) and (S, N, n, n), got {x.shape} and {P.shape}")
+    series, steps, n = x.shape
+    F, Q = (_leading(name, value, (n, n), series, steps) for name, value in (("F", F), ("Q", Q)))
+    means, covariances = x.copy(), P.copy()
+    for k in range(steps - 2, -1, -1):
+        F_k, Q_k = (a[:, k + 1 if a.shape[1] > 1 else 0] for a in (F, Q))
+        transposed = F_k.transpose(0, 2, 1)
+        predicted = F_k @ P[:, k] @ transposed + Q_k
+        # The gain P F' predicted^-1, as the solution of a system with a symmetric matrix.
+        gain = np.linalg.solve(predicted, F_k @ P[:, k]).transpose(0, 2, 1)
+        moved = means[:, k + 1] - (F_k @ x[:, k, :, None])[:, :, 0]
+        means[:, k] += (gain @ moved[:, :, None])[:, :, 0]
+        covariances[:, k] += gain @ (covariances[:, k + 1] - predicted) @ gain.transpose(0, 2, 1)
+    return SmoothedSeries(means, covariances)

@@ -1,0 +1,131 @@
+"""P+ = P - C T' D T C' in forms that stay positive semidefinite in rounding (paper 28, 39, 44, 49)."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+
+
+class NotPositiveDefiniteError(np.linalg.LinAlgError):
+    """Say that scaling "unit" would make P indefinite: it is a filter only while H P H' < 1."""
+
+
+def innovation_moments(P: Array, H: Array, R: Array, M: Array | None) -> tuple[Array, Array]:
+    """Return C = P H' + M and S = H P H' + H M + M' H' + R."""
+    C = P.dot(H.T)
+    S = H.dot(C)
+    S += R
+    if M is not None:
+        C += M
+        HM = H.dot(M)
+        S += HM + HM.T
+    return C, S
+
+
+def posterior_covariance(
+    P: Array,
+    H: Array,
+    R: Array,
+    G: Array,
+    T: Array,
+    D: Array | list[float],
+    defect: Array | None = None,
+    M: Array | None = None,
+) -> Array:
+    """Return P+ = P - G D G' with G = C T', in a form that stays positive semidefinite in rounding.
+
+    With K_D = G D T it is Joseph's form of the gain K_D, plus what psi leaves unused::
+
+        P+ = (I - K_D H) P (I - K_D H)' + K_D R K_D' - (I - K_D H) M K_D' - K_D M' (I - K_D H)'
+             + G (D - D^2 + D (I - T S T') D) G'
+
+    Parameters
+    ----------
+    P : ndarray, shape (n, n)
+        Prior covariance.
+    H : ndarray, shape (m, n)
+        Measurement matrix.
+    R : ndarray, shape (m, m)
+        Measurement noise covariance.
+    G : ndarray, shape (n, m)
+        Standardized gain C T'.
+    T : ndarray, shape (m, m)
+        Scaling.
+    D : list of m floats, or ndarray, shape (m, m)
+        Information, its diagonal or the matrix.
+    defect : ndarray, shape (m, m), optional
+        I - T S T'; None where it is 0.
+    M : ndarray, shape (n, m), optional
+        Covariance of the state's error and the measurement noise.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        Symmetric to rounding; the form contracts what asymmetry there is.
+    """
+    unused = None
+    if isinstance(D, list):
+        none, whole = D.count(0.0), D.count(1.0)
+        if none == len(D):
+            return P.copy()
+        if none + whole == len(D):
+            GD = G.dot(_diagonal(tuple(D))) if none else G
+        else:
+            d = np.array(D)
+            GD = G * d
+            unused = (G * (d - d * d)).dot(G.T)
+    else:
+        GD = G.dot(D)
+        unused = G.dot(D - D.dot(D)).dot(G.T)
+    P_post = joseph(P, H, R, GD.dot(T), M)
+    if unused is not None:
+        P_post += unused
+    if defect is not None:
+        P_post += GD.dot(defect).dot(GD.T)
+    return P_post
+
+
+def joseph(P: Array, H: Array, R: Array, K: Array, M: Array | None, unused: Array | None = None) -> Array:
+    """Return the covariance that a gain K leaves, (I - K H) P (I - K H)' + (K R + unused) K', and the terms of M."""
+    I_KH = _identity(len(P)) - K.dot(H)
+    P_post = I_KH.dot(P).dot(I_KH.T)
+    noise = K.dot(R)
+    if unused is not None:
+        noise += unused
+    P_post += noise.dot(K.T)
+    if M is not None:
+        cross = I_KH.dot(M).dot(K.T)
+        P_post -= cross + cross.T
+    return P_post
+
+
+@lru_cache(maxsize=256)
+def _diagonal(entries: tuple[float, ...]) -> Array:
+    """Return a diagonal matrix, to be read only."""
+    matrix = np.diag(entries)
+    matrix.flags.writeable = False
+    return matrix
+
+
+@lru_cache(maxsize=64)
+def _identity(n: int) -> Array:
+    """Return I, to be read only."""
+    return _diagonal((1.0,) * n)
+
+
+def _require_positive(P_post: Array, D: Array | list[float], N: Array) -> None:
+    """Raise if P+ is indefinite, naming H P H'."""
+    if np.linalg.eigvalsh(P_post)[0] < -1e-13 * np.abs(P_post).max():
+        informed = np.diag(D) if isinstance(D, list) else D
+        raise _indefinite(float(np.linalg.eigvals(informed @ N).real.max()))
+
+
+def _indefinite(hph: float) -> NotPositiveDefiniteError:
+    """Return the error of a "unit" correction that would make P indefinite."""
+    return NotPositiveDefiniteError(
+        f'scaling="unit" would make P indefinite: it needs D H P H\' < 1 in the unit of the measurement squared, '
+        f'found {hph:.6g}; use scaling="bounded" or "innovation", a smaller P, or a larger unit of measurement'
+    )

@@ -1,0 +1,15 @@
+"""What is wrong when a filter does badly, in words.
+
+* `findings`: `diagnose`, the symptoms and their likely cause.
+* `recording`: what a filter met, as arrays.
+* `statistics`: figures of the innovations with the bands they should lie in.
+* `candidates`, `search`: changed models, and the one that explains a recording best.
+
+Imports from below: `influence`.
+"""
+
+from __future__ import annotations
+
+from robust_filterpy.diagnostics.findings import Diagnosis, Finding, diagnose
+
+__all__ = ["Diagnosis", "Finding", "diagnose"]

@@ -1,0 +1,179 @@
+"""What a filter did with a recording, as arrays: from a filter, a Saver or a tracker."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+
+
+@dataclass(frozen=True)
+class LinearModel:
+    """Hold the linear model of every step, as the filter used it."""
+
+    F: Array  # (N, n, n)
+    Q: Array  # (N, n, n)
+    H: Array  # (N, m, n)
+    R: Array  # (N, m, m)
+    fading: Array  # (N,), factor of F P F'
+    offset: Array  # (N, n), x_prior - F x of the step before: input, and what else moved the state
+    x: Array  # (n,), the first prediction
+    P: Array  # (n, n), its covariance
+
+
+@dataclass(frozen=True)
+class FilterRecord:
+    """Hold innovations and what was made of them; NaN where a component was missing."""
+
+    z: Array  # (N, m)
+    y: Array  # (N, m)
+    S: Array  # (N, m, m)
+    e: Array  # (N, m), T y by the filter's own scaling
+    weights: Array  # (N, m)
+    clipped: Array  # (N, m), bool
+    influence: Any
+    scaling: str
+    grouping: str
+    model: LinearModel | None
+
+
+def of_saver(saver: Any) -> FilterRecord:
+    """Return what a Saver kept, or say what it lacks."""
+    kept = saver.__dict__
+    for name in ("z", "y", "S"):
+        if name not in kept:
+            raise ValueError(f"saver: expected one that kept {name}, found {sorted(k for k in kept if k[:1] != '_')}")
+    if not len(kept["y"]):
+        raise ValueError("saver: expected at least one epoch, got an empty Saver; call save() after each update")
+    return _recording({name: list(values) for name, values in kept.items() if _is_listlike(values)}, saver._kf)
+
+
+def of_filter(kf: Any, zs: Any, per_step: dict[str, Any]) -> FilterRecord:
+    """Run a copy of the filter over zs."""
+    zs = _checks.entries("zs", zs)
+    per_step = {name: _checks.entries(name, values) for name, values in per_step.items()}
+    if len(zs) == 0:
+        raise ValueError("zs: expected at least one measurement, got none")
+    kf = copy.deepcopy(kf)
+    kept: dict[str, list[Any]] = {}
+    given = {"F": "Fs", "Q": "Qs", "H": "Hs", "R": "Rs"}
+
+    class Recorder:
+        """Stand where filterpy puts its Saver."""
+
+        def save(self) -> None:
+            """Keep one epoch."""
+            k = len(kept.get("y", []))
+            for name in (*_NAMES, *_OPTIONAL):
+                if not hasattr(kf, name):
+                    continue
+                steps = per_step.get(given.get(name, ""))
+                value = getattr(kf, name) if steps is None or steps[k] is None else steps[k]
+                if name in ("Q", "R") and np.ndim(value) == 0:
+                    value = float(value) * np.eye(len(kf.x) if name == "Q" else kf.dim_z)
+                kept.setdefault(name, []).append(copy.copy(value))
+
+    kf.batch_filter(zs, saver=Recorder(), **per_step)
+    return _recording(kept, kf)
+
+
+def of_tracker(tracker: Any, y: Any, u: Any) -> FilterRecord:
+    """Run a copy of the tracker over a recording."""
+    y = _checks.numbers("zs", y).ravel()
+    # By place, not by a label of a table or a column of one.
+    u = np.asarray(u) if hasattr(u, "to_numpy") else u
+    if len(y) == 0:
+        raise ValueError("zs: expected at least one output, got none")
+    tracker = copy.deepcopy(tracker)
+    kf = tracker.filter
+    kept: dict[str, list[Any]] = {}
+    for k, output in enumerate(y):
+        tracker.update(output, None if u is None else u[k])
+        missing = np.isnan(output)
+        for name in (*_NAMES, *_OPTIONAL):
+            if hasattr(kf, name):
+                kept.setdefault(name, []).append(copy.copy(getattr(kf, name)))
+        kept["z"][-1] = output
+        if missing:
+            kept["y"][-1] = np.full((1, 1), np.nan)
+    return _recording(kept, kf)
+
+
+_NAMES = ("z", "y", "S")
+_OPTIONAL = ("e", "weights", "clipped", "F", "Q", "H", "R", "x", "x_prior", "P_prior", "x_post", "alpha")
+
+
+def _is_listlike(values: Any) -> bool:
+    """Tell a column of a Saver from its other attributes."""
+    return (
+        isinstance(values, (list, np.ndarray)) and np.ndim(values) != 0
+        if isinstance(values, np.ndarray)
+        else (isinstance(values, list))
+    )
+
+
+def _recording(kept: dict[str, list[Any]], kf: Any) -> FilterRecord:
+    """Put what was kept of each epoch into arrays."""
+    n = len(kept["y"])
+    y = _stacked("y", kept["y"], n)
+    m = y.shape[1]
+    z = np.full((n, m), np.nan)
+    for k, value in enumerate(kept["z"]):
+        row = _checks.numbers("z", value).ravel()
+        if row.size == m:
+            z[k] = row
+    weights = _stacked("weights", kept["weights"], n) if "weights" in kept else np.ones((n, m))
+    absent = np.isnan(weights) | np.isnan(z)
+    y = np.where(absent, np.nan, y)
+    S = _stacked("S", kept["S"], n).reshape(n, m, m)
+    S = np.where(np.all(absent, axis=1)[:, None, None], np.nan, S)
+    clipped = _stacked("clipped", kept["clipped"], n).astype(bool) if "clipped" in kept else np.zeros((n, m), bool)
+    e = _stacked("e", kept["e"], n) if "e" in kept else np.full((n, m), np.nan)
+    return FilterRecord(
+        z=np.where(absent, np.nan, z),
+        y=y,
+        S=S,
+        e=np.where(absent, np.nan, e),
+        weights=weights,
+        clipped=clipped & ~absent,
+        influence=getattr(kf, "influence", None),
+        scaling=getattr(kf, "scaling", "innovation"),
+        grouping=getattr(kf, "grouping", "component"),
+        model=_model(kept, y, z, m),
+    )
+
+
+def _stacked(name: str, values: list[Any], n: int) -> Array:
+    """Return one row for each epoch."""
+    sizes = {np.size(value) for value in values}
+    if len(sizes) != 1:
+        raise ValueError(f"{name}: expected as many components at every step, got {sorted(sizes)}; diagnose each kind")
+    return np.array([np.asarray(value, dtype=float).ravel() for value in values]).reshape(n, -1)
+
+
+def _model(kept: dict[str, list[Any]], y: Array, z: Array, m: int) -> LinearModel | None:
+    """Return the linear model, None where the filter did something else than it says."""
+    x_post = kept.get("x_post", kept.get("x"))
+    if x_post is None or any(name not in kept for name in ("F", "Q", "H", "R", "x_prior", "P_prior")):
+        return None
+    N, n = len(y), np.size(kept["x_prior"][0])
+    try:
+        prior, post = _stacked("x_prior", kept["x_prior"], N), _stacked("x", x_post, N)
+        F, Q = (_stacked(name, kept[name], N).reshape(N, n, n) for name in "FQ")
+        H, R = _stacked("H", kept["H"], N).reshape(N, m, n), _stacked("R", kept["R"], N).reshape(N, m, m)
+        P = _stacked("P_prior", kept["P_prior"], N).reshape(N, n, n)
+    except (TypeError, ValueError):
+        return None
+    predicted = np.einsum("kij,kj->ki", H, prior)
+    size = np.nanmax(np.abs(np.vstack([predicted, np.nan_to_num(z), np.ones((1, m)) * 1e-300])))
+    if np.nanmax(np.abs(np.nan_to_num(z - predicted - y)), initial=0.0) > 1e-6 * size:
+        return None
+    offset = np.zeros((N, n))
+    offset[1:] = prior[1:] - np.einsum("kij,kj->ki", F[1:], post[:-1])
+    alpha = np.array([float(a) for a in kept.get("alpha", np.ones(N))])
+    return LinearModel(F=F, Q=Q, H=H, R=R, fading=alpha**2, offset=offset, x=prior[0], P=P[0])

@@ -1,0 +1,181 @@
+"""Which repair explains a recording best: the candidates of each cause, and the search through them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from robust_filterpy._checks import Array
+from robust_filterpy.diagnostics.candidates import Repair, scores
+from robust_filterpy.diagnostics.recording import LinearModel
+
+# Noise of a hypothesis: what a healthy recording grants to the luckiest of a hundred candidates.
+_GAIN = 12.0
+# A factor of a variance below this is nothing to trouble anybody with.
+_FACTOR = 2.0
+_UNITS = (1e3, 1e-3, 1e2, 1e-2, 10.0, 0.1, 180 / np.pi, np.pi / 180, 3.6, 1 / 3.6, 0.3048, 1 / 0.3048, 1e6, 1e-6)
+_AT_MOST = 3
+
+
+def find(model: LinearModel, z: Array, clipped: Array, e: Array) -> list[tuple[Repair, float]]:
+    """Return the causes, the weightiest first, each with the log-likelihood that its repair gains."""
+    found: list[tuple[Repair, float]] = []
+    so_far = Repair()
+    base = float(scores(model, z, [so_far]).log_likelihood[0])
+    while len(found) < _AT_MOST:
+        # One good candidate hides behind another, so every round looks at all of them on the repaired model.
+        candidates = _candidates(model, z, clipped, e, so_far)
+        best, likelihood = _search(model, z, candidates, so_far)
+        gain = likelihood - base
+        # After a large misfit is repaired, small ones may be left by the roughness of the repair.
+        least = max(_GAIN, 0.1 * found[0][1]) if found else _GAIN
+        if gain - best.cost < least or _is_slight(best):
+            break
+        found.append((best, gain))
+        so_far, base = so_far.then(best), likelihood
+    return found
+
+
+def _is_slight(repair: Repair) -> bool:
+    """Tell a factor too close to 1 to matter."""
+    return repair.cause in ("R", "Q", "R and Q") and 1 / _FACTOR < repair.value < _FACTOR
+
+
+def _search(model: LinearModel, z: Array, candidates: list[Repair], so_far: Repair) -> tuple[Repair, float]:
+    """Return the best candidate after three rounds of closing in on factors, and its log-likelihood."""
+    pool: dict[tuple[Any, ...], tuple[Repair, float]] = {}
+    for width in (1.0, 10.0 ** (1 / 3), 10.0 ** (1 / 9), 10.0 ** (1 / 27)):
+        if width != 1.0:
+            candidates = [near for best, _ in _leaders(pool) for near in _near(best, width, len(z[0]))]
+        if not candidates:
+            break
+        likelihoods = scores(model, z, [so_far.then(c) for c in candidates]).log_likelihood
+        for candidate, likelihood in zip(candidates, likelihoods, strict=True):
+            key = (candidate.cause, candidate.sensor)
+            if key not in pool or likelihood - candidate.cost > pool[key][1] - pool[key][0].cost:
+                pool[key] = (candidate, float(likelihood))
+    return max(pool.values(), key=lambda pair: pair[1] - pair[0].cost)
+
+
+def _leaders(pool: dict[tuple[Any, ...], tuple[Repair, float]]) -> list[tuple[Repair, float]]:
+    """Return the five best, the only ones that closing in can make the best."""
+    return sorted(pool.values(), key=lambda pair: pair[0].cost - pair[1])[:5]
+
+
+def _near(repair: Repair, width: float, m: int) -> list[Repair]:
+    """Return the candidate's neighbours, if it has a factor to be refined."""
+    if repair.cause not in ("R", "Q", "R and Q"):
+        return []
+    return [_noise(repair.cause, repair.sensor, repair.value * factor, m) for factor in (width, 1 / width)]
+
+
+def _noise(cause: str, sensor: int | None, factor: float, m: int) -> Repair:
+    """Return a repair that multiplies a covariance."""
+    unit = np.ones(m) if sensor is None else np.eye(m)[sensor]
+    r = np.where(unit > 0, np.sqrt(factor), 1.0)
+    if cause == "R":
+        return Repair("R", sensor, factor, 1.0 if sensor is None else 1.5, R=r)
+    if cause == "Q":
+        return Repair("Q", None, factor, 1.0, Q=factor)
+    return Repair("R and Q", None, factor, 4.0, Q=factor, R=r)
+
+
+def _candidates(model: LinearModel, z: Array, clipped: Array, e: Array, so_far: Repair) -> list[Repair]:
+    """Return every candidate of the first, coarse round."""
+    m = model.H.shape[1]
+    grid = [10.0**power for power in (-6, -5, -4, -3, -2, -1, -0.5, 0.5, 1, 2, 3, 4, 5, 6)]
+    causes = ("R", "Q", "R and Q") if model.Q.any() else ("R",)
+    result = [_noise(cause, None, factor, m) for cause in causes for factor in grid]
+    if m > 1:
+        result += [_noise("R", i, factor, m) for i in range(m) for factor in grid]
+        for i in range(m):
+            for unit in _UNITS:
+                each = np.where(np.arange(m) == i, unit, 1.0)
+                result.append(Repair("units", i, unit, 3.0, R=each, gain=each))
+        for i in range(m):
+            for j in range(i):
+                for r in (-0.9, -0.7, -0.5, -0.3, 0.3, 0.5, 0.7, 0.9):
+                    coupling = np.zeros((m, m))
+                    coupling[i, j] = coupling[j, i] = r
+                    result.append(Repair("coupled noise", i, r, 3.0, coupling=coupling))
+    result += [Repair("correlated noise", None, a, 3.0, memory=a) for a in (-0.8, -0.5, 0.3, 0.5, 0.7, 0.8, 0.9, 0.96)]
+    result += [Repair("more outliers", None, share, 2.0, tail=share) for share in (0.02, 0.2, 0.3, 0.4, 0.5)]
+    return result + _rows(model, z, so_far) + _jumps(model, z, clipped, e)
+
+
+def _rows(model: LinearModel, z: Array, so_far: Repair) -> list[Repair]:
+    """Return other rows of H: those that the remaining sensors suggest, and the states themselves."""
+    m, n = model.H.shape[1:]
+    result = []
+    constant = bool(np.ptp(model.H, axis=0).max(initial=0.0) == 0.0)
+    if not constant:
+        return []
+    for i in range(m):
+        suggestions = [-model.H[0, i], *np.eye(n)]
+        if m > 1:
+            without = scores(model, z, [so_far.then(Repair(missing=np.eye(m)[i]))]).x[0]
+            suggestions.append(_regressed(without, z[:, i]))
+        for row in suggestions:
+            if row is not None and not np.allclose(row, model.H[0, i]):
+                rows = np.full((m, n), np.nan)
+                rows[i] = row
+                result.append(Repair("H", i, 1.0, 2.0 + 2.0 * n, rows=rows))
+    return result
+
+
+def _regressed(x: Array, z: Array) -> Array | None:
+    """Return the row h that makes z = h x best, whatever the outliers say."""
+    seen = ~np.isnan(z) & np.isfinite(x).all(axis=1)
+    if seen.sum() < 5 * x.shape[1]:
+        return None
+    x, z = x[seen], z[seen]
+    # The unit of a state must not decide how much it counts.
+    size = np.maximum(np.abs(x).max(axis=0), 1e-300)
+    start = np.linalg.lstsq(x / size, z, rcond=1e-9)[0]
+    wide = max(float(np.median(np.abs(z - x / size @ start))), 1e-12 * float(np.abs(z).max(initial=1e-300)))
+    fit = least_squares(lambda h: (x / size @ h - z) / wide, start, loss="soft_l1", max_nfev=50)
+    return np.asarray(fit.x / size)
+
+
+def _jumps(model: LinearModel, z: Array, clipped: Array, e: Array) -> list[Repair]:
+    """Return jumps of the state and of each sensor where a run of clipped samples or a change of mean begins."""
+    m, n = model.H.shape[1:]
+    result = []
+    for i in np.flatnonzero(~np.isnan(z).all(axis=0)).tolist():
+        size = float(np.nanmax(np.abs(z[:, i] - np.nanmedian(z[:, i])), initial=1e-300)) ** 2
+        for k in sorted({0, *_breaks(e[:, i])}):
+            if k:
+                row = model.H[k, i] ** 2
+                weighty = row > 1e-12 * row.max(initial=1e-300)
+                state = np.where(weighty, size / np.where(weighty, row, 1.0), 0.0)
+                result.append(Repair("state jump", i, float(k), 5.0, jump_at=k, jump=np.r_[state, np.zeros(m)]))
+            if m > 1:
+                sensor = np.r_[np.zeros(n), size * np.eye(m)[i]]
+                cause = "level shift" if k else "bias"
+                result.append(Repair(cause, i, float(k), 5.0, jump_at=k, jump=sensor))
+    return result
+
+
+def _breaks(e: Array) -> list[int]:
+    """Return where one sensor's heaviest run of large innovations starts, and where its mean changes most."""
+    size = np.minimum(np.abs(np.nan_to_num(e)), 30.0)
+    sign = np.where(size > 2.0, np.sign(e), 0.0)
+    start, weight, best = 0, 0.0, (0.0, 0)
+    for k, s in enumerate(sign):
+        if not (s and k and s == sign[k - 1]):
+            start, weight = k, 0.0
+        elif s:
+            # The first of a run does not count: alone it is an outlier.
+            weight += float(size[k])
+        if weight > best[0]:
+            best = (weight, start)
+    bounded = np.clip(np.nan_to_num(e), -3.0, 3.0)
+    N = len(e)
+    before = np.arange(1, N)
+    change = np.abs(np.cumsum(bounded)[:-1] - before / N * bounded.sum()) / np.sqrt(before * (N - before) / N)
+    found = [best[1]]
+    if N > 20:
+        found.append(int(change[5:-5].argmax()) + 6)
+    return [k for around in found for k in (around - 1, around) if 0 < k < N]

@@ -1,0 +1,183 @@
+"""The figures of a diagnosis: what the innovations are and what a right model would make them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from robust_filterpy._checks import Array
+from robust_filterpy.diagnostics.recording import FilterRecord
+from robust_filterpy.influence.functions import Huber
+
+
+class Band(NamedTuple):
+    """Hold a mean of the normalised innovation squared, what it should be, and a 99 % band around that."""
+
+    mean: float
+    expected: float
+    lower: float
+    upper: float
+
+
+def normalized(recording: FilterRecord) -> Array:
+    """Return y_i / sqrt(S_ii), shape (N, m): the innovation of each sensor in its own standard deviations."""
+    variance = np.einsum("kii->ki", recording.S)
+    return recording.y / np.sqrt(np.where(variance > 0, variance, np.nan))
+
+
+def bulk(e: Array) -> tuple[float, float]:
+    """Return the scale of the ordinary values by the median, and the share of outliers beside them.
+
+    The median of |e| belongs to a higher quantile of the ordinary values the more outliers there are.
+    """
+    size = np.abs(e[~np.isnan(e)])
+    if not len(size):
+        return math.nan, math.nan
+    share = 0.0
+    scale = float(np.median(size) / stats.norm.ppf(0.75))
+    for _ in range(20):
+        beyond = float(np.mean(size > 3.0 * scale)) if scale else 0.0
+        share = min(max(beyond - 0.0027, 0.0) / (1 - 0.0027), 0.45)
+        scale = float(np.median(size) / stats.norm.ppf(0.5 + 0.25 / (1.0 - share)))
+    return scale, share
+
+
+def threshold(influence: Any) -> float:
+    """Return where psi' ceases to be positive, infinite if nowhere below 100."""
+    if influence is None:
+        return math.inf
+    if isinstance(influence, Huber):
+        return influence.threshold
+    grid = np.linspace(0.0, 100.0, 100001)
+    flat = np.asarray(influence.psi_deriv(grid)) <= 0
+    return float(grid[flat.argmax()]) if flat.any() else math.inf
+
+
+def expected_clipped(recording: FilterRecord, contamination: float) -> tuple[Array, Array]:
+    """Return the share of clipped samples of each sensor without outliers, and with all outliers clipped."""
+    k, m = threshold(recording.influence), recording.y.shape[1]
+    if recording.grouping == "joint":
+        low = np.full(m, stats.chi2.sf(k * k, m))
+    else:
+        spread = np.ones(m)
+        if recording.scaling != "innovation":
+            # Under another scaling e has not unit variance: T S T'.
+            ratio = recording.e / np.where(recording.y == 0, np.nan, recording.y)
+            deviation = np.sqrt(np.einsum("kii->ki", recording.S)) * np.abs(ratio)
+            spread = np.array([np.nanmedian(column) if (column == column).any() else 1.0 for column in deviation.T])
+        low = 2.0 * stats.norm.sf(k / spread)
+    return low, (1.0 - contamination) * low + (contamination if math.isfinite(k) else 0.0)
+
+
+def longest_run(flags: np.ndarray) -> int:
+    """Return the length of the longest run of True."""
+    edges = np.flatnonzero(np.diff(np.r_[0, flags.astype(int), 0]))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
+
+
+def expected_run(share: float, samples: int) -> float:
+    """Return the longest run of independent events that 99 % of recordings stay below."""
+    if share <= 0.0 or samples == 0:
+        return 0.0
+    if share >= 1.0:
+        return float(samples)
+    # About samples * (1 - share) runs begin; each reaches length L with probability share^L.
+    return min(max(math.log(0.01 / (samples * (1 - share))) / math.log(share), 1.0), float(samples))
+
+
+def whiteness(e: Array, lags: int = 10) -> tuple[float, float]:
+    """Return the lag-one autocorrelation and the p-value of Ljung and Box, outliers cut at two deviations."""
+    e = e[~np.isnan(e)]
+    scale = bulk(e)[0]
+    if len(e) <= 2 * lags or not scale > 0:
+        return math.nan, math.nan
+    e = np.clip(e / scale, -2.0, 2.0)
+    centred = e - e.mean()
+    power = float(centred @ centred)
+    if power == 0.0:
+        return math.nan, math.nan
+    r = np.array([centred[j:] @ centred[:-j] for j in range(1, lags + 1)]) / power
+    try:
+        from statsmodels.stats.diagnostic import acorr_ljungbox
+    except ImportError:
+        N = len(e)
+        statistic = N * (N + 2) * float(np.sum(r**2 / (N - np.arange(1, lags + 1))))
+        return float(r[0]), float(stats.chi2.sf(statistic, lags))
+    return float(r[0]), float(acorr_ljungbox(e, lags=[lags])["lb_pvalue"].iloc[0])
+
+
+def unclipped_nis(recording: FilterRecord) -> Band:
+    """Return the mean of y' S^-1 y over the samples of which nothing is clipped, and what it should be.
+
+    What is left after clipping has the moments of a truncated normal (joint: chi-square) distribution.
+    """
+    k, m = threshold(recording.influence), recording.y.shape[1]
+    if not math.isfinite(k) or recording.scaling != "innovation":
+        k = 3.0
+    values = []
+    for y, S in zip(recording.y, recording.S, strict=True):
+        if not np.isnan(y).any():
+            eigenvalues, vectors = np.linalg.eigh(S)
+            if eigenvalues[0] > 0:
+                e = vectors @ ((vectors.T @ y) / np.sqrt(eigenvalues))
+                inside = e @ e <= k * k if recording.grouping == "joint" else bool(np.all(np.abs(e) <= k))
+                if inside:
+                    values.append(float(e @ e))
+    if recording.grouping == "joint":
+        within = stats.chi2.cdf(k * k, m)
+        first = m * stats.chi2.cdf(k * k, m + 2) / within
+        second = m * (m + 2) * stats.chi2.cdf(k * k, m + 4) / within
+        variance = second - first**2
+    else:
+        within, density = 2 * stats.norm.cdf(k) - 1, stats.norm.pdf(k)
+        one = 1 - 2 * k * density / within
+        variance = m * (3 - 2 * (k**3 + 3 * k) * density / within - one**2)
+        first = m * one
+    if not values:
+        return Band(math.nan, float(first), math.nan, math.nan)
+    half = stats.norm.ppf(0.995) * math.sqrt(variance / len(values))
+    return Band(float(np.mean(values)), float(first), float(first - half), float(first + half))
+
+
+def saturated(z: Array) -> float | None:
+    """Return the value at which a sensor sticks at the end of its range, None if it does not.
+
+    The extreme value comes back, with neighbours in time, far more often than the second extreme one: a coarse
+    sensor repeats every value.
+    """
+    z = z[~np.isnan(z)]
+    values, counts = np.unique(z, return_counts=True)
+    if len(values) < 20:
+        return None
+    least = max(5, 0.01 * len(z))
+    for end, inner in ((0, slice(1, 6)), (-1, slice(-6, -1))):
+        if counts[end] >= least and counts[end] > 5 * counts[inner].max() and longest_run(z == values[end]) >= 2:
+            return float(values[end])
+    return None
+
+
+def frozen(z: Array) -> int:
+    """Return the length of the longest run of one and the same value if the sensor is otherwise alive, else 0."""
+    z = z[~np.isnan(z)]
+    if len(z) < 20:
+        return 0
+    same = np.diff(z) == 0
+    run = longest_run(same) + 1
+    alive = 1.0 - float(same.sum() - (run - 1)) / len(same)
+    return run if run >= 10 and alive > 0.9 else 0
+
+
+def breaks_loose(z: Array, value: float) -> bool:
+    """Tell a sensor that was frozen at its extreme value: once, and what comes next is far from it.
+
+    A signal that saturates comes back the way it went.
+    """
+    z = z[~np.isnan(z)]
+    at = np.flatnonzero(z == value)
+    if len(at) != at[-1] - at[0] + 1 or at[-1] == len(z) - 1:
+        return False
+    steps = np.abs(np.diff(z))
+    return bool(abs(z[at[-1] + 1] - value) > 5.0 * np.median(steps[steps > 0]))

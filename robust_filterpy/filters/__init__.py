@@ -1,0 +1,49 @@
+"""filterpy's filters with a bounded correction: thin shells around `robust_filterpy.correction`.
+
+* `kalman`: `RobustKalmanFilter`.
+* `extended`, `sigma_point`: nonlinear filters.
+* `recovering`: a redescending psi that comes back after a jump.
+* `gaussian_sum`: noise that is a known mixture.
+* `multiple_model`: outliers in the process as well as in the measurement.
+
+Imports from below: `influence`, `correction`, `compiled`.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from robust_filterpy.filters.kalman import RobustKalmanFilter
+
+if TYPE_CHECKING:
+    from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
+    from robust_filterpy.filters.gaussian_sum import NoiseMatchedKalmanFilter
+    from robust_filterpy.filters.multiple_model import TwoSidedKalmanFilter
+    from robust_filterpy.filters.recovering import RecoveringKalmanFilter
+    from robust_filterpy.filters.sigma_point import RobustCubatureKalmanFilter, RobustUnscentedKalmanFilter
+
+_LAZY = {
+    "NoiseMatchedKalmanFilter": "gaussian_sum",
+    "RecoveringKalmanFilter": "recovering",
+    "RobustCubatureKalmanFilter": "sigma_point",
+    "RobustExtendedKalmanFilter": "extended",
+    "RobustUnscentedKalmanFilter": "sigma_point",
+    "TwoSidedKalmanFilter": "multiple_model",
+}
+__all__ = [
+    "NoiseMatchedKalmanFilter",
+    "RecoveringKalmanFilter",
+    "RobustCubatureKalmanFilter",
+    "RobustExtendedKalmanFilter",
+    "RobustKalmanFilter",
+    "RobustUnscentedKalmanFilter",
+    "TwoSidedKalmanFilter",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a filter when it is first asked for, so that `RobustKalmanFilter` alone stays quick to import."""
+    if name in _LAZY:
+        return getattr(importlib.import_module(f"{__name__}.{_LAZY[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

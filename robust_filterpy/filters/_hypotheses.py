@@ -1,0 +1,126 @@
+"""What the filters share that correct a state once for each of several hypotheses."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robust_filterpy import _checks
+from robust_filterpy._arrays import state_of
+from robust_filterpy._checks import Array
+from robust_filterpy.filters.kalman import RobustKalmanFilter
+
+
+class SeveralHypotheses(RobustKalmanFilter):
+    """Keep what `_corrected` finds out beside the posterior in ``_found`` and only if the correction is accepted.
+
+    A subclass's `_corrected` sets ``_found``, a tuple whose first entry is the log-likelihood; `_settle` is called
+    when a correction has been accepted, `_skip` when there was nothing to correct by.
+    """
+
+    _found: tuple[Any, ...]
+
+    def _settle(self) -> None:
+        """Take over what the accepted correction found."""
+
+    def _update(self, z: Any, R: Any, H: Any, M: Any) -> None:
+        """Correct by a whole measurement; a refused call leaves the findings too."""
+        found = self._found
+        try:
+            super()._update(z, R, H, M)
+        except BaseException:
+            self._found = found
+            raise
+        if self._found[0] is not None:
+            self._log_likelihood = self._found[0]
+            self._settle()
+
+    def get_update(self, z: ArrayLike | None = None) -> tuple[Array, Array]:
+        """Return what `update` would make of x and P, and change nothing.
+
+        Parameters
+        ----------
+        z : array_like, shape (dim_z,) or (dim_z, 1), or scalar, or None
+            Measurement, as in `update`.
+
+        Returns
+        -------
+        x : ndarray, shape of ``self.x``
+            Corrected state.
+        P : ndarray, shape (dim_x, dim_x)
+            Its covariance.
+        """
+        found = self._found
+        try:
+            return super().get_update(z)
+        finally:
+            self._found = found
+
+    def update_sequential(self, start: int, z_i: ArrayLike, R_i: Any = None, H_i: ArrayLike | None = None) -> None:
+        """Correct the state by a part of the measurement, as `RobustKalmanFilter.update_sequential` does.
+
+        Parameters
+        ----------
+        start : int
+            Place of the first component in z.
+        z_i : array_like, shape (k,) or (k, 1), or scalar
+            The components; NaN marks a missing one.
+        R_i : array_like, shape (k, k), or scalar, optional
+            Their noise covariance, otherwise that block of ``self.R``.
+        H_i : array_like, shape (k, dim_x), optional
+            Their measurement matrix, otherwise those rows of ``self.H``.
+
+        Raises
+        ------
+        ValueError, SingularInnovationError
+            As in `update`; also if the part leaves z.
+
+        Notes
+        -----
+        ``log_likelihood`` is that of the last part.
+        """
+        found = self._found
+        try:
+            super().update_sequential(start, z_i, R_i, H_i)
+        except BaseException:
+            self._found = found
+            raise
+        if np.isnan(_checks.numbers("z_i", z_i)).all():
+            self._found = found
+        else:
+            self._log_likelihood = self._found[0]
+            self._settle()
+
+    def log_likelihood_of(self, z: ArrayLike | None) -> float:
+        """Return the log-likelihood of a measurement given the present state and its hypotheses.
+
+        Parameters
+        ----------
+        z : array_like, shape (dim_z,) or (dim_z, 1), or scalar, or None
+            Measurement; NaN marks a missing component.
+
+        Returns
+        -------
+        float
+            0 if z is missing altogether.
+        """
+        x, P = state_of(self)
+        H, R, values, _ = self._measurement(z, None, None, None, len(x))
+        if values is None:
+            return 0.0
+        found = self._found
+        try:
+            self._corrected(x, P, values, H, R, None)
+            return float(self._found[0])
+        finally:
+            self._found = found
+
+
+def finite_product(H: Array, x: Array) -> Array:
+    """Return H x, shape (m,), or raise: NaN would pass for a missing measurement."""
+    predicted = H.dot(x)
+    if not np.isfinite(predicted).all():
+        raise ValueError(f"x: expected finite numbers, got H x = {predicted}")
+    return np.asarray(predicted)

@@ -1,0 +1,210 @@
+"""What every robust filter shows: its choices, what its last correction did, and a likelihood that survives."""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import Any
+
+import numpy as np
+from filterpy.common import pretty_str
+
+from robust_filterpy._checks import Array
+from robust_filterpy.correction.likelihood import log_density
+from robust_filterpy.correction.options import Choices
+from robust_filterpy.correction.result import Correction
+from robust_filterpy.correction.whitening import Inverse
+from robust_filterpy.influence.functions import Influence
+
+_DEFAULT_INVERSE = np.linalg.inv
+
+
+class Robust:
+    """Add to a filter of filterpy's the choices of a robust correction and the attributes that show what it did.
+
+    Comes before filterpy's class among the bases. The filter stores its `Correction` in ``_last`` and sets
+    ``_y = _S = _SI = None`` (and ``_K = None``, unless it sets K).
+    """
+
+    # Outside __dict__, which filterpy's Saver copies at every epoch and turns into arrays.
+    # (Not a literal: a type checker would then believe that there is no __dict__ at all.)
+    __slots__ = tuple("_K _S _SI _last _y".split())
+
+    x: Array
+    dim_z: int
+    _K: Any
+    _y: Any
+    _S: Any
+    _SI: Any
+    _last: Any
+    inv: Inverse
+    _choices: Choices
+    _log_likelihood: float | None
+    _likelihood: float | None
+    _mahalanobis: float | None
+
+    def _set_choices(self, influence: Influence, scaling: str, information: str, grouping: str) -> None:
+        """Check and keep the choices; called before filterpy's constructor."""
+        self._choices = Choices(influence, scaling, information, grouping)
+        self._last = None
+
+    @property
+    def _inverse(self) -> Inverse | None:
+        """What the user wants S inverted by, None if that is what filterpy does by default."""
+        return None if self.inv is _DEFAULT_INVERSE else self.inv
+
+    @property
+    def influence(self) -> Any:
+        """The influence function psi."""
+        return self._choices.influence
+
+    @influence.setter
+    def influence(self, value: Influence) -> None:
+        self._choices = self._choices.changed(influence=value)
+
+    @property
+    def scaling(self) -> str:
+        """Which T: "innovation", "unit" or "bounded"."""
+        return self._choices.scaling
+
+    @scaling.setter
+    def scaling(self, value: str) -> None:
+        self._choices = self._choices.changed(scaling=value)
+
+    @property
+    def information(self) -> str:
+        """Which D: "realized", "expected" or "weight"."""
+        return self._choices.information
+
+    @information.setter
+    def information(self, value: str) -> None:
+        self._choices = self._choices.changed(information=value)
+
+    @property
+    def grouping(self) -> str:
+        """psi of each "component" or of all of them "joint"."""
+        return self._choices.grouping
+
+    @grouping.setter
+    def grouping(self, value: str) -> None:
+        self._choices = self._choices.changed(grouping=value)
+
+    @property
+    def weights(self) -> Array:
+        """psi(e)/e of the last correction, shape of y; NaN where a component was missing."""
+        return self._shown("weights", np.nan)
+
+    @property
+    def clipped(self) -> np.ndarray:
+        """Whether psi'(e) <= 0 in the last correction, shape of y."""
+        return self._shown("clipped", False)
+
+    @property
+    def e(self) -> Array:
+        """Standardized innovation T y of the last correction, shape of y (paper 29)."""
+        return self._shown("e", 0.0)
+
+    @property
+    def y_bounded(self) -> Array:
+        """Bounded innovation T^-1 psi(T y) of the last correction, shape of y, in the unit of z."""
+        return self._shown("y_bounded", 0.0)
+
+    @property
+    def T(self) -> Array:
+        """Scaling of the last correction, shape (dim_z, dim_z) (paper 36)."""
+        last = self._arrays()
+        return np.eye(self.dim_z) if last is None else last.T.copy()
+
+    def _arrays(self) -> Correction | None:
+        """Return the last correction, as arrays."""
+        if self._last is not None and type(self._last) is not Correction:
+            self._last = self._last.as_arrays()
+        return self._last  # type: ignore[no-any-return]
+
+    def _shown(self, name: str, absent: Any) -> Array:
+        """Return a field of the last correction in the shape that y has for this kind of state."""
+        column, last = np.ndim(self.x) != 1, self._arrays()
+        if last is None:
+            return np.full((self.dim_z, 1) if column else self.dim_z, absent)
+        values = np.array(getattr(last, name))
+        return values[:, None] if column else values
+
+    # y, S, SI and K are filterpy's. Few programs look at them at every step, so they are made when asked for.
+
+    @property
+    def y(self) -> Array:
+        """Innovation z - H x of the last correction, 0 where missing, shape (dim_z, 1) or (dim_z,)."""
+        if self._y is None:
+            self._y = self._shown("y", 0.0)
+        return self._y
+
+    @y.setter
+    def y(self, value: Array) -> None:
+        self._y = value
+
+    @property
+    def S(self) -> Array:
+        """Innovation covariance H P H' + R, shape (dim_z, dim_z)."""
+        if self._S is None:
+            self._S = self._arrays().S  # type: ignore[union-attr]
+        return self._S
+
+    @S.setter
+    def S(self, value: Array) -> None:
+        self._S = value
+
+    @property
+    def SI(self) -> Array:
+        """Inverse of S, shape (dim_z, dim_z)."""
+        if self._SI is None:
+            self._SI = self._arrays().inverse  # type: ignore[union-attr]
+        return self._SI
+
+    @SI.setter
+    def SI(self, value: Array) -> None:
+        self._SI = value
+
+    @property
+    def K(self) -> Array:
+        """Gain before psi, C T'T, shape (dim_x, dim_z)."""
+        if self._K is None:
+            self._K = self._arrays().K  # type: ignore[union-attr]
+        return self._K
+
+    @K.setter
+    def K(self, value: Array) -> None:
+        self._K = value
+
+    @property
+    def log_likelihood(self) -> float:
+        """Log-likelihood of the last measurement under the density of psi; 0 if it was missing altogether."""
+        if self._log_likelihood is None:
+            weights = self.weights.ravel()
+            y = np.where(np.isnan(weights), np.nan, np.ravel(self.y))
+            self._log_likelihood = log_density(y, np.atleast_2d(self.S), self._choices, self._inverse)
+        return self._log_likelihood
+
+    @property
+    def likelihood(self) -> float:
+        """exp(log_likelihood), at least the smallest normal float."""
+        if self._likelihood is None:
+            self._likelihood = max(math.exp(min(self.log_likelihood, 700.0)), sys.float_info.min)
+        return self._likelihood
+
+    @property
+    def mahalanobis(self) -> float:
+        """Length of the innovation in standard deviations, sqrt(y' S^-1 y), the Kalman filter's."""
+        if self._mahalanobis is None:
+            y = np.ravel(self.y)
+            peak = float(np.abs(y).max()) or 1.0
+            length = math.sqrt(max(float(y / peak @ self.SI @ (y / peak)), 0.0))
+            self._mahalanobis = min(peak * length, sys.float_info.max)
+        return self._mahalanobis
+
+    def __repr__(self) -> str:
+        """Show the choices and everything that filterpy shows."""
+        lines = super().__repr__().split("\n")
+        names = ("influence", "scaling", "information", "grouping", "weights", "clipped", "e", "T", "y_bounded")
+        return "\n".join(
+            [f"{type(self).__name__} object", *lines[1:], *(pretty_str(name, getattr(self, name)) for name in names)]
+        )

@@ -1,0 +1,102 @@
+"""What the nonlinear filters share: the innovation of a nonlinear sensor, what is kept after it, and what is undone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from robust_filterpy._arrays import measured
+from robust_filterpy._checks import Array, described, numbers
+from robust_filterpy.correction.missing import nothing_observed
+from robust_filterpy.correction.result import Correction
+from robust_filterpy.filters._mixin import Robust
+
+
+class Nonlinear(Robust):
+    """Keep a correction in filterpy's attributes."""
+
+    inv: Any
+    P: Array
+    K: Array
+    z: Any
+    x_post: Array
+    P_post: Array
+    _y: Any
+    _S: Any
+    _SI: Any
+
+    def _keep(self, last: Correction, z: Array) -> None:
+        """Write a correction and the measurement it came from, z of shape (m,), into the attributes."""
+        column = np.ndim(self.x) == 2
+        self.x = last.x[:, None] if column else last.x
+        self.P, self.K, self._last = last.P, last.K, last
+        self.z = z[:, None] if column else z
+        self._forget()
+
+    def _skip(self) -> None:
+        """Do what filterpy does for update(None), and forget the last innovation."""
+        m = self.dim_z
+        self.z = np.array([[None] * m]).T
+        self.y = np.zeros((m, 1) if np.ndim(self.x) == 2 else m)
+        T, S, SI = self.T, self.S, self.SI
+        T = T if T.shape == (m, m) else np.eye(m)
+        self._last = nothing_observed(np.ravel(self.x), self.P, S, m)._replace(T=T)
+        self._forget()
+        self.S, self.SI = S, SI
+
+    def _forget(self) -> None:
+        """Let everything that follows from the last correction be computed anew."""
+        self.x_post, self.P_post = np.copy(self.x), np.copy(self.P)
+        self._y = self._S = self._SI = None
+        self._log_likelihood = self._likelihood = self._mahalanobis = None
+
+
+def innovation_of(
+    z: Any, predicted: Any, m: int, residual: Callable[[Any, Any], Any], source: str
+) -> tuple[Array | None, Array]:
+    """Return z and its innovation, shape (m,), NaN where missing; None for a z that is missing altogether.
+
+    The residual function sees neither NaN nor shapes that broadcast: a missing component takes its predicted value,
+    and both arguments have the shape of the prediction.
+    """
+    at = numbers(source, predicted)
+    if at.size != m:
+        raise ValueError(f"{source}: expected {m} number(s), as the measurement has, got {described(at)}")
+    if not np.isfinite(at).all():
+        raise ValueError(f"{source}: expected finite numbers, got {at.ravel()}; check x and the measurement function")
+    at = at.reshape(at.shape or (1,))
+    values = measured(z, m)
+    if values is None:
+        return None, np.full(m, np.nan)
+    values = np.atleast_1d(values)
+    missing = np.isnan(values)
+    filled = np.where(missing, at.ravel(), values).reshape(at.shape)
+    y = numbers("residual", residual(filled, at.copy())).ravel()
+    if y.size != m or not np.isfinite(y).all():
+        raise ValueError(f"residual: expected {m} finite number(s), got {y}")
+    return values, np.where(missing, np.nan, y)
+
+
+@contextmanager
+def unchanged_if_refused(kf: Any) -> Iterator[None]:
+    """Put a filter back as it was if the block raises."""
+    attributes = {k: v.copy() if type(v) is np.ndarray else v for k, v in kf.__dict__.items()}
+    slots = {name: getattr(kf, name) for name in Robust.__slots__ if hasattr(kf, name)}
+    try:
+        yield
+    except BaseException:
+        kf.__dict__.clear()
+        kf.__dict__.update(attributes)
+        for name, value in slots.items():
+            setattr(kf, name, value)
+        raise
+
+
+def require_finite(**arrays: Array) -> None:
+    """Raise ValueError, naming the array, unless every number is finite."""
+    for name, value in arrays.items():
+        if not np.isfinite(value).all():
+            raise ValueError(f"{name}: expected finite numbers, got NaN or infinity; check the model functions")

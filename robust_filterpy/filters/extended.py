@@ -1,0 +1,237 @@
+"""RobustExtendedKalmanFilter: filterpy's ExtendedKalmanFilter with a bounded correction."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
+from numpy.typing import ArrayLike
+
+from robust_filterpy import _checks
+from robust_filterpy._arrays import (
+    control_term,
+    measured,
+    noise_covariance,
+    process_noise,
+    require_finite_prediction,
+    state_of,
+)
+from robust_filterpy._checks import Array
+from robust_filterpy.correction.definition import correct
+from robust_filterpy.filters._nonlinear_mixin import Nonlinear, innovation_of, require_finite, unchanged_if_refused
+from robust_filterpy.influence.functions import Huber, Influence
+
+__all__ = ["RobustExtendedKalmanFilter"]
+
+
+class RobustExtendedKalmanFilter(Nonlinear, ExtendedKalmanFilter):
+    """Filter like `filterpy.kalman.ExtendedKalmanFilter`, without believing outliers.
+
+    Every attribute, method and shape is filterpy's; the correction is that of `robust_filterpy.RobustKalmanFilter`
+    with the innovation y = residual(z, Hx(x)) and H the Jacobian at x::
+
+        x+ = x + P H' T' psi(T y),    P+ = P - P H' T' D T H P
+
+    Parameters
+    ----------
+    dim_x : int
+        Length of the state, >= 1.
+    dim_z : int
+        Length of the measurement, >= 1.
+    dim_u : int, default 0
+        Length of the control input.
+    influence : Influence, default Huber(1.345)
+        psi: `Huber`, `Linear` (the extended Kalman filter), `Hampel`, `TukeyBiweight`, `StudentT`, or any norm of
+        `statsmodels.robust.norms`. Thresholds are in standard deviations of the innovation.
+    scaling : {"innovation", "unit", "bounded"}
+        T, as in `RobustKalmanFilter`.
+    information : {"realized", "expected", "weight"}
+        D, as in `RobustKalmanFilter`.
+    grouping : {"component", "joint"}
+        psi of each component of e, or of the length of e.
+
+    Attributes
+    ----------
+    weights, clipped, e, T, y_bounded : ndarray
+        What the last correction did, as in `RobustKalmanFilter`.
+
+    Raises
+    ------
+    ValueError
+        If a dimension or an option is out of range. Every call checks its arrays first and raises ValueError or
+        TypeError before it changes anything.
+
+    Notes
+    -----
+    NaN (or None, or a masked entry) in z is a missing component. The residual function never sees it: it is called
+    with the predicted value in its place. z may be a row or a column, whatever Hx returns.
+
+    ``x_prior`` after `predict_update` is the predicted state; filterpy leaves the state before the prediction there.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
+    >>> kf = RobustExtendedKalmanFilter(dim_x=1, dim_z=1)
+    >>> kf.x = np.array([1.0])
+    >>> for z in [1.1, 0.9, 1e6, 1.0]:
+    ...     kf.predict()
+    ...     kf.update(z, HJacobian=lambda x: np.array([2.0 * x]), Hx=lambda x: x**2)
+    >>> bool(abs(kf.x[0] - 1.0) < 0.5)
+    True
+    """
+
+    def __init__(
+        self,
+        dim_x: int,
+        dim_z: int,
+        dim_u: int = 0,
+        *,
+        influence: Influence = Huber(),
+        scaling: str = "innovation",
+        information: str = "realized",
+        grouping: str = "component",
+    ) -> None:
+        """Set up filterpy's attributes and the choices."""
+        for name, value, least in (("dim_x", dim_x, 1), ("dim_z", dim_z, 1), ("dim_u", dim_u, 0)):
+            _checks.count(name, value, least)
+        self._set_choices(influence, scaling, information, grouping)
+        super().__init__(dim_x, dim_z, dim_u)
+        self.inv = np.linalg.inv
+
+    def predict_x(self, u: ArrayLike = 0) -> None:
+        """Predict the state alone, x = F x + B u; override it for a nonlinear model, as with filterpy.
+
+        Parameters
+        ----------
+        u : array_like, shape (dim_u,) or (dim_u, 1), or scalar
+            Control input.
+        """
+        x, _ = state_of(self)
+        F = _checks.matrix("F", self.F, (len(x), len(x)), "dim_x")
+        self.x = F.dot(x) + (0.0 if u is None else control_term(self.B, u, x.shape))
+
+    def predict(self, u: ArrayLike = 0) -> None:
+        """Predict the next state: `predict_x`, and P = F P F' + Q.
+
+        Parameters
+        ----------
+        u : array_like, shape (dim_u,) or (dim_u, 1), or scalar
+            Control input.
+
+        Raises
+        ------
+        ValueError
+            If a shape does not fit or the prediction is not finite; nothing has changed then.
+        """
+        with unchanged_if_refused(self):
+            _, P = state_of(self)
+            n = len(P)
+            F, Q = _checks.matrix("F", self.F, (n, n), "dim_x"), process_noise(self.Q, None, n)
+            self.predict_x(u)
+            self.P = F.dot(P).dot(F.T) + Q
+            require_finite_prediction(*state_of(self))
+        self.x_prior, self.P_prior = np.copy(self.x), np.copy(self.P)
+
+    def update(
+        self,
+        z: ArrayLike | None,
+        HJacobian: Callable[..., ArrayLike],
+        Hx: Callable[..., ArrayLike],
+        R: Any = None,
+        args: Any = (),
+        hx_args: Any = (),
+        residual: Callable[[Any, Any], Any] = np.subtract,
+    ) -> None:
+        """Correct the state by a measurement whose influence is bounded.
+
+        Parameters
+        ----------
+        z : array_like, shape (dim_z,) or (dim_z, 1), or scalar, or None
+            Measurement; NaN marks a missing component, None a missing measurement.
+        HJacobian : callable
+            ``HJacobian(x, *args)`` returns H, shape (m, dim_x); z and R then have its height m.
+        Hx : callable
+            ``Hx(x, *hx_args)`` returns the measurement that belongs to x.
+        R : array_like, shape (dim_z, dim_z), or scalar, optional
+            Noise covariance for this call, otherwise ``self.R``. A scalar here means R I.
+        args, hx_args : tuple
+            Further arguments of HJacobian and Hx; anything else than a tuple is the only one.
+        residual : callable, default numpy.subtract
+            ``residual(z, Hx(x))``, for measurements that do not subtract (angles).
+
+        Raises
+        ------
+        ValueError
+            If a shape does not fit, z is infinite or R not positive definite; nothing has changed then.
+        SingularInnovationError, NotPositiveDefiniteError
+            As in `RobustKalmanFilter.update`.
+        """
+        x, P = state_of(self)
+        if z is None or (np.ndim(z) == 0 and measured(z, 1) is None):
+            self._skip()
+            return
+        self._correct(z, x, P, self._jacobian(HJacobian, x, args), Hx, R, hx_args, residual)
+
+    def predict_update(
+        self,
+        z: ArrayLike | None,
+        HJacobian: Callable[..., ArrayLike],
+        Hx: Callable[..., ArrayLike],
+        args: Any = (),
+        hx_args: Any = (),
+        u: ArrayLike = 0,
+    ) -> None:
+        """Predict, then correct, with H the Jacobian at the state before the prediction, as in filterpy.
+
+        Parameters
+        ----------
+        z : array_like, shape (dim_z,) or (dim_z, 1), or scalar, or None
+            Measurement, as in `update`.
+        HJacobian, Hx : callable
+            As in `update`.
+        args, hx_args : tuple
+            As in `update`.
+        u : array_like, shape (dim_u,) or (dim_u, 1), or scalar
+            Control input.
+
+        Raises
+        ------
+        ValueError, SingularInnovationError, NotPositiveDefiniteError
+            As in `predict` and `update`; nothing has changed then.
+        """
+        with unchanged_if_refused(self):
+            x, _ = state_of(self)
+            H = None if z is None else self._jacobian(HJacobian, x, args)
+            self.predict(u)
+            if H is None:
+                self._skip()
+                return
+            x, P = state_of(self)
+            self._correct(z, x, P, H, Hx, None, hx_args, np.subtract)
+
+    def _jacobian(self, HJacobian: Callable[..., ArrayLike], x: Array, args: Any) -> Array:
+        """Return H at x, checked."""
+        H = _checks.numbers("HJacobian", HJacobian(x, *(args if isinstance(args, tuple) else (args,))))
+        if H.ndim != 2 or H.shape[1] != len(x) or not len(H):
+            raise ValueError(
+                f"HJacobian: expected shape ({self.dim_z}, {len(x)}) for dim_z={self.dim_z}, dim_x={len(x)}, "
+                f"got {_checks.described(H)}"
+            )
+        require_finite(HJacobian=H)
+        return H
+
+    def _correct(
+        self, z: Any, x: Array, P: Array, H: Array, Hx: Any, R: Any, hx_args: Any, residual: Callable[[Any, Any], Any]
+    ) -> None:
+        """Correct by a whole measurement; every check comes before the first assignment."""
+        m = len(H)
+        R = noise_covariance(self.R, R, m)
+        at = Hx(x, *(hx_args if isinstance(hx_args, tuple) else (hx_args,)))
+        values, y = innovation_of(z, at, m, residual, "Hx")
+        if values is None:
+            self._skip()
+            return
+        self._keep(correct(x.ravel(), P, y, H, R, self._choices, None, self._inverse), values)

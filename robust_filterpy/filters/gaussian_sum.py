@@ -1,0 +1,301 @@
+"""Filters that doubt the process as well as the measurement: the target manoeuvres, the parameter jumps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robust_filterpy import _checks
+from robust_filterpy._arrays import process_noise, state_of
+from robust_filterpy._checks import Array
+from robust_filterpy.correction.missing import nothing_observed, spread
+from robust_filterpy.correction.mixture import _MOST_SENSORS, ContaminatedScore, Hypothesis, merge
+from robust_filterpy.correction.result import Correction
+from robust_filterpy.correction.whitening import standardize, standardized
+from robust_filterpy.filters._hypotheses import SeveralHypotheses, finite_product
+from robust_filterpy.influence.functions import Huber
+
+__all__ = ["NoiseMatchedKalmanFilter"]
+
+
+class NoiseMatchedKalmanFilter(SeveralHypotheses):
+    """Filter with contaminated normal noises, of the measurement, of the process, or of both.
+
+    Each step keeps every hypothesis (v ordinary or an outlier, w ordinary or a jump), weighs it by the likelihood of
+    the innovation and merges them by moments. With an ordinary process this is the filter with the exact score of
+    the innovation as psi and its exact second moment (Masreliez 1975)::
+
+        v ~ (1 - eps_v) N(0, R) + eps_v N(0, ratio_v^2 R),    w ~ (1 - eps_w) N(0, Q) + eps_w N(0, ratio_w^2 Q)
+
+    Parameters
+    ----------
+    dim_x : int
+        Length of the state, >= 1.
+    dim_z : int
+        Length of the measurement, >= 1.
+    dim_u : int, default 0
+        Length of the control input.
+    measurement : ContaminatedScore, default ContaminatedScore(0.1, 10)
+        Contamination and scale ratio of v. ``ContaminatedScore(0)`` is ordinary.
+    process : ContaminatedScore, default ContaminatedScore(0)
+        Contamination and scale ratio of w.
+    grouping : {"joint", "component"}
+        Whether the sensors fail together, or each on its own: 2^dim_z hypotheses, dim_z <= 8.
+
+    Attributes
+    ----------
+    outlier_probability : float
+        Probability that a component of the last measurement was an outlier.
+    jump_probability : float
+        Probability that w was an outlier in the step before it.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a dimension or an option is out of range.
+
+    See Also
+    --------
+    robust_filterpy.correction.mixture.merge : The merging, as a pure function.
+
+    Notes
+    -----
+    ``Q`` and ``R`` are the covariances of ordinary noise. After `predict`, ``P`` is that of the ordinary hypothesis,
+    and so are ``S``, ``SI``, ``K`` and ``mahalanobis``; the other one enters in `update`, or, if the measurement is
+    missing, at once. ``e``, ``weights`` and ``y_bounded`` describe psi, the score of the innovation; with a
+    contaminated process x_post is not x_prior + K y_bounded, because the hypotheses have different gains.
+
+    ``log_likelihood`` is that of the mixture. `update_steadystate` clips, with the Huber function for the same
+    contamination. In `update_sequential` the first part decides about the jump.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> kf = NoiseMatchedKalmanFilter(1, 1, measurement=ContaminatedScore(0.1, 10.0))
+    >>> kf.H = np.eye(1)
+    >>> kf.update(8.0)
+    >>> round(kf.outlier_probability, 3)
+    1.0
+    >>> bool(abs(kf.x[0, 0]) < 0.1)
+    True
+    """
+
+    def __init__(
+        self,
+        dim_x: int,
+        dim_z: int,
+        dim_u: int = 0,
+        *,
+        measurement: ContaminatedScore = ContaminatedScore(),
+        process: ContaminatedScore = ContaminatedScore(0.0),
+        grouping: str = "joint",
+    ) -> None:
+        """Set up filterpy's attributes and the noise model."""
+        steady = Huber.from_contamination(_model("measurement", measurement).contamination)
+        super().__init__(dim_x, dim_z, dim_u, influence=steady, grouping=grouping)
+        self._measurement_noise, self._process_noise = measurement, _model("process", process)
+        self._require_few_sensors(grouping)
+        self._jump = np.zeros((dim_x, dim_x))
+        self._found = (0.0, 0.0, 0.0)
+
+    def _require_few_sensors(self, grouping: str) -> None:
+        """Raise if every combination of failing sensors is too many."""
+        if grouping == "component" and self.dim_z > _MOST_SENSORS:
+            raise ValueError(f"grouping: expected 'joint' for dim_z={self.dim_z} > {_MOST_SENSORS}, got 'component'")
+
+    @property
+    def measurement(self) -> ContaminatedScore:
+        """Contamination and scale ratio of the measurement noise."""
+        return self._measurement_noise
+
+    @measurement.setter
+    def measurement(self, value: ContaminatedScore) -> None:
+        steady = Huber.from_contamination(_model("measurement", value).contamination)
+        self._measurement_noise, self._choices = value, self._choices.changed(influence=steady)
+
+    @property
+    def process(self) -> ContaminatedScore:
+        """Contamination and scale ratio of the process noise."""
+        return self._process_noise
+
+    @process.setter
+    def process(self, value: ContaminatedScore) -> None:
+        self._process_noise = _model("process", value)
+
+    @property
+    def influence(self) -> Any:
+        """The noise of the measurement, whose score is psi; set it as ``measurement``."""
+        return self._measurement_noise
+
+    @influence.setter
+    def influence(self, value: Any) -> None:
+        raise AttributeError("influence: follows from the noise model; set measurement=ContaminatedScore(...)")
+
+    @property
+    def scaling(self) -> str:
+        """Always "innovation": another scaling would not be the score."""
+        return "innovation"
+
+    @scaling.setter
+    def scaling(self, value: str) -> None:
+        raise AttributeError("scaling: always 'innovation' for a noise-matched filter")
+
+    @property
+    def information(self) -> str:
+        """Always "realized": the exact second moment."""
+        return "realized"
+
+    @information.setter
+    def information(self, value: str) -> None:
+        raise AttributeError("information: always 'realized' for a noise-matched filter")
+
+    @property
+    def grouping(self) -> str:
+        """Whether the sensors fail "joint", or each "component" on its own."""
+        return self._choices.grouping
+
+    @grouping.setter
+    def grouping(self, value: str) -> None:
+        choices = self._choices.changed(grouping=value)
+        self._require_few_sensors(value)
+        self._choices = choices
+
+    @property
+    def outlier_probability(self) -> float:
+        """Probability that a component of the last measurement was an outlier."""
+        return self._found[1]
+
+    @property
+    def jump_probability(self) -> float:
+        """Probability that the process noise before the last measurement was an outlier."""
+        return self._found[2]
+
+    def predict(
+        self, u: ArrayLike | None = None, B: ArrayLike | None = None, F: ArrayLike | None = None, Q: Any = None
+    ) -> None:
+        """Predict the next state with ordinary process noise, and remember that it may have jumped.
+
+        Parameters
+        ----------
+        u : array_like, shape (dim_u,) or (dim_u, 1), or scalar, optional
+            Control input.
+        B : array_like, shape (dim_x, dim_u), optional
+            Control matrix for this call.
+        F : array_like, shape (dim_x, dim_x), optional
+            Transition matrix for this call.
+        Q : array_like, shape (dim_x, dim_x), or scalar, optional
+            Process noise covariance for this call; a scalar here means Q I.
+
+        Raises
+        ------
+        ValueError
+            If a shape does not fit; nothing has changed then.
+        """
+        super().predict(u, B, F, Q)
+        n = self.dim_x
+        noise = process_noise(self.Q, Q, n) + np.zeros((n, n))
+        self._jump = (self._process_noise.scale_ratio**2 - 1.0) * noise
+
+    def _predicted(self, u: Any, B: Any, F: Any, Q: Any) -> tuple[Array, Array]:
+        """Return the predicted mean and covariance; a jump that no measurement has spoken about is part of it."""
+        x, P = super()._predicted(u, B, F, Q)
+        if self._may_have_jumped:
+            F = np.asarray(self.F if F is None else F, dtype=float)
+            P = P + self._alpha_sq * self._process_noise.contamination * F.dot(self._jump).dot(F.T)
+        return x, P
+
+    @property
+    def _may_have_jumped(self) -> bool:
+        """Whether there was a prediction since the last correction and the process is contaminated."""
+        return not self._process_noise.is_ordinary and bool(self._jump.any())
+
+    def _corrected(self, x: Array, P: Array, values: Any, H: Array, R: Array, M: Any) -> Correction:
+        """Return the correction of x by checked values; changes nothing but the records."""
+        column = x.ravel()
+        y = np.atleast_1d(values) - finite_product(H, column)
+        part = np.flatnonzero(y == y)
+        m = len(H)
+        S = H.dot(P).dot(H.T) + R
+        if M is not None:
+            S = S + H.dot(M) + H.dot(M).T
+        if part.size == 0:
+            return nothing_observed(column, P, S, m)
+        H, pick, y = H[part], np.ix_(part, part), y[part]
+        R, M = R[pick], None if M is None else M[:, part]
+        hypotheses, bad, jumped = self._hypotheses(P, R, M)
+        merged = merge(column, y, H, hypotheses, self._inverse)
+        self._found = (merged.log_density, float(merged.shares[bad].sum()), float(merged.shares[jumped].sum()))
+        S_part = S[pick]
+        T, SI, _ = standardize(S_part, "innovation", self._inverse)
+        e = standardized(T, y)
+        # The score of y in standardized form: psi(e) = S^(1/2) g, psi' = S^(1/2) g' S^(1/2), S^(1/2) = S T.
+        root = S_part.dot(T)
+        psi, D = root.dot(merged.score), root.dot(merged.information).dot(root)
+        slope = np.diag(D)
+        C = P.dot(H.T) if M is None else P.dot(H.T) + M
+        K, square, whole_SI = np.zeros((x.size, m)), np.zeros((m, m)), np.zeros((m, m))
+        K[:, part], square[pick], whole_SI[pick] = C.dot(T).dot(T), T, T.dot(T) if SI is None else SI
+        wide_y, wide_e, wide_psi = (spread(v, part, m) for v in (y, e, psi))
+        slopes = spread(slope, part, m, np.nan)
+        return Correction(merged.x, merged.P, wide_y, S, whole_SI, K, square, wide_e, wide_psi, slopes)
+
+    def _hypotheses(self, P: Array, R: Array, M: Array | None) -> tuple[list[Hypothesis], list[int], list[int]]:
+        """Return the hypotheses, and which of them have outliers, and which a jump."""
+        jumps = [(1.0, P)]
+        if self._may_have_jumped:
+            share = self._process_noise.contamination
+            jumps = [(1.0 - share, P), (share, P + self._jump)]
+        hypotheses: list[Hypothesis] = []
+        bad: list[int] = []
+        jumped: list[int] = []
+        for leapt, (chance, cov) in enumerate(jumps):
+            for share, scale in self._measurement_noise.patterns(len(R), self.grouping):
+                # A noise that is larger by a factor keeps its correlation with the state.
+                noise, cross = np.outer(scale, scale) * R, None if M is None else M * scale
+                if scale.max() > 1.0:
+                    bad.append(len(hypotheses))
+                if leapt:
+                    jumped.append(len(hypotheses))
+                hypotheses.append(Hypothesis(chance * share, cov, noise, cross))
+        return hypotheses, bad, jumped
+
+    def _settle(self) -> None:
+        """Let go of the jump that the measurement has spoken about."""
+        self._jump = np.zeros_like(self._jump)
+
+    def _skip(self) -> None:
+        """Leave x as it is; a jump that no measurement denies widens P."""
+        if self._may_have_jumped:
+            self.P = state_of(self)[1] + self._process_noise.contamination * self._jump
+        self._jump = np.zeros_like(self._jump)
+        self._found = (None, 0.0, 0.0)
+        super()._skip()
+
+    def get_update(self, z: ArrayLike | None = None) -> tuple[Array, Array]:
+        """Return what `update` would make of x and P, and change nothing.
+
+        Parameters
+        ----------
+        z : array_like, shape (dim_z,) or (dim_z, 1), or scalar, or None
+            Measurement, as in `update`.
+
+        Returns
+        -------
+        x : ndarray, shape of ``self.x``
+            Corrected state.
+        P : ndarray, shape (dim_x, dim_x)
+            Its covariance.
+        """
+        x, P = super().get_update(z)
+        if self._may_have_jumped and (z is None or np.isnan(_checks.numbers("z", z)).all()):
+            P = P + self._process_noise.contamination * self._jump
+        return x, P
+
+
+def _model(name: str, value: Any) -> ContaminatedScore:
+    """Return value if it is a noise model or raise."""
+    if not isinstance(value, ContaminatedScore):
+        raise TypeError(f"{name}: expected a ContaminatedScore(contamination, scale_ratio), got {value!r}")
+    return value

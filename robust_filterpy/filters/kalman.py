@@ -1,0 +1,618 @@
+"""RobustKalmanFilter: filterpy's KalmanFilter with a bounded correction.
+
+A thin shell: it turns filterpy's attributes, shapes and calls into calls of `robust_filterpy.correction`, where
+the equations stand.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from filterpy.kalman import KalmanFilter
+from numpy.typing import ArrayLike
+
+from robust_filterpy import _checks
+from robust_filterpy._arrays import (
+    control_term,
+    measured,
+    noise_covariance,
+    process_noise,
+    require_finite_prediction,
+    state_of,
+)
+from robust_filterpy._checks import FLOAT, Array
+from robust_filterpy.correction import joint, pair
+from robust_filterpy.correction.definition import correct, correct_observed
+from robust_filterpy.correction.likelihood import log_density
+from robust_filterpy.correction.missing import embed_block, nothing_observed, spread
+from robust_filterpy.correction.result import Correction, Observed
+from robust_filterpy.correction.scalar import ScalarCorrection, correct_scalar
+from robust_filterpy.correction.whitening import SAFE, standardize, standardized
+from robust_filterpy.filters._mixin import Robust
+from robust_filterpy.filters._recording import filter_recording
+from robust_filterpy.influence.functions import Huber, Influence
+
+__all__ = ["RobustKalmanFilter"]
+
+
+class RobustKalmanFilter(Robust, KalmanFilter):
+    """Filter like `filterpy.kalman.KalmanFilter`, without believing outliers.
+
+    Every attribute, method and shape is filterpy's. What differs is the correction: the standardized innovation
+    e = T y goes through a bounded function psi before it moves the state, and what psi cuts off does not shrink
+    P (paper 26-28 and 37-49)::
+
+        x+ = x + C T' psi(T y),    P+ = P - C T' D T C',    C = P H'
+
+    Parameters
+    ----------
+    dim_x : int
+        Length of the state, >= 1.
+    dim_z : int
+        Length of the measurement, >= 1.
+    dim_u : int, default 0
+        Length of the control input.
+    influence : Influence, default Huber(1.345)
+        psi: `Huber`, `Linear` (the Kalman filter), `Hampel`, `TukeyBiweight`, `StudentT`, or any norm of
+        `statsmodels.robust.norms`. Thresholds are in standard deviations of the innovation (with scaling
+        "unit": in the unit of z).
+    scaling : {"innovation", "unit", "bounded"}
+        T: S^(-1/2), the symmetric root (36), so that an infinite threshold gives the Kalman filter; I, the
+        paper's modification (42)-(49), a filter only while H P H' < 1 in the unit of z squared; or S^(-1/2)
+        with the eigenvalues of S floored at 1: "unit" wherever that is a valid filter.
+    information : {"realized", "expected", "weight"}
+        D: psi'(e) (46), so that P stays while innovations are clipped and a filter that is wrong, not its
+        sensor, comes back; E[psi'] (40, 45), which can lock out after a true jump; or psi(e)/e.
+    grouping : {"component", "joint"}
+        psi of each component of e, or of the length of e: for one sensor that reports a vector and fails as a
+        whole.
+
+    Attributes
+    ----------
+    weights : ndarray, shape of y
+        psi(e)/e of the last update: 1 is full trust, NaN a missing component.
+    clipped : ndarray of bool, shape of y
+        Whether psi'(e) <= 0.
+    e : ndarray, shape of y
+        Standardized innovation T y.
+    T : ndarray, shape (dim_z, dim_z)
+        Scaling.
+    y_bounded : ndarray, shape of y
+        T^-1 psi(T y), so that x_post == x_prior + K @ y_bounded, in the unit of z.
+
+    Raises
+    ------
+    ValueError
+        If a dimension or an option is out of range. Every call checks its arrays first and raises ValueError or
+        TypeError before it changes anything.
+
+    See Also
+    --------
+    robust_filterpy.correction.correct : The equations as a pure function.
+
+    Notes
+    -----
+    ``y``, ``S``, ``SI`` and ``mahalanobis`` are those of the Kalman filter; ``K`` is the gain before psi, C T'T.
+    ``log_likelihood`` is that of the least favourable density, linear in \\|e\\| beyond the threshold.
+
+    NaN (or None, or a masked entry) in z is a missing component: the others are used; y, e, y_bounded and the
+    columns of K are 0 there. A measurement that is missing altogether is ``update(None)``, with log-likelihood 0.
+
+    The scalings are independent of the noise: "unit" raises `NotPositiveDefiniteError` where it would make P
+    indefinite and leaves the filter as it was.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from robust_filterpy import RobustKalmanFilter
+    >>> kf = RobustKalmanFilter(dim_x=2, dim_z=1)
+    >>> kf.F = np.array([[1.0, 1.0], [0.0, 1.0]])
+    >>> kf.H = np.array([[1.0, 0.0]])
+    >>> for z in [1.0, 2.0, 3e6, 4.0]:
+    ...     kf.predict()
+    ...     kf.update(z)
+    >>> bool(abs(kf.x[0, 0] - 4.0) < 1.5)
+    True
+    """
+
+    def __init__(
+        self,
+        dim_x: int,
+        dim_z: int,
+        dim_u: int = 0,
+        *,
+        influence: Influence = Huber(),
+        scaling: str = "innovation",
+        information: str = "realized",
+        grouping: str = "component",
+    ) -> None:
+        """Set up filterpy's attributes and the choices."""
+        for name, value, least in (("dim_x", dim_x, 1), ("dim_z", dim_z, 1), ("dim_u", dim_u, 0)):
+            _checks.count(name, value, least)
+        self._set_choices(influence, scaling, information, grouping)
+        super().__init__(dim_x, dim_z, dim_u)
+        # filterpy 1.4.5 has it as (dim_z, dim_z), with which update_correlated cannot work.
+        self.M = np.zeros((dim_x, dim_z))
+
+    def predict(
+        self, u: ArrayLike | None = None, B: ArrayLike | None = None, F: ArrayLike | None = None, Q: Any = None
+    ) -> None:
+        """Predict the next state: x = F x + B u, P = alpha^2 F P F' + Q (paper 27, 38, 43, 48).
+
+        Parameters
+        ----------
+        u : array_like, shape (dim_u,) or (dim_u, 1), or scalar, optional
+            Control input.
+        B : array_like, shape (dim_x, dim_u), optional
+            Control matrix for this call, otherwise ``self.B``.
+        F : array_like, shape (dim_x, dim_x), optional
+            Transition matrix for this call, otherwise ``self.F``.
+        Q : array_like, shape (dim_x, dim_x), or scalar, optional
+            Process noise covariance for this call, otherwise ``self.Q``. A scalar here means Q I.
+
+        Raises
+        ------
+        ValueError
+            If a shape does not fit; nothing has changed then.
+        """
+        x, P = self._predicted(u, B, F, Q)
+        self.x, self.P = x, P
+        self.x_prior, self.P_prior = x.copy(), P.copy()
+
+    def get_prediction(
+        self, u: ArrayLike | None = None, B: ArrayLike | None = None, F: ArrayLike | None = None, Q: Any = None
+    ) -> tuple[Array, Array]:
+        """Return what `predict` would make of x and P, and change nothing.
+
+        Parameters
+        ----------
+        u, B, F, Q : optional
+            As in `predict`.
+
+        Returns
+        -------
+        x : ndarray, shape of ``self.x``
+            Predicted state.
+        P : ndarray, shape (dim_x, dim_x)
+            Its covariance.
+        """
+        return self._predicted(u, B, F, Q)
+
+    def _predicted(self, u: Any, B: Any, F: Any, Q: Any) -> tuple[Array, Array]:
+        """Return the predicted mean, in the shape of x, and covariance."""
+        x, P = state_of(self)
+        n = len(x)
+        F = _checks.matrix("F", self.F if F is None else F, (n, n), "dim_x")
+        noise = process_noise(self.Q, Q, n)
+        x = F.dot(x)
+        B = self.B if B is None else B
+        if B is not None and u is not None:
+            x = x + control_term(B, u, x.shape)
+        P = F.dot(P).dot(F.T)
+        if self._alpha_sq != 1.0:
+            P *= self._alpha_sq
+        P += noise
+        require_finite_prediction(x, P)
+        return x, P
+
+    def predict_steadystate(self, u: ArrayLike | None = 0, B: ArrayLike | None = None) -> None:
+        """Predict the next state and leave P as it is.
+
+        Parameters
+        ----------
+        u : array_like, shape (dim_u,) or (dim_u, 1), or scalar
+            Control input.
+        B : array_like, shape (dim_x, dim_u), optional
+            Control matrix for this call, otherwise ``self.B``.
+
+        Raises
+        ------
+        ValueError
+            If a shape does not fit; nothing has changed then.
+        """
+        x, P = state_of(self)
+        x = _checks.matrix("F", self.F, (len(x), len(x)), "dim_x").dot(x)
+        B = self.B if B is None else B
+        if B is not None and u is not None:
+            x = x + control_term(B, u, x.shape)
+        require_finite_prediction(x, P)
+        self.x = x
+        self.x_prior, self.P_prior = x.copy(), P.copy()
+
+    @property
+    def alpha(self) -> float:
+        """Fading memory factor, >= 1: P is multiplied by alpha^2 at each prediction."""
+        return math.sqrt(self._alpha_sq)
+
+    @alpha.setter
+    def alpha(self, value: float) -> None:
+        if not 1.0 <= _checks.real("alpha", value) < math.inf:
+            raise ValueError(f"alpha: expected a finite number >= 1, got {value!r}")
+        self._alpha_sq = float(value) ** 2
+
+    def update(self, z: ArrayLike | None, R: Any = None, H: ArrayLike | None = None) -> None:
+        """Correct the state by a measurement whose influence is bounded (paper 37, 39, 42, 44, 47, 49).
+
+        Parameters
+        ----------
+        z : array_like, shape (dim_z,) or (dim_z, 1), or scalar, or None
+            Measurement; NaN marks a missing component, None a missing measurement.
+        R : array_like, shape (dim_z, dim_z), or scalar, optional
+            Noise covariance for this call, otherwise ``self.R``. A scalar here means R I.
+        H : array_like, shape (m, dim_x), optional
+            Measurement matrix for this call, otherwise ``self.H``; z and R then have its height m.
+
+        Raises
+        ------
+        ValueError
+            If a shape does not fit, z is infinite or R not positive definite; nothing has changed then.
+        SingularInnovationError
+            If S is singular and ``self.inv`` is numpy's inverse.
+        NotPositiveDefiniteError
+            If scaling is "unit" and P would become indefinite.
+        """
+        self._update(z, R, H, None)
+
+    def update_correlated(self, z: ArrayLike | None, R: Any = None, H: ArrayLike | None = None) -> None:
+        """Correct the state by a measurement whose noise is correlated with the state's error.
+
+        Uses ``self.M``, shape (dim_x, dim_z): C = P H' + M and S = H P H' + H M + M' H' + R.
+
+        Parameters
+        ----------
+        z, R, H : optional
+            As in `update`.
+
+        Raises
+        ------
+        ValueError, SingularInnovationError, NotPositiveDefiniteError
+            As in `update`.
+        """
+        self._update(z, R, H, self.M)
+
+    def _update(self, z: Any, R: Any, H: Any, M: Any) -> None:
+        """Correct by a whole measurement; every check comes before the first assignment."""
+        x, P = state_of(self)
+        H, R, values, M = self._measurement(z, R, H, M, len(x))
+        if values is None:
+            self._skip()
+            return
+        last = self._corrected(x, P, values, H, R, M)
+        x_post, P_post = last.x, last.P
+        if len(H) == 1:
+            values = np.array([values])
+        if x.ndim == 2:
+            values = values[:, None]
+            if x_post.ndim == 1:
+                x_post = x_post[:, None]
+        self.x, self.P, self.z, self._last = x_post, P_post, values, last
+        self._y = self._S = self._SI = self._K = None
+        self.x_post, self.P_post = x_post.copy(), P_post.copy()
+        self._log_likelihood = self._likelihood = self._mahalanobis = None
+
+    def _measurement(self, z: Any, R: Any, H: Any, M: Any, n: int) -> tuple[Array, Array, Any, Any]:
+        """Return checked H, R, z (a float, an array of shape (m,), or None if all is missing) and M."""
+        given = H is not None
+        H = self.H if H is None else H
+        if not (type(H) is np.ndarray and H.dtype is FLOAT and H.ndim == 2 and H.shape[1] == n):
+            rows = np.shape(H)[0] if given and np.ndim(H) == 2 else self.dim_z
+            H = _checks.matrix("H", H, (rows, n), f"dim_z={rows}, dim_x={n}")
+        m = H.shape[0]
+        if m != self.dim_z and not given:
+            raise ValueError(f"H: expected shape {(self.dim_z, n)} for dim_z={self.dim_z}, dim_x={n}, got {H.shape}")
+        values = None if z is None else measured(z, m)
+        if values is None:
+            return H, self.R, None, M
+        R = noise_covariance(self.R, R, m)
+        if M is not None:
+            M = _checks.matrix("M", M, (n, m), f"dim_x={n}, dim_z={m}")
+            if not np.isfinite(M).all():
+                raise ValueError("M: expected finite numbers, got NaN or infinity")
+        return H, R, values, M
+
+    def _corrected(
+        self, x: Array, P: Array, values: Any, H: Array, R: Array, M: Any
+    ) -> Correction | Observed | ScalarCorrection | pair.PairCorrection | joint.JointCorrection:
+        """Return the correction of x by checked values; changes nothing."""
+        inv, choices = self._inverse, self._choices
+        if len(H) == 1:
+            predicted = H.dot(x)
+            y = values - predicted.item()
+            if y - y != 0.0 and not np.isfinite(predicted).all():
+                raise _not_finite(H, predicted.ravel())
+            if inv is None and choices.pointwise is not None and y == y:
+                return correct_scalar(x, P, y, H, R.item(), choices, M)
+            return correct(x.ravel(), P, np.array([y]), H, R, choices, M, inv)
+        x = x.ravel()
+        predicted = H.dot(x)
+        if len(H) == 2 and inv is None and not choices.by_length:
+            (v, w), (a, b) = values.tolist(), predicted.tolist()
+            both = [v - a, w - b]
+            if pair.applies(both, choices):
+                return pair.correct_pair(x, P, both, H, R, choices, M)
+        y = values - predicted
+        size = sum(map(abs, y.tolist()))
+        if inv is None and joint.applies(size, H, choices):
+            return joint.correct_jointly(x, P, y, H, R, choices, M)
+        if size < SAFE:
+            return correct_observed(x, P, y, H, R, choices, M, inv)
+        if size - size != 0.0 and not np.isfinite(predicted).all():
+            raise _not_finite(H, predicted)
+        return correct(x, P, y, H, R, choices, M, inv)
+
+    def _skip(self) -> None:
+        """Do what filterpy does for update(None), and forget the last innovation."""
+        m = self.dim_z
+        self.z = np.full((m, 1) if np.ndim(self.x) != 1 else m, None)
+        self.x_post, self.P_post = np.copy(self.x), np.copy(self.P)
+        self.y = np.zeros((m, 1) if np.ndim(self.x) != 1 else m)
+        T, S, SI, K = self.T, self.S, self.SI, self.K
+        T = T if T.shape == (m, m) else np.eye(m)
+        self._last = nothing_observed(self.x, self.P, S, m)._replace(T=T)
+        self.S, self.SI, self.K = S, SI, K
+        self._log_likelihood = self._likelihood = self._mahalanobis = None
+
+    def get_update(self, z: ArrayLike | None = None) -> tuple[Array, Array]:
+        """Return what `update` would make of x and P, and change nothing.
+
+        Parameters
+        ----------
+        z : array_like, shape (dim_z,) or (dim_z, 1), or scalar, or None
+            Measurement, as in `update`.
+
+        Returns
+        -------
+        x : ndarray, shape of ``self.x``
+            Corrected state.
+        P : ndarray, shape (dim_x, dim_x)
+            Its covariance.
+        """
+        x, P = state_of(self)
+        H, R, values, _ = self._measurement(z, None, None, None, len(x))
+        if values is None:
+            return x.copy(), P.copy()
+        last = self._corrected(x, P, values, H, R, None)
+        return last.x.reshape(x.shape), last.P
+
+    def update_steadystate(self, z: ArrayLike | None) -> None:
+        """Correct the state with the gain K as it stands, and leave P and K as they are.
+
+        x+ = x + K T^-1 psi(T y), with T from the S of the last correction (from H P H' + R if there was none).
+
+        Parameters
+        ----------
+        z : array_like, shape (dim_z,) or (dim_z, 1), or scalar, or None
+            Measurement, as in `update`.
+
+        Raises
+        ------
+        ValueError, SingularInnovationError
+            As in `update`; also if K does not have shape (dim_x, dim_z).
+
+        Notes
+        -----
+        K has a column of zeros for a sensor that was missing in the last `update`; let the last one before the
+        steady state be complete.
+        """
+        x, P = state_of(self)
+        n = len(x)
+        H, R, values, _ = self._measurement(z, None, None, None, n)
+        if values is None:
+            self._skip()
+            return
+        m = H.shape[0]
+        K = _checks.matrix("K", self.K, (n, m), f"dim_x={n}, dim_z={m}")
+        S = self.S if np.shape(self.S) == (m, m) and np.any(self.S) else H.dot(P).dot(H.T) + R
+        values, predicted = np.atleast_1d(values), H.dot(x).ravel()
+        if not np.isfinite(predicted).all():
+            raise _not_finite(H, predicted)
+        y = values - predicted
+        part = np.flatnonzero(y == y)
+        inv = self._inverse
+        pick = np.ix_(part, part)
+        T, _, _ = standardize(S[pick], self.scaling, inv)
+        e = standardized(T, y[part])
+        psi, _, slope = self._choices.bound(e, None if self.grouping == "component" else H[part].any(axis=1))
+        whole = np.zeros((m, m))
+        whole[pick] = T
+        y, e, psi = (spread(values_, part, m) for values_ in (y[part], e, psi))
+        last = Correction(x, P, y, S, self.SI, K, whole, e, psi, spread(np.array(slope), part, m, np.nan))
+        self.x = (x.ravel() + K @ last.y_bounded).reshape(x.shape)
+        shape = (m, 1) if x.ndim == 2 else (m,)
+        self.y, self.z, self.S, self._last = y.reshape(shape), values.reshape(shape), S, last
+        self.x_post, self.P_post = self.x.copy(), P.copy()
+        self._log_likelihood = self._likelihood = self._mahalanobis = None
+
+    def residual_of(self, z: ArrayLike) -> Array:
+        """Return z - H x_prior.
+
+        Parameters
+        ----------
+        z : array_like, shape (dim_z,) or (dim_z, 1), or scalar
+            Measurement.
+
+        Returns
+        -------
+        ndarray, shape of y
+        """
+        predicted = np.dot(self.H, self.x_prior)
+        return np.reshape(measured(z, len(predicted), missing=True), predicted.shape) - predicted
+
+    def update_sequential(self, start: int, z_i: ArrayLike, R_i: Any = None, H_i: ArrayLike | None = None) -> None:
+        """Correct the state by a part of the measurement: one robust correction by z[start:start + len(z_i)].
+
+        Parameters
+        ----------
+        start : int
+            Place of the first component in z.
+        z_i : array_like, shape (k,) or (k, 1), or scalar
+            The components; NaN marks a missing one.
+        R_i : array_like, shape (k, k), or scalar, optional
+            Their noise covariance, otherwise that block of ``self.R``.
+        H_i : array_like, shape (k, dim_x), optional
+            Their measurement matrix, otherwise those rows of ``self.H``.
+
+        Raises
+        ------
+        ValueError, SingularInnovationError, NotPositiveDefiniteError
+            As in `update`; also if the part leaves z.
+
+        Notes
+        -----
+        y, S, SI, K, T, e and weights keep what earlier blocks left in their places, so that after the last block
+        ``log_likelihood`` is that of the whole measurement.
+        """
+        x, P = state_of(self)
+        n, m, k = len(x), self.dim_z, int(np.size(z_i))
+        start = _checks.count("start", start)
+        part = slice(start, start + k)
+        if k < 1 or start + k > m:
+            raise ValueError(f"z_i: expected 1 to {m - start} numbers from start={start} for dim_z={m}, got {k}")
+        H = _checks.matrix("H", self.H, (m, n), f"dim_z={m}, dim_x={n}")[part] if H_i is None else H_i
+        H = _checks.matrix("H_i", np.reshape(H, (1, -1)) if k == 1 else H, (k, n), f"{k} number(s) in z_i, dim_x={n}")
+        R = noise_covariance(
+            _checks.matrix("R", self.R, (m, m), f"dim_z={m}")[part, part] if R_i is None else R_i, R_i, k
+        )
+        values = measured(z_i, k, missing=True)
+        some = self._corrected(x, P, values, H, np.ascontiguousarray(R), None)
+        some = some if isinstance(some, Correction) else some.as_arrays()
+        last, self._last = embed_block(self._arrays(), some, part, m), None
+        z = np.array([None] * m) if np.size(self.z) != m else np.ravel(self.z).copy()
+        z[part] = values
+        self.x, self.P, self.K, self._last = some.x.reshape(x.shape), some.P, last.K, last
+        self.z = (z if None in z.tolist() else z.astype(float)).reshape((m, 1) if x.ndim == 2 else m)
+        self._y = self._S = self._SI = None
+        self.x_post, self.P_post = self.x.copy(), self.P.copy()
+        self._log_likelihood = self._likelihood = self._mahalanobis = None
+
+    def batch_filter(
+        self,
+        zs: Any,
+        Fs: Any = None,
+        Qs: Any = None,
+        Hs: Any = None,
+        Rs: Any = None,
+        Bs: Any = None,
+        us: Any = None,
+        update_first: bool = False,
+        saver: Any = None,
+    ) -> tuple[Array, Array, Array, Array]:
+        """Filter a whole recording.
+
+        Parameters
+        ----------
+        zs : sequence of length N
+            Measurements as `update` takes them: numbers, arrays, rows with NaN, None.
+        Fs, Qs, Hs, Rs, Bs, us : sequence of length N, optional
+            Matrices and control inputs for each step, otherwise the filter's own and no input.
+        update_first : bool, default False
+            Whether each step corrects first and then predicts.
+        saver : filterpy.common.Saver, optional
+            Its ``save()`` is called after each step.
+
+        Returns
+        -------
+        means : ndarray, shape (N, dim_x) or (N, dim_x, 1)
+            Corrected states.
+        covariances : ndarray, shape (N, dim_x, dim_x)
+            Their covariances.
+        means_p : ndarray, shape of means
+            Predicted states.
+        covariances_p : ndarray, shape (N, dim_x, dim_x)
+            Their covariances.
+
+        Raises
+        ------
+        ValueError, LinAlgError
+            As in `predict` and `update`, with the step named; the filter is then as it was before the call.
+        """
+        return filter_recording(self, zs, Fs, Qs, Hs, Rs, Bs, us, update_first, saver, _is_ours(self))
+
+    def rts_smoother(
+        self, Xs: Array, Ps: Array, Fs: Any = None, Qs: Any = None, inv: Any = np.linalg.inv
+    ) -> tuple[Array, Array, Array, Array]:
+        """Smooth what `batch_filter` returned, by Rauch, Tung and Striebel.
+
+        Parameters
+        ----------
+        Xs : ndarray, shape (N, dim_x) or (N, dim_x, 1)
+            Corrected states.
+        Ps : ndarray, shape (N, dim_x, dim_x)
+            Their covariances.
+        Fs, Qs : sequence of length N, optional
+            Matrices of each step, otherwise the filter's own.
+        inv : callable, default numpy.linalg.inv
+            Inverse of a predicted covariance.
+
+        Returns
+        -------
+        x : ndarray, shape of Xs
+            Smoothed states.
+        P : ndarray, shape (N, dim_x, dim_x)
+            Their covariances.
+        K : ndarray, shape (N, dim_x, dim_x)
+            Gains of the smoother.
+        Pp : ndarray, shape (N, dim_x, dim_x)
+            Predicted covariances.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the lengths or shapes do not fit.
+        """
+        n = self.dim_x
+        Xs, Ps = _checks.numbers("Xs", Xs), _checks.numbers("Ps", Ps)
+        if Xs.shape[1:] not in ((n,), (n, 1)):
+            raise ValueError(f"Xs: expected shape (N, {n}) or (N, {n}, 1) for dim_x={n}, got {Xs.shape}")
+        if Ps.shape != (len(Xs), n, n):
+            raise ValueError(f"Ps: expected shape {(len(Xs), n, n)} for {len(Xs)} states in Xs, got {Ps.shape}")
+        for name, values in (("Fs", Fs), ("Qs", Qs)):
+            if values is None:
+                continue
+            if not hasattr(values, "__getitem__") or not hasattr(values, "__len__"):
+                raise TypeError(f"{name}: expected a sequence of {len(Xs)} matrices, got {type(values).__name__}")
+            if len(values) < len(Xs):
+                raise ValueError(f"{name}: expected an entry for each of the {len(Xs)} states in Xs, got {len(values)}")
+        smoothed: tuple[Array, Array, Array, Array] = super().rts_smoother(Xs, Ps, Fs, Qs, inv)
+        return smoothed
+
+    def log_likelihood_of(self, z: ArrayLike | None) -> float:
+        """Return the log-likelihood of a measurement given the present state and S.
+
+        Parameters
+        ----------
+        z : array_like, shape (dim_z,) or (dim_z, 1), or scalar, or None
+            Measurement; NaN marks a missing component.
+
+        Returns
+        -------
+        float
+            0 if z is missing altogether.
+        """
+        x, _ = state_of(self)
+        H, _, values, _ = self._measurement(z, None, None, None, len(x))
+        if values is None:
+            return 0.0
+        y = np.atleast_1d(values) - H.dot(x).ravel()
+        return log_density(y, self.S, self._choices, self._inverse)
+
+
+def _not_finite(H: Array, predicted: Array) -> ValueError:
+    """Return what to raise for a predicted measurement that is NaN or infinite."""
+    if not np.isfinite(H).all():
+        return ValueError("H: expected finite numbers, got NaN or infinity")
+    return ValueError(f"x: expected finite numbers, got H x = {predicted}")
+
+
+_METHODS = ("predict", "update", "_predicted", "_update", "_measurement", "_corrected")
+
+
+def _is_ours(kf: RobustKalmanFilter) -> bool:
+    """Return whether predict and update are `RobustKalmanFilter`'s own, by class and by instance."""
+    own = all(
+        getattr(type(kf), name, None) is getattr(RobustKalmanFilter, name) and name not in kf.__dict__
+        for name in _METHODS
+    )
+    return own and kf._inverse is None

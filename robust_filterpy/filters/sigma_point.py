@@ -1,0 +1,390 @@
+"""The sigma-point filters of filterpy, unscented and cubature, with a bounded correction."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from filterpy.kalman import CubatureKalmanFilter, UnscentedKalmanFilter, unscented_transform
+from filterpy.kalman.CubatureKalmanFilter import ckf_transform
+from numpy.typing import ArrayLike
+
+from robust_filterpy import _checks
+from robust_filterpy._arrays import noise_covariance, state_of
+from robust_filterpy._checks import Array
+from robust_filterpy.correction.moments import correct_moments
+from robust_filterpy.filters._nonlinear_mixin import Nonlinear, innovation_of, require_finite, unchanged_if_refused
+from robust_filterpy.influence.functions import Huber, Influence
+
+__all__ = ["RobustCubatureKalmanFilter", "RobustUnscentedKalmanFilter"]
+
+
+class _SigmaPoint(Nonlinear):
+    """Correct by the moments of sigma points."""
+
+    sigmas_h: Array
+
+    def _correct(self, z: Any, sigmas_h: Array, zp: Any, C: Array, S: Array, R: Array, residual: Any) -> None:
+        """Correct by a whole measurement; every check comes before the first assignment."""
+        x, P = state_of(self)
+        require_finite(hx=sigmas_h, S=S, C=C)
+        values, y = innovation_of(z, zp, len(S), residual, "hx")
+        if values is None:
+            self._skip()
+            return
+        add = getattr(self, "state_add", np.add)
+        last = correct_moments(x.ravel(), P, y, C, S, R, self._choices, self._inverse, add)
+        require_finite(x=last.x)
+        self._keep(last, values)
+        self.sigmas_h = sigmas_h
+
+
+class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
+    """Filter like `filterpy.kalman.UnscentedKalmanFilter`, without believing outliers.
+
+    Every attribute, method and shape is filterpy's; the correction is that of `robust_filterpy.RobustKalmanFilter`
+    with the moments that the sigma points give: C = cov(x, z), S = cov(z)::
+
+        x+ = x + C T' psi(T y),    P+ = P - C T' D T C'
+
+    Parameters
+    ----------
+    dim_x : int
+        Length of the state, >= 1.
+    dim_z : int
+        Length of the measurement, >= 1.
+    dt : float
+        Time between steps, handed to fx.
+    hx : callable
+        ``hx(x, **hx_args)`` returns the measurement that belongs to x, shape (dim_z,).
+    fx : callable
+        ``fx(x, dt, **fx_args)`` returns the next state, shape (dim_x,).
+    points : object
+        Sigma points, such as `filterpy.kalman.MerweScaledSigmaPoints`.
+    sqrt_fn, x_mean_fn, z_mean_fn, residual_x, residual_z : callable, optional
+        As in filterpy.
+    state_add : callable, optional
+        ``state_add(x, dx)`` moves a state (angles); with filterpy 1.4.5 too.
+    influence : Influence, default Huber(1.345)
+        psi, as in `RobustKalmanFilter`.
+    scaling : {"innovation", "unit", "bounded"}
+        T, as in `RobustKalmanFilter`.
+    information : {"realized", "expected", "weight"}
+        D, as in `RobustKalmanFilter`.
+    grouping : {"component", "joint"}
+        psi of each component of e, or of the length of e.
+
+    Attributes
+    ----------
+    weights, clipped, e, T, y_bounded : ndarray
+        What the last correction did, as in `RobustKalmanFilter`.
+
+    Raises
+    ------
+    ValueError
+        If a dimension or an option is out of range. A call that is refused changes nothing.
+
+    Notes
+    -----
+    NaN in z is a missing component; residual_z never sees it.
+
+    `predict` is that of the installed filterpy: 2.0.0 draws new sigma points from the predicted covariance for the
+    correction, 1.4.5 uses the propagated ones, without Q.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from filterpy.kalman import MerweScaledSigmaPoints
+    >>> from robust_filterpy.filters.sigma_point import RobustUnscentedKalmanFilter
+    >>> kf = RobustUnscentedKalmanFilter(
+    ...     1, 1, dt=1.0, hx=lambda x: x**2, fx=lambda x, dt: x, points=MerweScaledSigmaPoints(1, 0.5, 2.0, 2.0)
+    ... )
+    >>> kf.x, kf.P = np.array([1.0]), 0.1 * np.eye(1)
+    >>> kf.Q = 0.01 * np.eye(1)
+    >>> for z in [1.1, 0.9, 1e6, 1.0]:
+    ...     kf.predict()
+    ...     kf.update(z)
+    >>> bool(abs(kf.x[0] - 1.0) < 0.5)
+    True
+    """
+
+    def __init__(
+        self,
+        dim_x: int,
+        dim_z: int,
+        dt: float,
+        hx: Callable[..., ArrayLike],
+        fx: Callable[..., ArrayLike],
+        points: Any,
+        sqrt_fn: Any = None,
+        x_mean_fn: Any = None,
+        z_mean_fn: Any = None,
+        residual_x: Any = None,
+        residual_z: Any = None,
+        state_add: Any = None,
+        *,
+        influence: Influence = Huber(),
+        scaling: str = "innovation",
+        information: str = "realized",
+        grouping: str = "component",
+    ) -> None:
+        """Set up filterpy's attributes and the choices."""
+        for name, value in (("dim_x", dim_x), ("dim_z", dim_z)):
+            _checks.count(name, value, 1)
+        self._set_choices(influence, scaling, information, grouping)
+        # Robust's attributes ask for dim_z before filterpy's constructor has run.
+        self._dim_x, self._dim_z = dim_x, dim_z
+        super().__init__(dim_x, dim_z, dt, hx, fx, points, sqrt_fn, x_mean_fn, z_mean_fn, residual_x, residual_z)
+        self.state_add = np.add if state_add is None else state_add
+
+    @property
+    def dim_x(self) -> int:
+        """Length of the state."""
+        return self._dim_x
+
+    @property
+    def dim_z(self) -> int:  # type: ignore[override]
+        """Length of the measurement."""
+        return self._dim_z
+
+    def predict(
+        self,
+        dt: float | None = None,
+        UT: Callable[..., Any] | None = None,
+        fx: Callable[..., ArrayLike] | None = None,
+        **fx_args: Any,
+    ) -> None:
+        """Predict the next state, as filterpy does.
+
+        Parameters
+        ----------
+        dt : float, optional
+            Time step for this call.
+        UT : callable, optional
+            Unscented transform for this call.
+        fx : callable, optional
+            State transition for this call.
+        **fx_args : dict
+            Further arguments of fx.
+
+        Raises
+        ------
+        ValueError
+            If the prediction is not finite; nothing has changed then.
+        LinAlgError
+            If P is not positive definite; nothing has changed then.
+        """
+        with unchanged_if_refused(self):
+            super().predict(dt, UT, fx, **fx_args)
+            require_finite(x=self.x, P=self.P)
+
+    def update(
+        self,
+        z: ArrayLike | None,
+        R: Any = None,
+        UT: Callable[..., Any] | None = None,
+        hx: Callable[..., ArrayLike] | None = None,
+        **hx_args: Any,
+    ) -> None:
+        """Correct the state by a measurement whose influence is bounded.
+
+        Parameters
+        ----------
+        z : array_like, shape (dim_z,), or scalar, or None
+            Measurement; NaN marks a missing component, None a missing measurement.
+        R : array_like, shape (dim_z, dim_z), or scalar, optional
+            Noise covariance for this call, otherwise ``self.R``. A scalar here means R I.
+        UT : callable, optional
+            Unscented transform for this call.
+        hx : callable, optional
+            Measurement function for this call; z and R have the length of what it returns.
+        **hx_args : dict
+            Further arguments of hx.
+
+        Raises
+        ------
+        ValueError
+            If a shape does not fit, z is infinite or R not positive definite; nothing has changed then.
+        SingularInnovationError, NotPositiveDefiniteError
+            As in `RobustKalmanFilter.update`.
+        """
+        if z is None:
+            self._skip()
+            return
+        hx = self.hx if hx is None else hx
+        sigmas_h = _rows("hx", [hx(s, **hx_args) for s in self.sigmas_f])
+        R = noise_covariance(self.R, R, sigmas_h.shape[1])
+        zp, S = (UT or unscented_transform)(sigmas_h, self.Wm, self.Wc, R, self.z_mean, self.residual_z)
+        C = self.cross_variance(self.x, zp, self.sigmas_f, sigmas_h)
+        self._correct(z, sigmas_h, zp, C, S, R, self.residual_z)
+
+    def batch_filter(
+        self, zs: Any, Rs: Any = None, dts: Any = None, UT: Callable[..., Any] | None = None, saver: Any = None
+    ) -> tuple[Array, Array]:
+        """Filter a whole recording: predict and update for each measurement.
+
+        Parameters
+        ----------
+        zs : sequence of length N
+            Measurements as `update` takes them: numbers, arrays, rows with NaN, None.
+        Rs : sequence of length N, optional
+            Noise covariance of each step.
+        dts : sequence of length N, or float, optional
+            Time before each step.
+        UT : callable, optional
+            Unscented transform.
+        saver : filterpy.common.Saver, optional
+            Its ``save()`` is called after each step.
+
+        Returns
+        -------
+        means : ndarray, shape (N, dim_x)
+            Corrected states.
+        covariances : ndarray, shape (N, dim_x, dim_x)
+            Their covariances.
+
+        Raises
+        ------
+        ValueError, LinAlgError
+            As in `predict` and `update`; the filter is then as it was before the call.
+        """
+        if not hasattr(zs, "__len__"):
+            raise TypeError(f"zs: expected a sequence of measurements, got {zs!r}")
+        n, dim = len(zs), self.dim_x
+        columns = [zs]
+        for name, values in (("Rs", Rs), ("dts", dts)):
+            values = [values] * n if values is None or (name == "dts" and np.ndim(values) == 0) else values
+            if len(values) != n:
+                raise ValueError(f"{name}: expected an entry for each of the {n} measurements in zs, got {len(values)}")
+            columns.append(values)
+        means, covariances = np.zeros((n, dim)), np.zeros((n, dim, dim))
+        with unchanged_if_refused(self):
+            for k, (z, R, dt) in enumerate(zip(*columns, strict=True)):
+                self.predict(dt=dt, UT=UT)
+                self.update(z, R, UT=UT)
+                means[k], covariances[k] = self.x, self.P
+                if saver is not None:
+                    saver.save()
+        return means, covariances
+
+
+class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
+    """Filter like `filterpy.kalman.CubatureKalmanFilter`, without believing outliers.
+
+    Parameters
+    ----------
+    dim_x : int
+        Length of the state, >= 1.
+    dim_z : int
+        Length of the measurement, >= 1.
+    dt : float
+        Time between steps, handed to fx.
+    hx : callable
+        ``hx(x, *hx_args)`` returns the measurement that belongs to x, shape (dim_z,).
+    fx : callable
+        ``fx(x, dt, *fx_args)`` returns the next state, shape (dim_x,).
+    x_mean_fn, z_mean_fn, residual_x, residual_z : callable, optional
+        As in filterpy.
+    influence : Influence, default Huber(1.345)
+        psi, as in `RobustKalmanFilter`.
+    scaling : {"innovation", "unit", "bounded"}
+        T, as in `RobustKalmanFilter`.
+    information : {"realized", "expected", "weight"}
+        D, as in `RobustKalmanFilter`.
+    grouping : {"component", "joint"}
+        psi of each component of e, or of the length of e.
+
+    Raises
+    ------
+    ValueError
+        If a dimension or an option is out of range. A call that is refused changes nothing.
+
+    Notes
+    -----
+    filterpy's `predict` turns x into a column; z may stay a row here.
+    """
+
+    def __init__(
+        self,
+        dim_x: int,
+        dim_z: int,
+        dt: float,
+        hx: Callable[..., ArrayLike],
+        fx: Callable[..., ArrayLike],
+        x_mean_fn: Any = None,
+        z_mean_fn: Any = None,
+        residual_x: Any = None,
+        residual_z: Any = None,
+        *,
+        influence: Influence = Huber(),
+        scaling: str = "innovation",
+        information: str = "realized",
+        grouping: str = "component",
+    ) -> None:
+        """Set up filterpy's attributes and the choices."""
+        for name, value in (("dim_x", dim_x), ("dim_z", dim_z)):
+            _checks.count(name, value, 1)
+        self._set_choices(influence, scaling, information, grouping)
+        super().__init__(dim_x, dim_z, dt, hx, fx, x_mean_fn, z_mean_fn, residual_x, residual_z)
+        self.inv = np.linalg.inv
+        # filterpy starts with y = 0 and K = 0, scalars that change their shape at the first update.
+        self.y, self.K = np.zeros(dim_z), np.zeros((dim_x, dim_z))
+
+    def predict(self, dt: float | None = None, fx_args: Any = ()) -> None:
+        """Predict the next state, as filterpy does.
+
+        Parameters
+        ----------
+        dt : float, optional
+            Time step for this call.
+        fx_args : tuple
+            Further arguments of fx.
+
+        Raises
+        ------
+        ValueError
+            If the prediction is not finite; nothing has changed then.
+        LinAlgError
+            If P is not positive definite; nothing has changed then.
+        """
+        with unchanged_if_refused(self):
+            super().predict(dt, fx_args)
+            require_finite(x=self.x, P=self.P)
+
+    def update(self, z: ArrayLike | None, R: Any = None, hx_args: Any = ()) -> None:
+        """Correct the state by a measurement whose influence is bounded.
+
+        Parameters
+        ----------
+        z : array_like, shape (dim_z,) or (dim_z, 1), or scalar, or None
+            Measurement; NaN marks a missing component, None a missing measurement.
+        R : array_like, shape (dim_z, dim_z), or scalar, optional
+            Noise covariance for this call, otherwise ``self.R``. A scalar here means R I.
+        hx_args : tuple
+            Further arguments of hx.
+
+        Raises
+        ------
+        ValueError
+            If a shape does not fit, z is infinite or R not positive definite; nothing has changed then.
+        SingularInnovationError, NotPositiveDefiniteError
+            As in `RobustKalmanFilter.update`.
+        """
+        if z is None:
+            self._skip()
+            return
+        arguments = hx_args if isinstance(hx_args, tuple) else (hx_args,)
+        sigmas_h = _rows("hx", [self.hx(s, *arguments) for s in self.sigmas_f])
+        R = noise_covariance(self.R, R, sigmas_h.shape[1])
+        zp, S = ckf_transform(sigmas_h, R)
+        C = (self.sigmas_f - np.ravel(self.x)).T @ (sigmas_h - zp.ravel()) / len(sigmas_h)
+        self._correct(z, sigmas_h, zp, C, S, R, self.residual_z)
+
+
+def _rows(name: str, values: list[Any]) -> Array:
+    """Return what a function made of each sigma point, shape (points, m)."""
+    try:
+        return _checks.numbers(name, [np.ravel(v) for v in values]).reshape(len(values), -1)
+    except ValueError:
+        raise ValueError(f"{name}: expected the same number of measurements for every sigma point") from None

@@ -1,0 +1,426 @@
+"""Pictures of what a filter did: states, innovations, weights, parameters, fit.
+
+Each function draws into ``ax`` (a new figure's if None) and returns it. Lines differ by style and lightness, clipped
+samples by their marker, so that a print without colour can be read. matplotlib is imported when something is drawn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robust_filterpy import _checks
+from robust_filterpy.plotting import sources
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["plot_fit", "plot_innovations", "plot_parameters", "plot_states", "plot_weights"]
+
+# From dark to light, so that they differ in grey as well.
+_COLOURS = ("#08306b", "#a63603", "#2b8cbe", "#74a33e", "#fd8d3c", "#999999")
+_STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1, 1, 1)))
+_MARK = "#cb181d"
+
+
+def plot_states(
+    source: Any,
+    covariances: ArrayLike | None = None,
+    *,
+    states: int | Sequence[int] | None = None,
+    truth: ArrayLike | None = None,
+    zs: ArrayLike | None = None,
+    sigmas: float = 2.0,
+    t: ArrayLike | None = None,
+    names: Sequence[str] | None = None,
+    unit: str = "",
+    time_unit: str = "",
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw states over time, with bands of their standard deviation.
+
+    Parameters
+    ----------
+    source : array_like of shape (N, n) or (N, n, 1), Saver, or TrackingResult
+        Means of a batch, or a run.
+    covariances : array_like, shape (N, n, n), optional
+        Covariances of a batch; without them there is no band.
+    states : int or sequence of int, optional
+        Which states; all by default.
+    truth : array_like, shape (N,) or (N, n), optional
+        True states; one column is the first chosen state's.
+    zs : array_like, shape (N,), optional
+        Measurements of the first chosen state, NaN where missing; drawn as dots.
+    sigmas : float, default 2
+        Half width of the band, in standard deviations.
+    t : array_like, shape (N,), optional
+        Times; default the number of the sample.
+    names : sequence of str, length n, optional
+        Names of all states.
+    unit, time_unit : str, default ""
+        Units for the axes' labels.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    ValueError
+        If lengths do not fit.
+
+    Notes
+    -----
+    The axis shows what the states and the truth do; an outlier among zs beyond it is left outside.
+    """
+    mean, deviation = sources.mean_and_deviation(source, covariances)
+    N, n = mean.shape
+    time = sources.time(t, N)
+    which = sources.chosen("states", states, n)
+    names = _names(names, n, "x")
+    width = _checks.positive("sigmas", sigmas)
+    real = _truth(truth, N, n, which)
+    seen = None if zs is None else _column("zs", zs, N)
+    ax = _axes(ax)
+    for place, i in enumerate(which):
+        _with_band(ax, time, mean[:, i], None if deviation is None else width * deviation[:, i], names[i], place, width)
+        if real is not None and i in real:
+            ax.plot(time, real[i], color="black", linewidth=1.5, linestyle=(0, (1, 1.5)), label=f"{names[i]}, true")
+    if seen is not None:
+        limits = ax.get_ylim()
+        margin = 0.25 * (limits[1] - limits[0])
+        ax.plot(time, seen, ".", color="0.6", markersize=3, zorder=1, label="measured")
+        ax.set_ylim(limits[0] - margin, limits[1] + margin)
+    return _finish(ax, "state" if len(which) > 1 else names[which[0]], unit, time_unit)
+
+
+def plot_innovations(
+    source: Any,
+    covariances: ArrayLike | None = None,
+    *,
+    clipped: ArrayLike | None = None,
+    component: int = 0,
+    sigmas: float = 2.0,
+    t: ArrayLike | None = None,
+    unit: str = "",
+    time_unit: str = "",
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw the innovations of one sensor, with the clipped ones marked.
+
+    Parameters
+    ----------
+    source : array_like of shape (N, m), Saver, or TrackingResult
+        Innovations y, or a run.
+    covariances : array_like, shape (N, m, m), optional
+        Innovation covariances S to innovations given as an array.
+    clipped : array_like of bool, shape (N, m), optional
+        Which innovations were clipped, to innovations given as an array.
+    component : int, default 0
+        Which sensor.
+    sigmas : float, default 2
+        Half width of the band, in standard deviations sqrt(S_ii).
+    t : array_like, shape (N,), optional
+        Times; default the number of the sample.
+    unit, time_unit : str, default ""
+        Units for the axes' labels.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    ValueError
+        If lengths do not fit.
+
+    Notes
+    -----
+    Of a tracker's run the samples with a weight below 1 are marked; it has not kept S, so there is no band.
+    """
+    width = _checks.positive("sigmas", sigmas)
+    deviation = None
+    if sources.is_run(source):
+        y, marked = np.asarray(source.residual)[:, None], np.asarray(source.weights)[:, None] < 1.0
+        label = "weight below 1"
+    else:
+        label = "clipped"
+        if sources.is_saver(source):
+            y = sources.kept(source, "y")
+            marked = sources.kept(source, "clipped") > 0 if "clipped" in source.__dict__ else np.zeros(y.shape, bool)
+            if "weights" in source.__dict__:
+                y = np.where(np.isnan(sources.kept(source, "weights")), np.nan, y)
+            covariances = sources.kept(source, "S").reshape(len(y), y.shape[1], -1)
+        else:
+            y = sources.rows("source", source)
+            marked = np.zeros(y.shape, bool) if clipped is None else sources.rows("clipped", clipped) > 0
+            if marked.shape != y.shape:
+                raise ValueError(f"clipped: expected shape {y.shape}, that of the innovations, got {marked.shape}")
+        if covariances is not None:
+            deviation = sources.deviation("covariances", covariances, y.shape[1], len(y))
+    (i,) = sources.chosen("component", component, y.shape[1])
+    time = sources.time(t, len(y))
+    ax = _axes(ax)
+    hit = marked[:, i]
+    if deviation is not None:
+        half = width * deviation[:, i]
+        ax.fill_between(time, -half, half, color="0.85", linewidth=0, label=f"±{width:g} sigma")
+    ax.plot(time[~hit], y[~hit, i], ".", color=_COLOURS[0], markersize=4, label="innovation")
+    ax.plot(time[hit], y[hit, i], "x", color=_MARK, markersize=5, label=label)
+    ax.axhline(0.0, color="black", linewidth=0.6)
+    return _finish(ax, "innovation" if y.shape[1] == 1 else f"innovation {i}", unit, time_unit)
+
+
+def plot_weights(
+    source: Any,
+    *,
+    components: int | Sequence[int] | None = None,
+    t: ArrayLike | None = None,
+    names: Sequence[str] | None = None,
+    time_unit: str = "",
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw how much of each measurement was believed: psi(e)/e over time.
+
+    Parameters
+    ----------
+    source : array_like of shape (N,) or (N, m), Saver, or TrackingResult
+        Weights, NaN where a component was missing, or a run.
+    components : int or sequence of int, optional
+        Which sensors; all by default.
+    t : array_like, shape (N,), optional
+        Times; default the number of the sample.
+    names : sequence of str, length m, optional
+        Names of all sensors.
+    time_unit : str, default ""
+        Unit of t for the axis' label.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    ValueError
+        If lengths do not fit.
+    """
+    if sources.is_run(source):
+        weights = np.asarray(source.weights)[:, None]
+    elif sources.is_saver(source):
+        weights = sources.kept(source, "weights")
+    else:
+        weights = sources.rows("source", source)
+    time = sources.time(t, len(weights))
+    names = _names(names, weights.shape[1], "z")
+    which = sources.chosen("components", components, weights.shape[1])
+    ax = _axes(ax)
+    for place, i in enumerate(which):
+        marker = ("o", "x", "^", "s", "+", "d")[place % 6]
+        colour = _COLOURS[place % 6]
+        ax.plot(time, weights[:, i], marker, color=colour, markersize=3.5, fillstyle="none", label=names[i])
+    ax.set_ylim(-0.05, 1.05)
+    return _finish(ax, "weight", "", time_unit)
+
+
+def plot_parameters(
+    source: Any,
+    covariances: ArrayLike | None = None,
+    *,
+    truth: ArrayLike | None = None,
+    parameters: int | Sequence[int] | None = None,
+    sigmas: float = 2.0,
+    t: ArrayLike | None = None,
+    names: Sequence[str] | None = None,
+    unit: str = "",
+    time_unit: str = "",
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw the paths of parameters with their bands, against the truth.
+
+    Parameters
+    ----------
+    source : TrackingResult, Saver, or array_like of shape (N, n) or (N, n, 1)
+        A tracker's run, or the states of a filter whose state is theta.
+    covariances : array_like, shape (N, n, n), optional
+        Covariances, to an array.
+    truth : array_like, shape (n,) or (N, n), optional
+        True parameters, constant or as a path.
+    parameters : int or sequence of int, optional
+        Which parameters; all by default.
+    sigmas : float, default 2
+        Half width of the bands, in standard deviations.
+    t : array_like, shape (N,), optional
+        Times; default the number of the sample.
+    names : sequence of str, length n, optional
+        Names of all parameters, such as ``tracker.structure.names``.
+    unit, time_unit : str, default ""
+        Units for the axes' labels.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    ValueError
+        If lengths do not fit.
+
+    Notes
+    -----
+    Axes that were empty show the paths; the band of the first samples, when little is known, may reach beyond.
+    """
+    theta, deviation = sources.mean_and_deviation(source, covariances)
+    N, n = theta.shape
+    time = sources.time(t, N)
+    which = sources.chosen("parameters", parameters, n)
+    names = _names(names, n, "theta")
+    width = _checks.positive("sigmas", sigmas)
+    real = None
+    if truth is not None:
+        real = _checks.numbers("truth", truth)
+        if real.shape not in ((n,), (N, n)):
+            raise ValueError(f"truth: expected shape {(n,)} or {(N, n)}, got {real.shape}")
+        real = np.broadcast_to(real, (N, n))
+    ax = _axes(ax)
+    own = not ax.has_data()
+    for place, i in enumerate(which):
+        _with_band(
+            ax, time, theta[:, i], None if deviation is None else width * deviation[:, i], names[i], place, width
+        )
+    if real is not None:
+        for place, i in enumerate(which):
+            label = "true" if place == 0 else "_nolegend_"
+            ax.plot(time, real[:, i], color="black", linewidth=1.5, linestyle=(0, (1, 1.5)), label=label)
+    if deviation is not None and own:
+        _look_at_the_paths(ax, width * deviation[:, which])
+    return _finish(ax, "parameter" if len(which) > 1 else names[which[0]], unit, time_unit)
+
+
+def plot_fit(
+    measured: ArrayLike,
+    simulated: ArrayLike,
+    *,
+    t: ArrayLike | None = None,
+    unit: str = "",
+    time_unit: str = "",
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw a measured output against a simulated one, with the percentage of fit in the legend.
+
+    Parameters
+    ----------
+    measured : array_like, shape (N,)
+        Measured output, NaN where missing.
+    simulated : array_like, shape (N,), or TrackingResult
+        Output of the model, such as ``tracker.simulate(u)``; of a tracker's run, its predictions.
+    t : array_like, shape (N,), optional
+        Times; default the number of the sample.
+    unit, time_unit : str, default ""
+        Units for the axes' labels.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    ValueError
+        If lengths do not fit.
+
+    Notes
+    -----
+    The fit is 100 (1 - ||y - y_model|| / ||y - mean(y)||) over the samples that are there; 100 is perfect, 0 no better
+    than the mean.
+    """
+    if sources.is_run(simulated):
+        simulated = simulated.prediction  # type: ignore[union-attr]
+    y = _checks.numbers("measured", measured).ravel()
+    model = _column("simulated", simulated, len(y))
+    time = sources.time(t, len(y))
+    seen = ~np.isnan(y) & ~np.isnan(model)
+    about = np.linalg.norm(y[seen] - y[seen].mean()) if seen.any() else 0.0
+    label = "simulated"
+    if about > 0:
+        label += f" (fit {100 * (1 - np.linalg.norm(y[seen] - model[seen]) / about):.1f} %)"
+    ax = _axes(ax)
+    ax.plot(time, y, color="0.6", linewidth=2.2, label="measured")
+    ax.plot(time, model, color=_COLOURS[0], linewidth=1.0, linestyle="--", label=label)
+    return _finish(ax, "output", unit, time_unit)
+
+
+def _axes(ax: Any) -> Any:
+    """Return ax, or that of a new figure."""
+    if ax is not None:
+        return ax
+    import matplotlib.pyplot as plt
+
+    return plt.subplots(figsize=(7.0, 3.6), layout="constrained")[1]
+
+
+def _finish(ax: Any, what: str, unit: str, time_unit: str) -> Any:
+    """Label the axes and return them."""
+    ax.set_ylabel(f"{what} [{unit}]" if unit else what)
+    ax.set_xlabel(f"time [{time_unit}]" if time_unit else "sample")
+    ax.legend(loc="best", fontsize="small", framealpha=0.8)
+    return ax
+
+
+def _with_band(ax: Any, t: Any, mean: Any, half: Any, name: str, place: int, sigmas: float) -> None:
+    """Draw a line and its band."""
+    colour, style = _COLOURS[place % 6], _STYLES[place % 6]
+    if half is not None:
+        band = f"±{sigmas:g} sigma" if place == 0 else "_nolegend_"
+        ax.fill_between(t, mean - half, mean + half, color=colour, alpha=0.2, linewidth=0, label=band)
+    ax.plot(t, mean, color=colour, linestyle=style, linewidth=1.4, label=name)
+
+
+def _look_at_the_paths(ax: Any, half: Any) -> None:
+    """Fit the limits to the lines and to bands of ordinary width."""
+    drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in ax.lines])
+    drawn, half = drawn[np.isfinite(drawn)], half[np.isfinite(half)]
+    if len(drawn) and len(half):
+        margin = 3.0 * float(np.median(half)) + 0.05 * float(np.ptp(drawn))
+        if margin > 0:
+            ax.set_ylim(drawn.min() - margin, drawn.max() + margin)
+
+
+def _names(names: Sequence[str] | None, n: int, stem: str) -> list[str]:
+    """Return a name for each column."""
+    if names is None:
+        return [f"{stem}[{i}]" for i in range(n)]
+    if isinstance(names, str) or len(names) != n:
+        raise ValueError(f"names: expected {n} names, got {names!r}")
+    return list(names)
+
+
+def _column(name: str, values: Any, length: int) -> Any:
+    """Return values as one column of that length."""
+    column = sources.rows(name, values)
+    if column.shape != (length, 1):
+        raise ValueError(f"{name}: expected {length} numbers, got shape {column.shape}")
+    return column[:, 0]
+
+
+def _truth(truth: Any, N: int, n: int, which: list[int]) -> dict[int, Any] | None:
+    """Return the true values of the states that have some."""
+    if truth is None:
+        return None
+    values = sources.rows("truth", truth)
+    if len(values) != N or values.shape[1] not in (1, n):
+        raise ValueError(f"truth: expected shape {(N,)} or {(N, n)}, got {np.shape(truth)}")
+    if values.shape[1] == n:
+        return dict(enumerate(values.T))
+    return {which[0]: values[:, 0]}

@@ -1,0 +1,391 @@
+"""A diagnosis names the true cause of a broken set-up, and finds nothing in a healthy one."""
+
+import numpy as np
+import pytest
+from filterpy.common import Saver
+from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
+from scipy import stats
+from statsmodels.stats.diagnostic import acorr_ljungbox
+
+from robust_filterpy import Huber, Linear, RobustKalmanFilter
+from robust_filterpy.diagnostics import diagnose, statistics
+from robust_filterpy.identification import ARX, ParameterTracker
+
+N = 500
+DT = 0.5
+F = np.array([[1.0, DT], [0.0, 1.0]])
+Q = 0.05 * np.array([[DT**3 / 3, DT**2 / 2], [DT**2 / 2, DT]])
+H = np.array([[1.0, 0.0], [0.0, 1.0]])
+R = np.diag([0.3, 0.1])
+
+
+def world(seed, sensors=2, contamination=0.05, memory=0.0, coupling=0.0, Q=Q, jump=0.0):
+    """Draw a moving point and its position (and velocity) with outliers."""
+    rng = np.random.default_rng(seed)
+    x = np.zeros((N, 2))
+    root = np.linalg.cholesky(Q)
+    for k in range(1, N):
+        x[k] = F @ x[k - 1] + root @ rng.normal(size=2)
+        if k == 300:
+            x[k, 0] += jump
+    noise = rng.normal(size=(N, 2)) @ np.linalg.cholesky([[1.0, coupling], [coupling, 1.0]]).T
+    for k in range(1, N):
+        noise[k] = memory * noise[k - 1] + np.sqrt(1 - memory**2) * noise[k]
+    noise[rng.random((N, 2)) < contamination] *= 10.0
+    return x, (x @ H.T + noise * np.sqrt(np.diag(R)))[:, :sensors]
+
+
+def robust(sensors=2, R_factor=1.0, Q_factor=1.0, H=H, **choices):
+    kf = RobustKalmanFilter(2, sensors, **choices)
+    kf.F, kf.H, kf.Q, kf.R = F.copy(), H[:sensors].copy(), Q_factor * Q, (R_factor * R)[:sensors, :sensors]
+    kf.P = np.diag([0.3, 0.1])
+    return kf
+
+
+def healthy(seed):
+    return robust(), world(seed)[1]
+
+
+def healthy_single(seed):
+    return robust(1), world(seed, 1)[1]
+
+
+def clean(seed):
+    return robust(), world(seed, contamination=0.0)[1]
+
+
+def R_too_small(seed):
+    return robust(1, R_factor=1 / 9), world(seed, 1)[1]
+
+
+def R_too_small_of_both(seed):
+    return robust(R_factor=1 / 25), world(seed)[1]
+
+
+def R_too_large(seed):
+    return robust(R_factor=25.0), world(seed)[1]
+
+
+def R_of_one_too_small(seed):
+    kf = robust()
+    kf.R[1, 1] /= 16
+    return kf, world(seed)[1]
+
+
+def Q_too_small(seed):
+    return robust(Q_factor=1e-3), world(seed)[1]
+
+
+def Q_too_small_single(seed):
+    return robust(1, Q_factor=1e-3), world(seed, 1)[1]
+
+
+def Q_too_large(seed):
+    return robust(Q_factor=1e3), world(seed)[1]
+
+
+def R_and_Q_too_small(seed):
+    return robust(R_factor=1 / 25, Q_factor=1 / 25), world(seed)[1]
+
+
+def wrong_row(seed):
+    wrong = H.copy()
+    wrong[1] = [1.0, 0.0]
+    return robust(H=wrong), world(seed)[1]
+
+
+def wrong_sign(seed):
+    wrong = H.copy()
+    wrong[1, 1] = -1.0
+    return robust(H=wrong), world(seed)[1]
+
+
+def millimetres(seed):
+    return robust(), world(seed)[1] * [1000.0, 1.0]
+
+
+def kilometres_an_hour(seed):
+    return robust(), world(seed)[1] * [1.0, 3.6]
+
+
+def millimetres_single(seed):
+    return robust(1), world(seed, 1)[1] * 1000.0
+
+
+def sensor_shifts(seed):
+    z = world(seed)[1]
+    z[200:, 1] += 4.0
+    return robust(), z
+
+
+def sensor_biased(seed):
+    return robust(), world(seed)[1] + [0.0, 3.0]
+
+
+def state_jumps(seed):
+    return robust(), world(seed, jump=30.0)[1]
+
+
+def state_jumps_single(seed):
+    return robust(1), world(seed, 1, jump=30.0)[1]
+
+
+def saturating(seed):
+    z = world(seed)[1]
+    return robust(), np.minimum(z, np.quantile(z, 0.7, axis=0))
+
+
+def frozen(seed):
+    z = world(seed)[1]
+    z[100:160, 0] = z[100, 0]
+    return robust(), z
+
+
+def correlated(seed):
+    return robust(), world(seed, memory=0.9)[1]
+
+
+def coupled(seed):
+    return robust(), world(seed, coupling=0.8)[1]
+
+
+def contaminated(seed):
+    return robust(), world(seed, contamination=0.3)[1]
+
+
+SETUPS = {
+    "healthy": (healthy, None, None),
+    "healthy, one sensor": (healthy_single, None, None),
+    "clean": (clean, None, None),
+    "R too small": (R_too_small, "R too small", None),
+    "R too small, both": (R_too_small_of_both, "R too small", None),
+    "R too large": (R_too_large, "R too large", None),
+    "R of one sensor too small": (R_of_one_too_small, "R too small", 1),
+    "Q too small": (Q_too_small, "Q too small", None),
+    "Q too small, one sensor": (Q_too_small_single, "Q too small", None),
+    "Q too large": (Q_too_large, "Q too large", None),
+    "R and Q too small": (R_and_Q_too_small, "R and Q too small", None),
+    "wrong row of H": (wrong_row, "wrong H", 1),
+    # Which row has the wrong sign is a matter of the sign of the state.
+    "wrong sign in H": (wrong_sign, "wrong H", None),
+    "mm instead of m": (millimetres, "lost units", 0),
+    "km/h instead of m/s": (kilometres_an_hour, "lost units", 1),
+    "mm instead of m, one sensor": (millimetres_single, "lost units", None),
+    "one sensor shifts": (sensor_shifts, "level shift", 1),
+    "one sensor biased": (sensor_biased, "bias", 1),
+    "state jumps": (state_jumps, "level shift", 0),
+    "state jumps, one sensor": (state_jumps_single, "level shift", 0),
+    "saturating sensor": (saturating, "saturation", 0),
+    "frozen sensor": (frozen, "frozen sensor", 0),
+    "correlated noise": (correlated, "correlated noise", None),
+    "coupled noise": (coupled, "coupled noise", None),
+    "30 % outliers": (contaminated, "more outliers", None),
+}
+
+
+def assert_named(name, seed):
+    setup, cause, sensor = SETUPS[name]
+    d = diagnose(*setup(seed))
+    if cause is None:
+        assert not d.findings and str(d).startswith("Nothing unusual")
+        return
+    assert d.causes[:1] == (cause,), str(d)
+    if sensor is not None:
+        assert d.findings[0].sensor == sensor
+
+
+QUICK = (
+    "healthy",
+    "R too small",
+    "R too large",
+    "Q too small, one sensor",
+    "wrong row of H",
+    "mm instead of m, one sensor",
+    "state jumps, one sensor",
+    "saturating sensor",
+    "frozen sensor",
+    "correlated noise",
+)
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_names_the_true_cause(name):
+    assert_named(name, 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("name", SETUPS)
+def test_names_the_true_cause_for_every_seed(name, seed):
+    assert_named(name, seed)
+
+
+def test_a_saver_is_diagnosed_as_the_filter_is():
+    kf, zs = R_too_small(0)
+    expected = diagnose(kf, zs)
+    saver = Saver(kf)
+    for z in zs:
+        kf.predict()
+        kf.update(z)
+        saver.save()
+    kept = diagnose(saver)
+    assert str(kept) == str(expected)
+    saver.to_array()
+    assert str(diagnose(saver)) == str(expected)
+
+
+def test_the_filter_is_left_as_it_was():
+    kf, zs = healthy(0)
+    before = repr(kf)
+    diagnose(kf, zs[:50])
+    assert repr(kf) == before
+
+
+def test_filterpys_own_filter_is_diagnosed_too():
+    kf = KalmanFilter(2, 1)
+    kf.F, kf.H, kf.Q, kf.R = F, H[:1], Q, R[:1, :1] / 25
+    d = diagnose(kf, world(0, 1, contamination=0.0)[1])
+    assert d.causes == ("R too small",)
+    assert d.clipped.max() == 0.0
+
+
+def test_missing_samples_change_no_verdict():
+    kf, zs = R_too_large(0)
+    zs[40:90] = np.nan
+    zs[100:130, 1] = np.nan
+    d = diagnose(kf, zs)
+    assert d.causes == ("R too large",)
+    assert d.observed.tolist() == [N - 50, N - 80]
+
+
+@pytest.mark.parametrize(
+    ("variance", "cause"), [(0.04, ()), (0.04 / 36, ("R too small",)), (0.04 * 36, ("R too large",))]
+)
+def test_a_trackers_run_is_diagnosed(variance, cause):
+    rng = np.random.default_rng(2)
+    u = rng.choice([-1.0, 1.0], N)
+    y = np.zeros(N)
+    for k in range(1, N):
+        y[k] = 0.8 * y[k - 1] + u[k - 1] + 0.2 * rng.normal()
+    tracker = ParameterTracker(ARX(1, 1), R=variance)
+    d = diagnose(tracker, y, us=u)
+    assert d.causes == cause
+    assert (tracker.theta == 0.0).all()
+    run = tracker.run(y, u)
+    assert d.clipped[0] == pytest.approx(np.mean(run.weights < 1), abs=0.01)
+
+
+def test_without_a_linear_model_the_innovations_are_judged():
+    rng = np.random.default_rng(5)
+    kf = ExtendedKalmanFilter(1, 1)
+    kf.Q, kf.R, kf.x = 0.01 * np.eye(1), 0.1 * np.eye(1), np.array([[1.0]])
+    saver, x = Saver(kf), 1.0
+    for _ in range(N):
+        x += 0.1 * rng.normal()
+        kf.predict()
+        kf.update(
+            np.array([[np.exp(0.1 * x) + 3.0 * rng.normal()]]),
+            lambda x: 0.1 * np.exp(0.1 * x),
+            lambda x: np.exp(0.1 * x),
+        )
+        saver.save()
+    d = diagnose(saver)
+    assert d.causes[0] == "S too small" and np.isnan(d.R_scale).all()
+
+
+def test_words_name_the_factor_and_what_it_does():
+    text = str(diagnose(*R_too_small(0)))
+    assert text.startswith("R is about ") and "times too small" in text and "clips good data" in text
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_factor_of_R_is_found_within_a_third(seed):
+    (finding,) = diagnose(*R_too_small(seed)).findings
+    assert 9 / 1.34 < finding.value < 9 * 1.34
+
+
+@pytest.mark.parametrize("influence", [Huber(1.345), Huber(2.5), Linear()])
+def test_figures_of_a_right_model_are_those_of_the_normal_distribution(influence):
+    kf, zs = clean(1)
+    kf.influence = influence
+    d = diagnose(kf, zs)
+    k = getattr(influence, "threshold", np.inf)
+    expected = 2 * stats.norm.sf(k)
+    np.testing.assert_allclose(d.clipped_expected[:, 0], expected)
+    assert (np.abs(d.clipped - expected) < 5 * np.sqrt(0.25 / N)).all()
+    assert (np.abs(d.scale - 1) < 5 * 1.17 / np.sqrt(N)).all()
+    assert d.nis.lower < d.nis.mean < d.nis.upper
+    k = min(k, 3.0)
+    one = stats.truncnorm(-k, k).var()
+    assert d.nis.expected == pytest.approx(2 * one)
+
+
+def test_expected_nis_of_joint_clipping_is_that_of_truncated_chi_square():
+    kf, zs = clean(2)
+    kf.grouping = "joint"
+    nis = diagnose(kf, zs[:100]).nis
+    k = kf.influence.threshold
+    draws = np.sum(np.random.default_rng(0).normal(size=(400000, 2)) ** 2, axis=1)
+    inside = draws[draws <= k * k]
+    assert nis.expected == pytest.approx(inside.mean(), abs=5 * inside.std() / np.sqrt(len(inside)))
+
+
+def test_whiteness_is_statsmodels_test_of_the_cut_innovations(monkeypatch):
+    e = np.random.default_rng(1).normal(size=300)
+    e[1:] += 0.4 * e[:-1]
+    r, p = statistics.whiteness(e)
+    cut = np.clip(e / statistics.bulk(e)[0], -2, 2)
+    assert p == pytest.approx(float(acorr_ljungbox(cut, lags=[10])["lb_pvalue"].iloc[0]))
+    monkeypatch.setitem(__import__("sys").modules, "statsmodels.stats.diagnostic", None)
+    assert statistics.whiteness(e) == pytest.approx((r, p))
+
+
+@pytest.mark.parametrize("contamination", [0.0, 0.1, 0.2])
+def test_scale_of_the_ordinary_samples_survives_outliers(contamination):
+    rng = np.random.default_rng(7)
+    e = 2.0 * rng.normal(size=20000)
+    e[rng.random(e.size) < contamination] *= 30.0
+    scale, share = statistics.bulk(e)
+    assert scale == pytest.approx(2.0, rel=0.05)
+    assert share == pytest.approx(contamination, abs=0.02)
+
+
+def test_longest_run_of_random_events_is_below_the_expected_in_99_percent():
+    rng = np.random.default_rng(8)
+    runs = np.array([statistics.longest_run(rng.random(500) < 0.2) for _ in range(2000)])
+    bound = statistics.expected_run(0.2, 500)
+    assert np.mean(runs > bound) < 0.01 + 5 * np.sqrt(0.01 / 2000)
+    assert np.mean(runs > bound - 2) > 0.01
+    assert statistics.longest_run(np.array([0, 1, 1, 0, 1, 1, 1], bool)) == 3
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "match"),
+    [
+        (lambda: diagnose(3), TypeError, "source: expected a filter"),
+        (lambda: diagnose(robust()), TypeError, "zs: expected the measurements"),
+        (lambda: diagnose(robust(), []), ValueError, "zs: expected at least one"),
+        (lambda: diagnose(Saver(robust())), ValueError, "saver: expected"),
+        (lambda: diagnose(robust(), [[1.0, 2.0]], contamination=1.0), ValueError, "contamination"),
+    ],
+)
+def test_what_cannot_be_diagnosed_is_said(call, error, match):
+    with pytest.raises(error, match=match):
+        call()
+
+
+def test_a_recording_of_nothing_is_nothing_unusual():
+    d = diagnose(robust(), [None] * 30)
+    assert not d.findings and d.observed.tolist() == [0, 0]
+    assert "Nothing unusual" in str(d)
+
+
+def test_a_data_frame_is_diagnosed_by_its_rows():
+    pd = pytest.importorskip("pandas")
+    plain = KalmanFilter(2, 1)
+    plain.F, plain.H, plain.Q, plain.R = F, H[:1], Q, R[:1, :1]
+    zs = np.random.default_rng(4).normal(size=(60, 2))
+    for kf, measurements in ((robust(), zs), (plain, zs[:, :1])):
+        ours, theirs = diagnose(kf, pd.DataFrame(measurements)), diagnose(kf, measurements)
+        assert ours.samples == 60
+        np.testing.assert_array_equal(ours.scale, theirs.scale)

@@ -1,0 +1,53 @@
+"""Every example runs from a shell without a screen, draws a figure and comes to a conclusion."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SCRIPTS = sorted([*EXAMPLES.glob("*.py"), *EXAMPLES.glob("*/reproduce.py")])
+
+# What makes a script small; every script besides takes --out.
+SMALL = {
+    "paper/reproduce.py": ["--runs", "2", "--jobs", "1", "--only", "2", "3", "5", "11"],
+    "pneumatic_servo.py": ["--steps", "600", "--seeds", "2", "--jobs", "1"],
+    "state_estimation_study.py": ["--runs", "3", "--steps", "30", "--jobs", "1"],
+    "first_screen.py": ["--seeds", "3"],
+}
+
+
+def name_of(script):
+    return script.relative_to(EXAMPLES).as_posix()
+
+
+def run(script, *arguments):
+    """Run a script in a process of its own, its figures drawn on no screen."""
+    environment = {**os.environ, "MPLBACKEND": "Agg", "PYTHONWARNINGS": "error::UserWarning:__main__"}
+    return subprocess.run(
+        [sys.executable, str(script), *map(str, arguments)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+
+
+def test_there_are_examples():
+    assert {"water_flow.py", "state_estimation_study.py", "first_screen.py"} <= {name_of(s) for s in SCRIPTS}
+
+
+def test_small_settings_belong_to_a_script():
+    assert set(SMALL) <= {name_of(s) for s in SCRIPTS}
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=name_of)
+def test_example_draws_a_figure_and_concludes(script, tmp_path):
+    done = run(script, "--out", tmp_path, *SMALL.get(name_of(script), []))
+    assert done.returncode == 0, done.stderr
+    figures = [path for path in tmp_path.rglob("*") if path.suffix in {".png", ".pdf", ".svg"}]
+    assert figures, done.stdout
+    assert all(path.stat().st_size > 5000 for path in figures)
+    assert "conclusion" in done.stdout.lower()

@@ -1,0 +1,140 @@
+"""The paper's figures and claims come out of one command, the same for a seed however many processes make them."""
+
+import importlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy import signal
+
+from robust_filterpy.compiled import dispatch
+from robust_filterpy.plants import simulate_output_error
+
+PAPER = Path(__file__).parents[2] / "examples" / "paper"
+
+
+def reproduce(out, *arguments):
+    """Run the command in a process of its own."""
+    return subprocess.run(
+        [sys.executable, str(PAPER / "reproduce.py"), "--runs", "2", "--out", str(out), *map(str, arguments)],
+        env={**os.environ, "MPLBACKEND": "Agg"},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+
+
+def test_only_makes_the_figures_asked_for(tmp_path):
+    done = reproduce(tmp_path, "--jobs", 1, "--only", 2, 7)
+    assert done.returncode == 0, done.stderr
+    assert {path.name for path in tmp_path.glob("*.png")} == {"fig02.png", "fig07.png"}
+
+
+def test_report_does_not_depend_on_the_number_of_jobs(tmp_path):
+    reports = []
+    for jobs in (1, 2):
+        done = reproduce(tmp_path / str(jobs), "--jobs", jobs, "--only", 4, 11)
+        assert done.returncode == 0, done.stderr
+        reports.append((tmp_path / str(jobs) / "report.md").read_text(encoding="utf-8"))
+    assert reports[0] == reports[1]
+    assert "does not hold" in reports[0]
+
+
+@pytest.mark.parametrize("wrong", [("--only", 20), ("--only", 1)])
+def test_unknown_figure_is_refused(tmp_path, wrong):
+    assert reproduce(tmp_path, *wrong).returncode == 2
+
+
+@pytest.fixture
+def paper(monkeypatch):
+    """Import a module of the folder."""
+    monkeypatch.syspath_prepend(str(PAPER))
+    return importlib.import_module
+
+
+@pytest.fixture(params=["compiled", "numpy"])
+def engine(request, monkeypatch):
+    """With numba and as if it were not installed."""
+    if request.param == "numpy":
+        monkeypatch.setattr(dispatch, "available", lambda: False)
+    else:
+        pytest.importorskip("numba")
+
+
+def test_filters_over_all_runs_are_the_loop_over_filterpy_and_refuse_the_same_runs(paper, engine):
+    paper("state_estimation")
+    study = paper("state_estimation_study")
+    rng = np.random.default_rng(3)
+    z, is_outlier = rng.standard_normal((3, 60)), rng.random((3, 60)) < 0.2
+    # Every sample of this run is clipped, and with the realized psi' P is never corrected: no reason to refuse it.
+    z[1] = 1e6
+    for P0, expected_refusals, realized_refusals in ((0.1, 0, 0), (10.0, 3, 2)):
+        setting, refused = study.Setting("", P0=P0), {}
+        for name in study.FILTERS:
+            found, expected = (way(name, setting, z, is_outlier) for way in (study.filtered, study.looped))
+            assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+            refused[name] = np.isnan(found).any(axis=(1, 2)).sum()
+        assert (refused.pop("T=1,  expected"), refused.pop("T=1,  realized")) == (expected_refusals, realized_refusals)
+        assert not any(refused.values())
+
+
+@pytest.mark.parametrize("plant", ["SECTION4", "WELL"])
+def test_trackers_of_a_recording_are_the_loop_over_filterpy(paper, engine, plant):
+    identification = paper("identification")
+    found, expected = (
+        identification.trial(np.random.default_rng(5), getattr(identification, plant), tracking=way)
+        for way in (identification.tracked, identification.looped)
+    )
+    for one, other in zip(found, expected, strict=True):
+        assert_allclose(one, other, rtol=1e-9, atol=1e-9)
+    # T = 1 is refused from the well-conditioned plant's start, and nothing else is.
+    refused = np.isnan(found.response_error)
+    assert refused.sum() == (2 if plant == "WELL" else 0)
+
+
+def test_information_is_made_of_the_derivative_of_the_output(paper):
+    identification = paper("identification")
+    rng = np.random.default_rng(2)
+    theta = [-1.5, 0.7, 1.0, 0.5] + np.cumsum(0.002 * rng.standard_normal((50, 4)), axis=0)
+    u = rng.standard_normal(50)
+
+    def output(step):
+        return simulate_output_error(theta + step, u, na=2, nb=2).y_clean
+
+    steps = 1e-6 * np.eye(4)
+    g = np.transpose([(output(step) - output(-step)) / 2e-6 for step in steps])
+    information = identification._information(theta, u, output(0.0), 2, 0.25)
+    assert_allclose(information, g[:, :, None] * g[:, None, :] / 0.25, rtol=1e-6, atol=1e-6)
+
+
+def test_response_error_is_that_of_scipy_s_frequency_response(paper):
+    identification = paper("identification")
+    theta, estimate = np.array([-1.5, 0.7, 1.0, 0.5]), np.array([-1.4, 0.6, 1.1, 0.4])
+    (_, G), (_, G_hat) = (signal.freqz([0, *t[2:]], [1, *t[:2]], identification.FREQUENCIES) for t in (theta, estimate))
+    rows = np.array([estimate, theta, np.full(4, np.nan)])
+    expected = [np.linalg.norm(G_hat - G) / np.linalg.norm(G), 0.0, np.nan]
+    assert_allclose(identification._response_error(rows, theta, 2), expected, rtol=1e-10)
+
+
+def test_comparison_with_a_loop_checks_the_numbers(paper, tmp_path):
+    done = reproduce(tmp_path, "--compare-loop")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("numbers agree to") == 3
+    speed = paper("speed")
+    with pytest.raises(RuntimeError, match="numbers differ"):
+        speed.compared("x", lambda way: way(), lambda: np.ones(3), lambda: np.ones(3) + 1e-6)
+
+
+def test_bound_without_drift_and_prior_is_the_cramer_rao_bound(paper):
+    from dataclasses import replace
+
+    identification = paper("identification")
+    plant = replace(identification.WELL, contamination=0.0, P0=1e8, Q=0.0)
+    rng = np.random.default_rng(1)
+    g = np.repeat(rng.standard_normal((1, identification.STEPS, 4)), 2, axis=0)
+    bound, cramer_rao = identification.bounds(g[..., :, None] * g[..., None, :], plant)
+    assert bound[-1] ** 0.5 == pytest.approx(cramer_rao, rel=1e-4)

@@ -1,0 +1,190 @@
+"""What the studies claim: each a fact about the filters that would fail if they were worse."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+
+from robust_filterpy import RobustKalmanFilter, TukeyBiweight
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def load(name):
+    """Import an example by its file."""
+    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    # dataclasses look their module up by name.
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+# -- the paper's state-estimation study
+
+
+@pytest.fixture(scope="module")
+def study():
+    return load("state_estimation_study")
+
+
+@pytest.fixture(scope="module")
+def usual(study):
+    """Errors (runs, filters, steps, 4) at contamination 0.1 from P0 = 0.1 I."""
+    return errors_of(study, study.SETTINGS[0], 100, 150)
+
+
+def errors_of(study, setting, runs, steps):
+    trials = [study.trial(np.random.default_rng([7, i]), setting, steps) for i in range(runs)]
+    return np.array(trials)
+
+
+def x1_per_run(study, errors, name):
+    return np.mean(errors[:, study.FILTERS.index(name), :, 0] ** 2, axis=1)
+
+
+def assert_larger(worse, better):
+    """The mean of the paired differences is more than five standard errors above zero."""
+    difference = worse - better
+    assert difference.mean() > 5 * difference.std(ddof=1) / len(difference) ** 0.5
+
+
+@pytest.mark.parametrize("name", ["T(k), expected", "T(k), realized"])
+def test_robust_is_between_plain_kalman_and_the_filter_that_knows_the_labels(study, usual, name):
+    robust = x1_per_run(study, usual, name)
+    assert_larger(x1_per_run(study, usual, study.KALMAN), robust)
+    assert_larger(x1_per_run(study, usual, study.KALMAN_TOTAL), robust)
+    best = x1_per_run(study, usual, study.LABELS)
+    assert_larger(robust, best)
+    assert robust.mean() < 1.5 * best.mean()
+
+
+def test_scaling_beats_the_paper_s_unit_scaling(study, usual):
+    assert_larger(x1_per_run(study, usual, "T=1,  realized"), x1_per_run(study, usual, "T(k), realized"))
+
+
+def test_hardly_observed_states_rule_the_total(study, usual):
+    best = usual[:, study.FILTERS.index(study.LABELS)]
+    assert np.mean(best[..., 1:] ** 2) > 5 * np.mean(best[..., 0] ** 2)
+
+
+@pytest.mark.parametrize("index", [3, 4], ids=["P0 = 10 I", "smaller unit"])
+def test_unit_scaling_is_refused_and_counted(study, index):
+    rows = study.summarize(errors_of(study, study.SETTINGS[index], 3, 30), seed=0)
+    for name, (scaling, _) in study.ROBUST.items():
+        assert rows[name].refused == (3 if scaling == "unit" else 0)
+        assert np.isnan(rows[name].x1) == (scaling == "unit")
+    assert "3 of 3" in study.table(rows, 3)
+
+
+def test_innovation_scaling_does_not_depend_on_the_unit_and_unit_scaling_does(study):
+    errors = [errors_of(study, study.SETTINGS[i], 2, 50) for i in (0, 5)]
+    for i, name in enumerate(study.FILTERS):
+        same = np.allclose(errors[0][:, i], errors[1][:, i], rtol=1e-9, atol=1e-10)
+        assert same == (not name.startswith("T=1"))
+
+
+def test_study_is_the_same_for_the_same_seed(study, tmp_path, capsys):
+    arguments = ["--runs", "2", "--steps", "20", "--jobs", "1", "--out", str(tmp_path)]
+    first = (study.main([*arguments, "--seed", "5"]), capsys.readouterr().out)[1]
+    again = (study.main([*arguments, "--seed", "5"]), capsys.readouterr().out)[1]
+    other = (study.main([*arguments, "--seed", "6"]), capsys.readouterr().out)[1]
+    assert first == again != other
+
+
+# -- the water flow
+
+
+@pytest.fixture(scope="module")
+def water():
+    return load("water_flow")
+
+
+@pytest.fixture(scope="module")
+def scores(water, tmp_path_factory):
+    return water.main(["--out", str(tmp_path_factory.mktemp("water"))])
+
+
+STOPS = ("stop 1", "stop 2", "stop 3")
+
+
+def test_recording_is_what_the_example_says(water):
+    flow = water.load()
+    assert np.isfinite(flow).sum() == 1268
+    for name in STOPS:
+        first, after = water.DISTURBANCES[name]
+        assert np.nanmin(flow[first:after]) < 24.3
+        assert np.nanmin(np.r_[flow[first - 6 : first], flow[after : after + 6]]) > 99
+    first, after = water.DISTURBANCES["spike"]
+    assert np.nanmax(flow) == np.nanmax(flow[first:after]) > 109
+
+
+@pytest.mark.parametrize("name", ["Robust, Huber", "Robust, Tukey"])
+def test_robust_deviates_less_than_kalman_in_every_disturbance(scores, name):
+    kalman, robust = scores["KalmanFilter"].worst, scores[name].worst
+    for disturbance in STOPS:
+        assert robust[disturbance] < 0.25 * kalman[disturbance]
+    assert robust["spike"] < 0.5 * kalman["spike"]
+    assert scores[name].quiet < scores["KalmanFilter"].quiet
+
+
+def test_huber_follows_a_long_stop_and_tukey_does_not(scores):
+    for stop in STOPS:
+        assert scores["Robust, Tukey"].worst[stop] < 3.5 < 9 < scores["Robust, Huber"].worst[stop]
+
+
+def test_huber_believes_a_stop_that_lasts_and_tukey_never(scores):
+    assert scores["KalmanFilter"].accepts < scores["Robust, Huber"].accepts < 72
+    assert scores["Robust, Huber, expected"].accepts > 2 * scores["Robust, Huber"].accepts
+    assert scores["Robust, Tukey"].accepts is None
+
+
+def test_redescending_with_expected_information_locks_out(scores):
+    assert scores["Robust, Tukey, expected"].back["stop 2"] is None
+    assert all(hours is not None for hours in scores["Robust, Tukey"].back.values())
+
+
+@pytest.mark.parametrize("sigma", [0.1, 0.3, 1.0])
+def test_the_order_of_the_filters_does_not_hang_on_the_choice_of_R(water, sigma):
+    flow = water.load()
+    reference = water.undisturbed(flow, sigma**2)
+    first, after = water.DISTURBANCES["stop 3"]
+    kalman, huber, tukey = (
+        np.abs(water.track(water.build(cls, flow, sigma**2, **choices), flow) - reference)[first:after].max()
+        for cls, choices in (
+            (KalmanFilter, {}),
+            (RobustKalmanFilter, {}),
+            (RobustKalmanFilter, {"influence": TukeyBiweight()}),
+        )
+    )
+    assert tukey < 0.5 * huber < 0.25 * kalman
+
+
+# -- README's first figure
+
+
+def test_first_figure_shows_a_typical_gain(tmp_path, capsys):
+    first_screen = load("first_screen")
+    errors = first_screen.main(["--out", str(tmp_path), "--seeds", "1"])
+    shown = errors["KalmanFilter"] / errors["RobustKalmanFilter"]
+    ratios = []
+    for seed in range(1000, 1040):
+        position, readings, _ = first_screen.simulate(seed)
+        kalman, robust = (
+            first_screen.rms(first_screen.track(cls, readings) - position) for cls in (KalmanFilter, RobustKalmanFilter)
+        )
+        ratios.append(kalman / robust)
+    assert min(ratios) > 1
+    assert 3 < shown < np.median(ratios) * 1.25
+
+
+def test_first_figure_is_small_and_wide_enough():
+    from matplotlib import image
+
+    path = EXAMPLES / "figures" / "first_screen.png"
+    height, width = image.imread(path).shape[:2]
+    assert (width, height) == (900, 380)
+    assert path.stat().st_size < 120_000

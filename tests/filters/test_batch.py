@@ -1,0 +1,171 @@
+"""A long recording through the compiled loops leaves what a loop over predict and update leaves."""
+
+import numpy as np
+import pytest
+import support
+
+from robust_filterpy import Huber, RobustKalmanFilter
+from robust_filterpy.compiled import dispatch
+
+pytest.importorskip("numba")
+
+N = 1500
+
+
+@pytest.fixture
+def count(monkeypatch):
+    """Count the steps that the loops took, so that no test passes because they were not used."""
+    taken = []
+    recurse = dispatch.recurse
+
+    def counting(*args, start=0, **kwargs):
+        done = recurse(*args, start=start, **kwargs)
+        taken.append(int(done[0]) - start)
+        return done
+
+    monkeypatch.setattr(dispatch, "recurse", counting)
+    return taken
+
+
+def lists(case, problem, rng):
+    """Matrices for each step, and inputs."""
+    n, m, w = problem.dims
+    each = {
+        "constant": {},
+        "F": {"Fs": [support.stable(rng, n) for _ in range(N)]},
+        "H": {"Hs": rng.normal(size=(N, m, n))},
+        "QR": {"Qs": [0.1] * N, "Rs": [support.spd(rng, m) for _ in range(N)]},
+        "u": {"us": rng.normal(size=(N, w, 1))},
+        "Bu": {"us": [np.ones(w)] * N, "Bs": rng.normal(size=(N, n, w))},
+    }
+    return each[case]
+
+
+def by_loop(kf, zs, update_first=False, **per_step):
+    out = [[], [], [], []]
+    for k, z in enumerate(zs):
+        now = {name[:-1]: values[k] for name, values in per_step.items()}
+        steps = [
+            lambda now=now: kf.predict(**{name: now.get(name) for name in ("u", "B", "F", "Q")}),
+            lambda z=z, now=now: kf.update(z, now.get("R"), now.get("H")),
+        ]
+        for place, step in [(0, steps[1]), (2, steps[0])] if update_first else [(2, steps[0]), (0, steps[1])]:
+            step()
+            out[place].append(kf.x.copy())
+            out[place + 1].append(kf.P.copy())
+    return [np.array(column) for column in out]
+
+
+@pytest.mark.parametrize("update_first", [False, True])
+@pytest.mark.parametrize("case", ["constant", "F", "H", "QR", "u", "Bu"])
+@pytest.mark.parametrize("ndim, dims", [(2, (4, 2, 1)), (1, (3, 1, 2))])
+def test_compiled_batch_is_the_loop(count, ndim, dims, case, update_first):
+    problem = support.random_problem(4, *dims)
+    zs, _ = support.simulate(problem, N, seed=5, contamination=0.1)
+    rng = np.random.default_rng(0)
+    zs[rng.random(zs.shape) < 0.1] = np.nan
+    rows = [None if k % 7 == 0 else z for k, z in enumerate(zs[:, :, None] if ndim == 2 else zs)]
+    one, two = (support.make(RobustKalmanFilter, problem, ndim) for _ in range(2))
+    per_step = lists(case, problem, rng)
+    ours = one.batch_filter(rows, update_first=update_first, **per_step)
+    assert sum(count) == N - 1
+    for a, b in zip(ours, by_loop(two, rows, update_first, **per_step), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-10)
+    for name in (*support.STATE, "y", "K", "S", "SI", *support.ROBUST, "log_likelihood", "mahalanobis"):
+        np.testing.assert_allclose(getattr(one, name), getattr(two, name), rtol=1e-9, atol=1e-10, err_msg=name)
+
+
+@pytest.mark.parametrize("update_first", [False, True])
+@pytest.mark.parametrize("gaps", [1, 400, N])
+def test_a_recording_that_ends_with_gaps_leaves_what_the_loop_leaves(count, gaps, update_first):
+    problem = support.random_problem(4, 3, 2)
+    zs, _ = support.simulate(problem, N, seed=5, contamination=0.1)
+    zs[N - gaps :] = np.nan
+    one, two = (support.make(RobustKalmanFilter, problem) for _ in range(2))
+    for kf in (one, two):
+        kf.predict()
+        kf.update([0.3, 5.0])
+    ours = one.batch_filter(zs, update_first=update_first)
+    assert sum(count) == (N - 1 if gaps in (1, N) else N - 2) - (gaps == 1)
+    for a, b in zip(ours, by_loop(two, zs, update_first), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-10)
+    assert one.z.tolist() == two.z.tolist()
+    names = ("y", "K", "S", "SI", "T", "x_post", "P_post", "x_prior", "P_prior", "log_likelihood", "mahalanobis")
+    for name in (*support.STATE, *names, *support.ROBUST):
+        a, b = getattr(one, name), getattr(two, name)
+        if name != "z":
+            np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-10, err_msg=name)
+
+
+def test_a_step_that_the_loops_decline_is_taken_by_the_filter(count):
+    """Near the limit of "unit" the loops stop; the filter's own step decides, and they go on after it."""
+    problem = support.with_(
+        support.cart(), P=np.diag([0.9 + 1e-12, 1e-9]), Q=1e-9 * np.eye(2), F=np.eye(2), R=np.eye(1)
+    )
+    one, two = (support.make(RobustKalmanFilter, problem, scaling="unit") for _ in range(2))
+    for kf in (one, two):
+        kf.P[0, 0] = 1.0 - 1e-9 - 5e-10
+    zs = np.random.default_rng(1).normal(size=N)
+    np.testing.assert_allclose(one.batch_filter(zs)[0], by_loop(two, zs)[0], rtol=1e-10, atol=1e-11)
+    assert count[0] == 0 and sum(count) == N - 2
+
+
+def test_a_fault_late_in_a_long_recording_is_named_and_undone(count):
+    kf = support.make(RobustKalmanFilter, support.cart())
+    kf.predict()
+    kf.update(0.3)
+    x, P, y = kf.x.copy(), kf.P.copy(), kf.y.copy()
+    zs = np.zeros(N)
+    zs[1200] = np.inf
+    with pytest.raises(ValueError, match="step 1200: z"):
+        kf.batch_filter(zs)
+    assert count[0] == 1200
+    for ours, before in [(kf.x, x), (kf.P, P), (kf.y, y)]:
+        np.testing.assert_array_equal(ours, before)
+
+
+class Foreign:
+    """Huber's function by somebody else."""
+
+    def __init__(self):
+        self.rho, self.psi, self.psi_deriv, self.weights = (
+            getattr(Huber(), name) for name in ("rho", "psi", "psi_deriv", "weights")
+        )
+
+
+class Quieter(RobustKalmanFilter):
+    """A subclass with an update of its own."""
+
+    def update(self, z, R=None, H=None):
+        super().update(0.5 * np.asarray(z), R, H)
+
+
+@pytest.mark.parametrize("make", [
+    lambda problem: support.make(RobustKalmanFilter, problem, influence=Foreign()),
+    lambda problem: support.make(Quieter, problem),
+])  # fmt: skip
+def test_what_the_loops_do_not_know_goes_by_the_methods(count, make):
+    one, two = make(support.cart()), make(support.cart())
+    zs = np.random.default_rng(2).normal(size=N)
+    np.testing.assert_array_equal(one.batch_filter(zs)[0], by_loop(two, zs)[0])
+    assert not count
+
+
+def test_a_custom_inverse_goes_by_the_methods(count):
+    one, two = (support.make(RobustKalmanFilter, support.cart()) for _ in range(2))
+    one.inv = two.inv = np.linalg.pinv
+    zs = np.random.default_rng(2).normal(size=N)
+    np.testing.assert_array_equal(one.batch_filter(zs)[0], by_loop(two, zs)[0])
+    assert not count
+
+
+@pytest.mark.parametrize("length", [6, N])
+def test_a_data_frame_is_read_by_its_rows(length):
+    """Its iterator gives the labels of its columns, which are numbers in a frame made from an array."""
+    pd = pytest.importorskip("pandas")
+    rng = np.random.default_rng(3)
+    zs, us = rng.normal(size=(length, 2)), rng.normal(size=(length, 1))
+    problem = support.random_problem(4, 4, 2, 1)
+    one, two = (support.make(RobustKalmanFilter, problem) for _ in range(2))
+    ours = one.batch_filter(pd.DataFrame(zs), us=pd.DataFrame(us, index=range(7, 7 + length)))
+    np.testing.assert_array_equal(ours[0], two.batch_filter(zs, us=us)[0])

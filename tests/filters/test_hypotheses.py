@@ -1,0 +1,409 @@
+"""Filters that doubt the process too: exact on small mixtures, and the guarantees of every filter here."""
+
+import copy
+import itertools
+import pickle
+
+import numpy as np
+import pytest
+from filterpy.common import Saver
+from filterpy.kalman import IMMEstimator, KalmanFilter
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal
+from support import FILTERPY_2, cart, load, make, paper_problem, random_problem, simulate, with_
+
+from robust_filterpy import Linear, OutputError, ParameterTracker, RobustKalmanFilter, StudentT
+from robust_filterpy.correction.mixture import ContaminatedScore
+from robust_filterpy.filters.gaussian_sum import NoiseMatchedKalmanFilter
+from robust_filterpy.filters.multiple_model import TwoSidedKalmanFilter
+
+NONE = ContaminatedScore(0.0)
+BOTH = {"measurement": ContaminatedScore(0.1, 10.0), "process": ContaminatedScore(0.2, 6.0)}
+KINDS = [
+    pytest.param(NoiseMatchedKalmanFilter, BOTH, id="matched"),
+    pytest.param(NoiseMatchedKalmanFilter, {**BOTH, "grouping": "component"}, id="matched-component"),
+    pytest.param(TwoSidedKalmanFilter, {}, id="two-sided"),
+    pytest.param(TwoSidedKalmanFilter, {"grouping": "joint"}, id="two-sided-joint"),
+]
+
+
+def advance(kf, zs, **call):
+    path = []
+    for z in zs:
+        kf.predict()
+        kf.update(z, **call)
+        path.append(np.ravel(kf.x).copy())
+    return np.array(path)
+
+
+def snapshot(kf):
+    return copy.deepcopy({**kf.__dict__, **{name: getattr(kf, name) for name in ("_last", "_y", "_S", "_SI")}})
+
+
+def assert_unchanged(before, kf):
+    for name, value in snapshot(kf).items():
+        if name not in {"_choices", "inv"}:
+            np.testing.assert_equal(value, before[name], err_msg=name)
+
+
+@pytest.mark.parametrize("cls, options", [
+    (NoiseMatchedKalmanFilter, {"measurement": NONE, "process": NONE}),
+    (TwoSidedKalmanFilter, {"process_scales": [1.0], "influence": Linear()}),
+    (TwoSidedKalmanFilter, {"process_scales": [1.0, 1.0], "influence": Linear(), "dwell": 5}),
+])  # fmt: skip
+@pytest.mark.parametrize("ndim", [1, 2])
+def test_equals_kalman_for_ordinary_noise(cls, options, ndim):
+    problem = random_problem(1, 4, 2, 1)
+    ours, theirs = make(cls, problem, ndim, **options), make(KalmanFilter, problem, ndim)
+    u = np.array([0.3]) if ndim == 1 else np.array([[0.3]])
+    for z in simulate(problem, 200, 1)[0]:
+        for kf in (ours, theirs):
+            kf.predict(u=u)
+            kf.update(z if ndim == 1 else z[:, None])
+        for name in ("x", "P", "y", "S", "SI", "K", "x_prior", "P_prior", "log_likelihood", "mahalanobis")[
+            : 10 if FILTERPY_2 else 9
+        ]:
+            np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=1e-8, atol=1e-10, err_msg=name)
+            assert np.shape(getattr(ours, name)) == np.shape(getattr(theirs, name)), name
+
+
+def brute_force(problem, z, both):
+    """Mean, covariance and log p(z) over the four hypotheses of one step, each by conditioning a joint normal."""
+    v, w = both["measurement"], both["process"]
+    x0 = problem.F @ problem.x[:, 0]
+    means, covs, logs = [], [], []
+    for jump, bad in itertools.product((False, True), repeat=2):
+        P = problem.F @ problem.P @ problem.F.T + problem.Q * (w.scale_ratio**2 if jump else 1)
+        R = problem.R * (v.scale_ratio**2 if bad else 1)
+        S, C, H = problem.H @ P @ problem.H.T + R, P @ problem.H.T, problem.H
+        prior = (w.contamination if jump else 1 - w.contamination) * (v.contamination if bad else 1 - v.contamination)
+        means.append(x0 + C @ np.linalg.solve(S, z - H @ x0))
+        covs.append(P - C @ np.linalg.solve(S, C.T))
+        logs.append(np.log(prior) + multivariate_normal.logpdf(z, H @ x0, S))
+    share = np.exp(logs - logsumexp(logs))
+    mean = share @ means
+    spread = sum(s * np.outer(m - mean, m - mean) for s, m in zip(share, means, strict=True))
+    return mean, np.tensordot(share, covs, 1) + spread, logsumexp(logs), share[1] + share[3], share[2] + share[3]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_one_step_is_the_exact_posterior_of_four_hypotheses(seed):
+    problem = random_problem(seed, 4, 2)
+    z = simulate(problem, 1, seed, contamination=0.5, size=6.0)[0][0]
+    mean, cov, log_likelihood, bad, jumped = brute_force(problem, z, BOTH)
+    kf = make(NoiseMatchedKalmanFilter, problem, 1, **BOTH)
+    kf.predict()
+    x, P = kf.get_update(z)
+    assert kf.log_likelihood_of(z) == pytest.approx(log_likelihood, rel=1e-9)
+    kf.update(z)
+    for found in (x, kf.x):
+        np.testing.assert_allclose(found, mean, rtol=1e-9)
+    for found in (P, kf.P):
+        np.testing.assert_allclose(found, cov, rtol=1e-8, atol=1e-10)
+    assert kf.log_likelihood == pytest.approx(log_likelihood, rel=1e-9)
+    assert kf.outlier_probability == pytest.approx(bad, rel=1e-8)
+    assert kf.jump_probability == pytest.approx(jumped, rel=1e-8)
+    # What the measurement has spoken about is over.
+    np.testing.assert_allclose(kf.get_prediction()[1], problem.F @ kf.P @ problem.F.T + problem.Q, rtol=1e-12)
+
+
+def test_with_an_ordinary_process_psi_is_the_score():
+    problem = random_problem(3, 3, 1)
+    kf = make(NoiseMatchedKalmanFilter, problem, 1)
+    for z in simulate(problem, 50, 3, contamination=0.2, size=8.0)[0]:
+        kf.predict()
+        law = kf.measurement.for_innovation(problem.H @ kf.P @ problem.H.T + problem.R, problem.R)
+        kf.update(z)
+        np.testing.assert_allclose(kf.weights, law.weights(kf.e), rtol=1e-9)
+        np.testing.assert_allclose(kf.y_bounded * kf.T[0], law.psi(kf.e), rtol=1e-8, atol=1e-12)
+        np.testing.assert_allclose(kf.x_post, kf.x_prior + kf.K @ kf.y_bounded, rtol=1e-8, atol=1e-10)
+
+
+def test_a_jump_that_nothing_denies_widens_P():
+    problem = cart()
+    a, b = make(NoiseMatchedKalmanFilter, problem, **BOTH), make(NoiseMatchedKalmanFilter, problem, **BOTH)
+    larger = BOTH["process"].variance_ratio * problem.Q
+    P = problem.P
+    for _ in range(3):
+        a.predict()
+        P_ordinary = problem.F @ P @ problem.F.T + problem.Q
+        np.testing.assert_allclose(a.P, P_ordinary)
+        P = problem.F @ P @ problem.F.T + larger
+        b.predict()
+        np.testing.assert_allclose(b.get_update(None)[1], P)
+        b.update(None)
+        np.testing.assert_allclose(b.P, P)
+        assert b.log_likelihood == 0.0
+    a.update(None)
+    np.testing.assert_allclose(a.P, P)
+
+
+@pytest.mark.parametrize("cls, options", KINDS)
+def test_correction_is_bounded_and_P_positive_definite(cls, options):
+    problem = random_problem(8, 4, 2)
+    rng = np.random.default_rng(8)
+    kf = make(cls, problem, 1, **options)
+    for z in simulate(problem, 300, 8)[0]:
+        bad = rng.random(2) < 0.3
+        kf.predict()
+        kf.update(np.where(bad, rng.choice([-1, 1], 2) * 10.0 ** rng.uniform(0, 300, 2), z))
+        assert np.isfinite(kf.x).all() and np.abs(kf.x).max() < 1e3 and np.isfinite(kf.log_likelihood)
+        assert np.linalg.eigvalsh(kf.P)[0] > 0 and np.abs(kf.P - kf.P.T).max() < 1e-12 * np.abs(kf.P).max()
+
+
+@pytest.mark.parametrize("cls, options", KINDS)
+def test_missing_component_is_a_measurement_without_it(cls, options):
+    problem = random_problem(9, 4, 2)
+    zs = simulate(problem, 30, 9, contamination=0.2)[0]
+    whole, part = make(cls, problem, 1, **options), make(cls, problem, 1, **options)
+    for k, z in enumerate(zs):
+        whole.predict(), part.predict()
+        whole.update([z[0], np.nan])
+        part.update(z[:1], R=problem.R[:1, :1], H=problem.H[:1])
+        np.testing.assert_allclose(whole.x, part.x, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(whole.P, part.P, rtol=1e-8, atol=1e-12)
+        assert whole.log_likelihood == pytest.approx(part.log_likelihood), k
+        assert np.isnan(whole.weights[1])
+
+
+@pytest.mark.parametrize("cls, options", KINDS)
+@pytest.mark.parametrize("call", [
+    lambda kf: kf.update([1.0, 2.0, 3.0]),
+    lambda kf: kf.update([np.inf, 0.0]),
+    lambda kf: kf.update([1.0, 2.0], R=np.eye(3)),
+    lambda kf: kf.predict(F=np.eye(3)),
+    lambda kf: kf.predict(Q=np.full((4, 4), np.nan)),
+    lambda kf: kf.batch_filter([[1.0, 2.0], [3.0, 4.0], [5.0]]),
+    lambda kf: kf.update_sequential(0, [1.0, 2.0, 3.0]),
+    lambda kf: setattr(kf, "grouping", "all"),
+], ids=range(8))  # fmt: skip
+def test_a_refused_call_changes_nothing(cls, options, call):
+    problem = random_problem(2, 4, 2)
+    kf = make(cls, problem, 1, **options)
+    advance(kf, simulate(problem, 5, 2)[0])
+    kf.predict()
+    before = snapshot(kf)
+    with pytest.raises((ValueError, TypeError)):
+        call(kf)
+    assert_unchanged(before, kf)
+
+
+@pytest.mark.parametrize("cls, options", KINDS)
+def test_looking_changes_nothing(cls, options):
+    problem = random_problem(2, 4, 2)
+    kf = make(cls, problem, 1, **options)
+    zs = simulate(problem, 6, 2, contamination=0.5)[0]
+    advance(kf, zs[:5])
+    kf.predict()
+    _ = kf.log_likelihood, kf.likelihood, kf.y, kf.S, kf.SI, kf.mahalanobis
+    before = snapshot(kf)
+    kf.get_prediction(), kf.get_update(zs[5]), kf.get_update(None), kf.log_likelihood_of(zs[5]), repr(kf)
+    assert_unchanged(before, kf)
+    x, P = kf.get_update(zs[5])
+    kf.update(zs[5])
+    np.testing.assert_array_equal(kf.x, x)
+    np.testing.assert_array_equal(kf.P, P)
+    x, P = kf.get_prediction()
+    kf.predict()
+    np.testing.assert_array_equal(kf.x, x)
+    np.testing.assert_array_equal(kf.P, P)
+
+
+@pytest.mark.parametrize("cls, options", KINDS)
+def test_copies_continue_bit_for_bit(cls, options):
+    problem = random_problem(4, 4, 2)
+    zs = simulate(problem, 40, 4, contamination=0.2)[0]
+    kf = make(cls, problem, **options)
+    advance(kf, zs[:20])
+    twins = [copy.copy(kf), copy.deepcopy(kf), pickle.loads(pickle.dumps(kf))]
+    expected = advance(kf, zs[20:])
+    for twin in twins:
+        np.testing.assert_array_equal(advance(twin, zs[20:]), expected)
+
+
+@pytest.mark.parametrize("cls, options", KINDS)
+def test_batch_saver_and_columns(cls, options):
+    problem = random_problem(5, 3, 2)
+    zs = [*simulate(problem, 15, 5, contamination=0.2)[0], None]
+    loop, batch = make(cls, problem, 1, **options), make(cls, problem, 2, **options)
+    expected = advance(loop, zs)
+    saver = Saver(batch)
+    means, _, _, _ = batch.batch_filter(zs, saver=saver)
+    np.testing.assert_allclose(means[:, :, 0], expected, rtol=1e-12, atol=1e-14)
+    saver.to_array()
+    assert saver.x.shape == (16, 3, 1)
+    assert repr(batch).startswith(cls.__name__)
+
+
+@pytest.mark.parametrize("cls, options", KINDS)
+def test_correlated_noise_scales_with_the_outlier(cls, options):
+    problem = random_problem(6, 4, 2)
+    kf = make(cls, problem, 1, **options)
+    for z in simulate(problem, 50, 6, contamination=0.2)[0]:
+        kf.predict()
+        kf.update_correlated(z)
+        assert np.linalg.eigvalsh(kf.P)[0] > 0
+
+
+def test_correlated_noise_equals_kalman_for_ordinary_noise():
+    if not FILTERPY_2:
+        pytest.skip("1.4.5 has M of the wrong shape")
+    problem = random_problem(6, 4, 2)
+    ours = make(NoiseMatchedKalmanFilter, problem, measurement=NONE)
+    theirs = make(KalmanFilter, problem)
+    for z in simulate(problem, 50, 6)[0]:
+        for kf in (ours, theirs):
+            kf.predict()
+            kf.update_correlated(z[:, None])
+        np.testing.assert_allclose(ours.x, theirs.x, rtol=1e-9)
+        np.testing.assert_allclose(ours.P, theirs.P, rtol=1e-8, atol=1e-10)
+
+
+@pytest.mark.parametrize("cls, options", KINDS)
+def test_every_path_that_corrects_is_robust(cls, options):
+    problem = with_(paper_problem(), H=np.eye(2, 4), R=0.1 * np.eye(2))
+    zs = np.random.default_rng(0).normal(size=(30, 2)) * 0.3
+    for path in ("update", "sequential", "steady"):
+        kf = make(cls, problem, 1, **options)
+        advance(kf, zs)
+        if path == "steady":
+            kf.predict_steadystate()
+            before = kf.x.copy()
+            kf.update_steadystate([1e6, 0.0])
+        else:
+            kf.predict()
+            before = kf.x.copy()
+            kf.update([1e6, 0.0]) if path == "update" else kf.update_sequential(0, [1e6])
+        assert 0 <= np.abs(kf.x - before).max() < 2.0, path
+        assert np.isfinite(kf.log_likelihood)
+
+
+def test_two_sided_starts_over_from_an_assigned_state():
+    problem = cart()
+    kf = make(TwoSidedKalmanFilter, problem, 1)
+    advance(kf, simulate(problem, 30, 0)[0])
+    kf.x[0] += 50.0
+    x = kf.x.copy()
+    np.testing.assert_allclose(kf.get_prediction()[0], problem.F @ x)
+    kf.P = 3.0 * np.eye(2)
+    kf.predict()
+    np.testing.assert_allclose(kf.x, problem.F @ x)
+    scales = kf.process_probabilities @ kf.process_scales
+    np.testing.assert_allclose(kf.P, 3.0 * problem.F @ problem.F.T + scales * problem.Q)
+
+
+def test_two_sided_with_a_linear_psi_is_filterpys_interacting_multiple_models():
+    problem, scales, dwell = cart(), (1.0, 30.0, 100.0), 8.0
+    ours = make(TwoSidedKalmanFilter, problem, process_scales=scales, dwell=dwell, influence=Linear())
+    moves = np.full((3, 3), 0.5 / dwell) + (1 - 1.5 / dwell) * np.eye(3)
+    bank = [make(KalmanFilter, with_(problem, Q=s * problem.Q)) for s in scales]
+    theirs = IMMEstimator(bank, ours.process_probabilities, moves)
+    for z in simulate(with_(problem, Q=9 * problem.Q), 60, 2)[0]:
+        # Only after the update: what theirs shows between the two weighs the models by their old probabilities.
+        ours.predict(), theirs.predict()
+        ours.update(z), theirs.update(z)
+        np.testing.assert_allclose(ours.process_probabilities, theirs.mu, rtol=1e-8)
+        np.testing.assert_allclose(ours.x, theirs.x, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(ours.P, theirs.P, rtol=1e-8)
+
+
+def test_two_sided_probabilities_name_the_scale_of_the_process():
+    problem = cart()
+    for scale in (1.0, 100.0):
+        kf = make(TwoSidedKalmanFilter, problem, 1)
+        zs = simulate(with_(problem, Q=scale * problem.Q), 400, 3)[0]
+        advance(kf, zs)
+        assert kf.process_probabilities[list(kf.process_scales).index(scale)] > 0.5
+        assert kf.process_probabilities.sum() == pytest.approx(1.0)
+
+
+def test_an_imm_of_these_filters_runs():
+    problem = cart()
+    zs = simulate(problem, 40, 1, contamination=0.1)[0]
+    for cls, options in ((NoiseMatchedKalmanFilter, BOTH), (TwoSidedKalmanFilter, {})):
+        pair = [make(cls, with_(problem, Q=q * problem.Q), 1, **options) for q in (1, 50)]
+        imm = IMMEstimator(pair, [0.5, 0.5], np.array([[0.95, 0.05], [0.05, 0.95]]))
+        for z in zs:
+            imm.predict()
+            imm.update(z)
+        assert np.isfinite(imm.x).all() and imm.mu.sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("make_it, error", [
+    (lambda: NoiseMatchedKalmanFilter(2, 1, measurement=0.1), TypeError),
+    (lambda: NoiseMatchedKalmanFilter(2, 1, process=StudentT()), TypeError),
+    (lambda: NoiseMatchedKalmanFilter(2, 9, grouping="component"), ValueError),
+    (lambda: TwoSidedKalmanFilter(2, 1, process_scales=[]), ValueError),
+    (lambda: TwoSidedKalmanFilter(2, 1, process_scales=[1.0, -1.0]), ValueError),
+    (lambda: TwoSidedKalmanFilter(2, 1, dwell=1.0), ValueError),
+    (lambda: setattr(NoiseMatchedKalmanFilter(2, 1), "scaling", "unit"), AttributeError),
+], ids=range(7))  # fmt: skip
+def test_bad_options_are_refused(make_it, error):
+    with pytest.raises(error):
+        make_it()
+
+
+def test_a_tracker_around_the_two_sided_filter_follows_a_parameter_that_jumps():
+    rng = np.random.default_rng(0)
+    n = 1000
+    a, u, y = np.where(np.arange(n) < 500, 0.5, -0.3), rng.choice([-1.0, 1.0], n), np.zeros(n)
+    for k in range(1, n):
+        y[k] = a[k] * y[k - 1] + u[k - 1]
+    y += 0.1 * rng.normal(size=n) * np.where(rng.random(n) < 0.1, 10, 1)
+    error = {}
+    for cls in (RobustKalmanFilter, TwoSidedKalmanFilter):
+        tracker = ParameterTracker(OutputError(1, 1), filter=cls, P=1.0, Q=1e-6 * np.eye(2), R=0.01)
+        theta = tracker.run(y, u).theta
+        error[cls] = np.abs(theta - np.column_stack([-a, np.ones(n)])).sum(axis=1)
+    # Before the jump as good, long after it far better.
+    assert error[TwoSidedKalmanFilter][200:500].mean() < 1.2 * error[RobustKalmanFilter][200:500].mean()
+    assert error[TwoSidedKalmanFilter][700:].mean() < 0.2 * error[RobustKalmanFilter][700:].mean()
+
+
+def yang_boyd(seed, process=0.1, n=1000):
+    """The vehicle of Yang and Boyd 2025, eqs of their section 5: measured position, drag, gusts."""
+    h, gamma = 0.05, 0.05
+    d = h * (1 - 0.5 * gamma * h)
+    F = np.block([[np.eye(2), d * np.eye(2)], [np.zeros((2, 2)), (1 - gamma * h) * np.eye(2)]])
+    B = np.vstack([0.5 * h * h * np.eye(2), h * np.eye(2)])
+    problem = with_(cart(), x=np.array([[0], [0], [5], [5.0]]), P=np.eye(4), F=F, H=np.eye(2, 4), Q=10 * B @ B.T,
+                    R=5 * np.eye(2), M=np.zeros((4, 2)))  # fmt: skip
+    rng = np.random.default_rng(seed)
+    w = 10**0.5 * rng.normal(size=(n, 2)) * np.where(rng.random(n) < process, 10, 1)[:, None]
+    v = 5**0.5 * rng.normal(size=(n, 2)) * np.where(rng.random(n) < 0.1, 10, 1)[:, None]
+    x, truth = problem.x[:, 0], np.empty((n, 4))
+    for k in range(n):
+        x = truth[k] = F @ x + B @ w[k]
+    return problem, truth, truth[:, :2] + v
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("process", [0.1, 0.0])
+def test_vehicle_of_yang_and_boyd(process):
+    """The benchmark's targets, with room for eight seeds instead of many."""
+    kinds = {
+        "kalman": lambda p: make(KalmanFilter, p, 1),
+        "one-sided": lambda p: make(RobustKalmanFilter, p, 1, grouping="joint"),
+        "matched": lambda p: make(
+            NoiseMatchedKalmanFilter, p, 1, process=ContaminatedScore(process, 10.0), measurement=BOTH["measurement"]
+        ),
+        "two-sided": lambda p: make(TwoSidedKalmanFilter, p, 1, grouping="joint"),
+    }
+    rmse = {name: [] for name in kinds}
+    for seed in range(8):
+        problem, truth, zs = yang_boyd(100 + seed, process)
+        for name, build in kinds.items():
+            error = advance(build(problem), zs) - truth
+            rmse[name].append(np.sqrt((error**2).sum(axis=1).mean()))
+    mean = {name: np.mean(values) for name, values in rmse.items()}
+    if process:
+        assert mean["matched"] < 0.68 * mean["kalman"] and mean["two-sided"] < 0.72 * mean["kalman"]
+    else:
+        assert mean["matched"] < 1.02 * mean["one-sided"] and mean["two-sided"] < 1.02 * mean["one-sided"]
+
+
+def test_load_is_what_the_filters_were_given():
+    """The helper sets F, H, Q, R before the first predict; the copies must follow an x assigned afterwards."""
+    problem = random_problem(0, 3, 1)
+    kf = load(TwoSidedKalmanFilter(3, 1), problem, 1)
+    np.testing.assert_allclose(kf.get_prediction()[0], problem.F @ problem.x[:, 0])

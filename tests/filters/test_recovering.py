@@ -1,0 +1,170 @@
+"""Lock-out and capture: what a run of outliers must not do, and a true jump must."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+from filterpy.common import Saver
+from filterpy.kalman import KalmanFilter
+from statsmodels.robust.norms import TrimmedMean
+from support import make, random_problem, simulate, with_
+
+from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, TukeyBiweight
+from robust_filterpy.filters.recovering import RecoveringKalmanFilter
+
+pytestmark = pytest.mark.core
+
+
+def level(cls=RecoveringKalmanFilter, **options):
+    kf = cls(1, 1, **options)
+    kf.x, kf.P, kf.F, kf.H, kf.Q, kf.R = np.zeros(1), 0.1 * np.eye(1), np.eye(1), np.eye(1), 0.01 * np.eye(1), np.eye(1)
+    return kf
+
+
+def recording(seed, jump=0.0, run=0, size=0.0, n=150, at=50):
+    rng = np.random.default_rng(seed)
+    x = 0.1 * np.cumsum(rng.normal(size=n))
+    x[at:] += jump
+    v = rng.normal(size=n)
+    v[at : at + run] += size
+    return x, x + v
+
+
+def advance(kf, zs):
+    path = []
+    for z in zs:
+        kf.predict()
+        kf.update(z)
+        path.append(np.ravel(kf.x).copy())
+    return np.squeeze(path)
+
+
+@pytest.mark.parametrize("influence", [TukeyBiweight(), Hampel(), TrimmedMean(3.0), Huber()], ids=repr)
+@pytest.mark.parametrize("jump", [6.0, -10.0, 30.0, 100.0, 1e6])
+def test_every_true_jump_is_followed(influence, jump):
+    for seed in range(8):
+        x, zs = recording(seed, jump)
+        kf = level(influence=influence)
+        path = advance(kf, zs)
+        assert np.abs(path - x)[-30:].mean() < max(1.0, 1e-12 * abs(jump)), (jump, seed)
+        if abs(jump) >= 30:
+            # The delay that is stated: patience and a few.
+            assert kf.recoveries == 1
+            assert np.abs(path - x)[50 + kf.patience + 10 :].max() < max(2.5, 1e-12 * abs(jump))
+
+
+def test_without_recovery_a_redescending_psi_locks_out():
+    x, zs = recording(0, 30.0)
+    assert np.abs(advance(level(RobustKalmanFilter, influence=TukeyBiweight()), zs) - x)[-1] > 25
+
+
+@pytest.mark.parametrize("size", [4.0, -8.0, 30.0, 1e6])
+@pytest.mark.parametrize("run", [1, 5, 10, 11])
+def test_a_run_shorter_than_the_patience_does_not_capture(run, size):
+    peaks, plain = [], []
+    for seed in range(10):
+        x, zs = recording(seed, run=run, size=size)
+        kf = level()
+        peaks.append(np.abs(advance(kf, zs) - x)[50:].max())
+        plain.append(np.abs(advance(level(RobustKalmanFilter, influence=TukeyBiweight()), zs) - x)[50:].max())
+        assert kf.recoveries == 0
+    assert np.mean(peaks) < 2.0
+    # Until it recovers it is the same filter.
+    np.testing.assert_array_equal(peaks, plain)
+
+
+def test_scattered_outliers_never_insist():
+    rng = np.random.default_rng(3)
+    kf = level()
+    advance(kf, rng.normal(size=20))
+    advance(kf, rng.choice([-1, 1], 200) * rng.uniform(20, 1000, 200))
+    assert kf.recoveries == 0
+
+
+@pytest.mark.parametrize("size", [1e10, 1e200, 1.7e308])
+def test_what_insists_from_too_far_is_no_state(size):
+    kf = level()
+    advance(kf, [*np.zeros(20), *np.full(40, size)])
+    assert kf.recoveries == 0 and abs(kf.x[0]) < 1 and kf.P[0, 0] < 1
+
+
+def test_patience_is_the_number_of_refused_measurements():
+    for patience in (2, 5, 20):
+        kf = level(patience=patience)
+        advance(kf, np.zeros(30))
+        advance(kf, np.full(patience - 1, 40.0))
+        assert kf.recoveries == 0 and kf.refused == patience - 1
+        advance(kf, [40.0])
+        assert kf.recoveries == 1 and kf.refused == 0
+        P = kf.P[0, 0]
+        assert P == pytest.approx(9 * 1600)
+        advance(kf, [40.0])
+        assert abs(kf.x[0] - 40.0) < 0.5
+
+
+def test_a_vector_jump_and_missing_components():
+    problem = with_(random_problem(4, 3, 2), F=np.eye(3), H=np.eye(2, 3), Q=0.01 * np.eye(3), R=np.eye(2))
+    for grouping in ("component", "joint"):
+        kf = make(RecoveringKalmanFilter, problem, grouping=grouping)
+        zs = np.random.default_rng(0).normal(size=(100, 2))
+        zs[50:] += [0.0, 60.0]
+        zs[55, 1], zs[60] = np.nan, np.nan
+        advance(kf, zs)
+        assert abs(kf.x[1, 0] - 60.0) < 2 and abs(kf.x[0, 0]) < 2 and kf.recoveries >= 1
+
+
+def test_equals_kalman_while_nothing_is_refused():
+    problem = random_problem(5, 4, 2)
+    ours, theirs = make(RecoveringKalmanFilter, problem, influence=Linear()), make(KalmanFilter, problem)
+    for z in simulate(problem, 200, 5)[0]:
+        for kf in (ours, theirs):
+            kf.predict()
+            kf.update(z[:, None])
+        np.testing.assert_allclose(ours.x, theirs.x, rtol=1e-10)
+        np.testing.assert_allclose(ours.P, theirs.P, rtol=1e-10)
+
+
+@pytest.mark.parametrize("scaling", ["innovation", "bounded"])
+@pytest.mark.parametrize("information", ["realized", "expected", "weight"])
+def test_recovers_with_every_choice(scaling, information):
+    x, zs = recording(1, 50.0)
+    kf = level(scaling=scaling, information=information)
+    assert np.abs(advance(kf, zs) - x)[-20:].mean() < 1.0
+
+
+def test_copies_saver_batch_and_refusal():
+    _, zs = recording(2, 50.0)
+    kf = level()
+    advance(kf, zs[:56])
+    assert kf.refused > 2
+    twins = [copy.deepcopy(kf), pickle.loads(pickle.dumps(kf))]
+    before = copy.deepcopy(kf.__dict__)
+    for bad in ([1.0, 2.0], np.inf):
+        with pytest.raises(ValueError):
+            kf.update(bad)
+    with pytest.raises(ValueError):
+        kf.batch_filter([*zs[56:], [1.0, 2.0]])
+    for name, value in before.items():
+        if name not in {"_choices", "inv"}:
+            np.testing.assert_equal(kf.__dict__[name], value)
+    saver = Saver(kf)
+    means = kf.batch_filter(zs[56:], saver=saver)[0]
+    saver.to_array()
+    assert saver.recoveries[-1] == 1
+    for twin in twins:
+        np.testing.assert_array_equal(advance(twin, zs[56:]), means[:, 0])
+
+
+def test_a_long_recording_recovers_too():
+    """However batch_filter goes through a long recording, it must watch every sample."""
+    _, zs = recording(3, 50.0, n=3000, at=1500)
+    online, batch = level(), level()
+    np.testing.assert_allclose(batch.batch_filter(zs)[0][:, 0], advance(online, zs), rtol=1e-10, atol=1e-12)
+    assert batch.recoveries == online.recoveries == 1
+
+
+@pytest.mark.parametrize("patience", [1, 0, 2.5, True, "a"])
+def test_bad_patience_is_refused(patience):
+    with pytest.raises((ValueError, TypeError), match="patience"):
+        RecoveringKalmanFilter(1, 1, patience=patience)

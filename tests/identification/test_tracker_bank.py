@@ -1,0 +1,798 @@
+"""A bank of trackers is a loop over trackers."""
+
+import io
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robust_filterpy import Hampel, Huber, Linear, StudentT, TukeyBiweight
+from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError, ParameterTracker, TrackerBank
+from robust_filterpy.identification._bank_steps import (
+    all_bounded,
+    all_repaired,
+    all_restrained,
+    all_tempering,
+    are_stable,
+)
+from robust_filterpy.identification._conditioning import SHARP, repaired, tempering
+from robust_filterpy.identification._regressor import bounded
+from robust_filterpy.identification.guard import GUARDS, is_stable, restrained
+from robust_filterpy.identification.tracker import GRADIENTS
+from robust_filterpy.noise import EpsilonContaminated
+from robust_filterpy.plants import simulate_output_error
+
+N, LENGTH = 5, 90
+PLANTS = np.array([-1.5, 0.7, 1.0, 0.5]) * np.linspace(0.7, 1.0, N)[:, None] ** [1, 2, 1, 1]
+STRUCTURES = [
+    ARX(2, 2),
+    ARX(2, 0),
+    ARX(1, 2, nk=3),
+    ARX(2, (1, 0, 2), nk=(0, 1, 2)),
+    OutputError(2, 2),
+    OutputError(4, 4),
+    OutputError(1, (2, 1), nk=(1, 0)),
+    OutputError(0, 3),
+    ARMAX(2, 2, 2),
+    ARMAX(0, 1, 1),
+    ARMAX(1, 0, 2),
+    FIR(6),
+    FIR(2, nk=0),
+    LinearRegression(3),
+]
+
+
+def recording(structure, seed=1, missing=True):
+    """Contaminated recordings of N plants, with gaps: y (LENGTH, N) and u (LENGTH, N, n_inputs)."""
+    rng = np.random.default_rng(seed)
+    u = rng.choice([-1.0, 1.0], (LENGTH, N, max(structure.n_inputs, 1)))
+    noise = EpsilonContaminated(0.1, 0.5, 5.0)
+    plants = [simulate_output_error(PLANTS[i], u[:, i, 0], noise=noise, rng=rng, na=2, nb=2) for i in range(N)]
+    y = np.column_stack([plant.y for plant in plants])
+    if missing:
+        y[rng.random(y.shape) < 0.1] = np.nan
+        y[30] = np.nan
+    return y, u[:, :, : structure.n_inputs]
+
+
+#: What has a leading axis of actuators when each has its own, by the number of axes it then has.
+AXES = {"theta": (2,), "P": (1, 3), "Q": (1, 3), "R": (1,), "F": (3,), "forgetting": (1,)}
+
+
+def of(options, i):
+    """The options of actuator i."""
+    own = {}
+    for name, value in options.items():
+        shared = not isinstance(value, list) and not (name in AXES and np.ndim(value) in AXES[name])
+        own[name] = value if shared else value[i]
+    return own
+
+
+def loop_over(structure, y, u, **options):
+    """The trackers of a loop and their results, stacked as (N, n, ..)."""
+    trackers = [ParameterTracker(structure, **of(options, i)) for i in range(y.shape[1])]
+    results = [tracker.run(y[:, i], u[:, i]) for i, tracker in enumerate(trackers)]
+    return trackers, [np.stack(column, axis=1) for column in zip(*results, strict=True)]
+
+
+def close(ours, theirs, rtol=1e-10):
+    """Hold arrays together, relative to the largest entry."""
+    for a, b in zip(ours, theirs, strict=True):
+        a, b = np.asarray(a), np.asarray(b)
+        scale = np.abs(b[np.isfinite(b)]).max(initial=0.0) if b.size else 0.0
+        np.testing.assert_allclose(a, b, rtol=rtol, atol=rtol * min(scale, 1.0) + 1e-300)
+
+
+def same(ours, theirs):
+    """Hold arrays together, to the last bit."""
+    for a, b in zip(ours, theirs, strict=True):
+        np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
+
+
+def assert_is_the_loop(structure, y, u, **options):
+    """Run both, hold all columns and the final state together, return the loop's columns.
+
+    From P = 1 I: from 100 I rounding grows to 5e-10 in an output-error model, in a loop against itself, too.
+    """
+    options.setdefault("P", 1.0)
+    trackers, expected = loop_over(structure, y, u, **options)
+    bank = TrackerBank(y.shape[1], structure, **options)
+    close(bank.run(y, u)[:6], expected)
+    close([bank.theta, bank.P], zip(*((t.theta, t.P) for t in trackers), strict=True))
+    state = [tracker.state() for tracker in trackers]
+    for name in ("outputs", "inputs", "residuals", "gradients"):
+        close([bank.state()[name]], [np.stack([s[name] for s in state])])
+    return expected
+
+
+# The loop is the definition
+
+
+@pytest.mark.parametrize(
+    ("structure", "gradient", "guard"),
+    [
+        (structure, gradient, guard)
+        for structure in STRUCTURES
+        for gradient in GRADIENTS
+        for guard in GUARDS
+        # The other structures have no feedback for which this could make a difference.
+        if structure.feeds_back or (gradient, guard) == ("filtered", "halve")
+    ],
+    ids=str,
+)
+def test_bank_is_the_loop(structure, gradient, guard):
+    y, u = recording(structure)
+    assert_is_the_loop(structure, y, u, gradient=gradient, guard=guard, R=0.25, Q=1e-4)
+
+
+@pytest.mark.parametrize("information", ["realized", "expected", "weight"])
+@pytest.mark.parametrize("scaling", ["innovation", "unit", "bounded"])
+@pytest.mark.parametrize(
+    "influence", [Huber(), Linear(), Hampel(), TukeyBiweight(), StudentT()], ids=lambda f: type(f).__name__
+)
+def test_bank_is_the_loop_for_every_choice(influence, scaling, information):
+    choices = {"influence": influence, "scaling": scaling, "information": information}
+    for structure in (ARX(2, 2), OutputError(2, 2)):
+        y, u = recording(structure)
+        # Small units, in which "unit" is a filter.
+        assert_is_the_loop(structure, 0.01 * y, 0.01 * u, P=1.0, R=0.25, **choices)
+
+
+def test_bank_is_the_loop_for_the_influence_functions_of_statsmodels():
+    norms = pytest.importorskip("statsmodels.robust.norms")
+    y, u = recording(OutputError(2, 2))
+    assert_is_the_loop(OutputError(2, 2), y, u, influence=norms.TrimmedMean(2.0), R=0.25)
+
+
+@pytest.mark.parametrize("structure", [ARX(2, 2), OutputError(2, 2), ARMAX(1, 1, 1)], ids=str)
+def test_each_actuator_may_have_its_own_options(structure):
+    rng, n = np.random.default_rng(4), structure.n_theta
+    factors = 0.1 * rng.normal(size=(N, n, n))
+    options = {
+        "theta": 0.1 * rng.normal(size=(N, n)),
+        "P": np.linspace(0.5, 3.0, N),
+        "Q": 1e-3 * factors @ factors.transpose(0, 2, 1),
+        "R": np.linspace(0.1, 0.5, N),
+        "F": np.eye(n) * np.linspace(0.98, 1.0, N)[:, None, None],
+        "forgetting": np.array([1.0, 0.9, 0.95, 0.99, 1.0]),
+        "gradient": ["filtered", "pseudolinear", "filtered", "pseudolinear", "filtered"],
+        "guard": ["halve", "reject", "none", "halve", "none"],
+        "influence": [Huber(), Huber(2.0), Huber(), Hampel(), Linear()],
+        "scaling": ["innovation", "bounded", "innovation", "innovation", "bounded"],
+        "information": ["realized", "expected", "realized", "weight", "realized"],
+    }
+    y, u = recording(structure)
+    assert_is_the_loop(structure, y, u, **options)
+    for name, value in options.items():
+        assert_is_the_loop(structure, y, u, **{name: value})
+
+
+def test_options_may_be_arrays_without_axes():
+    structure = OutputError(2, 2)
+    y, u = recording(structure)
+    options = {"guard": "reject", "gradient": "pseudolinear", "scaling": "bounded", "influence": Huber(2.0)}
+    arrays = {name: np.array(value) for name, value in options.items()}
+    same(TrackerBank(N, structure, **arrays).run(y, u), TrackerBank(N, structure, **options).run(y, u))
+
+
+def test_options_may_be_shared():
+    structure = OutputError(2, 2)
+    y, u = recording(structure)
+    F = np.array([[0.99, 0.01, 0, 0], [0, 1, 0, 0], [0, 0, 0.98, 0], [0, 0, 0.01, 1]])
+    options = {"theta": [0.1, 0.0, 0.5, 0.5], "P": np.diag([1.0, 2.0, 3.0, 4.0]), "Q": 1e-4 * np.eye(4), "F": F}
+    trackers = [ParameterTracker(structure, **options, forgetting=0.98) for _ in range(N)]
+    expected = [np.stack(c, axis=1) for c in zip(*(t.run(y[:, i], u[:, i]) for i, t in enumerate(trackers)))]  # noqa: B905
+    close(TrackerBank(N, structure, **options, forgetting=0.98).run(y, u)[:6], expected)
+
+
+def test_guard_works_in_the_bank_as_in_the_loop():
+    structure = OutputError(2, 2)
+    y, u = recording(structure, missing=False)
+    for guard, event in (("halve", 1), ("reject", -1)):
+        # P and Q so large that theta is thrown about.
+        expected = assert_is_the_loop(structure, y, u, guard=guard, P=1e3, Q=1.0, gradient="pseudolinear", R=0.25)
+        assert (expected[5] == event).sum() > 5
+
+
+def assert_steps_are_the_loop(structure, y, u, **options):
+    """Hold every single step together, from the same start; return how often P was larger than it began.
+
+    Where a sample tells 1e6 times more than P, rounding in P is that much larger in the direction that matters next
+    (a tracker whose P is off by the last bit drifts from itself as far), so that recordings part but steps do not.
+    """
+    bank, grown = TrackerBank(y.shape[1], structure, **options), 0
+    trackers, signals = [bank.tracker(i) for i in range(bank.n)], ("outputs", "inputs", "gradients", "residuals")
+    for k in range(len(y)):
+        before = bank.state()
+        grown += (before["P"].max(axis=(1, 2)) > 1.01 * 100.0).sum()
+        sample = bank.update(y[k], u[k])
+        after = bank.state()
+        for i, tracker in enumerate(trackers):
+            own = {name: before[name][i] for name in ("theta", "P", "enabled", *signals)}
+            tracker.restore(own)
+            prediction, residual, weight, guard = tracker.update(y[k, i], u[k, i])
+            expected = tracker.state()
+            np.testing.assert_allclose(sample.weights[i], weight, rtol=0, atol=1e-9)
+            assert sample.guard[i] == guard
+            close([after["theta"][i]], [expected["theta"]], rtol=1e-9)
+            np.testing.assert_allclose(after["P"][i], expected["P"], rtol=0, atol=1e-7 * np.abs(own["P"]).max())
+            largest = max(1.0, *(np.abs(own[name]).max(initial=0.0) for name in signals), np.nan_to_num(abs(y[k, i])))
+            pairs = [(after[name][i], expected[name]) for name in signals]
+            for found, wanted in [*pairs, (sample.prediction[i], prediction), (sample.residual[i], residual)]:
+                np.testing.assert_allclose(found, wanted, rtol=1e-10, atol=1e-10 * largest)
+    return grown
+
+
+@pytest.mark.parametrize("gradient", ["filtered", "pseudolinear"])
+@pytest.mark.parametrize("structure", [ARX(2, 2), ARMAX(2, 2, 1), OutputError(2, 2), FIR(2)], ids=str)
+@pytest.mark.parametrize("spike", [1e8, 1e12, 1e40, 1e300])
+def test_a_spike_in_phi_is_tempered_as_in_the_loop(structure, gradient, spike):
+    y, u = recording(structure)
+    y, u = y[15:60, 1:4].copy(), u[15:60, 1:4].copy()
+    y[20, 0], y[30, 2], u[25, 1] = spike, -spike, min(spike, 1e90)
+    assert_steps_are_the_loop(structure, y, u, gradient=gradient, R=0.25)
+    if isinstance(structure, (ARX, FIR)):
+        assert_is_the_loop(structure, y, u, gradient=gradient, R=0.25)
+
+
+@pytest.mark.parametrize("structure", [FIR(2), OutputError(1, 1), ARX(2, 1)], ids=str)
+def test_forgetting_without_excitation_winds_up_as_far_as_in_the_loop(structure):
+    y, u = recording(structure)
+    quiet_y, quiet_u = np.zeros((120, N)), np.zeros((120, N, 1))
+    options = {
+        "forgetting": np.array([0.5, 0.9, 1.0, 0.95, 0.8]),
+        "Q": np.array([0.0, 1e-3, 0.0, 1e-3, 0.0]),
+        "R": 0.25,
+    }
+    expected = assert_is_the_loop(structure, quiet_y, quiet_u, **options)
+    assert expected[1][-1, 0].max() > 1e4 and np.ptp(expected[1][-20:, 0]) == 0.0
+    y, u = np.concatenate([quiet_y, y[:30]]), np.concatenate([quiet_u, u[:30]])
+    assert assert_steps_are_the_loop(structure, y, u, **options) > 100
+
+
+# One sample or a recording, kept or not
+
+
+@pytest.mark.parametrize("structure", STRUCTURES, ids=str)
+def test_run_gives_the_numbers_of_update(structure):
+    y, u = recording(structure)
+    one, other = (TrackerBank(N, structure, R=0.25, Q=1e-4) for _ in range(2))
+    result = one.run(y, u)
+    rows = [(other.update(y[k], u[k]), other.theta, other.std) for k in range(LENGTH)]
+    samples, theta, std = zip(*rows, strict=True)
+    same(result[:6], (theta, std, *zip(*samples, strict=True)))
+    same(one.state().values(), other.state().values())
+
+
+def test_result_has_an_axis_for_samples_and_one_for_actuators():
+    structure = OutputError(2, 2)
+    y, u = recording(structure)
+    result = TrackerBank(N, structure, R=0.25).run(y, u)
+    assert result.theta.shape == result.std.shape == (LENGTH, N, 4)
+    assert result.prediction.shape == result.residual.shape == result.weights.shape == result.guard.shape == (LENGTH, N)
+    assert result.guard.dtype.kind == "i"
+    same([result.sample], [np.arange(LENGTH)])
+    alone = result.tracker(2)
+    same(alone, [column[:, 2] for column in result[:6]])
+    lower, upper = result.confidence_intervals(0.9)
+    same(alone.confidence_intervals(0.9), (lower[:, 2], upper[:, 2]))
+
+
+def test_what_is_not_kept_changes_nothing():
+    structure = OutputError(2, 2)
+    y, u = recording(structure)
+    whole = TrackerBank(N, structure).run(y, u)
+    for keep, samples in (("last", [LENGTH - 1]), (7, np.arange(6, LENGTH, 7)), (1, range(LENGTH)), (LENGTH + 1, [])):
+        some = TrackerBank(N, structure).run(y, u, keep=keep)
+        same(some, [column[list(samples)] for column in whole])
+    for keep in ("none", 0, 2.5):
+        with pytest.raises((ValueError, TypeError), match="keep: expected"):
+            TrackerBank(N, structure).run(y, u, keep=keep)
+
+
+def test_an_input_may_be_shared_by_all():
+    y, u = recording(ARX(2, 2))
+    one, two = ARX(2, 2), ARX(2, (1, 2))
+    both = np.concatenate([u, -2.0 * u[::-1]], axis=2)
+    for structure, shared, forms in (
+        (one, u[:, 0], [u[:, 0], u[:, 0, 0], u[:, :1].repeat(N, 1), u[:, :1, 0].repeat(N, 1)]),
+        (two, both[:, 0], [both[:, 0], both[:, :1].repeat(N, 1)]),
+    ):
+        expected = loop_over(structure, y, np.repeat(shared[:, None], N, axis=1), P=1.0)[1]
+        for form in forms:
+            close(TrackerBank(N, structure, P=1.0).run(y, form)[:6], expected)
+            bank = TrackerBank(N, structure, P=1.0)
+            close([[bank.update(y[k], form[k]).prediction for k in range(LENGTH)]], [expected[2]])
+
+
+def test_each_sample_may_have_its_own_variance():
+    structure, rng = OutputError(2, 2), np.random.default_rng(3)
+    y, u = recording(structure)
+    R = rng.uniform(0.1, 1.0, (LENGTH, N))
+    for shared, given_ in ((False, R), (True, R[:, 0]), (True, 0.7)):
+        each = np.broadcast_to(R[:, :1] if shared and np.ndim(given_) else given_, (LENGTH, N))
+        one, other = TrackerBank(N, structure, P=1.0), TrackerBank(N, structure, P=1.0)
+        result = one.run(y, u, given_)
+        same([result.prediction], [[other.update(y[k], u[k], R=each[k]).prediction for k in range(LENGTH)]])
+        for i in range(N):
+            close(result.tracker(i), ParameterTracker(structure, P=1.0).run(y[:, i], u[:, i], each[:, i]))
+    for wrong in (np.ones(N), -1.0, np.where(R > 0.99, 0.0, R)):
+        with pytest.raises(ValueError, match="R: expected"):
+            one.run(y, u, wrong)
+    with pytest.raises(ValueError, match=r"R: expected.*actuator 1"):
+        one.update(y[0], u[0], [1.0, -1.0, 1.0, 1.0, 1.0])
+
+
+def test_a_recording_in_two_parts_is_one_recording():
+    for structure in STRUCTURES[::3]:
+        y, u = recording(structure)
+        whole, parts = TrackerBank(N, structure), TrackerBank(N, structure)
+        pieces = zip(parts.run(y[:61], u[:61])[:6], parts.run(y[61:], u[61:])[:6], strict=True)
+        same(whole.run(y, u)[:6], map(np.concatenate, pieces))
+
+
+def test_the_order_of_the_actuators_changes_nothing():
+    structure, order = OutputError(2, 2), [3, 0, 4, 1, 2]
+    y, u = recording(structure)
+    R = np.linspace(0.1, 0.5, N)
+    one, other = TrackerBank(N, structure, R=R), TrackerBank(N, structure, R=R[order])
+    close([c[:, order] for c in one.run(y, u)[:6]], other.run(y[:, order], u[:, order])[:6], rtol=1e-13)
+
+
+def test_model_without_input_needs_none():
+    y, _ = recording(ARX(2, 0))
+    one, other = TrackerBank(N, ARX(2, 0)), TrackerBank(N, ARX(2, 0))
+    same(one.run(y), other.run(y, np.zeros((LENGTH, 0))))
+    assert one.update(y[0]).prediction.shape == (N,)
+
+
+# The models
+
+
+def test_coefficients_split_theta():
+    theta = np.arange(N * 5, dtype=float).reshape(N, 5) / 100
+    bank = TrackerBank(N, ARMAX(1, (2, 1), 1), theta=theta)
+    a, b, c = bank.coefficients
+    same([a, *b, c], [theta[:, :1], theta[:, 1:3], theta[:, 3:4], theta[:, 4:]])
+    same(TrackerBank(N, OutputError(1, 1), theta=[0.5, 2.0]).coefficients.b, np.full((N, 1), 2.0))
+    with pytest.raises(ValueError, match="your regressor"):
+        TrackerBank(N, LinearRegression(3)).coefficients  # noqa: B018
+
+
+@pytest.mark.parametrize("structure", STRUCTURES, ids=str)
+def test_prediction_is_what_the_next_update_finds(structure):
+    y, u = recording(structure)
+    bank = TrackerBank(N, structure, F=0.999 * np.eye(structure.n_theta))
+    bank.enabled = np.arange(N) != 2
+    for k in range(40):
+        before = bank.state()
+        ahead = bank.predict(u[k])
+        same(before.values(), bank.state().values())
+        if not any(nb and nk == 0 for nb, nk in structure.inputs):
+            same([ahead], [bank.predict()])
+        close([bank.update(y[k], u[k]).prediction], [ahead], rtol=1e-13)
+
+
+def test_prediction_is_what_the_next_update_finds_once_P_has_wound_up():
+    """`update` then leaves out the whole step of theta, F included."""
+    bank = TrackerBank(1, ARX(1, 1), forgetting=0.5, F=1.5 * np.eye(2), theta=[-0.5, 1.0], P=100.0)
+    for k in range(40):
+        bank.update([np.nan], [0.0 if k < 39 else 1.0])
+    ahead = bank.predict()
+    same([bank.update([1.0], [0.0]).prediction], [ahead])
+
+
+@pytest.mark.parametrize("dt", [-1, 0.0, np.nan, np.inf, False, None, "1"])
+def test_transfer_function_of_no_sampling_period_is_refused(dt):
+    pytest.importorskip("control")
+    tracker = TrackerBank(1, OutputError(1, 1), theta=[-0.5, 2.0]).tracker(0)
+    with pytest.raises(ValueError, match="dt: expected a sampling period > 0 in s, or True, got"):
+        tracker.transfer_function(dt=dt)
+    for good in (True, 0.1, np.float64(0.1), 2):
+        assert tracker.transfer_function(dt=good).dt == good
+
+
+def test_repr_shows_size_and_structure():
+    assert repr(TrackerBank(3, FIR(1))) == "TrackerBank(n=3, FIR(nb=1, nk=1))"
+
+
+@pytest.mark.parametrize("structure", STRUCTURES, ids=str)
+def test_tracker_goes_on_where_the_bank_is(structure):
+    y, u = recording(structure)
+    forgetting, gradient = np.linspace(0.9, 1.0, N), ["filtered", "pseudolinear"] * 2 + ["filtered"]
+    bank = TrackerBank(
+        N, structure, P=1.0, Q=1e-4, R=0.25, forgetting=forgetting, gradient=gradient, influence=Huber(2.0)
+    )
+    first = bank.run(y[:70], u[:70])
+    singles = [bank.tracker(i) for i in range(N)]
+    same([bank.theta, bank.P, bank.std], zip(*((t.theta, t.P, t.std) for t in singles), strict=True))
+    expected = bank.run(y[70:], u[70:])
+    for i, tracker in enumerate(singles):
+        close(tracker.run(y[70:, i], u[70:, i]), expected.tracker(i))
+        tracker.reset()
+        close(tracker.run(y[:70, i], u[:70, i]), first.tracker(i))
+    for outside in (N, -1):
+        with pytest.raises(IndexError, match="actuator: expected 0 to 4"):
+            bank.tracker(outside)
+    for wrong in ("a", True, 1.0, None):
+        with pytest.raises(TypeError, match="actuator: expected an integer from 0 to 4, got"):
+            bank.tracker(wrong)
+
+
+@pytest.mark.parametrize("name", ["Q", "F"])
+def test_tracker_takes_settings_that_update_takes(name):
+    matrix = 0.9 * np.eye(2)
+    for value in (matrix, [matrix, 0.5 * matrix]):
+        bank = TrackerBank(2, ARX(1, 1))
+        setattr(bank, name, np.asarray(value).tolist())
+        bank.update([1.0, 2.0], 1.0)
+        same([getattr(bank.tracker(1).filter, name)], [np.broadcast_to(value, (2, 2, 2))[1]])
+
+
+def test_tracker_has_the_limit_of_windup_that_the_bank_has():
+    bank = TrackerBank(2, FIR(2), P=np.array([1e-3, 10.0]), forgetting=0.5)
+    quiet = np.zeros((200, 2))
+    singles = [bank.tracker(i) for i in range(2)]
+    bank.run(quiet, quiet)
+    for i, tracker in enumerate(singles):
+        tracker.run(quiet[:, i], quiet[:, i])
+        close([tracker.P], [bank.P[i]])
+
+
+# Freezing, interruption
+
+
+@pytest.mark.parametrize("structure", STRUCTURES, ids=str)
+def test_frozen_actuators_predict_and_do_not_learn(structure):
+    y, u = recording(structure)
+    F = 0.99 * np.eye(structure.n_theta)
+    options = {"P": 1.0, "R": 0.25, "Q": 1e-3, "forgetting": 0.98, "F": F}
+    mask = np.array([True, False, True, False, True])
+    bank = TrackerBank(N, structure, **options)
+    trackers = [ParameterTracker(structure, **options) for _ in range(N)]
+    for enabled, part in ((mask, slice(0, 40)), (False, slice(40, 60)), (True, slice(60, 80)), (mask, slice(80, None))):
+        bank.enabled = enabled
+        theta, P = bank.theta, bank.P
+        result = bank.run(y[part], u[part])
+        for i, tracker in enumerate(trackers):
+            tracker.enabled = bool(np.broadcast_to(enabled, N)[i])
+            close(result.tracker(i), tracker.run(y[part, i], u[part, i]))
+        frozen = ~np.broadcast_to(enabled, N)
+        same([bank.theta[frozen], bank.P[frozen]], [theta[frozen], P[frozen]])
+        assert np.isnan(result.weights[:, frozen]).all()
+    bank.enabled[1] = True
+    assert bank.enabled.tolist() == [True, True, True, False, True]
+    for wrong in (np.ones(4, dtype=bool), [1, 0, 1, 0, 1], None):
+        with pytest.raises((TypeError, ValueError), match="enabled: expected"):
+            bank.enabled = wrong
+    assert bank.enabled.tolist() == [True, True, True, False, True]
+
+
+@pytest.mark.parametrize("guard", GUARDS)
+@pytest.mark.parametrize("gradient", GRADIENTS)
+def test_models_made_unstable_by_hand_stay_in_the_range_of_floats_as_in_the_loop(gradient, guard):
+    y, u = recording(OutputError(1, 1))
+    bank = TrackerBank(N, OutputError(1, 1), guard=guard, gradient=gradient, P=1.0)
+    theta = np.column_stack([np.linspace(-30.0, 0.5, N), np.ones(N)])
+    # By hand, as `restore` takes an unstable model without a guard only.
+    bank._now = bank._now._replace(theta=theta)
+    for enabled in (False, True):
+        bank.enabled = enabled
+        trackers = [bank.tracker(i) for i in range(N)]
+        result = bank.run(y, u)
+        assert np.isfinite(result.prediction).all() and np.isfinite(result.theta).all()
+        # What a model of the size 1e100 that adapts without a guard does next is rounding.
+        for i in range(0 if guard == "none" and enabled else N):
+            close(result.tracker(i), trackers[i].run(y[:, i], u[:, i]))
+            close([bank.state()["outputs"][i]], [trackers[i].state()["outputs"]])
+
+
+@pytest.mark.parametrize("structure", STRUCTURES, ids=str)
+def test_pickle_and_state_continue_bit_for_bit(structure):
+    y, u = recording(structure)
+    original = TrackerBank(N, structure, Q=1e-5, R=np.linspace(0.1, 0.5, N), forgetting=0.99)
+    original.enabled = np.arange(N) != 1
+    original.run(y[:70], u[:70])
+    thawed = pickle.loads(pickle.dumps(original))
+    file = io.BytesIO()
+    np.savez(file, **original.state())
+    file.seek(0)
+    restored = TrackerBank(N, structure)
+    with np.load(file, allow_pickle=False) as stored:
+        restored.restore(stored)
+    expected = original.run(y[70:], u[70:])
+    same(expected, thawed.run(y[70:], u[70:]))
+    same(expected, restored.run(y[70:], u[70:]))
+
+
+def test_state_is_a_copy_both_ways():
+    structure = ARMAX(1, 1, 1)
+    y, u = recording(structure)
+    bank = TrackerBank(N, structure, R=0.25)
+    bank.run(y[:50], u[:50])
+    state = bank.state()
+    first = bank.run(y[50:], u[50:])
+    bank.restore(state)
+    same(first, bank.run(y[50:], u[50:]))
+    bank.restore(state)
+    for value in state.values():
+        value[...] = 0
+    bank.theta[:], bank.P[:] = 0.0, 0.0
+    same(first, bank.run(y[50:], u[50:]))
+
+
+def test_reset_goes_back_to_the_start():
+    y, u = recording(ARMAX(2, 2, 1))
+    bank = TrackerBank(N, ARMAX(2, 2, 1), theta=0.1, P=2.0, R=0.5)
+    first = bank.run(y, u)
+    bank.enabled, bank.R, bank.Q = False, 3.0, np.eye(5)
+    bank.reset()
+    assert bank.enabled.all()
+    same(first, bank.run(y, u))
+
+
+@pytest.mark.parametrize(
+    "state",
+    [
+        TrackerBank(N, ARX(1, 3)).state(),
+        TrackerBank(N + 1, ARX(2, 2)).state(),
+        ParameterTracker(ARX(2, 2)).state(),
+        {"theta": np.zeros((N, 4))},
+        {**TrackerBank(N, ARX(2, 2)).state(), "P": np.full((N, 4, 4), np.nan)},
+    ],
+)
+def test_state_of_another_bank_is_refused(state):
+    bank = TrackerBank(N, ARX(2, 2))
+    before = bank.state()
+    with pytest.raises(ValueError, match="state: expected"):
+        bank.restore(state)
+    same(before.values(), bank.state().values())
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("R", 0.0, "R > 0: actuator 2$"),
+        ("R", -1.0, "R > 0: actuator 2$"),
+        ("alpha_sq", 0.0, "alpha_sq > 0: actuator 2$"),
+        ("alpha_sq", np.inf, "finite numbers in alpha_sq.*: actuator 2$"),
+        ("P", np.diag([1.0, 1.0, 1.0, -1e-3]), "positive semidefinite P: actuator 2$"),
+        ("P", np.eye(4) + np.triu(np.full((4, 4), 0.1)), "symmetric positive semidefinite P: actuator 2$"),
+        ("P", np.nan, "finite numbers in P.*: actuator 2$"),
+        ("outputs", np.inf, "finite numbers in outputs.*: actuator 2$"),
+        ("theta", [-2.5, 1.0, 0.0, 0.0], "theta of a stable model.*: actuator 2$"),
+    ],
+)
+def test_state_that_no_bank_can_be_in_is_refused(name, value, words):
+    y, u = recording(OutputError(2, 2))
+    bank = TrackerBank(N, OutputError(2, 2), R=0.25)
+    bank.run(y, u)
+    before = bank.state()
+    spoilt = bank.state()
+    spoilt[name][2] = value
+    with pytest.raises(ValueError, match=f"^state: expected .*{words}"):
+        bank.restore(spoilt)
+    same(before.values(), bank.state().values())
+
+
+def test_unstable_model_is_restored_where_no_guard_keeps_it_stable():
+    bank = TrackerBank(2, ARMAX(1, 1, 1), guard=["none", "halve"])
+    theta = np.array([[0.5, 1.0, 2.0], [2.0, 1.0, 0.5]])
+    bank.restore({**bank.state(), "theta": theta})
+    same(bank.theta, theta)
+    with pytest.raises(ValueError, match=r"stable model.*: actuator 1$"):
+        bank.restore({**bank.state(), "theta": theta[::-1]})
+
+
+@pytest.mark.parametrize("state", [None, "bank.npz", [1.0]])
+def test_what_is_no_state_is_refused(state):
+    with pytest.raises(TypeError, match=r"state: expected what state\(\) returned, or what numpy\.load"):
+        TrackerBank(N, ARX(2, 2)).restore(state)
+
+
+# The stacked rules are the scalar ones
+
+
+def polynomials(order):
+    """Rows of coefficients."""
+    row = st.lists(st.floats(-3, 3) | st.sampled_from([-1.0, 0.0, 1.0, np.nan]), min_size=order, max_size=order)
+    return st.lists(row, min_size=1, max_size=8)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 5).flatmap(polynomials))
+def test_stability_of_many_is_the_stability_of_each(rows):
+    coefficients = np.array(rows, dtype=float).reshape(len(rows), -1)
+    assert are_stable(coefficients).tolist() == [is_stable(row) for row in rows]
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 4))
+def test_restraining_many_is_restraining_each(seed, order):
+    rng = np.random.default_rng(seed)
+    old = 0.3 * rng.normal(size=(12, order + 1))
+    theta = old + rng.normal(size=old.shape) * 10.0 ** rng.integers(-1, 12, size=(12, 1))
+    theta[0], guards = np.nan, rng.choice(GUARDS, 12)
+    part = slice(1, order + 1)
+    moved, events = all_restrained(theta, old, part, guards == "none", guards == "halve")
+    for i, guard in enumerate(guards):
+        expected, event = restrained(theta[i].copy(), old[i], part, guard)
+        np.testing.assert_array_equal(moved[i], expected)
+        assert events[i] == event
+
+
+def test_bounding_many_is_bounding_each():
+    for values in ([1.0, np.nan], [np.inf, 3.0, -np.inf], [1e200, -1e101, 1e99], [-1e100, 1e100]):
+        same([all_bounded(np.array(values))], [[bounded(value) for value in values]])
+
+
+def test_tempering_and_repair_of_many_are_those_of_each():
+    rng = np.random.default_rng(0)
+    square, trace, r = 10.0 ** rng.uniform(0, 200, 50), 10.0 ** rng.uniform(-3, 8, 50), 10.0 ** rng.uniform(-3, 3, 50)
+    square[:25] = 10.0 ** rng.uniform(0, 14, 25)
+    expected = [tempering(*args) for args in zip(square, trace, r, strict=True)]
+    assert 5 < expected.count(1.0) < 45
+    np.testing.assert_allclose(all_tempering(square, trace, r), expected, rtol=1e-14)
+    P = rng.normal(size=(9, 3, 3))
+    P = P @ P.transpose(0, 2, 1)
+    P[3] += np.triu(np.ones((3, 3)))
+    P[5] -= 3.0 * np.eye(3)
+    np.testing.assert_allclose(all_repaired(P), [repaired(p) for p in P], rtol=1e-13)
+    assert SHARP == 1e6
+
+
+# Bad input
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ({"theta": [1.0, 2.0]}, ValueError, r"theta: expected shape \(4,\) or \(5, 4\)"),
+        ({"theta": np.full((N, 4), np.nan)}, ValueError, "theta: expected finite"),
+        ({"theta": [-2.0, 1.5, 1.0, 1.0]}, ValueError, "stable model"),
+        ({"theta": np.eye(N)[:, :4] * 1.5}, ValueError, "stable model.*actuators 0, 1"),
+        ({"theta": None}, TypeError, "theta: expected numbers, got None"),
+        ({"P": None}, TypeError, "P: expected numbers, got None"),
+        ({"Q": None}, TypeError, "Q: expected numbers, got None"),
+        ({"guard": np.array("project")}, ValueError, "guard: expected one of"),
+        ({"P": -1.0}, ValueError, "P: expected a positive semidefinite"),
+        ({"P": [1.0, 1.0, -1.0, 1.0, 1.0]}, ValueError, r"P\[2\]: expected a positive semidefinite"),
+        ({"P": np.ones(4)}, ValueError, "P: expected"),
+        ({"Q": np.triu(np.ones((N, 4, 4)))}, ValueError, r"Q\[0\]: expected a symmetric"),
+        ({"R": 0.0}, ValueError, "R: expected"),
+        ({"R": np.inf}, ValueError, "R: expected"),
+        ({"R": [1.0, 1.0, 0.0, 1.0, np.nan]}, ValueError, "R: expected.*actuators 2, 4"),
+        ({"R": np.eye(2)}, ValueError, r"R: expected shape \(5,\)"),
+        ({"F": np.eye(3)}, ValueError, "F: expected shape"),
+        ({"F": np.full((N, 4, 4), np.inf)}, ValueError, "F: expected finite"),
+        ({"forgetting": 1.1}, ValueError, "forgetting: expected"),
+        ({"forgetting": [1.0, 1.0, 0.0, 1.0, 1.0]}, ValueError, "forgetting: expected.*actuator 2"),
+        ({"guard": "project"}, ValueError, "guard: expected one of"),
+        ({"guard": ["halve", "project", "none", "none", "none"]}, ValueError, r"guard\[1\]: expected one of"),
+        ({"guard": ["halve"] * 4}, ValueError, "guard: expected one for all or a list of 5, got 4"),
+        ({"gradient": "exact"}, ValueError, "gradient: expected one of"),
+        ({"influence": Huber}, TypeError, "influence: expected an object"),
+        ({"scaling": "none"}, ValueError, "scaling: expected one of"),
+        ({"information": ["weight", "none", "weight", "weight", "weight"]}, ValueError, "information: expected one of"),
+    ],
+)
+def test_bad_arguments_are_refused(options, error, words):
+    with pytest.raises(error, match=words):
+        TrackerBank(N, OutputError(2, 2), **options)
+
+
+def test_size_and_structure_are_checked():
+    with pytest.raises(TypeError, match="structure: expected ARX"):
+        TrackerBank(3, 4)
+    with pytest.raises(ValueError, match="n: expected an integer >= 1"):
+        TrackerBank(0, ARX(1, 1))
+
+
+def bad(shape, value, *where):
+    """Ones with a value in some places."""
+    values = np.ones(shape)
+    for place in where:
+        values[place] = value
+    return values
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda b: b.update(np.ones(4), 1.0), r"y: expected shape \(5,\)"),
+        (lambda b: b.update(1.0, 1.0), r"y: expected shape \(5,\)"),
+        (lambda b: b.update(bad(N, np.inf, 1, 3), 1.0), "y: expected finite.*actuators 1, 3"),
+        (lambda b: b.update(np.ones(N), np.ones(4)), r"u: expected"),
+        (lambda b: b.update(np.ones(N)), r"u: expected.*got None"),
+        (lambda b: b.update(np.ones(N), bad(N, np.nan, 4)), "u: expected finite.*actuator 4"),
+        (lambda b: b.update(np.ones(N), np.nan), "u: expected finite"),
+        (lambda b: b.update(["a"] * N, 1.0), "y: expected real numbers"),
+        (lambda b: b.run(np.ones((3, 4)), np.ones(3)), r"y: expected shape \(N, 5\)"),
+        (lambda b: b.run(np.ones((0, N)), np.ones(0)), "y: expected"),
+        (lambda b: b.run(np.ones((3, N)), np.ones(4)), "u: expected"),
+        (lambda b: b.run(bad((3, N), np.inf, (1, 2), (2, 4)), np.ones(3)), "sample 1.*actuator 2"),
+        (lambda b: b.run(np.ones((3, N)), bad((3, N), np.nan, (2, 0))), "sample 2.*actuator 0"),
+        (lambda b: b.run(np.ones((3, N)), bad(3, 1e200, 1)), "u: expected finite.*sample 1"),
+        (lambda b: b.predict(np.ones(4)), "u: expected"),
+    ],
+)
+def test_a_refused_call_changes_nothing(call, words):
+    bank = TrackerBank(N, OutputError(2, 2))
+    y, u = recording(OutputError(2, 2))
+    bank.run(y[:20], u[:20])
+    before = bank.state()
+    with pytest.raises((ValueError, TypeError), match=words):
+        call(bank)
+    same(before.values(), bank.state().values())
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("R", [1.0, 1.0, -1.0, 1.0, 1.0], "R: expected.*actuator 2"),
+        ("R", np.ones(4), "R: expected shape"),
+        ("Q", 1.0, "Q: expected shape"),
+        ("Q", np.full((4, 4), np.nan), "finite.*actuators 0, 1"),
+        ("F", np.eye(3), "F: expected shape"),
+        ("F", 1e200 * np.eye(4), "finite"),
+    ],
+)
+def test_settings_spoilt_between_samples_are_refused(name, value, words):
+    bank = TrackerBank(N, OutputError(2, 2))
+    y, u = recording(OutputError(2, 2), missing=False)
+    bank.run(y[:20], u[:20])
+    before, good = bank.state(), getattr(bank, name)
+    setattr(bank, name, value)
+    with pytest.raises((ValueError, TypeError), match=words):
+        bank.update(y[20], u[20])
+    setattr(bank, name, good)
+    same(before.values(), bank.state().values())
+
+
+@pytest.mark.parametrize("scaling", ["unit", ["innovation", "unit", "unit", "innovation", "innovation"]])
+def test_a_sample_that_one_filter_refuses_changes_no_actuator_and_is_named(scaling):
+    y, u = recording(ARX(2, 2), missing=False)
+    y[:, [0, 1, 3, 4]] *= 0.01
+    u = u * [[0.01], [0.01], [1.0], [0.01], [0.01]]
+    bank = TrackerBank(N, ARX(2, 2), P=1.0, scaling=scaling, influence=Linear())
+    before = bank.state()
+    with pytest.raises(np.linalg.LinAlgError, match='sample 1: actuator 2: scaling="unit" would make P indefinite'):
+        bank.run(y, u)
+    same(before.values(), bank.state().values())
+    bank.update(y[0], u[0])
+    before = bank.state()
+    with pytest.raises(np.linalg.LinAlgError, match=r"^actuator 2"):
+        bank.update(y[1], u[1])
+    same(before.values(), bank.state().values())
+    tracker = ParameterTracker(ARX(2, 2), P=1.0, scaling="unit", influence=Linear())
+    with pytest.raises(np.linalg.LinAlgError, match="sample 1"):
+        tracker.run(y[:, 2], u[:, 2])
+
+
+def test_an_interrupted_run_changes_nothing(monkeypatch):
+    y, u = recording(ARX(2, 2))
+    bank = TrackerBank(N, ARX(2, 2))
+    bank.run(y[:20], u[:20])
+    before, advance, calls = bank.state(), bank._advance, []
+
+    def interrupted(*args):
+        calls.append(args)
+        if len(calls) == 5:
+            raise KeyboardInterrupt
+        return advance(*args)
+
+    monkeypatch.setattr(bank, "_advance", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        bank.run(y[20:], u[20:])
+    same(before.values(), bank.state().values())
+
+
+def test_the_smallest_bank_and_a_large_one():
+    for n in (1, 300):
+        rng = np.random.default_rng(n)
+        y, u = rng.normal(size=(20, n)), rng.normal(size=(20, n, 1))
+        result = TrackerBank(n, OutputError(2, 2), P=1.0).run(y, u)
+        i = n - 1
+        close(result.tracker(i), ParameterTracker(OutputError(2, 2), P=1.0).run(y[:, i], u[:, i]))

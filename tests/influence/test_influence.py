@@ -1,0 +1,324 @@
+"""The influence functions, their maps and E[psi']; oracles are statsmodels' norms, scipy.stats and quadrature."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+import scipy.stats
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import quad
+from statsmodels.robust import norms
+
+from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight, filter_series
+from robust_filterpy.correction.options import Choices
+from robust_filterpy.influence import expected_information
+
+OURS = [Huber(), Huber(0.5), Linear(), Hampel(), Hampel(1.5, 3.5, 8.0), TukeyBiweight(), StudentT(), StudentT(1.5)]
+PAIRS = [
+    (Huber(1.345), norms.HuberT(1.345)),
+    (Huber(0.7), norms.HuberT(0.7)),
+    (Linear(), norms.LeastSquares()),
+    (Hampel(2.0, 4.0, 8.0), norms.Hampel(2.0, 4.0, 8.0)),
+    (Hampel(1.0, 1.5, 9.0), norms.Hampel(1.0, 1.5, 9.0)),
+    (TukeyBiweight(4.685), norms.TukeyBiweight(4.685)),
+    (TukeyBiweight(2.0), norms.TukeyBiweight(2.0)),
+]
+ids = repr
+
+# Irrational spacing, so that no point falls on a kink.
+GRID = np.linspace(-12.0, 12.0, 801) + 1e-3 * np.pi
+
+
+@pytest.mark.parametrize("ours, theirs", PAIRS, ids=ids)
+@pytest.mark.parametrize("function", ["rho", "psi", "psi_deriv", "weights"])
+def test_agrees_with_statsmodels(ours, theirs, function):
+    np.testing.assert_allclose(getattr(ours, function)(GRID), getattr(theirs, function)(GRID), rtol=1e-12, atol=1e-12)
+
+
+def integral(function, e, breaks):
+    """The integral of `function` from 0 to e, by adaptive quadrature between the breaks."""
+    inside = [b for b in breaks if 0 < b < e]
+    return quad(function, 0, e, points=inside or None, limit=200)[0]
+
+
+def breaks_of(influence):
+    """The kinks of psi."""
+    return [getattr(influence, name) for name in ("a", "b", "c", "threshold") if hasattr(influence, name)]
+
+
+@pytest.mark.parametrize("influence", OURS, ids=ids)
+@pytest.mark.parametrize("e", [0.3, 1.2, 1.7, 3.0, 5.0, 11.0])
+def test_rho_is_the_integral_of_psi(influence, e):
+    np.testing.assert_allclose(influence.rho(e), integral(influence.psi, e, breaks_of(influence)), rtol=1e-8)
+
+
+@pytest.mark.parametrize("influence", OURS, ids=ids)
+@pytest.mark.parametrize("e", [0.3, 1.2, 1.7, 3.0, 5.0, 11.0])
+def test_psi_is_the_integral_of_its_derivative(influence, e):
+    expected = integral(influence.psi_deriv, e, breaks_of(influence))
+    np.testing.assert_allclose(influence.psi(e), expected, rtol=1e-8, atol=1e-10)
+
+
+@pytest.mark.parametrize("influence", OURS, ids=ids)
+def test_weights_are_psi_over_e(influence):
+    np.testing.assert_allclose(influence.weights(GRID), influence.psi(GRID) / GRID, rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize("influence", OURS, ids=ids)
+def test_at_zero_it_is_the_kalman_filter(influence):
+    assert influence.rho(0.0) == 0
+    assert influence.psi(0.0) == 0
+    assert influence.psi_deriv(0.0) == 1
+    assert influence.weights(0.0) == 1
+
+
+@pytest.mark.parametrize("influence", OURS, ids=ids)
+def test_symmetry(influence):
+    np.testing.assert_allclose(influence.psi(-GRID), -influence.psi(GRID), rtol=1e-14)
+    for even in (influence.rho, influence.psi_deriv, influence.weights):
+        np.testing.assert_allclose(even(-GRID), even(GRID), rtol=1e-14)
+
+
+@pytest.mark.parametrize("influence", OURS, ids=ids)
+@pytest.mark.parametrize("function", ["rho", "psi", "psi_deriv", "weights"])
+@pytest.mark.parametrize("shape", [(), (1,), (3,), (3, 1), (2, 3)])
+def test_shape_is_kept_and_integers_become_floats(influence, function, shape):
+    e = np.full(shape, 3)
+    value = getattr(influence, function)(e)
+    assert np.shape(value) == shape
+    np.testing.assert_allclose(value, getattr(influence, function)(np.full(shape, 3.0)), rtol=1e-15)
+
+
+@pytest.mark.parametrize("influence", [i for i in OURS if i != Linear()], ids=ids)
+@given(e=st.floats(-1e300, 1e300))
+def test_psi_is_bounded_however_large_the_residual(influence, e):
+    bound = max([getattr(influence, "threshold", 0), getattr(influence, "a", 0), getattr(influence, "df", 0) + 1])
+    with np.errstate(all="ignore"):
+        assert abs(influence.psi(e)) <= bound
+        assert 0 <= influence.weights(e) <= 1
+        assert influence.psi_deriv(e) <= 1
+        assert not np.isnan(influence.rho(e))
+
+
+@pytest.mark.parametrize("influence", OURS, ids=ids)
+def test_no_warning_for_an_enormous_residual(influence):
+    e = np.array([0.0, 1.0, -1e160, 1e300])
+    with np.errstate(all="raise", under="ignore"):
+        influence.psi(e)
+        influence.psi_deriv(e)
+        influence.weights(e)
+
+
+@pytest.mark.parametrize("contamination, threshold", [(0.05, 1.398), (0.1, 1.140), (0.15, 0.980)])
+def test_threshold_from_contamination_as_in_the_paper(contamination, threshold):
+    assert Huber.from_contamination(contamination).threshold == pytest.approx(threshold, abs=5e-4)
+
+
+def test_threshold_from_efficiency_as_in_the_books():
+    assert Huber.from_efficiency(0.95).threshold == pytest.approx(1.345, abs=5e-4)
+
+
+@given(st.floats(1e-6, 0.99))
+def test_contamination_solves_hubers_equation(contamination):
+    k = Huber.from_contamination(contamination).threshold
+    normal = scipy.stats.norm
+    assert 2 * normal.pdf(k) / k - 2 * normal.sf(k) == pytest.approx(contamination / (1 - contamination), rel=1e-8)
+
+
+@given(st.floats(1e-6, 0.99))
+def test_contamination_and_back(contamination):
+    assert Huber.from_contamination(contamination).contamination == pytest.approx(contamination, rel=1e-8)
+
+
+@given(st.floats(0.65, 0.999))
+def test_efficiency_and_back(efficiency):
+    assert Huber.from_efficiency(efficiency).efficiency == pytest.approx(efficiency, rel=1e-8)
+
+
+@given(st.floats(0.05, 4.0))
+def test_efficiency_is_that_of_the_location_estimate(threshold):
+    normal = scipy.stats.norm
+    variance = quad(lambda e: e**2 * normal.pdf(e), -threshold, threshold)[0] + 2 * threshold**2 * normal.sf(threshold)
+    slope = normal.cdf(threshold) - normal.cdf(-threshold)
+    assert Huber(threshold).efficiency == pytest.approx(slope**2 / variance, rel=1e-8)
+
+
+def test_an_infinite_threshold_is_no_contamination_and_full_efficiency():
+    assert Huber(np.inf).contamination == 0
+    assert Huber(np.inf).efficiency == 1
+    assert Huber.from_contamination(0).threshold == np.inf
+    assert Huber.from_efficiency(1).threshold == np.inf
+    np.testing.assert_array_equal(Huber(np.inf).psi(GRID), GRID)
+    np.testing.assert_array_equal(Huber(np.inf).weights(GRID), np.ones_like(GRID))
+
+
+@pytest.mark.parametrize("threshold", [0.3, 0.98, 1.14, 1.345, 2.5])
+def test_expected_information_of_huber_by_quadrature_over_its_least_favourable_density(threshold):
+    huber = Huber(threshold)
+
+    def density(e):
+        rho = np.where(abs(e) <= threshold, e**2 / 2, threshold * abs(e) - threshold**2 / 2)
+        return np.exp(-rho)
+
+    total = 2 * (quad(density, 0, threshold)[0] + quad(density, threshold, np.inf)[0])
+    inside = 2 * quad(density, 0, threshold)[0]
+    assert expected_information(huber) == pytest.approx(inside / total, rel=1e-9)
+    closed = (1 - huber.contamination) * (2 * scipy.stats.norm.cdf(threshold) - 1)
+    assert expected_information(huber) == pytest.approx(closed, rel=1e-9)
+
+
+@pytest.mark.parametrize("df", [1.0, 3.0, 4.0, 10.0])
+def test_expected_information_of_student_is_the_fisher_information_of_its_density(df):
+    assert expected_information(StudentT(df)) == pytest.approx(df / (df + 3), rel=1e-7)
+
+
+def test_student_is_the_score_of_its_density():
+    influence = StudentT(4.0)
+    density = scipy.stats.t(4.0, scale=np.sqrt(5.0 / 4.0))
+    e, h = np.linspace(-6, 6, 25), 1e-6
+    score = -(density.logpdf(e + h) - density.logpdf(e - h)) / (2 * h)
+    np.testing.assert_allclose(influence.psi(e), score, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "influence, expected",
+    [
+        (Linear(), 1.0),
+        (Huber(np.inf), 1.0),
+        (TukeyBiweight(4.685), None),
+        (Hampel(2.0, 4.0, 8.0), None),
+    ],
+    ids=ids,
+)
+def test_expected_information_under_the_normal_distribution(influence, expected):
+    if expected is None:
+        points = [b for x in breaks_of(influence) for b in (-x, x)]
+        expected = quad(lambda e: influence.psi_deriv(e) * scipy.stats.norm.pdf(e), -20, 20, points=points, limit=400)[
+            0
+        ]
+    assert expected_information(influence) == pytest.approx(expected, rel=1e-7)
+
+
+@pytest.mark.parametrize(
+    "noise",
+    [scipy.stats.norm(), scipy.stats.norm(scale=3.0), scipy.stats.t(3), scipy.stats.laplace(), scipy.stats.cauchy()],
+    ids=["norm", "norm3", "t3", "laplace", "cauchy"],
+)
+def test_expected_information_of_huber_is_the_probability_of_not_being_clipped(noise):
+    expected = noise.cdf(1.345) - noise.cdf(-1.345)
+    assert expected_information(Huber(1.345), noise) == pytest.approx(expected, rel=1e-7)
+
+
+def test_expected_information_of_a_statsmodels_norm():
+    ours = expected_information(TukeyBiweight(4.685), scipy.stats.t(3))
+    assert expected_information(norms.TukeyBiweight(4.685), scipy.stats.t(3)) == pytest.approx(ours, rel=1e-7)
+
+
+@pytest.mark.parametrize("influence", OURS, ids=ids)
+def test_is_a_value(influence):
+    for twin in (copy.copy(influence), copy.deepcopy(influence), pickle.loads(pickle.dumps(influence))):
+        assert twin == influence
+        assert hash(twin) == hash(influence)
+    assert eval(repr(influence)) == influence
+    for name in ("threshold", "a", "df", "new"):
+        if hasattr(influence, name) or name == "new":
+            with pytest.raises((AttributeError, TypeError)):
+                setattr(influence, name, 1.0)
+
+
+def test_says_what_it_is():
+    assert repr(Huber()) == "Huber(threshold=1.345)"
+    assert Huber(1.0) != Huber(2.0)
+
+
+@pytest.mark.parametrize(
+    "build",
+    [
+        lambda: Huber(0),
+        lambda: Huber(-1.0),
+        lambda: Huber(np.nan),
+        lambda: Huber("1"),
+        lambda: Huber([1.0, 2.0]),
+        lambda: Huber.from_contamination(1.0),
+        lambda: Huber.from_contamination(-0.1),
+        lambda: Huber.from_contamination(np.nan),
+        lambda: Huber.from_contamination("a"),
+        lambda: Huber.from_efficiency(0.6),
+        lambda: Huber.from_efficiency(1.1),
+        lambda: Huber.from_efficiency(np.nan),
+        lambda: TukeyBiweight(0.0),
+        lambda: TukeyBiweight(-2.0),
+        lambda: TukeyBiweight(np.nan),
+        lambda: StudentT(0.0),
+        lambda: StudentT(-1.0),
+        lambda: StudentT(np.nan),
+        lambda: Hampel(4.0, 2.0, 8.0),
+        lambda: Hampel(2.0, 9.0, 8.0),
+        lambda: Hampel(0.0, 4.0, 8.0),
+        lambda: Hampel(-1.0, 4.0, 8.0),
+        lambda: Hampel(np.nan, 4.0, 8.0),
+    ],
+)
+def test_refuses(build):
+    with pytest.raises((ValueError, TypeError), match="expected"):
+        build()
+
+
+def test_a_psi_overridden_in_a_subclass_is_the_one_that_is_applied():
+    class Half(Huber):
+        def psi(self, e):
+            return 0.5 * super().psi(e)
+
+        def psi_deriv(self, e):
+            return 0.5 * super().psi_deriv(e)
+
+    for influence in (Half(), Half(2.0)):
+        psi, D, _ = Choices(influence).bound(np.array([1.0]))
+        assert psi == [0.5] and D == [0.5]
+        kf, halved = RobustKalmanFilter(1, 1, influence=influence), RobustKalmanFilter(1, 1, influence=Linear())
+        for f in (kf, halved):
+            f.update(1.0)
+        assert kf.x[0, 0] == pytest.approx(0.5 * halved.x[0, 0])
+
+
+class Halved:
+    """A psi to be mixed in before a class of the package's own."""
+
+    def psi(self, e):
+        return 0.5 * super().psi(e)
+
+
+class Steeper(Huber):
+    """A density of its own, and the parent's psi."""
+
+    def rho(self, e):
+        return 2.0 * super().rho(e)
+
+
+def test_a_psi_from_a_mixin_is_the_one_that_is_applied():
+    class Mine(Halved, Huber):
+        pass
+
+    class Again(Mine):
+        pass
+
+    class Unchanged(Huber, Halved):
+        pass
+
+    for influence in (Mine(), Again()):
+        assert Choices(influence).bound(np.array([1.0]))[0] == [0.5]
+    assert Choices(Unchanged()).pointwise == Choices(Huber()).pointwise
+
+
+def test_a_rho_overridden_in_a_subclass_is_the_one_of_the_likelihood():
+    assert Choices(Steeper()).pointwise is None
+    kf = RobustKalmanFilter(1, 1, influence=Steeper(0.5))
+    kf.F, kf.H, total = np.eye(1), np.eye(1), 0.0
+    model, zs = (kf.F, kf.H, kf.Q, kf.R, kf.x.ravel(), kf.P), np.random.default_rng(0).normal(size=(40, 1000, 1))
+    for z in zs[0]:
+        kf.predict()
+        kf.update(z)
+        total += kf.log_likelihood
+    assert filter_series(zs, *model, influence=Steeper(0.5)).log_likelihood[0] == pytest.approx(total, rel=1e-9)
