@@ -32,7 +32,7 @@ def posterior_covariance(
     G: Array,
     T: Array,
     D: Array | list[float],
-    defect: Array | None = None,
+    whitening_defect: Array | None = None,
     M: Array | None = None,
 ) -> Array:
     """Return P+ = P - G D G' with G = C T', in a form that stays positive semidefinite in rounding.
@@ -56,7 +56,7 @@ def posterior_covariance(
         Scaling.
     D : list of m floats, or ndarray, shape (m, m)
         Information, its diagonal or the matrix.
-    defect : ndarray, shape (m, m), optional
+    whitening_defect : ndarray, shape (m, m), optional
         I - T S T'; None where it is 0.
     M : ndarray, shape (n, m), optional
         Covariance of the state's error and the measurement noise.
@@ -83,8 +83,8 @@ def posterior_covariance(
     P_post = joseph(P, H, R, GD.dot(T), M)
     if unused is not None:
         P_post += unused
-    if defect is not None:
-        P_post += GD.dot(defect).dot(GD.T)
+    if whitening_defect is not None:
+        P_post += GD.dot(whitening_defect).dot(GD.T)
     return P_post
 
 

@@ -102,12 +102,12 @@ def correct_observed(
 ) -> Observed:
     """Correct with every component observed, all of them below `SAFE` or not: the equations as they read."""
     C, S = innovation_moments(P, H, R, M)
-    T, SI, defect = standardize(S, choices.scaling, inv)
+    T, SI, whitening_defect = standardize(S, choices.scaling, inv)
     e = T.dot(y) if small else standardized(T, y)
-    psi, D, slope = choices.bound(e, None if choices.grouping == "component" else H.any(axis=1))
+    psi, D, psi_deriv = choices.apply_influence(e, None if choices.grouping == "component" else H.any(axis=1))
     G = C.dot(T)
     x_post = x + G.dot(psi)
-    P_post = posterior_covariance(P, H, R, G, T, D, defect, M)
+    P_post = posterior_covariance(P, H, R, G, T, D, whitening_defect, M)
     if choices.scaling == "unit":
         _require_positive(P_post, D, S - R)
-    return Observed(x_post, P_post, C, y, S, SI, T, e, psi, slope)
+    return Observed(x_post, P_post, C, y, S, SI, T, e, psi, psi_deriv)

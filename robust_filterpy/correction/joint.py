@@ -39,14 +39,14 @@ class JointCorrection(NamedTuple):
     S: Array
     K: Array
     share: float
-    slope: float
+    psi_deriv: float
 
     def as_arrays(self) -> Correction:
         """Return the same with T, e and psi."""
-        x, P, y, S, K, share, slope = self
+        x, P, y, S, K, share, psi_deriv = self
         T, SI, _ = standardize(S, "innovation")
         e = T.dot(y)
-        return Correction(x, P, y, S, SI, K, T, e, share * e, [slope] * len(y))
+        return Correction(x, P, y, S, SI, K, T, e, share * e, [psi_deriv] * len(y))
 
 
 def applies(size: float, H: Array, choices: Choices) -> bool:
@@ -74,16 +74,16 @@ def correct_jointly(
     s = lapack.dpotrs(factor, y)[0]
     square = y.dot(s).item()
     along = length = math.sqrt(max(square, 0.0))
-    slope = across = radial = 1.0
+    psi_deriv = across = radial = 1.0
     if not choices.is_linear:
-        along, slope, across, radial = choices.of_length(length, len(y))
+        along, psi_deriv, across, radial = choices.apply_to_length(length, len(y))
     share = along / length if length > 0.0 else 1.0
     step = K.dot(y)
     x_post = x + (step if share == 1.0 else share * step)
     if across == radial == 0.0:
-        return JointCorrection(x_post, P.copy(), y, S, K, share, slope)
+        return JointCorrection(x_post, P.copy(), y, S, K, share, psi_deriv)
     if across == radial == 1.0:
-        return JointCorrection(x_post, joseph(P, H, R, K, M), y, S, K, share, slope)
+        return JointCorrection(x_post, joseph(P, H, R, K, M), y, S, K, share, psi_deriv)
     # The informed gain C T D T, transposed.
     informed = across * gain
     if radial != across:
@@ -93,4 +93,4 @@ def correct_jointly(
     rest = radial * (across - radial)
     if rest:
         P_post += (rest / square * step[:, None]).dot(step[None])
-    return JointCorrection(x_post, P_post, y, S, K, share, slope)
+    return JointCorrection(x_post, P_post, y, S, K, share, psi_deriv)

@@ -19,8 +19,8 @@ def _embed(some: Correction, part: np.ndarray, S: Array) -> Correction:
     m, square = len(S), np.ix_(part, part)
     T, SI, K = np.zeros((m, m)), np.zeros((m, m)), np.zeros((some.x.size, m))
     T[square], SI[square], K[:, part] = some.T, some.inverse, some.K
-    y, e, psi = (spread(v, part, m) for v in (some.y, some.e, some.psi))
-    return Correction(some.x, some.P, y, S, SI, K, T, e, psi, spread(np.array(some.slope), part, m, np.nan))
+    y, e, psi = (scatter(v, part, m) for v in (some.y, some.e, some.psi))
+    return Correction(some.x, some.P, y, S, SI, K, T, e, psi, scatter(np.array(some.psi_deriv), part, m, np.nan))
 
 
 def embed_block(before: Correction | None, some: Correction, part: slice, m: int) -> Correction:
@@ -37,13 +37,13 @@ def embed_block(before: Correction | None, some: Correction, part: slice, m: int
     K = before.K.copy()
     K[:, part] = some.K
     vectors = {}
-    for name in ("y", "e", "psi", "slope"):
+    for name in ("y", "e", "psi", "psi_deriv"):
         vectors[name] = np.array(getattr(before, name), dtype=float)
         vectors[name][part] = getattr(some, name)
     return Correction(some.x, some.P, K=K, **square, **vectors)
 
 
-def spread(values: Array, part: np.ndarray, m: int, rest: float = 0.0) -> Array:
+def scatter(values: Array, part: np.ndarray, m: int, rest: float = 0.0) -> Array:
     """Return m numbers: values at the places in part, rest elsewhere."""
     whole = np.full(m, rest)
     whole[part] = values

@@ -40,7 +40,7 @@ class InnovationScore(NamedTuple):
     With one sensor it is an influence function of e = y/sqrt(S) as well: rho, psi, psi_deriv, weights.
     """
 
-    shares: Array
+    probabilities: Array
     """Prior probabilities of the hypotheses, shape (h,)."""
     covariances: Array
     """Covariances of the innovation under each, the ordinary one first, shape (h, m, m)."""
@@ -64,17 +64,17 @@ class InnovationScore(NamedTuple):
         """Return the derivative of g at y, shape (m, m); not positive where hypotheses compete."""
         y = np.atleast_1d(np.asarray(y, dtype=float))
         logs, pulls = self._parts(y)
-        shares = np.exp(logs - logsumexp(logs))
+        probabilities = np.exp(logs - logsumexp(logs))
         inverses = np.linalg.inv(self.covariances)
-        g = shares @ pulls
-        return np.asarray(np.tensordot(shares, inverses, 1) - (pulls.T * shares) @ pulls + np.outer(g, g))
+        g = probabilities @ pulls
+        return np.asarray(np.tensordot(probabilities, inverses, 1) - (pulls.T * probabilities) @ pulls + np.outer(g, g))
 
     def _parts(self, y: Array) -> tuple[Array, Array]:
-        """Return log(share N(y; 0, S_i)) and S_i^-1 y of each hypothesis, shapes (h,) and (h, m)."""
-        column = np.broadcast_to(y[:, None], (len(self.shares), y.size, 1))
+        """Return log(probability N(y; 0, S_i)) and S_i^-1 y of each hypothesis, shapes (h,) and (h, m)."""
+        column = np.broadcast_to(y[:, None], (len(self.probabilities), y.size, 1))
         pulls = np.linalg.solve(self.covariances, column)[..., 0].astype(float)
         dets = np.linalg.slogdet(self.covariances)[1]
-        return np.asarray(np.log(self.shares) - 0.5 * (pulls @ y + dets + y.size * _LOG_2PI)), pulls
+        return np.asarray(np.log(self.probabilities) - 0.5 * (pulls @ y + dets + y.size * _LOG_2PI)), pulls
 
     def rho(self, e: ArrayLike) -> Array:
         """Return -log p(e)/p(0) for one sensor, the shape of e."""
@@ -205,7 +205,7 @@ class ContaminatedScore:
             raise ValueError(f"S, R: expected square matrices of one shape, got {S.shape} and {R.shape}")
         patterns = self.patterns(len(S), grouping)
         return InnovationScore(
-            np.array([share for share, _ in patterns]),
+            np.array([probability for probability, _ in patterns]),
             np.array([S + (np.outer(scale, scale) - 1.0) * R for _, scale in patterns]),
         )
 
@@ -213,7 +213,7 @@ class ContaminatedScore:
 class Hypothesis(NamedTuple):
     """One way in which a measurement may have come about."""
 
-    share: float
+    probability: float
     """Prior probability."""
     P: Array
     """Prior covariance of the state, shape (n, n)."""
@@ -230,7 +230,7 @@ class Merged(NamedTuple):
     """Posterior mean, shape (n,)."""
     P: Array
     """Posterior covariance, shape (n, n)."""
-    shares: Array
+    probabilities: Array
     """Posterior probabilities of the hypotheses, shape (h,)."""
     log_density: float
     """log p(y)."""
@@ -277,10 +277,10 @@ def merge(x: Array, y: Array, H: Array, hypotheses: list[Hypothesis], inv: Inver
     --------
     >>> one = np.eye(1)
     >>> merged = merge(np.zeros(1), np.array([6.0]), one, [Hypothesis(0.9, one, one), Hypothesis(0.1, one, 100 * one)])
-    >>> merged.shares.round(3), merged.x.round(2)
+    >>> merged.probabilities.round(3), merged.x.round(2)
     (array([0.009, 0.991]), array([0.09]))
     """
-    prior, R = np.array([h.share for h in hypotheses]), np.array([h.R for h in hypotheses])
+    prior, R = np.array([h.probability for h in hypotheses]), np.array([h.R for h in hypotheses])
     P = np.array([h.P for h in hypotheses])
     C, cross = P @ H.T, None
     S = H @ C + R
@@ -295,9 +295,9 @@ def merge(x: Array, y: Array, H: Array, hypotheses: list[Hypothesis], inv: Inver
     peak = logs.max()
     weights = np.exp(logs - peak)
     total = weights.sum()
-    shares = weights / total
+    probabilities = weights / total
     moves = (C @ pulls[:, :, None])[:, :, 0]
-    move, g = shares @ moves, shares @ pulls
+    move, g = probabilities @ moves, probabilities @ pulls
     # Joseph's form of each correction.
     K = C @ inverses
     I_KH = np.eye(len(x)) - K @ H
@@ -308,11 +308,11 @@ def merge(x: Array, y: Array, H: Array, hypotheses: list[Hypothesis], inv: Inver
     apart = moves - move
     return Merged(
         x + move,
-        np.tensordot(shares, after, 1) + (apart.T * shares) @ apart,
-        shares,
+        np.tensordot(probabilities, after, 1) + (apart.T * probabilities) @ apart,
+        probabilities,
         float(peak) + math.log(total),
         g,
-        np.tensordot(shares, inverses, 1) - (pulls.T * shares) @ pulls + np.outer(g, g),
+        np.tensordot(probabilities, inverses, 1) - (pulls.T * probabilities) @ pulls + np.outer(g, g),
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.covariance import NotPositiveDefiniteError
-from robust_filterpy.correction.missing import nothing_observed, spread
+from robust_filterpy.correction.missing import nothing_observed, scatter
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.whitening import Inverse, standardize, standardized
@@ -90,7 +90,7 @@ def correct_moments(
     Sp, Cp = S[pick], C[:, part]
     T, SI, _ = standardize(Sp, choices.scaling, inv)
     e = standardized(T, y[part])
-    psi, D, slope = choices.bound(e, None if choices.grouping == "component" else _visible(P, Cp, Sp))
+    psi, D, psi_deriv = choices.apply_influence(e, None if choices.grouping == "component" else _visible(P, Cp, Sp))
     G = Cp.dot(T)
     unclipped = np.diag(D) if isinstance(D, list) else D
     reduction = G.dot(unclipped).dot(G.T)
@@ -104,12 +104,12 @@ def correct_moments(
     x_post = np.asarray(add(x, G.dot(psi)), dtype=float)
     inverse = T.dot(T) if SI is None else SI
     if part.size == m:
-        return Correction(x_post, P_post, y, S, SI, G.dot(T), T, e, psi, slope)
+        return Correction(x_post, P_post, y, S, SI, G.dot(T), T, e, psi, psi_deriv)
     wide_T, wide_SI, K = np.zeros((m, m)), np.zeros((m, m)), np.zeros((x.size, m))
     wide_T[pick], wide_SI[pick], K[:, part] = T, inverse, G.dot(T)
-    wide = (spread(v, part, m) for v in (y[part], e, psi))
+    wide = (scatter(v, part, m) for v in (y[part], e, psi))
     y, e, psi = wide
-    return Correction(x_post, P_post, y, S, wide_SI, K, wide_T, e, psi, spread(np.array(slope), part, m, np.nan))
+    return Correction(x_post, P_post, y, S, wide_SI, K, wide_T, e, psi, scatter(np.array(psi_deriv), part, m, np.nan))
 
 
 def _visible(P: Array, C: Array, S: Array) -> np.ndarray:

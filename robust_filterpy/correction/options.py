@@ -102,7 +102,7 @@ class Choices:
         """E[psi'] clipped to [0, 1] (paper 40, 45)."""
         return min(max(expected_information(self.influence), 0.0), 1.0)
 
-    def bound(self, e: Array, visible: Any = None) -> tuple[Array, Array | list[float], list[float]]:
+    def apply_influence(self, e: Array, visible: Any = None) -> tuple[Array, Array | list[float], list[float]]:
         """Apply psi to a standardized innovation.
 
         Parameters
@@ -119,7 +119,7 @@ class Choices:
             psi(e).
         D : list of m floats, or ndarray, shape (m, m)
             Information: its diagonal, or the matrix if that is not diagonal.
-        slope : list of m floats
+        psi_deriv : list of m floats
             psi'(e); for joint grouping psi'(\\|e\\|) in every place.
         """
         if self.grouping == "component":
@@ -132,36 +132,36 @@ class Choices:
         """Apply psi to each component."""
         if self.pointwise is not None and len(e) <= 8:
             function, a, b, c = self.pointwise
-            values, moved, slope = e.tolist(), [], []
+            values, moved, psi_deriv = e.tolist(), [], []
             for value in values:
                 p, d = function(value, a, b, c)
                 moved.append(p)
-                slope.append(d)
+                psi_deriv.append(d)
             psi = e if moved == values else np.array(moved)
         else:
             e = np.clip(e, -_SAFE, _SAFE) if self.pointwise is None else e
             psi = np.asarray(self.influence.psi(e), dtype=float)
-            slope = np.asarray(self.influence.psi_deriv(e), dtype=float).tolist()
+            psi_deriv = np.asarray(self.influence.psi_deriv(e), dtype=float).tolist()
         if self.information == "expected":
-            return psi, [self.expected] * len(e), slope
-        D = slope if self.information == "realized" else ratio(psi, e).tolist()
+            return psi, [self.expected] * len(e), psi_deriv
+        D = psi_deriv if self.information == "realized" else ratio(psi, e).tolist()
         if D.count(1.0) + D.count(0.0) < len(D):
             D = [min(max(d, 0.0), 1.0) for d in D]
-        return psi, D, slope
+        return psi, D, psi_deriv
 
     def _jointly(self, e: Array) -> tuple[Array, Array | list[float], list[float]]:
         """Apply psi to the length: psi(e) = w(|e|) e, D its Jacobian, its mean, or w I."""
         m = e.size
         length, direction = length_and_direction(e)
-        along, slope, across, radial = self.of_length(length, m)
+        along, psi_deriv, across, radial = self.apply_to_length(length, m)
         if across == radial:
-            return along * direction, [across] * m, [slope] * m
+            return along * direction, [across] * m, [psi_deriv] * m
         column = direction[:, None]
         D = (radial - across) * column.dot(column.T)
         D.ravel()[:: m + 1] += across
-        return along * direction, D, [slope] * m
+        return along * direction, D, [psi_deriv] * m
 
-    def of_length(self, length: float, m: int) -> tuple[float, float, float, float]:
+    def apply_to_length(self, length: float, m: int) -> tuple[float, float, float, float]:
         """Apply psi to the length of several components.
 
         Parameters
@@ -173,32 +173,32 @@ class Choices:
 
         Returns
         -------
-        psi, slope : float
+        psi, psi_deriv : float
             psi and psi' of the length.
         across, along : float
             Eigenvalues of D: of the directions across e, and of that along e.
         """
         if self.pointwise is not None:
             function, a, b, c = self.pointwise
-            along, slope = function(length, a, b, c)
+            along, psi_deriv = function(length, a, b, c)
         else:
             at = np.array([min(length, _SAFE)])
-            along, slope = float(self.influence.psi(at)[0]), float(self.influence.psi_deriv(at)[0])
+            along, psi_deriv = float(self.influence.psi(at)[0]), float(self.influence.psi_deriv(at)[0])
         if self.information == "expected":
             across = min(max(expected_joint_information(self.influence, m), 0.0), 1.0)
         else:
             across = min(max(along / length, 0.0), 1.0) if length > 0.0 else 1.0
-        radial = min(max(slope, 0.0), 1.0) if self.information == "realized" and length > 0.0 else across
-        return along, slope, across, radial
+        radial = min(max(psi_deriv, 0.0), 1.0) if self.information == "realized" and length > 0.0 else across
+        return along, psi_deriv, across, radial
 
     def _jointly_where(self, e: Array, visible: np.ndarray) -> tuple[Array, Array, list[float]]:
         """Take the visible components together and the others one by one."""
-        psi, diagonal, slopes = self._componentwise(e.copy())
-        D, slope = np.diag(diagonal), np.array(slopes)
+        psi, diagonal, derivatives = self._componentwise(e.copy())
+        D, psi_deriv = np.diag(diagonal), np.array(derivatives)
         if visible.any():
-            psi[visible], together, slope[visible] = self._jointly(e[visible])
+            psi[visible], together, psi_deriv[visible] = self._jointly(e[visible])
             D[np.ix_(visible, visible)] = np.diag(together) if isinstance(together, list) else together
-        return psi, D, slope.tolist()
+        return psi, D, psi_deriv.tolist()
 
 
 def length_and_direction(e: Array) -> tuple[float, Array]:

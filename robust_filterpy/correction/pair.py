@@ -32,14 +32,14 @@ class PairCorrection(NamedTuple):
     T: Triple
     e: tuple[float, float]
     psi: tuple[float, float]
-    slope: tuple[float, float]
+    psi_deriv: tuple[float, float]
 
     def as_arrays(self) -> Correction:
         """Return the same with arrays."""
-        x, P, C, y, S, triple, e, psi, slope = self
+        x, P, C, y, S, triple, e, psi, psi_deriv = self
         T, vectors = _square(triple), np.array([y, e, psi])
         K = C.dot(T).dot(T)
-        return Correction(x, P, vectors[0], _square(S), None, K, T, vectors[1], vectors[2], list(slope))
+        return Correction(x, P, vectors[0], _square(S), None, K, T, vectors[1], vectors[2], list(psi_deriv))
 
 
 def applies(y: list[float], choices: Choices) -> bool:
@@ -69,7 +69,7 @@ def correct_pair(
     p, q, r = root_of_pair(a, b, c)
     v, w = y
     e = p * v + q * w, q * v + r * w
-    psi, slope, (d, h) = _bound(e, choices)
+    psi, psi_deriv, (d, h) = _bound(e, choices)
     v, w = psi
     x_post = x + C.dot(np.array([p * v + q * w, q * v + r * w]))
     if d or h:
@@ -81,11 +81,11 @@ def correct_pair(
     d, h = d - d * d, h - h * h
     if d or h:
         P_post += C.dot(_congruent(p, q, r, d, h)).dot(C.T)
-    return PairCorrection(x_post, P_post, C, (y[0], y[1]), (a, b, c), (p, q, r), e, psi, slope)
+    return PairCorrection(x_post, P_post, C, (y[0], y[1]), (a, b, c), (p, q, r), e, psi, psi_deriv)
 
 
 def _bound(e: tuple[float, float], choices: Choices) -> tuple[tuple[float, float], ...]:
-    """Return psi(e), psi' and the diagonal of D, as `Choices.bound` does."""
+    """Return psi(e), psi' and the diagonal of D, as `Choices.apply_influence` does."""
     function, a, b, c = choices.pointwise  # type: ignore[misc]
     (v, s), (w, t) = function(e[0], a, b, c), function(e[1], a, b, c)
     if choices.information == "realized":

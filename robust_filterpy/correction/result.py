@@ -31,7 +31,7 @@ class Correction(NamedTuple):
     """Standardized innovation T y, shape (m,)."""
     psi: Array
     """psi(e), shape (m,)."""
-    slope: Array | list[float]
+    psi_deriv: Array | list[float]
     """psi'(e), NaN where missing, m floats."""
 
     @property
@@ -51,12 +51,12 @@ class Correction(NamedTuple):
     @property
     def weights(self) -> Array:
         """psi(e)/e, NaN where missing, shape (m,)."""
-        return np.where(np.isnan(self.slope), np.nan, ratio(self.psi, self.e))
+        return np.where(np.isnan(self.psi_deriv), np.nan, ratio(self.psi, self.e))
 
     @property
     def clipped(self) -> np.ndarray:
         """Whether psi'(e) <= 0, bool, shape (m,): the component tells no more by being further away."""
-        return np.asarray(self.slope) <= 0.0
+        return np.asarray(self.psi_deriv) <= 0.0
 
 
 class Observed(NamedTuple):
@@ -71,9 +71,9 @@ class Observed(NamedTuple):
     T: Array
     e: Array
     psi: Array
-    slope: Array | list[float]
+    psi_deriv: Array | list[float]
 
     def as_arrays(self) -> Correction:
         """Return the same with K."""
-        x, P, C, y, S, SI, T, e, psi, slope = self
-        return Correction(x, P, y, S, SI, C.dot(T).dot(T), T, e, psi, slope)
+        x, P, C, y, S, SI, T, e, psi, psi_deriv = self
+        return Correction(x, P, y, S, SI, C.dot(T).dot(T), T, e, psi, psi_deriv)

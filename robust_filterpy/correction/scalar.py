@@ -29,13 +29,13 @@ class ScalarCorrection(NamedTuple):
     T: float
     e: float
     psi: float
-    slope: float
+    psi_deriv: float
 
     def as_arrays(self) -> Correction:
         """Return the same with arrays."""
-        x, P, y, S, SI, K, T, e, psi, slope = self
-        one, square = np.array([y, e, psi, slope])[:, None], np.array([S, SI, T])[:, None, None]
-        return Correction(x.ravel(), P, one[0], square[0], square[1], K, square[2], one[1], one[2], [slope])
+        x, P, y, S, SI, K, T, e, psi, psi_deriv = self
+        one, square = np.array([y, e, psi, psi_deriv])[:, None], np.array([S, SI, T])[:, None, None]
+        return Correction(x.ravel(), P, one[0], square[0], square[1], K, square[2], one[1], one[2], [psi_deriv])
 
 
 def correct_scalar(
@@ -52,19 +52,19 @@ def correct_scalar(
         raise _singular(s)
     scaling, information = choices.scaling, choices.information
     # T^2 and 1 - T S T'
-    t2, defect = 1.0 / s, 0.0
+    t2, whitening_defect = 1.0 / s, 0.0
     if scaling == "unit":
-        t2, defect = 1.0, 1.0 - s
+        t2, whitening_defect = 1.0, 1.0 - s
     elif scaling == "bounded" and s < 1.0:
-        t2, defect = 1.0, 1.0 - s
+        t2, whitening_defect = 1.0, 1.0 - s
     t = math.sqrt(t2)
     e = t * y
     if not -_LARGEST <= e <= _LARGEST:
         e = math.copysign(_LARGEST, y)
     function, a, b, c = choices.pointwise  # type: ignore[misc]
-    psi, slope = function(e, a, b, c)
+    psi, psi_deriv = function(e, a, b, c)
     if information == "realized":
-        d = min(max(slope, 0.0), 1.0)
+        d = min(max(psi_deriv, 0.0), 1.0)
     elif information == "expected":
         d = choices.expected
     else:
@@ -74,15 +74,15 @@ def correct_scalar(
     moved = K * (y if psi == e else psi / t)
     x_post = x + (moved if x.ndim == 2 else moved.ravel())
     if d == 0.0:
-        return ScalarCorrection(x_post, P.copy(), y, s, 1.0 / s, K, t, e, psi, slope)
+        return ScalarCorrection(x_post, P.copy(), y, s, 1.0 / s, K, t, e, psi, psi_deriv)
     K_d = K if d == 1.0 else K * d
     I_KH = _identity(len(P)) - K_d.dot(H)
     P_post = I_KH.dot(P).dot(I_KH.T)
     # With G = K/T the unused part G (d - d^2 + d^2 (1 - T S T')) G' joins the noise term d^2 K r K'.
-    P_post += (K * (d * d * r + (d - d * d + d * d * defect) / t2)).dot(K.T)
+    P_post += (K * (d * d * r + (d - d * d + d * d * whitening_defect) / t2)).dot(K.T)
     if M is not None:
         cross = I_KH.dot(M).dot(K_d.T)
         P_post -= cross + cross.T
     if scaling == "unit" and d * hph > 1.0 - 1e-9:
         _require_positive(P_post, [d], np.array([[hph]]))
-    return ScalarCorrection(x_post, P_post, y, s, 1.0 / s, K, t, e, psi, slope)
+    return ScalarCorrection(x_post, P_post, y, s, 1.0 / s, K, t, e, psi, psi_deriv)

@@ -42,7 +42,7 @@ def standardize(S: Array, scaling: str, inv: Inverse | None = None) -> tuple[Arr
         Symmetric.
     SI : ndarray, shape (m, m), or None
         Inverse of S; None where it is T T.
-    defect : ndarray, shape (m, m), or None
+    whitening_defect : ndarray, shape (m, m), or None
         I - T S T'; None where it is 0.
 
     Raises
@@ -62,8 +62,8 @@ def standardize(S: Array, scaling: str, inv: Inverse | None = None) -> tuple[Arr
     values, vectors = _eigen(S)
     if scaling == "bounded":
         quarter = vectors / np.maximum(values, 1.0) ** 0.25
-        defect = (vectors * np.maximum(1.0 - values, 0.0)).dot(vectors.T)
-        return quarter.dot(quarter.T), (vectors / values).dot(vectors.T), defect
+        whitening_defect = (vectors * np.maximum(1.0 - values, 0.0)).dot(vectors.T)
+        return quarter.dot(quarter.T), (vectors / values).dot(vectors.T), whitening_defect
     # T as a product of one factor with its own transpose is symmetric to the last bit.
     # A triangular solve of bandwidth 0 divides the rows in half the time of numpy's broadcasting.
     quarter, _ = lapack.dtbtrs(np.sqrt(np.sqrt(values))[None], vectors.T)

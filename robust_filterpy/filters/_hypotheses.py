@@ -1,4 +1,4 @@
-"""What the filters share that correct a state once for each of several hypotheses."""
+"""What the filters probability that correct a state once for each of several hypotheses."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 
 
-class SeveralHypotheses(RobustKalmanFilter):
+class MultipleHypothesisFilter(RobustKalmanFilter):
     """Keep what `_corrected` finds out beside the posterior in ``_found`` and only if the correction is accepted.
 
     A subclass's `_corrected` sets ``_found``, a tuple whose first entry is the log-likelihood; `_settle` is called

@@ -19,7 +19,7 @@ from robust_filterpy.influence.functions import Influence
 _DEFAULT_INVERSE = np.linalg.inv
 
 
-class Robust:
+class RobustFilterMixin:
     """Add to a filter of filterpy's the choices of a robust correction and the attributes that show what it did.
 
     Comes before filterpy's class among the bases. The filter stores its `Correction` in ``_last`` and sets

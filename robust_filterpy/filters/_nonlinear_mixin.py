@@ -12,10 +12,10 @@ from robust_filterpy._arrays import measured
 from robust_filterpy._checks import Array, described, numbers
 from robust_filterpy.correction.missing import nothing_observed
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.filters._mixin import Robust
+from robust_filterpy.filters._mixin import RobustFilterMixin
 
 
-class Nonlinear(Robust):
+class NonlinearFilterMixin(RobustFilterMixin):
     """Keep a correction in filterpy's attributes."""
 
     inv: Any
@@ -84,7 +84,7 @@ def innovation_of(
 def unchanged_if_refused(kf: Any) -> Iterator[None]:
     """Put a filter back as it was if the block raises."""
     attributes = {k: v.copy() if type(v) is np.ndarray else v for k, v in kf.__dict__.items()}
-    slots = {name: getattr(kf, name) for name in Robust.__slots__ if hasattr(kf, name)}
+    slots = {name: getattr(kf, name) for name in RobustFilterMixin.__slots__ if hasattr(kf, name)}
     try:
         yield
     except BaseException:

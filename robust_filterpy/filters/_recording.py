@@ -10,7 +10,7 @@ import numpy as np
 from robust_filterpy._checks import Array, entries, shown
 from robust_filterpy.compiled import dispatch
 from robust_filterpy.filters import _batch_arrays
-from robust_filterpy.filters._mixin import Robust
+from robust_filterpy.filters._mixin import RobustFilterMixin
 
 __all__: list[str] = []
 
@@ -118,7 +118,7 @@ def _columns(zs: Any, **per_step: Any) -> list[Any]:
 
 def _snapshot(kf: Any) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return what it takes to put a filter back: arrays are replaced, never written into, by a correction."""
-    slots = {name: getattr(kf, name) for name in Robust.__slots__ if hasattr(kf, name)}
+    slots = {name: getattr(kf, name) for name in RobustFilterMixin.__slots__ if hasattr(kf, name)}
     return copy.copy(kf.__dict__), slots
 
 

@@ -20,13 +20,18 @@ from robust_filterpy._arrays import (
 )
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.definition import correct
-from robust_filterpy.filters._nonlinear_mixin import Nonlinear, innovation_of, require_finite, unchanged_if_refused
+from robust_filterpy.filters._nonlinear_mixin import (
+    NonlinearFilterMixin,
+    innovation_of,
+    require_finite,
+    unchanged_if_refused,
+)
 from robust_filterpy.influence.functions import Huber, Influence
 
 __all__ = ["RobustExtendedKalmanFilter"]
 
 
-class RobustExtendedKalmanFilter(Nonlinear, ExtendedKalmanFilter):
+class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
     """Filter like `filterpy.kalman.ExtendedKalmanFilter`, without believing outliers.
 
     Every attribute, method and shape is filterpy's; the correction is that of `robust_filterpy.RobustKalmanFilter`

@@ -10,17 +10,17 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._arrays import process_noise, state_of
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.missing import nothing_observed, spread
+from robust_filterpy.correction.missing import nothing_observed, scatter
 from robust_filterpy.correction.mixture import _MOST_SENSORS, ContaminatedScore, Hypothesis, merge
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.whitening import standardize, standardized
-from robust_filterpy.filters._hypotheses import SeveralHypotheses, finite_product
+from robust_filterpy.filters._hypotheses import MultipleHypothesisFilter, finite_product
 from robust_filterpy.influence.functions import Huber
 
 __all__ = ["NoiseMatchedKalmanFilter"]
 
 
-class NoiseMatchedKalmanFilter(SeveralHypotheses):
+class NoiseMatchedKalmanFilter(MultipleHypothesisFilter):
     """Filter with contaminated normal noises, of the measurement, of the process, or of both.
 
     Each step keeps every hypothesis (v ordinary or an outlier, w ordinary or a jump), weighs it by the likelihood of
@@ -226,39 +226,43 @@ class NoiseMatchedKalmanFilter(SeveralHypotheses):
         R, M = R[pick], None if M is None else M[:, part]
         hypotheses, bad, jumped = self._hypotheses(P, R, M)
         merged = merge(column, y, H, hypotheses, self._inverse)
-        self._found = (merged.log_density, float(merged.shares[bad].sum()), float(merged.shares[jumped].sum()))
+        self._found = (
+            merged.log_density,
+            float(merged.probabilities[bad].sum()),
+            float(merged.probabilities[jumped].sum()),
+        )
         S_part = S[pick]
         T, SI, _ = standardize(S_part, "innovation", self._inverse)
         e = standardized(T, y)
         # The score of y in standardized form: psi(e) = S^(1/2) g, psi' = S^(1/2) g' S^(1/2), S^(1/2) = S T.
         root = S_part.dot(T)
         psi, D = root.dot(merged.score), root.dot(merged.information).dot(root)
-        slope = np.diag(D)
+        psi_deriv = np.diag(D)
         C = P.dot(H.T) if M is None else P.dot(H.T) + M
         K, square, whole_SI = np.zeros((x.size, m)), np.zeros((m, m)), np.zeros((m, m))
         K[:, part], square[pick], whole_SI[pick] = C.dot(T).dot(T), T, T.dot(T) if SI is None else SI
-        wide_y, wide_e, wide_psi = (spread(v, part, m) for v in (y, e, psi))
-        slopes = spread(slope, part, m, np.nan)
-        return Correction(merged.x, merged.P, wide_y, S, whole_SI, K, square, wide_e, wide_psi, slopes)
+        wide_y, wide_e, wide_psi = (scatter(v, part, m) for v in (y, e, psi))
+        psi_deriv = scatter(psi_deriv, part, m, np.nan)
+        return Correction(merged.x, merged.P, wide_y, S, whole_SI, K, square, wide_e, wide_psi, psi_deriv)
 
     def _hypotheses(self, P: Array, R: Array, M: Array | None) -> tuple[list[Hypothesis], list[int], list[int]]:
         """Return the hypotheses, and which of them have outliers, and which a jump."""
         jumps = [(1.0, P)]
         if self._may_have_jumped:
-            share = self._process_noise.contamination
-            jumps = [(1.0 - share, P), (share, P + self._jump)]
+            probability = self._process_noise.contamination
+            jumps = [(1.0 - probability, P), (probability, P + self._jump)]
         hypotheses: list[Hypothesis] = []
         bad: list[int] = []
         jumped: list[int] = []
         for leapt, (chance, cov) in enumerate(jumps):
-            for share, scale in self._measurement_noise.patterns(len(R), self.grouping):
+            for probability, scale in self._measurement_noise.patterns(len(R), self.grouping):
                 # A noise that is larger by a factor keeps its correlation with the state.
                 noise, cross = np.outer(scale, scale) * R, None if M is None else M * scale
                 if scale.max() > 1.0:
                     bad.append(len(hypotheses))
                 if leapt:
                     jumped.append(len(hypotheses))
-                hypotheses.append(Hypothesis(chance * share, cov, noise, cross))
+                hypotheses.append(Hypothesis(chance * probability, cov, noise, cross))
         return hypotheses, bad, jumped
 
     def _settle(self) -> None:

@@ -26,18 +26,18 @@ from robust_filterpy._checks import FLOAT, Array
 from robust_filterpy.correction import joint, pair
 from robust_filterpy.correction.definition import correct, correct_observed
 from robust_filterpy.correction.likelihood import log_density
-from robust_filterpy.correction.missing import embed_block, nothing_observed, spread
+from robust_filterpy.correction.missing import embed_block, nothing_observed, scatter
 from robust_filterpy.correction.result import Correction, Observed
 from robust_filterpy.correction.scalar import ScalarCorrection, correct_scalar
 from robust_filterpy.correction.whitening import SAFE, standardize, standardized
-from robust_filterpy.filters._mixin import Robust
+from robust_filterpy.filters._mixin import RobustFilterMixin
 from robust_filterpy.filters._recording import filter_recording
 from robust_filterpy.influence.functions import Huber, Influence
 
 __all__ = ["RobustKalmanFilter"]
 
 
-class RobustKalmanFilter(Robust, KalmanFilter):
+class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
     """Filter like `filterpy.kalman.KalmanFilter`, without believing outliers.
 
     Every attribute, method and shape is filterpy's. What differs is the correction: the standardized innovation
@@ -414,11 +414,13 @@ class RobustKalmanFilter(Robust, KalmanFilter):
         pick = np.ix_(part, part)
         T, _, _ = standardize(S[pick], self.scaling, inv)
         e = standardized(T, y[part])
-        psi, _, slope = self._choices.bound(e, None if self.grouping == "component" else H[part].any(axis=1))
+        psi, _, psi_deriv = self._choices.apply_influence(
+            e, None if self.grouping == "component" else H[part].any(axis=1)
+        )
         whole = np.zeros((m, m))
         whole[pick] = T
-        y, e, psi = (spread(values_, part, m) for values_ in (y[part], e, psi))
-        last = Correction(x, P, y, S, self.SI, K, whole, e, psi, spread(np.array(slope), part, m, np.nan))
+        y, e, psi = (scatter(values_, part, m) for values_ in (y[part], e, psi))
+        last = Correction(x, P, y, S, self.SI, K, whole, e, psi, scatter(np.array(psi_deriv), part, m, np.nan))
         self.x = (x.ravel() + K @ last.y_bounded).reshape(x.shape)
         shape = (m, 1) if x.ndim == 2 else (m,)
         self.y, self.z, self.S, self._last = y.reshape(shape), values.reshape(shape), S, last

@@ -23,14 +23,14 @@ from robust_filterpy.correction.definition import correct
 from robust_filterpy.correction.likelihood import log_density
 from robust_filterpy.correction.options import Choices, length_and_direction
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.filters._hypotheses import SeveralHypotheses, finite_product
+from robust_filterpy.filters._hypotheses import MultipleHypothesisFilter, finite_product
 from robust_filterpy.influence.functions import Influence, Linear, StudentT
 
 __all__ = ["TwoSidedKalmanFilter"]
 
 # What weighs the copies takes every second sample for an outlier, and an outlier for five times as large as an
 # ordinary innovation. Shares from .4 and scales from 5 to 10 were measured to give the same errors within 1 %; a
-# small share lets a filter with many outliers take them for manoeuvres.
+# small probability lets a filter with many outliers take them for manoeuvres.
 _OUTLIER_SHARE = 0.5
 _OUTLIER_SCALE = 5.0
 _GAUSSIAN = Choices(Linear())
@@ -44,12 +44,12 @@ class _Bank(NamedTuple):
 
     means: Array
     covariances: Array
-    shares: Array
+    probabilities: Array
     x: Array
     P: Array
 
 
-class TwoSidedKalmanFilter(SeveralHypotheses):
+class TwoSidedKalmanFilter(MultipleHypothesisFilter):
     """Filter like `RobustKalmanFilter`, but let the size of the process noise be doubted too.
 
     Copies of the filter with process noise ``scale * Q`` run side by side. A copy's probability follows from the
@@ -137,9 +137,9 @@ class TwoSidedKalmanFilter(SeveralHypotheses):
             raise ValueError(f"dwell: expected a number of steps > 1, got {dwell!r}")
         self._scales, self._dwell = scales.copy(), float(dwell)
         # The ordinary scale is where a process starts, the others have the chance of one change.
-        shares = np.full(scales.size, 1.0 / dwell)
-        shares[0] = 1.0
-        self._keep_copies(self._copies(shares / shares.sum()))
+        probabilities = np.full(scales.size, 1.0 / dwell)
+        probabilities[0] = 1.0
+        self._keep_copies(self._copies(probabilities / probabilities.sum()))
         self._found = (None,)
 
     @property
@@ -196,8 +196,8 @@ class TwoSidedKalmanFilter(SeveralHypotheses):
         stay = 1.0 - 1.0 / self._dwell if q > 1 else 1.0
         moves = np.full((q, q), (1.0 - stay) / max(q - 1, 1))
         np.fill_diagonal(moves, stay)
-        shares = bank.shares @ moves
-        origin = bank.shares[:, None] * moves / shares
+        probabilities = bank.probabilities @ moves
+        origin = bank.probabilities[:, None] * moves / probabilities
         F = np.asarray(self.F if F is None else F, dtype=float)
         noise = process_noise(self.Q, Q, n)
         mixed = origin.T @ bank.means
@@ -207,7 +207,7 @@ class TwoSidedKalmanFilter(SeveralHypotheses):
         covariances = self._alpha_sq * (F @ P @ F.T) + self._scales[:, None, None] * noise
         # B u moves every copy as it moves the mean.
         means = x + (mixed - bank.x) @ F.T
-        merged = _merged(means, covariances, shares)
+        merged = _merged(means, covariances, probabilities)
         require_finite_prediction(merged.x, merged.P)
         return merged
 
@@ -229,12 +229,12 @@ class TwoSidedKalmanFilter(SeveralHypotheses):
         relative = np.array(logs) - outlier
         if not self._choices.is_linear:
             relative = np.logaddexp(np.log1p(-_OUTLIER_SHARE) + relative, np.log(_OUTLIER_SHARE))
-        joint = np.log(bank.shares) + relative
+        joint = np.log(bank.probabilities) + relative
         peak = joint.max()
         weights = np.exp(joint - peak)
         total = float(outlier + peak + np.log(weights.sum()))
-        shares = weights / weights.sum()
-        merged = _merged(np.array([c.x for c in copies]), np.array([c.P for c in copies]), shares)
+        probabilities = weights / weights.sum()
+        merged = _merged(np.array([c.x for c in copies]), np.array([c.P for c in copies]), probabilities)
         self._found = (total, merged)
         return shown._replace(x=merged.x, P=merged.P)
 
@@ -264,11 +264,11 @@ class TwoSidedKalmanFilter(SeveralHypotheses):
             return _Bank(self._means, self._covariances, self._shares, self._merged_x, self._merged_P)
         return self._copies(self._shares)
 
-    def _copies(self, shares: Array) -> _Bank:
+    def _copies(self, probabilities: Array) -> _Bank:
         """Return copies that are all at x, P."""
         x, P = state_of(self)
-        q = len(shares)
-        return _Bank(np.tile(x.ravel(), (q, 1)), np.tile(P, (q, 1, 1)), shares, x.ravel().copy(), P.copy())
+        q = len(probabilities)
+        return _Bank(np.tile(x.ravel(), (q, 1)), np.tile(P, (q, 1, 1)), probabilities, x.ravel().copy(), P.copy())
 
 
 def _log_normal(found: list[Correction], part: np.ndarray, inv: Any) -> list[float]:
@@ -287,8 +287,14 @@ def _log_normal(found: list[Correction], part: np.ndarray, inv: Any) -> list[flo
     return [-0.5 * (r * r + d + part.size * _LOG_2PI) for r, d in zip(lengths, log_dets.tolist(), strict=True)]
 
 
-def _merged(means: Array, covariances: Array, shares: Array) -> _Bank:
+def _merged(means: Array, covariances: Array, probabilities: Array) -> _Bank:
     """Return copies together with their overall mean and covariance."""
-    x = shares @ means
+    x = probabilities @ means
     apart = means - x
-    return _Bank(means, covariances, shares, x, np.tensordot(shares, covariances, 1) + (apart.T * shares) @ apart)
+    return _Bank(
+        means,
+        covariances,
+        probabilities,
+        x,
+        np.tensordot(probabilities, covariances, 1) + (apart.T * probabilities) @ apart,
+    )

@@ -127,7 +127,7 @@ class RecoveringKalmanFilter(RobustKalmanFilter):
         last = self._arrays()
         if last is None:
             return
-        observed = np.flatnonzero(~np.isnan(last.slope))
+        observed = np.flatnonzero(~np.isnan(last.psi_deriv))
         if observed.size:
             self._watch(observed, np.asarray(self.H if H is None else H, dtype=float), np.asarray(prior, dtype=float))
 

@@ -14,13 +14,17 @@ from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.moments import correct_moments
-from robust_filterpy.filters._nonlinear_mixin import Nonlinear, innovation_of, require_finite, unchanged_if_refused
+from robust_filterpy.filters._nonlinear_mixin import (
+    innovation_of,
+    require_finite,
+    unchanged_if_refused,
+)
 from robust_filterpy.influence.functions import Huber, Influence
 
 __all__ = ["RobustCubatureKalmanFilter", "RobustUnscentedKalmanFilter"]
 
 
-class _SigmaPoint(Nonlinear):
+class _SigmaPoint(NonlinearFilterMixin):
     """Correct by the moments of sigma points."""
 
     sigmas_h: Array

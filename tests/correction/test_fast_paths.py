@@ -18,7 +18,7 @@ from robust_filterpy.correction.scalar import correct_scalar
 pytestmark = pytest.mark.core
 
 INFLUENCES = (Linear(), Huber(), Huber(0.5), Hampel(1.0, 2.0, 4.0), TukeyBiweight(), StudentT())
-FIELDS = ("x", "P", "y", "S", "inverse", "K", "T", "e", "psi", "slope", "y_bounded", "weights")
+FIELDS = ("x", "P", "y", "S", "inverse", "K", "T", "e", "psi", "psi_deriv", "y_bounded", "weights")
 
 
 class Users(Huber):

@@ -67,14 +67,14 @@ def test_merging_hypotheses_is_the_score(grouping):
     P, R, H = spd(rng, n), spd(rng, m), rng.normal(size=(m, n))
     S, C = H @ P @ H.T + R, P @ H.T
     law = NOISE.for_innovation(S, R, grouping)
-    hypotheses = [Hypothesis(share, P, np.outer(s, s) * R) for share, s in NOISE.patterns(m, grouping)]
+    hypotheses = [Hypothesis(probability, P, np.outer(s, s) * R) for probability, s in NOISE.patterns(m, grouping)]
     assert len(hypotheses) == (2 if grouping == "joint" else 4)
-    assert sum(h.share for h in hypotheses) == pytest.approx(1.0)
+    assert sum(h.probability for h in hypotheses) == pytest.approx(1.0)
     for y in rng.normal(size=(10, m)) * 5:
         merged = merge(np.ones(n), y, H, hypotheses)
         np.testing.assert_allclose(merged.x, 1 + C @ law.score(y), rtol=1e-10)
         np.testing.assert_allclose(merged.P, P - C @ law.information(y) @ C.T, rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(merged.shares, law.posterior(y), rtol=1e-8, atol=1e-300)
+        np.testing.assert_allclose(merged.probabilities, law.posterior(y), rtol=1e-8, atol=1e-300)
         np.testing.assert_allclose(merged.score, law.score(y), rtol=1e-9)
         np.testing.assert_allclose(merged.information, law.information(y), rtol=1e-8, atol=1e-12)
 
@@ -108,7 +108,7 @@ def test_without_outliers_it_is_the_identity():
 def test_moments_of_the_patterns():
     assert NOISE.variance_ratio == pytest.approx(10.9)
     law = NOISE.for_innovation([[1.0]], [[1.0]])
-    assert law.shares @ law.covariances[:, 0, 0] == pytest.approx(10.9)
+    assert law.probabilities @ law.covariances[:, 0, 0] == pytest.approx(10.9)
 
 
 @pytest.mark.parametrize("size", [1e3, 1e10, 1e155, 1e300, 1.7e308])
@@ -117,7 +117,7 @@ def test_influence_is_bounded(size):
     merged = merge(np.zeros(2), size * np.array([1.0, -0.3]), np.diag([1.0, 2.0]), hypotheses)
     assert np.linalg.norm(merged.x) < 3.0 and np.isfinite(merged.P).all() and np.isfinite(merged.log_density)
     assert np.linalg.eigvalsh(merged.P)[0] > 0
-    np.testing.assert_allclose(merged.shares, [0, 1], atol=1e-12)
+    np.testing.assert_allclose(merged.probabilities, [0, 1], atol=1e-12)
 
 
 def test_covariance_of_the_mixture_is_positive_definite_however_small_the_noise():

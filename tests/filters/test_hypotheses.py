@@ -80,10 +80,16 @@ def brute_force(problem, z, both):
         means.append(x0 + C @ np.linalg.solve(S, z - H @ x0))
         covs.append(P - C @ np.linalg.solve(S, C.T))
         logs.append(np.log(prior) + multivariate_normal.logpdf(z, H @ x0, S))
-    share = np.exp(logs - logsumexp(logs))
-    mean = share @ means
-    spread = sum(s * np.outer(m - mean, m - mean) for s, m in zip(share, means, strict=True))
-    return mean, np.tensordot(share, covs, 1) + spread, logsumexp(logs), share[1] + share[3], share[2] + share[3]
+    probability = np.exp(logs - logsumexp(logs))
+    mean = probability @ means
+    spread = sum(s * np.outer(m - mean, m - mean) for s, m in zip(probability, means, strict=True))
+    return (
+        mean,
+        np.tensordot(probability, covs, 1) + spread,
+        logsumexp(logs),
+        probability[1] + probability[3],
+        probability[2] + probability[3],
+    )
 
 
 @pytest.mark.parametrize("seed", range(5))
