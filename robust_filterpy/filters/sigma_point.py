@@ -15,6 +15,7 @@ from robust_filterpy._arrays import noise_covariance, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.moments import correct_moments
 from robust_filterpy.filters._nonlinear_mixin import (
+    NonlinearFilterMixin,
     innovation_of,
     require_finite,
     unchanged_if_refused,
