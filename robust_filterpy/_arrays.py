@@ -11,11 +11,14 @@ import numpy as np
 from robust_filterpy import _checks
 from robust_filterpy._checks import FLOAT, Array
 
+# Sensors up to which a checked R is remembered by its bytes: 256 of them take half a megabyte.
+_REMEMBERED = 16
+
 
 def state_of(kf: Any) -> tuple[Array, Array]:
     """Return x, shape (n,) or (n, 1), and P, shape (n, n), as float arrays."""
     x, P, n = kf.x, kf.P, kf.dim_x
-    if type(x) is type(P) is np.ndarray and x.dtype is P.dtype is FLOAT:
+    if type(x) is type(P) is np.ndarray and x.dtype is P.dtype == FLOAT:
         if P.shape == (n, n) and (x.shape == (n, 1) or x.shape == (n,)):
             return x, P
     x = _checks.numbers("x", x)
@@ -35,7 +38,7 @@ def measured(z: Any, m: int, missing: bool = False) -> Any:
     if m == 1 and type(z) is float:
         number = z
     else:
-        array = z if type(z) is np.ndarray and z.dtype is FLOAT else _checks.numbers("z", z)
+        array = z if type(z) is np.ndarray and z.dtype == FLOAT else _checks.numbers("z", z)
         if array.shape != (m,) and (array.size != m or array.ndim > 2 or (array.ndim == 2 and 1 not in array.shape)):
             plural = "number" if m == 1 else "numbers"
             raise ValueError(f"z: expected {m} {plural} for H with {m} row(s), got {_checks.described(array)}")
@@ -55,43 +58,45 @@ def measured(z: Any, m: int, missing: bool = False) -> Any:
 
 
 def noise_covariance(default: Any, given: Any, m: int) -> Array:
-    """Return R, shape (m, m), positive definite."""
+    """Return R, shape (m, m), positive semidefinite; a scalar means times I, wherever it comes from."""
     R = default if given is None else given
-    if not (type(R) is np.ndarray and R.dtype is FLOAT and R.shape == (m, m)):
-        if given is not None and np.ndim(given) == 0:
-            R = _checks.real("R", given) * np.eye(m)
+    if not (type(R) is np.ndarray and R.dtype == FLOAT and R.shape == (m, m)):
+        if np.ndim(R) == 0 and R is not None:
+            R = _checks.real("R", R) * np.eye(m)
         R = _checks.matrix("R", R, (m, m), f"dim_z={m}")
     if m == 1:
-        if not 0.0 < R.item() < math.inf:
-            raise ValueError(f"R: expected a variance > 0, got {R.item()}; use NaN in z for a sensor that is absent")
-        return R
-    # By content, since users write into R, and by the bytes, since most never do.
-    _require_positive_definite(R.tobytes(), m)
+        if not 0.0 <= R.item() < math.inf:
+            raise ValueError(f"R: expected a variance >= 0, got {R.item()}; use NaN in z for a sensor that is absent")
+    elif m <= _REMEMBERED:
+        # By content, since users write into R, and by the bytes, since most never do.
+        _require_covariance(R.tobytes(), m)
+    else:
+        _checks.covariance("R", R)
     return R
 
 
 @lru_cache(maxsize=256)
-def _require_positive_definite(content: bytes, m: int) -> None:
-    """Raise unless R is positive definite; what passed once is remembered."""
-    _checks.positive_definite("R", np.frombuffer(content).reshape(m, m))
+def _require_covariance(content: bytes, m: int) -> None:
+    """Raise unless R is a covariance; what passed once is remembered."""
+    _checks.covariance("R", np.frombuffer(content).reshape(m, m))
 
 
-def process_noise(default: Any, given: Any, n: int) -> Any:
-    """Return Q, shape (n, n), or filterpy's scalar attribute, which it adds to every entry of P."""
+def process_noise(default: Any, given: Any, n: int) -> Array:
+    """Return Q, shape (n, n); a scalar means times I, wherever it comes from."""
     Q = default if given is None else given
-    if type(Q) is np.ndarray and Q.dtype is FLOAT and Q.shape == (n, n):
+    if type(Q) is np.ndarray and Q.dtype == FLOAT and Q.shape == (n, n):
         return Q
     if np.ndim(Q) == 0 and Q is not None:
-        return _checks.real("Q", Q) if given is None else _checks.real("Q", Q) * np.eye(n)
+        return _checks.real("Q", Q) * np.eye(n)
     return _checks.matrix("Q", Q, (n, n), f"dim_x={n}")
 
 
-def control_term(B: Any, u: Any, shape: tuple[int, ...]) -> Any:
+def control_term(B: Any, u: Any, shape: tuple[int, ...]) -> Array:
     """Return B u in the shape of x."""
     B, u = _checks.numbers("B", B), _checks.numbers("u", u)
-    if B.ndim == 0 and B == 0.0:
-        return 0.0
     n = shape[0]
+    if B.ndim == 0 and B == 0.0:
+        return np.zeros(shape)
     if B.ndim > 2 or B.shape[:1] != (n,):
         if not (B.ndim == 0 and n == 1):
             raise ValueError(f"B: expected shape ({n}, dim_u) for dim_x={n}, got {_checks.described(B)}")

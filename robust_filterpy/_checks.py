@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,14 +60,17 @@ def count(name: str, value: Any, least: int = 0) -> int:
     return int(value)
 
 
-def option(name: str, value: Any, allowed: Iterable[str]) -> str:
+_Option = TypeVar("_Option", bound=str)
+
+
+def option(name: str, value: Any, allowed: Iterable[_Option]) -> _Option:
     """Return value if it is one of the allowed strings or raise."""
     allowed = tuple(allowed)
     if not isinstance(value, str):
         raise TypeError(f"{name}: expected one of {', '.join(map(repr, allowed))}, got {shown(value)}")
     if value not in allowed:
         raise ValueError(f"{name}: expected one of {', '.join(map(repr, allowed))}, got {shown(value)}")
-    return value
+    return value  # type: ignore[return-value]
 
 
 def numbers(name: str, value: Any) -> Array:
@@ -99,7 +102,7 @@ def entries(name: str, values: Any) -> Any:
 
 def matrix(name: str, value: Any, shape: tuple[int, int], reason: str) -> Array:
     """Return value as a float array of this shape or raise, telling what the shape follows from."""
-    if type(value) is np.ndarray and value.dtype is FLOAT and value.shape == shape:
+    if type(value) is np.ndarray and value.dtype == FLOAT and value.shape == shape:
         return value
     if value is None:
         raise TypeError(f"{name}: expected an array of shape {shape} for {reason}, got None")
@@ -130,37 +133,39 @@ def described(found: Array) -> str:
     return f"scalar {found}" if found.ndim == 0 else f"shape {found.shape}"
 
 
-def all_positive_definite(stack: Array) -> bool:
-    """Return whether every matrix of a stack is symmetric, to rounding, and positive definite; quickly, if all are."""
-    if stack.shape[1] == 1:
-        return stack.size == 0 or bool(stack.min() > 0.0 and stack.max() < math.inf)
-    apart = np.abs(stack - stack.transpose(0, 2, 1))
-    if apart.any():
-        scale = np.sqrt(np.abs(np.diagonal(stack, axis1=1, axis2=2)))
-        if not (apart <= 1e-8 * scale[:, :, None] * scale[:, None, :]).all():
-            return False
-    try:
-        np.linalg.cholesky(stack)
-    except np.linalg.LinAlgError:
-        return False
-    return True
-
-
-def positive_definite(name: str, value: Array) -> None:
-    """Raise ValueError unless value is symmetric positive definite."""
+def covariance(name: str, value: Array) -> None:
+    """Raise ValueError unless value is symmetric and positive semidefinite, both to rounding and in any units."""
     if not np.isfinite(value).all():
         raise ValueError(f"{name}: expected finite numbers, got NaN or infinity; use NaN in z for an absent sensor")
-    scale = np.sqrt(np.abs(value.diagonal()))
-    if (np.abs(value - value.T) > 1e-8 * np.outer(scale, scale)).any():
+    unit = np.sqrt(np.abs(value.diagonal()))
+    if (np.abs(value - value.T) > 1e-8 * np.outer(unit, unit)).any():
         raise ValueError(f"{name}: expected a symmetric matrix, got one that differs from its transpose")
     try:
         np.linalg.cholesky(value)
     except np.linalg.LinAlgError:
-        least = np.linalg.eigvalsh(value)[0] if np.isfinite(value).all() else np.nan
-        raise ValueError(
-            f"{name}: expected a positive definite matrix, got one whose least eigenvalue is {least:.3g}; "
-            f"give every sensor a noise variance > 0, and NaN in z for a sensor that is absent"
-        ) from None
+        unit[unit == 0.0] = 1.0
+        if np.linalg.eigvalsh(value / unit / unit[:, None])[0] < -1e-10:
+            raise ValueError(
+                f"{name}: expected a positive semidefinite matrix, got one whose least eigenvalue is "
+                f"{np.linalg.eigvalsh(value)[0]:.3g}"
+            ) from None
+
+
+def all_covariances(stack: Array) -> bool:
+    """Return whether `covariance` takes every matrix of a stack; quickly, if all are positive definite."""
+    if stack.shape[1] == 1:
+        return stack.size == 0 or bool(stack.min() >= 0.0 and stack.max() < math.inf)
+    try:
+        if (stack == stack.transpose(0, 2, 1)).all() and np.isfinite(np.linalg.cholesky(stack)).all():
+            return True
+    except np.linalg.LinAlgError:
+        pass
+    try:
+        for one in stack:
+            covariance("", one)
+    except ValueError:
+        return False
+    return True
 
 
 def finite_vector(name: str, value: Any) -> Array:

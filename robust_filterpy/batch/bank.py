@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import math
 import sys
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array, numbers
+from robust_filterpy.compiled import dispatch
 from robust_filterpy.correction.covariance import NotPositiveDefiniteError
-from robust_filterpy.correction.options import Choices
-from robust_filterpy.correction.whitening import SingularInnovationError
+from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling, ratio
+from robust_filterpy.correction.whitening import SingularInnovationError, standardized
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.influence.information import expected_joint_information
 
 __all__ = ["FilterBank"]
 
 _EPS = sys.float_info.epsilon
-_SAFE = 1e150
 
 
 class FilterBank:
@@ -45,11 +46,11 @@ class FilterBank:
     H : ndarray, shape (dim_z, dim_x) or (n, dim_z, dim_x)
         Measurement matrix.
     R : ndarray, shape (dim_z, dim_z) or (n, dim_z, dim_z)
-        Measurement noise covariance, positive definite.
+        Measurement noise covariance.
     y, e, weights : ndarray, shape (n, dim_z)
         Innovation, standardized innovation (0 where missing) and psi(e)/e (NaN where missing) of the last update.
     S : ndarray, shape (n, dim_z, dim_z)
-        Innovation covariance; a missing component has a row of zeros but for the diagonal.
+        Innovation covariance; a missing component has a row of the identity.
     log_likelihood : ndarray, shape (n,)
         Of the last update; 0 where all of it was missing.
 
@@ -75,9 +76,9 @@ class FilterBank:
         dim_z: int,
         *,
         influence: Influence = Huber(),
-        scaling: str = "innovation",
-        information: str = "realized",
-        grouping: str = "component",
+        scaling: Scaling = "innovation",
+        information: Information = "realized",
+        grouping: Grouping = "component",
     ) -> None:
         """Set up n filters with filterpy's initial values."""
         self.n = _checks.count("n", n, 1)
@@ -113,6 +114,14 @@ class FilterBank:
         d = self.dim_x
         x, P = self._state()
         F, Q = self._matrix("F", (d, d)), self._matrix("Q", (d, d))
+        Bu = None if u is None else self._control(B, u)
+        kernel = dispatch.bank(self._choices)
+        if kernel is not None:
+            moved, covariance = np.empty((self.n, d)), np.empty((self.n, d, d))
+            control = np.zeros((1, d)) if Bu is None else Bu
+            if kernel.predict(*(dispatch.usable(a) for a in (x, P, F, Q, control)), moved, covariance):
+                self.x, self.P = moved, covariance
+                return
         if len(F) == 1:
             # One product for all: P F' as rows, and then the other side through the transpose.
             moved = x @ F[0].T
@@ -122,11 +131,10 @@ class FilterBank:
             moved = (F @ x[:, :, None])[:, :, 0]
             covariance = F @ P @ F.transpose(0, 2, 1)
         covariance += Q
-        if u is not None:
-            B = numbers("B", B)
-            if B.ndim not in (2, 3) or B.shape[-2] != d:
-                raise ValueError(f"B: expected shape ({d}, dim_u) or ({self.n}, {d}, dim_u), got {B.shape}")
-            moved = moved + (B @ np.broadcast_to(numbers("u", u), (self.n, B.shape[-1]))[:, :, None])[:, :, 0]
+        covariance += covariance.transpose(0, 2, 1).copy()
+        covariance *= 0.5
+        if Bu is not None:
+            moved = moved + Bu
         if not math.isfinite(moved.sum() + covariance.sum()):
             raise ValueError("predict: expected finite x and P, got NaN or infinity; check x, P, F, Q, B and u")
         self.x, self.P = moved, covariance
@@ -142,7 +150,7 @@ class FilterBank:
         Raises
         ------
         ValueError
-            If a shape does not fit, z is infinite or an R not positive definite.
+            If a shape does not fit, z is infinite or an R no covariance.
         SingularInnovationError, NotPositiveDefiniteError
             As in `RobustKalmanFilter.update`; no filter has changed then.
         """
@@ -157,12 +165,44 @@ class FilterBank:
         H, R = self._matrix("H", (m, d)), self._matrix("R", (m, m))
         # By content, since users write into R.
         if m == 1 or self._checked is None or not np.array_equal(R, self._checked):
-            _require_positive_definite(R)
+            _require_covariances(R)
             self._checked = R.copy() if m > 1 else None
         seen = z == z
+        kernel = dispatch.bank(choices)
+        if kernel is None:
+            found = self._corrected(x, P, z, H, R, seen)
+        else:
+            found = self._by_kernel(kernel, x, P, z, H, R, seen)
+        self.x, self.P, self.y, self.e, self.S, self.weights = found
+
+    def _by_kernel(
+        self, kernel: Any, x: Array, P: Array, z: Array, H: Array, R: Array, seen: np.ndarray
+    ) -> tuple[Array, ...]:
+        """Correct by the kernel, and in numpy what that leaves to the definition."""
+        n, m = self.n, self.dim_z
+        x, P = x.copy(), np.array(P, order="C")
+        y, e, weights, S = np.empty((n, m)), np.empty((n, m)), np.empty((n, m)), np.empty((n, m, m))
+        fine = np.zeros(n, dtype=np.bool_)
+        arrays = (dispatch.usable(a) for a in (z, H, R))
+        kernel.correct(x, P, *arrays, dispatch.encoded(self._choices, m), y, e, S, weights, fine)
+        left = np.flatnonzero(~fine)
+        if left.size:
+            H, R = (a if len(a) == 1 else a[left] for a in (H, R))
+            try:
+                rest = self._corrected(x[left], P[left], z[left], H, R, seen[left])
+            except (ValueError, np.linalg.LinAlgError) as error:
+                error.args = (renumbered(str(error), "filter", left), *error.args[1:])
+                raise
+            for whole, part in zip((x, P, y, e, S, weights), rest, strict=True):
+                whole[left] = part
+        return x, P, y, e, S, weights
+
+    def _corrected(self, x: Array, P: Array, z: Array, H: Array, R: Array, seen: np.ndarray) -> tuple[Array, ...]:
+        """Return x, P, y, e, S and weights after the correction, all filters at once."""
+        m, d, n = self.dim_z, self.dim_x, len(x)
         everything = bool(seen.all())
         if len(H) == 1 and everything:
-            C = (P.reshape(-1, d) @ H[0].T).reshape(self.n, d, m)
+            C = (P.reshape(-1, d) @ H[0].T).reshape(n, d, m)
             y = z - x @ H[0].T
         else:
             # A sensor without sight, whose noise is independent: it moves nothing, like one that is not there.
@@ -171,17 +211,17 @@ class FilterBank:
             y = np.where(seen, z, 0.0) - (H @ x[:, :, None])[:, :, 0]
             R = R * (seen[:, :, None] & seen[:, None, :])
         S = H @ C + R
-        filler = None
         if not everything:
-            filler = np.where(seen, np.diagonal(S, axis1=1, axis2=2), 0.0).max(axis=1)
-            filler[filler == 0.0] = 1.0
-            S[:, np.arange(m), np.arange(m)] += np.where(seen, 0.0, filler[:, None])
+            S[:, np.arange(m), np.arange(m)] += ~seen
         T, defect = self._standardize(S)
-        e = y * T[:, :, 0] if m == 1 else (T @ y[:, :, None])[:, :, 0]
-        if not np.isfinite(e).all():
-            raise ValueError("update: expected finite innovations, got NaN or infinity; check x and H")
+        with np.errstate(over="ignore", invalid="ignore"):
+            e = y * T[:, :, 0] if m == 1 else (T @ y[:, :, None])[:, :, 0]
+        for s in np.flatnonzero(~np.isfinite(e).all(axis=1)):
+            if not np.isfinite(y[s]).all():
+                raise ValueError(f"filter {s}: update: expected finite innovations, got NaN or infinity; check x and H")
+            e[s] = standardized(T[s], y[s])
         psi, w, D = self._bound(e, seen, H)
-        G = C * T if m == 1 else C @ T
+        G = C * T if m == 1 else C @ T.transpose(0, 2, 1)
         full = bool((D == 1.0).all()) if D.ndim == 2 else False
         GD = G if full else G * D[:, None, :] if D.ndim == 2 else G @ D
         K = GD * T if m == 1 else GD @ T
@@ -190,14 +230,16 @@ class FilterBank:
         W = K * H if m == 1 else K @ H
         np.subtract(np.eye(d), W, out=W)
         covariance = W @ P @ W.transpose(0, 2, 1)
-        # What is left of the noise: K R K' + G (D - D^2) G' + G D (I - T S T) D G'.
+        # What is left of the noise: K R K' + G (D - D^2) G' + G D (I - T S T') D G'.
         covariance += _sandwich(K, R)
         unused = D - D * D if D.ndim == 2 else D - D @ D
         if unused.any():
             covariance += (G * unused[:, None, :]) @ G.transpose(0, 2, 1) if D.ndim == 2 else _sandwich(G, unused)
         if defect is not None:
             covariance += _sandwich(GD, defect)
-        if choices.scaling == "unit":
+        covariance += covariance.transpose(0, 2, 1).copy()
+        covariance *= 0.5
+        if self._choices.scaling == "unit":
             least = np.linalg.eigvalsh(covariance)[:, 0]
             bad = np.flatnonzero(least < -1e-13 * np.abs(covariance).max(axis=(1, 2)))
             if bad.size:
@@ -205,9 +247,7 @@ class FilterBank:
                     f'filter {bad[0]}: scaling="unit" would make P indefinite: it needs D H P H\' < 1 in the unit of '
                     f'the measurement squared; use scaling="bounded" or "innovation"'
                 )
-        self.x, self.P, self.y, self.e, self.S = moved, covariance, y, e, S
-        self.weights = w if everything else np.where(seen, w, np.nan)
-        self._filler = filler
+        return moved, covariance, y, e, S, w if everything else np.where(seen, w, np.nan)
 
     @property
     def log_likelihood(self) -> Array:
@@ -218,19 +258,17 @@ class FilterBank:
             return np.zeros(self.n)
         choices, e = self._choices, self.e
         if choices.scaling != "innovation":
-            e = (_root(self.S, 0.0)[0] @ self.y[:, :, None])[:, :, 0]
+            e = (_whitening(self.S) @ self.y[:, :, None])[:, :, 0]
+        # A missing component has a row of the identity in S.
         log_det = np.log(self.S[:, 0, 0]) if self.dim_z == 1 else np.linalg.slogdet(self.S)[1]
-        if self._filler is not None:
-            log_det = log_det - (self.dim_z - count) * np.log(self._filler)
         normal = getattr(choices.influence, "log_normalizer", lambda dim: 0.5 * dim * math.log(2.0 * math.pi))
         if choices.grouping == "component":
-            loss = np.where(seen, choices.influence.rho(e), 0.0).sum(axis=1) + count * normal(1)
+            loss = np.where(seen, choices.evaluated("rho", e), 0.0).sum(axis=1) + count * normal(1)
         else:
             table = np.array([0.0, *(normal(dim) for dim in range(1, self.dim_z + 1))])
-            loss = choices.influence.rho(np.linalg.norm(e, axis=1)) + table[count]
+            loss = choices.evaluated("rho", _lengths(e)) + table[count]
         return np.where(count > 0, -np.minimum(loss, sys.float_info.max) - 0.5 * log_det, 0.0)
 
-    _filler: Array | None = None
     _checked: Array | None = None
 
     def _state(self) -> tuple[Array, Array]:
@@ -240,6 +278,13 @@ class FilterBank:
             if value.shape != shape:
                 raise ValueError(f"{name}: expected shape {shape} for n={self.n}, got {value.shape}")
         return x, P
+
+    def _control(self, B: Any, u: Any) -> Array:
+        """Return B u, shape (n, dim_x), checked."""
+        B, d = numbers("B", B), self.dim_x
+        if B.ndim not in (2, 3) or B.shape[-2] != d:
+            raise ValueError(f"B: expected shape ({d}, dim_u) or ({self.n}, {d}, dim_u), got {B.shape}")
+        return np.asarray((B @ np.broadcast_to(numbers("u", u), (self.n, B.shape[-1]))[:, :, None])[:, :, 0])
 
     def _matrix(self, name: str, shape: tuple[int, int]) -> Array:
         """Return a matrix as shape (1 or n, ., .), checked."""
@@ -255,35 +300,37 @@ class FilterBank:
     def _standardize(self, S: Array) -> tuple[Array, Array | None]:
         """Return T and I - T S T', None where that is 0."""
         scaling = self._choices.scaling
-        if scaling == "unit":
-            _root(S, 0.0)
-            unit = np.broadcast_to(np.eye(self.dim_z), S.shape)
-            return unit, unit - S
-        return _root(S, 1.0 if scaling == "bounded" else 0.0)
+        if scaling == "innovation":
+            return _whitening(S), None
+        if scaling == "bounded":
+            return _bounded_whitening(S)
+        _whitening(S)
+        unit = np.broadcast_to(np.eye(self.dim_z), S.shape)
+        return unit, unit - S
 
     def _bound(self, e: Array, seen: np.ndarray, H: Array) -> tuple[Array, Array, Array]:
         """Return psi(e), psi(e)/e and D, its diagonals (n, m) or matrices (n, m, m)."""
         choices, influence = self._choices, self._choices.influence
-        e = np.clip(e, -_SAFE, _SAFE)
-        psi, w = np.asarray(influence.psi(e)), np.asarray(influence.weights(e))
+        psi = choices.evaluated("psi", e)
+        w = ratio(psi, e)
         if choices.information == "expected":
             D = np.full(e.shape, choices.expected)
         else:
-            D = np.clip(influence.psi_deriv(e) if choices.information == "realized" else w, 0.0, 1.0)
+            D = np.clip(choices.evaluated("psi_deriv", e) if choices.information == "realized" else w, 0.0, 1.0)
         if choices.grouping == "component" or self.dim_z == 1:
             return psi, w, D
         visible = np.broadcast_to(H.any(axis=2), seen.shape) & seen
         inside = np.where(visible, e, 0.0)
-        length = np.linalg.norm(inside, axis=1)
+        length = _lengths(inside)
         direction = inside / np.where(length > 0.0, length, 1.0)[:, None]
-        weight = np.asarray(influence.weights(length))
+        weight = ratio(choices.evaluated("psi", length), length)
         if choices.information == "expected":
             table = np.array([1.0, *(expected_joint_information(influence, i) for i in range(1, self.dim_z + 1))])
             across = radial = np.clip(table, 0.0, 1.0)[visible.sum(axis=1)]
         else:
             across = radial = np.clip(weight, 0.0, 1.0)
             if choices.information == "realized":
-                radial = np.where(length > 0.0, np.clip(influence.psi_deriv(length), 0.0, 1.0), across)
+                radial = np.where(length > 0.0, np.clip(choices.evaluated("psi_deriv", length), 0.0, 1.0), across)
         matrices = np.where(visible, across[:, None], D)[:, :, None] * np.eye(self.dim_z)
         matrices += (radial - across)[:, None, None] * direction[:, :, None] * direction[:, None, :]
         psi = np.where(visible, weight[:, None] * inside, psi)
@@ -291,17 +338,15 @@ class FilterBank:
 
 
 @np.errstate(invalid="ignore")
-def _require_positive_definite(R: Array) -> None:
-    """Raise unless every R is symmetric positive definite, and finite where it is one number."""
-    if _checks.all_positive_definite(R):
+def _require_covariances(R: Array) -> None:
+    """Raise unless every R is a covariance."""
+    if _checks.all_covariances(R):
         return
     bad: list[int] = []
     sentence = ""
     for s, R_s in enumerate(R):
         try:
-            if not np.isfinite(R_s).all():
-                raise ValueError("R: expected finite numbers, got NaN or infinity")
-            _checks.positive_definite("R", R_s)
+            _checks.covariance("R", R_s)
         except ValueError as error:
             sentence = sentence if bad else str(error)
             bad.append(s)
@@ -316,33 +361,61 @@ def _sandwich(A: Array, B: Array) -> Array:
     return A @ B @ A.transpose(0, 2, 1)
 
 
-def _root(S: Array, floor: float) -> tuple[Array, Array | None]:
-    """Return S^(-1/2) with the eigenvalues of S floored, and I - T S T', None if floor = 0."""
+def _whitening(S: Array) -> Array:
+    """Return T = Z^(-1/2) diag(S)^(-1/2) of every S, Z being its correlation matrix."""
+    m = S.shape[1]
+    variances = np.einsum("sii->si", S)
+    _require_positive(variances.min(axis=1), variances.max(axis=1))
+    if m == 1:
+        return 1.0 / np.sqrt(S)
+    unit = np.sqrt(variances)
+    Z = S / unit[:, :, None] / unit[:, None, :]
+    if m == 2:
+        correlation = Z[:, 0, 1]
+        _require_positive(1.0 - np.abs(correlation) - 2.0 * _EPS, np.ones(len(S)))
+        p, q = 1.0 / np.sqrt(1.0 + correlation), 1.0 / np.sqrt(1.0 - correlation)
+        roots = 0.5 * np.stack([p + q, p - q, p - q, p + q], axis=1).reshape(-1, 2, 2)
+    else:
+        values, vectors = np.linalg.eigh(Z)
+        _require_positive(values[:, 0] - m * _EPS * values[:, -1], values[:, -1])
+        roots = (vectors / np.sqrt(values)[:, None, :]) @ vectors.transpose(0, 2, 1)
+    return np.asarray(roots / unit[:, None, :])
+
+
+def _bounded_whitening(S: Array) -> tuple[Array, Array]:
+    """Return T = S^(-1/2) of every S, its eigenvalues floored at 1, and I - T S T'."""
     m = S.shape[1]
     if m == 1:
-        _require_positive(S[:, 0, 0], S[:, 0, 0], 1)
-        T = 1.0 / np.sqrt(np.maximum(S, floor))
-        return T, np.maximum(1.0 - S, 0.0) if floor else None
-    if m == 2 and not floor:
-        a, b, c = S[:, 0, 0], S[:, 0, 1], S[:, 1, 1]
-        determinant = a * c - b * b
-        _require_positive(np.where(np.minimum(a, c) > 0.0, determinant, -1.0), a * c, 4)
-        s = np.sqrt(determinant)
-        t = np.sqrt(a + c + 2.0 * s) * s
-        return np.stack([(c + s) / t, -b / t, -b / t, (a + s) / t], axis=1).reshape(-1, 2, 2), None
+        _require_positive(S[:, 0, 0], S[:, 0, 0])
+        return 1.0 / np.sqrt(np.maximum(S, 1.0)), np.maximum(1.0 - S, 0.0)
     if not np.isfinite(S).all():
         raise SingularInnovationError("S = H P H' + R: not finite; check H, P and R")
     values, vectors = np.linalg.eigh(S)
-    _require_positive(values[:, 0], values[:, -1], m)
-    T = (vectors / np.sqrt(np.maximum(values, floor))[:, None, :]) @ vectors.transpose(0, 2, 1)
-    if not floor:
-        return T, None
+    _require_positive(values[:, 0] - m * _EPS * values[:, -1] * (np.count_nonzero(S, axis=(1, 2)) > m), values[:, -1])
+    T = (vectors / np.sqrt(np.maximum(values, 1.0))[:, None, :]) @ vectors.transpose(0, 2, 1)
+    # Exactly I where it is I: rounding must not mix the sensors.
+    T[values[:, -1] <= 1.0] = np.eye(m)
     return T, (vectors * np.maximum(1.0 - values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1)
 
 
-def _require_positive(least: Array, scale: Array, m: int) -> None:
+def _lengths(e: Array) -> Array:
+    """Return |e| of every row, at most the largest float, without overflow."""
+    peak = np.abs(e).max(axis=1)
+    scale = np.where(peak > 0.0, peak, 1.0)
+    with np.errstate(over="ignore"):
+        return np.minimum(scale * np.linalg.norm(e / scale[:, None], axis=1), sys.float_info.max)
+
+
+def renumbered(message: str, word: str, rows: np.ndarray) -> str:
+    """Return the message of a bank with the number of its filter replaced by that of a row: "filter 2: .."."""
+    head, colon, rest = message.partition(": ")
+    found, _, number = head.partition(" ")
+    return f"{word} {rows[int(number)]}: {rest}" if colon and found == "filter" and number.isdigit() else message
+
+
+def _require_positive(least: Array, most: Array) -> None:
     """Raise unless every S has an inverse."""
-    bad = np.flatnonzero(~((least > m * _EPS * scale * (m > 1)) & (least < math.inf)))
+    bad = np.flatnonzero(~((least > 0.0) & (most < math.inf)))
     if bad.size:
         raise SingularInnovationError(
             f"filter {bad[0]}: S = H P H' + R is singular or not finite; make R positive definite"

@@ -14,13 +14,16 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array, numbers
 from robust_filterpy.batch.bank import FilterBank
 from robust_filterpy.compiled import dispatch
-from robust_filterpy.correction.options import Choices
+from robust_filterpy.compiled.records import Model, Output
+from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.influence.functions import Huber, Influence
 
 __all__ = ["FilteredSeries", "SmoothedSeries", "filter_series", "smooth_series"]
 
 _COVARIANCES = ("full", "diagonal", "none")
 _REFUSED = ("raise", "nan")
+# Seconds a step of one series takes in numpy, many together.
+_STACKED = 1e-6
 
 
 class FilteredSeries(NamedTuple):
@@ -69,9 +72,9 @@ def filter_series(
     P0: ArrayLike,
     *,
     influence: Influence = Huber(),
-    scaling: str = "innovation",
-    information: str = "realized",
-    grouping: str = "component",
+    scaling: Scaling = "innovation",
+    information: Information = "realized",
+    grouping: Grouping = "component",
     keep: str | int = "all",
     covariance: str = "full",
     refused: str = "raise",
@@ -88,7 +91,7 @@ def filter_series(
     H : array_like, shape (dim_z, dim_x), or with the same axes in front
         Measurement matrix.
     R : array_like, shape (dim_z, dim_z), or with the same axes in front
-        Measurement noise covariance, positive definite.
+        Measurement noise covariance.
     x0 : array_like, shape (dim_x,) or (S, dim_x)
         Mean before the first prediction.
     P0 : array_like, shape (dim_x, dim_x) or (S, dim_x, dim_x)
@@ -120,9 +123,9 @@ def filter_series(
 
     Notes
     -----
-    Same numbers, to rounding, as a loop over `RobustKalmanFilter`. Compiled if numba is installed; otherwise in
-    numpy, all series together. A function of arrays alone, so an engine for data that do not fit one machine can
-    call it block by block over the series: with Dask
+    Same numbers, to rounding, as a loop over `RobustKalmanFilter`. By the kernel, where that serves (see
+    `robust_filterpy.compiled.dispatch`), or in numpy, all series together. A function of arrays alone, so an engine
+    for data that do not fit one machine can call it block by block over the series: with Dask
     ``dask.array.map_blocks(lambda z: filter_series(z, F, H, Q, R, x0, P0).x, zs, dtype=float, chunks=..)``.
 
     Examples
@@ -160,22 +163,22 @@ def filter_series(
         _leading(name, value, shape, series, steps)
         for name, value, shape in (("F", F, (n, n)), ("Q", Q, (n, n)), ("H", H, (m, n)), ("R", R, (m, m)))
     )
-    _require_positive_definite(model[3].reshape(-1, m, m))
+    _require_covariances("R", model[3].reshape(-1, m, m))
     _require_symmetric("Q", model[1])
     _require_symmetric("P0", P0)
     x, P = np.broadcast_to(x0, (series, n)).copy(), np.broadcast_to(P0, (series, n, n)).copy()
     every = _every(keep, steps)
     rows = steps // every if every else 0
     shape = {"full": (n, n), "diagonal": (1, n), "none": (0, 0)}[covariance]
-    kept = dispatch.Kept(
+    kept = Output(
         np.empty((series, rows, n)), np.empty((series, rows, *shape)), np.empty((series, 0, n)),
         np.empty((series, 0, n, n)), np.empty((series, rows, m)), np.zeros(series),
     )  # fmt: skip
     n_threads = _threads(n_threads)
     left = [(range(series), 0)]
-    # However few there are, so that a series has the same numbers in every block of a cluster.
-    if series * steps > 0 and dispatch.can_compile(choices):
-        taken = _run_compiled(choices, z, model, x, P, kept, every, n_threads).tolist()
+    size = _kernel(choices, n, m, series * steps)
+    if size is not None:
+        taken = _run_compiled(size, choices, z, model, x, P, kept, every, n_threads).tolist()
         left = [(range(s, s + 1), k) for s, k in enumerate(taken) if k < steps]
     for part, start in left if series else ():
         _run_bank(choices, z, model, x, P, kept, every, part, start, skips)
@@ -185,11 +188,11 @@ def filter_series(
     return FilteredSeries(kept.means, covariances, kept.log_likelihood, kept.weights)
 
 
-def _require_positive_definite(R: Array) -> None:
-    """Raise unless every R of a stack is positive definite; one by one only where the stack as a whole is not."""
-    if not _checks.all_positive_definite(R):
-        for R_s in R:
-            _checks.positive_definite("R", R_s)
+def _require_covariances(name: str, stack: Array) -> None:
+    """Raise unless every matrix of a stack is a covariance; one by one only where the stack as a whole is not."""
+    if not _checks.all_covariances(stack):
+        for one in stack:
+            _checks.covariance(name, one)
 
 
 def _require_symmetric(name: str, value: Array) -> None:
@@ -232,23 +235,38 @@ def _every(keep: Any, steps: int) -> int:
     return _checks.count("keep", keep, 1)
 
 
+def _kernel(choices: Choices, n: int, m: int, steps: int) -> tuple[int, int] | None:
+    """Return which kernel serves, None for the definition; steps: of all series together."""
+    if steps == 0 or not dispatch.can_compile(choices):
+        return None
+    return dispatch.series_size(n, m, steps, seconds=_STACKED)
+
+
 def _run_compiled(
-    choices: Choices, z: Array, model: Any, x: Array, P: Array, kept: dispatch.Kept, every: int, threads: int
+    size: tuple[int, int],
+    choices: Choices,
+    z: Array,
+    model: Any,
+    x: Array,
+    P: Array,
+    kept: Output,
+    every: int,
+    threads: int,
 ) -> np.ndarray:
     """Run the loops, which let go of the interpreter, on several threads; return how many steps of each were taken."""
     F, Q, H, R = model
-    full = (F, Q, H, R, np.zeros((1, 1, x.shape[1])))
+    full = Model(F, Q, H, R, np.zeros((1, 1, x.shape[1])))
     edges = np.unique(np.linspace(0, len(z), 4 * threads + 1).astype(int)).tolist() if threads > 1 else [0, len(z)]
     spans = list(itertools.pairwise(edges))
 
     def part(span: tuple[int, int]) -> np.ndarray:
-        return dispatch.recurse(choices, z, full, x, P, kept, every=every, span=span)[slice(*span)]
+        return dispatch.filter_series(size, choices, z, full, x, P, kept, every=every, span=span)[slice(*span)]
 
     if len(spans) < 2:
         done = [part(span) for span in spans]
     else:
         # Compile, or load from the cache, before there are two who would.
-        dispatch.recurse(choices, z, full, x, P, kept, every=every, span=(0, 0))
+        dispatch.filter_series(size, choices, z, full, x, P, kept, every=every, span=(0, 0))
         with ThreadPoolExecutor(threads) as pool:
             done = list(pool.map(part, spans))
     return np.concatenate(done)
@@ -260,7 +278,7 @@ def _run_bank(
     model: Any,
     x: Array,
     P: Array,
-    kept: dispatch.Kept,
+    kept: Output,
     every: int,
     part: range,
     start: int,

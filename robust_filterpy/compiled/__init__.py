@@ -1,8 +1,13 @@
-"""The recursion compiled by numba, and when it serves.
+"""The recursion in plain numba, and when it serves.
 
-* `dispatch`: whether the loops can be used, and the way to them.
-* `filter_loop`, `correction`, `inverse_root`, `influence`: the recursion.
-* `products`, `simd`, `workspace`: what it is made of.
+* `dispatch`: whether the kernel or the definition serves a call; what the rest of the package calls.
+* `stamp`: which kernels are in numba's cache on this machine.
+* `kernel`: prediction and correction of one step.
+* `whitening`, `psi`: T, and psi, rho and D, of one step.
+* `loops`: the kernel over recordings and series, and entries for one step.
+* `records`: what goes into the kernel over series and comes out of it.
+* `warm`: calls that make numba compile each kernel.
+* `jit`: compiler flags.
 
-Imports from below: `influence`, `correction.options`.
+`dispatch` and `stamp` import no numba. Imports from below: `influence`, `correction.options`.
 """

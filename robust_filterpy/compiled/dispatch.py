@@ -1,127 +1,180 @@
-"""The way to the compiled loops: whether they can be used, loading them, and saying so when they are compiled.
+"""When the kernel serves, and when the definition does.
 
-numba is optional, and importing it takes longer than filtering a short recording, so nothing of it is imported here.
+The kernel serves where numba can be used and either has the kernel in its cache, or the definition would take longer
+than compiling it. ``python -m robust_filterpy compile`` fills the cache; until then only long recordings wait for a
+compilation, and say so. What serves depends on the machine and the length of the call, never on what ran before in the
+process; kernel and definition agree to rounding. With ROBUST_FILTERPY_KERNEL=off in the environment the definition
+serves always.
 """
 
 from __future__ import annotations
 
 import logging
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import lru_cache
-from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from robust_filterpy._checks import Array
+from robust_filterpy.compiled import stamp
+from robust_filterpy.compiled.records import SIZES, Model, Output, Run
 from robust_filterpy.correction.options import GROUPINGS, INFORMATIONS, SCALINGS, Choices
 from robust_filterpy.influence.information import expected_joint_information
 
-#: Shorter recordings are filtered by the definition. Loading the loops from numba's cache takes .35 s, as long as
-#: 8,000 steps by the definition with 20 states and 5 sensors, 20,000 with 2 and 1: a study of a few dozen recordings
-#: of this length has paid for it, one recording alone loses a third of a second at most. The rule looks at nothing but
-#: the recording, so that the numbers of a study do not depend on how its runs are spread over processes.
-LONG = 1000
+#: Seconds that compiling one kernel takes at most, and that a step by the definition takes at least.
+COMPILATION, DEFINITION = 20.0, 2e-5
+
+#: Names of kernels in the list of those that are cached.
+ONLINE, BANK, TRACKING = "single steps", "steps of a bank", "tracking parameters"
 
 _KINDS = ("linear", "huber", "hampel", "tukey", "student_t")
-
-
-@lru_cache(maxsize=1)
-def available() -> bool:
-    """Return whether numba is installed."""
-    return find_spec("numba") is not None
+_OLDEST = (0, 59)
 
 
 def can_compile(choices: Choices) -> bool:
-    """Return whether the loops know the influence function and numba is installed."""
-    return choices.pointwise is not None and choices.pointwise[0].__name__ in _KINDS and available()
+    """Return whether the kernel knows the influence function."""
+    known = choices.derived.get("known")
+    if known is None:
+        known = choices.pointwise is not None and choices.pointwise[0].__name__ in _KINDS
+        choices.derived["known"] = known
+    return bool(known)
 
 
 @lru_cache(maxsize=1)
-def announce_compilation() -> None:
-    """Have one line logged when numba starts to compile rather than to load from its cache."""
-    from numba.core import event
-
-    class Announcement(event.Listener):
-        """Speak once."""
-
-        def on_start(self, event: Any) -> None:
-            """Say what the wait is for."""
-            if not self.said and "robust_filterpy" in str(getattr(event.data["dispatcher"], "py_func", "").__module__):
-                self.said = True
-                logging.getLogger("robust_filterpy").warning(
-                    "robust_filterpy: compiling its loops for such calls with numba, about 20 s; kept for the next time"
-                )
-
-        def on_end(self, event: Any) -> None:
-            """Say nothing."""
-
-        said = False
-
-    event.register("numba:compile", Announcement())
+def _cached() -> frozenset[str]:
+    """Return the kernels that were cached when this process first asked."""
+    return stamp.cached()
 
 
 @lru_cache(maxsize=1)
 def loops() -> Any:
-    """Return the module of compiled loops."""
-    announce_compilation()
-    from robust_filterpy.compiled import filter_loop
+    """Return the module of compiled loops, None (after one warning that says why) if numba cannot be used."""
+    version = stamp.numba_version()
+    if version is None:
+        return None
+    try:
+        if tuple(int(part) for part in version.split(".")[:2]) < _OLDEST:
+            raise ImportError(f"numba {version} is too old, 0.59 or newer is needed")
+        from robust_filterpy.compiled import loops
 
-    return filter_loop
+        return loops
+    except Exception as error:
+        warnings.warn(
+            f"robust_filterpy runs without numba, which is installed but cannot be used here: {error}",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+        return None
 
 
-class Psi(NamedTuple):
-    """The choices of a filter as numbers: kind, scaling, information, grouping; and tables by number of sensors."""
-
-    codes: tuple[int, int, int, int]
-    parameters: tuple[float, float, float]
-    expected: Array
-    normalizer: Array
+def ready(kernel: str, seconds: float) -> bool:
+    """Return whether a kernel is to be used for a call that takes so many seconds by the definition."""
+    return (kernel in _cached() or seconds > COMPILATION) and stamp.numba_version() is not None and loops() is not None
 
 
-@lru_cache(maxsize=64)
-def encoded(choices: Choices, m: int) -> Psi:
-    """Return the choices for up to m sensors as numbers."""
+_met: set[str] = set()
+
+
+@contextmanager
+def announced(kernel: str) -> Iterator[None]:
+    """Say once if a kernel is about to be compiled, and how to avoid the wait; list it when it has been."""
+    new = kernel not in _cached() and kernel not in _met and kernel not in stamp.cached()
+    if new:
+        logging.getLogger("robust_filterpy").warning(
+            "robust_filterpy: compiling the kernel for %s with numba, once, about %.0f s; "
+            "`python -m robust_filterpy compile` does it beforehand",
+            kernel,
+            COMPILATION,
+        )
+    yield
+    if new:
+        stamp.remember(kernel)
+    _met.add(kernel)
+
+
+class Steps(NamedTuple):
+    """The kernels of a prediction and of a correction."""
+
+    predict: Callable[..., Any]
+    correct: Callable[..., Any]
+
+
+@lru_cache(maxsize=1)
+def online() -> Steps | None:
+    """Return the kernels of one step of one filter, None if they are not in the cache."""
+    if ONLINE in _cached() and loops() is not None:
+        return Steps(loops().predict_step, loops().correct_step)
+    return None
+
+
+def bank(choices: Choices) -> Steps | None:
+    """Return the kernels of one step of many filters, None if they are not in the cache or do not know psi."""
+    if BANK in _cached() and can_compile(choices) and loops() is not None:
+        return Steps(loops().predict_bank, loops().correct_bank)
+    return None
+
+
+def series_size(n: int, m: int, steps: float, seconds: float = DEFINITION) -> tuple[int, int] | None:
+    """Return which of the kernels for series serves n states and m sensors, None if none does.
+
+    steps: of all series; seconds: that each takes otherwise.
+    """
+    # Those for fewer sizes are faster.
+    candidates = [size for size in ((n, m), (0, m), (0, 0)) if size in SIZES]
+    for size in candidates:
+        if series_name(size) in _cached() and loops() is not None:
+            return size
+    return candidates[0] if ready(series_name(candidates[0]), steps * seconds) else None
+
+
+def series_name(size: tuple[int, int]) -> str:
+    """Return the name of a kernel for series."""
+    n, m = (str(k) if k else "any" for k in size)
+    return f"series of {n} states and {m} sensors"
+
+
+def encoded(choices: Choices, m: int) -> Array:
+    """Return the options for up to m sensors as numbers: see `loops.decoded`."""
+    found = choices.derived.get(m)
+    if found is None:
+        found = choices.derived[m] = _encode(choices, m)
+    return found  # type: ignore[no-any-return]
+
+
+def _encode(choices: Choices, m: int) -> Array:
+    """Return the options as numbers."""
     function, a, b, c = choices.pointwise  # type: ignore[misc]
-    codes = (
-        _KINDS.index(function.__name__),
-        SCALINGS.index(choices.scaling),
-        INFORMATIONS.index(choices.information),
-        GROUPINGS.index(choices.grouping) if m > 1 else 0,
-    )
     expected = np.full(m + 1, choices.expected)
-    if m > 1 and choices.grouping == "joint" and choices.information == "expected":
+    joint = choices.grouping == "joint" and m > 1
+    if joint and choices.information == "expected":
         for dim in range(1, m + 1):
             expected[dim] = min(max(expected_joint_information(choices.influence, dim), 0.0), 1.0)
-        # A component that the state has no part in is bounded by itself, and the first place is for those.
-        expected[0] = choices.expected
-    # One sensor alone is bounded as a component, in the filter too.
-    normalizer = np.array([0.0] + [choices.influence.log_normalizer(dim) for dim in range(1, m + 1)])
-    return Psi(codes, (float(a), float(b), float(c)), expected, normalizer)
+    normalizer = [0.0] + [choices.influence.log_normalizer(dim) for dim in range(1, m + 1)]
+    codes = (
+        SCALINGS.index(choices.scaling),
+        INFORMATIONS.index(choices.information),
+        # One sensor alone is bounded as a component, in the definition too.
+        GROUPINGS.index(choices.grouping) if joint else 0,
+    )
+    return np.array([_KINDS.index(function.__name__), a, b, c, *codes, *expected, *normalizer], dtype=float)
 
 
-def ready(array: Array) -> Array:
-    """Return an array that the loops take as it is: numba compiles anew for one that is read only or strided."""
+def usable(array: Array) -> Array:
+    """Return an array as the kernels take it: numba would compile anew for one that is read only or strided."""
     return np.require(array, dtype=np.float64, requirements=("C", "W"))
 
 
-class Kept(NamedTuple):
-    """What a run writes into: arrays over (series, kept step, ...), of length 0 where nothing is wanted."""
-
-    means: Array
-    covariances: Array
-    means_p: Array
-    covariances_p: Array
-    weights: Array
-    log_likelihood: Array
-
-
-def recurse(
+def filter_series(
+    size: tuple[int, int],
     choices: Choices,
     zs: Array,
-    model: tuple[Array, Array, Array, Array, Array],
+    model: Model,
     x: Array,
     P: Array,
-    kept: Kept,
+    output: Output,
     *,
     alpha_sq: float = 1.0,
     update_first: bool = False,
@@ -130,16 +183,37 @@ def recurse(
     start: int = 0,
     span: tuple[int, int] | None = None,
 ) -> np.ndarray:
-    """Advance series in place and return how many steps of each were taken; model: F, Q, H, R, B u.
+    """Advance series in place and return how many steps of each were taken.
 
-    Every array has the axes (series, step) in front, of length 1 where one serves all; x and P have (series,).
+    Parameters
+    ----------
+    size : tuple of int
+        Which kernel, from `series_size`.
+    choices : Choices
+        Influence function, scaling, information, grouping.
+    zs : ndarray, shape (series, steps, m)
+        Measurements, NaN where missing.
+    model : Model
+        F, Q, H, R, B u.
+    x, P : ndarray, shape (series, n) and (series, n, n)
+        States, advanced in place; C-contiguous.
+    output : Output
+        What is written.
+    alpha_sq, update_first, every, likely, start, span
+        Fading memory; whether a step begins with its correction; which steps are kept; whether the likelihood is
+        wanted; the first step; the first series and the one after the last.
+
+    Returns
+    -------
+    ndarray of int, shape (series,)
     """
-    psi = encoded(choices, zs.shape[2])
-    rule = np.array([*psi.codes, int(update_first), every, int(likely)])
     done = np.zeros(len(zs), dtype=np.int64)
     low, high = (0, len(zs)) if span is None else span
-    loops().recurse(
-        ready(zs), *map(ready, model), alpha_sq, x, P, rule, psi.parameters, psi.expected, psi.normalizer,
-        start, low, high, *kept, done,
-    )  # fmt: skip
+    flat = [a.reshape(*a.shape[:2], a.shape[2] * a.shape[3]) if a.ndim == 4 else a for a in output]
+    with announced(series_name(size)):
+        loops().filter_series[size](
+            usable(zs), Model(*map(usable, model)), x, P.reshape(len(P), -1), encoded(choices, zs.shape[2]),
+            Run(float(alpha_sq), bool(update_first), int(every), bool(likely), int(start)), int(low), int(high),
+            Output(*flat), done,
+        )  # fmt: skip
     return done

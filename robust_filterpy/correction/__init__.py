@@ -7,7 +7,7 @@
 * `covariance`: P+ in forms that stay positive semidefinite.
 * `likelihood`: log-density of an innovation.
 * `missing`: placing observed components among all.
-* `scalar`, `pair`, `joint`: fast forms for one sensor, two sensors, and psi of the length.
+* `scalar`: a fast form for one sensor.
 * `moments`: the correction from sigma points.
 * `mixture`: the correction when the noise is a known mixture of normal distributions.
 

@@ -64,7 +64,7 @@ def posterior_covariance(
     Returns
     -------
     ndarray, shape (n, n)
-        Symmetric to rounding; the form contracts what asymmetry there is.
+        Symmetric.
     """
     unused = None
     if isinstance(D, list):
@@ -72,7 +72,7 @@ def posterior_covariance(
         if none == len(D):
             return P.copy()
         if none + whole == len(D):
-            GD = G.dot(_diagonal(tuple(D))) if none else G
+            GD = G * np.array(D) if none else G
         else:
             d = np.array(D)
             GD = G * d
@@ -85,35 +85,38 @@ def posterior_covariance(
         P_post += unused
     if whitening_defect is not None:
         P_post += GD.dot(whitening_defect).dot(GD.T)
-    return P_post
+    return symmetrized(P_post)
 
 
-def joseph(P: Array, H: Array, R: Array, K: Array, M: Array | None, unused: Array | None = None) -> Array:
-    """Return the covariance that a gain K leaves, (I - K H) P (I - K H)' + (K R + unused) K', and the terms of M."""
-    I_KH = _identity(len(P)) - K.dot(H)
+def joseph(P: Array, H: Array, R: Array, K: Array, M: Array | None) -> Array:
+    """Return the covariance that a gain K leaves, (I - K H) P (I - K H)' + K R K', and the terms of M."""
+    I_KH = identity(len(P)) - K.dot(H)
     P_post = I_KH.dot(P).dot(I_KH.T)
-    noise = K.dot(R)
-    if unused is not None:
-        noise += unused
-    P_post += noise.dot(K.T)
+    P_post += K.dot(R).dot(K.T)
     if M is not None:
         cross = I_KH.dot(M).dot(K.T)
         P_post -= cross + cross.T
     return P_post
 
 
-@lru_cache(maxsize=256)
-def _diagonal(entries: tuple[float, ...]) -> Array:
-    """Return a diagonal matrix, to be read only."""
-    matrix = np.diag(entries)
+def symmetrized(P: Array) -> Array:
+    """Return (P + P')/2: rounding must not let a covariance drift away from its transpose over many steps."""
+    P = P + P.T
+    P *= 0.5
+    return P
+
+
+@lru_cache(maxsize=64)
+def _small_identity(n: int) -> Array:
+    """Return I, to be read only."""
+    matrix = np.eye(n)
     matrix.flags.writeable = False
     return matrix
 
 
-@lru_cache(maxsize=64)
-def _identity(n: int) -> Array:
-    """Return I, to be read only."""
-    return _diagonal((1.0,) * n)
+def identity(n: int) -> Array:
+    """Return I, to be read only; what is kept of it for the next call takes at most half a megabyte in all."""
+    return _small_identity(n) if n <= 32 else np.eye(n)
 
 
 def _require_positive(P_post: Array, D: Array | list[float], N: Array) -> None:

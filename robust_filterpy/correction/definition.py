@@ -56,8 +56,8 @@ def correct(
         Covariance of the state's error and the measurement noise; then C = P H' + M and
         S = H P H' + H M + M' H' + R.
     inv : callable, optional
-        What inverts S, such as `numpy.linalg.pinv`; T is then the symmetric root of inv(S). By default a
-        singular S is an error.
+        What inverts S, such as `numpy.linalg.pinv`; T'T is then inv(S). By default a singular S is an
+        error.
 
     Returns
     -------
@@ -105,7 +105,7 @@ def correct_observed(
     T, SI, whitening_defect = standardize(S, choices.scaling, inv)
     e = T.dot(y) if small else standardized(T, y)
     psi, D, psi_deriv = choices.apply_influence(e, None if choices.grouping == "component" else H.any(axis=1))
-    G = C.dot(T)
+    G = C.dot(T.T)
     x_post = x + G.dot(psi)
     P_post = posterior_covariance(P, H, R, G, T, D, whitening_defect, M)
     if choices.scaling == "unit":

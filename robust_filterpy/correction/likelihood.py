@@ -67,8 +67,8 @@ def _log_standard_density(e: Array, rank: int, choices: Choices) -> float:
     """Return log f(e), component by component or of the length."""
     normalizer = getattr(choices.influence, "log_normalizer", lambda dim: 0.5 * dim * math.log(2.0 * math.pi))
     if choices.grouping == "component":
-        losses = np.asarray(choices.influence.rho(e), dtype=float)
+        losses = choices.evaluated("rho", e)
         total = float(np.minimum(losses, 0.5 * _LARGEST / e.size).sum())
         return -total - rank * normalizer(1)
     length, _ = length_and_direction(e)
-    return -min(float(choices.influence.rho(np.array([length]))[0]), _LARGEST) - normalizer(rank)
+    return -min(choices.evaluated("rho", np.array([length])).item(), _LARGEST) - normalizer(rank)

@@ -324,15 +324,14 @@ def _inverted(S: Array, inv: Inverse | None) -> tuple[Array, Array]:
         except np.linalg.LinAlgError:
             # It names the eigenvalue that is at fault, or finds that rounding alone was.
             T = np.array([standardize(one, "innovation")[0] for one in S])
-            return T @ T, -2.0 * np.linalg.slogdet(T)[1]
+            return np.swapaxes(T, 1, 2) @ T, -2.0 * np.linalg.slogdet(T)[1]
         diagonals = np.diagonal(factors, axis1=1, axis2=2)
         return np.asarray(np.linalg.inv(S), dtype=float), 2.0 * np.log(diagonals).sum(axis=1)
-    roots = [standardize(one, "innovation", inv) for one in S]
-    log_dets = []
-    for T, _, _ in roots:
-        values = np.linalg.eigvalsh(T)
-        log_dets.append(-2.0 * np.log(values[values > len(T) * 2.3e-16 * values[-1]]).sum())
-    return np.array([T @ T for T, _, _ in roots]), np.array(log_dets)
+    # Through `standardize`, which refuses what is no inverse of a covariance.
+    inverses = np.array([standardize(one, "innovation", inv)[1] for one in S])
+    values = np.linalg.eigvalsh(0.5 * (inverses + np.swapaxes(inverses, 1, 2)))
+    kept = values > values.shape[1] * np.finfo(float).eps * values[:, -1:]
+    return inverses, -np.where(kept, np.log(np.where(kept, values, 1.0)), 0.0).sum(axis=1)
 
 
 def _shortened(y: Array, inverses: Array) -> Array:

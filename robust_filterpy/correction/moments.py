@@ -91,7 +91,7 @@ def correct_moments(
     T, SI, _ = standardize(Sp, choices.scaling, inv)
     e = standardized(T, y[part])
     psi, D, psi_deriv = choices.apply_influence(e, None if choices.grouping == "component" else _visible(P, Cp, Sp))
-    G = Cp.dot(T)
+    G = Cp.dot(T.T)
     unclipped = np.diag(D) if isinstance(D, list) else D
     reduction = G.dot(unclipped).dot(G.T)
     P_post = P - 0.5 * (reduction + reduction.T)
@@ -102,7 +102,7 @@ def correct_moments(
             f'found {found:.6g}; use scaling="bounded" or "innovation", a smaller P, or a larger unit of measurement'
         )
     x_post = np.asarray(add(x, G.dot(psi)), dtype=float)
-    inverse = T.dot(T) if SI is None else SI
+    inverse = T.T.dot(T) if SI is None else SI
     if part.size == m:
         return Correction(x_post, P_post, y, S, SI, G.dot(T), T, e, psi, psi_deriv)
     wide_T, wide_SI, K = np.zeros((m, m)), np.zeros((m, m)), np.zeros((x.size, m))

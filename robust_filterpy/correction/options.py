@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
 
@@ -16,14 +16,17 @@ from robust_filterpy._checks import Array
 from robust_filterpy.influence.functions import Huber, Influence, Linear
 from robust_filterpy.influence.information import expected_information, expected_joint_information
 
-__all__ = ["GROUPINGS", "INFORMATIONS", "SCALINGS", "Choices"]
+__all__ = ["GROUPINGS", "INFORMATIONS", "SCALINGS", "Choices", "Grouping", "Information", "Scaling"]
 
-SCALINGS: Final = ("innovation", "unit", "bounded")
-INFORMATIONS: Final = ("realized", "expected", "weight")
-GROUPINGS: Final = ("component", "joint")
+Scaling: TypeAlias = Literal["innovation", "unit", "bounded"]
+Information: TypeAlias = Literal["realized", "expected", "weight"]
+Grouping: TypeAlias = Literal["component", "joint"]
+SCALINGS: Final[tuple[Scaling, ...]] = ("innovation", "unit", "bounded")
+INFORMATIONS: Final[tuple[Information, ...]] = ("realized", "expected", "weight")
+GROUPINGS: Final[tuple[Grouping, ...]] = ("component", "joint")
 
-# Beyond this an influence function of somebody else's may square its argument into infinity.
-_SAFE = 1e150
+# Above this a third-party psi may overflow: norms of statsmodels take the eighth power of e.
+_BEARABLE = 1e30
 
 
 @dataclass(frozen=True)
@@ -55,9 +58,9 @@ class Choices:
     """
 
     influence: Any = Huber()
-    scaling: str = "innovation"
-    information: str = "realized"
-    grouping: str = "component"
+    scaling: Scaling = "innovation"
+    information: Information = "realized"
+    grouping: Grouping = "component"
 
     def __post_init__(self) -> None:
         """Check every choice."""
@@ -74,6 +77,10 @@ class Choices:
         """Return the same choices but for the ones given."""
         return replace(self, **choice)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the choices alone: the rest follows from them."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
     def __deepcopy__(self, memo: dict[int, Any]) -> Choices:
         """Return self: nothing in here changes, and filterpy's Saver copies a filter at every epoch."""
         return self
@@ -86,16 +93,16 @@ class Choices:
         return None
 
     @cached_property
+    def derived(self) -> dict[Any, Any]:
+        """What the kernel makes of these choices, kept here since they never change."""
+        return {}
+
+    @cached_property
     def is_linear(self) -> bool:
         """Whether psi is the identity, that is, the filter is Kalman's."""
         unbounded = isinstance(self.influence, Linear) or getattr(self.influence, "threshold", 0.0) == np.inf
         # A user's subclass of Linear may have a psi of its own, and then has no pointwise form.
         return unbounded and self.pointwise is not None
-
-    @cached_property
-    def by_length(self) -> bool:
-        """Whether all that a correction needs to know of e is its length and direction."""
-        return self.scaling == "innovation" and (self.grouping == "joint" or self.is_linear)
 
     @cached_property
     def expected(self) -> float:
@@ -128,6 +135,35 @@ class Choices:
             return self._jointly(e)
         return self._jointly_where(e, visible)
 
+    def evaluated(self, name: str, e: Array) -> Array:
+        """Return rho, psi or psi_deriv of e, shape (m,), by the influence function's own vectorised method.
+
+        Parameters
+        ----------
+        name : {"rho", "psi", "psi_deriv"}
+            Which method.
+        e : ndarray, shape (m,)
+            Standardized innovation, finite.
+
+        Returns
+        -------
+        ndarray, shape (m,)
+
+        Raises
+        ------
+        ValueError
+            If a third-party influence function returns another shape, or numbers that are not finite.
+        """
+        if self.pointwise is not None:
+            return np.asarray(getattr(self.influence, name)(e), dtype=float)
+        found = np.asarray(getattr(self.influence, name)(np.clip(e, -_BEARABLE, _BEARABLE)), dtype=float)
+        if found.shape != e.shape or not np.isfinite(found).all():
+            got = f"shape {found.shape}" if found.shape != e.shape else f"{found} for e = {e}"
+            raise ValueError(
+                f"influence: expected finite numbers of shape {e.shape} from {self.influence!r}.{name}, got {got}"
+            )
+        return found
+
     def _componentwise(self, e: Array) -> tuple[Array, list[float], list[float]]:
         """Apply psi to each component."""
         if self.pointwise is not None and len(e) <= 8:
@@ -139,9 +175,7 @@ class Choices:
                 psi_deriv.append(d)
             psi = e if moved == values else np.array(moved)
         else:
-            e = np.clip(e, -_SAFE, _SAFE) if self.pointwise is None else e
-            psi = np.asarray(self.influence.psi(e), dtype=float)
-            psi_deriv = np.asarray(self.influence.psi_deriv(e), dtype=float).tolist()
+            psi, psi_deriv = self.evaluated("psi", e), self.evaluated("psi_deriv", e).tolist()
         if self.information == "expected":
             return psi, [self.expected] * len(e), psi_deriv
         D = psi_deriv if self.information == "realized" else ratio(psi, e).tolist()
@@ -182,8 +216,8 @@ class Choices:
             function, a, b, c = self.pointwise
             along, psi_deriv = function(length, a, b, c)
         else:
-            at = np.array([min(length, _SAFE)])
-            along, psi_deriv = float(self.influence.psi(at)[0]), float(self.influence.psi_deriv(at)[0])
+            at = np.array([length])
+            along, psi_deriv = self.evaluated("psi", at).item(), self.evaluated("psi_deriv", at).item()
         if self.information == "expected":
             across = min(max(expected_joint_information(self.influence, m), 0.0), 1.0)
         else:

@@ -22,7 +22,7 @@ class Correction(NamedTuple):
     S: Array
     """Innovation covariance, shape (m, m)."""
     SI: Array | None
-    """Its inverse, shape (m, m); None under scaling "innovation", where it is T T."""
+    """Its inverse, shape (m, m); None under scaling "innovation", where it is T'T."""
     K: Array
     """Gain before psi, C T'T, shape (n, m): x+ = x + K y_bounded."""
     T: Array
@@ -37,7 +37,7 @@ class Correction(NamedTuple):
     @property
     def inverse(self) -> Array:
         """Inverse of S, shape (m, m)."""
-        return self.T.dot(self.T) if self.SI is None else self.SI
+        return self.T.T.dot(self.T) if self.SI is None else self.SI
 
     @property
     def y_bounded(self) -> Array:
@@ -46,7 +46,10 @@ class Correction(NamedTuple):
             return np.array(self.y)
         if self.T.shape == (1, 1):
             return self.psi / self.T[0]
-        return np.asarray(np.linalg.pinv(self.T, hermitian=True) @ self.psi)
+        # Columns of T have the inverse units of the sensors, which must not decide what pinv takes for 0.
+        unit = np.abs(self.T).max(axis=0)
+        unit[unit == 0.0] = 1.0
+        return np.asarray(np.linalg.pinv(self.T / unit) @ self.psi) / unit
 
     @property
     def weights(self) -> Array:
@@ -76,4 +79,4 @@ class Observed(NamedTuple):
     def as_arrays(self) -> Correction:
         """Return the same with K."""
         x, P, C, y, S, SI, T, e, psi, psi_deriv = self
-        return Correction(x, P, y, S, SI, C.dot(T).dot(T), T, e, psi, psi_deriv)
+        return Correction(x, P, y, S, SI, C.dot(T.T).dot(T), T, e, psi, psi_deriv)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.covariance import _identity, _require_positive
+from robust_filterpy.correction.covariance import _require_positive, identity, symmetrized
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.whitening import _singular
@@ -49,7 +49,7 @@ def correct_scalar(
         C = C + M
         s += 2.0 * H.dot(M).item()
     if not 0.0 < s < math.inf:
-        raise _singular(s)
+        raise _singular(np.array([[s]]), s)
     scaling, information = choices.scaling, choices.information
     # T^2 and 1 - T S T'
     t2, whitening_defect = 1.0 / s, 0.0
@@ -76,7 +76,7 @@ def correct_scalar(
     if d == 0.0:
         return ScalarCorrection(x_post, P.copy(), y, s, 1.0 / s, K, t, e, psi, psi_deriv)
     K_d = K if d == 1.0 else K * d
-    I_KH = _identity(len(P)) - K_d.dot(H)
+    I_KH = identity(len(P)) - K_d.dot(H)
     P_post = I_KH.dot(P).dot(I_KH.T)
     # With G = K/T the unused part G (d - d^2 + d^2 (1 - T S T')) G' joins the noise term d^2 K r K'.
     P_post += (K * (d * d * r + (d - d * d + d * d * whitening_defect) / t2)).dot(K.T)
@@ -85,4 +85,4 @@ def correct_scalar(
         P_post -= cross + cross.T
     if scaling == "unit" and d * hph > 1.0 - 1e-9:
         _require_positive(P_post, [d], np.array([[hph]]))
-    return ScalarCorrection(x_post, P_post, y, s, 1.0 / s, K, t, e, psi, psi_deriv)
+    return ScalarCorrection(x_post, symmetrized(P_post), y, s, 1.0 / s, K, t, e, psi, psi_deriv)

@@ -25,7 +25,8 @@ class SingularInnovationError(np.linalg.LinAlgError):
 def standardize(S: Array, scaling: str, inv: Inverse | None = None) -> tuple[Array, Array | None, Array | None]:
     """Return the scaling T of innovations with covariance S.
 
-    T = S^(-1/2), the symmetric root (paper 36); T = I (42); or S^(-1/2) with the eigenvalues of S floored at 1.
+    With Z the correlation matrix of S, "innovation" is ``T = Z^(-1/2) diag(S)^(-1/2)``, so that T S T' = I (paper 36);
+    "unit" is T = I (42); "bounded" is S^(-1/2) with the eigenvalues of S floored at 1.
 
     Parameters
     ----------
@@ -34,14 +35,14 @@ def standardize(S: Array, scaling: str, inv: Inverse | None = None) -> tuple[Arr
     scaling : {"innovation", "unit", "bounded"}
         Which T.
     inv : callable, optional
-        What inverts S; by default a singular S is an error.
+        What inverts S; T'T is then inv(S). By default a singular S is an error.
 
     Returns
     -------
     T : ndarray, shape (m, m)
-        Symmetric.
+        Not symmetric under "innovation".
     SI : ndarray, shape (m, m), or None
-        Inverse of S; None where it is T T.
+        Inverse of S; None where it is T'T.
     whitening_defect : ndarray, shape (m, m), or None
         I - T S T'; None where it is 0.
 
@@ -49,89 +50,120 @@ def standardize(S: Array, scaling: str, inv: Inverse | None = None) -> tuple[Arr
     ------
     SingularInnovationError
         If S is not positive definite and inv is not given.
+
+    Notes
+    -----
+    Of all T with T S T' = I this one keeps every component of e closest to its own sensor, in correlation, and depends
+    neither on the units of the sensors nor on their order (ZCA-cor: Kessy, Lewin and Strimmer, The American
+    Statistician 72, 2018). S^(-1/2) depends on the units.
+
+    Examples
+    --------
+    >>> T, _, _ = standardize(np.array([[4.0, 0.0], [0.0, 1e-6]]), "innovation")
+    >>> T
+    array([[5.e-01, 0.e+00],
+           [0.e+00, 1.e+03]])
     """
+    if inv is not None:
+        return _from_inverse(inv(S), S, scaling)
+    if scaling == "innovation":
+        return _correlation_whitening(S), None, None
     m = len(S)
     if scaling == "unit":
-        return np.eye(m), _inverse(S) if inv is None else inv(S), np.eye(m) - S
-    if inv is not None:
-        return _root_of_inverse(inv(S), S, scaling)
-    if scaling == "innovation" and m == 2:
-        (a, b), (_, c) = S.tolist()
-        p, q, r = root_of_pair(a, b, c)
-        return np.array([[p, q], [q, r]]), None, None
+        T = _correlation_whitening(S)
+        return np.eye(m), T.T.dot(T), np.eye(m) - S
     values, vectors = _eigen(S)
-    if scaling == "bounded":
-        quarter = vectors / np.maximum(values, 1.0) ** 0.25
-        whitening_defect = (vectors * np.maximum(1.0 - values, 0.0)).dot(vectors.T)
-        return quarter.dot(quarter.T), (vectors / values).dot(vectors.T), whitening_defect
-    # T as a product of one factor with its own transpose is symmetric to the last bit.
-    # A triangular solve of bandwidth 0 divides the rows in half the time of numpy's broadcasting.
-    quarter, _ = lapack.dtbtrs(np.sqrt(np.sqrt(values))[None], vectors.T)
-    return quarter.T.dot(quarter), None, None
+    # Exactly I where it is I: rounding must not mix the sensors.
+    T = np.eye(m) if values[-1] <= 1.0 else (vectors / np.sqrt(np.maximum(values, 1.0))).dot(vectors.T)
+    return T, (vectors / values).dot(vectors.T), (vectors * np.maximum(1.0 - values, 0.0)).dot(vectors.T)
 
 
 def standardized(T: Array, y: Array) -> Array:
     """Return e = T y (paper 29), finite even where the product overflows."""
     peak = max(map(abs, y.tolist()))
     if peak < SAFE:
-        return T.dot(y)
+        e = T.dot(y)
+        if math.isfinite(e.sum()):
+            return e
     with np.errstate(over="ignore"):
-        return np.clip(T.dot(y / peak) * peak, -_LARGEST, _LARGEST)
+        # Columns of T are scaled by the units of the sensors: divided by them first, no product overflows alone.
+        unit = np.abs(T).max(axis=0)
+        scaled = unit * (y / peak)
+        largest = np.abs(scaled).max() or 1.0
+        e = (T / np.where(unit > 0.0, unit, 1.0)).dot(scaled / largest)
+        return np.clip(np.clip(e * largest, -_LARGEST, _LARGEST) * peak, -_LARGEST, _LARGEST)
+
+
+def _correlation_whitening(S: Array) -> Array:
+    """Return Z^(-1/2) diag(S)^(-1/2), Z being the correlation matrix of S."""
+    variances = S.diagonal()
+    if len(S) == 2:
+        return _of_pair(*S.ravel().tolist())
+    least, most = min(variances.tolist()), max(variances.tolist())
+    if not (least > 0.0 and most < math.inf):
+        raise _singular(S, least)
+    unit = np.sqrt(variances)
+    values, vectors, failed = lapack.dsyev(S / unit / unit[:, None])
+    roots = values.tolist()
+    if failed or not roots[0] > len(roots) * _EPS * roots[-1]:
+        raise _singular(S, roots[0])
+    return (vectors / np.sqrt(values)).dot(vectors.T) / unit
+
+
+def _of_pair(a: float, b: float, _: float, c: float) -> Array:
+    """Return the whitening for two sensors in closed form."""
+    if not (0.0 < a < math.inf and 0.0 < c < math.inf):
+        raise _singular(np.array([[a, b], [b, c]]), min(a, c))
+    first, second = math.sqrt(a), math.sqrt(c)
+    correlation = b / first / second
+    if not 1.0 - abs(correlation) > 2.0 * _EPS:
+        raise _singular(np.array([[a, b], [b, c]]), 1.0 - abs(correlation))
+    p, q = 1.0 / math.sqrt(1.0 + correlation), 1.0 / math.sqrt(1.0 - correlation)
+    same, other = 0.5 * (p + q), 0.5 * (p - q)
+    return np.array([[same / first, other / second], [other / first, same / second]])
 
 
 def _eigen(S: Array) -> tuple[Array, Array]:
     """Return eigenvalues, ascending, and eigenvectors of a positive definite S."""
-    values, vectors, failed = lapack.dsyev(S)
-    spread = values.tolist()
-    if failed or not spread[0] > len(spread) * _EPS * spread[-1]:
-        if not np.isfinite(S).all():
-            raise SingularInnovationError("S = H P H' + R: not finite; check H, P and R for NaN, infinity and overflow")
-        # Sensors in very different units: as long as they are uncorrelated, the root is exact.
-        values, vectors = S.diagonal(), np.eye(len(spread))
-        if np.count_nonzero(S) > np.count_nonzero(values) or not values.min() > 0.0:
-            raise _singular(spread[0])
+    if len(S) > 1 and np.count_nonzero(S) == np.count_nonzero(S.diagonal()):
+        # Exact, however different the units of the sensors are.
+        order = np.argsort(S.diagonal())
+        values, vectors, failed = S.diagonal()[order], np.eye(len(S))[:, order], 0
+        smallest = values[0]
+    else:
+        values, vectors, failed = lapack.dsyev(S)
+        smallest = values[0] - len(S) * _EPS * values[-1]
+    if failed or not (smallest > 0.0 and values[-1] < math.inf):
+        raise _singular(S, values[0])
     return values, vectors
 
 
-def _singular(least: float) -> SingularInnovationError:
-    """Return the error of an S without inverse."""
+def _singular(S: Array, least: float) -> SingularInnovationError:
+    """Return the error of an S without inverse; least: eigenvalue of its correlation matrix, or a variance."""
+    if not np.isfinite(S).all():
+        return SingularInnovationError("S = H P H' + R: not finite; check H, P and R for NaN, infinity and overflow")
     return SingularInnovationError(
         f"S = H P H' + R: singular (least eigenvalue {least:.3g}); make R positive definite, or set "
         f"inv=numpy.linalg.pinv to ignore the directions that carry no information"
     )
 
 
-def _inverse(S: Array) -> Array:
-    """Return the symmetric inverse of a positive definite S."""
-    values, vectors = _eigen(S)
-    return np.asarray((vectors / values) @ vectors.T)
-
-
-def root_of_pair(a: float, b: float, c: float) -> tuple[float, float, float]:
-    """Return S^(-1/2), S = [[a, b], [b, c]]: with s = sqrt(det S), S^(1/2) = (S + s I)/sqrt(tr S + 2 s)."""
-    determinant = a * c - b * b
-    if not (a > 0.0 and c > 0.0 and determinant > 4.0 * _EPS * a * c and determinant < math.inf):
-        _eigen(np.array([[a, b], [b, c]]))
-        correlation = b / math.sqrt(a) / math.sqrt(c)
-        s = math.sqrt(a) * math.sqrt(c) * math.sqrt(max(1.0 - correlation**2, 0.0))
-        if not 0.0 < s < math.inf:
-            raise _singular(s)
-    else:
-        s = math.sqrt(determinant)
-    t = math.sqrt(a + c + 2.0 * s)
-    return (c + s) / t / s, -b / t / s, (a + s) / t / s
-
-
-def _root_of_inverse(SI: Array, S: Array, scaling: str) -> tuple[Array, Array | None, Array | None]:
-    """Return the symmetric root of whatever inverse the user wants of S."""
-    values, vectors = np.linalg.eigh(0.5 * (SI + SI.T))
+def _from_inverse(SI: Array, S: Array, scaling: str) -> tuple[Array, Array | None, Array | None]:
+    """Return the scaling that belongs to whatever inverse the user wants of S."""
+    m = len(S)
+    SI = np.asarray(SI, dtype=float)
+    if scaling == "unit":
+        return np.eye(m), SI, np.eye(m) - S
+    variances = S.diagonal()
+    unit = np.sqrt(np.where(variances > 0.0, variances, 1.0)) if scaling == "innovation" else np.ones(m)
+    values, vectors = np.linalg.eigh(0.5 * (SI + SI.T) * unit * unit[:, None])
     if values[0] < -1e-10 * max(values[-1], 0.0) or not np.isfinite(values).all():
         raise SingularInnovationError(
             f"inv(S): expected a positive semidefinite matrix, got least eigenvalue {values[0]:.3g}; check R and inv"
         )
-    kept = values > S.shape[0] * _EPS * max(values[-1], 0.0)
-    root = np.sqrt(np.where(kept, values, 0.0))
+    kept = values > m * _EPS * max(values[-1], 0.0)
+    roots = np.sqrt(np.where(kept, values, 0.0))
     if scaling == "bounded":
-        root = np.minimum(root, 1.0)
-    T = (vectors * root) @ vectors.T
-    return T, np.asarray(SI, dtype=float), np.eye(S.shape[0]) - T @ S @ T
+        roots = np.minimum(roots, 1.0)
+    T = (vectors * roots).dot(vectors.T) / unit
+    return T, SI, np.eye(m) - T.dot(S).dot(T.T)

@@ -11,7 +11,7 @@ from filterpy.common import pretty_str
 
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.likelihood import log_density
-from robust_filterpy.correction.options import Choices
+from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.whitening import Inverse
 from robust_filterpy.influence.functions import Influence
@@ -43,7 +43,9 @@ class RobustFilterMixin:
     _likelihood: float | None
     _mahalanobis: float | None
 
-    def _set_choices(self, influence: Influence, scaling: str, information: str, grouping: str) -> None:
+    def _set_choices(
+        self, influence: Influence, scaling: Scaling, information: Information, grouping: Grouping
+    ) -> None:
         """Check and keep the choices; called before filterpy's constructor."""
         self._choices = Choices(influence, scaling, information, grouping)
         self._last = None
@@ -63,30 +65,30 @@ class RobustFilterMixin:
         self._choices = self._choices.changed(influence=value)
 
     @property
-    def scaling(self) -> str:
+    def scaling(self) -> Scaling:
         """Which T: "innovation", "unit" or "bounded"."""
         return self._choices.scaling
 
     @scaling.setter
-    def scaling(self, value: str) -> None:
+    def scaling(self, value: Scaling) -> None:
         self._choices = self._choices.changed(scaling=value)
 
     @property
-    def information(self) -> str:
+    def information(self) -> Information:
         """Which D: "realized", "expected" or "weight"."""
         return self._choices.information
 
     @information.setter
-    def information(self, value: str) -> None:
+    def information(self, value: Information) -> None:
         self._choices = self._choices.changed(information=value)
 
     @property
-    def grouping(self) -> str:
+    def grouping(self) -> Grouping:
         """psi of each "component" or of all of them "joint"."""
         return self._choices.grouping
 
     @grouping.setter
-    def grouping(self, value: str) -> None:
+    def grouping(self, value: Grouping) -> None:
         self._choices = self._choices.changed(grouping=value)
 
     @property

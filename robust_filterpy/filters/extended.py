@@ -20,6 +20,7 @@ from robust_filterpy._arrays import (
 )
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.definition import correct
+from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.filters._nonlinear_mixin import (
     NonlinearFilterMixin,
     innovation_of,
@@ -95,9 +96,9 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         dim_u: int = 0,
         *,
         influence: Influence = Huber(),
-        scaling: str = "innovation",
-        information: str = "realized",
-        grouping: str = "component",
+        scaling: Scaling = "innovation",
+        information: Information = "realized",
+        grouping: Grouping = "component",
     ) -> None:
         """Set up filterpy's attributes and the choices."""
         for name, value, least in (("dim_x", dim_x, 1), ("dim_z", dim_z, 1), ("dim_u", dim_u, 0)):

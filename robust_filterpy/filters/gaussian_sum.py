@@ -12,6 +12,7 @@ from robust_filterpy._arrays import process_noise, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.missing import nothing_observed, scatter
 from robust_filterpy.correction.mixture import _MOST_SENSORS, ContaminatedScore, Hypothesis, merge
+from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.whitening import standardize, standardized
 from robust_filterpy.filters._hypotheses import MultipleHypothesisFilter, finite_product
@@ -90,7 +91,7 @@ class NoiseMatchedKalmanFilter(MultipleHypothesisFilter):
         *,
         measurement: ContaminatedScore = ContaminatedScore(),
         process: ContaminatedScore = ContaminatedScore(0.0),
-        grouping: str = "joint",
+        grouping: Grouping = "joint",
     ) -> None:
         """Set up filterpy's attributes and the noise model."""
         steady = Huber.from_contamination(_model("measurement", measurement).contamination)
@@ -134,30 +135,30 @@ class NoiseMatchedKalmanFilter(MultipleHypothesisFilter):
         raise AttributeError("influence: follows from the noise model; set measurement=ContaminatedScore(...)")
 
     @property
-    def scaling(self) -> str:
+    def scaling(self) -> Scaling:
         """Always "innovation": another scaling would not be the score."""
         return "innovation"
 
     @scaling.setter
-    def scaling(self, value: str) -> None:
+    def scaling(self, value: Scaling) -> None:
         raise AttributeError("scaling: always 'innovation' for a noise-matched filter")
 
     @property
-    def information(self) -> str:
+    def information(self) -> Information:
         """Always "realized": the exact second moment."""
         return "realized"
 
     @information.setter
-    def information(self, value: str) -> None:
+    def information(self, value: Information) -> None:
         raise AttributeError("information: always 'realized' for a noise-matched filter")
 
     @property
-    def grouping(self) -> str:
+    def grouping(self) -> Grouping:
         """Whether the sensors fail "joint", or each "component" on its own."""
         return self._choices.grouping
 
     @grouping.setter
-    def grouping(self, value: str) -> None:
+    def grouping(self, value: Grouping) -> None:
         choices = self._choices.changed(grouping=value)
         self._require_few_sensors(value)
         self._choices = choices
@@ -234,13 +235,13 @@ class NoiseMatchedKalmanFilter(MultipleHypothesisFilter):
         S_part = S[pick]
         T, SI, _ = standardize(S_part, "innovation", self._inverse)
         e = standardized(T, y)
-        # The score of y in standardized form: psi(e) = S^(1/2) g, psi' = S^(1/2) g' S^(1/2), S^(1/2) = S T.
-        root = S_part.dot(T)
-        psi, D = root.dot(merged.score), root.dot(merged.information).dot(root)
+        # The score of y in standardized form: with T^-1 = S T', psi(e) = T S g and psi' = T S g' S T'.
+        root = T.dot(S_part)
+        psi, D = root.dot(merged.score), root.dot(merged.information).dot(root.T)
         psi_deriv = np.diag(D)
         C = P.dot(H.T) if M is None else P.dot(H.T) + M
         K, square, whole_SI = np.zeros((x.size, m)), np.zeros((m, m)), np.zeros((m, m))
-        K[:, part], square[pick], whole_SI[pick] = C.dot(T).dot(T), T, T.dot(T) if SI is None else SI
+        K[:, part], square[pick], whole_SI[pick] = C.dot(T.T).dot(T), T, T.T.dot(T) if SI is None else SI
         wide_y, wide_e, wide_psi = (scatter(v, part, m) for v in (y, e, psi))
         psi_deriv = scatter(psi_deriv, part, m, np.nan)
         return Correction(merged.x, merged.P, wide_y, S, whole_SI, K, square, wide_e, wide_psi, psi_deriv)

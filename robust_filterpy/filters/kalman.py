@@ -23,13 +23,15 @@ from robust_filterpy._arrays import (
     state_of,
 )
 from robust_filterpy._checks import FLOAT, Array
-from robust_filterpy.correction import joint, pair
+from robust_filterpy.correction.covariance import symmetrized
 from robust_filterpy.correction.definition import correct, correct_observed
 from robust_filterpy.correction.likelihood import log_density
 from robust_filterpy.correction.missing import embed_block, nothing_observed, scatter
+from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction, Observed
 from robust_filterpy.correction.scalar import ScalarCorrection, correct_scalar
 from robust_filterpy.correction.whitening import SAFE, standardize, standardized
+from robust_filterpy.filters import _step
 from robust_filterpy.filters._mixin import RobustFilterMixin
 from robust_filterpy.filters._recording import filter_recording
 from robust_filterpy.influence.functions import Huber, Influence
@@ -59,7 +61,8 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         `statsmodels.robust.norms`. Thresholds are in standard deviations of the innovation (with scaling
         "unit": in the unit of z).
     scaling : {"innovation", "unit", "bounded"}
-        T: S^(-1/2), the symmetric root (36), so that an infinite threshold gives the Kalman filter; I, the
+        T: Z^(-1/2) diag(S)^(-1/2) with Z the correlation matrix of S (36), so that an infinite threshold gives the
+        Kalman filter and the units of the sensors do not matter; I, the
         paper's modification (42)-(49), a filter only while H P H' < 1 in the unit of z squared; or S^(-1/2)
         with the eigenvalues of S floored at 1: "unit" wherever that is a valid filter.
     information : {"realized", "expected", "weight"}
@@ -124,9 +127,9 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         dim_u: int = 0,
         *,
         influence: Influence = Huber(),
-        scaling: str = "innovation",
-        information: str = "realized",
-        grouping: str = "component",
+        scaling: Scaling = "innovation",
+        information: Information = "realized",
+        grouping: Grouping = "component",
     ) -> None:
         """Set up filterpy's attributes and the choices."""
         for name, value, least in (("dim_x", dim_x, 1), ("dim_z", dim_z, 1), ("dim_u", dim_u, 0)):
@@ -186,14 +189,19 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         n = len(x)
         F = _checks.matrix("F", self.F if F is None else F, (n, n), "dim_x")
         noise = process_noise(self.Q, Q, n)
-        x = F.dot(x)
         B = self.B if B is None else B
-        if B is not None and u is not None:
-            x = x + control_term(B, u, x.shape)
+        Bu = None if B is None or u is None else control_term(B, u, x.shape)
+        found = _step.predict(x, P, F, noise, Bu, self._alpha_sq)
+        if found is not None:
+            return found
+        x = F.dot(x)
+        if Bu is not None:
+            x = x + Bu
         P = F.dot(P).dot(F.T)
         if self._alpha_sq != 1.0:
             P *= self._alpha_sq
         P += noise
+        P = symmetrized(P)
         require_finite_prediction(x, P)
         return x, P
 
@@ -296,7 +304,7 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         """Return checked H, R, z (a float, an array of shape (m,), or None if all is missing) and M."""
         given = H is not None
         H = self.H if H is None else H
-        if not (type(H) is np.ndarray and H.dtype is FLOAT and H.ndim == 2 and H.shape[1] == n):
+        if not (type(H) is np.ndarray and H.dtype == FLOAT and H.ndim == 2 and H.shape[1] == n):
             rows = np.shape(H)[0] if given and np.ndim(H) == 2 else self.dim_z
             H = _checks.matrix("H", H, (rows, n), f"dim_z={rows}, dim_x={n}")
         m = H.shape[0]
@@ -314,9 +322,13 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
 
     def _corrected(
         self, x: Array, P: Array, values: Any, H: Array, R: Array, M: Any
-    ) -> Correction | Observed | ScalarCorrection | pair.PairCorrection | joint.JointCorrection:
+    ) -> Correction | Observed | ScalarCorrection | _step.KernelCorrection:
         """Return the correction of x by checked values; changes nothing."""
         inv, choices = self._inverse, self._choices
+        if inv is None and M is None and (len(H) == 1 or not np.isnan(values).any()):
+            found = _step.correct(x, P, values, H, R, choices)
+            if found is not None:
+                return found
         if len(H) == 1:
             predicted = H.dot(x)
             y = values - predicted.item()
@@ -327,15 +339,8 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
             return correct(x.ravel(), P, np.array([y]), H, R, choices, M, inv)
         x = x.ravel()
         predicted = H.dot(x)
-        if len(H) == 2 and inv is None and not choices.by_length:
-            (v, w), (a, b) = values.tolist(), predicted.tolist()
-            both = [v - a, w - b]
-            if pair.applies(both, choices):
-                return pair.correct_pair(x, P, both, H, R, choices, M)
         y = values - predicted
         size = sum(map(abs, y.tolist()))
-        if inv is None and joint.applies(size, H, choices):
-            return joint.correct_jointly(x, P, y, H, R, choices, M)
         if size < SAFE:
             return correct_observed(x, P, y, H, R, choices, M, inv)
         if size - size != 0.0 and not np.isfinite(predicted).all():

@@ -21,7 +21,7 @@ from robust_filterpy._arrays import process_noise, require_finite_prediction, st
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.definition import correct
 from robust_filterpy.correction.likelihood import log_density
-from robust_filterpy.correction.options import Choices, length_and_direction
+from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling, length_and_direction
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters._hypotheses import MultipleHypothesisFilter, finite_product
 from robust_filterpy.influence.functions import Influence, Linear, StudentT
@@ -122,9 +122,9 @@ class TwoSidedKalmanFilter(MultipleHypothesisFilter):
         process_scales: Sequence[float] = (1.0, 10.0, 100.0),
         dwell: float = 1000.0,
         influence: Influence = StudentT(),
-        scaling: str = "innovation",
-        information: str = "realized",
-        grouping: str = "component",
+        scaling: Scaling = "innovation",
+        information: Information = "realized",
+        grouping: Grouping = "component",
     ) -> None:
         """Set up filterpy's attributes and the copies."""
         super().__init__(

@@ -14,7 +14,7 @@ from scipy.special import chdtri
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.options import length_and_direction
+from robust_filterpy.correction.options import Grouping, Information, Scaling, length_and_direction
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.influence.functions import Influence, TukeyBiweight
 
@@ -99,9 +99,9 @@ class RecoveringKalmanFilter(RobustKalmanFilter):
         *,
         patience: int = 12,
         influence: Influence = TukeyBiweight(),
-        scaling: str = "innovation",
-        information: str = "realized",
-        grouping: str = "component",
+        scaling: Scaling = "innovation",
+        information: Information = "realized",
+        grouping: Grouping = "component",
     ) -> None:
         """Set up filterpy's attributes and the count."""
         super().__init__(

@@ -14,6 +14,7 @@ from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.moments import correct_moments
+from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.filters._nonlinear_mixin import (
     NonlinearFilterMixin,
     innovation_of,
@@ -130,9 +131,9 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
         state_add: Any = None,
         *,
         influence: Influence = Huber(),
-        scaling: str = "innovation",
-        information: str = "realized",
-        grouping: str = "component",
+        scaling: Scaling = "innovation",
+        information: Information = "realized",
+        grouping: Grouping = "component",
     ) -> None:
         """Set up filterpy's attributes and the choices."""
         for name, value in (("dim_x", dim_x), ("dim_z", dim_z)):
@@ -323,9 +324,9 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
         residual_z: Any = None,
         *,
         influence: Influence = Huber(),
-        scaling: str = "innovation",
-        information: str = "realized",
-        grouping: str = "component",
+        scaling: Scaling = "innovation",
+        information: Information = "realized",
+        grouping: Grouping = "component",
     ) -> None:
         """Set up filterpy's attributes and the choices."""
         for name, value in (("dim_x", dim_x), ("dim_z", dim_z)):

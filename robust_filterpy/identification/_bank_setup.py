@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array, described, numbers
-from robust_filterpy.batch.bank import FilterBank
+from robust_filterpy.correction.options import Choices
 from robust_filterpy.identification import _setup
-from robust_filterpy.identification._bank_steps import are_stable
 from robust_filterpy.identification._regressor import LARGEST, Layout
+from robust_filterpy.identification.guard import is_stable
 from robust_filterpy.identification.structures import LinearRegression, Structure
 
 _ABSENT = "NaN in y is for a sample that is missing"
-
-
-class Group(NamedTuple):
-    """The filters of actuators that share influence, scaling and information, and which actuators they are."""
-
-    rows: Any
-    bank: FilterBank
 
 
 def actuators(where: np.ndarray) -> str:
@@ -53,21 +46,14 @@ def options(name: str, value: Any, n: int, allowed: tuple[str, ...]) -> np.ndarr
     return np.array(np.broadcast_to(found, n), order="C")
 
 
-def groups(n: int, dim_x: int, choices: dict[str, Any]) -> tuple[Group, ...]:
-    """Return one bank of filters for all actuators that make the same choices."""
-    lists = {name: each(name, value, n) for name, value in choices.items() if value is not None}
-    if all(len(entries) == 1 for entries in lists.values()):
-        return (Group(slice(None), FilterBank(n, dim_x, 1, **{name: entries[0] for name, entries in lists.items()})),)
-    found: list[tuple[dict[str, Any], list[int]]] = []
-    for i in range(n):
-        own = {name: entries[i if len(entries) == n else 0] for name, entries in lists.items()}
-        for chosen, rows in found:
-            if chosen == own:
-                rows.append(i)
-                break
-        else:
-            found.append((own, [i]))
-    return tuple(Group(np.array(rows), FilterBank(len(rows), dim_x, 1, **chosen)) for chosen, rows in found)
+def choices(n: int, given: dict[str, Any]) -> tuple[Choices, ...]:
+    """Return the options of the correction, one for all actuators or one each."""
+    lists = {name: each(name, value, n) for name, value in given.items() if value is not None}
+    several = any(len(entries) > 1 for entries in lists.values())
+    return tuple(
+        Choices(**{name: entries[i if len(entries) > 1 else 0] for name, entries in lists.items()})
+        for i in range(n if several else 1)
+    )
 
 
 def given(name: str, value: Any) -> Array:
@@ -91,7 +77,7 @@ def parameters(structure: Structure, theta: Any, n: int) -> Array:
         require(
             "theta: expected a stable model to start from, got coefficients that feed back with roots outside the "
             "unit circle",
-            are_stable(values[:, part]),
+            np.array([is_stable(row[part].tolist()) for row in values]),
         )
     return values
 
@@ -183,7 +169,7 @@ def checked_state(state: Any, layout: Layout, n: int, guarded: np.ndarray) -> di
         require(
             "state: expected theta of a stable model, got coefficients that feed back with roots outside the unit "
             "circle",
-            ~guarded | are_stable(found["theta"][:, layout.part]),
+            ~guarded | np.array([is_stable(row[layout.part].tolist()) for row in found["theta"]]),
         )
     return found
 

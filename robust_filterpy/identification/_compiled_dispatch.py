@@ -1,89 +1,93 @@
-"""A recording through the compiled loop, which hands what is out of the ordinary back to the definition."""
+"""Recordings through the compiled recursion, for one actuator or many."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import lru_cache
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy.compiled import dispatch
-from robust_filterpy.identification._lean import Columns, Rules
-from robust_filterpy.identification._regressor import Layout, Memory
+from robust_filterpy.correction.options import Choices
+from robust_filterpy.identification._regressor import Layout
 from robust_filterpy.identification.guard import GUARDS
+from robust_filterpy.identification.results import Columns
+from robust_filterpy.identification.structures import ARX
 
-# phi of so many samples stays in a processor's cache.
-_CHUNK = 4096
-
-# So many samples at most go to the definition before the loop has another try.
-_MOST_ODD = 1024
-
-
-@lru_cache(maxsize=1)
-def _track() -> Any:
-    """Return the compiled loop."""
-    dispatch.announce_compilation()
-    from robust_filterpy.identification._compiled_loop import track
-
-    return track
+#: Seconds that a sample takes by the definition, at least.
+DEFINITION = 3e-5
 
 
-def can_run(kf: Any, length: int) -> bool:
-    """Return whether the loop can take a recording of this length through a `RobustKalmanFilter`."""
-    return (
-        length >= dispatch.LONG
-        and dispatch.can_compile(kf._choices)
-        and all(np.isfinite(a).all() for a in (kf.Q, kf.F))
-        and all(np.abs(a - a.T).max() <= 1e-13 * np.abs(a).max() for a in (kf.P, kf.Q))
-    )
+class Recursion(NamedTuple):
+    """What the recursion of n actuators with d parameters depends on besides their signals."""
+
+    choices: tuple[Choices, ...]
+    """Options of the correction, one for all or one each."""
+    uses_model_output: bool
+    filtered: np.ndarray
+    """Whether the gradient is filtered, (n,)."""
+    guard: np.ndarray
+    """One of `GUARDS`, (n,)."""
+    F: Array
+    """(1 or n, d, d)"""
+    Q: Array
+    """(1 or n, d, d)"""
+    alpha_sq: Array
+    """(n,)"""
+    windup: Array
+    """Trace of P beyond which theta and P stay under forgetting, (n,)."""
 
 
-def run_compiled(
-    layout: Layout,
-    rules: Rules,
-    memory: Memory,
-    kf: Any,
-    y: Array,
-    u: Array,
-    r: Array,
+class Memories(NamedTuple):
+    """Past signals of n actuators, newest first: the arrays of a `Memory` with a leading axis."""
+
+    outputs: Array
+    inputs: Array
+    residuals: Array
+    gradients: Array
+
+
+def serves(choices: tuple[Choices, ...], samples: int) -> bool:
+    """Return whether the kernel takes so many samples, those of all actuators."""
+    return all(map(dispatch.can_compile, choices)) and dispatch.ready(dispatch.TRACKING, samples * DEFINITION)
+
+
+def advance(
+    layout: Layout, recursion: Recursion, y: Array, phi: Array, r: Array, x: Array, P: Array, memory: Memories,
     out: Columns,
-    by_definition: Callable[[int, int], None],
-) -> None:
-    """Advance a filter and the memory through a recording and fill the columns.
+) -> np.ndarray:  # fmt: skip
+    """Advance actuators in place and return the first sample of each that is left to the definition, or N.
 
-    r: variance of the noise, shape (1,) or (N,). by_definition(start, stop): takes these samples one by one.
+    y (n, N) and phi (n, N, d), of which the inputs are filled in; r (n, 1 or N); x (n, d); P (n, d, d); the columns
+    of out have the axes (n, N) in front.
     """
-    psi = dispatch.encoded(kf._choices, 1)
     part = slice(0, 0) if layout.part is None else layout.part
-    # Copies, since numba would compile anew for arrays that are read only.
-    F, Q = np.array(kf.F, order="C"), np.array(kf.Q, order="C")
-    filtered = rules.filtered and layout.part is not None
-    rule = np.array(
-        [*psi.codes[:3], rules.uses_model_output, filtered, GUARDS.index(rules.guard),
-         not np.array_equal(F, np.eye(layout.n)), Q.any()], dtype=np.int64,
-    )  # fmt: skip
+    identity = np.eye(layout.n)
+    moves = np.broadcast_to((recursion.F != identity).any(axis=(1, 2)), len(y))
+    filtered = recursion.filtered & (layout.part is not None)
+    guard = [GUARDS.index(name) for name in recursion.guard]
+    rules = np.stack([np.full(len(y), recursion.uses_model_output), filtered, guard, moves], axis=1).astype(np.int64)
+    options = np.stack([dispatch.encoded(choice, 1) for choice in recursion.choices])
     places = np.array([layout.na, layout.nc, part.start, part.stop], dtype=np.int64)
-    track, length, k, odd = _track(), len(y), 0, 1
-    while k < length:
-        chunk = slice(k, min(k + _CHUNK, length))
-        phi, inputs = memory.regressors(layout, u[chunk])
-        x, P = np.array(kf.x).ravel(), np.array(kf.P, order="C")
-        done = track(
-            y[chunk], phi, r[chunk] if len(r) > 1 else r, F, Q, kf._alpha_sq, rules.windup, rule, psi.parameters,
-            psi.expected[1], places, x, P, memory.outputs, memory.residuals, memory.gradients,
-            *(column[chunk] for column in out),
+    done = np.zeros(len(y), dtype=np.int64)
+    F, Q, alpha_sq, windup = map(dispatch.usable, recursion[4:])
+    with dispatch.announced(dispatch.TRACKING):
+        from robust_filterpy.identification._compiled_loop import track
+
+        track(
+            dispatch.usable(y), phi, dispatch.usable(r), F, Q, alpha_sq, windup, rules, options, places, x, P, memory,
+            out, done,
         )  # fmt: skip
-        kf.x, kf.P = x.reshape(np.shape(kf.x)), P
-        k += done
-        if k == chunk.stop:
-            memory.inputs = inputs
-            continue
-        # Older inputs than the memory holds need not go through it.
-        for values in u[max(k - layout.length, chunk.start) : k]:
-            memory.inputs = memory.with_input(layout, values)
-        odd = 1 if done >= odd else min(2 * odd, _MOST_ODD)
-        stop = min(k + odd, length)
-        by_definition(k, stop)
-        k = stop
+    return done
+
+
+def compile_kernel() -> None:
+    """Take one sample of one actuator, so that numba compiles the recursion."""
+    layout = Layout(ARX(1, 1))
+    eye, one = np.eye(2)[None], np.ones(1)
+    recursion = Recursion((Choices(),), False, np.array([False]), np.array(["none"]), eye, eye, one, one)
+    memory = Memories(**{name: np.zeros((1, *shape)) for name, shape in layout.shapes().items()})
+    advance(
+        layout, recursion, one[None], np.zeros((1, 1, 2)), one[None], np.zeros((1, 2)), eye.copy(), memory,
+        Columns.empty(1, 1, 2),
+    )  # fmt: skip

@@ -22,7 +22,7 @@ _SETTINGS = {"Q": "Q", "R": "R", "F": "F", "alpha_sq": "_alpha_sq"}
 
 def is_array(value: Any, shape: tuple[int, ...]) -> bool:
     """Tell whether value is a float array of this shape."""
-    return type(value) is np.ndarray and value.dtype is FLOAT and value.shape == shape
+    return type(value) is np.ndarray and value.dtype == FLOAT and value.shape == shape
 
 
 def make_filter(n: int, given: Any, choices: dict[str, Any]) -> Any:

@@ -3,34 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array, numbers
+from robust_filterpy.correction.options import Information, Scaling
 from robust_filterpy.identification import _bank_setup, _model
-from robust_filterpy.identification._bank_steps import (
-    Past,
-    all_bounded,
-    all_gradients,
-    all_pushed,
-    all_repaired,
-    all_restrained,
-    all_tempering,
-    are_stable,
-    rowwise,
-)
-from robust_filterpy.identification._conditioning import SHARP
-from robust_filterpy.identification._regressor import Layout
-from robust_filterpy.identification.guard import GUARDS
-from robust_filterpy.identification.results import Coefficients, Intervals, TrackingResult, intervals
+from robust_filterpy.identification._compiled_dispatch import Memories, Recursion, advance, serves
+from robust_filterpy.identification._regressor import LARGEST, Layout
+from robust_filterpy.identification.guard import GUARDS, Guard
+from robust_filterpy.identification.results import Coefficients, Columns, Intervals, TrackingResult, intervals
 from robust_filterpy.identification.structures import Structure
-from robust_filterpy.identification.tracker import _WINDUP, GRADIENTS, ParameterTracker
+from robust_filterpy.identification.tracker import _WINDUP, GRADIENTS, Gradient, ParameterTracker
 from robust_filterpy.influence.functions import Influence
 
 __all__ = ["BankResult", "BankSample", "TrackerBank"]
+
+# Numbers in phi that are worked on at once.
+_CHUNK = 1_000_000
 
 
 class BankSample(NamedTuple):
@@ -113,7 +106,7 @@ class _Now(NamedTuple):
 
     theta: Array
     P: Array
-    past: Past
+    past: Memories
 
 
 class TrackerBank:
@@ -140,8 +133,7 @@ class TrackerBank:
     gradient, guard : str, or list of n str
         As in `ParameterTracker`.
     influence, scaling, information : optional
-        As in `RobustKalmanFilter`, or lists of n. Actuators that choose alike are corrected together: a few different
-        choices cost little, n different ones as much as a loop.
+        As in `RobustKalmanFilter`, or lists of n.
 
     Attributes
     ----------
@@ -161,9 +153,9 @@ class TrackerBank:
 
     Notes
     -----
-    The equations, the gradient, the guard and the treatment of extremes are `ParameterTracker`'s, with an axis of
-    actuators; the correction is `FilterBank`'s with H = phi' of each. The filters are always the robust ones: for the
-    Kalman baseline pass ``influence=Linear()``.
+    Everything is `ParameterTracker`'s, by the kernel for all actuators where that serves
+    (`robust_filterpy.compiled.dispatch`), otherwise one actuator after the other. The filters are always the robust
+    ones: for the Kalman baseline pass ``influence=Linear()``.
 
     Examples
     --------
@@ -193,11 +185,11 @@ class TrackerBank:
         R: ArrayLike = 1.0,
         F: ArrayLike | None = None,
         forgetting: ArrayLike | None = None,
-        gradient: str | Sequence[str] = "filtered",
-        guard: str | Sequence[str] = "halve",
+        gradient: Gradient | Sequence[Gradient] = "filtered",
+        guard: Guard | Sequence[Guard] = "halve",
         influence: Influence | Sequence[Influence] | None = None,
-        scaling: str | Sequence[str] | None = None,
-        information: str | Sequence[str] | None = None,
+        scaling: Scaling | Sequence[Scaling] | None = None,
+        information: Information | Sequence[Information] | None = None,
     ) -> None:
         """Set up n filters and a memory at rest."""
         self.n = n = _checks.count("n", n, 1)
@@ -207,7 +199,7 @@ class TrackerBank:
         self._gradient = _bank_setup.options("gradient", gradient, n, GRADIENTS)
         self._guard = _bank_setup.options("guard", guard, n, GUARDS)
         choices = {"influence": influence, "scaling": scaling, "information": information}
-        self._groups = _bank_setup.groups(n, d, choices)
+        self._choices = _bank_setup.choices(n, choices)
         self._layout = Layout(structure)
         start = _bank_setup.parameters(structure, theta, n)
         covariance = np.array(np.broadcast_to(_bank_setup.covariances("P", P, n, d), (n, d, d)), order="C")
@@ -217,7 +209,8 @@ class TrackerBank:
         self._forgetting = _bank_setup.factors(forgetting, n)
         self._alpha_sq = (1.0 / np.sqrt(self._forgetting)) ** 2
         self._windup = _WINDUP * np.maximum(np.trace(covariance, axis1=1, axis2=2), 1e-300)
-        self._now = _Now(start, covariance, Past.at_rest(self._layout, n))
+        past = Memories(**{name: np.zeros((n, *shape)) for name, shape in self._layout.shapes().items()})
+        self._now = _Now(start, covariance, past)
         self.enabled = True
         self._initial = self.state()
 
@@ -285,9 +278,12 @@ class TrackerBank:
             raise ValueError(f"u: expected the next input, which acts at once in {self.structure}, got None")
         width = self.structure.n_inputs
         values = np.zeros((self.n, width)) if u is None else _bank_setup.inputs(self.structure, u, self.n)
-        phi = past.regressors(layout, past.with_inputs(layout, values))
+        phi = _regressors(layout, past, _with_inputs(layout, past.inputs, values))
         with np.errstate(over="ignore", invalid="ignore"):
-            return all_bounded(rowwise(phi, self._predicted(self._now)[0]))
+            moved = (self._matrices("F") @ self._now.theta[:, :, None])[:, :, 0]
+            theta = np.where(self._drifting()[:, None], moved, self._now.theta)
+            predicted = np.nan_to_num(np.einsum("ij,ij->i", phi, theta), posinf=LARGEST, neginf=-LARGEST)
+        return np.clip(predicted, -LARGEST, LARGEST)
 
     def tracker(self, i: int) -> ParameterTracker:
         """Return a tracker of one actuator that goes on where the bank is, and resets to where the bank began.
@@ -314,18 +310,18 @@ class TrackerBank:
         if not 0 <= i < self.n:
             raise IndexError(f"actuator: expected 0 to {self.n - 1}, got {i}")
         start = self._row(self._initial, i)
-        choices = next(group.bank._choices for group in self._groups if i in np.arange(self.n)[group.rows])
+        choices = self._choices[i if len(self._choices) > 1 else 0]
         tracker = ParameterTracker(
             self.structure,
             **{name: start[name] for name in ("theta", "P", "Q", "R", "F")},
             forgetting=float(self._forgetting[i]),
-            gradient=str(self._gradient[i]),
-            guard=str(self._guard[i]),
+            gradient=cast(Gradient, str(self._gradient[i])),
+            guard=cast(Guard, str(self._guard[i])),
             influence=choices.influence,
             scaling=choices.scaling,
             information=choices.information,
         )
-        tracker.restore(self._row(self._arrays(), i))
+        tracker.restore(self._row(self._arrays(self._now), i))
         return tracker
 
     # The recursion.
@@ -357,8 +353,9 @@ class TrackerBank:
         outputs = _bank_setup.outputs(y, self.n, False)
         inputs = _bank_setup.inputs(self.structure, u, self.n)
         variances = _bank_setup.variances(self.R if R is None else R, self.n)
-        self._now, sample = self._advance(self._now, outputs, inputs, variances)
-        return sample
+        now, out = self._advance(self._now, outputs[None], inputs[None], variances[None], None)
+        self._now = now
+        return BankSample(*(column[:, 0] for column in out[2:]))
 
     def run(
         self, y: ArrayLike, u: ArrayLike | None = None, R: ArrayLike | None = None, *, keep: str | int = "all"
@@ -395,115 +392,80 @@ class TrackerBank:
         noise = _bank_setup.recorded_variances(self.R, R, self.n, length)
         every = _every(keep, length)
         kept = np.arange(every - 1, length, every)
-        theta, variance = np.empty((2, kept.size, self.n, self._layout.n))
-        prediction, residual, weights = np.empty((3, kept.size, self.n))
-        guard = np.empty((kept.size, self.n), dtype=np.int64)
-        now, k = self._now, 0
-        try:
-            for k in range(length):
-                now, sample = self._advance(now, outputs[k], signal[k], noise[k])
-                at, due = divmod(k + 1, every)
-                if due == 0:
-                    prediction[at - 1], residual[at - 1], weights[at - 1], guard[at - 1] = sample
-                    theta[at - 1], variance[at - 1] = now.theta, np.einsum("ijj->ij", now.P)
-        except (ValueError, TypeError, np.linalg.LinAlgError) as error:
-            error.args = (f"sample {k}: {error}", *error.args[1:])
-            raise
+        columns = Columns.empty(kept.size, self.n, self._layout.n)
+        now, step = self._now, max(1, _CHUNK // (self.n * self._layout.n))
+        for k in range(0, length, step):
+            chunk = slice(k, min(k + step, length))
+            now, out = self._advance(now, outputs[chunk], signal[chunk], noise[chunk], k)
+            due = np.flatnonzero((kept >= k) & (kept < chunk.stop))
+            for column, part in zip(columns, out, strict=True):
+                column[due] = part[:, kept[due] - k].swapaxes(0, 1)
         self._now = now
+        theta, variance, prediction, residual, weights, guard = columns
         return BankResult(theta, np.sqrt(np.maximum(variance, 0.0)), prediction, residual, weights, guard, kept)
 
-    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-    def _advance(self, now: _Now, y: Array, u: Array, R: Array) -> tuple[_Now, BankSample]:
-        """Return what one checked sample makes of now; changes nothing."""
-        layout, past, known = self._layout, now.past, y == y
-        inputs = past.with_inputs(layout, u)
-        phi = past.regressors(layout, inputs)
-        theta, P = self._predicted(now)
-        prediction = rowwise(phi, theta)
-        G, filtered, gradients = self._gain_regressor(phi, theta, past.gradients)
-        theta, P, weights = self._corrected(theta, P, G, filtered, y, prediction, R)
-        events, free = np.zeros(self.n, dtype=np.int64), (self._guard == "none") | ~self._enabled
-        if layout.part is not None and not free.all():
-            theta, events = all_restrained(theta, now.theta, layout.part, free, self._guard == "halve")
-        after = rowwise(phi, theta)
-        outputs, residuals = past.outputs, past.residuals
-        if self.structure.uses_model_output:
-            outputs = all_pushed(outputs, -all_bounded(after))
-        elif layout.na:
-            outputs = all_pushed(outputs, -np.where(known, y, all_bounded(prediction)))
-        if layout.nc:
-            residuals = all_pushed(residuals, np.where(known, all_bounded(y - after), 0.0))
-        after_all = _Now(theta, P, Past(outputs, inputs, residuals, gradients))
-        return after_all, BankSample(prediction, y - prediction, weights, events)
+    def _advance(self, now: _Now, y: Array, u: Array, R: Array, first: int | None) -> tuple[_Now, Columns]:
+        """Return what N checked samples make of now, and columns with the axes (n, N); changes nothing.
 
-    def _predicted(self, now: _Now) -> tuple[Array, Array]:
-        """Return theta and P one step on (paper 8), where adaptation is on and P has not wound up."""
-        theta, P, d = now.theta, now.P, self._layout.n
-        F, Q = (_bank_setup.matrices(name, getattr(self, name), self.n, d) for name in "FQ")
-        drifts, forgets = bool(Q.any()), self._alpha_sq != 1.0
-        if F.ndim == 3 or not np.array_equal(F, np.eye(d)):
-            theta, P = (F @ theta[:, :, None])[:, :, 0], F @ P @ np.swapaxes(F, -1, -2)
-        elif not (drifts or forgets.any()):
-            return theta, P
-        moves = self._enabled
-        if forgets.any():
-            moves = moves & (~forgets | (np.einsum("ijj->i", now.P) <= self._windup))
-            P = P * self._alpha_sq[:, None, None]
-        if drifts:
-            P = P + Q
-        if not moves.all():
-            theta = np.where(moves[:, None], theta, now.theta)
-            P = np.where(moves[:, None, None], P, now.P)
-        if not np.isfinite(theta.sum() + P.sum()):
-            finite = np.isfinite(theta).all(axis=1) & np.isfinite(P).all(axis=(1, 2))
-            _bank_setup.require("predict: expected finite theta and P, got NaN or infinity; check Q and F", finite)
-        return theta, P
+        y and R have shape (N, n), u (N, n, n_inputs). first: number of the first sample, for messages that name it.
+        """
+        layout, length = self._layout, len(y)
+        out = Columns.empty(self.n, length, layout.n)
+        theta, P = now.theta.copy(), now.P.copy()
+        past = Memories(*(np.array(a, order="C") for a in now.past))
+        after = _Now(theta, P, past)
+        left = np.zeros(self.n, dtype=np.int64)
+        if self._enabled.all() and serves(self._choices, y.size):
+            phi, inputs = np.zeros((self.n, length, layout.n)), past.inputs
+            for k in range(length):
+                inputs = _with_inputs(layout, inputs, u[k])
+                phi[:, k, layout.inputs_in_phi] = inputs[:, layout.picks]
+            recursion = Recursion(
+                self._choices, self.structure.uses_model_output, self._gradient == "filtered", self._guard,
+                self._matrices("F"), self._matrices("Q"), self._alpha_sq, self._windup,
+            )  # fmt: skip
+            left = advance(layout, recursion, y.T, phi, R.T, theta, P, past, out)
+            for i in np.flatnonzero(left < length):
+                for k in range(left[i]):
+                    past.inputs[i] = _with_inputs(layout, past.inputs[i : i + 1], u[k, i : i + 1])[0]
+            past.inputs[left == length] = inputs[left == length]
+        for i in np.flatnonzero(left < length).tolist():
+            self._advance_alone(i, after, slice(left[i], length), (y, u, R), out, first)
+        return after, out
 
-    def _gain_regressor(self, phi: Array, theta: Array, past: Array) -> tuple[Array, np.ndarray, Array]:
-        """Return what the gain of each actuator is computed from, whether it is not phi, and the past with it."""
-        filtered = self._gradient == "filtered"
-        if self._layout.part is None or not filtered.any():
-            return phi, np.zeros(self.n, dtype=bool), past
-        coefficients = theta[:, self._layout.part]
-        G, usable = all_gradients(phi, coefficients, past), filtered
-        free = self._guard == "none"
-        if free.any():
-            usable = filtered & (~free | are_stable(coefficients))
-        if not usable.all():
-            G = np.where(usable[:, None], G, phi)
-        moved = all_pushed(past, G)
-        return G, filtered, moved if filtered.all() else np.where(filtered[:, None, None], moved, past)
+    def _advance_alone(
+        self, i: int, now: _Now, samples: slice, signals: tuple[Array, Array, Array], out: Columns, first: int | None
+    ) -> None:
+        """Advance one actuator through some of the samples, by its `ParameterTracker`, in the arrays of now."""
+        tracker = self.tracker(i)
+        # A state of this bank: what `restore` of a tracker refuses has been refused before.
+        tracker._set_state(self._row(self._arrays(now), i))
+        y, u, R = (signal[samples, i] for signal in signals)
+        try:
+            result = tracker.run(y, u if u.shape[1] else None, R)
+        except (ValueError, TypeError, np.linalg.LinAlgError) as error:
+            head, _, rest = str(error).partition(": ")
+            place = "" if first is None else f"sample {int(head.removeprefix('sample ')) + samples.start + first}: "
+            error.args = (f"{place}actuator {i}: {rest}", *error.args[1:])
+            raise
+        state = tracker.state()
+        now.theta[i], now.P[i] = state["theta"], state["P"]
+        for name, array in now.past._asdict().items():
+            array[i] = state[name]
+        for name, column in zip(Columns._fields, out, strict=True):
+            column[i, samples] = result.std**2 if name == "variance" else getattr(result, name)
 
-    def _corrected(
-        self, theta: Array, P: Array, G: Array, filtered: np.ndarray, y: Array, prediction: Array, R: Array
-    ) -> tuple[Array, Array, Array]:
-        """Return theta, P and psi(e)/e after the measurements that are there."""
-        taken = (y == y) & self._enabled
-        if not taken.any():
-            return theta, P, np.full(self.n, np.nan)
-        square, trace = rowwise(G, G), np.einsum("ijj->i", P)
-        sharp = taken & (square * trace > SHARP * R)
-        factor, apart, target = np.ones(self.n), filtered, y
-        if sharp.any():
-            factor = all_tempering(square, trace, R)
-            G, apart = G * factor[:, None], filtered | (factor < 1.0)
-        if apart.any():
-            # So that the filter's own innovation, target - G theta, is y - phi' theta.
-            target = np.where(apart, (y - prediction) * factor + rowwise(G, theta), y)
-        target = np.where(taken, target, np.nan)
-        _bank_setup.require("theta: expected finite predictions, got infinity", ~taken | (np.abs(target) < np.inf))
-        moved, left, weights = np.empty_like(theta), np.empty_like(P), np.empty(self.n)
-        for rows, bank in self._groups:
-            bank.x, bank.P, bank.H, bank.R = theta[rows], P[rows], G[rows][:, None], R[rows][:, None, None]
-            try:
-                bank.update(target[rows][:, None])
-            except (ValueError, np.linalg.LinAlgError) as error:
-                error.args = (_renamed(str(error), np.arange(self.n)[rows]), *error.args[1:])
-                raise
-            moved[rows], left[rows], weights[rows] = bank.x, bank.P, bank.weights[:, 0]
-        if sharp.any():
-            left[sharp] = all_repaired(left[sharp])
-        return moved, left, weights
+    def _drifting(self) -> np.ndarray:
+        """Tell for which actuators the next sample begins with a step of theta."""
+        wound_up = (self._alpha_sq != 1.0) & (np.einsum("ijj->i", self._now.P) > self._windup)
+        return np.asarray(self._enabled & ~wound_up)
+
+    def _matrices(self, name: str) -> Array:
+        """Return F or Q, which the user may have changed, with the axis (1 or n) in front."""
+        found = _bank_setup.matrices(name, getattr(self, name), self.n, self._layout.n)
+        if not np.isfinite(found).all():
+            raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
+        return found[None] if found.ndim == 2 else found
 
     # Interruption.
 
@@ -516,7 +478,7 @@ class TrackerBank:
             What `ParameterTracker.state` returns, with a leading axis of n; Q and F without it if they are shared.
             ``numpy.savez(file, **state)`` stores it.
         """
-        return {name: np.array(value, order="C") for name, value in self._arrays().items()}
+        return {name: np.array(value, order="C") for name, value in self._arrays(self._now).items()}
 
     def restore(self, state: Any) -> None:
         """Go back to a state of this bank, or of another one with the same n and structure.
@@ -539,7 +501,7 @@ class TrackerBank:
         The continuation is the same to the last bit.
         """
         found = _bank_setup.checked_state(state, self._layout, self.n, self._guard != "none")
-        self._now = _Now(found["theta"], found["P"], Past(*(found[name] for name in Past._fields)))
+        self._now = _Now(found["theta"], found["P"], Memories(*(found[name] for name in Memories._fields)))
         self._enabled, self._alpha_sq = found["enabled"], found["alpha_sq"]
         self.Q, self.R, self.F = found["Q"], found["R"], found["F"]
 
@@ -547,9 +509,9 @@ class TrackerBank:
         """Go back to the start: theta, P, Q, R, F and the memory as they were when the bank was made."""
         self.restore(self._initial)
 
-    def _arrays(self) -> dict[str, Array]:
+    def _arrays(self, now: _Now) -> dict[str, Array]:
         """Return the arrays of `state`, not copied."""
-        theta, P, past = self._now
+        theta, P, past = now
         arrays = {"theta": theta, "P": P, **past._asdict(), "enabled": self._enabled}
         # What a user sets may be a list.
         arrays |= {name: numbers(name, getattr(self, name)) for name in "QF"}
@@ -568,8 +530,18 @@ def _every(keep: Any, length: int) -> int:
     return _checks.count("keep", keep, 1)
 
 
-def _renamed(message: str, rows: np.ndarray) -> str:
-    """Return the message of a `FilterBank` with its filter's number as an actuator's."""
-    head, colon, rest = message.partition(": ")
-    word, _, number = head.partition(" ")
-    return f"actuator {rows[int(number)]}: {rest}" if colon and word == "filter" and number.isdigit() else message
+def _with_inputs(layout: Layout, inputs: Array, u: Array) -> Array:
+    """Return what the past inputs (n, length) become with the next ones, u of shape (n, n_inputs)."""
+    moved = np.empty_like(inputs)
+    moved[:, 1:] = inputs[:, :-1]
+    moved[:, layout.starts] = u[:, layout.used]
+    return moved
+
+
+def _regressors(layout: Layout, past: Memories, inputs: Array) -> Array:
+    """Return phi of every actuator, shape (n, n_theta)."""
+    phi = np.empty((len(inputs), layout.n))
+    phi[:, : layout.na] = past.outputs
+    phi[:, layout.inputs_in_phi] = inputs[:, layout.picks]
+    phi[:, layout.n - layout.nc :] = past.residuals
+    return phi

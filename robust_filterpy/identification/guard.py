@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, Literal, TypeAlias
 
 from robust_filterpy._checks import Array
 
-__all__ = ["GUARDS", "is_stable", "restrained"]
+__all__ = ["GUARDS", "Guard", "is_stable", "restrained"]
 
 #: What to do with a step of theta that leaves the stable region.
-GUARDS: Final = ("none", "reject", "halve")
+Guard: TypeAlias = Literal["none", "reject", "halve"]
+GUARDS: Final[tuple[Guard, ...]] = ("none", "reject", "halve")
 
 # 2^-30 of a step is no step worth taking.
 MOST_HALVINGS: Final = 30

@@ -65,6 +65,24 @@ class Sample(NamedTuple):
     guard: int
 
 
+class Columns(NamedTuple):
+    """The columns of a `TrackingResult` while they are being filled; variance is diag P."""
+
+    theta: Array
+    variance: Array
+    prediction: Array
+    residual: Array
+    weights: Array
+    guard: np.ndarray
+
+    @classmethod
+    def empty(cls, *shape: int) -> Columns:
+        """Return columns with these axes; the last is that of the parameters."""
+        theta, variance = np.empty(shape), np.empty(shape)
+        prediction, residual, weights = np.full((3, *shape[:-1]), np.nan)
+        return cls(theta, variance, prediction, residual, weights, np.zeros(shape[:-1], dtype=np.int64))
+
+
 class TrackingResult(NamedTuple):
     """What a recording of N samples gave, row k after sample k.
 

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from itertools import repeat
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
+from robust_filterpy.correction.options import Information, Scaling
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.identification import _compiled_dispatch, _model, _setup
 from robust_filterpy.identification._conditioning import SHARP, repaired, tempering
-from robust_filterpy.identification._lean import Columns, Noise, Rules, run_lean
 from robust_filterpy.identification._regressor import Layout, Memory, bounded, gradient, pushed
 from robust_filterpy.identification._signals import (
     one_input,
@@ -23,8 +23,8 @@ from robust_filterpy.identification._signals import (
     recorded_output,
     recorded_variance,
 )
-from robust_filterpy.identification.guard import GUARDS, is_stable, restrained
-from robust_filterpy.identification.results import Coefficients, Intervals, Sample, TrackingResult, intervals
+from robust_filterpy.identification.guard import GUARDS, Guard, is_stable, restrained
+from robust_filterpy.identification.results import Coefficients, Columns, Intervals, Sample, TrackingResult, intervals
 from robust_filterpy.identification.structures import Structure
 from robust_filterpy.identification.validation import fit_percent
 from robust_filterpy.influence.functions import Influence
@@ -35,10 +35,17 @@ if TYPE_CHECKING:
 __all__ = ["GRADIENTS", "ParameterTracker"]
 
 #: What the gain is computed from.
-GRADIENTS: Final = ("pseudolinear", "filtered")
+Gradient: TypeAlias = Literal["pseudolinear", "filtered"]
+GRADIENTS: Final[tuple[Gradient, ...]] = ("pseudolinear", "filtered")
 
 # What a sample moves in a filter, besides what only shows its last correction.
 _MOVING: Final = ("x", "P", "H", "x_prior", "P_prior")
+
+# phi of so many samples stays in a processor's cache.
+_CHUNK: Final = 4096
+
+# So many samples at most go to the definition before the kernel has another try.
+_MOST_ODD: Final = 1024
 
 # With forgetting and no excitation P grows without end; at so many times its first trace it has forgotten everything.
 _WINDUP = 1e8
@@ -177,11 +184,11 @@ class ParameterTracker:
         R: ArrayLike | None = None,
         F: ArrayLike | None = None,
         forgetting: float | None = None,
-        gradient: str = "filtered",
-        guard: str = "halve",
+        gradient: Gradient = "filtered",
+        guard: Guard = "halve",
         influence: Influence | None = None,
-        scaling: str | None = None,
-        information: str | None = None,
+        scaling: Scaling | None = None,
+        information: Information | None = None,
     ) -> None:
         """Set up the filter and a memory at rest."""
         if not isinstance(structure, Structure):
@@ -206,12 +213,12 @@ class ParameterTracker:
     # The model as it stands.
 
     @property
-    def gradient(self) -> str:
+    def gradient(self) -> Gradient:
         """What the gain is computed from: "filtered" or "pseudolinear"."""
         return self._gradient
 
     @property
-    def guard(self) -> str:
+    def guard(self) -> Guard:
         """What happens to an unstable step: "halve", "reject" or "none"."""
         return self._guard
 
@@ -450,8 +457,8 @@ class ParameterTracker:
 
         Notes
         -----
-        With numba installed, recordings of 1000 samples and more go through a compiled loop, whose numbers agree to
-        rounding, if the filter is a `RobustKalmanFilter` as it comes with an influence function of this package.
+        Where the kernel serves (`robust_filterpy.compiled.dispatch`) and the filter is a `RobustKalmanFilter` as it
+        comes with an influence function of this package, the numbers agree with those of `update` to rounding.
         """
         output = recorded_output(y)
         signal = recorded_input(self.structure, u, output.size)
@@ -459,7 +466,7 @@ class ParameterTracker:
         out = Columns.empty(output.size, self._layout.n)
         before, held = self.state(), self._held()
         try:
-            if self._is_plain:
+            if self._is_plain and _compiled_dispatch.serves((self.filter._choices,), output.size):
                 self._run_fast(output, signal, variances, out)
             else:
                 self._run_stepwise(output, signal, variances, out, 0, output.size)
@@ -568,46 +575,53 @@ class ParameterTracker:
             and np.isfinite(kf.x).all()
             and np.isfinite(kf.P).all()
             and 0.0 < kf.R.item() < math.inf
+            and np.isfinite(kf.F).all()
+            and np.isfinite(kf.Q).all()
+            and all(np.abs(a - a.T).max() <= 1e-13 * np.abs(a).max() for a in (kf.P, kf.Q))
         )
 
     def _run_fast(self, y: Array, u: Array, R: Array | None, out: Columns) -> None:
-        """Advance without `update`, except for the last sample and the last measured one.
+        """Advance by the kernel, except for the last sample and the last measured one.
 
         These two leave the attributes that the filter shows.
         """
         measured = np.flatnonzero(y == y)
-        stops = sorted({*measured[-1:].tolist(), len(y) - 1})
-        compiled, start = _compiled_dispatch.can_run(self.filter, len(y)), 0
+        stops, start = sorted({*measured[-1:].tolist(), len(y) - 1}), 0
         for stop in stops:
             if stop > start:
-                self._run_piece(y, u, R, out, start, stop, compiled)
+                self._run_kernel(y, u, R, out, start, stop)
             self._run_stepwise(y, u, R, out, stop, stop + 1)
             start = stop + 1
 
-    def _run_piece(
-        self, y: Array, u: Array, R: Array | None, out: Columns, start: int, stop: int, compiled: bool
-    ) -> None:
-        """Advance from sample start to stop - 1 in the compiled loop or the lean one, if one of them can."""
-        kf, piece = self.filter, slice(start, stop)
-        rules = Rules(self.structure.uses_model_output, self._gradient == "filtered", self._guard, self._windup)
-        variances = kf.R.flatten() if R is None else R[piece]
-        columns = Columns(*(column[piece] for column in out))
-
-        def by_definition(first: int, last: int) -> None:
-            self._run_stepwise(y, u, R, out, start + first, start + last)
-
-        if compiled:
-            _compiled_dispatch.run_compiled(
-                self._layout, rules, self._memory, kf, y[piece], u[piece], variances, columns, by_definition
+    def _run_kernel(self, y: Array, u: Array, R: Array | None, out: Columns, start: int, stop: int) -> None:
+        """Advance from sample start to stop - 1 by the kernel, and by the definition where the kernel declines."""
+        kf, layout, k, odd = self.filter, self._layout, start, 1
+        variances = np.full(len(y), kf.R.item()) if R is None else R
+        recursion = _compiled_dispatch.Recursion(
+            (kf._choices,), self.structure.uses_model_output, np.array([self._gradient == "filtered"]),
+            np.array([self._guard]), kf.F[None], kf.Q[None], np.array([kf._alpha_sq]), np.array([self._windup]),
+        )  # fmt: skip
+        while k < stop:
+            chunk = slice(k, min(k + _CHUNK, stop))
+            phi, inputs = self._memory.regressors(layout, u[chunk])
+            x, P, memory = np.array(kf.x).reshape(1, -1), np.array(kf.P, order="C")[None], self._memory
+            past = _compiled_dispatch.Memories(
+                memory.outputs[None], inputs[None], memory.residuals[None], memory.gradients[None]
             )
-        elif np.array_equal(kf.F, np.eye(self._layout.n)):
-            noise = Noise(kf.Q, variances, kf._alpha_sq)
-            # Only a first piece, which starts at 0, holds measurements and can be refused.
-            kf.x, kf.P = run_lean(
-                self._layout, rules, kf._choices, noise, self._memory, kf.x, kf.P, y[piece], u[piece], columns
-            )
-        else:
-            by_definition(0, stop - start)
+            here = Columns(*(column[None, chunk] for column in out))
+            signals = y[None, chunk], phi[None], variances[None, chunk]
+            done = int(_compiled_dispatch.advance(layout, recursion, *signals, x, P, past, here)[0])
+            kf.x, kf.P = x.reshape(np.shape(kf.x)), P[0]
+            k += done
+            if k == chunk.stop:
+                memory.inputs = inputs
+                continue
+            # Older inputs than the memory holds need not go through it.
+            for values in u[max(k - layout.length, chunk.start) : k]:
+                memory.inputs = memory.with_input(layout, values)
+            odd = 1 if done >= odd else min(2 * odd, _MOST_ODD)
+            self._run_stepwise(y, u, R, out, k, min(k + odd, stop))
+            k = min(k + odd, stop)
 
     # Interruption.
 

@@ -7,7 +7,6 @@ from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import Linear, RobustKalmanFilter, StudentT
 from robust_filterpy.batch.series import filter_series, smooth_series
-from robust_filterpy.compiled import dispatch
 from robust_filterpy.correction import NotPositiveDefiniteError
 
 
@@ -25,9 +24,9 @@ def arguments(problem):
 @pytest.fixture(params=["compiled", "numpy"])
 def path(request, monkeypatch):
     if request.param == "numpy":
-        monkeypatch.setattr(dispatch, "available", lambda: False)
+        support.without_kernel(monkeypatch)
     else:
-        pytest.importorskip("numba")
+        support.needs_kernel()
     return request.param
 
 

@@ -1,4 +1,4 @@
-"""The short forms for one sensor, for two, and for joint grouping say what the definition says.
+"""The form for one sensor, and a whole filter by it or by the kernel, say what the definition says.
 
 `correct` is the definition, itself held to formulas from elsewhere in test_kalman_filter.py. A filter whose `inv` is
 not numpy's own function takes that general path throughout, so that it is the oracle for a whole filter.
@@ -11,7 +11,7 @@ import pytest
 import support
 
 from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight
-from robust_filterpy.correction import Correction, SingularInnovationError, correct, joint, pair
+from robust_filterpy.correction import Correction, SingularInnovationError, correct
 from robust_filterpy.correction.options import GROUPINGS, INFORMATIONS, SCALINGS, Choices
 from robust_filterpy.correction.scalar import correct_scalar
 
@@ -67,80 +67,6 @@ def test_one_sensor_in_floats_equals_the_definition(scaling, information, influe
                 assert_same_correction(short.as_arrays(), general, y)
 
 
-@pytest.mark.parametrize("influence", INFLUENCES, ids=repr)
-@pytest.mark.parametrize("information", INFORMATIONS)
-def test_two_sensors_in_floats_equal_the_definition(information, influence):
-    choices = Choices(influence, "innovation", information)
-    for seed, problem in enumerate(problems(2)):
-        x = problem.x[:, 0]
-        for M, y in product((None, problem.M), innovations(2, seed)):
-            assert pair.applies(y.tolist(), choices)
-            general = correct(x, problem.P, y, problem.H, problem.R, choices, M)
-            short = pair.correct_pair(x, problem.P, y.tolist(), problem.H, problem.R, choices, M)
-            assert_same_correction(short.as_arrays(), general, y)
-
-
-@pytest.mark.parametrize("influence", [*INFLUENCES, Users()], ids=repr)
-@pytest.mark.parametrize("information", INFORMATIONS)
-@pytest.mark.parametrize("dim_z", [2, 4])
-def test_joint_grouping_without_a_root_equals_the_definition(dim_z, information, influence):
-    choices = Choices(influence, "innovation", information, "joint")
-    for seed, problem in enumerate(problems(dim_z)):
-        assert joint.applies(1.0, problem.H, choices)
-        x = problem.x[:, 0]
-        for M, y in product((None, problem.M), innovations(dim_z, seed)[:: 3 ** (dim_z - 2)]):
-            short = joint.correct_jointly(x, problem.P, y, problem.H, problem.R, choices, M)
-            assert isinstance(short, joint.JointCorrection)
-            assert_same_correction(short.as_arrays(), correct(x, problem.P, y, problem.H, problem.R, choices, M), y)
-
-
-@pytest.mark.parametrize("influence", [Linear(), Huber(np.inf)], ids=repr)
-@pytest.mark.parametrize("information", INFORMATIONS)
-def test_the_kalman_filter_without_a_root_equals_the_definition(information, influence):
-    choices = Choices(influence, "innovation", information)
-    problem = support.mild(5, 3)
-    x, blind = problem.x[:, 0], problem.H * [[1.0], [0.0], [1.0]]
-    for H, y in product((problem.H, blind), innovations(3, 1)):
-        assert joint.applies(1.0, H, choices)
-        short = joint.correct_jointly(x, problem.P, y, H, problem.R, choices)
-        assert_same_correction(short.as_arrays(), correct(x, problem.P, y, H, problem.R, choices), y)
-
-
-def test_a_users_subclass_of_linear_is_not_taken_for_linear():
-    class Clipped(Linear):
-        def psi(self, e):
-            return np.clip(e, -1.0, 1.0)
-
-    assert not joint.applies(1.0, np.eye(2), Choices(Clipped()))
-
-
-@pytest.mark.parametrize("noise", [1e-3, 1e-6, 1e-9, 1e-12])
-def test_two_sensors_that_see_almost_the_same_keep_p_positive_definite(noise):
-    P, H, R = 4.0 * np.eye(2), np.array([[1.0, 0.0], [1.0, 1e-3]]), noise * np.eye(2)
-    S = H @ P @ H.T + R
-    for y in innovations(2, 5):
-        short = pair.correct_pair(np.zeros(2), P, y.tolist(), H, R, Choices())
-        general = correct(np.zeros(2), P, y, H, R)
-        # Rounding enters the root in proportion to the condition of S.
-        rtol = 1e-14 * np.linalg.cond(S)
-        np.testing.assert_array_equal(short.as_arrays().clipped, general.clipped)
-        support.assert_close(short.P, general.P, rtol, f"P for y={y}", size=np.abs(P).max())
-        support.assert_positive_definite(short.P, size=np.abs(P).max())
-
-
-@pytest.mark.parametrize("noise", [1e-20, 5e-16])
-def test_two_sensors_that_see_the_same_without_noise_are_refused(noise):
-    H, R, y = np.ones((2, 1)), noise * np.eye(2), np.array([1.0, 2.0])
-    for form, innovation, grouping in (
-        (pair.correct_pair, y.tolist(), "component"),
-        (joint.correct_jointly, y, "joint"),
-        (correct, y, "component"),
-        (correct, y, "joint"),
-    ):
-        with pytest.raises(SingularInnovationError, match="singular"):
-            form(np.zeros(1), np.eye(1), innovation, H, R, Choices(grouping=grouping))
-
-
 def test_psi_of_the_length_leaves_e_as_it_is_beside_a_sensor_outside_the_group():
     H = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
     c = correct(np.zeros(2), np.eye(2), np.array([1.8, 1.8, 0.1]), H, np.eye(3), Choices(grouping="joint"))
@@ -148,50 +74,6 @@ def test_psi_of_the_length_leaves_e_as_it_is_beside_a_sensor_outside_the_group()
     # Neither is far out by itself, but together they are.
     assert np.abs(c.e).max() < 1.345
     assert c.clipped.tolist() == [True, True, False]
-
-
-@pytest.mark.parametrize(
-    ("y", "choices"),
-    [
-        ([np.nan, 1.0], {}),
-        ([1.0, np.nan], {}),
-        ([1e200, 1.0], {}),
-        ([1.0, -np.inf], {}),
-        ([1.0, 1.0], {"grouping": "joint"}),
-        ([1.0, 1.0], {"scaling": "unit"}),
-        ([1.0, 1.0], {"scaling": "bounded"}),
-    ],
-)
-def test_what_the_form_for_two_leaves_to_the_definition(y, choices):
-    assert not pair.applies(y, Choices(**choices))
-    assert pair.applies([1.0, 1.0], Choices())
-
-
-@pytest.mark.parametrize(
-    ("size", "row", "choices"),
-    [
-        (np.nan, [1.0, 2.0], {}),
-        (1e120, [1.0, 2.0], {}),
-        (1.0, [0.0, 0.0], {}),
-        (1.0, [1.0, 2.0], {"grouping": "component"}),
-        (1.0, [1.0, 2.0], {"scaling": "unit"}),
-        (1.0, [1.0, 2.0], {"scaling": "bounded"}),
-    ],
-)
-def test_what_the_joint_form_leaves_to_the_definition(size, row, choices):
-    assert not joint.applies(size, np.array([[1.0, 0.0], row]), Choices(**{"grouping": "joint"} | choices))
-    assert joint.applies(1.0, np.eye(2), Choices(grouping="joint"))
-
-
-@pytest.mark.parametrize("noise", [1e-3, 1e-6, 1e-9])
-def test_joint_sensors_that_see_almost_the_same_keep_p_positive_definite(noise):
-    P, H, R = 4.0 * np.eye(3), np.array([[1.0, 0.0, 0.0], [1.0, 1e-3, 0.0], [0.0, 1e-2, 1.0]]), noise * np.eye(3)
-    choices = Choices(grouping="joint")
-    for y in innovations(3, 5):
-        short = joint.correct_jointly(np.zeros(3), P, y, H, R, choices)
-        general = correct(np.zeros(3), P, y, H, R, choices)
-        support.assert_close(short.P, general.P, 1e-9, f"P for y={y}", size=np.abs(P).max())
-        support.assert_positive_definite(short.P, size=np.abs(P).max())
 
 
 @pytest.mark.parametrize("size", [1e99, 1e149, 1e299])
@@ -256,3 +138,22 @@ def test_the_gain_is_there_whenever_it_is_asked_for(dim_z):
         kf.update(None)
     np.testing.assert_array_equal(asked.K, gain)
     np.testing.assert_array_equal(later.K, gain)
+
+
+@pytest.mark.parametrize("grouping", GROUPINGS)
+@pytest.mark.parametrize("noise", [1e-3, 1e-6, 1e-9, 1e-12])
+@pytest.mark.parametrize("H", [[[1.0, 0.0], [1.0, 1e-3]], [[1.0, 0.0], [1.0, 1e-3], [0.5, 1e-2]]])
+def test_sensors_that_see_almost_the_same_keep_p_positive_definite(H, noise, grouping):
+    H = np.array(H)
+    P, R = 4.0 * np.eye(2), noise * np.eye(len(H))
+    for y in innovations(len(H), 5):
+        c = correct(np.zeros(2), P, y, H, R, Choices(grouping=grouping))
+        support.assert_positive_definite(c.P, size=np.abs(P).max())
+
+
+@pytest.mark.parametrize("grouping", GROUPINGS)
+@pytest.mark.parametrize("m", [2, 3])
+def test_sensors_that_see_the_same_without_noise_are_refused(m, grouping):
+    for noise in (0.0, 1e-20, 1e-16):
+        with pytest.raises(SingularInnovationError, match="singular"):
+            correct(np.zeros(1), np.eye(1), np.ones(m), np.ones((m, 1)), noise * np.eye(m), Choices(grouping=grouping))

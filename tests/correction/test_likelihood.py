@@ -47,7 +47,7 @@ def test_likelihood_of_a_scalar_integrates_to_one(influence):
 def test_likelihood_of_a_vector_integrates_to_one():
     kf = predicted(support.with_(support.random_problem(3, 2, 2), P=0.1 * np.eye(2)), influence=Huber(2.0))
     kf.update([0.0, 0.0])
-    root = np.linalg.inv(support.inverse_root(kf.S))
+    root = np.linalg.inv(support.whitening(kf.S))
     kf.x = np.zeros((2, 1))
 
     def density(b, a):
@@ -68,7 +68,7 @@ def test_log_likelihood_is_that_of_the_least_favourable_density(scaling, informa
     problem = support.random_problem(4, 3, 2)
     kf = predicted(problem, scaling=scaling, information=information)
     kf.update(z)
-    T = support.inverse_root(kf.S)
+    T = support.whitening(kf.S)
     density = LeastFavorable(Huber().contamination)
     expected = density.logpdf(T @ np.ravel(kf.y)).sum() + np.log(np.linalg.det(T))
     assert kf.log_likelihood == pytest.approx(expected, rel=1e-9)
@@ -84,7 +84,7 @@ def test_log_likelihood_of_student():
     problem = support.random_problem(4, 3, 2)
     kf = predicted(problem, influence=StudentT(4.0))
     kf.update([0.1, 20.0])
-    T = support.inverse_root(kf.S)
+    T = support.whitening(kf.S)
     density = scipy.stats.t(4.0, scale=np.sqrt(5 / 4))
     expected = density.logpdf(T @ np.ravel(kf.y)).sum() + np.log(np.linalg.det(T))
     assert kf.log_likelihood == pytest.approx(expected, rel=1e-9)
@@ -111,7 +111,7 @@ def test_log_likelihood_of_a_measurement():
     kf = predicted(support.random_problem(4, 3, 2))
     kf.update([0.1, 0.2])
     z = np.array([[0.4], [90.0]])
-    T = support.inverse_root(kf.S)
+    T = support.whitening(kf.S)
     e = T @ (z - kf.H @ kf.x)[:, 0]
     expected = LeastFavorable(Huber().contamination).logpdf(e).sum() + np.log(np.linalg.det(T))
     assert kf.log_likelihood_of(z) == pytest.approx(expected, rel=1e-9)

@@ -81,10 +81,10 @@ def updated(problem, z, **options):
 @fewer
 @given(st.data(), problems())
 def test_the_transformation_whitens_the_innovation(data, problem):
-    """T S T' = I, T symmetric and positive definite."""
+    """T S T' = I, and T in units of one standard deviation of each sensor is symmetric and positive definite."""
     kf = updated(problem, data.draw(measurements(len(problem.R))))
     np.testing.assert_allclose(kf.T @ kf.S @ kf.T.T, np.eye(len(kf.T)), atol=1e-7)
-    support.assert_positive_definite(kf.T, "T")
+    support.assert_positive_definite(kf.T * np.sqrt(np.diag(kf.S)), "T")
 
 
 @fewer

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import support
 from numpy.testing import assert_allclose
 from scipy import signal
 
-from robust_filterpy.compiled import dispatch
 from robust_filterpy.plants import simulate_output_error
 
 PAPER = Path(__file__).parents[2] / "examples" / "paper"
@@ -60,9 +60,9 @@ def paper(monkeypatch):
 def engine(request, monkeypatch):
     """With numba and as if it were not installed."""
     if request.param == "numpy":
-        monkeypatch.setattr(dispatch, "available", lambda: False)
+        support.without_kernel(monkeypatch)
     else:
-        pytest.importorskip("numba")
+        support.needs_kernel()
 
 
 def test_filters_over_all_runs_are_the_loop_over_filterpy_and_refuse_the_same_runs(paper, engine):

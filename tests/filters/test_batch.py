@@ -1,4 +1,4 @@
-"""A long recording through the compiled loops leaves what a loop over predict and update leaves."""
+"""A long recording through the kernel leaves what a loop over predict and update leaves."""
 
 import numpy as np
 import pytest
@@ -7,23 +7,23 @@ import support
 from robust_filterpy import Huber, RobustKalmanFilter
 from robust_filterpy.compiled import dispatch
 
-pytest.importorskip("numba")
+support.needs_kernel()
 
 N = 1500
 
 
 @pytest.fixture
 def count(monkeypatch):
-    """Count the steps that the loops took, so that no test passes because they were not used."""
+    """Count the steps that the kernel took, so that no test passes because they were not used."""
     taken = []
-    recurse = dispatch.recurse
+    filter_series = dispatch.filter_series
 
     def counting(*args, start=0, **kwargs):
-        done = recurse(*args, start=start, **kwargs)
+        done = filter_series(*args, start=start, **kwargs)
         taken.append(int(done[0]) - start)
         return done
 
-    monkeypatch.setattr(dispatch, "recurse", counting)
+    monkeypatch.setattr(dispatch, "filter_series", counting)
     return taken
 
 
@@ -98,7 +98,7 @@ def test_a_recording_that_ends_with_gaps_leaves_what_the_loop_leaves(count, gaps
 
 
 def test_a_step_that_the_loops_decline_is_taken_by_the_filter(count):
-    """Near the limit of "unit" the loops stop; the filter's own step decides, and they go on after it."""
+    """Near the limit of "unit" the kernel stop; the filter's own step decides, and they go on after it."""
     problem = support.with_(
         support.cart(), P=np.diag([0.9 + 1e-12, 1e-9]), Q=1e-9 * np.eye(2), F=np.eye(2), R=np.eye(1)
     )

@@ -118,10 +118,10 @@ def test_integer_arrays(ndim):
 
 @pytest.mark.parametrize("ndim", NDIMS)
 def test_scalars_as_attributes(ndim):
-    """R and P as 5, Q as a number that filterpy adds to every entry."""
+    """R, P and Q as numbers: Q means times I, as in filterpy's batch_filter (its predict adds it to every entry)."""
     robust, plain = pair(support.cart(), ndim)
     for kf in (robust, plain):
-        kf.R, kf.Q, kf.P = 5, 0.0001, 7.0
+        kf.R, kf.Q, kf.P = 5, 0.0001 if kf is robust else 0.0001 * np.eye(2), 7.0
         for z in range(5):
             kf.predict()
             kf.update(z)

@@ -5,21 +5,11 @@ import pickle
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from robust_filterpy import Hampel, Huber, Linear, StudentT, TukeyBiweight
 from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError, ParameterTracker, TrackerBank
-from robust_filterpy.identification._bank_steps import (
-    all_bounded,
-    all_repaired,
-    all_restrained,
-    all_tempering,
-    are_stable,
-)
-from robust_filterpy.identification._conditioning import SHARP, repaired, tempering
-from robust_filterpy.identification._regressor import bounded
-from robust_filterpy.identification.guard import GUARDS, is_stable, restrained
+from robust_filterpy.identification import bank as bank_module
+from robust_filterpy.identification.guard import GUARDS
 from robust_filterpy.identification.tracker import GRADIENTS
 from robust_filterpy.noise import EpsilonContaminated
 from robust_filterpy.plants import simulate_output_error
@@ -592,57 +582,6 @@ def test_what_is_no_state_is_refused(state):
         TrackerBank(N, ARX(2, 2)).restore(state)
 
 
-# The stacked rules are the scalar ones
-
-
-def polynomials(order):
-    """Rows of coefficients."""
-    row = st.lists(st.floats(-3, 3) | st.sampled_from([-1.0, 0.0, 1.0, np.nan]), min_size=order, max_size=order)
-    return st.lists(row, min_size=1, max_size=8)
-
-
-@settings(max_examples=100, deadline=None)
-@given(st.integers(0, 5).flatmap(polynomials))
-def test_stability_of_many_is_the_stability_of_each(rows):
-    coefficients = np.array(rows, dtype=float).reshape(len(rows), -1)
-    assert are_stable(coefficients).tolist() == [is_stable(row) for row in rows]
-
-
-@settings(max_examples=100, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.integers(1, 4))
-def test_restraining_many_is_restraining_each(seed, order):
-    rng = np.random.default_rng(seed)
-    old = 0.3 * rng.normal(size=(12, order + 1))
-    theta = old + rng.normal(size=old.shape) * 10.0 ** rng.integers(-1, 12, size=(12, 1))
-    theta[0], guards = np.nan, rng.choice(GUARDS, 12)
-    part = slice(1, order + 1)
-    moved, events = all_restrained(theta, old, part, guards == "none", guards == "halve")
-    for i, guard in enumerate(guards):
-        expected, event = restrained(theta[i].copy(), old[i], part, guard)
-        np.testing.assert_array_equal(moved[i], expected)
-        assert events[i] == event
-
-
-def test_bounding_many_is_bounding_each():
-    for values in ([1.0, np.nan], [np.inf, 3.0, -np.inf], [1e200, -1e101, 1e99], [-1e100, 1e100]):
-        same([all_bounded(np.array(values))], [[bounded(value) for value in values]])
-
-
-def test_tempering_and_repair_of_many_are_those_of_each():
-    rng = np.random.default_rng(0)
-    square, trace, r = 10.0 ** rng.uniform(0, 200, 50), 10.0 ** rng.uniform(-3, 8, 50), 10.0 ** rng.uniform(-3, 3, 50)
-    square[:25] = 10.0 ** rng.uniform(0, 14, 25)
-    expected = [tempering(*args) for args in zip(square, trace, r, strict=True)]
-    assert 5 < expected.count(1.0) < 45
-    np.testing.assert_allclose(all_tempering(square, trace, r), expected, rtol=1e-14)
-    P = rng.normal(size=(9, 3, 3))
-    P = P @ P.transpose(0, 2, 1)
-    P[3] += np.triu(np.ones((3, 3)))
-    P[5] -= 3.0 * np.eye(3)
-    np.testing.assert_allclose(all_repaired(P), [repaired(p) for p in P], rtol=1e-13)
-    assert SHARP == 1e6
-
-
 # Bad input
 
 
@@ -775,6 +714,7 @@ def test_an_interrupted_run_changes_nothing(monkeypatch):
     y, u = recording(ARX(2, 2))
     bank = TrackerBank(N, ARX(2, 2))
     bank.run(y[:20], u[:20])
+    monkeypatch.setattr(bank_module, "_CHUNK", 7 * N * 4)
     before, advance, calls = bank.state(), bank._advance, []
 
     def interrupted(*args):

@@ -4,9 +4,9 @@ import itertools
 
 import numpy as np
 import pytest
+import support
 
 from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight
-from robust_filterpy.compiled import dispatch
 from robust_filterpy.correction import NotPositiveDefiniteError
 from robust_filterpy.correction.options import INFORMATIONS, SCALINGS
 from robust_filterpy.identification import (
@@ -16,14 +16,14 @@ from robust_filterpy.identification import (
     LinearRegression,
     OutputError,
     ParameterTracker,
-    _compiled_dispatch,
 )
+from robust_filterpy.identification import tracker as tracker_module
 from robust_filterpy.identification.guard import GUARDS
 from robust_filterpy.identification.tracker import GRADIENTS
 from robust_filterpy.noise import EpsilonContaminated
 from robust_filterpy.plants import simulate_output_error
 
-pytest.importorskip("numba")
+support.needs_kernel()
 
 STRUCTURES = [
     ARX(2, 2), OutputError(2, 2), ARMAX(2, 2, 2), FIR(6), FIR(2, nk=0), ARX(1, 2, nk=3), ARMAX(0, 1, 1),
@@ -33,22 +33,22 @@ PLANT = [-1.5, 0.7, 1.0, 0.5]
 
 
 @pytest.fixture(autouse=True)
-def compiled(monkeypatch):
-    """Use the loop for recordings of any length, and keep an account of the samples that it hands back."""
-    handed_back = []
-    run_compiled = _compiled_dispatch.run_compiled
+def handed_back(monkeypatch):
+    """Keep an account of the samples that the kernel leaves to the definition, but for the last of a run."""
+    samples = []
+    stepwise, kernel = ParameterTracker._run_stepwise, ParameterTracker._run_kernel
 
-    def counted(*args):
-        def by_definition(start, stop):
-            handed_back.extend(range(start, stop))
-            args[-1](start, stop)
+    def counted(self, y, u, R, out, start, stop):
+        samples.extend(range(start, min(stop, len(y) - 1)))
+        stepwise(self, y, u, R, out, start, stop)
 
-        run_compiled(*args[:-1], by_definition)
-        handed_back.append("done")
+    def run(*args):
+        kernel(*args)
+        samples.append("done")
 
-    monkeypatch.setattr(dispatch, "LONG", 1)
-    monkeypatch.setattr(_compiled_dispatch, "run_compiled", counted)
-    return handed_back
+    monkeypatch.setattr(ParameterTracker, "_run_stepwise", counted)
+    monkeypatch.setattr(ParameterTracker, "_run_kernel", run)
+    return samples
 
 
 def recording(length=300, seed=1):
@@ -95,53 +95,53 @@ CASES = [
 
 @pytest.mark.parametrize("options", [{}, {"Q": 1e-4}, {"forgetting": 0.97}, {"influence": Hampel()}], ids=str)
 @pytest.mark.parametrize(("structure", "gradient", "guard"), CASES, ids=str)
-def test_compiled_dispatch_gives_the_numbers_of_update(structure, gradient, guard, options, compiled):
+def test_the_kernel_gives_the_numbers_of_update(structure, gradient, guard, options, handed_back):
     y, u = recording()
     # What feeds on itself magnifies rounding at first; without a guard for as long as it is unstable.
     one, other = pair(structure, gradient=gradient, guard=guard, **options)
     assert_same_run(one, other, y, u if structure.n_inputs else None, rtol=1e-8 if guard == "none" else 1e-9)
     # A model that has run away has samples that tell very much.
-    assert compiled == ["done"] or guard == "none"
+    assert handed_back == ["done"] or guard == "none"
 
 
 @pytest.mark.parametrize("influence", [Linear(), Huber(), Hampel(), TukeyBiweight(), StudentT()], ids=repr)
 @pytest.mark.parametrize(("scaling", "information"), list(itertools.product(SCALINGS, INFORMATIONS)))
-def test_every_choice_of_the_filter(scaling, information, influence, compiled):
+def test_every_choice_of_the_filter(scaling, information, influence, handed_back):
     y, u = recording()
     # Small enough for "unit" to be legal.
     one, other = pair(ARX(2, 2), P=1e-4, influence=influence, scaling=scaling, information=information)
     assert_same_run(one, other, y / 50, u / 50)
-    assert compiled == ["done"]
+    assert handed_back == ["done"]
 
 
-def test_drift_with_a_transition_matrix_of_its_own(compiled):
+def test_drift_with_a_transition_matrix_of_its_own(handed_back):
     y, u = recording()
     F = np.array([[0.99, 0.01, 0, 0], [0, 0.98, 0, 0], [0, 0, 1, 0], [0.01, 0, 0, 0.97]])
     for guard in ("none", "halve"):
         assert_same_run(*pair(OutputError(2, 2), F=F, Q=1e-4, guard=guard), y, u)
     assert_same_run(*pair(OutputError(2, 2), F=F, forgetting=0.98), y, u)
-    assert compiled == ["done"] * 3
+    assert handed_back == ["done"] * 3
 
 
-def test_several_inputs_and_a_regressor_of_the_callers(compiled):
+def test_several_inputs_and_a_regressor_of_the_callers(handed_back):
     y, u = recording()
     both = np.c_[u, np.roll(u, 5)]
     assert_same_run(*pair(ARX(2, (2, 1), nk=(1, 0))), y, both)
     assert_same_run(*pair(OutputError(1, (1, 2), nk=(0, 2))), y, both)
     assert_same_run(*pair(LinearRegression(2)), y, both)
-    assert compiled == ["done"] * 3
+    assert handed_back == ["done"] * 3
 
 
-def test_a_variance_for_each_sample(compiled):
+def test_a_variance_for_each_sample(handed_back):
     y, u = recording()
     R = np.where(np.arange(len(y)) % 7 == 0, 25.0, 0.25)
     for structure in STRUCTURES[:3]:
         result = assert_same_run(*pair(structure), y, u, R)
         assert np.abs(result.theta - next(pair(structure)).run(y, u).theta).max() > 1e-3
-    assert compiled == ["done"] * 6
+    assert handed_back == ["done"] * 6
 
 
-def test_growth_under_forgetting_stops(compiled):
+def test_growth_under_forgetting_stops(handed_back):
     y, u = recording()
     u[50:] = 0.0
     y[50:] = 0.0
@@ -151,40 +151,40 @@ def test_growth_under_forgetting_stops(compiled):
     assert 1e8 < np.sum(result.std[-1] ** 2) / 2.0 <= 1e8 / 0.8
 
 
-def test_chunks_join(compiled, monkeypatch):
+def test_chunks_join(handed_back, monkeypatch):
     y, u = recording()
     whole = [next(pair(structure)).run(y, u) for structure in STRUCTURES[:7]]
-    monkeypatch.setattr(_compiled_dispatch, "_CHUNK", 7)
+    monkeypatch.setattr(tracker_module, "_CHUNK", 7)
     for structure, expected in zip(STRUCTURES[:7], whole, strict=True):
         for found, column in zip(next(pair(structure)).run(y, u), expected, strict=True):
             np.testing.assert_array_equal(found, column)
 
 
-def test_sharp_samples_go_to_the_definition(compiled):
+def test_sharp_samples_go_to_the_definition(handed_back):
     y, u = recording()
     y[[40, 90, 200]] = 1e9, 1e11, 1e90
     for structure in (ARX(2, 2), ARX(1, 2, nk=3)):
-        compiled.clear()
+        handed_back.clear()
         # A spike costs P as many digits as it is large, in either way of counting.
         assert_same_run(*pair(structure), y, u, rtol=1e-3)
-        assert {41, 91, 201} <= set(compiled) and len(compiled) < 30
+        assert {41, 91, 201} <= set(handed_back) and len(handed_back) < 30
     for structure in (OutputError(2, 2), FIR(6)):
-        compiled.clear()
+        handed_back.clear()
         assert_same_run(*pair(structure), y, u, rtol=1e-9)
-        assert compiled == ["done"]
+        assert handed_back == ["done"]
 
 
-def test_a_recording_of_sharp_samples_is_left_to_the_definition_in_long_pieces(compiled):
+def test_a_recording_of_sharp_samples_is_left_to_the_definition_in_long_pieces(handed_back):
     y, u = recording(3000)
     one, other = pair(FIR(3), R=1e-9, Q=1.0)
     result = one.run(y, u)
     expected = [(other.update(a, b), other.theta)[1] for a, b in zip(y, u, strict=True)]
     np.testing.assert_allclose(result.theta, expected, rtol=1e-6, atol=1e-9)
-    assert len(compiled) > 2900
+    assert len(handed_back) > 2900
 
 
 @pytest.mark.parametrize("value", [1e99, 1e100, 1e200, 1e308])
-def test_no_overflow(value, compiled):
+def test_no_overflow(value, handed_back):
     y, u = recording()
     for structure, k in itertools.product(STRUCTURES[:3], (30, 31)):
         spiked = y.copy()
@@ -193,7 +193,7 @@ def test_no_overflow(value, compiled):
         assert np.isfinite(result.theta).all() and np.isfinite(result.prediction).all()
 
 
-def test_a_model_that_was_made_unstable_by_hand(compiled):
+def test_a_model_that_was_made_unstable_by_hand(handed_back):
     y, u = recording(80)
     for guard, gradient in itertools.product(("none", "reject", "halve"), ("pseudolinear", "filtered")):
         one, other = pair(OutputError(2, 2), guard=guard, gradient=gradient)
@@ -202,24 +202,24 @@ def test_a_model_that_was_made_unstable_by_hand(compiled):
         assert_same_run(one, other, y, u, rtol=1e-6)
 
 
-def test_a_refused_sample_is_named_and_changes_nothing(compiled):
+def test_a_refused_sample_is_named_and_changes_nothing(handed_back):
     y, u = recording()
     tracker = ParameterTracker(ARX(2, 2), P=1e-4, R=0.25, scaling="unit")
     u[250:] *= 300.0
     before = tracker.state()
     with pytest.raises(NotPositiveDefiniteError, match=r"sample 264: scaling"):
         tracker.run(y, u)
-    assert compiled == [264]
+    assert handed_back == [264]
     for name, value in before.items():
         np.testing.assert_array_equal(tracker.state()[name], value)
 
 
-def test_what_the_loop_is_not_for(compiled, monkeypatch):
+def test_what_the_loop_is_not_for(handed_back, monkeypatch):
     y, u = recording(80)
 
     def assert_not_compiled(tracker):
         tracker.run(y, u)
-        assert compiled == []
+        assert handed_back == []
 
     assert_not_compiled(ParameterTracker(ARX(2, 2), filter=RobustKalmanFilter(4, 1, grouping="joint", influence=Odd())))
     crooked = ParameterTracker(ARX(2, 2))
@@ -228,7 +228,7 @@ def test_what_the_loop_is_not_for(compiled, monkeypatch):
     frozen = ParameterTracker(ARX(2, 2))
     frozen.enabled = False
     assert_not_compiled(frozen)
-    monkeypatch.setattr(dispatch, "LONG", 81)
+    support.without_kernel(monkeypatch)
     assert_not_compiled(ParameterTracker(ARX(2, 2)))
 
 
@@ -240,26 +240,26 @@ class Odd(Huber):
         return super().psi(e)
 
 
-def test_without_numba_the_numbers_are_the_same(compiled, monkeypatch):
+def test_without_numba_the_numbers_are_the_same(handed_back, monkeypatch):
     y, u = recording()
     for structure in STRUCTURES[:3]:
         fast = next(pair(structure)).run(y, u)
         with monkeypatch.context() as patch:
-            patch.setattr(dispatch, "can_compile", lambda choices: False)
+            support.without_kernel(patch)
             slow = next(pair(structure)).run(y, u)
         for found, expected in zip(fast, slow, strict=True):
             np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-9)
-    assert compiled == ["done"] * 3
+    assert handed_back == ["done"] * 3
 
 
-def test_bounded_scaling_on_both_sides_of_one(compiled):
+def test_bounded_scaling_on_both_sides_of_one(handed_back):
     y, u = recording()
     for R in (0.25, 0.9, 4.0):
         assert_same_run(*pair(ARX(2, 2), P=0.01, Q=1e-4, R=R, scaling="bounded"), y, u)
-    assert compiled == ["done"] * 3
+    assert handed_back == ["done"] * 3
 
 
-def test_the_arrays_that_a_filter_held_before_a_run_are_left_alone(compiled):
+def test_the_arrays_that_a_filter_held_before_a_run_are_left_alone(handed_back):
     y, u = recording()
     tracker = next(pair(OutputError(2, 2)))
     held = tracker.filter.x, tracker.filter.P

@@ -1,0 +1,52 @@
+"""A type checker knows the public names, their arguments and their options, although most are imported late."""
+
+import re
+import subprocess
+import sys
+
+import pytest
+
+pytest.importorskip("mypy")
+
+RIGHT = """
+import numpy as np
+
+import robust_filterpy as rf
+from robust_filterpy import ARX, FilterBank, Huber, OutputError, ParameterTracker, RobustKalmanFilter, filter_series
+
+kf = RobustKalmanFilter(dim_x=2, dim_z=1, influence=Huber(1.5), scaling="bounded", information="weight")
+kf.predict()
+kf.update(1.0)
+weights = kf.weights.sum()
+tracker = ParameterTracker(OutputError(2, 2), R=0.25, guard="reject", gradient="filtered")
+result = tracker.run(np.zeros(10), np.zeros(10))
+theta: float = float(result.theta[-1, 0])
+interval = tracker.confidence_intervals(0.9).lower
+bank = FilterBank(10, dim_x=2, dim_z=1, grouping="joint")
+series = filter_series(np.zeros((1, 2, 1)), np.eye(1), np.eye(1), np.eye(1), np.eye(1), np.zeros(1), np.eye(1))
+series.x.sum()
+rf.diagnose(tracker, np.zeros(10), us=np.zeros(10))
+kf.scaling = "unit"
+"""
+WRONG = {
+    "ParameterTracker(ARX(1, 1), Rr=0.25)": "Rr",
+    "tracker.runn(np.zeros(10))": "runn",
+    'RobustKalmanFilter(2, 1, scaling="foo")': "scaling",
+    'ParameterTracker(ARX(1, 1), guard="maybe")': "guard",
+    'FilterBank(10, 2, 1, grouping="together")': "grouping",
+    "rf.no_such_name": "no_such_name",
+    "series.y": '"y"',
+    'kf.scaling = "foo"': "scaling|foo|expression has type",
+}
+
+
+def test_right_use_passes_and_wrong_use_fails(tmp_path):
+    program = tmp_path / "program.py"
+    program.write_text(RIGHT + "\n".join(WRONG) + "\n")
+    command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "--cache-dir", str(tmp_path / "cache"), str(program)]
+    found = subprocess.run(command, capture_output=True, text=True).stdout
+    errors = dict(re.findall(r"program\.py:(\d+): error: (.*)", found))
+    first = RIGHT.count("\n") + 1
+    for line, (statement, reason) in enumerate(WRONG.items(), first):
+        assert re.search(reason, errors.pop(str(line), "")), f"{statement}: {found}"
+    assert not errors, found
