@@ -73,7 +73,7 @@ def bode_table(recording: ServoRecording, found: list[Response]) -> str:
     reason = (
         "Up to 5 Hz dry friction takes about half a dB: at each reversal it holds the piston until the pressures have "
         "turned. At the resonance the model is a blur: the piston crosses the stroke, and the resonance moves with it, "
-        "from 12 Hz to the 17 Hz of the grey curves; without dry friction most of the difference is left at this "
+        "from 12 Hz to the 15 Hz of the grey curves; without dry friction most of the difference is left at this "
         "amplitude, and next to nothing at a tenth of it. Above, the reference, held for 0.2 s, has little power, and "
         "the structure decides."
     )

@@ -34,10 +34,10 @@ def targets(runs: list[Run], seed: int) -> str:
     moved, fits = np.array([run.motion for run in runs]), np.array([run.fits for run in runs])[:, 0]
     lines = []
 
-    def line(what: str, better: np.ndarray, worse: np.ndarray, digits: int, less: bool) -> None:
-        one, other = mean_of(better, seed), mean_of(worse, seed)
-        apart = one.high < other.low if less else one.low > other.high
-        verdict = "apart" if apart else "OVERLAP"
+    def line(what: str, robust: np.ndarray, other_one: np.ndarray, digits: int, less: bool) -> None:
+        one, other = mean_of(robust, seed), mean_of(other_one, seed)
+        better = one.high < other.low if less else one.low > other.high
+        verdict = "robust better" if better else "ROBUST NOT BETTER"
         lines.append(f"  {what:62}{shown(one, digits):>26}{shown(other, digits):>26}  {verdict}")
 
     for name in (NOMINAL, TOTAL):
@@ -47,7 +47,7 @@ def targets(runs: list[Run], seed: int) -> str:
         pair = (fits[:, TRACKERS.index(model)] for model in (ROBUST, name))
         line(f"valve to velocity, fit / %: robust, {name}", *pair, 1, less=False)
     line("valve to velocity, fit / %: robust, constant", fits[:, TRACKERS.index(ROBUST)], fits[:, 0], 1, less=False)
-    return "\n".join(["Intervals that should not overlap:", *lines])
+    return "\n".join(["Robust against the others, by intervals that do not overlap:", *lines])
 
 
 def causes(seed: int, steps: int) -> str:

@@ -87,5 +87,5 @@ def test_benchmark_prints_fits_and_targets():
     arguments = ["--seeds", "2", "--steps", "300", "--first", "10000"]
     done = subprocess.run([sys.executable, str(study), *arguments], capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
-    for words in ("two-sided", "outliers known", "constant", "valve to velocity", "Intervals that should not overlap"):
+    for words in ("two-sided", "outliers known", "constant", "valve to velocity", "intervals that do not overlap"):
         assert words in done.stdout
