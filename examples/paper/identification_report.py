@@ -4,54 +4,47 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from identification import (
-    BOUNDED,
     INNOVATION,
     KALMAN,
     KALMAN_TOTAL,
     LABELS,
     LITERAL,
     SECTION4,
-    STILL,
-    TRACKERS,
     UNIT_EXPECTED,
     WELL,
-    Plant,
     Run,
     bounds,
     squared,
-    staying,
-    trial,
 )
 from identification_figures import error_figure, estimates_figure, output_figure
-from report import Claim, Options, Part, geometric_ratio, judged, markdown_table, shown, together
+from identification_tables import (
+    LATE,
+    READINGS,
+    STAY,
+    Found,
+    about_w,
+    errors_of,
+    ratio_of,
+    sensitivity,
+    study,
+    table,
+)
+from report import Claim, Options, Part, geometric_ratio, judged, shown, together
 
-from robust_filterpy.experiments import Interval, monte_carlo
+from robust_filterpy.experiments import Interval
 
 FIRST_FIGURE = {0.05: 8, 0.1: 12, 0.15: 16}
 LEVELS = (0.0, *FIRST_FIGURE)
-EARLY, LATE = slice(0, 100), slice(500, None)
-STAY = "stay at the start"
-STUDIED = (KALMAN, LITERAL, BOUNDED, INNOVATION)
-READINGS = {"W = 1e-4 I": SECTION4, "W = 1e-6 I": STILL}
+EARLY = slice(0, 100)
 MAIN = "W = 1e-4 I"
 
 BETTER = "The robust filter is better than the Kalman filter (told the ordinary noise)."
 ALSO_BETTER = "It is also better than a Kalman filter that is told the variance of all the noise."
 NO_WORSE = "Under Gaussian noise it is no worse than the Kalman filter."
 UNTOLD = "The runs say the contrary of the paper's, and of all runs before: look for a mistake here first."
-
-#: Studies of one plant by their contamination.
-Found = dict[float, Run]
-
-
-def study(plant: Plant, runs: int, options: Options, trackers: tuple[str, ...] = TRACKERS) -> Run:
-    """Run a plant many times; every field gets a first axis of runs."""
-    results = monte_carlo(partial(trial, plant=plant, trackers=trackers), runs, options.seed, options.jobs).results
-    return Run(*(np.array(column) for column in zip(*results, strict=True)))
 
 
 def make(options: Options) -> Part:
@@ -68,17 +61,17 @@ def make(options: Options) -> Part:
             _figures(part, {reading: runs[level] for reading, runs in found.items()}, level, options)
     if options.only is not None:
         return part
-    part.text.append(_about_w(found))
+    part.text.append(about_w(found))
     well = {level: study(replace(WELL, contamination=level), options.runs, options) for level in LEVELS}
     limits = bounds(well[0.1].information, WELL)
     part.save(error_figure([("contamination 0.1", well[0.1], limits)]), "well_conditioned.png",
               "The plant where theta can be told, contamination 0.1.", options)  # fmt: skip
     for level in LEVELS:
-        part.text.append(_table(level, found, well[level]))
+        part.text.append(table(level, found, well[level]))
     white = study(replace(SECTION4, white=True), options.runs, options, (LITERAL, LABELS))
     part.claims += [*_claims(found, options), _input_claim(found[MAIN][0.1], white, options)]
     part.claims += _well_claims(well, options)
-    part.text.append(_sensitivity(options))
+    part.text.append(sensitivity(options))
     return part
 
 
@@ -103,69 +96,6 @@ def _figures(part: Part, runs: dict[str, Run], level: float, options: Options) -
         part.save(error_figure(studies), f"fig{first + 3:02d}.png", caption, options)
 
 
-def _errors(run: Run, name: str, steps: slice = LATE) -> np.ndarray:
-    """Return the mean squared error of a tracker, or of staying at the start, run by run; NaN where it refused."""
-    errors = staying(run) if name == STAY else squared(run)[:, TRACKERS.index(name)]
-    return errors[:, steps].mean(axis=1)
-
-
-def _ratio(run: Run, numerator: str, denominator: str, seed: int, steps: slice = LATE) -> Interval:
-    """Return the geometric mean ratio of squared errors over the runs that neither refused."""
-    pair = np.array([_errors(run, name, steps) for name in (numerator, denominator)])
-    return geometric_ratio(*pair[:, np.isfinite(pair).all(axis=0)], seed)
-
-
-def _about_w(found: dict[str, Found]) -> str:
-    """Say what the two readings of the lost W are, in numbers, and which makes the figures."""
-    rows = []
-    for reading, plant in READINGS.items():
-        run, limits = found[reading][0.1], bounds(found[reading][0.1].information, plant)
-        refused = np.mean((np.diff(run.theta, axis=1) == 0).all(axis=2))
-        size = np.median(run.y_clean.std(axis=1)) / plant.variance**0.5
-        stay = np.sqrt(_errors(run, STAY).mean())
-        rows.append([reading, f"{size:.1f}", f"{refused:.1%}", f"{stay:.2f}", f"{limits.without_prior:.2f}",
-                     f"{np.sqrt(limits.bayesian[LATE].mean()):.2f}"])  # fmt: skip
-    head = ["reading", "output / ordinary noise", "walk steps refused", "rms error of staying at theta-bar",
-            "Cramer-Rao bound", "Bayesian bound"]  # fmt: skip
-    return (
-        "**The lost W.** The text of section 4 announces the covariance of w(k), and the formula is missing. With "
-        "W = 1e-6 I theta hardly moves from where the prior has put it, the output is as small as the noise, and a "
-        "recording tells less about theta than the prior does: no filter, not even the one that knows the outliers, "
-        "is clearly better than one that never moves. With W = 1e-4 I the walk takes the plant to the border of "
-        "stability, where its output is large and tells much. **W = 1e-4 I, with steps to unstable plants refused, is "
-        "the reading under which the figures show what the text says of them**: estimates that follow the parameters, "
-        "a Kalman filter that does not, and a distance between them that grows with the contamination. It is the main "
-        "reading here; the other stands "
-        "beside it. (Contamination 0.1, medians over runs; the bounds are those of ||theta_hat - theta|| after 1000 "
-        "samples, for a theta that stands still and no prior, and with walk and prior over samples 500-1000.)\n\n"
-        + markdown_table(head, rows)
-    )
-
-
-def _table(level: float, found: dict[str, Found], well: Run) -> str:
-    """Say what every tracker did at one contamination, on the plants of both readings and on the one to learn."""
-    studies = [*((reading, runs[level]) for reading, runs in found.items()), (WELL.name, well)]
-    rows = []
-    for name in (*TRACKERS, STAY):
-        row = [name]
-        for _, run in studies:
-            refused = int(np.isnan(_errors(run, name)).sum())
-            if refused == len(run.y):
-                row += ["refused: P indefinite", ""]
-                continue
-            over = np.exp(np.nanmean(np.log(_errors(run, name) / _errors(run, STAY))))
-            note = f" ({refused} refused)" if refused else ""
-            fit = "" if name == STAY else f"{np.nanmedian(run.output_fit[:, TRACKERS.index(name)]):.1f} %"
-            row += [f"{over:.3g}{note}", fit]
-        rows.append(row)
-    head = ["tracker", *(cell for name, _ in studies for cell in (f"{name}: error over staying", "fit"))]
-    return (
-        f"**Contamination {level:g}**, {len(well.y)} runs, samples 500-1000: squared error of theta over that of an "
-        "estimate that stays at its start (geometric mean; below 1, something is learnt), and the median fit of the "
-        f"one-step prediction to the noise-free output.\n\n{markdown_table(head, rows)}"
-    )
-
-
 def _claims(found: dict[str, Found], options: Options) -> list[Claim]:
     """Test what section 4 says, with the main reading of W; the other's numbers stand beside."""
     seed = options.seed
@@ -177,13 +107,13 @@ def _claims(found: dict[str, Found], options: Options) -> list[Claim]:
         return Claim(figures, text, f"squared error, {criterion}", "; ".join((_listed(main), *beside)), holds, why)
 
     def each(denominator: str) -> Callable[[Found], dict]:
-        return lambda runs: {f"at {c:g}": _ratio(runs[c], LITERAL, denominator, seed) for c in FIRST_FIGURE}
+        return lambda runs: {f"at {c:g}": ratio_of(runs[c], LITERAL, denominator, seed) for c in FIRST_FIGURE}
 
     def at(level: float, denominator: str, steps: slice = LATE) -> Callable[[Found], dict]:
-        return lambda runs: {"": _ratio(runs[level], LITERAL, denominator, seed, steps)}
+        return lambda runs: {"": ratio_of(runs[level], LITERAL, denominator, seed, steps)}
 
     every = "below 1 at every contamination"
-    grown = {name: [_ratio(runs[c], KALMAN, LITERAL, seed) for c in (0.05, 0.15)] for name, runs in found.items()}
+    grown = {name: [ratio_of(runs[c], KALMAN, LITERAL, seed) for c in (0.05, 0.15)] for name, runs in found.items()}
     beside = "".join(f"; with {name}: {_pair(steps)}" for name, steps in grown.items() if name != MAIN)
     slower = (
         "With T = 1 the gain is P phi where the Kalman filter has P phi / S, and S is .1 to .2: the filter moves less."
@@ -226,7 +156,7 @@ def _input_claim(pink: Run, white: Run, options: Options) -> Claim:
     """Test whether the designed input makes the estimates converge faster than a white binary one."""
     found = {}
     for i, name in enumerate((LITERAL, LABELS)):
-        pair = np.array([_errors(pink, name), squared(white)[:, i, LATE].mean(axis=1)])
+        pair = np.array([errors_of(pink, name), squared(white)[:, i, LATE].mean(axis=1)])
         found[name] = geometric_ratio(*pair[:, np.isfinite(pair).all(axis=0)], options.seed)
     return Claim(
         "7",
@@ -243,7 +173,7 @@ def _well_claims(well: Found, options: Options) -> list[Claim]:
     """Test the same on the plant where theta can be told; T = 1 is no filter there, and is counted elsewhere."""
 
     def claim(text: str, denominator: str, levels: tuple[float, ...], high: float) -> Claim:
-        ratios = {f"at {c:g}": _ratio(well[c], INNOVATION, denominator, options.seed) for c in levels}
+        ratios = {f"at {c:g}": ratio_of(well[c], INNOVATION, denominator, options.seed) for c in levels}
         holds = together(judged(interval, high=high) for interval in ratios.values())
         limit = "below 1" if high == 1.0 else f"at most {high:g}"
         criterion = f"squared error, {INNOVATION} over {denominator}, {limit}"
@@ -253,27 +183,6 @@ def _well_claims(well: Found, options: Options) -> list[Claim]:
     return [
         claim(BETTER, KALMAN, levels, 1.0),
         claim(ALSO_BETTER, KALMAN_TOTAL, levels, 1.0),
-        _growth(WELL.name, [_ratio(well[c], KALMAN, INNOVATION, options.seed) for c in (0.05, 0.15)]),
+        _growth(WELL.name, [ratio_of(well[c], KALMAN, INNOVATION, options.seed) for c in (0.05, 0.15)]),
         claim(NO_WORSE, KALMAN, (0.0,), 1.1),
     ]
-
-
-def _sensitivity(options: Options) -> str:
-    """Show what W and P0, lost or open in the text, do."""
-    rows, runs = [], max(2, options.runs // 4)
-    for Q in (1e-6, 1e-5, 1e-4):
-        for P0 in (0.01, 0.1, 1.0):
-            run = study(replace(SECTION4, Q=Q, P0=P0), runs, options, STUDIED)
-            error, stay = np.sqrt(squared(run)[:, :, LATE].mean(axis=2)), np.sqrt(_errors(run, STAY))
-            cells = []
-            for i in range(len(STUDIED)):
-                refused = int(np.isnan(error[:, i]).sum())
-                value = "-" if refused == runs else f"{np.nanmedian(error[:, i]):.3f}"
-                cells.append(value + (f" ({refused} of {runs} refused)" if refused else ""))
-            rows.append([f"{Q:g}", f"{P0:g}", *cells, f"{np.median(stay):.3f}"])
-    return (
-        f"**Sensitivity to W and P0**, section 4, contamination 0.1, {runs} runs, median ||theta_hat - theta|| over "
-        "samples 500-1000. P0 is the prior of theta(0) as well as P(0). Where the literal form is refused (P would "
-        "turn indefinite), the bounded and the T(k) form stand beside it.\n\n"
-        + markdown_table(["W / I", "P0 / I", *STUDIED, STAY], rows)
-    )
