@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -16,7 +16,7 @@ from robust_filterpy import Huber, Linear
 from robust_filterpy.correction import NotPositiveDefiniteError
 from robust_filterpy.experiments import fit_percent
 from robust_filterpy.identification import OutputError, ParameterTracker
-from robust_filterpy.noise import EpsilonContaminated
+from robust_filterpy.noise import EpsilonContaminated, fisher_information
 from robust_filterpy.plants import THETA_BAR, Simulation, random_walk, simulate_output_error, stable
 
 STEPS = 1000
@@ -50,6 +50,7 @@ class Plant:
     Q: float = 1e-6
     gradient: str = "pseudolinear"
     guard: str = "reject"
+    white: bool = False  # input: white +-1 instead of the paper's
 
     @property
     def order(self) -> int:
@@ -61,8 +62,15 @@ class Plant:
         """The noise of Table 1; scipy takes longer to set a distribution up than to draw a run from it."""
         return EpsilonContaminated(self.contamination, self.variance**0.5, 10 * self.variance**0.5)
 
+    @cached_property
+    def fisher(self) -> float:
+        """Fisher information (30) of the noise in units of that of its ordinary part."""
+        return fisher_information(self.noise) * self.variance
 
-SECTION4 = Plant("section 4", tuple(THETA_BAR.tolist()), None, 0.1)
+
+SECTION4 = Plant("section 4", tuple(THETA_BAR.tolist()), None, 0.1, Q=1e-4)
+#: The other reading of the lost W.
+STILL = replace(SECTION4, Q=1e-6)
 WELL = Plant("well-conditioned", (-1.5, 0.7, 1.0, 0.5), 0.0, 0.25, P0=1.0, gradient="filtered", guard="halve")
 
 
@@ -86,7 +94,7 @@ def drawn(rng: np.random.Generator, plant: Plant) -> Draw:
     theta = random_walk(start, plant.Q, STEPS, rng, accept=inside)
     offset = int(rng.integers(1000, 8000))
     v, is_outlier = plant.noise.rvs_labelled(STEPS, rng)
-    u = INPUT[offset : offset + STEPS]
+    u = rng.choice([-1.0, 1.0], STEPS) if plant.white else INPUT[offset : offset + STEPS]
     return Draw(simulate_output_error(theta, u, noise=v, na=order, nb=order), is_outlier)
 
 
@@ -143,9 +151,10 @@ def _tracker(name: str, plant: Plant, choices: dict) -> ParameterTracker:
 class Run(NamedTuple):
     """What one run gave; NaN where a tracker refused."""
 
-    u: np.ndarray
     y: np.ndarray
+    y_clean: np.ndarray
     theta: np.ndarray  # (steps, n)
+    start: np.ndarray  # (n,) theta_hat before the first sample
     estimates: np.ndarray  # (trackers, steps, n)
     output_fit: np.ndarray  # (trackers,) one-step prediction of the noise-free output, percent, second half
     response_error: np.ndarray  # (trackers,) relative error of the frequency response at the end
@@ -166,7 +175,19 @@ def trial(
             continue
         fits[i] = fit_percent(y_clean[half], prediction[half])
     response = _response_error(estimates[:, -1], theta[-1], plant.order)
-    return Run(u, y, theta, estimates, fits, response, _information(theta, u, y_clean, plant.order, plant.variance))
+    start = _tracker(KALMAN, plant, {}).theta
+    information = _information(theta, u, y_clean, plant.order, plant.variance)
+    return Run(y, y_clean, theta, start, estimates, fits, response, information)
+
+
+def squared(run: Run) -> np.ndarray:
+    """Return ||theta_hat - theta||^2 of many runs, shape (runs, trackers, steps)."""
+    return np.sum((run.estimates - run.theta[:, None]) ** 2, axis=-1)
+
+
+def staying(run: Run) -> np.ndarray:
+    """Return the squared error of an estimate that stays where it starts, shape (runs, steps)."""
+    return np.sum((run.start[:, None] - run.theta) ** 2, axis=-1)
 
 
 def _response_error(estimates: np.ndarray, theta: np.ndarray, order: int) -> np.ndarray:
@@ -203,7 +224,7 @@ def bounds(information: np.ndarray, plant: Plant) -> Limits:
     The first takes the information averaged over runs, which lightly damped plants rule: it is valid and loose. The
     second is the median over runs, for theta that stands still. Both have the noise's Fisher information (30).
     """
-    information = information * _fisher(plant.contamination)
+    information = information * plant.fisher
     mean = information.mean(axis=0)
     drift = plant.Q * np.eye(mean.shape[1])
     P, bound = plant.P0 * np.eye(mean.shape[1]), np.empty(STEPS)
@@ -212,16 +233,6 @@ def bounds(information: np.ndarray, plant: Plant) -> Limits:
         bound[k] = np.trace(P)
     without_prior = np.trace(np.linalg.inv(information.sum(axis=1)), axis1=1, axis2=2)
     return Limits(bound, float(np.sqrt(np.median(without_prior))))
-
-
-@lru_cache
-def _fisher(contamination: float) -> float:
-    """Return the Fisher information (30) of the noise in units of that of its ordinary part."""
-    if not contamination:
-        return 1.0
-    noise, x = EpsilonContaminated(contamination, 1.0, 10.0), np.linspace(-60, 60, 60001)
-    p = noise.pdf(x)
-    return float(np.trapezoid(np.gradient(p, x) ** 2 / np.maximum(p, 1e-300), x))
 
 
 INPUT = binary_input()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -38,11 +39,17 @@ class Claim:
     criterion: str
     measured: str
     holds: bool | None  # None: the runs do not decide
+    reason: str = ""  # why it does not hold, if it does not
 
     @property
     def verdict(self) -> str:
         """Say what the numbers say."""
         return {True: "holds", False: "does not hold", None: "undecided"}[self.holds]
+
+    def row(self) -> list[str]:
+        """Return the line of the table; a claim that does not hold says why."""
+        why = f": {self.reason}" if self.holds is False else ""
+        return [self.figures, self.claim, self.criterion, self.measured, f"**{self.verdict}**{why}"]
 
 
 @dataclass
@@ -57,9 +64,13 @@ class Part:
     def save(self, figure: Any, name: str, caption: str, options: Options) -> None:
         """Write a figure as PNG and remember its caption."""
         import matplotlib.pyplot as plt
+        from PIL import Image
 
-        figure.savefig(options.out / name, dpi=100)
+        whole = io.BytesIO()
+        figure.savefig(whole, dpi=80)
         plt.close(figure)
+        # A palette makes a third of the file: the repository keeps these figures.
+        Image.open(whole).convert("RGB").quantize(kmeans=8).save(options.out / name, optimize=True)
         self.figures.append((name, caption))
 
 
@@ -72,7 +83,9 @@ def ratio_interval(numerator: Any, denominator: Any, seed: int) -> Interval:
 def geometric_ratio(numerator: Any, denominator: Any, seed: int) -> Interval:
     """Return exp(mean log ratio) over the same runs: no run that went astray decides alone."""
     logs = np.log(np.asarray(numerator, dtype=float)) - np.log(np.asarray(denominator, dtype=float))
-    return Interval(*np.exp(bootstrap_interval(logs, "mean", rng=seed, n_resamples=RESAMPLES, method="percentile")))
+    found = bootstrap_interval(logs, "mean", rng=seed, n_resamples=RESAMPLES, method="percentile")
+    middle, low, high = np.exp(found[:3])
+    return Interval(middle, low, high, middle * found.standard_error)
 
 
 def shown(interval: Interval, digits: int = 2) -> str:
@@ -87,6 +100,12 @@ def judged(interval: Interval, low: float = -np.inf, high: float = np.inf) -> bo
     return False if interval.high < low or interval.low > high else None
 
 
+def together(verdicts: Iterable[bool | None]) -> bool | None:
+    """Join verdicts: False if one is, else undecided if one is, else True."""
+    found = list(verdicts)
+    return False if False in found else None if None in found else True
+
+
 def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Format a table."""
     lines = [head, ["---"] * len(head), *rows]
@@ -97,7 +116,7 @@ def write_report(parts: Sequence[Part], choices: str, options: Options, command:
     """Write report.md: the claims first, then what was chosen, then the parts."""
     claims = [claim for part in parts for claim in part.claims]
     head = ["figure", "claim", "criterion", "measured (95 % interval)", "verdict"]
-    table = markdown_table(head, ([c.figures, c.claim, c.criterion, c.measured, f"**{c.verdict}**"] for c in claims))
+    table = markdown_table(head, (claim.row() for claim in claims))
     text = [
         "# Robust identification of pneumatic servo actuators in the real situations: the figures and claims, repeated",
         f"Written by `{command}`. The same seed gives the same report, whatever the number of jobs.",

@@ -5,7 +5,10 @@
 * `parameters`: what stands for a linear plant, and its orders.
 * `pneumatic`: the servo of the paper's section 2; everything public about it can be imported from there.
 * `servo_parameters`, `servo_equations`, `coefficients`: its constants, its equations, its uncertain alpha and beta.
-* `servo_linearization`, `position_loop`: its operating points, and recordings from a sampled loop.
+* `steady_motion`, `servo_linearization`: its steady motions, and linear models about them.
+* `loop_design`, `position_loop`, `servo_observer`: a position loop, stable by its gains; the loop simulated, and what
+  estimates the motion in it from sensors that err.
+* `servo_inputs`, `servo_recording`: what drives an experiment, and its recording, with files of it for other tools.
 
 The only room that uses python-control, which is imported when a plant asks for it. Imports from below: `_checks` alone.
 """

@@ -8,6 +8,7 @@ Everything public about the servo can be imported from here.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -22,10 +23,14 @@ from .coefficients import (
     random_alpha,
     random_beta,
 )
-from .position_loop import ServoRecording, simulate_actuator, simulate_servo
-from .servo_equations import INPUTS, STATES, flow_function, servo_derivatives
-from .servo_linearization import ServoLinearization, ServoOperatingPoint, linearize_servo, operating_point
+from .loop_design import PositionGains, UnstableLoopError, position_gains
+from .position_loop import simulate_actuator, simulate_servo
+from .servo_equations import INPUTS, STATES, flow_function, servo_derivatives, valve_opening
+from .servo_linearization import ServoLinearization, linearize_servo
+from .servo_observer import MotionEstimate, ServoObserver
 from .servo_parameters import NOMINAL_ALPHA, PneumaticParameters, as_parameters, critical_ratio
+from .servo_recording import ServoRecording
+from .steady_motion import ServoOperatingPoint, operating_point
 
 if TYPE_CHECKING:
     import control
@@ -36,21 +41,27 @@ __all__ = [
     "INPUTS",
     "NOMINAL_ALPHA",
     "STATES",
+    "MotionEstimate",
     "PneumaticParameters",
+    "PositionGains",
     "ServoLinearization",
+    "ServoObserver",
     "ServoOperatingPoint",
     "ServoRecording",
+    "UnstableLoopError",
     "beta_coefficient",
     "critical_ratio",
     "flow_function",
     "linearize_servo",
     "operating_point",
     "pneumatic_servo",
+    "position_gains",
     "random_alpha",
     "random_beta",
     "servo_derivatives",
     "simulate_actuator",
     "simulate_servo",
+    "valve_opening",
 ]
 
 
@@ -59,6 +70,7 @@ def pneumatic_servo(
     *,
     alpha: Coefficient = NOMINAL_ALPHA,
     beta: Coefficient | None = None,
+    supply: Coefficient | None = None,
     outputs: Sequence[str] = STATES,
     name: str = "pneumatic_servo",
 ) -> control.NonlinearIOSystem:
@@ -67,14 +79,16 @@ def pneumatic_servo(
     ::
 
         m y'' = A_a P_a - A_b P_b - (A_a - A_b) P_atm - beta_e y' - F_f(y') - k_e y - F_stop - F_ext     (1)
-        P_i'  = -alpha P_i V_i'/V_i + beta sqrt(R T_S)/V_i W |u| f(P_i),   i = a, b                      (2)-(4)
+        P_i'  = -alpha P_i V_i'/V_i + beta sqrt(R T_S)/V_i W |o| f(P_i) -+ alpha q/V_i,   i = a, b       (2)-(4)
         f(P)  = P_o fbar(P/P_o) if P_o >= P else -P fbar(P_o/P)                                          (5)
 
     with V_a = A_a (l + y), V_b = A_b (l - y), l half the stroke plus the dead length. P_o is the supply pressure for
-    the chamber that the valve fills (a for u > 0, b for u < 0) and the atmosphere for the one that it vents.
+    the chamber that the valve fills (a for u > 0, b for u < 0) and the atmosphere for the one that it vents. o is the
+    opening, what the dead band leaves of the command u (`valve_opening`), and q the leakage from a to b past the
+    piston, ``sqrt(R T_S) A_L f`` between the two pressures.
 
-    States: `position` (m, from mid-stroke), `velocity` (m/s), `P_a`, `P_b` (Pa, absolute). Inputs: `valve` (u, the
-    opening as a fraction of full, saturates at -1 and 1), `load` (F_ext, N, opposes positive motion).
+    States: `position` (m, from mid-stroke), `velocity` (m/s), `P_a`, `P_b` (Pa, absolute). Inputs: `valve` (u, a
+    fraction of the spool's stroke, saturates at -1 and 1), `load` (F_ext, N, opposes positive motion).
 
     Parameters
     ----------
@@ -85,6 +99,8 @@ def pneumatic_servo(
     beta : float, callable or (times, values), optional
         Bound parameter, within [0.075, 1.3297]. By default eq (6) with the parameters' discharge coefficient and the
         nominal temperature: ``alpha(t) C_d``.
+    supply : float, callable or (times, values), optional
+        Absolute supply pressure in Pa, at least the atmosphere's. By default the parameters'.
     outputs : sequence of str
         Which of the states are outputs, in which order.
     name : str
@@ -98,16 +114,17 @@ def pneumatic_servo(
     Raises
     ------
     ValueError
-        If alpha or beta leaves its range (for a function: when the system is evaluated there), or an output is not
-        a state.
+        If alpha, beta or supply leaves its range (for a function: when the system is evaluated there), or an output
+        is not a state.
     TypeError
-        If alpha or beta is of none of the three kinds.
+        If alpha, beta or supply is of none of the three kinds.
 
     Notes
     -----
     Departures from the print. (1) lacks the atmosphere's force on the rod, which absolute pressures need. (2), (4): the
     opening is |u|, R the specific gas constant, and the sign of the flow comes from (5) alone. (5): P_o is not one
     pressure but the supply's or the atmosphere's. (7): V_a' = A_a y', V_b' = -A_b y', and the opening multiplies h.
+    The paper names leakage, overlap and a supply that varies among what its model leaves out; here they are in it.
 
     Friction is ``F_f = (F_c + (F_s - F_c) exp(-(v/v_s)^2)) tanh(v/v_0)``: smooth, so a piston that should stick creeps
     instead, slower than v_0 (1 mm/s). The end stops push back with ``k d max(0, 1 + c d')`` at a depth d beyond the
@@ -134,11 +151,13 @@ def pneumatic_servo(
         raise ValueError(f"outputs: expected names out of {STATES}, got {outputs!r}")
     index = [STATES.index(label) for label in outputs]
     derivatives = servo_derivatives(parameters)
+    pressure = parameters.supply_pressure if supply is None else supply
+    supply_at = coefficient_function(pressure, "supply", (parameters.atmospheric_pressure, math.inf))
 
     def update(t: float, x: Any, u: Any, params: dict[str, Any]) -> Any:
         y, v, p_a, p_b = x.tolist()
         valve, load = u.tolist()
-        return np.array(derivatives(y, v, p_a, p_b, valve, load, alpha_at(t), beta_at(t)))
+        return np.array(derivatives(y, v, p_a, p_b, valve, load, alpha_at(t), beta_at(t), supply_at(t)))
 
     def output(t: float, x: Any, u: Any, params: dict[str, Any]) -> Any:
         return np.asarray(x)[index]

@@ -1,62 +1,36 @@
 """The pneumatic servo in a sampled position loop, simulated to identification data.
 
 The actuator integrates the valve opening, so an experiment of any length needs a loop that keeps the piston off the
-ends of its stroke.
+ends of its stroke. The loop may see the piston through sensors that err, and estimate its motion.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.integrate import odeint
 
-from .coefficients import ALPHA_RANGE, BETA_RANGE, Coefficient, checked, coefficient_function
+from .coefficients import checked
+from .loop_design import check_loop
 from .servo_equations import STATES, servo_derivatives
-from .servo_linearization import DAMPING, GAIN, operating_point
+from .servo_inputs import ServoInputs, Signal, sampled_reference
+from .servo_linearization import chosen_gains
 from .servo_parameters import NOMINAL_ALPHA, PneumaticParameters, as_parameters
+from .servo_recording import Array, ServoRecording
 
-Array: TypeAlias = NDArray[np.floating[Any]]
-Signal: TypeAlias = "Coefficient | ArrayLike"
+__all__ = ["Observer", "simulate_actuator", "simulate_servo"]
+
+#: Readings (position, P_a, P_b) and the command of the period before; estimated position and acceleration.
+Observer: TypeAlias = Callable[[Array, float], "tuple[float, float]"]
+#: Sample number, true motion (position, acceleration), readings and the command before; estimate and command.
+_Controller: TypeAlias = Callable[[int, "tuple[float, float]", Array, float], "tuple[tuple[float, float], float]"]
 
 #: Absolute tolerance of each state where the relative one is 1: m, m/s, Pa, Pa.
 _SCALES = np.array([1e-3, 1e-2, 1e4, 1e4])
-
-
-class ServoRecording(NamedTuple):
-    """Hold a simulated experiment, N samples each; the inputs of row k act from t[k] to t[k] + dt.
-
-    Attributes
-    ----------
-    t : numpy.ndarray, shape (N,)
-        Times, in s.
-    reference : numpy.ndarray, shape (N,)
-        Reference position, in m (NaN without a loop).
-    valve : numpy.ndarray, shape (N,)
-        Valve opening, a fraction of full, in [-1, 1].
-    position, velocity : numpy.ndarray, shape (N,)
-        Motion of the piston at t[k], in m and m/s, free of measurement noise.
-    P_a, P_b : numpy.ndarray, shape (N,)
-        Absolute pressures of the chambers, in Pa.
-    alpha, beta : numpy.ndarray, shape (N,)
-        Heat coefficient and bound parameter.
-    load : numpy.ndarray, shape (N,)
-        Load force, in N.
-    """
-
-    t: Array
-    reference: Array
-    valve: Array
-    position: Array
-    velocity: Array
-    P_a: Array
-    P_b: Array
-    alpha: Array
-    beta: Array
-    load: Array
 
 
 def simulate_servo(
@@ -65,19 +39,24 @@ def simulate_servo(
     parameters: PneumaticParameters | None = None,
     *,
     duration: float | None = None,
-    gain: float = GAIN,
-    damping: float = DAMPING,
+    gain: float | None = None,
+    damping: float | None = None,
+    compensation: float = 0.9,
     alpha: Signal = NOMINAL_ALPHA,
     beta: Signal | None = None,
     load: Signal = 0.0,
+    supply: Signal | None = None,
+    noise: ArrayLike | None = None,
+    observer: Observer | None = None,
     initial: ArrayLike | None = None,
     rtol: float = 1e-6,
 ) -> ServoRecording:
     """Simulate the pneumatic servo in a position loop, sampled to identification data.
 
-    A digital controller samples the motion and holds the valve between samples,
-    ``u(k) = gain (r(k) - y(k)) - damping v'(k)``, limited to [-1, 1]. Hence y(k) depends on u(k-1) and r(k-1) at the
-    latest: the delay of a model is nk = 1.
+    A digital controller samples the motion and holds the valve between samples. It asks for the opening
+    ``o(k) = gain (r(k) - y(k)) - damping y''(k)`` and steps over the valve's dead band, as far as it knows it,
+    ``u = sgn(o) (d + (1 - d) |o|)``, limited to [-1, 1]. Hence y(k) depends on u(k-1) and r(k-1) at the latest: the
+    delay of a model is nk = 1.
 
     Parameters
     ----------
@@ -88,14 +67,24 @@ def simulate_servo(
     parameters : PneumaticParameters, optional
     duration : float, optional
         Length of the experiment in s, for a reference given as a function: N = round(duration / dt).
-    gain : float
-        Valve opening per position error, in 1/m.
-    damping : float
-        Valve opening per acceleration, in s^2/m.
+    gain : float, optional
+        Valve opening per position error, in 1/m. By default that of `position_gains`.
+    damping : float, optional
+        Valve opening per acceleration, in s^2/m. By default that of `position_gains`.
+    compensation : float
+        Share of the parameters' dead band that the controller steps over, in [0, 1].
     alpha, beta : float, callable, (times, values) or array_like, shape (N,)
         Coefficients of eq (2) as in `pneumatic_servo`, or one value a sample. They are held from sample to sample.
     load : float, callable, (times, values) or array_like, shape (N,)
         Load force in N against positive motion, held from sample to sample.
+    supply : float, callable, (times, values) or array_like, shape (N,), optional
+        Absolute supply pressure in Pa, held from sample to sample. By default the parameters'.
+    noise : array_like, shape (N, 3), optional
+        What the sensors of position, P_a and P_b add to the truth, in m, Pa, Pa: noise and outliers.
+    observer : callable, optional
+        ``observer(readings, valve) -> (position, acceleration)``: what the controller takes for the motion, of the
+        readings of position, P_a and P_b, shape (3,), and of the command of the period before, such as a
+        `ServoObserver`. By default the controller sees the true motion.
     initial : array_like, shape (4,), optional
         Position, velocity, P_a, P_b at t = 0. By default at rest in mid-stroke, at the pressures of
         `operating_point` under the first load.
@@ -108,9 +97,12 @@ def simulate_servo(
 
     Raises
     ------
+    UnstableLoopError
+        If the linear model of the loop is unstable on the stroke, at the least or the largest beta.
     ValueError
         If the reference is empty, not finite or beyond the stroke, dt, duration, rtol or a gain is out of range, alpha
-        or beta leaves its range, a sequence has not N values, or the initial pressures are not positive.
+        or beta leaves its range, the supply falls below the atmosphere, a sequence has not N values, or the initial
+        pressures are not positive.
     TypeError
         If a signal is of an unknown kind.
     RuntimeError
@@ -120,9 +112,9 @@ def simulate_servo(
     -----
     The acceleration is fed back, not the velocity. The mass on its air springs is hardly damped, and the motion is an
     integral of the valve opening: at the resonance the velocity lags a quarter of a period behind the valve, so that
-    its feedback stiffens and, with the delay of sampling, destabilizes; the acceleration is what damps. By
-    `linearize_servo` the default loop is stable for dt of 5 to 20 ms and beta from 0.1 to 0.5, and a loop without
-    damping, at dt = 10 ms, up to beta = 0.2 (positions within 30 mm, velocities 0.05 to 0.2 m/s).
+    its feedback stiffens and, with the delay of sampling, destabilizes; the acceleration is what damps. The default
+    loop is stable for beta from 0.1 to 0.5, masses from 0.3 to 50 kg and dt of 5 and 10 ms (from 1 kg on of 20 ms too).
+    Stability is judged by the linear models without dry friction, in which nothing but the loop damps.
 
     Examples
     --------
@@ -131,22 +123,30 @@ def simulate_servo(
     >>> print(f"{recording.position[-1]:.3f}")
     0.010
     """
-    parameters = as_parameters(parameters)
-    r = _samples_of_reference(reference, dt, duration)
-    if np.max(np.abs(r)) > parameters.stroke / 2:
+    p = as_parameters(parameters)
+    r = sampled_reference(reference, dt, duration)
+    if np.max(np.abs(r)) > p.stroke / 2:
         raise ValueError(
-            f"reference: expected positions within the stroke, +-{parameters.stroke / 2:g} m, got "
-            f"{r[np.argmax(np.abs(r))]:g}"
+            f"reference: expected positions within the stroke, +-{p.stroke / 2:g} m, got {r[np.argmax(np.abs(r))]:g}"
         )
-    for name, value in (("gain", gain), ("damping", damping)):
-        if not (math.isfinite(value) and value >= 0):
-            raise ValueError(f"{name}: expected a finite number >= 0, got {value}")
-    targets = r.tolist()
+    gains = chosen_gains(p, gain, damping)
+    if not 0 <= compensation <= 1:
+        raise ValueError(f"compensation: expected a share of the dead band in [0, 1], got {compensation}")
+    inputs = ServoInputs(r.size, dt, rtol, p, alpha, beta, load, supply, noise, initial)
+    check_loop(p, dt, gains, {float(inputs.beta.min()), float(inputs.beta.max())})
+    targets, step = r.tolist(), compensation * p.dead_band
 
-    def controller(k: int, y: float, acceleration: float) -> float:
-        return min(1.0, max(-1.0, gain * (targets[k] - y) - damping * acceleration))
+    def controller(
+        k: int, motion: tuple[float, float], readings: Array, valve: float
+    ) -> tuple[tuple[float, float], float]:
+        estimate = motion if observer is None else observer(readings, valve)
+        opening = gains.gain * (targets[k] - estimate[0]) - gains.damping * estimate[1]
+        if not math.isfinite(opening):
+            raise ValueError(f"observer: expected a finite position and acceleration, got {estimate} at sample {k}")
+        command = math.copysign(step + (1 - step) * abs(opening), opening) if opening else 0.0
+        return estimate, min(1.0, max(-1.0, command))
 
-    return _simulate(controller, r, dt, parameters, alpha, beta, load, initial, rtol)
+    return _simulate(controller, r, p, inputs)
 
 
 def simulate_actuator(
@@ -157,155 +157,80 @@ def simulate_actuator(
     alpha: Signal = NOMINAL_ALPHA,
     beta: Signal | None = None,
     load: Signal = 0.0,
+    supply: Signal | None = None,
+    noise: ArrayLike | None = None,
     initial: ArrayLike | None = None,
     rtol: float = 1e-6,
 ) -> ServoRecording:
-    """Simulate the pneumatic actuator without a loop, for a given valve opening.
+    """Simulate the pneumatic actuator without a loop, for a given command to the valve.
 
     Parameters
     ----------
     valve : array_like, shape (N,)
-        Valve opening, a fraction of full, in [-1, 1], held from sample to sample.
-    dt, parameters, alpha, beta, load, initial, rtol
+        Command to the valve, a fraction of the spool's stroke, in [-1, 1], held from sample to sample.
+    dt, parameters, alpha, beta, load, supply, noise, initial, rtol
         As in `simulate_servo`.
 
     Returns
     -------
     ServoRecording
-        Its reference is NaN.
+        Its reference and its estimates are NaN.
 
     Raises
     ------
     ValueError
-        If the opening leaves [-1, 1], and as `simulate_servo`.
+        If the command leaves [-1, 1], and as `simulate_servo`.
     TypeError, RuntimeError
         As `simulate_servo`.
 
     Examples
     --------
-    >>> recording = simulate_actuator([0.01] * 50, 0.01)
+    >>> recording = simulate_actuator([0.02] * 50, 0.01)
     >>> print(f"{recording.position[-1]:.3f}")
-    0.027
+    0.026
     """
     u = np.asarray(valve, dtype=float)
     if u.ndim != 1 or u.size == 0:
-        raise ValueError(f"valve: expected a non-empty sequence of openings, got shape {u.shape}")
-    u = checked(u, "valve", (-1.0, 1.0))
-    openings = u.tolist()
-    return _simulate(
-        lambda k, y, acceleration: openings[k],
-        np.full(u.size, np.nan),
-        dt,
-        as_parameters(parameters),
-        alpha,
-        beta,
-        load,
-        initial,
-        rtol,
-    )
+        raise ValueError(f"valve: expected a non-empty sequence of commands, got shape {u.shape}")
+    commands = checked(u, "valve", (-1.0, 1.0)).tolist()
+    p = as_parameters(parameters)
+    inputs = ServoInputs(u.size, dt, rtol, p, alpha, beta, load, supply, noise, initial)
+    nothing = (math.nan, math.nan)
+    return _simulate(lambda k, motion, readings, before: (nothing, commands[k]), np.full(u.size, np.nan), p, inputs)
 
 
-def _simulate(
-    controller: Callable[[int, float, float], float],
-    reference: Array,
-    dt: float,
-    parameters: PneumaticParameters,
-    alpha: Signal,
-    beta: Signal | None,
-    load: Signal,
-    initial: ArrayLike | None,
-    rtol: float,
-) -> ServoRecording:
+def _simulate(controller: _Controller, reference: Array, p: PneumaticParameters, inputs: ServoInputs) -> ServoRecording:
     """Integrate sample by sample, every input held."""
-    for name, value in (("dt", dt), ("rtol", rtol)):
-        if not (math.isfinite(value) and value > 0):
-            raise ValueError(f"{name}: expected a finite number > 0, got {value}")
-    n = reference.size
-    t = dt * np.arange(n, dtype=np.float64)
-    alphas = _samples(alpha, t, "alpha", ALPHA_RANGE)
-    if beta is None:
-        betas = checked(alphas * parameters.discharge_coefficient, "beta", BETA_RANGE)
-    else:
-        betas = _samples(beta, t, "beta", BETA_RANGE)
-    loads = _samples(load, t, "load", (-math.inf, math.inf))
-    x = _initial_state(initial, parameters, float(loads[0]))
+    derivatives, n, t = servo_derivatives(p), reference.size, inputs.t
+    held = np.column_stack([inputs.load, inputs.alpha, inputs.beta, inputs.supply]).tolist()
+    rtol, atol = inputs.rtol, inputs.rtol * _SCALES
+    states, valve, estimates = np.empty((n, 4)), np.empty(n), np.empty((n, 2))
+    readings = np.empty((n, 3))
+    x, command = inputs.x0, 0.0
 
-    derivatives = servo_derivatives(parameters)
-    held = np.column_stack([loads, alphas, betas]).tolist()
-    atol = rtol * _SCALES
-    states, valve = np.empty((n, 4)), np.empty(n)
-
-    def right_hand_side(x: Any, t: float, *inputs: Any) -> tuple[float, float, float, float]:
+    def right_hand_side(x: Any, t: float, *held: Any) -> tuple[float, float, float, float]:
         y, v, p_a, p_b = x.tolist()
-        return derivatives(y, v, p_a, p_b, *inputs)
+        return derivatives(y, v, p_a, p_b, *held)
 
     for k in range(n):
         states[k] = x
+        readings[k] = x[[0, 2, 3]] + inputs.noise[k]
         # The opening changes the flow, not the forces: 0 stands for the one still to be found.
-        y, v, p_a, p_b = x.tolist()
-        acceleration = derivatives(y, v, p_a, p_b, 0.0, *held[k])[1]
-        opening = controller(k, y, acceleration)
-        valve[k] = opening
+        motion = x[0], right_hand_side(x, 0.0, 0.0, *held[k])[1]
+        estimates[k], command = controller(k, motion, readings[k], command)
+        valve[k] = command
         if k == n - 1:
             break
         path, info = odeint(
-            right_hand_side, x, (0.0, dt), args=(opening, *held[k]), rtol=rtol, atol=atol, mxstep=5000, full_output=True
-        )
+            right_hand_side, x, (0.0, inputs.dt), args=(command, *held[k]), rtol=rtol, atol=atol, mxstep=5000,
+            full_output=True,
+        )  # fmt: skip
         x = path[1]
         if info["message"] != "Integration successful." or not np.all(np.isfinite(x)):
             raise RuntimeError(
                 f"simulation: the ODE solver failed between {t[k]:g} and {t[k + 1]:g} s from {STATES} = "
                 f"{states[k].tolist()}: {info['message']}; a smaller dt or other parameters may help"
             )
-    y_path, v_path, a_path, b_path = states.T.copy()
-    return ServoRecording(t, reference, valve, y_path, v_path, a_path, b_path, alphas, betas, loads)
-
-
-def _samples_of_reference(reference: ArrayLike | Callable[[float], float], dt: float, duration: float | None) -> Array:
-    """Return the reference at the sampling times."""
-    if callable(reference):
-        if duration is None or not (math.isfinite(duration) and math.isfinite(dt) and dt > 0 and duration >= dt):
-            raise ValueError(
-                f"duration: expected at least dt = {dt} s for a reference that is a function, got {duration}"
-            )
-        r = np.array([float(reference(dt * k)) for k in range(round(duration / dt))])
-    else:
-        if duration is not None:
-            raise ValueError("duration: expected None for a sampled reference, whose length says it")
-        r = np.array(reference, dtype=float)
-    if r.ndim != 1 or r.size == 0:
-        raise ValueError(f"reference: expected a non-empty sequence of positions, got shape {r.shape}")
-    if not np.all(np.isfinite(r)):
-        raise ValueError(
-            f"reference: expected finite positions, got {r[~np.isfinite(r)][0]} at {np.argmin(np.isfinite(r))}"
-        )
-    return r
-
-
-def _samples(value: Signal, t: Array, name: str, limits: tuple[float, float]) -> Array:
-    """Return a signal at the sampling times."""
-    if not callable(value) and not isinstance(value, tuple) and np.ndim(value):
-        samples = checked(value, name, limits)
-        if samples.shape != t.shape:
-            raise ValueError(f"{name}: expected one value for each of the {t.size} samples, got shape {samples.shape}")
-    else:
-        function = coefficient_function(value, name, limits)  # type: ignore[arg-type]
-        samples = np.array([function(now) for now in t.tolist()])
-    if not np.all(np.isfinite(samples)):
-        raise ValueError(f"{name}: expected finite values")
-    return samples.copy()
-
-
-def _initial_state(initial: ArrayLike | None, parameters: PneumaticParameters, load: float) -> Array:
-    """Return the state at t = 0."""
-    if initial is None:
-        point = operating_point(parameters, load=load, velocity=0.0)
-        return np.array([0.0, 0.0, point.P_a, point.P_b])
-    x = np.array(initial, dtype=float)
-    if x.shape != (4,) or not np.all(np.isfinite(x)):
-        raise ValueError(f"initial: expected 4 finite numbers {STATES}, got {initial!r}")
-    if x[2] <= 0 or x[3] <= 0:
-        raise ValueError(f"initial: expected positive absolute pressures, got P_a = {x[2]:g} and P_b = {x[3]:g} Pa")
-    if abs(x[0]) > parameters.stroke / 2:
-        raise ValueError(f"initial: expected a position within +-{parameters.stroke / 2:g} m, got {x[0]:g}")
-    return x
+    truth, measured, taken = states.T.copy(), readings.T.copy(), estimates.T.copy()
+    signals = (t, reference, valve, *truth, inputs.alpha, inputs.beta, inputs.load, inputs.supply, *measured, *taken)
+    return ServoRecording(*signals)

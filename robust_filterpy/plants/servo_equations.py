@@ -11,14 +11,12 @@ from numpy.typing import ArrayLike
 
 from .servo_parameters import PneumaticParameters, critical_ratio
 
-__all__ = ["INPUTS", "STATES", "flow_function", "servo_derivatives"]
+__all__ = ["INPUTS", "STATES", "flow_function", "servo_derivatives", "valve_opening"]
 
 STATES = ("position", "velocity", "P_a", "P_b")
 INPUTS = ("valve", "load")
-#: (y, v, P_a, P_b, valve, load, alpha, beta) -> (y', v', P_a', P_b')
-Derivatives: TypeAlias = Callable[
-    [float, float, float, float, float, float, float, float], tuple[float, float, float, float]
-]
+#: (y, v, P_a, P_b, valve, load, alpha, beta[, supply]) -> (y', v', P_a', P_b')
+Derivatives: TypeAlias = Callable[..., tuple[float, float, float, float]]
 
 
 def flow_function(r: ArrayLike, kappa: float = 1.4, *, laminar_ratio: float = 1.0) -> Any:
@@ -63,6 +61,40 @@ def flow_function(r: ArrayLike, kappa: float = 1.4, *, laminar_ratio: float = 1.
     return float(values) if ratio.ndim == 0 else values
 
 
+def valve_opening(command: ArrayLike, dead_band: float) -> Any:
+    """Return how far a valve opens: not at all within its dead band, in proportion beyond it.
+
+    ``sgn(u) max(0, |u| - d) / (1 - d)``, limited to [-1, 1].
+
+    Parameters
+    ----------
+    command : float or array_like, any shape
+        Position of the spool, u, as a fraction of its stroke.
+    dead_band : float
+        Overlap d of the spool as a fraction of its stroke, in [0, 1).
+
+    Returns
+    -------
+    float or numpy.ndarray, shape of command
+        Fraction of the full opening, in [-1, 1].
+
+    Raises
+    ------
+    ValueError
+        If dead_band is not in [0, 1).
+
+    Examples
+    --------
+    >>> valve_opening([0.005, 0.208, -1.5], 0.01).round(3)
+    array([ 0. ,  0.2, -1. ])
+    """
+    if not 0 <= dead_band < 1:
+        raise ValueError(f"dead_band: expected a fraction of the spool's stroke in [0, 1), got {dead_band}")
+    u = np.asarray(command, dtype=float)
+    opening = np.sign(u) * np.clip((np.abs(u) - dead_band) / (1 - dead_band), 0.0, 1.0)
+    return float(opening) if opening.ndim == 0 else opening
+
+
 def servo_derivatives(parameters: PneumaticParameters) -> Derivatives:
     """Return the right-hand side of eq (7) as a lean function of floats.
 
@@ -75,36 +107,46 @@ def servo_derivatives(parameters: PneumaticParameters) -> Derivatives:
     Returns
     -------
     callable
-        ``(y, v, P_a, P_b, valve, load, alpha, beta) -> (y', v', P_a', P_b')``, SI units, see `pneumatic_servo`.
+        ``(y, v, P_a, P_b, valve, load, alpha, beta, supply) -> (y', v', P_a', P_b')``, SI units, see `pneumatic_servo`;
+        without its last argument the supply pressure is the parameters'.
     """
     p = parameters
-    area_a, area_b, atmosphere, supply = p.area_a, p.area_b, p.atmospheric_pressure, p.supply_pressure
+    area_a, area_b, atmosphere, mean_supply = p.area_a, p.area_b, p.atmospheric_pressure, p.supply_pressure
     middle = p.dead_length + p.stroke / 2
     shortest = 1e-3 * p.dead_length
     rod_force = (area_a - area_b) * atmosphere
-    valve_flow = math.sqrt(p.gas_constant * p.temperature) * p.valve_area
+    speed = math.sqrt(p.gas_constant * p.temperature)
+    valve_flow, leakage = speed * p.valve_area, speed * p.leakage_area
+    dead_band, stretch = p.dead_band, 1 / (1 - p.dead_band)
     friction = dry_friction(p)
     stop = end_stop(p)
-    outer = outer_flow(reduced_flow(p.kappa, p.laminar_ratio))
+    through = port_flow(reduced_flow(p.kappa, p.laminar_ratio))
     viscous, spring, mass = p.viscous_friction, p.spring, p.mass
 
     def derivatives(
-        y: float, v: float, p_a: float, p_b: float, valve: float, load: float, alpha: float, beta: float
+        y: float,
+        v: float,
+        p_a: float,
+        p_b: float,
+        valve: float,
+        load: float,
+        alpha: float,
+        beta: float,
+        supply: float = mean_supply,
     ) -> tuple[float, float, float, float]:
         force = area_a * p_a - area_b * p_b - rod_force - viscous * v - friction(v) - spring * y - stop(y, v) - load
-        opening = valve if -1.0 <= valve <= 1.0 else math.copysign(1.0, valve)
-        if opening >= 0:
-            flow_a, flow_b = outer(supply, p_a), outer(atmosphere, p_b)
-        else:
-            flow_a, flow_b = outer(atmosphere, p_a), outer(supply, p_b)
-        filling = beta * valve_flow * abs(opening)
+        # What `valve_opening` says, for one float.
+        opening = min(1.0, max(0.0, (abs(valve) - dead_band) * stretch))
+        filling = beta * valve_flow * opening
+        leaking = alpha * leakage * through(p_a, p_b)
+        outside_a, outside_b = (supply, atmosphere) if valve >= 0 else (atmosphere, supply)
         # Only a solver's trial step can come this near to an empty chamber; the stops hold the piston off it.
         length_a, length_b = max(middle + y, shortest), max(middle - y, shortest)
         return (
             v,
             force / mass,
-            -alpha * p_a * v / length_a + filling * flow_a / (area_a * length_a),
-            alpha * p_b * v / length_b + filling * flow_b / (area_b * length_b),
+            (filling * through(outside_a, p_a) - leaking - alpha * p_a * area_a * v) / (area_a * length_a),
+            (filling * through(outside_b, p_b) + leaking + alpha * p_b * area_b * v) / (area_b * length_b),
         )
 
     return derivatives
@@ -129,15 +171,15 @@ def reduced_flow(kappa: float, laminar_ratio: float) -> Callable[[float], float]
     return reduced
 
 
-def outer_flow(reduced: Callable[[float], float]) -> Callable[[float, float], float]:
-    """Return f of eq (5): positive into the chamber, in Pa."""
+def port_flow(reduced: Callable[[float], float]) -> Callable[[float, float], float]:
+    """Return f of eq (5), from the first pressure to the second: positive into the chamber, in Pa."""
 
-    def outer(p_outer: float, p_chamber: float) -> float:
+    def through(p_outer: float, p_chamber: float) -> float:
         if p_outer >= p_chamber:
             return p_outer * reduced(p_chamber / p_outer)
         return -p_chamber * reduced(p_outer / p_chamber)
 
-    return outer
+    return through
 
 
 def dry_friction(p: PneumaticParameters) -> Callable[[float], float]:

@@ -1,50 +1,28 @@
-"""Operating points of the pneumatic servo and its linearization there, by python-control."""
+"""The linear models of the pneumatic servo about a steady motion, as python-control's objects."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from .coefficients import ALPHA_RANGE, BETA_RANGE, beta_coefficient, checked
-from .servo_equations import INPUTS, STATES, dry_friction, outer_flow, reduced_flow, servo_derivatives
+from .loop_design import PositionGains, feedback, position_gains, without_dry_friction
+from .servo_equations import INPUTS, STATES
 from .servo_parameters import NOMINAL_ALPHA, PneumaticParameters, as_parameters
+from .steady_motion import (
+    INPUT_SCALES,
+    STATE_SCALES,
+    ServoOperatingPoint,
+    coefficients_at,
+    operating_point,
+    state_matrices,
+)
 
 if TYPE_CHECKING:
     import control
 
-#: Default position loop: valve opening per position error, in 1/m, and per acceleration, in s^2/m.
-GAIN = 1.5
-DAMPING = 5e-4
-
-#: What one unit of a scaled state and input is: m, m/s, Pa, Pa; opening, N.
-_STATE_SCALES = np.array([1e-2, 1e-1, 1e5, 1e5])
-_INPUT_SCALES = np.array([1.0, 1.0])
-
-
-class ServoOperatingPoint(NamedTuple):
-    """Hold a steady motion of the pneumatic servo.
-
-    Attributes
-    ----------
-    position, velocity : float
-        In m from mid-stroke, in m/s.
-    P_a, P_b : float
-        Absolute pressures, in Pa.
-    valve : float
-        Opening that keeps the velocity.
-    load : float
-        Load force, in N.
-    """
-
-    position: float
-    velocity: float
-    P_a: float
-    P_b: float
-    valve: float
-    load: float
+__all__ = ["ServoLinearization", "linearize_servo"]
 
 
 class ServoLinearization(NamedTuple):
@@ -58,81 +36,20 @@ class ServoLinearization(NamedTuple):
     discrete : control.StateSpace
         The same with its inputs held over dt.
     valve_to_position : control.TransferFunction
-        Discrete, m per unit of opening; it has a pole at 1.
+        Discrete, m per unit of the valve's command; it has a pole at 1.
+    valve_to_velocity : control.TransferFunction
+        Discrete, m/s per unit of the valve's command: the difference of successive positions over dt, which is the
+        mean velocity of the period before.
     reference_to_position : control.TransferFunction
-        Discrete, the loop of `simulate_servo` closed.
+        Discrete, the loop of `simulate_servo` closed, its dead band compensated.
     """
 
     point: ServoOperatingPoint
     continuous: control.StateSpace
     discrete: control.StateSpace
     valve_to_position: control.TransferFunction
+    valve_to_velocity: control.TransferFunction
     reference_to_position: control.TransferFunction
-
-
-def operating_point(
-    parameters: PneumaticParameters | None = None,
-    position: float = 0.0,
-    *,
-    velocity: float = 0.05,
-    load: float = 0.0,
-    alpha: float = NOMINAL_ALPHA,
-    beta: float | None = None,
-) -> ServoOperatingPoint:
-    """Find the pressures and the valve opening of a steady motion.
-
-    With the valve closed any pair of pressures in balance with the forces is an equilibrium. A piston that moves
-    steadily has one pair alone, whatever its position: in each chamber the flow makes up for the change of volume,
-    ``alpha P_i V_i' = beta sqrt(R T_S) W |u| f(P_i)``, and the forces of eq (1) balance. The limit of zero velocity
-    is the pair that a servo settles at when it creeps.
-
-    Parameters
-    ----------
-    parameters : PneumaticParameters, optional
-    position : float
-        In m from mid-stroke.
-    velocity : float
-        In m/s; 0 stands for the limit from positive velocities, friction 0.
-    load : float
-        Load force, in N.
-    alpha, beta : float
-        Coefficients of eq (2); they decide the opening, not the pressures. beta by default by eq (6), ``alpha C_d``.
-
-    Returns
-    -------
-    ServoOperatingPoint
-
-    Raises
-    ------
-    ValueError
-        If the position is beyond the stroke, the pressures cannot hold the load, the valve cannot open wide enough for
-        the velocity, or alpha or beta leaves its range.
-
-    Examples
-    --------
-    >>> point = operating_point(velocity=0.1)
-    >>> print(f"{point.P_a:.3e} {point.P_b:.3e} {point.valve:.4f}")
-    3.837e+05 4.155e+05 0.0181
-    """
-    p = as_parameters(parameters)
-    for name, value in (("velocity", velocity), ("load", load)):
-        if not math.isfinite(value):
-            raise ValueError(f"{name}: expected a finite number, got {value}")
-    if not abs(position) <= p.stroke / 2:
-        raise ValueError(f"position: expected within +-{p.stroke / 2:g} m, got {position}")
-    alpha, beta = _coefficients(p, alpha, beta)
-    force = load + p.spring * position + p.viscous_friction * velocity + dry_friction(p)(velocity)
-    p_a, p_b = _steady_pressures(p, force, forward=velocity >= 0)
-
-    outer = outer_flow(reduced_flow(p.kappa, p.laminar_ratio))
-    p_o = p.supply_pressure if velocity >= 0 else p.atmospheric_pressure
-    full_flow = beta * math.sqrt(p.gas_constant * p.temperature) * p.valve_area * abs(outer(p_o, p_a))
-    valve = alpha * p_a * p.area_a * velocity / full_flow if velocity else 0.0
-    if abs(valve) > 1:
-        raise ValueError(
-            f"velocity: expected what the valve can feed, up to {abs(velocity / valve):.3g} m/s, got {velocity}"
-        )
-    return ServoOperatingPoint(float(position), float(velocity), p_a, p_b, valve, float(load))
 
 
 def linearize_servo(
@@ -144,11 +61,11 @@ def linearize_servo(
     load: float = 0.0,
     alpha: float = NOMINAL_ALPHA,
     beta: float | None = None,
-    gain: float = GAIN,
-    damping: float = DAMPING,
+    gain: float | None = None,
+    damping: float | None = None,
     friction: str = "full",
 ) -> ServoLinearization:
-    """Linearize the pneumatic servo about a steady motion, with python-control.
+    """Linearize the pneumatic servo about a steady motion.
 
     The models have four states. Valve to position is an integrator, the resonance of the mass between the two air
     springs (12 Hz by default in mid-stroke), and one real pole.
@@ -166,8 +83,8 @@ def linearize_servo(
         Load force, in N.
     alpha, beta : float
         Coefficients of eq (2); beta by default by eq (6).
-    gain, damping : float
-        Of the position loop, in 1/m and s^2/m, as in `simulate_servo`.
+    gain, damping : float, optional
+        Of the position loop, in 1/m and s^2/m; by default those of `position_gains`.
     friction : {"full", "viscous"}
         "viscous" leaves the Coulomb, static and Stribeck parts of the friction out.
 
@@ -182,13 +99,14 @@ def linearize_servo(
 
     Notes
     -----
-    Dry friction is not linear. At standstill its smooth stand-in ``tanh(v / v_0)`` has the slope F_s / v_0, 600 N s/m
+    Dry friction is not linear. At standstill its smooth stand-in ``tanh(v / v_0)`` has the slope F_s / v_0, 7400 N s/m
     by default: that is a stuck piston, right for motions slower than v_0 alone. Once the piston slides faster than the
     Stribeck velocity, dry friction is a constant force, and its slope is gone: hence the default velocity of 0.05 m/s.
     ``friction="viscous"`` says the same for every velocity. A motion that reverses within the recording sees something
     between the two, a damping that falls as the amplitude grows.
 
-    |u| and the change from supply to atmosphere put a kink at u = 0; at velocity 0 the models are those of u > 0.
+    |u|, its dead band and the change from supply to atmosphere put a kink at u = 0; at velocity 0 the models are those
+    of the valve that opens for u > 0.
 
     Examples
     --------
@@ -203,92 +121,44 @@ def linearize_servo(
         raise ValueError(f"dt: expected a finite number > 0, got {dt}")
     if friction not in ("full", "viscous"):
         raise ValueError(f"friction: expected 'full' or 'viscous', got {friction!r}")
+    gains = chosen_gains(p, gain, damping)
     if friction == "viscous":
-        p = replace(p, coulomb_friction=0.0, static_friction=0.0)
+        p = without_dry_friction(p)
     point = operating_point(p, position, velocity=velocity, load=load, alpha=alpha, beta=beta)
-    alpha, beta = _coefficients(p, alpha, beta)
+    A, B = state_matrices(p, point, *coefficients_at(p, alpha, beta))
 
-    # In units of 1 cm and 1 bar one step of finite differences suits every state, and polynomials are well scaled.
-    scaled = control.linearize(
-        _scaled_servo(p, alpha, beta),
-        np.array(point[:4]) / _STATE_SCALES,
-        np.array([point.valve, point.load]) / _INPUT_SCALES,
-    )
-    sampled = control.sample_system(scaled, dt, method="zoh")
-    a, b = sampled.A, sampled.B[:, :1]
-    row = np.array([[_STATE_SCALES[0], 0.0, 0.0, 0.0]])
-    feedback = gain * row + damping * _STATE_SCALES[1] * scaled.A[1:2]
+    scaled = control.ss(A, B, np.eye(4), np.zeros((4, 2)))
+    held = control.sample_system(scaled, dt, method="zoh")
+    a, b = held.A, held.B[:, :1]
+    row = np.array([[STATE_SCALES[0], 0.0, 0.0, 0.0]])
+    to_position = _transfer_function(a, b, row, dt)
+    opening = b * (1 - p.dead_band)
     return ServoLinearization(
         point,
         _in_si_units(scaled),
-        _in_si_units(sampled),
-        _transfer_function(a, b, row, dt),
-        _transfer_function(a - b @ feedback, gain * b, row, dt),
+        _in_si_units(held),
+        to_position,
+        _differenced(to_position, dt),
+        _transfer_function(a - opening @ feedback(A, gains), gains.gain * opening, row, dt),
     )
 
 
-def _coefficients(p: PneumaticParameters, alpha: float, beta: float | None) -> tuple[float, float]:
-    """Return alpha and beta as checked floats, beta by eq (6) if it is None."""
-    alpha = float(checked(alpha, "alpha", ALPHA_RANGE))
-    if beta is None:
-        return alpha, beta_coefficient(alpha, p.discharge_coefficient)
-    return alpha, float(checked(beta, "beta", BETA_RANGE))
-
-
-def _steady_pressures(p: PneumaticParameters, force: float, forward: bool) -> tuple[float, float]:
-    """Solve force balance and flow balance for the two pressures."""
-    from scipy.optimize import brentq
-
-    reduced = reduced_flow(p.kappa, p.laminar_ratio)
-    supply, atmosphere = p.supply_pressure, p.atmospheric_pressure
-    # Seen from the chamber that is filled, both directions are the same problem.
-    filled, vented = (p.area_a, p.area_b) if forward else (p.area_b, p.area_a)
-    rod_force = (p.area_a - p.area_b) * atmosphere
-    push = force + rod_force if forward else -force - rod_force
-
-    def vented_pressure(pressure: float) -> float:
-        return (filled * pressure - push) / vented
-
-    def imbalance(pressure: float) -> float:
-        other = vented_pressure(pressure)
-        filling = supply / pressure * reduced(pressure / supply) / filled
-        return filling - reduced(min(atmosphere / other, 1.0)) / vented
-
-    lowest = max((vented * atmosphere + push) / filled, 1e-3 * atmosphere)
-    if lowest >= supply or vented_pressure(supply) <= atmosphere:
-        limit = filled * supply - vented * atmosphere
-        raise ValueError(
-            f"load: expected forces that the piston can overcome, up to {limit - abs(rod_force):.4g} N with "
-            f"friction and spring, got {force:.4g} N"
-        )
-    pressure = float(brentq(imbalance, lowest, supply, xtol=1e-6, rtol=1e-13))
-    other = vented_pressure(pressure)
-    return (pressure, other) if forward else (other, pressure)
-
-
-def _scaled_servo(p: PneumaticParameters, alpha: float, beta: float) -> Any:
-    """Return the plant of eq (7) in scaled states, all of them outputs."""
-    import control
-
-    derivatives = servo_derivatives(p)
-
-    def update(t: float, x: Any, u: Any, params: dict[str, Any]) -> Any:
-        state, inputs = x * _STATE_SCALES, u * _INPUT_SCALES
-        y, v, p_a, p_b = state.tolist()
-        valve, load = inputs.tolist()
-        return np.array(derivatives(y, v, p_a, p_b, valve, load, alpha, beta)) / _STATE_SCALES
-
-    return control.NonlinearIOSystem(
-        update, lambda t, x, u, params: x, states=list(STATES), inputs=list(INPUTS), outputs=list(STATES), dt=0
-    )
+def chosen_gains(p: PneumaticParameters, gain: float | None, damping: float | None) -> PositionGains:
+    """Return the gains of the loop: those given, checked, and for the others those that the parameters ask for."""
+    scheduled = position_gains(p)
+    given = PositionGains(*(old if new is None else new for old, new in zip(scheduled, (gain, damping), strict=True)))
+    for name, value in given._asdict().items():
+        if not (math.isfinite(value) and value >= 0):
+            raise ValueError(f"{name}: expected a finite number >= 0, got {value}")
+    return given
 
 
 def _in_si_units(system: control.StateSpace) -> control.StateSpace:
     """Undo the scaling of states, inputs and outputs."""
     import control
 
-    a = _STATE_SCALES[:, None] * system.A / _STATE_SCALES
-    b = _STATE_SCALES[:, None] * system.B / _INPUT_SCALES
+    a = STATE_SCALES[:, None] * system.A / STATE_SCALES
+    b = STATE_SCALES[:, None] * system.B / INPUT_SCALES
     return control.ss(
         a, b, np.eye(4), np.zeros((4, 2)), dt=system.dt, states=list(STATES), inputs=list(INPUTS), outputs=list(STATES)
     )
@@ -301,3 +171,12 @@ def _transfer_function(a: Any, b: Any, c: Any, dt: float) -> control.TransferFun
     denominator = np.poly(a)
     numerator = (np.poly(a - b @ c) - denominator)[1:]
     return control.tf(numerator, denominator, dt)
+
+
+def _differenced(to_position: control.TransferFunction, dt: float) -> control.TransferFunction:
+    """Return (1 - 1/z)/dt times the transfer function: the pole at 1 goes, one at 0 comes."""
+    import control
+
+    numerator, denominator = to_position.num[0][0], to_position.den[0][0]
+    reduced, _ = np.polydiv(denominator, [1.0, -1.0])
+    return control.tf(numerator / dt, np.append(reduced, 0.0), dt)

@@ -1,4 +1,4 @@
-"""One test for each numbered equation of section 3.1 of the paper (26-49), on its own problem (31-34).
+"""One test for each numbered equation of section 3.1 of the paper (26-52), on its own problem (31-34).
 
 The right-hand sides are written out here as the paper prints them (with the corrections of the package's
 documentation), with a scalar measurement and plain floats; phi, Phi and psi come from scipy and numpy.
@@ -262,3 +262,42 @@ def test_with_psi_the_identity_equations_37_to_39_are_the_kalman_filter():
     S = (H @ Pp @ H.T).item() + SIGMA2
     support.assert_close(kf.x, F @ x + Pp @ H.T / S * (z - (H @ F @ x).item()))
     support.assert_close(kf.P, Pp - Pp @ H.T @ H @ Pp / S)
+
+
+def gains():
+    """Yield (filter after the step, predicted covariance and innovation of the step before) along one recording."""
+    before = None
+    for kf, _, _, Pp, _ in steps("unit", "realized"):
+        if before is not None:
+            yield kf, *before
+        before = Pp, kf.y.item()
+
+
+def test_equation_50():
+    """K(k) = F [P(k-1|k-2) - P H' H P psi'(nu(k-1))] F' H' + W H'."""
+    for kf, P, nu in gains():
+        corrected = P - P @ H.T @ H @ P * psi_deriv(nu)
+        support.assert_close(kf.K, F @ corrected @ F.T @ H.T + W @ H.T, what="K")
+
+
+def test_equation_51():
+    """|nu(k)| > k_eps is where psi' = 0: where the sample is clipped, and P keeps what was predicted."""
+    seen = set()
+    for kf, _, _, Pp, _ in steps("unit", "realized"):
+        large = abs(kf.y.item()) > K_EPS
+        assert bool(kf.clipped) == large == (HUBER.psi_deriv(kf.y.item()) == 0)
+        assert np.array_equal(kf.P, Pp) == large
+        seen.add(large)
+    assert seen == {True, False}
+
+
+def test_equation_52():
+    """Where (51) held for sample k-1: K(k) = F P(k-1|k-2) F' H' + W H', above the gain (50) of a believed sample."""
+    compared = 0
+    for kf, P, nu in gains():
+        if abs(nu) > K_EPS:
+            support.assert_close(kf.K, F @ P @ F.T @ H.T + W @ H.T, what="K")
+            believed = F @ (P - P @ H.T @ H @ P) @ F.T @ H.T + W @ H.T
+            assert kf.K[0, 0] > believed[0, 0]
+            compared += 1
+    assert compared

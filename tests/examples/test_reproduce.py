@@ -12,6 +12,7 @@ import support
 from numpy.testing import assert_allclose
 from scipy import signal
 
+from robust_filterpy import Huber, RobustKalmanFilter
 from robust_filterpy.plants import simulate_output_error
 
 PAPER = Path(__file__).parents[2] / "examples" / "paper"
@@ -29,9 +30,9 @@ def reproduce(out, *arguments):
 
 
 def test_only_makes_the_figures_asked_for(tmp_path):
-    done = reproduce(tmp_path, "--jobs", 1, "--only", 2, 7)
+    done = reproduce(tmp_path, "--jobs", 1, "--only", 1, 2, 7)
     assert done.returncode == 0, done.stderr
-    assert {path.name for path in tmp_path.glob("*.png")} == {"fig02.png", "fig07.png"}
+    assert {path.name for path in tmp_path.glob("*.png")} == {"fig01.png", "fig02.png", "fig07.png"}
 
 
 def test_report_does_not_depend_on_the_number_of_jobs(tmp_path):
@@ -44,7 +45,7 @@ def test_report_does_not_depend_on_the_number_of_jobs(tmp_path):
     assert "does not hold" in reports[0]
 
 
-@pytest.mark.parametrize("wrong", [("--only", 20), ("--only", 1)])
+@pytest.mark.parametrize("wrong", [("--only", 20), ("--only", 0), ("--runs", 1)])
 def test_unknown_figure_is_refused(tmp_path, wrong):
     assert reproduce(tmp_path, *wrong).returncode == 2
 
@@ -94,6 +95,72 @@ def test_trackers_of_a_recording_are_the_loop_over_filterpy(paper, engine, plant
     # T = 1 is refused from the well-conditioned plant's start, and nothing else is.
     refused = np.isnan(found.response_error)
     assert refused.sum() == (2 if plant == "WELL" else 0)
+
+
+def test_equation_50_of_the_report_is_the_gain_of_the_filter(paper):
+    """And (52) is (50) where (51) holds."""
+    rate = paper("initial_rate")
+    huber = Huber.from_contamination(0.1)
+    kf = RobustKalmanFilter(4, 1, influence=huber, scaling="unit", information="realized")
+    kf.x, kf.P, kf.F, kf.H, kf.Q, kf.R = np.zeros(4), 0.5 * np.eye(4), rate.F, rate.H, rate.W, 0.1 * np.eye(1)
+    before, seen = None, set()
+    for z in (0.3, 5.0, -0.2, 9.0, 9.0, 0.1):
+        kf.predict()
+        P = kf.P.copy()
+        kf.update(z)
+        if before is not None:
+            P_before, nu = before
+            large = bool(rate.is_large(nu, huber.threshold))
+            K = rate.gain(P_before, float(huber.psi_deriv(nu)), rate.H, rate.F, rate.H, rate.W)
+            assert_allclose(kf.K, K, rtol=1e-12)
+            if large:
+                assert_allclose(kf.K, rate.gain_after_large(P_before, rate.F, rate.H, rate.W), rtol=1e-12)
+            seen.add(large)
+        before = P, kf.y.item()
+    assert seen == {True, False}
+
+
+def test_a_start_that_is_far_off_keeps_the_gain_of_the_realized_psi_up(paper):
+    rate = paper("initial_rate")
+    near, far = (rate.starts(offset, 10, 10_000) for offset in (0, 10))
+    assert far.large[:, :5].all() and near.large[:, :5].mean() < 0.5
+    assert (far.K[0] > far.K[1])[:, 1:].all() and np.mean(near.K[0] < near.K[1]) > 0.5
+    assert far.squared[0].mean() < 0.7 * far.squared[1].mean()
+
+
+def test_verdicts_are_one_sided_and_join(paper):
+    report, Interval = paper("report"), paper("robust_filterpy.experiments").Interval
+    # Far better than asked for is no failure of "no worse".
+    assert report.judged(Interval(0.5, 0.4, 0.6, 0.05), high=1.1) is True
+    assert report.judged(Interval(1.5, 1.2, 1.6, 0.1), high=1.1) is False
+    assert report.judged(Interval(1.1, 1.0, 1.2, 0.05), high=1.1) is None
+    assert report.together([True, True]) is True
+    assert report.together([True, None]) is None
+    assert report.together([None, False]) is False
+
+
+def test_the_report_in_the_repository_gives_every_claim_a_criterion_a_figure_and_its_failures_a_reason():
+    lines = (PAPER / "figures" / "report.md").read_text(encoding="utf-8").splitlines()
+    start = lines.index("## Claims") + 4
+    claims = [line.strip("| ").replace("\\|", "/").split(" | ") for line in lines[start : lines.index("", start)]]
+    assert len(claims) >= 20
+    for figures, claim, criterion, measured, verdict in claims:
+        assert figures and claim.endswith(".") and criterion and measured
+        holds = verdict.startswith(("**holds**", "**undecided**"))
+        assert holds or (verdict.startswith("**does not hold**: ") and verdict.endswith("."))
+    # Every fact is told once.
+    assert len({tuple(row[:3]) for row in claims}) == len(claims)
+    for name in (line.split("](")[1][:-1] for line in lines if line.startswith("![")):
+        assert (PAPER / "figures" / name).stat().st_size > 3000
+
+
+def test_staying_at_the_start_is_the_error_of_the_first_estimate(paper):
+    identification = paper("identification")
+    run = identification.trial(np.random.default_rng(5), identification.SECTION4, (identification.LITERAL,))
+    many = identification.Run(*(np.array([field]) for field in run))
+    assert_allclose(identification.staying(many)[0], ((run.theta - run.start) ** 2).sum(axis=1))
+    assert_allclose(run.start, identification.SECTION4.theta)
+    assert identification.squared(many).shape == (1, 1, identification.STEPS)
 
 
 def test_information_is_made_of_the_derivative_of_the_output(paper):

@@ -19,12 +19,15 @@ from robust_filterpy.plants.pneumatic import (
     pneumatic_servo,
     servo_derivatives,
     simulate_actuator,
+    valve_opening,
 )
 
 P = PneumaticParameters()
+#: The paper's own plant: no overlap of the spool, no leakage.
+PAPER = replace(P, dead_band=0.0, leakage_area=0.0)
 # A piston too heavy to move: the chambers are two vessels of constant volume.
-FIXED = replace(P, mass=1e12)
-FREE = replace(P, viscous_friction=0.0, coulomb_friction=0.0, static_friction=0.0)
+FIXED = replace(PAPER, mass=1e12)
+FREE = replace(PAPER, viscous_friction=0.0, coulomb_friction=0.0, static_friction=0.0)
 ALPHA, BETA = 1.3, 0.4
 
 
@@ -34,6 +37,11 @@ def textbook_flow(p_up, p_down, kappa=1.4):
     ratio = pressure / p_up
     velocity = math.sqrt(2 * kappa / (kappa - 1) * (1 - ratio ** ((kappa - 1) / kappa)))
     return velocity * ratio ** (1 / kappa)
+
+
+def dry_friction(v):
+    """Coulomb and static friction with the defaults' numbers."""
+    return (5.7 + (7.4 - 5.7) * math.exp(-((v / 0.02) ** 2))) * math.tanh(v / 1e-3)
 
 
 def port_flow(p_outer, p_chamber):
@@ -110,9 +118,8 @@ def test_equation_1_forces_on_the_piston_with_the_atmosphere_on_the_rod():
     p = replace(P, spring=120.0)
     rhs = servo_derivatives(p)
     for y, v, p_a, p_b, u, load in random_states():
-        dry = (0.486 + (0.6 - 0.486) * math.exp(-((v / 0.02) ** 2))) * math.tanh(v / 1e-3)
         gauge_force = p.area_a * (p_a - 1e5) - p.area_b * (p_b - 1e5)
-        expected = (gauge_force - 4.47 * v - dry - 120 * y - load) / p.mass
+        expected = (gauge_force - 4.47 * v - dry_friction(v) - 120 * y - load) / p.mass
         assert rhs(y, v, p_a, p_b, u, load, ALPHA, BETA)[1] == pytest.approx(expected, rel=1e-9, abs=1e-9)
     # An open cylinder in the atmosphere does not push its rod.
     assert servo_derivatives(P)(0.0, 0.0, 1e5, 1e5, 0.0, 0.0, ALPHA, BETA)[1] == pytest.approx(0, abs=1e-12)
@@ -128,7 +135,7 @@ def test_equation_2_and_3_a_closed_chamber_is_polytropic():
 
 
 def test_equation_4_pressure_grows_with_the_flow_through_the_opening():
-    rhs = servo_derivatives(replace(P, laminar_ratio=1.0))
+    rhs = servo_derivatives(replace(PAPER, laminar_ratio=1.0))
     for y, _, p_a, p_b, u, load in random_states():
         _, _, dp_a, dp_b = rhs(y, 0.0, p_a, p_b, u, load, ALPHA, BETA)
         outer = (5e5, 1e5) if u > 0 else (1e5, 5e5)
@@ -191,7 +198,7 @@ def isothermal_mass(p, p_chamber, volume):
 @pytest.mark.parametrize("chamber", [0, 1])
 def test_mass_in_a_chamber_changes_by_what_flows_in(chamber):
     valve, discharge = (lambda t: 0.03 * math.sin(30 * t)), 0.35
-    path = ode(P, [0.0, 0.0, 3e5, 3e5], 0.3, valve, alpha=1.0, beta=discharge, max_step=1e-3)
+    path = ode(PAPER, [0.0, 0.0, 3e5, 3e5], 0.3, valve, alpha=1.0, beta=discharge, max_step=1e-3)
     assert np.ptp(path.y[0]) > 5e-3
 
     def mass_flow(t):
@@ -203,6 +210,82 @@ def test_mass_in_a_chamber_changes_by_what_flows_in(chamber):
     passed = quad(lambda t: abs(mass_flow(t)), 0, 0.3, limit=400, points=[math.pi / 30, 2 * math.pi / 30])[0]
     first, last = (isothermal_mass(P, s[2 + chamber], volumes(P, s[0])[chamber]) for s in (path.y[:, 0], path.y[:, -1]))
     assert abs(last - first - gained) < 1e-5 * passed
+
+
+def test_leakage_takes_from_one_chamber_what_it_brings_to_the_other():
+    # A seal so worn that the pressures approach each other within the run; isothermal, so that mass is known.
+    worn = replace(P, mass=1e12, leakage_area=2e-8)
+    path = ode(worn, [0.01, 0.0, 5e5, 1.5e5], 0.3, valve=0.5 * P.dead_band, alpha=1.0, max_step=1e-3)
+    masses = np.array([isothermal_mass(worn, path.y[2 + i], volumes(worn, 0.01)[i]) for i in (0, 1)])
+    assert masses.sum(axis=0) == pytest.approx(masses.sum(axis=0)[0], rel=1e-9)
+    root = math.sqrt(P.gas_constant * P.temperature)
+    leaked = quad(lambda t: 2e-8 * port_flow(*path.sol(t)[2:]) / root, 0, 0.3, limit=400, epsrel=1e-9)[0]
+    assert masses[1, -1] - masses[1, 0] == pytest.approx(leaked, rel=1e-6)
+    assert masses[1, -1] > 1.3 * masses[1, 0]
+
+
+def test_leakage_neither_makes_nor_takes_energy():
+    worn = replace(FREE, spring=300.0, leakage_area=1e-8)
+    path = ode(worn, [0.0, 0.5, 3.6e5, 3e5], 1.0)
+    energy = stored_energy(worn, path.y, ALPHA)
+    assert energy == pytest.approx(energy[0], abs=1e-5 * (0.5 * worn.mass * path.y[1] ** 2).max())
+    tight = ode(replace(worn, leakage_area=0.0), [0.0, 0.5, 3.6e5, 3e5], 1.0)
+    assert abs(path.y[2, -1] - tight.y[2, -1]) > 1e3
+
+
+def test_default_leakage_is_the_order_that_a_standard_grants_a_new_cylinder():
+    # Free air: 20 degrees Celsius, 1 bar. From a chamber at 7.3 bar to the atmosphere.
+    mass_flow = P.leakage_area * port_flow(7.3e5, 1e5) * -1 / math.sqrt(P.gas_constant * P.temperature)
+    free_air = abs(mass_flow) * P.gas_constant * P.temperature / 1e5
+    assert free_air * 3600e3 == pytest.approx(0.8, rel=0.2)
+
+
+def test_a_valve_within_its_dead_band_keeps_every_kilogram_where_it_is():
+    p = replace(P, leakage_area=0.0, dead_band=0.02)
+    path = ode(p, [0.0, 0.3, 3e5, 3e5], 0.2, valve=lambda t: 0.019 * math.sin(50 * t), alpha=1.0)
+    for i in (0, 1):
+        mass = isothermal_mass(p, path.y[2 + i], volumes(p, path.y[0])[i])
+        assert mass == pytest.approx(mass[0], rel=1e-8)
+    assert np.ptp(path.y[0]) > 4e-3
+
+
+def test_opening_beyond_the_dead_band_grows_to_full():
+    assert valve_opening([-1.0, -0.03, -0.02, 0.0, 0.02, 0.51, 1.0, 7.0], 0.02) == pytest.approx(
+        [-1.0, -0.01 / 0.98, 0.0, 0.0, 0.0, 0.5, 1.0, 1.0]
+    )
+    wide, none = servo_derivatives(replace(FIXED, dead_band=0.3)), servo_derivatives(FIXED)
+    for y, v, p_a, p_b, u, load in random_states():
+        expected = none(y, v, p_a, p_b, valve_opening(u, 0.3), load, ALPHA, BETA)
+        assert wide(y, v, p_a, p_b, u, load, ALPHA, BETA) == pytest.approx(expected, rel=1e-12)
+
+
+def test_supply_that_varies_fills_with_the_pressure_of_the_moment():
+    rhs = servo_derivatives(replace(PAPER, laminar_ratio=1.0))
+    scale = BETA * math.sqrt(287.06 * 293.15) * 2.815e-5 * 0.2
+    for supply in (2e5, 4e5, 7e5):
+        dp_a = rhs(0.0, 0.0, 3e5, 3e5, 0.2, 0.0, ALPHA, BETA, supply)[2]
+        assert dp_a == pytest.approx(scale * port_flow(supply, 3e5) / volumes(P, 0.0)[0], rel=1e-9)
+        # What is vented does not know the supply.
+        assert rhs(0.0, 0.0, 3e5, 3e5, 0.2, 0.0, ALPHA, BETA, supply)[3] == rhs(
+            0.0, 0.0, 3e5, 3e5, 0.2, 0.0, ALPHA, BETA)[3]  # fmt: skip
+    servo = pneumatic_servo(beta=BETA, alpha=ALPHA, supply=lambda t: 5e5 - 1e5 * t)
+    x, u = np.array([0.0, 0.1, 3e5, 2e5]), np.array([0.3, 0.0])
+    assert servo.dynamics(0.5, x, u) == pytest.approx(servo_derivatives(P)(*x, *u, ALPHA, BETA, 4.5e5), rel=1e-14)
+
+
+def test_flow_grows_with_the_root_of_the_temperature():
+    cold, warm = (servo_derivatives(replace(FIXED, temperature=T)) for T in (273.15, 313.15))
+    ratio = warm(0.0, 0.0, 3e5, 3e5, 0.1, 0.0, ALPHA, BETA)[2] / cold(0.0, 0.0, 3e5, 3e5, 0.1, 0.0, ALPHA, BETA)[2]
+    assert ratio == pytest.approx(math.sqrt(313.15 / 273.15), rel=1e-12)
+
+
+def test_dry_friction_has_the_size_of_a_cylinder_on_sale():
+    force = P.area_a * (P.supply_pressure - P.atmospheric_pressure)
+    assert 0.03 < P.coulomb_friction / force < P.static_friction / force < 0.10
+    # What the pressures push with less than static friction hardly moves: slower than v_0.
+    point = operating_point(velocity=0.0)
+    held = simulate_actuator(np.zeros(50), 0.01, initial=[0, 0, point.P_a + 0.9 * 7.4 / P.area_a, point.P_b])
+    assert np.abs(held.velocity).max() < 2e-3
 
 
 def stored_energy(p, x, alpha):
@@ -232,14 +315,13 @@ def test_energy_does_not_appear_from_nowhere():
 
 def test_first_law_with_the_valve_open():
     valve = 0.05
-    path = ode(P, [-0.02, 0.0, 3e5, 3e5], 0.1, valve, load=2.0, max_step=5e-4)
+    path = ode(PAPER, [-0.02, 0.0, 3e5, 3e5], 0.1, valve, load=2.0, max_step=5e-4)
     scale = BETA * math.sqrt(P.gas_constant * P.temperature) * P.valve_area * valve
 
     def power(t):
         _, v, p_a, p_b = path.sol(t)
         enthalpy = scale * (port_flow(5e5, p_a) + port_flow(1e5, p_b)) / (ALPHA - 1)
-        dry = (0.486 + (0.6 - 0.486) * math.exp(-((v / 0.02) ** 2))) * math.tanh(v / 1e-3)
-        return enthalpy - (4.47 * v + dry + 2.0) * v
+        return enthalpy - (4.47 * v + dry_friction(v) + 2.0) * v
 
     supplied = quad(power, 0, 0.1, limit=400, epsabs=1e-7)[0]
     change = np.diff(stored_energy(P, path.y[:, [0, -1]], ALPHA))[0]
@@ -252,10 +334,10 @@ def test_first_law_with_the_valve_open():
 
 def test_balanced_pressures_and_a_closed_valve_give_no_motion():
     point = operating_point(velocity=0.0)
-    recording = simulate_actuator(np.zeros(200), 0.01)
+    recording = simulate_actuator(np.zeros(200), 0.01, PAPER)
     assert np.max(np.abs(recording.position)) < 1e-9
     assert recording.P_a == pytest.approx(point.P_a, rel=1e-9)
-    pushed = simulate_actuator(np.zeros(200), 0.01, initial=[0, 0, point.P_a + 2e4, point.P_b])
+    pushed = simulate_actuator(np.zeros(200), 0.01, PAPER, initial=[0, 0, point.P_a + 4e4, point.P_b])
     assert pushed.position[-1] > 1e-4
 
 
@@ -272,11 +354,11 @@ def test_without_a_rod_reversing_the_valve_mirrors_the_motion():
 
 def test_with_a_rod_steady_velocities_are_mirrored_up_to_the_area_ratio():
     # Venting is choked: the volume of air that leaves in a second is the same, whatever the pressures.
-    forward, backward = (operating_point(velocity=v).valve / v for v in (0.1, -0.1))
+    forward, backward = (operating_point(PAPER, velocity=v).valve / v for v in (0.1, -0.1))
     assert backward / forward == pytest.approx(P.area_a / P.area_b, rel=1e-9)
     u = 0.01
-    ahead = simulate_actuator(np.full(100, u), 0.005, initial=[-0.02, 0, 3.7e5, 4.0e5])
-    back = simulate_actuator(np.full(100, -u), 0.005, initial=[0.02, 0, 3.7e5, 4.0e5])
+    ahead = simulate_actuator(np.full(100, u), 0.005, FREE, initial=[-0.02, 0, 3.7e5, 4.0e5])
+    back = simulate_actuator(np.full(100, -u), 0.005, FREE, initial=[0.02, 0, 3.7e5, 4.0e5])
     speeds = [np.mean(np.abs(recording.velocity[60:])) for recording in (ahead, back)]
     assert speeds[0] / speeds[1] == pytest.approx(P.area_a / P.area_b, rel=0.02)
 
@@ -337,6 +419,9 @@ def test_motion_against_the_ports_carries_a_pressure_out_of_the_range():
         ({"static_friction": 0.1}, "static_friction: expected at least"),
         ({"laminar_ratio": 0.5}, "laminar_ratio"),
         ({"laminar_ratio": 1.1}, "laminar_ratio"),
+        ({"dead_band": 1.0}, "dead_band: expected a fraction of the spool's stroke below 1, got 1.0"),
+        ({"dead_band": -0.1}, "dead_band: expected a finite number >= 0"),
+        ({"leakage_area": -1e-9}, "leakage_area: expected a finite number >= 0"),
     ],
 )
 def test_impossible_parameters_are_refused(change, message):
@@ -362,6 +447,7 @@ def test_parameters_of_the_wrong_kind_are_refused():
         ({"beta": ([0.0, 0.0], [0.3, 0.5])}, "times of beta: .*increasing"),
         ({"beta": ([0.0, 1.0], [0.3])}, "beta: expected as many values as times"),
         ({"beta": (0.3,)}, "beta: expected a pair"),
+        ({"supply": 0.9e5}, r"supply: expected values in \[100000, inf\], got 90000"),
         ({"outputs": ["position", "force"]}, "outputs: expected names"),
         ({"outputs": "position"}, "outputs"),
         ({"outputs": []}, "outputs"),
@@ -380,6 +466,12 @@ def test_coefficients_of_the_wrong_kind_are_refused():
     late = pneumatic_servo(alpha=lambda t: 1.0 + t)
     with pytest.raises(ValueError, match=r"alpha\(0.5\): expected values in"):
         late.dynamics(0.5, np.array([0, 0, 3e5, 3e5]), np.zeros(2))
+
+
+def test_valve_opening_refuses_what_is_no_dead_band():
+    for dead_band in (-0.1, 1.0, math.nan):
+        with pytest.raises(ValueError, match="dead_band: expected a fraction"):
+            valve_opening(0.5, dead_band)
 
 
 def test_flow_function_refuses_what_is_no_pressure_ratio():

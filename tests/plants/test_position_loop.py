@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import control
 import numpy as np
@@ -13,9 +14,11 @@ from scipy.integrate import solve_ivp
 from robust_filterpy.plants import position_loop
 from robust_filterpy.plants.pneumatic import (
     PneumaticParameters,
+    UnstableLoopError,
     linearize_servo,
     operating_point,
     pneumatic_servo,
+    position_gains,
     random_alpha,
     random_beta,
     servo_derivatives,
@@ -40,18 +43,19 @@ def test_fast_path_agrees_with_solve_ivp_at_tight_tolerance():
     r = binary_reference(n, 30)
     alpha, beta = random_alpha(t, rng=1), random_beta(t, low=0.2, high=0.45, rng=2)
     load = 2.0 * np.sin(3 * t)
-    got = simulate_servo(r, dt, alpha=alpha, beta=beta, load=load)
+    supply = 5e5 - 2e4 * np.cos(7 * t)
+    got, gains = simulate_servo(r, dt, alpha=alpha, beta=beta, load=load, supply=supply, rtol=1e-8), position_gains()
 
     rhs, x = servo_derivatives(P), np.array([0.0, 0.0, got.P_a[0], got.P_b[0]])
     for k in range(n):
         assert got.position[k] == pytest.approx(x[0], abs=1e-6)
-        assert got.velocity[k] == pytest.approx(x[1], abs=1e-4)
+        assert got.velocity[k] == pytest.approx(x[1], abs=2e-4)
         assert got.P_a[k] == pytest.approx(x[2], abs=10)
         assert got.P_b[k] == pytest.approx(x[3], abs=10)
-        acceleration = rhs(*x, 0.0, load[k], alpha[k], beta[k])[1]
-        u = 1.5 * (r[k] - x[0]) - 5e-4 * acceleration
-        assert got.valve[k] == pytest.approx(u, abs=1e-5)
-        held = (u, load[k], alpha[k], beta[k])
+        opening = gains.gain * (r[k] - x[0]) - gains.damping * rhs(*x, 0.0, load[k], alpha[k], beta[k])[1]
+        u = math.copysign(0.009 + 0.991 * abs(opening), opening)
+        assert got.valve[k] == pytest.approx(u, abs=2e-5)
+        held = (u, load[k], alpha[k], beta[k], supply[k])
         x = solve_ivp(lambda _, s, held: rhs(*s, *held), (0, dt), x, "LSODA", args=(held,), rtol=1e-9, atol=1e-10).y[
             :, -1
         ]
@@ -61,8 +65,8 @@ def test_fast_path_agrees_with_solve_ivp_at_tight_tolerance():
 def test_fast_path_agrees_with_python_control():
     dt, n = 0.01, 40
     valve = 0.03 * np.sign(np.sin(0.5 * np.arange(n) + 0.1))
-    got = simulate_actuator(valve, dt, load=1.0, alpha=1.1, beta=0.3)
-    servo, x = pneumatic_servo(alpha=1.1, beta=0.3), np.array([0, 0, got.P_a[0], got.P_b[0]])
+    got = simulate_actuator(valve, dt, load=1.0, alpha=1.1, beta=0.3, supply=4.5e5)
+    servo, x = pneumatic_servo(alpha=1.1, beta=0.3, supply=4.5e5), np.array([0, 0, got.P_a[0], got.P_b[0]])
     for k in range(n):
         assert np.array(got[3:7])[:, k] == pytest.approx(x, rel=1e-5, abs=1e-5)
         inputs = np.array([[valve[k]] * 2, [1.0] * 2])
@@ -76,21 +80,26 @@ def test_recording_names_every_signal():
     r = binary_reference(50, 10)
     recording = simulate_servo(r, 0.02, alpha=lambda t: 1.1 + 0.1 * t, beta=([0, 1], [0.2, 0.4]), load=3.0)
     assert recording._fields == (
-        "t", "reference", "valve", "position", "velocity", "P_a", "P_b", "alpha", "beta", "load",
+        "t", "reference", "valve", "position", "velocity", "P_a", "P_b", "alpha", "beta", "load", "supply",
+        "position_measured", "P_a_measured", "P_b_measured", "position_estimate", "acceleration_estimate",
     )  # fmt: skip
     assert all(signal.shape == (50,) for signal in recording)
     assert recording.t[1] == 0.02
     assert recording.reference == pytest.approx(r)
     assert recording.alpha == pytest.approx(1.1 + 0.1 * recording.t)
     assert recording.beta == pytest.approx(0.2 + 0.2 * recording.t)
-    assert np.all(recording.load == 3.0)
+    assert np.all(recording.load == 3.0) and np.all(recording.supply == 5e5)
+    # Without sensors in the way, what is measured and what the controller takes for the motion is the motion.
+    assert np.array_equal(recording.position_measured, recording.position)
+    assert np.array_equal(recording.P_b_measured, recording.P_b)
+    assert np.array_equal(recording.position_estimate, recording.position)
     assert np.all(np.isnan(simulate_actuator([0.0, 0.1], 0.01).reference))
 
 
 def test_reference_as_a_function_is_the_sampled_reference():
     function = simulate_servo(lambda t: 0.01 * math.sin(5 * t), 0.01, duration=0.5)
     sampled = simulate_servo(0.01 * np.sin(5 * 0.01 * np.arange(50)), 0.01)
-    assert np.array_equal(function.position, sampled.position)
+    assert function.position == pytest.approx(sampled.position, abs=1e-6)
 
 
 def test_beta_follows_alpha_where_it_is_not_given():
@@ -161,6 +170,7 @@ def test_operating_point_is_a_steady_motion(velocity, position, load):
     rates = servo_derivatives(P)(*point, 1.3, 0.25)
     assert rates[0] == velocity
     assert rates[1:] == pytest.approx((0, 0, 0), abs=1e-3)
+    assert abs(point.valve) > P.dead_band
     # A load that pulls along may hold the vented chamber above the supply; nothing else leaves the range.
     assert 1e5 < min(point.P_a, point.P_b) and (point.P_a if velocity > 0 else point.P_b) < 5e5
     assert max(point.P_a, point.P_b) < 5e5 or load * velocity < 0
@@ -168,8 +178,9 @@ def test_operating_point_is_a_steady_motion(velocity, position, load):
 
 
 def test_zero_velocity_is_the_limit_of_creeping():
-    creeping, still = operating_point(velocity=1e-9), operating_point(velocity=0.0)
-    assert still.valve == 0
+    tight = replace(P, leakage_area=0.0, coulomb_friction=0.0, static_friction=0.0)
+    creeping, still = operating_point(tight, velocity=1e-9), operating_point(velocity=0.0)
+    assert still.valve == P.dead_band
     assert still[2:4] == pytest.approx(creeping[2:4], rel=1e-6)
 
 
@@ -196,9 +207,16 @@ def test_transfer_functions_are_those_of_the_state_space_models():
     # The loop closed by hand; python-control's acceleration is a row of A.
     acceleration = np.array([model.continuous.A[1] @ np.linalg.solve(
         point * np.eye(4) - model.discrete.A, model.discrete.B[:, 0]) for point in z])  # fmt: skip
-    loop = 1.5 * expected / (1 + 1.5 * expected + 5e-4 * acceleration)
+    gain, damping = position_gains()
+    # The controller commands an opening: it steps over the dead band.
+    opening = 1 - P.dead_band
+    loop = gain * opening * expected / (1 + opening * (gain * expected + damping * acceleration))
     assert model.reference_to_position(z) == pytest.approx(loop, rel=1e-6)
     assert model.reference_to_position(1) == pytest.approx(1, rel=1e-6)
+    # The difference of successive positions over dt.
+    assert model.valve_to_velocity(z) == pytest.approx(expected * (1 - 1 / z) / 0.02, rel=1e-5)
+    sliding = (1 - P.dead_band) * 0.1 / (model.point.valve - P.dead_band)
+    assert model.valve_to_velocity(1).real == pytest.approx(sliding / (1 - P.dead_band), rel=2e-3)
 
 
 def test_linear_model_predicts_small_perturbations_of_the_nonlinear_plant():
@@ -222,9 +240,10 @@ def test_linear_loop_predicts_small_perturbations_of_the_nonlinear_loop():
     model = linearize_servo(dt=dt, velocity=0.05)
     point = model.point
     start = (-0.01, *point[1:4])
-    ramp = start[0] + point.valve / 1.5 + 0.05 * dt * np.arange(n)
+    opening = (point.valve - P.dead_band) / (1 - P.dead_band)
+    ramp = start[0] + opening / position_gains().gain + 0.05 * dt * np.arange(n)
     nudge = 1e-4 * np.sign(np.random.default_rng(3).standard_normal(n))
-    options = dict(initial=start, rtol=1e-9)
+    options = dict(initial=start, rtol=1e-9, compensation=1.0)
     difference = simulate_servo(ramp + nudge, dt, **options).position - simulate_servo(ramp, dt, **options).position
     predicted = control.forced_response(model.reference_to_position, inputs=nudge).outputs
     assert np.linalg.norm(difference - predicted) < 0.05 * np.linalg.norm(difference)
@@ -232,22 +251,40 @@ def test_linear_loop_predicts_small_perturbations_of_the_nonlinear_loop():
 
 def test_dry_friction_freezes_the_linear_model_at_standstill_unless_it_is_left_out():
     stuck, viscous = (linearize_servo(dt=0.01, velocity=0.0, friction=kind) for kind in ("full", "viscous"))
-    assert stuck.continuous.A[1, 1] == pytest.approx(-(0.6 / 1e-3 + 4.47), rel=1e-3)
+    assert stuck.continuous.A[1, 1] == pytest.approx(-(7.4 / 1e-3 + 4.47), rel=1e-3)
     assert viscous.continuous.A[1, 1] == pytest.approx(-4.47, rel=1e-6)
     sliding = linearize_servo(dt=0.01, velocity=0.1)
     assert sliding.continuous.A[1, 1] == pytest.approx(-4.47, rel=1e-3)
 
 
-def test_the_default_loop_is_stable_where_its_docstring_says_so():
-    cases = [dict(), dict(velocity=0.2), dict(position=0.03), dict(position=-0.03), dict(velocity=-0.1)]
+def radius(p, beta, dt, **loop):
+    """Largest pole of python-control's model of the loop, over the stroke and in both directions."""
+    cases = [dict(position=y, velocity=v) for y in (-0.03, 0.0, 0.03) for v in (-0.05, 0.05)]
+    models = (linearize_servo(p, beta=beta, dt=dt, friction="viscous", **loop, **case) for case in cases)
+    return max(np.abs(model.reference_to_position.poles()).max() for model in models)
 
-    def radius(beta, dt, **loop):
-        models = (linearize_servo(beta=beta, dt=dt, **loop, **case) for case in cases)
-        return max(np.abs(model.reference_to_position.poles()).max() for model in models)
 
-    for dt in (0.005, 0.01, 0.02):
-        assert max(radius(beta, dt) for beta in (0.1, 0.3, 0.5)) < 0.999
-    assert radius(0.15, 0.01, damping=0.0) < 0.999 < 1.005 < radius(0.3, 0.01, damping=0.0)
+@pytest.mark.parametrize("mass", [0.3, 1.0, 5.0, 50.0])
+def test_the_default_loop_is_stable_where_its_docstring_says_so(mass):
+    p = replace(P, mass=mass)
+    for dt in (0.005, 0.01, 0.02) if mass >= 1 else (0.005, 0.01):
+        assert max(radius(p, beta, dt) for beta in (0.1, 0.3, 0.5)) < 1
+        simulate_servo(np.zeros(3), dt, p, beta=[0.1, 0.5, 0.3])
+
+
+def test_an_unstable_loop_is_refused_by_name_where_its_poles_are_outside():
+    for options in (dict(mass=5.0, gain=1.5, damping=5e-4), dict(mass=1.0, damping=0.0), dict(mass=1.0, gain=8.0)):
+        p, gains = replace(P, mass=options["mass"]), {k: v for k, v in options.items() if k != "mass"}
+        assert radius(p, 0.3, 0.01, **gains) > 1
+        with pytest.raises(UnstableLoopError, match=r"position loop: .* pole of size 1\.\d+ for gain=.* with mass="):
+            simulate_servo(np.zeros(3), 0.01, p, **gains)
+    assert issubclass(UnstableLoopError, ValueError)
+
+
+def test_a_heavy_load_is_held_by_the_gains_that_its_mass_asks_for():
+    recording = simulate_servo(np.full(600, 0.015), 0.01, replace(P, mass=5.0))
+    assert recording.position[-1] == pytest.approx(0.015, abs=2e-3)
+    assert np.abs(recording.velocity[-20:]).max() < 2e-3
 
 
 # --- bad input ----------------------------------------------------------------------------------------------------
@@ -269,6 +306,12 @@ def test_the_default_loop_is_stable_where_its_docstring_says_so():
         ({"alpha": 1.5}, "alpha: expected values in"),
         ({"alpha": [1.1, 1.2]}, "alpha: expected one value for each of the 5 samples"),
         ({"beta": lambda t: 0.3 - 10 * t}, r"beta\(0.03\): expected values in"),
+        ({"compensation": 1.1}, r"compensation: expected a share of the dead band in \[0, 1\], got 1.1"),
+        ({"supply": 0.5e5}, "supply: expected values in"),
+        ({"supply": [5e5, 5e5]}, "supply: expected one value for each of the 5 samples"),
+        ({"noise": np.zeros(5)}, r"noise: expected finite numbers of shape \(5, 3\), .* got shape \(5,\)"),
+        ({"noise": np.full((5, 3), math.nan)}, "noise: expected finite numbers"),
+        ({"observer": lambda z, u: (math.nan, 0.0)}, "observer: expected a finite position .* at sample 0"),
         ({"load": math.nan}, "load"),
         ({"load": math.inf}, "load: expected finite values"),
         ({"load": 1e4}, "load: expected forces that the piston can overcome"),
@@ -299,6 +342,7 @@ def test_a_failing_solver_is_not_passed_over(monkeypatch):
     ("change", "message"),
     [
         ({"velocity": 10.0}, "velocity: expected what the valve can feed"),
+        ({"velocity": 1e-6}, "velocity: expected faster than the leakage moves air"),
         ({"velocity": math.nan}, "velocity: expected a finite number"),
         ({"position": 0.05}, "position: expected within"),
         ({"load": 500.0}, "load: expected forces"),
