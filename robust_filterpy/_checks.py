@@ -1,4 +1,4 @@
-"""Sentences that help: every argument check of the package, in one form."""
+"""Argument checks with uniform messages: name, what was expected, what was found, the likely mend."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 FLOAT = np.dtype(np.float64)
 
-# numpy makes floats of text, of dates and of durations without a word.
+# np.asarray(.., float) silently accepts text, dates and durations.
 _NO_NUMBERS = "cmMSU"
 _NO_NUMBER = (str, bytes, np.datetime64, np.timedelta64)
 

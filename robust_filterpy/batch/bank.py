@@ -1,4 +1,8 @@
-"""Many filters advanced together online: a fleet of like actuators, tracks, or sensors, in numpy alone."""
+"""Many filters advanced together online: a fleet of like actuators, tracks, or sensors.
+
+Where the kernel does not serve, numpy corrects all filters at once: a second form of the definition, which takes .02 to
+.35 of the time of a loop over filters (``python tests/benchmarks/compare_peers.py``, the column of the bank).
+"""
 
 from __future__ import annotations
 

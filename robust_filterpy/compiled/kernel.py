@@ -3,8 +3,8 @@
 `robust_filterpy.correction` is the definition; the tests hold the two together. What is out of the ordinary (a singular
 S, an overflow, scaling "unit" near its limit) is refused here, and the caller takes that step by the definition.
 
-The number of sensors is an int, or a tuple of that length: then the compiler knows it and unrolls the loops. Where
-it can, a sum runs along rows of both factors, which P = P' allows.
+Loops over sensors are short, and unrolled where a caller passes a constant for m (and n). Where it can, a sum runs
+along rows of both factors, which P = P' allows.
 """
 
 from __future__ import annotations

@@ -53,7 +53,7 @@ def whiten(S, T, ws, m, turned, likely):
 
 @inlined
 def _whiten_pair(S, T, likely):
-    """Write T for two m, a closed form with few divisions, which take longest; return log det S."""
+    """Write T for two sensors, a closed form with few divisions, which take longest; return log det S."""
     a, b, c = S[0, 0], S[1, 0], S[1, 1]
     determinant = a * c - b * b
     if not (determinant > _LEAST_PIVOT * a * c and 1e-180 < a * c < 1e180):

@@ -1,4 +1,4 @@
-"""The equations of the robust correction, as pure functions of arrays: the one place where they stand.
+"""The robust correction: definition. The fast forms elsewhere are tested against it.
 
 For an innovation y = z - H x with covariance S = H P H' + R and cross-covariance C = P H'::
 
@@ -6,8 +6,7 @@ For an innovation y = z - H x with covariance S = H P H' + R and cross-covarianc
     x+ = x + C T' psi(e)           bounded influence                  (26, 37, 42, 47)
     P+ = P - C T' D T C'           information D between 0 and I      (28, 39, 44, 49)
 
-T, D and psi are `Choices`. `correct` is the definition; the short forms for one sensor (below it), for two (`_pair`)
-and for joint grouping (`_joint`) say the same, and the tests hold them together.
+T, D and psi are `Choices`.
 """
 
 from __future__ import annotations
@@ -100,7 +99,7 @@ def correct_observed(
     inv: Inverse | None = None,
     small: bool = True,
 ) -> Observed:
-    """Correct with every component observed, all of them below `SAFE` or not: the equations as they read."""
+    """Correct by a complete measurement. small: every |y_i| < SAFE, so that T y cannot overflow."""
     C, S = innovation_moments(P, H, R, M)
     T, SI, whitening_defect = standardize(S, choices.scaling, inv)
     e = T.dot(y) if small else standardized(T, y)

@@ -63,7 +63,7 @@ class Correction(NamedTuple):
 
 
 class Observed(NamedTuple):
-    """`Correction` by a complete measurement, with C in place of K, at which few programs look."""
+    """Correction by a complete measurement; K is computed from C on request."""
 
     x: Array
     P: Array

@@ -1,4 +1,7 @@
-"""One sensor: the equations of `robust_filterpy.correction.correct` in floats."""
+"""One sensor: the equations of `robust_filterpy.correction.correct` in floats.
+
+Without the kernel it takes this share of the general form's time: see ``tests/benchmarks/filter_speed.py``.
+"""
 
 from __future__ import annotations
 

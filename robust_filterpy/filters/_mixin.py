@@ -1,4 +1,4 @@
-"""What every robust filter shows: its choices, what its last correction did, and a likelihood that survives."""
+"""Mixin of the robust filters: options, diagnostics of the last correction, robust log-likelihood."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a bank of trackers is told, checked: options and samples, shared by all actuators or with an axis of n."""
+"""Argument checks of `TrackerBank`: options and samples, shared by all actuators or with an axis of n."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Samples that tell very much, as after a spike in a signal that stands in phi: what keeps P a covariance in rounding.
+"""Numerical conditioning for highly informative samples, as after a spike in a signal that stands in phi.
 
 The sharpness of a sample is phi'phi tr(P)/R, about by how much it may shrink P in its direction.
 """

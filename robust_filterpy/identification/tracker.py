@@ -153,9 +153,9 @@ class ParameterTracker:
     leaves a model that can be simulated; "none" does not. ``tests/benchmarks/output_error_study.py`` prints the
     tables.
 
-    Extremes. Signals beyond 1e100 are clipped there, and so is what an unstable model feeds back. A sample that
-    would make a direction of theta more certain by a factor above about 1e13 in variance at once (a spike in the y
-    that stands in phi) is weighed down to that. P stops growing under forgetting at 1e8 times its first
+    Extremes. Signals beyond 1e100 are clipped there, and so is what an unstable model feeds back. A sample may
+    shrink a variance by at most 1e13 (a spike in the y that stands in phi would shrink it by more); beyond that it is
+    down-weighted. P stops growing under forgetting at 1e8 times its first
     trace.
 
     Examples

@@ -43,7 +43,8 @@ WRONG = {
 def test_right_use_passes_and_wrong_use_fails(tmp_path):
     program = tmp_path / "program.py"
     program.write_text(RIGHT + "\n".join(WRONG) + "\n")
-    command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "--cache-dir", str(tmp_path / "cache"), str(program)]
+    options = ["--strict", "--follow-imports=silent", "--cache-dir", str(tmp_path / "cache")]
+    command = [sys.executable, "-m", "mypy", *options, str(program)]
     found = subprocess.run(command, capture_output=True, text=True).stdout
     errors = dict(re.findall(r"program\.py:(\d+): error: (.*)", found))
     first = RIGHT.count("\n") + 1
