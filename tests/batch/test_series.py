@@ -113,7 +113,7 @@ def test_smoothing_takes_the_matrix_that_leads_to_a_step():
         ({"P0": np.eye(3) + 0.1 * np.eye(3, k=1)}, "P0: expected a symmetric"),
         ({"zs": np.full((1, 2, 2), np.inf)}, "zs: expected finite"),
         ({"R": 5.0}, "R: expected shape"),
-        ({"R": -np.eye(2)}, "R: expected a positive definite"),
+        ({"R": -np.eye(2)}, "R: expected a positive semidefinite"),
         ({"P0": np.eye(2)}, "P0: expected shape"),
         ({"keep": 0}, "keep"),
         ({"keep": "some"}, "keep"),
@@ -175,9 +175,9 @@ def test_a_series_is_nan_from_the_refused_step_on(path):
 def test_a_bad_R_among_many_is_found():
     problem, zs = problem_and_series((3, 1, 0))
     R = np.ones((4, 30, 1, 1))
-    R[2, 7] = 0.0
+    R[2, 7] = -0.1
     F, H, Q, _, x0, P0 = arguments(problem)
-    with pytest.raises(ValueError, match="R: expected a positive definite matrix"):
+    with pytest.raises(ValueError, match="R: expected a positive semidefinite matrix"):
         filter_series(zs, F, H, Q, R, x0, P0)
 
 

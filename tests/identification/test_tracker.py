@@ -1,4 +1,7 @@
-"""ParameterTracker as a program meets it: samples, recordings, any filter, missing data, interruption, bad input."""
+"""ParameterTracker as a program meets it: samples, recordings, any filter, missing data, interruption, bad input.
+
+All by the definition, where one path has one set of bits; `test_tracker_compiled` holds the kernel to it.
+"""
 
 import io
 import pickle
@@ -7,6 +10,7 @@ import signal
 import control
 import numpy as np
 import pytest
+import support
 from filterpy.kalman import FadingKalmanFilter, InformationFilter, KalmanFilter, SquareRootKalmanFilter
 
 from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter
@@ -16,6 +20,12 @@ from robust_filterpy.plants import simulate_arx, simulate_output_error
 
 PLANT = np.array([-1.5, 0.7, 1.0, 0.5])
 STRUCTURES = [ARX(2, 2), OutputError(2, 2), ARMAX(2, 2, 2), FIR(6), FIR(2, nk=0), ARX(1, 2, nk=3), ARMAX(0, 1, 1)]
+
+
+@pytest.fixture(autouse=True)
+def definition(monkeypatch):
+    """Let the definition serve."""
+    support.without_kernel(monkeypatch)
 
 
 def recording(length=150, contamination=0.1, missing=True, seed=1):

@@ -252,8 +252,8 @@ def test_run_gives_the_numbers_of_update(structure):
     result = one.run(y, u)
     rows = [(other.update(y[k], u[k]), other.theta, other.std) for k in range(LENGTH)]
     samples, theta, std = zip(*rows, strict=True)
-    same(result[:6], (theta, std, *zip(*samples, strict=True)))
-    same(one.state().values(), other.state().values())
+    close(result[:6], (theta, std, *zip(*samples, strict=True)))
+    close(one.state().values(), other.state().values())
 
 
 def test_result_has_an_axis_for_samples_and_one_for_actuators():
@@ -305,7 +305,7 @@ def test_each_sample_may_have_its_own_variance():
         each = np.broadcast_to(R[:, :1] if shared and np.ndim(given_) else given_, (LENGTH, N))
         one, other = TrackerBank(N, structure, P=1.0), TrackerBank(N, structure, P=1.0)
         result = one.run(y, u, given_)
-        same([result.prediction], [[other.update(y[k], u[k], R=each[k]).prediction for k in range(LENGTH)]])
+        close([result.prediction], [[other.update(y[k], u[k], R=each[k]).prediction for k in range(LENGTH)]])
         for i in range(N):
             close(result.tracker(i), ParameterTracker(structure, P=1.0).run(y[:, i], u[:, i], each[:, i]))
     for wrong in (np.ones(N), -1.0, np.where(R > 0.99, 0.0, R)):
@@ -673,7 +673,7 @@ def test_a_refused_call_changes_nothing(call, words):
         ("R", [1.0, 1.0, -1.0, 1.0, 1.0], "R: expected.*actuator 2"),
         ("R", np.ones(4), "R: expected shape"),
         ("Q", 1.0, "Q: expected shape"),
-        ("Q", np.full((4, 4), np.nan), "finite.*actuators 0, 1"),
+        ("Q", np.full((4, 4), np.nan), "Q: expected finite numbers"),
         ("F", np.eye(3), "F: expected shape"),
         ("F", 1e200 * np.eye(4), "finite"),
     ],
