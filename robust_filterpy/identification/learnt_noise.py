@@ -60,7 +60,7 @@ class ContaminatedNormal:
     Examples
     --------
     >>> ContaminatedNormal(0.1, 10.0).weights([0.0, 3.0, 6.0]).round(2)
-    array([0.99, 0.5 , 0.01])
+    array([0.99, 0.52, 0.01])
     """
 
     contamination: float = 0.05
@@ -133,11 +133,14 @@ class Noise:
         Variance of the ordinary noise, in the unit of the residual squared.
     known : bool, default False
         Whether R is told and stays as it is.
+    least : float, optional
+        R never becomes smaller than this, which keeps a recording without noise from dividing by 0.
     """
 
     influence: Influence
     R: float
     known: bool = False
+    least: float = np.finfo(float).tiny
 
     def refitted(self, residual: Array, steps: int = 5) -> Noise:
         """Return the noise that these residuals show.
@@ -158,7 +161,7 @@ class Noise:
         """
         if isinstance(self.influence, ContaminatedNormal):
             return self._maximised(self.influence, residual, steps)
-        return self if self.known else replace(self, R=mad_scale(residual) ** 2)
+        return self if self.known else replace(self, R=max(mad_scale(residual) ** 2, self.least))
 
     def cost(self, residual: Array) -> float:
         """Return -log of the likelihood of the residuals, up to a constant that R alone determines."""
@@ -182,7 +185,7 @@ class Noise:
             outlying = 1.0 - p
             outliers, energy = outlying.sum(), outlying @ square
             if not self.known:
-                R = max(float(p @ square) / max(float(p.sum()), 1.0), np.finfo(float).tiny)
+                R = max(float(p @ square) / max(float(p.sum()), 1.0), self.least)
             contamination = (outliers + _PRIOR_OUTLIERS) / (residual.size + _PRIOR_SAMPLES)
             contamination = float(np.clip(contamination, *_CONTAMINATIONS))
             prior = _PRIOR_RATIO_SAMPLES * _PRIOR_RATIO**2

@@ -3,13 +3,13 @@
     w = B/F u + what was in motion when the recording began
     r = D/C (A y - w - d)
 
-with a constant d, the offset of the equation (of y itself where A = 1). All derivatives are signals filtered by the same
-polynomials (Ljung, System Identification, 2nd ed., 1999, section 10.3).
+with a constant d, the offset of the equation (of y itself where A = 1). All derivatives are signals filtered by the
+same polynomials (Ljung, System Identification, 2nd ed., 1999, section 10.3).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.signal import lfilter
@@ -29,7 +29,7 @@ class Parts(NamedTuple):
     a, f, c, d : ndarray
         Coefficients of A, F, C, D.
     b : tuple of ndarray
-        Coefficients of B for each input.
+        Coefficients of B for each input that has any.
     offset : float
         Constant of the equation.
     start : ndarray, shape (nf,)
@@ -43,6 +43,15 @@ class Parts(NamedTuple):
     d: Array
     offset: float
     start: Array
+
+
+class Input(NamedTuple):
+    """One input that acts: its samples, its orders, and where its coefficients stand in theta."""
+
+    u: Array
+    nb: int
+    nk: int
+    place: slice
 
 
 class PolynomialModel:
@@ -64,21 +73,44 @@ class PolynomialModel:
     """
 
     def __init__(self, structure: Structure, y: Array, u: Array, offset: bool) -> None:
-        """Keep the recording, inputs as contiguous rows."""
-        self.structure, self.y, self.u = structure, y, np.ascontiguousarray(u.T)
-        self.offset = offset
+        """Keep the recording, and each input that acts as a contiguous row."""
         places = structure.polynomials
-        self.nf = places.f.stop - places.f.start
-        self.nd = places.d.stop - places.d.start
-        self.first = max([places.a.stop - places.a.start, *(nk + nb - 1 for nb, nk in structure.inputs if nb)], default=0)
+        self.structure, self.y, self.u, self.offset = structure, y, u, offset
+        self.inputs = [
+            Input(np.ascontiguousarray(column), nb, nk, place)
+            for column, (nb, nk), place in zip(u.T, structure.inputs, places.b, strict=True)
+            if nb
+        ]
+        self.na, self.nf, self.nd = (part.stop - part.start for part in (places.a, places.f, places.d))
+        self.first = max([self.na, *(i.nk + i.nb - 1 for i in self.inputs)])
         self.n = structure.n_theta + offset + self.nf
+
+    def with_output(self, y: Array) -> PolynomialModel:
+        """Return the same model for another output."""
+        return PolynomialModel(self.structure, y, self.u, self.offset)
+
+    @property
+    def conditioned(self) -> Any:
+        """Which residuals need nothing from before the recording, shape (N - first,)."""
+        return np.arange(self.y.size - self.first) >= self.nd
 
     def parts(self, p: Array) -> Parts:
         """Take the free parameters apart."""
         places, n = self.structure.polynomials, self.structure.n_theta
         a, f, c, d = (np.concatenate(([1.0], p[part])) for part in (places.a, places.f, places.c, places.d))
-        b = tuple(p[part] for part in places.b)
+        b = tuple(p[i.place] for i in self.inputs)
         return Parts(a, b, f, c, d, float(p[n]) if self.offset else 0.0, p[n + self.offset :])
+
+    def from_output_error(self, parts: Parts) -> Array:
+        """Return the free parameters that have the dynamics of an output-error model; its noise is not theirs."""
+        p, places = np.zeros(self.n), self.structure.polynomials
+        p[places.a], p[places.f] = parts.f[1 : self.na + 1], parts.f[1 : self.nf + 1]
+        for acting, b in zip(self.inputs, parts.b, strict=True):
+            p[acting.place] = b
+        if self.offset:
+            p[self.structure.n_theta] = parts.offset * (parts.f.sum() if self.na else 1.0)
+        p[self.structure.n_theta + self.offset :] = parts.start[: self.nf]
+        return p
 
     def is_stable(self, p: Array) -> bool:
         """Tell whether the filters 1/F and 1/C are stable."""
@@ -87,9 +119,17 @@ class PolynomialModel:
 
     def residuals(self, p: Array) -> Array:
         """Return r from sample ``first`` on."""
-        parts = self.parts(p)
-        v = self._equation_error(parts, self._undisturbed(parts))
+        parts, v = self.parts(p), self.equation_error(p)
         return v if parts.c.size == parts.d.size == 1 else np.asarray(lfilter(parts.d, parts.c, v))
+
+    def equation_error(self, p: Array) -> Array:
+        """Return A y - w - d from sample ``first`` on."""
+        parts = self.parts(p)
+        return self._equation_error(parts, self._undisturbed(parts))
+
+    def undisturbed(self, p: Array) -> Array:
+        """Return w, what the inputs and the start alone make of B/F, from sample ``first`` on."""
+        return self._undisturbed(self.parts(p))
 
     def jacobian(self, p: Array) -> Array:
         """Return the derivatives of the residuals by the free parameters, shape (N - first, n)."""
@@ -99,14 +139,14 @@ class PolynomialModel:
         rows = np.zeros((self.n, length))
         for j in range(1, parts.a.size):
             rows[places.a.start + j - 1] = self.y[self.first - j : self.y.size - j]
-        for u, (nb, nk), place in zip(self.u, self.structure.inputs, places.b, strict=True):
+        for u, nb, nk, place in self.inputs:
             for j in range(nb):
                 delay = self.first - nk - j
                 rows[place.start + j] = -u[delay : delay + length]
         if self.offset:
             rows[n] = -1.0
         if self.nf:
-            inputs = slice(places.b[0].start, places.b[-1].stop)
+            inputs = slice(self.inputs[0].place.start, self.inputs[-1].place.stop)
             rows[inputs] = lfilter([1.0], parts.f, rows[inputs])
             impulse = np.zeros(length)
             impulse[0] = -1.0
@@ -122,10 +162,8 @@ class PolynomialModel:
     def _undisturbed(self, parts: Parts) -> Array:
         """Return w."""
         w = np.zeros(self.y.size - self.first)
-        for u, b, (_, nk) in zip(self.u, parts.b, self.structure.inputs, strict=True):
-            if b.size:
-                start = self.first - nk - b.size + 1
-                w += np.convolve(u[start : self.y.size - nk], b, "valid")
+        for (u, nb, nk, _), b in zip(self.inputs, parts.b, strict=True):
+            w += np.convolve(u[self.first - nk - nb + 1 : self.y.size - nk], b, "valid")
         if self.nf:
             w[: self.nf] += parts.start[: w.size]
             w = np.asarray(lfilter([1.0], parts.f, w))

@@ -14,7 +14,7 @@ import numpy as np
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.learnt_noise import Noise
 
-__all__ = ["Optimum", "minimised"]
+__all__ = ["Optimum", "minimised", "sandwich"]
 
 # A step that would change the residuals by less than this share of them ends the search.
 _PRECISION: Final = 1e-9
@@ -71,7 +71,7 @@ def minimised(model: Any, p: Array, noise: Noise, rows: Array, most_steps: int =
         size = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
         size[size == 0.0] = 1.0
         target = root * residual[rows]
-        triangle = np.linalg.qr(np.column_stack((jacobian / size, target)), mode="r")
+        triangle = np.asarray(np.linalg.qr(np.column_stack((jacobian / size, target)), mode="r"))
         taken = None
         for _ in range(_MOST_SHORTENINGS):
             step, change = _step(triangle, damping)
@@ -98,3 +98,33 @@ def _step(triangle: Array, damping: float) -> tuple[Array, float]:
     damped = np.vstack((R, np.sqrt(damping) * np.eye(n)))
     step = np.linalg.lstsq(damped, np.concatenate((z, np.zeros(n))), rcond=None)[0]
     return step, float(np.linalg.norm(R @ step))
+
+
+def sandwich(jacobian: Array, residual: Array, noise: Noise) -> Array:
+    """Return the covariance of the free parameters at an optimum.
+
+    ``(N/(N - n)) R (J'J)^-1 J' diag(psi^2) J (J'J)^-1 / mean(psi')^2`` (Huber, Robust Statistics, 1981, section 7.6),
+    which holds whatever the distribution of the residuals is, as long as one does not tell of another.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (N, n)
+        Derivatives of the residuals that count.
+    residual : ndarray, shape (N,)
+        These residuals.
+    noise : Noise
+        Their noise.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+    """
+    count, n = jacobian.shape
+    e = residual / np.sqrt(noise.R)
+    psi = np.asarray(noise.influence.psi(e))
+    slope = max(float(np.mean(noise.influence.psi_deriv(e))), 1e-3)
+    size = np.linalg.norm(jacobian, axis=0)
+    size[size == 0.0] = 1.0
+    # Derivatives of theta by the residuals, (J'J)^-1 J', without forming J'J.
+    effect = np.linalg.pinv(jacobian / size, rcond=1e-10) / size[:, None] * psi
+    return np.asarray(noise.R / slope**2 * count / (count - n) * (effect @ effect.T))

@@ -1,26 +1,27 @@
 """Where to begin: parameters found without any, through outliers, for a search that only goes downhill.
 
-* A long impulse response by robust regression, whose regressor holds no outlier; reduced to the order of the model by the
-  singular values of its Hankel matrix (Kung 1978).
+* A long impulse response by robust regression, whose regressor holds no outlier; reduced to the order of the model by
+  the singular values of its Hankel matrix (Kung 1978).
 * The iteration of Steiglitz and McBride (1965): regression on signals filtered by the denominator found before.
+* For models with the measured output in their regressor: plain regression; without input also the Yule-Walker
+  equations with autocorrelations from robust scales (Ma and Genton 2000).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
-from scipy.linalg import hankel, lstsq, solve
+from scipy.linalg import hankel, lstsq, solve, toeplitz
 from scipy.signal import lfilter
 
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.learnt_noise import mad_scale
 from robust_filterpy.identification.polynomial_model import PolynomialModel
-from robust_filterpy.identification.structures import FIR
 from robust_filterpy.influence.functions import Huber
 
-__all__ = ["Start", "output_error_starts", "robust_regression", "stabilised"]
+__all__ = ["Start", "autocorrelation_start", "output_error_starts", "regression_start", "robust_regression"]
 
 # Lengths of the impulse response that are tried, in samples.
 _LENGTHS: Final = (30, 80, 200)
@@ -28,6 +29,8 @@ _LENGTHS: Final = (30, 80, 200)
 _POLES: Final = (0.0, 0.8)
 _ITERATIONS: Final = 15
 _LARGEST_RADIUS: Final = 0.995
+# More samples make no better start.
+_MOST_ROWS: Final = 20_000
 
 
 class Start(NamedTuple):
@@ -51,7 +54,7 @@ def robust_regression(X: Array, y: Array, steps: int = 10) -> Array:
     Parameters
     ----------
     X : ndarray, shape (N, n)
-        Regressors, without outliers.
+        Regressors.
     y : ndarray, shape (N,)
         What they explain, outliers among it.
     steps : int, default 10
@@ -63,13 +66,13 @@ def robust_regression(X: Array, y: Array, steps: int = 10) -> Array:
     """
     weights, theta = np.ones(y.size), np.zeros(X.shape[1])
     # A single gross outlier would spoil the residuals of the first fit, and with them its weight.
-    centre, spread = np.median(y), 5.0 * mad_scale(y - np.median(y))
+    centre = np.median(y)
+    spread = 5.0 * mad_scale(y - centre)
     target = np.clip(y, centre - spread, centre + spread) if spread > 0.0 else y
     for _ in range(steps):
         gram = X.T @ (X * weights[:, None])
-        gram[np.diag_indices_from(gram)] *= 1.0 + 1e-9
-        gram[np.diag_indices_from(gram)] += 1e-12 * np.trace(gram) / len(gram) + np.finfo(float).tiny
-        new = solve(gram, X.T @ (weights * target), assume_a="pos")
+        ridge = 1e-9 * gram.diagonal() + 1e-12 * np.trace(gram) / len(gram) + np.finfo(float).tiny
+        new = solve(gram + np.diag(ridge), X.T @ (weights * target), assume_a="pos")
         done = np.linalg.norm(X @ (new - theta)) <= 1e-3 * np.linalg.norm(y - X @ new)
         theta, target = new, y
         residual = y - X @ theta
@@ -80,96 +83,160 @@ def robust_regression(X: Array, y: Array, steps: int = 10) -> Array:
     return theta
 
 
-def stabilised(f: Array) -> Array:
-    """Return a polynomial, leading 1 included, whose roots outside a circle just inside the unit circle are mirrored."""
+def regression_start(model: PolynomialModel, rows: Any) -> Start:
+    """Return the robust regression of a model that is linear, or becomes so where C = D = F = 1.
+
+    Parameters
+    ----------
+    model : PolynomialModel
+        The model.
+    rows : ndarray of bool, shape (N - first,)
+        Which residuals count.
+
+    Returns
+    -------
+    Start
+    """
+    places, p = model.structure.polynomials, np.zeros(model.n)
+    free = np.ones(model.n, dtype=bool)
+    for place in (places.f, places.c, places.d):
+        free[place] = False
+    p[free] = robust_regression(-model.jacobian(p)[rows][:, free], model.residuals(p)[rows])
+    return Start("regression", p)
+
+
+def autocorrelation_start(model: PolynomialModel, rows: Any) -> Start:
+    """Return the Yule-Walker solution for a model without input, from robust autocorrelations.
+
+    Parameters
+    ----------
+    model : PolynomialModel
+        The model.
+    rows : ndarray of bool, shape (N - first,)
+        Which residuals count; not used, a pair with a missing sample is one of many.
+
+    Returns
+    -------
+    Start
+    """
+    order = model.na
+    correlations = [1.0]
+    for lag in range(1, order + 1):
+        later, earlier = model.y[lag:], model.y[:-lag]
+        both, apart = mad_scale(later + earlier) ** 2, mad_scale(later - earlier) ** 2
+        correlations.append(0.99 * (both - apart) / max(both + apart, np.finfo(float).tiny))
+    p = np.zeros(model.n)
+    a = -lstsq(toeplitz(correlations[:-1]), np.array(correlations[1:]))[0]
+    p[model.structure.polynomials.a] = _stabilised(np.concatenate(([1.0], a)))[1:]
+    return Start("autocorrelations", p)
+
+
+def output_error_starts(model: PolynomialModel, rows: Any) -> Iterator[Start]:
+    """Yield starts for an output-error model.
+
+    Parameters
+    ----------
+    model : PolynomialModel
+        With a denominator F and A = C = D = 1.
+    rows : ndarray of bool, shape (N - first,)
+        Which residuals count.
+
+    Yields
+    ------
+    Start
+    """
+    longest = max(int(rows.sum()) // (3 * len(model.inputs)), model.nf + 2)
+    best, completed = np.inf, model.y
+    for length in sorted({min(length, longest) for length in _LENGTHS}):
+        responses, predicted = _impulse_responses(model, rows, length)
+        scale = mad_scale((model.y - predicted)[model.first :][rows])
+        if scale < best:
+            best = scale
+            completed = predicted + np.clip(model.y - predicted, -2.0 * scale, 2.0 * scale)
+            completed[model.first :][~rows] = predicted[model.first :][~rows]
+        yield Start(f"impulse response of {length} samples", _refitted(model, rows, _reduced(model, responses)))
+    for pole in _POLES:
+        f = np.asarray(np.poly(np.full(model.nf, pole)), dtype=float)
+        yield Start(f"Steiglitz-McBride from poles at {pole:g}", _steiglitz_mcbride(model, rows, completed, f))
+
+
+def _impulse_responses(model: PolynomialModel, rows: Any, length: int) -> tuple[Array, Array]:
+    """Return the impulse response to each input from its delay on, shape (n_inputs, length), and the output by it."""
+    count = len(model.inputs)
+    first = max(i.nk for i in model.inputs) + length
+    samples = np.flatnonzero(rows) + model.first
+    samples = samples[samples >= min(first, model.y.size // 2)]
+    samples = samples[:: -(-samples.size // _MOST_ROWS)]
+    X = np.ones((samples.size, length * count + model.offset))
+    for i, (u, _, nk, _) in enumerate(model.inputs):
+        for j in range(length):
+            # Inputs before the recording are taken to be that of its first sample.
+            X[:, i * length + j] = u[np.maximum(samples - nk - j, 0)]
+    theta = robust_regression(X, model.y[samples])
+    responses = theta[: length * count].reshape(count, length)
+    predicted = np.full(model.y.size, theta[-1] if model.offset else 0.0)
+    for (u, _, nk, _), g in zip(model.inputs, responses, strict=True):
+        held = np.concatenate((np.full(length + nk - 1, u[0]), u))
+        predicted += np.convolve(held[: held.size - nk], g, "valid")
+    return responses, predicted
+
+
+def _reduced(model: PolynomialModel, responses: Array) -> Array:
+    """Return the denominator of degree nf that the impulse responses share."""
+    nf, length = model.nf, responses.shape[1]
+    parts = []
+    for g, acting in zip(responses, model.inputs, strict=True):
+        skipped = min(max(acting.nb - nf, 0), length - nf - 2)
+        parts.append(hankel(g[skipped:], np.zeros(length - skipped)))
+    rows = max(min(len(part) for part in parts) // 2, nf + 1)
+    columns = min(len(part) for part in parts) - rows + 1
+    left, values, _ = np.linalg.svd(np.hstack([part[:rows, :columns] for part in parts]), full_matrices=False)
+    observed = left[:, :nf] * np.sqrt(values[:nf])
+    transition = lstsq(observed[:-1], observed[1:])[0]
+    order = len(transition)
+    f = np.zeros(nf + 1)
+    f[: order + 1] = np.real(np.poly(transition))
+    return _stabilised(f)
+
+
+def _stabilised(f: Array) -> Array:
+    """Return a polynomial, its leading 1 included, with the roots outside a circle mirrored into it."""
     roots = np.roots(f)
     radius = np.abs(roots)
     far = radius > _LARGEST_RADIUS
     if not far.any():
         return f
     roots[far] *= np.minimum(_LARGEST_RADIUS, 1.0 / radius[far]) / radius[far]
-    return np.real(np.poly(roots))
+    stable = np.zeros(f.size)
+    stable[: roots.size + 1] = np.real(np.poly(roots))
+    return stable
 
 
-def output_error_starts(model: PolynomialModel) -> Iterator[Start]:
-    """Yield starts for a model with a denominator F of the input.
-
-    Parameters
-    ----------
-    model : PolynomialModel
-        With A = C = D = 1.
-
-    Yields
-    ------
-    Start
-    """
-    cleaned = model.y
-    for length in _LENGTHS:
-        if 3 * length * len(model.u) > model.y.size and length > _LENGTHS[0]:
-            break
-        responses, cleaned = _impulse_responses(model, min(length, model.y.size // (3 * len(model.u))))
-        yield Start(f"impulse response of {length} samples", _refitted(model, _reduced(model, responses)))
-    for pole in _POLES:
-        f = np.poly(np.full(model.nf, pole))
-        yield Start(f"Steiglitz-McBride from poles at {pole:g}", _steiglitz_mcbride(model, cleaned, f))
-
-
-def _impulse_responses(model: PolynomialModel, length: int) -> tuple[Array, Array]:
-    """Return the impulse response to each input from its delay on, shape (n_inputs, length), and y without outliers."""
-    delays = tuple(nk for _, nk in model.structure.inputs)
-    long = PolynomialModel(FIR((length,) * len(delays), delays), model.y, model.u.T, model.offset)
-    X, y = -long.jacobian(np.zeros(long.n)), model.y[long.first :]
-    theta = robust_regression(X, y)
-    predicted = X @ theta
-    residual = y - predicted
-    scale = mad_scale(residual)
-    cleaned = model.y.copy()
-    cleaned[long.first :] = predicted + np.clip(residual, -2.0 * scale, 2.0 * scale)
-    return theta[: length * len(delays)].reshape(len(delays), length), cleaned
-
-
-def _reduced(model: PolynomialModel, responses: Array) -> Array:
-    """Return the denominator of degree nf that the impulse responses share."""
-    nf = model.nf
-    parts = []
-    for response, (nb, _) in zip(responses, model.structure.inputs, strict=True):
-        g = response[max(nb - nf, 0) :]
-        half = max(g.size // 2, nf + 1)
-        parts.append(hankel(g[:half], g[half - 1 :]))
-    rows = min(len(part) for part in parts)
-    left, values, _ = np.linalg.svd(np.hstack([part[:rows] for part in parts]), full_matrices=False)
-    observed = left[:, :nf] * np.sqrt(values[:nf])
-    transition = lstsq(observed[:-1], observed[1:])[0]
-    return stabilised(np.real(np.poly(transition)))
-
-
-def _refitted(model: PolynomialModel, f: Array) -> Array:
+def _refitted(model: PolynomialModel, rows: Any, f: Array) -> Array:
     """Return all free parameters for a given F, the rest by robust regression."""
     p = np.zeros(model.n)
     place = model.structure.polynomials.f
     p[place] = f[1:]
     free = np.ones(model.n, dtype=bool)
     free[place] = False
-    p[free] = robust_regression(-model.jacobian(p)[:, free], model.residuals(p))
+    p[free] = robust_regression(-model.jacobian(p)[rows][:, free], model.residuals(p)[rows])
     return p
 
 
-def _steiglitz_mcbride(model: PolynomialModel, y: Array, f: Array) -> Array:
+def _steiglitz_mcbride(model: PolynomialModel, rows: Any, y: Array, f: Array) -> Array:
     """Return the free parameters with the least mean absolute residual on the way of the iteration."""
-    best, least = _refitted(model, f), np.inf
+    best, least = _refitted(model, rows, f), np.inf
     place = model.structure.polynomials.f
     for _ in range(_ITERATIONS):
         p = np.zeros(model.n)
         p[place] = f[1:]
-        inputs = -model.jacobian(p)
-        filtered = lfilter([1.0], f, y)[model.first :]
-        delayed = np.zeros((filtered.size, model.nf))
+        X = -model.jacobian(p)
+        filtered = lfilter([1.0], f, y)
         for j in range(1, model.nf + 1):
-            delayed[j:, j - 1] = -filtered[:-j]
-        inputs[:, place] = delayed
-        f = stabilised(np.concatenate(([1.0], lstsq(inputs, filtered)[0][place])))
-        p = _refitted(model, f)
-        residual = np.abs(model.residuals(p))
+            X[:, place.start + j - 1] = -np.concatenate((np.zeros(j), filtered[:-j]))[model.first :]
+        f = _stabilised(np.concatenate(([1.0], lstsq(X, filtered[model.first :])[0][place])))
+        p = _refitted(model, rows, f)
+        residual = np.abs(model.residuals(p)[rows])
         mean = float(np.minimum(residual, 3.0 * mad_scale(residual)).mean())
         if mean < least:
             best, least = p, mean

@@ -1,0 +1,169 @@
+"""From several starts to one estimate: the search from each, and which end to believe."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+from robust_filterpy.identification.cleaning import THRESHOLD, cleaned
+from robust_filterpy.identification.learnt_noise import ContaminatedNormal, Noise, mad_scale
+from robust_filterpy.identification.polynomial_model import PolynomialModel
+from robust_filterpy.identification.prediction_error import minimised
+from robust_filterpy.identification.starts import (
+    Start,
+    autocorrelation_start,
+    output_error_starts,
+    regression_start,
+)
+from robust_filterpy.identification.structures import OutputError
+from robust_filterpy.influence.functions import Huber, Influence
+
+__all__ = ["End", "Ranked", "ends"]
+
+# An outlier in the regressor changes the residuals, and these show which samples are outliers.
+_MOST_CLEANINGS: Final = 15
+# Ends whose residuals differ by less than this share of their size are the same.
+_SAME: Final = 1e-3
+
+# Variance of the noise, of an output of unit size, that is rounding.
+_LEAST: Final = 1e-24
+
+
+class End(NamedTuple):
+    """Where the search ended.
+
+    Attributes
+    ----------
+    starts : tuple of str
+        The starts that led here.
+    p : ndarray, shape (n,)
+        Free parameters.
+    noise : Noise
+        Noise of the residuals.
+    y : ndarray, shape (N,)
+        Output with wrong and missing samples interpolated.
+    wrong : ndarray of bool, shape (N,)
+        Which samples these are.
+    rows : ndarray of bool, shape (N - first,)
+        Which residuals count.
+    residual : ndarray, shape (N - first,)
+        Residuals of ``y``.
+    converged : bool
+        Whether the search ended by itself.
+    """
+
+    starts: tuple[str, ...]
+    p: Array
+    noise: Noise
+    y: Array
+    wrong: Any
+    rows: Any
+    residual: Array
+    converged: bool
+
+
+class Ranked(NamedTuple):
+    """An end, and how much worse than the best it is, in units of log-likelihood."""
+
+    end: End
+    excess: float
+
+
+def ends(model: PolynomialModel, missing: Any, influence: Influence | None, R: float | None) -> list[Ranked]:
+    """Search from every start.
+
+    Parameters
+    ----------
+    model : PolynomialModel
+        With an output of about unit size, any numbers where it is missing.
+    missing : ndarray of bool, shape (N,)
+        Where it is.
+    influence : Influence or None
+        Loss; None: Huber's first, then that of the noise as it is learnt.
+    R : float or None
+        Variance of the noise, if it is known.
+
+    Returns
+    -------
+    list of Ranked
+        Ends that differ, the best first.
+    """
+    noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, _LEAST)
+    ranked = _best_first(
+        model, missing, [_searched(model, s.p, noise, missing, (s.name,)) for s in _starts(model, missing, noise)]
+    )
+    if influence is not None:
+        return ranked
+    mixture = ContaminatedNormal()
+    return _best_first(
+        model,
+        missing,
+        [_searched(model, e.p, replace(e.noise, influence=mixture), missing, e.starts) for e, _ in ranked],
+    )
+
+
+def _searched(model: PolynomialModel, p: Array, noise: Noise, missing: Any, starts: tuple[str, ...]) -> End:
+    """Minimise the loss from p on, cleaning the output as often as that changes."""
+    before = ~missing
+    for _ in range(_MOST_CLEANINGS):
+        clean = cleaned(model, p, missing, noise.R if noise.known else None)
+        completed = model.with_output(clean.y)
+        rows = clean.rows & completed.conditioned
+        found = minimised(completed, p, noise, rows)
+        p, noise = found.p, found.noise
+        if np.array_equal(before, clean.wrong) or clean.wrong.sum() == missing.sum() == 0:
+            break
+        before = clean.wrong
+    return End(starts, p, noise, clean.y, clean.wrong, rows, found.residual, found.converged)
+
+
+def _best_first(model: PolynomialModel, missing: Any, found: list[End]) -> list[Ranked]:
+    """Sort ends by what the data say for them, and join those that are the same.
+
+    Of two optima with the same loss the wider one is the likelier (Laplace's approximation of the evidence): a narrow
+    one fits this recording with a pole next to the unit circle that no other recording shows.
+    """
+    noise = min((end.noise for end in found), key=lambda n: n.R)
+    losses = []
+    for end in found:
+        jacobian = model.with_output(end.y).jacobian(end.p)[end.rows]
+        root = np.sqrt(noise.weights(end.residual[end.rows]) / noise.R)
+        diagonal = np.abs(np.diag(np.linalg.qr(jacobian * root[:, None], mode="r")))
+        information = np.log(np.maximum(diagonal, np.finfo(float).tiny)).sum()
+        price = 0.5 * THRESHOLD**2 * (end.wrong.sum() - missing.sum())
+        losses.append(noise.cost(end.residual) + price + information)
+    ranked: list[Ranked] = []
+    for i in np.argsort(losses, kind="stable"):
+        for j, (end, excess) in enumerate(ranked):
+            if mad_scale(end.residual - found[i].residual) < _SAME * np.sqrt(noise.R):
+                ranked[j] = Ranked(end._replace(starts=(*end.starts, *found[i].starts)), excess)
+                break
+        else:
+            ranked.append(Ranked(found[i], float(losses[i] - min(losses))))
+    return ranked
+
+
+def _starts(model: PolynomialModel, missing: Any, noise: Noise) -> Iterator[Start]:
+    """Yield the starts that suit the structure."""
+    order = max(model.na, model.nf)
+    known = ~np.convolve(missing, np.ones(model.na + 1))[model.first : missing.size].astype(bool)
+    if not model.nf:
+        yield regression_start(model, known)
+    if not order:
+        return
+    if not model.inputs:
+        yield autocorrelation_start(model, known)
+        return
+    nb, nk = zip(*model.structure.inputs, strict=True)
+    simple = PolynomialModel(OutputError(order, nb, nk), model.y, model.u, model.offset)
+    starts = output_error_starts(simple, ~missing[simple.first :])
+    if model.structure.polynomials == simple.structure.polynomials:
+        yield from starts
+        return
+    ends = [_searched(simple, start.p, noise, missing, (start.name,)) for start in starts]
+    best = simple.parts(_best_first(simple, missing, ends)[0].end.p)
+    yield Start("output-error model", model.from_output_error(best))
