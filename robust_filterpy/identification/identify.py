@@ -12,14 +12,14 @@ from scipy.signal import lfilter
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
+from robust_filterpy.identification._continued import filled_memory
 from robust_filterpy.identification._recording import require_informative
 from robust_filterpy.identification._signals import recorded_input, recorded_output
-from robust_filterpy.identification._continued import filled_memory
 from robust_filterpy.identification.learnt_noise import mad_scale
 from robust_filterpy.identification.model import Ending, Model, resting_level
 from robust_filterpy.identification.polynomial_model import PolynomialModel
 from robust_filterpy.identification.prediction_error import sandwich
-from robust_filterpy.identification.search import End, ends
+from robust_filterpy.identification.search import End, ends, known_jacobian
 from robust_filterpy.identification.structures import Structure
 from robust_filterpy.influence.functions import Influence
 
@@ -170,14 +170,17 @@ def _as_model(
 ) -> Model:
     """Return what was found, for the recording as it was measured, its outliers and gaps interpolated."""
     structure, n, rows = model.structure, model.structure.n_theta, end.rows
-    residual, jacobian, samples = model.residuals(p), model.jacobian(p), int(rows.sum())
+    residual = model.residuals(p)
+    # Interpolated samples tell nothing: each takes a residual.
+    unknown = int(end.outliers.wrong[model.first :].sum()) if model.na else 0
+    samples = int(rows.sum()) - unknown
     # One unknown more is one residual less to tell of the noise.
     found = end.noise.R * unit**2
     noise = replace(end.noise, R=found)
-    P = sandwich(jacobian[rows], residual[rows], noise)
+    P = sandwich(known_jacobian(model, end._replace(p=p)), residual[rows], noise, samples)
     weights = np.full(missing.size, np.nan)
     weights[model.first :] = noise.weights(residual)
-    weights[end.wrong] = 0.0
+    weights[end.outliers.wrong] = 0.0
     weights[missing] = np.nan
     offset = float(p[n]) if model.offset else 0.0
     level = resting_level(model.parts(p))
@@ -193,7 +196,7 @@ def _as_model(
         log_likelihood=noise.log_likelihood(residual[rows]),
         endings=endings,
         warning=doubt,
-        memory=filled_memory(structure, regressed, model.u, residual, -jacobian[:, :n]),
+        memory=filled_memory(structure, regressed, model.u, residual, -model.jacobian(p)[:, :n]),
     )
 
 

@@ -12,9 +12,9 @@ from scipy.signal import lfilter
 
 from robust_filterpy._checks import Array, count
 from robust_filterpy.identification import _model
+from robust_filterpy.identification._continued import LevelledTracker
 from robust_filterpy.identification._regressor import Layout, Memory
 from robust_filterpy.identification._signals import recorded_input, recorded_output
-from robust_filterpy.identification._continued import LevelledTracker
 from robust_filterpy.identification.learnt_noise import Noise
 from robust_filterpy.identification.polynomial_model import Parts, PolynomialModel
 from robust_filterpy.identification.prediction import cleaned_residuals, predicted

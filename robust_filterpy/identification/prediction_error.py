@@ -43,19 +43,21 @@ class Optimum(NamedTuple):
     converged: bool
 
 
-def minimised(model: Any, p: Array, noise: Noise, rows: Array, most_steps: int = _MOST_STEPS) -> Optimum:
+def minimised(model: Any, p: Array, noise: Noise, rows: Array, clear: Array, most_steps: int = _MOST_STEPS) -> Optimum:
     """Minimise the loss of the residuals from p on.
 
     Parameters
     ----------
     model : PolynomialModel
-        Gives ``residuals(p)``, ``jacobian(p)`` and ``is_stable(p)``.
+        Gives ``residuals(p)``, ``jacobian(p)``, ``uncertainty(p)`` and ``is_stable(p)``.
     p : ndarray, shape (n,)
         Where to begin, stable.
     noise : Noise
         Noise to begin with.
     rows : ndarray of bool, shape (N - first,)
         Which residuals count.
+    clear : ndarray of bool, shape (N - first,)
+        Which of them show the noise.
     most_steps : int, default 100
         Ends the search.
 
@@ -65,12 +67,14 @@ def minimised(model: Any, p: Array, noise: Noise, rows: Array, most_steps: int =
     """
     residual, damping = model.residuals(p), 1e-3
     for _ in range(most_steps):
-        noise = noise.refitted(residual[rows])
-        root = np.sqrt(noise.weights(residual[rows]))
-        jacobian = model.jacobian(p)[rows] * root[:, None]
+        noise = noise.refitted(residual[clear])
+        root, unit = np.sqrt(noise.weights(residual[rows])), np.sqrt(noise.R)
+        further, derivatives = model.uncertainty(p)
+        jacobian = np.concatenate((model.jacobian(p)[rows] * root[:, None], unit * derivatives))
         size = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
         size[size == 0.0] = 1.0
-        target = root * residual[rows]
+        target = np.concatenate((root * residual[rows], unit * further))
+        cost = noise.cost(residual[rows]) + 0.5 * further @ further
         triangle = np.asarray(np.linalg.qr(np.column_stack((jacobian / size, target)), mode="r"))
         taken = None
         for _ in range(_MOST_SHORTENINGS):
@@ -78,7 +82,8 @@ def minimised(model: Any, p: Array, noise: Noise, rows: Array, most_steps: int =
             trial = p - step / size
             if model.is_stable(trial):
                 new = model.residuals(trial)
-                if np.isfinite(new).all() and noise.cost(new[rows]) < noise.cost(residual[rows]):
+                further, _ = model.uncertainty(trial)
+                if np.isfinite(new).all() and noise.cost(new[rows]) + 0.5 * further @ further < cost:
                     taken = trial, new
                     break
             damping = max(4.0 * damping, 1e-6)
@@ -87,8 +92,8 @@ def minimised(model: Any, p: Array, noise: Noise, rows: Array, most_steps: int =
         p, residual = taken
         damping = max(damping / 10.0, 1e-12)
         if change <= _PRECISION * np.linalg.norm(target):
-            return Optimum(p, noise.refitted(residual[rows]), residual, True)
-    return Optimum(p, noise.refitted(residual[rows]), residual, False)
+            return Optimum(p, noise.refitted(residual[clear]), residual, True)
+    return Optimum(p, noise.refitted(residual[clear]), residual, False)
 
 
 def _step(triangle: Array, damping: float) -> tuple[Array, float]:
@@ -100,7 +105,7 @@ def _step(triangle: Array, damping: float) -> tuple[Array, float]:
     return step, float(np.linalg.norm(R @ step))
 
 
-def sandwich(jacobian: Array, residual: Array, noise: Noise) -> Array:
+def sandwich(jacobian: Array, residual: Array, noise: Noise, samples: int) -> Array:
     """Return the covariance of the free parameters at an optimum.
 
     ``(N/(N - n)) R (J'J)^-1 J' diag(psi^2) J (J'J)^-1 / mean(psi')^2`` (Huber, Robust Statistics, 1981, section 7.6),
@@ -114,12 +119,14 @@ def sandwich(jacobian: Array, residual: Array, noise: Noise) -> Array:
         These residuals.
     noise : Noise
         Their noise.
+    samples : int
+        N, or less if some residuals come from unknown samples.
 
     Returns
     -------
     ndarray, shape (n, n)
     """
-    count, n = jacobian.shape
+    n = jacobian.shape[1]
     e = residual / np.sqrt(noise.R)
     psi = np.asarray(noise.influence.psi(e))
     slope = max(float(np.mean(noise.influence.psi_deriv(e))), 1e-3)
@@ -127,4 +134,4 @@ def sandwich(jacobian: Array, residual: Array, noise: Noise) -> Array:
     size[size == 0.0] = 1.0
     # Derivatives of theta by the residuals, (J'J)^-1 J', without forming J'J.
     effect = np.linalg.pinv(jacobian / size, rcond=1e-10) / size[:, None] * psi
-    return np.asarray(noise.R / slope**2 * count / (count - n) * (effect @ effect.T))
+    return np.asarray(noise.R / slope**2 * samples / (samples - n) * (effect @ effect.T))

@@ -9,10 +9,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.cleaning import THRESHOLD, cleaned
+from robust_filterpy.identification.cleaning import Outliers, found_outliers
 from robust_filterpy.identification.learnt_noise import ContaminatedNormal, Noise, mad_scale
+from robust_filterpy.identification.missing import completed, interpolated, response, touched
 from robust_filterpy.identification.polynomial_model import PolynomialModel
-from robust_filterpy.identification.prediction_error import minimised
+from robust_filterpy.identification.prediction_error import Optimum, minimised
 from robust_filterpy.identification.starts import (
     Start,
     autocorrelation_start,
@@ -22,10 +23,13 @@ from robust_filterpy.identification.starts import (
 from robust_filterpy.identification.structures import OutputError
 from robust_filterpy.influence.functions import Huber, Influence
 
-__all__ = ["End", "Ranked", "ends"]
+__all__ = ["End", "Ranked", "ends", "known_jacobian"]
 
 # An outlier in the regressor changes the residuals, and these show which samples are outliers.
-_MOST_CLEANINGS: Final = 15
+_MOST_CLEANINGS: Final = 10
+# Interpolated samples and parameters determine each other: this many turns, or until residuals move by this share.
+_MOST_MAXIMISATIONS: Final = 30
+_SETTLED: Final = 1e-5
 # Ends whose residuals differ by less than this share of their size are the same.
 _SAME: Final = 1e-3
 
@@ -46,7 +50,7 @@ class End(NamedTuple):
         Noise of the residuals.
     y : ndarray, shape (N,)
         Output with wrong and missing samples interpolated.
-    wrong : ndarray of bool, shape (N,)
+    outliers : Outliers
         Which samples these are.
     rows : ndarray of bool, shape (N - first,)
         Which residuals count.
@@ -60,7 +64,7 @@ class End(NamedTuple):
     p: Array
     noise: Noise
     y: Array
-    wrong: Any
+    outliers: Outliers
     rows: Any
     residual: Array
     converged: bool
@@ -106,19 +110,61 @@ def ends(model: PolynomialModel, missing: Any, influence: Influence | None, R: f
     )
 
 
+def known_jacobian(model: PolynomialModel, end: End) -> Array:
+    """Return the derivatives of the residuals that count, less what unknown outputs could make of them.
+
+    Parameters
+    ----------
+    model : PolynomialModel
+        With the output of the end, in any unit.
+    end : End
+        Parameters, and which outputs are unknown.
+
+    Returns
+    -------
+    ndarray, shape (number of residuals that count, n)
+    """
+    derivatives, weights = model.jacobian(end.p), end.noise.weights(end.residual)
+    if model.na and end.outliers.wrong.any():
+        h = response(model, end.p)
+        derivatives = interpolated(derivatives, h, end.outliers.wrong, weights, model.first).residual
+    return derivatives[end.rows]
+
+
 def _searched(model: PolynomialModel, p: Array, noise: Noise, missing: Any, starts: tuple[str, ...]) -> End:
     """Minimise the loss from p on, cleaning the output as often as that changes."""
-    before = ~missing
+    outliers = found_outliers(model, p, missing, noise.R if noise.known else None)
     for _ in range(_MOST_CLEANINGS):
-        clean = cleaned(model, p, missing, noise.R if noise.known else None)
-        completed = model.with_output(clean.y)
-        rows = clean.rows & completed.conditioned
-        found = minimised(completed, p, noise, rows)
+        found, full = _maximised(model, p, noise, outliers)
         p, noise = found.p, found.noise
-        if np.array_equal(before, clean.wrong) or clean.wrong.sum() == missing.sum() == 0:
+        again = found_outliers(model, p, missing, noise.R if noise.known else None, outliers.threshold)
+        if np.array_equal(again.wrong, outliers.wrong):
             break
-        before = clean.wrong
-    return End(starts, p, noise, clean.y, clean.wrong, rows, found.residual, found.converged)
+        outliers = again
+    rows = _counting(full, full is model, outliers.wrong)
+    return End(starts, p, noise, full.y, outliers, rows, found.residual, found.converged)
+
+
+def _maximised(model: PolynomialModel, p: Array, noise: Noise, outliers: Outliers) -> tuple[Optimum, PolynomialModel]:
+    """Minimise the loss with outliers in the regressor as unknowns."""
+    regressed = model.na or model.nd or model.structure.nc
+    weights = outliers.counts.astype(float)
+    for _ in range(_MOST_MAXIMISATIONS):
+        full = completed(model, p, outliers.wrong, weights) if regressed and outliers.wrong.any() else model
+        rows = _counting(full, full is model, outliers.wrong)
+        clear = rows & ~touched(outliers.wrong, response(model, p), model.first)
+        found = minimised(full, p, noise, rows, clear)
+        moved = np.linalg.norm((found.residual - full.residuals(p))[rows])
+        p, noise = found.p, found.noise
+        weights = noise.weights(found.residual)
+        if full is model or moved <= _SETTLED * np.linalg.norm(found.residual[rows]):
+            break
+    return found, full
+
+
+def _counting(model: PolynomialModel, measured: bool, unknown: Any) -> Any:
+    """Return which residuals count: those of an interpolated output all do, without their sum of squares is one less."""
+    return model.conditioned & ~unknown[model.first :] if measured else model.conditioned
 
 
 def _best_first(model: PolynomialModel, missing: Any, found: list[End]) -> list[Ranked]:
@@ -128,14 +174,15 @@ def _best_first(model: PolynomialModel, missing: Any, found: list[End]) -> list[
     one fits this recording with a pole next to the unit circle that no other recording shows.
     """
     noise = min((end.noise for end in found), key=lambda n: n.R)
+    threshold = min(end.outliers.threshold for end in found)
     losses = []
     for end in found:
-        jacobian = model.with_output(end.y).jacobian(end.p)[end.rows]
+        jacobian = known_jacobian(model.with_output(end.y), end)
         root = np.sqrt(noise.weights(end.residual[end.rows]) / noise.R)
         diagonal = np.abs(np.diag(np.linalg.qr(jacobian * root[:, None], mode="r")))
         information = np.log(np.maximum(diagonal, np.finfo(float).tiny)).sum()
-        price = 0.5 * THRESHOLD**2 * (end.wrong.sum() - missing.sum())
-        losses.append(noise.cost(end.residual) + price + information)
+        price = 0.5 * threshold**2 * (end.outliers.wrong.sum() - missing.sum())
+        losses.append(noise.cost(end.residual[end.rows]) + price + information)
     ranked: list[Ranked] = []
     for i in np.argsort(losses, kind="stable"):
         for j, (end, excess) in enumerate(ranked):
