@@ -9,16 +9,16 @@ again, climbs the likelihood of what is measured (Dempster, Laird and Rubin 1977
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
-from scipy.sparse import csc_array
+from scipy.sparse import csc_array, csr_array
 from scipy.sparse.linalg import splu
 
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.polynomial_model import PolynomialModel
 
-__all__ = ["CompletedModel", "Interpolated", "completed", "interpolated", "response", "touched"]
+__all__ = ["CompletedModel", "Unknowns", "completed", "response", "touched"]
 
 _LONGEST: Final = 200
 _SMALL: Final = 1e-3
@@ -28,22 +28,83 @@ _LEAST_TOUCH: Final = 0.2
 _MOST_COLUMNS: Final = 500
 
 
-class Interpolated(NamedTuple):
-    """An output whose unknown samples give the least sum of squares.
+class Unknowns:
+    """Some samples of an output as unknowns, chosen for the least weighted sum of squares of the residuals.
+
+    Parameters
+    ----------
+    base : ndarray, shape (N,) or (N, n)
+        Residuals with any numbers in the unknown samples; or several columns that depend on them in the same way.
+    h : ndarray, shape (L,)
+        Response of the residuals to a sample.
+    unknown : ndarray of bool, shape (first + N,)
+        Which samples are unknown.
+    weights : ndarray, shape (N,)
+        Weights of the residuals.
+    first : int
+        Sample that the first residual belongs to.
 
     Attributes
     ----------
-    residual : ndarray, shape (N - first,)
-        Its residuals.
-    correction : ndarray, shape (m,)
-        What was added to each unknown sample.
-    spread : ndarray, shape (L, L)
-        K; empty if not asked for.
+    correction : ndarray, shape (m,) or (m, n)
+        What the least sum of squares adds to each unknown sample.
+    residual : ndarray, shape of base
+        Residuals with that.
     """
 
-    residual: Array
-    correction: Array
-    spread: Array
+    def __init__(self, base: Array, h: Array, unknown: Any, weights: Array, first: int) -> None:
+        """Solve the normal equations, which are banded."""
+        self.places = np.flatnonzero(unknown) - first
+        self.correction, self.residual = np.zeros((0, *base.shape[1:])), base
+        self._h, self._weights, self._first = h, weights, first
+        self._H = _delayed(h, self.places, len(base))
+        if self.places.size:
+            weighted = csc_array(self._H.multiply(weights[:, None]))
+            # An unknown sample that no residual shows stays as it is.
+            each = np.arange(self.places.size)
+            ridge = csc_array((np.full(each.size, 1e-9), (each, each)))
+            self._gram = splu(csc_array(self._H.T @ weighted + ridge))
+            self.correction = self._gram.solve(-(weighted.T @ base))
+            self.residual = base + self._H @ self.correction
+
+    def deviations(self) -> tuple[Array, Array]:
+        """Return how far each sample is from what all others say of it, and how precisely they do; in units of 1/R."""
+        size = self._first + len(self.residual)
+        H = _delayed(self._h, np.arange(size) - self._first, len(self.residual))
+        pull = H.T @ (self._weights * self.residual)
+        precision = (H * H).T @ self._weights
+        if self.places.size:
+            cross = csr_array(H.T @ csc_array(self._H.multiply(self._weights[:, None])))
+            inverse = self._gram.solve(np.eye(self.places.size))
+            precision = precision - np.asarray(cross.multiply(cross @ inverse).sum(axis=1)).ravel()
+        deviation = pull / np.maximum(precision, 1e-9)
+        if self.places.size:
+            at = self.places + self._first
+            deviation[at], precision[at] = self.correction, 1.0 / np.maximum(np.diag(inverse), 1e-9)
+        return deviation, precision
+
+    def beyond(self) -> Array:
+        """Return what the corrections add to the residuals after the last one, shape (L - 1,)."""
+        last, length = len(self.residual), self._h.size
+        recent = self.places > last - length
+        after = _delayed(self._h, self.places[recent] - last + length, 2 * length)
+        return np.asarray(after @ self.correction[recent])[length : 2 * length - 1]
+
+    def spread(self) -> Array:
+        """Return K: what pairs of unknowns add to the expected sum of squares, by their delays to a residual."""
+        length, places = self._h.size, self.places
+        chosen = np.unique(np.linspace(0, places.size - 1, min(places.size, _MOST_COLUMNS)).astype(int))
+        unit = np.zeros((places.size, chosen.size))
+        unit[chosen, np.arange(chosen.size)] = 1.0
+        apart = places[chosen] - places[:, None]
+        near = (apart >= 0) & (apart < length)
+        covariances, delays, later = self._gram.solve(unit)[near], apart[near], places[chosen][np.nonzero(near)[1]]
+        weights = np.concatenate((np.zeros(self._first), self._weights, np.zeros(length)))
+        K = np.zeros((length, length))
+        for s in range(length):
+            seen = covariances * weights[later + self._first + s]
+            K[s:, s] = np.bincount(delays, seen, length)[: length - s]
+        return np.asarray((np.tril(K) + np.tril(K, -1).T) * places.size / chosen.size)
 
 
 class CompletedModel(PolynomialModel):
@@ -56,7 +117,7 @@ class CompletedModel(PolynomialModel):
     y : ndarray, shape (N,)
         The output, interpolated.
     spread : ndarray, shape (L, L)
-        K.
+        K of `Unknowns`.
     """
 
     def __init__(self, model: PolynomialModel, y: Array, spread: Array) -> None:
@@ -94,46 +155,6 @@ def touched(unknown: Any, h: Array, first: int) -> Any:
     return np.convolve(unknown, np.ones(reach))[first : unknown.size] > 0.5
 
 
-def interpolated(
-    residual: Array, h: Array, unknown: Any, weights: Array, first: int, covariances: bool = False
-) -> Interpolated:
-    """Choose the unknown samples for the least sum of squares of the residuals that count.
-
-    Parameters
-    ----------
-    residual : ndarray, shape (N - first,)
-        Residuals with any numbers in the unknown samples.
-    h : ndarray, shape (L,)
-        Response of the residuals.
-    unknown : ndarray of bool, shape (N,)
-        Which samples are unknown.
-    weights : ndarray, shape (N - first,)
-        Weights of the residuals.
-    first : int
-        Sample of the first residual.
-    covariances : bool, default False
-        Whether K is wanted.
-
-    Returns
-    -------
-    Interpolated
-    """
-    places = np.flatnonzero(unknown)
-    if places.size == 0:
-        return Interpolated(residual, np.zeros(0), np.zeros((1, 1)))
-    rows = (places[:, None] - first + np.arange(h.size)).ravel()
-    columns, values = np.repeat(np.arange(places.size), h.size), np.tile(h, places.size)
-    inside = (rows >= 0) & (rows < len(residual))
-    H = csc_array((values[inside], (rows[inside], columns[inside])), shape=(len(residual), places.size))
-    weighted = csc_array(H.multiply(weights[:, None]))
-    # An unknown sample that no residual shows stays as it is.
-    ridge = csc_array((np.full(places.size, 1e-9), (np.arange(places.size),) * 2))
-    gram = splu((H.T @ weighted + ridge).tocsc())
-    correction = gram.solve(-(weighted.T @ residual))
-    spread = _spread(gram, places - first, h.size, weights) if covariances else np.zeros((0, 0))
-    return Interpolated(residual + H @ correction, correction, spread)
-
-
 def completed(model: PolynomialModel, p: Array, unknown: Any, weights: Array) -> CompletedModel:
     """Return the model with its unknown outputs interpolated, and how uncertain they are.
 
@@ -152,26 +173,15 @@ def completed(model: PolynomialModel, p: Array, unknown: Any, weights: Array) ->
     -------
     CompletedModel
     """
-    found = interpolated(model.residuals(p), response(model, p), unknown, weights, model.first, covariances=True)
+    found = Unknowns(model.residuals(p), response(model, p), unknown, weights, model.first)
     y = model.y.copy()
     y[unknown] += found.correction
-    return CompletedModel(model, y, found.spread)
+    return CompletedModel(model, y, found.spread())
 
 
-def _spread(gram: Any, places: Any, length: int, weights: Array) -> Array:
-    """Return K: what pairs of unknowns add to the expected weighted sum of squares, by their delays to a residual."""
-    chosen = np.unique(np.linspace(0, places.size - 1, min(places.size, _MOST_COLUMNS)).astype(int))
-    unit = np.zeros((places.size, chosen.size))
-    unit[chosen, np.arange(chosen.size)] = 1.0
-    later = places[chosen]
-    apart = later - places[:, None]
-    near = (apart >= 0) & (apart < length)
-    covariances = gram.solve(unit)[near]
-    delays, columns = apart[near], np.nonzero(near)[1]
-    padded = np.concatenate((weights, np.zeros(length)))
-    K = np.zeros((length, length))
-    for s in range(length):
-        at = later + s
-        weight = np.where(at >= 0, padded[np.maximum(at, 0)], 0.0)[columns]
-        K[s:, s] = np.bincount(delays, covariances * weight, length)[: length - s]
-    return np.asarray((np.tril(K) + np.tril(K, -1).T) * places.size / chosen.size)
+def _delayed(h: Array, places: Any, length: int) -> Any:
+    """Return the sparse matrix whose columns hold h from each place on, cut to rows 0 .. length - 1."""
+    rows = (places[:, None] + np.arange(h.size)).ravel()
+    columns, values = np.repeat(np.arange(places.size), h.size), np.tile(h, places.size)
+    inside = (rows >= 0) & (rows < length)
+    return csc_array((values[inside], (rows[inside], columns[inside])), shape=(length, places.size))

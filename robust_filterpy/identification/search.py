@@ -11,7 +11,7 @@ import numpy as np
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.cleaning import Outliers, found_outliers
 from robust_filterpy.identification.learnt_noise import ContaminatedNormal, Noise, mad_scale
-from robust_filterpy.identification.missing import completed, interpolated, response, touched
+from robust_filterpy.identification.missing import Unknowns, completed, response, touched
 from robust_filterpy.identification.polynomial_model import PolynomialModel
 from robust_filterpy.identification.prediction_error import Optimum, minimised
 from robust_filterpy.identification.starts import (
@@ -27,8 +27,12 @@ __all__ = ["End", "Ranked", "ends", "known_jacobian"]
 
 # An outlier in the regressor changes the residuals, and these show which samples are outliers.
 _MOST_CLEANINGS: Final = 10
-# Interpolated samples and parameters determine each other: this many turns, or until residuals move by this share.
+_FIRST_CLEANINGS: Final = 2
+# Unknown samples and parameters determine each other: so many turns of so many steps, or until the residuals move by
+# less than this share.
+_FEW_MAXIMISATIONS: Final = 3
 _MOST_MAXIMISATIONS: Final = 30
+_STEPS_BETWEEN: Final = 2
 _SETTLED: Final = 1e-5
 # Ends whose residuals differ by less than this share of their size are the same.
 _SAME: Final = 1e-3
@@ -97,17 +101,14 @@ def ends(model: PolynomialModel, missing: Any, influence: Influence | None, R: f
         Ends that differ, the best first.
     """
     noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, _LEAST)
-    ranked = _best_first(
-        model, missing, [_searched(model, s.p, noise, missing, (s.name,)) for s in _starts(model, missing, noise)]
-    )
+    turns = _FIRST_CLEANINGS if influence is None else _MOST_CLEANINGS
+    found = [_searched(model, s.p, noise, missing, (s.name,), turns) for s in _starts(model, missing, noise)]
+    ranked = _best_first(model, missing, found)
     if influence is not None:
         return ranked
-    mixture = ContaminatedNormal()
-    return _best_first(
-        model,
-        missing,
-        [_searched(model, e.p, replace(e.noise, influence=mixture), missing, e.starts) for e, _ in ranked],
-    )
+    mixed = [(end, replace(end.noise, influence=ContaminatedNormal())) for end, _ in ranked]
+    found = [_searched(model, end.p, noise, missing, end.starts, _MOST_CLEANINGS) for end, noise in mixed]
+    return _best_first(model, missing, found)
 
 
 def known_jacobian(model: PolynomialModel, end: End) -> Array:
@@ -127,43 +128,50 @@ def known_jacobian(model: PolynomialModel, end: End) -> Array:
     derivatives, weights = model.jacobian(end.p), end.noise.weights(end.residual)
     if model.na and end.outliers.wrong.any():
         h = response(model, end.p)
-        derivatives = interpolated(derivatives, h, end.outliers.wrong, weights, model.first).residual
+        derivatives = Unknowns(derivatives, h, end.outliers.wrong, weights, model.first).residual
     return derivatives[end.rows]
 
 
-def _searched(model: PolynomialModel, p: Array, noise: Noise, missing: Any, starts: tuple[str, ...]) -> End:
-    """Minimise the loss from p on, cleaning the output as often as that changes."""
-    outliers = found_outliers(model, p, missing, noise.R if noise.known else None)
-    for _ in range(_MOST_CLEANINGS):
-        found, full = _maximised(model, p, noise, outliers)
+def _searched(
+    model: PolynomialModel, p: Array, noise: Noise, missing: Any, starts: tuple[str, ...], cleanings: int
+) -> End:
+    """Minimise the loss from p on, looking for outliers again as often as the parameters change what is one."""
+    known = noise.R if noise.known else None
+    outliers = found_outliers(model, p, missing, known)
+    for _ in range(cleanings):
+        found, _ = _maximised(model, p, noise, outliers, _FEW_MAXIMISATIONS)
         p, noise = found.p, found.noise
-        again = found_outliers(model, p, missing, noise.R if noise.known else None, outliers.threshold)
-        if np.array_equal(again.wrong, outliers.wrong):
-            break
+        again = found_outliers(model, p, missing, known, outliers)
+        settled = np.array_equal(again.wrong, outliers.wrong)
         outliers = again
-    rows = _counting(full, full is model, outliers.wrong)
-    return End(starts, p, noise, full.y, outliers, rows, found.residual, found.converged)
-
-
-def _maximised(model: PolynomialModel, p: Array, noise: Noise, outliers: Outliers) -> tuple[Optimum, PolynomialModel]:
-    """Minimise the loss with outliers in the regressor as unknowns."""
-    regressed = model.na or model.nd or model.structure.nc
-    weights = outliers.counts.astype(float)
-    for _ in range(_MOST_MAXIMISATIONS):
-        full = completed(model, p, outliers.wrong, weights) if regressed and outliers.wrong.any() else model
-        rows = _counting(full, full is model, outliers.wrong)
-        clear = rows & ~touched(outliers.wrong, response(model, p), model.first)
-        found = minimised(full, p, noise, rows, clear)
-        moved = np.linalg.norm((found.residual - full.residuals(p))[rows])
-        p, noise = found.p, found.noise
-        weights = noise.weights(found.residual)
-        if full is model or moved <= _SETTLED * np.linalg.norm(found.residual[rows]):
+        if settled:
             break
-    return found, full
+    found, full = _maximised(model, p, noise, outliers, _MOST_MAXIMISATIONS)
+    rows = _counting(full, full is model, outliers.wrong)
+    return End(starts, found.p, found.noise, full.y, outliers, rows, found.residual, found.converged)
+
+
+def _maximised(
+    model: PolynomialModel, p: Array, noise: Noise, outliers: Outliers, turns: int
+) -> tuple[Optimum, PolynomialModel]:
+    """Minimise the loss with outliers in the regressor as unknowns, which take turns with the parameters."""
+    if not (outliers.wrong.any() and response(model, p).size > 1):
+        rows = _counting(model, True, outliers.wrong)
+        return minimised(model, p, noise, rows, rows), model
+    weights = outliers.counts.astype(float)
+    for _ in range(turns):
+        full = completed(model, p, outliers.wrong, weights)
+        clear = full.conditioned & ~touched(outliers.wrong, response(model, p), model.first)
+        found = minimised(full, p, noise, full.conditioned, clear, _STEPS_BETWEEN)
+        moved = np.linalg.norm(found.residual - full.residuals(p))
+        p, noise, weights = found.p, found.noise, found.noise.weights(found.residual)
+        if moved <= _SETTLED * np.linalg.norm(found.residual):
+            break
+    return found._replace(converged=True), full
 
 
 def _counting(model: PolynomialModel, measured: bool, unknown: Any) -> Any:
-    """Return which residuals count: those of an interpolated output all do, without their sum of squares is one less."""
+    """Return which residuals count: all of an interpolated output, else those of samples that are measured."""
     return model.conditioned & ~unknown[model.first :] if measured else model.conditioned
 
 
@@ -211,6 +219,6 @@ def _starts(model: PolynomialModel, missing: Any, noise: Noise) -> Iterator[Star
     if model.structure.polynomials == simple.structure.polynomials:
         yield from starts
         return
-    ends = [_searched(simple, start.p, noise, missing, (start.name,)) for start in starts]
+    ends = [_searched(simple, start.p, noise, missing, (start.name,), 1) for start in starts]
     best = simple.parts(_best_first(simple, missing, ends)[0].end.p)
     yield Start("output-error model", model.from_output_error(best))
