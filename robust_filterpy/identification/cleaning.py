@@ -16,7 +16,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.learnt_noise import mad_scale
+from robust_filterpy.identification.learnt_noise import Noise, mad_scale
 from robust_filterpy.identification.missing import Unknowns, response, touched
 from robust_filterpy.identification.polynomial_model import PolynomialModel
 
@@ -54,7 +54,7 @@ class Outliers(NamedTuple):
 
 
 def found_outliers(
-    model: PolynomialModel, p: Array, missing: Any, R: float | None = None, before: Outliers | None = None
+    model: PolynomialModel, p: Array, missing: Any, noise: Noise, before: Outliers | None = None
 ) -> Outliers:
     """Find the outliers in the output and in the noise of a model that has measured outputs in its regressor.
 
@@ -66,8 +66,8 @@ def found_outliers(
         Its free parameters.
     missing : ndarray of bool, shape (N,)
         Which samples are missing.
-    R : float, optional
-        Variance of the ordinary noise. Default: from the median of the residuals.
+    noise : Noise
+        Whether there are outliers, and R if it is known; otherwise that comes from the median of the residuals.
     before : Outliers, optional
         What was found with other parameters.
 
@@ -78,8 +78,9 @@ def found_outliers(
     """
     h, first, residual = response(model, p), model.first, model.residuals(p)
     wrong, counts = missing.copy(), np.ones(residual.size, dtype=bool)
+    R = noise.R if noise.known else None
     threshold = _THRESHOLDS[1] if before is None else before.threshold
-    if h.size == 1:
+    if h.size == 1 or not noise.has_outliers:
         return Outliers(wrong, counts, threshold)
     if before is not None:
         wrong |= before.wrong
@@ -113,10 +114,11 @@ def _judged(
         output = np.where(precision > _VAGUE, np.abs(deviation) * np.sqrt(precision) / scale, 0.0)
         output[:first] = 0.0
         noise = np.concatenate((np.zeros(first), np.where(counts, np.abs(residual) / scale, 0.0)))
-        either = np.maximum(np.where(wrong, 0.0, output), noise)
+        either = _decided(np.maximum(np.where(wrong, 0.0, output), noise))
         peak = (either > threshold) & (either >= maximum_filter1d(either, near))
-        new = peak & ~wrong & (output >= noise)
-        ordinary = np.where(wrong & ~missing, output, np.inf)
+        # Of the last sample one residual alone tells, and either kind of outlier explains it: then it is the noise's.
+        new = peak & ~wrong & (output > 1.000001 * noise)
+        ordinary = -_decided(np.where(wrong & ~missing, -output, -np.inf))
         back = (ordinary < threshold) & (ordinary <= minimum_filter1d(ordinary, near)) & (turn < _MOST_ROUNDS // 2)
         again = ~counts & (np.abs(residual) < threshold * scale)
         if not (peak.any() or back.any() or again.any()):
@@ -125,6 +127,11 @@ def _judged(
         counts[(peak & ~new)[first:]] = False
         counts[again] = True
     return Unknowns(base, h, wrong, counts.astype(float), first)
+
+
+def _decided(statistic: Array) -> Array:
+    """Return a statistic without ties: next to what is unknown, samples may explain the same, and rounding decided."""
+    return np.round(statistic, 6) - 1e-10 * np.arange(statistic.size)
 
 
 def _similar(h: Array) -> int:

@@ -19,15 +19,19 @@ from robust_filterpy.identification.learnt_noise import mad_scale
 from robust_filterpy.identification.model import Ending, Model, resting_level
 from robust_filterpy.identification.polynomial_model import PolynomialModel
 from robust_filterpy.identification.prediction_error import sandwich
-from robust_filterpy.identification.search import End, ends, known_jacobian
+from robust_filterpy.identification.search import End, ends, known_part
 from robust_filterpy.identification.structures import Structure
 from robust_filterpy.influence.functions import Influence
 
 __all__ = ["identify"]
 
-# Two ends as close in log-likelihood and as far apart in output (percent) leave the model open.
+# Two ends as close in log-likelihood, and so far apart in output (percent, and twice what the noise explains), leave the
+# model open.
 _CLOSE: Final = 3.0
 _APART: Final = 5.0
+
+# In units of its scale, a larger output is as wild as this one; its loss would hide all others in rounding.
+_LARGEST: Final = 1e10
 
 
 def identify(
@@ -107,21 +111,24 @@ def identify(
         raise TypeError(f"influence: expected an influence function such as Huber(), got {influence!r}")
     if not isinstance(offset, (bool, np.bool_)):
         raise TypeError(f"offset: expected True or False, got {offset!r}")
-    output = recorded_output(y)
-    signal = recorded_input(structure, u, output.size)
+    measured = recorded_output(y)
+    signal = recorded_input(structure, u, measured.size)
     known = None if R is None else _checks.positive("R", R)
-    missing = np.isnan(output)
-    units = _Units.of(output, signal, bool(offset))
-    model = PolynomialModel(structure, units.normal_output(output), signal / units.u, bool(offset))
+    missing = np.isnan(measured)
+    units = _Units.of(measured, signal, bool(offset))
+    model = PolynomialModel(structure, units.normal_output(measured), signal / units.u, bool(offset))
     require_informative(model, missing)
     ranked = ends(model, missing, influence, None if known is None else known / units.y**2)
-    endings = tuple(Ending(end.starts, excess, _apart(model, ranked[0].end, end)) for end, excess in ranked)
-    doubt = _doubt(ranked[0].end, endings)
+    best = ranked[0].end
+    output = _output(model, best)
+    endings = tuple(Ending(end.starts, excess, _apart(output, _output(model, end))) for end, excess in ranked)
+    # What the noise makes of the output of any model with so many parameters.
+    unsure = 100.0 * np.sqrt(structure.n_theta * best.noise.R / best.rows.sum()) / np.std(output)
+    doubt = _doubt(best, endings, max(_APART, 2.0 * unsure))
     if doubt:
         warnings.warn(f"identify: {doubt}", stacklevel=2)
-    best = ranked[0].end
-    measured = PolynomialModel(structure, best.y * units.y + units.centre, signal, bool(offset))
-    return _as_model(measured, units.back(model, best.p), best, missing, units.y, known, endings, doubt)
+    recorded = PolynomialModel(structure, best.y * units.y + units.centre, signal, bool(offset))
+    return _as_model(recorded, units.back(model, best.p), best, missing, units.y, known, endings, doubt)
 
 
 class _Units(NamedTuple):
@@ -144,7 +151,7 @@ class _Units(NamedTuple):
 
     def normal_output(self, y: Array) -> Array:
         """Return y from its centre in its scale, 0 where it is missing."""
-        return np.nan_to_num((y - self.centre) / self.y, nan=0.0)
+        return np.clip(np.nan_to_num((y - self.centre) / self.y, nan=0.0), -_LARGEST, _LARGEST)
 
     def back(self, model: PolynomialModel, p: Array) -> Array:
         """Return the free parameters for the recording as it was measured."""
@@ -171,13 +178,11 @@ def _as_model(
     """Return what was found, for the recording as it was measured, its outliers and gaps interpolated."""
     structure, n, rows = model.structure, model.structure.n_theta, end.rows
     residual = model.residuals(p)
-    # Interpolated samples tell nothing: each takes a residual.
-    unknown = int(end.outliers.wrong[model.first :].sum()) if model.na else 0
-    samples = int(rows.sum()) - unknown
-    # One unknown more is one residual less to tell of the noise.
+    # One parameter more is one residual less to tell of the noise.
+    samples = int(rows.sum())
     found = end.noise.R * unit**2
     noise = replace(end.noise, R=found)
-    P = sandwich(known_jacobian(model, end._replace(p=p)), residual[rows], noise, samples)
+    P = sandwich(*known_part(model, end._replace(p=p)), noise)
     weights = np.full(missing.size, np.nan)
     weights[model.first :] = noise.weights(residual)
     weights[end.outliers.wrong] = 0.0
@@ -200,11 +205,10 @@ def _as_model(
     )
 
 
-def _apart(model: PolynomialModel, best: End, other: End) -> float:
-    """Return how far the output of another end is from the best one's, in percent of that one's variation."""
-    first, second = _output(model, best), _output(model, other)
+def _apart(best: Array, other: Array) -> float:
+    """Return how far another output is from the best one, in percent of that one's variation."""
     with np.errstate(over="ignore", invalid="ignore"):
-        difference = float(100.0 * np.std(second - first) / np.std(first)) if best is not other else 0.0
+        difference = float(100.0 * np.std(other - best) / np.std(best))
     return difference if np.isfinite(difference) else np.inf
 
 
@@ -217,10 +221,10 @@ def _output(model: PolynomialModel, end: End) -> Array:
     return np.asarray(lfilter([1.0], model.parts(p).a, model.undisturbed(p)))
 
 
-def _doubt(best: End, endings: tuple[Ending, ...]) -> str:
+def _doubt(best: End, endings: tuple[Ending, ...], apart: float) -> str:
     """Say what makes the estimate doubtful, or nothing."""
     for starts, excess, difference in endings[1:]:
-        if excess < _CLOSE and difference > _APART:
+        if excess < _CLOSE and difference > apart:
             return (
                 f"two models explain the recording almost equally well (log-likelihoods {excess:.1f} apart), and their "
                 f"outputs differ by {difference:.0f} %; a longer recording, a more exciting input or a smaller "

@@ -18,7 +18,7 @@ from scipy.special import expit
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.influence.functions import Influence
+from robust_filterpy.influence.functions import Huber, Influence
 
 __all__ = ["ContaminatedNormal", "Noise"]
 
@@ -31,6 +31,11 @@ _PRIOR_RATIO_SAMPLES: Final = 2.0
 # Beyond these limits the two distributions cannot be told apart, or exchange their roles.
 _CONTAMINATIONS: Final = (1e-3, 0.45)
 _RATIOS: Final = (3.0, 1e4)
+
+# Beyond so many standard deviations of the wider distribution its tails are those of Huber's least favourable one, or a
+# single gross outlier would move everything and make all others ordinary.
+_REACH: Final = 3.0
+_WIDE: Final = Huber(_REACH)
 
 _MAD_TO_SCALE: Final = 1.482602218505602
 # The square of a larger one leaves the range of floats.
@@ -55,7 +60,8 @@ class ContaminatedNormal:
 
     Notes
     -----
-    Its psi goes back to e/scale_ratio^2: a gross outlier moves nothing, a doubtful sample a little.
+    psi comes back from its peak to e/scale_ratio^2, and stays constant beyond 3 scale_ratio, where the wider
+    distribution continues as Huber's least favourable one: outliers of any size move a bounded amount.
 
     Examples
     --------
@@ -80,7 +86,8 @@ class ContaminatedNormal:
     def rho(self, e: ArrayLike) -> Array:
         """Return -log p(e)/p(0), the shape of e."""
         e = _bounded(e)
-        return np.asarray(0.5 * e * e - np.logaddexp(0.0, -self._log_odds(e)) + np.logaddexp(0.0, -self._log_odds(0.0)))
+        share = np.logaddexp(0.0, -self._log_odds(e)) - np.logaddexp(0.0, -self._log_odds(0.0))
+        return np.asarray(0.5 * e * e - share)
 
     def psi(self, e: ArrayLike) -> Array:
         """Return the score -p'(e)/p(e), the shape of e."""
@@ -90,30 +97,30 @@ class ContaminatedNormal:
     def psi_deriv(self, e: ArrayLike) -> Array:
         """Return the derivative of psi, negative where the two distributions compete; the shape of e."""
         e = _bounded(e)
-        p, excess = self.ordinary(e), self._excess
-        return np.asarray(1.0 - (1.0 - p) * excess - p * (1.0 - p) * (excess * e) ** 2)
+        p, far = self.ordinary(e), _WIDE.psi(e / self.scale_ratio) / self.scale_ratio
+        slope = _WIDE.psi_deriv(e / self.scale_ratio) / self.scale_ratio**2
+        return np.asarray(p + (1.0 - p) * slope - p * (1.0 - p) * (e - far) ** 2)
 
     def weights(self, e: ArrayLike) -> Array:
-        """Return psi(e)/e, between 1/scale_ratio^2 and 1; the shape of e."""
-        return np.asarray(1.0 - (1.0 - self.ordinary(e)) * self._excess)
+        """Return psi(e)/e, in (0, 1]; the shape of e."""
+        e = _bounded(e)
+        p = self.ordinary(e)
+        return np.asarray(p + (1.0 - p) * _WIDE.weights(e / self.scale_ratio) / self.scale_ratio**2)
 
     def log_normalizer(self, dim: int) -> float:
         """Return log of the integral of exp(-rho) for dim = 1, times dim."""
         return dim * (0.5 * math.log(2.0 * math.pi) - math.log1p(-self.contamination) - math.log1p(self._odds_at_zero))
 
     @property
-    def _excess(self) -> float:
-        """Return the share of the ordinary precision that an outlier lacks."""
-        return 1.0 - self.scale_ratio**-2
-
-    @property
     def _odds_at_zero(self) -> float:
         """Return the odds of an outlier where the residual is 0."""
-        return self.contamination / (1.0 - self.contamination) / self.scale_ratio
+        wider = self.scale_ratio * math.exp(_WIDE.log_normalizer(1)) / math.sqrt(2.0 * math.pi)
+        return self.contamination / (1.0 - self.contamination) / wider
 
     def _log_odds(self, e: ArrayLike) -> Array:
         """Return the log of the odds that a sample is an ordinary one."""
-        return np.asarray(-math.log(self._odds_at_zero) - 0.5 * self._excess * np.square(e))
+        e = np.asarray(e, dtype=float)
+        return np.asarray(-math.log(self._odds_at_zero) - 0.5 * e * e + _WIDE.rho(e / self.scale_ratio))
 
 
 def _bounded(e: ArrayLike) -> Array:
@@ -163,6 +170,11 @@ class Noise:
             return self._maximised(self.influence, residual, steps)
         return self if self.known else replace(self, R=max(mad_scale(residual) ** 2, self.least))
 
+    @property
+    def has_outliers(self) -> bool:
+        """Whether a large residual has less weight than a small one: not for `Linear`."""
+        return float(np.asarray(self.influence.weights(np.array([1e6])))[0]) < 1.0
+
     def cost(self, residual: Array) -> float:
         """Return -log of the likelihood of the residuals, up to a constant that R alone determines."""
         return float(np.sum(self.influence.rho(residual / math.sqrt(self.R))))
@@ -183,7 +195,7 @@ class Noise:
         for _ in range(steps):
             p = ContaminatedNormal(contamination, ratio).ordinary(residual / math.sqrt(R))
             outlying = 1.0 - p
-            outliers, energy = outlying.sum(), outlying @ square
+            outliers, energy = outlying.sum(), outlying @ np.minimum(square, _REACH**2 * ratio**2 * R)
             if not self.known:
                 R = max(float(p @ square) / max(float(p.sum()), 1.0), self.least)
             contamination = (outliers + _PRIOR_OUTLIERS) / (residual.size + _PRIOR_SAMPLES)

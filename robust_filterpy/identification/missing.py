@@ -83,6 +83,18 @@ class Unknowns:
             deviation[at], precision[at] = self.correction, 1.0 / np.maximum(np.diag(inverse), 1e-9)
         return deviation, precision
 
+    def leverages(self) -> Array:
+        """Return the share of the variance of each residual that the choice of the unknowns takes away, shape (N,)."""
+        shares, rows_of = np.zeros(len(self.residual)), csr_array(self._H)
+        for start in range(0, self.places.size, _MOST_COLUMNS):
+            some = np.arange(start, min(start + _MOST_COLUMNS, self.places.size))
+            unit = np.zeros((self.places.size, some.size))
+            unit[some, np.arange(some.size)] = 1.0
+            near = slice(max(self.places[some[0]], 0), max(self.places[some[-1]] + self._h.size, 0))
+            effect = rows_of[near] @ self._gram.solve(unit)
+            shares[near] += rows_of[near][:, some].multiply(effect).sum(axis=1)
+        return np.minimum(shares * self._weights, 1.0)
+
     def beyond(self) -> Array:
         """Return what the corrections add to the residuals after the last one, shape (L - 1,)."""
         last, length = len(self.residual), self._h.size

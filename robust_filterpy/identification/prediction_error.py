@@ -105,7 +105,7 @@ def _step(triangle: Array, damping: float) -> tuple[Array, float]:
     return step, float(np.linalg.norm(R @ step))
 
 
-def sandwich(jacobian: Array, residual: Array, noise: Noise, samples: int) -> Array:
+def sandwich(jacobian: Array, residual: Array, noise: Noise) -> Array:
     """Return the covariance of the free parameters at an optimum.
 
     ``(N/(N - n)) R (J'J)^-1 J' diag(psi^2) J (J'J)^-1 / mean(psi')^2`` (Huber, Robust Statistics, 1981, section 7.6),
@@ -119,14 +119,12 @@ def sandwich(jacobian: Array, residual: Array, noise: Noise, samples: int) -> Ar
         These residuals.
     noise : Noise
         Their noise.
-    samples : int
-        N, or less if some residuals come from unknown samples.
 
     Returns
     -------
     ndarray, shape (n, n)
     """
-    n = jacobian.shape[1]
+    samples, n = jacobian.shape
     e = residual / np.sqrt(noise.R)
     psi = np.asarray(noise.influence.psi(e))
     slope = max(float(np.mean(noise.influence.psi_deriv(e))), 1e-3)

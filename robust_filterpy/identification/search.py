@@ -23,7 +23,7 @@ from robust_filterpy.identification.starts import (
 from robust_filterpy.identification.structures import OutputError
 from robust_filterpy.influence.functions import Huber, Influence
 
-__all__ = ["End", "Ranked", "ends", "known_jacobian"]
+__all__ = ["End", "Ranked", "ends", "known_part"]
 
 # An outlier in the regressor changes the residuals, and these show which samples are outliers.
 _MOST_CLEANINGS: Final = 10
@@ -111,8 +111,8 @@ def ends(model: PolynomialModel, missing: Any, influence: Influence | None, R: f
     return _best_first(model, missing, found)
 
 
-def known_jacobian(model: PolynomialModel, end: End) -> Array:
-    """Return the derivatives of the residuals that count, less what unknown outputs could make of them.
+def known_part(model: PolynomialModel, end: End) -> tuple[Array, Array]:
+    """Return the derivatives of the residuals that count less what unknown outputs could make of them, and residuals.
 
     Parameters
     ----------
@@ -123,25 +123,28 @@ def known_jacobian(model: PolynomialModel, end: End) -> Array:
 
     Returns
     -------
-    ndarray, shape (number of residuals that count, n)
+    derivatives : ndarray, shape (number of residuals that count, n)
+        Without the part that corrections of unknown outputs explain.
+    residual : ndarray, shape (number of residuals that count,)
+        As large as they would be, had not the unknown outputs been chosen to make them small.
     """
-    derivatives, weights = model.jacobian(end.p), end.noise.weights(end.residual)
-    if model.na and end.outliers.wrong.any():
-        h = response(model, end.p)
-        derivatives = Unknowns(derivatives, h, end.outliers.wrong, weights, model.first).residual
-    return derivatives[end.rows]
+    derivatives, residual, h = model.jacobian(end.p), model.residuals(end.p), response(model, end.p)
+    if h.size > 1 and end.outliers.wrong.any():
+        unknowns = Unknowns(derivatives, h, end.outliers.wrong, end.noise.weights(end.residual), model.first)
+        derivatives = unknowns.residual
+        residual = residual / np.sqrt(np.maximum(1.0 - unknowns.leverages(), 1e-3))
+    return derivatives[end.rows], residual[end.rows]
 
 
 def _searched(
     model: PolynomialModel, p: Array, noise: Noise, missing: Any, starts: tuple[str, ...], cleanings: int
 ) -> End:
     """Minimise the loss from p on, looking for outliers again as often as the parameters change what is one."""
-    known = noise.R if noise.known else None
-    outliers = found_outliers(model, p, missing, known)
+    outliers = found_outliers(model, p, missing, noise)
     for _ in range(cleanings):
         found, _ = _maximised(model, p, noise, outliers, _FEW_MAXIMISATIONS)
         p, noise = found.p, found.noise
-        again = found_outliers(model, p, missing, known, outliers)
+        again = found_outliers(model, p, missing, noise, outliers)
         settled = np.array_equal(again.wrong, outliers.wrong)
         outliers = again
         if settled:
@@ -185,9 +188,11 @@ def _best_first(model: PolynomialModel, missing: Any, found: list[End]) -> list[
     threshold = min(end.outliers.threshold for end in found)
     losses = []
     for end in found:
-        jacobian = known_jacobian(model.with_output(end.y), end)
+        jacobian, _ = known_part(model.with_output(end.y), end)
         root = np.sqrt(noise.weights(end.residual[end.rows]) / noise.R)
-        diagonal = np.abs(np.diag(np.linalg.qr(jacobian * root[:, None], mode="r")))
+        # Offset and start first: what follows on the diagonal is what the data tell of theta without knowing them.
+        backwards = np.asarray(np.linalg.qr(jacobian[:, ::-1] * root[:, None], mode="r"))
+        diagonal = np.abs(np.diag(backwards))[-model.structure.n_theta :]
         information = np.log(np.maximum(diagonal, np.finfo(float).tiny)).sum()
         price = 0.5 * threshold**2 * (end.outliers.wrong.sum() - missing.sum())
         losses.append(noise.cost(end.residual[end.rows]) + price + information)

@@ -25,6 +25,8 @@ __all__ = ["Start", "autocorrelation_start", "output_error_starts", "regression_
 
 # Lengths of the impulse response that are tried, in samples.
 _LENGTHS: Final = (30, 80, 200)
+# A model with poles that the data do not show is found from one with fewer, the others at 0.
+_FEWER_POLES: Final = 2
 # Where the poles of the first prefilters are.
 _POLES: Final = (0.0, 0.8)
 _ITERATIONS: Final = 15
@@ -154,7 +156,9 @@ def output_error_starts(model: PolynomialModel, rows: Any) -> Iterator[Start]:
             best = scale
             completed = predicted + np.clip(model.y - predicted, -2.0 * scale, 2.0 * scale)
             completed[model.first :][~rows] = predicted[model.first :][~rows]
-        yield Start(f"impulse response of {length} samples", _refitted(model, rows, _reduced(model, responses)))
+        for order in range(model.nf, max(model.nf - _FEWER_POLES, 1) - 1, -1):
+            name = f"impulse response of {length} samples, {order} poles"
+            yield Start(name, _refitted(model, rows, _reduced(model, responses, order)))
     for pole in _POLES:
         f = np.asarray(np.poly(np.full(model.nf, pole)), dtype=float)
         yield Start(f"Steiglitz-McBride from poles at {pole:g}", _steiglitz_mcbride(model, rows, completed, f))
@@ -181,8 +185,8 @@ def _impulse_responses(model: PolynomialModel, rows: Any, length: int) -> tuple[
     return responses, predicted
 
 
-def _reduced(model: PolynomialModel, responses: Array) -> Array:
-    """Return the denominator of degree nf that the impulse responses share."""
+def _reduced(model: PolynomialModel, responses: Array, order: int) -> Array:
+    """Return the denominator with so many poles that the impulse responses share, the others at 0."""
     nf, length = model.nf, responses.shape[1]
     parts = []
     for g, acting in zip(responses, model.inputs, strict=True):
@@ -191,11 +195,10 @@ def _reduced(model: PolynomialModel, responses: Array) -> Array:
     rows = max(min(len(part) for part in parts) // 2, nf + 1)
     columns = min(len(part) for part in parts) - rows + 1
     left, values, _ = np.linalg.svd(np.hstack([part[:rows, :columns] for part in parts]), full_matrices=False)
-    observed = left[:, :nf] * np.sqrt(values[:nf])
+    observed = left[:, :order] * np.sqrt(values[:order])
     transition = lstsq(observed[:-1], observed[1:])[0]
-    order = len(transition)
     f = np.zeros(nf + 1)
-    f[: order + 1] = np.real(np.poly(transition))
+    f[: len(transition) + 1] = np.real(np.poly(transition))
     return _stabilised(f)
 
 
