@@ -31,10 +31,12 @@ if TYPE_CHECKING:
         ARX,
         FIR,
         LinearRegression,
+        Model,
         OutputError,
         ParameterTracker,
         TrackerBank,
     )
+    from robust_filterpy.identification.identify import identify
     from robust_filterpy.noise import estimate_noise
 
 _LAZY = {
@@ -44,6 +46,7 @@ _LAZY = {
     "FIR": "identification",
     "FilterBank": "batch",
     "LinearRegression": "identification",
+    "Model": "identification",
     "NoiseMatchedKalmanFilter": "filters",
     "OutputError": "identification",
     "ParameterTracker": "identification",
@@ -56,6 +59,7 @@ _LAZY = {
     "diagnose": "diagnostics",
     "estimate_noise": "noise",
     "filter_series": "batch",
+    "identify": "identification",
     "smooth_series": "batch",
 }
 __all__ = [
@@ -68,6 +72,7 @@ __all__ = [
     "Huber",
     "Linear",
     "LinearRegression",
+    "Model",
     "NoiseMatchedKalmanFilter",
     "OutputError",
     "ParameterTracker",
@@ -84,6 +89,7 @@ __all__ = [
     "diagnose",
     "estimate_noise",
     "filter_series",
+    "identify",
     "smooth_series",
 ]
 

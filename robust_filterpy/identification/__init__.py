@@ -4,6 +4,15 @@
 * `tracker`: theta in y = phi' theta + v, sample by sample.
 * `bank`: the same for many actuators at once.
 * `results`: what they return.
+* `identify`: the model of a recording, from nothing; made of
+  `polynomial_model`: residuals of all structures and their derivatives,
+  `starts`: where to begin without a guess,
+  `prediction_error`: the search for the least robust loss,
+  `learnt_noise`: the noise that residuals show,
+  `cleaning`: outliers that the regressor holds,
+  `missing`: outputs that it holds and nobody measured,
+  `search`: all of these together, and which of several ends to believe.
+* `model`: what `identify` returns; with `prediction` through outliers.
 * `guard`: keeping a model that feeds back its own output stable.
 * `validation`: how well a model agrees with a recording.
 
@@ -13,6 +22,8 @@ Imports from below: `influence`, `correction`, `compiled`, `filters`, `batch`.
 from __future__ import annotations
 
 from robust_filterpy.identification.bank import BankResult, BankSample, TrackerBank
+from robust_filterpy.identification.identify import identify
+from robust_filterpy.identification.model import Model
 from robust_filterpy.identification.results import Coefficients, Intervals, Sample, TrackingResult
 from robust_filterpy.identification.structures import ARMAX, ARX, FIR, LinearRegression, OutputError
 from robust_filterpy.identification.tracker import ParameterTracker
@@ -26,9 +37,11 @@ __all__ = [
     "Coefficients",
     "Intervals",
     "LinearRegression",
+    "Model",
     "OutputError",
     "ParameterTracker",
     "Sample",
     "TrackerBank",
     "TrackingResult",
+    "identify",
 ]

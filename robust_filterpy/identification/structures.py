@@ -13,16 +13,35 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from itertools import accumulate, pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy._checks import Array, count, described, numbers
 
-__all__ = ["ARMAX", "ARX", "FIR", "LinearRegression", "OutputError", "Structure"]
+__all__ = ["ARMAX", "ARX", "FIR", "LinearRegression", "OutputError", "Polynomials", "Structure"]
 
 Orders = int | tuple[int, ...]
+
+
+class Polynomials(NamedTuple):
+    """Where the coefficients of A(q) y = B(q)/F(q) u + C(q)/D(q) v stand in theta, without the leading 1s.
+
+    Attributes
+    ----------
+    a, f, c, d : slice
+        Places of A, F, C and D; empty where a structure has no such polynomial.
+    b : tuple of slice
+        Places of B for each input.
+    """
+
+    a: slice
+    b: tuple[slice, ...]
+    f: slice
+    c: slice
+    d: slice
 
 
 class Structure:
@@ -60,6 +79,14 @@ class Structure:
     def uses_model_output(self) -> bool:
         """Whether phi holds the model's own outputs in place of the measured ones (paper 20)."""
         return False
+
+    @cached_property
+    def polynomials(self) -> Polynomials:
+        """Which polynomial each parameter belongs to."""
+        ends = list(accumulate((nb for nb, _ in self.inputs), initial=self.na))
+        none = slice(self.n_theta, self.n_theta)
+        b = tuple(slice(start, stop) for start, stop in pairwise(ends))
+        return Polynomials(slice(0, self.na), b, none, slice(ends[-1], self.n_theta), none)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -259,6 +286,12 @@ class OutputError(Structure):
     def uses_model_output(self) -> bool:
         """Whether phi holds the model's own outputs: it does."""
         return True
+
+    @cached_property
+    def polynomials(self) -> Polynomials:
+        """Which polynomial each parameter belongs to: the a's are the denominator of the input alone."""
+        found = super().polynomials
+        return found._replace(a=slice(0, 0), f=found.a)
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,9 @@ def run(choices, zs, model, P, size=None, x=None, **options):
     """Run one series and return what the kernel kept, and how far it came."""
     (steps, m), n = zs.shape, model[0].shape[-1]
     dims = (3, 3, 3, 3, 2)
-    model = Model(*(np.ascontiguousarray(a if a.ndim == dim else a[None])[None] for a, dim in zip(model, dims)))
+    model = Model(
+        *(np.ascontiguousarray(a if a.ndim == dim else a[None])[None] for a, dim in zip(model, dims, strict=True))
+    )
     kept = output(1, steps, n, m)
     x = np.zeros((1, n)) if x is None else x[None].copy()
     size = size or dispatch.series_size(n, m, steps)

@@ -1,0 +1,357 @@
+"""Model: what a recording told, as one value: parameters and their uncertainty, the noise, predictions."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.signal import lfilter
+
+from robust_filterpy._checks import Array, count
+from robust_filterpy.identification import _model
+from robust_filterpy.identification._continued import LevelledTracker
+from robust_filterpy.identification._regressor import Layout, Memory
+from robust_filterpy.identification._signals import recorded_input, recorded_output
+from robust_filterpy.identification.learnt_noise import Noise
+from robust_filterpy.identification.polynomial_model import Parts, PolynomialModel
+from robust_filterpy.identification.prediction import cleaned_residuals, predicted
+from robust_filterpy.identification.results import Coefficients, Intervals, intervals
+from robust_filterpy.identification.starts import robust_regression
+from robust_filterpy.identification.structures import Structure
+from robust_filterpy.identification.tracker import ParameterTracker
+from robust_filterpy.identification.validation import fit_percent
+
+if TYPE_CHECKING:
+    import control
+
+__all__ = ["Ending", "Model"]
+
+# Below this share of its coefficients' size A(1) is 0: the model integrates and has no level.
+_INTEGRATES: Final = 1e-9
+
+
+class Ending(NamedTuple):
+    """Where the search from some of the starts ended.
+
+    Attributes
+    ----------
+    starts : tuple of str
+        The starts that led here.
+    excess : float
+        How much less likely than the best this end is, as a difference of log-likelihoods; 0 for the best.
+    difference : float
+        How far its output is from the best one's, in percent of that one's variation.
+    """
+
+    starts: tuple[str, ...]
+    excess: float
+    difference: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Model:
+    """A(q) y = B(q)/F(q) u + offset + C(q)/D(q) v, as `identify` found it.
+
+    Attributes
+    ----------
+    structure : Structure
+        Which polynomials there are, and their orders.
+    theta : ndarray, shape (n,)
+        Parameters, in the order of ``structure.names``.
+    offset : float
+        Constant of the equation: in an OutputError, FIR or LinearRegression what is added to the output, in an ARX or
+        ARMAX the last coefficient of the regression. `level` is what it means for y.
+    P : ndarray, shape (n, n)
+        Covariance of theta, in sandwich form: honest whatever the distribution of the noise.
+    offset_std : float
+        Standard deviation of the offset; 0 if it was not estimated.
+    noise : Noise
+        Variance R of the ordinary noise and the influence function, with contamination and scale_ratio if learnt.
+    weights : ndarray, shape (N,)
+        How much each sample of the recording was believed: psi(e)/e of its residual, 0 for an outlier that stood in
+        the regressor, NaN where y is missing or the regressor lies before the recording.
+    log_likelihood : float
+        Of the samples that count, under the density that the influence function is made for.
+    endings : tuple of Ending
+        Where the search ended from each start, the best first.
+    warning : str
+        What makes this estimate doubtful, in words; empty if nothing does.
+    memory : Memory
+        Past signals at the end of the recording, for `tracker`.
+
+    Notes
+    -----
+    `identify` makes it.
+    """
+
+    structure: Structure
+    theta: Array
+    offset: float
+    P: Array
+    offset_std: float
+    noise: Noise
+    weights: Array
+    log_likelihood: float
+    endings: tuple[Ending, ...]
+    warning: str
+    memory: Memory = field(compare=False)
+
+    def __repr__(self) -> str:
+        """Show the parameters with their standard deviations."""
+        values = zip(self.structure.names, self.theta, self.std, strict=True)
+        text = ", ".join(f"{name}={value:.4g}+-{std:.2g}" for name, value, std in values)
+        return f"Model({self.structure}, {text}, offset={self.offset:.4g}, R={self.R:.4g})"
+
+    # The model.
+
+    @property
+    def R(self) -> float:
+        """Variance of the ordinary noise, in the unit of y squared."""
+        return self.noise.R
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations of the parameters, shape (n,)."""
+        return np.sqrt(np.maximum(self.P.diagonal(), 0.0))
+
+    @property
+    def coefficients(self) -> Coefficients:
+        """a, b and c; see `Coefficients`."""
+        return _model.coefficients(self.structure, self.theta)
+
+    @property
+    def level(self) -> float:
+        """What the output is at rest, offset/A(1); 0 if the model integrates, which has no rest."""
+        return resting_level(self._parts())
+
+    def confidence_intervals(self, level: float = 0.95) -> Intervals:
+        """Return theta -+ z std, z the normal quantile of the level.
+
+        Parameters
+        ----------
+        level : float, default 0.95
+            Probability of each interval, in (0, 1).
+
+        Returns
+        -------
+        Intervals
+            lower, upper, each of shape (n,).
+
+        Raises
+        ------
+        ValueError
+            If level is no probability.
+        """
+        return intervals(self.theta, self.std, level)
+
+    def transfer_function(self, dt: float | bool = True) -> control.TransferFunction:
+        """Return the way from u to y.
+
+        Parameters
+        ----------
+        dt : float or True, default True
+            Sampling period in s; True leaves it open.
+
+        Returns
+        -------
+        control.TransferFunction
+            One output and as many inputs as the structure has.
+
+        Raises
+        ------
+        ValueError
+            If the structure has no input, or a regressor of the caller's.
+        """
+        return _model.transfer_function(self.structure, self.theta, dt)
+
+    # Its outputs.
+
+    def simulate(self, u: ArrayLike) -> Array:
+        """Run the model on inputs alone from rest, where its output is `level`.
+
+        Parameters
+        ----------
+        u : array_like, shape (N,) or (N, n_inputs)
+            Input.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+
+        Raises
+        ------
+        ValueError
+            If u does not fit or is not finite, or the output of an unstable model overflows.
+        """
+        signal = recorded_input(self.structure, u, None)
+        layout = Layout(self.structure)
+        y = _model.simulate(self.structure, layout, Memory(layout), self.theta, signal)
+        if self.level == 0.0 != self.offset:
+            return y + lfilter([self.offset], self._parts().a, np.ones(y.size))
+        return y + self.level
+
+    def predict(self, y: ArrayLike, u: ArrayLike | None = None, steps: int = 1) -> Array:
+        """Predict each output of a recording from the samples up to ``steps`` before it.
+
+        Parameters
+        ----------
+        y : array_like, shape (N,)
+            Measured output; NaN where it is missing.
+        u : array_like, shape (N,) or (N, n_inputs)
+            Input.
+        steps : int, default 1
+            How many samples ahead. Inputs are taken as known.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            NaN in the first samples, whose regressors lie before the recording.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If y or u does not fit, or steps is not a positive integer.
+
+        Notes
+        -----
+        An OutputError, FIR or LinearRegression predicts from inputs alone, whatever ``steps``; only what was in motion
+        when the recording began is estimated from all of y. For ARX and ARMAX an outlier in y is replaced, by the model
+        and the samples before it, in the regressor of the samples after it.
+        """
+        steps = count("steps", steps, 1)
+        model, known = self._prepared(y, u)
+        parts = self._parts()
+        if model.na == 0 and parts.c.size == parts.d.size == 1:
+            return self._from_inputs(model, known)
+        error = model.equation_error(np.concatenate((self.theta, [self.offset])))
+        found = cleaned_residuals(parts, error, known[model.first :], self.noise)
+        ahead = predicted(parts, model.y[model.first :], found, steps)
+        return np.concatenate((np.full(model.first, np.nan), ahead))
+
+    def residuals(self, y: ArrayLike, u: ArrayLike | None = None) -> Array:
+        """Return measured less predicted output, one step ahead.
+
+        Parameters
+        ----------
+        y : array_like, shape (N,)
+            Measured output; NaN where it is missing.
+        u : array_like, shape (N,) or (N, n_inputs)
+            Input.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            NaN where y is missing and where there is no prediction.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If y or u does not fit.
+        """
+        return recorded_output(y) - self.predict(y, u)
+
+    def fit(self, y: ArrayLike, u: ArrayLike) -> float:
+        """Compute how well the model's output, from inputs alone, agrees with a recording.
+
+        Parameters
+        ----------
+        y : array_like, shape (N,)
+            Measured output; NaN does not count.
+        u : array_like, shape (N,) or (N, n_inputs)
+            Input.
+
+        Returns
+        -------
+        float
+            100 (1 - ||y - y_model||/||y - mean(y)||), in percent; see `fit_percent`. What was in motion when the
+            recording began is estimated.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If y or u does not fit, y is constant, or the model overflows.
+        """
+        model, known = self._prepared(y, u)
+        free = self._from_inputs(model, known)
+        return fit_percent(recorded_output(y)[model.first :], free[model.first :])
+
+    # What comes next.
+
+    def tracker(self, **options: Any) -> ParameterTracker:
+        """Return a tracker that goes on from here, sample by sample.
+
+        Parameters
+        ----------
+        **options : dict, optional
+            Of `ParameterTracker`: ``Q`` or ``forgetting`` for parameters that drift, influence, guard; theta, P and R
+            are the model's own unless they are given.
+
+        Returns
+        -------
+        ParameterTracker
+            Its memory holds the end of the recording. It takes and predicts y as it is measured, and leaves the level
+            of the output where it is.
+
+        Raises
+        ------
+        ValueError, TypeError
+            As `ParameterTracker`.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from robust_filterpy.identification import FIR, identify
+        >>> u = np.random.default_rng(1).choice([-1.0, 1.0], 200)
+        >>> y = np.concatenate(([0.0], 2.0 * u[:-1])) + 3.0 + 0.1 * np.random.default_rng(2).normal(size=200)
+        >>> tracker = identify(y, u, FIR(1)).tracker(forgetting=0.99)
+        >>> round(tracker.predict() - 2.0 * u[-1])
+        3
+        """
+        given = {"theta": self.theta, "P": self.P, "R": self.R, **options}
+        tracker = LevelledTracker(self.structure, level=self.level, **given)
+        tracker._memory = copy.deepcopy(self.memory)
+        tracker._initial = tracker.state()
+        return tracker
+
+    # Helpers.
+
+    def _parts(self) -> Parts:
+        """Return the polynomials."""
+        empty = PolynomialModel(self.structure, np.zeros(0), np.zeros((0, self.structure.n_inputs)), True)
+        return empty.parts(np.concatenate((self.theta, [self.offset])))
+
+    def _prepared(self, y: Any, u: Any) -> tuple[PolynomialModel, Any]:
+        """Return a checked recording, the level in the place of missing outputs, and where it is measured."""
+        output = recorded_output(y)
+        signal = recorded_input(self.structure, u, output.size)
+        known = ~np.isnan(output)
+        model = PolynomialModel(self.structure, np.where(known, output, self.level), signal, True)
+        if output.size <= model.first:
+            raise ValueError(
+                f"y: expected more than the {model.first} samples that the regressor of {self.structure} reaches back, "
+                f"got {output.size}"
+            )
+        return model, known
+
+    def _from_inputs(self, model: PolynomialModel, known: Any) -> Array:
+        """Return the output from inputs alone, whatever was in motion when the recording began."""
+        y = self.simulate(model.u) if model.inputs else np.full(model.y.size, self.level)
+        y[: model.first] = np.nan
+        parts = self._parts()
+        dynamics = np.convolve(parts.a, parts.f)
+        order = dynamics.size - 1
+        rows = known[model.first :]
+        if order and rows.any():
+            impulses = np.eye(order, y.size - model.first)
+            motion = np.asarray(lfilter([1.0], dynamics, impulses)).T
+            y[model.first :] += motion @ robust_regression(motion[rows], (model.y - y)[model.first :][rows])
+        return y
+
+
+def resting_level(parts: Parts) -> float:
+    """Return what the output of a model is at rest, offset/A(1), or 0 if it integrates and has no rest."""
+    total = float(parts.a.sum())
+    return parts.offset / total if abs(total) > _INTEGRATES * float(np.abs(parts.a).sum()) else 0.0

@@ -1,0 +1,360 @@
+"""identify: the estimate that the truth would lead to, found from nothing; the same in any unit, through any outlier."""
+
+import statistics
+import warnings
+
+import numpy as np
+import pytest
+import scipy.optimize
+import statsmodels.api as sm
+from scipy.signal import lfilter
+from statsmodels.tsa.statespace.sarimax import SARIMAX
+
+from robust_filterpy import Huber, Linear, TukeyBiweight
+from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError, identify, prediction_error
+from robust_filterpy.identification.learnt_noise import Noise
+from robust_filterpy.identification.polynomial_model import PolynomialModel
+
+A, B = np.array([1.0, -1.5, 0.7]), np.array([0.0, 1.0, 0.5])
+THETA = np.array([-1.5, 0.7, 1.0, 0.5])
+
+
+def binary(rng, length):
+    return rng.choice([-1.0, 1.0], length)
+
+
+def outlying(rng, length, share=0.1, sigma=0.3, size=10.0):
+    return sigma * np.where(rng.random(length) < share, size, 1.0) * rng.normal(size=length)
+
+
+def output_error_data(seed=0, length=1500, share=0.1):
+    rng = np.random.default_rng(seed)
+    u = binary(rng, length)
+    return lfilter(B, A, u) + outlying(rng, length, share), u
+
+
+def random_plant(rng, order):
+    poles = [rng.uniform(0.4, 0.95) * np.exp(1j * rng.uniform(0.2, 2.5)) for _ in range(order // 2)]
+    return np.real(np.poly([*poles, *np.conj(poles)])), np.concatenate(([0.0], rng.normal(size=order)))
+
+
+# The optimum, from nothing.
+
+
+@pytest.mark.parametrize("order", [2, 4])
+def test_the_cold_start_reaches_the_optimum_that_the_truth_leads_to(order):
+    for seed in range(3):
+        rng = np.random.default_rng([order, seed])
+        a, b = random_plant(rng, order)
+        u = binary(rng, 1000)
+        y = lfilter(b, a, u) + outlying(rng, 1000)
+        model = PolynomialModel(OutputError(order, order), y, u[:, None], True)
+        truth, rows = np.concatenate((a[1:], b[1:], np.zeros(1 + order))), model.conditioned
+        best = prediction_error.minimised(model, truth, Noise(Huber(), 0.09), rows, rows)
+        found = identify(y, u, OutputError(order, order), influence=Huber())
+        np.testing.assert_allclose(found.theta, best.p[: 2 * order], atol=1e-5)
+
+
+def test_the_optimum_is_scipys():
+    y, u = output_error_data()
+    model = PolynomialModel(OutputError(2, 2), y, u[:, None], True)
+    found = identify(y, u, OutputError(2, 2), influence=Huber(1.345), R=0.09)
+    start = np.concatenate((THETA, np.zeros(3)))
+    residual = lambda p: model.residuals(p) / (1.345 * 0.3)  # noqa: E731
+    best = scipy.optimize.least_squares(residual, start, loss="huber", xtol=1e-14, ftol=1e-14, gtol=1e-12)
+    np.testing.assert_allclose(found.theta, best.x[:4], atol=1e-6)
+
+
+@pytest.mark.parametrize("structure", [ARX(2, 2), FIR(3), LinearRegression(2), ARX(1, (1, 2), nk=(0, 2))], ids=str)
+def test_without_robustness_linear_structures_are_least_squares(structure):
+    rng = np.random.default_rng(1)
+    u = rng.normal(size=(300, structure.n_inputs))
+    y = lfilter([1.0], [1.0, -0.5], u[:, 0]) + 2.0 + 0.1 * rng.normal(size=300)
+    X = np.column_stack((structure.regressors(u, y), np.ones(300)))
+    first = PolynomialModel(structure, y, u, True).first
+    expected = np.linalg.lstsq(X[first:], y[first:], rcond=None)[0]
+    # No sample is wrong: R says that everything is ordinary.
+    model = identify(y, u, structure, influence=Linear(), R=1e4)
+    np.testing.assert_allclose([*model.theta, model.offset], expected, rtol=1e-6)
+
+
+def test_a_robust_regression_is_statsmodels():
+    rng = np.random.default_rng(2)
+    X = rng.normal(size=(400, 3))
+    y = X @ [1.0, -2.0, 0.5] + 4.0 + outlying(rng, 400, 0.15)
+    expected = sm.RLM(y, sm.add_constant(X), M=sm.robust.norms.HuberT(1.345)).fit(tol=1e-10, maxiter=200)
+    ours = identify(y, X, LinearRegression(3), influence=Huber(1.345))
+    np.testing.assert_allclose([ours.offset, *ours.theta], expected.params, atol=1e-6)
+    theirs = identify(y, X, LinearRegression(3), influence=sm.robust.norms.HuberT(1.345))
+    np.testing.assert_allclose(theirs.theta, ours.theta, atol=1e-10)
+    np.testing.assert_allclose(ours.weights, expected.weights, atol=1e-5)
+
+
+def test_redescending_influence_functions_serve_too():
+    y, u = output_error_data(share=0.2)
+    np.testing.assert_allclose(identify(y, u, OutputError(2, 2), influence=TukeyBiweight()).theta, THETA, atol=0.05)
+
+
+@pytest.mark.parametrize(("structure", "c", "near"), [(ARX(2, 0), [1.0], 0.1), (ARMAX(2, 0, 1), [1.0, 0.5], 0.4)])
+def test_missing_outputs_in_the_regressor_are_those_of_the_exact_likelihood(structure, c, near):
+    """To a share of a standard deviation: C's own coefficient is not quite the most likely one."""
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        y = lfilter(c, A, 0.5 * rng.normal(size=4000))
+        y[rng.random(4000) < 0.15] = np.nan
+        theirs = SARIMAX(y, order=(2, 0, len(c) - 1))
+        with theirs.fix_params({"sigma2": 0.25}):
+            exact = theirs.fit(disp=0)
+        expected = np.concatenate((-exact.params[:2], exact.params[2:-1]))
+        found = identify(y, None, structure, influence=Linear(), R=0.25, offset=False)
+        np.testing.assert_allclose(found.theta, expected, rtol=0.0, atol=near * exact.bse[:-1].min())
+        np.testing.assert_allclose(found.std, exact.bse[:-1], rtol=0.25)
+
+
+def test_missing_outputs_are_rows_left_out_where_the_regressor_holds_none():
+    rng = np.random.default_rng(4)
+    u = binary(rng, 300)
+    y = lfilter([0.0, 1.0, 0.5], [1.0], u) + outlying(rng, 300)
+    gaps = rng.random(300) < 0.2
+    X = FIR(2).regressors(u)[~gaps]
+    some = identify(np.where(gaps, np.nan, y), u, FIR(2))
+    X, rest = X[2:] if not gaps[:2].any() else X[(~gaps[:2]).sum() :], y[~gaps][(~gaps[:2]).sum() :]
+    np.testing.assert_allclose(some.theta, identify(rest, X, LinearRegression(2)).theta, atol=1e-7)
+
+
+# Outliers.
+
+
+def test_no_sample_moves_the_estimate_by_more_than_a_bounded_amount():
+    y, u = output_error_data()
+    base = identify(y, u, OutputError(2, 2))
+    for k in (0, 1, 700, len(y) - 1):
+        for size in (1e2, 1e6, 1e90):
+            wild = y.copy()
+            wild[k] += size
+            moved = identify(wild, u, OutputError(2, 2))
+            assert np.abs(moved.theta - base.theta).max() < base.std.max()
+
+
+def test_the_noise_learnt_is_that_of_the_recording():
+    y, u = output_error_data(length=4000)
+    model = identify(y, u, OutputError(2, 2))
+    assert model.R == pytest.approx(0.09, rel=5 * np.sqrt(2 / 3600) + 0.02)
+    assert model.noise.influence.contamination == pytest.approx(0.1, abs=5 * np.sqrt(0.09 / 4000) + 0.01)
+    assert model.noise.influence.scale_ratio == pytest.approx(10.0, rel=0.25)
+    # .05 of 10 standard deviations is within the ordinary.
+    assert 0.05 < (model.weights < 0.5).mean() < 0.11
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1])
+def test_outliers_in_the_regressor_cost_little(share):
+    ours, labels, plain = [], [], []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        u = binary(rng, 1500)
+        y = lfilter(B, A, u) + lfilter([1.0], A, 0.5 * rng.normal(size=1500))
+        wild = rng.random(1500) < share
+        y[wild] += 5.0 * rng.normal(size=wild.sum())
+        errors = [
+            np.linalg.norm(model.theta - THETA)
+            for model in (identify(y, u, ARX(2, 2)), identify(np.where(wild, np.nan, y), u, ARX(2, 2)))
+        ]
+        X = ARX(2, 2).regressors(u, y)
+        plain.append(np.linalg.norm(np.linalg.lstsq(X, y, rcond=None)[0] - THETA))
+        ours.append(errors[0])
+        labels.append(errors[1])
+    rms = lambda values: np.sqrt(np.mean(np.square(values)))  # noqa: E731
+    assert rms(ours) < 1.5 * rms(labels) < 0.1 * rms(plain)
+
+
+def test_outliers_of_the_noise_inside_the_loop_are_no_outliers_of_the_output():
+    rng = np.random.default_rng(3)
+    u = binary(rng, 1500)
+    y = lfilter(B, A, u) + lfilter([1.0], A, outlying(rng, 1500))
+    model = identify(y, u, ARX(2, 2))
+    np.testing.assert_allclose(model.theta, THETA, atol=5 * model.std.max())
+    assert (model.weights == 0.0).mean() < 0.03
+
+
+def test_armax_through_outliers():
+    rng = np.random.default_rng(8)
+    u = binary(rng, 2000)
+    y = lfilter(B, A, u) + lfilter([1.0, 0.5], A, 0.5 * rng.normal(size=2000))
+    wild = rng.random(2000) < 0.05
+    y[wild] += 5.0 * rng.normal(size=wild.sum())
+    np.testing.assert_allclose(identify(y, u, ARMAX(2, 2, 1)).theta, [*THETA, 0.5], atol=0.1)
+
+
+# Units, offsets, what was in motion.
+
+
+@pytest.mark.parametrize("structure", [OutputError(2, 2), ARX(2, 2), ARMAX(2, 2, 1), FIR(4)], ids=str)
+def test_neither_units_nor_the_offset_change_the_model(structure):
+    y, u = output_error_data(length=800)
+    y[100:110] = np.nan
+    one = identify(y, u, structure)
+    inputs = np.array([name.startswith("b") for name in structure.names])
+    for offset in (5.0, 50.0):
+        other = identify(y + offset, u, structure)
+        np.testing.assert_allclose(other.theta, one.theta, atol=1e-6)
+        assert other.level - one.level == pytest.approx(offset, rel=1e-6)
+        assert other.log_likelihood == pytest.approx(one.log_likelihood, abs=1e-4)
+    for unit in (1e-3, 1e3):
+        other = identify(unit * y, u, structure)
+        size = np.where(inputs, unit, 1.0)
+        np.testing.assert_allclose(other.theta / size, one.theta, atol=1e-6)
+        np.testing.assert_allclose(other.P / np.outer(size, size), one.P, rtol=1e-4, atol=1e-12)
+        assert other.R == pytest.approx(unit**2 * one.R, rel=1e-6)
+        other = identify(y, unit * u, structure)
+        np.testing.assert_allclose(other.theta * size, one.theta, atol=1e-6)
+
+
+def test_without_offset_the_constant_is_zero():
+    y, u = output_error_data()
+    model = identify(y, u, OutputError(2, 2), offset=False)
+    assert model.offset == model.offset_std == model.level == 0.0
+    np.testing.assert_allclose(model.theta, THETA, atol=0.05)
+
+
+def test_a_large_mean_of_the_input_changes_the_offset_alone():
+    rng = np.random.default_rng(5)
+    u = 100.0 + binary(rng, 1000)
+    y = lfilter(B, A, u - 100.0) + outlying(rng, 1000)
+    model = identify(y, u, OutputError(2, 2))
+    np.testing.assert_allclose(model.theta, identify(y, u - 100.0, OutputError(2, 2)).theta, atol=1e-5)
+    assert model.offset == pytest.approx(-100.0 * model.theta[2:].sum() / (1 + model.theta[:2].sum()), abs=0.1)
+
+
+def test_a_recording_may_begin_in_motion():
+    rng = np.random.default_rng(6)
+    a = np.array([1.0, -1.96, 0.98])
+    u = binary(rng, 1300)
+    y = lfilter([0.0, 0.1], a, u) + outlying(rng, 1300, sigma=0.05)
+    late = identify(y[300:], u[300:], OutputError(2, 1))
+    np.testing.assert_allclose(late.theta, [-1.96, 0.98, 0.1], atol=6 * late.std.max())
+
+
+def test_several_inputs_share_the_denominator():
+    rng = np.random.default_rng(7)
+    u = rng.normal(size=(1500, 2))
+    y = lfilter(B, A, u[:, 0]) + lfilter([0.0, 0.0, 0.0, -0.8], A, u[:, 1]) + outlying(rng, 1500)
+    model = identify(y, u, OutputError(2, (2, 1), nk=(1, 3)))
+    np.testing.assert_allclose(model.theta, [*THETA, -0.8], atol=5 * model.std.max())
+
+
+def test_a_recording_without_noise_gives_the_plant():
+    u = binary(np.random.default_rng(9), 300)
+    for structure in (OutputError(2, 2), ARX(2, 2)):
+        np.testing.assert_allclose(identify(lfilter(B, A, u), u, structure).theta, THETA, atol=1e-6)
+
+
+# Uncertainty.
+
+
+def test_the_standard_deviations_are_honest_under_outliers():
+    inside = 0
+    for seed in range(60):
+        rng = np.random.default_rng([11, seed])
+        u = binary(rng, 400)
+        y = lfilter([0.0, 1.0, 0.5], [1.0], u) + outlying(rng, 400, 0.15)
+        model = identify(y, u, FIR(2))
+        lower, upper = model.confidence_intervals()
+        inside += ((lower < [1.0, 0.5]) & ([1.0, 0.5] < upper)).sum()
+    # Binomial, nominal .95 of 120 less a little for a normal quantile; five standard errors.
+    assert inside > 120 * (0.93 - 5 * np.sqrt(0.93 * 0.07 / 120))
+    assert inside < 120
+
+
+def test_the_endings_say_which_start_won_and_whether_others_agreed():
+    y, u = output_error_data()
+    model = identify(y, u, OutputError(2, 2))
+    best = model.endings[0]
+    assert best.excess == best.difference == 0.0 and "Steiglitz-McBride from poles at 0.8" in best.starts
+    assert model.warning == ""
+    assert sum(len(ending.starts) for ending in model.endings) >= 5
+
+
+def test_models_that_differ_but_explain_as_much_are_reported():
+    rng = np.random.default_rng(5)
+    u = binary(rng, 60)
+    y = lfilter(B, A, u) + 3.0 * rng.normal(size=60)
+    with pytest.warns(UserWarning, match="almost equally well"):
+        model = identify(y, u, OutputError(3, 3))
+    assert "a longer recording" in model.warning
+    assert any(e.excess < 3.0 and e.difference > 5.0 for e in model.endings[1:])
+
+
+# Bad input.
+
+GOOD = np.random.default_rng(0).normal(size=(100, 2))
+
+
+@pytest.mark.parametrize(
+    ("y", "u", "structure", "options", "error", "words"),
+    [
+        (GOOD[:, 0], GOOD[:, 1], "ARX", {}, TypeError, "structure: expected ARX"),
+        (GOOD[:, 0], GOOD[:, 1], ARX(1, 1), {"influence": "huber"}, TypeError, "influence: expected"),
+        (GOOD[:, 0], GOOD[:, 1], ARX(1, 1), {"offset": 3.0}, TypeError, "offset: expected True or False"),
+        (GOOD[:, 0], GOOD[:, 1], ARX(1, 1), {"R": -1.0}, ValueError, "R: expected"),
+        (GOOD[:, 0], GOOD[:50, 1], ARX(1, 1), {}, ValueError, "u: expected 100 samples"),
+        (GOOD[:, 0], None, ARX(1, 1), {}, ValueError, "u: expected a recording"),
+        (np.full(100, np.nan), GOOD[:, 1], ARX(1, 1), {}, ValueError, "y: expected some measured samples"),
+        (np.full(100, 3.0), GOOD[:, 1], ARX(1, 1), {}, ValueError, "y: expected an output that varies"),
+        (np.where(GOOD[:, 0] > 9, 0, np.inf), GOOD[:, 1], ARX(1, 1), {}, ValueError, "y: expected finite"),
+        (GOOD[:15, 0], GOOD[:15, 1], OutputError(4, 4), {}, ValueError, "y: expected at least .* record more"),
+        (GOOD[:, 0], GOOD[:, 1], FIR(2, nk=200), {}, ValueError, "nk: expected a delay shorter than the recording"),
+        (GOOD[:, 0], np.zeros(100), OutputError(1, 1), {}, ValueError, "got 0 in every sample"),
+        (GOOD[:, 0], np.ones(100), OutputError(1, 1), {}, ValueError, "persistent excitation of order 0.*offset=False"),
+        (GOOD[:, 0], np.ones(100), FIR(2), {"offset": False}, ValueError, "persistent excitation of order 1"),
+        (GOOD[:, 0], np.sin(np.arange(100)), OutputError(2, 2), {}, ValueError, "with order 4.*got .* of order 2"),
+        (GOOD[:, 0], np.ones((100, 2)), LinearRegression(2), {}, ValueError, "linearly independent.*offset=False"),
+    ],
+)
+def test_bad_input_is_refused_with_its_remedy(y, u, structure, options, error, words):
+    with pytest.raises(error, match=words):
+        identify(y, u, structure, **options)
+
+
+def test_an_interruption_leaves_nothing_half_done(monkeypatch):
+    y, u = output_error_data(length=300)
+    before = y.copy(), u.copy()
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(PolynomialModel, "jacobian", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            identify(y, u, OutputError(2, 2))
+    np.testing.assert_array_equal(before, (y, u))
+    np.testing.assert_array_equal(identify(y, u, OutputError(2, 2)).theta, identify(y, u, OutputError(2, 2)).theta)
+
+
+def test_the_arguments_are_not_changed():
+    y, u = output_error_data(length=300)
+    y[5] = np.nan
+    before = y.copy(), u.copy()
+    identify(y, u, ARX(2, 2))
+    np.testing.assert_array_equal(before, (y, u))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("contamination", [0.0, 0.2])
+def test_random_plants_from_nothing_and_from_the_truth(contamination):
+    apart = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        for seed in range(30):
+            rng = np.random.default_rng([12, seed])
+            a, b = random_plant(rng, 4)
+            u, fresh = binary(rng, 2000), binary(rng, 2000)
+            clean = lfilter(b, a, u)
+            y = clean + outlying(rng, 2000, contamination, 0.3 * clean.std())
+            model = PolynomialModel(OutputError(4, 4), y, u[:, None], True)
+            truth, rows = np.concatenate((a[1:], b[1:], np.zeros(5))), model.conditioned
+            best = prediction_error.minimised(model, truth, Noise(Huber(), 0.1), rows, rows).p
+            ours = identify(y, u, OutputError(4, 4), influence=Huber()).theta
+            of = lambda p: lfilter(np.concatenate(([0.0], p[4:8])), np.concatenate(([1.0], p[:4])), fresh)  # noqa: E731
+            miss = [np.linalg.norm(of(p) - lfilter(b, a, fresh)) for p in (ours, best)]
+            apart.append(100.0 * (miss[0] - miss[1]) / np.linalg.norm(lfilter(b, a, fresh)))
+    assert statistics.median(apart) < 0.1 and max(apart) < 1.0
