@@ -1,0 +1,203 @@
+"""One pass of a linear smoother in which every measurement and every step of the process has a weight of its own.
+
+A whitened component z = h x + e of the measurement enters as a factor exp(-d e^2/2 - o e) of its residual e: d = 1,
+o = 0 is an ordinary one, d = o = 0 a missing one, and any other precision d and offset o are what a robust smoother
+makes of it. The process noise of step k is G w with w ~ N(0, q_k I), so that G may be singular and q_k large.
+
+Forward a Kalman filter, backward the recursion of Bryson and Frazier for the score s and the information L of the
+later measurements, which needs the inverse of no predicted covariance (A. E. Bryson and M. Frazier, Smoothing for
+linear and nonlinear dynamic systems, 1963; P. de Jong, Journal of the American Statistical Association 84, 1989)::
+
+    x_s = x + P s,   P_s = P - P L P,   e = z - H x_s,   V = H P_s H'
+    s <- s + H'(d e + o),   L <- L + H'(d - d V d) H - H'd H P L - L P H'd H,   then s <- F's, L <- F'L F
+
+Every array has the axes (series, step) in front, of length 1 where one matrix serves all of them.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from importlib.util import find_spec
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+
+__all__ = ["Model", "Smooth", "Weighting", "smoothing_pass"]
+
+
+class Model(NamedTuple):
+    """A linear model, its measurements whitened: x_k = F x_(k-1) + c + G w, with prior mean and covariance of x_0."""
+
+    F: Array
+    """Transition matrices, (series or 1, steps or 1, n, n)."""
+    G: Array
+    """Roots of the process noise covariance, Q = G G', (.., .., n, r)."""
+    c: Array
+    """Known part of the prediction, (.., .., n)."""
+    H: Array
+    """Measurement matrices in units of the noise, (.., .., m, n)."""
+    z: Array
+    """Measurements in units of the noise, (series, steps, m); a missing one is any number."""
+    x0: Array
+    """Mean before the first prediction, (series or 1, n)."""
+    P0: Array
+    """Its covariance, (series or 1, n, n)."""
+
+
+class Weighting(NamedTuple):
+    """What the pass makes of the measurements and of the process noise."""
+
+    precision: Array
+    """d of each component, (series, steps, m), >= 0."""
+    offset: Array
+    """o of each component, (series, steps, m)."""
+    process_scale: Array
+    """q of each step, (series, steps), >= 0: factor of Q."""
+
+
+class Smooth(NamedTuple):
+    """What a pass returns; what was not wanted has length 0 along its steps."""
+
+    residual: Array
+    """e = z - H x_s, (series, steps, m)."""
+    spread: Array
+    """H P_s H', (series, steps, m, m)."""
+    score: Array
+    """G's, (series, steps, r): the smoothed process noise is q G's, in units of G."""
+    information: Array
+    """G'L G, (series, steps, r, r): its covariance is q I - q^2 G'L G."""
+    x: Array
+    """Smoothed states, (series, steps, n)."""
+    P: Array
+    """Their covariances, (series, steps, n, n)."""
+    x0: Array
+    """Smoothed state before the first prediction, (series, n)."""
+    P0: Array
+    """Its covariance, (series, n, n)."""
+
+
+def smoothing_pass(
+    model: Model, weighting: Weighting, *, states: bool = False, process: bool = False, into: Smooth | None = None
+) -> Smooth:
+    """Smooth all series once: by the compiled form if numba is installed, otherwise as `by_definition` reads.
+
+    Parameters
+    ----------
+    model : Model
+        Matrices.
+    weighting : Weighting
+        What each measurement and each step weighs.
+    states, process : bool
+        Whether x and P, and score and information, are wanted.
+    into : Smooth, optional
+        What an earlier pass of this kind returned, to be written over: fresh memory costs a sixth of a long pass.
+
+    Returns
+    -------
+    Smooth
+    """
+    run = _compiled(model.F.shape[-1], weighting.precision.shape[-1], model.G.shape[-1]) if available() else None
+    out = _room(model, weighting, states, process) if into is None else into
+    if run is None:
+        _by_definition(model, weighting, out)
+    else:
+        model, weighting = Model(*map(_ready, model)), Weighting(*map(_ready, weighting))
+        run(*model, *weighting, *out)
+    return out
+
+
+@lru_cache(maxsize=1)
+def available() -> bool:
+    """Return whether numba is installed."""
+    return find_spec("numba") is not None
+
+
+@lru_cache(maxsize=64)
+def _compiled(n: int, m: int, r: int) -> Any:
+    """Return the compiled form for these sizes."""
+    from robust_filterpy.smoothing._compiled_pass import compiled_for
+
+    return compiled_for(n, m, r)
+
+
+def _ready(array: Array) -> Array:
+    """Return an array that the compiled form takes as it is."""
+    return np.require(array, dtype=np.float64, requirements=("C", "W"))
+
+
+def _room(model: Model, weighting: Weighting, states: bool, process: bool) -> Smooth:
+    """Return empty arrays for what a pass returns."""
+    series, steps, m = weighting.precision.shape
+    n, r = model.G.shape[2:]
+    kept, driven = steps if states else 0, steps if process else 0
+    return Smooth(
+        np.empty((series, steps, m)), np.empty((series, steps, m, m)),
+        np.empty((series, driven, r)), np.empty((series, driven, r, r)),
+        np.empty((series, kept, n)), np.empty((series, kept, n, n)), np.empty((series, n)), np.empty((series, n, n)),
+    )  # fmt: skip
+
+
+def _by_definition(model: Model, weighting: Weighting, out: Smooth) -> None:
+    """Smooth all series, step by step."""
+    d, o, q = weighting
+    series, steps, m = d.shape
+    n = model.F.shape[-1]
+    means, covariances = np.empty((series, steps, n)), np.empty((series, steps, n, n))
+    x = np.broadcast_to(model.x0, (series, n))
+    P = np.broadcast_to(model.P0, (series, n, n))
+    for k in range(steps):
+        F, G, c, H = _at(model, k)
+        x = _times(F, x) + c
+        P = F @ P @ _t(F) + q[:, k, None, None] * (G @ _t(G))
+        x, P = _corrected(x, P, H, model.z[:, k], d[:, k], o[:, k])
+        means[:, k], covariances[:, k] = x, P
+    s, L = np.zeros((series, n)), np.zeros((series, n, n))
+    for k in range(steps - 1, -1, -1):
+        F, G, _, H = _at(model, k)
+        x, P = means[:, k], covariances[:, k]
+        if out.x.shape[1]:
+            out.x[:, k], out.P[:, k] = x + _times(P, s), P - P @ L @ P
+        PH = P @ _t(H)
+        B = L @ PH
+        e = model.z[:, k] - _times(H, x) - _times(_t(PH), s)
+        V = H @ PH - _t(PH) @ B
+        out.residual[:, k] = e
+        out.spread[:, k] = V
+        dH = d[:, k, :, None] * H
+        s = s + _times(_t(H), d[:, k] * e + o[:, k])
+        L = L + _t(H) @ dH - _t(dH) @ V @ dH - _t(dH) @ _t(B) - B @ dH
+        L = 0.5 * (L + _t(L))
+        if out.score.shape[1]:
+            out.score[:, k], out.information[:, k] = _times(_t(G), s), _t(G) @ L @ G
+        s, L = _times(_t(F), s), _t(F) @ L @ F
+    P0 = np.broadcast_to(model.P0, (series, n, n))
+    out.x0[:], out.P0[:] = model.x0 + _times(P0, s), P0 - P0 @ L @ P0
+
+
+def _corrected(x: Array, P: Array, H: Array, z: Array, d: Array, o: Array) -> tuple[Array, Array]:
+    """Return the filtered mean and covariance: with M = (I + d H P H')^-1 the gain P H' M d, in Joseph's form."""
+    m, n = H.shape[-2:]
+    PH = P @ _t(H)
+    PHM = PH @ np.linalg.inv(np.eye(m) + d[:, :, None] * (H @ PH))
+    x = x + _times(PHM, d * (z - _times(H, x)) + o)
+    C = np.eye(n) - PHM @ (d[:, :, None] * H)
+    P = C @ P @ _t(C) + (PHM * d[:, None, :]) @ _t(PHM)
+    return x, 0.5 * (P + _t(P))
+
+
+def _at(model: Model, k: int) -> tuple[Array, Array, Array, Array]:
+    """Return F, G, c, H of a step."""
+    F, G, c, H = (a[:, k if a.shape[1] > 1 else 0] for a in (model.F, model.G, model.c, model.H))
+    return F, G, c, H
+
+
+def _t(a: Array) -> Array:
+    """Return transposed matrices."""
+    return a.swapaxes(-1, -2)
+
+
+def _times(a: Array, v: Array) -> Array:
+    """Return products of matrices and vectors."""
+    return (a @ v[..., None])[..., 0]

@@ -1,0 +1,150 @@
+"""What a robust smoother makes of the residuals of one sweep for the next: weights of a psi, or learnt noise.
+
+A measurement rule returns the precision d and offset o of each whitened component, a process rule the scale q of each
+step's noise. Rules keep what they found: ``weights``, and ``mixture`` if noise is learnt.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+from robust_filterpy.correction.options import Choices
+from robust_filterpy.smoothing.linear_pass import Smooth, Weighting
+from robust_filterpy.smoothing.mixture import Belief, Mixture, judge_components, judge_scales
+
+# Beyond this somebody else's psi may overflow; its weight is next to nothing long before.
+_LARGEST = 1e30
+# A precision that is not quite nothing, so that a sample whose weight is 0 still has a prediction by the others.
+_LEAST = 1e-12
+
+
+class Ordinary:
+    """Noise that is what the model says."""
+
+    tolerance = np.inf
+    mixture: Mixture | None = None
+
+    def __init__(self, counted: Array) -> None:
+        """Keep which components there are, (series, steps, kinds)."""
+        self.weights = np.where(counted, 1.0, np.nan)
+
+    def measurement(
+        self, smooth: Smooth, weighting: Weighting, temperature: Array, frozen: Array
+    ) -> tuple[Array, Array]:
+        """Return d and o as they are."""
+        return weighting.precision, weighting.offset
+
+    def process(self, smooth: Smooth, weighting: Weighting, frozen: Array) -> Array:
+        """Return q as it is."""
+        return weighting.process_scale
+
+
+class Psi:
+    """Weights psi(e)/e of the residuals: iteratively reweighted least squares."""
+
+    mixture: Mixture | None = None
+    #: Largest root-mean-square change of the estimate in a sweep, in its standard deviations: a stationary point.
+    tolerance = 1e-4
+
+    def __init__(self, influence: Any, joint: bool, counted: Array) -> None:
+        """Keep psi, whether it looks at lengths, and which components there are."""
+        self.influence, self.joint, self.counted = influence, joint, counted
+        self.weights = np.where(counted, 1.0, np.nan)
+
+    def measurement(
+        self, smooth: Smooth, weighting: Weighting, temperature: Array, frozen: Array
+    ) -> tuple[Array, Array]:
+        """Return the weights and no offset."""
+        weights = self._of(smooth.residual / np.sqrt(temperature))
+        return np.where(self.counted, np.maximum(weights, _LEAST), 0.0), np.zeros_like(weights)
+
+    def process(self, smooth: Smooth, weighting: Weighting, frozen: Array) -> Array:
+        """Return the scale 1/w of each step's noise w ~ N(0, I/w)."""
+        weights = self._of(weighting.process_scale[..., None] * smooth.score)
+        return 1.0 / np.maximum(weights.max(axis=-1), _LEAST)
+
+    def _of(self, e: Array) -> Array:
+        """Return the weight of every component, and keep those that there are."""
+        weights = psi_weights(self.influence, np.where(self.counted, e, 0.0), self.joint)
+        self.weights = np.where(self.counted, weights, np.nan)
+        return weights
+
+
+class Learnt:
+    """Weights from noise whose contamination and scale ratio are learnt along the way."""
+
+    tolerance = 1e-2
+
+    def __init__(self, joint: bool, counted: Array, belief: Belief = Belief(), mixture: Mixture | None = None) -> None:
+        """Start from a belief, or where it led to before."""
+        series, _, kinds = counted.shape
+        self.joint, self.counted, self.belief = joint, counted, belief
+        self.mixture = Mixture.guess(series, 1 if joint else kinds) if mixture is None else mixture
+        self.weights = np.where(counted, 1.0, np.nan)
+        self._each = (counted.any(axis=-1, keepdims=True) if joint else counted).astype(float)
+
+    def measurement(
+        self, smooth: Smooth, weighting: Weighting, temperature: Array, frozen: Array
+    ) -> tuple[Array, Array]:
+        """Return the factors that fit, and learn."""
+        d, o = weighting.precision, weighting.offset
+        if self.joint:
+            information = -d[..., :, None] * smooth.spread * d[..., None, :]
+            _diagonal(information)[...] += d
+            now = 1.0 / np.maximum(d.max(axis=-1, keepdims=True), _LEAST)
+            score = d * smooth.residual / np.sqrt(temperature)
+            verdict = judge_scales(score, information, now, self.mixture, self.counted)
+            d, o = verdict.mean_precision(self.mixture) * self.counted, np.zeros_like(o)
+        else:
+            V = np.ascontiguousarray(_diagonal(smooth.spread))
+            verdict, d, o = judge_components(smooth.residual, V, d, o, self.mixture, temperature)
+            graduated = temperature > 1.0
+            if graduated.any():
+                # Until the smoothed state is about right, moments follow what it gets wrong; mean precisions do not.
+                d, o = np.where(graduated, verdict.mean_precision(self.mixture), d), np.where(graduated, 0.0, o)
+            if not self.counted.all():
+                d, o = np.where(self.counted, d, 0.0), np.where(self.counted, o, 0.0)
+        self._learn(verdict, frozen)
+        self.weights = np.where(self.counted, verdict.mean_precision(self.mixture), np.nan)
+        return d, o
+
+    def process(self, smooth: Smooth, weighting: Weighting, frozen: Array) -> Array:
+        """Return the scales that fit, and learn."""
+        now = weighting.process_scale[..., None]
+        verdict = judge_scales(smooth.score, smooth.information, now, self.mixture, self.counted)
+        self._learn(verdict, frozen)
+        self.weights = verdict.mean_precision(self.mixture)
+        return verdict.mean_variance(self.mixture)[..., 0]
+
+    def _learn(self, verdict: Any, frozen: Array) -> None:
+        """Fit the mixture of the series that are not finished."""
+        new = self.belief.joined(verdict, self._each).mixture
+        self.mixture = Mixture(*(np.where(frozen[:, None], old, fit) for old, fit in zip(self.mixture, new, strict=True)))
+
+
+def psi_weights(influence: Any, e: Array, joint: bool) -> Array:
+    """Return psi(e)/e of each component, or of the length over the last axis, shape of e, checked."""
+    at = np.linalg.norm(e, axis=-1, keepdims=True) if joint else e
+    found = np.asarray(influence.weights(np.clip(at, -_LARGEST, _LARGEST)), dtype=float)
+    if found.shape != at.shape or not np.isfinite(found).all():
+        raise ValueError(
+            f"influence: expected weights(e) finite and of the shape of e, got shape {found.shape} for {at.shape}, "
+            f"{np.count_nonzero(~np.isfinite(found))} of them not finite; check {influence!r}"
+        )
+    return np.broadcast_to(np.clip(found, 0.0, None), e.shape)
+
+
+def _diagonal(stack: Array) -> Array:
+    """Return a view of the diagonals of a stack of matrices."""
+    return np.einsum("...ii->...i", stack)
+
+
+def checked_influence(name: str, influence: Any) -> Any:
+    """Return an influence function or raise TypeError naming the argument."""
+    try:
+        return Choices(influence).influence
+    except TypeError as error:
+        raise TypeError(str(error).replace("influence:", f"{name}:", 1)) from None

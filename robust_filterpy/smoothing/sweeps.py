@@ -1,0 +1,94 @@
+"""Smooth, look at the residuals, weigh anew, until the estimate stays where it is.
+
+The first sweeps are graduated: residuals are divided by their own typical size, so that neither an outlier that bent
+the first estimate nor what it bent is mistaken for the other, and a redescending psi does not lock out.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+from robust_filterpy.smoothing.linear_pass import Model, Smooth, Weighting, smoothing_pass
+from robust_filterpy.smoothing.rules import Learnt, Ordinary, Psi
+
+__all__ = ["Fit", "Rule", "reweighted"]
+
+Rule = Ordinary | Psi | Learnt
+
+# In so many sweeps at most are residuals divided by their size, and only while their squares are this much too large.
+_GRADUATED, _COOL = 3, 1.5
+# Median of the square of a standard normal number, and how many of them are enough for a median.
+_MEDIAN_SQUARE, _ENOUGH = 0.4549364, 20_000
+
+
+class Fit(NamedTuple):
+    """Where the sweeps ended."""
+
+    smooth: Smooth
+    weighting: Weighting
+    converged: Array
+    """For each series, (series,)."""
+    sweeps: int
+
+
+def reweighted(model: Model, observed: Array, measurement: Rule, process: Rule, limit: int) -> Fit:
+    """Sweep until every series has converged, or ``limit`` times.
+
+    observed (series, steps, m): which components there are. A series that has converged keeps its weights, so that it
+    ends with the same numbers whatever else is smoothed with it.
+    """
+    series = len(observed)
+    tolerance = min(measurement.tolerance, process.tolerance)
+    doubted = not isinstance(process, Ordinary)
+    linear = not doubted and isinstance(measurement, Ordinary)
+    weighting = Weighting(observed.astype(float), np.zeros(observed.shape), np.ones(observed.shape[:2]))
+    frozen, soon = np.zeros(series, dtype=bool), linear
+    before = unused = None
+    for sweep in range(limit):
+        if unused is not None and bool(unused.x.shape[1]) != soon:
+            unused = None
+        smooth = smoothing_pass(model, weighting, states=soon, process=doubted, into=unused)
+        moved = np.full(series, np.inf) if before is None else _moved(smooth, before.residual, observed)
+        temperature = np.ones((series, 1, 1))
+        if sweep < _GRADUATED and not linear:
+            temperature = _temperature(smooth, weighting, observed)
+        frozen = frozen | linear | (moved < tolerance) & (temperature[:, 0, 0] == 1.0)
+        d, o = measurement.measurement(smooth, weighting, temperature, frozen)
+        q = process.process(smooth, weighting, frozen)
+        if frozen.all():
+            break
+        weighting = Weighting(*(_kept(frozen, old, new) for old, new in zip(weighting, (d, o, q), strict=True)))
+        before, unused = smooth, before
+        soon = sweep + 2 == limit or bool(np.max(moved) < 30.0 * tolerance)
+    if not smooth.x.shape[1]:
+        smooth = smoothing_pass(model, weighting, states=True, process=doubted)
+    return Fit(smooth, weighting, frozen, sweep + 1)
+
+
+def _kept(frozen: Array, old: Array, new: Array) -> Array:
+    """Return the old rows of series that have converged and the new ones of the others."""
+    if not frozen.any():
+        return new
+    return np.where(frozen.reshape(-1, *[1] * (old.ndim - 1)), old, new)
+
+
+def _moved(smooth: Smooth, before: Array, observed: Array) -> Array:
+    """Return the root mean square by which H x changed, in its standard deviations, (series,)."""
+    change = (smooth.residual - before) * observed
+    total = np.einsum("snm,snm->s", change, change / np.maximum(np.einsum("...ii->...i", smooth.spread), 1e-12))
+    return np.sqrt(total / np.maximum(np.count_nonzero(observed.reshape(len(observed), -1), axis=1), 1))
+
+
+def _temperature(smooth: Smooth, weighting: Weighting, observed: Array) -> Array:
+    """Return how many times too large squares of residuals are, (series, 1, 1), each sample by the others; 1 if hardly."""
+    some = slice(None, None, max(observed.shape[1] // _ENOUGH, 1))
+    V = np.einsum("...ii->...i", smooth.spread[:, some])
+    apart = 1.0 - weighting.precision[:, some] * V
+    squares = ((smooth.residual[:, some] + V * weighting.offset[:, some]) / apart) ** 2 / (1.0 + V / apart)
+    there = observed[:, some]
+    typical = [float(np.median(s[one])) if one.any() else 0.0 for s, one in zip(squares, there, strict=True)]
+    found = np.array(typical) / _MEDIAN_SQUARE
+    return np.where(found > _COOL, found, 1.0)[:, None, None]
