@@ -13,7 +13,7 @@ import numpy as np
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.smoothing.linear_pass import Smooth, Weighting
-from robust_filterpy.smoothing.mixture import Belief, Mixture, judge_components, judge_scales
+from robust_filterpy.smoothing.mixture import Belief, Mixture, Verdict, judge_components, judge_scales
 
 # Beyond this somebody else's psi may overflow; its weight is next to nothing long before.
 _LARGEST = 1e30
@@ -24,7 +24,8 @@ _LEAST = 1e-12
 class Ordinary:
     """Noise that is what the model says."""
 
-    tolerance = np.inf
+    #: What is left to move is the linearization of a nonlinear model.
+    tolerance = 1e-2
     mixture: Mixture | None = None
 
     def __init__(self, counted: Array) -> None:
@@ -121,8 +122,16 @@ class Learnt:
 
     def _learn(self, verdict: Any, frozen: Array) -> None:
         """Fit the mixture of the series that are not finished."""
+        self.verdict = verdict
         new = self.belief.joined(verdict, self._each).mixture
         self.mixture = Mixture(*(np.where(frozen[:, None], old, fit) for old, fit in zip(self.mixture, new, strict=True)))
+
+
+    def remembered(self, memory: float) -> Belief:
+        """Return the belief after the first step has gone, older ones forgotten by a factor."""
+        first = Verdict(self.verdict.outlier[:, :1], self.verdict.square[:, :1])
+        kept = (start + memory * (now - start) for start, now in zip(Belief(), self.belief, strict=True))
+        return Belief(*kept).joined(first, self._each[:, :1])
 
 
 def psi_weights(influence: Any, e: Array, joint: bool) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +15,7 @@ from robust_filterpy.correction.options import GROUPINGS, Choices
 from robust_filterpy.influence.functions import Influence, Linear
 from robust_filterpy.smoothing.convex import is_convex, minimised
 from robust_filterpy.smoothing.mixture import CONTAMINATION_LIMITS
+from robust_filterpy.smoothing.nonlinear import Trajectory, is_nonlinear, nonlinear_trajectory
 from robust_filterpy.smoothing.recording import Recording, linear_recording, problem
 from robust_filterpy.smoothing.rules import Learnt, Ordinary, Psi, checked_influence
 from robust_filterpy.smoothing.sweeps import Fit, Rule, reweighted
@@ -73,6 +75,12 @@ def smooth(
     Rs: Any = None,
     Bs: Any = None,
     us: Any = None,
+    dts: Any = None,
+    HJacobian: Callable[..., ArrayLike] | None = None,
+    Hx: Callable[..., ArrayLike] | None = None,
+    args: Any = (),
+    hx_args: Any = (),
+    residual: Callable[[Any, Any], Any] = np.subtract,
     max_sweeps: int = 100,
 ) -> Smoothed:
     """Estimate all states of a recording from all of its measurements, without believing outliers.
@@ -83,8 +91,9 @@ def smooth(
     Parameters
     ----------
     kf : KalmanFilter
-        Of filterpy or of this package, with x, P, F, H, Q, R (and B) set; x and P are those before the first
-        prediction. It is not changed, and its own psi plays no part.
+        Of filterpy or of this package, linear, extended, unscented or cubature, with x, P, Q, R and its model set; x
+        and P are those before the first prediction. It is not changed. Its own psi plays no part, except that a
+        nonlinear filter finds the trajectory to start from.
     zs : sequence of length N
         Measurements as `batch_filter` takes them: numbers, arrays, rows with NaN, None.
     influence : Influence, optional
@@ -98,7 +107,16 @@ def smooth(
     grouping : {"component", "joint"}, optional
         Whether sensors fail each on its own or all together; by default the filter's, or "component".
     Fs, Qs, Hs, Rs, Bs, us : sequence of length N, optional
-        Matrices and control inputs for each step, otherwise the filter's own and no input.
+        Matrices and control inputs for each step, otherwise the filter's own and no input. A nonlinear filter takes
+        Rs, and us if it is an extended one.
+    dts : sequence of length N, or float, optional
+        Time before each step, for an unscented or cubature filter.
+    HJacobian, Hx : callable
+        For an extended filter: H at a state, and the measurement that belongs to it, as in its ``update``.
+    args, hx_args : tuple
+        Further arguments of HJacobian and Hx.
+    residual : callable, default numpy.subtract
+        ``residual(z, Hx(x))`` for an extended filter whose measurements do not subtract (angles).
     max_sweeps : int, default 100
         How often to smooth at most.
 
@@ -129,8 +147,15 @@ def smooth(
     (True, True, True)
     """
     grouping = getattr(kf, "grouping", "component") if grouping is None else grouping
-    recording = linear_recording(kf, zs, Fs, Qs, Hs, Rs, Bs, us)
-    found = _smoothed(recording, influence, process, grouping, max_sweeps)
+    if is_nonlinear(kf):
+        for name, value in (("Fs", Fs), ("Qs", Qs), ("Hs", Hs), ("Bs", Bs)):
+            if value is not None:
+                raise TypeError(f"{name}: expected none for a {type(kf).__name__}, whose model is in its functions")
+        trajectory = nonlinear_trajectory(kf, zs, Rs, us, dts, (HJacobian, Hx, args, hx_args, residual))
+        found = _smoothed(trajectory.recording(), influence, process, grouping, max_sweeps, trajectory)
+    else:
+        recording = linear_recording(kf, zs, Fs, Qs, Hs, Rs, Bs, us)
+        found = _smoothed(recording, influence, process, grouping, max_sweeps)
     x = found.x[0] if np.ndim(kf.x) == 1 else found.x[0][..., None]
     return Smoothed(
         x, found.P[0], found.weights[0], found.process_weights[0], found.contamination[0], found.scale_ratio[0],
@@ -218,20 +243,27 @@ def smooth_series(
 
 
 def _smoothed(
-    recording: Recording, influence: Any, process: Any, grouping: str, max_sweeps: int
+    recording: Recording,
+    influence: Any,
+    process: Any,
+    grouping: str,
+    max_sweeps: int,
+    trajectory: Trajectory | None = None,
 ) -> Smoothed:
     """Smooth with the rules that the options ask for."""
     joint = _checks.option("grouping", grouping, GROUPINGS) == "joint"
     limit = _checks.count("max_sweeps", max_sweeps, 1)
     measurement = measurement_rule(influence, joint, recording.observed)
     doubt = process_rule(process, recording.driven)
-    if isinstance(measurement, Psi) and isinstance(doubt, Ordinary) and is_convex(influence):
+    newton = trajectory is None and isinstance(doubt, Ordinary)
+    if newton and isinstance(measurement, Psi) and is_convex(influence):
         fit = minimised(recording.model, recording.observed, influence, joint, limit)
         weights = np.where(recording.observed, fit.weighting.precision, np.nan)
     else:
-        fit = reweighted(recording.model, recording.observed, measurement, doubt, limit)
+        fit = reweighted(recording.model, recording.observed, measurement, doubt, limit, trajectory)
         weights = measurement.weights
-    if not np.isfinite(fit.smooth.x).all():
+    x = fit.smooth.x if trajectory is None else trajectory.x[None, 1:]
+    if not np.isfinite(x).all():
         raise ValueError("F: expected a model whose states stay finite, got overflow; check F and the length of zs")
     series, _, m = recording.observed.shape
     process_weights = np.ones(weights.shape[:2])
@@ -242,7 +274,7 @@ def _smoothed(
     c, ratio = (np.broadcast_to(a, (series, m)).copy() for a in _learnt(measurement, series))
     c_process, ratio_process = (a[:, 0] for a in _learnt(doubt, series))
     return Smoothed(
-        fit.smooth.x, fit.smooth.P, weights, process_weights, c, ratio, c_process, ratio_process,
+        x, fit.smooth.P, weights, process_weights, c, ratio, c_process, ratio_process,
         fit.converged, fit.sweeps, _message(fit, measurement, doubt),
     )  # fmt: skip
 

@@ -6,7 +6,7 @@ the first estimate nor what it bent is mistaken for the other, and a redescendin
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,35 +34,50 @@ class Fit(NamedTuple):
     sweeps: int
 
 
-def reweighted(model: Model, observed: Array, measurement: Rule, process: Rule, limit: int) -> Fit:
+def reweighted(
+    model: Model,
+    observed: Array,
+    measurement: Rule,
+    process: Rule,
+    limit: int,
+    trajectory: Any = None,
+    start: Weighting | None = None,
+) -> Fit:
     """Sweep until every series has converged, or ``limit`` times.
 
     observed (series, steps, m): which components there are. A series that has converged keeps its weights, so that it
-    ends with the same numbers whatever else is smoothed with it.
+    ends with the same numbers whatever else is smoothed with it. trajectory: what makes a new model of a nonlinear
+    problem after each sweep; the states in the result are then deviations from where it was before the last one.
+    start: weights from an earlier search; then no sweep is graduated.
     """
     series = len(observed)
     tolerance = min(measurement.tolerance, process.tolerance)
     doubted = not isinstance(process, Ordinary)
-    linear = not doubted and isinstance(measurement, Ordinary)
+    plain = not doubted and isinstance(measurement, Ordinary)
+    frozen = np.full(series, plain and trajectory is None)
     weighting = Weighting(observed.astype(float), np.zeros(observed.shape), np.ones(observed.shape[:2]))
-    frozen, soon = np.zeros(series, dtype=bool), linear
+    if start is not None and not plain:
+        weighting = start
+    soon = plain or trajectory is not None
     before = unused = None
     for sweep in range(limit):
         if unused is not None and bool(unused.x.shape[1]) != soon:
             unused = None
         smooth = smoothing_pass(model, weighting, states=soon, process=doubted, into=unused)
         moved = np.full(series, np.inf) if before is None else _moved(smooth, before.residual, observed)
+        if trajectory is not None:
+            model, moved = trajectory.advanced(smooth)
         temperature = np.ones((series, 1, 1))
-        if sweep < _GRADUATED and not linear:
+        if sweep < _GRADUATED and not plain and start is None:
             temperature = _temperature(smooth, weighting, observed)
-        frozen = frozen | linear | (moved < tolerance) & (temperature[:, 0, 0] == 1.0)
+        frozen = frozen | (moved < tolerance) & (temperature[:, 0, 0] == 1.0)
         d, o = measurement.measurement(smooth, weighting, temperature, frozen)
         q = process.process(smooth, weighting, frozen)
         if frozen.all():
             break
         weighting = Weighting(*(_kept(frozen, old, new) for old, new in zip(weighting, (d, o, q), strict=True)))
         before, unused = smooth, before
-        soon = sweep + 2 == limit or bool(np.max(moved) < 30.0 * tolerance)
+        soon = soon or sweep + 2 == limit or bool(np.max(moved) < 30.0 * tolerance)
     if not smooth.x.shape[1]:
         smooth = smoothing_pass(model, weighting, states=True, process=doubted)
     return Fit(smooth, weighting, frozen, sweep + 1)
