@@ -15,7 +15,7 @@ from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.influence import Hampel, Huber, Linear, StudentT, TukeyBiweight
 
 if TYPE_CHECKING:
-    from robust_filterpy.batch import FilterBank, filter_series, smooth_series
+    from robust_filterpy.batch import FilterBank, filter_series
     from robust_filterpy.correction.mixture import ContaminatedScore
     from robust_filterpy.diagnostics import diagnose
     from robust_filterpy.filters import (
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         RobustExtendedKalmanFilter,
         RobustUnscentedKalmanFilter,
         TwoSidedKalmanFilter,
+        robust,
     )
     from robust_filterpy.identification import (
         ARMAX,
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
         TrackerBank,
     )
     from robust_filterpy.noise import estimate_noise
+    from robust_filterpy.smoothing import smooth, smooth_series
 
 _LAZY = {
     "ARMAX": "identification",
@@ -56,7 +58,9 @@ _LAZY = {
     "diagnose": "diagnostics",
     "estimate_noise": "noise",
     "filter_series": "batch",
-    "smooth_series": "batch",
+    "robust": "filters",
+    "smooth": "smoothing",
+    "smooth_series": "smoothing",
 }
 __all__ = [
     "ARMAX",
@@ -84,6 +88,8 @@ __all__ = [
     "diagnose",
     "estimate_noise",
     "filter_series",
+    "robust",
+    "smooth",
     "smooth_series",
 ]
 

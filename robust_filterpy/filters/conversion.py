@@ -17,7 +17,7 @@ from robust_filterpy.influence.functions import Huber, Influence
 
 __all__ = ["robust"]
 
-_OURS: dict[type, type] = {
+_OURS: dict[type, Any] = {
     KalmanFilter: RobustKalmanFilter,
     ExtendedKalmanFilter: RobustExtendedKalmanFilter,
     UnscentedKalmanFilter: RobustUnscentedKalmanFilter,
@@ -71,11 +71,10 @@ def robust(
         names = ", ".join(cls.__name__ for cls in _OURS)
         mend = "; it is robust already" if isinstance(kf, RobustFilterMixin) else ""
         raise TypeError(f"kf: expected one of filterpy's {names}, got {type(kf).__name__}{mend}")
-    cls = _OURS[theirs] if type(kf) is theirs else _subclass(type(kf), _OURS[theirs])
+    user: Any = type(kf)
+    cls = _OURS[theirs] if user is theirs else _subclass(user, _OURS[theirs])
     ours = cls.__new__(cls)
-    choices: dict[str, Any] = dict(
-        influence=influence, scaling=scaling, information=information, grouping=grouping
-    )
+    choices: dict[str, Any] = dict(influence=influence, scaling=scaling, information=information, grouping=grouping)
     if theirs in (KalmanFilter, ExtendedKalmanFilter):
         _OURS[theirs].__init__(ours, kf.dim_x, kf.dim_z, kf.dim_u, **choices)
     elif theirs is UnscentedKalmanFilter:
@@ -92,7 +91,7 @@ def robust(
 
 
 @lru_cache(maxsize=64)
-def _subclass(theirs: type, ours: type) -> type:
+def _subclass(theirs: Any, ours: Any) -> Any:
     """Return a class with the methods of a user's subclass of filterpy's and, below them, our filter's."""
 
     def reduced(self: Any, protocol: int) -> Any:
@@ -102,7 +101,7 @@ def _subclass(theirs: type, ours: type) -> type:
     return type(f"Robust{theirs.__name__}", (theirs, ours), {"__reduce_ex__": reduced, "__doc__": theirs.__doc__})
 
 
-def _empty(theirs: type, ours: type) -> Any:
+def _empty(theirs: Any, ours: Any) -> Any:
     """Return a filter without attributes, for pickle."""
     cls = _subclass(theirs, ours)
     return cls.__new__(cls)

@@ -7,12 +7,15 @@
 * `mixture`: contamination and size of outliers, learnt along the way.
 * `sweeps`: pass after pass until the estimate stays.
 * `convex`: the optimum for a psi that never falls, by Newton's method.
+* `nonlinear`: extended, unscented and cubature filters, made linear about the smoothed trajectory.
+* `fixed_lag`: the live form.
 
 Imports from below: `influence`, `correction`, `filters`, `batch`.
 """
 
 from __future__ import annotations
 
+from robust_filterpy.smoothing.fixed_lag import FixedLagSmoother
 from robust_filterpy.smoothing.smoother import Smoothed, smooth, smooth_series
 
-__all__ = ["Smoothed", "smooth", "smooth_series"]
+__all__ = ["FixedLagSmoother", "Smoothed", "smooth", "smooth_series"]

@@ -21,7 +21,7 @@ def compiled_for(n: int, m: int, r: int) -> Any:
     """Return the pass for n states, m sensors and process noise of rank r."""
 
     @njit(cache=True, nogil=True, error_model="numpy")
-    def run(F, G, c, H, z, x0, P0, d, o, q, residual, spread, score, information, xs, Ps, x0s, P0s):
+    def run(F, G, c, H, z, x0, P0, d, o, q, fitted, spread, score, information, xs, Ps, x0s, P0s):
         """Smooth every series; arguments as the fields of Model, Weighting and Smooth."""
         series, steps = d.shape[0], d.shape[1]
         states, process = xs.shape[1] > 0, score.shape[1] > 0
@@ -157,15 +157,15 @@ def compiled_for(n: int, m: int, r: int) -> Any:
                             for j in range(n):
                                 Ps[one, t, i, j] -= f * Q[l, j]
                 for v in range(m):
-                    total = z[one, t, v] - Hx[t, v]
+                    total = Hx[t, v]
                     for i in range(n):
                         B[v, i] = 0.0
                     for j in range(n):
                         f = PH[t, v, j]
-                        total -= f * s[j]
+                        total += f * s[j]
                         for i in range(n):
                             B[v, i] += L[j, i] * f
-                    residual[one, t, v] = total
+                    fitted[one, t, v] = total
                     for u in range(v + 1):
                         total = 0.0
                         for i in range(n):
@@ -175,7 +175,7 @@ def compiled_for(n: int, m: int, r: int) -> Any:
                     for u in range(m):
                         spread[one, t, v, u] = V[v, u]
                     precision = d[one, t, v]
-                    push = precision * residual[one, t, v] + o[one, t, v]
+                    push = precision * (z[one, t, v] - fitted[one, t, v]) + o[one, t, v]
                     # L += h k' + k h' with k = d (h - V d H)/2 - d B.
                     for i in range(n):
                         k[i] = precision * (0.5 * Ht[v, i] - B[v, i])

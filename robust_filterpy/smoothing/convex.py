@@ -15,9 +15,7 @@ import numpy as np
 from robust_filterpy._checks import Array
 from robust_filterpy.smoothing.linear_pass import Model, Weighting, smoothing_pass
 from robust_filterpy.smoothing.rules import psi_weights
-from robust_filterpy.smoothing.sweeps import Fit
-
-__all__ = ["is_convex", "minimised"]
+from robust_filterpy.smoothing.sweeps import Fit, first
 
 # Largest difference of a push from psi, in units of the noise: far from what shows in the state, near to rounding.
 _TOLERANCE = 1e-9
@@ -33,10 +31,10 @@ def is_convex(influence: Any) -> bool:
 def minimised(model: Model, observed: Array, influence: Any, joint: bool, limit: int) -> Fit:
     """Return the optimum of every series, after at most ``limit`` sweeps."""
     ones = np.ones(observed.shape[:2])
-    weighting = Weighting(observed.astype(float), np.zeros(observed.shape), ones)
+    weighting = first(model, observed)
     smooth = smoothing_pass(model, weighting)
-    e = np.where(observed, smooth.residual, 0.0)
-    push = e.copy()
+    e = np.where(observed, model.z - smooth.fitted, 0.0)
+    push = weighting.precision * e
     for sweep in range(1, limit + 1):
         psi = _psi(influence, e, joint)
         apart = np.abs(psi - push).max(axis=(1, 2), initial=0.0)
@@ -46,8 +44,8 @@ def minimised(model: Model, observed: Array, influence: Any, joint: bool, limit:
         there, (d, o), unrotated = _second_order(model, influence, e, psi, joint, observed)
         weighting = Weighting(d, o, ones)
         smooth = smoothing_pass(there, weighting)
-        e_new = unrotated(np.where(observed, smooth.residual, 0.0))
-        push_new = unrotated(d * np.where(observed, smooth.residual, 0.0) + o)
+        turned = np.where(observed, there.z - smooth.fitted, 0.0)
+        e_new, push_new = unrotated(turned), unrotated(d * turned + o)
         part = _part(influence, joint, (e, push), (e_new, push_new))
         e, push = e + part * (e_new - e), push + part * (push_new - push)
     # The optimum again as weights, which states and covariances belong to.
@@ -71,8 +69,8 @@ def _second_order(
 ) -> tuple[Model, tuple[Array, Array], Callable[[Array], Array]]:
     """Return the linear problem of a Newton step: model, factors d and o, and the way back from its components.
 
-    The second derivative of rho(\\|e\\|) is psi' along e and psi/\\|e\\| across it, so clipped measurements are reflected
-    until e points along one component.
+    The second derivative of rho(\\|e\\|) is psi' along e and psi/\\|e\\| across it, so clipped measurements are
+    reflected until e points along one component.
     """
     if not joint or e.shape[-1] == 1:
         d = np.where(observed, np.maximum(influence.psi_deriv(e), 0.0), 0.0)
@@ -104,7 +102,7 @@ def _part(influence: Any, joint: bool, old: tuple[Array, Array], new: tuple[Arra
     (e, push), (e_new, push_new) = old, new
     change, change_push = e_new - e, push_new - push
 
-    def falls(part: Array) -> Array:
+    def falls(part: Array) -> np.ndarray:
         at = e + part * change
         slope = (change * (_psi(influence, at, joint) - push - part * change_push)).sum(axis=(1, 2), keepdims=True)
         return slope <= 0.0

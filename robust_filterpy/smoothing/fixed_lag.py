@@ -195,9 +195,7 @@ class FixedLagSmoother(filterpy.kalman.FixedLagSmoother):
         self._window = self._window[1:]
         self._beliefs = [rule.remembered(_MEMORY) if isinstance(rule, Learnt) else Belief() for rule in rules]
 
-    def smooth_batch(
-        self, zs: Any, N: int, us: Any = None
-    ) -> tuple[Array, Array]:
+    def smooth_batch(self, zs: Any, N: int, us: Any = None) -> tuple[Array, Array]:
         """Smooth a recording with a lag, and change nothing in this object.
 
         Parameters
@@ -239,5 +237,5 @@ class FixedLagSmoother(filterpy.kalman.FixedLagSmoother):
 
 def _problem(window: list[_Step], prior: tuple[Array, Array]) -> Recording:
     """Return the smoothing problem of a window."""
-    arrays = {name: np.array([getattr(one, name) for one in window])[None] for name in _Step._fields[:6]}
-    return problem(*(arrays[name] for name in ("F", "Q", "c", "H", "R", "z")), prior[0][None], prior[1][None])
+    F, Q, c, H, R, z = (np.array([getattr(one, name) for one in window])[None] for name in _Step._fields[:6])
+    return problem(F, Q, c, H, R, z, prior[0][None], prior[1][None])

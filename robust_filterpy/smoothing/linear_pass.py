@@ -60,8 +60,8 @@ class Weighting(NamedTuple):
 class Smooth(NamedTuple):
     """What a pass returns; what was not wanted has length 0 along its steps."""
 
-    residual: Array
-    """e = z - H x_s, (series, steps, m)."""
+    fitted: Array
+    """H x_s, (series, steps, m)."""
     spread: Array
     """H P_s H', (series, steps, m, m)."""
     score: Array
@@ -142,7 +142,7 @@ def _room(model: Model, weighting: Weighting, states: bool, process: bool) -> Sm
 def _by_definition(model: Model, weighting: Weighting, out: Smooth) -> None:
     """Smooth all series, step by step."""
     d, o, q = weighting
-    series, steps, m = d.shape
+    series, steps = q.shape
     n = model.F.shape[-1]
     means, covariances = np.empty((series, steps, n)), np.empty((series, steps, n, n))
     x = np.broadcast_to(model.x0, (series, n))
@@ -161,12 +161,12 @@ def _by_definition(model: Model, weighting: Weighting, out: Smooth) -> None:
             out.x[:, k], out.P[:, k] = x + _times(P, s), P - P @ L @ P
         PH = P @ _t(H)
         B = L @ PH
-        e = model.z[:, k] - _times(H, x) - _times(_t(PH), s)
+        fitted = _times(H, x) + _times(_t(PH), s)
         V = H @ PH - _t(PH) @ B
-        out.residual[:, k] = e
+        out.fitted[:, k] = fitted
         out.spread[:, k] = V
         dH = d[:, k, :, None] * H
-        s = s + _times(_t(H), d[:, k] * e + o[:, k])
+        s = s + _times(_t(H), d[:, k] * (model.z[:, k] - fitted) + o[:, k])
         L = L + _t(H) @ dH - _t(dH) @ V @ dH - _t(dH) @ _t(B) - B @ dH
         L = 0.5 * (L + _t(L))
         if out.score.shape[1]:

@@ -1,8 +1,8 @@
 """Nonlinear filters: the problem made linear about the smoothed trajectory, again in every sweep.
 
 The unknowns are deviations from a nominal trajectory, by the filter's own difference and sum of states and difference
-of measurements, so that angles stay angles. With Jacobians (extended filter) this is the Gauss-Newton method (B. M. Bell,
-SIAM Journal on Optimization 4, 1994), with sigma points the iterated posterior linearization smoother (A. F.
+of measurements, so that angles stay angles. With Jacobians (extended filter) this is the Gauss-Newton method (B. M.
+Bell, SIAM Journal on Optimization 4, 1994), with sigma points the iterated posterior linearization smoother (A. F.
 Garcia-Fernandez, L. Svensson, S. Sarkka, IEEE Transactions on Signal Processing 65, 2017).
 """
 
@@ -23,8 +23,6 @@ from robust_filterpy.filters._nonlinear_mixin import innovation_of
 from robust_filterpy.filters.conversion import robust
 from robust_filterpy.smoothing.linear_pass import Model, Smooth
 from robust_filterpy.smoothing.recording import Recording, problem, stack
-
-__all__ = ["Extended", "SigmaPoints", "Trajectory", "Tangent", "is_nonlinear", "nonlinear_trajectory"]
 
 
 class Tangent(NamedTuple):

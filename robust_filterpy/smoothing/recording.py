@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._arrays import control_term, state_of
@@ -13,7 +12,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction.whitening import standardize
 from robust_filterpy.smoothing.linear_pass import Model
 
-__all__ = ["Recording", "linear_recording", "measurement_rows", "problem"]
+_FURTHEST = 1e30
 
 
 class Recording(NamedTuple):
@@ -98,7 +97,9 @@ def stack(name: str, default: Any, values: Any, steps: int | None, shape: tuple[
         try:
             found = _checks.numbers(f"{name}s", values if isinstance(values, np.ndarray) else list(values))[:steps]
         except TypeError:
-            raise TypeError(f"{name}s: expected matrices of one shape for all steps, got {_checks.shown(values)}") from None
+            raise TypeError(
+                f"{name}s: expected matrices of one shape for all steps, got {_checks.shown(values)}"
+            ) from None
         if found.ndim == 1 and rows == columns:
             found = found[:, None, None] * np.eye(columns)
     if found.ndim != 3 or found.shape[2] != columns or (rows is not None and found.shape[1] != rows):
@@ -156,15 +157,17 @@ def _require_semidefinite(name: str, stack: Array) -> None:
 def _whitened(H: Array, R: Array, z: Array, observed: Array) -> tuple[Array, Array]:
     """Return H and z in units of the noise, T R T' = I, with zeros where nothing was observed."""
     m = R.shape[-1]
-    if not _checks.all_positive_definite(R.reshape(-1, m, m)):
-        for one in R.reshape(-1, m, m):
-            _checks.positive_definite("R", one)
+    _require_semidefinite("R", R)
+    least = np.linalg.eigvalsh(R)[..., 0] if m > 1 else R[..., 0, 0]
+    if (least <= 0.0).any():
+        raise ValueError(f"R: expected noise of every sensor, got least eigenvalue {least.min():.3g}; give it a little")
+    # Nothing is told apart that is so many standard deviations away, and what is squared there stays finite.
     filled = np.where(observed, z, 0.0)
     if not (R * (1.0 - np.eye(m))).any():
         root = 1.0 / np.sqrt(np.diagonal(R, axis1=-2, axis2=-1))
-        return root[..., None] * H, root * filled
+        return root[..., None] * H, np.clip(root * filled, -_FURTHEST, _FURTHEST)
     T = _scalings(R, observed)
-    return T @ H, (T @ filled[..., None])[..., 0]
+    return T @ H, np.clip((T @ filled[..., None])[..., 0], -_FURTHEST, _FURTHEST)
 
 
 def _scalings(R: Array, observed: Array) -> Array:

@@ -12,12 +12,17 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Choices
-from robust_filterpy.smoothing.linear_pass import Smooth, Weighting
-from robust_filterpy.smoothing.mixture import Belief, Mixture, Verdict, judge_components, judge_scales
+from robust_filterpy.smoothing.linear_pass import Model, Smooth, Weighting
+from robust_filterpy.smoothing.mixture import (
+    Belief,
+    Mixture,
+    Verdict,
+    judge_components,
+    judge_measurements,
+    judge_steps,
+)
 
-# Beyond this somebody else's psi may overflow; its weight is next to nothing long before.
-_LARGEST = 1e30
-# A precision that is not quite nothing, so that a sample whose weight is 0 still has a prediction by the others.
+# Least weight of a step of the process, the inverse of the largest scale of its noise.
 _LEAST = 1e-12
 
 
@@ -33,7 +38,7 @@ class Ordinary:
         self.weights = np.where(counted, 1.0, np.nan)
 
     def measurement(
-        self, smooth: Smooth, weighting: Weighting, temperature: Array, frozen: Array
+        self, model: Model, smooth: Smooth, weighting: Weighting, temperature: Array, frozen: Array
     ) -> tuple[Array, Array]:
         """Return d and o as they are."""
         return weighting.precision, weighting.offset
@@ -56,11 +61,11 @@ class Psi:
         self.weights = np.where(counted, 1.0, np.nan)
 
     def measurement(
-        self, smooth: Smooth, weighting: Weighting, temperature: Array, frozen: Array
+        self, model: Model, smooth: Smooth, weighting: Weighting, temperature: Array, frozen: Array
     ) -> tuple[Array, Array]:
         """Return the weights and no offset."""
-        weights = self._of(smooth.residual / np.sqrt(temperature))
-        return np.where(self.counted, np.maximum(weights, _LEAST), 0.0), np.zeros_like(weights)
+        weights = self._of((model.z - smooth.fitted) / np.sqrt(temperature))
+        return np.where(self.counted, weights, 0.0), np.zeros_like(weights)
 
     def process(self, smooth: Smooth, weighting: Weighting, frozen: Array) -> Array:
         """Return the scale 1/w of each step's noise w ~ N(0, I/w)."""
@@ -79,7 +84,9 @@ class Learnt:
 
     tolerance = 1e-2
 
-    def __init__(self, joint: bool, counted: Array, belief: Belief = Belief(), mixture: Mixture | None = None) -> None:
+    def __init__(
+        self, joint: bool, counted: NDArray[np.bool_], belief: Belief = Belief(), mixture: Mixture | None = None
+    ) -> None:
         """Start from a belief, or where it led to before."""
         series, _, kinds = counted.shape
         self.joint, self.counted, self.belief = joint, counted, belief
@@ -88,23 +95,20 @@ class Learnt:
         self._each = (counted.any(axis=-1, keepdims=True) if joint else counted).astype(float)
 
     def measurement(
-        self, smooth: Smooth, weighting: Weighting, temperature: Array, frozen: Array
+        self, model: Model, smooth: Smooth, weighting: Weighting, temperature: Array, frozen: Array
     ) -> tuple[Array, Array]:
         """Return the factors that fit, and learn."""
         d, o = weighting.precision, weighting.offset
+        e = model.z - smooth.fitted
         if self.joint:
-            information = -d[..., :, None] * smooth.spread * d[..., None, :]
-            _diagonal(information)[...] += d
-            now = 1.0 / np.maximum(d.max(axis=-1, keepdims=True), _LEAST)
-            score = d * smooth.residual / np.sqrt(temperature)
-            verdict = judge_scales(score, information, now, self.mixture, self.counted)
+            verdict = judge_measurements(e, smooth.spread, d, self.mixture, self.counted, temperature)
             d, o = verdict.mean_precision(self.mixture) * self.counted, np.zeros_like(o)
         else:
-            V = np.ascontiguousarray(_diagonal(smooth.spread))
-            verdict, d, o = judge_components(smooth.residual, V, d, o, self.mixture, temperature)
-            graduated = temperature > 1.0
+            V = np.ascontiguousarray(np.einsum("...ii->...i", smooth.spread))
+            verdict, d, o = judge_components(e, V, d, o, self.mixture, temperature)
+            # Until the smoothed state is about right, moments follow what it gets wrong; mean precisions do not.
+            graduated = (temperature > 1.0) | verdict.impossible
             if graduated.any():
-                # Until the smoothed state is about right, moments follow what it gets wrong; mean precisions do not.
                 d, o = np.where(graduated, verdict.mean_precision(self.mixture), d), np.where(graduated, 0.0, o)
             if not self.counted.all():
                 d, o = np.where(self.counted, d, 0.0), np.where(self.counted, o, 0.0)
@@ -115,7 +119,7 @@ class Learnt:
     def process(self, smooth: Smooth, weighting: Weighting, frozen: Array) -> Array:
         """Return the scales that fit, and learn."""
         now = weighting.process_scale[..., None]
-        verdict = judge_scales(smooth.score, smooth.information, now, self.mixture, self.counted)
+        verdict = judge_steps(smooth.score, smooth.information, now, self.mixture, self.counted)
         self._learn(verdict, frozen)
         self.weights = verdict.mean_precision(self.mixture)
         return verdict.mean_variance(self.mixture)[..., 0]
@@ -124,12 +128,13 @@ class Learnt:
         """Fit the mixture of the series that are not finished."""
         self.verdict = verdict
         new = self.belief.joined(verdict, self._each).mixture
-        self.mixture = Mixture(*(np.where(frozen[:, None], old, fit) for old, fit in zip(self.mixture, new, strict=True)))
-
+        self.mixture = Mixture(
+            *(np.where(frozen[:, None], old, fit) for old, fit in zip(self.mixture, new, strict=True))
+        )
 
     def remembered(self, memory: float) -> Belief:
         """Return the belief after the first step has gone, older ones forgotten by a factor."""
-        first = Verdict(self.verdict.outlier[:, :1], self.verdict.square[:, :1])
+        first = Verdict(*(a[:, :1] for a in self.verdict))
         kept = (start + memory * (now - start) for start, now in zip(Belief(), self.belief, strict=True))
         return Belief(*kept).joined(first, self._each[:, :1])
 
@@ -137,18 +142,13 @@ class Learnt:
 def psi_weights(influence: Any, e: Array, joint: bool) -> Array:
     """Return psi(e)/e of each component, or of the length over the last axis, shape of e, checked."""
     at = np.linalg.norm(e, axis=-1, keepdims=True) if joint else e
-    found = np.asarray(influence.weights(np.clip(at, -_LARGEST, _LARGEST)), dtype=float)
+    found = np.asarray(influence.weights(at), dtype=float)
     if found.shape != at.shape or not np.isfinite(found).all():
         raise ValueError(
             f"influence: expected weights(e) finite and of the shape of e, got shape {found.shape} for {at.shape}, "
             f"{np.count_nonzero(~np.isfinite(found))} of them not finite; check {influence!r}"
         )
     return np.broadcast_to(np.clip(found, 0.0, None), e.shape)
-
-
-def _diagonal(stack: Array) -> Array:
-    """Return a view of the diagonals of a stack of matrices."""
-    return np.einsum("...ii->...i", stack)
 
 
 def checked_influence(name: str, influence: Any) -> Any:

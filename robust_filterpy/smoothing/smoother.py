@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array, numbers
+from robust_filterpy.batch.series import _leading
 from robust_filterpy.correction.options import GROUPINGS, Choices
 from robust_filterpy.influence.functions import Influence, Linear
 from robust_filterpy.smoothing.convex import is_convex, minimised
@@ -143,7 +144,7 @@ def smooth(
     >>> zs = np.arange(50.0) + np.random.default_rng(0).normal(size=50)
     >>> zs[20:23] = 1e6
     >>> found = smooth(kf, zs)
-    >>> bool(abs(found.x[21, 0, 0] - 21.0) < 1.0), found.weights[21, 0] < 1e-3, found.converged
+    >>> bool(abs(found.x[21, 0, 0] - 21.0) < 1.0), bool(found.weights[21, 0] < 1e-3), found.converged
     (True, True, True)
     """
     grouping = getattr(kf, "grouping", "component") if grouping is None else grouping
@@ -309,17 +310,3 @@ def _message(fit: Fit, measurement: Rule, process: Rule) -> str:
         if rule.mixture is not None and (rule.mixture.contamination >= CONTAMINATION_LIMITS[1]).any():
             parts.append(f"half of the {what} look like outliers, so {name} is probably too small: see estimate_noise")
     return "; ".join(parts)
-
-
-def _leading(name: str, value: Any, shape: tuple[int, int], series: int, steps: int) -> Array:
-    """Return a matrix with the axes (series or 1, step or 1) in front, or raise."""
-    found = numbers(name, value)
-    if found.ndim in (2, 3):
-        found = found[(None,) * (4 - found.ndim)]
-    good = found.ndim == 4 and found.shape[2:] == shape
-    if not good or found.shape[0] not in (1, series) or found.shape[1] not in (1, steps):
-        raise ValueError(
-            f"{name}: expected shape {shape}, ({steps}, ..) with one a step, or ({series}, {steps} or 1, ..) with each "
-            f"series' own, got {np.shape(value)}"
-        )
-    return found

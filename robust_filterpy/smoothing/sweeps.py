@@ -14,10 +14,10 @@ from robust_filterpy._checks import Array
 from robust_filterpy.smoothing.linear_pass import Model, Smooth, Weighting, smoothing_pass
 from robust_filterpy.smoothing.rules import Learnt, Ordinary, Psi
 
-__all__ = ["Fit", "Rule", "reweighted"]
-
 Rule = Ordinary | Psi | Learnt
 
+# Times the typical distance from the middle.
+_ABSURD = 1e7
 # In so many sweeps at most are residuals divided by their size, and only while their squares are this much too large.
 _GRADUATED, _COOL = 3, 1.5
 # Median of the square of a standard normal number, and how many of them are enough for a median.
@@ -55,23 +55,21 @@ def reweighted(
     doubted = not isinstance(process, Ordinary)
     plain = not doubted and isinstance(measurement, Ordinary)
     frozen = np.full(series, plain and trajectory is None)
-    weighting = Weighting(observed.astype(float), np.zeros(observed.shape), np.ones(observed.shape[:2]))
-    if start is not None and not plain:
-        weighting = start
+    weighting = ordinary(observed) if plain else first(model, observed) if start is None else start
     soon = plain or trajectory is not None
     before = unused = None
     for sweep in range(limit):
         if unused is not None and bool(unused.x.shape[1]) != soon:
             unused = None
         smooth = smoothing_pass(model, weighting, states=soon, process=doubted, into=unused)
-        moved = np.full(series, np.inf) if before is None else _moved(smooth, before.residual, observed)
+        moved = np.full(series, np.inf) if before is None else _moved(smooth, before.fitted, observed)
         if trajectory is not None:
             model, moved = trajectory.advanced(smooth)
         temperature = np.ones((series, 1, 1))
         if sweep < _GRADUATED and not plain and start is None:
-            temperature = _temperature(smooth, weighting, observed)
+            temperature = _temperature(model, smooth, weighting, observed)
         frozen = frozen | (moved < tolerance) & (temperature[:, 0, 0] == 1.0)
-        d, o = measurement.measurement(smooth, weighting, temperature, frozen)
+        d, o = measurement.measurement(model, smooth, weighting, temperature, frozen)
         q = process.process(smooth, weighting, frozen)
         if frozen.all():
             break
@@ -83,6 +81,22 @@ def reweighted(
     return Fit(smooth, weighting, frozen, sweep + 1)
 
 
+def ordinary(observed: Array) -> Weighting:
+    """Return full weight for everything that there is."""
+    return Weighting(observed.astype(float), np.zeros(observed.shape), np.ones(observed.shape[:2]))
+
+
+def first(model: Model, observed: Array) -> Weighting:
+    """Return full weight, but none for a measurement next to which all others would vanish in rounding."""
+    start = ordinary(observed)
+    for z, there, d in zip(model.z, observed, start.precision, strict=True):
+        middle = np.median(z[there]) if there.any() else 0.0
+        size = np.abs(z - middle)
+        typical = np.median(size[there]) if there.any() else 0.0
+        d[size > _ABSURD * (1.0 + typical)] = 0.0
+    return start
+
+
 def _kept(frozen: Array, old: Array, new: Array) -> Array:
     """Return the old rows of series that have converged and the new ones of the others."""
     if not frozen.any():
@@ -92,17 +106,18 @@ def _kept(frozen: Array, old: Array, new: Array) -> Array:
 
 def _moved(smooth: Smooth, before: Array, observed: Array) -> Array:
     """Return the root mean square by which H x changed, in its standard deviations, (series,)."""
-    change = (smooth.residual - before) * observed
+    change = (smooth.fitted - before) * observed
     total = np.einsum("snm,snm->s", change, change / np.maximum(np.einsum("...ii->...i", smooth.spread), 1e-12))
     return np.sqrt(total / np.maximum(np.count_nonzero(observed.reshape(len(observed), -1), axis=1), 1))
 
 
-def _temperature(smooth: Smooth, weighting: Weighting, observed: Array) -> Array:
-    """Return how many times too large squares of residuals are, (series, 1, 1), each sample by the others; 1 if hardly."""
+def _temperature(model: Model, smooth: Smooth, weighting: Weighting, observed: Array) -> Array:
+    """Return how many times too large squares of residuals are, each by the others, (series, 1, 1); 1 if hardly."""
     some = slice(None, None, max(observed.shape[1] // _ENOUGH, 1))
     V = np.einsum("...ii->...i", smooth.spread[:, some])
     apart = 1.0 - weighting.precision[:, some] * V
-    squares = ((smooth.residual[:, some] + V * weighting.offset[:, some]) / apart) ** 2 / (1.0 + V / apart)
+    e = model.z[:, some] - smooth.fitted[:, some]
+    squares = ((e + V * weighting.offset[:, some]) / apart) ** 2 / (1.0 + V / apart)
     there = observed[:, some]
     typical = [float(np.median(s[one])) if one.any() else 0.0 for s, one in zip(squares, there, strict=True)]
     found = np.array(typical) / _MEDIAN_SQUARE
