@@ -120,9 +120,7 @@ def judge_components(
     return verdict, *factor
 
 
-def _judged(
-    e: Array, V: Array, d: Array, o: Array, mixture: Mixture, temperature: Array
-) -> tuple[Array, Array, Array, Array, Array]:
+def _judged(e: Array, V: Array, d: Array, o: Array, mixture: Mixture, temperature: Array) -> tuple[Array, ...]:
     """Judge the components of some steps: return the fields of the verdict, and d and o."""
     apart = 1.0 - d * V
     cavity = V / apart

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Choices
