@@ -16,7 +16,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit
 
 from robust_filterpy._checks import Array
@@ -90,7 +89,7 @@ class Verdict(NamedTuple):
     """Probability p that it is an outlier."""
     square: Array
     """Mean square of the noise if it is one, at most what the mixture knows of."""
-    impossible: NDArray[np.bool_]
+    impossible: np.ndarray
     """Whether it is further away than any outlier that the mixture knows of."""
 
     def mean_precision(self, mixture: Mixture) -> Array:
@@ -120,7 +119,7 @@ def judge_components(
     return verdict, *factor
 
 
-def _judged(e: Array, V: Array, d: Array, o: Array, mixture: Mixture, temperature: Array) -> tuple[Array, ...]:
+def _judged(e: Array, V: Array, d: Array, o: Array, mixture: Mixture, temperature: Array) -> tuple[np.ndarray, ...]:
     """Judge the components of some steps: return the fields of the verdict, and d and o."""
     apart = 1.0 - d * V
     cavity = V / apart
@@ -141,7 +140,7 @@ def _judged(e: Array, V: Array, d: Array, o: Array, mixture: Mixture, temperatur
 
 
 def judge_measurements(
-    e: Array, V: Array, d: Array, mixture: Mixture, counted: NDArray[np.bool_], temperature: Array
+    e: Array, V: Array, d: Array, mixture: Mixture, counted: np.ndarray, temperature: Array
 ) -> Verdict:
     """Judge whole measurements with noise N(0, s I), s = 1 or r^2, and present factors of equal precision d.
 

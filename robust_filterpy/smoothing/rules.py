@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Choices
@@ -86,7 +85,7 @@ class Learnt:
     tolerance = 1e-2
 
     def __init__(
-        self, joint: bool, counted: NDArray[np.bool_], belief: Belief = Belief(), mixture: Mixture | None = None
+        self, joint: bool, counted: np.ndarray, belief: Belief = Belief(), mixture: Mixture | None = None
     ) -> None:
         """Start from a belief, or where it led to before."""
         series, _, kinds = counted.shape
