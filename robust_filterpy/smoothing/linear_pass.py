@@ -11,6 +11,10 @@ linear and nonlinear dynamic systems, 1963; P. de Jong, Journal of the American 
     x_s = x + P s,   P_s = P - P L P,   e = z - H x_s,   V = H P_s H'
     s <- s + H'(d e + o),   L <- L + H'(d - d V d) H - H'd H P L - L P H'd H,   then s <- F's, L <- F'L F
 
+Next to a diffuse P the last line loses the digits of P_s: there P - P L P is the difference of large numbers. So states
+and covariances, once they are wanted, come from the information filter run backward, whose result corrects x and P as a
+measurement would (D. C. Fraser and J. E. Potter, IEEE Transactions on Automatic Control 14, 1969).
+
 Every array has the axes (series, step) in front, of length 1 where one matrix serves all of them.
 """
 
@@ -73,7 +77,7 @@ class Smooth(NamedTuple):
     P: Array
     """Their covariances, (series, steps, n, n)."""
     x0: Array
-    """Smoothed state before the first prediction, (series, n)."""
+    """Smoothed state before the first prediction, (series, n), if states were wanted."""
     P0: Array
     """Its covariance, (series, n, n)."""
 
@@ -154,11 +158,13 @@ def _by_definition(model: Model, weighting: Weighting, out: Smooth) -> None:
         x, P = _corrected(x, P, H, model.z[:, k], d[:, k], o[:, k])
         means[:, k], covariances[:, k] = x, P
     s, L = np.zeros((series, n)), np.zeros((series, n, n))
+    later = np.zeros((series, n)), np.zeros((series, n, n))
     for k in range(steps - 1, -1, -1):
-        F, G, _, H = _at(model, k)
+        F, G, c, H = _at(model, k)
         x, P = means[:, k], covariances[:, k]
         if out.x.shape[1]:
-            out.x[:, k], out.P[:, k] = x + _times(P, s), P - P @ L @ P
+            out.x[:, k], out.P[:, k] = _combined(x, P, *later)
+            later = _earlier(*later, F, q[:, k, None, None] * (G @ _t(G)), c, H, model.z[:, k], d[:, k], o[:, k])
         PH = P @ _t(H)
         B = L @ PH
         fitted = _times(H, x) + _times(_t(PH), s)
@@ -172,11 +178,12 @@ def _by_definition(model: Model, weighting: Weighting, out: Smooth) -> None:
         if out.score.shape[1]:
             out.score[:, k], out.information[:, k] = _times(_t(G), s), _t(G) @ L @ G
         s, L = _times(_t(F), s), _t(F) @ L @ F
-    P0 = np.broadcast_to(model.P0, (series, n, n))
-    out.x0[:], out.P0[:] = model.x0 + _times(P0, s), P0 - P0 @ L @ P0
+    if out.x.shape[1]:
+        x0, P0 = np.broadcast_to(model.x0, (series, n)), np.broadcast_to(model.P0, (series, n, n))
+        out.x0[:], out.P0[:] = _combined(x0, P0, *later)
 
 
-def _corrected(x: Array, P: Array, H: Array, z: Array, d: Array, o: Array) -> tuple[Array, Array]:
+def _corrected(x: Array, P: Array, H: Array, z: Array | float, d: Array, o: Array) -> tuple[Array, Array]:
     """Return the filtered mean and covariance: with M = (I + d H P H')^-1 the gain P H' M d, in Joseph's form."""
     m, n = H.shape[-2:]
     PH = P @ _t(H)
@@ -185,6 +192,30 @@ def _corrected(x: Array, P: Array, H: Array, z: Array, d: Array, o: Array) -> tu
     C = np.eye(n) - PHM @ (d[:, :, None] * H)
     P = C @ P @ _t(C) + (PHM * d[:, None, :]) @ _t(PHM)
     return x, 0.5 * (P + _t(P))
+
+
+def _combined(x: Array, P: Array, y: Array, Y: Array) -> tuple[Array, Array]:
+    """Return mean and covariance with the information exp(-x'Y x/2 + y'x) taken in, as n measurements: Y = L D L'."""
+    Y, y = Y.copy(), y.copy()
+    for j in range(Y.shape[-1]):
+        pivot = np.maximum(Y[:, j, j], 0.0)
+        row = np.divide(Y[:, j], pivot[:, None], out=np.zeros_like(y), where=pivot[:, None] > 0.0)
+        potential = np.where(pivot > 0.0, y[:, j], 0.0)
+        x, P = _corrected(x, P, row[:, None], 0.0, pivot[:, None], potential[:, None])
+        Y = Y - pivot[:, None, None] * row[:, :, None] * row[:, None]
+        y = y - row * potential[:, None]
+    return x, P
+
+
+def _earlier(
+    y: Array, Y: Array, F: Array, Q: Array, c: Array, H: Array, z: Array, d: Array, o: Array
+) -> tuple[Array, Array]:
+    """Return the information about the state before a step from that about the state after it."""
+    Y = Y + _t(H) @ (d[:, :, None] * H)
+    y = y + _times(_t(H), d * z + o) - _times(Y, c)
+    left = _t(F) @ np.linalg.inv(np.eye(Y.shape[-1]) + Y @ Q)
+    Y = left @ Y @ F
+    return _times(left, y), 0.5 * (Y + _t(Y))
 
 
 def _at(model: Model, k: int) -> tuple[Array, Array, Array, Array]:

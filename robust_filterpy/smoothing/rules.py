@@ -29,8 +29,7 @@ _LEAST = 1e-12
 class Ordinary:
     """Noise that is what the model says."""
 
-    #: What is left to move is the linearization of a nonlinear model.
-    tolerance = 1e-2
+    tolerance = np.inf
     mixture: Mixture | None = None
 
     def __init__(self, counted: Array) -> None:
@@ -53,7 +52,7 @@ class Psi:
 
     mixture: Mixture | None = None
     #: Largest root-mean-square change of the estimate in a sweep, in its standard deviations: a stationary point.
-    tolerance = 1e-4
+    tolerance = 1e-3
 
     def __init__(self, influence: Any, joint: bool, counted: Array) -> None:
         """Keep psi, whether it looks at lengths, and which components there are."""
@@ -82,7 +81,7 @@ class Psi:
 class Learnt:
     """Weights from noise whose contamination and scale ratio are learnt along the way."""
 
-    tolerance = 1e-2
+    tolerance = 2e-2
 
     def __init__(
         self, joint: bool, counted: np.ndarray, belief: Belief = Belief(), mixture: Mixture | None = None
@@ -91,29 +90,20 @@ class Learnt:
         series, _, kinds = counted.shape
         self.joint, self.counted, self.belief = joint, counted, belief
         self.mixture = Mixture.guess(series, 1 if joint else kinds) if mixture is None else mixture
-        self.weights = np.where(counted, 1.0, np.nan)
+        self._verdict: Verdict | None = None
         self._each = (counted.any(axis=-1, keepdims=True) if joint else counted).astype(float)
 
     def measurement(
         self, model: Model, smooth: Smooth, weighting: Weighting, temperature: Array, frozen: Array
     ) -> tuple[Array, Array]:
         """Return the factors that fit, and learn."""
-        d, o = weighting.precision, weighting.offset
-        e = model.z - smooth.fitted
         if self.joint:
+            e, d = model.z - smooth.fitted, weighting.precision
             verdict = judge_measurements(e, smooth.spread, d, self.mixture, self.counted, temperature)
-            d, o = verdict.mean_precision(self.mixture) * self.counted, np.zeros_like(o)
+            d, o = verdict.mean_precision(self.mixture) * self.counted, np.zeros_like(d)
         else:
-            V = np.ascontiguousarray(np.einsum("...ii->...i", smooth.spread))
-            verdict, d, o = judge_components(e, V, d, o, self.mixture, temperature)
-            # Until the smoothed state is about right, moments follow what it gets wrong; mean precisions do not.
-            graduated = (temperature > 1.0) | verdict.impossible
-            if graduated.any():
-                d, o = np.where(graduated, verdict.mean_precision(self.mixture), d), np.where(graduated, 0.0, o)
-            if not self.counted.all():
-                d, o = np.where(self.counted, d, 0.0), np.where(self.counted, o, 0.0)
+            verdict, d, o = judge_components(smooth, model.z, weighting, self.mixture, self.counted, temperature)
         self._learn(verdict, frozen)
-        self.weights = np.where(self.counted, verdict.mean_precision(self.mixture), np.nan)
         return d, o
 
     def process(self, smooth: Smooth, weighting: Weighting, frozen: Array) -> Array:
@@ -121,20 +111,23 @@ class Learnt:
         now = weighting.process_scale[..., None]
         verdict = judge_steps(smooth.score, smooth.information, now, self.mixture, self.counted)
         self._learn(verdict, frozen)
-        self.weights = verdict.mean_precision(self.mixture)
         return verdict.mean_variance(self.mixture)[..., 0]
 
-    def _learn(self, verdict: Any, frozen: Array) -> None:
+    def _learn(self, verdict: Verdict, frozen: Array) -> None:
         """Fit the mixture of the series that are not finished."""
-        self.verdict = verdict
-        new = self.belief.joined(verdict, self._each).mixture
-        self.mixture = Mixture(
-            *(np.where(frozen[:, None], old, fit) for old, fit in zip(self.mixture, new, strict=True))
-        )
+        self._verdict = verdict
+        new = self.mixture.towards(self.belief.joined(verdict, self._each).mixture)
+        self.mixture = Mixture(*(np.where(frozen[:, None], a, b) for a, b in zip(self.mixture, new, strict=True)))
+
+    @property
+    def weights(self) -> Array:
+        """Mean precision of each noise, NaN where there is none."""
+        found = 1.0 if self._verdict is None else self._verdict.mean_precision(self.mixture)
+        return np.where(self.counted, found, np.nan)
 
     def remembered(self, memory: float) -> Belief:
         """Return the belief after the first step has gone, older ones forgotten by a factor."""
-        first = Verdict(*(a[:, :1] for a in self.verdict))
+        first = Verdict(*(a[:, :1] for a in self._verdict or ()))
         kept = (start + memory * (now - start) for start, now in zip(Belief(), self.belief, strict=True))
         return Belief(*kept).joined(first, self._each[:, :1])
 

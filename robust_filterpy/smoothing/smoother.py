@@ -269,7 +269,7 @@ def _smoothed(
     series, _, m = recording.observed.shape
     process_weights = np.ones(weights.shape[:2])
     if isinstance(doubt, Learnt):
-        process_weights = doubt.weights[..., 0]
+        process_weights = np.nanmax(doubt.weights, axis=-1, initial=0.0)
     elif isinstance(doubt, Psi):
         process_weights = 1.0 / fit.weighting.process_scale
     c, ratio = (np.broadcast_to(a, (series, m)).copy() for a in _learnt(measurement, series))

@@ -16,10 +16,13 @@ from robust_filterpy.smoothing.rules import Learnt, Ordinary, Psi
 
 Rule = Ordinary | Psi | Learnt
 
+# By how much linearizations may still move the estimate, in its standard deviations.
+_LINEAR = 2e-2
 # Times the typical distance from the middle.
 _ABSURD = 1e7
-# In so many sweeps at most are residuals divided by their size, and only while their squares are this much too large.
-_GRADUATED, _COOL = 3, 1.5
+# In so many sweeps at most are residuals divided by their size, and only while their squares are this much too large;
+# the first has all outliers in it, so it counts as one of them in any case.
+_GRADUATED, _COOL, _WARM = 3, 1.5, 1.01
 # Median of the square of a standard normal number, and how many of them are enough for a median.
 _MEDIAN_SQUARE, _ENOUGH = 0.4549364, 20_000
 
@@ -51,13 +54,14 @@ def reweighted(
     start: weights from an earlier search; then no sweep is graduated.
     """
     series = len(observed)
-    tolerance = min(measurement.tolerance, process.tolerance)
+    tolerance = min(measurement.tolerance, process.tolerance, _LINEAR)
     doubted = not isinstance(process, Ordinary)
     plain = not doubted and isinstance(measurement, Ordinary)
     frozen = np.full(series, plain and trajectory is None)
     weighting = ordinary(observed) if plain else first(model, observed) if start is None else start
     soon = plain or trajectory is not None
     before = unused = None
+    earlier = np.full(series, np.inf)
     for sweep in range(limit):
         if unused is not None and bool(unused.x.shape[1]) != soon:
             unused = None
@@ -68,7 +72,11 @@ def reweighted(
         temperature = np.ones((series, 1, 1))
         if sweep < _GRADUATED and not plain and start is None:
             temperature = _temperature(model, smooth, weighting, observed)
-        frozen = frozen | (moved < tolerance) & (temperature[:, 0, 0] == 1.0)
+            if sweep == 0:
+                temperature = np.maximum(temperature, _WARM)
+        cool = temperature[:, 0, 0] == 1.0
+        frozen = frozen | cool & _at_rest(moved, earlier, tolerance)
+        earlier = np.where(cool, moved, np.inf)
         d, o = measurement.measurement(model, smooth, weighting, temperature, frozen)
         q = process.process(smooth, weighting, frozen)
         if frozen.all():
@@ -109,6 +117,13 @@ def _moved(smooth: Smooth, before: Array, observed: Array) -> Array:
     change = (smooth.fitted - before) * observed
     total = np.einsum("snm,snm->s", change, change / np.maximum(np.einsum("...ii->...i", smooth.spread), 1e-12))
     return np.sqrt(total / np.maximum(np.count_nonzero(observed.reshape(len(observed), -1), axis=1), 1))
+
+
+def _at_rest(moved: Array, earlier: Array, tolerance: float) -> np.ndarray:
+    """Return whether the limit is within the tolerance, if each step is as much shorter as this one, half at least."""
+    rate = np.full(moved.shape, 0.5)
+    np.divide(moved, earlier, out=rate, where=np.isfinite(earlier) & (moved < 0.5 * earlier))
+    return (moved < 2.0 * tolerance) & (moved * rate / (1.0 - rate) < tolerance)
 
 
 def _temperature(model: Model, smooth: Smooth, weighting: Weighting, observed: Array) -> Array:
