@@ -82,7 +82,11 @@ def robust(
         _OURS[theirs].__init__(ours, *arguments, **choices)
     else:
         _OURS[theirs].__init__(ours, kf.dim_x, kf.dim_z, kf._dt, kf.hx, kf.fx, **choices)
-    for name, value in deepcopy(vars(kf)).items():
+    theirs_now = deepcopy(kf)
+    if vars(theirs_now).get("_log_likelihood", 0.0) is None:
+        # Made when asked for; what it is made of is not kept.
+        theirs_now.log_likelihood  # noqa: B018
+    for name, value in vars(theirs_now).items():
         # Placeholders of a filter that has not run yet: filterpy's have shapes that do not fit.
         if name in ("y", "K", "M") and np.shape(value) != np.shape(getattr(ours, name)) and not np.any(value):
             continue

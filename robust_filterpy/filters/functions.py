@@ -51,8 +51,8 @@ def update(
     x, P : as given
         Corrected mean and covariance; floats if x is one.
     y, K, S, log_likelihood : ndarray, ndarray, ndarray, float
-        With return_all: innovation, gain before psi, innovation covariance, and the log-likelihood under the density
-        of psi; None if z is.
+        With return_all: innovation, gain before psi, innovation covariance, and the log-likelihood of the innovation
+        under the density of psi (filterpy's function takes the residual at the corrected state); None if z is.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """The smoothing pass as loops over floats, for numba: 100 to 1000 times faster than the definition with one series.
 
-`linear_pass` is the definition; the tests hold the two together. Compiled once for each size of state, measurement and
-process noise, since loops of known length take less than half the time. Measurements enter one component at a time, and
+`linear_pass` is the definition; the tests hold the two together. Compiled once for each size of state and measurement,
+since loops of known length take less than half the time. Measurements enter one component at a time, and
 so does process noise where information runs backward, which needs no inverse of a matrix. Factors of inner loops have
 names of their own, because a compiler cannot know that storing into one array leaves another as it was.
 """
@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-# An ordinary measurement may use the short form of P; one that tells this much more than was known before, as next to a
-# diffuse prior, needs Joseph's, or P loses its last digits (twice this ratio of them). Where there was one, the smoothed
-# states take the longer way too: it costs as much as another pass.
+# An ordinary measurement may use the short form of P; one that tells this much more than was known before, as next to
+# a diffuse prior, needs Joseph's, or P loses its last digits (twice this ratio of them). Where there was one, the
+# smoothed states take the longer way too: it costs as much as another pass.
 _SHARP = 100.0
 
 _inner = njit(nogil=True, error_model="numpy")
@@ -105,13 +105,13 @@ def _between(F, s, L, s_to, L_to):
             L_to[i, j] = L_to[j, i] = total
 
 
-def compiled_for(n: int, m: int, r: int) -> Any:
-    """Return the pass for n states, m sensors and process noise of rank r."""
+def compiled_for(n: int, m: int) -> Any:
+    """Return the pass for n states and m sensors."""
 
     @njit(cache=True, nogil=True, error_model="numpy")
     def run(F, G, c, H, z, x0, P0, d, o, q, fitted, spread, score, information, xs, Ps, x0s, P0s):
         """Smooth every series; arguments as the fields of Model, Weighting and Smooth."""
-        series, steps = d.shape[0], d.shape[1]
+        series, steps, r = d.shape[0], d.shape[1], G.shape[3]
         states, process = xs.shape[1] > 0, score.shape[1] > 0
         every_F, every_G, every_H = F.shape[1] > 1, G.shape[1] > 1, H.shape[1] > 1
         x, x_next, p, k = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)

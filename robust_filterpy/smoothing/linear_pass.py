@@ -102,7 +102,7 @@ def smoothing_pass(
     -------
     Smooth
     """
-    run = _compiled(model.F.shape[-1], weighting.precision.shape[-1], model.G.shape[-1]) if available() else None
+    run = _compiled(model.F.shape[-1], weighting.precision.shape[-1]) if available() else None
     out = _room(model, weighting, states, process) if into is None else into
     if run is None:
         _by_definition(model, weighting, out)
@@ -119,11 +119,11 @@ def available() -> bool:
 
 
 @lru_cache(maxsize=64)
-def _compiled(n: int, m: int, r: int) -> Any:
+def _compiled(n: int, m: int) -> Any:
     """Return the compiled form for these sizes."""
     from robust_filterpy.smoothing._compiled_pass import compiled_for
 
-    return compiled_for(n, m, r)
+    return compiled_for(n, m)
 
 
 def _ready(array: Array) -> Array:

@@ -297,9 +297,7 @@ def speed_table(runs: int, seed: int, jobs: int) -> None:
     for k in range(steps):
         x = truth[k] = F @ x + g @ rng.normal(size=2)
     noise = rng.normal(size=(steps, 2))
-    print(
-        f"\nSmoothing {steps} steps with 4 states and 2 sensors, in passes of the compiled filter, least of many turns\n"
-    )
+    print(f"\nSmoothing {steps} steps, 4 states and 2 sensors, in passes of the compiled filter, least of many turns\n")
     print("| contamination | smoother | passes | sweeps | ms |\n|---|---|---|---|---|")
     for contamination in (0.0, 0.1, 0.3):
         zs = truth[:, :2] + noise * np.where(rng.random((steps, 2)) < contamination, 10.0, 1.0)

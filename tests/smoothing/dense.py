@@ -48,7 +48,7 @@ def posterior(F, Q, c, H, R, z, x0, P0):
 
 
 def gradient(F, Q, c, H, R, z, x, x0, P0, psi):
-    """Gradient of sum rho(z - H x) + squares of the process noise at states x_1..x_N, over the directions that can move.
+    """Gradient of sum rho(z - H x) + squares of the process noise at states x_1..x_N, in the directions that can move.
 
     psi takes the residuals of one measurement, in units of the noise. With prior covariance C = B B' of all states the
     cost is rho + |b|^2/2, x = mean + B b: the gradient with respect to b.
