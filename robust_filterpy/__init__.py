@@ -15,7 +15,7 @@ from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.influence import Hampel, Huber, Linear, StudentT, TukeyBiweight
 
 if TYPE_CHECKING:
-    from robust_filterpy.batch import FilterBank, filter_series, smooth_series
+    from robust_filterpy.batch import FilterBank, filter_series
     from robust_filterpy.correction.mixture import ContaminatedScore
     from robust_filterpy.diagnostics import diagnose
     from robust_filterpy.filters import (
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         RobustExtendedKalmanFilter,
         RobustUnscentedKalmanFilter,
         TwoSidedKalmanFilter,
+        robust,
     )
     from robust_filterpy.identification import (
         ARMAX,
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     )
     from robust_filterpy.identification.identify import identify
     from robust_filterpy.noise import estimate_noise
+    from robust_filterpy.smoothing import smooth, smooth_series
 
 _LAZY = {
     "ARMAX": "identification",
@@ -60,7 +62,9 @@ _LAZY = {
     "estimate_noise": "noise",
     "filter_series": "batch",
     "identify": "identification",
-    "smooth_series": "batch",
+    "robust": "filters",
+    "smooth": "smoothing",
+    "smooth_series": "smoothing",
 }
 __all__ = [
     "ARMAX",
@@ -90,6 +94,8 @@ __all__ = [
     "estimate_noise",
     "filter_series",
     "identify",
+    "robust",
+    "smooth",
     "smooth_series",
 ]
 

@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 
 from robust_filterpy.compiled import dispatch, stamp
 
@@ -41,8 +42,10 @@ def _kernels() -> dict[str, Callable[[], object]]:
     """Return what compiles each kernel, by its name."""
     from robust_filterpy.compiled import warm
     from robust_filterpy.identification import _compiled_dispatch
+    from robust_filterpy.smoothing import linear_pass
 
-    return {**warm.kernels(), dispatch.TRACKING: _compiled_dispatch.compile_kernel}
+    passes = {linear_pass.kernel_name(size): partial(linear_pass.compile_kernel, size) for size in linear_pass.SIZES}
+    return {**warm.kernels(), dispatch.TRACKING: _compiled_dispatch.compile_kernel, **passes}
 
 
 def _compile(names: list[str]) -> None:

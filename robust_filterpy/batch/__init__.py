@@ -1,7 +1,7 @@
 """Many series, many filters at once.
 
 * `bank`: many filters advanced together online.
-* `series`: many recordings filtered and smoothed.
+* `series`: many recordings filtered.
 
 Imports from below: `influence`, `correction`, `compiled`.
 """
@@ -9,6 +9,6 @@ Imports from below: `influence`, `correction`, `compiled`.
 from __future__ import annotations
 
 from robust_filterpy.batch.bank import FilterBank
-from robust_filterpy.batch.series import FilteredSeries, SmoothedSeries, filter_series, smooth_series
+from robust_filterpy.batch.series import FilteredSeries, filter_series
 
-__all__ = ["FilterBank", "FilteredSeries", "SmoothedSeries", "filter_series", "smooth_series"]
+__all__ = ["FilterBank", "FilteredSeries", "filter_series"]

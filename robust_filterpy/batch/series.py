@@ -18,7 +18,7 @@ from robust_filterpy.compiled.records import Model, Output
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.influence.functions import Huber, Influence
 
-__all__ = ["FilteredSeries", "SmoothedSeries", "filter_series", "smooth_series"]
+__all__ = ["FilteredSeries", "filter_series"]
 
 _COVARIANCES = ("full", "diagonal", "none")
 _REFUSED = ("raise", "nan")
@@ -45,21 +45,6 @@ class FilteredSeries(NamedTuple):
     P: Array | None
     log_likelihood: Array
     weights: Array
-
-
-class SmoothedSeries(NamedTuple):
-    """What `smooth_series` returns.
-
-    Attributes
-    ----------
-    x : ndarray, shape (S, N, dim_x)
-        Smoothed states.
-    P : ndarray, shape (S, N, dim_x, dim_x)
-        Their covariances.
-    """
-
-    x: Array
-    P: Array
 
 
 def filter_series(
@@ -325,48 +310,3 @@ def _run_bank(
             elif kept.covariances.shape[2]:
                 kept.covariances[at, row] = bank.P
     x[at], P[at] = bank.x, bank.P
-
-
-def smooth_series(x: ArrayLike, P: ArrayLike, F: ArrayLike, Q: ArrayLike) -> SmoothedSeries:
-    """Smooth filtered series by Rauch, Tung and Striebel's backward recursion, all series together.
-
-    Parameters
-    ----------
-    x : array_like, shape (S, N, dim_x)
-        Corrected states of all steps, from `filter_series`.
-    P : array_like, shape (S, N, dim_x, dim_x)
-        Their covariances.
-    F, Q : array_like, shape (dim_x, dim_x), (N, dim_x, dim_x) or (S or 1, N or 1, dim_x, dim_x)
-        As in `filter_series`; the entry of step k leads to step k.
-
-    Returns
-    -------
-    SmoothedSeries
-        x, P.
-
-    Raises
-    ------
-    ValueError, TypeError
-        If a shape does not fit.
-
-    Notes
-    -----
-    The backward recursion reads no measurement, so a bounded correction needs no other smoother. filterpy's
-    ``rts_smoother`` takes F and Q from index k for the step from k to k + 1; here that is index k + 1.
-    """
-    x, P = numbers("x", x), numbers("P", P)
-    if x.ndim != 3 or P.shape != (*x.shape, x.shape[-1]):
-        raise ValueError(f"x, P: expected shapes (S, N, n) and (S, N, n, n), got {x.shape} and {P.shape}")
-    series, steps, n = x.shape
-    F, Q = (_leading(name, value, (n, n), series, steps) for name, value in (("F", F), ("Q", Q)))
-    means, covariances = x.copy(), P.copy()
-    for k in range(steps - 2, -1, -1):
-        F_k, Q_k = (a[:, k + 1 if a.shape[1] > 1 else 0] for a in (F, Q))
-        transposed = F_k.transpose(0, 2, 1)
-        predicted = F_k @ P[:, k] @ transposed + Q_k
-        # The gain P F' predicted^-1, as the solution of a system with a symmetric matrix.
-        gain = np.linalg.solve(predicted, F_k @ P[:, k]).transpose(0, 2, 1)
-        moved = means[:, k + 1] - (F_k @ x[:, k, :, None])[:, :, 0]
-        means[:, k] += (gain @ moved[:, :, None])[:, :, 0]
-        covariances[:, k] += gain @ (covariances[:, k + 1] - predicted) @ gain.transpose(0, 2, 1)
-    return SmoothedSeries(means, covariances)

@@ -5,6 +5,9 @@
 * `recovering`: a redescending psi that comes back after a jump.
 * `gaussian_sum`: noise that is a known mixture.
 * `multiple_model`: outliers in the process as well as in the measurement.
+* `ensemble`: the ensemble Kalman filter.
+* `functions`: filterpy's functions update, predict, batch_filter, rts_smoother.
+* `conversion`: a robust filter made of an existing one.
 
 Imports from below: `influence`, `correction`, `compiled`.
 """
@@ -17,6 +20,8 @@ from typing import TYPE_CHECKING, Any
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 
 if TYPE_CHECKING:
+    from robust_filterpy.filters.conversion import robust
+    from robust_filterpy.filters.ensemble import RobustEnsembleKalmanFilter
     from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
     from robust_filterpy.filters.gaussian_sum import NoiseMatchedKalmanFilter
     from robust_filterpy.filters.multiple_model import TwoSidedKalmanFilter
@@ -27,18 +32,22 @@ _LAZY = {
     "NoiseMatchedKalmanFilter": "gaussian_sum",
     "RecoveringKalmanFilter": "recovering",
     "RobustCubatureKalmanFilter": "sigma_point",
+    "RobustEnsembleKalmanFilter": "ensemble",
     "RobustExtendedKalmanFilter": "extended",
     "RobustUnscentedKalmanFilter": "sigma_point",
     "TwoSidedKalmanFilter": "multiple_model",
+    "robust": "conversion",
 }
 __all__ = [
     "NoiseMatchedKalmanFilter",
     "RecoveringKalmanFilter",
     "RobustCubatureKalmanFilter",
+    "RobustEnsembleKalmanFilter",
     "RobustExtendedKalmanFilter",
     "RobustKalmanFilter",
     "RobustUnscentedKalmanFilter",
     "TwoSidedKalmanFilter",
+    "robust",
 ]
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
-from robust_filterpy._arrays import state_of
+from robust_filterpy._arrays import process_noise, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 
@@ -20,7 +20,87 @@ class MultipleHypothesisFilter(RobustKalmanFilter):
     when a correction has been accepted, `_skip` when there was nothing to correct by.
     """
 
+    # Outside __dict__, which filterpy's Saver copies at every epoch: one number for each step of the last recording.
+    __slots__ = ("_process_scales",)
+
     _found: tuple[Any, ...]
+
+    @property
+    def process_scale(self) -> float:
+        """Mean factor of Q in the step before the last measurement, given that measurement."""
+        raise NotImplementedError
+
+    def batch_filter(
+        self,
+        zs: Any,
+        Fs: Any = None,
+        Qs: Any = None,
+        Hs: Any = None,
+        Rs: Any = None,
+        Bs: Any = None,
+        us: Any = None,
+        update_first: bool = False,
+        saver: Any = None,
+    ) -> tuple[Array, Array, Array, Array]:
+        """Filter a whole recording, and remember for `rts_smoother` what was found out about the process.
+
+        Parameters
+        ----------
+        zs, Fs, Qs, Hs, Rs, Bs, us, update_first, saver
+            As in `RobustKalmanFilter.batch_filter`.
+
+        Returns
+        -------
+        means, covariances, means_p, covariances_p : ndarray
+            As in `RobustKalmanFilter.batch_filter`.
+
+        Raises
+        ------
+        ValueError, TypeError, LinAlgError
+            As in `RobustKalmanFilter.batch_filter`.
+        """
+        if saver is not None and not callable(getattr(saver, "save", None)):
+            return super().batch_filter(zs, Fs, Qs, Hs, Rs, Bs, us, update_first, saver)
+        notes = _ProcessScales(self, saver)
+        found = super().batch_filter(zs, Fs, Qs, Hs, Rs, Bs, us, update_first, notes)
+        self._process_scales = np.array(notes.scales)
+        return found
+
+    def rts_smoother(
+        self, Xs: Array, Ps: Array, Fs: Any = None, Qs: Any = None, inv: Any = np.linalg.inv
+    ) -> tuple[Array, Array, Array, Array]:
+        """Smooth what `batch_filter` returned, with the process noise that it found in each step.
+
+        Parameters
+        ----------
+        Xs, Ps, Fs, Qs, inv
+            As in `RobustKalmanFilter.rts_smoother`.
+
+        Returns
+        -------
+        x, P, K, Pp : ndarray
+            As in `RobustKalmanFilter.rts_smoother`.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the lengths or shapes do not fit.
+
+        Notes
+        -----
+        Q of step k is `process_scale` times the ordinary Q where Xs ends with the filter's state after the last
+        `batch_filter` of that length. A loop over `predict` and `update` hands over ``Qs`` itself: the ordinary Q
+        times `process_scale` after each update. A jump would otherwise be smoothed away, before and after it.
+        """
+        scales = getattr(self, "_process_scales", None)
+        if scales is not None and len(scales) == len(Xs) > 0 and np.array_equal(np.ravel(Xs[-1]), np.ravel(self.x)):
+            n = self.dim_x
+            nominal = [self.Q] * len(scales) if Qs is None else Qs
+            Qs = [
+                scale * (process_noise(Q, None, n) + np.zeros((n, n)))
+                for scale, Q in zip(scales, nominal, strict=False)
+            ]
+        return super().rts_smoother(Xs, Ps, Fs, Qs, inv)
 
     def _settle(self) -> None:
         """Take over what the accepted correction found."""
@@ -116,6 +196,21 @@ class MultipleHypothesisFilter(RobustKalmanFilter):
             return float(self._found[0])
         finally:
             self._found = found
+
+
+class _ProcessScales:
+    """A saver that notes the process scale of each step, before another saver's turn."""
+
+    def __init__(self, kf: MultipleHypothesisFilter, saver: Any) -> None:
+        """Keep the filter and the other saver."""
+        self.kf, self.saver = kf, saver
+        self.scales: list[float] = []
+
+    def save(self) -> None:
+        """Note the scale."""
+        self.scales.append(self.kf.process_scale)
+        if self.saver is not None:
+            self.saver.save()
 
 
 def finite_product(H: Array, x: Array) -> Array:

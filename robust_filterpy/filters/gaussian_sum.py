@@ -173,6 +173,11 @@ class NoiseMatchedKalmanFilter(MultipleHypothesisFilter):
         """Probability that the process noise before the last measurement was an outlier."""
         return self._found[2]
 
+    @property
+    def process_scale(self) -> float:
+        """Mean factor of Q in the step before the last measurement: 1 + (ratio^2 - 1) jump_probability."""
+        return 1.0 + (self._process_noise.scale_ratio**2 - 1.0) * self.jump_probability
+
     def predict(
         self, u: ArrayLike | None = None, B: ArrayLike | None = None, F: ArrayLike | None = None, Q: Any = None
     ) -> None:

@@ -157,6 +157,11 @@ class TwoSidedKalmanFilter(MultipleHypothesisFilter):
         """Probability of each process scale, shape (q,)."""
         return self._shares.copy()
 
+    @property
+    def process_scale(self) -> float:
+        """Mean factor of Q, over the copies."""
+        return float(self._shares @ self._scales)
+
     def predict(
         self, u: ArrayLike | None = None, B: ArrayLike | None = None, F: ArrayLike | None = None, Q: Any = None
     ) -> None:

@@ -111,7 +111,7 @@ def _judged(
         if scale < _ROUNDING:
             break
         deviation, precision = unknowns.deviations()
-        output = np.where(precision > _VAGUE, np.abs(deviation) * np.sqrt(precision) / scale, 0.0)
+        output = np.where(precision > _VAGUE, np.abs(deviation) * np.sqrt(np.maximum(precision, 0.0)) / scale, 0.0)
         output[:first] = 0.0
         noise = np.concatenate((np.zeros(first), np.where(counts, np.abs(residual) / scale, 0.0)))
         either = _decided(np.maximum(np.where(wrong, 0.0, output), noise))

@@ -25,8 +25,8 @@ from robust_filterpy.influence.functions import Influence
 
 __all__ = ["identify"]
 
-# Two ends as close in log-likelihood, and so far apart in output (percent, and twice what the noise explains), leave the
-# model open.
+# Two ends as close in log-likelihood, and so far apart in output (percent, and twice what the noise explains), leave
+# the model open.
 _CLOSE: Final = 3.0
 _APART: Final = 5.0
 

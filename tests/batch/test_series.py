@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 import support
-from filterpy.kalman import KalmanFilter
 
-from robust_filterpy import Linear, RobustKalmanFilter, StudentT
-from robust_filterpy.batch.series import filter_series, smooth_series
+from robust_filterpy import RobustKalmanFilter, StudentT
+from robust_filterpy.batch.series import filter_series
 from robust_filterpy.correction import NotPositiveDefiniteError
 
 
@@ -70,35 +69,6 @@ def test_keeping_less_changes_nothing_else(path):
     np.testing.assert_array_equal(some.x, whole.x[:, 6::7])
     assert some.P is None
     np.testing.assert_array_equal(some.log_likelihood, whole.log_likelihood)
-
-
-def test_smoothing_is_filterpys(path):
-    problem, zs = problem_and_series()
-    filtered = filter_series(zs, *arguments(problem), influence=Linear())
-    smooth = smooth_series(filtered.x, filtered.P, problem.F, problem.Q)
-    for s in range(4):
-        kf = support.make(KalmanFilter, problem, 1)
-        x, P, _, _ = kf.rts_smoother(filtered.x[s], filtered.P[s])
-        np.testing.assert_allclose(smooth.x[s], x, rtol=1e-9, atol=1e-10)
-        np.testing.assert_allclose(smooth.P[s], P, rtol=1e-9, atol=1e-10)
-
-
-def test_smoothing_takes_the_matrix_that_leads_to_a_step():
-    """Against the joint normal distribution of all states, solved at once."""
-    rng = np.random.default_rng(2)
-    F, Q = rng.normal(size=(3, 1, 1)), np.array([[[0.5]], [[2.0]], [[1.0]]])
-    z = rng.normal(size=(1, 3, 1))
-    filtered = filter_series(z, F, np.eye(1), Q, np.eye(1), np.zeros(1), np.eye(1), influence=Linear())
-    smooth = smooth_series(filtered.x, filtered.P, F, Q)
-    information = np.diag([1.0, 0.0, 0.0, 0.0])
-    for k in range(3):
-        row = np.zeros(4)
-        row[k], row[k + 1] = -F[k, 0, 0], 1.0
-        information += np.outer(row, row) / Q[k, 0, 0]
-        information[k + 1, k + 1] += 1.0
-    covariance = np.linalg.inv(information)
-    np.testing.assert_allclose(smooth.x[0, :, 0], (covariance @ np.r_[0.0, z[0, :, 0]])[1:], rtol=1e-10)
-    np.testing.assert_allclose(smooth.P[0, :, 0, 0], covariance.diagonal()[1:], rtol=1e-10)
 
 
 @pytest.mark.parametrize(

@@ -76,7 +76,6 @@ def from_truth(truth, y, u):
 
 def by_scipy(y, u, start, weights=None):
     """Return scipy's estimate from a start; its soft_l1 loss with the scale of the start, or weighted squares."""
-    order = len(start) // 2
     root = 1.0 if weights is None else np.sqrt(weights)
 
     def residual(p):

@@ -16,6 +16,7 @@ SMALL = {
     "pneumatic_servo.py": ["--steps", "300", "--seeds", "2", "--jobs", "1"],
     "state_estimation_study.py": ["--runs", "3", "--steps", "30", "--jobs", "1"],
     "first_screen.py": ["--seeds", "3"],
+    "06_smoothing.py": ["--runs", "2"],
 }
 
 

@@ -1,4 +1,4 @@
-"""identify: the estimate that the truth would lead to, found from nothing; the same in any unit, through any outlier."""
+"""identify: the estimate that the truth would lead to, found from nothing; the same in any unit, whatever outliers."""
 
 import statistics
 import warnings
@@ -354,7 +354,9 @@ def test_random_plants_from_nothing_and_from_the_truth(contamination):
             truth, rows = np.concatenate((a[1:], b[1:], np.zeros(5))), model.conditioned
             best = prediction_error.minimised(model, truth, Noise(Huber(), 0.1), rows, rows).p
             ours = identify(y, u, OutputError(4, 4), influence=Huber()).theta
-            of = lambda p: lfilter(np.concatenate(([0.0], p[4:8])), np.concatenate(([1.0], p[:4])), fresh)  # noqa: E731
-            miss = [np.linalg.norm(of(p) - lfilter(b, a, fresh)) for p in (ours, best)]
+            miss = [
+                np.linalg.norm(lfilter([0.0, *p[4:8]], [1.0, *p[:4]], fresh) - lfilter(b, a, fresh))
+                for p in (ours, best)
+            ]
             apart.append(100.0 * (miss[0] - miss[1]) / np.linalg.norm(lfilter(b, a, fresh)))
     assert statistics.median(apart) < 0.1 and max(apart) < 1.0

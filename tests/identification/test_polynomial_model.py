@@ -1,4 +1,4 @@
-"""One predictor serves every structure: its residuals are those of the definitions, its derivatives those of differences."""
+"""One predictor for every structure: its residuals are those of the definitions, its derivatives of differences."""
 
 from dataclasses import dataclass
 

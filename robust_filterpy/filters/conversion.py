@@ -1,0 +1,112 @@
+"""`robust`: make a robust filter of one of filterpy's that is already set up, or already running."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from filterpy.kalman import CubatureKalmanFilter, ExtendedKalmanFilter, KalmanFilter, UnscentedKalmanFilter
+
+from robust_filterpy.correction.options import Grouping, Information, Scaling
+from robust_filterpy.filters._mixin import RobustFilterMixin
+from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
+from robust_filterpy.filters.kalman import RobustKalmanFilter
+from robust_filterpy.filters.sigma_point import RobustCubatureKalmanFilter, RobustUnscentedKalmanFilter
+from robust_filterpy.influence.functions import Huber, Influence
+
+__all__ = ["robust"]
+
+_OURS: dict[type, Any] = {
+    KalmanFilter: RobustKalmanFilter,
+    ExtendedKalmanFilter: RobustExtendedKalmanFilter,
+    UnscentedKalmanFilter: RobustUnscentedKalmanFilter,
+    CubatureKalmanFilter: RobustCubatureKalmanFilter,
+}
+
+
+def robust(
+    kf: Any,
+    *,
+    influence: Influence = Huber(),
+    scaling: Scaling = "innovation",
+    information: Information = "realized",
+    grouping: Grouping = "component",
+) -> Any:
+    """Return a robust filter with the state and the matrices of an existing one, which stays as it is.
+
+    Parameters
+    ----------
+    kf : KalmanFilter, ExtendedKalmanFilter, UnscentedKalmanFilter or CubatureKalmanFilter
+        Of filterpy. Of a subclass the methods are kept; those that call ``super()`` get the robust ones.
+    influence, scaling, information, grouping
+        As in `RobustKalmanFilter`.
+
+    Returns
+    -------
+    RobustKalmanFilter, RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter or RobustCubatureKalmanFilter
+        A filter of its own: its arrays are copies.
+
+    Raises
+    ------
+    TypeError
+        If kf is none of these, or is robust already.
+    ValueError
+        If an option is unknown.
+
+    Examples
+    --------
+    >>> kf = KalmanFilter(dim_x=1, dim_z=1)
+    >>> kf.H, kf.Q = np.eye(1), 0.01 * np.eye(1)
+    >>> kf.predict()
+    >>> kf.update(0.5)
+    >>> ours = robust(kf)
+    >>> ours.predict()
+    >>> ours.update(1e6)
+    >>> bool(ours.x[0, 0] < 3.0), bool(kf.x[0, 0] == ours.x_prior[0, 0])
+    (True, True)
+    """
+    theirs = next((cls for cls in _OURS if isinstance(kf, cls)), None)
+    if theirs is None or isinstance(kf, RobustFilterMixin):
+        names = ", ".join(cls.__name__ for cls in _OURS)
+        mend = "; it is robust already" if isinstance(kf, RobustFilterMixin) else ""
+        raise TypeError(f"kf: expected one of filterpy's {names}, got {type(kf).__name__}{mend}")
+    user: Any = type(kf)
+    cls = _OURS[theirs] if user is theirs else _subclass(user, _OURS[theirs])
+    ours = cls.__new__(cls)
+    choices: dict[str, Any] = dict(influence=influence, scaling=scaling, information=information, grouping=grouping)
+    if theirs in (KalmanFilter, ExtendedKalmanFilter):
+        _OURS[theirs].__init__(ours, kf.dim_x, kf.dim_z, kf.dim_u, **choices)
+    elif theirs is UnscentedKalmanFilter:
+        arguments = (kf._dim_x, kf._dim_z, kf._dt, kf.hx, kf.fx, kf.points_fn)
+        _OURS[theirs].__init__(ours, *arguments, **choices)
+    else:
+        _OURS[theirs].__init__(ours, kf.dim_x, kf.dim_z, kf._dt, kf.hx, kf.fx, **choices)
+    theirs_now = deepcopy(kf)
+    if vars(theirs_now).get("_log_likelihood", 0.0) is None:
+        # Made when asked for; what it is made of is not kept.
+        theirs_now.log_likelihood  # noqa: B018
+    for name, value in vars(theirs_now).items():
+        # Placeholders of a filter that has not run yet: filterpy's have shapes that do not fit.
+        if name in ("y", "K", "M") and np.shape(value) != np.shape(getattr(ours, name)) and not np.any(value):
+            continue
+        setattr(ours, name, value)
+    return ours
+
+
+@lru_cache(maxsize=64)
+def _subclass(theirs: Any, ours: Any) -> Any:
+    """Return a class with the methods of a user's subclass of filterpy's and, below them, our filter's."""
+
+    def reduced(self: Any, protocol: int) -> Any:
+        parts = object.__reduce_ex__(self, max(protocol, 2))
+        return (_empty, (theirs, ours), *parts[2:])
+
+    return type(f"Robust{theirs.__name__}", (theirs, ours), {"__reduce_ex__": reduced, "__doc__": theirs.__doc__})
+
+
+def _empty(theirs: Any, ours: Any) -> Any:
+    """Return a filter without attributes, for pickle."""
+    cls = _subclass(theirs, ours)
+    return cls.__new__(cls)

@@ -1,0 +1,203 @@
+"""RobustEnsembleKalmanFilter: filterpy's EnsembleKalmanFilter with a bounded correction."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from filterpy.kalman import EnsembleKalmanFilter
+from numpy.typing import ArrayLike
+
+from robust_filterpy import _checks
+from robust_filterpy._arrays import noise_covariance, process_noise
+from robust_filterpy._checks import Array
+from robust_filterpy.correction.moments import correct_moments
+from robust_filterpy.correction.options import Grouping, Information, Scaling
+from robust_filterpy.correction.result import Correction
+from robust_filterpy.filters._nonlinear_mixin import (
+    NonlinearFilterMixin,
+    innovation_of,
+    require_finite,
+    unchanged_if_refused,
+)
+from robust_filterpy.influence.functions import Huber, Influence
+
+__all__ = ["RobustEnsembleKalmanFilter"]
+
+
+class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
+    """Filter like `filterpy.kalman.EnsembleKalmanFilter`, without believing outliers.
+
+    The ensemble gives the moments C = cov(x, z) and S = cov(z); its mean moves by the bounded innovation, and its
+    spread shrinks by as much as P does::
+
+        x_i+ = x_i + C T' psi(T y) + C T' (I - (I - D)^(1/2)) T (v_i - (h(x_i) - mean)),    P+ = P - C T' D T C'
+
+    Parameters
+    ----------
+    x : array_like, shape (dim_x,)
+        Mean.
+    P : array_like, shape (dim_x, dim_x)
+        Covariance.
+    dim_z : int
+        Length of the measurement, >= 1.
+    dt : float
+        Time between steps, handed to fx.
+    N : int
+        Number of members, >= 2.
+    hx : callable
+        ``hx(x)`` returns the measurement that belongs to x, shape (dim_z,).
+    fx : callable
+        ``fx(x, dt)`` returns the next state, shape (dim_x,).
+    influence : Influence, default Huber(1.345)
+        psi, as in `RobustKalmanFilter`.
+    scaling : {"innovation", "unit", "bounded"}
+        T, as in `RobustKalmanFilter`.
+    information : {"realized", "expected", "weight"}
+        D, as in `RobustKalmanFilter`.
+    grouping : {"component", "joint"}
+        psi of each component of e, or of the length of e.
+    rng : numpy.random.Generator, optional
+        Where random numbers come from, a new generator by default; filterpy takes them from numpy's global state.
+
+    Attributes
+    ----------
+    sigmas : ndarray, shape (N, dim_x)
+        Members.
+    weights, clipped, e, T, y_bounded : ndarray
+        What the last correction did, as in `RobustKalmanFilter`.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a dimension or an option is out of range. A call that is refused changes nothing.
+
+    Notes
+    -----
+    With ``influence=Linear()`` and the same random numbers every attribute is filterpy's.
+
+    Examples
+    --------
+    >>> kf = RobustEnsembleKalmanFilter(
+    ...     [1.0], [[0.1]], 1, 1.0, 50, lambda x: x, lambda x, dt: x, rng=np.random.default_rng(0)
+    ... )
+    >>> kf.Q = 0.01 * np.eye(1)
+    >>> for z in [1.1, 0.9, 1e6, 1.0]:
+    ...     kf.predict()
+    ...     kf.update([z])
+    >>> bool(abs(kf.x[0] - 1.0) < 0.5)
+    True
+    """
+
+    def __init__(
+        self,
+        x: ArrayLike,
+        P: ArrayLike,
+        dim_z: int,
+        dt: float,
+        N: int,
+        hx: Callable[..., ArrayLike],
+        fx: Callable[..., ArrayLike],
+        *,
+        influence: Influence = Huber(),
+        scaling: Scaling = "innovation",
+        information: Information = "realized",
+        grouping: Grouping = "component",
+        rng: np.random.Generator | None = None,
+    ) -> None:
+        """Draw the ensemble and set up filterpy's attributes and the choices."""
+        _checks.count("dim_z", dim_z, 1)
+        _checks.count("N", N, 2)
+        self._set_choices(influence, scaling, information, grouping)
+        self.rng = np.random.default_rng() if rng is None else rng
+        self.dim_z, self.inv = dim_z, np.linalg.inv
+        x = _checks.finite_vector("x", x)
+        super().__init__(x, _checks.matrix("P", P, (x.size, x.size), f"dim_x={x.size}"), dim_z, dt, N, hx, fx)
+        self.y = np.zeros(dim_z)
+
+    def initialize(self, x: ArrayLike, P: ArrayLike) -> None:
+        """Draw the members anew.
+
+        Parameters
+        ----------
+        x : array_like, shape (dim_x,)
+            Mean.
+        P : array_like, shape (dim_x, dim_x)
+            Covariance.
+        """
+        self.x = _checks.finite_vector("x", x)
+        self.P = _checks.matrix("P", P, (self.x.size, self.x.size), f"dim_x={self.x.size}")
+        self.sigmas = self.rng.multivariate_normal(self.x, self.P, self.N)
+        self.x_prior, self.P_prior = self.x.copy(), self.P.copy()
+        self.x_post, self.P_post = self.x.copy(), self.P.copy()
+
+    def predict(self) -> None:
+        """Predict the next state: every member by fx and a noise of its own.
+
+        Raises
+        ------
+        ValueError
+            If the prediction is not finite; nothing has changed then.
+        """
+        with unchanged_if_refused(self):
+            n = self.dim_x
+            moved = np.array([np.ravel(self.fx(s, self.dt)) for s in self.sigmas], dtype=float)
+            Q = process_noise(self.Q, None, n) * np.ones((n, n))
+            self.sigmas = moved + self.rng.multivariate_normal(np.zeros(n), Q, self.N)
+            require_finite(fx=self.sigmas)
+            self.x = np.mean(self.sigmas, axis=0)
+            apart = self.sigmas - self.x
+            self.P = apart.T @ apart / (self.N - 1)
+        self.x_prior, self.P_prior = self.x.copy(), self.P.copy()
+
+    def update(self, z: ArrayLike | None, R: Any = None) -> None:
+        """Correct the members by a measurement whose influence is bounded.
+
+        Parameters
+        ----------
+        z : array_like, shape (dim_z,), or scalar, or None
+            Measurement; NaN marks a missing component, None a missing measurement.
+        R : array_like, shape (dim_z, dim_z), or scalar, optional
+            Noise covariance for this call, otherwise ``self.R``. A scalar here means R I.
+
+        Raises
+        ------
+        ValueError
+            If a shape does not fit, z is infinite or R not a covariance; nothing has changed then.
+        SingularInnovationError, NotPositiveDefiniteError
+            As in `RobustKalmanFilter.update`.
+        """
+        if z is None:
+            self._skip()
+            return
+        m = self.dim_z
+        R = noise_covariance(self.R, R, m)
+        predicted = np.array([np.ravel(self.hx(s)) for s in self.sigmas], dtype=float)
+        require_finite(hx=predicted)
+        mean = predicted.mean(axis=0)
+        values, y = innovation_of(z, mean, m, np.subtract, "hx")
+        if values is None:
+            self._skip()
+            return
+        apart, seen = self.sigmas - self.x, predicted - mean
+        C, S = apart.T @ seen / (self.N - 1), seen.T @ seen / (self.N - 1) + R
+        last = correct_moments(self.x, self.P, y, C, S, R, self._choices, self._inverse)
+        require_finite(x=last.x)
+        noise = self.rng.multivariate_normal(np.zeros(m), R, self.N)
+        self.sigmas = self.sigmas + (last.x - self.x) + (noise - seen) @ self._shrinking(last, C).T
+        self._keep(last._replace(x=np.mean(self.sigmas, axis=0)), values)
+
+    def _shrinking(self, last: Correction, C: Array) -> Array:
+        """Return C T' (I - (I - D)^(1/2)) T, with which noisy members have covariance P - C T' D T C'."""
+        part = np.flatnonzero(~np.isnan(last.weights))
+        D = self._choices.apply_influence(last.e[part])[1]
+        if isinstance(D, list):
+            root = np.diag(1.0 - np.sqrt(1.0 - np.array(D)))
+        else:
+            values, vectors = np.linalg.eigh(D)
+            root = (vectors * (1.0 - np.sqrt(np.maximum(1.0 - values, 0.0)))) @ vectors.T
+        T = last.T[np.ix_(part, part)]
+        found = np.zeros_like(C)
+        found[:, part] = C[:, part] @ T.T @ root @ T
+        return found

@@ -1,0 +1,21 @@
+"""Robust smoothing: all states of a recording from all of its measurements, outliers and jumps told apart.
+
+* `smoother`: `smooth` for a filter and its recording, `smooth_series` for many series.
+* `recording`: from filters and lists to whitened arrays, checked.
+* `linear_pass`: one weighted pass of a linear smoother, the definition.
+* `rules`: what is made of the residuals: weights of a psi, or learnt noise.
+* `mixture`: contamination and size of outliers, learnt along the way.
+* `sweeps`: pass after pass until the estimate stays.
+* `convex`: the optimum for a psi that never falls, by Newton's method.
+* `nonlinear`: extended, unscented and cubature filters, made linear about the smoothed trajectory.
+* `fixed_lag`: the live form.
+
+Imports from below: `influence`, `correction`, `compiled`, `filters`, `batch`.
+"""
+
+from __future__ import annotations
+
+from robust_filterpy.smoothing.fixed_lag import FixedLagSmoother
+from robust_filterpy.smoothing.smoother import Smoothed, smooth, smooth_series
+
+__all__ = ["FixedLagSmoother", "Smoothed", "smooth", "smooth_series"]

@@ -1,0 +1,241 @@
+"""FixedLagSmoother: filterpy's live smoother, which weighs its last measurements anew with each one that comes."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any, NamedTuple
+
+import filterpy.kalman
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robust_filterpy import _checks
+from robust_filterpy._arrays import control_term, measured, noise_covariance, process_noise, state_of
+from robust_filterpy._checks import Array
+from robust_filterpy.correction.options import GROUPINGS, Grouping
+from robust_filterpy.influence.functions import Influence, Linear
+from robust_filterpy.smoothing.linear_pass import Smooth, Weighting, smoothing_pass
+from robust_filterpy.smoothing.mixture import Belief, Mixture
+from robust_filterpy.smoothing.recording import Recording, problem
+from robust_filterpy.smoothing.rules import Learnt
+from robust_filterpy.smoothing.smoother import measurement_rule, process_rule
+from robust_filterpy.smoothing.sweeps import Rule, reweighted
+
+__all__ = ["FixedLagSmoother"]
+
+# Sweeps over the window for each new measurement; it starts from the last weights, so that it seldom takes more.
+_SWEEPS = 10
+# Weight of a measurement that nothing has been said about: next to none, so that the others judge it first.
+_UNJUDGED = 1e-3
+# How fast learnt noise forgets: about a thousand samples.
+_MEMORY = 0.999
+
+
+class _Step(NamedTuple):
+    """A measurement in the window, with the matrices of its time and what it weighs at present."""
+
+    F: Array
+    Q: Array
+    c: Array
+    H: Array
+    R: Array
+    z: Array
+    precision: Array
+    offset: Array
+    process_scale: float
+
+
+class FixedLagSmoother(filterpy.kalman.FixedLagSmoother):
+    """Smooth live like `filterpy.kalman.FixedLagSmoother`, without believing outliers.
+
+    After each measurement ``xSmooth[k - i]`` for i = 0..N is the estimate of step k - i from everything up to step k,
+    with weights that the later measurements had a say in. A measurement that leaves the window keeps its last weight.
+
+    Parameters
+    ----------
+    dim_x : int
+        Length of the state, >= 1.
+    dim_z : int
+        Length of the measurement, >= 1.
+    N : int, optional
+        The lag in steps, >= 1; not needed for `smooth_batch`.
+    influence, process, grouping
+        As in `robust_filterpy.smooth`: by default contamination and size of outliers are learnt.
+
+    Attributes
+    ----------
+    x, P : ndarray
+        Estimate of the last step, shape (dim_x, 1) or (dim_x,), and its covariance.
+    x_s : ndarray, shape of x
+        Estimate of the oldest step in the window.
+    xSmooth : list of ndarray
+        Estimates of all steps.
+    weights : ndarray, shape (steps in the window, dim_z)
+        How much the measurements in the window are believed at present, NaN where missing.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is out of range.
+
+    Notes
+    -----
+    With ``influence=Linear()``, x and P are filterpy's, and xSmooth is the exact conditional mean, that of a smoother
+    of Rauch, Tung and Striebel over the data so far. filterpy's own recursion puts the corrected covariance where the
+    predicted one belongs (D. Simon, Optimal State Estimation, 2006, section 9.3), so that its xSmooth is not that mean.
+
+    Examples
+    --------
+    >>> smoother = FixedLagSmoother(dim_x=1, dim_z=1, N=3)
+    >>> smoother.Q = 0.01 * np.eye(1)
+    >>> for z in [0.1, -0.2, 500.0, 0.3, 0.0, 0.1, -0.1]:
+    ...     smoother.smooth(z)
+    >>> len(smoother.xSmooth), bool(abs(smoother.xSmooth[2][0, 0]) < 0.5)
+    (7, True)
+    """
+
+    def __init__(
+        self,
+        dim_x: int,
+        dim_z: int,
+        N: int | None = None,
+        *,
+        influence: Influence | None = None,
+        process: Influence | None = Linear(),
+        grouping: Grouping = "component",
+    ) -> None:
+        """Set up filterpy's attributes and the choices."""
+        for name, value in (("dim_x", dim_x), ("dim_z", dim_z), ("N", 1 if N is None else N)):
+            _checks.count(name, value, 1)
+        self._joint = _checks.option("grouping", grouping, GROUPINGS) == "joint"
+        self._influence, self._process = influence, process
+        self._rules(np.ones((1, 1, dim_z), dtype=bool), np.ones((1, 1, dim_x), dtype=bool))
+        super().__init__(dim_x, dim_z, N)
+        self._window: list[_Step] = []
+        self._prior = (np.zeros(dim_x), np.eye(dim_x))
+        self._beliefs = [Belief(), Belief()]
+        self._mixtures: list[Mixture | None] = [None, None]
+        self.weights = np.empty((0, dim_z))
+
+    def smooth(self, z: ArrayLike | None, u: ArrayLike | None = None) -> None:
+        """Take a measurement and smooth the last N + 1 steps.
+
+        Parameters
+        ----------
+        z : array_like, shape (dim_z,) or (dim_z, 1), or scalar, or None
+            Measurement; NaN marks a missing component, None a missing measurement.
+        u : array_like, shape (dim_u,) or (dim_u, 1), or scalar, optional
+            Control input.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If something does not fit; nothing has changed then.
+        """
+        if self.N is None:
+            raise ValueError("N: expected a lag, got None; use FixedLagSmoother(dim_x, dim_z, N=..)")
+        x, P = state_of(self)
+        step = self._step(z, u, x, P)
+        prior = self._prior if self._window else (x.ravel().copy(), P.copy())
+        window = [*self._window, step]
+        there = _problem(window, prior)
+        rules = self._rules(there.observed, there.driven)
+        start = Weighting(*(np.array([[getattr(one, name) for one in window]]) for name in Weighting._fields))
+        fit = reweighted(there.model, there.observed, *rules, _SWEEPS, start=start)
+        self._prior = prior
+        self._window = [
+            one._replace(**{name: getattr(fit.weighting, name)[0, i] for name in Weighting._fields})
+            for i, one in enumerate(window)
+        ]
+        self._show(fit.smooth, step, x, P, rules)
+        if len(window) > self.N:
+            self._leave(there, fit.weighting, rules)
+
+    def _step(self, z: Any, u: Any, x: Array, P: Array) -> _Step:
+        """Return a measurement with the matrices of its time."""
+        n, m = self.dim_x, self.dim_z
+        F, H = _checks.matrix("F", self.F, (n, n), "dim_x"), _checks.matrix("H", self.H, (m, n), f"dim_z={m}")
+        values = np.full(m, np.nan) if z is None else np.atleast_1d(measured(z, m, missing=True))
+        c = np.zeros(n) if u is None else np.zeros(n) + control_term(self.B, u, (n,))
+        Q = process_noise(self.Q, None, n) * np.ones((n, n))
+        R = noise_covariance(self.R, None, m)
+        precision = np.where(np.isnan(values), 0.0, _UNJUDGED)
+        return _Step(F.copy(), Q.copy(), c, H.copy(), R.copy(), values, precision, np.zeros(m), 1.0)
+
+    def _rules(self, observed: Array, driven: Array) -> tuple[Rule, Rule]:
+        """Return what is made of residuals, with what was learnt so far."""
+        rules = measurement_rule(self._influence, self._joint, observed), process_rule(self._process, driven)
+        for rule, belief, mixture in zip(
+            rules, getattr(self, "_beliefs", ()), getattr(self, "_mixtures", ()), strict=False
+        ):
+            if isinstance(rule, Learnt):
+                rule.belief, rule.mixture = belief, rule.mixture if mixture is None else mixture
+        return rules
+
+    def _show(self, smooth: Smooth, step: _Step, x: Array, P: Array, rules: tuple[Rule, Rule]) -> None:
+        """Set filterpy's attributes."""
+        shape = x.shape
+        prior = step.F @ x.ravel() + step.c
+        self.y = (np.where(np.isnan(step.z), 0.0, step.z - step.H @ prior)).reshape((-1, 1) if len(shape) == 2 else -1)
+        self.S = step.H @ (step.F @ P @ step.F.T + step.Q) @ step.H.T + step.R
+        states = [one.reshape(shape) for one in smooth.x[0]]
+        self.xSmooth.append(states[-1].copy())
+        self.xSmooth[-len(states) :] = states
+        self.x, self.P, self.x_s = states[-1].copy(), smooth.P[0, -1].copy(), states[0].copy()
+        self._mixtures = [rule.mixture for rule in rules]
+        self.weights = np.array(rules[0].weights[0])
+        self.count += 1
+
+    def _leave(self, there: Recording, weighting: Weighting, rules: tuple[Rule, Rule]) -> None:
+        """Let the oldest step go: the prior of the window moves on by it, and learnt noise remembers it."""
+        model = there.model
+        model = model._replace(**{name: getattr(model, name)[:, :1] for name in ("F", "G", "c", "H", "z")})
+        first = smoothing_pass(model, Weighting(*(a[:, :1] for a in weighting)), states=True)
+        self._prior = first.x[0, 0].copy(), first.P[0, 0].copy()
+        self._window = self._window[1:]
+        self._beliefs = [rule.remembered(_MEMORY) if isinstance(rule, Learnt) else Belief() for rule in rules]
+
+    def smooth_batch(self, zs: Any, N: int, us: Any = None) -> tuple[Array, Array]:
+        """Smooth a recording with a lag, and change nothing in this object.
+
+        Parameters
+        ----------
+        zs : sequence of length n
+            Measurements as `smooth` takes them.
+        N : int
+            The lag in steps, >= 1.
+        us : sequence of length n, optional
+            Control inputs.
+
+        Returns
+        -------
+        xSmooth : ndarray, shape (n, dim_x) or (n, dim_x, 1)
+            Estimate of each step from everything up to N steps later.
+        xhat : ndarray, shape of xSmooth
+            Estimate of each step from everything up to it.
+
+        Raises
+        ------
+        ValueError, TypeError
+            As `smooth`, with the step named.
+        """
+        live = copy.deepcopy(self)
+        live.N, live.count, live.xSmooth, live._window = _checks.count("N", N, 1), 0, [], []
+        if us is not None and len(us) < len(zs):
+            raise ValueError(f"us: expected an entry for each of the {len(zs)} measurements, got {len(us)}")
+        latest = []
+        for k, z in enumerate(zs):
+            try:
+                live.smooth(z, None if us is None else us[k])
+            except (TypeError, ValueError, np.linalg.LinAlgError) as error:
+                error.args = (f"step {k}: {error}", *error.args[1:])
+                raise
+            latest.append(live.x)
+        shape = (len(latest), *np.shape(self.x))
+        return np.array(live.xSmooth).reshape(shape), np.array(latest).reshape(shape)
+
+
+def _problem(window: list[_Step], prior: tuple[Array, Array]) -> Recording:
+    """Return the smoothing problem of a window."""
+    F, Q, c, H, R, z = (np.array([getattr(one, name) for one in window])[None] for name in _Step._fields[:6])
+    return problem(F, Q, c, H, R, z, prior[0][None], prior[1][None])

@@ -1,0 +1,255 @@
+"""One pass of a linear smoother in which every measurement and every step of the process has a weight of its own.
+
+A whitened component z = h x + e of the measurement enters as a factor exp(-d e^2/2 - o e) of its residual e: d = 1,
+o = 0 is an ordinary one, d = o = 0 a missing one, and any other precision d and offset o are what a robust smoother
+makes of it. The process noise of step k is G w with w ~ N(0, q_k I), so that G may be singular and q_k large.
+
+Forward a Kalman filter, backward the recursion of Bryson and Frazier for the score s and the information L of the
+later measurements, which needs the inverse of no predicted covariance (A. E. Bryson and M. Frazier, Smoothing for
+linear and nonlinear dynamic systems, 1963; P. de Jong, Journal of the American Statistical Association 84, 1989)::
+
+    x_s = x + P s,   P_s = P - P L P,   e = z - H x_s,   V = H P_s H'
+    s <- s + H'(d e + o),   L <- L + H'(d - d V d) H - H'd H P L - L P H'd H,   then s <- F's, L <- F'L F
+
+Next to a diffuse P the last line loses the digits of P_s: there P - P L P is the difference of large numbers. So states
+and covariances, once they are wanted, come from the information filter run backward, whose result corrects x and P as a
+measurement would (D. C. Fraser and J. E. Potter, IEEE Transactions on Automatic Control 14, 1969).
+
+Every array has the axes (series, step) in front, of length 1 where one matrix serves all of them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+from robust_filterpy.compiled import dispatch
+
+__all__ = ["Model", "Smooth", "Weighting", "smoothing_pass"]
+
+
+#: Numbers of states and sensors that the compiler knows, 0 for any.
+SIZES = ((0, 0), (2, 1), (4, 2))
+# Seconds that a step of a smoother takes by the definition: some ten passes.
+_DEFINITION = 1e-3
+
+
+class Model(NamedTuple):
+    """A linear model, its measurements whitened: x_k = F x_(k-1) + c + G w, with prior mean and covariance of x_0."""
+
+    F: Array
+    """Transition matrices, (series or 1, steps or 1, n, n)."""
+    G: Array
+    """Roots of the process noise covariance, Q = G G', (.., .., n, r)."""
+    c: Array
+    """Known part of the prediction, (.., .., n)."""
+    H: Array
+    """Measurement matrices in units of the noise, (.., .., m, n)."""
+    z: Array
+    """Measurements in units of the noise, (series, steps, m); a missing one is any number."""
+    x0: Array
+    """Mean before the first prediction, (series or 1, n)."""
+    P0: Array
+    """Its covariance, (series or 1, n, n)."""
+
+
+class Weighting(NamedTuple):
+    """What the pass makes of the measurements and of the process noise."""
+
+    precision: Array
+    """d of each component, (series, steps, m), >= 0."""
+    offset: Array
+    """o of each component, (series, steps, m)."""
+    process_scale: Array
+    """q of each step, (series, steps), >= 0: factor of Q."""
+
+
+class Smooth(NamedTuple):
+    """What a pass returns; what was not wanted has length 0 along its steps."""
+
+    fitted: Array
+    """H x_s, (series, steps, m)."""
+    spread: Array
+    """H P_s H', (series, steps, m, m)."""
+    score: Array
+    """G's, (series, steps, r): the smoothed process noise is q G's, in units of G."""
+    information: Array
+    """G'L G, (series, steps, r, r): its covariance is q I - q^2 G'L G."""
+    x: Array
+    """Smoothed states, (series, steps, n)."""
+    P: Array
+    """Their covariances, (series, steps, n, n)."""
+    x0: Array
+    """Smoothed state before the first prediction, (series, n), if states were wanted."""
+    P0: Array
+    """Its covariance, (series, n, n)."""
+
+
+def smoothing_pass(
+    model: Model, weighting: Weighting, *, states: bool = False, process: bool = False, into: Smooth | None = None
+) -> Smooth:
+    """Smooth all series once: by the compiled form where it serves (`compiled.dispatch`), else by the definition.
+
+    Parameters
+    ----------
+    model : Model
+        Matrices.
+    weighting : Weighting
+        What each measurement and each step weighs.
+    states, process : bool
+        Whether x and P, and score and information, are wanted.
+    into : Smooth, optional
+        What an earlier pass of this kind returned, to be written over: fresh memory costs a sixth of a long pass.
+
+    Returns
+    -------
+    Smooth
+    """
+    out = _room(model, weighting, states, process) if into is None else into
+    series, steps, m = weighting.precision.shape
+    size = serving(model.F.shape[-1], m, series * steps)
+    if size is None:
+        _by_definition(model, weighting, out)
+    else:
+        by_kernel(size, model, weighting, out)
+    return out
+
+
+def serving(n: int, m: int, steps: int) -> tuple[int, int] | None:
+    """Return which compiled form serves n states, m sensors and so many steps of all series, None if none does."""
+    size = (n, m) if (n, m) in SIZES else (0, 0)
+    for one in (size, (0, 0)):
+        if dispatch.ready(kernel_name(one), 0.0):
+            return one
+    return size if dispatch.ready(kernel_name(size), steps * _DEFINITION) else None
+
+
+def kernel_name(size: tuple[int, int]) -> str:
+    """Return the name of a compiled form in the list of those that are cached."""
+    n, m = (str(k) if k else "any" for k in size)
+    return f"smoothing of {n} states and {m} sensors"
+
+
+def by_kernel(size: tuple[int, int], model: Model, weighting: Weighting, out: Smooth) -> None:
+    """Smooth all series by the compiled form."""
+    with dispatch.announced(kernel_name(size)):
+        from robust_filterpy.smoothing._compiled_pass import compiled_for
+
+        compiled_for(*size)(*map(dispatch.usable, model), *map(dispatch.usable, weighting), *out)
+
+
+def compile_kernel(size: tuple[int, int]) -> None:
+    """Smooth one step, so that numba compiles the pass."""
+    n, m = size[0] or 1, size[1] or 1
+    eye, four = np.eye(n), (1, 1)
+    model = Model(
+        eye.reshape(*four, n, n), eye.reshape(*four, n, n), np.zeros((*four, n)), np.ones((*four, m, n)),
+        np.zeros((*four, m)), np.zeros((1, n)), eye[None],
+    )  # fmt: skip
+    weighting = Weighting(np.ones((*four, m)), np.zeros((*four, m)), np.ones(four))
+    by_kernel(size, model, weighting, _room(model, weighting, True, True))
+
+
+def _room(model: Model, weighting: Weighting, states: bool, process: bool) -> Smooth:
+    """Return empty arrays for what a pass returns."""
+    series, steps, m = weighting.precision.shape
+    n, r = model.G.shape[2:]
+    kept, driven = steps if states else 0, steps if process else 0
+    return Smooth(
+        np.empty((series, steps, m)), np.empty((series, steps, m, m)),
+        np.empty((series, driven, r)), np.empty((series, driven, r, r)),
+        np.empty((series, kept, n)), np.empty((series, kept, n, n)), np.empty((series, n)), np.empty((series, n, n)),
+    )  # fmt: skip
+
+
+def _by_definition(model: Model, weighting: Weighting, out: Smooth) -> None:
+    """Smooth all series, step by step."""
+    d, o, q = weighting
+    series, steps = q.shape
+    n = model.F.shape[-1]
+    means, covariances = np.empty((series, steps, n)), np.empty((series, steps, n, n))
+    x = np.broadcast_to(model.x0, (series, n))
+    P = np.broadcast_to(model.P0, (series, n, n))
+    for k in range(steps):
+        F, G, c, H = _at(model, k)
+        x = _times(F, x) + c
+        P = F @ P @ _t(F) + q[:, k, None, None] * (G @ _t(G))
+        x, P = _corrected(x, P, H, model.z[:, k], d[:, k], o[:, k])
+        means[:, k], covariances[:, k] = x, P
+    s, L = np.zeros((series, n)), np.zeros((series, n, n))
+    later = np.zeros((series, n)), np.zeros((series, n, n))
+    for k in range(steps - 1, -1, -1):
+        F, G, c, H = _at(model, k)
+        x, P = means[:, k], covariances[:, k]
+        if out.x.shape[1]:
+            out.x[:, k], out.P[:, k] = _combined(x, P, *later)
+            later = _earlier(*later, F, q[:, k, None, None] * (G @ _t(G)), c, H, model.z[:, k], d[:, k], o[:, k])
+        PH = P @ _t(H)
+        B = L @ PH
+        fitted = _times(H, x) + _times(_t(PH), s)
+        V = H @ PH - _t(PH) @ B
+        out.fitted[:, k] = fitted
+        out.spread[:, k] = V
+        dH = d[:, k, :, None] * H
+        s = s + _times(_t(H), d[:, k] * (model.z[:, k] - fitted) + o[:, k])
+        L = L + _t(H) @ dH - _t(dH) @ V @ dH - _t(dH) @ _t(B) - B @ dH
+        L = 0.5 * (L + _t(L))
+        if out.score.shape[1]:
+            out.score[:, k], out.information[:, k] = _times(_t(G), s), _t(G) @ L @ G
+        s, L = _times(_t(F), s), _t(F) @ L @ F
+    if out.x.shape[1]:
+        x0, P0 = np.broadcast_to(model.x0, (series, n)), np.broadcast_to(model.P0, (series, n, n))
+        out.x0[:], out.P0[:] = _combined(x0, P0, *later)
+
+
+def _corrected(x: Array, P: Array, H: Array, z: Array | float, d: Array, o: Array) -> tuple[Array, Array]:
+    """Return the filtered mean and covariance: with M = (I + d H P H')^-1 the gain P H' M d, in Joseph's form."""
+    m, n = H.shape[-2:]
+    PH = P @ _t(H)
+    PHM = PH @ np.linalg.inv(np.eye(m) + d[:, :, None] * (H @ PH))
+    x = x + _times(PHM, d * (z - _times(H, x)) + o)
+    C = np.eye(n) - PHM @ (d[:, :, None] * H)
+    P = C @ P @ _t(C) + (PHM * d[:, None, :]) @ _t(PHM)
+    return x, 0.5 * (P + _t(P))
+
+
+def _combined(x: Array, P: Array, y: Array, Y: Array) -> tuple[Array, Array]:
+    """Return mean and covariance with the information exp(-x'Y x/2 + y'x) taken in, as n measurements: Y = L D L'."""
+    Y, y = Y.copy(), y.copy()
+    for j in range(Y.shape[-1]):
+        pivot = np.maximum(Y[:, j, j], 0.0)
+        row = np.divide(Y[:, j], pivot[:, None], out=np.zeros_like(y), where=pivot[:, None] > 0.0)
+        potential = np.where(pivot > 0.0, y[:, j], 0.0)
+        x, P = _corrected(x, P, row[:, None], 0.0, pivot[:, None], potential[:, None])
+        Y = Y - pivot[:, None, None] * row[:, :, None] * row[:, None]
+        y = y - row * potential[:, None]
+    return x, P
+
+
+def _earlier(
+    y: Array, Y: Array, F: Array, Q: Array, c: Array, H: Array, z: Array, d: Array, o: Array
+) -> tuple[Array, Array]:
+    """Return the information about the state before a step from that about the state after it."""
+    Y = Y + _t(H) @ (d[:, :, None] * H)
+    y = y + _times(_t(H), d * z + o) - _times(Y, c)
+    left = _t(F) @ np.linalg.inv(np.eye(Y.shape[-1]) + Y @ Q)
+    Y = left @ Y @ F
+    return _times(left, y), 0.5 * (Y + _t(Y))
+
+
+def _at(model: Model, k: int) -> tuple[Array, Array, Array, Array]:
+    """Return F, G, c, H of a step."""
+    F, G, c, H = (a[:, k if a.shape[1] > 1 else 0] for a in (model.F, model.G, model.c, model.H))
+    return F, G, c, H
+
+
+def _t(a: Array) -> Array:
+    """Return transposed matrices."""
+    return a.swapaxes(-1, -2)
+
+
+def _times(a: Array, v: Array) -> Array:
+    """Return products of matrices and vectors."""
+    return (a @ v[..., None])[..., 0]

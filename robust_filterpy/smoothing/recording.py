@@ -1,0 +1,211 @@
+"""From a filter and lists, as `batch_filter` takes them, to the arrays of a smoothing problem, checked."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from robust_filterpy import _checks
+from robust_filterpy._arrays import control_term, state_of
+from robust_filterpy._checks import Array
+from robust_filterpy.correction.whitening import standardize
+from robust_filterpy.smoothing.linear_pass import Model
+
+_FURTHEST = 1e30
+
+
+class Recording(NamedTuple):
+    """A smoothing problem."""
+
+    model: Model
+    observed: Array
+    """Which components were measured, (series, steps, m)."""
+    driven: Array
+    """Which columns of G are not zero, (series, steps, r)."""
+
+
+def linear_recording(
+    kf: Any, zs: Any, Fs: Any = None, Qs: Any = None, Hs: Any = None, Rs: Any = None, Bs: Any = None, us: Any = None
+) -> Recording:
+    """Return the problem of a linear filter and a recording.
+
+    Parameters
+    ----------
+    kf : KalmanFilter
+        Of filterpy or of this package, with x, P, F, H, Q, R (and B) set.
+    zs, Fs, Qs, Hs, Rs, Bs, us : sequence of length N
+        As in `RobustKalmanFilter.batch_filter`.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    TypeError, ValueError
+        If something is missing or does not fit; the argument is named.
+    """
+    absent = [name for name in ("x", "P", "F", "H", "Q", "R") if not hasattr(kf, name)]
+    if absent:
+        raise TypeError(f"kf: expected a filter of filterpy's kind, got {type(kf).__name__} without {absent[0]}")
+    if getattr(kf, "_alpha_sq", 1.0) != 1.0:
+        raise ValueError(
+            f"alpha: expected 1, got {kf._alpha_sq**0.5}; a fading memory is no model to smooth by, raise Q instead"
+        )
+    x, P = state_of(kf)
+    n = len(x)
+    H = stack("H", kf.H, Hs, None, (None, n))
+    m = H.shape[1]
+    z = measurement_rows(zs, m)
+    steps = len(z)
+    F, Q = stack("F", kf.F, Fs, steps, (n, n)), stack("Q", kf.Q, Qs, steps, (n, n))
+    H, R = stack("H", kf.H, Hs, steps, (m, n)), stack("R", kf.R, Rs, steps, (m, m))
+    c = _inputs(getattr(kf, "B", None), Bs, us, n, steps)
+    one = tuple(a[None] for a in (F, Q, c, H, R, z, x.ravel(), P))
+    return problem(*one)
+
+
+def problem(F: Array, Q: Array, c: Array, H: Array, R: Array, z: Array, x0: Array, P0: Array) -> Recording:
+    """Return the problem of arrays with axes (series, step) in front: measurements whitened, covariances as roots."""
+    for name, value in (("F", F), ("H", H), ("B u", c), ("x", x0)):
+        if not np.isfinite(value).all():
+            raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
+    _require_semidefinite("P", P0)
+    G = noise_root(Q)
+    observed = ~np.isnan(z)
+    H, z = _whitened(H, R, z, observed)
+    model = Model(F, G, c, H, z, x0, P0)
+    driven = np.broadcast_to((G != 0.0).any(axis=-2), (*z.shape[:2], G.shape[-1]))
+    return Recording(model, observed, driven)
+
+
+def stack(name: str, default: Any, values: Any, steps: int | None, shape: tuple[int | None, int]) -> Array:
+    """Return one matrix, or one a step, with the axis of steps in front; a scalar Q or R stands for itself times I."""
+    rows, columns = shape
+    if values is None:
+        found = _checks.numbers(name, default)
+        if found.ndim == 0 and rows == columns:
+            found = found * np.eye(columns)
+        found = found[None]
+    else:
+        values = _checks.entries(f"{name}s", values)
+        if not hasattr(values, "__len__"):
+            raise TypeError(f"{name}s: expected a sequence of matrices, got {_checks.shown(values)}")
+        if steps is not None and len(values) < steps:
+            raise ValueError(f"{name}s: expected an entry for each of the {steps} measurements, got {len(values)}")
+        try:
+            found = _checks.numbers(f"{name}s", values if isinstance(values, np.ndarray) else list(values))[:steps]
+        except TypeError:
+            raise TypeError(
+                f"{name}s: expected matrices of one shape for all steps, got {_checks.shown(values)}"
+            ) from None
+        if found.ndim == 1 and rows == columns:
+            found = found[:, None, None] * np.eye(columns)
+    if found.ndim != 3 or found.shape[2] != columns or (rows is not None and found.shape[1] != rows):
+        expected = f"({'dim_z' if rows is None else rows}, {columns})"
+        raise ValueError(f"{name}: expected shape {expected} at each step, got {found.shape[1:]}")
+    return found
+
+
+def measurement_rows(zs: Any, m: int, name: str = "zs") -> Array:
+    """Return measurements as shape (N, m), NaN where missing, or raise."""
+    zs = _checks.entries(name, zs)
+    if not hasattr(zs, "__len__"):
+        raise TypeError(f"{name}: expected a sequence of measurements, got {_checks.shown(zs)}")
+    if not isinstance(zs, np.ndarray):
+        gap = np.full(m, np.nan)
+        zs = [gap if z is None else np.ravel(_checks.numbers(name, z)) for z in zs]
+        sizes = {len(z) for z in zs} - {m}
+        if sizes:
+            raise ValueError(f"{name}: expected {m} number(s) at each step, as the model has, got {sizes.pop()}")
+    values = _checks.numbers(name, zs)
+    if len(values) == 0:
+        raise ValueError(f"{name}: expected at least one entry, got none")
+    if values.size != len(values) * m or values.ndim > 3:
+        raise ValueError(f"{name}: expected shape {(len(values), m)}, as the model has, got {values.shape}")
+    values = values.reshape(len(values), m)
+    if np.isinf(values).any():
+        step = int(np.isinf(values).any(axis=1).argmax())
+        raise ValueError(f"{name}: expected finite numbers or NaN (missing), got infinity at step {step}")
+    return values
+
+
+def noise_root(Q: Array) -> Array:
+    """Return G with G G' = Q for a stack of positive semidefinite matrices, without columns that are zero in all."""
+    _require_semidefinite("Q", Q)
+    values, vectors = np.linalg.eigh(0.5 * (Q + Q.swapaxes(-1, -2)))
+    floor = Q.shape[-1] * np.finfo(float).eps * np.abs(values).max(axis=-1, keepdims=True)
+    roots = np.sqrt(np.where(values > floor, values, 0.0))
+    rank = max(int((roots > 0.0).any(axis=tuple(range(roots.ndim - 1))).sum()), 1)
+    return np.ascontiguousarray((vectors * roots[..., None, :])[..., -rank:])
+
+
+def _require_semidefinite(name: str, stack: Array) -> None:
+    """Raise unless every matrix is symmetric and has no eigenvalue below 0, to rounding."""
+    if not np.isfinite(stack).all():
+        raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
+    transposed = stack.swapaxes(-1, -2)
+    scale = np.sqrt(np.abs(np.diagonal(stack, axis1=-2, axis2=-1)))
+    if (np.abs(stack - transposed) > 1e-8 * scale[..., :, None] * scale[..., None, :]).any():
+        raise ValueError(f"{name}: expected a symmetric matrix, got one that differs from its transpose")
+    values = np.linalg.eigvalsh(0.5 * (stack + transposed))
+    if (values[..., 0] < -1e-9 * np.abs(values).max(axis=-1)).any():
+        raise ValueError(f"{name}: expected no variance below 0, got least eigenvalue {values.min():.3g}")
+
+
+def _whitened(H: Array, R: Array, z: Array, observed: Array) -> tuple[Array, Array]:
+    """Return H and z in units of the noise, T R T' = I, with zeros where nothing was observed."""
+    m = R.shape[-1]
+    _require_semidefinite("R", R)
+    least = np.linalg.eigvalsh(R)[..., 0] if m > 1 else R[..., 0, 0]
+    if (least <= 0.0).any():
+        raise ValueError(f"R: expected noise of every sensor, got least eigenvalue {least.min():.3g}; give it a little")
+    # Nothing is told apart that is so many standard deviations away, and what is squared there stays finite.
+    filled = np.where(observed, z, 0.0)
+    if not (R * (1.0 - np.eye(m))).any():
+        root = 1.0 / np.sqrt(np.diagonal(R, axis1=-2, axis2=-1))
+        return root[..., None] * H, np.clip(root * filled, -_FURTHEST, _FURTHEST)
+    T = _scalings(R, observed)
+    return T @ H, np.clip((T @ filled[..., None])[..., 0], -_FURTHEST, _FURTHEST)
+
+
+def _scalings(R: Array, observed: Array) -> Array:
+    """Return T of the observed block of R at each step, zero elsewhere; computed once for each block that occurs."""
+    known: dict[tuple[bytes, bytes], Array] = {}
+    series, steps, m = observed.shape
+    if observed.all():
+        series, steps = R.shape[:2]
+    found = np.zeros((series, steps, m, m))
+    for s in range(series):
+        for k in range(steps):
+            R_k, part = R[s % len(R), k % R.shape[1]], observed[s, k]
+            key = R_k.tobytes(), part.tobytes()
+            if key not in known:
+                pick, known[key] = np.ix_(part, part), np.zeros((m, m))
+                if part.any():
+                    known[key][pick] = standardize(R_k[pick], "innovation")[0]
+            found[s, k] = known[key]
+    return found
+
+
+def _inputs(B: Any, Bs: Any, us: Any, n: int, steps: int) -> Array:
+    """Return B u of each step, (N or 1, n); None in us or Bs is no input, or the filter's own B."""
+    if us is None:
+        return np.zeros((1, n))
+    for name, values in (("us", us), ("Bs", Bs)):
+        if values is not None and (not hasattr(values, "__len__") or len(values) < steps):
+            found = len(values) if hasattr(values, "__len__") else _checks.shown(values)
+            raise ValueError(f"{name}: expected an entry for each of the {steps} measurements, got {found}")
+    if B is None and Bs is None:
+        raise ValueError("us: expected no inputs for a filter without B; set kf.B")
+    if Bs is None and isinstance(us, np.ndarray) and np.ndim(B) == 2:
+        u = measurement_rows(us[:steps], np.shape(B)[1], "us")
+        terms = u @ _checks.matrix("B", B, (n, u.shape[1]), f"dim_x={n}").T
+    else:
+        matrices = [B] * steps if Bs is None else [B if one is None else one for one in list(Bs)[:steps]]
+        inputs = [0.0 if u is None else u for u in list(us)[:steps]]
+        terms = np.array([np.zeros(n) + control_term(b, u, (n,)) for b, u in zip(matrices, inputs, strict=True)])
+    if not np.isfinite(terms).all():
+        raise ValueError("us: expected finite numbers, got NaN or infinity")
+    return terms

@@ -1,0 +1,312 @@
+"""Smooth whole recordings in which some measurements, or some steps of the process, are not to be believed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array, numbers
+from robust_filterpy.batch.series import _leading
+from robust_filterpy.correction.options import GROUPINGS, Choices, Grouping
+from robust_filterpy.influence.functions import Influence, Linear
+from robust_filterpy.smoothing.convex import is_convex, minimised
+from robust_filterpy.smoothing.mixture import CONTAMINATION_LIMITS
+from robust_filterpy.smoothing.nonlinear import Trajectory, is_nonlinear, nonlinear_trajectory
+from robust_filterpy.smoothing.recording import Recording, linear_recording, problem
+from robust_filterpy.smoothing.rules import Learnt, Ordinary, Psi, checked_influence
+from robust_filterpy.smoothing.sweeps import Fit, Rule, reweighted
+
+__all__ = ["Smoothed", "smooth", "smooth_series"]
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """Hold what a smoother found; S series have an axis of length S in front of everything.
+
+    Attributes
+    ----------
+    x : ndarray, shape (N, dim_x) or (N, dim_x, 1)
+        Smoothed states, in the shape of the filter's x.
+    P : ndarray, shape (N, dim_x, dim_x)
+        Their covariances.
+    weights : ndarray, shape (N, dim_z)
+        How much each measurement was believed: 1 is full trust, NaN a missing component.
+    process_weights : ndarray, shape (N,)
+        The same of the step that leads to each state: small where the state jumped.
+    contamination, scale_ratio : ndarray, shape (dim_z,)
+        Share of outliers and their standard deviation over that of ordinary noise, where they were learnt, else NaN.
+    process_contamination, process_scale_ratio : float
+        The same of the process noise.
+    converged : bool
+        Whether the estimate had come to rest.
+    sweeps : int
+        How many times the recording was smoothed.
+    message : str
+        Why the search ended, and what is odd about the result.
+    """
+
+    x: Array
+    P: Array
+    weights: Array
+    process_weights: Array
+    contamination: Array
+    scale_ratio: Array
+    process_contamination: Any
+    process_scale_ratio: Any
+    converged: Any
+    sweeps: int
+    message: str
+
+
+def smooth(
+    kf: Any,
+    zs: Any,
+    *,
+    influence: Influence | None = None,
+    process: Influence | None = Linear(),
+    grouping: Grouping | None = None,
+    Fs: Any = None,
+    Qs: Any = None,
+    Hs: Any = None,
+    Rs: Any = None,
+    Bs: Any = None,
+    us: Any = None,
+    dts: Any = None,
+    HJacobian: Callable[..., ArrayLike] | None = None,
+    Hx: Callable[..., ArrayLike] | None = None,
+    args: Any = (),
+    hx_args: Any = (),
+    residual: Callable[[Any, Any], Any] = np.subtract,
+    max_sweeps: int = 100,
+) -> Smoothed:
+    """Estimate all states of a recording from all of its measurements, without believing outliers.
+
+    The recording is smoothed, each measurement is weighed by how far it is from what all the others say, and so on
+    until nothing moves. A filter decides about a sample once, from the past; the smoother has seen what came after.
+
+    Parameters
+    ----------
+    kf : KalmanFilter
+        Of filterpy or of this package, linear, extended, unscented or cubature, with x, P, Q, R and its model set; x
+        and P are those before the first prediction. It is not changed. Its own psi plays no part, except that a
+        nonlinear filter finds the trajectory to start from.
+    zs : sequence of length N
+        Measurements as `batch_filter` takes them: numbers, arrays, rows with NaN, None.
+    influence : Influence, optional
+        What to make of a residual z - H x in standard deviations of R. By default contamination and size of the
+        outliers are learnt from the recording: on clean data that costs nothing. `Huber` gives the optimum of the
+        convex problem, `Linear` the smoother of Rauch, Tung and Striebel, a redescending psi or `StudentT` a local
+        optimum that is reached from far away.
+    process : Influence or None, default Linear()
+        The same for the process noise, for states that jump: ``None`` learns how often and how far, `Linear` believes
+        in Q.
+    grouping : {"component", "joint"}, optional
+        Whether sensors fail each on its own or all together; by default the filter's, or "component".
+    Fs, Qs, Hs, Rs, Bs, us : sequence of length N, optional
+        Matrices and control inputs for each step, otherwise the filter's own and no input. A nonlinear filter takes
+        Rs, and us if it is an extended one.
+    dts : sequence of length N, or float, optional
+        Time before each step, for an unscented or cubature filter.
+    HJacobian, Hx : callable
+        For an extended filter: H at a state, and the measurement that belongs to it, as in its ``update``.
+    args, hx_args : tuple
+        Further arguments of HJacobian and Hx.
+    residual : callable, default numpy.subtract
+        ``residual(z, Hx(x))`` for an extended filter whose measurements do not subtract (angles).
+    max_sweeps : int, default 100
+        How often to smooth at most.
+
+    Returns
+    -------
+    Smoothed
+        x, P, weights, ..; with ``converged=False`` if the search was ended by ``max_sweeps``.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument does not fit; it is named.
+
+    Notes
+    -----
+    Singular Q and P (a known initial state) are legal: no predicted covariance is inverted. P is the covariance given
+    the weights; with learnt noise it includes the doubt whether a sample is an outlier.
+
+    Examples
+    --------
+    >>> from filterpy.kalman import KalmanFilter
+    >>> kf = KalmanFilter(dim_x=2, dim_z=1)
+    >>> kf.F, kf.H, kf.Q = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]]), 1e-4 * np.eye(2)
+    >>> zs = np.arange(50.0) + np.random.default_rng(0).normal(size=50)
+    >>> zs[20:23] = 1e6
+    >>> found = smooth(kf, zs)
+    >>> bool(abs(found.x[21, 0, 0] - 21.0) < 1.0), bool(found.weights[21, 0] < 1e-3), found.converged
+    (True, True, True)
+    """
+    grouping = getattr(kf, "grouping", "component") if grouping is None else grouping
+    if is_nonlinear(kf):
+        for name, value in (("Fs", Fs), ("Qs", Qs), ("Hs", Hs), ("Bs", Bs)):
+            if value is not None:
+                raise TypeError(f"{name}: expected none for a {type(kf).__name__}, whose model is in its functions")
+        trajectory = nonlinear_trajectory(kf, zs, Rs, us, dts, (HJacobian, Hx, args, hx_args, residual))
+        found = _smoothed(trajectory.recording(), influence, process, grouping, max_sweeps, trajectory)
+    else:
+        recording = linear_recording(kf, zs, Fs, Qs, Hs, Rs, Bs, us)
+        found = _smoothed(recording, influence, process, grouping, max_sweeps)
+    x = found.x[0] if np.ndim(kf.x) == 1 else found.x[0][..., None]
+    return Smoothed(
+        x, found.P[0], found.weights[0], found.process_weights[0], found.contamination[0], found.scale_ratio[0],
+        float(found.process_contamination[0]), float(found.process_scale_ratio[0]), bool(found.converged[0]),
+        found.sweeps, found.message,
+    )  # fmt: skip
+
+
+def smooth_series(
+    zs: ArrayLike,
+    F: ArrayLike,
+    H: ArrayLike,
+    Q: ArrayLike,
+    R: ArrayLike,
+    x0: ArrayLike,
+    P0: ArrayLike,
+    *,
+    influence: Influence | None = None,
+    process: Influence | None = Linear(),
+    grouping: Grouping = "component",
+    max_sweeps: int = 100,
+) -> Smoothed:
+    """Smooth S series of N measurements each: `smooth` for many recordings, with the arguments of `filter_series`.
+
+    Parameters
+    ----------
+    zs : array_like, shape (S, N, dim_z)
+        Measurements; NaN marks a missing component.
+    F, Q : array_like, shape (dim_x, dim_x), (N, dim_x, dim_x) or (S or 1, N or 1, dim_x, dim_x)
+        Transition matrix and process noise covariance: shared, one a step, or each series' own.
+    H : array_like, shape (dim_z, dim_x), or with the same axes in front
+        Measurement matrix.
+    R : array_like, shape (dim_z, dim_z), or with the same axes in front
+        Measurement noise covariance, positive definite.
+    x0 : array_like, shape (dim_x,) or (S, dim_x)
+        Mean before the first prediction.
+    P0 : array_like, shape (dim_x, dim_x) or (S, dim_x, dim_x)
+        Its covariance.
+    influence, process, grouping, max_sweeps
+        As in `smooth`.
+
+    Returns
+    -------
+    Smoothed
+        Every field but ``sweeps`` and ``message`` with an axis of length S in front.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument does not fit; it is named.
+
+    Notes
+    -----
+    Each series has its own noise and ends when it has converged, with the same numbers as if it were alone.
+
+    Examples
+    --------
+    >>> zs = np.array([[[1.0], [2.0], [3e6], [4.0]], [[0.0], [np.nan], [0.5], [0.3]]])
+    >>> F = np.array([[1.0, 1.0], [0.0, 1.0]])
+    >>> found = smooth_series(zs, F, [[1.0, 0.0]], 0.01 * np.eye(2), np.eye(1), np.zeros(2), np.eye(2))
+    >>> found.x.shape, found.converged
+    ((2, 4, 2), array([ True,  True]))
+    """
+    z = numbers("zs", zs)
+    if z.ndim != 3 or 0 in z.shape:
+        mend = "; use zs[:, :, None] for series of one sensor, zs[None] for one series" if z.ndim == 2 else ""
+        raise ValueError(f"zs: expected shape (series, steps, dim_z), none of them 0, got {z.shape}{mend}")
+    if np.isinf(z).any():
+        raise ValueError("zs: expected finite numbers or NaN (missing), got infinity")
+    series, steps, m = z.shape
+    x0, P0 = numbers("x0", x0), numbers("P0", P0)
+    n = x0.shape[-1] if x0.ndim else 1
+    if x0.shape not in ((n,), (series, n)) or n == 0:
+        mend = "; use x0.ravel()" if x0.ndim == 2 and x0.shape[1] == 1 else ""
+        raise ValueError(f"x0: expected shape (dim_x,) or ({series}, dim_x), got {x0.shape}{mend}")
+    if P0.shape not in ((n, n), (series, n, n)):
+        raise ValueError(f"P0: expected shape {(n, n)} or {(series, n, n)} for dim_x={n}, got {P0.shape}")
+    F, H, Q, R = (
+        _leading(name, value, shape, series, steps)
+        for name, value, shape in (("F", F, (n, n)), ("H", H, (m, n)), ("Q", Q, (n, n)), ("R", R, (m, m)))
+    )
+    c = np.zeros((1, 1, n))
+    recording = problem(F, Q, c, H, R, z, x0.reshape(-1, n), P0.reshape(-1, n, n))
+    return _smoothed(recording, influence, process, grouping, max_sweeps)
+
+
+def _smoothed(
+    recording: Recording,
+    influence: Any,
+    process: Any,
+    grouping: Any,
+    max_sweeps: int,
+    trajectory: Trajectory | None = None,
+) -> Smoothed:
+    """Smooth with the rules that the options ask for."""
+    joint = _checks.option("grouping", grouping, GROUPINGS) == "joint"
+    limit = _checks.count("max_sweeps", max_sweeps, 1)
+    measurement = measurement_rule(influence, joint, recording.observed)
+    doubt = process_rule(process, recording.driven)
+    newton = trajectory is None and isinstance(doubt, Ordinary)
+    if newton and isinstance(measurement, Psi) and is_convex(influence):
+        fit = minimised(recording.model, recording.observed, influence, joint, limit)
+        weights = np.where(recording.observed, fit.weighting.precision, np.nan)
+    else:
+        fit = reweighted(recording.model, recording.observed, measurement, doubt, limit, trajectory)
+        weights = measurement.weights
+    x = fit.smooth.x if trajectory is None else trajectory.x[None, 1:]
+    if not np.isfinite(x).all():
+        raise ValueError("F: expected a model whose states stay finite, got overflow; check F and the length of zs")
+    series, _, m = recording.observed.shape
+    process_weights = np.ones(weights.shape[:2])
+    if isinstance(doubt, Learnt):
+        process_weights = np.nanmax(doubt.weights, axis=-1, initial=0.0)
+    elif isinstance(doubt, Psi):
+        process_weights = 1.0 / fit.weighting.process_scale
+    c, ratio = (np.broadcast_to(a, (series, m)).copy() for a in _learnt(measurement, series))
+    c_process, ratio_process = (a[:, 0] for a in _learnt(doubt, series))
+    return Smoothed(
+        x, fit.smooth.P, weights, process_weights, c, ratio, c_process, ratio_process,
+        fit.converged, fit.sweeps, _message(fit, measurement, doubt),
+    )  # fmt: skip
+
+
+def measurement_rule(influence: Any, joint: bool, observed: Array) -> Rule:
+    """Return what is made of residuals: learnt noise for None."""
+    if influence is None:
+        return Learnt(joint, observed)
+    influence = checked_influence("influence", influence)
+    return Ordinary(observed) if Choices(influence).is_linear else Psi(influence, joint, observed)
+
+
+def process_rule(process: Any, driven: Array) -> Rule:
+    """Return what is made of the process noise, whose parts are ordinary or large together."""
+    if process is None:
+        return Learnt(True, driven)
+    process = checked_influence("process", process)
+    return Ordinary(driven) if Choices(process).is_linear else Psi(process, True, driven)
+
+
+def _learnt(rule: Rule, series: int) -> tuple[Array, Array]:
+    """Return contamination and ratio of a rule, (series, kinds), NaN if it learns none."""
+    if rule.mixture is None:
+        return np.full((series, 1), np.nan), np.full((series, 1), np.nan)
+    return rule.mixture.contamination, rule.mixture.ratio
+
+
+def _message(fit: Fit, measurement: Rule, process: Rule) -> str:
+    """Say why the search ended, and what is odd about the result."""
+    parts = ["converged" if fit.converged.all() else f"the estimate still moved after {fit.sweeps} sweeps"]
+    for rule, name, what in ((measurement, "R", "measurements"), (process, "Q", "steps of the process")):
+        if rule.mixture is not None and (rule.mixture.contamination >= CONTAMINATION_LIMITS[1]).any():
+            parts.append(f"half of the {what} look like outliers, so {name} is probably too small: see estimate_noise")
+    return "; ".join(parts)

@@ -1,0 +1,390 @@
+"""Compare smoothers under outliers of the measurement and of the process, with a convex solver, and in time.
+
+Run ``python tests/benchmarks/smoother_study.py [--runs N] [--jobs J] [--seed S] [--table NAME]``; each table says which
+problem, how many runs, and gives 95 % bootstrap intervals over the runs, which all smoothers share. The table "convex"
+needs cvxpy. Targets: cart, learnt 1.00 / 1.08 / 1.33 / 1.03; vehicle 1.12; convex, difference 1e-6 and 50 times faster;
+speed, 6 compiled filter passes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
+from outlier_problems import Recording, prepared, vehicle
+
+from robust_filterpy import (
+    Huber,
+    Linear,
+    NoiseMatchedKalmanFilter,
+    RobustExtendedKalmanFilter,
+    RobustKalmanFilter,
+    StudentT,
+    TukeyBiweight,
+    TwoSidedKalmanFilter,
+    smooth,
+    smooth_series,
+)
+from robust_filterpy.correction.mixture import ContaminatedScore
+from robust_filterpy.experiments import bootstrap_interval, monte_carlo
+from robust_filterpy.smoothing import FixedLagSmoother
+
+LABELS = "told the labels, RTS"
+
+
+def cart(rng: np.random.Generator, contamination: float, scale: float, steps: int = 200) -> Recording:
+    """Draw a point at constant velocity but for a small noise, whose position is measured with R = 1."""
+    F, g = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([0.5, 1.0])
+    x, truth = np.zeros(2), np.empty((steps, 2))
+    for k in range(steps):
+        x = truth[k] = F @ x + 0.1 * g * rng.normal()
+    bad = rng.random(steps) < contamination
+    zs = truth[:, :1] + (np.where(bad, scale, 1.0) * rng.normal(size=steps))[:, None]
+    none = np.zeros(steps, dtype=bool)
+    H, Q, P0 = np.array([[1.0, 0.0]]), 0.01 * np.outer(g, g), 10.0 * np.eye(2)
+    return Recording(F, H, Q, np.eye(1), np.zeros(2), P0, truth, zs, none, bad)
+
+
+def told(data: Recording, jumped: float, outlier: float) -> np.ndarray:
+    """Return the states of the smoother that is told which noises are large, and how much."""
+    Qs = data.Q * np.where(data.jumps, jumped**2, 1.0)[:, None, None]
+    Rs = data.R * np.where(data.outliers, outlier**2, 1.0)[:, None, None]
+    kf = KalmanFilter(len(data.x0), len(data.R))
+    return smooth(exactly(kf, data), data.zs, influence=Linear(), Qs=Qs, Rs=Rs).x
+
+
+def exactly(kf: Any, data: Recording) -> Any:
+    """Put the problem into a filter, with the initial state as sure as it is."""
+    kf = prepared(kf, data)
+    kf.P = data.P0.copy()
+    return kf
+
+
+def passed_and_smoothed(kf: Any, data: Recording) -> np.ndarray:
+    """Return what the backward pass of Rauch, Tung and Striebel makes of a filter's estimates."""
+    kf = prepared(kf, data)
+    means, covariances, _, _ = kf.batch_filter(list(data.zs))
+    return kf.rts_smoother(means, covariances)[0]
+
+
+def cart_trial(rng: np.random.Generator, contamination: float, scale: float) -> dict[str, float]:
+    """Return each smoother's mean square error of the position."""
+    data = cart(rng, contamination, scale)
+    kf = exactly(RobustKalmanFilter(2, 1), data)
+    live = FixedLagSmoother(2, 1)
+    live.F, live.H, live.Q, live.x, live.P = data.F, data.H, data.Q, data.x0.copy(), data.P0.copy()
+    states = {
+        "Kalman + RTS": passed_and_smoothed(KalmanFilter(2, 1), data),
+        "Huber filter + RTS": passed_and_smoothed(RobustKalmanFilter(2, 1), data),
+        "Tukey filter + RTS": passed_and_smoothed(RobustKalmanFilter(2, 1, influence=TukeyBiweight()), data),
+        "Student t(4) filter + RTS": passed_and_smoothed(RobustKalmanFilter(2, 1, influence=StudentT()), data),
+        "smooth, Huber (convex optimum)": smooth(kf, data.zs, influence=Huber()).x,
+        "smooth, Student t(4)": smooth(kf, data.zs, influence=StudentT()).x,
+        "smooth, Tukey": smooth(kf, data.zs, influence=TukeyBiweight()).x,
+        "smooth, learnt (default)": smooth(kf, data.zs).x,
+        "live, lag 20, learnt": live.smooth_batch(data.zs, 20)[0],
+        LABELS: told(data, 1.0, scale),
+    }
+    return {name: float(np.mean((x[:, 0] - data.truth[:, 0]) ** 2)) for name, x in states.items()}
+
+
+def vehicle_trial(rng: np.random.Generator, process: float, measurement: float) -> dict[str, float]:
+    """Return each smoother's root mean square error of the state."""
+    data = vehicle(rng, process, measurement, 1000)
+    noise = {"measurement": ContaminatedScore(measurement, 10.0), "process": ContaminatedScore(process, 10.0)}
+    kf = exactly(RobustKalmanFilter(4, 2, grouping="joint"), data)
+    states = {
+        "Kalman + RTS": passed_and_smoothed(KalmanFilter(4, 2), data),
+        "Huber filter + RTS": passed_and_smoothed(RobustKalmanFilter(4, 2, grouping="joint"), data),
+        "noise-matched filter (told) + RTS": passed_and_smoothed(NoiseMatchedKalmanFilter(4, 2, **noise), data),
+        "two-sided filter + RTS": passed_and_smoothed(TwoSidedKalmanFilter(4, 2, grouping="joint"), data),
+        "smooth, Student t(4), both noises": smooth(kf, data.zs, influence=StudentT(), process=StudentT()).x,
+        "smooth, learnt (default)": smooth(kf, data.zs).x,
+        "smooth, learnt, both noises": smooth(kf, data.zs, process=None).x,
+        LABELS: told(data, 10.0, 10.0),
+    }
+    return {name: float(np.sqrt(((x - data.truth) ** 2).sum(axis=1).mean())) for name, x in states.items()}
+
+
+SIGMA = np.array([10.0, 0.005])
+
+
+def polar(x: np.ndarray) -> np.ndarray:
+    """Return range and bearing."""
+    return np.array([np.hypot(x[0], x[2]), np.arctan2(x[2], x[0])])
+
+
+def polar_jacobian(x: np.ndarray) -> np.ndarray:
+    """Return their derivative."""
+    r2 = x[0] ** 2 + x[2] ** 2
+    return np.array([[x[0] / r2**0.5, 0, x[2] / r2**0.5, 0], [-x[2] / r2, 0, x[0] / r2, 0]])
+
+
+def turned(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Subtract; the bearing's difference is between -pi and pi."""
+    y = a - b
+    y[1] = (y[1] + np.pi) % (2 * np.pi) - np.pi
+    return y
+
+
+def radar_trial(rng: np.random.Generator, contamination: float, steps: int = 200) -> dict[str, float]:
+    """Return each smoother's root mean square error of the position: range and bearing with glint."""
+    F = np.kron(np.eye(2), [[1.0, 0.5], [0.0, 1.0]])
+    Q = 0.5 * np.kron(np.eye(2), [[0.5**3 / 3, 0.5**2 / 2], [0.5**2 / 2, 0.5]])
+    x, truth = np.array([-2000.0, 20.0, 100.0, -5.0]), np.empty((steps, 4))
+    for k in range(steps):
+        x = truth[k] = F @ x + np.linalg.cholesky(Q) @ rng.normal(size=4)
+    glint = rng.random(steps) < contamination
+    zs = np.apply_along_axis(polar, 1, truth) + SIGMA * rng.normal(size=(steps, 2)) * np.where(glint, 15, 1)[:, None]
+    zs[:, 1] = (zs[:, 1] + np.pi) % (2 * np.pi) - np.pi
+
+    def ready(kf: Any) -> Any:
+        kf.x, kf.P = np.array([-2000.0, 0.0, 100.0, 0.0]), np.diag([30.0, 10.0, 30.0, 10.0]) ** 2
+        kf.Q, kf.R = Q.copy(), np.diag(SIGMA**2)
+        return kf
+
+    points = MerweScaledSigmaPoints(4, 0.1, 2.0, -1.0)
+    extended = ready(ExtendedKalmanFilter(4, 2))
+    extended.F = F
+    unscented = ready(UnscentedKalmanFilter(4, 2, 0.5, polar, lambda x, dt: F @ x, points, residual_z=turned))
+    functions: dict[str, Any] = {"HJacobian": polar_jacobian, "Hx": polar, "residual": turned}
+    Rs = [np.diag(SIGMA**2) * (225.0 if bad else 1.0) for bad in glint]
+    live = ready(RobustExtendedKalmanFilter(4, 2, grouping="joint"))
+    live.F, path = F, []
+    for z in zs:
+        live.predict()
+        live.update(z, polar_jacobian, polar, residual=turned)
+        path.append(live.x.copy())
+    states = {
+        "extended, Huber, filter": np.array(path),
+        "extended, not robust": smooth(extended, zs, influence=Linear(), **functions).x,
+        "extended, Student t(4)": smooth(extended, zs, influence=StudentT(), grouping="joint", **functions).x,
+        "extended, learnt": smooth(extended, zs, grouping="joint", **functions).x,
+        "unscented, learnt": smooth(unscented, zs, grouping="joint").x,
+        LABELS: smooth(extended, zs, influence=Linear(), Rs=Rs, **functions).x,
+    }
+    return {name: float(np.sqrt(((x - truth)[:, [0, 2]] ** 2).sum(axis=1).mean())) for name, x in states.items()}
+
+
+def ratios(title: str, trial: Callable[..., Any], runs: int, seed: int, jobs: int) -> None:
+    """Print each smoother's error over that of the one that is told the labels, with its interval."""
+    start = time.perf_counter()
+    found = monte_carlo(trial, runs, seed=seed, n_jobs=jobs).stacked()
+    print(f"\n{title}\n{runs} runs, seed {seed}, {time.perf_counter() - start:.0f} s; error over that of: {LABELS}\n")
+    print("| smoother | ratio | 95 % interval |\n|---|---|---|")
+    for name, values in found.items():
+        interval = bootstrap_interval((values, found[LABELS]), "ratio", rng=seed)
+        print(f"| {name} | {interval.estimate:.3f} | {interval.low:.3f} to {interval.high:.3f} |")
+
+
+def cart_table(runs: int, seed: int, jobs: int) -> None:
+    """Print the table of measurement outliers."""
+    for contamination, scale in ((0.0, 10.0), (0.1, 10.0), (0.3, 10.0), (0.1, 40.0)):
+        title = f"Constant velocity, 200 steps, contamination {contamination}, scale {scale:g}: mean square of position"
+        ratios(title, partial(cart_trial, contamination=contamination, scale=scale), runs, seed, jobs)
+
+
+def vehicle_table(runs: int, seed: int, jobs: int) -> None:
+    """Print the table of process outliers."""
+    for process, measurement in ((0.1, 0.1), (0.02, 0.1), (0.0, 0.1), (0.0, 0.0)):
+        title = f"Vehicle, outliers of process {process}, of measurement {measurement}, 1000 steps: RMSE of the state"
+        ratios(title, partial(vehicle_trial, process=process, measurement=measurement), runs, seed, jobs)
+
+
+def radar_table(runs: int, seed: int, jobs: int) -> None:
+    """Print the table of nonlinear smoothers, the bearing passing through pi."""
+    for contamination in (0.0, 0.15):
+        title = f"Radar, range and bearing, 200 steps, glint {contamination}: RMSE of the position"
+        ratios(title, partial(radar_trial, contamination=contamination), runs, seed, jobs)
+
+
+def robust_kalman_problem(size: int, rng: np.random.Generator) -> dict[str, Any]:
+    """Draw a problem as AlgoTune's task robust_kalman_filter describes it, x0 known."""
+    steps, few, states = 2 * size, size // 10 + 2, size // 5 + 4
+    A = rng.normal(size=(states, states))
+    A /= np.abs(np.linalg.eigvals(A)).max() + 0.05
+    B, C, x0 = 0.5 * rng.normal(size=(states, few)), rng.normal(size=(few, states)), rng.normal(size=states)
+    v = np.where(rng.random(steps) < 0.15, 5.0, 0.1)[:, None] * rng.normal(size=(steps, few))
+    x, y = x0, np.empty((steps, few))
+    for t in range(steps):
+        y[t] = C @ x + v[t]
+        x = A @ x + B @ (0.1 * rng.normal(size=few))
+    return {"A": A, "B": B, "C": C, "y": y, "x0": x0, "tau": 1.0, "M": 3.0}
+
+
+def by_cvxpy(given: dict[str, Any], **options: Any) -> np.ndarray:
+    """Return the states by a generic convex solver, stated step by step."""
+    import cvxpy as cp
+
+    A, B, C, y = (given[name] for name in "ABCy")
+    steps = len(y)
+    x, w, v = cp.Variable((steps + 1, len(A))), cp.Variable((steps, B.shape[1])), cp.Variable(y.shape)
+    loss = given["tau"] * cp.sum([cp.huber(cp.norm(v[t]), given["M"]) for t in range(steps)])
+    rules = [x[0] == given["x0"]]
+    for t in range(steps):
+        rules += [x[t + 1] == A @ x[t] + B @ w[t], y[t] == C @ x[t] + v[t]]
+    cp.Problem(cp.Minimize(cp.sum_squares(w) + loss), rules).solve(**options)
+    return x.value
+
+
+def by_smoothing(given: dict[str, Any]) -> np.ndarray:
+    """Return the states by `smooth_series`; the first measurement is of a state that is known."""
+    A, B, C, y = (given[name] for name in "ABCy")
+    n, m = len(A), y.shape[1]
+    R, influence = np.eye(m) / given["tau"], Huber(given["M"] * given["tau"] ** 0.5)
+    found = smooth_series(
+        y[None, 1:], A, C, B @ B.T, R, given["x0"], np.zeros((n, n)), influence=influence, grouping="joint"
+    )
+    assert found.converged.all()
+    x = np.vstack([given["x0"], found.x[0]])
+    return np.vstack([x, A @ x[-1]])
+
+
+def objective(given: dict[str, Any], x: np.ndarray) -> float:
+    """Return the cost of a path of states."""
+    A, B, C, y = (given[name] for name in "ABCy")
+    w = np.linalg.lstsq(B, (x[1:] - x[:-1] @ A.T).T, rcond=None)[0]
+    length, M = np.linalg.norm(y - x[:-1] @ C.T, axis=1), given["M"]
+    return float((w**2).sum() + given["tau"] * np.where(length <= M, length**2, 2 * M * length - M**2).sum())
+
+
+def convex_table(runs: int, seed: int, jobs: int) -> None:
+    """Print the table of a generic convex solver: the same optimum, and how much faster."""
+    print("\nAlgoTune's robust_kalman_filter (x0 known, Q = B B' singular, Huber of the length of v): ours and cvxpy's")
+    print("excess: cost over the solver's, relative; difference: largest of a state, solver at tolerance 1e-12\n")
+    print("| size | excess | difference | cvxpy, ms | smooth_series, ms | times faster |\n|---|---|---|---|---|---|")
+    for size in (10, 20, 40):
+        excess, apart, theirs, ours = [], [], [], []
+        for run in range(min(runs, 10)):
+            given = robust_kalman_problem(size, np.random.default_rng([seed, size, run]))
+            by_smoothing(given)
+            ours.append(least_time(lambda given=given: by_smoothing(given), 5))
+            theirs.append(least_time(lambda given=given: by_cvxpy(given), 2))
+            x = by_smoothing(given)
+            tight = by_cvxpy(given, solver="CLARABEL", tol_gap_abs=1e-12, tol_gap_rel=1e-12, tol_feas=1e-12)
+            apart.append(np.abs(x - tight).max())
+            excess.append(objective(given, x) / objective(given, tight) - 1.0)
+        ratio = bootstrap_interval((np.array(theirs), np.array(ours)), "ratio", rng=seed)
+        print(
+            f"| {size} | {np.max(excess):.1e} | {np.max(apart):.1e} | {1e3 * np.mean(theirs):.0f} "
+            f"| {1e3 * np.mean(ours):.2f} | {ratio.estimate:.0f} ({ratio.low:.0f} to {ratio.high:.0f}) |"
+        )
+
+
+def least_time(call: Callable[[], Any], turns: int) -> float:
+    """Return the least duration of some calls, in s."""
+    durations = []
+    for _ in range(turns):
+        start = time.perf_counter()
+        call()
+        durations.append(time.perf_counter() - start)
+    return min(durations)
+
+
+def speed_table(runs: int, seed: int, jobs: int) -> None:
+    """Print how long smoothing takes, in passes of the compiled filter."""
+    steps, rng = 100_000, np.random.default_rng(seed)
+    F, g = np.kron([[1.0, 1.0], [0.0, 1.0]], np.eye(2)), 0.1 * np.kron([[0.5], [1.0]], np.eye(2))
+    kf = RobustKalmanFilter(4, 2)
+    kf.F, kf.H, kf.Q, kf.P, kf.x = F, np.eye(2, 4), g @ g.T, 10.0 * np.eye(4), np.zeros(4)
+    x, truth = np.zeros(4), np.empty((steps, 4))
+    for k in range(steps):
+        x = truth[k] = F @ x + g @ rng.normal(size=2)
+    noise = rng.normal(size=(steps, 2))
+    print(f"\nSmoothing {steps} steps, 4 states and 2 sensors, in passes of the compiled filter, least of many turns\n")
+    print("| contamination | smoother | passes | sweeps | ms |\n|---|---|---|---|---|")
+    for contamination in (0.0, 0.1, 0.3):
+        zs = truth[:, :2] + noise * np.where(rng.random((steps, 2)) < contamination, 10.0, 1.0)
+        smoothers: dict[str, dict[str, Any]] = {
+            "learnt (default)": {},
+            "learnt, joint": {"grouping": "joint"},
+            "Huber": {"influence": Huber()},
+            "Student t(4)": {"influence": StudentT()},
+            "Linear": {"influence": Linear()},
+        }
+        durations: dict[str, list[float]] = {name: [] for name in ("filter", *smoothers)}
+        sweeps = {name: smooth(kf, zs, **options).sweeps for name, options in smoothers.items()}
+        for _ in range(max(runs // 10, 3)):
+            durations["filter"].append(least_time(lambda zs=zs: copy.deepcopy(kf).batch_filter(zs), 2))
+            for name, options in smoothers.items():
+                durations[name].append(least_time(lambda zs=zs, options=options: smooth(kf, zs, **options), 1))
+        one = min(durations["filter"])
+        for name in smoothers:
+            least = min(durations[name])
+            print(f"| {contamination} | {name} | {least / one:.1f} | {sweeps[name]} | {1e3 * least:.0f} |")
+
+
+def bad_input_table(runs: int, seed: int, jobs: int) -> None:
+    """Print what is said of input that is bad, and of a search that does not end."""
+    data = cart(np.random.default_rng(seed), 0.1, 10.0)
+    kf = exactly(RobustKalmanFilter(2, 1), data)
+
+    def changed(**attributes: Any) -> Any:
+        other = copy.deepcopy(kf)
+        for name, value in attributes.items():
+            setattr(other, name, value)
+        return other
+
+    infinite = data.zs.copy()
+    infinite[7] = np.inf
+    calls: dict[str, Callable[[], Any]] = {
+        "an infinite measurement": lambda: smooth(kf, infinite),
+        "measurements of two numbers": lambda: smooth(kf, np.zeros((50, 2))),
+        "no measurements": lambda: smooth(kf, []),
+        "all missing": lambda: smooth(kf, [None] * 20),
+        "R = 0": lambda: smooth(changed(R=np.zeros((1, 1))), data.zs),
+        "Q with a negative variance": lambda: smooth(changed(Q=-np.eye(2)), data.zs),
+        "too few Fs": lambda: smooth(kf, data.zs, Fs=[kf.F] * 5),
+        "influence without weights": lambda: smooth(kf, data.zs, influence=np.sin),
+        "unstable F": lambda: smooth(changed(F=9.0 * np.eye(2), H=np.zeros((1, 2))), np.zeros(2000)),
+        "a fading memory": lambda: smooth(changed(alpha=1.01), data.zs),
+        "extended filter without its functions": lambda: smooth(ExtendedKalmanFilter(2, 1), data.zs),
+        "measurements of 1e300": lambda: smooth(kf, np.where(np.arange(200)[:, None] % 9 == 0, 1e300, data.zs)),
+        "R a hundred times too small": lambda: smooth(changed(R=0.01 * np.eye(1)), data.zs),
+        "one sweep only": lambda: smooth(kf, data.zs, max_sweeps=1),
+        "three sweeps only, Tukey": lambda: smooth(kf, data.zs, influence=TukeyBiweight(), max_sweeps=3),
+    }
+    print("\n| input | answer |\n|---|---|")
+    for name, call in calls.items():
+        try:
+            found = call()
+            rms = np.sqrt(np.mean((found.x[: len(data.truth), 0] - data.truth[: len(found.x), 0]) ** 2))
+            answer = f"converged={found.converged}: {found.message}; error {rms:.2f}"
+        except (TypeError, ValueError, np.linalg.LinAlgError) as error:
+            answer = f"{type(error).__name__}: {error}"
+        print(f"| {name} | {answer} |")
+
+
+TABLES = {
+    "cart": (cart_table, 100),
+    "vehicle": (vehicle_table, 20),
+    "radar": (radar_table, 20),
+    "convex": (convex_table, 10),
+    "speed": (speed_table, 50),
+    "bad input": (bad_input_table, 1),
+}
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Print the tables that were asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "--runs", type=int, help="runs of each table, otherwise " + str({k: v[1] for k, v in TABLES.items()})
+    )
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--seed", type=int, default=2025)
+    parser.add_argument("--table", choices=TABLES, action="append", help="only this one (may be repeated)")
+    chosen = parser.parse_args(argv)
+    for name in chosen.table or TABLES:
+        table, runs = TABLES[name]
+        table(chosen.runs or runs, chosen.seed, chosen.jobs)
+
+
+if __name__ == "__main__":
+    main()

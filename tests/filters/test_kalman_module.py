@@ -1,0 +1,181 @@
+"""robust_filterpy.kalman: every name of filterpy.kalman, and with Linear() its numbers."""
+
+import filterpy.kalman as theirs
+import numpy as np
+import pytest
+import support
+
+import robust_filterpy.kalman as ours
+from robust_filterpy import Huber, Linear, RobustKalmanFilter
+from robust_filterpy.filters.ensemble import RobustEnsembleKalmanFilter
+
+pytestmark = pytest.mark.core
+OURS = {
+    "CubatureKalmanFilter", "EnsembleKalmanFilter", "ExtendedKalmanFilter", "FixedLagSmoother", "KalmanFilter",
+    "UnscentedKalmanFilter", "batch_filter", "predict", "rts_smoother", "update",
+}  # fmt: skip
+
+
+def test_every_name_is_there_and_ours_are_ours():
+    names = [name for name in dir(theirs) if not name.startswith("_")]
+    for name in names:
+        assert (getattr(ours, name) is getattr(theirs, name)) == (name not in OURS), name
+    assert set(names) == set(ours.__all__) and set(names) >= OURS
+    for name in OURS:
+        assert getattr(ours, name).__module__.startswith("robust_filterpy.")
+
+
+def test_one_word_changes_in_a_program_with_filterpys_other_classes():
+    """An IMM of two of our filters, from the same module."""
+    rng = np.random.default_rng(0)
+    kfs = [ours.KalmanFilter(2, 1) for _ in range(2)]
+    for kf, q in zip(kfs, (0.001, 1.0), strict=True):
+        kf.F, kf.H, kf.Q = np.array([[1.0, 1.0], [0.0, 1.0]]), np.eye(1, 2), q * np.eye(2)
+    imm = ours.IMMEstimator(kfs, [0.5, 0.5], np.array([[0.95, 0.05], [0.05, 0.95]]))
+    for k in range(30):
+        imm.predict()
+        imm.update(k + rng.normal() + (1e4 if k == 20 else 0.0))
+    assert abs(imm.x[0, 0] - 29.0) < 2.0
+
+
+@pytest.mark.parametrize("ndim", [1, 2])
+def test_update_and_predict_are_filterpys(ndim):
+    problem = support.random_problem(1, 3, 2)
+    x = problem.x if ndim == 2 else problem.x[:, 0]
+    z = np.array([[1.0], [2.0]]) if ndim == 2 else np.array([1.0, 2.0])
+    expected = theirs.update(x, problem.P, z, problem.R, problem.H, return_all=True)
+    found = ours.update(x, problem.P, z, problem.R, problem.H, return_all=True, influence=Linear())
+    for one, other in zip(found[:5], expected[:5], strict=True):
+        assert one.shape == np.shape(other)
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
+    # filterpy's function takes the likelihood of z at the corrected state; its filter, and ours, at the predicted one.
+    kf = support.make(theirs.KalmanFilter, problem, ndim)
+    kf.update(z)
+    assert found[5] == pytest.approx(kf.log_likelihood, rel=1e-9)
+    assert len(ours.update(x, problem.P, z, problem.R, problem.H)) == 2
+    B, u = np.ones((3, 1)), np.array([[0.5]]) if ndim == 2 else np.array([0.5])
+    expected = theirs.predict(x, problem.P, problem.F, problem.Q, u, B, alpha=1.1)
+    for one, other in zip(ours.predict(x, problem.P, problem.F, problem.Q, u, B, alpha=1.1), expected, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-13)
+
+
+def test_numbers_stay_numbers():
+    assert ours.predict(1.0, 2.0) == (1.0, 2.0)
+    x, P = ours.predict(1.0, 2.0, F=2.0, Q=0.5, u=3.0, B=2.0)
+    assert (type(x), x, P) == (float, 8.0, 8.5)
+    x, P = ours.update(1.0, 2.0, 3.0, 1.0, influence=Linear())
+    assert (type(x), x, P) == (float, pytest.approx(1.0 + 4.0 / 3.0), pytest.approx(2.0 / 3.0))
+    assert ours.update(1.0, 2.0, None, 1.0) == (1.0, 2.0)
+    assert ours.update(1.0, 2.0, None, 1.0, return_all=True)[2:] == (None,) * 4
+
+
+def test_update_is_robust_as_the_filter_is():
+    problem = support.random_problem(2, 3, 2)
+    z = np.array([1e4, 1.0])
+    kf = support.make(RobustKalmanFilter, problem, 1, influence=Huber(1.0), grouping="joint")
+    kf.update(z)
+    x, P = ours.update(problem.x[:, 0], problem.P, z, problem.R, problem.H, influence=Huber(1.0), grouping="joint")
+    np.testing.assert_array_equal(x, kf.x)
+    np.testing.assert_array_equal(P, kf.P)
+
+
+@pytest.mark.parametrize("update_first", [False, True])
+def test_batch_filter_is_filterpys(update_first):
+    problem = support.random_problem(3, 2, 1, 1)
+    rng = np.random.default_rng(1)
+    zs, _ = support.simulate(problem, 12, 2)
+    lists = [[a] * 12 for a in (problem.F, problem.Q, problem.H, problem.R)]
+    us, Bs = list(rng.normal(size=(12, 1, 1))), [problem.B] * 12
+    arguments = (problem.x, problem.P, list(zs[:, :, None]), *lists, Bs, us, update_first)
+    for one, other in zip(
+        ours.batch_filter(*arguments, influence=Linear()), theirs.batch_filter(*arguments), strict=True
+    ):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
+    robust = ours.batch_filter(*arguments)
+    assert robust[0].shape == (12, 2, 1)
+
+
+def test_rts_smoother_is_filterpys_and_takes_the_matrix_that_leads_to_a_step():
+    problem = support.random_problem(4, 2, 1)
+    zs, _ = support.simulate(problem, 10, 3)
+    kf = support.make(theirs.KalmanFilter, problem, 1)
+    means, covariances, _, _ = kf.batch_filter(list(zs))
+    Fs, Qs = [problem.F] * 10, [problem.Q] * 10
+    for one, other in zip(
+        ours.rts_smoother(means, covariances, Fs, Qs), theirs.rts_smoother(means, covariances, Fs, Qs), strict=True
+    ):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
+    rng = np.random.default_rng(5)
+    Fs = [support.stable(rng, 2) for _ in range(10)]
+    found = ours.rts_smoother(means, covariances, Fs, Qs)
+    expected = kf.rts_smoother(means, covariances, Fs=Fs, Qs=Qs)
+    np.testing.assert_allclose(found[0], expected[0], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "call, match",
+    [
+        (lambda: ours.update(np.zeros(2), np.eye(2), [1.0, 2.0], 1.0, np.eye(1, 2)), "z: expected 1"),
+        (lambda: ours.update(np.zeros(2), np.eye(3), 1.0, 1.0, np.eye(1, 2)), "P: expected shape"),
+        (lambda: ours.update(0.0, 1.0, np.inf, 1.0), "z: expected a finite"),
+        (lambda: ours.update(0.0, 1.0, 1.0, 1.0, influence="x"), "influence"),
+        (lambda: ours.predict(np.zeros(2), np.eye(2), F=np.eye(3)), "F: expected shape"),
+        (lambda: ours.predict(np.zeros(2), np.eye(2), u=np.ones(3), B=np.ones((3, 3))), "B, u: expected"),
+        (lambda: ours.batch_filter(np.zeros(2), np.eye(2), [1.0], [np.eye(2)], [np.eye(2)], [], [1.0]), "Hs: expected"),
+    ],
+)
+def test_bad_input_is_refused_by_name(call, match):
+    with pytest.raises((TypeError, ValueError), match=match):
+        call()
+
+
+def ensemble(module, N=20, **choices):
+    kf = module.EnsembleKalmanFilter(
+        np.array([0.0, 1.0]), np.eye(2), 1, 0.1, N, lambda x: x[:1], lambda x, dt: x + [dt * x[1], 0.0], **choices
+    )
+    kf.Q = 0.1 * np.eye(2)
+    return kf
+
+
+def test_the_ensemble_filter_is_filterpys_with_the_same_random_numbers():
+    np.random.seed(3)  # noqa: NPY002
+    one = ensemble(theirs)
+    other = ensemble(ours, influence=Linear(), rng=np.random.RandomState(3))
+    for z in (1.0, 2.0, None, 3.0):
+        for kf in (one, other):
+            kf.predict()
+            kf.update(None if z is None else np.array([z]))
+        for name in ("x", "P", "sigmas", "K", "S", "SI", "x_prior", "P_prior", "x_post", "P_post"):
+            np.testing.assert_allclose(getattr(other, name), getattr(one, name), rtol=1e-9, atol=1e-12, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    "choices", [{}, {"information": "weight", "grouping": "joint"}, {"information": "expected"}], ids=str
+)
+def test_members_of_a_robust_ensemble_spread_as_P_says(choices):
+    """Mean and covariance of many members, also where an outlier was clipped; 5 standard errors."""
+    size = 100_000
+    kf = RobustEnsembleKalmanFilter(
+        np.zeros(2), np.eye(2), 2, 1.0, size, lambda x: x + [0.0, 0.5 * x[0]], lambda x, dt: x,
+        rng=np.random.default_rng(0), **choices,
+    )  # fmt: skip
+    kf.predict()
+    kf.update([4.0, 0.3])
+    error = 5.0 * np.sqrt(2.0 / size) * np.abs(kf.P).max()
+    np.testing.assert_allclose(np.cov(kf.sigmas.T), kf.P, atol=error)
+    np.testing.assert_allclose(kf.sigmas.mean(axis=0), kf.x, atol=1e-10)
+
+
+def test_an_outlier_does_not_carry_the_ensemble_away():
+    kf = ensemble(ours, N=200, rng=np.random.default_rng(1))
+    for z in (0.1, 0.2, 1e6, 0.4, np.nan, 0.6):
+        kf.predict()
+        kf.update(np.array([z]))
+    assert abs(kf.x[0] - 0.6) < 1.5
+    for bad in (np.inf, [1.0, 2.0]):
+        before = kf.sigmas.copy()
+        with pytest.raises(ValueError, match="z: expected"):
+            kf.update(bad)
+        np.testing.assert_array_equal(kf.sigmas, before)
+    with pytest.raises(ValueError, match="N: expected"):
+        ensemble(ours, N=1)

@@ -1,0 +1,77 @@
+"""rts_smoother after a filter that doubts the process smooths with the process noise that the filter found."""
+
+import numpy as np
+import pytest
+import support
+from filterpy.common import Saver
+
+from robust_filterpy import NoiseMatchedKalmanFilter, RobustKalmanFilter, TwoSidedKalmanFilter
+from robust_filterpy.correction.mixture import ContaminatedScore
+
+LEVEL = support.with_(support.cart(), F=np.eye(2), Q=np.diag([0.01, 0.0]))
+STEPS, JUMP = 60, 30
+
+
+def recording():
+    truth = np.where(np.arange(STEPS) < JUMP, 0.0, 12.0)
+    return truth, truth + np.random.default_rng(0).normal(size=STEPS)
+
+
+def doubting(kind):
+    if kind is NoiseMatchedKalmanFilter:
+        noise = ContaminatedScore(0.05, 100.0)
+        return support.make(kind, LEVEL, measurement=ContaminatedScore(0.0), process=noise)
+    return support.make(kind, LEVEL)
+
+
+KINDS = [NoiseMatchedKalmanFilter, TwoSidedKalmanFilter]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_jump_is_not_smoothed_away(kind):
+    truth, zs = recording()
+    kf = doubting(kind)
+    means, covariances, _, _ = kf.batch_filter(list(zs))
+    x, _, _, _ = kf.rts_smoother(means, covariances)
+    nominal, _, _, _ = RobustKalmanFilter.rts_smoother(kf, means, covariances)
+    # The nominal Q carries the new level back to before the jump.
+    assert np.mean((x[:, 0, 0] - truth) ** 2) < 0.75 * np.mean((nominal[:, 0, 0] - truth) ** 2)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_it_is_filterpys_smoother_with_Q_times_the_scale_of_each_step(kind):
+    _, zs = recording()
+    kf, loop = doubting(kind), doubting(kind)
+    Rs = [np.eye(1) * (1.0 + k % 2) for k in range(STEPS)]
+    saver = Saver(kf)
+    means, covariances, _, _ = kf.batch_filter(list(zs), Rs=Rs, saver=saver)
+    assert len(saver.x) == STEPS
+    scales, states, spreads = [], [], []
+    for z, R in zip(zs, Rs, strict=True):
+        loop.predict()
+        loop.update(z, R=R)
+        scales.append(loop.process_scale)
+        states.append(loop.x)
+        spreads.append(loop.P)
+    assert min(scales) >= 0.9 and max(scales) > 10.0
+    by_hand = RobustKalmanFilter.rts_smoother(
+        loop, np.array(states), np.array(spreads), Qs=[scale * LEVEL.Q for scale in scales]
+    )
+    for one, other in zip(kf.rts_smoother(means, covariances), by_hand, strict=True):
+        np.testing.assert_array_equal(one, other)
+    # Nominal Qs of each step are scaled as well.
+    for one, other in zip(kf.rts_smoother(means, covariances, Qs=[LEVEL.Q] * STEPS), by_hand, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_states_of_another_recording_are_smoothed_with_the_Q_that_is_given(kind):
+    _, zs = recording()
+    kf = doubting(kind)
+    kf.batch_filter(list(zs))
+    other = doubting(kind)
+    means, covariances, _, _ = other.batch_filter(list(zs[::-1]))
+    expected = RobustKalmanFilter.rts_smoother(kf, means, covariances)
+    np.testing.assert_array_equal(kf.rts_smoother(means, covariances)[0], expected[0])
+    with pytest.raises(TypeError, match="saver: expected"):
+        kf.batch_filter(list(zs), saver=3)

@@ -1,0 +1,13 @@
+"""Both forms of the smoothing pass."""
+
+import pytest
+import support
+
+
+@pytest.fixture(params=["compiled", "definition"])
+def form(request, monkeypatch):
+    if request.param == "definition":
+        support.without_kernel(monkeypatch)
+    else:
+        support.needs_kernel()
+    return request.param

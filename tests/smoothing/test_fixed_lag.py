@@ -1,0 +1,153 @@
+"""The live smoother: x is filterpy's, xSmooth the conditional mean, and weights change as later measurements speak."""
+
+import copy
+import pickle
+
+import filterpy.kalman
+import numpy as np
+import pytest
+import support
+
+from robust_filterpy import Linear, smooth
+from robust_filterpy.kalman import FixedLagSmoother
+
+CART = support.with_(support.cart(), Q=0.01 * np.array([[0.25, 0.5], [0.5, 1.0]]), P=10.0 * np.eye(2))
+
+
+def ready(cls=FixedLagSmoother, problem=CART, N=None, **choices):
+    smoother = cls(len(problem.x), len(problem.R), N, **choices)
+    for name in ("x", "P", "F", "H", "Q", "R"):
+        setattr(smoother, name, getattr(problem, name).copy())
+    return smoother
+
+
+def drive(seed, contamination, steps=100, scale=10.0):
+    rng = np.random.default_rng(seed)
+    truth = np.cumsum(np.cumsum(0.1 * rng.normal(size=steps)))
+    return truth, truth + np.where(rng.random(steps) < contamination, scale, 1.0) * rng.normal(size=steps)
+
+
+@pytest.mark.core
+def test_linear_is_filterpys_filter_and_the_exact_smoother():
+    """After each measurement xSmooth is what smoothing all data so far gives, back to the lag."""
+    _, zs = drive(1, 0.0, 30)
+    ours = ready(N=4, influence=Linear())
+    theirs = ready(filterpy.kalman.FixedLagSmoother, N=4)
+    expected = []
+    for k, z in enumerate(zs):
+        ours.smooth(z)
+        theirs.smooth(z)
+        np.testing.assert_allclose(ours.x, theirs.x, rtol=1e-9, atol=1e-10)
+        np.testing.assert_allclose(ours.P, theirs.P, rtol=1e-9, atol=1e-10)
+        np.testing.assert_allclose(ours.y, theirs.y, rtol=1e-9, atol=1e-10)
+        np.testing.assert_allclose(ours.S, theirs.S, rtol=1e-9, atol=1e-10)
+        so_far = support.make(filterpy.kalman.KalmanFilter, CART)
+        means, covariances, _, _ = so_far.batch_filter(list(zs[: k + 1]))
+        expected = [*expected[: max(k - 4, 0)], *so_far.rts_smoother(means, covariances)[0][max(k - 4, 0) :]]
+        np.testing.assert_allclose(np.array(ours.xSmooth), np.array(expected), rtol=1e-7, atol=1e-8)
+    np.testing.assert_array_equal(ours.x_s, ours.xSmooth[-5])
+    assert ours.count == theirs.count and len(ours.xSmooth) == len(theirs.xSmooth)
+
+
+def test_it_is_better_than_filterpys_on_clean_data():
+    """filterpy's recursion has the corrected covariance where the predicted one belongs."""
+    error = {"ours": [], "theirs": []}
+    for seed in range(8):
+        truth, zs = drive(seed, 0.0)
+        for name, cls, choices in (
+            ("ours", FixedLagSmoother, {"influence": Linear()}), ("theirs", filterpy.kalman.FixedLagSmoother, {}),
+        ):  # fmt: skip
+            states, _ = ready(cls, N=5, **choices).smooth_batch(list(zs), 5)
+            error[name].append(np.mean((states[:, 0, 0] - truth) ** 2))
+    assert np.mean(error["ours"]) < 0.9 * np.mean(error["theirs"])
+
+
+def test_told_nothing_it_is_close_to_the_smoother_of_the_whole_recording():
+    apart = []
+    for seed in range(10):
+        truth, zs = drive(seed, 0.2)
+        live, latest = ready().smooth_batch(list(zs), 15)
+        kf = support.make(filterpy.kalman.KalmanFilter, CART)
+        error = [np.mean((x[:, 0, 0] - truth) ** 2) for x in (live, latest, smooth(kf, zs).x)]
+        assert error[0] < error[1]
+        apart.append(error[0] / error[2])
+    assert np.mean(apart) < 1.3
+
+
+def test_a_measurement_is_judged_again_by_those_after_it():
+    """A step looks like an outlier until the next measurements confirm it."""
+    level = support.with_(CART, F=np.eye(2), Q=np.diag([0.3, 0.0]))
+    smoother = ready(problem=level, N=6)
+    weights, levels = [], []
+    for z in [0.0] * 20 + [6.0] * 7:
+        smoother.smooth(z)
+        weights.append(smoother.weights[:, 0])
+        levels.append(smoother.x[0, 0])
+    assert weights[20][-1] < 0.5 * weights[26][-7]
+    assert levels[20] < 1.0 and smoother.xSmooth[20][0, 0] > 3.0 and levels[26] > 5.0
+
+
+def test_a_batch_changes_nothing_and_is_a_loop():
+    _, zs = drive(3, 0.1, 40)
+    smoother = ready(N=3)
+    before = copy.deepcopy(vars(smoother))
+    states, latest = smoother.smooth_batch(list(zs), 3)
+    assert smoother.count == 0 and not smoother.xSmooth
+    np.testing.assert_array_equal(smoother.x, before["x"])
+    for z in zs:
+        smoother.smooth(z)
+    np.testing.assert_array_equal(states, np.array(smoother.xSmooth))
+    np.testing.assert_array_equal(latest[-1], smoother.x)
+
+
+def test_missing_measurements_inputs_and_matrices_that_change():
+    _, zs = drive(4, 0.0, 12)
+    smoother = ready(N=20, influence=Linear())
+    smoother.B = np.array([[0.0], [1.0]])
+    kf = support.make(filterpy.kalman.KalmanFilter, CART)
+    kf.B = smoother.B
+    Rs = [np.eye(1) * (1.0 + k % 3) for k in range(12)]
+    us = [np.array([0.1 * k]) for k in range(12)]
+    zs = [None if k == 5 else z for k, z in enumerate(zs)]
+    for z, u, R in zip(zs, us, Rs, strict=True):
+        smoother.R = R
+        smoother.smooth(z, u)
+    found = smooth(kf, zs, influence=Linear(), Rs=Rs, us=us)
+    np.testing.assert_allclose(np.array(smoother.xSmooth), found.x, rtol=1e-8, atol=1e-9)
+    assert np.isnan(smoother.weights[5, 0])
+
+
+def test_it_continues_after_pickling():
+    _, zs = drive(5, 0.2, 40)
+    smoother = ready(N=4)
+    for z in zs[:20]:
+        smoother.smooth(z)
+    restored = pickle.loads(pickle.dumps(smoother))
+    for z in zs[20:]:
+        smoother.smooth(z)
+        restored.smooth(z)
+    np.testing.assert_array_equal(np.array(smoother.xSmooth), np.array(restored.xSmooth))
+
+
+@pytest.mark.parametrize("z, match", [(np.inf, "z: expected a finite"), ([1.0, 2.0], "z: expected 1"), ("a", "z:")])
+def test_a_refused_measurement_changes_nothing(z, match):
+    smoother = ready(N=3)
+    smoother.smooth(1.0)
+    before = copy.deepcopy(vars(smoother))
+    with pytest.raises((TypeError, ValueError), match=match):
+        smoother.smooth(z)
+    assert vars(smoother).keys() == before.keys() and smoother.count == 1
+    np.testing.assert_array_equal(smoother.x, before["x"])
+    with pytest.raises(ValueError, match="step 1: z: expected a finite"):
+        ready().smooth_batch([1.0, np.inf], 2)
+
+
+def test_bad_arguments_are_refused():
+    for arguments, choices, match in (
+        ((0, 1), {}, "dim_x"), ((1, 1, 0), {}, "N: expected"), ((1, 1), {"grouping": "x"}, "grouping"),
+        ((1, 1), {"influence": 3}, "influence"), ((1, 1), {"process": 3}, "process"),
+    ):  # fmt: skip
+        with pytest.raises((TypeError, ValueError), match=match):
+            FixedLagSmoother(*arguments, **choices)
+    with pytest.raises(ValueError, match="N: expected a lag"):
+        ready().smooth(1.0)

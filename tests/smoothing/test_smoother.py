@@ -1,0 +1,321 @@
+"""smooth: without doubts it is filterpy's smoother, with a psi the optimum, told nothing close to being told all."""
+
+import dense
+import numpy as np
+import pytest
+import support
+from filterpy.kalman import KalmanFilter
+from statsmodels.robust.norms import HuberT
+
+from robust_filterpy import (
+    Huber,
+    Linear,
+    NoiseMatchedKalmanFilter,
+    RobustKalmanFilter,
+    StudentT,
+    TukeyBiweight,
+    smooth,
+    smooth_series,
+)
+
+CART = support.with_(support.cart(), Q=0.01 * np.array([[0.25, 0.5], [0.5, 1.0]]), P=10.0 * np.eye(2))
+
+
+def filter_of(problem=CART, ndim=2, cls=KalmanFilter, **choices):
+    return support.make(cls, problem, ndim, **choices)
+
+
+def drive(seed, contamination, scale, steps=200):
+    """True positions and measurements of the cart, and which are outliers."""
+    rng = np.random.default_rng(seed)
+    x, truth = np.zeros(2), np.empty(steps)
+    for k in range(steps):
+        x = CART.F @ x + 0.1 * np.array([0.5, 1.0]) * rng.normal()
+        truth[k] = x[0]
+    bad = rng.random(steps) < contamination
+    return truth, truth + np.where(bad, scale, 1.0) * rng.normal(size=steps), bad
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("ndim", [1, 2])
+def test_linear_is_filterpys_filter_and_smoother(form, ndim):
+    rng = np.random.default_rng(0)
+    problem = support.random_problem(3, 3, 2)
+    zs, _ = support.simulate(problem, 25, 1)
+    varying = {
+        "Fs": [support.stable(rng, 3) for _ in zs], "Qs": [support.spd(rng, 3, 0.1) for _ in zs],
+        "Hs": [rng.normal(size=(2, 3)) for _ in zs], "Rs": [support.spd(rng, 2) for _ in zs],
+    }  # fmt: skip
+    for options in ({}, varying):
+        kf = filter_of(problem, ndim)
+        means, covariances, _, _ = kf.batch_filter([support.column(kf, z) for z in zs], **options)
+        Fs, Qs = options.get("Fs"), options.get("Qs")
+        x, P, _, _ = kf.rts_smoother(means, covariances, Fs=Fs, Qs=Qs)
+        found = smooth(filter_of(problem, ndim), zs, influence=Linear(), **options)
+        assert found.x.shape == x.shape and found.converged
+        np.testing.assert_allclose(found.x, x, rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(found.P, P, rtol=1e-7, atol=1e-9)
+
+
+def test_inputs_missing_components_singular_noise_and_a_known_start_are_the_joint_distribution(form):
+    rng = np.random.default_rng(4)
+    F, H, B, G = support.stable(rng, 3), rng.normal(size=(2, 3)), rng.normal(size=(3, 1)), rng.normal(size=(3, 1))
+    kf = KalmanFilter(3, 2, 1)
+    kf.F, kf.H, kf.B, kf.Q, kf.R = F, H, B, G @ G.T, support.spd(rng, 2)
+    kf.x, kf.P = rng.normal(size=3), np.zeros((3, 3))
+    z, u = rng.normal(size=(8, 2)), rng.normal(size=8)
+    z[2, 1] = z[5, 0] = z[6, 0] = z[6, 1] = np.nan
+    c = [B[:, 0] * one for one in u]
+    x, P = dense.posterior([F] * 8, [kf.Q] * 8, c, [H] * 8, [kf.R] * 8, z, kf.x, kf.P)
+    zs = [None if np.isnan(row).all() else row for row in z]
+    found = smooth(kf, zs, influence=Linear(), us=list(u))
+    np.testing.assert_allclose(found.x, x[1:], rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(found.P, P[1:], rtol=1e-7, atol=1e-10)
+    assert np.array_equal(np.isnan(found.weights), np.isnan(z))
+
+
+@pytest.mark.parametrize("influence", [Huber(0.7), HuberT(0.7), StudentT(2.0), TukeyBiweight(3.0)], ids=repr)
+@pytest.mark.parametrize("grouping", ["component", "joint"])
+def test_a_psi_gives_a_point_where_the_gradient_of_the_cost_vanishes(form, influence, grouping):
+    """The cost of all states at once: rho of the residuals and the squares of what drives the states."""
+    rng = np.random.default_rng(7)
+    problem = support.random_problem(11, 3, 2)
+    zs, _ = support.simulate(problem, 12, 5, contamination=0.3, size=8.0)
+    kf = filter_of(support.with_(problem, R=np.diag([0.5, 2.0]), P=support.spd(rng, 3)), 1)
+    found = smooth(kf, zs, influence=influence, grouping=grouping, max_sweeps=500)
+    assert found.converged
+
+    def psi(e):
+        if grouping == "component":
+            return influence.psi(e)
+        length = np.linalg.norm(e)
+        return np.asarray(influence.psi(np.array([length])))[0] * e / max(length, 1e-300)
+
+    steps = len(zs)
+    lists = [[a] * steps for a in (kf.F, kf.Q, np.zeros(3), kf.H, kf.R)]
+    slope, path = dense.gradient(*lists, zs, found.x, kf.x, kf.P, psi)
+    np.testing.assert_allclose(path[1:], found.x, atol=1e-6)
+    assert np.abs(slope).max() < (1e-6 if "Huber" in type(influence).__name__ else 0.02)
+
+
+def test_huber_with_an_infinite_threshold_is_linear():
+    _, zs, _ = drive(1, 0.1, 10.0)
+    a, b = (smooth(filter_of(), zs, influence=psi) for psi in (Huber(np.inf), Linear()))
+    np.testing.assert_array_equal(a.x, b.x)
+    np.testing.assert_array_equal(a.P, b.P)
+
+
+RUNS = 40
+CASES = {(0.0, 10.0): 1.02, (0.1, 10.0): 1.15, (0.3, 10.0): 1.40, (0.1, 40.0): 1.08}
+
+
+@pytest.mark.parametrize("contamination, scale", CASES)
+def test_told_nothing_it_is_close_to_the_smoother_that_is_told_the_labels(contamination, scale):
+    """Mean square error over that of the label-told smoother, at most so much and 5 standard errors; many at once."""
+    runs = [drive(seed, contamination, scale) for seed in range(20_000, 20_000 + RUNS)]
+    zs = np.array([z for _, z, _ in runs])[:, :, None]
+    arguments = CART.F, CART.H, CART.Q
+    found = smooth_series(zs, *arguments, CART.R, np.zeros(2), CART.P)
+    R = np.where(np.array([bad for _, _, bad in runs]), scale**2, 1.0)[:, :, None, None]
+    told = smooth_series(zs, *arguments, R, np.zeros(2), CART.P, influence=Linear())
+    truth = np.array([truth for truth, _, _ in runs])
+    ours, theirs = (((one.x[:, :, 0] - truth) ** 2).mean(axis=1) for one in (found, told))
+    apart = (ours - theirs) / theirs.mean()
+    assert found.converged.all()
+    assert 1.0 + apart.mean() < CASES[contamination, scale] + 5.0 * apart.std() / np.sqrt(RUNS)
+    if contamination:
+        assert abs(np.median(found.contamination) - contamination) < 0.05
+        assert abs(np.log(np.median(found.scale_ratio) / scale)) < 0.3
+
+
+def test_learnt_covariances_are_honest():
+    """The mean of e^2/P is 1 where outliers are in doubt, to 5 standard errors and the tenth that is left out."""
+    runs = [drive(seed, 0.3, 10.0) for seed in range(20_100, 20_100 + RUNS)]
+    zs = np.array([z for _, z, _ in runs])[:, :, None]
+    found = smooth_series(zs, CART.F, CART.H, CART.Q, CART.R, np.zeros(2), CART.P)
+    square = (found.x[:, :, 0] - np.array([t for t, _, _ in runs])) ** 2 / found.P[:, :, 0, 0]
+    each = square.mean(axis=1)
+    assert abs(each.mean() - 1.0) < 0.15 + 5.0 * each.std() / np.sqrt(RUNS)
+
+
+def test_each_of_many_series_has_the_numbers_it_has_alone(form):
+    zs = np.array([drive(seed, share, 10.0, 60)[1] for seed, share in ((1, 0.0), (2, 0.1), (3, 0.4))])[:, :, None]
+    zs[1, 5:9] = np.nan
+    arguments = CART.F, CART.H, CART.Q, CART.R, np.zeros(2), CART.P
+    for options in ({}, {"process": None}, {"influence": StudentT()}):
+        together = smooth_series(zs, *arguments, **options)
+        for s in range(3):
+            alone = smooth_series(zs[s : s + 1], *arguments, **options)
+            np.testing.assert_allclose(together.x[s], alone.x[0], rtol=1e-9, atol=1e-10)
+            np.testing.assert_allclose(together.weights[s], alone.weights[0], rtol=1e-8, atol=1e-10)
+            kf = smooth(filter_of(ndim=1), zs[s], **options)
+            np.testing.assert_allclose(together.x[s], kf.x, rtol=1e-9, atol=1e-10)
+            np.testing.assert_allclose(together.contamination[s], kf.contamination, rtol=1e-9)
+
+
+def test_compiled_and_definition_agree(monkeypatch):
+    support.needs_kernel()
+
+    _, zs, _ = drive(4, 0.2, 10.0, 80)
+    options = [{}, {"process": None}, {"influence": Huber()}, {"influence": TukeyBiweight(), "process": StudentT()}]
+    compiled = [smooth(filter_of(), zs, **one) for one in options]
+    support.without_kernel(monkeypatch)
+    for one, ours in zip(options, compiled, strict=True):
+        theirs = smooth(filter_of(), zs, **one)
+        np.testing.assert_allclose(ours.x, theirs.x, rtol=1e-7, atol=1e-8)
+        np.testing.assert_allclose(ours.P, theirs.P, rtol=1e-7, atol=1e-9)
+        assert ours.sweeps == theirs.sweeps
+
+
+@pytest.mark.parametrize("size", [1e3, 1e9, 1e100, 1e300])
+@pytest.mark.parametrize(
+    "options", [{}, {"grouping": "joint"}, {"influence": Huber()}, {"influence": StudentT()}], ids=str
+)
+def test_an_unbounded_outlier_has_a_bounded_influence(size, options):
+    truth, zs, _ = drive(5, 0.0, 1.0)
+    clean = smooth(filter_of(), zs, **options)
+    zs[[50, 90, 91, 120]] = size, -size, size, size
+    found = smooth(filter_of(), zs, **options)
+    assert found.converged and np.isfinite(found.P).all()
+    assert np.abs(found.x - clean.x).max() < 3.0
+    assert np.abs(found.x[:, 0, 0] - truth).max() < 4.0
+    assert (found.weights[[50, 90, 91, 120]] < 0.02).all()
+
+
+def test_a_redescending_psi_does_not_lock_out():
+    """Three outliers in ten, a hundred times too large: the filter with this psi loses the state."""
+    runs = [drive(seed, 0.3, 100.0) for seed in range(20_200, 20_210)]
+    for truth, zs, _ in runs:
+        found = smooth(filter_of(), zs, influence=TukeyBiweight())
+        assert np.sqrt(np.mean((found.x[:, 0, 0] - truth) ** 2)) < 1.0
+
+
+def test_state_jumps_are_learnt_with_the_process():
+    """Twice as good where the process jumps, at little cost where it does not."""
+    rng = np.random.default_rng(6)
+    for jumps, bound in ((0.05, 0.5), (0.0, 1.1)):
+        w = 0.1 * rng.normal(size=400) * np.where(rng.random(400) < jumps, 100.0, 1.0)
+        truth = np.cumsum(w)
+        zs = truth + rng.normal(size=400)
+        # A level, and a second state that stands still.
+        kf = KalmanFilter(2, 1)
+        kf.H, kf.Q, kf.P = np.eye(1, 2), np.diag([0.01, 0.0]), np.zeros((2, 2))
+        plain, both = smooth(kf, zs), smooth(kf, zs, process=None)
+        error = [np.mean((one.x[:, 0, 0] - truth) ** 2) for one in (plain, both)]
+        assert error[1] < bound * error[0]
+        if jumps:
+            assert both.process_weights[np.argmax(np.abs(w))] < 0.1 and both.process_contamination > 0.01
+
+
+def test_sensors_fail_each_on_its_own_or_together():
+    """Each sensor has a contamination of its own; grouped, a measurement has one weight."""
+    rng = np.random.default_rng(8)
+    kf = KalmanFilter(2, 2)
+    kf.H, kf.Q, kf.R = np.array([[1.0, 0.0], [1.0, 0.0]]), np.diag([0.01, 0.0]), np.diag([1.0, 2.0])
+    truth = np.cumsum(0.1 * rng.normal(size=600))
+    zs = truth[:, None] + rng.multivariate_normal(np.zeros(2), kf.R, 600)
+    zs[rng.random(600) < 0.2, 1] += 30.0
+    found = smooth(kf, zs)
+    assert found.contamination[0] < 0.02 and abs(found.contamination[1] - 0.2) < 0.05
+    kf.R = np.array([[1.0, 0.3], [0.3, 2.0]])
+    joint = smooth(kf, zs, grouping="joint")
+    np.testing.assert_array_equal(joint.weights[:, 0], joint.weights[:, 1])
+
+
+def test_the_filter_and_the_arguments_stay_as_they_are():
+    kf = filter_of(cls=RobustKalmanFilter)
+    _, zs, _ = drive(9, 0.1, 10.0, 30)
+    zs.setflags(write=False)
+    before = {name: np.copy(value) for name, value in vars(kf).items() if isinstance(value, np.ndarray)}
+    smooth(kf, zs)
+    for name, value in before.items():
+        np.testing.assert_array_equal(getattr(kf, name), value)
+
+
+def test_any_filter_will_do_and_grouping_is_the_filters():
+    _, zs, _ = drive(10, 0.1, 10.0, 40)
+    pairs = np.column_stack([zs, zs])
+    problem = support.with_(CART, H=np.vstack([CART.H, CART.H]), R=np.eye(2), M=np.zeros((2, 2)))
+    ours = smooth(support.make(RobustKalmanFilter, problem, grouping="joint"), pairs)
+    theirs = smooth(support.make(KalmanFilter, problem), pairs, grouping="joint")
+    np.testing.assert_array_equal(ours.x, theirs.x)
+    smooth(support.make(NoiseMatchedKalmanFilter, problem), pairs)
+
+
+BAD = [
+    ({"zs": [1.0, np.inf]}, "zs: expected finite numbers or NaN .* step 1"),
+    ({"zs": np.zeros((5, 2))}, r"zs: expected shape \(5, 1\)"),
+    ({"zs": [[1.0, 2.0]]}, r"zs: expected 1 number\(s\) at each step"),
+    ({"zs": []}, "zs: expected at least one entry"),
+    ({"zs": 3.0}, "zs: expected a sequence"),
+    ({"zs": ["a", "b"]}, "zs: expected real numbers"),
+    ({"Fs": [np.eye(2)]}, "Fs: expected an entry for each of the 5"),
+    ({"Fs": [np.eye(2)] * 4 + [np.eye(3)]}, "Fs: expected matrices of one shape"),
+    ({"Qs": [np.eye(3)] * 5}, r"Q: expected shape \(2, 2\)"),
+    ({"Rs": [-1.0] * 5}, "R: expected no variance below 0"),
+    ({"us": [1.0] * 5}, "us: expected no inputs for a filter without B"),
+    ({"influence": np.sin}, "influence: expected an object"),
+    ({"process": 3}, "process: expected an object"),
+    ({"grouping": "pairs"}, "grouping: expected one of"),
+    ({"max_sweeps": 0}, "max_sweeps: expected an integer >= 1"),
+    ({"attributes": {"R": np.zeros((1, 1))}}, "R: expected noise of every sensor"),
+    ({"attributes": {"Q": np.diag([1.0, -1.0])}}, "Q: expected no variance below 0"),
+    ({"attributes": {"Q": np.array([[1.0, 0.2], [0.0, 1.0]])}}, "Q: expected a symmetric"),
+    ({"attributes": {"P": -np.eye(2)}}, "P: expected no variance below 0"),
+    ({"attributes": {"F": np.full((2, 2), np.nan)}}, "F: expected finite numbers"),
+    ({"attributes": {"alpha": 1.1}}, "alpha: expected 1"),
+    ({"attributes": {"F": 1e200 * np.eye(2)}}, "F: expected a model whose states stay finite"),
+]
+
+
+@pytest.mark.parametrize("change, match", BAD)
+@pytest.mark.filterwarnings("ignore:overflow", "ignore:invalid value")
+def test_bad_input_is_refused_by_name(change, match):
+    change = dict(change)
+    kf = filter_of()
+    for name, value in change.pop("attributes", {}).items():
+        setattr(kf, name, value)
+    zs = change.pop("zs", np.zeros(5))
+    with pytest.raises((TypeError, ValueError), match=match):
+        smooth(kf, zs, **change)
+
+
+@pytest.mark.parametrize(
+    "change, match",
+    [
+        ({"zs": np.zeros((2, 3))}, r"zs: expected shape .*zs\[:, :, None\].*zs\[None\]"),
+        ({"zs": np.zeros((2, 3, 0))}, "zs: expected shape"),
+        ({"zs": np.full((1, 2, 1), np.inf)}, "zs: expected finite"),
+        ({"x0": np.zeros((2, 1))}, "x0: expected shape .*x0.ravel"),
+        ({"P0": np.eye(3)}, "P0: expected shape"),
+        ({"Q": np.eye(3)}, "Q: expected shape"),
+        ({"F": np.full((2, 2), np.inf)}, "F: expected finite"),
+    ],
+)
+def test_bad_series_are_refused_by_name(change, match):
+    arguments = {"zs": np.zeros((3, 4, 1)), "F": CART.F, "H": CART.H, "Q": CART.Q, "R": CART.R}
+    with pytest.raises((TypeError, ValueError), match=match):
+        smooth_series(**{**arguments, "x0": np.zeros(2), "P0": CART.P, **change})
+
+
+def test_a_search_without_end_says_so_and_returns_its_best():
+    truth, zs, _ = drive(11, 0.2, 10.0)
+    for options in ({}, {"influence": TukeyBiweight()}, {"influence": Huber()}):
+        found = smooth(filter_of(), zs, max_sweeps=2, **options)
+        assert not found.converged and found.sweeps == 2 and "moved" in found.message
+        assert np.isfinite(found.x).all() and np.isfinite(found.P).all()
+        assert np.mean((found.x[:, 0, 0] - truth) ** 2) < np.mean((zs - truth) ** 2)
+
+
+def test_a_noise_that_is_much_too_small_is_named():
+    _, zs, _ = drive(12, 0.0, 1.0)
+    found = smooth(filter_of(support.with_(CART, R=1e-4 * np.eye(1))), zs)
+    assert "R is probably too small" in found.message
+
+
+def test_nothing_measured_is_the_prediction():
+    kf = filter_of(ndim=1)
+    kf.x = np.array([1.0, 2.0])
+    found = smooth(kf, [None] * 4)
+    np.testing.assert_allclose(found.x[:, 0], [3.0, 5.0, 7.0, 9.0])
+    assert np.isnan(found.weights).all() and found.converged
