@@ -9,7 +9,9 @@
 * `missing`: placing observed components among all.
 * `scalar`, `pair`, `joint`: fast forms for one sensor, two sensors, and psi of the length.
 * `moments`: the correction from sigma points.
-* `mixture`: the correction when the noise is a known mixture of normal distributions.
+* `mixture`: noise that is a known mixture of normal distributions, and the score of its innovation.
+* `merging`: a correction for each hypothesis about the noise, merged by moments.
+* `adaptive_noise`: a mixture that is learnt while the filter runs.
 
 Imports from below: `robust_filterpy.influence`.
 """
