@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from robust_filterpy.correction.mixture import ContaminatedScore
     from robust_filterpy.diagnostics import diagnose
     from robust_filterpy.filters import (
+        AdaptiveKalmanFilter,
         NoiseMatchedKalmanFilter,
         RecoveringKalmanFilter,
         RobustCubatureKalmanFilter,
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 _LAZY = {
     "ARMAX": "identification",
     "ARX": "identification",
+    "AdaptiveKalmanFilter": "filters",
     "ContaminatedScore": "correction.mixture",
     "FIR": "identification",
     "FilterBank": "batch",
@@ -62,6 +64,7 @@ __all__ = [
     "ARMAX",
     "ARX",
     "FIR",
+    "AdaptiveKalmanFilter",
     "ContaminatedScore",
     "FilterBank",
     "Hampel",

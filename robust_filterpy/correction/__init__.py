@@ -11,7 +11,8 @@
 * `moments`: the correction from sigma points.
 * `mixture`: noise that is a known mixture of normal distributions, and the score of its innovation.
 * `merging`: a correction for each hypothesis about the noise, merged by moments.
-* `adaptive_noise`: a mixture that is learnt while the filter runs.
+* `adaptive_noise`: a mixture that is learnt while a filter runs.
+* `adaptive`: the correction under it.
 
 Imports from below: `robust_filterpy.influence`.
 """

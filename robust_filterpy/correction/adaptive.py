@@ -1,15 +1,14 @@
 """The correction under measurement noise that is learnt: one step as a pure function of arrays.
 
 Several filters that differ in how large they take the process noise to be run side by side. Each is corrected under
-every class of measurement noise; the probabilities of the classes, which all filters share, are learnt.
+every class of measurement noise, and what the classes give is merged by moments. How probable the classes are is
+learnt, and all filters share it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -17,13 +16,7 @@ import numpy as np
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.correction import adaptive_noise
-from robust_filterpy.correction.merging import (
-    MOST_HYPOTHESES,
-    collapse,
-    correct_each,
-    normalized,
-    score_and_information,
-)
+from robust_filterpy.correction.merging import collapse, correct_each, normalized
 from robust_filterpy.correction.whitening import Inverse
 
 __all__ = ["AdaptiveStep", "NoiseClasses", "correct_adaptively"]
@@ -38,7 +31,7 @@ class NoiseClasses:
     scales : sequence of float, default (1, 10, 100, 1000)
         Factors of the covariance R, ascending from 1.
     grouping : {"joint", "component"}
-        Whether the sensors fail together, or each on its own: K^dim_z hypotheses, at most 256.
+        Whether the sensors fail together, or each on its own.
     memory : float, default 300
         Samples for which transitions between the classes are remembered, > 1.
     r_memory : float, default 30
@@ -70,18 +63,12 @@ class NoiseClasses:
             object.__setattr__(self, name, float(getattr(self, name)))
 
     def start(self, dim_z: int) -> Array:
-        """Return what is known before the first sample, shape (1 or dim_z, ...); ValueError if dim_z is too large."""
-        K = len(self.scales)
-        if self.grouping == "component" and K**dim_z > MOST_HYPOTHESES:
-            raise ValueError(
-                f"grouping: expected 'joint' for dim_z={dim_z} and {K} measurement_scales, got 'component', which is "
-                f"{K}^{dim_z} > {MOST_HYPOTHESES} hypotheses; or give fewer measurement_scales, such as (1, 100)"
-            )
-        return np.tile(adaptive_noise.start(K), (1 if self.grouping == "joint" else dim_z, 1))
+        """Return what is known before the first sample, shape (1 or dim_z, ...)."""
+        return np.tile(adaptive_noise.start(len(self.scales)), (1 if self.grouping == "joint" else dim_z, 1))
 
 
 class AdaptiveStep(NamedTuple):
-    """The filters and the noise after a correction, and what the innovation told."""
+    """The filters and the noise after a correction, and what has become of each component."""
 
     means: Array
     """Corrected means, shape (q, n)."""
@@ -93,12 +80,10 @@ class AdaptiveStep(NamedTuple):
     """What is known of the noise, shape (g, ...), as `robust_filterpy.correction.adaptive_noise.start` orders it."""
     log_density: float
     """log p(z)."""
-    score: Array
-    """-grad log p(z), shape (m,)."""
-    information: Array
-    """Its derivative, shape (m, m)."""
-    outlier_probability: float
-    """Probability that a component was an outlier."""
+    weights: Array
+    """Expected precision of each component over that of ordinary noise, in (0, 1], shape (m,)."""
+    outlier_probabilities: Array
+    """Probability that each component was an outlier, shape (m,)."""
 
 
 def correct_adaptively(
@@ -106,11 +91,10 @@ def correct_adaptively(
     covariances: Array,
     probabilities: Array,
     learnt: Array,
-    y: Array,
+    z: Array,
     H: Array,
     R: Array,
     noise: NoiseClasses,
-    observed: np.ndarray,
     M: Array | None = None,
     inv: Inverse | None = None,
 ) -> AdaptiveStep:
@@ -125,19 +109,17 @@ def correct_adaptively(
     probabilities : ndarray, shape (q,)
         Probability of each filter.
     learnt : ndarray, shape (g, ...)
-        What is known of the noise; not changed.
-    y : ndarray, shape (q, m)
-        Innovation of each filter, finite: the observed components.
+        What is known of the noise, g = 1 under grouping "joint", else m; not changed.
+    z : ndarray, shape (m,)
+        Measurement, finite.
     H : ndarray, shape (m, n)
         Measurement matrix.
     R : ndarray, shape (m, m)
         Covariance of the measurement noise as the filter was given it.
     noise : NoiseClasses
         Classes and memories.
-    observed : ndarray of int, shape (m,)
-        Which rows of learnt the components belong to, under grouping "component".
     M : ndarray, shape (n, m), optional
-        Covariance of the state's error and the measurement noise.
+        Covariance of the state's error and the measurement noise. It grows with the deviation of the noise.
     inv : callable, optional
         What inverts S; by default a singular S is an error.
 
@@ -149,48 +131,68 @@ def correct_adaptively(
     ------
     SingularInnovationError
         If S is not positive definite and inv is not given.
+
+    Notes
+    -----
+    Sensors that fail each on its own are taken one after the other, the most plausible first, and the classes of each
+    are merged by moments before the next is looked at. The order follows from the data, so that the order of the
+    sensors in z does not matter.
     """
-    m, joint = len(R), noise.grouping == "joint"
-    rows = np.zeros(1, dtype=int) if joint else observed
-    K, known = len(noise.scales), learnt[rows].tolist()
-    patterns, membership, begin = _patterns(K, len(rows))
-    before = [[0.0] * K for _ in rows]
-    for row, p in zip(known, before, strict=True):
-        adaptive_noise.class_probabilities(row, p)
-    log_prior = np.log(np.maximum(np.array(before)[np.arange(len(rows)), patterns], 1e-300)).sum(axis=1)
-    # Factor of each component's standard deviation under each hypothesis, shape (h, m).
-    factors = np.sqrt(learnt[rows, 0] * np.array(noise.scales)[patterns]) * np.ones(m)
-    noises = factors[:, :, None] * R * factors[:, None, :]
-    cross = None if M is None else M * factors[:, None, :]
-    each = correct_each(y, covariances[:, None], H, noises, cross, inv)
-    likely = log_prior + each.log_densities
-    weights, log_density = normalized(np.log(np.maximum(probabilities, 1e-300))[:, None] + likely)
-    of_filter = weights.sum(axis=1)
-    # By itself, since the joint weights of a filter that is all but impossible underflow.
-    given = np.exp(likely - likely.max(axis=1, keepdims=True))
-    given /= given.sum(axis=1, keepdims=True)
-    moves, after = collapse(given, each.moves, each.P)
-    # E[v_i^2]/R_ii under each hypothesis: what the correction leaves of y belongs to v.
-    ours = noises if cross is None else noises + np.swapaxes(H @ cross, -1, -2)
-    left = (ours @ each.pulls[..., None])[..., 0]
-    within = np.diagonal(noises - ours @ each.inverses @ np.swapaxes(ours, -1, -2), axis1=-2, axis2=-1)
-    energies = (left**2 + np.maximum(within, 0.0)) / R.diagonal()
-    energies = energies.mean(axis=-1, keepdims=True) if joint else energies
-    posterior = np.tensordot(weights.sum(axis=0), membership, 1)
-    ordinary = weights[:, :, None] * membership[:, :, 0]
-    energy = (ordinary * energies).sum(axis=(0, 1)) / np.maximum(posterior[:, 0], 1e-300)
-    for row, p, e in zip(known, posterior.tolist(), energy.tolist(), strict=True):
-        adaptive_noise.learn(row, begin, noise.scales, p, e, noise.memory, noise.r_memory)
-    learnt = learnt.copy()
-    learnt[rows] = known
-    flat = weights.ravel()
-    outlying = float(weights.sum(axis=0)[(patterns > 0).any(axis=1)].sum())
-    score = score_and_information(flat, each.pulls.reshape(-1, m), each.inverses.reshape(-1, m, m))
-    return AdaptiveStep(means + moves, after, of_filter / of_filter.sum(), learnt, log_density, *score, outlying)
+    n, m, learnt = means.shape[1], len(z), learnt.copy()
+    groups = (
+        [np.arange(m)] if len(learnt) == 1 else _by_plausibility(means, covariances, probabilities, learnt, z, H, R)
+    )
+    correlated = len(groups) > 1 and (M is not None or np.count_nonzero(R) > m)
+    if correlated:
+        means, covariances = _with_noise(means, covariances, R, M)
+    scales, begin = np.array(noise.scales), adaptive_noise.start(len(noise.scales)).tolist()
+    log_density, weights, outlying = 0.0, np.empty(m), np.empty(m)
+    for group in groups:
+        row = 0 if len(learnt) == 1 else group[0]
+        known, before = learnt[row].tolist(), [0.0] * len(scales)
+        adaptive_noise.class_probabilities(known, before)
+        deviations = np.sqrt(known[0] * scales)[:, None, None]
+        seen, spread, cross = H[group], deviations**2 * R[np.ix_(group, group)], None
+        if correlated:
+            # H x + v_i, v_i = sqrt(r_i s_k) u_i, with u in the state.
+            seen = np.concatenate([np.tile(seen, (len(scales), 1, 1)), deviations * np.eye(m)[group]], axis=2)
+            spread = np.zeros((1, 1, 1))
+        elif M is not None:
+            cross = deviations * M
+        y = z[group] - (seen @ means[:, None, :, None])[..., 0]
+        each = correct_each(y, covariances[:, None], seen, spread, cross, inv)
+        likely = np.log(before) + each.log_densities
+        joint, log_total = normalized(np.log(np.maximum(probabilities, 1e-300))[:, None] + likely)
+        posterior = joint.sum(axis=0)
+        # What is left of y under the ordinary class is noise.
+        left = each.y[:, 0] + (z[group] - y[:, 0] - means[:, :n] @ H[group].T) - each.moves[:, 0, :n] @ H[group].T
+        left_var = ((H[group] @ each.P[:, 0, :n, :n]) * H[group]).sum(axis=2)
+        energies = ((left**2 + left_var) / R.diagonal()[group]).mean(axis=1)
+        energy = float(joint[:, 0] @ energies / max(posterior[0], 1e-300))
+        adaptive_noise.learn(known, begin, noise.scales, posterior.tolist(), energy, noise.memory, noise.r_memory)
+        learnt[row] = known
+        # By itself, since the joint probabilities of a filter that is all but impossible underflow.
+        given = np.exp(likely - likely.max(axis=1, keepdims=True))
+        moves, covariances = collapse(given / given.sum(axis=1, keepdims=True), each.moves, each.P)
+        means, probabilities, log_density = means + moves, joint.sum(axis=1), log_density + log_total
+        weights[group], outlying[group] = posterior @ (1.0 / scales), 1.0 - posterior[0]
+    return AdaptiveStep(means[:, :n], covariances[:, :n, :n], probabilities, learnt, log_density, weights, outlying)
 
 
-@lru_cache(maxsize=32)
-def _patterns(K: int, groups: int) -> tuple[np.ndarray, Array, list[float]]:
-    """Return the class of each group under each hypothesis, the same one-hot, and what is known at the start."""
-    patterns = np.array(list(product(range(K), repeat=groups)))
-    return patterns, np.eye(K)[patterns], adaptive_noise.start(K).tolist()
+def _by_plausibility(
+    means: Array, covariances: Array, probabilities: Array, learnt: Array, z: Array, H: Array, R: Array
+) -> list[np.ndarray]:
+    """Return the sensors one by one, the one with the smallest innovation in standard deviations first."""
+    x, P = collapse(probabilities, means, covariances)
+    variances = ((H @ P) * H).sum(axis=1) + learnt[:, 0] * R.diagonal()
+    return [np.array([i]) for i in np.argsort(np.abs(z - H @ x) / np.sqrt(variances))]
+
+
+def _with_noise(means: Array, covariances: Array, R: Array, M: Array | None) -> tuple[Array, Array]:
+    """Return means and covariances of state and noise together, so that a sensor tells of the others' noise too."""
+    (q, n), m = means.shape, len(R)
+    cross = np.zeros((n, m)) if M is None else M
+    return (
+        np.concatenate([means, np.zeros((q, m))], axis=1),
+        np.array([np.block([[P, cross], [cross.T, R]]) for P in covariances]),
+    )

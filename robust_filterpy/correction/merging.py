@@ -63,6 +63,8 @@ class EachCorrection(NamedTuple):
     """Posterior covariances, shape (..., h, n, n)."""
     log_densities: Array
     """log N(y; 0, S), shape (..., h)."""
+    y: Array
+    """Innovations, none beyond 8 standard deviations of the widest hypothesis, shape (..., h, m)."""
     pulls: Array
     """S^-1 y, shape (..., h, m)."""
     inverses: Array
@@ -76,16 +78,16 @@ def correct_each(
 
     Parameters
     ----------
-    y : ndarray, shape (..., m)
-        Innovation z - H x, finite.
+    y : ndarray, shape (..., h, m)
+        Innovation z - H x under each hypothesis, finite. Here and below h = 1 if it is the same under all.
     P : ndarray, shape (..., h, n, n)
-        Prior covariance under each hypothesis, or h = 1 if it is the same.
-    H : ndarray, shape (m, n)
+        Prior covariance.
+    H : ndarray, shape (m, n) or (..., h, m, n)
         Measurement matrix.
     R : ndarray, shape (..., h, m, m)
-        Covariance of the measurement noise under each.
+        Covariance of the measurement noise.
     M : ndarray, shape (..., h, n, m), optional
-        Covariance of the state's error and the measurement noise under each.
+        Covariance of the state's error and the measurement noise.
     inv : callable, optional
         What inverts S; by default a singular S is an error.
 
@@ -103,13 +105,13 @@ def correct_each(
     An innovation beyond 8 standard deviations of every hypothesis is shortened to 8 first: it has no place in the
     model, and the influence stays bounded.
     """
-    C = P @ H.T
+    C = P @ np.swapaxes(H, -1, -2)
     S = H @ C + R
     if M is not None:
         C = C + M
         S = S + H @ M + np.swapaxes(H @ M, -1, -2)
     inverses, log_dets = _inverted(S, inv)
-    y = _shortened(y, inverses)[..., None, :]
+    y = _shortened(y, inverses)
     pulls = (inverses @ y[..., None])[..., 0]
     log_densities = -0.5 * ((pulls * y).sum(axis=-1) + log_dets + y.shape[-1] * _LOG_2PI)
     K = C @ inverses
@@ -118,7 +120,7 @@ def correct_each(
     if M is not None:
         mixed = I_KH @ M @ np.swapaxes(K, -1, -2)
         after = after - mixed - np.swapaxes(mixed, -1, -2)
-    return EachCorrection((C @ pulls[..., None])[..., 0], after, log_densities, pulls, inverses)
+    return EachCorrection((C @ pulls[..., None])[..., 0], after, log_densities, y, pulls, inverses)
 
 
 def collapse(probabilities: Array, means: Array, covariances: Array) -> tuple[Array, Array]:
@@ -151,12 +153,6 @@ def collapse(probabilities: Array, means: Array, covariances: Array) -> tuple[Ar
     apart = means - mean[..., None, :]
     within = (weights[..., None] * covariances).sum(axis=-3)
     return mean, within + np.swapaxes(apart * weights, -1, -2) @ apart
-
-
-def score_and_information(probabilities: Array, pulls: Array, inverses: Array) -> tuple[Array, Array]:
-    """Return g(y) = -grad log p(y), shape (m,), and its derivative, shape (m, m), of a mixture of h hypotheses."""
-    g = probabilities @ pulls
-    return g, np.tensordot(probabilities, inverses, 1) - (pulls.T * probabilities) @ pulls + np.outer(g, g)
 
 
 def normalized(logs: Array) -> tuple[Array, float]:
@@ -204,11 +200,12 @@ def merge(x: Array, y: Array, H: Array, hypotheses: list[Hypothesis], inv: Inver
     """
     prior, P, R = (np.array([getattr(h, name) for h in hypotheses]) for name in ("probability", "P", "R"))
     M = None if hypotheses[0].M is None else np.array([h.M for h in hypotheses])
-    each = correct_each(y, P, H, R, M, inv)
+    each = correct_each(y[None], P, H, R, M, inv)
     probabilities, log_density = normalized(np.log(prior) + each.log_densities)
     move, covariance = collapse(probabilities, each.moves, each.P)
-    score = score_and_information(probabilities, each.pulls, each.inverses)
-    return Merged(x + move, covariance, probabilities, log_density, *score)
+    g = probabilities @ each.pulls
+    information = np.tensordot(probabilities, each.inverses, 1) - (each.pulls.T * probabilities) @ each.pulls
+    return Merged(x + move, covariance, probabilities, log_density, g, information + np.outer(g, g))
 
 
 def _inverted(S: Array, inv: Inverse | None) -> tuple[Array, Array]:
@@ -232,11 +229,13 @@ def _inverted(S: Array, inv: Inverse | None) -> tuple[Array, Array]:
 
 
 def _shortened(y: Array, inverses: Array) -> Array:
-    """Return y, shape (..., m), or the multiple of it that is 8 standard deviations of the widest hypothesis long."""
+    """Return y, shape (..., h, m), or the multiple that is 8 standard deviations of the widest hypothesis long."""
     peak = np.abs(y).max(axis=-1, keepdims=True)
     direction = y / np.where(peak > 0.0, peak, 1.0)
-    squares = np.einsum("...i,...hij,...j->...h", direction, inverses, direction)
-    length = np.sqrt(np.maximum(squares.min(axis=-1), 0.0))[..., None]
+    squares = np.einsum("...i,...ij,...j->...", direction, inverses, direction)
     with np.errstate(over="ignore"):
-        far = length * peak > _REACH
-    return np.where(far, direction * (_REACH / np.where(far, length, 1.0)), y)
+        lengths = peak[..., 0] * np.sqrt(np.maximum(squares, 0.0))
+    least = lengths.min(axis=-1)[..., None, None]
+    if not (least > _REACH).any():
+        return y
+    return np.where(least > _REACH, y / peak * (peak / least) * _REACH, y)

@@ -5,6 +5,7 @@
 * `recovering`: a redescending psi that comes back after a jump.
 * `gaussian_sum`: noise that is a known mixture.
 * `multiple_model`: outliers in the process as well as in the measurement.
+* `adaptive`: noises that are learnt.
 
 Imports from below: `influence`, `correction`, `compiled`.
 """
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 
 if TYPE_CHECKING:
+    from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter
     from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
     from robust_filterpy.filters.gaussian_sum import NoiseMatchedKalmanFilter
     from robust_filterpy.filters.multiple_model import TwoSidedKalmanFilter
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
     from robust_filterpy.filters.sigma_point import RobustCubatureKalmanFilter, RobustUnscentedKalmanFilter
 
 _LAZY = {
+    "AdaptiveKalmanFilter": "adaptive",
     "NoiseMatchedKalmanFilter": "gaussian_sum",
     "RecoveringKalmanFilter": "recovering",
     "RobustCubatureKalmanFilter": "sigma_point",
@@ -32,6 +35,7 @@ _LAZY = {
     "TwoSidedKalmanFilter": "multiple_model",
 }
 __all__ = [
+    "AdaptiveKalmanFilter",
     "NoiseMatchedKalmanFilter",
     "RecoveringKalmanFilter",
     "RobustCubatureKalmanFilter",

@@ -151,17 +151,40 @@ def finite_product(H: Array, x: Array) -> Array:
     return np.asarray(predicted)
 
 
-class ScoredCorrection(NamedTuple):
-    """A merged correction; what few programs look at is computed on request. psi is the score in standardized form."""
+class ScoreInfluence(NamedTuple):
+    """psi is the score of the innovation in standardized form."""
+
+    score: Array
+    """g(y) of the k observed components, shape (k,)."""
+    information: Array
+    """Its derivative, shape (k, k)."""
+
+    def __call__(self, T: Array, S: Array, e: Array) -> tuple[Array, Array]:
+        """Return psi(e) and psi'(e): T S = T'^-1, so that C T' psi = C g and C T' D T C' = C g' C'."""
+        root = T.dot(S)
+        return root.dot(self.score), np.diag(root.dot(self.information).dot(root.T))
+
+
+class WeightInfluence(NamedTuple):
+    """psi is e with a weight on each component."""
+
+    weights: Array
+    """In [0, 1], shape (k,)."""
+    outlying: np.ndarray
+    """Whether a component counts as clipped, shape (k,)."""
+
+    def __call__(self, T: Array, S: Array, e: Array) -> tuple[Array, Array]:
+        """Return psi(e) and psi'(e)."""
+        return self.weights * e, np.where(self.outlying, 0.0, self.weights)
+
+
+class MergedCorrection(NamedTuple):
+    """A correction merged from hypotheses; what few programs look at is computed on request."""
 
     x: Array
     """Posterior mean, shape (n,)."""
     P: Array
     """Posterior covariance, shape (n, n)."""
-    score: Array
-    """g(y) of the k observed components, shape (k,)."""
-    information: Array
-    """Its derivative, shape (k, k)."""
     y: Array
     """Innovation, shape (m,); NaN where missing."""
     prior: Array
@@ -174,6 +197,8 @@ class ScoredCorrection(NamedTuple):
     """Its covariance with the state's error, shape (n, m)."""
     inv: Inverse | None
     """What inverts S."""
+    influence: ScoreInfluence | WeightInfluence
+    """psi of the observed components."""
 
     def as_arrays(self) -> Correction:
         """Return everything that a correction shows."""
@@ -186,13 +211,10 @@ class ScoredCorrection(NamedTuple):
         part = np.flatnonzero(self.y == self.y)
         pick = np.ix_(part, part)
         T, SI, _ = standardize(S[pick], "innovation", self.inv)
-        # T S = T'^-1, so that C T' psi = C g and C T' D T C' = C g' C'.
-        root = T.dot(S[pick])
+        e = standardized(T, self.y[part])
+        psi, psi_deriv = self.influence(T, S[pick], e)
         K, whole_T, whole_SI = np.zeros((n, m)), np.zeros((m, m)), np.zeros((m, m))
         whole_T[pick], whole_SI[pick] = T, T.T.dot(T) if SI is None else SI
         K[:, part] = C[:, part].dot(T.T).dot(T)
-        y, e, psi = (
-            scatter(values, part, m) for values in (self.y[part], standardized(T, self.y[part]), root.dot(self.score))
-        )
-        psi_deriv = scatter(np.diag(root.dot(self.information).dot(root.T)), part, m, np.nan)
-        return Correction(self.x, self.P, y, S, whole_SI, K, whole_T, e, psi, psi_deriv)
+        y, e, psi = (scatter(values, part, m) for values in (self.y[part], e, psi))
+        return Correction(self.x, self.P, y, S, whole_SI, K, whole_T, e, psi, scatter(psi_deriv, part, m, np.nan))

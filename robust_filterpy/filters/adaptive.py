@@ -14,7 +14,12 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction.adaptive import NoiseClasses, correct_adaptively
 from robust_filterpy.correction.adaptive_noise import DECADES, LearntNoise, describe
 from robust_filterpy.correction.missing import nothing_observed
-from robust_filterpy.filters._hypotheses import ScoredCorrection, ScoreFilter, finite_product
+from robust_filterpy.filters._hypotheses import (
+    MergedCorrection,
+    ScoreFilter,
+    WeightInfluence,
+    finite_product,
+)
 from robust_filterpy.filters._interacting import InteractingFilter, merged_bank
 
 __all__ = ["AdaptiveKalmanFilter"]
@@ -204,24 +209,25 @@ class AdaptiveKalmanFilter(ScoreFilter, InteractingFilter):
         y = values - finite_product(H, column)
         if self.grouping == "component" and self._first + m > len(self.learnt):
             raise ValueError(f"H: expected at most {len(self.learnt)} rows for grouping='component', got {m}")
-        rows = self._first + np.arange(m)
+        rows = slice(None) if self.grouping == "joint" else slice(self._first, self._first + m)
         ordinary = self._ordinary(R, rows)
         part = np.flatnonzero(y == y)
         if part.size == 0:
             return nothing_observed(column, P, H.dot(P).dot(H.T) + ordinary, m)
-        bank, whole = self._current(), part.size == m
+        learnt = self.learnt.copy()
+        known = learnt if self.grouping == "joint" else learnt[rows][part]
+        bank, pick = self._current(), np.ix_(part, part)
         step = correct_adaptively(
-            bank.means, bank.covariances, bank.probabilities, self.learnt, values[part] - bank.means @ H[part].T,
-            H[part], R if whole else R[np.ix_(part, part)], self._classes, rows[part],
-            None if M is None else M[:, part], self._inverse,
+            bank.means, bank.covariances, bank.probabilities, known, values[part], H[part], R[pick],
+            self._classes, None if M is None else M[:, part], self._inverse,
         )  # fmt: skip
+        learnt[0 if self.grouping == "joint" else self._first + part] = step.learnt
         bank = merged_bank(step.means, step.covariances, step.probabilities)
-        self._found = (step.log_density, bank, step.learnt, step.outlier_probability)
+        self._found = (step.log_density, bank, learnt, float(1.0 - np.prod(1.0 - step.outlier_probabilities)))
         # A noise that is larger by a factor keeps its correlation with the state.
         cross = None if M is None else M * np.sqrt(ordinary.diagonal() / R.diagonal())
-        return ScoredCorrection(
-            bank.x, bank.P, step.score, step.information, y, P.copy(), H.copy(), ordinary, cross, self._inverse
-        )
+        influence = WeightInfluence(step.weights, step.outlier_probabilities > 0.5)
+        return MergedCorrection(bank.x, bank.P, y, P.copy(), H.copy(), ordinary, cross, self._inverse, influence)
 
     def _ordinary(self, R: Array, rows: Any = slice(None)) -> Array:
         """Return the covariance of ordinary noise for an R that was given."""

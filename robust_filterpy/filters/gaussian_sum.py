@@ -13,7 +13,12 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction.merging import MOST_HYPOTHESES, Hypothesis, merge
 from robust_filterpy.correction.missing import nothing_observed
 from robust_filterpy.correction.mixture import ContaminatedScore
-from robust_filterpy.filters._hypotheses import ScoredCorrection, ScoreFilter, finite_product
+from robust_filterpy.filters._hypotheses import (
+    MergedCorrection,
+    ScoreFilter,
+    ScoreInfluence,
+    finite_product,
+)
 from robust_filterpy.influence.functions import Huber
 
 __all__ = ["NoiseMatchedKalmanFilter"]
@@ -206,9 +211,8 @@ class NoiseMatchedKalmanFilter(ScoreFilter):
             float(merged.probabilities[bad].sum()),
             float(merged.probabilities[jumped].sum()),
         )
-        return ScoredCorrection(
-            merged.x, merged.P, merged.score, merged.information, y, P.copy(), H.copy(), R.copy(), M, self._inverse
-        )
+        influence = ScoreInfluence(merged.score, merged.information)
+        return MergedCorrection(merged.x, merged.P, y, P.copy(), H.copy(), R.copy(), M, self._inverse, influence)
 
     def _hypotheses(self, P: Array, R: Array, M: Array | None) -> tuple[list[Hypothesis], list[int], list[int]]:
         """Return the hypotheses, and which of them have outliers, and which a jump."""
