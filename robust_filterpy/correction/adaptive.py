@@ -30,8 +30,8 @@ class NoiseClasses:
     ----------
     scales : sequence of float, default (1, 10, 100, 1000)
         Factors of the covariance R, ascending from 1.
-    grouping : {"joint", "component"}
-        Whether the sensors fail together, or each on its own.
+    grouping : {"component", "joint"}
+        Whether each sensor fails on its own, or all together.
     memory : float, default 300
         Samples for which transitions between the classes are remembered, > 1.
     r_memory : float, default 30
@@ -44,7 +44,7 @@ class NoiseClasses:
     """
 
     scales: Sequence[float] = adaptive_noise.DECADES
-    grouping: str = "joint"
+    grouping: str = "component"
     memory: float = 300.0
     r_memory: float = 30.0
 

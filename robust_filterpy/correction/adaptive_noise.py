@@ -26,7 +26,7 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 
-# One array, or a list, which Python indexes in a third of the time.
+# An array, or a list, which Python indexes in a third of the time.
 Floats = Any
 
 __all__ = ["DECADES", "LearntNoise", "class_probabilities", "describe", "learn", "start", "weigh"]
@@ -77,7 +77,15 @@ def start(classes: int) -> Array:
 
 
 def class_probabilities(learnt: Floats, p: Floats) -> None:
-    """Write the probability of each class for the next sample into p, shape (K,)."""
+    """Predict the class of the next sample.
+
+    Parameters
+    ----------
+    learnt : ndarray or list, shape (2 + 2 K + K^2,)
+        What is known of the noise.
+    p : ndarray or list, shape (K,)
+        The probabilities of the classes are written here.
+    """
     K = len(p)
     for j in range(K):
         p[j] = 0.0
@@ -91,11 +99,33 @@ def class_probabilities(learnt: Floats, p: Floats) -> None:
 
 
 def weigh(p: Floats, scales: Floats, r: float, y: float, h: float, R: float) -> tuple[float, float, float, float]:
-    """Return the score of an innovation, its derivative, log p(y) and the energy of ordinary noise.
+    """Weigh an innovation under every class.
 
-    p, shape (K,), is replaced by the probabilities given y; h is H P H' and R the variance that the filter was given.
-    The energy is E[v^2 | y, class 0]/R. An innovation beyond 8 standard deviations of the widest class is
-    shortened to 8.
+    Parameters
+    ----------
+    p : ndarray or list, shape (K,)
+        Probabilities of the classes, > 0; replaced by those given y.
+    scales : sequence of float, length K
+        Factors of the variance.
+    r : float
+        Factor of the variance of all classes.
+    y : float
+        Innovation; beyond 8 standard deviations of the widest class it is shortened to 8.
+    h : float
+        Variance H P H' of what is predicted.
+    R : float
+        Variance of the noise that the filter was given.
+
+    Returns
+    -------
+    score : float
+        -d log p(y)/dy: the state moves by P H' score.
+    information : float
+        Its derivative: P loses P H' information H P.
+    log_density : float
+        log p(y).
+    energy : float
+        E[v^2 | y, class 0]/R, from which r is learnt.
     """
     K = len(p)
     reach = 8.0 * math.sqrt(h + r * scales[K - 1] * R)
@@ -126,8 +156,22 @@ def learn(
 ) -> None:
     """Learn from one sample, in place.
 
-    p, shape (K,), are the probabilities of its classes, energy is E[v^2 | class 0]/R, begin is what `start` returned.
-    Transitions are remembered for so many samples (memory), r for r_memory, the share of each class for twice that.
+    Parameters
+    ----------
+    learnt : ndarray or list, shape (2 + 2 K + K^2,)
+        What is known of the noise; changed.
+    begin : ndarray or list, shape (2 + 2 K + K^2,)
+        What `start` returned.
+    scales : sequence of float, length K
+        Factors of the variance.
+    p : ndarray or list, shape (K,)
+        Probabilities of the sample's classes.
+    energy : float
+        E[v^2 | class 0]/R.
+    memory : float
+        Samples for which the transitions are remembered.
+    r_memory : float
+        Ordinary samples for which r is remembered; the share of each class is for twice as many.
     """
     K = len(p)
     keep, keep_r, keep_share = 1.0 - 1.0 / memory, 1.0 - 1.0 / r_memory, 1.0 - 0.5 / r_memory

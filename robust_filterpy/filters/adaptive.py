@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
+from robust_filterpy._arrays import noise_covariance
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.adaptive import NoiseClasses, correct_adaptively
 from robust_filterpy.correction.adaptive_noise import DECADES, LearntNoise, describe
@@ -48,9 +49,9 @@ class AdaptiveKalmanFilter(ScoreFilter, InteractingFilter):
         Mean number of steps that the process keeps a scale, > 1.
     measurement_scales : sequence of float, default (1, 10, 100, 1000)
         Factors of the covariance R, ascending from 1.
-    grouping : {"joint", "component"}
-        Whether the sensors fail together, or each on its own with a noise of its own. With component, every combination
-        of scales is a hypothesis; there can be 256: dim_z <= 4 with four scales, <= 8 with two.
+    grouping : {"component", "joint"}
+        Whether each sensor has a noise of its own and fails on its own, or all together, as one sensor that reports a
+        vector.
     memory : float, default 300
         Samples for which it is remembered how often each scale occurs, > 1.
     r_memory : float, default 30
@@ -116,7 +117,7 @@ class AdaptiveKalmanFilter(ScoreFilter, InteractingFilter):
         process_scales: Sequence[float] = (1.0, 10.0, 100.0),
         dwell: float = 1000.0,
         measurement_scales: Sequence[float] = DECADES,
-        grouping: str = "joint",
+        grouping: str = "component",
         memory: float = 300.0,
         r_memory: float = 30.0,
     ) -> None:
@@ -150,7 +151,7 @@ class AdaptiveKalmanFilter(ScoreFilter, InteractingFilter):
     @property
     def R_learnt(self) -> Array:
         """Covariance of ordinary noise as learnt, shape (dim_z, dim_z)."""
-        return self._ordinary(np.asarray(self.R, dtype=float))
+        return self._ordinary(noise_covariance(self.R, None, self.dim_z), self._known(self.dim_z))
 
     @property
     def outlier_probability(self) -> float:
@@ -207,21 +208,22 @@ class AdaptiveKalmanFilter(ScoreFilter, InteractingFilter):
         """Return the correction of the merged state; every copy is corrected by itself."""
         column, values, m = x.ravel(), np.atleast_1d(values), len(H)
         y = values - finite_product(H, column)
-        if self.grouping == "component" and self._first + m > len(self.learnt):
-            raise ValueError(f"H: expected at most {len(self.learnt)} rows for grouping='component', got {m}")
-        rows = slice(None) if self.grouping == "joint" else slice(self._first, self._first + m)
-        ordinary = self._ordinary(R, rows)
+        joint = self.grouping == "joint"
+        learnt = self._known(self._first + m)
+        ordinary = self._ordinary(R, learnt if joint else learnt[self._first :])
+        # What H does not see says nothing about the state, and nothing is learnt from it.
+        y[~H.any(axis=1)] = np.nan
         part = np.flatnonzero(y == y)
         if part.size == 0:
+            self._found = (None,)
             return nothing_observed(column, P, H.dot(P).dot(H.T) + ordinary, m)
-        learnt = self.learnt.copy()
-        known = learnt if self.grouping == "joint" else learnt[rows][part]
+        rows = np.zeros(1, dtype=int) if joint else self._first + part
         bank, pick = self._current(), np.ix_(part, part)
         step = correct_adaptively(
-            bank.means, bank.covariances, bank.probabilities, known, values[part], H[part], R[pick],
+            bank.means, bank.covariances, bank.probabilities, learnt[rows], values[part], H[part], R[pick],
             self._classes, None if M is None else M[:, part], self._inverse,
         )  # fmt: skip
-        learnt[0 if self.grouping == "joint" else self._first + part] = step.learnt
+        learnt[rows] = step.learnt
         bank = merged_bank(step.means, step.covariances, step.probabilities)
         self._found = (step.log_density, bank, learnt, float(1.0 - np.prod(1.0 - step.outlier_probabilities)))
         # A noise that is larger by a factor keeps its correlation with the state.
@@ -229,9 +231,14 @@ class AdaptiveKalmanFilter(ScoreFilter, InteractingFilter):
         influence = WeightInfluence(step.weights, step.outlier_probabilities > 0.5)
         return MergedCorrection(bank.x, bank.P, y, P.copy(), H.copy(), ordinary, cross, self._inverse, influence)
 
-    def _ordinary(self, R: Array, rows: Any = slice(None)) -> Array:
+    def _known(self, sensors: int) -> Array:
+        """Return a copy of what is known, with rows for sensors that have joined."""
+        more = 0 if self.grouping == "joint" else max(sensors - len(self.learnt), 0)
+        return np.concatenate([self.learnt, self._classes.start(more)[:more]])
+
+    def _ordinary(self, R: Array, learnt: Array) -> Array:
         """Return the covariance of ordinary noise for an R that was given."""
-        r = np.sqrt(self.learnt[0, 0] if self.grouping == "joint" else self.learnt[rows, 0])
+        r = np.sqrt(learnt[:, 0] * np.ones(len(R)) if len(learnt) == 1 else learnt[: len(R), 0])
         return np.asarray(R * np.multiply.outer(r, r))
 
     def _settle(self) -> None:

@@ -25,8 +25,8 @@ KINDS = [
     pytest.param(NoiseMatchedKalmanFilter, {**BOTH, "grouping": "component"}, id="matched-component"),
     pytest.param(TwoSidedKalmanFilter, {}, id="two-sided"),
     pytest.param(TwoSidedKalmanFilter, {"grouping": "joint"}, id="two-sided-joint"),
+    pytest.param(AdaptiveKalmanFilter, {"grouping": "joint"}, id="adaptive-joint"),
     pytest.param(AdaptiveKalmanFilter, {}, id="adaptive"),
-    pytest.param(AdaptiveKalmanFilter, {"grouping": "component"}, id="adaptive-component"),
 ]
 
 

@@ -1,7 +1,7 @@
 """The iteratively saturated Kalman filter.
 
 A. Yang, S. Boyd, Iteratively saturated Kalman filtering, 2025: scaled gradient steps on the sum of two Huber functions,
-of the length of P^(-1/2)(x - prediction) and of R^(-1/2)(z - H x). P is the Kalman filter's own, as in their steady form.
+of the length of P^(-1/2)(x - prediction) and of R^(-1/2)(z - H x). P is the Kalman filter's, as in their steady form.
 """
 
 from __future__ import annotations
