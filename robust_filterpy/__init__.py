@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from robust_filterpy.correction.mixture import ContaminatedScore
     from robust_filterpy.diagnostics import diagnose
     from robust_filterpy.filters import (
+        AdaptiveKalmanFilter,
         NoiseMatchedKalmanFilter,
         RecoveringKalmanFilter,
         RobustCubatureKalmanFilter,
@@ -38,12 +39,13 @@ if TYPE_CHECKING:
         TrackerBank,
     )
     from robust_filterpy.identification.identify import identify
-    from robust_filterpy.noise import estimate_noise
+    from robust_filterpy.noise import estimate_noise, tune
     from robust_filterpy.smoothing import smooth, smooth_series
 
 _LAZY = {
     "ARMAX": "identification",
     "ARX": "identification",
+    "AdaptiveKalmanFilter": "filters",
     "ContaminatedScore": "correction.mixture",
     "FIR": "identification",
     "FilterBank": "batch",
@@ -65,11 +67,13 @@ _LAZY = {
     "robust": "filters",
     "smooth": "smoothing",
     "smooth_series": "smoothing",
+    "tune": "noise",
 }
 __all__ = [
     "ARMAX",
     "ARX",
     "FIR",
+    "AdaptiveKalmanFilter",
     "ContaminatedScore",
     "FilterBank",
     "Hampel",
@@ -97,6 +101,7 @@ __all__ = [
     "robust",
     "smooth",
     "smooth_series",
+    "tune",
 ]
 
 

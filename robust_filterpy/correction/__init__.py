@@ -9,7 +9,10 @@
 * `missing`: placing observed components among all.
 * `scalar`: a fast form for one sensor.
 * `moments`: the correction from sigma points.
-* `mixture`: the correction when the noise is a known mixture of normal distributions.
+* `mixture`: noise that is a known mixture of normal distributions, and the score of its innovation.
+* `merging`: a correction for each hypothesis about the noise, merged by moments.
+* `adaptive_noise`: a mixture that is learnt while a filter runs.
+* `adaptive`: the correction under it.
 
 Imports from below: `robust_filterpy.influence`.
 """

@@ -1,4 +1,4 @@
-"""The score that wastes nothing of a contaminated normal noise, and the mixture of hypotheses behind it.
+"""The exact score of contaminated normal noise.
 
 A measurement noise (1 - eps) N(0, R) + eps N(0, ratio^2 R) makes the innovation a mixture too. Its score
 g(y) = -grad log p(y) moves the state by C g(y), and its derivative is the exact second moment (Masreliez 1975)::
@@ -6,8 +6,8 @@ g(y) = -grad log p(y) moves the state by C g(y), and its derivative is the exact
     p(y) = (1 - eps) N(0, S) + eps N(0, S + (ratio^2 - 1) R)
     x+ = x + C g(y),    P+ = P - C g'(y) C'
 
-The same moments come from correcting once for each hypothesis and merging, which also works where the hypotheses
-differ in P: that is how `robust_filterpy.filters.gaussian_sum` doubts the process as well as the measurement.
+The same moments come from correcting once for each hypothesis and merging (`robust_filterpy.correction.merging`), which
+also works where the hypotheses differ in P.
 """
 
 from __future__ import annotations
@@ -23,15 +23,10 @@ from scipy.special import logsumexp
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.whitening import Inverse, standardize
 
-__all__ = ["ContaminatedScore", "Hypothesis", "InnovationScore", "Merged", "merge"]
+__all__ = ["ContaminatedScore", "InnovationScore"]
 
 _LOG_2PI = math.log(2.0 * math.pi)
-# Standard deviations of the widest hypothesis up to which an innovation counts as what it is. Beyond, no part of
-# the noise model says anything, and the score of a normal distribution would grow without bound.
-_REACH = 8.0
-_MOST_SENSORS = 8
 
 
 class InnovationScore(NamedTuple):
@@ -208,137 +203,3 @@ class ContaminatedScore:
             np.array([probability for probability, _ in patterns]),
             np.array([S + (np.outer(scale, scale) - 1.0) * R for _, scale in patterns]),
         )
-
-
-class Hypothesis(NamedTuple):
-    """One way in which a measurement may have come about."""
-
-    probability: float
-    """Prior probability."""
-    P: Array
-    """Prior covariance of the state, shape (n, n)."""
-    R: Array
-    """Measurement noise covariance, shape (m, m)."""
-    M: Array | None = None
-    """Covariance of the state's error and the measurement noise, shape (n, m)."""
-
-
-class Merged(NamedTuple):
-    """Mean and covariance of the state over all hypotheses, and what the innovation told about them."""
-
-    x: Array
-    """Posterior mean, shape (n,)."""
-    P: Array
-    """Posterior covariance, shape (n, n)."""
-    probabilities: Array
-    """Posterior probabilities of the hypotheses, shape (h,)."""
-    log_density: float
-    """log p(y)."""
-    score: Array
-    """g(y) = -grad log p(y), shape (m,)."""
-    information: Array
-    """Its derivative, shape (m, m)."""
-
-
-def merge(x: Array, y: Array, H: Array, hypotheses: list[Hypothesis], inv: Inverse | None = None) -> Merged:
-    """Correct a state once for each hypothesis and merge by moments.
-
-    Exact for the mean and the covariance of the posterior, which is a mixture of normal distributions; what is lost
-    is its shape (generalised pseudo-Bayesian of order one).
-
-    Parameters
-    ----------
-    x : ndarray, shape (n,)
-        Prior mean, the same under every hypothesis.
-    y : ndarray, shape (m,)
-        Innovation z - H x, finite.
-    H : ndarray, shape (m, n)
-        Measurement matrix.
-    hypotheses : list of Hypothesis
-        The ways in which y may have come about.
-    inv : callable, optional
-        What inverts S; by default a singular S is an error.
-
-    Returns
-    -------
-    Merged
-
-    Raises
-    ------
-    SingularInnovationError
-        If S is not positive definite and inv is not given.
-
-    Notes
-    -----
-    An innovation beyond 8 standard deviations of every hypothesis is shortened to 8 first: it has no place in the
-    model, and the influence stays bounded.
-
-    Examples
-    --------
-    >>> one = np.eye(1)
-    >>> merged = merge(np.zeros(1), np.array([6.0]), one, [Hypothesis(0.9, one, one), Hypothesis(0.1, one, 100 * one)])
-    >>> merged.probabilities.round(3), merged.x.round(2)
-    (array([0.009, 0.991]), array([0.09]))
-    """
-    prior, R = np.array([h.probability for h in hypotheses]), np.array([h.R for h in hypotheses])
-    P = np.array([h.P for h in hypotheses])
-    C, cross = P @ H.T, None
-    S = H @ C + R
-    if hypotheses[0].M is not None:
-        cross = np.array([h.M for h in hypotheses])
-        C = C + cross
-        S = S + H @ cross + np.swapaxes(H @ cross, 1, 2)
-    inverses, log_dets = _inverted(S, inv)
-    y = _shortened(y, inverses)
-    pulls = inverses @ y
-    logs = np.log(prior) - 0.5 * (pulls @ y + log_dets + y.size * _LOG_2PI)
-    peak = logs.max()
-    weights = np.exp(logs - peak)
-    total = weights.sum()
-    probabilities = weights / total
-    moves = (C @ pulls[:, :, None])[:, :, 0]
-    move, g = probabilities @ moves, probabilities @ pulls
-    # Joseph's form of each correction.
-    K = C @ inverses
-    I_KH = np.eye(len(x)) - K @ H
-    after = I_KH @ P @ np.swapaxes(I_KH, 1, 2) + K @ R @ np.swapaxes(K, 1, 2)
-    if cross is not None:
-        mixed = I_KH @ cross @ np.swapaxes(K, 1, 2)
-        after = after - mixed - np.swapaxes(mixed, 1, 2)
-    apart = moves - move
-    return Merged(
-        x + move,
-        np.tensordot(probabilities, after, 1) + (apart.T * probabilities) @ apart,
-        probabilities,
-        float(peak) + math.log(total),
-        g,
-        np.tensordot(probabilities, inverses, 1) - (pulls.T * probabilities) @ pulls + np.outer(g, g),
-    )
-
-
-def _inverted(S: Array, inv: Inverse | None) -> tuple[Array, Array]:
-    """Return the inverses and log determinants of S, shape (h, m, m)."""
-    if inv is None:
-        try:
-            factors = np.linalg.cholesky(S)
-        except np.linalg.LinAlgError:
-            # It names the eigenvalue that is at fault, or finds that rounding alone was.
-            T = np.array([standardize(one, "innovation")[0] for one in S])
-            return np.swapaxes(T, 1, 2) @ T, -2.0 * np.linalg.slogdet(T)[1]
-        diagonals = np.diagonal(factors, axis1=1, axis2=2)
-        return np.asarray(np.linalg.inv(S), dtype=float), 2.0 * np.log(diagonals).sum(axis=1)
-    # Through `standardize`, which refuses what is no inverse of a covariance.
-    inverses = np.array([standardize(one, "innovation", inv)[1] for one in S])
-    values = np.linalg.eigvalsh(0.5 * (inverses + np.swapaxes(inverses, 1, 2)))
-    kept = values > values.shape[1] * np.finfo(float).eps * values[:, -1:]
-    return inverses, -np.where(kept, np.log(np.where(kept, values, 1.0)), 0.0).sum(axis=1)
-
-
-def _shortened(y: Array, inverses: Array) -> Array:
-    """Return y, or the multiple of it that is 8 standard deviations of the widest hypothesis long."""
-    peak = float(np.abs(y).max())
-    if peak == 0.0:
-        return y
-    direction = y / peak
-    length = math.sqrt(max(float((inverses @ direction @ direction).min()), 0.0))
-    return y if length * peak <= _REACH or length == 0.0 else direction * (_REACH / length)

@@ -5,6 +5,7 @@
 * `recovering`: a redescending psi that comes back after a jump.
 * `gaussian_sum`: noise that is a known mixture.
 * `multiple_model`: outliers in the process as well as in the measurement.
+* `adaptive`: noises that are learnt.
 * `ensemble`: the ensemble Kalman filter.
 * `functions`: filterpy's functions update, predict, batch_filter, rts_smoother.
 * `conversion`: a robust filter made of an existing one.
@@ -20,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 
 if TYPE_CHECKING:
+    from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter
     from robust_filterpy.filters.conversion import robust
     from robust_filterpy.filters.ensemble import RobustEnsembleKalmanFilter
     from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
     from robust_filterpy.filters.sigma_point import RobustCubatureKalmanFilter, RobustUnscentedKalmanFilter
 
 _LAZY = {
+    "AdaptiveKalmanFilter": "adaptive",
     "NoiseMatchedKalmanFilter": "gaussian_sum",
     "RecoveringKalmanFilter": "recovering",
     "RobustCubatureKalmanFilter": "sigma_point",
@@ -39,6 +42,7 @@ _LAZY = {
     "robust": "conversion",
 }
 __all__ = [
+    "AdaptiveKalmanFilter",
     "NoiseMatchedKalmanFilter",
     "RecoveringKalmanFilter",
     "RobustCubatureKalmanFilter",

@@ -1,8 +1,8 @@
-"""What the filters probability that correct a state once for each of several hypotheses."""
+"""What the filters share that correct a state once for each of several hypotheses."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,6 +10,10 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._arrays import process_noise, state_of
 from robust_filterpy._checks import Array
+from robust_filterpy.correction.missing import scatter
+from robust_filterpy.correction.options import Information, Scaling
+from robust_filterpy.correction.result import Correction
+from robust_filterpy.correction.whitening import Inverse, standardize, standardized
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 
 
@@ -213,9 +217,100 @@ class _ProcessScales:
             self.saver.save()
 
 
+class ScoreFilter(MultipleHypothesisFilter):
+    """Correct by the score of the innovation, which follows from the noise model and leaves nothing to choose."""
+
+    @property
+    def scaling(self) -> Scaling:
+        """Always "innovation": another scaling would not be the score."""
+        return "innovation"
+
+    @scaling.setter
+    def scaling(self, value: Scaling) -> None:
+        raise AttributeError(f"scaling: always 'innovation' for a {type(self).__name__}")
+
+    @property
+    def information(self) -> Information:
+        """Always "realized": the exact second moment."""
+        return "realized"
+
+    @information.setter
+    def information(self, value: Information) -> None:
+        raise AttributeError(f"information: always 'realized' for a {type(self).__name__}")
+
+
 def finite_product(H: Array, x: Array) -> Array:
     """Return H x, shape (m,), or raise: NaN would pass for a missing measurement."""
     predicted = H.dot(x)
     if not np.isfinite(predicted).all():
         raise ValueError(f"x: expected finite numbers, got H x = {predicted}")
     return np.asarray(predicted)
+
+
+class ScoreInfluence(NamedTuple):
+    """psi is the score of the innovation in standardized form."""
+
+    score: Array
+    """g(y) of the k observed components, shape (k,)."""
+    information: Array
+    """Its derivative, shape (k, k)."""
+
+    def __call__(self, T: Array, S: Array, e: Array) -> tuple[Array, Array]:
+        """Return psi(e) and psi'(e): T S = T'^-1, so that C T' psi = C g and C T' D T C' = C g' C'."""
+        root = T.dot(S)
+        return root.dot(self.score), np.diag(root.dot(self.information).dot(root.T))
+
+
+class WeightInfluence(NamedTuple):
+    """psi is e with a weight on each component."""
+
+    weights: Array
+    """In [0, 1], shape (k,)."""
+    outlying: np.ndarray
+    """Whether a component counts as clipped, shape (k,)."""
+
+    def __call__(self, T: Array, S: Array, e: Array) -> tuple[Array, Array]:
+        """Return psi(e) and psi'(e)."""
+        return self.weights * e, np.where(self.outlying, 0.0, self.weights)
+
+
+class MergedCorrection(NamedTuple):
+    """A correction merged from hypotheses; what few programs look at is computed on request."""
+
+    x: Array
+    """Posterior mean, shape (n,)."""
+    P: Array
+    """Posterior covariance, shape (n, n)."""
+    y: Array
+    """Innovation, shape (m,); NaN where missing."""
+    prior: Array
+    """Prior covariance, shape (n, n)."""
+    H: Array
+    """Shape (m, n)."""
+    R: Array
+    """Covariance of ordinary noise, shape (m, m)."""
+    M: Array | None
+    """Its covariance with the state's error, shape (n, m)."""
+    inv: Inverse | None
+    """What inverts S."""
+    influence: ScoreInfluence | WeightInfluence
+    """psi of the observed components."""
+
+    def as_arrays(self) -> Correction:
+        """Return everything that a correction shows."""
+        m, n = self.H.shape
+        C = self.prior.dot(self.H.T)
+        S = self.H.dot(C) + self.R
+        if self.M is not None:
+            C = C + self.M
+            S = S + self.H.dot(self.M) + self.H.dot(self.M).T
+        part = np.flatnonzero(self.y == self.y)
+        pick = np.ix_(part, part)
+        T, SI, _ = standardize(S[pick], "innovation", self.inv)
+        e = standardized(T, self.y[part])
+        psi, psi_deriv = self.influence(T, S[pick], e)
+        K, whole_T, whole_SI = np.zeros((n, m)), np.zeros((m, m)), np.zeros((m, m))
+        whole_T[pick], whole_SI[pick] = T, T.T.dot(T) if SI is None else SI
+        K[:, part] = C[:, part].dot(T.T).dot(T)
+        y, e, psi = (scatter(values, part, m) for values in (self.y[part], e, psi))
+        return Correction(self.x, self.P, y, S, whole_SI, K, whole_T, e, psi, scatter(psi_deriv, part, m, np.nan))

@@ -10,18 +10,22 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._arrays import process_noise, state_of
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.missing import nothing_observed, scatter
-from robust_filterpy.correction.mixture import _MOST_SENSORS, ContaminatedScore, Hypothesis, merge
-from robust_filterpy.correction.options import Grouping, Information, Scaling
-from robust_filterpy.correction.result import Correction
-from robust_filterpy.correction.whitening import standardize, standardized
-from robust_filterpy.filters._hypotheses import MultipleHypothesisFilter, finite_product
+from robust_filterpy.correction.merging import MOST_HYPOTHESES, Hypothesis, merge
+from robust_filterpy.correction.missing import nothing_observed
+from robust_filterpy.correction.mixture import ContaminatedScore
+from robust_filterpy.correction.options import Grouping
+from robust_filterpy.filters._hypotheses import (
+    MergedCorrection,
+    ScoreFilter,
+    ScoreInfluence,
+    finite_product,
+)
 from robust_filterpy.influence.functions import Huber
 
 __all__ = ["NoiseMatchedKalmanFilter"]
 
 
-class NoiseMatchedKalmanFilter(MultipleHypothesisFilter):
+class NoiseMatchedKalmanFilter(ScoreFilter):
     """Filter with contaminated normal noises, of the measurement, of the process, or of both.
 
     Each step keeps every hypothesis (v ordinary or an outlier, w ordinary or a jump), weighs it by the likelihood of
@@ -59,7 +63,7 @@ class NoiseMatchedKalmanFilter(MultipleHypothesisFilter):
 
     See Also
     --------
-    robust_filterpy.correction.mixture.merge : The merging, as a pure function.
+    robust_filterpy.correction.merging.merge : The merging, as a pure function.
 
     Notes
     -----
@@ -103,8 +107,8 @@ class NoiseMatchedKalmanFilter(MultipleHypothesisFilter):
 
     def _require_few_sensors(self, grouping: str) -> None:
         """Raise if every combination of failing sensors is too many."""
-        if grouping == "component" and self.dim_z > _MOST_SENSORS:
-            raise ValueError(f"grouping: expected 'joint' for dim_z={self.dim_z} > {_MOST_SENSORS}, got 'component'")
+        if grouping == "component" and 2**self.dim_z > MOST_HYPOTHESES:
+            raise ValueError(f"grouping: expected 'joint' for dim_z={self.dim_z} > 8, got 'component'")
 
     @property
     def measurement(self) -> ContaminatedScore:
@@ -133,24 +137,6 @@ class NoiseMatchedKalmanFilter(MultipleHypothesisFilter):
     @influence.setter
     def influence(self, value: Any) -> None:
         raise AttributeError("influence: follows from the noise model; set measurement=ContaminatedScore(...)")
-
-    @property
-    def scaling(self) -> Scaling:
-        """Always "innovation": another scaling would not be the score."""
-        return "innovation"
-
-    @scaling.setter
-    def scaling(self, value: Scaling) -> None:
-        raise AttributeError("scaling: always 'innovation' for a noise-matched filter")
-
-    @property
-    def information(self) -> Information:
-        """Always "realized": the exact second moment."""
-        return "realized"
-
-    @information.setter
-    def information(self, value: Information) -> None:
-        raise AttributeError("information: always 'realized' for a noise-matched filter")
 
     @property
     def grouping(self) -> Grouping:
@@ -217,39 +203,22 @@ class NoiseMatchedKalmanFilter(MultipleHypothesisFilter):
         """Whether there was a prediction since the last correction and the process is contaminated."""
         return not self._process_noise.is_ordinary and bool(self._jump.any())
 
-    def _corrected(self, x: Array, P: Array, values: Any, H: Array, R: Array, M: Any) -> Correction:
+    def _corrected(self, x: Array, P: Array, values: Any, H: Array, R: Array, M: Any) -> Any:
         """Return the correction of x by checked values; changes nothing but the records."""
         column = x.ravel()
         y = np.atleast_1d(values) - finite_product(H, column)
         part = np.flatnonzero(y == y)
-        m = len(H)
-        S = H.dot(P).dot(H.T) + R
-        if M is not None:
-            S = S + H.dot(M) + H.dot(M).T
         if part.size == 0:
-            return nothing_observed(column, P, S, m)
-        H, pick, y = H[part], np.ix_(part, part), y[part]
-        R, M = R[pick], None if M is None else M[:, part]
-        hypotheses, bad, jumped = self._hypotheses(P, R, M)
-        merged = merge(column, y, H, hypotheses, self._inverse)
+            return nothing_observed(column, P, H.dot(P).dot(H.T) + R, len(H))
+        hypotheses, bad, jumped = self._hypotheses(P, R[np.ix_(part, part)], None if M is None else M[:, part])
+        merged = merge(column, y[part], H[part], hypotheses, self._inverse)
         self._found = (
             merged.log_density,
             float(merged.probabilities[bad].sum()),
             float(merged.probabilities[jumped].sum()),
         )
-        S_part = S[pick]
-        T, SI, _ = standardize(S_part, "innovation", self._inverse)
-        e = standardized(T, y)
-        # The score of y in standardized form: with T^-1 = S T', psi(e) = T S g and psi' = T S g' S T'.
-        root = T.dot(S_part)
-        psi, D = root.dot(merged.score), root.dot(merged.information).dot(root.T)
-        psi_deriv = np.diag(D)
-        C = P.dot(H.T) if M is None else P.dot(H.T) + M
-        K, square, whole_SI = np.zeros((x.size, m)), np.zeros((m, m)), np.zeros((m, m))
-        K[:, part], square[pick], whole_SI[pick] = C.dot(T.T).dot(T), T, T.T.dot(T) if SI is None else SI
-        wide_y, wide_e, wide_psi = (scatter(v, part, m) for v in (y, e, psi))
-        psi_deriv = scatter(psi_deriv, part, m, np.nan)
-        return Correction(merged.x, merged.P, wide_y, S, whole_SI, K, square, wide_e, wide_psi, psi_deriv)
+        influence = ScoreInfluence(merged.score, merged.information)
+        return MergedCorrection(merged.x, merged.P, y, P.copy(), H.copy(), R.copy(), M, self._inverse, influence)
 
     def _hypotheses(self, P: Array, R: Array, M: Array | None) -> tuple[list[Hypothesis], list[int], list[int]]:
         """Return the hypotheses, and which of them have outliers, and which a jump."""

@@ -2,8 +2,9 @@
 
 * `distributions`: contaminated normal and least favourable densities in the manner of scipy.stats.
 * `estimation`: R, Q, contamination and scale ratio by maximum likelihood.
+* `tuning`: from a recording to a filter of the kind that its noises ask for.
 
-Imports from below: `influence`, and `robust_filterpy._arrays`.
+Imports from below: `influence`, `correction`, `filters`.
 """
 
 from __future__ import annotations
@@ -15,12 +16,15 @@ from robust_filterpy.noise.distributions import (
     fisher_information,
 )
 from robust_filterpy.noise.estimation import NoiseEstimate, estimate_noise
+from robust_filterpy.noise.tuning import Tuned, tune
 
 __all__ = [
     "EpsilonContaminated",
     "LabelledSample",
     "LeastFavorable",
     "NoiseEstimate",
+    "Tuned",
     "estimate_noise",
     "fisher_information",
+    "tune",
 ]

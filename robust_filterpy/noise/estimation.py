@@ -1,25 +1,32 @@
-"""R and Q for those without a data sheet: scale factors by maximum likelihood of a model that knows of outliers."""
+"""R and Q from a recording: scale factors by maximum likelihood of a model that knows of outliers."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from robust_filterpy import _checks
-from robust_filterpy._arrays import control_term, measured, noise_covariance, process_noise, state_of
+from robust_filterpy._arrays import noise_covariance, process_noise
 from robust_filterpy._checks import Array
+from robust_filterpy.correction.mixture import ContaminatedScore
+from robust_filterpy.noise._likelihood import log_likelihoods, of_filter, of_tracker, scaled
 
 __all__ = ["NoiseEstimate", "estimate_noise"]
 
 Groups = bool | str | Sequence[int]
-# Log of the scale factors, logit of the contamination, log of the scale ratio: where the search may go.
+# Log of the scale factors, logit of the contamination, log of the scale ratio: where the search may go. Outliers are
+# the fewer and at least three times as large, otherwise the two parts of the mixture could change their roles.
 _SCALE_LIMIT = 16.0
-_LOGIT_LIMITS = (-9.0, 0.0)
-_RATIO_LIMITS = (np.log(2.0), np.log(1e4))
+_LOGIT_LIMITS = (-9.0, float(np.log(0.45 / 0.55)))
+_RATIO_LIMITS = (np.log(3.0), np.log(1e4))
 _STEP = 1e-3
+# The prior: ten ordinary samples, and outliers of ten times the size within a factor of e.
+_PRIOR_ORDINARY, _PRIOR_LOG_RATIO = 10.0, np.log(10.0)
+# A factor of variance that can be divided by 20 at the cost of half a nat is not determined.
+_AWAY, _HALF_A_NAT = 3.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -44,9 +51,9 @@ class NoiseEstimate:
     log_likelihood : float
         Of the recording, at the estimate.
     converged : bool
-        Whether the optimiser says so and no scale ended at the limit of the search.
+        Whether the optimiser says so and the recording determines every factor.
     message : str
-        Why the search ended.
+        Why the search ended, or what the recording does not determine.
     """
 
     R: Array
@@ -60,34 +67,24 @@ class NoiseEstimate:
     message: str
 
     def apply(self, filter: Any) -> Any:
-        """Give a filter this R and Q.
+        """Give a filter this R and Q, and the contamination and ratio if it can use them.
 
         Parameters
         ----------
-        filter : KalmanFilter
-            Any filter with attributes R and Q of these shapes.
+        filter : KalmanFilter or ParameterTracker
+            Any filter with attributes R and Q of these shapes. A `NoiseMatchedKalmanFilter` also takes the
+            contamination and the scale ratio; the others have no place for them.
 
         Returns
         -------
-        KalmanFilter
+        KalmanFilter or ParameterTracker
             The same filter.
         """
-        filter.R, filter.Q = self.R.copy(), self.Q.copy()
+        inner = getattr(filter, "filter", filter)
+        inner.R, inner.Q = self.R.copy(), self.Q.copy()
+        if isinstance(getattr(inner, "measurement", None), ContaminatedScore):
+            inner.measurement = ContaminatedScore(self.contamination, self.scale_ratio)
         return filter
-
-
-class _Data(NamedTuple):
-    """A linear model with its data, as arrays."""
-
-    zs: Array
-    inputs: Array
-    x: Array
-    P: Array
-    F: Array
-    H: Array
-    Q: Array
-    R: Array
-    alpha_sq: float
 
 
 def estimate_noise(
@@ -95,6 +92,10 @@ def estimate_noise(
     zs: Any,
     *,
     us: Any = None,
+    Fs: Any = None,
+    Qs: Any = None,
+    Hs: Any = None,
+    Rs: Any = None,
     R: Groups = True,
     Q: Groups = True,
     contamination: float | None = None,
@@ -107,16 +108,20 @@ def estimate_noise(
 
     Parameters
     ----------
-    filter : KalmanFilter
-        Of filterpy or of this package, linear, with F, H, x, P set and R, Q as the first guess. It is not changed.
+    filter : KalmanFilter or ParameterTracker
+        A linear filter of filterpy or of this package, with F, H, x, P set and R, Q as the first guess; or a tracker.
+        It is not changed.
     zs : array_like, shape (N,) or (N, dim_z), or sequence
-        Measurements as `batch_filter` takes them: NaN and None are missing.
+        Measurements as `batch_filter` takes them: NaN and None are missing. A tracker's outputs y.
     us : array_like, shape (N,) or (N, dim_u), optional
-        Control inputs.
+        Control inputs; a tracker's inputs u.
+    Fs, Qs, Hs, Rs : sequence of length N, optional
+        Matrices of each step, otherwise the filter's own; the factors multiply every Q and every R. Not with a
+        tracker, which makes them itself.
     R, Q : bool, "each" or sequence of int, default True
         What to scale: everything by one factor (True), nothing (False), every variance by a factor of its own
         ("each"), or variances in groups: ``[0, 0, 1]`` gives the first two one factor and the third another, -1
-        leaves one as it is. Off-diagonal entries keep their correlation.
+        leaves one as it is. Off-diagonal entries keep their correlation. Variances of 0 stay.
     contamination : float, optional
         Share of outliers in [0, 1), if it is known.
     scale_ratio : float, optional
@@ -129,14 +134,20 @@ def estimate_noise(
     Raises
     ------
     TypeError
-        If filter is not a linear filter of filterpy's kind.
+        If filter is neither a linear filter of filterpy's kind nor a tracker.
     ValueError
         If the recording has fewer than 10 measurements, or an option or shape does not fit.
 
     Notes
     -----
-    Factors that the data do not determine (Q of a state that hardly shows) run to the limit of the search, exp(-16)
-    or exp(16); ``converged`` is then False. The sampling error of a variance is about sqrt(2/N) at best.
+    Factors that the data do not determine (Q of a state that hardly shows, R where Q is far larger), and a
+    contamination that runs to its limit of .45, are named in ``message``; ``converged`` is then False. The sampling
+    error of a variance is about sqrt(2/N) at best.
+
+    A weak prior, worth ten samples, keeps the contamination and the ratio where there are no outliers. What lies
+    beyond 8 standard deviations of outliers counts as 8: a sentinel such as 999999 is an outlier like any other.
+
+    With ``Qs`` or ``Rs``, R and Q of the result are those of the filter, scaled.
 
     Examples
     --------
@@ -152,8 +163,14 @@ def estimate_noise(
     """
     from scipy.optimize import minimize
 
-    data = _recording(filter, zs, us)
-    groups_R, groups_Q = _groups("R", R, len(data.R)), _groups("Q", Q, len(data.Q))
+    per_step = (Fs, Qs, Hs, Rs)
+    if hasattr(filter, "structure") and hasattr(filter, "filter"):
+        if any(values is not None for values in per_step):
+            raise TypeError("Fs, Qs, Hs, Rs: expected only for a filter; a ParameterTracker makes them itself")
+        data = of_tracker(filter, zs, us)
+    else:
+        data = of_filter(filter, zs, us, *per_step)
+    groups_R, groups_Q = _groups("R", R, data.R[0]), _groups("Q", Q, data.Q[0])
     count_R, count_Q = groups_R.max() + 1, groups_Q.max() + 1
     known = _known_outliers(contamination, scale_ratio)
 
@@ -164,31 +181,59 @@ def estimate_noise(
         ratio = np.full(len(points), known[1]) if known[1] is not None else np.exp(points[:, -1])
         return logs_R, logs_Q[:, groups_Q], share, ratio
 
-    def cost(points: Array, some: _Data = data) -> Array:
-        return -_log_likelihoods(some, *unpacked(points)) / len(some.zs)
+    def cost(points: Array, steps: int) -> Array:
+        logs_R, logs_Q, share, ratio = unpacked(points)
+        prior = -0.5 * (np.log(ratio) - _PRIOR_LOG_RATIO) ** 2
+        if known[0] is None:
+            prior = prior + _PRIOR_ORDINARY * np.log1p(-share)
+        likelihood = log_likelihoods(data.first(steps), logs_R, logs_Q, share, ratio)
+        return -(likelihood + prior) / steps
 
     def cost_and_gradient(point: Array) -> tuple[float, Array]:
         # All neighbours advance together, so the gradient costs little more than the value.
         offsets = _STEP * np.eye(point.size)
-        values = cost(np.concatenate([point[None], point + offsets, point - offsets]))
+        values = cost(np.concatenate([point[None], point + offsets, point - offsets]), len(data.zs))
         return values[0], (values[1 : 1 + point.size] - values[1 + point.size :]) / (2 * _STEP)
 
     limits = [(-_SCALE_LIMIT, _SCALE_LIMIT)] * (count_R + count_Q) + [_LOGIT_LIMITS, _RATIO_LIMITS]
-    start = _start(count_R, count_Q, lambda points: cost(points, data._replace(zs=data.zs[:400])))
+    start = _start(count_R, count_Q, lambda points: cost(points, min(400, len(data.zs))))
     found = minimize(cost_and_gradient, start, jac=True, method="L-BFGS-B", bounds=limits)
     logs_R, logs_Q, share, ratio = (part[0] for part in unpacked(found.x[None]))
-    at_limit = bool((np.abs(found.x[: count_R + count_Q]) > _SCALE_LIMIT - 1e-6).any())
+    doubt = _doubt(found.x, count_R, count_Q, known, lambda points: cost(points, len(data.zs)) * len(data.zs))
+    likelihood = log_likelihoods(data, *(part[None] for part in (logs_R, logs_Q, share, ratio)))[0]
+    base = getattr(filter, "filter", filter)
     return NoiseEstimate(
-        R=_scaled(data.R, logs_R),
-        Q=_scaled(data.Q, logs_Q),
+        R=scaled(data.R[0] if Rs is None else noise_covariance(base.R, None, len(logs_R)), logs_R),
+        Q=scaled(
+            data.Q[0] if Qs is None else process_noise(base.Q, None, len(logs_Q)) * np.ones((len(logs_Q),) * 2), logs_Q
+        ),
         R_scale=np.exp(logs_R),
         Q_scale=np.exp(logs_Q),
         contamination=float(share),
         scale_ratio=float(ratio),
-        log_likelihood=float(-found.fun * len(data.zs)),
-        converged=bool(found.success) and not at_limit,
-        message="a scale factor ended at the limit of the search" if at_limit else str(found.message),
+        log_likelihood=float(likelihood),
+        converged=bool(found.success) and not doubt,
+        message=doubt or str(found.message),
     )
+
+
+def _doubt(point: Array, count_R: int, count_Q: int, known: tuple[float | None, float | None], cost: Any) -> str:
+    """Return what the recording does not determine, in words, or nothing."""
+    names = [f"R's factor {k}" for k in range(count_R)] + [f"Q's factor {k}" for k in range(count_Q)]
+    if names:
+        steps = np.eye(len(names), point.size) * _AWAY
+        costs = cost(np.concatenate([point[None], point - steps, point + steps]))
+        rise = np.minimum(*np.reshape(costs[1:] - costs[0], (2, -1)))
+        loose = [
+            name
+            for name, r, log in zip(names, rise, point, strict=False)
+            if r < _HALF_A_NAT or abs(log) > _SCALE_LIMIT - 1e-6
+        ]
+        if loose:
+            return f"{', '.join(loose)}: not determined by the recording, which fits with 20 times less or more as well"
+    if known[0] is None and point[-2] > _LOGIT_LIMITS[1] - 1e-6:
+        return "contamination: ended at its limit of 0.45; most samples are not alike"
+    return ""
 
 
 def _start(count_R: int, count_Q: int, cost: Any) -> Array:
@@ -209,13 +254,14 @@ def _known_outliers(contamination: float | None, scale_ratio: float | None) -> t
     return share, ratio
 
 
-def _groups(name: str, value: Groups, size: int) -> np.ndarray:
+def _groups(name: str, value: Groups, covariance: Array) -> np.ndarray:
     """Return the group of each variance, -1 where it stays."""
+    size, zero = len(covariance), covariance.diagonal() == 0.0
     if isinstance(value, (bool, np.bool_)):
-        return np.full(size, 0 if value else -1)
+        return np.where(zero | (not value), -1, 0)
     if isinstance(value, str):
         _checks.option(name, value, ("each",))
-        return np.arange(size)
+        return np.where(zero, -1, np.cumsum(~zero) - 1)
     groups = np.asarray(value)
     if groups.shape != (size,) or groups.dtype.kind not in "iu":
         raise ValueError(f'{name}: expected True, False, "each" or {size} integers, got {value!r}')
@@ -223,73 +269,3 @@ def _groups(name: str, value: Groups, size: int) -> np.ndarray:
     if present != list(range(len(present))):
         raise ValueError(f"{name}: expected groups numbered 0, 1, ... (and -1), got {value!r}")
     return groups
-
-
-def _recording(kf: Any, zs: Any, us: Any) -> _Data:
-    """Return the model and the data of a filter as arrays, checked."""
-    missing = [name for name in ("x", "P", "F", "H", "R", "Q", "dim_x") if not hasattr(kf, name)]
-    if missing or hasattr(kf, "hx") or hasattr(kf, "points_fn"):
-        raise TypeError(f"filter: expected a linear filter such as RobustKalmanFilter, got {type(kf).__name__}")
-    x, P = state_of(kf)
-    n, m = kf.dim_x, len(kf.H)
-    F, H = _checks.matrix("F", kf.F, (n, n), "dim_x"), _checks.matrix("H", kf.H, (m, n), f"dim_z={m}, dim_x={n}")
-    Q = process_noise(kf.Q, None, n) * np.ones((n, n))
-    rows = [measured(z, m, missing=True) if z is not None else np.full(m, np.nan) for z in zs]
-    data = np.array(rows, dtype=float).reshape(len(rows), m)
-    if len(rows) < 10 or not (data == data).any():
-        raise ValueError(f"zs: expected at least 10 measurements that are not all missing, got {len(rows)}")
-    inputs = np.zeros((len(rows), n))
-    if us is not None and kf.B is not None:
-        if len(us) != len(rows):
-            raise ValueError(f"us: expected {len(rows)} inputs, one for each measurement, got {len(us)}")
-        inputs[:] = [control_term(kf.B, u, (n,)) for u in us]
-    return _Data(data, inputs, x.ravel(), P, F, H, Q, noise_covariance(kf.R, None, m), kf._alpha_sq)
-
-
-def _scaled(covariance: Array, logs: Array) -> Array:
-    """Multiply variances by exp(logs) and keep correlations; logs may have leading axes."""
-    root = np.exp(0.5 * logs)
-    return np.asarray(root[..., :, None] * covariance * root[..., None, :])
-
-
-def _log_likelihoods(data: _Data, logs_R: Array, logs_Q: Array, share: Array, ratio: Array) -> Array:
-    """Return the log-likelihood of the recording for each of p candidates, which advance together.
-
-    Each step merges two hypotheses, ordinary or outlier, by moments: the noise-matched filter of
-    `robust_filterpy.filters.gaussian_sum`, for many noise models at once.
-    """
-    p = len(share)
-    R, Q = _scaled(data.R, logs_R), _scaled(data.Q, logs_Q)
-    x, P = np.tile(data.x, (p, 1)), np.tile(data.P, (p, 1, 1))
-    with np.errstate(divide="ignore"):
-        log_share = np.stack([np.log1p(-share), np.log(share)])
-    extra = (ratio**2 - 1.0)[:, None, None] * R
-    total = np.zeros(p)
-    for z, w in zip(data.zs, data.inputs, strict=False):
-        x = x @ data.F.T + w
-        P = data.alpha_sq * (data.F @ P @ data.F.T) + Q
-        part = np.flatnonzero(z == z)
-        if part.size == 0:
-            continue
-        H = data.H[part]
-        pick = np.ix_(np.arange(p), part, part)
-        C = P @ H.T
-        S = H @ C + R[pick]
-        both = np.stack([S, S + extra[pick]])
-        inverse = np.linalg.inv(both)
-        y = z[part] - x @ H.T
-        g = (inverse @ y[:, :, None])[..., 0]
-        determinant = np.linalg.slogdet(both)[1] + part.size * np.log(2.0 * np.pi)
-        logs = log_share - 0.5 * (determinant + (y * g).sum(axis=-1))
-        top = logs.max(axis=0)
-        weights = np.exp(logs - top)
-        norm = weights.sum(axis=0)
-        total += top + np.log(norm)
-        weights /= norm
-        score = (weights[..., None] * g).sum(axis=0)
-        spread = g - score
-        information = (weights[..., None, None] * (inverse - spread[..., :, None] * spread[..., None, :])).sum(axis=0)
-        x = x + (C @ score[:, :, None])[..., 0]
-        P = P - C @ information @ np.swapaxes(C, -1, -2)
-        P = 0.5 * (P + np.swapaxes(P, -1, -2))
-    return np.where(np.isfinite(total), total, -np.inf)

@@ -8,7 +8,8 @@ from support import spd
 
 from robust_filterpy import Huber, RobustKalmanFilter
 from robust_filterpy.correction import SingularInnovationError
-from robust_filterpy.correction.mixture import ContaminatedScore, Hypothesis, merge
+from robust_filterpy.correction.merging import Hypothesis, merge
+from robust_filterpy.correction.mixture import ContaminatedScore
 from robust_filterpy.influence import Influence
 
 pytestmark = pytest.mark.core

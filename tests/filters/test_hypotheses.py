@@ -14,6 +14,7 @@ from support import FILTERPY_2, cart, load, make, paper_problem, random_problem,
 
 from robust_filterpy import Linear, OutputError, ParameterTracker, RobustKalmanFilter, StudentT
 from robust_filterpy.correction.mixture import ContaminatedScore
+from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter
 from robust_filterpy.filters.gaussian_sum import NoiseMatchedKalmanFilter
 from robust_filterpy.filters.multiple_model import TwoSidedKalmanFilter
 
@@ -24,6 +25,8 @@ KINDS = [
     pytest.param(NoiseMatchedKalmanFilter, {**BOTH, "grouping": "component"}, id="matched-component"),
     pytest.param(TwoSidedKalmanFilter, {}, id="two-sided"),
     pytest.param(TwoSidedKalmanFilter, {"grouping": "joint"}, id="two-sided-joint"),
+    pytest.param(AdaptiveKalmanFilter, {"grouping": "joint"}, id="adaptive-joint"),
+    pytest.param(AdaptiveKalmanFilter, {}, id="adaptive"),
 ]
 
 

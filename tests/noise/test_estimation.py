@@ -7,7 +7,8 @@ from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
 from robust_filterpy import RobustKalmanFilter
 from robust_filterpy.correction.mixture import ContaminatedScore
 from robust_filterpy.filters.gaussian_sum import NoiseMatchedKalmanFilter
-from robust_filterpy.noise.estimation import _log_likelihoods, _recording, estimate_noise
+from robust_filterpy.noise._likelihood import log_likelihoods, of_filter
+from robust_filterpy.noise.estimation import estimate_noise
 
 F = np.array([[1.0, 1.0], [0.0, 0.95]])
 Q, R = np.diag([0.1, 0.05]), 2.0
@@ -60,9 +61,9 @@ def test_likelihood_is_that_of_the_noise_matched_filter():
         kf.predict()
         kf.update(z)
         total += kf.log_likelihood
-    data = _recording(guess(), zs, None)
+    data = of_filter(guess(), zs, None, None, None, None, None)
     zero = np.zeros((1, 1))
-    ours = _log_likelihoods(data, zero, np.zeros((1, 2)), np.array([0.1]), np.array([10.0]))
+    ours = log_likelihoods(data, zero, np.zeros((1, 2)), np.array([0.1]), np.array([10.0]))
     assert ours[0] == pytest.approx(total, rel=1e-9)
 
 
@@ -121,7 +122,7 @@ def test_bad_options(change, match):
 def test_bad_recordings_and_filters():
     with pytest.raises(ValueError, match="at least 10"):
         estimate_noise(guess(), np.zeros(5))
-    with pytest.raises(ValueError, match="not all missing"):
+    with pytest.raises(ValueError, match="not missing, got 0 in 50"):
         estimate_noise(guess(), np.full(50, np.nan))
     with pytest.raises(TypeError, match="linear filter"):
         estimate_noise(object(), np.zeros(50))

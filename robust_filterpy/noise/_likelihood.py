@@ -1,0 +1,164 @@
+"""The log-likelihood of a recording under contaminated noise, for many noise models that advance together."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from robust_filterpy import _checks
+from robust_filterpy._arrays import control_term, measured, noise_covariance, process_noise, state_of
+from robust_filterpy._checks import Array
+
+#: Fewer measurements than this tell nothing of a variance.
+LEAST = 10
+# As in `robust_filterpy.correction.merging`: beyond so many standard deviations of the widest hypothesis no part of the
+# noise model says anything, and a sentinel value weighs no more than any other outlier.
+_REACH = 8.0
+
+
+class Recording(NamedTuple):
+    """A linear model with its data; matrices that stay have a first axis of length 1, the others of length N."""
+
+    zs: Array
+    """Measurements, NaN where missing, shape (N, m)."""
+    inputs: Array
+    """B u of each step, shape (N, n)."""
+    x: Array
+    """State before the first prediction, shape (n,)."""
+    P: Array
+    """Its covariance, shape (n, n)."""
+    F: Array
+    """Shape (1 or N, n, n)."""
+    H: Array
+    """Shape (1 or N, m, n)."""
+    Q: Array
+    """Shape (1 or N, n, n)."""
+    R: Array
+    """Shape (1 or N, m, m)."""
+    alpha_sq: float
+    """Fading memory, >= 1."""
+
+    def first(self, steps: int) -> Recording:
+        """Return the beginning of the recording."""
+        names = ("zs", "inputs", "F", "H", "Q", "R")
+        return self._replace(**{name: getattr(self, name)[:steps] for name in names})
+
+
+def of_filter(kf: Any, zs: Any, us: Any, Fs: Any, Qs: Any, Hs: Any, Rs: Any) -> Recording:
+    """Return the model and the data of a linear filter as arrays, checked."""
+    missing = [name for name in ("x", "P", "F", "H", "R", "Q", "dim_x") if not hasattr(kf, name)]
+    if missing or hasattr(kf, "hx") or hasattr(kf, "points_fn"):
+        raise TypeError(
+            f"filter: expected a linear filter, such as RobustKalmanFilter, or a tracker, got {type(kf).__name__}"
+        )
+    given = {"zs": zs, "us": us, "Fs": Fs, "Qs": Qs, "Hs": Hs, "Rs": Rs}
+    zs, us, Fs, Qs, Hs, Rs = (_checks.entries(name, values) for name, values in given.items())
+    if not hasattr(zs, "__len__"):
+        raise TypeError(f"zs: expected a sequence of measurements, got {type(zs).__name__}")
+    for name, values in {"us": us, "Fs": Fs, "Qs": Qs, "Hs": Hs, "Rs": Rs}.items():
+        if values is not None and len(values) != len(zs):
+            raise ValueError(f"{name}: expected {len(zs)} entries, one for each measurement, got {len(values)}")
+    x, P = state_of(kf)
+    n = len(x)
+    first = kf.H if Hs is None else Hs[0]
+    m = np.shape(first)[0] if np.ndim(first) == 2 else kf.dim_z
+    H: Any = [_checks.matrix("H", H, (m, n), f"dim_z={m}, dim_x={n}") for H in ([kf.H] if Hs is None else Hs)]
+    F: Any = [_checks.matrix("F", F, (n, n), "dim_x") for F in ([kf.F] if Fs is None else Fs)]
+    Q: Any = [process_noise(kf.Q, None, n) * np.ones((n, n))] if Qs is None else [process_noise(None, Q, n) for Q in Qs]
+    R: Any = [noise_covariance(kf.R, None, m)] if Rs is None else [noise_covariance(None, R, m) for R in Rs]
+    rows = [np.full(m, np.nan) if z is None else np.atleast_1d(measured(z, m, missing=True)) for z in zs]
+    inputs = np.zeros((len(rows), n))
+    if us is not None and kf.B is not None:
+        inputs[:] = [np.zeros(n) if u is None else control_term(kf.B, u, (n,)) for u in us]
+    data = np.array(rows, dtype=float).reshape(len(rows), m)
+    F, H, Q, R = np.array(F), np.array(H), np.array(Q), np.array(R)
+    return _checked(Recording(data, inputs, x.ravel(), P, F, H, Q, R, float(getattr(kf, "_alpha_sq", 1.0))))
+
+
+def of_tracker(tracker: Any, y: Any, u: Any) -> Recording:
+    """Return the linear model that the filter of a copy of a tracker sees in a recording."""
+    y = _checks.numbers("zs", _checks.entries("zs", y)).ravel()
+    u = np.asarray(u) if hasattr(u, "to_numpy") else u
+    before, tracker = tracker.filter, copy.deepcopy(tracker)
+    kf = tracker.filter
+    zs, rows = [], []
+    for k, output in enumerate(y):
+        tracker.update(output, None if u is None else u[k])
+        # The gain's gradient stands in H, and the measurement that belongs to it in z.
+        rows.append(np.array(kf.H, dtype=float))
+        zs.append(np.nan if np.isnan(output) else np.ravel(kf.z)[0])
+    x, P = state_of(before)
+    n, z = len(x), np.array(zs, dtype=float)[:, None]
+    Q = process_noise(before.Q, None, n) * np.ones((1, n, n))
+    F, H, R = (
+        np.array(before.F, dtype=float)[None],
+        np.array(rows).reshape(-1, 1, n),
+        noise_covariance(before.R, None, 1),
+    )
+    alpha_sq = float(getattr(before, "_alpha_sq", 1.0))
+    return _checked(Recording(z, np.zeros((len(z), n)), x.ravel(), P, F, H, Q, R[None], alpha_sq))
+
+
+def _checked(data: Recording) -> Recording:
+    """Return a recording that has something to learn from, or raise."""
+    known = int((data.zs == data.zs).any(axis=1).sum())
+    if known < LEAST:
+        raise ValueError(
+            f"zs: expected at least {LEAST} measurements that are not missing, got {known} in {len(data.zs)}"
+        )
+    for name in ("F", "H", "Q"):
+        if not np.isfinite(getattr(data, name)).all():
+            raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
+    return data
+
+
+def scaled(covariance: Array, logs: Array) -> Array:
+    """Multiply variances by exp(logs) and keep correlations; logs may have leading axes."""
+    root = np.exp(0.5 * logs)
+    return np.asarray(root[..., :, None] * covariance * root[..., None, :])
+
+
+def log_likelihoods(data: Recording, logs_R: Array, logs_Q: Array, share: Array, ratio: Array) -> Array:
+    """Return the log-likelihood of the recording for each of p candidates, which advance together.
+
+    Each step merges two hypotheses, ordinary or outlier, by moments: the noise-matched filter of
+    `robust_filterpy.filters.gaussian_sum`, for many noise models at once.
+    """
+    p = len(share)
+    F, H, Q, R = (np.broadcast_to(a, (len(data.zs), *a.shape[1:])) for a in (data.F, data.H, data.Q, data.R))
+    x, P = np.tile(data.x, (p, 1)), np.tile(data.P, (p, 1, 1))
+    with np.errstate(divide="ignore"):
+        log_share = np.stack([np.log1p(-share), np.log(share)])
+    wider = (ratio**2 - 1.0)[:, None, None]
+    total = np.zeros(p)
+    for k, (z, w) in enumerate(zip(data.zs, data.inputs, strict=True)):
+        x = x @ F[k].T + w
+        P = data.alpha_sq * (F[k] @ P @ F[k].T) + scaled(Q[k], logs_Q)
+        part = np.flatnonzero(z == z)
+        if part.size == 0:
+            continue
+        noise = scaled(R[k][np.ix_(part, part)], logs_R[:, part])
+        C = P @ H[k, part].T
+        S = H[k, part] @ C + noise
+        both = np.stack([S, S + wider * noise])
+        inverse = np.linalg.inv(both)
+        y = z[part] - x @ H[k, part].T
+        far = np.sqrt(np.maximum(np.einsum("pi,pij,pj->p", y, inverse[1], y), 0.0))
+        y = y * np.minimum(1.0, _REACH / np.maximum(far, 1e-300))[:, None]
+        g = (inverse @ y[:, :, None])[..., 0]
+        determinant = np.linalg.slogdet(both)[1] + part.size * np.log(2.0 * np.pi)
+        logs = log_share - 0.5 * (determinant + (y * g).sum(axis=-1))
+        top = logs.max(axis=0)
+        weights = np.exp(logs - top)
+        norm = weights.sum(axis=0)
+        total += top + np.log(norm)
+        weights /= norm
+        score = (weights[..., None] * g).sum(axis=0)
+        spread = g - score
+        information = (weights[..., None, None] * (inverse - spread[..., :, None] * spread[..., None, :])).sum(axis=0)
+        x = x + (C @ score[:, :, None])[..., 0]
+        P = P - C @ information @ np.swapaxes(C, -1, -2)
+        P = 0.5 * (P + np.swapaxes(P, -1, -2))
+    return np.where(np.isfinite(total), total, -np.inf)

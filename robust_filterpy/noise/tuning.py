@@ -1,0 +1,239 @@
+"""One call from a recording to a filter: fit the noises, try each kind of filter, return the one that follows best."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+from robust_filterpy.correction.mixture import ContaminatedScore
+from robust_filterpy.correction.options import Grouping
+from robust_filterpy.filters import (
+    AdaptiveKalmanFilter,
+    NoiseMatchedKalmanFilter,
+    RecoveringKalmanFilter,
+    TwoSidedKalmanFilter,
+)
+from robust_filterpy.noise.estimation import Groups, NoiseEstimate, estimate_noise
+
+__all__ = ["Tuned", "tune"]
+
+# Where no outlier was seen, the filter still expects one in 500.
+_LEAST_CONTAMINATION = 0.002
+# What a filter more than the simplest has to gain, so that chance does not choose it.
+_GAIN = 0.1
+# The running median spans at least so many samples, and four of the runs in which outliers come.
+_SPAN = 15
+_REASONS = {
+    "one-sided": "measurement outliers come one by one and the process is ordinary",
+    "adaptive": "the noises change, or outliers come in runs, or the process is not ordinary all the time",
+    "two-sided": "the state jumps, and is believed at once",
+    "recovering": "the state jumps, and measurements that insist are believed",
+}
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """Hold what `tune` chose.
+
+    Attributes
+    ----------
+    filter : RobustKalmanFilter
+        The filter, configured, at the x and P of the one that was given.
+    kind : {"one-sided", "adaptive", "two-sided", "recovering"}
+        Which kind it is.
+    noise : NoiseEstimate
+        What was fitted.
+    scores : dict of str to float
+        Mean square of the running median of each kind's innovations over that of white ordinary innovations: how far
+        the filter is off for longer than outliers last.
+    report : str
+        The choice in words.
+    """
+
+    filter: Any
+    kind: str
+    noise: NoiseEstimate
+    scores: dict[str, float]
+    report: str
+
+    def __str__(self) -> str:
+        """Return the report."""
+        return self.report
+
+
+def tune(
+    kf: Any,
+    zs: Any,
+    *,
+    us: Any = None,
+    Fs: Any = None,
+    Qs: Any = None,
+    Hs: Any = None,
+    Rs: Any = None,
+    R: Groups = "each",
+    Q: Groups = True,
+    grouping: Grouping | None = None,
+) -> Tuned:
+    """Return a filter configured for the noises of a recording.
+
+    Fits R, Q, contamination and scale ratio (`estimate_noise`), runs a filter of each kind over the recording, and
+    takes the simplest unless another follows the state clearly better. What tells so without the truth is the running
+    median of the innovations: outliers do not move it, a filter that is off does.
+
+    Parameters
+    ----------
+    kf : KalmanFilter
+        A linear filter of filterpy or of this package, with F, H, x, P set and R, Q as the first guess. It is not
+        changed.
+    zs : array_like, shape (N,) or (N, dim_z), or sequence
+        Measurements as `batch_filter` takes them, some hundreds at least: NaN and None are missing.
+    us : array_like, shape (N,) or (N, dim_u), optional
+        Control inputs.
+    Fs, Qs, Hs, Rs : sequence of length N, optional
+        Matrices of each step, otherwise the filter's own. Qs and Rs are multiplied by the fitted factors.
+    R, Q : bool, "each" or sequence of int
+        What to scale, as in `estimate_noise`; by default each sensor's variance, and Q as a whole.
+    grouping : {"component", "joint"}, optional
+        Whether sensors fail each on its own or together. Default: as kf has it, else "component".
+
+    Returns
+    -------
+    Tuned
+
+    Raises
+    ------
+    TypeError
+        If kf is no linear filter of filterpy's kind.
+    ValueError
+        If the recording has fewer than 10 measurements, or an option or shape does not fit.
+
+    Notes
+    -----
+    The kinds: "one-sided" is `NoiseMatchedKalmanFilter` with the fitted numbers; "adaptive" `AdaptiveKalmanFilter`,
+    which starts with what it has learnt from this recording; "two-sided" `TwoSidedKalmanFilter`; "recovering"
+    `RecoveringKalmanFilter`. Whatever is not the first must have a score lower by 10 %.
+
+    On recordings with `Qs` or `Rs` the filter that is returned has its own Q and R scaled; scale the matrices of each
+    step by ``noise.Q_scale`` and ``noise.R_scale`` when it runs.
+
+    Examples
+    --------
+    >>> from robust_filterpy import RobustKalmanFilter
+    >>> rng = np.random.default_rng(0)
+    >>> level = np.cumsum(0.5 * rng.standard_normal(400))
+    >>> zs = level + np.where(rng.random(400) < 0.1, 20.0, 2.0) * rng.standard_normal(400)
+    >>> kf = RobustKalmanFilter(1, 1)
+    >>> kf.H = np.eye(1)
+    >>> tuned = tune(kf, zs)
+    >>> tuned.kind
+    'one-sided'
+    >>> means, *_ = tuned.filter.batch_filter(zs)
+    """
+    if hasattr(kf, "structure"):
+        raise TypeError("kf: expected a linear filter, got a ParameterTracker; use estimate_noise(tracker, y, us=u)")
+    grouping = getattr(kf, "grouping", "component") if grouping is None else grouping
+    _checks.option("grouping", grouping, ("component", "joint"))
+    noise = estimate_noise(kf, zs, us=us, Fs=Fs, Qs=Qs, Hs=Hs, Rs=Rs, R=R, Q=Q)
+    steps = {
+        "Fs": Fs, "Hs": Hs, "us": us,
+        "Qs": None if Qs is None else [_by_factors(Q_k, noise.Q_scale) for Q_k in Qs],
+        "Rs": None if Rs is None else [_by_factors(R_k, noise.R_scale) for R_k in Rs],
+    }  # fmt: skip
+    kinds = _kinds(noise, grouping)
+    tried = {name: _with_model(build, kf, noise) for name, build in kinds.items()}
+    runs = {name: _innovations(filter, zs, steps) for name, filter in tried.items()}
+    span = _span(tried["adaptive"])
+    ordinary = np.nanmedian(runs["one-sided"] ** 2, axis=0) / 0.455
+    scores = {name: _score(y, ordinary, span) for name, y in runs.items()}
+    kind = min(scores, key=lambda name: scores[name] if name == "one-sided" else scores[name] / (1.0 - _GAIN))
+    chosen = _with_model(kinds[kind], kf, noise)
+    if kind == "adaptive":
+        chosen.learnt = tried[kind].learnt.copy()
+    return Tuned(chosen, kind, noise, scores, _report(kind, noise, scores, tried["adaptive"]))
+
+
+def _kinds(noise: NoiseEstimate, grouping: Any) -> dict[str, Callable[[int, int, int], Any]]:
+    """Return what builds each kind of filter, the simplest first."""
+    outliers = ContaminatedScore(max(noise.contamination, _LEAST_CONTAMINATION), noise.scale_ratio)
+    # Every combination of failing sensors is a hypothesis there; more than eight have to fail together.
+    return {
+        "one-sided": lambda n, m, l: NoiseMatchedKalmanFilter(
+            n, m, l, measurement=outliers, grouping=grouping if m <= 8 else "joint"
+        ),
+        "adaptive": lambda n, m, l: AdaptiveKalmanFilter(n, m, l, grouping=grouping),
+        "two-sided": lambda n, m, l: TwoSidedKalmanFilter(n, m, l, grouping=grouping),
+        "recovering": lambda n, m, l: RecoveringKalmanFilter(n, m, l, grouping=grouping),
+    }
+
+
+def _with_model(build: Callable[[int, int, int], Any], kf: Any, noise: NoiseEstimate) -> Any:
+    """Return a filter with the model of another and the noise that was fitted."""
+    filter = build(kf.dim_x, kf.dim_z, getattr(kf, "dim_u", 0))
+    for name in ("x", "P", "F", "H", "B", "M"):
+        value = getattr(kf, name, None)
+        if value is not None and not (name == "M" and np.shape(value) != (kf.dim_x, kf.dim_z)):
+            setattr(filter, name, np.array(value, dtype=float))
+    filter._alpha_sq, filter.inv = getattr(kf, "_alpha_sq", 1.0), getattr(kf, "inv", np.linalg.inv)
+    return noise.apply(filter)
+
+
+def _innovations(filter: Any, zs: Any, steps: dict[str, Any]) -> Array:
+    """Return the innovations of a recording, NaN where a component was missing, shape (N, m)."""
+    kept = []
+
+    class Recorder:
+        """Stand where filterpy puts its Saver."""
+
+        def save(self) -> None:
+            """Keep the innovation."""
+            kept.append(np.where(np.isnan(filter.weights), np.nan, filter.y).ravel())
+
+    filter.batch_filter(zs, saver=Recorder(), **steps)
+    return np.array(kept)
+
+
+def _span(adaptive: AdaptiveKalmanFilter) -> int:
+    """Return the length of the running median, odd: outliers that come in runs must stay the minority in it."""
+    return max(_SPAN, 4 * int(np.ceil(adaptive.noise.run_length.max())) + 1)
+
+
+def _score(y: Array, ordinary: Array, span: int) -> float:
+    """Return the mean square of the running median, 1 for white ordinary innovations."""
+    total = 0.0
+    for values, variance in zip(y.T, ordinary, strict=True):
+        known = values[~np.isnan(values)]
+        medians = median_filter(known, min(span, len(known)), mode="nearest")
+        # The median of n normal numbers has pi/2 times the variance of their mean.
+        total += float(np.mean(medians[len(medians) // 10 :] ** 2)) * span / (0.5 * np.pi * max(variance, 1e-300))
+    return total / len(ordinary)
+
+
+def _by_factors(covariance: Any, factors: Array) -> Array:
+    """Multiply variances by factors and keep correlations."""
+    root = np.sqrt(factors)
+    return np.asarray(root[:, None] * (np.asarray(covariance, dtype=float) * np.ones((len(root),) * 2)) * root)
+
+
+def _report(kind: str, noise: NoiseEstimate, scores: dict[str, float], adaptive: AdaptiveKalmanFilter) -> str:
+    """Return the choice in words."""
+    factor = ", ".join(f"{v:.3g}" for v in noise.R_scale)
+    lines = [
+        f"R times {factor}; Q times {', '.join(f'{v:.3g}' for v in dict.fromkeys(noise.Q_scale.tolist()))}.",
+        f"{100 * noise.contamination:.1f} % outliers, {noise.scale_ratio:.1f} times as large."
+        if noise.contamination > _LEAST_CONTAMINATION
+        else "No outliers.",
+        f"Off for longer than outliers last (1: never): {', '.join(f'{k} {v:.2f}' for k, v in scores.items())}.",
+        f"{kind}: {_REASONS[kind]}.",
+    ]
+    run = float(adaptive.noise.run_length.max())
+    if noise.contamination > _LEAST_CONTAMINATION and run > 3.0:
+        lines.insert(2, f"Outliers come in runs of about {run:.0f}.")
+    if not noise.converged:
+        lines.append(f"Doubtful: {noise.message}.")
+    return "\n".join(lines)

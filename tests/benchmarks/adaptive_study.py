@@ -1,0 +1,212 @@
+"""Compare the filter that learns its noise with peers, on noises, jumps and models that nobody told it.
+
+Run ``python tests/benchmarks/adaptive_study.py [--table NAME] [--runs N] [--seed S] [--jobs J] [--quick]``. All filters
+see the same recordings; intervals are 95 % bootstrap intervals over them. What the peers' authors tune by the truth is
+tuned so here, for each kind of noise anew, on two recordings of other seeds. --quick leaves the peers out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from adaptive_problems import NOISES, Case, point, vehicle, with_labels
+from filterpy.kalman import KalmanFilter
+from joblib import Parallel, delayed
+from outlier_problems import gate
+from peers import adaptive as adaptive_peers
+from peers import iskf, student_t, wolf
+from peers.recursion import filtered
+
+from robust_filterpy import NoiseMatchedKalmanFilter, RobustKalmanFilter, TwoSidedKalmanFilter
+from robust_filterpy.correction.mixture import ContaminatedScore
+from robust_filterpy.experiments import bootstrap_interval
+from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter
+
+Estimator = Callable[[Case], np.ndarray]
+LABELS, KALMAN, ADAPTIVE = "told every size", "Kalman", "adaptive"
+#: Whole process variance where a tenth has ten times the deviation.
+WHOLE = 1.0 + 0.1 * 99.0
+TUNING_SEED = 90_000
+
+
+def of_filter(build: Callable[[int, int], Any], q_scale: float = 1.0) -> Estimator:
+    """Return the estimates of a filter of filterpy's kind."""
+
+    def estimate(case: Case) -> np.ndarray:
+        kf = build(len(case.x0), len(case.R))
+        kf.F, kf.H, kf.Q, kf.R = case.F, case.H, q_scale * case.Q, case.R
+        kf.x, kf.P = case.x0.copy(), case.P0.copy()
+        return np.asarray(kf.batch_filter(case.zs)[0])
+
+    return estimate
+
+
+def ours() -> dict[str, Estimator]:
+    """Return the filters of this package, and filterpy's."""
+    told = ContaminatedScore(0.1, 10.0)
+    return {
+        KALMAN: of_filter(KalmanFilter),
+        "Huber": of_filter(partial(RobustKalmanFilter, grouping="joint")),
+        "told mixture .1, 10": of_filter(partial(NoiseMatchedKalmanFilter, measurement=told)),
+        "two-sided": of_filter(partial(TwoSidedKalmanFilter, grouping="joint")),
+        "adaptive, process trusted": of_filter(partial(AdaptiveKalmanFilter, process_scales=(1.0,), grouping="joint")),
+        ADAPTIVE: of_filter(partial(AdaptiveKalmanFilter, grouping="joint")),
+    }
+
+
+def tuned(make: Any, grid: list[dict[str, float]], q_scale: float = 1.0) -> Any:
+    """Return a function of (recordings, error) that chooses from a grid what does best on them."""
+
+    def choose(cases: list[Case], error: Callable[[np.ndarray, Case], float]) -> Estimator:
+        def loss(choice: dict[str, float]) -> float:
+            return float(np.mean([error(filtered(case, make(**choice), q_scale), case) for case in cases]))
+
+        best = min(grid, key=loss)
+        return lambda case: filtered(case, make(**best), q_scale)
+
+    return choose
+
+
+PEERS = {
+    "WoLF IMQ, tuned": (wolf.imq, wolf.GRID),
+    "WoLF TMD, tuned": (wolf.tmd, wolf.GRID),
+    "ISKF one step, tuned": (iskf.one_step, iskf.GRID_ONE),
+    "ISKF two steps, tuned": (iskf.two_steps, iskf.GRID_TWO),
+    "Student t filter, tuned": (student_t.student_t, student_t.GRID),
+    "variational R, tuned": (adaptive_peers.variational, adaptive_peers.GRID_VARIATIONAL),
+    "innovation-based R, tuned": (adaptive_peers.innovation_based, adaptive_peers.GRID_WINDOW),
+}
+ONE_SIDED = ("WoLF IMQ, tuned", "WoLF TMD, tuned", "ISKF one step, tuned", "Student t filter, tuned")
+
+
+def compare(
+    title: str,
+    draw: Callable[[int], Case],
+    error: Callable[[np.ndarray, Case], float],
+    reference: str,
+    args: argparse.Namespace,
+    whole: float | None = None,
+) -> None:
+    """Print each filter's mean error over the reference's; with a factor for Q, one-sided filters with that too."""
+    begin = time.perf_counter()
+    filters = {LABELS: with_labels, **ours()}
+    if not args.quick:
+        filters["gate, 99.73 %"] = of_filter(gate)
+        practice = [draw(TUNING_SEED + k) for k in range(2)]
+        for name, (make, grid) in PEERS.items():
+            filters[name] = tuned(make, grid)(practice, error)
+        if whole is not None:
+            for name in ONE_SIDED:
+                make, grid = PEERS[name]
+                filters[f"{name}, Q x {whole:g}"] = tuned(make, grid, whole)(practice, error)
+            filters[f"Huber, Q x {whole:g}"] = of_filter(partial(RobustKalmanFilter, grouping="joint"), whole)
+
+    def trial(seed: int) -> list[float]:
+        case = draw(seed)
+        return [error(estimate(case), case) for estimate in filters.values()]
+
+    seeds = range(args.seed, args.seed + args.runs)
+    found = np.array(Parallel(n_jobs=args.jobs)(delayed(trial)(seed) for seed in seeds)).T
+    errors = dict(zip(filters, found, strict=True))
+    print(f"\n{title}; {args.runs} runs, {time.perf_counter() - begin:.0f} s; error over that of: {reference}\n")
+    print("| filter | ratio | 95 % interval |\n|---|---|---|")
+    for name, values in errors.items():
+        if name != reference:
+            ratio = bootstrap_interval((values, errors[reference]), "ratio", rng=args.seed)
+            print(f"| {name} | {ratio.estimate:.3f} | {ratio.low:.3f} to {ratio.high:.3f} |", flush=True)
+
+
+def mean_square(path: np.ndarray, case: Case, first: int = 300) -> float:
+    """Return the mean square error of the first state from a step on."""
+    return float(np.mean((path - case.truth)[first:, 0] ** 2))
+
+
+def root_mean_square(path: np.ndarray, case: Case) -> float:
+    """Return the root of the mean squared length of the error."""
+    return float(np.sqrt(((path - case.truth) ** 2).sum(axis=1).mean()))
+
+
+def noises(args: argparse.Namespace) -> None:
+    """Print a table for each kind of noise."""
+    for kind in NOISES:
+        compare(f"{kind}: mean square error", partial(point, kind=kind), mean_square, LABELS, args)
+
+
+def wrong(args: argparse.Namespace) -> None:
+    """Print tables for wrong R, and wrong Q, from the 1000th sample on."""
+    factors = [(1.0, 0.01), (1.0, 100.0), (0.01, 1.0), (0.1, 1.0), (10.0, 1.0), (100.0, 1.0), (0.1, 0.01), (0.1, 100.0)]
+    for q_factor, r_factor in factors:
+        for kind in ("clean", "mixture .1, scale 10"):
+            compare(
+                f"{kind}, Q times {q_factor:g}, R times {r_factor:g}: mean square error",
+                partial(point, kind=kind, q_factor=q_factor, r_factor=r_factor),
+                partial(mean_square, first=1000),
+                LABELS,
+                args,
+            )
+
+
+def vehicles(args: argparse.Namespace) -> None:
+    """Print the tables of Yang and Boyd's vehicle."""
+    for title, *how in (
+        ("both noises with 10 % outliers of 10 times the scale", 0.1, 0.1, 10.0),
+        ("both noises with 10 % outliers of 30 times the scale", 0.1, 0.1, 30.0),
+        ("clean", 0.0, 0.0, 1.0),
+        ("measurement outliers only", 0.0, 0.1, 10.0),
+    ):
+        draw = partial(_vehicle, how=how)
+        compare(f"Vehicle, {title}: RMSE of the state", draw, root_mean_square, KALMAN, args, WHOLE)
+
+
+def _vehicle(seed: int, how: list[float]) -> Case:
+    return vehicle(seed, *how)
+
+
+def jumps(args: argparse.Namespace) -> None:
+    """Print how many steps pass after a jump of the state until five in a row are within 3 deviations of R."""
+    sizes = (5.0, 10.0, 30.0, 100.0)
+    filters = {**ours(), "gate, 99.73 %": of_filter(gate)}
+
+    def trial(seed: int) -> list[list[float]]:
+        cases = [point(seed, "clean", 800, jump=size) for size in sizes]
+        return [[_steps_to_return(estimate(case), case) for case in cases] for estimate in filters.values()]
+
+    found = np.array(
+        Parallel(n_jobs=args.jobs)(delayed(trial)(seed) for seed in range(args.seed, args.seed + args.runs))
+    )
+    print(f"\nSteps to return after a jump of the position, median (95 % of runs within); {args.runs} runs\n")
+    print("| filter | " + " | ".join(f"{size:g} sigma" for size in sizes) + " |\n|" + "---|" * 5)
+    for k, name in enumerate(filters):
+        cells = [f"{np.median(c):.0f} ({np.quantile(c, 0.95, method='higher'):.0f})" for c in found[:, k].T]
+        print(f"| {name} | " + " | ".join(cells) + " |")
+
+
+def _steps_to_return(path: np.ndarray, case: Case, at: int = 500) -> float:
+    """Return the number of steps after a jump before five in a row are within 3, infinite if there is none."""
+    calm = np.convolve(np.abs(path - case.truth)[at:, 0] < 3.0, np.ones(5), "valid") == 5.0
+    return float(np.argmax(calm)) if calm.any() else np.inf
+
+
+TABLES = {"noises": noises, "jumps": jumps, "wrong": wrong, "vehicle": vehicles}
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Print the tables that were asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--table", choices=TABLES, action="append", help="only this one (may be repeated)")
+    parser.add_argument("--runs", type=int, default=12)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--quick", action="store_true", help="without the peers")
+    args = parser.parse_args(argv)
+    for name in args.table or TABLES:
+        TABLES[name](args)
+
+
+if __name__ == "__main__":
+    main()
