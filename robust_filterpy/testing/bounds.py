@@ -9,6 +9,7 @@ from scipy import stats
 
 from robust_filterpy import _checks
 
+
 def times(ratio: float) -> str:
     """Say by which factor a covariance is wrong, of squares that are so many times too large."""
     return f"{ratio:.2g} times too small" if ratio > 1 else f"{1 / max(ratio, 1e-300):.2g} times too large"

@@ -274,7 +274,15 @@ def selected(
         return subject(make, claims, (start, zlib.crc32(name.encode())), alpha)
 
     return [
-        Check(entry.name, entry.theorem, entry.stochastic, entry.needs, expected.get(entry.name), entry.function, subject_of)
+        Check(
+            entry.name,
+            entry.theorem,
+            entry.stochastic,
+            entry.needs,
+            expected.get(entry.name),
+            entry.function,
+            subject_of,
+        )
         for entry in register
         if entry.needs <= claims
     ]

@@ -106,9 +106,7 @@ def assert_unbiased(runs: Runs, *, factor: float = 1.0, false_alarm: float = 1e-
     fail(failures[-1:])
 
 
-def assert_innovations_white(
-    runs: Runs, *, lags: int = 5, tolerance: float = 0.0, false_alarm: float = 1e-6
-) -> None:
+def assert_innovations_white(runs: Runs, *, lags: int = 5, tolerance: float = 0.0, false_alarm: float = 1e-6) -> None:
     """Assert that an innovation tells nothing about the next ones.
 
     Parameters

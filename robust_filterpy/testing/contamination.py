@@ -297,9 +297,7 @@ def objects(kinds: Kinds) -> list[Contamination]:
     return found
 
 
-def spoilt(
-    z: Array, clean: Array, sigma: Array, kinds: Sequence[Contamination], rng: np.random.Generator
-) -> Spoilt:
+def spoilt(z: Array, clean: Array, sigma: Array, kinds: Sequence[Contamination], rng: np.random.Generator) -> Spoilt:
     """Spoil measurements.
 
     Parameters

@@ -10,15 +10,16 @@ from filterpy.kalman import KalmanFilter
 
 from robust_filterpy._checks import Array
 from robust_filterpy.testing import runs
-from robust_filterpy.testing.checks import not_applicable, promise
-from robust_filterpy.testing.contracts import assert_same_filter
-from robust_filterpy.testing.filter_subject import FILTER_PROMISES, FilterSubject, deviations, furthest, state
+from robust_filterpy.testing.checks import Promise, not_applicable, promise
+from robust_filterpy.testing.filter_subject import FilterSubject, deviations, furthest, state
 from robust_filterpy.testing.models import StateModel, range_bearing
 
 _SMALL = 1e-7
 
+PROMISES: list[Promise] = []
 
-@promise(FILTER_PROMISES, "prediction")
+
+@promise(PROMISES, "prediction")
 def prediction_moves_the_state_by_F(subject: FilterSubject) -> None:
     """x_prior = F x, with a full F that is not symmetric, for one step and for several."""
     model = subject.model()
@@ -33,7 +34,7 @@ def prediction_moves_the_state_by_F(subject: FilterSubject) -> None:
             raise AssertionError(f"prediction {k + 1}: x is off by {off:.2g} of its standard deviations from F x{like}")
 
 
-@promise(FILTER_PROMISES, "prediction")
+@promise(PROMISES, "prediction")
 def prediction_moves_the_covariance_by_F(subject: FilterSubject) -> None:
     """P_prior of two covariances P_1 and P_2 differ by F (P_1 - P_2) F'."""
     model = subject.model()
@@ -47,7 +48,7 @@ def prediction_moves_the_covariance_by_F(subject: FilterSubject) -> None:
     _compare(got, wanted, "F P F'", _alike(got, model.F.T @ (P2 - P1) @ model.F, "F' P F"))
 
 
-@promise(FILTER_PROMISES, "prediction")
+@promise(PROMISES, "prediction")
 def prediction_adds_Q_once(subject: FilterSubject) -> None:
     """With F = I a prediction adds Q to P, neither less nor more."""
     model = subject.model()
@@ -58,7 +59,7 @@ def prediction_adds_Q_once(subject: FilterSubject) -> None:
     _compare(got, model.Q, "Q", f"; the variances it adds are {ratio:.3g} times those of Q")
 
 
-@promise(FILTER_PROMISES, "prediction")
+@promise(PROMISES, "prediction")
 def control_input_moves_the_prediction(subject: FilterSubject) -> None:
     """x_prior = F x + B u, and P_prior does not depend on u."""
     model = subject.model(dim_u=2)
@@ -75,7 +76,7 @@ def control_input_moves_the_prediction(subject: FilterSubject) -> None:
     _compare(state(kf)[1], state(still)[1], "P_prior without an input", "")
 
 
-@promise(FILTER_PROMISES)
+@promise(PROMISES)
 def measurement_at_its_prediction_moves_nothing(subject: FilterSubject) -> None:
     """A measurement z = H x leaves x as it is: the innovation is z - H x."""
     model = subject.model()
@@ -87,7 +88,7 @@ def measurement_at_its_prediction_moves_nothing(subject: FilterSubject) -> None:
         raise AssertionError(f"z = H x moved the state by {moved:.2g} of its standard deviations: y is not z - H x")
 
 
-@promise(FILTER_PROMISES)
+@promise(PROMISES)
 def measurement_counts_at_once(subject: FilterSubject) -> None:
     """The state after update(z) depends on this z, not only on those before."""
     model = subject.model()
@@ -101,10 +102,12 @@ def measurement_counts_at_once(subject: FilterSubject) -> None:
         runs.measure(kf, model.H @ x + shift * np.sqrt(S.diagonal()), model)
         after.append(np.ravel(kf.x).astype(float))
     if np.allclose(after[0], after[1], rtol=1e-12, atol=0.0):
-        raise AssertionError("two measurements a standard deviation apart gave the same state: z is used later, or never")
+        raise AssertionError(
+            "two measurements a standard deviation apart gave the same state: z is used later, or never"
+        )
 
 
-@promise(FILTER_PROMISES)
+@promise(PROMISES)
 def estimate_moves_towards_the_measurement(subject: FilterSubject) -> None:
     """After a small innovation the residual z - H x+ is shorter than z - H x and of the same sign."""
     model = subject.model(2, 1)
@@ -119,7 +122,7 @@ def estimate_moves_towards_the_measurement(subject: FilterSubject) -> None:
         raise AssertionError(f"H x moved by {covered:.3g} of the innovation, expected between 0 and 1: {word}")
 
 
-@promise(FILTER_PROMISES)
+@promise(PROMISES)
 def measurement_makes_the_state_more_certain(subject: FilterSubject) -> None:
     """After a small innovation P - P+ is positive semidefinite and not zero."""
     model = subject.model()
@@ -136,7 +139,7 @@ def measurement_makes_the_state_more_certain(subject: FilterSubject) -> None:
         raise AssertionError(f"P grew in one direction by {-values[0]:.2g} of its size, expected P+ <= P")
 
 
-@promise(FILTER_PROMISES, "exact")
+@promise(PROMISES, "exact")
 def measurement_noise_is_R(subject: FilterSubject) -> None:
     """The R that the step of x and the shrinking of P imply is the R that was given, correlations included."""
     model = subject.model(2, 2).with_(H=np.array([[1.0, 0.4], [-0.3, 1.0]]))
@@ -160,7 +163,7 @@ def measurement_noise_is_R(subject: FilterSubject) -> None:
         )
 
 
-@promise(FILTER_PROMISES, "exact")
+@promise(PROMISES, "exact")
 def correction_is_the_kalman_gain_times_the_innovation(subject: FilterSubject) -> None:
     """x+ - x = P H' S^-1 (z - H x) with S = H P H' + R."""
     model = subject.model()
@@ -170,7 +173,7 @@ def correction_is_the_kalman_gain_times_the_innovation(subject: FilterSubject) -
     _compare(got, wanted, "the gain P H' S^-1", _ratio(got, wanted))
 
 
-@promise(FILTER_PROMISES, "exact")
+@promise(PROMISES, "exact")
 def correction_leaves_P_minus_K_S_K(subject: FilterSubject) -> None:
     """P+ = P - K S K' with the Kalman gain K."""
     model = subject.model()
@@ -181,7 +184,7 @@ def correction_leaves_P_minus_K_S_K(subject: FilterSubject) -> None:
     _compare(got, P - K @ S @ K.T, "P - K S K'", _alike(got, P, "P: it was not corrected"))
 
 
-@promise(FILTER_PROMISES, "exact")
+@promise(PROMISES, "exact")
 def two_sensors_after_one_another_are_both_at_once(subject: FilterSubject) -> None:
     """With independent noises, updates by one sensor after another are one update by both."""
     model = subject.model()
@@ -200,22 +203,7 @@ def two_sensors_after_one_another_are_both_at_once(subject: FilterSubject) -> No
     _compare(state(both)[1], P, "P after the sensors one by one", "")
 
 
-@promise(FILTER_PROMISES, "exact")
-def recording_is_filtered_as_by_the_kalman_filter(subject: FilterSubject) -> None:
-    """x and P are those of filterpy's KalmanFilter, call by call, over a recording."""
-    for dims in ((1, 1), (4, 2), (5, 3)):
-        model = subject.model(*dims)
-        zs = subject.recording(model, 40)
-        kf, reference = subject.new(model), runs.load(KalmanFilter(*dims), model)
-
-        def step(one: Any, z: Array, model: StateModel = model) -> None:
-            runs.step(one, z, model)
-
-        reference.x = reference.x.reshape(np.shape(kf.x))
-        assert_same_filter(kf, reference, zs, rtol=1e-6, step=step)
-
-
-@promise(FILTER_PROMISES)
+@promise(PROMISES)
 def nonlinear_sensor_is_linearised_at_the_prediction(subject: FilterSubject) -> None:
     """An extended filter asks for sensor and Jacobian at x_prior, and is the Kalman filter of that line."""
     model = range_bearing()
@@ -232,7 +220,9 @@ def nonlinear_sensor_is_linearised_at_the_prediction(subject: FilterSubject) -> 
     off = furthest(np.ravel(kf.x) - np.ravel(line.x), line.P)
     # A robust filter's psi is nearly linear for innovations as small as these.
     if off > (_SMALL if subject.is_exact else 0.2):
-        raise AssertionError(f"x is off by {off:.2g} of its standard deviations from the filter of the linearised sensor")
+        raise AssertionError(
+            f"x is off by {off:.2g} of its standard deviations from the filter of the linearised sensor"
+        )
 
 
 def _gain(subject: FilterSubject, model: StateModel) -> tuple[Array, Array]:

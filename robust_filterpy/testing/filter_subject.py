@@ -10,11 +10,11 @@ import numpy as np
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.testing import runs
-from robust_filterpy.testing.checks import Promise, Subject, not_applicable
+from robust_filterpy.testing.checks import Subject
 from robust_filterpy.testing.models import StateModel, random_stable
 from robust_filterpy.testing.scenarios import Scenario, draw
 
-__all__ = ["FILTER_PROMISES", "FILTER_TAGS", "FilterSubject"]
+__all__ = ["FILTER_TAGS", "FilterSubject"]
 
 #: What a filter can claim; `check_filter` tests all of it that is not in not_claimed.
 FILTER_TAGS = {
@@ -29,9 +29,6 @@ FILTER_TAGS = {
     "validates": "bad input raises, and a refused call changes nothing",
     "pickle": "it can be pickled",
 }
-
-#: Every promise of a filter, filled by the modules that define them.
-FILTER_PROMISES: list[Promise] = []
 
 # How far a filter that is no Kalman filter may be off in its own judgement of its errors on clean normal data.
 _FACTOR = 1.5

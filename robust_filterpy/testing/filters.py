@@ -5,16 +5,26 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from robust_filterpy.testing import filter_contracts as _contracts
-from robust_filterpy.testing import filter_equations as _equations
-from robust_filterpy.testing import filter_statistics as _statistics
+from robust_filterpy.testing import (
+    filter_contracts,
+    filter_dependence,
+    filter_display,
+    filter_equations,
+    filter_statistics,
+)
 from robust_filterpy.testing.checks import Check, CheckResult, run_checks, selected
-from robust_filterpy.testing.filter_subject import FILTER_PROMISES, FILTER_TAGS, FilterSubject
+from robust_filterpy.testing.filter_subject import FILTER_TAGS, FilterSubject
 
 __all__ = ["check_filter", "filter_checks"]
 
-# Importing the modules has registered their promises.
-assert_registered = (_equations, _contracts, _statistics)
+#: From what breaks everything to what only shows in the long run, so that the first failure is the one to look at.
+PROMISES = (
+    *filter_contracts.PROMISES,
+    *filter_equations.PROMISES,
+    *filter_dependence.PROMISES,
+    *filter_display.PROMISES,
+    *filter_statistics.PROMISES,
+)
 
 
 def filter_checks(
@@ -57,7 +67,7 @@ def filter_checks(
         def test_my_filter(check):
             check(MyFilter)
     """
-    return selected(FILTER_PROMISES, FILTER_TAGS, FilterSubject, not_claimed, expected_failures, seed, false_alarm)
+    return selected(PROMISES, FILTER_TAGS, FilterSubject, not_claimed, expected_failures, seed, false_alarm)
 
 
 def check_filter(

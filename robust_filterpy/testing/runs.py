@@ -162,7 +162,9 @@ def load(kf: Any, model: StateModel) -> Any:
     n, m, _ = model.dims
     for name in ("x", "predict", "update"):
         if not hasattr(kf, name):
-            raise TypeError(f"kf: expected a filter with x, P, predict() and update(z), {type(kf).__name__} has no {name}")
+            raise TypeError(
+                f"kf: expected a filter with x, P, predict() and update(z), {type(kf).__name__} has no {name}"
+            )
     found = (np.size(kf.x), getattr(kf, "dim_z", m))
     if found != (n, m):
         raise ValueError(f"kf: expected dim_x={n}, dim_z={m} for this model, got dim_x={found[0]}, dim_z={found[1]}")

@@ -21,7 +21,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.testing import runs
 from robust_filterpy.testing.contamination import Kinds, objects, spoilt
 from robust_filterpy.testing.models import MODELS, StateModel
-from robust_filterpy.testing.plant_scenarios import PLANTS, Plant, draw_plant, jump_rows, jump_rows
+from robust_filterpy.testing.plant_scenarios import PLANTS, Plant, draw_plant, jump_rows
 from robust_filterpy.testing.runs import FilterRun
 
 __all__ = ["Scenario", "draw"]

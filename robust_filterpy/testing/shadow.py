@@ -60,7 +60,7 @@ class FilterComparison:
     number : int
         Filters are counted as the program uses them, from 1.
     where : str
-        File and line where the program first used it.
+        File and line where the program made it, or first used it if that was before.
     calls, updates : int
         How often it was called, and how many of these were corrections.
     first_difference : int or None
@@ -107,11 +107,15 @@ class FilterComparison:
         one, two = self.seconds
         lines = [f"Filter {self.number}, {self.where}: {self.calls} calls, {self.updates} of them corrections."]
         if self.first_apart is not None:
-            lines.append(f"  They part at call {self.first_apart} ({self.apart_in}); at most {self.largest:.2g} sigma apart.")
+            lines.append(
+                f"  They part at call {self.first_apart} ({self.apart_in}); at most {self.largest:.2g} sigma apart."
+            )
         else:
             lines.append(f"  They never part; at most {self.largest:.2g} sigma apart.")
         share = self.doubted / max(self.updates, 1)
-        lines.append(f"  {self.doubted} corrections doubted ({share:.1%}); time {two / max(one, 1e-12):.2f} of the program's.")
+        lines.append(
+            f"  {self.doubted} corrections doubted ({share:.1%}); time {two / max(one, 1e-12):.2f} of the program's."
+        )
         if self.failure:
             lines.append(f"  The shadow ended at call {self.calls}: {self.failure}")
         if self.diagnosis is not None:
@@ -291,7 +295,7 @@ class _Stage:
 
     def __init__(self, first: type, second: Callable[..., Any], report: SideBySide) -> None:
         self.first, self.second, self.report = first, second, report
-        self.made: weakref.WeakKeyDictionary[Any, tuple[Any, Any]] = weakref.WeakKeyDictionary()
+        self.made: weakref.WeakKeyDictionary[Any, tuple[Any, Any, str]] = weakref.WeakKeyDictionary()
         self.pairs: weakref.WeakKeyDictionary[Any, _Pair] = weakref.WeakKeyDictionary()
         self.busy = False
 
@@ -304,7 +308,7 @@ class _Stage:
                 return method(kf, *args, **kwargs)
             if name == "__init__":
                 method(kf, *args, **kwargs)
-                self.made[kf] = (args, kwargs)
+                self.made[kf] = (args, kwargs, _caller())
                 return None
             return self._both(kf, name, method, args, kwargs)
 
@@ -346,8 +350,8 @@ class _Stage:
     def _new_pair(self, kf: Any) -> _Pair:
         """Make the shadow of a filter that is used for the first time."""
         sizes = [getattr(kf, size) for size in ("dim_x", "dim_z", "dim_u") if hasattr(kf, size)]
-        args, kwargs = self.made.get(kf, (sizes, {}))
-        comparison = FilterComparison(len(self.report.filters) + 1, _caller())
+        args, kwargs, where = self.made.get(kf) or (sizes, {}, _caller())
+        comparison = FilterComparison(len(self.report.filters) + 1, where)
         self.report.filters.append(comparison)
         pair = self.pairs[kf] = _Pair(comparison, self.second(*args, **kwargs))
         return pair
@@ -362,4 +366,3 @@ def _caller() -> str:
             break
         frame = frame.f_back
     return f"{frame.f_code.co_filename.rsplit('/', 1)[-1]}:{frame.f_lineno}"
-

@@ -10,12 +10,14 @@ import numpy as np
 
 from robust_filterpy.identification import ARX
 from robust_filterpy.testing import contracts
-from robust_filterpy.testing.checks import not_applicable, promise
+from robust_filterpy.testing.checks import Promise, not_applicable, promise
 from robust_filterpy.testing.consistency import assert_covariance_stays_one
-from robust_filterpy.testing.tracker_subject import TRACKER_PROMISES, TrackerSubject, advance, theta_of
+from robust_filterpy.testing.tracker_subject import TrackerSubject, advance, theta_of
+
+PROMISES: list[Promise] = []
 
 
-@promise(TRACKER_PROMISES)
+@promise(PROMISES)
 def output_counts_at_once(subject: TrackerSubject) -> None:
     """theta after update(y, u) depends on this y, not only on those before."""
     scenario = subject.draw("arx", 20)
@@ -28,7 +30,7 @@ def output_counts_at_once(subject: TrackerSubject) -> None:
         raise AssertionError("two outputs a standard deviation apart gave the same theta: y is used later, or never")
 
 
-@promise(TRACKER_PROMISES)
+@promise(PROMISES)
 def inputs_are_copied(subject: TrackerSubject) -> None:
     """The caller may fill the same array with the next input: what is remembered is a copy."""
     scenario = subject.draw("arx", 30)
@@ -43,7 +45,7 @@ def inputs_are_copied(subject: TrackerSubject) -> None:
         raise AssertionError("an input array that is filled anew changes what was given before: keep a copy of it")
 
 
-@promise(TRACKER_PROMISES)
+@promise(PROMISES)
 def estimates_handed_out_stay_as_they_were(subject: TrackerSubject) -> None:
     """tracker.theta, kept in a list at each sample, is not changed by later samples."""
     scenario = subject.draw("arx", 20)
@@ -55,7 +57,7 @@ def estimates_handed_out_stay_as_they_were(subject: TrackerSubject) -> None:
         raise AssertionError("a theta that was kept from an earlier sample has changed: it is written in place")
 
 
-@promise(TRACKER_PROMISES)
+@promise(PROMISES)
 def two_trackers_share_nothing(subject: TrackerSubject) -> None:
     """A tracker at work changes neither another one nor what those made later find."""
     scenario = subject.draw("arx", 40)
@@ -69,19 +71,19 @@ def two_trackers_share_nothing(subject: TrackerSubject) -> None:
         raise AssertionError("the same data gave another theta the second time: something is left of the first tracker")
 
 
-@promise(TRACKER_PROMISES)
+@promise(PROMISES)
 def deepcopies_go_on_alike(subject: TrackerSubject) -> None:
     """A deepcopy goes on as the original does, bit for bit, and neither moves the other."""
     _round_trip(subject, "deepcopy")
 
 
-@promise(TRACKER_PROMISES, "pickle")
+@promise(PROMISES, "pickle")
 def pickles_go_on_alike(subject: TrackerSubject) -> None:
     """An unpickled tracker goes on as the original does, bit for bit."""
     _round_trip(subject, "pickle")
 
 
-@promise(TRACKER_PROMISES)
+@promise(PROMISES)
 def stored_states_go_on_alike(subject: TrackerSubject) -> None:
     """What state() returned, restored into a new tracker, goes on as the original does, bit for bit."""
     scenario = subject.draw("armax" if "armax" in subject.claims else "arx", 60)
@@ -96,7 +98,7 @@ def stored_states_go_on_alike(subject: TrackerSubject) -> None:
         raise AssertionError("the restored tracker ended elsewhere: something of the memory is not in the state")
 
 
-@promise(TRACKER_PROMISES)
+@promise(PROMISES)
 def run_is_update_by_update(subject: TrackerSubject) -> None:
     """run(y, u) leaves the parameters that a loop over update(y, u) leaves, and goes on where the last run ended."""
     scenario = subject.draw("arx", 60)
@@ -109,7 +111,7 @@ def run_is_update_by_update(subject: TrackerSubject) -> None:
         raise AssertionError(f"run gives theta = {np.round(theta_of(one), 4)}, update {np.round(theta_of(other), 4)}")
 
 
-@promise(TRACKER_PROMISES)
+@promise(PROMISES)
 def prediction_changes_nothing(subject: TrackerSubject) -> None:
     """predict() returns phi(k+1)' theta of the past, and the tracker goes on as if it had not been called."""
     scenario = subject.draw("arx", 40)
@@ -129,7 +131,7 @@ def prediction_changes_nothing(subject: TrackerSubject) -> None:
         raise AssertionError("asking for predictions changed what was learnt")
 
 
-@promise(TRACKER_PROMISES, "missing")
+@promise(PROMISES, "missing")
 def missing_output_is_no_information(subject: TrackerSubject) -> None:
     """update(NaN, u) leaves theta as it is and P no smaller; what it cannot measure a tracker predicts."""
     scenario = subject.clean("arx", 120)
@@ -150,7 +152,7 @@ def missing_output_is_no_information(subject: TrackerSubject) -> None:
         )
 
 
-@promise(TRACKER_PROMISES)
+@promise(PROMISES)
 def covariance_stays_one(subject: TrackerSubject) -> None:
     """P stays symmetric and positive semidefinite while the input says nothing new."""
     scenario = subject.draw("arx", 400)
@@ -174,7 +176,7 @@ BAD_SAMPLES: dict[str, tuple[Any, Any]] = {
 }
 
 
-@promise(TRACKER_PROMISES, "validates")
+@promise(PROMISES, "validates")
 def bad_input_is_refused_and_changes_nothing(subject: TrackerSubject) -> None:
     """A y or u that cannot be right raises ValueError or TypeError, and theta, P and what follows are as before."""
     scenario, faults = subject.draw("arx", 20), []

@@ -8,15 +8,17 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy.identification import ARX, FIR, OutputError
-from robust_filterpy.testing.checks import not_applicable, promise
+from robust_filterpy.testing.checks import Promise, not_applicable, promise
 from robust_filterpy.testing.plant_scenarios import Plant, PlantScenario
-from robust_filterpy.testing.tracker_subject import TRACKER_PROMISES, TrackerSubject, advance, theta_of
+from robust_filterpy.testing.tracker_subject import TrackerSubject, advance, theta_of
 from robust_filterpy.testing.tracking import assert_interval_coverage, assert_stable_model, assert_tracks
 
 _FOUND = 0.02
 
+PROMISES: list[Promise] = []
 
-@promise(TRACKER_PROMISES)
+
+@promise(PROMISES)
 def autoregression_has_the_sign_of_A(subject: TrackerSubject) -> None:
     """A(q) = 1 + a_1 q^-1 + ..: without noise y(k) = .8 y(k-1) + .. gives a_1 = -.8, not .8."""
     found, truth = _last(subject, Plant(ARX(1, 1), np.array([-0.8, 1.0])))
@@ -24,7 +26,7 @@ def autoregression_has_the_sign_of_A(subject: TrackerSubject) -> None:
         raise AssertionError(f"a1 = {found[0]:.3g}, expected {truth[0]:g}: phi holds y(k-1), expected -y(k-1)")
 
 
-@promise(TRACKER_PROMISES)
+@promise(PROMISES)
 def parameters_stand_in_the_order_of_the_structure(subject: TrackerSubject) -> None:
     """theta = [a_1 .. a_na, b_1 .. b_nb], b_1 with the latest input."""
     for plant in (Plant(FIR(3), np.array([1.0, 2.0, 3.0])), Plant(ARX(1, 2), np.array([-0.5, 1.0, 2.0]))):
@@ -33,7 +35,7 @@ def parameters_stand_in_the_order_of_the_structure(subject: TrackerSubject) -> N
             raise AssertionError(f"{plant.structure}: theta = {np.round(found, 2)}, expected {truth}: another order")
 
 
-@promise(TRACKER_PROMISES)
+@promise(PROMISES)
 def inputs_act_after_their_delay(subject: TrackerSubject) -> None:
     """With nk = 1 and nk = 3 the input of nk samples ago is what b_1 multiplies."""
     for nk in (1, 3):
@@ -42,16 +44,18 @@ def inputs_act_after_their_delay(subject: TrackerSubject) -> None:
             raise AssertionError(f"b1 = {found[0]:.3g} for y(k) = 2 u(k-{nk}) without noise, expected 2")
 
 
-@promise(TRACKER_PROMISES)
+@promise(PROMISES)
 def regressor_holds_the_past_alone(subject: TrackerSubject) -> None:
     """Where y is noise of its own, theta stays near 0: y(k) is not explained by itself."""
     scenario = subject.draw(Plant(ARX(1, 1), np.array([0.0, 0.0])), 200)
     theta = theta_of(advance(subject.new(scenario), scenario))
     if not np.abs(theta).max() < 0.5:
-        raise AssertionError(f"theta = {np.round(theta, 2)} for white noise, expected about 0: y(k) stands in its own phi")
+        raise AssertionError(
+            f"theta = {np.round(theta, 2)} for white noise, expected about 0: y(k) stands in its own phi"
+        )
 
 
-@promise(TRACKER_PROMISES)
+@promise(PROMISES)
 def noiseless_parameters_are_found(subject: TrackerSubject) -> None:
     """Without noise the parameters of FIR and ARX models are found."""
     for plant in ("fir", "arx"):
@@ -60,7 +64,7 @@ def noiseless_parameters_are_found(subject: TrackerSubject) -> None:
             raise AssertionError(f"{plant}: theta = {np.round(found, 3)} without noise, expected {truth}")
 
 
-@promise(TRACKER_PROMISES, "several inputs")
+@promise(PROMISES, "several inputs")
 def several_inputs_are_told_apart(subject: TrackerSubject) -> None:
     """Without noise the parameters of a model with two inputs are found."""
     structure, theta = FIR((2, 1), nk=(1, 2)), np.array([1.0, -0.5, 2.0])
@@ -73,7 +77,7 @@ def several_inputs_are_told_apart(subject: TrackerSubject) -> None:
         raise AssertionError(f"theta = {np.round(theta_of(tracker), 3)} without noise, expected {theta}")
 
 
-@promise(TRACKER_PROMISES, "exact")
+@promise(PROMISES, "exact")
 def parameters_are_those_of_least_squares(subject: TrackerSubject) -> None:
     """theta = (Phi' Phi / R + P_0^-1)^-1 (Phi' y / R + P_0^-1 theta_0), with the prior that the tracker starts from."""
     for scenario in (subject.draw("fir", 60), subject.draw("arx", 60)):
@@ -86,7 +90,7 @@ def parameters_are_those_of_least_squares(subject: TrackerSubject) -> None:
             )
 
 
-@promise(TRACKER_PROMISES, "exact")
+@promise(PROMISES, "exact")
 def covariance_is_that_of_least_squares(subject: TrackerSubject) -> None:
     """P = (Phi' Phi / R + P_0^-1)^-1: nothing is forgotten, and R counts."""
     scenario = subject.draw("arx", 60)
@@ -96,7 +100,7 @@ def covariance_is_that_of_least_squares(subject: TrackerSubject) -> None:
         raise AssertionError(f"the trace of P is {ratio:.3g} times that of least squares after 60 samples")
 
 
-@promise(TRACKER_PROMISES)
+@promise(PROMISES)
 def standard_deviations_are_the_roots_of_P(subject: TrackerSubject) -> None:
     """std = sqrt(diag P), where a tracker shows both."""
     scenario = subject.draw("arx", 20)
@@ -107,7 +111,7 @@ def standard_deviations_are_the_roots_of_P(subject: TrackerSubject) -> None:
         raise AssertionError(f"std = {tracker.std}, expected {np.sqrt(np.diagonal(tracker.P))}")
 
 
-@promise(TRACKER_PROMISES, "intervals", stochastic=True)
+@promise(PROMISES, "intervals", stochastic=True)
 def intervals_hold_the_truth(subject: TrackerSubject) -> None:
     """The 90 % intervals theta -+ 1.64 std hold the truth in 90 % of runs."""
     runs = [subject.run(subject.draw("fir", 40)) for _ in range(120)]
@@ -117,28 +121,28 @@ def intervals_hold_the_truth(subject: TrackerSubject) -> None:
     assert_interval_coverage(runs, level=0.9, tolerance=tolerance, false_alarm=subject.false_alarm)
 
 
-@promise(TRACKER_PROMISES, stochastic=True)
+@promise(PROMISES, stochastic=True)
 def clean_data_are_used_well(subject: TrackerSubject) -> None:
     """On clean data the squared error is not much more than that of least squares."""
     runs = [subject.run(subject.draw("fir", 80)) for _ in range(20)]
     assert_tracks(runs, at_least=0.9 if subject.is_exact else 0.5, skip=40, false_alarm=subject.false_alarm)
 
 
-@promise(TRACKER_PROMISES, "drift", stochastic=True)
+@promise(PROMISES, "drift", stochastic=True)
 def moving_parameters_are_followed(subject: TrackerSubject) -> None:
     """Parameters on a random walk are followed almost as well as by the Kalman tracker that is told Q."""
     runs = [subject.run(subject.draw("fir", 120, drift=0.01)) for _ in range(20)]
     assert_tracks(runs, at_least=0.9 if subject.is_exact else 0.5, skip=20, false_alarm=subject.false_alarm)
 
 
-@promise(TRACKER_PROMISES, "robust", stochastic=True)
+@promise(PROMISES, "robust", stochastic=True)
 def outliers_cost_little(subject: TrackerSubject) -> None:
     """With one output in ten of ten times the noise the squared error stays near that of the label-knowing tracker."""
     runs = [subject.run(subject.draw("fir", 120, contamination="mixture")) for _ in range(30)]
     assert_tracks(runs, at_least=0.4, skip=40, false_alarm=subject.false_alarm)
 
 
-@promise(TRACKER_PROMISES, "robust")
+@promise(PROMISES, "robust")
 def influence_of_one_output_is_bounded(subject: TrackerSubject) -> None:
     """An output of 1e2 to 1e12 standard deviations moves theta by at most ten of its own, once it is known a little."""
     scenario = subject.draw("fir", 30)
@@ -153,19 +157,19 @@ def influence_of_one_output_is_bounded(subject: TrackerSubject) -> None:
             raise AssertionError(f"an outlier of {size:.0e} standard deviations moved theta by {moved:.2g} of its own")
 
 
-@promise(TRACKER_PROMISES, "output error", stochastic=True)
+@promise(PROMISES, "output error", stochastic=True)
 def noise_on_the_output_gives_no_bias(subject: TrackerSubject) -> None:
     """An output-error model finds a_1 = -1.5 through noise: phi holds the model's outputs, not the measured ones."""
     _unbiased(subject, [subject.draw("output error", 400, sigma=1.0) for _ in range(9)], 0.2)
 
 
-@promise(TRACKER_PROMISES, "armax", stochastic=True)
+@promise(PROMISES, "armax", stochastic=True)
 def coloured_noise_gives_no_bias(subject: TrackerSubject) -> None:
     """An ARMAX model finds a_1 = -1.5 through coloured noise: phi holds past residuals, and they are kept."""
     _unbiased(subject, [subject.draw("armax", 400, sigma=1.0) for _ in range(9)], 0.1)
 
 
-@promise(TRACKER_PROMISES, "stable")
+@promise(PROMISES, "stable")
 def model_stays_stable(subject: TrackerSubject) -> None:
     """Whatever the outputs, the roots of an output-error model stay inside the unit circle."""
     wild = Plant(OutputError(2, 2), np.array([-1.5, 0.7, 1.0, 0.5]), drift=0.01)
@@ -198,4 +202,6 @@ def _unbiased(subject: TrackerSubject, scenarios: list[PlantScenario], limit: fl
     found = [theta_of(advance(subject.new(scenario), scenario))[0] for scenario in scenarios]
     a1 = float(np.median(found))
     if not abs(a1 + 1.5) <= limit:
-        raise AssertionError(f"a1 = {a1:.3g}, the median of {len(found)} runs, expected -1.5 -+ {limit}: noise biases it")
+        raise AssertionError(
+            f"a1 = {a1:.3g}, the median of {len(found)} runs, expected -1.5 -+ {limit}: noise biases it"
+        )

@@ -10,12 +10,12 @@ import numpy as np
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.structures import Structure
-from robust_filterpy.testing.checks import Promise, Subject, not_applicable
+from robust_filterpy.testing.checks import Subject
 from robust_filterpy.testing.plant_scenarios import Plant, PlantScenario
 from robust_filterpy.testing.scenarios import draw
 from robust_filterpy.testing.tracker_runs import TrackerRun, parameters, run_tracker
 
-__all__ = ["TRACKER_PROMISES", "TRACKER_TAGS", "TrackerSubject"]
+__all__ = ["TRACKER_TAGS", "TrackerSubject"]
 
 #: What a tracker can claim; `check_tracker` tests all of it that is not in not_claimed.
 TRACKER_TAGS = {
@@ -31,9 +31,6 @@ TRACKER_TAGS = {
     "validates": "bad input raises, and a refused call changes nothing",
     "pickle": "it can be pickled",
 }
-
-#: Every promise of a tracker, filled by the modules that define them.
-TRACKER_PROMISES: list[Promise] = []
 
 
 @dataclass(frozen=True)

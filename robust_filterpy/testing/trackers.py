@@ -7,15 +7,14 @@ from typing import Any
 
 from robust_filterpy.identification import ARX
 from robust_filterpy.identification.structures import Structure
-from robust_filterpy.testing import tracker_contracts as _contracts
-from robust_filterpy.testing import tracker_parameters as _parameters
+from robust_filterpy.testing import tracker_contracts, tracker_parameters
 from robust_filterpy.testing.checks import Check, CheckResult, run_checks, selected
-from robust_filterpy.testing.tracker_subject import TRACKER_PROMISES, TRACKER_TAGS, TrackerSubject
+from robust_filterpy.testing.tracker_subject import TRACKER_TAGS, TrackerSubject
 
 __all__ = ["check_tracker", "tracker_checks"]
 
-# Importing the modules has registered their promises.
-assert_registered = (_parameters, _contracts)
+#: In the order in which a fault should be named.
+PROMISES = (*tracker_contracts.PROMISES, *tracker_parameters.PROMISES)
 
 
 def tracker_checks(
@@ -58,7 +57,7 @@ def tracker_checks(
         def test_my_tracker(check):
             check(ParameterTracker)
     """
-    return selected(TRACKER_PROMISES, TRACKER_TAGS, TrackerSubject, not_claimed, expected_failures, seed, false_alarm)
+    return selected(PROMISES, TRACKER_TAGS, TrackerSubject, not_claimed, expected_failures, seed, false_alarm)
 
 
 def check_tracker(

@@ -35,9 +35,7 @@ def assert_recovers_parameters(runs: Any, *, factor: float = 2.0, false_alarm: f
         If not; it names the parameter that is furthest off, and says whether another order or sign would fit.
     """
     found, failures = as_tracker_runs(runs), []
-    limit = at_least_one(factor) * float(
-        stats.chi2.isf(probability(false_alarm) / len(found), found[0].theta.shape[1])
-    )
+    limit = at_least_one(factor) * float(stats.chi2.isf(probability(false_alarm) / len(found), found[0].theta.shape[1]))
     for i, run in enumerate(found):
         P = run.known.reference.P
         if P is None:
