@@ -8,16 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from robust_filterpy.identification import ARX
 from robust_filterpy.testing import contracts
 from robust_filterpy.testing.checks import Promise, not_applicable, promise
 from robust_filterpy.testing.consistency import assert_covariance_stays_one
 from robust_filterpy.testing.tracker_subject import TrackerSubject, advance, theta_of
 
-PROMISES: list[Promise] = []
+#: What is looked at before the parameters, and after them.
+ARRAYS: list[Promise] = []
+SAMPLES: list[Promise] = []
 
 
-@promise(PROMISES)
+@promise(ARRAYS)
 def output_counts_at_once(subject: TrackerSubject) -> None:
     """theta after update(y, u) depends on this y, not only on those before."""
     scenario = subject.draw("arx", 20)
@@ -30,7 +31,21 @@ def output_counts_at_once(subject: TrackerSubject) -> None:
         raise AssertionError("two outputs a standard deviation apart gave the same theta: y is used later, or never")
 
 
-@promise(PROMISES)
+@promise(ARRAYS)
+def two_trackers_share_nothing(subject: TrackerSubject) -> None:
+    """A tracker at work changes neither another one nor what those made later find."""
+    scenario = subject.draw("arx", 40)
+    alone = theta_of(advance(subject.new(scenario), scenario))
+    idle = subject.made(scenario.structure)
+    before = theta_of(idle)
+    advance(subject.new(scenario), scenario)
+    if not np.array_equal(before, theta_of(idle)):
+        raise AssertionError("another tracker's work changed theta")
+    if not np.array_equal(alone, theta_of(advance(subject.new(scenario), scenario))):
+        raise AssertionError("the same data gave another theta the second time: something is left of the first tracker")
+
+
+@promise(ARRAYS)
 def inputs_are_copied(subject: TrackerSubject) -> None:
     """The caller may fill the same array with the next input: what is remembered is a copy."""
     scenario = subject.draw("arx", 30)
@@ -45,7 +60,7 @@ def inputs_are_copied(subject: TrackerSubject) -> None:
         raise AssertionError("an input array that is filled anew changes what was given before: keep a copy of it")
 
 
-@promise(PROMISES)
+@promise(ARRAYS)
 def estimates_handed_out_stay_as_they_were(subject: TrackerSubject) -> None:
     """tracker.theta, kept in a list at each sample, is not changed by later samples."""
     scenario = subject.draw("arx", 20)
@@ -57,33 +72,42 @@ def estimates_handed_out_stay_as_they_were(subject: TrackerSubject) -> None:
         raise AssertionError("a theta that was kept from an earlier sample has changed: it is written in place")
 
 
-@promise(PROMISES)
-def two_trackers_share_nothing(subject: TrackerSubject) -> None:
-    """A tracker at work changes neither another one nor what those made later find."""
-    scenario = subject.draw("arx", 40)
-    alone = theta_of(advance(subject.new(scenario), scenario))
-    idle = subject.made(scenario.structure)
-    before = theta_of(idle)
-    advance(subject.new(scenario), scenario)
-    if not np.array_equal(before, theta_of(idle)):
-        raise AssertionError("another tracker's work changed theta")
-    if not np.array_equal(alone, theta_of(advance(subject.new(scenario), scenario))):
-        raise AssertionError("the same data gave another theta the second time: something is left of the first tracker")
-
-
-@promise(PROMISES)
+@promise(ARRAYS)
 def deepcopies_go_on_alike(subject: TrackerSubject) -> None:
     """A deepcopy goes on as the original does, bit for bit, and neither moves the other."""
     _round_trip(subject, "deepcopy")
 
 
-@promise(PROMISES, "pickle")
+@promise(ARRAYS, "pickle")
 def pickles_go_on_alike(subject: TrackerSubject) -> None:
     """An unpickled tracker goes on as the original does, bit for bit."""
     _round_trip(subject, "pickle")
 
 
-@promise(PROMISES)
+@promise(ARRAYS)
+def covariance_stays_one(subject: TrackerSubject) -> None:
+    """P stays symmetric and positive semidefinite while the input says nothing new."""
+    scenario = subject.draw("arx", 400)
+    scenario = replace(scenario, u=np.ones(400), y=scenario.y - scenario.y_clean)
+    tracker, kept = subject.new(scenario), []
+    if not hasattr(tracker, "P"):
+        raise not_applicable("shows no P")
+    for k in range(400):
+        advance(tracker, scenario, k, k + 1)
+        kept.append(np.array(tracker.P, dtype=float))
+    assert_covariance_stays_one(kept)
+
+
+def _round_trip(subject: TrackerSubject, way: str) -> None:
+    """Copy in the middle of a recording."""
+    scenario = subject.draw("armax" if "armax" in subject.claims else "arx", 60)
+    # Inputs of +-1 would hide a memory that is shared.
+    scenario = replace(scenario, u=subject.rng.standard_normal(60))
+    tracker = advance(subject.new(scenario), scenario, 0, 30)
+    contracts.assert_state_round_trip(tracker, lambda one: advance(one, scenario, 30), ways=(way,))
+
+
+@promise(SAMPLES)
 def stored_states_go_on_alike(subject: TrackerSubject) -> None:
     """What state() returned, restored into a new tracker, goes on as the original does, bit for bit."""
     scenario = subject.draw("armax" if "armax" in subject.claims else "arx", 60)
@@ -98,7 +122,7 @@ def stored_states_go_on_alike(subject: TrackerSubject) -> None:
         raise AssertionError("the restored tracker ended elsewhere: something of the memory is not in the state")
 
 
-@promise(PROMISES)
+@promise(SAMPLES)
 def run_is_update_by_update(subject: TrackerSubject) -> None:
     """run(y, u) leaves the parameters that a loop over update(y, u) leaves, and goes on where the last run ended."""
     scenario = subject.draw("arx", 60)
@@ -111,7 +135,7 @@ def run_is_update_by_update(subject: TrackerSubject) -> None:
         raise AssertionError(f"run gives theta = {np.round(theta_of(one), 4)}, update {np.round(theta_of(other), 4)}")
 
 
-@promise(PROMISES)
+@promise(SAMPLES)
 def prediction_changes_nothing(subject: TrackerSubject) -> None:
     """predict() returns phi(k+1)' theta of the past, and the tracker goes on as if it had not been called."""
     scenario = subject.draw("arx", 40)
@@ -131,7 +155,7 @@ def prediction_changes_nothing(subject: TrackerSubject) -> None:
         raise AssertionError("asking for predictions changed what was learnt")
 
 
-@promise(PROMISES, "missing")
+@promise(SAMPLES, "missing")
 def missing_output_is_no_information(subject: TrackerSubject) -> None:
     """update(NaN, u) leaves theta as it is and P no smaller; what it cannot measure a tracker predicts."""
     scenario = subject.clean("arx", 120)
@@ -145,25 +169,11 @@ def missing_output_is_no_information(subject: TrackerSubject) -> None:
         if np.trace(now) < np.trace(P) * (1 - 1e-9):
             raise AssertionError("P shrank at a missing output")
     advance(tracker, scenario, 65)
-    if not np.abs(theta_of(tracker) - theta).max() <= 0.05:
+    if not np.abs(theta_of(tracker) - theta).max() <= 0.01:
         raise AssertionError(
             f"after a gap theta went from {np.round(theta, 3)} to {np.round(theta_of(tracker), 3)} on data without "
             f"noise: in the gap phi holds something else than the prediction"
         )
-
-
-@promise(PROMISES)
-def covariance_stays_one(subject: TrackerSubject) -> None:
-    """P stays symmetric and positive semidefinite while the input says nothing new."""
-    scenario = subject.draw("arx", 400)
-    scenario = replace(scenario, u=np.ones(400), y=scenario.y - scenario.y_clean)
-    tracker, kept = subject.new(scenario), []
-    if not hasattr(tracker, "P"):
-        raise not_applicable("shows no P")
-    for k in range(400):
-        advance(tracker, scenario, k, k + 1)
-        kept.append(np.array(tracker.P, dtype=float))
-    assert_covariance_stays_one(kept)
 
 
 BAD_SAMPLES: dict[str, tuple[Any, Any]] = {
@@ -176,7 +186,7 @@ BAD_SAMPLES: dict[str, tuple[Any, Any]] = {
 }
 
 
-@promise(PROMISES, "validates")
+@promise(SAMPLES, "validates")
 def bad_input_is_refused_and_changes_nothing(subject: TrackerSubject) -> None:
     """A y or u that cannot be right raises ValueError or TypeError, and theta, P and what follows are as before."""
     scenario, faults = subject.draw("arx", 20), []
@@ -192,12 +202,3 @@ def bad_input_is_refused_and_changes_nothing(subject: TrackerSubject) -> None:
             faults.append(f"{words}: {error}")
     if faults:
         raise AssertionError("; ".join(faults))
-
-
-def _round_trip(subject: TrackerSubject, way: str) -> None:
-    """Copy in the middle of a recording."""
-    scenario = subject.draw("armax" if "armax" in subject.claims else "arx", 60)
-    if "armax" not in subject.claims:
-        scenario = replace(scenario, structure=ARX(2, 2))
-    tracker = advance(subject.new(scenario), scenario, 0, 30)
-    contracts.assert_state_round_trip(tracker, lambda one: advance(one, scenario, 30), ways=(way,))
