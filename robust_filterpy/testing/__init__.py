@@ -22,8 +22,9 @@ Assertions
 Checks
 
 * `filters`, `trackers`: `check_filter`, `check_tracker`, and lists of checks for pytest.
-* `filter_equations`, `filter_contracts`, `filter_statistics`: the promises of a filter; `filter_subject` makes and moves it.
-* `tracker_parameters`, `tracker_contracts`: the promises of a tracker; `tracker_subject` makes and moves it.
+* `filter_contracts`, `filter_equations`, `filter_dependence`, `filter_display`, `filter_statistics`: the promises of a
+  filter; `filter_subject` makes and moves it.
+* `tracker_contracts`, `tracker_parameters`: the promises of a tracker; `tracker_subject` makes and moves it.
 * `checks`: names, claims, expected failures.
 * `shadow`: `side_by_side`, an unchanged program run with two filters.
 * `page`: every scenario and every check with its theorem, as a page.

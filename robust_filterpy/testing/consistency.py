@@ -221,7 +221,8 @@ def _cause(runs: list[FilterRun], e: Array, ratio: float) -> str:
     r = max((_correlation([run.whitened[:, i] for run in runs], 1)[1] for i in range(e.shape[1])), key=abs)
     if abs(r) < 0.1:
         return "R or Q too small"
-    return f"{'Q too small, or the state moves otherwise' if r > 0 else 'R too small'} (the innovations are correlated by {r:+.2f})"
+    why = "Q too small, or the state moves otherwise" if r > 0 else "R too small"
+    return f"{why} (the innovations are correlated by {r:+.2f})"
 
 
 def _nees(runs: list[FilterRun], k: int, factor: float, alpha: float) -> str | None:

@@ -286,7 +286,8 @@ def objects(kinds: Kinds) -> list[Contamination]:
         If a kind is unknown.
     """
     found: list[Contamination] = []
-    for kind in (kinds,) if isinstance(kinds, str) or hasattr(kinds, "spoil") else kinds:
+    several: Any = (kinds,) if isinstance(kinds, str) or hasattr(kinds, "spoil") else kinds
+    for kind in several:
         if isinstance(kind, str):
             name = _checks.option("contamination", kind, ("none", *CONTAMINATIONS))
             found += [] if name == "none" else [CONTAMINATIONS[name]()]

@@ -210,14 +210,15 @@ def assert_same_filter(
         If they part; it names the call, the attribute and the difference.
     """
     for k, z in enumerate(zs):
-        if step is not None:
-            calls: list[tuple[str, Callable[[Any], Any]]] = [("step", lambda kf, z=z: step(kf, z))]
-        else:
-            u = () if us is None else (us[k],)
-            calls = [("predict", lambda kf, u=u: kf.predict(*u)), ("update", lambda kf, z=z: kf.update(z))]
-        for name, call in calls:
-            call(a)
-            call(b)
+        calls = (
+            [("step", (z,))] if step is not None else [("predict", () if us is None else (us[k],)), ("update", (z,))]
+        )
+        for name, arguments in calls:
+            for kf in (a, b):
+                if step is not None:
+                    step(kf, z)
+                else:
+                    getattr(kf, name)(*arguments)
             for attribute in names:
                 assert_close(getattr(a, attribute), getattr(b, attribute), rtol, f"{name} {k}: {attribute}")
 

@@ -113,7 +113,7 @@ def estimate_moves_towards_the_measurement(subject: FilterSubject) -> None:
     model = subject.model(2, 1)
     model = model.with_(R=model.H @ model.P @ model.H.T)
     kf = subject.new(model)
-    x, P = state(kf)
+    x, _ = state(kf)
     y = 0.5 * float(np.sqrt(2.0 * model.R[0, 0]))
     runs.measure(kf, model.H @ x + y, model)
     covered = float((model.H @ (np.ravel(kf.x) - x))[0]) / y

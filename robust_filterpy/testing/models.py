@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
@@ -191,12 +192,17 @@ def constant_velocity(dt: float = 1.0) -> StateModel:
     Q = 0.02 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
     return StateModel(
         x=np.array([0.0, 1.0, 0.0, -0.5]),
-        P=np.kron(np.eye(2), np.diag([1.0, 0.1])),
-        F=np.kron(np.eye(2), [[1.0, dt], [0.0, 1.0]]),
-        H=np.kron(np.eye(2), [[1.0, 0.0]]),
-        Q=np.kron(np.eye(2), Q),
+        P=_twice(np.diag([1.0, 0.1])),
+        F=_twice([[1.0, dt], [0.0, 1.0]]),
+        H=_twice([[1.0, 0.0]]),
+        Q=_twice(Q),
         R=np.eye(2),
     )
+
+
+def _twice(block: ArrayLike) -> Array:
+    """Return the same block for both axes of the plane."""
+    return np.asarray(scipy.linalg.block_diag(block, block), dtype=np.float64)
 
 
 def level(jump_probability: float = 0.005) -> StateModel:

@@ -37,7 +37,7 @@ from robust_filterpy.testing.tracker_runs import TrackerRun, run_tracker
 if TYPE_CHECKING:
     import control
 
-__all__ = ["PLANTS", "Plant", "PlantScenario", "arx", "armax", "draw_plant", "fir", "output_error", "servo"]
+__all__ = ["PLANTS", "Plant", "PlantScenario", "armax", "arx", "draw_plant", "fir", "output_error", "servo"]
 
 #: Two lightly damped poles, .75 +- .37j.
 DEFAULT = ([1.0, 0.5], [1.0, -1.5, 0.7])
@@ -286,7 +286,7 @@ def draw_plant(
     theta, is_jump = None, np.zeros(steps, dtype=bool)
     if plant.theta is None:
         u = 1.0 * np.repeat(rng.choice([-1.0, 1.0], -(-steps // 10)), 10)[:steps]
-        clean = 100.0 * simulate_servo(u / 100.0, 0.01).position
+        clean = np.asarray(100.0 * simulate_servo(u / 100.0, 0.01).position, dtype=float)
     else:
         theta, is_jump = _path(plant, steps, jumps, rng)
         u = rng.choice([-1.0, 1.0], steps)

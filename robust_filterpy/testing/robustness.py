@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -21,7 +22,7 @@ __all__ = ["assert_bounded_influence", "assert_efficient", "assert_recovers_from
 Make = Callable[[int, int], Any]
 
 # Innovations in standard deviations; the largest is beyond any sensor and far from overflow.
-_SIZES = (1e2, 1e4, 1e6, 1e9, 1e12)
+_SIZES = (1e2, -1e2, 1e4, -1e4, 1e6, -1e6, 1e9, -1e9, 1e12, -1e12)
 
 
 def assert_bounded_influence(
@@ -50,7 +51,7 @@ def assert_bounded_influence(
     n, m, _ = model.dims
     scenario = draw(model, 20, rng=rng)
     for sensor in range(m):
-        for size in (sign * size for size in _SIZES for sign in (1.0, -1.0)):
+        for size in _SIZES:
             kf = runs.load(make(n, m), model)
             for z in scenario.z[:-1]:
                 runs.step(kf, runs.or_none(z), model)
@@ -64,8 +65,8 @@ def assert_bounded_influence(
             if not moved <= at_most:
                 raise AssertionError(
                     f"an innovation of {size:.0e} standard deviations of sensor {sensor} moved the state by "
-                    f"{moved:.2g} of its own, expected at most {at_most:g} however wrong a sensor is: the correction is "
-                    f"not bounded"
+                    f"{moved:.2g} of its own, expected at most {at_most:g} however wrong a sensor is: the "
+                    f"correction is not bounded"
                 )
 
 
@@ -73,7 +74,7 @@ def _movement(step: Array, P: Array) -> float:
     """Return the length of a step in standard deviations, infinite if it is not finite."""
     if not np.isfinite(step).all():
         return np.inf
-    return float(np.sqrt(max(step @ np.linalg.solve(P, step), 0.0)))
+    return math.sqrt(max(float(step @ np.linalg.solve(P, step)), 0.0))
 
 
 def assert_recovers_from_jump(

@@ -10,7 +10,7 @@ import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import filterpy.kalman
 import numpy as np
@@ -129,7 +129,10 @@ def draw(
     if isinstance(problem, str):
         name = _checks.option("problem", problem, (*MODELS, *PLANTS))
         build = {**MODELS, **PLANTS}[name]
-        problem = build(**options, **({"rng": rng} if "rng" in inspect.signature(build).parameters else {}))
+        problem = cast(
+            "StateModel | Plant",
+            build(**options, **({"rng": rng} if "rng" in inspect.signature(build).parameters else {})),
+        )
     elif options:
         raise TypeError(f"{', '.join(options)}: expected only beside the name of a problem, not beside a system")
     if isinstance(problem, Plant):

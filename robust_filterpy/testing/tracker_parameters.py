@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -186,7 +187,7 @@ def _last(subject: TrackerSubject, plant: str | Plant) -> tuple[Array, Array]:
     return theta_of(advance(subject.new(scenario), scenario)), truth
 
 
-def _least_squares(subject: TrackerSubject, scenario: PlantScenario) -> tuple[object, Array, Array]:
+def _least_squares(subject: TrackerSubject, scenario: PlantScenario) -> tuple[Any, Array, Array]:
     """Return the tracker after the recording, and the parameters and covariance of regularised least squares."""
     tracker = subject.new(scenario)
     if not hasattr(tracker, "P"):

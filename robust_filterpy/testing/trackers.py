@@ -73,8 +73,8 @@ def check_tracker(
     Parameters
     ----------
     make : callable
-        ``make(structure)`` returns a new tracker with ``update(y, u)`` and ``theta``; `ParameterTracker` itself will do.
-        P, std, R, Q, predict, run, state and restore are tested where it has them.
+        ``make(structure)`` returns a new tracker with ``update(y, u)`` and ``theta``; `ParameterTracker` will do. P,
+        std, R, Q, predict, run, state and restore are tested where it has them.
     not_claimed, expected_failures, seed, false_alarm
         As in `tracker_checks`.
 
