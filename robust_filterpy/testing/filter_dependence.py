@@ -71,7 +71,7 @@ def order_of_sensors_changes_nothing(subject: FilterSubject) -> None:
     assert_sensor_order_irrelevant(subject.made, draw(model, 20, contamination=_outliers(subject), rng=subject.rng))
 
 
-@promise(PROMISES)
+@promise(PROMISES, "units")
 def units_change_nothing(subject: FilterSubject) -> None:
     """In other units of the states and of each sensor the estimate is the same in those units."""
     model = subject.model()

@@ -25,6 +25,7 @@ FILTER_TAGS = {
     "missing": "update(None) is a missing measurement",
     "nan": "NaN in z is a missing component, and the others are used",
     "likelihood": "log_likelihood is the logarithm of a density of z",
+    "units": "the units of states and sensors do not matter",
     "memoryless": "nothing is remembered but x and P",
     "validates": "bad input raises, and a refused call changes nothing",
     "pickle": "it can be pickled",

@@ -40,8 +40,8 @@ def filter_checks(
     ----------
     not_claimed : iterable of str
         What the filter does not claim: "prediction", "exact", "robust", "recovers", "missing", "nan", "likelihood",
-        "memoryless", "validates", "pickle"; `FILTER_TAGS` tells what they mean. "exact" is tested only of filters that
-        do not claim "robust".
+        "units", "memoryless", "validates", "pickle"; `FILTER_TAGS` tells what they mean. "exact" is tested only of
+        filters that do not claim "robust".
     expected_failures : mapping of str to str, optional
         Names of checks that are known to fail, and the reason. They are reported as skipped; one that passes warns.
     seed : int, default 0

@@ -141,9 +141,10 @@ class PlantScenario:
         told = np.isfinite(self.noise_ratio)
         y = np.where(told, self.y, np.nan)
         variance = self.R * np.where(told, self.noise_ratio, 1.0) ** 2
-        moves = np.zeros((len(y), self.structure.n_theta))
-        if self.theta is not None:
-            moves[1:] = np.diff(self.theta, axis=0)
+        if self.theta is None or not self.is_jump.any():
+            result = tracker.run(y, self.u, variance)
+            return TrackerRun(result.theta, result.std, tracker.P, self.theta, self)
+        moves = np.diff(self.theta, axis=0, prepend=self.theta[:1])
         Q = tracker.Q
 
         def sample(k: int) -> Any:

@@ -47,7 +47,7 @@ def table(check: Any, classes: list[Any], seeds: range) -> float:
         place = "named first" if all(leading) else f"first in {sum(leading)} of {len(seeds)}"
         print(f"  {cls.__name__:34} {verdict:16} by {cls.caught_by[0]:52} {place}, {others} others", flush=True)
     total = len(classes) * len(seeds)
-    print(f"  {len(classes)} classes, {len(seeds)} seed(s): {caught / total:.1%} caught, {first / total:.1%} named first")
+    print(f"  {len(classes)} classes, {len(seeds)} seeds: {caught / total:.1%} caught, {first / total:.1%} named first")
     return caught / total
 
 
@@ -68,7 +68,8 @@ def main() -> None:
     start = time.perf_counter()
     check_filter(KalmanFilter, not_claimed=("robust", "nan", "validates"))
     seconds = time.perf_counter() - start
-    print(f"check_filter of filterpy's: {seconds:.2f} s (target {SECONDS:g}) {'met' if seconds < SECONDS else 'MISSED'}")
+    verdict = "met" if seconds < SECONDS else "MISSED"
+    print(f"check_filter of filterpy's: {seconds:.2f} s (target {SECONDS:g}) {verdict}")
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ from functools import partial
 
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
 from wrong_filters import PLAIN, ROBUST, Textbook, TextbookRobust
+from wrong_trackers import PLAIN as PLAIN_TRACKER
 from wrong_trackers import LeastSquares, RobustLeastSquares
 
 from robust_filterpy import (
@@ -29,7 +30,7 @@ FILTERS = {
     "Huber": (RobustKalmanFilter, ()),
     "Huber(.8)": (partial(RobustKalmanFilter, influence=Huber(0.8)), ()),
     "Huber, joint": (partial(RobustKalmanFilter, grouping="joint"), ()),
-    "Huber, bounded": (partial(RobustKalmanFilter, scaling="bounded"), ()),
+    "Huber, bounded": (partial(RobustKalmanFilter, scaling="bounded"), ("units",)),
     "Huber, weight": (partial(RobustKalmanFilter, information="weight"), ()),
     "Huber, expected": (partial(RobustKalmanFilter, information="expected"), ("recovers",)),
     "Hampel": (partial(RobustKalmanFilter, influence=Hampel()), ("recovers",)),
@@ -39,7 +40,7 @@ FILTERS = {
 }
 
 TRACKERS = {
-    "textbook": (LeastSquares, PLAIN),
+    "textbook": (LeastSquares, PLAIN_TRACKER),
     "textbook, robust": (RobustLeastSquares, ("validates",)),
     "Linear": (partial(ParameterTracker, influence=Linear()), ("robust",)),
     "filterpy inside": (partial(ParameterTracker, filter=KalmanFilter), ("robust",)),
