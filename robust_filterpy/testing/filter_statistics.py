@@ -117,7 +117,7 @@ def a_true_jump_is_followed(subject: FilterSubject) -> None:
 @promise(PROMISES)
 def covariance_stays_one(subject: FilterSubject) -> None:
     """P stays symmetric and positive semidefinite, also where the state is unstable: no rounding error grows."""
-    # What is asymmetric in P = (I - K H) P grows by the modulus of an unstable pole at each step.
+    # Where rounding is not damped from both sides it grows by the modulus of the unstable pole at each step.
     F = np.array([[1.3, 0.3], [0.0, 0.98]])
     model = StateModel(np.zeros(2), np.eye(2), F, np.array([[1.0, 0.5]]), 0.01 * np.eye(2), np.eye(1))
     for start in (1.0, 1e6):

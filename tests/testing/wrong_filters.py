@@ -409,7 +409,7 @@ class PHalved(Textbook):
 
 @wrong("covariance_stays_one")
 class PNeverSymmetrised(Textbook):
-    """P+ = (I - K H) P, whose asymmetry grows."""
+    """P+ = P - K (H P) with K made of (H P)', which lets an asymmetry of P grow; with P H' it would die out."""
 
     def shrunk(self, P, K, S):
         return P - K @ (self.H @ P)
