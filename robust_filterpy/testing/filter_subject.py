@@ -51,6 +51,8 @@ class FilterSubject(Subject):
 
     def made(self, dim_x: int, dim_z: int) -> Any:
         """Make a filter, or say what make returned."""
+        if not callable(self.make):
+            raise TypeError(f"make: expected a class or a function of dim_x and dim_z, got {_checks.shown(self.make)}")
         kf = self.make(dim_x, dim_z)
         for name in ("x", "P", "predict", "update"):
             if isinstance(kf, type) or not hasattr(kf, name):

@@ -352,7 +352,8 @@ def _path(
     for k in np.flatnonzero(is_jump):
         drawn = plant.jump_size * rng.standard_normal((1000, theta.size))
         drawn[:, still] = 0.0
-        path[k:] += next(shift for shift in drawn if accept(path[k] + shift))
+        # What drifts afterwards is to stay stable too.
+        path[k:] += next(shift for shift in drawn if all(map(accept, path[k:] + shift)))
     path += np.cumsum(shifts, axis=0)
     return path, is_jump | shifts.any(axis=1)
 

@@ -270,7 +270,7 @@ def side_by_side(first: type, second: Callable[..., Any], *, apart: float = 0.5)
     >>> report.filters[0].first_apart, report.filters[0].doubted
     (6, 1)
     """
-    if not isinstance(first, type) or not hasattr(first, "update"):
+    if not isinstance(first, type) or not (hasattr(first, "predict") and hasattr(first, "update")):
         raise TypeError(f"first: expected a class of filters with update(z), got {_checks.shown(first)}")
     if not callable(second):
         raise TypeError(f"second: expected a class of filters, got {_checks.shown(second)}")

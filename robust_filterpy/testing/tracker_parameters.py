@@ -116,7 +116,7 @@ def standard_deviations_are_the_roots_of_P(subject: TrackerSubject) -> None:
 @promise(PROMISES, "intervals", stochastic=True)
 def intervals_hold_the_truth(subject: TrackerSubject) -> None:
     """The 90 % intervals theta -+ 1.64 std hold the truth in 90 % of runs."""
-    runs = [subject.run(subject.draw("fir", 40)) for _ in range(120)]
+    runs = [subject.run(subject.draw("fir", 30)) for _ in range(200)]
     if runs[0].std is None:
         raise not_applicable("shows no P")
     tolerance = 0.0 if subject.is_exact else 0.05
@@ -133,7 +133,7 @@ def clean_data_are_used_well(subject: TrackerSubject) -> None:
 @promise(PROMISES, "drift", stochastic=True)
 def moving_parameters_are_followed(subject: TrackerSubject) -> None:
     """Parameters on a random walk are followed almost as well as by the Kalman tracker that is told Q."""
-    runs = [subject.run(subject.draw("fir", 120, drift=0.01)) for _ in range(20)]
+    runs = [subject.run(subject.draw("fir", 80, drift=0.05)) for _ in range(30)]
     assert_tracks(runs, at_least=0.9 if subject.is_exact else 0.5, skip=20, false_alarm=subject.false_alarm)
 
 

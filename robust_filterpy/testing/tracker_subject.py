@@ -44,6 +44,8 @@ class TrackerSubject(Subject):
 
     def made(self, structure: Structure) -> Any:
         """Make a tracker, or say what make returned."""
+        if not callable(self.make):
+            raise TypeError(f"make: expected a class or a function of a structure, got {_checks.shown(self.make)}")
         tracker = self.make(structure)
         for name in ("theta", "update"):
             if isinstance(tracker, type) or not hasattr(tracker, name):
