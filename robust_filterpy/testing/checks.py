@@ -20,7 +20,7 @@ import numpy as np
 from robust_filterpy import _checks
 from robust_filterpy.testing.bounds import probability
 
-__all__ = ["Check", "CheckResult", "ChecksFailed", "Subject", "not_applicable", "promise", "run_checks", "selected"]
+__all__ = ["Check", "CheckResult", "ChecksFailed", "Promise"]
 
 S = TypeVar("S", bound="Subject")
 
@@ -53,7 +53,17 @@ class Subject:
 
 
 class Promise(NamedTuple):
-    """Hold a promise as it is registered: its function, the claims it belongs to, whether it draws random numbers."""
+    """Hold a promise of an estimator.
+
+    Attributes
+    ----------
+    function : callable
+        Raises AssertionError if it is not kept.
+    needs : frozenset of str
+        Claims that it belongs to.
+    stochastic : bool
+        Whether it may fail by chance.
+    """
 
     function: Callable[[Any], None]
     needs: frozenset[str]
@@ -119,25 +129,37 @@ class Check:
 
     Attributes
     ----------
-    name : str
-        Name; pytest shows it as the id of the parameter.
-    theorem : str
-        What is asserted, in a sentence.
-    stochastic : bool
-        Whether it may fail by chance.
-    needs : frozenset of str
-        Claims that it belongs to.
+    promise : Promise
+        What is tested, with its name, its theorem and the claims that it belongs to.
     expected_failure : str or None
         Why it is expected to fail.
+    subject : callable
+        ``subject(make, name, seed)`` returns what the promise is tested on.
     """
 
-    name: str
-    theorem: str
-    stochastic: bool
-    needs: frozenset[str]
+    promise: Promise
     expected_failure: str | None
-    _function: Callable[[Any], None]
-    _subject: Callable[..., Subject]
+    subject: Callable[..., Subject]
+
+    @property
+    def name(self) -> str:
+        """Name; pytest shows it as the id of the parameter."""
+        return self.promise.name
+
+    @property
+    def theorem(self) -> str:
+        """What is asserted, in a sentence."""
+        return self.promise.theorem
+
+    @property
+    def stochastic(self) -> bool:
+        """Whether it may fail by chance."""
+        return self.promise.stochastic
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """Claims that it belongs to."""
+        return self.promise.needs
 
     @property
     def __name__(self) -> str:
@@ -167,7 +189,7 @@ class Check:
         """
         try:
             with np.errstate(all="ignore"):
-                self._function(self._subject(make, self.name, seed))
+                self.promise.function(self.subject(make, self.name, seed))
         except unittest.SkipTest:
             raise
         except Exception as error:
@@ -273,19 +295,7 @@ def selected(
         start = seed if other is None else _checks.count("seed", other)
         return subject(make, claims, (start, zlib.crc32(name.encode())), alpha)
 
-    return [
-        Check(
-            entry.name,
-            entry.theorem,
-            entry.stochastic,
-            entry.needs,
-            expected.get(entry.name),
-            entry.function,
-            subject_of,
-        )
-        for entry in register
-        if entry.needs <= claims
-    ]
+    return [Check(entry, expected.get(entry.name), subject_of) for entry in register if entry.needs <= claims]
 
 
 def run_checks(checks: Sequence[Check], make: Callable[..., Any]) -> tuple[CheckResult, ...]:

@@ -58,11 +58,10 @@ def assert_consistent(runs: Runs, *, factor: float = 1.0, false_alarm: float = 1
     >>> scenario = draw("constant velocity", 500, rng=1)
     >>> kf = scenario.load(KalmanFilter(4, 2))
     >>> kf.R = kf.R / 4
-    >>> assert_consistent(run_filter(kf, scenario))
+    >>> assert_consistent(run_filter(kf, scenario))  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     ...
-    AssertionError: NIS mean 4.67, expected 2 (1.61 to 2.4) over 500 steps: S is about 2.3 times too small: R too small
-    (the innovations are correlated by -0.38)
+    AssertionError: NIS mean 6.8, expected 2 (1.57 to 2.5) over 500 steps: S is about 3.4 times too small: ...
     """
     found, factor = as_runs(runs), at_least_one(factor)
     instants = _instants(found) if _has_errors(found) else []

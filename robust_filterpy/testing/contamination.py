@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, Protocol, TypeAlias
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -59,19 +59,6 @@ class Spoilt(NamedTuple):
     is_outlier: np.ndarray
 
 
-class Contamination(Protocol):
-    """What spoils measurements: one of the classes here, or your own.
-
-    ``of_noise`` says whether it only makes the noise larger; in a plant with its noise inside the loop (ARX), such an
-    outlier goes round the loop, and everything else happens to the sensor alone.
-    """
-
-    of_noise: ClassVar[bool]
-
-    def spoil(self, before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator) -> Spoilt:
-        """Return the measurements after what this does to them; clean is without noise, sigma its deviations."""
-
-
 def _runs(probability: float, length: int, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
     """Return marks that are set with about this probability, in runs of this length along the first axis."""
     starts = rng.random(shape) < probability / length
@@ -110,7 +97,7 @@ class Mixture:
     probability: float = 0.1
     scale_ratio: float = 10.0
 
-    def spoil(self, before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator) -> Spoilt:
+    def __call__(self, before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator) -> Spoilt:
         """Multiply the noise of some samples."""
         bad = rng.random(clean.shape) < self.probability
         return _enlarged(before, clean, np.where(bad, self.scale_ratio, 1.0), bad)
@@ -132,7 +119,7 @@ class OneSided:
     probability: float = 0.1
     scale_ratio: float = 10.0
 
-    def spoil(self, before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator) -> Spoilt:
+    def __call__(self, before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator) -> Spoilt:
         """Add something positive to some samples."""
         bad = rng.random(clean.shape) < self.probability
         z = before.z + np.where(bad, self.scale_ratio * sigma * np.abs(rng.standard_normal(clean.shape)), 0.0)
@@ -159,7 +146,7 @@ class Bursts:
     length: int = 5
     scale_ratio: float = 10.0
 
-    def spoil(self, before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator) -> Spoilt:
+    def __call__(self, before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator) -> Spoilt:
         """Multiply the noise in runs."""
         bad = _runs(self.probability, self.length, clean.shape, rng)
         return _enlarged(before, clean, np.where(bad, self.scale_ratio, 1.0), bad)
@@ -178,7 +165,7 @@ class Student:
     of_noise: ClassVar[bool] = True
     df: float = 3.0
 
-    def spoil(self, before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator) -> Spoilt:
+    def __call__(self, before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator) -> Spoilt:
         """Divide the noise by the root of a chi-square."""
         ratio = np.sqrt(self.df / rng.chisquare(self.df, clean.shape))
         return _enlarged(before, clean, ratio, ratio > 3.0)
@@ -200,7 +187,7 @@ class Sentinels:
     probability: float = 0.05
     value: float = 9999.0
 
-    def spoil(self, before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator) -> Spoilt:
+    def __call__(self, before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator) -> Spoilt:
         """Replace some samples."""
         return _replaced(before, np.full(clean.shape, self.value), rng.random(clean.shape) < self.probability)
 
@@ -221,7 +208,7 @@ class Stuck:
     probability: float = 0.1
     length: int = 10
 
-    def spoil(self, before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator) -> Spoilt:
+    def __call__(self, before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator) -> Spoilt:
         """Repeat the sample before each run."""
         stuck = _runs(self.probability, self.length, clean.shape, rng)
         stuck[0] = False
@@ -247,7 +234,7 @@ class Missing:
     probability: float = 0.1
     length: int = 5
 
-    def spoil(self, before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator) -> Spoilt:
+    def __call__(self, before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator) -> Spoilt:
         """Put NaN in the place of some samples."""
         gone = _runs(self.probability, self.length, clean.shape, rng)
         return before._replace(z=np.where(gone, np.nan, before.z), is_outlier=before.is_outlier & ~gone)
@@ -264,17 +251,27 @@ CONTAMINATIONS: dict[str, Callable[..., Any]] = {
     "missing": Missing,
 }
 
-#: A name, an object that spoils measurements, or several, which act one after another.
+#: What spoils measurements: ``kind(before, clean, sigma, rng)`` returns the `Spoilt` ones; clean are the measurements
+#: without noise, shape (N, m), sigma its deviations, shape (m,). With an attribute of_noise that is true it only makes
+#: the noise larger: in a plant with its noise inside the loop (ARX) such an outlier goes round the loop.
+Contamination: TypeAlias = "Callable[[Spoilt, Array, Array, np.random.Generator], Spoilt]"
+
+#: A name, something that spoils measurements, or several, which act one after another.
 Kinds: TypeAlias = "str | Contamination | Sequence[str | Contamination]"
 
 
+def of_noise(kind: Contamination) -> bool:
+    """Tell whether a kind only makes the noise larger."""
+    return bool(getattr(kind, "of_noise", False))
+
+
 def objects(kinds: Kinds) -> list[Contamination]:
-    """Return what is meant as objects that spoil measurements.
+    """Return what is meant as functions that spoil measurements.
 
     Parameters
     ----------
     kinds : str, Contamination or sequence of these
-        Names and objects; "none" for nothing.
+        Names and functions; "none" for nothing.
 
     Returns
     -------
@@ -286,15 +283,15 @@ def objects(kinds: Kinds) -> list[Contamination]:
         If a kind is unknown.
     """
     found: list[Contamination] = []
-    several: Any = (kinds,) if isinstance(kinds, str) or hasattr(kinds, "spoil") else kinds
+    several: Any = (kinds,) if isinstance(kinds, str) or callable(kinds) else kinds
     for kind in several:
         if isinstance(kind, str):
             name = _checks.option("contamination", kind, ("none", *CONTAMINATIONS))
             found += [] if name == "none" else [CONTAMINATIONS[name]()]
-        elif hasattr(kind, "spoil"):
+        elif callable(kind):
             found.append(kind)
         else:
-            raise TypeError(f"contamination: expected a name or an object with spoil(..), got {_checks.shown(kind)}")
+            raise TypeError(f"contamination: expected a name or something to call, got {_checks.shown(kind)}")
     return found
 
 
@@ -318,5 +315,5 @@ def spoilt(z: Array, clean: Array, sigma: Array, kinds: Sequence[Contamination],
     """
     result = Spoilt(z, np.ones(z.shape), np.zeros(z.shape, dtype=bool))
     for kind in kinds:
-        result = kind.spoil(result, clean, sigma, rng)
+        result = kind(result, clean, sigma, rng)
     return result

@@ -62,7 +62,7 @@ def assert_unchanged(before: dict[str, Any], estimator: Any, what: str = "the ca
 
     Parameters
     ----------
-    before : dict of str to ndarray
+    before : mapping of str to ndarray
         What `visible` returned.
     estimator : object
         The same estimator later, or another one that should be like it.

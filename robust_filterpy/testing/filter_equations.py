@@ -181,7 +181,9 @@ def correction_leaves_P_minus_K_S_K(subject: FilterSubject) -> None:
     S = model.H @ P @ model.H.T + model.R
     K = np.linalg.solve(S, model.H @ P).T
     got = _posterior(subject, model)
-    _compare(got, P - K @ S @ K.T, "P - K S K'", _alike(got, P, "P: it was not corrected"))
+    I_KH = np.eye(len(P)) - K @ model.H
+    slips = (P, "P: it was not corrected"), (I_KH @ P @ I_KH.T, "(I - K H) P (I - K H)', without K R K'")
+    _compare(got, P - K @ S @ K.T, "P - K S K'", "".join(_alike(got, slip, name) for slip, name in slips))
 
 
 @promise(PROMISES, "exact")

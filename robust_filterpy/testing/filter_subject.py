@@ -14,8 +14,6 @@ from robust_filterpy.testing.checks import Subject
 from robust_filterpy.testing.models import StateModel, random_stable
 from robust_filterpy.testing.scenarios import Scenario, draw
 
-__all__ = ["FILTER_TAGS", "FilterSubject"]
-
 #: What a filter can claim; `check_filter` tests all of it that is not in not_claimed.
 FILTER_TAGS = {
     "prediction": "the prediction is linear: x = F x + B u, P = F P F' + Q",

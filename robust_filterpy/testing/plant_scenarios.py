@@ -31,7 +31,7 @@ from robust_filterpy.identification.structures import Structure
 from robust_filterpy.influence import Linear
 from robust_filterpy.plants import linear_parameters, random_walk, simulate_arx, simulate_output_error, stable
 from robust_filterpy.plants.pneumatic import simulate_servo
-from robust_filterpy.testing.contamination import Kinds, Spoilt, objects, spoilt
+from robust_filterpy.testing.contamination import Kinds, Spoilt, objects, of_noise, spoilt
 from robust_filterpy.testing.tracker_runs import TrackerRun, run_tracker
 
 if TYPE_CHECKING:
@@ -171,7 +171,7 @@ def arx(system: control.TransferFunction | None = None, **options: Any) -> Plant
     ----------
     system : control.TransferFunction, optional
         Discrete, one input and one output. Default: (q + .5)/(q^2 - 1.5 q + .7).
-    **options
+    **options : optional
         sigma, drift, jump_probability and jump_size of `Plant`.
 
     Returns
@@ -186,7 +186,9 @@ def output_error(system: control.TransferFunction | None = None, **options: Any)
 
     Parameters
     ----------
-    system, **options
+    system : control.TransferFunction, optional
+        As in `arx`.
+    **options : optional
         As in `arx`.
 
     Returns
@@ -201,7 +203,9 @@ def armax(system: control.TransferFunction | None = None, c: ArrayLike = (-0.8,)
 
     Parameters
     ----------
-    system, **options
+    system : control.TransferFunction, optional
+        As in `arx`.
+    **options : optional
         As in `arx`.
     c : array_like, shape (nc,), default (-.8,)
         Coefficients of C after its leading 1.
@@ -222,7 +226,7 @@ def fir(b: ArrayLike = (1.0, 0.5, -0.3, 0.2), **options: Any) -> Plant:
     ----------
     b : array_like, shape (nb,)
         Its coefficients.
-    **options
+    **options : optional
         As in `arx`.
 
     Returns
@@ -292,9 +296,9 @@ def draw_plant(
         theta, is_jump = _path(plant, steps, jumps, rng)
         u = rng.choice([-1.0, 1.0], steps)
         clean = _output(structure, theta, u, None)
-    noise = spoilt(v, np.zeros_like(v), sigma, [kind for kind in kinds if kind.of_noise], rng)
+    noise = spoilt(v, np.zeros_like(v), sigma, [kind for kind in kinds if of_noise(kind)], rng)
     y = clean + noise.z[:, 0] if theta is None else _output(structure, theta, u, noise.z[:, 0])
-    seen = spoilt(y[:, None], clean[:, None], sigma, [kind for kind in kinds if not kind.of_noise], rng)
+    seen = spoilt(y[:, None], clean[:, None], sigma, [kind for kind in kinds if not of_noise(kind)], rng)
     both = Spoilt(seen.z, seen.noise_ratio * noise.noise_ratio, seen.is_outlier | noise.is_outlier)
     missing = np.isnan(both.z[:, 0])
     return PlantScenario(

@@ -106,7 +106,7 @@ def draw(
         What is added to the true state, or to the parameters, before which step.
     rng : numpy.random.Generator or int, optional
         Draws everything.
-    **options
+    **options : optional
         Arguments of the function that makes the problem of that name.
 
     Returns

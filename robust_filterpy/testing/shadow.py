@@ -90,7 +90,7 @@ class FilterComparison:
     doubted: int = 0
     seconds: tuple[float, float] = (0.0, 0.0)
     failure: str | None = None
-    _record: _Record | None = field(default=None, repr=False)
+    _record: _Record | None = field(default=None, init=False, repr=False)
 
     @functools.cached_property
     def diagnosis(self) -> Diagnosis | None:

@@ -15,8 +15,6 @@ from robust_filterpy.testing.plant_scenarios import Plant, PlantScenario
 from robust_filterpy.testing.scenarios import draw
 from robust_filterpy.testing.tracker_runs import TrackerRun, parameters, run_tracker
 
-__all__ = ["TRACKER_TAGS", "TrackerSubject"]
-
 #: What a tracker can claim; `check_tracker` tests all of it that is not in not_claimed.
 TRACKER_TAGS = {
     "exact": "it is recursive least squares to rounding (never tested of a tracker that claims to be robust)",
