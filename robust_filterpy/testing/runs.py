@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -79,6 +80,10 @@ class FilterRun:
     @cached_property
     def whitened(self) -> Array:
         """L^-1 y with L the Cholesky factor of the observed part of S, shape (N, m); NaN where missing."""
+        if not np.isnan(self.y).any():
+            # All at once; what fails is named below.
+            with contextlib.suppress(np.linalg.LinAlgError):
+                return np.linalg.solve(np.linalg.cholesky(self.S), self.y[:, :, None])[:, :, 0]
         e = np.full(self.y.shape, np.nan)
         for k, (y, S) in enumerate(zip(self.y, self.S, strict=True)):
             seen = np.flatnonzero(~np.isnan(y))
@@ -266,13 +271,17 @@ def run_filter(kf: Any, scenario: Scenario, *, doubt: Callable[[Any], Any] | Non
     N = len(scenario.z)
     x, P, x_prior, P_prior = np.empty((N, n)), np.empty((N, n, n)), np.empty((N, n)), np.empty((N, n, n))
     y, S = np.empty((N, m)), np.empty((N, m, m))
+    extended, missing = is_extended(kf), scenario.is_missing.all(axis=1).tolist()
     for k, z in enumerate(scenario.z):
         predict(kf, None if scenario.u is None else scenario.u[k])
-        x_prior[k], P_prior[k] = np.ravel(kf.x), kf.P
-        H, R = own(kf, "H", model.jacobian(x_prior[k])), own(kf, "R", model.R)
-        y[k] = z - (model.measured(x_prior[k]) if model.sensor else H @ x_prior[k])
+        prior = x_prior[k] = np.ravel(kf.x)
+        P_prior[k] = kf.P
+        H, R = model.jacobian(prior), own(kf, "R", model.R)
+        if not extended:
+            H = own(kf, "H", H)
+        y[k] = z - (H @ prior if model.sensor is None else model.sensor(prior))
         S[k] = H @ P_prior[k] @ H.T + R
-        measure(kf, or_none(z), model)
+        measure(kf, None if missing[k] else z.copy(), model)
         x[k], P[k] = np.ravel(kf.x), kf.P
         if doubt is not None:
             doubt(kf)
@@ -281,5 +290,5 @@ def run_filter(kf: Any, scenario: Scenario, *, doubt: Callable[[Any], Any] | Non
 
 def own(kf: Any, name: str, default: Array) -> Array:
     """Return a filter's own matrix where it has one of the model's shape."""
-    value = None if is_extended(kf) and name == "H" else getattr(kf, name, None)
+    value = getattr(kf, name, None)
     return default if value is None or np.shape(value) != default.shape else np.asarray(value, dtype=float)

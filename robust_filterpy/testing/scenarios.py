@@ -183,21 +183,23 @@ def _label_knowing(scenario: Scenario) -> FilterRun:
     means, covariances = np.empty((N, n)), np.empty((N, n, n))
     priors, prior_covariances, y, S = np.empty((N, n)), np.empty((N, n, n)), np.empty((N, m)), np.empty((N, m, m))
     x, P = model.x, model.P
+    told = np.isfinite(scenario.noise_ratio) & ~scenario.is_missing
+    scale = np.where(np.isfinite(scenario.noise_ratio), scenario.noise_ratio, 1.0)
+    spoilt_sample = (scale != 1.0).any(axis=1)
     for k, z in enumerate(scenario.z):
         x, P = filterpy.kalman.predict(x, P, model.F, scenario.Qs[k])
         if scenario.u is not None and model.B is not None:
             x = x + model.B @ scenario.u[k]
         priors[k], prior_covariances[k] = x, P
-        noise = scenario.noise_ratio[k]
-        use = np.flatnonzero(np.isfinite(noise) & ~np.isnan(z))
-        H = model.jacobian(x)
-        scale = np.where(np.isfinite(noise), noise, 1.0)
-        R = np.outer(scale, scale) * model.R
-        at = model.measured(x)
+        H, R, at = model.jacobian(x), model.R, model.measured(x)
+        if spoilt_sample[k]:
+            R = np.outer(scale[k], scale[k]) * R
         y[k], S[k] = z - at, H @ P @ H.T + R
+        # Linearised at x: z - h(x) + H x is what a linear sensor would have said.
+        target, use = y[k] + H @ x, np.flatnonzero(told[k])
+        if use.size < m:
+            target, H, R = target[use], H[use], R[np.ix_(use, use)]
         if use.size:
-            # Linearised at x: z - h(x) + H x is what a linear sensor would have said.
-            target = (z - at + H @ x)[use]
-            x, P = filterpy.kalman.update(x, P, target, R[np.ix_(use, use)], H[use])
+            x, P = filterpy.kalman.update(x, P, target, R, H)
         means[k], covariances[k] = x, P
     return FilterRun(y, S, means, covariances, priors, prior_covariances, scenario.x)
