@@ -70,7 +70,7 @@ def likelihood_integrates_to_one(subject: FilterSubject) -> None:
     t = np.linspace(-6.0, 6.0, 301)
     offsets, density = sigma * np.sinh(t), np.empty(t.size)
     for k, offset in enumerate(offsets):
-        kf = subject.new(model)
+        kf = subject.at_prior(model)
         runs.measure(kf, model.H @ x + offset, model)
         density[k] = np.exp(float(kf.log_likelihood))
     integral = float(np.sum(density * sigma * np.cosh(t)) * (t[1] - t[0]))

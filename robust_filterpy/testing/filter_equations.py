@@ -81,6 +81,7 @@ def measurement_at_its_prediction_moves_nothing(subject: FilterSubject) -> None:
     """A measurement z = H x leaves x as it is: the innovation is z - H x."""
     model = subject.model()
     kf = subject.new(model.with_(x=3.0 * model.x))
+    kf.predict()
     x, P = state(kf)
     runs.measure(kf, model.H @ x, model)
     moved = furthest(np.ravel(kf.x) - x, P)
@@ -112,7 +113,7 @@ def estimate_moves_towards_the_measurement(subject: FilterSubject) -> None:
     """After a small innovation the residual z - H x+ is shorter than z - H x and of the same sign."""
     model = subject.model(2, 1)
     model = model.with_(R=model.H @ model.P @ model.H.T)
-    kf = subject.new(model)
+    kf = subject.at_prior(model)
     x, _ = state(kf)
     y = 0.5 * float(np.sqrt(2.0 * model.R[0, 0]))
     runs.measure(kf, model.H @ x + y, model)
@@ -126,7 +127,7 @@ def estimate_moves_towards_the_measurement(subject: FilterSubject) -> None:
 def measurement_makes_the_state_more_certain(subject: FilterSubject) -> None:
     """After a small innovation P - P+ is positive semidefinite and not zero."""
     model = subject.model()
-    kf = subject.new(model)
+    kf = subject.at_prior(model)
     x, P = state(kf)
     runs.measure(kf, model.H @ x + 0.1, model)
     gained = (P - state(kf)[1]) / np.outer(deviations(P), deviations(P))
@@ -192,12 +193,12 @@ def two_sensors_after_one_another_are_both_at_once(subject: FilterSubject) -> No
     model = subject.model()
     model = model.with_(R=np.diag(np.diagonal(model.R)))
     z = subject.recording(model, 1)[0]
-    both = subject.new(model)
+    both = subject.at_prior(model)
     runs.measure(both, z, model)
     x, P = model.x, model.P
     for i in range(2):
         one = model.of_sensors([i]).with_(x=x, P=P)
-        kf = subject.new(one)
+        kf = subject.at_prior(one)
         runs.measure(kf, z[[i]], one)
         x, P = state(kf)
     if furthest(np.ravel(both.x) - x, P) > 1e-6:
@@ -231,7 +232,7 @@ def _gain(subject: FilterSubject, model: StateModel) -> tuple[Array, Array]:
     """Return what unit innovations do to x, shape (n, m), and the P before them."""
     columns = []
     for direction in np.eye(model.dims[1]):
-        kf = subject.new(model)
+        kf = subject.at_prior(model)
         runs.measure(kf, model.H @ model.x + direction, model)
         columns.append(np.ravel(kf.x) - model.x)
     return np.column_stack(columns), model.P
@@ -239,7 +240,7 @@ def _gain(subject: FilterSubject, model: StateModel) -> tuple[Array, Array]:
 
 def _posterior(subject: FilterSubject, model: StateModel) -> Array:
     """Return P after one update."""
-    kf = subject.new(model)
+    kf = subject.at_prior(model)
     runs.measure(kf, model.H @ model.x + 0.1, model)
     return state(kf)[1]
 

@@ -66,6 +66,13 @@ class FilterSubject(Subject):
         """Make a filter and load a model into it."""
         return runs.load(self.made(*model.dims[:2]), model)
 
+    def at_prior(self, model: StateModel) -> Any:
+        """Make a filter that has just predicted the model's x and P: some cannot correct before they predict."""
+        kf = self.new(model.with_(F=np.eye(len(model.x)), Q=np.zeros_like(model.Q)))
+        kf.predict()
+        kf.F, kf.Q = model.F.copy(), model.Q.copy()
+        return kf
+
     def model(self, dim_x: int = 4, dim_z: int = 2, dim_u: int = 0) -> StateModel:
         """Draw a random stable system."""
         return random_stable(dim_x, dim_z, dim_u, rng=self.rng)

@@ -271,7 +271,7 @@ def run_filter(kf: Any, scenario: Scenario, *, doubt: Callable[[Any], Any] | Non
     N = len(scenario.z)
     x, P, x_prior, P_prior = np.empty((N, n)), np.empty((N, n, n)), np.empty((N, n)), np.empty((N, n, n))
     y, S = np.empty((N, m)), np.empty((N, m, m))
-    extended, missing = is_extended(kf), scenario.is_missing.all(axis=1).tolist()
+    extended, missing = is_extended(kf), [bool(row.all()) for row in scenario.is_missing]
     for k, z in enumerate(scenario.z):
         predict(kf, None if scenario.u is None else scenario.u[k])
         prior = x_prior[k] = np.ravel(kf.x)
