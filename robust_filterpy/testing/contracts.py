@@ -135,6 +135,7 @@ def _names(raises: Any) -> str:
 
 #: Ways to an independent copy.
 WAYS: dict[str, Callable[[Any], Any]] = {
+    "copy": copy.copy,
     "deepcopy": copy.deepcopy,
     "pickle": lambda estimator: pickle.loads(pickle.dumps(estimator)),
 }
@@ -151,7 +152,7 @@ def assert_state_round_trip(
         Filter or tracker in the middle of its work; it is changed.
     go_on : callable
         ``go_on(estimator)`` does some more work.
-    ways : sequence of {"deepcopy", "pickle"}
+    ways : sequence of {"copy", "deepcopy", "pickle"}
         How to copy.
 
     Raises
@@ -168,6 +169,8 @@ def assert_state_round_trip(
             raise AssertionError(f"{way} failed with {type(error).__name__}: {error}") from error
     before = visible(estimator)
     for way, twin in twins.items():
+        if type(twin) is not type(estimator):
+            raise AssertionError(f"{way} made a {type(twin).__name__} of a {type(estimator).__name__}")
         assert_unchanged(before, twin, f"{way}")
     go_on(estimator)
     after = visible(estimator)
@@ -223,14 +226,14 @@ def assert_same_filter(
                 assert_close(getattr(a, attribute), getattr(b, attribute), rtol, f"{name} {k}: {attribute}")
 
 
-def assert_close(actual: Any, desired: Any, rtol: float = 1e-9, what: str = "", *, size: float = 0.0) -> None:
+def assert_close(actual: Any, desired: Any, rtol: float = 1e-10, what: str = "", size: float = 0.0) -> None:
     """Assert that two arrays differ by little of the size of the whole array.
 
     Parameters
     ----------
     actual, desired : array_like, of one shape (...)
         To be compared; that is how rounding enters a matrix, not entry by entry.
-    rtol : float, default 1e-9
+    rtol : float, default 1e-10
         Difference that is allowed, over the largest entry of desired.
     what : str
         Name of the array, for the message.

@@ -189,6 +189,7 @@ def test_same_filter_names_the_first_call_that_differs():
     fails(lambda: assert_close([1.0, 2.0], [1.0], what="x"), "x: shape (2,), expected (1,)")
     fails(lambda: assert_close([1.0, np.nan], [1.0, 2.0], what="x"), "x: NaN")
     assert_close([1e-9, 1.0], [0.0, 1.0], 1e-8)
+    assert_close([1e-9], [0.0], 1e-8, size=1.0)
 
 
 # Tracking
