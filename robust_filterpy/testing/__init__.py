@@ -29,7 +29,7 @@ Checks
 * `shadow`: `side_by_side`, an unchanged program run with two filters.
 * `page`: every scenario and every check with its theorem, as a page.
 
-Imports from below: `filters`, `diagnostics`, `identification`, `plants`, `influence`. pytest is not needed.
+Imports from below: `influence`, `diagnostics`, `identification`, `plants`. pytest is not needed.
 """
 
 from __future__ import annotations
