@@ -1,7 +1,7 @@
 """Oracles, random problems and comparisons that several test files share.
 
-The reference formulas call nothing of the package: they are written from the definitions, with another way to every
-matrix function than the package takes.
+The reference formulas are written from the definitions, with another way to every matrix function than the package
+takes; of the package nothing is used but comparisons out of its room for testing.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ import scipy.stats
 from filterpy.kalman import KalmanFilter
 
 from robust_filterpy.compiled import dispatch
+from robust_filterpy.testing import assert_close, assert_same_filter, visible
+from robust_filterpy.testing import assert_unchanged as assert_unchanged
 
 # What 1.4.5 lacks, the tests compare with the definition.
 FILTERPY_2 = hasattr(KalmanFilter, "update_sequential")
@@ -254,14 +256,9 @@ def reference_correction(
     )
 
 
-def assert_close(actual, desired, rtol=1e-10, what="", size=0.0):
-    """Compare in the norm of the whole array, or of the size given: that is how rounding enters a matrix."""
-    actual, desired = np.asarray(actual, dtype=float), np.asarray(desired, dtype=float)
-    assert actual.shape == desired.shape, f"{what}: shape {actual.shape}, expected {desired.shape}"
-    assert np.all(np.isfinite(actual)), f"{what}: {actual}"
-    scale = max(np.abs(desired).max(initial=0.0), size, np.finfo(float).tiny)
-    difference = np.abs(actual - desired).max(initial=0.0)
-    assert difference <= rtol * scale, f"{what}: differs by {difference / scale:.3g} of its size"
+def snapshot(kf, names=(*STATE, *CORRECTION, *ROBUST)):
+    """Copy what a refused call must leave alone."""
+    return visible(kf, names)
 
 
 def assert_same_state(robust, plain, names=(*STATE, "y", "K", "S", "SI"), rtol=1e-10):
@@ -270,22 +267,22 @@ def assert_same_state(robust, plain, names=(*STATE, "y", "K", "S", "SI"), rtol=1
         assert_close(getattr(robust, name), getattr(plain, name), rtol, name)
 
 
+def predict_and_update(kf, z):
+    """Take the usual step."""
+    kf.predict()
+    kf.update(z)
+
+
+def assert_same_along(robust, plain, zs, step=predict_and_update, names=(*STATE, "y", "K", "S", "SI"), rtol=1e-10):
+    """Compare after every step, attribute by attribute."""
+    assert_same_filter(robust, plain, zs, step=step, names=names, rtol=rtol)
+
+
 def assert_positive_definite(P, what="P", size=0.0):
     """Finite, with a Cholesky factor, and symmetric but for rounding at the size that P has or had before."""
     assert np.all(np.isfinite(P)), f"{what}: {P}"
     np.testing.assert_allclose(P, P.T, rtol=0, atol=1e-12 * max(size, np.abs(P).max()), err_msg=what)
     np.linalg.cholesky(P)
-
-
-def snapshot(kf, names=(*STATE, *CORRECTION, *ROBUST)):
-    """Copy what a refused call must leave alone."""
-    return {name: np.array(getattr(kf, name), copy=True) for name in names}
-
-
-def assert_unchanged(before, kf):
-    """Compare with a snapshot to the last bit."""
-    for name, value in before.items():
-        np.testing.assert_array_equal(np.asarray(getattr(kf, name)), value, err_msg=name, strict=True)
 
 
 def assert_all_finite(kf):

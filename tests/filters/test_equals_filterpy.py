@@ -63,22 +63,14 @@ def test_equals_kalman_for_infinite_threshold_over_10000_steps(dims, influence, 
 def test_equals_kalman_whatever_the_information_and_the_grouping(ndim, information, grouping, influence):
     problem = support.random_problem(5, 4, 3)
     robust, plain = pair(problem, ndim, influence, information=information, grouping=grouping)
-    for z in support.simulate(problem, 50, seed=2, contamination=0.2)[0]:
-        for kf in (robust, plain):
-            kf.predict()
-            kf.update(z)
-        support.assert_same_state(robust, plain)
+    support.assert_same_along(robust, plain, support.simulate(problem, 50, seed=2, contamination=0.2)[0])
 
 
 def test_bounded_scaling_equals_kalman_where_s_is_not_below_one():
     problem = support.random_problem(5, 4, 3)
     problem = support.with_(problem, R=problem.R + np.eye(3))
     robust, plain = pair(problem, scaling="bounded")
-    for z in support.simulate(problem, 50, seed=2)[0]:
-        for kf in (robust, plain):
-            kf.predict()
-            kf.update(z)
-        support.assert_same_state(robust, plain)
+    support.assert_same_along(robust, plain, support.simulate(problem, 50, seed=2)[0])
 
 
 @pytest.mark.parametrize("ndim", NDIMS)
@@ -103,14 +95,15 @@ def test_update_with_per_call_matrices(ndim, dims):
 def test_control_input(ndim):
     problem = support.random_problem(6, 4, 2, dim_u=3)
     robust, plain = pair(problem, ndim)
-    rng = np.random.default_rng(1)
-    for z in support.simulate(problem, 20, seed=4)[0]:
-        u = rng.normal(size=(3, 1) if ndim == 2 else 3)
-        for kf in (robust, plain):
-            kf.predict(u)
-            kf.update(z)
-            kf.predict()
-        support.assert_same_state(robust, plain)
+    us = np.random.default_rng(1).normal(size=(20, 3, 1) if ndim == 2 else (20, 3))
+
+    def step(kf, u_and_z):
+        kf.predict(u_and_z[0])
+        kf.update(u_and_z[1])
+        kf.predict()
+
+    zs = support.simulate(problem, 20, seed=4)[0]
+    support.assert_same_along(robust, plain, zip(us, zs, strict=True), step)
 
 
 @pytest.mark.parametrize("ndim", NDIMS)
@@ -202,17 +195,14 @@ def test_blocks_of_independent_sensors_are_one_update(ndim, blocks):
 def test_steady_state(ndim):
     problem = support.random_problem(9, 4, 2, dim_u=1)
     robust, plain = pair(problem, ndim)
-    zs = support.simulate(problem, 100, seed=4)[0]
     u = np.ones((1, 1) if ndim == 2 else 1)
-    for k, z in enumerate(zs):
-        for kf in (robust, plain):
-            if k < 60:
-                kf.predict(u)
-                kf.update(z)
-            else:
-                kf.predict_steadystate(u)
-                kf.update_steadystate(z)
-        support.assert_same_state(robust, plain)
+
+    def step(kf, k_and_z):
+        kind = "" if k_and_z[0] < 60 else "_steadystate"
+        getattr(kf, f"predict{kind}")(u)
+        getattr(kf, f"update{kind}")(k_and_z[1])
+
+    support.assert_same_along(robust, plain, enumerate(support.simulate(problem, 100, seed=4)[0]), step)
 
 
 def test_steady_state_with_a_gain_from_elsewhere():
@@ -224,10 +214,13 @@ def test_steady_state_with_a_gain_from_elsewhere():
     robust, plain = pair(problem)
     for kf in (robust, plain):
         kf.K, kf.P = donor.K.copy(), donor.P.copy()
-        for z in support.simulate(problem, 30, seed=5)[0]:
-            kf.predict_steadystate()
-            kf.update_steadystate(z)
-    support.assert_same_state(robust, plain, (*support.STATE, "y", "K"))
+
+    def step(kf, z):
+        kf.predict_steadystate()
+        kf.update_steadystate(z)
+
+    zs = support.simulate(problem, 30, seed=5)[0]
+    support.assert_same_along(robust, plain, zs, step, (*support.STATE, "y", "K"))
 
 
 @pytest.mark.parametrize("ndim", NDIMS)
@@ -238,10 +231,7 @@ def test_fading_memory(ndim, alpha):
     for kf in (robust, plain):
         kf.alpha = alpha
         assert kf.alpha == pytest.approx(alpha)
-        for z in support.simulate(problem, 20, seed=4)[0]:
-            kf.predict()
-            kf.update(z)
-    support.assert_same_state(robust, plain)
+    support.assert_same_along(robust, plain, support.simulate(problem, 20, seed=4)[0])
 
 
 @pytest.mark.parametrize("ndim", NDIMS)

@@ -23,11 +23,8 @@ def pair(problem, ndim=2, **choices):
 def test_scalar_r_and_q_per_call(ndim):
     problem = support.random_problem(4, 3, 2)
     robust, plain = pair(problem, ndim)
-    for z in support.simulate(problem, 20, seed=4)[0]:
-        for kf in (robust, plain):
-            kf.predict(Q=0.3)
-            kf.update(z, R=0.7)
-        support.assert_same_state(robust, plain)
+    zs = support.simulate(problem, 20, seed=4)[0]
+    support.assert_same_along(robust, plain, zs, lambda kf, z: (kf.predict(Q=0.3), kf.update(z, R=0.7)))
 
 
 def test_scalar_control_without_b_is_ignored():
@@ -110,10 +107,7 @@ def test_integer_arrays(ndim):
         for name, value in integers.items():
             setattr(kf, name, value.copy())
         kf.update(4)
-        for z in range(5):
-            kf.predict()
-            kf.update(z)
-    support.assert_same_state(robust, plain)
+    support.assert_same_along(robust, plain, range(5))
 
 
 @pytest.mark.parametrize("ndim", NDIMS)
@@ -122,9 +116,8 @@ def test_scalars_as_attributes(ndim):
     robust, plain = pair(support.cart(), ndim)
     for kf in (robust, plain):
         kf.R, kf.Q, kf.P = 5, 0.0001 if kf is robust else 0.0001 * np.eye(2), 7.0
-        for z in range(5):
-            kf.predict()
-            kf.update(z)
+    support.assert_same_along(robust, plain, range(5))
+    for kf in (robust, plain):
         kf.R = 2.5
         kf.update(3.0)
     support.assert_same_state(robust, plain)
@@ -183,12 +176,8 @@ def test_another_inverse(inverse):
     problem = support.random_problem(13, 3, 2)
     problem = support.with_(problem, P=np.eye(3), Q=np.eye(3), F=0.9 * np.eye(3), H=np.eye(2, 3), R=np.diag([1.0, 2.0]))
     robust, plain = pair(problem)
-    for kf in (robust, plain):
-        kf.inv = inverse
-        for z in support.simulate(problem, 10, seed=1)[0]:
-            kf.predict()
-            kf.update(z)
-    support.assert_same_state(robust, plain)
+    robust.inv = plain.inv = inverse
+    support.assert_same_along(robust, plain, support.simulate(problem, 10, seed=1)[0])
 
 
 def test_default_construction_and_dimension_check():

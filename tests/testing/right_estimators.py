@@ -1,0 +1,51 @@
+"""Estimators that keep what they claim: filterpy's and ours, with several options."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
+from wrong_filters import PLAIN, ROBUST, Textbook, TextbookRobust
+from wrong_trackers import PLAIN as PLAIN_TRACKER
+from wrong_trackers import LeastSquares, RobustLeastSquares
+
+from robust_filterpy import (
+    Hampel,
+    Huber,
+    Linear,
+    ParameterTracker,
+    RobustExtendedKalmanFilter,
+    RobustKalmanFilter,
+    StudentT,
+    TukeyBiweight,
+)
+
+#: Name: factory, what it does not claim.
+FILTERS = {
+    "filterpy KalmanFilter": (KalmanFilter, PLAIN),
+    "filterpy ExtendedKalmanFilter": (ExtendedKalmanFilter, PLAIN),
+    "textbook": (Textbook, PLAIN),
+    "textbook, robust": (TextbookRobust, ROBUST),
+    "Linear": (partial(RobustKalmanFilter, influence=Linear()), ("robust",)),
+    "Huber": (RobustKalmanFilter, ()),
+    "Huber(.8)": (partial(RobustKalmanFilter, influence=Huber(0.8)), ()),
+    "Huber, joint": (partial(RobustKalmanFilter, grouping="joint"), ()),
+    "Huber, bounded": (partial(RobustKalmanFilter, scaling="bounded"), ("units",)),
+    "Huber, weight": (partial(RobustKalmanFilter, information="weight"), ()),
+    "Huber, expected": (partial(RobustKalmanFilter, information="expected"), ("recovers",)),
+    "Hampel": (partial(RobustKalmanFilter, influence=Hampel()), ("recovers",)),
+    "Student": (partial(RobustKalmanFilter, influence=StudentT()), ("recovers",)),
+    "Tukey": (partial(RobustKalmanFilter, influence=TukeyBiweight()), ("recovers", "likelihood")),
+    "Huber, extended": (RobustExtendedKalmanFilter, ()),
+}
+
+TRACKERS = {
+    "textbook": (LeastSquares, PLAIN_TRACKER),
+    "textbook, robust": (RobustLeastSquares, ("validates",)),
+    "Linear": (partial(ParameterTracker, influence=Linear()), ("robust",)),
+    "filterpy inside": (partial(ParameterTracker, filter=KalmanFilter), ("robust",)),
+    "Huber": (ParameterTracker, ()),
+    "Student": (partial(ParameterTracker, influence=StudentT(4.0)), ()),
+    "Tukey": (partial(ParameterTracker, influence=TukeyBiweight()), ()),
+    "Huber, pseudolinear": (partial(ParameterTracker, gradient="pseudolinear"), ()),
+}

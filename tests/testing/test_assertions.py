@@ -1,0 +1,277 @@
+"""Robustness, invariance, contracts, tracking: each assertion holds of a right estimator and fails of a wrong one."""
+
+import copy
+
+import numpy as np
+import pytest
+import scipy.stats
+import wrong_filters
+import wrong_trackers
+from filterpy.kalman import KalmanFilter
+
+from robust_filterpy import Linear, ParameterTracker, RobustKalmanFilter, TukeyBiweight
+from robust_filterpy.testing import (
+    TrackerRun,
+    assert_bounded_influence,
+    assert_close,
+    assert_efficient,
+    assert_interval_coverage,
+    assert_missing_is_no_information,
+    assert_recovers_from_jump,
+    assert_recovers_parameters,
+    assert_refused_call_changes_nothing,
+    assert_same_filter,
+    assert_sensor_order_irrelevant,
+    assert_stable_model,
+    assert_state_round_trip,
+    assert_tracks,
+    assert_unchanged,
+    assert_unit_equivariant,
+    draw,
+    load,
+    run_filter,
+    run_tracker,
+    visible,
+)
+from robust_filterpy.testing.models import random_stable
+
+
+def fails(call, *match):
+    """Return what a failing assertion says."""
+    with pytest.raises(AssertionError) as error:
+        call()
+    for words in match:
+        assert words in str(error.value), str(error.value)
+    return str(error.value)
+
+
+# Robustness
+
+
+def test_bounded_influence_is_bounded_by_psi():
+    """The bound is k sqrt(m) standard deviations of the prior."""
+    assert_bounded_influence(RobustKalmanFilter, at_most=1.345 * np.sqrt(2))
+    fails(lambda: assert_bounded_influence(RobustKalmanFilter, at_most=0.5), "expected at most 0.5")
+    fails(lambda: assert_bounded_influence(KalmanFilter), "an innovation of 1e+02 standard deviations of sensor 0")
+    fails(lambda: assert_bounded_influence(wrong_filters.OneSided), "-1e+02")
+
+
+def test_the_way_back_from_a_jump():
+    for seed in range(5):
+        assert_recovers_from_jump(RobustKalmanFilter, rng=seed)
+        assert_recovers_from_jump(KalmanFilter, within=60, size=100.0, rng=seed)
+    tukey = lambda n, m: RobustKalmanFilter(n, m, influence=TukeyBiweight())  # noqa: E731
+    fails(lambda: assert_recovers_from_jump(tukey), "100 samples after a jump of the state by 30", "for an outlier")
+    fails(lambda: assert_recovers_from_jump(RobustKalmanFilter, within=2), "2 samples after")
+
+
+def many(make, contamination, count=30):
+    scenarios = [draw("constant velocity", 40, contamination=contamination, rng=seed) for seed in range(count)]
+    return [run_filter(s.load(make(4, 2)), s) for s in scenarios], [s.reference for s in scenarios]
+
+
+def test_efficiency_is_the_ratio_of_squared_errors():
+    robust, best = many(RobustKalmanFilter, "mixture")
+    plain, _ = many(KalmanFilter, "mixture")
+    assert_efficient(robust, at_least=0.6, relative_to=best)
+    assert_efficient(best, at_least=1.0, relative_to=best)
+    text = fails(lambda: assert_efficient(plain, at_least=0.6, relative_to=best), "over 30 runs, expected at least 0.6")
+    scale = [np.einsum("kii->ki", run.P) for run in best]
+    errors = [
+        np.mean([np.mean(run.error**2 / s) for run, s in zip(runs, scale, strict=True)]) for runs in (plain, best)
+    ]
+    assert f"efficiency {errors[1] / errors[0]:.2g} " in text
+
+
+def test_efficiency_of_just_the_limit_seldom_fails():
+    """Errors of a filter with exactly the efficiency that is asked for; 5 standard errors of the binomial."""
+    from robust_filterpy.testing.robustness import ratio_of_errors
+
+    rng, alarms = np.random.default_rng(0), 0
+    for _ in range(2000):
+        reference = rng.chisquare(8, 30)
+        alarms += ratio_of_errors(2.0 * rng.chisquare(8, 30), reference, 0.5, 0.05) is not None
+    assert alarms < 2000 * 0.05 + 5 * np.sqrt(2000 * 0.05 * 0.95)
+
+
+# Invariance
+
+
+def test_units_order_and_missing_samples():
+    scenario = draw(random_stable(4, 2, 1, rng=3), 15, rng=3)
+    for make in (KalmanFilter, lambda n, m: RobustKalmanFilter(n, m, grouping="joint")):
+        assert_unit_equivariant(make, scenario)
+        assert_sensor_order_irrelevant(make, scenario)
+    assert_missing_is_no_information(RobustKalmanFilter, scenario)
+    assert_missing_is_no_information(KalmanFilter, scenario, components=False)
+    text = fails(lambda: assert_unit_equivariant(wrong_filters.PseudoInverse, scenario), "a unit of its own")
+    assert text.startswith("in other units, update ")
+    assert_unit_equivariant(wrong_filters.PseudoInverse, scenario, state=np.ones(4), sensors=np.ones(2))
+    fails(lambda: assert_sensor_order_irrelevant(wrong_filters.ROfFirstSensor, scenario), "order [1, 0]")
+    fails(lambda: assert_missing_is_no_information(KalmanFilter, scenario), "all NaN, NaN or infinity")
+    fails(lambda: assert_missing_is_no_information(wrong_filters.NaNIsZero, scenario), "with NaN for sensor 0")
+    one = draw("level", 10, rng=0)
+    for call, words in (
+        (lambda: assert_sensor_order_irrelevant(KalmanFilter, one), "at least two sensors"),
+        (lambda: assert_sensor_order_irrelevant(KalmanFilter, scenario, order=[0, 0]), "order"),
+        (lambda: assert_unit_equivariant(KalmanFilter, scenario, sensors=[1.0]), "sensors: expected 2 factors"),
+        (lambda: assert_unit_equivariant(KalmanFilter, scenario, state=[1, 2, 3, -4.0]), "state: expected 4 factors"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            call()
+
+
+# Contracts
+
+
+def test_a_refused_call_is_told_with_what_it_changed():
+    kf = load(RobustKalmanFilter(4, 2), random_stable(4, 2, rng=1))
+    kf.predict()
+    kf.update([0.1, 0.2])
+    message = assert_refused_call_changes_nothing(kf, lambda kf: kf.update([1.0, 2.0, 3.0]))
+    assert message.startswith("z: expected 2")
+    fails(lambda: assert_refused_call_changes_nothing(kf, lambda kf: kf.update([1.0, 2.0])), "the call was accepted")
+
+    def changes_and_refuses(kf):
+        kf.x, kf.P[0, 0] = kf.x + 1.0, 7.0
+        raise ValueError("too late")
+
+    fails(lambda: assert_refused_call_changes_nothing(copy.deepcopy(kf), changes_and_refuses), "too late", "P, x")
+    assert_refused_call_changes_nothing(copy.deepcopy(kf), changes_and_refuses, names=("F", "H"))
+    fails(lambda: assert_refused_call_changes_nothing(kf, lambda kf: 1 / 0), "got ZeroDivisionError")
+    assert_refused_call_changes_nothing(kf, lambda kf: 1 / 0, raises=ZeroDivisionError)
+
+
+def test_visible_is_what_can_be_read_as_numbers():
+    kf = RobustKalmanFilter(2, 1)
+    kf.update(None)
+    kept = visible(kf)
+    assert {"x", "P", "F", "K", "S", "weights", "z", "alpha", "log_likelihood"} <= set(kept)
+    assert not {"update", "inv", "influence"} & set(kept)
+    kf.x += 1.0
+    assert kept["x"][0, 0] == 0.0
+    fails(lambda: assert_unchanged(kept, kf, "a step"), "a step changed x")
+
+
+def test_copies():
+    def go_on(kf):
+        for z in np.linspace(0.0, 3.0, 8).reshape(4, 2):
+            kf.predict()
+            kf.update(z)
+
+    for make in (KalmanFilter, RobustKalmanFilter, wrong_filters.Textbook):
+        kf = load(make(4, 2), random_stable(4, 2, rng=1))
+        go_on(kf)
+        assert_state_round_trip(kf, go_on)
+    fails(lambda: assert_state_round_trip(wrong_filters.HoldsALambda(4, 2), go_on), "pickle failed with")
+    fails(lambda: assert_state_round_trip(wrong_filters.ShallowDeepcopy(4, 2), go_on), "through what a deepcopy shares")
+    assert_state_round_trip(wrong_filters.HoldsALambda(4, 2), go_on, ways=("deepcopy",))
+
+
+def test_same_filter_names_the_first_call_that_differs():
+    model = random_stable(4, 2, 1, rng=2)
+    zs = draw(model, 20, rng=2).z
+    us = np.ones((20, 1, 1))
+
+    def pair(make):
+        return load(make(4, 2), model), load(KalmanFilter(4, 2), model)
+
+    linear = lambda n, m: RobustKalmanFilter(n, m, influence=Linear())  # noqa: E731
+    assert_same_filter(*pair(linear), zs, us=us, names=("x", "P", "y", "K", "S"), rtol=1e-9)
+    zs[7, 0] += 1e3
+    assert_same_filter(*pair(linear), zs)
+    a, b = pair(lambda n, m: RobustKalmanFilter(n, m, influence=TukeyBiweight(1e3)))
+    fails(lambda: assert_same_filter(a, b, zs, rtol=1e-3), "update 7: x: differs by")
+    a, b = pair(wrong_filters.ForgottenQ)
+    fails(lambda: assert_same_filter(a, b, zs), "predict 0: P: differs")
+    a, b = pair(linear)
+    assert_same_filter(a, b, zs, step=lambda kf, z: (kf.predict(), kf.update_correlated(z)), rtol=1e-8)
+    fails(lambda: assert_close([1.0, 2.0], [1.0], what="x"), "x: shape (2,), expected (1,)")
+    fails(lambda: assert_close([1.0, np.nan], [1.0, 2.0], what="x"), "x: NaN")
+    assert_close([1e-9, 1.0], [0.0, 1.0], 1e-8)
+    assert_close([1e-9], [0.0], 1e-8, size=1.0)
+
+
+# Tracking
+
+
+def tracked(make, plant, seeds=range(12), samples=120, **options):
+    scenarios = [draw(plant, samples, rng=seed, **options) for seed in seeds]
+    return [run_tracker(s.load(make(s.structure)), s) for s in scenarios]
+
+
+def test_parameters_are_recovered_in_every_unit_of_noise():
+    for sigma in (0.01, 0.5):
+        assert_recovers_parameters(tracked(ParameterTracker, "arx", sigma=sigma))
+    assert_recovers_parameters(tracked(ParameterTracker, "fir", contamination="mixture"), factor=3.0)
+    fails(lambda: assert_recovers_parameters(tracked(wrong_trackers.SignOfA, "arx")), "a1 = 1.", "signs are not")
+    fails(
+        lambda: assert_recovers_parameters(tracked(wrong_trackers.InputsOldestFirst, "fir", samples=400, sigma=0.1)),
+        "run 0: b",
+        "their order is not",
+    )
+
+
+def test_drifting_parameters_are_tracked_against_a_reference():
+    runs = tracked(ParameterTracker, "fir", drift=0.01)
+    assert_tracks(runs, at_least=0.5, skip=20)
+    assert_tracks(runs, at_least=1.0, relative_to=runs)
+    still = tracked(wrong_trackers.QForgotten, "fir", range(30), drift=0.01)
+    fails(lambda: assert_tracks(still, at_least=0.5, skip=20), "efficiency")
+
+
+def test_stability_of_a_model_is_that_of_its_roots():
+    scenario = draw("output error", 5, rng=0)
+    theta = np.tile([-1.5, 0.7, 1.0, 0.5], (5, 1))
+    assert_stable_model(TrackerRun(theta, scenario=scenario))
+    theta[3] = [-2.1, 1.05, 1.0, 0.5]
+    fails(lambda: assert_stable_model(TrackerRun(theta, scenario=scenario)), "after sample 3", "modulus 1.28")
+
+
+def test_coverage_bounds_are_binomial():
+    rng, scenario = np.random.default_rng(1), draw("fir", 1, rng=0)
+
+    def runs(scale, count=200):
+        return [
+            TrackerRun(rng.standard_normal((1, 4)), np.full((1, 4), scale), truth=np.zeros((1, 4)), scenario=scenario)
+            for _ in range(count)
+        ]
+
+    for _ in range(20):
+        assert_interval_coverage(runs(1.0), level=0.9)
+    fails(lambda: assert_interval_coverage(runs(0.5), level=0.9), "90% intervals of b1", "too short")
+    fails(lambda: assert_interval_coverage(runs(4.0), level=0.6), "too long")
+    assert_interval_coverage(runs(0.8), level=0.9, tolerance=0.1)
+    low = int(scipy.stats.binom.ppf(1e-6 / 8, 200, 0.9))
+    assert f"expected {low} to" in fails(lambda: assert_interval_coverage(runs(0.3), level=0.9))
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "match"),
+    [
+        (
+            lambda run: assert_tracks([run] * 3),
+            ValueError,
+            "at least 10 independent runs, got 3|runs: expected at least",
+        ),
+        (lambda run: assert_tracks([run] * 12, at_least=2.0), ValueError, "at_least: expected an efficiency"),
+        (lambda run: assert_tracks(run.theta), TypeError, "runs: expected a TrackerRun"),
+        (lambda run: assert_tracks([run] * 12, relative_to=[run]), ValueError, "relative_to"),
+        (lambda run: assert_interval_coverage(run, level=95), ValueError, "level: expected a probability"),
+        (lambda run: assert_interval_coverage(TrackerRun(run.theta, truth=run.truth)), ValueError, "std"),
+        (lambda run: assert_recovers_parameters(TrackerRun(run.theta, truth=run.truth)), ValueError, "scenario"),
+        (lambda run: TrackerRun(run.theta, truth=run.truth[:-1]), ValueError, r"truth: expected shape \(30, 4\)"),
+        (lambda run: TrackerRun(run.theta[0]), ValueError, r"theta: expected shape \(N, n\)"),
+        (lambda run: TrackerRun(run.theta).error, ValueError, "true parameters"),
+        (
+            lambda run: run_tracker(ParameterTracker(run.known.structure), draw("arx", 5, nothing=1)),
+            TypeError,
+            "nothing",
+        ),
+        (lambda run: assert_efficient([], at_least=1, relative_to=[]), TypeError, "runs"),
+    ],
+)
+def test_bad_input_is_named(call, error, match):
+    scenario = draw("fir", 30, rng=0)
+    with pytest.raises(error, match=match):
+        call(run_tracker(scenario.load(ParameterTracker(scenario.structure)), scenario))

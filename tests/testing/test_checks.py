@@ -1,0 +1,188 @@
+"""check_filter and check_tracker: right estimators keep every promise, each wrong one breaks that of its name."""
+
+import subprocess
+import sys
+import time
+import unittest
+from functools import partial
+
+import pytest
+from filterpy.kalman import KalmanFilter
+from right_estimators import FILTERS, TRACKERS
+from wrong_filters import PLAIN, WRONG_FILTERS, HardGate, Textbook
+from wrong_trackers import WRONG_TRACKERS
+
+from robust_filterpy import ParameterTracker, RobustKalmanFilter
+from robust_filterpy.testing import ChecksFailed, check_filter, check_tracker, filter_checks, tracker_checks
+
+
+@pytest.mark.parametrize("name", [name for name in FILTERS if name.startswith(("filterpy", "textbook"))])
+def test_right_filters_keep_every_promise(name):
+    """Those of this package are in tests/filters."""
+    make, not_claimed = FILTERS[name]
+    results = check_filter(make, not_claimed=not_claimed)
+    assert {result.status for result in results} <= {"passed", "skipped"} and len(results) > 30
+
+
+@pytest.mark.parametrize("name", [name for name in TRACKERS if name.startswith(("textbook", "filterpy"))])
+def test_right_trackers_keep_every_promise(name):
+    """Those of this package are in tests/identification."""
+    make, not_claimed = TRACKERS[name]
+    assert {result.status for result in check_tracker(make, not_claimed=not_claimed)} <= {"passed", "skipped"}
+
+
+def fitting(cls, listed):
+    """Return the checks whose name fits the fault."""
+    return [check for check in listed(not_claimed=cls.not_claimed) if check.name in cls.caught_by]
+
+
+def is_caught(cls, listed):
+    """Tell whether one of these checks fails."""
+    for check in fitting(cls, listed):
+        try:
+            check(cls)
+        except AssertionError as error:
+            assert str(error).startswith(f"{check.name}: ")
+            return True
+    return False
+
+
+@pytest.mark.parametrize("cls", WRONG_FILTERS, ids=lambda cls: cls.__name__)
+def test_a_wrong_filter_is_caught_by_the_check_whose_name_fits(cls):
+    assert is_caught(cls, filter_checks), cls.__doc__
+
+
+@pytest.mark.parametrize("cls", WRONG_TRACKERS, ids=lambda cls: cls.__name__)
+def test_a_wrong_tracker_is_caught_by_the_check_whose_name_fits(cls):
+    assert is_caught(cls, tracker_checks), cls.__doc__
+
+
+def test_every_check_catches_something_wrong():
+    """A check that nothing in the library fails may as well not be there."""
+    for wrong, listed in ((WRONG_FILTERS, filter_checks), (WRONG_TRACKERS, tracker_checks)):
+        names = {name for cls in wrong for name in cls.caught_by}
+        every = {check.name for left_out in ((), ("robust",)) for check in listed(not_claimed=left_out)}
+        assert names <= every
+        assert len(every - names) <= 4, every - names
+
+
+def test_there_are_as_many_wrong_ones_as_promised():
+    assert len(WRONG_FILTERS) >= 30 and len(WRONG_TRACKERS) >= 15
+    assert all(cls.__doc__ for cls in (*WRONG_FILTERS, *WRONG_TRACKERS))
+
+
+def test_the_error_names_every_check_that_failed():
+    with pytest.raises(ChecksFailed) as error:
+        check_filter(KalmanFilter)
+    failed = [result for result in error.value.results if result.status == "failed"]
+    assert f"{len(failed)} of {len(error.value.results)} checks failed" in str(error.value)
+    assert {"nan_is_a_sensor_that_is_not_there", "influence_of_one_measurement_is_bounded"} <= {r.name for r in failed}
+    assert all(result.message in str(error.value) for result in failed)
+    assert isinstance(error.value, AssertionError)
+
+
+def test_a_filter_of_four_states_takes_less_than_ten_seconds():
+    start = time.process_time()
+    check_filter(KalmanFilter, not_claimed=PLAIN)
+    assert time.process_time() - start < 10.0
+
+
+def test_what_is_not_claimed_is_not_tested():
+    every, plain = filter_checks(), filter_checks(not_claimed=("robust", "nan"))
+    assert {c.name for c in every if "robust" in c.needs} and not [c for c in plain if c.needs & {"robust", "nan"}]
+    assert {c.name for c in plain if "exact" in c.needs} and not [c for c in every if "exact" in c.needs]
+    assert not [c for c in tracker_checks(not_claimed=("robust", "exact")) if "exact" in c.needs]
+
+
+def test_an_expected_failure_is_skipped_with_its_reason_and_warns_when_it_passes():
+    name = "a_true_jump_is_followed"
+    results = check_filter(HardGate, not_claimed=HardGate.not_claimed, expected_failures={name: "gates for good"})
+    (result,) = [result for result in results if result.name == name]
+    assert result.status == "skipped" and result.message.startswith("fails as expected, gates for good: 100 samples")
+    with pytest.warns(UserWarning, match="state_keeps_its_shape: expected to fail .* but it passes"):
+        check_filter(Textbook, not_claimed=PLAIN, expected_failures={"state_keeps_its_shape": "why"})
+
+
+def test_checks_are_parameters_for_pytest():
+    for check in (*filter_checks(), *tracker_checks()):
+        assert check.__name__ == str(check) == check.name
+        assert check.theorem.endswith(".") and len(check.theorem) > 20
+    assert [check.name for check in filter_checks(seed=3)] == [check.name for check in filter_checks()]
+
+
+def test_the_seed_decides_everything():
+    """A filter that fails by chance fails again with the same seed, and another time with another one."""
+
+    def outcome(seed):
+        try:
+            check(partial(RobustKalmanFilter, grouping="joint"), seed=seed)
+        except AssertionError as error:
+            return str(error)
+        return ""
+
+    check = next(c for c in filter_checks(false_alarm=0.9) if c.name == "innovations_are_white")
+    found = [outcome(seed) for seed in range(4)]
+    assert found == [outcome(seed) for seed in range(4)]
+
+
+def test_a_check_without_meaning_is_skipped():
+    check = next(c for c in filter_checks() if c.name == "nonlinear_sensor_is_linearised_at_the_prediction")
+    with pytest.raises(unittest.SkipTest, match="HJacobian"):
+        check(KalmanFilter)
+
+
+def test_an_error_inside_a_filter_is_a_failure_of_the_check():
+    class Raises(Textbook):
+        def predict(self, u=None):
+            raise ZeroDivisionError("in predict")
+
+    with pytest.raises(ChecksFailed, match="prediction_moves_the_state_by_F: ZeroDivisionError: in predict"):
+        check_filter(Raises, not_claimed=PLAIN)
+
+
+def test_pytest_is_not_needed():
+    code = (
+        "import sys; sys.modules['pytest'] = None\n"
+        "from filterpy.kalman import KalmanFilter; from robust_filterpy import testing\n"
+        "testing.check_filter(KalmanFilter, not_claimed=('robust', 'nan', 'validates')); print('kept')"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout == "kept\n", done.stderr
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "match"),
+    [
+        (
+            lambda: check_filter(lambda n, m: None),
+            TypeError,
+            "make: expected a function of dim_x and dim_z .* got None",
+        ),
+        (lambda: check_filter(lambda n, m: KalmanFilter), TypeError, "make: expected"),
+        (
+            lambda: check_filter(lambda n, m: KalmanFilter(2, 1)),
+            ValueError,
+            r"make: expected x of 4 numbers from make\(4",
+        ),
+        (lambda: check_filter(KalmanFilter(4, 2)), TypeError, "make: expected a class or a function"),
+        (lambda: check_filter(KalmanFilter, not_claimed="robust"), TypeError, r"use \('robust',\)"),
+        (lambda: check_filter(KalmanFilter, not_claimed=["fast"]), ValueError, "not_claimed: expected one of"),
+        (
+            lambda: check_filter(KalmanFilter, expected_failures={"x": ""}),
+            ValueError,
+            "expected_failures: expected one",
+        ),
+        (lambda: filter_checks(false_alarm=1.0), ValueError, "false_alarm"),
+        (lambda: filter_checks(seed=-1), ValueError, "seed"),
+        (lambda: check_tracker(lambda structure: None), TypeError, "make: expected a function of a structure"),
+        (
+            lambda: check_tracker(lambda s: ParameterTracker(type(s)(1, 1))),
+            ValueError,
+            "make: ARX.* theta of 4 numbers",
+        ),
+        (lambda: tracker_checks(not_claimed=["nan"]), ValueError, "not_claimed"),
+    ],
+)
+def test_bad_input_is_named(call, error, match):
+    with pytest.raises(error, match=match):
+        call()

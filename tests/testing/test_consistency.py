@@ -1,0 +1,184 @@
+"""The tests of consistency: exact where they say so, and able to tell one wrong model from another."""
+
+import re
+
+import numpy as np
+import pytest
+import scipy.stats
+from filterpy.common import Saver
+from filterpy.kalman import KalmanFilter
+
+from robust_filterpy import RobustKalmanFilter
+from robust_filterpy.testing import (
+    FilterRun,
+    assert_consistent,
+    assert_covariance_stays_one,
+    assert_innovations_white,
+    assert_unbiased,
+    draw,
+    run_filter,
+)
+
+
+def told(scenario, **factors):
+    """Run filterpy's filter with some of its matrices multiplied."""
+    kf = scenario.load(KalmanFilter(*scenario.model.dims[:2]))
+    for name, factor in factors.items():
+        setattr(kf, name, getattr(kf, name) * factor)
+    return run_filter(kf, scenario)
+
+
+def words(assertion, *args, **kwargs):
+    """Return what a failing assertion says."""
+    with pytest.raises(AssertionError) as error:
+        assertion(*args, **kwargs)
+    return str(error.value)
+
+
+@pytest.mark.parametrize("assertion", [assert_consistent, assert_unbiased, assert_innovations_white])
+def test_the_false_alarm_probability_is_what_it_says(assertion):
+    """At 20 % a right filter fails in at most 20 % of recordings, and not in much fewer: Bonferroni wastes little."""
+    fails, trials = 0, 400
+    for seed in range(trials):
+        scenario = draw("constant velocity", 25, rng=seed)
+        try:
+            assertion(scenario.reference, false_alarm=0.2)
+        except AssertionError:
+            fails += 1
+    low, high = scipy.stats.binom.interval(1 - 1e-6, trials, 0.2)
+    assert 0.5 * low <= fails <= high, fails
+
+
+@pytest.mark.parametrize(
+    ("factors", "expected"),
+    [
+        ({"R": 0.1}, r"NIS mean .* expected 2 .* S is about \S+ times too small: R too small"),
+        (
+            {"Q": 0.01},
+            r"times too small: Q too small, or the state moves otherwise \(the innovations are correlated by",
+        ),
+        ({"R": 10.0}, r"times too large: R or Q too large"),
+        ({"Q": 1000.0}, r"times too large: R or Q too large"),
+    ],
+)
+def test_a_wrong_model_is_told_in_words_and_figures(factors, expected):
+    run = told(draw("constant velocity", 500, rng=1), **factors)
+    with pytest.raises(AssertionError, match=expected):
+        assert_consistent(run)
+
+
+def test_nis_mean_and_band_are_the_chi_square_ones():
+    run = told(draw("constant velocity", 500, rng=1), R=0.25)
+    text = words(assert_consistent, FilterRun(run.y, run.S), false_alarm=1e-3)
+    nis = np.mean([y @ np.linalg.solve(S, y) for y, S in zip(run.y, run.S, strict=True)])
+    low, high = scipy.stats.chi2.ppf([0.0005, 0.9995], 1000) / 500
+    assert f"NIS mean {nis:.3g}, expected 2 ({low:.3g} to {high:.3g}) over 500 steps" in text
+    assert f"about {nis / 2:.2g} times too small" in text
+
+
+def test_outliers_are_told_from_a_wrong_r():
+    scenario = draw("constant velocity", 500, contamination="mixture", rng=1)
+    assert "outliers (the ordinary samples alone give" in words(assert_consistent, told(scenario))
+
+
+def test_errors_are_judged_by_p_even_where_innovations_are_right():
+    run = draw("constant velocity", 100, rng=1).reference
+    assert "NEES mean" in words(assert_consistent, FilterRun(run.y, run.S, run.x, run.P / 25, truth=run.truth))
+    vain = [draw("constant velocity", 100, rng=seed).reference for seed in range(5)]
+    vain = [FilterRun(run.y, run.S, run.x, run.P * 25, truth=run.truth) for run in vain]
+    assert "less sure than it could be" in words(assert_consistent, vain)
+
+
+def test_a_factor_is_granted_both_ways():
+    scenario = draw("constant velocity", 500, rng=1)
+    for factor in (0.25, 4.0):
+        run = told(scenario, R=factor, Q=factor, P=factor)
+        assert_consistent(run, factor=6.0)
+        words(assert_consistent, run)
+
+
+def test_missing_components_are_no_degrees_of_freedom():
+    for seed in range(10):
+        assert_consistent(draw("two sensors", 100, contamination="missing", rng=seed).reference)
+
+
+def test_a_saver_is_a_run_without_a_truth():
+    scenario = draw("constant velocity", 400, rng=1)
+    for R, fits in ((1.0, True), (0.05, False)):
+        kf = scenario.load(RobustKalmanFilter(4, 2))
+        kf.R = kf.R * R
+        saver = Saver(kf)
+        for z in scenario.z:
+            kf.predict()
+            kf.update(z)
+            saver.save()
+        if fits:
+            assert_consistent(saver, factor=1.5)
+        else:
+            assert "times too small" in words(assert_consistent, saver)
+
+
+def test_a_bias_is_named_with_its_state():
+    def biased(seed):
+        scenario = draw("constant velocity", 40, rng=seed)
+        kf = scenario.load(KalmanFilter(4, 2))
+        return run_filter(kf, scenario, doubt=lambda kf: kf.x.__iadd__([[0.0], [0.0], [0.3], [0.0]]))
+
+    runs = [biased(seed) for seed in range(20)]
+    assert re.match(
+        r"state 3 is off by -1\.\d of its standard deviations on average over 20", words(assert_unbiased, runs)
+    )
+    assert_unbiased([draw("constant velocity", 40, rng=seed).reference for seed in range(20)])
+
+
+def test_whiteness_does_not_depend_on_the_scale_of_s_and_tells_slow_from_eager():
+    scenario = draw("constant velocity", 500, rng=1)
+    slow, eager = told(scenario, Q=0.001), told(scenario, Q=1000.0)
+    assert "follows too slowly" in words(assert_innovations_white, slow)
+    assert "follows too eagerly" in words(assert_innovations_white, eager)
+    right = told(scenario)
+    assert_innovations_white(FilterRun(right.y, 100.0 * right.S))
+    assert_innovations_white(slow, tolerance=0.99)
+
+
+def test_correlation_at_a_later_lag_is_found():
+    e = np.random.default_rng(0).standard_normal((400, 1))
+    e[3:] += 0.6 * e[:-3]
+    run = FilterRun(e, np.ones((400, 1, 1)))
+    assert "at lag 3" in words(assert_innovations_white, run)
+    assert_innovations_white(run, lags=2)
+
+
+@pytest.mark.parametrize(
+    ("P", "expected"),
+    [
+        (np.array([[1.0, 0.0], [1e-3, 1.0]]), "not symmetric at step 0"),
+        (np.array([[1.0, 1.1], [1.1, 1.0]]), "no covariance at step 0: its least eigenvalue is -0.1"),
+        (np.array([[1e12, 1.1], [1.1, 1e-12]]), "no covariance"),
+        (np.array([[1.0, np.nan], [np.nan, 1.0]]), "NaN or infinity"),
+    ],
+)
+def test_what_is_no_covariance_is_told_whatever_the_units(P, expected):
+    assert expected in words(assert_covariance_stays_one, P)
+    assert_covariance_stays_one(np.diag([1e12, 1e-12]))
+    assert_covariance_stays_one(draw("constant velocity", 20, rng=1).reference)
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "match"),
+    [
+        (lambda run: assert_consistent(np.zeros(3)), TypeError, "runs: expected a FilterRun, a Saver or a list"),
+        (lambda run: assert_consistent([]), TypeError, "runs"),
+        (lambda run: assert_consistent(run, factor=0.5), ValueError, "factor: expected a number >= 1"),
+        (lambda run: assert_consistent(run, false_alarm=0.0), ValueError, "false_alarm: expected a probability"),
+        (lambda run: assert_unbiased(FilterRun(run.y, run.S)), ValueError, "truth|P"),
+        (lambda run: assert_innovations_white(run, lags=0), ValueError, "lags"),
+        (lambda run: assert_covariance_stays_one(np.zeros(3)), ValueError, "P: expected shape"),
+        (lambda run: assert_covariance_stays_one(FilterRun(run.y, run.S)), ValueError, "P: expected a run"),
+        (lambda run: assert_consistent(FilterRun(run.y * np.nan, run.S)), ValueError, "at least one measurement"),
+        (lambda run: assert_consistent(FilterRun(run.y, -run.S)), AssertionError, "S of step 0 is no covariance"),
+    ],
+)
+def test_bad_input_is_named(call, error, match):
+    with pytest.raises(error, match=match):
+        call(draw("level", 20, rng=0).reference)

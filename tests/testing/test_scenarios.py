@@ -1,0 +1,210 @@
+"""Scenarios: what is told about a recording is true of it."""
+
+import control
+import numpy as np
+import pytest
+import scipy.stats
+from filterpy.kalman import KalmanFilter
+
+from robust_filterpy.identification import ARX
+from robust_filterpy.testing import (
+    CONTAMINATIONS,
+    MODELS,
+    PLANTS,
+    Bursts,
+    FilterRun,
+    Missing,
+    Mixture,
+    StateModel,
+    assert_consistent,
+    draw,
+    load,
+    run_filter,
+)
+from robust_filterpy.testing.models import random_stable
+from robust_filterpy.testing.plant_scenarios import arx, output_error
+
+KINDS = ["none", *CONTAMINATIONS, ("mixture", "missing"), Bursts(0.2, 8)]
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=str)
+@pytest.mark.parametrize("name", MODELS)
+def test_every_model_can_be_spoilt_in_every_way(name, kind):
+    scenario = draw(name, 80, contamination=kind, rng=5)
+    n, m, _ = scenario.model.dims
+    assert scenario.z.shape == scenario.is_outlier.shape == scenario.noise_ratio.shape == (80, m)
+    assert scenario.x.shape == scenario.reference.x.shape == (80, n)
+    np.testing.assert_array_equal(np.isnan(scenario.z), scenario.is_missing)
+    assert not (scenario.is_outlier & scenario.is_missing).any()
+    assert np.isfinite(scenario.reference.x).all() and np.isfinite(scenario.reference.P).all()
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=str)
+@pytest.mark.parametrize("name", PLANTS)
+def test_every_plant_can_be_spoilt_in_every_way(name, kind):
+    scenario = draw(name, 80, contamination=kind, rng=5)
+    assert scenario.u.shape == scenario.y.shape == scenario.y_clean.shape == scenario.is_outlier.shape == (80,)
+    np.testing.assert_array_equal(np.isnan(scenario.y), scenario.is_missing)
+    assert scenario.reference.theta.shape == (80, scenario.structure.n_theta)
+    assert np.isfinite(scenario.reference.theta).all()
+
+
+def test_the_same_seed_gives_the_same_scenario():
+    for name in (*MODELS, *PLANTS):
+        one, two, other = (draw(name, 40, contamination="mixture", rng=seed) for seed in (3, 3, 4))
+        values = [getattr(s, "z" if name in MODELS else "y") for s in (one, two, other)]
+        np.testing.assert_array_equal(values[0], values[1])
+        assert (values[0] != values[2]).any()
+
+
+def test_noises_have_the_covariances_that_the_model_tells():
+    model = random_stable(3, 2, 1, rng=1)
+    scenario = draw(model, 4000, rng=2)
+    v = scenario.z - scenario.x @ model.H.T
+    w = scenario.x[1:] - scenario.x[:-1] @ model.F.T - scenario.u[1:] @ model.B.T
+    for noise, covariance in ((v, model.R), (w, model.Q)):
+        squared = np.einsum("ki,ij,kj->", noise, np.linalg.inv(covariance), noise)
+        low, high = scipy.stats.chi2.interval(1 - 1e-6, noise.size)
+        assert low < squared < high
+
+
+@pytest.mark.parametrize(("kind", "probability"), [(Mixture(0.2, 10.0), 0.2), (Bursts(0.2, 5, 10.0), 0.18)])
+def test_labels_tell_which_samples_have_the_larger_noise(kind, probability):
+    scenario = draw("constant velocity", 4000, contamination=kind, rng=3)
+    v = scenario.z - scenario.x @ scenario.model.H.T
+    assert abs(scenario.is_outlier.mean() - probability) < 0.03
+    assert abs(v[~scenario.is_outlier].std() - 1.0) < 0.05
+    assert abs(v[scenario.is_outlier].std() - 10.0) < 1.0
+    np.testing.assert_array_equal(scenario.noise_ratio, np.where(scenario.is_outlier, 10.0, 1.0))
+
+
+def test_bursts_stuck_sensors_and_gaps_come_in_runs():
+    for kind, length in ((Bursts(0.05, 6), 6), ("stuck", 10), (Missing(0.05, 7), 7)):
+        scenario = draw("level", 2000, contamination=kind, rng=3)
+        marks = (scenario.is_missing if isinstance(kind, Missing) else scenario.is_outlier)[:, 0].astype(int)
+        edges = np.flatnonzero(np.diff(np.r_[0, marks, 0]))
+        runs = edges[1::2] - edges[::2]
+        assert len(runs) > 3 and np.median(runs) == length
+    z = draw("level", 500, contamination="stuck", rng=3)
+    same = np.r_[False, np.diff(z.z[:, 0]) == 0]
+    np.testing.assert_array_equal(same, z.is_outlier[:, 0])
+    assert (draw("level", 500, contamination="sentinels", rng=3).z == 9999).any()
+    one = draw("level", 500, contamination="one-sided", rng=3)
+    assert (one.z - one.x)[one.is_outlier].min() > -4
+
+
+def test_a_slow_sensor_is_missing_between_its_periods():
+    scenario = draw("two sensors", 50, rng=1)
+    assert (~scenario.is_missing[:, 0]).sum() == 10 and not scenario.is_missing[:, 1].any()
+
+
+def test_jumps_are_put_where_they_are_asked_for_and_the_reference_is_told():
+    still = draw("level", 100, rng=1, jump_probability=0.0)
+    jumped = draw("level", 100, rng=1, jump_probability=0.0, jumps={40: [25.0]})
+    np.testing.assert_allclose(jumped.x - still.x, np.where(np.arange(100) < 40, 0.0, 25.0)[:, None])
+    assert jumped.is_jump.nonzero()[0].tolist() == [40]
+    assert np.abs(jumped.reference.error[41:]).max() < 5.0
+    assert np.abs(run_filter(jumped.load(KalmanFilter(1, 1)), jumped).error[41]) > 15.0
+
+
+@pytest.mark.parametrize("name", [name for name in MODELS if name != "range and bearing"])
+def test_the_label_knowing_filter_is_consistent_under_outliers_and_jumps(name):
+    """It has the exact covariances, however the mixture fell: NIS and NEES are chi-square."""
+    runs = [draw(name, 40, contamination=("mixture", "missing"), rng=seed).reference for seed in range(30)]
+    ratios = [FilterRun(run.y, run.S, run.x, run.P, run.x_prior, run.P_prior, run.truth) for run in runs]
+    assert_consistent(ratios)
+
+
+def test_without_labels_the_reference_is_filterpys_filter():
+    scenario = draw("constant velocity", 60, rng=1)
+    run = run_filter(scenario.load(KalmanFilter(4, 2)), scenario)
+    for name in ("x", "P", "x_prior", "P_prior", "y", "S"):
+        np.testing.assert_allclose(getattr(run, name), getattr(scenario.reference, name), rtol=1e-9, atol=1e-12)
+
+
+def test_the_label_knowing_filter_beats_the_one_that_is_not_told():
+    gains = []
+    for seed in range(20):
+        scenario = draw("constant velocity", 60, contamination="mixture", rng=seed)
+        plain = run_filter(scenario.load(KalmanFilter(4, 2)), scenario)
+        gains.append(np.mean(plain.error**2) / np.mean(scenario.reference.error**2))
+    assert np.median(gains) > 2
+
+
+# Plants
+
+
+@pytest.mark.parametrize("name", ["arx", "output error", "fir"])
+def test_a_plant_without_noise_is_linear_in_its_parameters(name):
+    """y(k) = phi(k)' theta(k), equation 14, also while theta drifts and jumps."""
+    options = {"drift": 1e-5, "jump_probability": 0.01, "jump_size": 0.05}
+    scenario = draw(name, 200, rng=2, **options)
+    phi = scenario.structure.regressors(scenario.u, scenario.y_clean)
+    np.testing.assert_allclose(np.sum(phi * scenario.theta, axis=1), scenario.y_clean, atol=1e-9)
+    assert np.ptp(scenario.theta, axis=0).min() > 0 and scenario.is_jump.any()
+
+
+def test_noise_in_the_loop_stays_in_the_equation():
+    """A(q) y - B(q) u is the noise, outliers included: an outlier of an ARX plant goes round the loop."""
+    scenario = draw("arx", 3000, contamination="mixture", rng=2)
+    v = scenario.y - scenario.structure.regressors(scenario.u, scenario.y) @ scenario.theta[0]
+    assert abs(v[~scenario.is_outlier].std() - 0.5) < 0.03 and abs(v[scenario.is_outlier].std() - 5.0) < 0.8
+
+
+def test_a_transfer_function_of_python_control_becomes_a_plant():
+    system = control.tf([2.0], [1.0, -0.5, 0.0], True)
+    assert arx(system).structure == ARX(2, 1, 2)
+    np.testing.assert_array_equal(output_error(system, sigma=0.1).theta, [-0.5, 0.0, 2.0])
+    scenario = draw(output_error(system, sigma=0.1), 50, rng=1)
+    answer = control.forced_response(system, inputs=scenario.u).outputs
+    np.testing.assert_allclose(scenario.y_clean, answer, atol=1e-12)
+
+
+def test_drifting_plants_stay_stable_and_c_stands_still():
+    scenario = draw("armax", 500, rng=1, drift=1e-4, jump_probability=0.02)
+    poles = [np.abs(np.roots([1.0, *theta[:2]])).max() for theta in scenario.theta]
+    assert max(poles) < 1.0
+    assert np.ptp(scenario.theta[:, -1]) == 0.0 and scenario.Q[-1, -1] == 0.0
+
+
+def test_the_label_knowing_tracker_is_least_squares_where_nothing_is_to_be_known():
+    scenario = draw("fir", 80, rng=1)
+    phi = scenario.structure.regressors(scenario.u)
+    information = phi.T @ phi / scenario.R + np.eye(4)
+    expected = np.linalg.solve(information, phi.T @ scenario.y / scenario.R + scenario.theta[0])
+    np.testing.assert_allclose(scenario.reference.theta[-1], expected, rtol=1e-9)
+
+
+# Bad input
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "words"),
+    [
+        (lambda: draw("velocity"), ValueError, "problem: expected one of 'constant velocity'"),
+        (lambda: draw(3), TypeError, "problem: expected a name, a StateModel or a Plant"),
+        (lambda: draw("level", 0), ValueError, "steps"),
+        (lambda: draw("level", contamination="outliers"), ValueError, "contamination: expected one of 'none'"),
+        (lambda: draw("level", contamination=[3]), TypeError, "contamination: expected a name or something to call"),
+        (lambda: draw("level", 10, jumps={10: [1.0]}), ValueError, "jumps: expected steps below 10"),
+        (lambda: draw("level", 10, jumps={1: [1.0, 2.0]}), ValueError, r"jumps: expected shape \(1, 1\)"),
+        (lambda: draw("level", dt=0.1), TypeError, "dt"),
+        (lambda: draw(random_stable(2, 1, rng=0), dt=1), TypeError, "dt: expected only beside the name"),
+        (lambda: draw("level", jump_probability=2.0), ValueError, "jump_probability"),
+        (lambda: random_stable(0, 1), ValueError, "dim_x"),
+        (lambda: StateModel(np.zeros(2), *[np.eye(2)] * 2, np.eye(3), *[np.eye(2)] * 2), ValueError, "H: expected"),
+        (lambda: StateModel(np.zeros(2), *[np.eye(2)] * 4, 1.0), ValueError, "R: expected a square matrix"),
+        (lambda: random_stable(2, 1, rng=0).with_(B=np.ones(2)), ValueError, "B: expected"),
+        (lambda: random_stable(2, 1, rng=0).with_(sensor=np.sin), ValueError, "sensor, sensor_jacobian"),
+        (lambda: random_stable(2, 2, rng=0).with_(periods=(1,)), ValueError, "periods: expected one for each"),
+        (lambda: load(KalmanFilter(3, 1), MODELS["level"]()), ValueError, "expected dim_x=1, dim_z=1.* got dim_x=3"),
+        (lambda: load(object(), MODELS["level"]()), TypeError, "kf: expected a filter"),
+        (lambda: run_filter(KalmanFilter(3, 1), draw("level", 5, rng=0)), ValueError, "with 1 states"),
+        (lambda: FilterRun(np.zeros((3, 1)), np.ones((4, 1, 1))), ValueError, "S: expected shape"),
+        (lambda: FilterRun(np.zeros((3, 1)), np.ones((3, 1, 1)), np.zeros((3, 2)), truth=np.zeros((4, 2))), ValueError,
+         r"truth: expected shape \(3, 2\)"),
+    ],
+)  # fmt: skip
+def test_bad_input_is_named(call, error, words):
+    with pytest.raises(error, match=words):
+        call()
