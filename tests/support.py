@@ -15,6 +15,7 @@ import scipy.stats
 from filterpy.kalman import KalmanFilter
 
 from robust_filterpy.compiled import dispatch
+from robust_filterpy.identification import ParameterTracker, TrackerBank
 from robust_filterpy.testing import assert_close, assert_same_filter, visible
 from robust_filterpy.testing import assert_unchanged as assert_unchanged
 
@@ -318,3 +319,14 @@ def needs_kernel():
     pytest.importorskip("numba")
     if dispatch.ONLINE not in dispatch._cached():
         pytest.skip("no kernel in the cache: python -m robust_filterpy compile")
+
+
+def told_tracker(structure, **options):
+    """The paper's recursion from the first sample: no start, no constant, R told (1 unless given)."""
+    own = {} if "filter" in options and not isinstance(options["filter"], type) else {"R": 1.0}
+    return ParameterTracker(structure, **{"start": 0, **own, **options})
+
+
+def told_bank(n, structure, **options):
+    """Such trackers for n actuators."""
+    return TrackerBank(n, structure, **{"start": 0, "R": 1.0, **options})

@@ -1,7 +1,8 @@
 """Recursive identification: the parameters of a linear model, sample by sample, by any filter of filterpy's kind.
 
 * `structures`: which signals the regressor phi is made of.
-* `tracker`: theta in y = phi' theta + v, sample by sample.
+* `tracker`: theta in y = phi' theta + v, sample by sample; with `cold_start`, `noise_scale` (an R that is followed) and
+  `watch` (whether it is lost).
 * `bank`: the same for many actuators at once.
 * `results`: what they return.
 * `identify`: the model of a recording, from nothing; made of
@@ -27,6 +28,11 @@ from robust_filterpy.identification.model import Model
 from robust_filterpy.identification.results import Coefficients, Intervals, Sample, TrackingResult
 from robust_filterpy.identification.structures import ARMAX, ARX, FIR, LinearRegression, OutputError
 from robust_filterpy.identification.tracker import ParameterTracker
+from robust_filterpy.identification.watch import LostTrackerWarning
+
+# A tracker starts by `identify`, and a model goes on as a tracker: neither file can import the other.
+ParameterTracker._identify = staticmethod(identify)
+Model._tracker = ParameterTracker
 
 __all__ = [
     "ARMAX",
@@ -37,6 +43,7 @@ __all__ = [
     "Coefficients",
     "Intervals",
     "LinearRegression",
+    "LostTrackerWarning",
     "Model",
     "OutputError",
     "ParameterTracker",

@@ -136,16 +136,17 @@ def require(sentence: str, good: Any) -> None:
         raise ValueError(f"{sentence}: {actuators(~good)}")
 
 
-def checked_state(state: Any, layout: Layout, n: int, guarded: np.ndarray) -> dict[str, Array]:
+def checked_state(state: Any, layout: Layout, own: int, n: int, guarded: np.ndarray) -> dict[str, Array]:
     """Return the arrays of a bank's state, copied, or raise."""
     if not (hasattr(state, "keys") and hasattr(state, "__getitem__")):
         raise TypeError(
             f"state: expected what state() returned, or what numpy.load makes of a file that holds it, got "
             f"{type(state).__name__}"
         )
-    d, found = layout.n, {}
+    d, found = own, {}
     shapes = {name: (n, *shape) for name, shape in layout.shapes().items()}
-    shapes |= {"theta": (n, d), "P": (n, d, d), "enabled": (n,), "R": (n,), "alpha_sq": (n,), "Q": (d, d), "F": (d, d)}
+    shapes |= {"theta": (n, layout.n), "P": (n, layout.n, layout.n), "enabled": (n,), "R": (n,), "alpha_sq": (n,)}
+    shapes |= {"Q": (d, d), "F": (d, d), "recursion": (n, 7)}
     for name, shape in shapes.items():
         if name not in state:
             raise ValueError(f"state: expected {name}, of shape {shape}, got none")
@@ -158,6 +159,10 @@ def checked_state(state: Any, layout: Layout, n: int, guarded: np.ndarray) -> di
         elif not finite.all():
             raise ValueError(sentence)
         found[name] = value
+    start = numbers("start", state["start"]).copy() if "start" in state else np.zeros(0)
+    if start.ndim != 3 or len(start) != n:
+        raise ValueError(f"state: expected start of shape ({n}, L, 1 + n_inputs), got {start.shape}")
+    found["start"] = start
     for name in ("R", "alpha_sq"):
         require(f"state: expected {name} > 0", found[name] > 0.0)
     P = found["P"]
@@ -215,10 +220,8 @@ def inputs(structure: Structure, u: Any, n: int, length: int | None = None) -> A
     return np.broadcast_to(values, (*time, n, width))
 
 
-def recorded_variances(default: Any, R: Any, n: int, length: int) -> Array:
+def recorded_variances(R: Any, n: int, length: int) -> Array:
     """Return R of each sample and actuator, shape (N, n), or raise."""
-    if R is None:
-        return np.broadcast_to(variances(default, n), (length, n))
     found = numbers("R", R)
     if found.shape not in ((), (length,), (length, n)):
         raise ValueError(f"R: expected shape ({length}, {n}), or ({length},) for all, got {described(found)}")

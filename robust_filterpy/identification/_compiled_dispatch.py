@@ -24,6 +24,8 @@ class Recursion(NamedTuple):
     choices: tuple[Choices, ...]
     """Options of the correction, one for all or one each."""
     uses_model_output: bool
+    cleans: bool
+    """Whether the regressor holds cleaned outputs."""
     filtered: np.ndarray
     """Whether the gradient is filtered, (n,)."""
     guard: np.ndarray
@@ -45,6 +47,7 @@ class Memories(NamedTuple):
     inputs: Array
     residuals: Array
     gradients: Array
+    measured: Array
 
 
 def serves(choices: tuple[Choices, ...], samples: int) -> bool:
@@ -54,29 +57,30 @@ def serves(choices: tuple[Choices, ...], samples: int) -> bool:
 
 def advance(
     layout: Layout, recursion: Recursion, y: Array, phi: Array, r: Array, x: Array, P: Array, memory: Memories,
-    out: Columns,
+    scale: Array, out: Columns,
 ) -> np.ndarray:  # fmt: skip
     """Advance actuators in place and return the first sample of each that is left to the definition, or N.
 
-    y (n, N) and phi (n, N, d), of which the inputs are filled in; r (n, 1 or N); x (n, d); P (n, d, d); the columns
-    of out have the axes (n, N) in front.
+    y (n, N) and phi (n, N, d), of which the inputs are filled in; r (n, 1 or N); x (n, d); P (n, d, d); scale (n, 4),
+    R and the fields of `NoiseScale`, a memory of 0 where R is r; the columns of out have the axes (n, N) in front.
     """
     part = slice(0, 0) if layout.part is None else layout.part
     identity = np.eye(layout.n)
     moves = np.broadcast_to((recursion.F != identity).any(axis=(1, 2)), len(y))
     filtered = recursion.filtered & (layout.part is not None)
     guard = [GUARDS.index(name) for name in recursion.guard]
-    rules = np.stack([np.full(len(y), recursion.uses_model_output), filtered, guard, moves], axis=1).astype(np.int64)
+    shared = (np.full(len(y), rule) for rule in (recursion.uses_model_output, recursion.cleans))
+    rules = np.stack([filtered, guard, moves, *shared], axis=1).astype(np.int64)
     options = np.stack([dispatch.encoded(choice, 1) for choice in recursion.choices])
     places = np.array([layout.na, layout.nc, part.start, part.stop], dtype=np.int64)
     done = np.zeros(len(y), dtype=np.int64)
-    F, Q, alpha_sq, windup = map(dispatch.usable, recursion[4:])
+    F, Q, alpha_sq, windup = map(dispatch.usable, recursion[5:])
     with dispatch.announced(dispatch.TRACKING):
         from robust_filterpy.identification._compiled_loop import track
 
         track(
             dispatch.usable(y), phi, dispatch.usable(r), F, Q, alpha_sq, windup, rules, options, places, x, P, memory,
-            out, done,
+            scale, out, done,
         )  # fmt: skip
     return done
 
@@ -85,9 +89,9 @@ def compile_kernel() -> None:
     """Take one sample of one actuator, so that numba compiles the recursion."""
     layout = Layout(ARX(1, 1))
     eye, one = np.eye(2)[None], np.ones(1)
-    recursion = Recursion((Choices(),), False, np.array([False]), np.array(["none"]), eye, eye, one, one)
+    recursion = Recursion((Choices(),), False, False, np.array([False]), np.array(["none"]), eye, eye, one, one)
     memory = Memories(**{name: np.zeros((1, *shape)) for name, shape in layout.shapes().items()})
     advance(
         layout, recursion, one[None], np.zeros((1, 1, 2)), one[None], np.zeros((1, 2)), eye.copy(), memory,
-        Columns.empty(1, 1, 2),
+        np.zeros((1, 4)), Columns.empty(1, 1, 2),
     )  # fmt: skip

@@ -7,6 +7,7 @@ its limit) stops an actuator before that sample, and the caller takes it by the 
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,13 +18,15 @@ from robust_filterpy.compiled.kernel import correct, predict, workspace, workspa
 from robust_filterpy.compiled.loops import decoded
 from robust_filterpy.compiled.stamp import sources
 from robust_filterpy.identification._conditioning import SHARP
-from robust_filterpy.identification._regressor import LARGEST
+from robust_filterpy.identification._regressor import CLEANED_FROM, LARGEST
 from robust_filterpy.identification.guard import MOST_HALVINGS
+from robust_filterpy.identification.noise_scale import followed
 
 # Far from what overflows; beyond it the definition knows what to do.
 _ORDINARY = 1e150
 
 _buffer_size = inlined(workspace_size)
+_followed = inlined(followed)
 
 
 @inlined
@@ -119,16 +122,32 @@ def _predicted(F, moves, Q, alpha_sq, x, P, room):
 
 
 @inlined
-def _advance(i, y, phi, r, F, Q, alpha_sq, windup, rules, rule, places, x, P, memory, out, room, ws):
+def _explains(h, unclean, predicted, measured, r, room):
+    """Tell whether the outputs as measured explain this one, and the cleaned ones do not."""
+    other, S = predicted, r
+    for j in range(len(unclean)):
+        other += (unclean[j] - h[j]) * room.x[j]
+    if other == predicted:
+        return False
+    for a in range(len(h)):
+        for b in range(len(h)):
+            S += h[a] * room.P[a, b] * h[b]
+    return abs(measured - predicted) > CLEANED_FROM * math.sqrt(S) and abs(measured - other) < abs(measured - predicted)
+
+
+@inlined
+def _advance(i, y, phi, r, F, Q, alpha_sq, windup, rules, rule, places, x, P, memory, scale, out, room, ws):
     """Advance actuator i through a recording; return the first sample that is not for this loop, or N."""
     length, n = phi.shape[1], phi.shape[2]
-    model_output, filtered, restrains, moves = rules[i, 0] == 1, rules[i, 1] == 1, rules[i, 2], rules[i, 3] == 1
+    filtered, restrains, moves = rules[i, 0] == 1, rules[i, 1], rules[i, 2] == 1
+    model_output, cleans, follows = rules[i, 3] == 1, rules[i, 4] == 1, scale[i, 3] > 0.0
     na, nc, first, last = places[0], places[1], places[2], places[3]
     order, feeds_back = last - first, last > first
     outputs, residuals, gradients = memory.outputs[i], memory.residuals[i], memory.gradients[i]
+    unclean = memory.measured[i]
     g = room.G[0]
     for k in range(length):
-        h, measured, r_k = phi[i, k], y[i, k], r[i, k if r.shape[1] > 1 else 0]
+        h, measured, r_k = phi[i, k], y[i, k], scale[i, 0] if follows else r[i, k if r.shape[1] > 1 else 0]
         for j in range(na):
             h[j] = outputs[j]
         for j in range(nc):
@@ -149,6 +168,13 @@ def _advance(i, y, phi, r, F, Q, alpha_sq, windup, rules, rule, places, x, P, me
         predicted = 0.0
         for j in range(n):
             predicted += h[j] * room.x[j]
+        shown, known = predicted, measured == measured
+        again = cleans and known and _explains(h, unclean, predicted, measured, r_k, room)
+        if again:
+            for j in range(na):
+                predicted += (unclean[j] - h[j]) * room.x[j]
+                h[j] = unclean[j]
+        for j in range(n):
             g[j] = h[j]
         if filtered and (restrains != 0 or _is_stable(room.x, first, last, room.polynomial, room.work)):
             for a in range(order):
@@ -160,7 +186,7 @@ def _advance(i, y, phi, r, F, Q, alpha_sq, windup, rules, rule, places, x, P, me
             along += g[j] * room.x[j]
         if not (abs(predicted) < _ORDINARY and square < LARGEST * LARGEST):
             return k
-        known, weight = measured == measured, np.nan
+        weight, S = np.nan, 0.0
         if known:
             # False for NaN, too.
             if not square * trace <= SHARP * r_k:
@@ -172,7 +198,7 @@ def _advance(i, y, phi, r, F, Q, alpha_sq, windup, rules, rule, places, x, P, me
             fine, _ = correct(room.z, room.x, room.P, room.G, room.R, rule, False, False, room.x, room.P, ws, n, 1)
             if not fine:
                 return k
-            weight = ws.psi[0] / ws.e[0] if ws.e[0] != 0.0 else 1.0
+            weight, S = ws.psi[0] / ws.e[0] if ws.e[0] != 0.0 else 1.0, ws.S[0, 0]
         event = _restrain(room.x, x, first, last, restrains, room.polynomial, room.work) if feeds_back else 0
         after = 0.0
         for a in range(n):
@@ -181,15 +207,22 @@ def _advance(i, y, phi, r, F, Q, alpha_sq, windup, rules, rule, places, x, P, me
             x[a] = room.x[a]
             for b in range(n):
                 P[a, b] = room.P[a, b]
-        out.prediction[i, k], out.residual[i, k] = predicted, measured - predicted
+        out.prediction[i, k], out.residual[i, k] = shown, measured - shown
         out.weights[i, k], out.guard[i, k] = weight, event
+        nu = measured - predicted
+        if known and follows:
+            scale[i, 0], scale[i, 1] = _followed(r_k, scale[i, 1], scale[i, 2], scale[i, 3], nu, S)
+        believed = measured
+        if not known or (cleans and abs(nu) > CLEANED_FROM * math.sqrt(S)):
+            believed = _bounded(predicted)
         if na:
-            if model_output:
-                _push(outputs, -_bounded(after))
-            else:
-                _push(outputs, -(measured if known else _bounded(predicted)))
+            if again:
+                for j in range(na):
+                    outputs[j] = unclean[j]
+            _push(outputs, -_bounded(after) if model_output else -believed)
+            _push(unclean, -measured if known else -_bounded(predicted))
         if nc:
-            _push(residuals, _bounded(measured - after) if known else 0.0)
+            _push(residuals, _bounded(believed - after) if known else 0.0)
         if filtered:
             for a in range(order - 1, 0, -1):
                 for b in range(n):
@@ -203,13 +236,14 @@ def _entry(version: int) -> Any:
     """Return what Python calls; a variable from outside is part of a function's key in numba's cache."""
 
     @entry
-    def track(y, phi, r, F, Q, alpha_sq, windup, rules, options, places, x, P, memory, out, done):
+    def track(y, phi, r, F, Q, alpha_sq, windup, rules, options, places, x, P, memory, scale, out, done):
         """Advance every actuator through its recording; everything from x on goes in and comes out.
 
         y (n, N); phi (n, N, d), the part of the inputs filled in; r (n, 1 or N); F, Q (n or 1, d, d); alpha_sq, windup
-        (n,); rules (n, 4): whether phi holds the model's own outputs, whether the gradient is filtered, the guard,
-        whether F is other than I; options (n or 1, ..) of the kernel; places: na, nc, first and last place that feeds
-        back. done (n,): the first sample that is not for this loop, or N.
+        (n,); rules (n, 5): whether the gradient is filtered, the guard, whether F is other than I, whether phi holds
+        the model's own outputs, whether cleaned ones; options (n or 1, ..) of the kernel; places: na, nc, first and
+        last place that feeds back; scale (n, 4): R and what following it takes. done (n,): the first sample that is not
+        for this loop, or N.
         """
         n = phi.shape[2]
         ws = workspace(np.empty(_buffer_size(n, 1)), n, 1)
@@ -221,7 +255,7 @@ def _entry(version: int) -> Any:
             a, b, c = i if len(F) > 1 else 0, i if len(Q) > 1 else 0, i if len(options) > 1 else 0
             done[i] = _advance(
                 i, y, phi, r, F[a], Q[b], alpha_sq[i], windup[i], rules, decoded(options[c]), places, x[i], P[i],
-                memory, out, room, ws,
+                memory, scale, out, room, ws,
             )  # fmt: skip
         return version
 

@@ -13,6 +13,9 @@ from robust_filterpy.identification.structures import Structure
 # Beyond this the square of a signal, times P, leaves the range of floats.
 LARGEST: Final = 1e100
 
+# Standard deviations from which on an innovation makes its output one that a cleaned regressor replaces.
+CLEANED_FROM: Final = 3.0
+
 
 def bounded(value: float) -> float:
     """Return value, at most LARGEST in size; NaN, which is inf - inf here, becomes 0."""
@@ -54,6 +57,7 @@ class Layout:
             "inputs": (self.length,),
             "residuals": (self.nc,),
             "gradients": (self.order, self.n),
+            "measured": (self.na,),
         }
 
 
@@ -61,10 +65,11 @@ class Memory:
     """Past signals, newest first.
 
     ``outputs`` is the part of phi that belongs to them, with its minus sign, ``inputs`` has the newest input too, and
-    ``gradients`` has a row phi(k-j) filtered by 1/A_hat for each past sample that the filter needs.
+    ``gradients`` has a row phi(k-j) filtered by 1/A_hat for each past sample that the filter needs. ``measured`` is
+    like ``outputs``, with the outputs as they were measured.
     """
 
-    __slots__ = ("gradients", "inputs", "outputs", "residuals")
+    __slots__ = ("gradients", "inputs", "measured", "outputs", "residuals")
 
     def __init__(self, layout: Layout) -> None:
         """Start at rest."""
@@ -72,6 +77,7 @@ class Memory:
         self.inputs: Array
         self.residuals: Array
         self.gradients: Array
+        self.measured: Array
         for name, shape in layout.shapes().items():
             setattr(self, name, np.zeros(shape))
 

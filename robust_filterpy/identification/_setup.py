@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from typing import Any
 
 import numpy as np
@@ -56,25 +57,61 @@ def make_filter(n: int, given: Any, choices: dict[str, Any]) -> Any:
 
 
 def configure(
-    kf: Any, structure: Structure, *, theta: Any, P: Any, Q: Any, R: Any, F: Any, forgetting: float | None
+    kf: Any,
+    structure: Structure,
+    own: np.ndarray,
+    *,
+    theta: Any,
+    P: Any,
+    Q: Any,
+    R: Any,
+    F: Any,
+    forgetting: float | None,
 ) -> None:
-    """Check the arguments that are given and write them into the filter."""
-    n = structure.n_theta
-    start = np.ravel(kf.x).astype(float) if theta is None else _start(theta, n)
+    """Check the arguments that are given and write them into the filter; own: the places of theta in its state."""
+    n, size = structure.n_theta, np.size(kf.x)
+    start = np.ravel(kf.x).astype(float)[own] if theta is None else _start(theta, n)
     if structure.feeds_back is not None and not is_stable(start[structure.feeds_back].tolist()):
         raise ValueError(
             f"theta: expected a stable model to start from, got {start[structure.feeds_back]} as the coefficients "
             f"that feed back, whose roots leave the unit circle"
         )
     values = checked_values(n, P, Q, R, F)
-    if F is None and (not hasattr(kf, "F") or np.shape(kf.F) != (n, n)):
-        values["F"] = np.eye(n)
+    values = {
+        name: value if name == "R" else embedded(getattr(kf, name, np.eye(size)), own, value)
+        for name, value in values.items()
+    }
+    if F is None and (not hasattr(kf, "F") or np.shape(kf.F) != (size, size)):
+        values["F"] = np.eye(size)
     if forgetting is not None:
         forget(kf, forgetting)
     if theta is not None:
-        kf.x = start.reshape(np.shape(kf.x))
+        x = np.zeros(size)
+        x[own] = start
+        kf.x = x.reshape(np.shape(kf.x))
     for name, value in values.items():
         setattr(kf, name, value)
+
+
+def embedded(whole: Any, own: np.ndarray, values: Array) -> Array:
+    """Return a matrix of all that a filter estimates, with these values in the places of theta."""
+    if len(own) == len(values) == len(whole):
+        return values
+    found = np.array(whole, dtype=float)
+    found[np.ix_(own, own)] = values
+    return found
+
+
+def warn_of_default_noise(kf: Any) -> None:
+    """Warn if parameters would move by 1 a sample only because filterpy's filters begin with Q = I."""
+    n = np.size(kf.x)
+    if np.array_equal(getattr(kf, "Q", np.zeros(0)), np.eye(n)):
+        warnings.warn(
+            "filter: its Q is I, as filterpy's filters begin, so that every parameter is expected to move by 1 a "
+            "sample; pass Q=0 for parameters that stand still, or Q=1 if that is meant",
+            UserWarning,
+            stacklevel=3,
+        )
 
 
 def checked_values(n: int, P: Any = None, Q: Any = None, R: Any = None, F: Any = None) -> dict[str, Array]:
@@ -169,12 +206,32 @@ def checked_state(state: Any, shapes: dict[str, tuple[int, ...]], present: dict[
                 continue
             raise ValueError(f"state: expected {name}, of shape {shape}, got none")
         value = _checks.numbers(name, state[name]).copy() if name != "enabled" else np.array(state[name], dtype=bool)
-        if value.shape != shape:
+        if value.ndim != len(shape) or any(a not in (-1, b) for a, b in zip(shape, value.shape, strict=True)):
             raise ValueError(f"state: expected {name} of shape {shape}, got {value.shape}")
-        found[name] = _finite(name, value)
+        found[name] = value if name == "start" else _finite(name, value)
     for name in ("R", "alpha_sq"):
         if name in found and not (found[name] > 0.0).all():
             raise ValueError(f"state: expected {name} > 0, got {found[name]}")
     if (found["P"].diagonal() < 0.0).any():
         raise ValueError(f"state: expected variances >= 0 on the diagonal of P, got {found['P'].diagonal()}")
     return found
+
+
+def require_consistent(state: dict[str, Array], part: slice | None) -> None:
+    """Raise unless a state's matrices are covariances, and the model is stable where that is kept."""
+    for name in ("P", "Q"):
+        matrix = state.get(name)
+        if matrix is None or matrix.ndim != 2:
+            continue
+        # Wider than rounding in a long recursion, so that what `state` gave is always taken back.
+        slack = 1e-8 * np.abs(matrix).max(initial=1e-300)
+        least = float(np.linalg.eigvalsh(0.5 * (matrix + matrix.T))[0])
+        if np.abs(matrix - matrix.T).max() > slack or least < -slack:
+            raise ValueError(f"state: expected a symmetric positive semidefinite {name}, got eigenvalue {least:.3g}")
+    if "alpha_sq" in state and not (state["alpha_sq"] >= 1.0).all():
+        raise ValueError(f"state: expected alpha_sq >= 1, got {state['alpha_sq']}")
+    if part is not None and not is_stable(state["theta"][part].tolist()):
+        raise ValueError(
+            "state: expected theta of a stable model, got coefficients that feed back with roots outside the unit "
+            "circle"
+        )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import Any, NamedTuple, cast
 
@@ -13,11 +14,14 @@ from robust_filterpy._checks import Array, numbers
 from robust_filterpy.correction.options import Information, Scaling
 from robust_filterpy.identification import _bank_setup, _model
 from robust_filterpy.identification._compiled_dispatch import Memories, Recursion, advance, serves
+from robust_filterpy.identification._recursion import GRADIENTS, Gradient, Regressor
 from robust_filterpy.identification._regressor import LARGEST, Layout
 from robust_filterpy.identification.guard import GUARDS, Guard
+from robust_filterpy.identification.noise_scale import NoiseScale, ordinary_mean
 from robust_filterpy.identification.results import Coefficients, Columns, Intervals, TrackingResult, intervals
 from robust_filterpy.identification.structures import Structure
-from robust_filterpy.identification.tracker import _WINDUP, GRADIENTS, Gradient, ParameterTracker
+from robust_filterpy.identification.tracker import _START, _WINDUP, ParameterTracker
+from robust_filterpy.identification.watch import LostTrackerWarning
 from robust_filterpy.influence.functions import Influence
 
 __all__ = ["BankResult", "BankSample", "TrackerBank"]
@@ -105,8 +109,17 @@ class _Now(NamedTuple):
     """Parameters, covariances and past signals at one moment; no array in it is ever written into."""
 
     theta: Array
+    """With the constant, where there is one."""
     P: Array
     past: Memories
+    scale: Array
+    """R and the fields of `NoiseScale`, (n, 4)."""
+    others: Array
+    """Centre of y, limit of tr P, whether a model was found, (n, 3)."""
+    start: Array
+    """y and u of the samples so far, (L, n, 1 + n_inputs), until the start is over."""
+    waits: int
+    """Samples until the start is over; -1 once it is."""
 
 
 class TrackerBank:
@@ -119,17 +132,25 @@ class TrackerBank:
     structure : ARX, OutputError, ARMAX, FIR or LinearRegression
         What phi is made of.
     theta : array_like, shape (n_theta,) or (n, n_theta), or float, optional
-        Parameters to start from. Default: 0.
+        Parameters to start from. Default: found by the start; 0 with ``start=0``.
     P : array_like, shape (n_theta, n_theta) or (n, n_theta, n_theta), or float, or shape (n,), optional
-        Their covariances; a number p stands for p I. Default: 100 I.
+        Their covariances; a number p stands for p I. Default: found by the start; 100 I with
+        ``start=0``.
     Q : array_like, any shape that P may have, optional
         Covariance of a step of theta (paper 8). Default: 0.
     R : float, or array_like, shape (n,), optional
-        Variance of the ordinary noise. Default: 1.
+        Variance of the ordinary noise. Default: found from the data and followed. Setting the attribute fixes it.
     F : array_like, shape (n_theta, n_theta) or (n, n_theta, n_theta), optional
         Transition matrix C of (9). Default: the identity.
     forgetting : float, or array_like, shape (n,), optional
         Forgetting factor in (0, 1].
+    start : int, optional
+        How many samples are kept before `identify` makes a model of each actuator. Default: 400, or 0 if theta or P is
+        given. An actuator of which none can be made starts from nothing.
+    offset : bool, optional
+        Whether there is a constant; default as in `ParameterTracker`.
+    regressor, R_memory
+        As in `ParameterTracker`.
     gradient, guard : str, or list of n str
         As in `ParameterTracker`.
     influence, scaling, information : optional
@@ -179,12 +200,16 @@ class TrackerBank:
         n: int,
         structure: Structure,
         *,
-        theta: ArrayLike = 0.0,
-        P: ArrayLike = 100.0,
+        theta: ArrayLike | None = None,
+        P: ArrayLike | None = None,
         Q: ArrayLike = 0.0,
-        R: ArrayLike = 1.0,
+        R: ArrayLike | None = None,
         F: ArrayLike | None = None,
         forgetting: ArrayLike | None = None,
+        start: int | None = None,
+        offset: bool | None = None,
+        regressor: Regressor = "measured",
+        R_memory: int = 200,
         gradient: Gradient | Sequence[Gradient] = "filtered",
         guard: Guard | Sequence[Guard] = "halve",
         influence: Influence | Sequence[Influence] | None = None,
@@ -200,17 +225,30 @@ class TrackerBank:
         self._guard = _bank_setup.options("guard", guard, n, GUARDS)
         choices = {"influence": influence, "scaling": scaling, "information": information}
         self._choices = _bank_setup.choices(n, choices)
-        self._layout = Layout(structure)
-        start = _bank_setup.parameters(structure, theta, n)
-        covariance = np.array(np.broadcast_to(_bank_setup.covariances("P", P, n, d), (n, d, d)), order="C")
+        # One tracker checks the rest, and shows what all of them have in common.
+        told = theta is not None or P is not None
+        samples = (0 if told else _START) if start is None else start
+        self._one = ParameterTracker(
+            structure, theta=0.0 if told else None, start=samples, offset=offset, regressor=regressor, R_memory=R_memory
+        )
+        self._layout, self._own = self._one._layout, self._one._own
+        values = _bank_setup.parameters(structure, 0.0 if theta is None else theta, n)
+        spread = _bank_setup.covariances("P", 100.0 if P is None else P, n, d)
+        size = self._layout.n
+        first, covariance = np.zeros((n, size)), np.tile(100.0 * np.eye(size), (n, 1, 1))
+        first[:, self._own], covariance[:, self._own[:, None], self._own] = values, spread
         self.Q = _bank_setup.covariances("Q", Q, n, d)
-        self.R = _bank_setup.variances(R, n).copy()
         self.F = _bank_setup.transitions(F, n, d)
         self._forgetting = _bank_setup.factors(forgetting, n)
         self._alpha_sq = (1.0 / np.sqrt(self._forgetting)) ** 2
-        self._windup = _WINDUP * np.maximum(np.trace(covariance, axis1=1, axis2=2), 1e-300)
         past = Memories(**{name: np.zeros((n, *shape)) for name, shape in self._layout.shapes().items()})
-        self._now = _Now(start, covariance, past)
+        scale = np.empty((n, 4))
+        scale[:, 0] = _bank_setup.variances(1.0 if R is None else R, n)
+        scale[:, 1:] = NoiseScale(0.0, ordinary_mean(None), 0.0 if R is not None else self._one._scale.memory)
+        windup = _WINDUP * np.maximum(np.trace(covariance, axis1=1, axis2=2), 1e-300)
+        others = np.column_stack((np.zeros(n), windup, np.full(n, samples == 0)))
+        kept = np.zeros((0, n, 1 + structure.n_inputs))
+        self._now = _Now(first, covariance, past, scale, others, kept, samples or -1)
         self.enabled = True
         self._initial = self.state()
 
@@ -223,17 +261,34 @@ class TrackerBank:
     @property
     def theta(self) -> Array:
         """Parameters, shape (n, n_theta)."""
-        return self._now.theta.copy()
+        return self._now.theta[:, self._own]
 
     @property
     def P(self) -> Array:
         """Covariances of the parameters, shape (n, n_theta, n_theta)."""
-        return self._now.P.copy()
+        return self._now.P[:, self._own[:, None], self._own]
 
     @property
     def std(self) -> Array:
-        """Standard deviations of the parameters, shape (n, n_theta)."""
-        return np.sqrt(np.maximum(np.einsum("ijj->ij", self._now.P), 0.0))
+        """Standard deviations of the parameters, shape (n, n_theta); infinite until the start has found a model."""
+        std = np.sqrt(np.maximum(np.einsum("ijj->ij", self._now.P), 0.0))[:, self._own]
+        return np.where(self._now.others[:, 2:] > 0.0, std, np.inf)
+
+    @property
+    def R(self) -> Array:
+        """Variances of the ordinary noise, as they are followed, shape (n,); may be set, and are then not followed."""
+        return self._now.scale[:, 0].copy()
+
+    @R.setter
+    def R(self, value: ArrayLike) -> None:
+        scale = self._now.scale.copy()
+        scale[:, 0], scale[:, 3] = _bank_setup.variances(value, self.n), 0.0
+        self._now = self._now._replace(scale=scale)
+
+    @property
+    def offset(self) -> Array:
+        """Constants of the equations, shape (n,); see `ParameterTracker`."""
+        return np.array([self.tracker(i).offset for i in range(self.n)])
 
     @property
     def coefficients(self) -> Coefficients:
@@ -274,16 +329,17 @@ class TrackerBank:
             If the next input is needed and not given, or F or Q would make theta or P infinite.
         """
         layout, past = self._layout, self._now.past
-        if u is None and layout.direct:
+        if u is None and any(nb and not nk for nb, nk in self.structure.inputs):
             raise ValueError(f"u: expected the next input, which acts at once in {self.structure}, got None")
         width = self.structure.n_inputs
         values = np.zeros((self.n, width)) if u is None else _bank_setup.inputs(self.structure, u, self.n)
-        phi = _regressors(layout, past, _with_inputs(layout, past.inputs, values))
+        phi = _regressors(layout, past, _with_inputs(layout, past.inputs, self._with_constant(values)))
         with np.errstate(over="ignore", invalid="ignore"):
             moved = (self._matrices("F") @ self._now.theta[:, :, None])[:, :, 0]
             theta = np.where(self._drifting()[:, None], moved, self._now.theta)
             predicted = np.nan_to_num(np.einsum("ij,ij->i", phi, theta), posinf=LARGEST, neginf=-LARGEST)
-        return np.clip(predicted, -LARGEST, LARGEST)
+        predicted = np.clip(predicted, -LARGEST, LARGEST) + self._now.others[:, 0]
+        return np.where(self._now.others[:, 2] > 0.0, predicted, _levels(self._now.start))
 
     def tracker(self, i: int) -> ParameterTracker:
         """Return a tracker of one actuator that goes on where the bank is, and resets to where the bank began.
@@ -309,11 +365,12 @@ class TrackerBank:
             raise TypeError(f"actuator: expected an integer from 0 to {self.n - 1}, got {i!r}")
         if not 0 <= i < self.n:
             raise IndexError(f"actuator: expected 0 to {self.n - 1}, got {i}")
-        start = self._row(self._initial, i)
         choices = self._choices[i if len(self._choices) > 1 else 0]
         tracker = ParameterTracker(
             self.structure,
-            **{name: start[name] for name in ("theta", "P", "Q", "R", "F")},
+            start=0,
+            offset=self._one._has_offset,
+            regressor=self._one.regressor,
             forgetting=float(self._forgetting[i]),
             gradient=cast(Gradient, str(self._gradient[i])),
             guard=cast(Guard, str(self._guard[i])),
@@ -321,7 +378,11 @@ class TrackerBank:
             scaling=choices.scaling,
             information=choices.information,
         )
-        tracker.restore(self._row(self._arrays(self._now), i))
+        tracker._samples = self._one._samples
+        # States of this bank: what `restore` of a tracker refuses has been refused before.
+        tracker._set_state(self._row(self._initial, i))
+        tracker._initial = tracker.state()
+        tracker._set_state(self._row(self._arrays(self._now), i))
         return tracker
 
     # The recursion.
@@ -352,10 +413,11 @@ class TrackerBank:
         """
         outputs = _bank_setup.outputs(y, self.n, False)
         inputs = _bank_setup.inputs(self.structure, u, self.n)
-        variances = _bank_setup.variances(self.R if R is None else R, self.n)
-        now, out = self._advance(self._now, outputs[None], inputs[None], variances[None], None)
+        variances = None if R is None else _bank_setup.variances(R, self.n)[None]
+        now, out = self._advance(self._now, outputs[None], inputs[None], variances, None)
+        sample = BankSample(*(column[:, 0] for column in out[2:]))
         self._now = now
-        return BankSample(*(column[:, 0] for column in out[2:]))
+        return sample
 
     def run(
         self, y: ArrayLike, u: ArrayLike | None = None, R: ArrayLike | None = None, *, keep: str | int = "all"
@@ -389,60 +451,118 @@ class TrackerBank:
         outputs = _bank_setup.outputs(y, self.n, True)
         length = len(outputs)
         signal = _bank_setup.inputs(self.structure, u, self.n, length)
-        noise = _bank_setup.recorded_variances(self.R, R, self.n, length)
+        noise = None if R is None else _bank_setup.recorded_variances(R, self.n, length)
         every = _every(keep, length)
         kept = np.arange(every - 1, length, every)
         columns = Columns.empty(kept.size, self.n, self._layout.n)
-        now, step = self._now, max(1, _CHUNK // (self.n * self._layout.n))
-        for k in range(0, length, step):
+        now, k = self._now, 0
+        while k < length:
+            step = max(1, _CHUNK // (self.n * self._layout.n)) if now.waits < 0 else now.waits
             chunk = slice(k, min(k + step, length))
-            now, out = self._advance(now, outputs[chunk], signal[chunk], noise[chunk], k)
+            now, out = self._advance(now, outputs[chunk], signal[chunk], None if noise is None else noise[chunk], k)
             due = np.flatnonzero((kept >= k) & (kept < chunk.stop))
             for column, part in zip(columns, out, strict=True):
                 column[due] = part[:, kept[due] - k].swapaxes(0, 1)
-        self._now = now
+            k = chunk.stop
         theta, variance, prediction, residual, weights, guard = columns
-        return BankResult(theta, np.sqrt(np.maximum(variance, 0.0)), prediction, residual, weights, guard, kept)
+        std = np.sqrt(np.maximum(variance[..., self._own], 0.0))
+        result = BankResult(theta[..., self._own], std, prediction, residual, weights, guard, kept)
+        self._now = now
+        return result
 
-    def _advance(self, now: _Now, y: Array, u: Array, R: Array, first: int | None) -> tuple[_Now, Columns]:
+    def _with_constant(self, u: Array) -> Array:
+        """Return inputs (.., n, n_inputs) with the constant, where phi has one."""
+        return np.concatenate((u, np.ones((*u.shape[:-1], 1))), axis=-1) if self._one._has_offset else u
+
+    def _advance(
+        self, now: _Now, y: Array, u: Array, R: Array | None, first: int | None
+    ) -> tuple[_Now, Columns]:  # fmt: skip
         """Return what N checked samples make of now, and columns with the axes (n, N); changes nothing.
 
         y and R have shape (N, n), u (N, n, n_inputs). first: number of the first sample, for messages that name it.
         """
         layout, length = self._layout, len(y)
         out = Columns.empty(self.n, length, layout.n)
-        theta, P = now.theta.copy(), now.P.copy()
+        if now.waits >= 0:
+            return self._look_on(now, y, u, out), out
+        theta, P, scale = now.theta.copy(), now.P.copy(), now.scale.copy()
         past = Memories(*(np.array(a, order="C") for a in now.past))
-        after = _Now(theta, P, past)
+        after = now._replace(theta=theta, P=P, past=past, scale=scale)
         left = np.zeros(self.n, dtype=np.int64)
         if self._enabled.all() and serves(self._choices, y.size):
+            centre, signal = now.others[:, :1], self._with_constant(u)
             phi, inputs = np.zeros((self.n, length, layout.n)), past.inputs
             for k in range(length):
-                inputs = _with_inputs(layout, inputs, u[k])
+                inputs = _with_inputs(layout, inputs, signal[k])
                 phi[:, k, layout.inputs_in_phi] = inputs[:, layout.picks]
             recursion = Recursion(
-                self._choices, self.structure.uses_model_output, self._gradient == "filtered", self._guard,
-                self._matrices("F"), self._matrices("Q"), self._alpha_sq, self._windup,
+                self._choices, self.structure.uses_model_output, self._one._cleans, self._gradient == "filtered",
+                self._guard, self._matrices("F"), self._matrices("Q"), self._alpha_sq, now.others[:, 1],
             )  # fmt: skip
-            left = advance(layout, recursion, y.T, phi, R.T, theta, P, past, out)
+            fixed = np.column_stack((scale[:, :3], np.zeros(self.n)))
+            moving = scale if R is None else fixed
+            variances = scale[:, :1].copy() if R is None else R.T
+            left = advance(layout, recursion, y.T - centre, phi, variances, theta, P, past, moving, out)
+            # In place: what an actuator goes on with alone is written over.
+            np.add(out.prediction, centre, out=out.prediction)
             for i in np.flatnonzero(left < length):
                 for k in range(left[i]):
-                    past.inputs[i] = _with_inputs(layout, past.inputs[i : i + 1], u[k, i : i + 1])[0]
+                    past.inputs[i] = _with_inputs(layout, past.inputs[i : i + 1], signal[k, i : i + 1])[0]
             past.inputs[left == length] = inputs[left == length]
         for i in np.flatnonzero(left < length).tolist():
             self._advance_alone(i, after, slice(left[i], length), (y, u, R), out, first)
         return after, out
 
+    def _look_on(self, now: _Now, y: Array, u: Array, out: Columns) -> _Now:
+        """Return what so many samples of the start make of now; at its end, a model of each actuator."""
+        start = np.concatenate((now.start, np.concatenate((y[:, :, None], u), axis=2)))
+        out.theta[:], out.variance[:] = now.theta[:, None], np.inf
+        for k in range(len(y)):
+            out.prediction[:, k] = _levels(start[: len(now.start) + k])
+        out.residual[:] = y.T - out.prediction
+        if now.waits > len(y):
+            return now._replace(start=start, waits=now.waits - len(y))
+        found = self._arrays(now._replace(start=start[:0], waits=-1))
+        state = {name: np.array(value) for name, value in found.items()}
+        failures: dict[str, list[int]] = {}
+        for i in range(self.n):
+            tracker = self.tracker(i)
+            tracker._set_state(self._row(state, i))
+            failure = tracker._started(start[:, i, 0], start[:, i, 1:])
+            if failure:
+                failures.setdefault(failure, []).append(i)
+            tracker._begun = True
+            for name, value in tracker.state().items():
+                if name not in ("start", "Q", "F", "R", "alpha_sq", "enabled"):
+                    state[name][i] = value
+            state["R"][i] = tracker.R
+        for failure, some in failures.items():
+            mask = np.isin(np.arange(self.n), some)
+            warnings.warn(
+                f"TrackerBank: no model can be made of the first {len(start)} samples of "
+                f"{_bank_setup.actuators(mask)}, which start from nothing: {failure}",
+                LostTrackerWarning,
+                stacklevel=4,
+            )
+        return self._from_arrays(state)
+
     def _advance_alone(
-        self, i: int, now: _Now, samples: slice, signals: tuple[Array, Array, Array], out: Columns, first: int | None
+        self,
+        i: int,
+        now: _Now,
+        samples: slice,
+        signals: tuple[Array, Array, Array | None],
+        out: Columns,
+        first: int | None,
     ) -> None:
         """Advance one actuator through some of the samples, by its `ParameterTracker`, in the arrays of now."""
         tracker = self.tracker(i)
-        # A state of this bank: what `restore` of a tracker refuses has been refused before.
         tracker._set_state(self._row(self._arrays(now), i))
-        y, u, R = (signal[samples, i] for signal in signals)
+        y, u, R = signals[0][samples, i], signals[1][samples, i], signals[2]
+        R = None if R is None else R[samples, i]
         try:
-            result = tracker.run(y, u if u.shape[1] else None, R)
+            result = Columns.empty(len(y), self._layout.n)
+            tracker._whole(y, u, R, result)
         except (ValueError, TypeError, np.linalg.LinAlgError) as error:
             head, _, rest = str(error).partition(": ")
             place = "" if first is None else f"sample {int(head.removeprefix('sample ')) + samples.start + first}: "
@@ -450,22 +570,30 @@ class TrackerBank:
             raise
         state = tracker.state()
         now.theta[i], now.P[i] = state["theta"], state["P"]
+        now.scale[i, 0], now.scale[i, 1:] = tracker.R, tracker._scale
         for name, array in now.past._asdict().items():
             array[i] = state[name]
         for name, column in zip(Columns._fields, out, strict=True):
-            column[i, samples] = result.std**2 if name == "variance" else getattr(result, name)
+            column[i, samples] = getattr(result, name)
 
     def _drifting(self) -> np.ndarray:
         """Tell for which actuators the next sample begins with a step of theta."""
-        wound_up = (self._alpha_sq != 1.0) & (np.einsum("ijj->i", self._now.P) > self._windup)
+        wound_up = (self._alpha_sq != 1.0) & (np.einsum("ijj->i", self._now.P) > self._now.others[:, 1])
         return np.asarray(self._enabled & ~wound_up)
 
     def _matrices(self, name: str) -> Array:
         """Return F or Q, which the user may have changed, with the axis (1 or n) in front."""
-        found = _bank_setup.matrices(name, getattr(self, name), self.n, self._layout.n)
+        found = _bank_setup.matrices(name, getattr(self, name), self.n, len(self._own))
         if not np.isfinite(found).all():
             raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
-        return found[None] if found.ndim == 2 else found
+        found = found[None] if found.ndim == 2 else found
+        size = self._layout.n
+        if size == len(self._own):
+            return found
+        # The constant stays.
+        whole = np.tile(np.eye(size) if name == "F" else np.zeros((size, size)), (len(found), 1, 1))
+        whole[:, self._own[:, None], self._own] = found
+        return whole
 
     # Interruption.
 
@@ -500,10 +628,18 @@ class TrackerBank:
         -----
         The continuation is the same to the last bit.
         """
-        found = _bank_setup.checked_state(state, self._layout, self.n, self._guard != "none")
-        self._now = _Now(found["theta"], found["P"], Memories(*(found[name] for name in Memories._fields)))
+        found = _bank_setup.checked_state(state, self._layout, len(self._own), self.n, self._guard != "none")
+        self._now = self._from_arrays(found)
         self._enabled, self._alpha_sq = found["enabled"], found["alpha_sq"]
-        self.Q, self.R, self.F = found["Q"], found["R"], found["F"]
+        self.Q, self.F = found["Q"], found["F"]
+
+    def _from_arrays(self, found: dict[str, Array]) -> _Now:
+        """Return what `_arrays` was made of."""
+        recursion = found["recursion"]
+        scale, others = np.column_stack((found["R"], recursion[:, 2:5])), recursion[:, [0, 1, 5]]
+        past = Memories(*(found[name] for name in Memories._fields))
+        start = np.ascontiguousarray(found["start"].swapaxes(0, 1))
+        return _Now(found["theta"], found["P"], past, scale, others, start, int(recursion[0, 6]))
 
     def reset(self) -> None:
         """Go back to the start: theta, P, Q, R, F and the memory as they were when the bank was made."""
@@ -511,16 +647,31 @@ class TrackerBank:
 
     def _arrays(self, now: _Now) -> dict[str, Array]:
         """Return the arrays of `state`, not copied."""
-        theta, P, past = now
-        arrays = {"theta": theta, "P": P, **past._asdict(), "enabled": self._enabled}
+        theta, P, past, scale, others, start, waits = now
+        waiting = np.full((self.n, 1), float(waits))
+        recursion = np.concatenate((others[:, :2], scale[:, 1:], others[:, 2:], waiting), axis=1)
+        arrays = {"theta": theta, "P": P, **past._asdict(), "enabled": self._enabled, "recursion": recursion}
         # What a user sets may be a list.
         arrays |= {name: numbers(name, getattr(self, name)) for name in "QF"}
-        return arrays | {"R": np.broadcast_to(self.R, self.n), "alpha_sq": self._alpha_sq}
+        return arrays | {"start": start.swapaxes(0, 1), "R": scale[:, 0], "alpha_sq": self._alpha_sq}
 
     def _row(self, state: dict[str, Array], i: int) -> dict[str, Array]:
         """Return the state of one actuator's tracker."""
         row = {name: value if name in ("Q", "F") and value.ndim == 2 else value[i] for name, value in state.items()}
-        return {**row, "R": np.reshape(row["R"], (1, 1))}
+        whole = {name: np.eye(self._layout.n) if name == "F" else np.zeros((self._layout.n,) * 2) for name in "QF"}
+        for name, matrix in whole.items():
+            matrix[np.ix_(self._own, self._own)] = row[name]
+        return {**row, **whole, "R": np.reshape(row["R"], (1, 1))}
+
+
+def _levels(start: Array) -> Array:
+    """Return the median of the outputs so far of each actuator, (n,), 0 where there are none."""
+    y = start[:, :, 0]
+    known = ~np.isnan(y)
+    levels = np.zeros(y.shape[1])
+    for i in np.flatnonzero(known.any(axis=0)):
+        levels[i] = np.median(y[known[:, i], i])
+    return levels
 
 
 def _every(keep: Any, length: int) -> int:

@@ -12,11 +12,10 @@ from scipy.signal import lfilter
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.identification._continued import filled_memory
 from robust_filterpy.identification._recording import require_informative
 from robust_filterpy.identification._signals import recorded_input, recorded_output
 from robust_filterpy.identification.learnt_noise import mad_scale
-from robust_filterpy.identification.model import Ending, Model, resting_level
+from robust_filterpy.identification.model import Ending, Model, filled_memory, resting_level
 from robust_filterpy.identification.polynomial_model import PolynomialModel
 from robust_filterpy.identification.prediction_error import sandwich
 from robust_filterpy.identification.search import End, ends, known_part
@@ -196,6 +195,8 @@ def _as_model(
         offset=offset,
         P=P[:n, :n],
         offset_std=float(np.sqrt(max(P[n, n], 0.0))) if model.offset else 0.0,
+        offset_covariance=P[:n, n] if model.offset else np.zeros(n),
+        has_offset=model.offset,
         noise=replace(noise, R=R or found * samples / (samples - model.n)),
         weights=weights,
         log_likelihood=noise.log_likelihood(residual[rows]),

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +11,6 @@ from scipy.signal import lfilter
 
 from robust_filterpy._checks import Array, count
 from robust_filterpy.identification import _model
-from robust_filterpy.identification._continued import LevelledTracker
 from robust_filterpy.identification._regressor import Layout, Memory
 from robust_filterpy.identification._signals import recorded_input, recorded_output
 from robust_filterpy.identification.learnt_noise import Noise
@@ -21,11 +19,12 @@ from robust_filterpy.identification.prediction import cleaned_residuals, predict
 from robust_filterpy.identification.results import Coefficients, Intervals, intervals
 from robust_filterpy.identification.starts import robust_regression
 from robust_filterpy.identification.structures import Structure
-from robust_filterpy.identification.tracker import ParameterTracker
 from robust_filterpy.identification.validation import fit_percent
 
 if TYPE_CHECKING:
     import control
+
+    from robust_filterpy.identification.tracker import ParameterTracker
 
 __all__ = ["Ending", "Model"]
 
@@ -68,6 +67,8 @@ class Model:
         Covariance of theta, in sandwich form: honest whatever the distribution of the noise.
     offset_std : float
         Standard deviation of the offset; 0 if it was not estimated.
+    offset_covariance : ndarray, shape (n,)
+        Its covariance with theta.
     noise : Noise
         Variance R of the ordinary noise and the influence function, with contamination and scale_ratio if learnt.
     weights : ndarray, shape (N,)
@@ -81,6 +82,8 @@ class Model:
         What makes this estimate doubtful, in words; empty if nothing does.
     memory : Memory
         Past signals at the end of the recording, for `tracker`.
+    has_offset : bool
+        Whether there is a constant.
 
     Notes
     -----
@@ -92,12 +95,17 @@ class Model:
     offset: float
     P: Array
     offset_std: float
+    offset_covariance: Array
     noise: Noise
     weights: Array
     log_likelihood: float
     endings: tuple[Ending, ...]
     warning: str
     memory: Memory = field(compare=False)
+    has_offset: bool = True
+
+    #: `ParameterTracker`, which begins with a model: the package's ``__init__`` puts it here.
+    _tracker: ClassVar[type[ParameterTracker]]
 
     def __repr__(self) -> str:
         """Show the parameters with their standard deviations."""
@@ -287,13 +295,13 @@ class Model:
         ----------
         **options : dict, optional
             Of `ParameterTracker`: ``Q`` or ``forgetting`` for parameters that drift, influence, guard; theta, P and R
-            are the model's own unless they are given.
+            are the model's own unless they are given, and R is then followed.
 
         Returns
         -------
         ParameterTracker
-            Its memory holds the end of the recording. It takes and predicts y as it is measured, and leaves the level
-            of the output where it is.
+            Its memory holds the end of the recording. It takes and predicts y as it is measured, and goes on estimating
+            the offset.
 
         Raises
         ------
@@ -310,9 +318,11 @@ class Model:
         >>> round(tracker.predict() - 2.0 * u[-1])
         3
         """
-        given = {"theta": self.theta, "P": self.P, "R": self.R, **options}
-        tracker = LevelledTracker(self.structure, level=self.level, **given)
-        tracker._memory = copy.deepcopy(self.memory)
+        given = {name: options.pop(name) for name in ("theta", "P") if name in options}
+        tracker = self._tracker(self.structure, start=0, offset=self.has_offset, **options)
+        tracker._begin(self)
+        if given:
+            tracker._set(**given)
         tracker._initial = tracker.state()
         return tracker
 
@@ -355,3 +365,32 @@ def resting_level(parts: Parts) -> float:
     """Return what the output of a model is at rest, offset/A(1), or 0 if it integrates and has no rest."""
     total = float(parts.a.sum())
     return parts.offset / total if abs(total) > _INTEGRATES * float(np.abs(parts.a).sum()) else 0.0
+
+
+def filled_memory(structure: Structure, y: Array, u: Array, residual: Array, gradients: Array) -> Memory:
+    """Return what a tracker would remember after a recording.
+
+    Parameters
+    ----------
+    structure : Structure
+        What phi is made of.
+    y : ndarray, shape (N,)
+        Output that stands in phi, its level taken off.
+    u : ndarray, shape (N, n_inputs)
+        Input.
+    residual : ndarray, shape (N - first,)
+        Residuals.
+    gradients : ndarray, shape (N - first, n_theta)
+        Derivatives of the prediction by theta.
+
+    Returns
+    -------
+    Memory
+    """
+    layout = Layout(structure)
+    memory = Memory(layout)
+    _, memory.inputs = memory.regressors(layout, u)
+    memory.outputs = -y[::-1][: layout.na]
+    memory.residuals = residual[::-1][: layout.nc].copy()
+    memory.gradients = np.ascontiguousarray(gradients[::-1][: layout.order])
+    return memory

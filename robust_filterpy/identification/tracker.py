@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import math
-from itertools import repeat
-from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,10 +13,9 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Information, Scaling
-from robust_filterpy.filters.kalman import RobustKalmanFilter
-from robust_filterpy.identification import _compiled_dispatch, _model, _setup
-from robust_filterpy.identification._conditioning import SHARP, repaired, tempering
-from robust_filterpy.identification._regressor import Layout, Memory, bounded, gradient, pushed
+from robust_filterpy.identification import _model, _setup
+from robust_filterpy.identification._recursion import GRADIENTS, REGRESSORS, Gradient, Recursion, Regressor
+from robust_filterpy.identification._regressor import Layout, Memory, bounded
 from robust_filterpy.identification._signals import (
     one_input,
     one_output,
@@ -23,35 +23,30 @@ from robust_filterpy.identification._signals import (
     recorded_output,
     recorded_variance,
 )
-from robust_filterpy.identification.guard import GUARDS, Guard, is_stable, restrained
+from robust_filterpy.identification.cold_start import ColdStart
+from robust_filterpy.identification.guard import GUARDS, Guard
+from robust_filterpy.identification.noise_scale import NoiseScale, ordinary_mean
 from robust_filterpy.identification.results import Coefficients, Columns, Intervals, Sample, TrackingResult, intervals
-from robust_filterpy.identification.structures import Structure
+from robust_filterpy.identification.structures import LinearRegression, Structure
 from robust_filterpy.identification.validation import fit_percent
+from robust_filterpy.identification.watch import LostTrackerWarning, Watch
 from robust_filterpy.influence.functions import Influence
 
 if TYPE_CHECKING:
     import control
 
-__all__ = ["GRADIENTS", "ParameterTracker"]
+    from robust_filterpy.identification.model import Model
 
-#: What the gain is computed from.
-Gradient: TypeAlias = Literal["pseudolinear", "filtered"]
-GRADIENTS: Final[tuple[Gradient, ...]] = ("pseudolinear", "filtered")
+__all__ = ["ParameterTracker"]
 
-# What a sample moves in a filter, besides what only shows its last correction.
-_MOVING: Final = ("x", "P", "H", "x_prior", "P_prior")
-
-# phi of so many samples stays in a processor's cache.
-_CHUNK: Final = 4096
-
-# So many samples at most go to the definition before the kernel has another try.
-_MOST_ODD: Final = 1024
+# Samples that a tracker looks at before it takes a stand: OutputError(4, 4) with 10 % outliers needs about as many.
+_START = 400
 
 # With forgetting and no excitation P grows without end; at so many times its first trace it has forgotten everything.
 _WINDUP = 1e8
 
 
-class ParameterTracker:
+class ParameterTracker(Recursion):
     """Follow the parameters of a linear model, sample by sample, through outliers.
 
     A filter with the parameters as its state, F = I and H = phi'(k) (paper 53 and Table 1)::
@@ -64,20 +59,35 @@ class ParameterTracker:
     structure : ARX, OutputError, ARMAX, FIR or LinearRegression
         What phi is made of.
     filter : filter object or class, optional
-        Any filter of filterpy's kind with ``x, P, H, predict(), update(z)``, dim_x = structure.n_theta and dim_z = 1,
-        or its class: ``filter=filterpy.kalman.KalmanFilter`` is the baseline without robustness. Default: a
-        `RobustKalmanFilter`.
+        Any filter of filterpy's kind with ``x, P, H, predict(), update(z)``, dim_x = structure.n_theta (one more with
+        an offset) and dim_z = 1, or its class: ``filter=filterpy.kalman.KalmanFilter`` is the baseline without
+        robustness. Default: a `RobustKalmanFilter`.
     theta : array_like, shape (n,), or float, optional
-        Parameters to start from, a number standing for all of them. Default: 0, or what filter has.
+        Parameters to start from, a number standing for all of them. Default: found by the start; 0 with ``start=0``, or
+        what filter has.
     P : array_like, shape (n, n), or float, optional
-        Their covariance; a number p stands for p I. Default: 100 I, or what filter has.
+        Their covariance; a number p stands for p I. Default: found by the start; 100 I with ``start=0``, or what filter
+        has.
     Q : array_like, shape (n, n), or float, optional
         Covariance W of a step of theta (8). Default: 0, parameters that stand still, or what filter has.
     R : float, optional
-        Variance of the ordinary noise, in the unit of y squared; outliers are judged by it. Default: 1, or what
-        filter has.
+        Variance of the ordinary noise, in the unit of y squared; outliers are judged by it. Default: found from the
+        data and followed, or what a filter object has. Setting the attribute fixes it.
     F : array_like, shape (n, n), optional
         Transition matrix C of (9). Default: the identity, or what filter has.
+    start : int, optional
+        How many samples the tracker may look at before it takes a stand: it makes a model of the first eighth, quarter,
+        half and all of them by `identify`, and goes on from there. Default: 400, or 0 if theta, P or a filter object is
+        given. 0: the recursion begins at once, as in the paper.
+    offset : bool, optional
+        Whether there is a constant beside theta, for outputs that are not measured from their rest. Default: with a
+        start yes, except for a LinearRegression, whose columns are the caller's.
+    regressor : {"measured", "cleaned"}
+        Which outputs an ARX or ARMAX has in its regressor: those measured, or the prediction in the place of those
+        further than 3 standard deviations from it (the filter-cleaner of Masreliez and Martin), unless the outputs as
+        measured explain the next sample. No difference for other structures.
+    R_memory : int, default 200
+        Number of samples that an R which is followed remembers.
     forgetting : float, optional
         Forgetting factor in (0, 1] as in recursive least squares, instead of Q or beside it: P is divided by it at
         each sample (filterpy's alpha is its -1/2 power).
@@ -98,6 +108,8 @@ class ParameterTracker:
         The filter; Q, R, F and forgetting are read from it and written to it.
     enabled : bool
         False freezes theta and P, while predictions go on.
+    offset : float
+        Constant of the equation, as in `Model`; `level` is what it means for y.
 
     Raises
     ------
@@ -106,10 +118,16 @@ class ParameterTracker:
     TypeError
         If structure or filter is of the wrong kind.
 
+    Warns
+    -----
+    LostTrackerWarning
+        Once, if the start found no model, most samples look like outliers, the guard acts all the time, R wanders, or
+        an offset is not modelled.
+
     Notes
     -----
     In print (20) has v(k-1) where u(k-1) belongs, and (17) and Table 1 exchange the two variances. Table 1 as it
-    stands is ``scaling="unit", gradient="pseudolinear", guard="none", R=1``.
+    stands is ``scaling="unit", gradient="pseudolinear", guard="none", R=1, start=0``.
 
     Gradient. The pseudo-linear form converges only where 1/A (ARMAX: 1/C) is strictly positive real. Median over 400
     runs of the mean \\|theta_hat - theta\\| over samples 500-1000, a = [-1.5, .7], b = [1, .5], u = +-1 white, nominal
@@ -167,11 +185,14 @@ class ParameterTracker:
     >>> y = np.zeros(500)
     >>> for k in range(1, 500):
     ...     y[k] = 0.8 * y[k - 1] + 2.0 * u[k - 1] + 0.1 * rng.normal()
-    >>> tracker = ParameterTracker(ARX(1, 1), R=0.01)
+    >>> tracker = ParameterTracker(ARX(1, 1))
     >>> result = tracker.run(y, u)
-    >>> tracker.theta.round(2)
-    array([-0.8,  2. ])
+    >>> tracker.theta.round(2), round(tracker.R, 2)
+    (array([-0.8,  2. ]), 0.01)
     """
+
+    #: `identify`, which needs this class for what a `Model` returns: the package's ``__init__`` puts it here.
+    _identify: ClassVar[Callable[..., Model]]
 
     def __init__(
         self,
@@ -184,6 +205,10 @@ class ParameterTracker:
         R: ArrayLike | None = None,
         F: ArrayLike | None = None,
         forgetting: float | None = None,
+        start: int | None = None,
+        offset: bool | None = None,
+        regressor: Regressor = "measured",
+        R_memory: int = 200,
         gradient: Gradient = "filtered",
         guard: Guard = "halve",
         influence: Influence | None = None,
@@ -195,14 +220,36 @@ class ParameterTracker:
             raise TypeError(f"structure: expected ARX(..), OutputError(..) or another structure, got {structure!r}")
         self._gradient = _checks.option("gradient", gradient, GRADIENTS)
         self._guard = _checks.option("guard", guard, GUARDS)
+        self._regressor = _checks.option("regressor", regressor, REGRESSORS)
+        ready = filter is not None and not isinstance(filter, type)
+        told = theta is not None or P is not None or ready
+        samples = (0 if told else _START) if start is None else _checks.count("start", start)
+        if samples and told:
+            raise ValueError(f"start: expected 0 with theta, P or a filter object, from which to begin, got {start}")
+        if offset is not None and not isinstance(offset, (bool, np.bool_)):
+            raise TypeError(f"offset: expected True or False, got {offset!r}")
+        self._has_offset = bool(samples and not isinstance(structure, LinearRegression) if offset is None else offset)
+        self._cleans = self._regressor == "cleaned" and structure.na > 0 and not structure.uses_model_output
         choices = {"influence": influence, "scaling": scaling, "information": information}
         self.structure = structure
-        self.filter = _setup.make_filter(structure.n_theta, filter, choices)
-        _setup.configure(self.filter, structure, theta=theta, P=P, Q=Q, R=R, F=F, forgetting=forgetting)
+        self._layout = Layout(with_constant(structure) if self._has_offset else structure)
+        places = np.arange(self._layout.n)
+        self._own = np.delete(places, structure.n_theta - structure.nc) if self._has_offset else places
+        self.filter = _setup.make_filter(self._layout.n, filter, choices)
+        _setup.configure(
+            self.filter, structure, self._own, theta=theta, P=P, Q=Q, R=R, F=F, forgetting=forgetting
+        )  # fmt: skip
+        if ready and Q is None:
+            _setup.warn_of_default_noise(self.filter)
         self.enabled = True
-        self._layout = Layout(structure)
         self._memory = Memory(self._layout)
         self._windup = _WINDUP * max(float(np.trace(self.filter.P)), 1e-300)
+        self._centre, self._watch = 0.0, Watch()
+        memory = 0.0 if R is not None or ready else float(_checks.count("R_memory", R_memory, 2))
+        self._scale = NoiseScale(0.0, ordinary_mean(None), memory)
+        self._samples = samples or _START
+        self._start = ColdStart(structure, samples) if samples else None
+        self._begun = not samples
         self._initial = self.state()
 
     def __repr__(self) -> str:
@@ -225,39 +272,71 @@ class ParameterTracker:
     @property
     def theta(self) -> Array:
         """Parameters, shape (n,)."""
-        return np.array(self.filter.x, dtype=float).ravel()
+        return np.array(self.filter.x, dtype=float).ravel()[self._own]
+
+    @property
+    def offset(self) -> float:
+        """Constant of the equation: what an OutputError, FIR or LinearRegression adds to the output; 0 without one."""
+        rest = self._rest_gain
+        if self.structure.uses_model_output or not self.structure.na:
+            return self.level
+        return self._constant + self._centre * rest
+
+    @property
+    def level(self) -> float:
+        """What the output is at rest; the centre that was taken off y if the model integrates."""
+        rest = self._rest_gain
+        return self._centre + (self._constant / rest if abs(rest) > 1e-9 else 0.0)
+
+    @property
+    def _constant(self) -> float:
+        """Constant in phi' theta, for outputs from the centre."""
+        if not self._has_offset:
+            return 0.0
+        return float(np.ravel(self.filter.x)[self.structure.n_theta - self.structure.nc])
+
+    @property
+    def _rest_gain(self) -> float:
+        """A(1)."""
+        return 1.0 + float(self.theta[: self.structure.na].sum())
+
+    @property
+    def regressor(self) -> Regressor:
+        """Which outputs phi holds: "measured" or "cleaned"."""
+        return self._regressor
 
     @property
     def P(self) -> Array:
         """Covariance of the parameters, shape (n, n)."""
-        return np.array(self.filter.P, dtype=float)
+        return np.array(self.filter.P, dtype=float)[np.ix_(self._own, self._own)]
 
     @property
     def Q(self) -> Array:
         """Covariance of a step of theta (paper 8), shape (n, n); may be set, to a number q for q I."""
-        return np.array(self.filter.Q, dtype=float)
+        return np.array(self.filter.Q, dtype=float)[np.ix_(self._own, self._own)]
 
     @Q.setter
     def Q(self, value: ArrayLike) -> None:
-        self.filter.Q = _setup.checked_values(self._layout.n, Q=value)["Q"]
+        self.filter.Q = _setup.embedded(self.filter.Q, self._own, _setup.checked_values(len(self._own), Q=value)["Q"])
 
     @property
     def R(self) -> float:
-        """Variance of the ordinary noise; may be set."""
+        """Variance of the ordinary noise, as it is followed; may be set, and is then no longer followed."""
         return _setup.noise_variance(self.filter)
 
     @R.setter
     def R(self, value: float) -> None:
         self.filter.R = _setup.checked_values(self._layout.n, R=value)["R"]
+        self._scale = self._scale._replace(memory=0.0)
 
     @property
     def F(self) -> Array:
         """Transition matrix C of (9), shape (n, n); may be set."""
-        return np.array(self.filter.F, dtype=float)
+        return np.array(self.filter.F, dtype=float)[np.ix_(self._own, self._own)]
 
     @F.setter
     def F(self, value: ArrayLike) -> None:
-        self.filter.F = _setup.checked_values(self._layout.n, F=value)["F"]
+        self.filter.F = _setup.embedded(self.filter.F, self._own, _setup.checked_values(len(self._own), F=value)["F"])
 
     @property
     def forgetting(self) -> float:
@@ -270,8 +349,8 @@ class ParameterTracker:
 
     @property
     def std(self) -> Array:
-        """Standard deviations of the parameters, shape (n,)."""
-        return np.sqrt(np.maximum(self.P.diagonal(), 0.0))
+        """Standard deviations of the parameters, shape (n,); infinite until the start has found a model."""
+        return np.sqrt(np.maximum(self.P.diagonal(), 0.0)) if self._begun else np.full(len(self._own), np.inf)
 
     @property
     def coefficients(self) -> Coefficients:
@@ -346,14 +425,16 @@ class ParameterTracker:
         ValueError
             If the next input is needed and not given.
         """
-        if u is None and self._layout.direct:
+        if u is None and any(nb and not nk for nb, nk in self.structure.inputs):
             raise ValueError(f"u: expected the next input, which acts at once in {self.structure}, got None")
         values = np.zeros(self.structure.n_inputs) if u is None else one_input(self.structure, u)
-        H = self._memory.regressor(self._layout, self._memory.with_input(self._layout, values))
-        theta = self.theta
+        if not self._begun and self._start is not None:
+            return self._start.level()
+        inputs = self._memory.with_input(self._layout, self._with_constant(values))
+        x = np.array(self.filter.x, dtype=float).ravel()
         if self.enabled and hasattr(self.filter, "F") and self._drifts:
-            theta = np.asarray(self.filter.F, dtype=float).dot(theta)
-        return bounded(H.dot(theta).item())
+            x = np.asarray(self.filter.F, dtype=float).dot(x)
+        return bounded(self._memory.regressor(self._layout, inputs).dot(x).item()) + self._centre
 
     def simulate(self, u: ArrayLike, *, continued: bool = False) -> Array:
         """Run the model as it stands on inputs alone, without measurements: y = B/A u.
@@ -376,8 +457,12 @@ class ParameterTracker:
             If u does not fit or is not finite, or the output of an unstable model overflows.
         """
         signal = recorded_input(self.structure, u, None)
-        memory = self._memory if continued else Memory(self._layout)
-        return _model.simulate(self.structure, self._layout, memory, self.theta, signal)
+        x = np.array(self.filter.x, dtype=float).ravel()
+        if continued:
+            with_constant = self._with_constant(signal)
+            return _model.simulate(self.structure, self._layout, self._memory, x, with_constant) + self._centre
+        layout = Layout(self.structure)
+        return _model.simulate(self.structure, layout, Memory(layout), x[self._own], signal) + self.level
 
     @staticmethod
     def fit(y: ArrayLike, y_model: ArrayLike) -> float:
@@ -428,8 +513,18 @@ class ParameterTracker:
         LinAlgError
             If the filter refuses the sample; nothing has changed then.
         """
-        variance = None if R is None else _checks.positive("R", R)
-        return self._step(one_output(y), one_input(self.structure, u), variance)
+        variance = None if R is None else np.array([_checks.positive("R", R)])
+        output, values = np.array([one_output(y)]), one_input(self.structure, u)[None]
+        if self._start is None:
+            sample = self._step(output.item(), values[0], None if variance is None else variance.item())
+        else:
+            out = Columns.empty(1, self._layout.n)
+            self._whole(output, values, variance, out)
+            sample = Sample(*(column[0].item() for column in out[2:]))
+        if self._is_watched:
+            weight, guard, residual = (np.array([v]) for v in (sample.weight, sample.guard, sample.residual))
+            self._say(self._watch.see(weight, guard, residual, self.R, self._has_offset))
+        return sample
 
     def run(self, y: ArrayLike, u: ArrayLike | None = None, R: ArrayLike | None = None) -> TrackingResult:
         """Take a whole recording; the numbers are those of `update`, sample by sample.
@@ -464,164 +559,119 @@ class ParameterTracker:
         signal = recorded_input(self.structure, u, output.size)
         variances = None if R is None else recorded_variance(R, output.size)
         out = Columns.empty(output.size, self._layout.n)
+        result = self._whole(output, signal, variances, out)
+        if self._is_watched:
+            self._say(self._watch.see(out.weights, out.guard, out.residual, self.R, self._has_offset))
+        return result
+
+    def _whole(self, y: Array, u: Array, R: Array | None, out: Columns) -> TrackingResult:
+        """Take all of a checked recording, or nothing of it."""
         before, held = self.state(), self._held()
         try:
-            if self._is_plain and _compiled_dispatch.serves((self.filter._choices,), output.size):
-                self._run_fast(output, signal, variances, out)
-            else:
-                self._run_stepwise(output, signal, variances, out, 0, output.size)
+            k = 0
+            while self._start is not None and k < y.size:
+                part = slice(k, min(k + self._start.waits, y.size))
+                self._look_on(y, u, R, out, part)
+                k = part.stop
+            if k < y.size:
+                self._run_through(y, u, R, out, k, y.size)
+            std = np.sqrt(np.maximum(out.variance[:, self._own], 0.0))
+            return TrackingResult(out.theta[:, self._own], std, out.prediction, out.residual, out.weights, out.guard)
         except BaseException:
             self._set_state(before)
             self._put_back(held)
             raise
-        std = np.sqrt(np.maximum(out.variance, 0.0))
-        return TrackingResult(out.theta, std, out.prediction, out.residual, out.weights, out.guard)
 
-    @property
-    def _drifts(self) -> bool:
-        """Whether the next sample begins with a step of theta: not once P has wound up under forgetting."""
-        kf = self.filter
-        return bool(getattr(kf, "alpha", 1.0) == 1.0 or np.trace(kf.P) <= self._windup)
+    # The start.
 
-    def _held(self) -> dict[str, Any]:
-        """Return what a sample changes in a filter of filterpy's kind."""
-        return {name: getattr(self.filter, name) for name in _MOVING if hasattr(self.filter, name)}
-
-    def _put_back(self, held: dict[str, Any]) -> None:
-        """Undo a sample that was refused, or interrupted."""
-        for name, value in held.items():
-            setattr(self.filter, name, value)
-
-    def _step(self, y: float, u: Array, R: float | None) -> Sample:
-        """Advance by one checked sample."""
-        kf, layout, memory, part = self.filter, self._layout, self._memory, self._layout.part
-        inputs = memory.with_input(layout, u)
-        H = memory.regressor(layout, inputs)
-        known, held = y == y, self._held()
-        old, gradients = np.ravel(kf.x), memory.gradients
-        weight, event = math.nan, 0
-        filtered = self._gradient == "filtered" and part is not None
-        try:
-            if self.enabled and self._drifts:
-                kf.predict()
-            x = kf.x
-            predicted = H.dot(x).item()
-            G, target = H, y
-            if filtered:
-                past = np.ravel(x)[part]
-                if self._guard != "none" or is_stable(past.tolist()):
-                    G = gradient(H[0], past, gradients)[None, :]
-                gradients = pushed(gradients, G[0])
-            if self.enabled and known:
-                square, trace, r = G[0].dot(G[0]), np.trace(kf.P), _setup.noise_variance(kf) if R is None else R
-                factor = tempering(square, trace, r)
-                if filtered or factor < 1.0:
-                    G = G * factor
-                    # So that the filter's own innovation, target - G x, is y - phi' theta.
-                    target = (y - predicted) * factor + G.dot(x).item()
-                kf.H = G
-                if R is None:
-                    kf.update(target)
-                else:
-                    kf.update(target, R=R)
-                if square * trace > SHARP * r:
-                    P = kf.P
-                    mended = repaired(P)
-                    if mended is not P:
-                        kf.P = mended
-                weight = float(np.ravel(getattr(kf, "weights", 1.0))[0])
-            if self.enabled and part is not None:
-                moved, event = restrained(np.ravel(kf.x), old, part, self._guard)
-                if event:
-                    kf.x = moved.reshape(np.shape(kf.x))
-            after = H.dot(kf.x).item()
-        except BaseException:
-            self._put_back(held)
-            raise
-        if self.structure.uses_model_output:
-            memory.outputs = pushed(memory.outputs, -bounded(after))
+    def _look_on(self, y: Array, u: Array, R: Array | None, out: Columns, part: slice) -> None:
+        """Take samples up to the next look at them, and then look."""
+        start = self._start
+        if start is None:
+            return
+        if self._begun:
+            self._run_through(y, u, R, out, part.start, part.stop)
+            start.add(y[part], u[part])
         else:
-            memory.outputs = pushed(memory.outputs, -(y if known else bounded(predicted)))
-        memory.residuals = pushed(memory.residuals, bounded(y - after) if known else 0.0)
-        memory.inputs, memory.gradients = inputs, gradients
-        return Sample(predicted, y - predicted, weight, event)
+            out.theta[part], out.variance[part] = np.ravel(self.filter.x), np.inf
+            for k in range(part.start, part.stop):
+                out.prediction[k] = start.level()
+                start.add(y[k : k + 1], u[k : k + 1])
+            out.residual[part] = y[part] - out.prediction[part]
+        if start.waits <= 0:
+            self._look()
 
-    def _run_stepwise(self, y: Array, u: Array, R: Array | None, out: Columns, start: int, stop: int) -> None:
-        """Advance through samples start to stop - 1 of a recording with any filter, one by one."""
-        k = start
-        variances = repeat(None) if R is None else R[start:stop].tolist()
+    def _look(self) -> None:
+        """Make a model of the samples so far and go on from there."""
+        start = self._start
+        if start is None:
+            return
+        last, failure = start.is_last_look, self._started(start.y, start.u)
+        if last and not failure:
+            self._start = None
+            return
+        if last:
+            self._say(f"no model can be made of the first {start.y.size} samples, it goes on looking: {failure}")
+        start.wait()
+
+    def _started(self, y: Array, u: Array) -> str:
+        """Go on from the model of some samples, or say why there is none."""
+        R = None if self._scale.memory else self.R
         try:
-            for k, output, r in zip(range(start, stop), y[start:stop].tolist(), variances, strict=False):
-                out.prediction[k], out.residual[k], out.weights[k], out.guard[k] = self._step(output, u[k], r)
-                out.theta[k], out.variance[k] = np.ravel(self.filter.x), np.diagonal(self.filter.P)
-        except (ValueError, TypeError, np.linalg.LinAlgError) as error:
-            error.args = (f"sample {k}: {error}", *error.args[1:])
-            raise
+            with warnings.catch_warnings():
+                # A short recording leaves several models open, and those to come decide.
+                warnings.simplefilter("ignore", UserWarning)
+                model = self._identify(
+                    y, u if self.structure.n_inputs else None, self.structure, offset=self._has_offset, R=R
+                )
+        except ValueError as error:
+            return str(error)
+        self._begin(model)
+        return ""
+
+    def _begin(self, model: Model) -> None:
+        """Go on from a model at the end of its recording."""
+        structure, layout, kf = self.structure, self._layout, self.filter
+        n, a = structure.n_theta, structure.na
+        x, P, memory = model.theta, model.P, model.memory
+        if self._has_offset:
+            # The constant for outputs from the centre is offset A(1), less centre A(1) where the outputs are measured.
+            self._centre = model.level
+            rest = 1.0 + float(model.theta[:a].sum())
+            J = np.eye(n + 1)
+            if structure.uses_model_output or not a:
+                constant, J[n, n] = (model.offset - self._centre) * rest, rest
+            else:
+                constant, J[n, :a] = model.offset - self._centre * rest, -self._centre
+            cross, square = model.offset_covariance[:, None], np.array([[model.offset_std**2]])
+            joint = np.block([[P, cross], [cross.T, square]])
+            order = np.insert(np.arange(n), n - structure.nc, n)
+            x, P = np.append(x, constant)[order], (J @ joint @ J.T)[np.ix_(order, order)]
+        kf.x, kf.P = x.reshape(np.shape(kf.x)).copy(), 0.5 * (P + P.T)
+        self._windup = _WINDUP * max(float(np.trace(kf.P)), 1e-300)
+        if self._scale.memory:
+            kf.R = np.array([[model.R]])
+            mean = ordinary_mean(model.noise.influence)
+            self._scale = NoiseScale(float(model.weights.size), mean, self._scale.memory)
+        found = Memory(layout)
+        found.outputs, found.measured, found.residuals = memory.outputs, memory.outputs, memory.residuals
+        found.inputs, found.gradients = memory.inputs, memory.gradients
+        if self._has_offset:
+            found.inputs = np.append(memory.inputs, 1.0)
+            fed_back = 1.0 + float(x[layout.part].sum()) if layout.part is not None else 1.0
+            constant_response = 1.0 / max(abs(fed_back), 1e-6)
+            found.gradients = np.insert(memory.gradients, n - structure.nc, constant_response, axis=1)
+        self._memory, self._begun = found, True
 
     @property
-    def _is_plain(self) -> bool:
-        """Whether the filter is our own as it comes, for which there are faster ways to the numbers of `update`."""
-        kf, n = self.filter, self._layout.n
-        return bool(
-            self.enabled
-            and type(kf) is RobustKalmanFilter
-            and kf._choices.pointwise is not None
-            and kf._inverse is None
-            and _setup.is_array(kf.F, (n, n))
-            and _setup.is_array(kf.Q, (n, n))
-            and _setup.is_array(kf.R, (1, 1))
-            and _setup.is_array(kf.P, (n, n))
-            and (_setup.is_array(kf.x, (n,)) or _setup.is_array(kf.x, (n, 1)))
-            and np.isfinite(kf.x).all()
-            and np.isfinite(kf.P).all()
-            and 0.0 < kf.R.item() < math.inf
-            and np.isfinite(kf.F).all()
-            and np.isfinite(kf.Q).all()
-            and all(np.abs(a - a.T).max() <= 1e-13 * np.abs(a).max() for a in (kf.P, kf.Q))
-        )
+    def _is_watched(self) -> bool:
+        """Whether the samples are those of a model that is meant to follow."""
+        return self._begun and bool(self.enabled)
 
-    def _run_fast(self, y: Array, u: Array, R: Array | None, out: Columns) -> None:
-        """Advance by the kernel, except for the last sample and the last measured one.
-
-        These two leave the attributes that the filter shows.
-        """
-        measured = np.flatnonzero(y == y)
-        stops, start = sorted({*measured[-1:].tolist(), len(y) - 1}), 0
-        for stop in stops:
-            if stop > start:
-                self._run_kernel(y, u, R, out, start, stop)
-            self._run_stepwise(y, u, R, out, stop, stop + 1)
-            start = stop + 1
-
-    def _run_kernel(self, y: Array, u: Array, R: Array | None, out: Columns, start: int, stop: int) -> None:
-        """Advance from sample start to stop - 1 by the kernel, and by the definition where the kernel declines."""
-        kf, layout, k, odd = self.filter, self._layout, start, 1
-        variances = np.full(len(y), kf.R.item()) if R is None else R
-        recursion = _compiled_dispatch.Recursion(
-            (kf._choices,), self.structure.uses_model_output, np.array([self._gradient == "filtered"]),
-            np.array([self._guard]), kf.F[None], kf.Q[None], np.array([kf._alpha_sq]), np.array([self._windup]),
-        )  # fmt: skip
-        while k < stop:
-            chunk = slice(k, min(k + _CHUNK, stop))
-            phi, inputs = self._memory.regressors(layout, u[chunk])
-            x, P, memory = np.array(kf.x).reshape(1, -1), np.array(kf.P, order="C")[None], self._memory
-            past = _compiled_dispatch.Memories(
-                memory.outputs[None], inputs[None], memory.residuals[None], memory.gradients[None]
-            )
-            here = Columns(*(column[None, chunk] for column in out))
-            signals = y[None, chunk], phi[None], variances[None, chunk]
-            done = int(_compiled_dispatch.advance(layout, recursion, *signals, x, P, past, here)[0])
-            kf.x, kf.P = x.reshape(np.shape(kf.x)), P[0]
-            k += done
-            if k == chunk.stop:
-                memory.inputs = inputs
-                continue
-            # Older inputs than the memory holds need not go through it.
-            for values in u[max(k - layout.length, chunk.start) : k]:
-                memory.inputs = memory.with_input(layout, values)
-            odd = 1 if done >= odd else min(2 * odd, _MOST_ODD)
-            self._run_stepwise(y, u, R, out, k, min(k + odd, stop))
-            k = min(k + odd, stop)
+    def _say(self, trouble: str) -> None:
+        """Warn of what is wrong, if anything."""
+        if trouble:
+            warnings.warn(f"ParameterTracker: {trouble}", LostTrackerWarning, stacklevel=3)
 
     # Interruption.
 
@@ -631,15 +681,22 @@ class ParameterTracker:
         Returns
         -------
         dict of str to ndarray
-            theta, P; the signals in memory: outputs (na,), inputs, residuals (nc,), gradients; enabled; and the
-            filter's Q, R, F and alpha_sq where it has them. ``numpy.savez(file, **state)`` stores it.
+            theta and P, with the constant where there is one; the signals in memory: outputs (na,), inputs, residuals
+            (nc,), gradients, measured (na,); enabled; recursion: centre of y, limit of tr P, samples, mean and memory
+            of R, whether a model was found, samples until the next look; start: y and u kept for it, (L, 1 + n_inputs);
+            and the filter's Q, R, F and alpha_sq where it has them. ``numpy.savez(file, **state)`` stores it.
         """
         memory = {name: getattr(self._memory, name).copy() for name in self._layout.shapes()}
+        start = self._start
+        kept = np.zeros((0, 1 + self.structure.n_inputs)) if start is None else np.column_stack((start.y, start.u))
+        waits = -1 if start is None else start.waits
         return {
-            "theta": self.theta,
-            "P": self.P,
+            "theta": np.array(self.filter.x, dtype=float).ravel(),
+            "P": np.array(self.filter.P, dtype=float),
             **memory,
             "enabled": np.array(bool(self.enabled)),
+            "recursion": np.array([self._centre, self._windup, *self._scale, self._begun, waits], dtype=float),
+            "start": kept,
             **_setup.settings(self.filter),
         }
 
@@ -664,8 +721,12 @@ class ParameterTracker:
         The continuation is the same to the last bit, for filters that hold x and P themselves.
         """
         n = self._layout.n
-        shapes = {"theta": (n,), "P": (n, n), **self._layout.shapes(), "enabled": ()}
-        self._set_state(_setup.checked_state(state, shapes, _setup.settings(self.filter)))
+        shapes = {"theta": (n,), "P": (n, n), **self._layout.shapes(), "enabled": (), "recursion": (7,)}
+        shapes["start"] = (-1, 1 + self.structure.n_inputs)
+        found = _setup.checked_state(state, shapes, _setup.settings(self.filter))
+        part = None if self._guard == "none" else self._layout.part
+        _setup.require_consistent(found, part)
+        self._set_state(found)
 
     def _set_state(self, found: dict[str, Array]) -> None:
         """Take over a checked state."""
@@ -675,7 +736,28 @@ class ParameterTracker:
         for name in self._layout.shapes():
             setattr(self._memory, name, found[name])
         self.enabled = bool(found["enabled"])
+        self._centre, self._windup, *scale, begun, waits = found["recursion"].tolist()
+        self._scale, self._begun, self._start = NoiseScale(*scale), bool(begun), None
+        if waits >= 0:
+            self._start = ColdStart(self.structure, self._samples)
+            self._start.y, self._start.u = found["start"][:, 0].copy(), found["start"][:, 1:].copy()
+            self._start.waits = int(waits)
+
+    def _set(self, theta: ArrayLike | None = None, P: ArrayLike | None = None) -> None:
+        """Put other parameters, or another covariance, in the place of those that were found."""
+        _setup.configure(
+            self.filter, self.structure, self._own, theta=theta, P=P, Q=None, R=None, F=None, forgetting=None
+        )  # fmt: skip
 
     def reset(self) -> None:
         """Go back to the start: theta, P, Q, R, F and the memory as they were when the tracker was made."""
         self.restore(self._initial)
+
+
+def with_constant(structure: Structure) -> Structure:
+    """Return a structure with one more input, a constant that acts at once."""
+    if isinstance(structure, LinearRegression):
+        return LinearRegression(structure.n + 1)
+    nb, nk = tuple(nb for nb, _ in structure.inputs), tuple(nk for _, nk in structure.inputs)
+    extended: Any = structure
+    return replace(extended, nb=(*nb, 1), nk=(*nk, 0))  # type: ignore[no-any-return]

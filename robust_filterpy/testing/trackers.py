@@ -94,7 +94,7 @@ def check_tracker(
     --------
     >>> from robust_filterpy import Linear, ParameterTracker
     >>> def least_squares(structure):
-    ...     return ParameterTracker(structure, influence=Linear())
+    ...     return ParameterTracker(structure, influence=Linear(), start=0, R=1.0)
     >>> results = check_tracker(least_squares, not_claimed=("robust",))
     >>> {result.status for result in results}
     {'passed'}

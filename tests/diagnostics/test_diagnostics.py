@@ -267,7 +267,7 @@ def test_a_trackers_run_is_diagnosed(variance, cause):
     y = np.zeros(N)
     for k in range(1, N):
         y[k] = 0.8 * y[k - 1] + u[k - 1] + 0.2 * rng.normal()
-    tracker = ParameterTracker(ARX(1, 1), R=variance)
+    tracker = ParameterTracker(ARX(1, 1), R=variance, start=0)
     d = diagnose(tracker, y, us=u)
     assert d.causes == cause
     assert (tracker.theta == 0.0).all()

@@ -63,7 +63,7 @@ def same(a, b):
 def test_run_gives_the_numbers_of_update(structure, gradient, guard, options):
     y, u = recording()
     y[40] = 1e12
-    one, other = (ParameterTracker(structure, R=0.25, gradient=gradient, guard=guard, **options) for _ in range(2))
+    one, other = (support.told_tracker(structure, R=0.25, gradient=gradient, guard=guard, **options) for _ in range(2))
     same(one.run(y, u), step_by_step(other, y, u))
     same(one.state().values(), other.state().values())
     same([one.filter.K, one.filter.y, one.filter.S], [other.filter.K, other.filter.y, other.filter.S])
@@ -81,14 +81,14 @@ def test_run_gives_the_numbers_of_update(structure, gradient, guard, options):
 )
 def test_any_filter_serves_and_run_is_update(make):
     y, u = recording()
-    one, other = (ParameterTracker(OutputError(2, 2), filter=make(4), R=0.25) for _ in range(2))
+    one, other = (support.told_tracker(OutputError(2, 2), filter=make(4), R=0.25) for _ in range(2))
     same(one.run(y, u), step_by_step(other, y, u))
 
 
 def test_one_recording_in_two_parts_is_one_recording():
     y, u = recording()
     for structure in STRUCTURES:
-        whole, parts = ParameterTracker(structure), ParameterTracker(structure)
+        whole, parts = support.told_tracker(structure), support.told_tracker(structure)
         result = whole.run(y, u)
         same(result, map(np.concatenate, zip(parts.run(y[:61], u[:61]), parts.run(y[61:], u[61:]), strict=True)))
 
@@ -96,8 +96,8 @@ def test_one_recording_in_two_parts_is_one_recording():
 def test_kalman_baseline_is_the_linear_tracker():
     y, u = recording()
     for structure in STRUCTURES:
-        ours = ParameterTracker(structure, influence=Linear(), P=3.0, Q=1e-4, R=0.5).run(y, u)
-        theirs = ParameterTracker(structure, filter=KalmanFilter, P=3.0, Q=1e-4, R=0.5).run(y, u)
+        ours = support.told_tracker(structure, influence=Linear(), P=3.0, Q=1e-4, R=0.5).run(y, u)
+        theirs = support.told_tracker(structure, filter=KalmanFilter, P=3.0, Q=1e-4, R=0.5).run(y, u)
         np.testing.assert_allclose(ours.theta, theirs.theta, rtol=1e-7, atol=1e-9)
         np.testing.assert_allclose(ours.std, theirs.std, rtol=1e-7)
 
@@ -106,17 +106,17 @@ def test_recordings_may_be_lists_or_pandas_columns():
     pd = pytest.importorskip("pandas")
     y, u = recording()
     frame = pd.DataFrame({"y": y, "u": u, "w": -u})
-    expected = ParameterTracker(ARX(2, 2)).run(y, u)
-    same(expected, ParameterTracker(ARX(2, 2)).run(frame["y"], frame["u"]))
-    same(expected, ParameterTracker(ARX(2, 2)).run([None if v != v else v for v in y], list(u)))
-    same(expected, ParameterTracker(ARX(2, 2)).run(y[:, None], u[:, None]))
+    expected = support.told_tracker(ARX(2, 2)).run(y, u)
+    same(expected, support.told_tracker(ARX(2, 2)).run(frame["y"], frame["u"]))
+    same(expected, support.told_tracker(ARX(2, 2)).run([None if v != v else v for v in y], list(u)))
+    same(expected, support.told_tracker(ARX(2, 2)).run(y[:, None], u[:, None]))
     two = ARX(2, (2, 1))
-    same(ParameterTracker(two).run(frame["y"], frame[["u", "w"]]), ParameterTracker(two).run(y, np.c_[u, -u]))
+    same(support.told_tracker(two).run(frame["y"], frame[["u", "w"]]), support.told_tracker(two).run(y, np.c_[u, -u]))
 
 
 def test_result_has_a_row_for_each_sample():
     y, u = recording()
-    result = ParameterTracker(OutputError(2, 2), R=0.25).run(y, u)
+    result = support.told_tracker(OutputError(2, 2), R=0.25).run(y, u)
     assert result.theta.shape == result.std.shape == (150, 4)
     gap = np.isnan(y)
     np.testing.assert_array_equal(np.isnan(result.residual), gap)
@@ -130,7 +130,7 @@ def test_result_has_a_row_for_each_sample():
 def test_identity_of_a_linear_regression():
     rng = np.random.default_rng(0)
     phi, theta = rng.normal(size=(50, 3)), np.array([1.0, -2.0, 0.5])
-    tracker = ParameterTracker(LinearRegression(3), R=1e-6)
+    tracker = support.told_tracker(LinearRegression(3), R=1e-6)
     tracker.run(phi @ theta, phi)
     np.testing.assert_allclose(tracker.theta, theta, atol=1e-8)
     assert tracker.predict([1.0, 1.0, 1.0]) == pytest.approx(-0.5)
@@ -140,7 +140,7 @@ def test_identity_of_a_linear_regression():
 
 def test_model_without_input():
     y = np.sin(0.3 * np.arange(60))
-    tracker = ParameterTracker(ARX(2, 0), R=1e-6)
+    tracker = support.told_tracker(ARX(2, 0), R=1e-6)
     tracker.run(y)
     np.testing.assert_allclose(tracker.theta, [-2 * np.cos(0.3), 1.0], atol=1e-5)
     assert tracker.predict() == pytest.approx(np.sin(0.3 * 60), abs=1e-4)
@@ -154,7 +154,7 @@ def test_model_without_input():
 def test_prediction_is_what_the_next_update_finds():
     y, u = recording()
     for structure in STRUCTURES:
-        tracker = ParameterTracker(structure, R=0.25, F=0.999 * np.eye(structure.n_theta))
+        tracker = support.told_tracker(structure, R=0.25, F=0.999 * np.eye(structure.n_theta))
         for k in range(60):
             ahead = tracker.predict(u[k]) if structure == FIR(2, nk=0) else tracker.predict()
             before = tracker.state()
@@ -163,10 +163,10 @@ def test_prediction_is_what_the_next_update_finds():
 
 
 def test_coefficients_split_theta():
-    a, b, c = ParameterTracker(ARMAX(1, (2, 1), 1), theta=[0.1, 1, 2, 3, 0.5]).coefficients
+    a, b, c = support.told_tracker(ARMAX(1, (2, 1), 1), theta=[0.1, 1, 2, 3, 0.5]).coefficients
     assert a == [0.1] and c == [0.5]
     same(b, ([1, 2], [3]))
-    a, b, c = ParameterTracker(OutputError(2, 2), theta=PLANT).coefficients
+    a, b, c = support.told_tracker(OutputError(2, 2), theta=PLANT).coefficients
     same((a, b, c), (PLANT[:2], PLANT[2:], []))
 
 
@@ -174,7 +174,7 @@ def test_coefficients_split_theta():
 def test_transfer_function_answers_as_simulate_does(nk):
     u = np.random.default_rng(0).normal(size=(2, 80))
     theta = [-0.9, 0.4, 1.0, 0.5, 0.0, -2.0]
-    tracker = ParameterTracker(OutputError(2, (3, 1), nk=(nk, 2)), theta=theta)
+    tracker = support.told_tracker(OutputError(2, (3, 1), nk=(nk, 2)), theta=theta)
     tf = tracker.transfer_function(0.1)
     assert (tf.ninputs, tf.noutputs, tf.dt) == (2, 1, 0.1)
     parts = [control.forced_response(tf[0, i], inputs=u[i]).outputs for i in range(2)]
@@ -184,21 +184,21 @@ def test_transfer_function_answers_as_simulate_does(nk):
 def test_simulate_is_the_plant():
     u = np.random.default_rng(0).normal(size=80)
     for structure in (ARX(2, 2), OutputError(2, 2)):
-        model = ParameterTracker(structure, theta=PLANT).simulate(u)
+        model = support.told_tracker(structure, theta=PLANT).simulate(u)
         np.testing.assert_allclose(model, simulate_arx(PLANT, u, na=2, nb=2).y_clean, atol=1e-12)
 
 
 @pytest.mark.parametrize("structure", STRUCTURES, ids=str)
 def test_continued_simulation_is_the_tracker_with_every_sample_missing(structure):
     y, u = recording()
-    tracker = ParameterTracker(structure, R=0.25, gradient="filtered")
+    tracker = support.told_tracker(structure, R=0.25, gradient="filtered")
     tracker.run(y[:100], u[:100])
     free = tracker.simulate(u[100:], continued=True)
     np.testing.assert_allclose(free, tracker.run(np.full(50, np.nan), u[100:]).prediction, rtol=1e-9, atol=1e-9)
 
 
 def test_simulation_of_an_unstable_model_is_refused_when_it_overflows():
-    tracker = ParameterTracker(ARX(1, 1), theta=[-3.0, 1.0])
+    tracker = support.told_tracker(ARX(1, 1), theta=[-3.0, 1.0])
     assert np.isfinite(tracker.simulate(np.ones(20))).all()
     with pytest.raises(ValueError, match="unstable"):
         tracker.simulate(np.ones(2000))
@@ -207,7 +207,7 @@ def test_simulation_of_an_unstable_model_is_refused_when_it_overflows():
 def test_fit_and_intervals():
     assert ParameterTracker.fit([0.0, 2.0], [0.0, 2.0]) == 100.0
     assert ParameterTracker.fit([0.0, 2.0], [1.0, 1.0]) == pytest.approx(0.0)
-    tracker = ParameterTracker(FIR(2), theta=[1.0, 2.0], P=np.diag([4.0, 9.0]))
+    tracker = support.told_tracker(FIR(2), theta=[1.0, 2.0], P=np.diag([4.0, 9.0]))
     lower, upper = tracker.confidence_intervals(0.95)
     np.testing.assert_allclose(lower, [1 - 1.959964 * 2, 2 - 1.959964 * 3], rtol=1e-6)
     np.testing.assert_allclose(upper - tracker.theta, tracker.theta - lower)
@@ -218,7 +218,7 @@ def test_fit_and_intervals():
 
 
 def test_repr_shows_the_model():
-    assert repr(ParameterTracker(FIR(1), theta=2.0)) == "ParameterTracker(FIR(nb=1, nk=1), b1=2)"
+    assert repr(support.told_tracker(FIR(1), theta=2.0)) == "ParameterTracker(FIR(nb=1, nk=1), b1=2)"
 
 
 # Missing samples, freezing, forgetting
@@ -226,7 +226,7 @@ def test_repr_shows_the_model():
 
 def test_missing_sample_is_replaced_by_the_prediction():
     y, u = recording(missing=False)
-    gap, filled = ParameterTracker(ARX(2, 2)), ParameterTracker(ARX(2, 2))
+    gap, filled = support.told_tracker(ARX(2, 2)), support.told_tracker(ARX(2, 2))
     for tracker in (gap, filled):
         tracker.run(y[:50], u[:50])
     missing = gap.update(None, u[50])
@@ -237,7 +237,7 @@ def test_missing_sample_is_replaced_by_the_prediction():
 
 
 def test_missing_samples_add_to_the_uncertainty():
-    tracker = ParameterTracker(FIR(2), P=1.0, Q=0.1)
+    tracker = support.told_tracker(FIR(2), P=1.0, Q=0.1)
     tracker.run(np.full(5, np.nan), np.ones(5))
     np.testing.assert_allclose(tracker.P, 1.5 * np.eye(2))
     np.testing.assert_array_equal(tracker.theta, 0.0)
@@ -246,7 +246,7 @@ def test_missing_samples_add_to_the_uncertainty():
 @pytest.mark.parametrize("structure", STRUCTURES, ids=str)
 def test_frozen_tracker_predicts_and_does_not_learn(structure):
     y, u = recording()
-    tracker = ParameterTracker(structure, R=0.25, Q=1e-3)
+    tracker = support.told_tracker(structure, R=0.25, Q=1e-3)
     tracker.run(y[:100], u[:100])
     theta, P = tracker.theta, tracker.P
     tracker.enabled = False
@@ -263,14 +263,14 @@ def test_forgetting_is_recursive_least_squares():
         gain = P @ row / (factor + row @ P @ row)
         theta = theta + gain * (value - row @ theta)
         P = (P - np.outer(gain, row @ P)) / factor
-    tracker = ParameterTracker(LinearRegression(3), forgetting=factor, P=10.0, influence=Linear())
+    tracker = support.told_tracker(LinearRegression(3), forgetting=factor, P=10.0, influence=Linear())
     tracker.run(y, phi)
     np.testing.assert_allclose(tracker.theta, theta, rtol=1e-10)
     np.testing.assert_allclose(tracker.P, P, rtol=1e-10)
 
 
 def test_forgetting_without_excitation_does_not_blow_up():
-    tracker = ParameterTracker(FIR(2), forgetting=0.5)
+    tracker = support.told_tracker(FIR(2), forgetting=0.5)
     tracker.run(np.zeros(3000), np.zeros(3000))
     assert np.isfinite(tracker.P).all()
     tracker.run([0.0, 2.0, 3.0, 2.0], [1.0, 1.0, 0.0, 0.0])
@@ -284,13 +284,13 @@ def test_forgetting_without_excitation_does_not_blow_up():
 @pytest.mark.parametrize("kind", [None, KalmanFilter])
 def test_pickle_and_state_continue_bit_for_bit(structure, kind):
     y, u = recording()
-    original = ParameterTracker(structure, filter=kind, Q=1e-5, R=0.25, forgetting=0.99)
+    original = support.told_tracker(structure, filter=kind, Q=1e-5, R=0.25, forgetting=0.99)
     original.run(y[:70], u[:70])
     thawed = pickle.loads(pickle.dumps(original))
     file = io.BytesIO()
     np.savez(file, **original.state())
     file.seek(0)
-    restored = ParameterTracker(structure, filter=kind)
+    restored = support.told_tracker(structure, filter=kind)
     with np.load(file, allow_pickle=False) as stored:
         restored.restore(stored)
     expected = original.run(y[70:], u[70:])
@@ -300,7 +300,7 @@ def test_pickle_and_state_continue_bit_for_bit(structure, kind):
 
 def test_state_is_a_copy_both_ways():
     y, u = recording()
-    tracker = ParameterTracker(OutputError(2, 2))
+    tracker = support.told_tracker(OutputError(2, 2))
     tracker.run(y[:50], u[:50])
     state = tracker.state()
     first = tracker.run(y[50:], u[50:])
@@ -310,7 +310,7 @@ def test_state_is_a_copy_both_ways():
 
 def test_reset_goes_back_to_the_start():
     y, u = recording()
-    tracker = ParameterTracker(ARMAX(2, 2, 1), theta=0.1, P=2.0)
+    tracker = support.told_tracker(ARMAX(2, 2, 1), theta=0.1, P=2.0)
     first = tracker.run(y, u)
     tracker.enabled = False
     tracker.reset()
@@ -319,9 +319,9 @@ def test_reset_goes_back_to_the_start():
 
 
 def test_state_of_another_structure_is_refused():
-    tracker = ParameterTracker(ARX(2, 2))
+    tracker = support.told_tracker(ARX(2, 2))
     before = tracker.state()
-    for state in (ParameterTracker(ARX(1, 3)).state(), {"theta": np.zeros(4)}):
+    for state in (support.told_tracker(ARX(1, 3)).state(), {"theta": np.zeros(4)}):
         with pytest.raises(ValueError, match="state: expected"):
             tracker.restore(state)
         same(before.values(), tracker.state().values())
@@ -356,12 +356,12 @@ def test_state_of_another_structure_is_refused():
 )
 def test_bad_arguments_are_refused(options, error, words):
     with pytest.raises(error, match=words):
-        ParameterTracker(OutputError(2, 2), **options)
+        support.told_tracker(OutputError(2, 2), **options)
 
 
 def test_structure_must_be_one():
     with pytest.raises(TypeError, match="structure: expected ARX"):
-        ParameterTracker(4)
+        support.told_tracker(4)
 
 
 @pytest.mark.parametrize(
@@ -385,7 +385,7 @@ def test_structure_must_be_one():
 )
 def test_bad_data_are_refused_and_nothing_changes(call, words):
     y, u = recording()
-    tracker = ParameterTracker(OutputError(2, 2))
+    tracker = support.told_tracker(OutputError(2, 2))
     tracker.run(y, u)
     before = tracker.state()
     with pytest.raises(ValueError, match=words):
@@ -395,12 +395,12 @@ def test_bad_data_are_refused_and_nothing_changes(call, words):
 
 def test_prediction_without_the_input_it_needs_is_refused():
     with pytest.raises(ValueError, match="next input"):
-        ParameterTracker(FIR(2, nk=0)).predict()
+        support.told_tracker(FIR(2, nk=0)).predict()
 
 
 def test_sample_that_the_filter_refuses_changes_nothing_and_is_named():
     y, u = recording(missing=False)
-    tracker = ParameterTracker(ARX(2, 2), Q=1e-3, scaling="unit", influence=Linear())
+    tracker = support.told_tracker(ARX(2, 2), Q=1e-3, scaling="unit", influence=Linear())
     before = tracker.state()
     with pytest.raises(np.linalg.LinAlgError, match='sample 1: scaling="unit" would make P indefinite'):
         tracker.run(y, u)
@@ -423,7 +423,7 @@ class Moody(KalmanFilter):
 
 def test_sample_that_another_filter_refuses_changes_nothing_and_is_named():
     y, u = recording(missing=False)
-    tracker = ParameterTracker(ARX(2, 2), filter=Moody)
+    tracker = support.told_tracker(ARX(2, 2), filter=Moody)
     before = tracker.state()
     with pytest.raises(ValueError, match=r"sample \d+: enough"):
         tracker.run(y, u)
@@ -438,7 +438,7 @@ def test_a_variance_for_each_sample_is_that_of_the_filter_set_by_hand(make):
     y, u = recording()
     R = np.where(np.arange(len(y)) % 3 == 0, 25.0, 0.25)
     for structure in STRUCTURES[:4]:
-        given, stepped, by_hand = (ParameterTracker(structure, filter=make, P=1.0, R=0.25) for _ in range(3))
+        given, stepped, by_hand = (support.told_tracker(structure, filter=make, P=1.0, R=0.25) for _ in range(3))
         result = given.run(y, u, R)
         for k in range(len(y)):
             stepped.update(y[k], u[k], R[k])
@@ -452,7 +452,7 @@ def test_a_variance_for_each_sample_is_that_of_the_filter_set_by_hand(make):
 
 def test_one_variance_serves_all_samples():
     y, u = recording()
-    same(ParameterTracker(ARX(2, 2)).run(y, u, 0.5), ParameterTracker(ARX(2, 2), R=0.5).run(y, u))
+    same(support.told_tracker(ARX(2, 2)).run(y, u, 0.5), support.told_tracker(ARX(2, 2), R=0.5).run(y, u))
 
 
 @pytest.mark.parametrize(
@@ -468,7 +468,7 @@ def test_one_variance_serves_all_samples():
 )
 def test_bad_variances_are_refused(R, message):
     y, u = recording()
-    tracker = ParameterTracker(OutputError(2, 2))
+    tracker = support.told_tracker(OutputError(2, 2))
     before = tracker.state()
     with pytest.raises(ValueError, match=message):
         tracker.run(y, u, R)
@@ -493,7 +493,7 @@ def test_a_recording_that_ends_in_a_gap_leaves_what_update_leaves(length, gap):
     y, u = recording(length)
     y[-gap:] = np.nan
     for structure in STRUCTURES[:3]:
-        one, other = (ParameterTracker(structure, P=1.0, R=0.25) for _ in range(2))
+        one, other = (support.told_tracker(structure, P=1.0, R=0.25) for _ in range(2))
         one.run(y, u)
         step_by_step(other, y, u)
         for found, expected in zip(left_behind(one.filter), left_behind(other.filter), strict=True):
@@ -503,11 +503,11 @@ def test_a_recording_that_ends_in_a_gap_leaves_what_update_leaves(length, gap):
 @pytest.mark.parametrize("length", [1, 40, 1200])
 def test_nothing_but_gaps_and_a_whole_number_as_theta(length):
     y, u = np.full(length, np.nan), np.ones(length)
-    tracker = ParameterTracker(ARX(1, 1), theta=[-0.5, 1.0])
+    tracker = support.told_tracker(ARX(1, 1), theta=[-0.5, 1.0])
     np.testing.assert_array_equal(tracker.run(y, u).theta[-1], [-0.5, 1.0])
     y, u = recording(length, missing=False)
     for x in (np.zeros(2, dtype=int), np.zeros(2, dtype=np.float32), np.zeros((2, 1)), [0.0, 0.0]):
-        tracker, plain = ParameterTracker(ARX(1, 1)), ParameterTracker(ARX(1, 1))
+        tracker, plain = support.told_tracker(ARX(1, 1)), support.told_tracker(ARX(1, 1))
         tracker.filter.x = x
         np.testing.assert_allclose(tracker.run(y, u).theta, plain.run(y, u).theta, rtol=1e-9)
 
@@ -515,7 +515,7 @@ def test_nothing_but_gaps_and_a_whole_number_as_theta(length):
 @pytest.mark.parametrize("length", [30, 1500])
 def test_a_refused_sample_leaves_the_filter_as_it_was(length):
     y, u = recording(length, missing=False)
-    tracker = ParameterTracker(ARX(2, 2), P=1e-4, R=0.25, scaling="unit")
+    tracker = support.told_tracker(ARX(2, 2), P=1e-4, R=0.25, scaling="unit")
     tracker.run(y[:20], u[:20])
     before = [tracker.filter.H, tracker.filter.x_prior, tracker.filter.P_prior, *tracker.state().values()]
     with pytest.raises(np.linalg.LinAlgError, match="scaling"):
@@ -534,7 +534,7 @@ def test_an_interrupted_run_changes_nothing(make):
         raise KeyboardInterrupt
 
     y, u = recording(1_000_000 if make is None else 20_000)
-    tracker = ParameterTracker(OutputError(2, 2), filter=make, P=1.0, R=0.25)
+    tracker = support.told_tracker(OutputError(2, 2), filter=make, P=1.0, R=0.25)
     tracker.run(y[:1500], u[:1500])
     before = tracker.state()
     previous = signal.signal(signal.SIGALRM, stop)
@@ -549,7 +549,7 @@ def test_an_interrupted_run_changes_nothing(make):
 
 
 def test_predict_knows_that_a_wound_up_tracker_stands_still():
-    tracker = ParameterTracker(ARX(1, 1), forgetting=0.5, F=1.5 * np.eye(2), theta=[-0.5, 1.0])
+    tracker = support.told_tracker(ARX(1, 1), forgetting=0.5, F=1.5 * np.eye(2), theta=[-0.5, 1.0])
     for k in range(40):
         tracker.update(np.nan, 0.0 if k < 39 else 1.0)
         assert tracker.predict() == tracker.update(np.nan, 0.0).prediction
@@ -557,7 +557,7 @@ def test_predict_knows_that_a_wound_up_tracker_stands_still():
 
 def test_matrices_are_the_filters():
     y, u = recording()
-    one, other = ParameterTracker(ARX(2, 2), R=0.25), ParameterTracker(ARX(2, 2), R=4.0, Q=1e-3, forgetting=0.9)
+    one, other = support.told_tracker(ARX(2, 2), R=0.25), support.told_tracker(ARX(2, 2), R=4.0, Q=1e-3, forgetting=0.9)
     one.R, one.Q, one.forgetting = 4.0, 1e-3, 0.9
     assert one.R == one.filter.R.item() == 4.0 and one.forgetting == pytest.approx(0.9)
     np.testing.assert_array_equal(one.Q, 1e-3 * np.eye(4))
@@ -577,7 +577,7 @@ def test_matrices_are_the_filters():
 def test_a_bad_variance_in_the_filter_is_named(structure, R):
     y, u = recording(1200)
     for length in (20, 1200):
-        tracker = ParameterTracker(structure)
+        tracker = support.told_tracker(structure)
         tracker.filter.R = R
         with pytest.raises(ValueError, match=r"sample 0: R: expected a variance > 0"):
             tracker.run(y[:length], u[:length])
@@ -597,7 +597,7 @@ def test_a_bad_variance_in_the_filter_is_named(structure, R):
     ],
 )
 def test_a_bad_state_is_refused(change, error, message):
-    tracker = ParameterTracker(OutputError(2, 2))
+    tracker = support.told_tracker(OutputError(2, 2))
     before = tracker.state()
     with pytest.raises(error, match=message):
         tracker.restore(before | change)

@@ -17,9 +17,9 @@ from robust_filterpy.identification import (
     OutputError,
     ParameterTracker,
 )
-from robust_filterpy.identification import tracker as tracker_module
+from robust_filterpy.identification import _recursion as recursion_module
+from robust_filterpy.identification._recursion import GRADIENTS
 from robust_filterpy.identification.guard import GUARDS
-from robust_filterpy.identification.tracker import GRADIENTS
 from robust_filterpy.noise import EpsilonContaminated
 from robust_filterpy.plants import simulate_output_error
 
@@ -62,7 +62,7 @@ def recording(length=300, seed=1):
 
 def pair(structure, **options):
     """Two trackers, the same."""
-    return (ParameterTracker(structure, **{"R": 0.25, "P": 1.0} | options) for _ in range(2))
+    return (support.told_tracker(structure, **{"R": 0.25, "P": 1.0} | options) for _ in range(2))
 
 
 def assert_same_run(one, other, y, u, R=None, rtol=1e-10):
@@ -154,7 +154,7 @@ def test_growth_under_forgetting_stops(handed_back):
 def test_chunks_join(handed_back, monkeypatch):
     y, u = recording()
     whole = [next(pair(structure)).run(y, u) for structure in STRUCTURES[:7]]
-    monkeypatch.setattr(tracker_module, "_CHUNK", 7)
+    monkeypatch.setattr(recursion_module, "_CHUNK", 7)
     for structure, expected in zip(STRUCTURES[:7], whole, strict=True):
         for found, column in zip(next(pair(structure)).run(y, u), expected, strict=True):
             np.testing.assert_array_equal(found, column)
@@ -204,7 +204,7 @@ def test_a_model_that_was_made_unstable_by_hand(handed_back):
 
 def test_a_refused_sample_is_named_and_changes_nothing(handed_back):
     y, u = recording()
-    tracker = ParameterTracker(ARX(2, 2), P=1e-4, R=0.25, scaling="unit")
+    tracker = support.told_tracker(ARX(2, 2), P=1e-4, R=0.25, scaling="unit")
     u[250:] *= 300.0
     before = tracker.state()
     with pytest.raises(NotPositiveDefiniteError, match=r"sample 264: scaling"):
@@ -222,15 +222,17 @@ def test_what_the_loop_is_not_for(handed_back, monkeypatch):
         tracker.run(y, u)
         assert handed_back == list(range(len(y) - 1))
 
-    assert_not_compiled(ParameterTracker(ARX(2, 2), filter=RobustKalmanFilter(4, 1, grouping="joint", influence=Odd())))
-    crooked = ParameterTracker(ARX(2, 2))
+    assert_not_compiled(
+        support.told_tracker(ARX(2, 2), filter=RobustKalmanFilter(4, 1, grouping="joint", influence=Odd()))
+    )
+    crooked = support.told_tracker(ARX(2, 2))
     crooked.filter.P = np.eye(4) + np.triu(np.full((4, 4), 1e-6), 1)
     assert_not_compiled(crooked)
-    frozen = ParameterTracker(ARX(2, 2))
+    frozen = support.told_tracker(ARX(2, 2))
     frozen.enabled = False
     assert_not_compiled(frozen)
     support.without_kernel(monkeypatch)
-    assert_not_compiled(ParameterTracker(ARX(2, 2)))
+    assert_not_compiled(support.told_tracker(ARX(2, 2)))
 
 
 class Odd(Huber):

@@ -4,19 +4,20 @@ from functools import partial
 
 import pytest
 from filterpy.kalman import KalmanFilter
+from support import told_tracker
 
-from robust_filterpy import Linear, ParameterTracker, StudentT, TukeyBiweight
+from robust_filterpy import Linear, StudentT, TukeyBiweight
 from robust_filterpy.testing import assert_recovers_parameters, draw, run_tracker, tracker_checks
 
 #: Factory, what it does not claim.
 TRACKERS = {
-    "Huber": (ParameterTracker, ()),
-    "Linear": (partial(ParameterTracker, influence=Linear()), ("robust",)),
-    "filterpy's": (partial(ParameterTracker, filter=KalmanFilter), ("robust",)),
-    "Student": (partial(ParameterTracker, influence=StudentT(4.0)), ()),
-    "Tukey": (partial(ParameterTracker, influence=TukeyBiweight()), ()),
-    "pseudolinear": (partial(ParameterTracker, gradient="pseudolinear"), ()),
-    "unguarded": (partial(ParameterTracker, guard="none"), ("stable",)),
+    "Huber": (told_tracker, ()),
+    "Linear": (partial(told_tracker, influence=Linear()), ("robust",)),
+    "filterpy's": (partial(told_tracker, filter=KalmanFilter), ("robust",)),
+    "Student": (partial(told_tracker, influence=StudentT(4.0)), ()),
+    "Tukey": (partial(told_tracker, influence=TukeyBiweight()), ()),
+    "pseudolinear": (partial(told_tracker, gradient="pseudolinear"), ()),
+    "unguarded": (partial(told_tracker, guard="none"), ("stable",)),
 }
 QUICK = ("Huber", "Linear")
 
@@ -39,5 +40,5 @@ def test_parameters_are_recovered_through_every_kind_of_outlier(plant, contamina
     runs = []
     for seed in range(4):
         scenario = draw(plant, 300, contamination=contamination, rng=seed)
-        runs.append(run_tracker(scenario.load(ParameterTracker(scenario.structure)), scenario))
+        runs.append(run_tracker(scenario.load(told_tracker(scenario.structure)), scenario))
     assert_recovers_parameters(runs, factor=4.0)

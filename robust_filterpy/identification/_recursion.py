@@ -1,0 +1,266 @@
+"""The recursion of `ParameterTracker`, one sample after the other: the definition that the kernel is held to.
+
+One sample: predict theta, predict y from phi, look again at outputs that were replaced, correct theta along the
+gradient, restrain an unstable step, follow R, remember.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import repeat
+from typing import Any, Final, Literal, TypeAlias
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+from robust_filterpy.filters.kalman import RobustKalmanFilter
+from robust_filterpy.identification import _compiled_dispatch, _setup
+from robust_filterpy.identification._conditioning import SHARP, repaired, tempering
+from robust_filterpy.identification._regressor import CLEANED_FROM, Layout, Memory, bounded, gradient, pushed
+from robust_filterpy.identification.guard import Guard, is_stable, restrained
+from robust_filterpy.identification.noise_scale import NoiseScale, followed
+from robust_filterpy.identification.results import Columns, Sample
+from robust_filterpy.identification.structures import Structure
+
+#: What the gain is computed from.
+Gradient: TypeAlias = Literal["pseudolinear", "filtered"]
+GRADIENTS: Final[tuple[Gradient, ...]] = ("pseudolinear", "filtered")
+#: Which outputs an ARX or ARMAX has in its regressor.
+Regressor: TypeAlias = Literal["measured", "cleaned"]
+REGRESSORS: Final[tuple[Regressor, ...]] = ("measured", "cleaned")
+
+# What a sample moves in a filter, besides what only shows its last correction.
+_MOVING: Final = ("x", "P", "H", "R", "x_prior", "P_prior")
+
+# phi of so many samples stays in a processor's cache.
+_CHUNK: Final = 4096
+
+# So many samples at most go to the definition before the kernel has another try.
+_MOST_ODD: Final = 1024
+
+
+class Recursion:
+    """What a tracker does with a sample; the arguments are checked, the outputs as measured."""
+
+    structure: Structure
+    filter: Any
+    enabled: bool
+    _gradient: Gradient
+    _guard: Guard
+    #: Whether the regressor holds cleaned outputs.
+    _cleans: bool
+    #: Whether it holds a constant, after the inputs.
+    _has_offset: bool
+    #: What is taken off the output, so that the constant is small.
+    _centre: float
+    _scale: NoiseScale
+    _windup: float
+    _layout: Layout
+    _memory: Memory
+
+    @property
+    def _drifts(self) -> bool:
+        """Whether the next sample begins with a step of theta: not once P has wound up under forgetting."""
+        kf = self.filter
+        return bool(getattr(kf, "alpha", 1.0) == 1.0 or np.trace(kf.P) <= self._windup)
+
+    def _with_constant(self, u: Array) -> Array:
+        """Return the input of a sample (n_inputs,) or a recording (N, n_inputs), with a constant if phi has one."""
+        if not self._has_offset:
+            return u
+        return np.append(u, 1.0) if u.ndim == 1 else np.column_stack((u, np.ones(len(u))))
+
+    def _held(self) -> tuple[Any, ...]:
+        """Return what a sample changes: arrays are replaced, never written into."""
+        moving = {name: getattr(self.filter, name) for name in _MOVING if hasattr(self.filter, name)}
+        memory = {name: getattr(self._memory, name) for name in self._memory.__slots__}
+        return moving, memory, self._scale
+
+    def _put_back(self, held: tuple[Any, ...]) -> None:
+        """Undo what was refused, or interrupted."""
+        for place, values in zip((self.filter, self._memory), held[:2], strict=True):
+            for name, value in values.items():
+                setattr(place, name, value)
+        self._scale = held[2]
+
+    def _step(self, y: float, u: Array, R: float | None) -> Sample:
+        """Advance by one checked sample."""
+        held = self._held()
+        try:
+            return self._stepped(y - self._centre, self._with_constant(u), R)
+        except BaseException:
+            self._put_back(held)
+            raise
+
+    def _stepped(self, y: float, u: Array, R: float | None) -> Sample:
+        """Advance by one sample from the centre, with the constant in u."""
+        kf, layout, memory, part = self.filter, self._layout, self._memory, self._layout.part
+        inputs = memory.with_input(layout, u)
+        H, outputs = memory.regressor(layout, inputs), memory.outputs
+        known, gradients, old = y == y, memory.gradients, np.ravel(kf.x)
+        weight, event, outlying = math.nan, 0, False
+        filtered = self._gradient == "filtered" and part is not None
+        if self.enabled and self._drifts:
+            kf.predict()
+        x = kf.x
+        shown = predicted = H.dot(x).item()
+        r = _setup.noise_variance(kf) if R is None else R
+        if self._cleans and known and not np.array_equal(outputs, memory.measured):
+            other = H.copy()
+            other[0, : layout.na] = memory.measured
+            S, explained = variance(H, kf.P, r), other.dot(x).item()
+            if abs(y - predicted) > CLEANED_FROM * math.sqrt(S) and abs(y - explained) < abs(y - predicted):
+                H, outputs, predicted = other, memory.measured, explained
+        G, target = H, y
+        if filtered:
+            past = np.ravel(x)[part]
+            if self._guard != "none" or is_stable(past.tolist()):
+                G = gradient(H[0], past, gradients)[None, :]
+            gradients = pushed(gradients, G[0])
+        if self.enabled and known:
+            S = variance(G, kf.P, r)
+            outlying = abs(y - predicted) > CLEANED_FROM * math.sqrt(S)
+            weight = self._corrected(G, target, predicted, R, r, filtered)
+            if R is None and self._scale.memory:
+                self._follow(r, y - predicted, S)
+        if self.enabled and part is not None:
+            moved, event = restrained(np.ravel(kf.x), old, part, self._guard)
+            if event:
+                kf.x = moved.reshape(np.shape(kf.x))
+        after = H.dot(kf.x).item()
+        believed = bounded(predicted) if not known or (self._cleans and outlying) else y
+        if self.structure.uses_model_output:
+            memory.outputs = pushed(outputs, -bounded(after))
+        else:
+            memory.outputs = pushed(outputs, -believed)
+        memory.measured = pushed(memory.measured, -y if known else -bounded(predicted))
+        memory.residuals = pushed(memory.residuals, bounded(believed - after) if known else 0.0)
+        memory.inputs, memory.gradients = inputs, gradients
+        return Sample(shown + self._centre, y - shown, weight, event)
+
+    def _corrected(self, G: Array, y: float, predicted: float, R: float | None, r: float, filtered: bool) -> float:
+        """Correct theta along the gradient and return the weight of the sample."""
+        kf = self.filter
+        square, trace = G[0].dot(G[0]), np.trace(kf.P)
+        factor, target = tempering(square, trace, r), y
+        if filtered or factor < 1.0:
+            G = G * factor
+            # So that the filter's own innovation, target - G x, is y - phi' theta.
+            target = (y - predicted) * factor + G.dot(kf.x).item()
+        kf.H = G
+        if R is None:
+            kf.update(target)
+        else:
+            kf.update(target, R=R)
+        if square * trace > SHARP * r:
+            P = kf.P
+            mended = repaired(P)
+            if mended is not P:
+                kf.P = mended
+        return float(np.ravel(getattr(kf, "weights", 1.0))[0])
+
+    def _follow(self, R: float, nu: float, S: float) -> None:
+        """Let R follow the size of the innovations."""
+        scale = self._scale
+        found, samples = followed(R, scale.samples, scale.mean, scale.memory, nu, S)
+        self.filter.R = np.array([[found]])
+        self._scale = scale._replace(samples=samples)
+
+    def _run_stepwise(self, y: Array, u: Array, R: Array | None, out: Columns, start: int, stop: int) -> None:
+        """Advance through samples start to stop - 1 of a recording with any filter, one by one."""
+        k = start
+        variances = repeat(None) if R is None else R[start:stop].tolist()
+        try:
+            for k, output, r in zip(range(start, stop), y[start:stop].tolist(), variances, strict=False):
+                out.prediction[k], out.residual[k], out.weights[k], out.guard[k] = self._step(output, u[k], r)
+                out.theta[k], out.variance[k] = np.ravel(self.filter.x), np.diagonal(self.filter.P)
+        except (ValueError, TypeError, np.linalg.LinAlgError) as error:
+            error.args = (f"sample {k}: {error}", *error.args[1:])
+            raise
+
+    @property
+    def _is_plain(self) -> bool:
+        """Whether the filter is our own as it comes, for which there are faster ways to the numbers of `update`."""
+        kf, n = self.filter, self._layout.n
+        return bool(
+            self.enabled
+            and type(kf) is RobustKalmanFilter
+            # Not one whose methods somebody has wrapped.
+            and not {"predict", "update"} & vars(kf).keys()
+            and kf._choices.pointwise is not None
+            and kf._inverse is None
+            and _setup.is_array(kf.F, (n, n))
+            and _setup.is_array(kf.Q, (n, n))
+            and _setup.is_array(kf.R, (1, 1))
+            and _setup.is_array(kf.P, (n, n))
+            and (_setup.is_array(kf.x, (n,)) or _setup.is_array(kf.x, (n, 1)))
+            and np.isfinite(kf.x).all()
+            and np.isfinite(kf.P).all()
+            and 0.0 < kf.R.item() < math.inf
+            and np.isfinite(kf.F).all()
+            and np.isfinite(kf.Q).all()
+            and all(np.abs(a - a.T).max() <= 1e-13 * np.abs(a).max() for a in (kf.P, kf.Q))
+        )
+
+    def _run_through(self, y: Array, u: Array, R: Array | None, out: Columns, start: int, stop: int) -> None:
+        """Advance through samples start to stop - 1: by the kernel where it serves, otherwise by the definition.
+
+        The last sample and the last measured one are the definition's: they leave the attributes that the filter shows.
+        """
+        if not (self._is_plain and _compiled_dispatch.serves((self.filter._choices,), stop - start)):
+            self._run_stepwise(y, u, R, out, start, stop)
+            return
+        measured = start + np.flatnonzero(y[start:stop] == y[start:stop])
+        for last in sorted({*measured[-1:].tolist(), stop - 1}):
+            if last > start:
+                self._run_kernel(y, u, R, out, start, last)
+            self._run_stepwise(y, u, R, out, last, last + 1)
+            start = last + 1
+
+    def _run_kernel(self, y: Array, u: Array, R: Array | None, out: Columns, start: int, stop: int) -> None:
+        """Advance from sample start to stop - 1 by the kernel, and by the definition where the kernel declines."""
+        kf, layout, k, odd = self.filter, self._layout, start, 1
+        follows = R is None and self._scale.memory > 0.0
+        signal = self._with_constant(u)
+        while k < stop:
+            chunk = slice(k, min(k + _CHUNK, stop))
+            phi, inputs = self._memory.regressors(layout, signal[chunk])
+            x, P, memory = np.array(kf.x).reshape(1, -1), np.array(kf.P, order="C")[None], self._memory
+            past = _compiled_dispatch.Memories(
+                *(
+                    getattr(memory, name)[None].copy()
+                    for name in ("outputs", "inputs", "residuals", "gradients", "measured")
+                )
+            )
+            variances = np.full(1, kf.R.item()) if R is None else R[chunk]
+            recursion = _compiled_dispatch.Recursion(
+                (kf._choices,), self.structure.uses_model_output, self._cleans,
+                np.array([self._gradient == "filtered"]), np.array([self._guard]),
+                kf.F[None], kf.Q[None], np.array([kf._alpha_sq]), np.array([self._windup]),
+            )  # fmt: skip
+            scale = np.array([[kf.R.item(), *self._scale]]) if follows else np.zeros((1, 4))
+            here = Columns(*(column[None, chunk] for column in out))
+            signals = y[None, chunk] - self._centre, phi[None], variances[None]
+            done = int(_compiled_dispatch.advance(layout, recursion, *signals, x, P, past, scale, here)[0])
+            out.prediction[k : k + done] += self._centre
+            kf.x, kf.P = x.reshape(np.shape(kf.x)), P[0]
+            memory.outputs, memory.residuals, memory.gradients, memory.measured = (
+                past.outputs[0], past.residuals[0], past.gradients[0], past.measured[0],
+            )  # fmt: skip
+            if follows:
+                kf.R, self._scale = scale[:, :1].copy(), self._scale._replace(samples=float(scale[0, 1]))
+            k += done
+            if k == chunk.stop:
+                memory.inputs = inputs
+                continue
+            # Older inputs than the memory holds need not go through it.
+            for values in signal[max(k - layout.length, chunk.start) : k]:
+                memory.inputs = memory.with_input(layout, values)
+            odd = 1 if done >= odd else min(2 * odd, _MOST_ODD)
+            self._run_stepwise(y, u, R, out, k, min(k + odd, stop))
+            k = min(k + odd, stop)
+
+
+def variance(phi: Array, P: Array, r: float) -> float:
+    """Return the variance of an innovation, phi' P phi + r, for a row phi."""
+    return float(phi.dot(P).dot(phi.T).item()) + r
