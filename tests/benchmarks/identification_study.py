@@ -1,6 +1,6 @@
 """How good a model `identify` finds from nothing: cold starts, noise, slow sampling, offsets, units, time, regressors.
 
-    python tests/benchmarks/identification_study.py [plants] [noise] [sampling] [invariance] [time] [arx]
+    python tests/benchmarks/identification_study.py [tracker] [noise_scale] [regressors] [plants] [noise] [sampling] [invariance] [time] [arx]
                                                     [--plants 100] [--orders 2 3 4 6] [--seed 0]
 
 Beside it: the estimate that starts at the truth, the one that knows which samples are outliers, and scipy's
@@ -19,7 +19,7 @@ import numpy as np
 import scipy.optimize
 import scipy.signal
 
-from robust_filterpy import ARX, Huber, OutputError, identify
+from robust_filterpy import ARX, Huber, OutputError, ParameterTracker, identify
 from robust_filterpy.identification.learnt_noise import Noise
 from robust_filterpy.identification.polynomial_model import PolynomialModel
 from robust_filterpy.identification.prediction_error import minimised
@@ -177,18 +177,23 @@ def noise(arguments):
             )
 
 
+def sampled(seed, period, plant):
+    """Return a second-order plant's theta, y with 5 % noise and 10 % outliers, and u."""
+    rng = np.random.default_rng([seed, period, plant])
+    damping, hold, size = rng.uniform(0.2, 1.2), max(1, period // 8), 3000
+    b, a, _ = scipy.signal.cont2discrete(([1.0], [1.0, 2 * damping, 1.0]), 2 * np.pi / period)
+    truth = np.concatenate((a[1:], b.ravel()[1:]))
+    u = np.repeat(rng.choice([-1.0, 1.0], size // hold + 1), hold)[:size]
+    clean = output_of(truth, u)
+    return truth, clean + outlying(rng, 0.1, False, 0.05 * clean.std(), size)[0], u
+
+
 def sampling(arguments):
     """Identify second-order plants sampled ever faster, with 5 % noise and 10 % outliers."""
     for period in (15, 30, 60, 100):
         fits = []
         for plant in range(arguments.plants):
-            rng = np.random.default_rng([arguments.seed, period, plant])
-            damping, hold, size = rng.uniform(0.2, 1.2), max(1, period // 8), 3000
-            b, a, _ = scipy.signal.cont2discrete(([1.0], [1.0, 2 * damping, 1.0]), 2 * np.pi / period)
-            truth = np.concatenate((a[1:], b.ravel()[1:]))
-            u = np.repeat(rng.choice([-1.0, 1.0], size // hold + 1), hold)[:size]
-            clean = output_of(truth, u)
-            y = clean + outlying(rng, 0.1, False, 0.05 * clean.std(), size)[0]
+            truth, y, u = sampled(arguments.seed, period, plant)
             fits.append(fit(identify(y, u, OutputError(2, 2)).theta, truth, u))
         print(f"{period} samples per period, 5 % noise, 10 % outliers: {spread(fits)}")
         target(f"worst fit, {period} samples per period", min(fits), 99, least=True)
@@ -261,7 +266,117 @@ def arx(arguments):
             )
 
 
+def tracker(arguments):
+    """Track OE(4, 4) plants by default, nothing told, beside the batch estimate that starts at the truth."""
+    found = {"tracker": [], "told R, start=0": [], "from the truth": []}
+    for plant in range(arguments.plants):
+        truth, y, u, _, fresh = recording(arguments.seed, 4, plant, 0.1)
+        structure = OutputError(4, 4)
+        for name, one in (
+            ("tracker", ParameterTracker(structure)),
+            ("told R, start=0", ParameterTracker(structure, R=SIGMA**2, start=0)),
+        ):
+            one.run(y, u)
+            found[name].append(fit(one.theta, truth, fresh))
+        found["from the truth"].append(fit(from_truth(truth, y, u), truth, fresh))
+    print("OE(4, 4), contamination 0.1: " + "   ".join(f"{name} {spread(values)}" for name, values in found.items()))
+    ours, best = np.array(found["tracker"]), np.array(found["from the truth"])
+    target("points of fit below the estimate from the truth, median", *below(ours, best, 0.5), 0.8)
+    target("points of fit below the estimate from the truth, q10", *below(ours, best, 0.1), 1.5)
+    target("worst fit of the tracker", float(ours.min()), 90, least=True)
+    fits = [fit(tracked.theta, truth, u) for tracked, truth, u in slowly_sampled(arguments, 60)]
+    print(f"60 samples per period: {spread(fits)}")
+    target("worst fit, 60 samples per period", min(fits), 98, least=True)
+
+
+def slowly_sampled(arguments, period):
+    """Yield trackers after recordings of second-order plants, their truth and input."""
+    for plant in range(arguments.plants):
+        truth, y, u = sampled(arguments.seed, period, plant)
+        tracked = ParameterTracker(OutputError(2, 2))
+        tracked.run(y, u)
+        yield tracked, truth, u
+
+
+def noise_scale(arguments):
+    """Follow an R that nobody told: errors beside the true R, coverage of the intervals, a step of the noise."""
+    truth = np.array([-1.5, 0.7, 1.0, 0.5])
+    for contamination in (0.0, 0.1):
+        errors, inside = {"told R": [], "followed": [], "from 1e-4 R": [], "from 1e4 R": []}, []
+        for plant in range(arguments.plants):
+            rng = np.random.default_rng([arguments.seed, 31, plant])
+            u = rng.choice([-1.0, 1.0], SAMPLES)
+            y = output_of(truth, u) + outlying(rng, contamination, False, SIGMA, SAMPLES)[0]
+            model = identify(y[:400], u[:400], OutputError(2, 2))
+            trackers = {
+                "told R": model.tracker(R=SIGMA**2),
+                "followed": model.tracker(),
+                "from 1e-4 R": model.tracker(),
+                "from 1e4 R": model.tracker(),
+            }
+            for name, factor in (("from 1e-4 R", 1e-4), ("from 1e4 R", 1e4)):
+                # As if nothing had been seen of the noise before.
+                trackers[name].filter.R = np.array([[factor * SIGMA**2]])
+                trackers[name]._scale = trackers[name]._scale._replace(samples=0.0)
+            for name, one in trackers.items():
+                one.run(y[400:], u[400:])
+                errors[name].append(np.linalg.norm(one.theta - truth))
+            low, high = trackers["followed"].confidence_intervals()
+            inside.append((low <= truth) & (truth <= high))
+        rms = {name: float(np.sqrt(np.mean(np.square(values)))) for name, values in errors.items()}
+        print(f"contamination {contamination}: " + "  ".join(f"{name} {value:.4f}" for name, value in rms.items()))
+        for name in list(rms)[1:]:
+            target(
+                f"error over that with the true R, {name}, contamination {contamination}",
+                rms[name] / rms["told R"],
+                1.1,
+            )
+        coverage = float(np.mean(inside))
+        target(f"coverage of 95 % intervals, contamination {contamination}", coverage, 0.9, least=True)
+        target(f"coverage of 95 % intervals, contamination {contamination}", coverage, 0.98)
+    rng = np.random.default_rng([arguments.seed, 32])
+    u = rng.choice([-1.0, 1.0], SAMPLES)
+    size = SIGMA * np.where(np.arange(SAMPLES) < 1000, 1.0, 3.0)
+    y = output_of(truth, u) + size * rng.normal(size=SAMPLES)
+    one = ParameterTracker(OutputError(2, 2))
+    one.run(y[:1000], u[:1000])
+    path = [one.R / SIGMA**2]
+    for k in range(1000, SAMPLES, 100):
+        one.run(y[k : k + 100], u[k : k + 100])
+        path.append(one.R / SIGMA**2)
+    print("R over its first value while the noise steps by 9: " + " ".join(f"{value:.1f}" for value in path))
+    target(
+        "share of a step of the noise that is followed after 200 samples, the memory", path[2] / 9.0, 0.63, least=True
+    )
+
+
+def regressors(arguments):
+    """Compare measured and cleaned outputs in the regressor of an ARX(2, 2) tracker, both from the same start."""
+    truth = np.array([-1.5, 0.7, 1.0, 0.5])
+    for contamination in (0.0, 0.02, 0.1, 0.2):
+        errors = {"measured": [], "cleaned": [], "label-knowing": []}
+        for plant in range(arguments.plants):
+            rng = np.random.default_rng([arguments.seed, 22, plant])
+            u, a = rng.choice([-1.0, 1.0], SAMPLES), np.concatenate(([1.0], truth[:2]))
+            y = output_of(truth, u) + scipy.signal.lfilter([1.0], a, 0.5 * rng.normal(size=SAMPLES))
+            labels = rng.random(SAMPLES) < contamination
+            y[labels] += 5.0 * rng.normal(size=labels.sum())
+            for regressor in ("measured", "cleaned"):
+                one = ParameterTracker(ARX(2, 2), regressor=regressor)
+                one.run(y, u)
+                errors[regressor].append(np.linalg.norm(one.theta - truth))
+            told = identify(np.where(labels, np.nan, y), u, ARX(2, 2)).theta
+            errors["label-knowing"].append(np.linalg.norm(told - truth))
+        rms = {name: float(np.sqrt(np.mean(np.square(values)))) for name, values in errors.items()}
+        print(f"ARX(2, 2), contamination {contamination}: " + "  ".join(f"{n} {v:.4f}" for n, v in rms.items()))
+        if contamination == 0.1:
+            target("tracker, cleaned, over label-knowing", rms["cleaned"] / rms["label-knowing"], 1.3)
+
+
 PARTS = {
+    "tracker": tracker,
+    "noise_scale": noise_scale,
+    "regressors": regressors,
     "plants": plants,
     "noise": noise,
     "sampling": sampling,
