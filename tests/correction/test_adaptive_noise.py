@@ -150,9 +150,8 @@ def test_sensors_with_correlated_noise_tell_of_each_other():
     rng = np.random.default_rng(3)
     problem, classes = random_problem(3, 4, 3), NoiseClasses(scales=[1.0])
     x, P, z = problem.x[:, 0], problem.P, rng.standard_normal(3)
-    step = correct_adaptively(
-        x[None], P[None], np.ones(1), classes.start(3), z, problem.H, problem.R, classes, problem.M
-    )
+    H, R, M = problem.H, problem.R, problem.M
+    step = correct_adaptively(x[None], P[None], np.ones(1), classes.start(3), z, H, R, classes, M)
     S, C = H @ P @ H.T + R + H @ M + (H @ M).T, P @ H.T + M
     assert_allclose(step.means[0], x + C @ np.linalg.solve(S, z - H @ x), rtol=1e-8)
     assert_allclose(step.covariances[0], P - C @ np.linalg.solve(S, C.T), rtol=1e-7, atol=1e-10)
