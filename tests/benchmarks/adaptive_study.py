@@ -2,8 +2,8 @@
 
 Run ``python tests/benchmarks/adaptive_study.py [--table NAME] [--runs N] [--seed S] [--jobs J] [--quick]``. All filters
 see the same recordings; intervals are 95 % bootstrap intervals over them. What the peers' authors tune by the truth is
-tuned so here, for each kind of noise anew, on two recordings of other seeds. --quick leaves the peers out. Below a table
-for which there is a target stands what the adaptive filter reached.
+tuned so here, for each kind of noise anew, on two recordings of other seeds. --quick leaves the peers out. A target is
+compared with the adaptive filter below the table.
 """
 
 from __future__ import annotations
@@ -155,7 +155,8 @@ def root_mean_square(path: np.ndarray, case: Case) -> float:
 def noises(args: argparse.Namespace) -> None:
     """Print a table for each kind of noise."""
     for kind in NOISES:
-        compare(f"{kind}: mean square error", partial(point, kind=kind), mean_square, LABELS, args, target=TARGETS.get(kind))
+        title, draw = f"{kind}: mean square error", partial(point, kind=kind)
+        compare(title, draw, mean_square, LABELS, args, target=TARGETS.get(kind))
 
 
 def wrong(args: argparse.Namespace) -> None:
@@ -175,7 +176,7 @@ def wrong(args: argparse.Namespace) -> None:
 
 def vehicles(args: argparse.Namespace) -> None:
     """Print the tables of Yang and Boyd's vehicle."""
-    # What is reachable differs from seed to seed: the second target is the first over that of the filter with labels there.
+    # What is reachable differs from seed to seed: the second target is the first over that of the labels there.
     for title, target, labels, *how in (
         ("both noises with 10 % outliers of 10 times the scale", 0.639, 0.597, 0.1, 0.1, 10.0),
         ("both noises with 10 % outliers of 30 times the scale", 0.439, 0.408, 0.1, 0.1, 30.0),
