@@ -210,8 +210,8 @@ def _score(y: Array, ordinary: Array, span: int) -> float:
         known = values[~np.isnan(values)]
         medians = median_filter(known, min(span, len(known)), mode="nearest")
         # The median of n normal numbers has pi/2 times the variance of their mean.
-        total += float(np.mean(medians[len(medians) // 10 :] ** 2)) * span / (0.5 * np.pi * max(variance, 1e-300))
-    return total / len(ordinary)
+        total += np.mean(medians[len(medians) // 10 :] ** 2) * span / (0.5 * np.pi * max(variance, 1e-300))
+    return float(total / len(ordinary))
 
 
 def _by_factors(covariance: Any, factors: Array) -> Array:
