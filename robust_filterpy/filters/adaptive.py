@@ -86,7 +86,9 @@ class AdaptiveKalmanFilter(ScoreFilter, InteractingFilter):
     Notes
     -----
     An outlier is what exceeds most samples: if class 0 is no longer the majority, the noise itself has grown. R may be
-    wrong by a factor of 1000 either way, Q may be too small by 100.
+    wrong by a factor of 1000 either way, Q may be too small by 100. From an R ten to thirty times too small it can take
+    some hundred samples until R is found; the state suffers little meanwhile, since ordinary samples then count as the
+    next class.
 
     With ``process_scales=(1,)`` a Q that is far too small makes the state's own motion look like noise, R grows and the
     filter stops following. Leave some doubt about the process.

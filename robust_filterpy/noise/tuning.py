@@ -27,6 +27,8 @@ _LEAST_CONTAMINATION = 0.002
 _FAR = 100.0
 # What a filter more than the simplest has to gain, so that it is not taken where both are the same.
 _GAIN = 0.003
+# Below this score a kind has shown what it is for.
+_CLEARLY = 0.99
 _REASONS = {
     "one-sided": "measurement outliers come one by one and the process is ordinary",
     "adaptive": "the noises change, or outliers come in runs, or the process is not ordinary all the time",
@@ -216,8 +218,9 @@ def _report(kind: str, noise: NoiseEstimate, scores: dict[str, float], adaptive:
         if noise.contamination > _LEAST_CONTAMINATION
         else "No outliers.",
         f"Mean absolute innovation, one-sided 1: {', '.join(f'{k} {v:.3f}' for k, v in scores.items())}.",
-        f"{kind}: {_REASONS[kind]}.",
-    ]
+        f"{kind}: {_REASONS[kind]}." if kind == "one-sided" or scores[kind] < _CLEARLY
+        else f"{kind}: {100 * (1 - scores[kind]):.1f} % better than one-sided, which would do as well.",
+    ]  # fmt: skip
     run = float(adaptive.noise.run_length.max())
     if noise.contamination > _LEAST_CONTAMINATION and run > 3.0:
         lines.insert(2, f"Outliers come in runs of about {run:.0f}.")
