@@ -134,6 +134,15 @@ def test_r_comes_back_from_far_off(share, factor):
     assert np.mean(found) == pytest.approx(1.0, abs=0.5)
 
 
+def test_an_r_thirty_times_too_small_is_not_kept():
+    """Most samples pass for outliers of the next class then, and P grows with the process scale: the hardest case."""
+    for seed in (3, 4, 5):
+        problem, truth, zs, _ = moving(seed, 800, contaminated(seed, 800, 0.1), R=0.03)
+        kf = make(AdaptiveKalmanFilter, problem, 1)
+        error = kf.batch_filter(zs)[0][400:, 0] - truth[400:, 0]
+        assert 0.3 < kf.R_learnt[0, 0] < 3.0 and np.sqrt((error**2).mean()) < 1.0
+
+
 def test_contamination_and_ratio_are_found_with_their_uncertainty():
     noises = []
     for seed in range(4):
