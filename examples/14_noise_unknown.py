@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from robust_filterpy import AdaptiveKalmanFilter, RobustKalmanFilter
-from robust_filterpy.noise import tune
+from robust_filterpy import AdaptiveKalmanFilter, RobustKalmanFilter, tune
 
 STEPS, WORN = 1600, 800
 F, H = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]])

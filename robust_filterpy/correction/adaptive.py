@@ -69,7 +69,25 @@ class NoiseClasses:
         return np.tile(adaptive_noise.start(len(self.scales)), (1 if self.grouping == "joint" else dim_z, 1))
 
     def checked(self, learnt: ArrayLike, dim_z: int) -> Array:
-        """Return a copy of what was learnt elsewhere, or raise ValueError or TypeError."""
+        """Return a copy of what another filter has learnt, if it is for the same classes.
+
+        Parameters
+        ----------
+        learnt : array_like, shape (1 or more, 2 + 2 K + K^2)
+            As `robust_filterpy.correction.adaptive_noise.start` orders it, a row for each sensor.
+        dim_z : int
+            Number of sensors.
+
+        Returns
+        -------
+        ndarray
+            The copy.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the shape is another one, or the numbers are not what can be learnt.
+        """
         values, begin = _checks.numbers("learnt", learnt), self.start(dim_z)
         fits = values.ndim == 2 and values.shape[1] == begin.shape[1]
         if not fits or len(values) < len(begin) or (self.grouping == "joint" and len(values) > 1):

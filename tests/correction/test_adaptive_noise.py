@@ -146,16 +146,16 @@ def test_the_order_of_independent_sensors_is_that_of_plausibility():
 
 
 def test_sensors_with_correlated_noise_tell_of_each_other():
-    """One ordinary class each: the Kalman filter with the full R."""
+    """One class each, whose size has been learnt: the Kalman filter with the full R and M, scaled."""
     rng = np.random.default_rng(3)
     problem, classes = random_problem(3, 4, 3), NoiseClasses(scales=[1.0])
-    x, P, z = problem.x[:, 0], problem.P, rng.standard_normal(3)
-    H, R, M = problem.H, problem.R, problem.M
-    step = correct_adaptively(x[None], P[None], np.ones(1), classes.start(3), z, H, R, classes, M)
-    S, C = H @ P @ H.T + R + H @ M + (H @ M).T, P @ H.T + M
-    assert_allclose(step.means[0], x + C @ np.linalg.solve(S, z - H @ x), rtol=1e-8)
+    x, P, H, z, learnt = problem.x[:, 0], problem.P, problem.H, rng.standard_normal(3), classes.start(3)
+    learnt[:, 0] = r = np.array([4.0, 0.3, 1.7])
+    R, M = np.sqrt(np.outer(r, r)) * problem.R, 0.5 * np.sqrt(r) * problem.M
+    step = correct_adaptively(x[None], P[None], np.ones(1), learnt, z, H, problem.R, classes, 0.5 * problem.M)
+    S, C, y = H @ P @ H.T + R + H @ M + (H @ M).T, P @ H.T + M, z - H @ x
+    assert_allclose(step.means[0], x + C @ np.linalg.solve(S, y), rtol=1e-8)
     assert_allclose(step.covariances[0], P - C @ np.linalg.solve(S, C.T), rtol=1e-7, atol=1e-10)
-    y = z - H @ x
     density = -0.5 * (y @ np.linalg.solve(S, y) + np.linalg.slogdet(2 * np.pi * S)[1])
     assert step.log_density == pytest.approx(density)
 

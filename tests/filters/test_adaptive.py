@@ -290,8 +290,10 @@ def test_what_was_learnt_can_be_handed_on(grouping):
     new.predict()
     new.update(zs[300])
     np.testing.assert_array_equal(old.learnt, before)
-    old.learnt[:] = 7.0
-    assert not (new.learnt == 7.0).any()
+    array = old.learnt
+    old.learnt = array
+    array[:] = 7.0
+    assert not (new.learnt == 7.0).any() and not (old.learnt == 7.0).any()
     blank.predict()
     blank.update(zs[300])
     assert (new.R_learnt > 10 * blank.R_learnt).diagonal().all()
