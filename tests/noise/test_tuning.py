@@ -106,7 +106,7 @@ def test_the_report_says_what_was_chosen_and_why(one_sided):
 
 
 def test_clean_data_have_no_outliers():
-    tuned = tune(guess(), moving(3)[1])
+    tuned = tune(guess(), moving(3, n=300)[1])
     assert tuned.kind == "one-sided" and "No outliers." in tuned.report
     assert tuned.filter.measurement.contamination >= 0.002
 
@@ -124,7 +124,7 @@ def test_the_filter_is_left_alone_and_its_start_is_the_new_ones(kind):
     kf = guess(kind)
     kf.x, kf.alpha = np.array([[0.5], [0.1]]), 1.001
     before = copy.deepcopy(kf.__dict__)
-    tuned = tune(kf, moving(4, mixture(4)[:200], 200)[1])
+    tuned = tune(kf, moving(4, mixture(4)[:80], 80)[1])
     for name, value in before.items():
         if name not in {"_choices", "inv"}:
             np.testing.assert_equal(kf.__dict__[name], value, err_msg=name)
@@ -143,7 +143,7 @@ def test_missing_values_are_none_or_nan():
     zs = moving(0, mixture(0))[1]
     zs[[3, 70, 71]] = np.nan
     as_list = [None if np.isnan(z) else z for z in zs]
-    one, two = tune(guess(), zs[:300]), tune(guess(), as_list[:300])
+    one, two = tune(guess(), zs[:100]), tune(guess(), as_list[:100])
     assert one.report == two.report and one.kind == two.kind
 
 
@@ -156,7 +156,7 @@ def test_sentinel_values_do_not_hide_what_the_state_does(two_sided):
 
 
 def test_two_sensors_one_of_them_dead_and_inputs():
-    rng, n = np.random.default_rng(5), 250
+    rng, n = np.random.default_rng(5), 200
     truth, first = moving(5, mixture(5)[:n], n)
     zs = np.column_stack([first, truth[:, 0] + 3.0 * rng.standard_normal(n)])
     kf = guess(m=2)
@@ -172,10 +172,10 @@ def test_two_sensors_one_of_them_dead_and_inputs():
 
 def test_matrices_of_each_step_are_scaled_for_the_trial():
     """Handed over as they stand in the filter they change nothing."""
-    zs = moving(6, mixture(6)[:200], 200)[1]
+    zs = moving(6, mixture(6)[:100], 100)[1]
     kf = guess()
     plain = tune(kf, zs)
-    each = tune(kf, zs, Fs=[kf.F] * 200, Qs=[kf.Q] * 200, Hs=[kf.H] * 200, Rs=[kf.R] * 200)
+    each = tune(kf, zs, Fs=[kf.F] * 100, Qs=[kf.Q] * 100, Hs=[kf.H] * 100, Rs=[kf.R] * 100)
     assert each.scores == pytest.approx(plain.scores, rel=1e-6)
     np.testing.assert_allclose(each.filter.R, plain.filter.R, rtol=1e-6)
 
