@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
@@ -66,6 +67,41 @@ class NoiseClasses:
     def start(self, dim_z: int) -> Array:
         """Return what is known before the first sample, shape (1 or dim_z, ...)."""
         return np.tile(adaptive_noise.start(len(self.scales)), (1 if self.grouping == "joint" else dim_z, 1))
+
+    def checked(self, learnt: ArrayLike, dim_z: int) -> Array:
+        """Return a copy of what another filter has learnt, if it is for the same classes.
+
+        Parameters
+        ----------
+        learnt : array_like, shape (1 or more, 2 + 2 K + K^2)
+            As `robust_filterpy.correction.adaptive_noise.start` orders it, a row for each sensor.
+        dim_z : int
+            Number of sensors.
+
+        Returns
+        -------
+        ndarray
+            The copy.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the shape is another one, or the numbers are not what can be learnt.
+        """
+        values, begin = _checks.numbers("learnt", learnt), self.start(dim_z)
+        fits = values.ndim == 2 and values.shape[1] == begin.shape[1]
+        if not fits or len(values) < len(begin) or (self.grouping == "joint" and len(values) > 1):
+            raise ValueError(
+                f"learnt: expected shape {begin.shape}, got {values.shape}; it is for filters with the same grouping, "
+                f"sensors and measurement_scales"
+            )
+        K = len(self.scales)
+        totals = values[:, 2 + 2 * K :].reshape(-1, K, K).sum(axis=2)
+        if not (np.isfinite(values).all() and (values >= 0.0).all() and (values[:, 0] > 0.0).all() and totals.all()):
+            raise ValueError("learnt: expected finite numbers >= 0 with r > 0, as another filter's `learnt` has them")
+        if not np.allclose(values[:, 2 + K : 2 + 2 * K].sum(axis=1), 1.0):
+            raise ValueError("learnt: expected probabilities of the last sample's class that sum to 1")
+        return values.copy()
 
 
 class AdaptiveStep(NamedTuple):

@@ -69,8 +69,9 @@ class AdaptiveKalmanFilter(ScoreFilter, InteractingFilter):
         Probability that a component of the last measurement was an outlier.
     process_probabilities : ndarray, shape (q,)
         Probability of each process scale.
-    learnt : ndarray
-        What is known of the noise, as one small array: assign it to another filter to hand it on.
+    learnt : ndarray, shape (1 or sensors, 2 + 2 K + K^2)
+        What is known of the noise, as one small array, r (a factor of R) first: keep it, or assign it to another
+        filter with the same R, grouping and measurement scales, which then starts with it.
 
     Raises
     ------
@@ -85,7 +86,9 @@ class AdaptiveKalmanFilter(ScoreFilter, InteractingFilter):
     Notes
     -----
     An outlier is what exceeds most samples: if class 0 is no longer the majority, the noise itself has grown. R may be
-    wrong by a factor of 1000 either way, Q may be too small by 100.
+    wrong by a factor of 1000 either way, Q may be too small by 100. From an R ten to thirty times too small it can take
+    some hundred samples until R is found; the state suffers little meanwhile, since ordinary samples then count as the
+    next class.
 
     With ``process_scales=(1,)`` a Q that is far too small makes the state's own motion look like noise, R grows and the
     filter stops following. Leave some doubt about the process.
@@ -125,7 +128,7 @@ class AdaptiveKalmanFilter(ScoreFilter, InteractingFilter):
         """Set up filterpy's attributes, the copies and the noise."""
         classes = NoiseClasses(measurement_scales, grouping, memory, r_memory)
         super().__init__(dim_x, dim_z, dim_u, grouping=grouping)
-        self._classes, self.learnt = classes, classes.start(dim_z)
+        self._classes, self._learnt = classes, classes.start(dim_z)
         self._set_copies(process_scales, dwell)
         self._outlier_probability, self._first = 0.0, 0
 
@@ -145,9 +148,18 @@ class AdaptiveKalmanFilter(ScoreFilter, InteractingFilter):
         return self._classes.r_memory
 
     @property
+    def learnt(self) -> Array:
+        """What is known of the noise, shape (1 or sensors, 2 + 2 K + K^2); a copy."""
+        return self._learnt.copy()
+
+    @learnt.setter
+    def learnt(self, value: ArrayLike) -> None:
+        self._learnt = self._classes.checked(value, self.dim_z)
+
+    @property
     def noise(self) -> LearntNoise:
         """What has been learnt about the measurement noise."""
-        return describe(self.learnt, self.measurement_scales, self.dim_z if self.grouping == "joint" else 1)
+        return describe(self._learnt, self.measurement_scales, self.dim_z if self.grouping == "joint" else 1)
 
     @property
     def R_learnt(self) -> Array:
@@ -177,7 +189,7 @@ class AdaptiveKalmanFilter(ScoreFilter, InteractingFilter):
     def grouping(self, value: Grouping) -> None:
         classes = replace(self._classes, grouping=value)
         if value != self._classes.grouping:
-            self.learnt, self._classes = classes.start(self.dim_z), classes
+            self._learnt, self._classes = classes.start(self.dim_z), classes
             self._choices = self._choices.changed(grouping=value)
 
     def update_sequential(self, start: int, z_i: ArrayLike, R_i: Any = None, H_i: ArrayLike | None = None) -> None:
@@ -226,7 +238,9 @@ class AdaptiveKalmanFilter(ScoreFilter, InteractingFilter):
         )  # fmt: skip
         learnt[rows] = step.learnt
         bank = merged_bank(step.means, step.covariances, step.probabilities)
-        self._found = (step.log_density, bank, learnt, float(1.0 - np.prod(1.0 - step.outlier_probabilities)))
+        # Sensors that fail together have one probability.
+        ordinary_all = np.prod(1.0 - step.outlier_probabilities[: rows.size])
+        self._found = (step.log_density, bank, learnt, float(1.0 - ordinary_all))
         # A noise that is larger by a factor keeps its correlation with the state.
         cross = None if M is None else M * np.sqrt(ordinary.diagonal() / R.diagonal())
         influence = WeightInfluence(step.weights, step.outlier_probabilities > 0.5)
@@ -234,8 +248,8 @@ class AdaptiveKalmanFilter(ScoreFilter, InteractingFilter):
 
     def _known(self, sensors: int) -> Array:
         """Return a copy of what is known, with rows for sensors that have joined."""
-        more = 0 if self.grouping == "joint" else max(sensors - len(self.learnt), 0)
-        return np.concatenate([self.learnt, self._classes.start(more)[:more]])
+        more = 0 if self.grouping == "joint" else max(sensors - len(self._learnt), 0)
+        return np.concatenate([self._learnt, self._classes.start(more)[:more]])
 
     def _ordinary(self, R: Array, learnt: Array) -> Array:
         """Return the covariance of ordinary noise for an R that was given."""
@@ -244,7 +258,7 @@ class AdaptiveKalmanFilter(ScoreFilter, InteractingFilter):
 
     def _settle(self) -> None:
         """Take over the corrected copies and what they have learnt."""
-        _, _, self.learnt, self._outlier_probability = self._found
+        _, _, self._learnt, self._outlier_probability = self._found
         super()._settle()
 
     def _skip(self) -> None:

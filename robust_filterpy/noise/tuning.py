@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import median_filter
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.mixture import ContaminatedScore
 from robust_filterpy.correction.options import Grouping
 from robust_filterpy.filters import (
     AdaptiveKalmanFilter,
@@ -25,10 +23,12 @@ __all__ = ["Tuned", "tune"]
 
 # Where no outlier was seen, the filter still expects one in 500.
 _LEAST_CONTAMINATION = 0.002
-# What a filter more than the simplest has to gain, so that chance does not choose it.
-_GAIN = 0.1
-# The running median spans at least so many samples, and four of the runs in which outliers come.
-_SPAN = 15
+# An innovation counts up to so many times the median one: a sentinel value must not hide everything else.
+_FAR = 100.0
+# What a filter more than the simplest has to gain, so that it is not taken where both are the same.
+_GAIN = 0.003
+# Below this score a kind has shown what it is for.
+_CLEARLY = 0.99
 _REASONS = {
     "one-sided": "measurement outliers come one by one and the process is ordinary",
     "adaptive": "the noises change, or outliers come in runs, or the process is not ordinary all the time",
@@ -50,8 +50,7 @@ class Tuned:
     noise : NoiseEstimate
         What was fitted.
     scores : dict of str to float
-        Mean square of the running median of each kind's innovations over that of white ordinary innovations: how far
-        the filter is off for longer than outliers last.
+        Mean absolute innovation of each kind over that of the one-sided filter, mean of the sensors.
     report : str
         The choice in words.
     """
@@ -83,8 +82,8 @@ def tune(
     """Return a filter configured for the noises of a recording.
 
     Fits R, Q, contamination and scale ratio (`estimate_noise`), runs a filter of each kind over the recording, and
-    takes the simplest unless another follows the state clearly better. What tells so without the truth is the running
-    median of the innovations: outliers do not move it, a filter that is off does.
+    takes the one that predicts the measurements best: with the least mean absolute innovation. Outliers add the same
+    to all of them, a filter that is off adds to its own.
 
     Parameters
     ----------
@@ -117,7 +116,9 @@ def tune(
     -----
     The kinds: "one-sided" is `NoiseMatchedKalmanFilter` with the fitted numbers; "adaptive" `AdaptiveKalmanFilter`,
     which starts with what it has learnt from this recording; "two-sided" `TwoSidedKalmanFilter`; "recovering"
-    `RecoveringKalmanFilter`. Whatever is not the first must have a score lower by 10 %.
+    `RecoveringKalmanFilter`. Two kinds that score within a percent are equally good, and chance chooses. A run of
+    outliers that is longer than a filter resists draws its predictions too, which the innovations do not tell from a
+    state that moved: where such runs are known to happen, look at the report before you use the filter.
 
     On recordings with `Qs` or `Rs` the filter that is returned has its own Q and R scaled; scale the matrices of each
     step by ``noise.Q_scale`` and ``noise.R_scale`` when it runs.
@@ -145,27 +146,22 @@ def tune(
         "Qs": None if Qs is None else [_by_factors(Q_k, noise.Q_scale) for Q_k in Qs],
         "Rs": None if Rs is None else [_by_factors(R_k, noise.R_scale) for R_k in Rs],
     }  # fmt: skip
-    kinds = _kinds(noise, grouping)
+    kinds = _kinds(grouping)
     tried = {name: _with_model(build, kf, noise) for name, build in kinds.items()}
     runs = {name: _innovations(filter, zs, steps) for name, filter in tried.items()}
-    span = _span(tried["adaptive"])
-    ordinary = np.nanmedian(runs["one-sided"] ** 2, axis=0) / 0.455
-    scores = {name: _score(y, ordinary, span) for name, y in runs.items()}
-    kind = min(scores, key=lambda name: scores[name] if name == "one-sided" else scores[name] / (1.0 - _GAIN))
+    scores = {name: _score(y, runs["one-sided"]) for name, y in runs.items()}
+    kind = min(scores, key=lambda name: scores[name] + _GAIN * (name != "one-sided"))
     chosen = _with_model(kinds[kind], kf, noise)
     if kind == "adaptive":
         chosen.learnt = tried[kind].learnt.copy()
     return Tuned(chosen, kind, noise, scores, _report(kind, noise, scores, tried["adaptive"]))
 
 
-def _kinds(noise: NoiseEstimate, grouping: Any) -> dict[str, Callable[[int, int, int], Any]]:
+def _kinds(grouping: Any) -> dict[str, Callable[[int, int, int], Any]]:
     """Return what builds each kind of filter, the simplest first."""
-    outliers = ContaminatedScore(max(noise.contamination, _LEAST_CONTAMINATION), noise.scale_ratio)
     # Every combination of failing sensors is a hypothesis there; more than eight have to fail together.
     return {
-        "one-sided": lambda n, m, l: NoiseMatchedKalmanFilter(
-            n, m, l, measurement=outliers, grouping=grouping if m <= 8 else "joint"
-        ),
+        "one-sided": lambda n, m, l: NoiseMatchedKalmanFilter(n, m, l, grouping=grouping if m <= 8 else "joint"),
         "adaptive": lambda n, m, l: AdaptiveKalmanFilter(n, m, l, grouping=grouping),
         "two-sided": lambda n, m, l: TwoSidedKalmanFilter(n, m, l, grouping=grouping),
         "recovering": lambda n, m, l: RecoveringKalmanFilter(n, m, l, grouping=grouping),
@@ -180,7 +176,7 @@ def _with_model(build: Callable[[int, int, int], Any], kf: Any, noise: NoiseEsti
         if value is not None and not (name == "M" and np.shape(value) != (kf.dim_x, kf.dim_z)):
             setattr(filter, name, np.array(value, dtype=float))
     filter._alpha_sq, filter.inv = getattr(kf, "_alpha_sq", 1.0), getattr(kf, "inv", np.linalg.inv)
-    return noise.apply(filter)
+    return replace(noise, contamination=max(noise.contamination, _LEAST_CONTAMINATION)).apply(filter)
 
 
 def _innovations(filter: Any, zs: Any, steps: dict[str, Any]) -> Array:
@@ -198,20 +194,13 @@ def _innovations(filter: Any, zs: Any, steps: dict[str, Any]) -> Array:
     return np.array(kept)
 
 
-def _span(adaptive: AdaptiveKalmanFilter) -> int:
-    """Return the length of the running median, odd: outliers that come in runs must stay the minority in it."""
-    return max(_SPAN, 4 * int(np.ceil(adaptive.noise.run_length.max())) + 1)
-
-
-def _score(y: Array, ordinary: Array, span: int) -> float:
-    """Return the mean square of the running median, 1 for white ordinary innovations."""
-    total = 0.0
-    for values, variance in zip(y.T, ordinary, strict=True):
-        known = values[~np.isnan(values)]
-        medians = median_filter(known, min(span, len(known)), mode="nearest")
-        # The median of n normal numbers has pi/2 times the variance of their mean.
-        total += float(np.mean(medians[len(medians) // 10 :] ** 2)) * span / (0.5 * np.pi * max(variance, 1e-300))
-    return total / len(ordinary)
+def _score(y: Array, reference: Array) -> float:
+    """Return the mean absolute innovation over another filter's, mean of the sensors that were ever seen."""
+    sizes, others = np.abs(y), np.abs(reference)
+    seen = ~np.isnan(others).all(axis=0)
+    limit = _FAR * np.nanmedian(others[:, seen], axis=0)
+    ratios = [np.nanmean(np.minimum(each[:, seen], limit), axis=0) for each in (sizes, others)]
+    return float(np.mean(ratios[0] / np.maximum(ratios[1], 1e-300)))
 
 
 def _by_factors(covariance: Any, factors: Array) -> Array:
@@ -228,9 +217,10 @@ def _report(kind: str, noise: NoiseEstimate, scores: dict[str, float], adaptive:
         f"{100 * noise.contamination:.1f} % outliers, {noise.scale_ratio:.1f} times as large."
         if noise.contamination > _LEAST_CONTAMINATION
         else "No outliers.",
-        f"Off for longer than outliers last (1: never): {', '.join(f'{k} {v:.2f}' for k, v in scores.items())}.",
-        f"{kind}: {_REASONS[kind]}.",
-    ]
+        f"Mean absolute innovation, one-sided 1: {', '.join(f'{k} {v:.3f}' for k, v in scores.items())}.",
+        f"{kind}: {_REASONS[kind]}." if kind == "one-sided" or scores[kind] < _CLEARLY
+        else f"{kind}: {100 * (1 - scores[kind]):.1f} % better than one-sided, which would do as well.",
+    ]  # fmt: skip
     run = float(adaptive.noise.run_length.max())
     if noise.contamination > _LEAST_CONTAMINATION and run > 3.0:
         lines.insert(2, f"Outliers come in runs of about {run:.0f}.")

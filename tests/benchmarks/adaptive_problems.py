@@ -109,6 +109,15 @@ NOISES: dict[str, Callable[..., Any]] = {
     "R steps by 1/25": _steps(0.2),
 }
 ROOT = 0.1 * np.array([0.5, 1.0])
+#: Densities of independent noises up to a factor, for the filter that is told all but the labels.
+DENSITIES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "mixture .1, scale 10": lambda v: 0.9 * np.exp(-0.5 * v**2) + 0.01 * np.exp(-0.005 * v**2),
+    "mixture .05, scale 100": lambda v: 0.95 * np.exp(-0.5 * v**2) + 0.0005 * np.exp(-0.00005 * v**2),
+    "one-sided +20, .1": lambda v: 0.9 * np.exp(-0.5 * v**2) + 0.1 * np.exp(-0.5 * (v - 20.0) ** 2),
+    "Student t(2)": lambda v: (1.0 + 0.5 * v**2) ** -1.5,
+    "Laplace": lambda v: np.exp(-np.sqrt(2.0) * np.abs(v)),
+    "mixture .3, scale 10": lambda v: 0.7 * np.exp(-0.5 * v**2) + 0.03 * np.exp(-0.005 * v**2),
+}
 
 
 def _moving(g: np.random.Generator, steps: int) -> np.ndarray:
@@ -155,3 +164,18 @@ def vehicle(seed: int, process: float, measurement: float, scale: float, steps: 
         x = truth[k] = F @ x + w[k] * B @ g.normal(size=2)
     zs = truth[:, :2] + v[:, None] * np.sqrt(5.0) * g.normal(size=(steps, 2))
     return Case(F, np.eye(2, 4), B @ B.T, 5.0 * I, x0, 1e-9 * np.eye(4), truth, zs, w, v)
+
+
+def optimal(case: Case, density: Callable[[np.ndarray], np.ndarray], count: int = 5000) -> np.ndarray:
+    """Return the mean of a moving point given its noise's density, by particles: the best that needs no labels."""
+    g = np.random.default_rng(0)
+    x = case.x0 + np.sqrt(case.P0.diagonal()) * g.standard_normal((count, 2))
+    path, places = np.empty_like(case.truth), np.arange(count)
+    for k, z in enumerate(case.zs):
+        x = x @ case.F.T + g.standard_normal((count, 1)) * ROOT
+        # Where no particle is near, each counts the same.
+        weights = density(z - x[:, 0]) + 1e-300
+        total = np.cumsum(weights)
+        path[k] = weights @ x / total[-1]
+        x = x[np.searchsorted(total, (places + g.random()) / count * total[-1]).clip(max=count - 1)]
+    return path

@@ -1,0 +1,427 @@
+"""AdaptiveKalmanFilter: exact on small mixtures, told nothing it finds the noise; what it has learnt is safe."""
+
+import copy
+import itertools
+
+import numpy as np
+import pytest
+from filterpy.common import Saver
+from filterpy.kalman import KalmanFilter
+from scipy.integrate import quad
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal
+from support import cart, load, make, random_problem, simulate, with_
+
+from robust_filterpy import ARX, NoiseMatchedKalmanFilter, ParameterTracker
+from robust_filterpy.correction.mixture import ContaminatedScore
+from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter
+
+# How probable the classes are before anything has been seen.
+SHARES = np.array([0.85, 0.05, 0.05, 0.05])
+ORDINARY = {"process_scales": (1.0,)}
+
+
+def advance(kf, zs):
+    path = []
+    for z in zs:
+        kf.predict()
+        kf.update(z)
+        path.append(np.ravel(kf.x).copy())
+    return np.array(path)
+
+
+def moving(seed, n, label=1.0, R=1.0, Q=1.0):
+    """A point that moves with a nearly constant velocity; the filter is told R and Q times these factors."""
+    rng = np.random.default_rng(seed)
+    w = 0.1 * rng.standard_normal(n)
+    problem = with_(cart(), Q=Q * 0.01 * np.array([[0.25, 0.5], [0.5, 1.0]]), R=np.array([[R]]), P=10.0 * np.eye(2))
+    x, truth = np.zeros(2), np.empty((n, 2))
+    for k in range(n):
+        x = truth[k] = problem.F @ x + w[k] * np.array([0.5, 1.0])
+    return problem, truth, truth[:, 0] + label * rng.standard_normal(n), rng
+
+
+def contaminated(seed, n, share, scale=10.0):
+    return np.where(np.random.default_rng(1000 + seed).random(n) < share, scale, 1.0)
+
+
+@pytest.mark.parametrize("ndim", [1, 2])
+@pytest.mark.parametrize("grouping", ["joint", "component"])
+def test_with_one_class_and_a_trusted_process_it_is_the_kalman_filter_with_r_learnt(ndim, grouping):
+    problem = random_problem(1, 4, 2)
+    if grouping == "component":
+        problem = with_(problem, R=np.diag(problem.R.diagonal()))
+    ours = make(AdaptiveKalmanFilter, problem, ndim, measurement_scales=[1.0], grouping=grouping, **ORDINARY)
+    theirs = make(KalmanFilter, problem, ndim)
+    for z in simulate(problem, 100, 1)[0]:
+        ours.predict(), theirs.predict()
+        R = ours.R_learnt
+        z = z if ndim == 1 else z[:, None]
+        ours.update(z), theirs.update(z, R=R)
+        for name in ("x", "P", "y", "S", "K", "log_likelihood"):
+            np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=1e-8, atol=1e-10, err_msg=name)
+    assert not np.allclose(R, problem.R, rtol=1e-3)
+
+
+@pytest.mark.parametrize("grouping, dim_z", [("joint", 2), ("component", 1)])
+def test_one_step_is_the_exact_posterior_over_all_scales(grouping, dim_z):
+    problem = random_problem(3, 4, dim_z)
+    scales, dwell = (1.0, 10.0, 100.0), 50.0
+    kf = make(AdaptiveKalmanFilter, problem, 1, grouping=grouping, process_scales=scales, dwell=dwell)
+    z = simulate(problem, 1, 3)[0][0] + 6.0
+    prior = np.array([1.0, 1 / dwell, 1 / dwell])
+    prior /= prior.sum()
+    prior = prior @ (np.full((3, 3), 0.5 / dwell) + (1 - 1.5 / dwell) * np.eye(3))
+    means, covariances, logs, H = [], [], [], problem.H
+    x = problem.F @ problem.x[:, 0]
+    for (q, share_q), (r, share_r) in itertools.product(
+        zip(scales, prior, strict=True), zip((1.0, 10.0, 100.0, 1000.0), SHARES, strict=True)
+    ):
+        P = problem.F @ problem.P @ problem.F.T + q * problem.Q
+        S = H @ P @ H.T + r * problem.R
+        means.append(x + P @ H.T @ np.linalg.solve(S, z - H @ x))
+        covariances.append(P - P @ H.T @ np.linalg.solve(S, H @ P))
+        logs.append(np.log(share_q * share_r) + multivariate_normal.logpdf(z, H @ x, S))
+    weights = np.exp(logs - logsumexp(logs))
+    mean = weights @ means
+    spread = sum(w * np.outer(m - mean, m - mean) for w, m in zip(weights, means, strict=True))
+    kf.predict()
+    assert kf.log_likelihood_of(z) == pytest.approx(logsumexp(logs), rel=1e-10)
+    kf.update(z)
+    np.testing.assert_allclose(kf.x, mean, rtol=1e-9)
+    np.testing.assert_allclose(kf.P, np.tensordot(weights, covariances, 1) + spread, rtol=1e-8, atol=1e-11)
+    assert kf.log_likelihood == pytest.approx(logsumexp(logs), rel=1e-10)
+    assert kf.outlier_probability == pytest.approx(1 - weights.reshape(3, 4)[:, 0].sum(), rel=1e-9)
+    np.testing.assert_allclose(kf.process_probabilities, weights.reshape(3, 4).sum(axis=1), rtol=1e-9)
+
+
+def test_the_density_of_a_measurement_integrates_to_one():
+    problem, _, zs, _ = moving(0, 60, contaminated(0, 60, 0.2))
+    kf = make(AdaptiveKalmanFilter, problem, 1)
+    advance(kf, zs)
+    kf.predict()
+    at = float(kf.x[0])
+    total = quad(lambda z: np.exp(kf.log_likelihood_of(z)), at - 200, at + 200, points=[at], limit=400)[0]
+    assert total == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("grouping", ["joint", "component"])
+def test_neither_the_order_nor_the_units_of_the_sensors_matter(grouping):
+    problem = random_problem(5, 4, 3)
+    zs, _ = simulate(problem, 80, 5, contamination=0.1, size=15.0)
+    order, units = np.array([2, 0, 1]), np.array([1e3, 1e-2, 7.0])
+    D = np.diag(units)
+    other = with_(problem, H=D @ problem.H[order], R=D @ problem.R[np.ix_(order, order)] @ D)
+    one = make(AdaptiveKalmanFilter, problem, 1, grouping=grouping)
+    two = make(AdaptiveKalmanFilter, other, 1, grouping=grouping)
+    np.testing.assert_allclose(advance(two, zs[:, order] * units), advance(one, zs), rtol=1e-6, atol=1e-8)
+    rows = [0] if grouping == "joint" else order
+    np.testing.assert_allclose(two.learnt, one.learnt[rows], rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(two.weights, one.weights[order], rtol=1e-5)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1])
+@pytest.mark.parametrize("factor", [0.01, 100.0])
+def test_r_comes_back_from_far_off(share, factor):
+    found = []
+    for seed in range(4):
+        problem, _, zs, _ = moving(seed, 500, contaminated(seed, 500, share), R=factor)
+        kf = make(AdaptiveKalmanFilter, problem, 1)
+        kf.batch_filter(zs)
+        found.append(kf.R_learnt[0, 0])
+        assert kf.noise.r[0] == pytest.approx(found[-1] / factor)
+    # The memory is 30 ordinary samples: 26 % for each, 13 % for the mean of four.
+    assert np.mean(found) == pytest.approx(1.0, abs=0.5)
+
+
+def test_an_r_thirty_times_too_small_is_not_kept():
+    """Most samples pass for outliers of the next class then, and P grows with the process scale: the hardest case."""
+    for seed in (3, 4, 5):
+        problem, truth, zs, _ = moving(seed, 800, contaminated(seed, 800, 0.1), R=0.03)
+        kf = make(AdaptiveKalmanFilter, problem, 1)
+        error = kf.batch_filter(zs)[0][400:, 0] - truth[400:, 0]
+        assert 0.3 < kf.R_learnt[0, 0] < 3.0 and np.sqrt((error**2).mean()) < 1.0
+
+
+def test_contamination_and_ratio_are_found_with_their_uncertainty():
+    noises = []
+    for seed in range(4):
+        problem, _, zs, _ = moving(seed, 1000, contaminated(seed, 1000, 0.1))
+        kf = make(AdaptiveKalmanFilter, problem, 1)
+        kf.batch_filter(zs)
+        noises.append(kf.noise)
+    share, std = (np.array([getattr(n, name)[0] for n in noises]) for name in ("contamination", "contamination_std"))
+    assert share.mean() == pytest.approx(0.1, abs=0.04)
+    assert (np.abs(share - 0.1) < 3.0 * std).all() and (std < 0.06).all()
+    assert np.mean([n.scale_ratio[0] for n in noises]) == pytest.approx(10.0, rel=0.4)
+    assert np.mean([n.run_length[0] for n in noises]) < 2.0
+
+
+def test_each_sensor_has_a_noise_of_its_own():
+    rng = np.random.default_rng(2)
+    level = np.cumsum(0.3 * rng.standard_normal(600))
+    v = rng.standard_normal((600, 2)) * np.array([1.0, 3.0])
+    v[:, 1] *= np.where(rng.random(600) < 0.2, 10.0, 1.0)
+    kf = AdaptiveKalmanFilter(1, 2)
+    kf.H, kf.Q = np.ones((2, 1)), 0.09 * np.eye(1)
+    kf.batch_filter(level[:, None] + v)
+    assert kf.R_learnt.diagonal() == pytest.approx([1.0, 9.0], rel=0.5)
+    assert kf.noise.contamination[0] < 0.06 < 0.1 < kf.noise.contamination[1] < 0.3
+
+
+def test_bursts_are_learnt_and_cost_less_than_to_a_filter_told_the_share():
+    errors, lengths = [], []
+    for seed in range(4):
+        rng = np.random.default_rng(100 + seed)
+        bad = np.zeros(1500, dtype=bool)
+        for first in np.flatnonzero(rng.random(1500) < 0.02):
+            bad[first : first + 5] = True
+        problem, truth, zs, _ = moving(seed, 1500, np.where(bad, 10.0, 1.0))
+        adaptive = make(AdaptiveKalmanFilter, problem, 1, **ORDINARY)
+        told = make(NoiseMatchedKalmanFilter, problem, 1, measurement=ContaminatedScore(0.1, 10.0))
+        errors.append([((kf.batch_filter(zs)[0] - truth)[300:, 0] ** 2).mean() for kf in (adaptive, told)])
+        lengths.append(adaptive.noise.run_length[0])
+    ours, theirs = np.mean(errors, axis=0)
+    assert ours < 0.8 * theirs
+    assert 2.5 < np.mean(lengths) < 8.0
+
+
+def test_a_noise_that_grows_is_followed():
+    problem, _, zs, _ = moving(3, 900, np.where(np.arange(900) < 450, 1.0, 3.0))
+    kf = make(AdaptiveKalmanFilter, problem, 1, **ORDINARY)
+    kf.batch_filter(zs[:450])
+    assert kf.R_learnt[0, 0] == pytest.approx(1.0, rel=0.6)
+    kf.batch_filter(zs[450:])
+    assert kf.R_learnt[0, 0] == pytest.approx(9.0, rel=0.6)
+    assert kf.noise.contamination[0] < 0.2
+
+
+@pytest.mark.parametrize("scale", [1.0, 100.0])
+def test_the_scale_of_the_process_is_found(scale):
+    problem, _, zs, _ = moving(4, 500, Q=1.0 / scale)
+    kf = make(AdaptiveKalmanFilter, problem, 1)
+    kf.batch_filter(zs)
+    assert kf.process_scale == pytest.approx(scale, rel=0.5)
+    assert kf.process_probabilities.sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("jump", [10.0, 100.0])
+def test_a_true_jump_is_believed(jump):
+    problem, truth, zs, _ = moving(5, 400)
+    kf = make(AdaptiveKalmanFilter, problem, 1)
+    path = advance(kf, zs + np.where(np.arange(400) < 200, 0.0, jump))
+    error = np.abs(path[:, 0] - truth[:, 0] - np.where(np.arange(400) < 200, 0.0, jump))
+    assert error[260:].max() < 3.0
+
+
+@pytest.mark.parametrize("size", [1e2, 1e6, 1e150, 1e300])
+def test_one_outlier_of_any_size_moves_the_state_little_and_r_hardly(size):
+    problem, _, zs, _ = moving(6, 200)
+    kf = make(AdaptiveKalmanFilter, problem, 1)
+    advance(kf, zs)
+    kf.predict()
+    x, r = kf.x.copy(), kf.R_learnt[0, 0]
+    kf.update([size])
+    assert np.abs(kf.x - x).max() < 1.0
+    assert kf.R_learnt[0, 0] == pytest.approx(r, rel=0.01)
+    assert kf.outlier_probability > 0.99 and kf.clipped.all() and kf.weights[0] < 0.11
+
+
+def test_what_is_missing_or_unseen_teaches_nothing():
+    problem = random_problem(7, 4, 2)
+    kf = make(AdaptiveKalmanFilter, problem, 1)
+    advance(kf, simulate(problem, 20, 7, contamination=0.3)[0])
+    kf.predict()
+    learnt = kf.learnt.copy()
+    kf.update(None)
+    np.testing.assert_array_equal(kf.learnt, learnt)
+    assert kf.outlier_probability == 0.0 and kf.log_likelihood == 0.0
+    kf.update([np.nan, 3.0])
+    np.testing.assert_array_equal(kf.learnt[0], learnt[0])
+    assert (kf.learnt[1] != learnt[1]).any()
+    learnt = kf.learnt.copy()
+    kf.update([50.0, 0.1], H=np.vstack([np.zeros(4), problem.H[1]]))
+    np.testing.assert_array_equal(kf.learnt[0], learnt[0])
+    assert (kf.learnt[1] != learnt[1]).any()
+
+
+def test_a_part_of_the_measurement_teaches_of_its_own_sensors():
+    problem = with_(random_problem(8, 4, 3), R=np.diag([1.0, 2.0, 3.0]))
+    zs = simulate(problem, 40, 8, contamination=0.1)[0]
+    kf, twin = (make(AdaptiveKalmanFilter, problem, 1) for _ in range(2))
+    advance(kf, zs), advance(twin, zs)
+    learnt = kf.learnt.copy()
+    kf.update_sequential(1, [0.3, 40.0])
+    np.testing.assert_array_equal(kf.learnt[0], learnt[0])
+    assert (kf.learnt[1:] != learnt[1:]).any(axis=1).all()
+    # The same as a measurement whose first component is missing.
+    twin.update([np.nan, 0.3, 40.0])
+    for name in ("x", "P", "learnt", "log_likelihood"):
+        np.testing.assert_allclose(getattr(kf, name), getattr(twin, name), rtol=1e-10, atol=1e-12, err_msg=name)
+
+
+def test_sensors_may_join():
+    problem = random_problem(9, 4, 3)
+    kf = make(AdaptiveKalmanFilter, with_(problem, H=problem.H[:1], R=problem.R[:1, :1], M=problem.M[:, :1]), 1)
+    zs = simulate(problem, 30, 9)[0]
+    advance(kf, zs[:, :1])
+    learnt = kf.learnt.copy()
+    kf.predict()
+    kf.update(zs[0], H=problem.H, R=problem.R)
+    assert kf.learnt.shape == (3, learnt.shape[1])
+    kf.predict()
+    kf.update(zs[0, :1])
+    assert kf.learnt.shape == (3, learnt.shape[1]) and kf.R_learnt.shape == (1, 1)
+
+
+@pytest.mark.parametrize("grouping", ["joint", "component"])
+def test_what_was_learnt_can_be_handed_on(grouping):
+    problem = with_(random_problem(10, 4, 2), R=np.diag([4.0, 50.0]))
+    told = with_(problem, R=0.01 * problem.R)
+    zs = simulate(problem, 400, 10, contamination=0.1)[0]
+    old, new, blank = (make(AdaptiveKalmanFilter, told, 1, grouping=grouping) for _ in range(3))
+    advance(old, zs[:300])
+    new.learnt = old.learnt
+    np.testing.assert_array_equal(new.R_learnt, old.R_learnt)
+    for name, value in old.noise._asdict().items():
+        np.testing.assert_array_equal(getattr(new.noise, name), value)
+    # It is a copy: what the one learns now is not the other's.
+    before = old.learnt.copy()
+    new.predict()
+    new.update(zs[300])
+    np.testing.assert_array_equal(old.learnt, before)
+    array = old.learnt
+    old.learnt = array
+    array[:] = 7.0
+    assert not (new.learnt == 7.0).any() and not (old.learnt == 7.0).any()
+    blank.predict()
+    blank.update(zs[300])
+    assert (new.R_learnt > 10 * blank.R_learnt).diagonal().all()
+
+
+def good():
+    return AdaptiveKalmanFilter(2, 2).learnt
+
+
+@pytest.mark.parametrize("value", [
+    None, "r", np.ones(5), good()[:, :-1], good()[:1], np.full_like(good(), np.nan), -good(), 0 * good(),
+], ids=range(8))  # fmt: skip
+def test_what_is_handed_on_is_checked(value):
+    kf = AdaptiveKalmanFilter(2, 2)
+    before = kf.learnt.copy()
+    with pytest.raises((ValueError, TypeError), match="learnt: expected"):
+        kf.learnt = value
+    np.testing.assert_array_equal(kf.learnt, before)
+
+
+def test_an_interrupted_update_teaches_nothing(monkeypatch):
+    problem = random_problem(11, 4, 2)
+    kf = make(AdaptiveKalmanFilter, problem, 1)
+    advance(kf, simulate(problem, 10, 11)[0])
+    kf.predict()
+    before = copy.deepcopy(kf.__dict__)
+    kf.inv = lambda S: 1 / 0
+    with pytest.raises(ZeroDivisionError):
+        kf.update([0.1, 0.2])
+    kf.inv = before["inv"]
+    for name in before:
+        if name != "_choices":
+            np.testing.assert_equal(kf.__dict__[name], before[name], err_msg=name)
+
+
+def test_a_refused_recording_leaves_what_was_learnt():
+    problem = random_problem(12, 4, 2)
+    zs = simulate(problem, 20, 12, contamination=0.2)[0]
+    kf = make(AdaptiveKalmanFilter, problem, 1)
+    kf.batch_filter(zs)
+    learnt, shares = kf.learnt.copy(), kf.process_probabilities
+    with pytest.raises(ValueError, match="step 20"):
+        kf.batch_filter([*zs, [1.0, 2.0, 3.0]])
+    np.testing.assert_array_equal(kf.learnt, learnt)
+    np.testing.assert_array_equal(kf.process_probabilities, shares)
+
+
+def test_a_saver_shows_what_was_learnt_at_each_step():
+    problem = random_problem(13, 3, 2)
+    kf = make(AdaptiveKalmanFilter, problem)
+    saver = Saver(kf)
+    kf.batch_filter(simulate(problem, 12, 13)[0], saver=saver)
+    saver.to_array()
+    assert saver.learnt.shape == (12, *kf.learnt.shape)
+    assert saver.R_learnt.shape == (12, 2, 2) and saver.outlier_probability.shape == (12,)
+    assert (np.diff(saver.learnt[:, 0, 0]) != 0.0).all()
+
+
+def test_another_grouping_starts_to_learn_anew():
+    problem = random_problem(14, 4, 2)
+    kf = make(AdaptiveKalmanFilter, problem, 1)
+    advance(kf, simulate(problem, 20, 14)[0])
+    learnt = kf.learnt.copy()
+    kf.grouping = "component"
+    np.testing.assert_array_equal(kf.learnt, learnt)
+    kf.grouping = "joint"
+    assert kf.learnt.shape[0] == 1 and kf.noise.r == pytest.approx([1.0])
+    advance(kf, simulate(problem, 20, 15)[0])
+
+
+@pytest.mark.parametrize("options, match", [
+    ({"process_scales": []}, "process_scales"),
+    ({"process_scales": [1.0, np.nan]}, "process_scales"),
+    ({"process_scales": [0.0, 1.0]}, "process_scales"),
+    ({"dwell": 1.0}, "dwell"),
+    ({"dwell": "long"}, "dwell"),
+    ({"measurement_scales": []}, "measurement_scales"),
+    ({"measurement_scales": [2.0, 3.0]}, "measurement_scales"),
+    ({"measurement_scales": [1.0, 1.0]}, "measurement_scales"),
+    ({"measurement_scales": [1.0, np.inf]}, "measurement_scales"),
+    ({"measurement_scales": 10.0}, "measurement_scales"),
+    ({"memory": 1.0}, "memory"),
+    ({"memory": np.inf}, "memory"),
+    ({"r_memory": np.nan}, "r_memory"),
+    ({"r_memory": None}, "r_memory"),
+    ({"grouping": "all"}, "grouping"),
+])  # fmt: skip
+def test_bad_options_are_named(options, match):
+    with pytest.raises((ValueError, TypeError), match=f"^{match}: expected"):
+        AdaptiveKalmanFilter(2, 1, **options)
+
+
+@pytest.mark.parametrize("name, value", [("influence", 1.0), ("scaling", "unit"), ("information", "weight")])
+def test_what_follows_from_the_noise_cannot_be_set(name, value):
+    with pytest.raises(AttributeError, match=name):
+        setattr(AdaptiveKalmanFilter(2, 1), name, value)
+
+
+def test_an_assigned_state_is_every_copys():
+    problem = cart()
+    kf = make(AdaptiveKalmanFilter, problem, 1)
+    advance(kf, simulate(problem, 30, 0)[0])
+    kf.x[0] += 50.0
+    x = kf.x.copy()
+    kf.predict()
+    np.testing.assert_allclose(kf.x, problem.F @ x)
+
+
+@pytest.mark.parametrize("R", [1e-4, 1.0])
+def test_in_a_tracker_r_need_not_be_known(R):
+    rng = np.random.default_rng(0)
+    n, theta = 1200, np.array([-1.5, 0.7, 1.0, 0.5])
+    u, y = rng.choice([-1.0, 1.0], n), np.zeros(n)
+    v = 0.1 * rng.standard_normal(n) * np.where(rng.random(n) < 0.1, 20.0, 1.0)
+    for k in range(2, n):
+        y[k] = -theta[:2] @ y[[k - 1, k - 2]] + theta[2:] @ u[[k - 1, k - 2]] + v[k]
+    errors = []
+    kinds = [AdaptiveKalmanFilter, AdaptiveKalmanFilter(4, 1), NoiseMatchedKalmanFilter, NoiseMatchedKalmanFilter]
+    for kind, told in zip(kinds, [R, R, R, 0.01], strict=True):
+        tracker = ParameterTracker(ARX(2, 2), filter=kind, P=1.0, Q=1e-6 * np.eye(4), R=told)
+        errors.append(np.linalg.norm(tracker.run(y, u).theta[600:] - theta, axis=1).mean())
+    by_class, by_instance, told_wrong, told = errors
+    assert by_class == by_instance
+    assert by_class < 1.15 * told and by_class < 0.9 * told_wrong
+
+
+def test_load_order_does_not_matter():
+    """Matrices may be set after x and P, as filterpy's users do."""
+    problem = random_problem(0, 3, 1)
+    kf = load(AdaptiveKalmanFilter(3, 1), problem, 1)
+    np.testing.assert_allclose(kf.get_prediction()[0], problem.F @ problem.x[:, 0])
