@@ -20,7 +20,7 @@ from robust_filterpy.compiled.stamp import sources
 from robust_filterpy.identification._conditioning import SHARP
 from robust_filterpy.identification._regressor import CLEANED_FROM, LARGEST
 from robust_filterpy.identification.guard import MOST_HALVINGS
-from robust_filterpy.identification.noise_scale import followed
+from robust_filterpy.identification.noise_scale import EARLY, followed
 
 # Far from what overflows; beyond it the definition knows what to do.
 _ORDINARY = 1e150
@@ -211,7 +211,12 @@ def _advance(i, y, phi, r, F, Q, alpha_sq, windup, rules, rule, places, x, P, me
         out.weights[i, k], out.guard[i, k] = weight, event
         nu = measured - predicted
         if known and follows:
-            scale[i, 0], scale[i, 1] = _followed(r_k, scale[i, 1], scale[i, 2], scale[i, 3], nu, S)
+            found, samples = _followed(r_k, scale[i, 1], scale[i, 2], scale[i, 3], nu, S)
+            if scale[i, 1] < EARLY and found > r_k:
+                for a in range(n):
+                    for b in range(n):
+                        P[a, b] *= found / r_k
+            scale[i, 0], scale[i, 1] = found, samples
         believed = measured
         if not known or (cleans and abs(nu) > CLEANED_FROM * math.sqrt(S)):
             believed = _bounded(predicted)

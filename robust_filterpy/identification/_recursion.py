@@ -18,7 +18,7 @@ from robust_filterpy.identification import _compiled_dispatch, _setup
 from robust_filterpy.identification._conditioning import SHARP, repaired, tempering
 from robust_filterpy.identification._regressor import CLEANED_FROM, Layout, Memory, bounded, gradient, pushed
 from robust_filterpy.identification.guard import Guard, is_stable, restrained
-from robust_filterpy.identification.noise_scale import NoiseScale, followed
+from robust_filterpy.identification.noise_scale import EARLY, NoiseScale, followed
 from robust_filterpy.identification.results import Columns, Sample
 from robust_filterpy.identification.structures import Structure
 
@@ -164,6 +164,8 @@ class Recursion:
         scale = self._scale
         found, samples = followed(R, scale.samples, scale.mean, scale.memory, nu, S)
         self.filter.R = np.array([[found]])
+        if scale.samples < EARLY and found > R:
+            self.filter.P = self.filter.P * (found / R)
         self._scale = scale._replace(samples=samples)
 
     def _run_stepwise(self, y: Array, u: Array, R: Array | None, out: Columns, start: int, stop: int) -> None:

@@ -20,6 +20,10 @@ __all__ = ["NoiseScale", "followed", "ordinary_mean"]
 _REACH: Final = 2.0
 # The first samples count as if there had been none before, so that R may be wrong by many powers of ten.
 _FIRST: Final = 5.0
+#: Up to so many samples P grows with R: what was learnt with an R far too small is known less well by as much.
+EARLY: Final = 20.0
+# min(e^2, 4) moves with R two thirds as much as e^2 does.
+_PACE: Final = 1.5
 
 
 class NoiseScale(NamedTuple):
@@ -56,7 +60,7 @@ def followed(R: float, samples: float, mean: float, memory: float, nu: float, S:
     R, samples : float
     """
     share = R / S
-    gain = share * max(1.0 / memory, min(1.0, _FIRST / (samples + 1.0)))
+    gain = share * max(_PACE / memory, min(1.0, _FIRST / (samples + 1.0)))
     surprise = min(nu * nu / S, _REACH * _REACH) / mean - 1.0
     # Rounding of y is noise too.
     return max(R * math.exp(gain * surprise), 1e-28 * nu * nu, 1e-290), samples + share

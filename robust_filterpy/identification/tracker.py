@@ -85,8 +85,9 @@ class ParameterTracker(Recursion):
     regressor : {"measured", "cleaned"}
         Which outputs an ARX or ARMAX has in its regressor: those measured, or the prediction in the place of those
         further than 3 standard deviations from it (the filter-cleaner of Masreliez and Martin), unless the outputs as
-        measured explain the next sample. No difference for other structures.
-    R_memory : int, default 200
+        measured explain the next sample. Default: "cleaned" with a start, "measured" with ``start=0``, as in the paper.
+        No difference for other structures.
+    R_memory : int, default 150
         Number of samples that an R which is followed remembers.
     forgetting : float, optional
         Forgetting factor in (0, 1] as in recursive least squares, instead of Q or beside it: P is divided by it at
@@ -207,8 +208,8 @@ class ParameterTracker(Recursion):
         forgetting: float | None = None,
         start: int | None = None,
         offset: bool | None = None,
-        regressor: Regressor = "measured",
-        R_memory: int = 200,
+        regressor: Regressor | None = None,
+        R_memory: int = 150,
         gradient: Gradient = "filtered",
         guard: Guard = "halve",
         influence: Influence | None = None,
@@ -220,12 +221,13 @@ class ParameterTracker(Recursion):
             raise TypeError(f"structure: expected ARX(..), OutputError(..) or another structure, got {structure!r}")
         self._gradient = _checks.option("gradient", gradient, GRADIENTS)
         self._guard = _checks.option("guard", guard, GUARDS)
-        self._regressor = _checks.option("regressor", regressor, REGRESSORS)
         ready = filter is not None and not isinstance(filter, type)
         told = theta is not None or P is not None or ready
         samples = (0 if told else _START) if start is None else _checks.count("start", start)
         if samples and told:
             raise ValueError(f"start: expected 0 with theta, P or a filter object, from which to begin, got {start}")
+        default: Regressor = "cleaned" if samples else "measured"
+        self._regressor = default if regressor is None else _checks.option("regressor", regressor, REGRESSORS)
         if offset is not None and not isinstance(offset, (bool, np.bool_)):
             raise TypeError(f"offset: expected True or False, got {offset!r}")
         self._has_offset = bool(samples and not isinstance(structure, LinearRegression) if offset is None else offset)

@@ -1,0 +1,334 @@
+"""A tracker that is told nothing: it starts by itself in any unit, follows R, and says when it is lost."""
+
+import pickle
+import warnings
+
+import numpy as np
+import pytest
+import support
+from filterpy.kalman import KalmanFilter
+from scipy.signal import lfilter
+from scipy.stats import norm
+
+from robust_filterpy import RobustKalmanFilter, identify
+from robust_filterpy.identification import (
+    ARMAX,
+    ARX,
+    FIR,
+    LinearRegression,
+    LostTrackerWarning,
+    OutputError,
+    ParameterTracker,
+    TrackerBank,
+)
+from robust_filterpy.identification.learnt_noise import ContaminatedNormal
+from robust_filterpy.identification.noise_scale import ordinary_mean
+from robust_filterpy.influence import Huber
+
+A, B = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5]
+THETA = np.array([-1.5, 0.7, 1.0, 0.5])
+
+
+def recording(length=800, share=0.1, seed=0, level=0.0, sigma=0.3):
+    """A plant's output with outliers ten times as large, and its input."""
+    rng = np.random.default_rng(seed)
+    u = rng.choice([-1.0, 1.0], length)
+    noise = sigma * np.where(rng.random(length) < share, 10.0, 1.0) * rng.normal(size=length)
+    return level + lfilter(B, A, u) + noise, u
+
+
+def assert_same_columns(one, other):
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
+
+
+# The start.
+
+
+@pytest.mark.parametrize("structure", [OutputError(2, 2), ARX(2, 2), ARMAX(2, 2, 2)], ids=str)
+def test_told_nothing_it_finds_the_plant_the_level_and_the_noise(structure):
+    y, u = recording(2000, level=20.0)
+    tracker = ParameterTracker(structure)
+    tracker.run(y, u)
+    assert tracker.level == pytest.approx(20.0, abs=0.2)
+    if structure.uses_model_output or structure.nc:
+        np.testing.assert_allclose(tracker.theta[:4], THETA, atol=0.06)
+        assert 0.05 < tracker.R < 0.2
+        np.testing.assert_allclose(tracker.simulate(u[:50]), 20.0 + lfilter(B, A, u[:50]), atol=0.6)
+
+
+def test_after_the_start_it_goes_on_from_the_model_of_these_samples():
+    y, u = recording(400)
+    model = identify(y, u, OutputError(2, 2))
+    for tracker in (ParameterTracker(OutputError(2, 2)), model.tracker()):
+        if tracker._start is not None:
+            tracker.run(y, u)
+        np.testing.assert_allclose(tracker.theta, model.theta, rtol=1e-12)
+        np.testing.assert_allclose(tracker.P, model.P, rtol=1e-9, atol=1e-15)
+        assert tracker.offset == pytest.approx(model.offset) and tracker.R == pytest.approx(model.R)
+        # What the model would predict next, but for what was in motion when the recording began.
+        longer, inputs = recording(401)
+        assert tracker.predict() == pytest.approx(model.predict(longer, inputs)[-1], abs=1e-3)
+
+
+def test_the_constant_is_the_offset_of_the_model_for_outputs_that_are_measured_too():
+    y, u = recording(400, level=7.0, share=0.0)
+    model = identify(y, u, ARX(2, 2))
+    tracker = model.tracker()
+    assert tracker.offset == pytest.approx(model.offset, rel=1e-9) and tracker.level == pytest.approx(model.level)
+    rng = np.random.default_rng(1)
+    a, b = y[-1], y[-2]
+    expected = -model.theta[0] * a - model.theta[1] * b + model.theta[2] * u[-1] + model.theta[3] * u[-2] + model.offset
+    assert tracker.predict() == pytest.approx(expected, rel=1e-9)
+    value = expected + 0.01 * rng.normal()
+    assert tracker.update(value, 1.0).residual == pytest.approx(value - expected, abs=1e-12)
+
+
+@pytest.mark.parametrize("structure", [OutputError(2, 2), ARX(2, 2), FIR(4)], ids=str)
+def test_neither_units_nor_the_level_matter(structure):
+    y, u = recording(600)
+    one = ParameterTracker(structure)
+    one.run(y, u)
+    for factor, level in ((1e-3, 0.0), (1e3, 0.0), (1.0, 50.0)):
+        other = ParameterTracker(structure)
+        other.run(level + factor * y, u)
+        size = np.where(np.arange(structure.n_theta) < structure.na, 1.0, factor)
+        np.testing.assert_allclose(other.theta / size, one.theta, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(other.std / size, one.std, rtol=1e-4)
+        assert other.R / factor**2 == pytest.approx(one.R, rel=1e-4)
+
+
+def test_run_is_update_and_any_split_of_both_to_the_last_bit(monkeypatch):
+    support.without_kernel(monkeypatch)
+    y, u = recording(480)
+    y[[10, 60, 300]] = np.nan
+    for structure in (OutputError(2, 2), ARX(2, 2)):
+        whole, steps, parts = (ParameterTracker(structure) for _ in range(3))
+        result = whole.run(y, u)
+        samples = [steps.update(y[k], u[k]) for k in range(len(y))]
+        assert_same_columns(result[2:], zip(*samples, strict=True))
+        parts.run(y[:173], u[:173])
+        parts = pickle.loads(pickle.dumps(parts))
+        again = ParameterTracker(structure)
+        again.restore(parts.state())
+        for other in (parts, again):
+            other.run(y[173:], u[173:])
+            assert_same_columns(whole.state().values(), other.state().values())
+        assert_same_columns(whole.state().values(), steps.state().values())
+
+
+def test_the_kernel_follows_R_and_cleans_as_the_definition_does(monkeypatch):
+    support.needs_kernel()
+    y, u = recording(1500, level=3.0)
+    y[900] = np.nan
+    for structure in (OutputError(2, 2), ARX(2, 2), ARMAX(2, 2, 1), FIR(3)):
+        fast, slow = ParameterTracker(structure), ParameterTracker(structure)
+        found = fast.run(y, u)
+        with monkeypatch.context() as patch:
+            support.without_kernel(patch)
+            expected = slow.run(y, u)
+        for a, b in zip(found, expected, strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-7)
+        assert fast.R == pytest.approx(slow.R, rel=1e-6)
+
+
+def test_until_there_is_a_model_nothing_is_claimed():
+    y, u = recording(60, level=5.0)
+    tracker = ParameterTracker(OutputError(2, 2))
+    result = tracker.run(y[:40], u[:40])
+    assert np.isinf(result.std).all() and np.isinf(tracker.std).all() and np.isnan(result.weights).all()
+    assert tracker.predict() == np.median(y[:40])
+    assert np.isfinite(tracker.run(y[40:], u[40:]).std[-1]).all()
+
+
+def test_a_start_that_finds_no_model_says_why_and_goes_on_looking():
+    _, u = recording(1000)
+    quiet = np.where(np.arange(1000) < 420, 0.0, u)
+    output = lfilter(B, A, quiet) + 0.3 * np.random.default_rng(1).normal(size=1000)
+    tracker = ParameterTracker(OutputError(2, 2))
+    with pytest.warns(LostTrackerWarning, match="no model can be made of the first 400 samples"):
+        tracker.run(output[:420], quiet[:420])
+    assert np.isinf(tracker.std).all()
+    tracker.run(output[420:], quiet[420:])
+    np.testing.assert_allclose(tracker.theta, THETA, atol=0.1)
+
+
+def test_what_is_told_keeps_its_meaning():
+    assert ParameterTracker(ARX(1, 1), R=0.3).R == 0.3
+    one = ParameterTracker(ARX(1, 1), theta=[0.1, 0.2])
+    np.testing.assert_array_equal(one.theta, [0.1, 0.2])
+    assert one.std.tolist() == [10.0, 10.0] and one.regressor == "measured" and one.offset == 0.0
+    y, u = recording(500)
+    told = ParameterTracker(OutputError(2, 2), R=0.5)
+    told.run(y, u)
+    assert told.R == 0.5
+    with pytest.raises(ValueError, match="start: expected 0 with theta, P or a filter object"):
+        ParameterTracker(ARX(1, 1), theta=0.0, start=100)
+    for bad in ({"start": -1}, {"regressor": "clean"}, {"R_memory": 1}):
+        with pytest.raises(ValueError, match=next(iter(bad))):
+            ParameterTracker(ARX(1, 1), **bad)
+    with pytest.raises(TypeError, match="offset: expected True or False"):
+        ParameterTracker(ARX(1, 1), offset=1.0)
+
+
+def test_a_filter_that_believes_parameters_to_move_by_one_is_asked_about():
+    with pytest.warns(UserWarning, match="Q is I"):
+        ParameterTracker(ARX(1, 1), filter=KalmanFilter(2, 1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ParameterTracker(ARX(1, 1), filter=KalmanFilter(2, 1), Q=1.0)
+        ParameterTracker(ARX(1, 1), filter=RobustKalmanFilter)
+
+
+# R.
+
+
+def test_the_mean_that_R_is_followed_by_is_that_of_the_noise():
+    e = np.linspace(-60.0, 60.0, 400001)
+    for influence, density in (
+        (None, norm.pdf(e)),
+        (ContaminatedNormal(0.2, 5.0), 0.8 * norm.pdf(e) + 0.2 * norm.pdf(e, scale=5.0)),
+    ):
+        assert ordinary_mean(influence) == pytest.approx(np.trapezoid(np.minimum(e * e, 4.0) * density, e), abs=1e-6)
+
+
+@pytest.mark.parametrize("factor", [1e-6, 1e-2, 1e2, 1e6])
+def test_R_is_found_from_far_away(factor):
+    rng = np.random.default_rng(1)
+    X = rng.normal(size=(3000, 3))
+    y = X @ [1.0, 2.0, 3.0] + 0.5 * rng.normal(size=3000)
+    tracker = ParameterTracker(LinearRegression(3), start=0)
+    tracker.filter.R = np.array([[0.25 * factor]])
+    tracker.run(y, X)
+    assert tracker.R == pytest.approx(0.25, rel=0.4)
+
+
+def test_R_follows_a_step_of_the_noise_and_stays_once_it_is_set():
+    rng = np.random.default_rng(2)
+    X = rng.normal(size=(3000, 2))
+    y = X @ [1.0, -1.0] + np.where(np.arange(3000) < 1500, 1.0, 3.0) * rng.normal(size=3000)
+    tracker = ParameterTracker(LinearRegression(2))
+    tracker.run(y[:1500], X[:1500])
+    assert tracker.R == pytest.approx(1.0, rel=0.4)
+    tracker.run(y[1500:2200], X[1500:2200])
+    assert tracker.R == pytest.approx(9.0, rel=0.4)
+    tracker.R = 4.0
+    tracker.run(y[2200:], X[2200:])
+    assert tracker.R == 4.0
+
+
+# The regressor.
+
+
+def test_cleaned_outputs_keep_outliers_out_of_the_regressor():
+    errors = {"measured": [], "cleaned": []}
+    for seed in range(3):
+        y, u = recording(2000, share=0.0, seed=seed, sigma=0.0)
+        rng = np.random.default_rng(seed)
+        y = y + lfilter([1.0], A, 0.5 * rng.normal(size=2000))
+        bad = rng.random(2000) < 0.1
+        y[bad] += 5.0 * rng.normal(size=bad.sum())
+        for regressor in errors:
+            tracker = ParameterTracker(ARX(2, 2), regressor=regressor)
+            tracker.run(y, u)
+            errors[regressor].append(np.linalg.norm(tracker.theta - THETA))
+    assert np.mean(errors["cleaned"]) < 0.4 * np.mean(errors["measured"])
+
+
+def test_outliers_that_are_part_of_the_output_are_taken_back_into_the_regressor():
+    """Outliers of the noise that drives an ARX are passed on by it: the outputs as measured explain the next sample."""
+    rng = np.random.default_rng(3)
+    u = rng.choice([-1.0, 1.0], 2000)
+    v = 0.5 * np.where(rng.random(2000) < 0.1, 10.0, 1.0) * rng.normal(size=2000)
+    y = lfilter(B, A, u) + lfilter([1.0], A, v)
+    thetas = []
+    for regressor in ("measured", "cleaned"):
+        tracker = ParameterTracker(ARX(2, 2), regressor=regressor)
+        tracker.run(y, u)
+        thetas.append(tracker.theta)
+    np.testing.assert_allclose(thetas[1], thetas[0], atol=0.03)
+
+
+# Lost.
+
+
+@pytest.mark.parametrize(
+    ("options", "change", "words"),
+    [
+        ({"R": 1e-6, "theta": THETA, "P": 1e-12}, lambda y: y, "R=1e-06 is too small"),
+        ({"start": 0, "R": 0.09, "theta": THETA, "P": 1e-8}, lambda y: y + 20.0, "use offset=True"),
+    ],
+)
+def test_a_lost_tracker_says_so_once(options, change, words):
+    y, u = recording(1000)
+    tracker = ParameterTracker(OutputError(2, 2), **options)
+    with pytest.warns(LostTrackerWarning, match=words) as caught:
+        tracker.run(change(y), u)
+        tracker.run(change(y), u)
+    assert len([w for w in caught if w.category is LostTrackerWarning]) == 1
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_tracker_that_follows_says_nothing(seed):
+    y, u = recording(1500, seed=seed, share=0.2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", LostTrackerWarning)
+        ParameterTracker(OutputError(2, 2)).run(y, u)
+        tracker = ParameterTracker(OutputError(2, 2))
+        for k in range(700):
+            tracker.update(y[k], u[k])
+
+
+# States.
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"theta": np.array([-2.1, 1.3, 0.0, 0.0])}, "stable"),
+        ({"P": np.diag([1.0, -1.0, 1.0, 1.0])}, "P"),
+        ({"Q": -np.eye(4)}, "Q"),
+        ({"alpha_sq": np.array(0.5)}, "alpha_sq"),
+        ({"recursion": np.full(7, np.nan)}, "recursion"),
+    ],
+)
+def test_a_state_that_cannot_be_is_refused_and_changes_nothing(change, words):
+    tracker = support.told_tracker(OutputError(2, 2))
+    y, u = recording(50)
+    tracker.run(y, u)
+    before = tracker.state()
+    with pytest.raises(ValueError, match=words):
+        tracker.restore({**before, **change})
+    assert_same_columns(before.values(), tracker.state().values())
+
+
+# Banks.
+
+
+def test_a_bank_begins_as_its_trackers_do():
+    y, u = recording(700)
+    other, v = recording(700, seed=5, level=9.0)
+    for structure in (OutputError(2, 2), ARX(2, 2)):
+        bank = TrackerBank(2, structure, start=300)
+        result = bank.run(np.c_[y, other], np.c_[u, v])
+        for i, (output, signal) in enumerate(((y, u), (other, v))):
+            # A tracker looks earlier, too: a model of the same samples, then the same recursion.
+            alone = identify(output[:300], signal[:300], structure).tracker(regressor=bank.tracker(0).regressor)
+            expected = alone.run(output[300:], signal[300:])
+            np.testing.assert_allclose(result.theta[300:, i], expected.theta, rtol=1e-6, atol=1e-7)
+            np.testing.assert_allclose(result.prediction[300:, i], expected.prediction, rtol=1e-6, atol=1e-6)
+            assert bank.R[i] == pytest.approx(alone.R, rel=1e-6) and bank.offset[i] == pytest.approx(alone.offset)
+            assert bank.predict()[i] == pytest.approx(alone.predict(), abs=1e-6)
+        state = bank.state()
+        again = TrackerBank(2, structure, start=300)
+        again.restore(state)
+        np.testing.assert_array_equal(again.run(y[:20, None].repeat(2, 1), u[:20]).theta,
+                                      bank.run(y[:20, None].repeat(2, 1), u[:20]).theta)  # fmt: skip
+
+
+def test_a_bank_names_the_actuators_of_which_no_model_can_be_made():
+    y, u = recording(300)
+    with pytest.warns(LostTrackerWarning, match=r"actuator 1, which start from nothing: y: expected an output"):
+        bank = TrackerBank(2, OutputError(2, 2), start=200, influence=Huber())
+        bank.run(np.c_[y, np.zeros(300)], u)
+    assert np.isfinite(bank.std).all()
