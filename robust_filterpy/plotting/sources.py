@@ -44,7 +44,9 @@ def rows(name: str, values: Any) -> Array:
 def mean_and_deviation(source: Any, covariances: Any) -> tuple[Array, Array | None]:
     """Return states or parameters (N, n) and their standard deviations."""
     if is_run(source):
-        return np.asarray(source.theta), np.asarray(source.std)
+        std = np.asarray(source.std)
+        # No band where nothing is known yet.
+        return np.asarray(source.theta), np.where(np.isfinite(std), std, np.nan)
     if is_saver(source):
         mean, covariance = kept(source, "x"), kept(source, "P")
         return mean, deviation("P", covariance.reshape(len(mean), mean.shape[1], -1), mean.shape[1])

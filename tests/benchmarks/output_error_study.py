@@ -33,6 +33,7 @@ SAMPLES = 1000
 
 def tracked(kind, structure, y, u, labels, sigma, contamination, ratio=10.0, **options):
     """Run one kind of tracker on a recording and return its path of theta."""
+    options = {"start": 0, **options}
     if kind in INFLUENCES:
         return ParameterTracker(structure, R=sigma**2, influence=INFLUENCES[kind], **options).run(y, u).theta
     mixture = sigma**2 * (1 - contamination + ratio**2 * contamination)
