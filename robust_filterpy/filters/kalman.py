@@ -289,10 +289,10 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
             return
         last = self._corrected(x, P, values, H, R, M)
         x_post, P_post = last.x, last.P
-        if len(H) == 1:
-            values = np.array([values])
-        if x.ndim == 2:
-            values = values[:, None]
+        if x.ndim == 1:
+            values = np.atleast_1d(values)
+        else:
+            values = np.array([[values]]) if len(H) == 1 else values[:, None]
             if x_post.ndim == 1:
                 x_post = x_post[:, None]
         self.x, self.P, self.z, self._last = x_post, P_post, values, last
@@ -325,7 +325,7 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
     ) -> Correction | Observed | ScalarCorrection | _step.KernelCorrection:
         """Return the correction of x by checked values; changes nothing."""
         inv, choices = self._inverse, self._choices
-        if inv is None and M is None and (len(H) == 1 or not np.isnan(values).any()):
+        if inv is None and M is None and (len(H) == 1 or not math.isnan(sum(values.tolist()))):
             found = _step.correct(x, P, values, H, R, choices)
             if found is not None:
                 return found
