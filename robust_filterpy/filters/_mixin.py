@@ -1,9 +1,11 @@
-"""Mixin of the robust filters: options, diagnostics of the last correction, robust log-likelihood."""
+"""Mixin of the robust filters: options, diagnostics of the last correction, robust log-likelihood, calls undone."""
 
 from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -210,3 +212,22 @@ class RobustFilterMixin:
         return "\n".join(
             [f"{type(self).__name__} object", *lines[1:], *(pretty_str(name, getattr(self, name)) for name in names)]
         )
+
+
+@contextmanager
+def unchanged_if_refused(kf: Any) -> Iterator[None]:
+    """Put a filter back as it was if the block raises anything, an interrupt too."""
+    attributes = dict(kf.__dict__)
+    slots = {name: getattr(kf, name) for name in RobustFilterMixin.__slots__ if hasattr(kf, name)}
+    # A function of the user's may have written into an array that the filter still holds.
+    contents = [(v, v.copy()) for v in attributes.values() if type(v) is np.ndarray and v.flags.writeable]
+    try:
+        yield
+    except BaseException:
+        kf.__dict__.clear()
+        kf.__dict__.update(attributes)
+        for name, value in slots.items():
+            setattr(kf, name, value)
+        for array, content in contents:
+            array[...] = content
+        raise

@@ -533,7 +533,8 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         Raises
         ------
         ValueError, LinAlgError
-            As in `predict` and `update`, with the step named; the filter is then as it was before the call.
+            As in `predict` and `update`, with the step named. After these, an interrupt, or an error of the saver or
+            of psi, the filter is as it was before the call; what the saver has kept by then it keeps.
         """
         return filter_recording(self, zs, Fs, Qs, Hs, Rs, Bs, us, update_first, saver, _is_ours(self))
 
