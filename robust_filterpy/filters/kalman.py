@@ -19,6 +19,7 @@ from robust_filterpy._arrays import (
     measured,
     noise_covariance,
     process_noise,
+    regardless,
     require_finite_prediction,
     state_of,
 )
@@ -160,7 +161,7 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         ValueError
             If a shape does not fit; nothing has changed then.
         """
-        x, P = self._predicted(u, B, F, Q)
+        x, P = regardless(self._predicted, u, B, F, Q)
         self.x, self.P = x, P
         self.x_prior, self.P_prior = x.copy(), P.copy()
 
@@ -181,7 +182,8 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         P : ndarray, shape (dim_x, dim_x)
             Its covariance.
         """
-        return self._predicted(u, B, F, Q)
+        found: tuple[Array, Array] = regardless(self._predicted, u, B, F, Q)
+        return found
 
     def _predicted(self, u: Any, B: Any, F: Any, Q: Any) -> tuple[Array, Array]:
         """Return the predicted mean, in the shape of x, and covariance."""
@@ -287,7 +289,7 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         if values is None:
             self._skip()
             return
-        last = self._corrected(x, P, values, H, R, M)
+        last = regardless(self._corrected, x, P, values, H, R, M)
         x_post, P_post = last.x, last.P
         if x.ndim == 1:
             values = np.atleast_1d(values)
@@ -378,7 +380,7 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         H, R, values, _ = self._measurement(z, None, None, None, len(x))
         if values is None:
             return x.copy(), P.copy()
-        last = self._corrected(x, P, values, H, R, None)
+        last = regardless(self._corrected, x, P, values, H, R, None)
         return last.x.reshape(x.shape), last.P
 
     def update_steadystate(self, z: ArrayLike | None) -> None:
@@ -483,7 +485,7 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
             _checks.matrix("R", self.R, (m, m), f"dim_z={m}")[part, part] if R_i is None else R_i, R_i, k
         )
         values = measured(z_i, k, missing=True)
-        some = self._corrected(x, P, values, H, np.ascontiguousarray(R), None)
+        some = regardless(self._corrected, x, P, values, H, np.ascontiguousarray(R), None)
         some = some if isinstance(some, Correction) else some.as_arrays()
         last, self._last = embed_block(self._arrays(), some, part, m), None
         z = np.array([None] * m) if np.size(self.z) != m else np.ravel(self.z).copy()
