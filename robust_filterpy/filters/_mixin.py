@@ -16,6 +16,7 @@ from robust_filterpy.correction.likelihood import log_density
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.whitening import Inverse
+from robust_filterpy.filters._outlier_share import Share
 from robust_filterpy.influence.functions import Influence
 
 _DEFAULT_INVERSE = np.linalg.inv
@@ -30,7 +31,7 @@ class RobustFilterMixin:
 
     # Outside __dict__, which filterpy's Saver copies at every epoch and turns into arrays.
     # (Not a literal: a type checker would then believe that there is no __dict__ at all.)
-    __slots__ = tuple("_K _S _SI _last _y".split())
+    __slots__ = tuple("_K _S _SI _last _share _updates _y".split())
 
     x: Array
     dim_z: int
@@ -39,6 +40,8 @@ class RobustFilterMixin:
     _S: Any
     _SI: Any
     _last: Any
+    _share: Share
+    _updates: int
     inv: Inverse
     _choices: Choices
     _log_likelihood: float | None
@@ -51,6 +54,7 @@ class RobustFilterMixin:
         """Check and keep the choices; called before filterpy's constructor."""
         self._choices = Choices(influence, scaling, information, grouping)
         self._last = None
+        self._share, self._updates = Share(), 0
 
     @property
     def _inverse(self) -> Inverse | None:

@@ -12,6 +12,7 @@ from robust_filterpy._checks import Array, described, numbers
 from robust_filterpy.correction.missing import nothing_observed
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters._mixin import RobustFilterMixin
+from robust_filterpy.filters._outlier_share import EVERY
 
 
 class NonlinearFilterMixin(RobustFilterMixin):
@@ -32,6 +33,9 @@ class NonlinearFilterMixin(RobustFilterMixin):
         column = np.ndim(self.x) == 2
         self.x = last.x[:, None] if column else last.x
         self.P, self.K, self._last = last.P, last.K, last
+        self._updates += 1
+        if self._updates % EVERY == 0:
+            self._share.look(self, last)
         self.z = z[:, None] if column else z
         self._forget()
 

@@ -23,6 +23,16 @@ class KernelCorrection(NamedTuple):
     m: int
     scaling: str
 
+    @property
+    def e(self) -> Array:
+        """Standardized innovation, shape (m,)."""
+        return self.values[self.m : 2 * self.m]
+
+    @property
+    def psi_deriv(self) -> Array:
+        """psi'(e), shape (m,)."""
+        return self.values[3 * self.m : 4 * self.m]
+
     def as_arrays(self) -> Correction:
         """Return the same with arrays of their own."""
         x, P, values, m, scaling = self

@@ -34,6 +34,7 @@ from robust_filterpy.correction.scalar import ScalarCorrection, correct_scalar
 from robust_filterpy.correction.whitening import SAFE, standardize, standardized
 from robust_filterpy.filters import _step
 from robust_filterpy.filters._mixin import RobustFilterMixin
+from robust_filterpy.filters._outlier_share import EVERY
 from robust_filterpy.filters._recording import filter_recording
 from robust_filterpy.influence.functions import Huber, Influence
 
@@ -120,6 +121,8 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
     >>> bool(abs(kf.x[0, 0] - 4.0) < 1.5)
     True
     """
+
+    _counts_clipped = True
 
     def __init__(
         self,
@@ -290,6 +293,9 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
             self._skip()
             return
         last = regardless(self._corrected, x, P, values, H, R, M)
+        self._updates += 1
+        if self._updates % EVERY == 0 and self._counts_clipped:
+            self._share.look(self, last)
         x_post, P_post = last.x, last.P
         if x.ndim == 1:
             values = np.atleast_1d(values)
