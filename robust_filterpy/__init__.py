@@ -11,6 +11,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from robust_filterpy._version import __version__
+from robust_filterpy.filters._outlier_share import OutlierShareWarning
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.influence import Hampel, Huber, Linear, StudentT, TukeyBiweight
 
@@ -82,6 +83,7 @@ __all__ = [
     "LinearRegression",
     "Model",
     "NoiseMatchedKalmanFilter",
+    "OutlierShareWarning",
     "OutputError",
     "ParameterTracker",
     "RecoveringKalmanFilter",

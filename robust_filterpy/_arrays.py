@@ -109,6 +109,19 @@ def control_term(B: Any, u: Any, shape: tuple[int, ...]) -> Array:
     return B.dot(u.reshape(width)).reshape(shape)
 
 
+def regardless(function: Any, *args: Any) -> Any:
+    """Call a pure function; anew and without floating-point errors where the program has numpy raise them.
+
+    That underflow is 0 and overflow is told from the result, the functions of this package rely on. To set numpy's
+    error state at every step would cost more than the few steps that are taken twice.
+    """
+    try:
+        return function(*args)
+    except FloatingPointError:
+        with np.errstate(all="ignore"):
+            return function(*args)
+
+
 def require_finite_prediction(x: Array, P: Array) -> None:
     """Raise unless x and P are finite: one product shows whether any entry of either is not."""
     total = sum(P.dot(x).ravel().tolist())

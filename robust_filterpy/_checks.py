@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar
 
@@ -74,7 +75,7 @@ def option(name: str, value: Any, allowed: Iterable[_Option]) -> _Option:
 
 
 def numbers(name: str, value: Any) -> Array:
-    """Return value as a float array (None and masked entries become NaN) or raise TypeError."""
+    """Return value as a float array (None, pandas' NA and masked entries become NaN) or raise TypeError."""
     if isinstance(value, np.ma.MaskedArray):
         value = np.ma.filled(value.astype(float), np.nan)
     try:
@@ -83,6 +84,9 @@ def numbers(name: str, value: Any) -> Array:
             raise TypeError(f"{name}: expected real numbers, got dtype {found.dtype}: {shown(value)}")
         if found.dtype.kind == "O" and any(isinstance(item, _NO_NUMBER) for item in found.flat):
             raise TypeError(f"{name}: expected real numbers, got text or times among them: {shown(value)}")
+        if found.dtype.kind == "O" and "pandas" in sys.modules:
+            absent = sys.modules["pandas"].NA
+            value = np.where([item is absent for item in found.flat], np.nan, found.ravel()).reshape(found.shape)
     except ValueError:
         raise TypeError(f"{name}: expected real numbers, got {shown(value)}") from None
     try:

@@ -99,7 +99,7 @@ class FilterBank:
         """Show the size and the choices."""
         return f"FilterBank(n={self.n}, dim_x={self.dim_x}, dim_z={self.dim_z}, {self._choices})"
 
-    @np.errstate(over="ignore", invalid="ignore")
+    @np.errstate(all="ignore")
     def predict(self, u: ArrayLike | None = None, B: ArrayLike | None = None) -> None:
         """Predict every state: x = F x + B u, P = F P F' + Q.
 
@@ -143,6 +143,7 @@ class FilterBank:
             raise ValueError("predict: expected finite x and P, got NaN or infinity; check x, P, F, Q, B and u")
         self.x, self.P = moved, covariance
 
+    @np.errstate(all="ignore")
     def update(self, z: ArrayLike | None) -> None:
         """Correct every state by its measurement (paper 37, 39, 42, 44, 47, 49).
 
@@ -218,8 +219,7 @@ class FilterBank:
         if not everything:
             S[:, np.arange(m), np.arange(m)] += ~seen
         T, defect = self._standardize(S)
-        with np.errstate(over="ignore", invalid="ignore"):
-            e = y * T[:, :, 0] if m == 1 else (T @ y[:, :, None])[:, :, 0]
+        e = y * T[:, :, 0] if m == 1 else (T @ y[:, :, None])[:, :, 0]
         for s in np.flatnonzero(~np.isfinite(e).all(axis=1)):
             if not np.isfinite(y[s]).all():
                 raise ValueError(f"filter {s}: update: expected finite innovations, got NaN or infinity; check x and H")
@@ -254,6 +254,7 @@ class FilterBank:
         return moved, covariance, y, e, S, w if everything else np.where(seen, w, np.nan)
 
     @property
+    @np.errstate(all="ignore")
     def log_likelihood(self) -> Array:
         """Log-likelihood of each filter's last measurement, 0 where all of it was missing."""
         seen = self.weights == self.weights

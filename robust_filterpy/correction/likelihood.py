@@ -16,6 +16,7 @@ _LARGEST = sys.float_info.max
 _EPS = sys.float_info.epsilon
 
 
+@np.errstate(all="ignore")
 def log_density(y: Array, S: Array, choices: Choices = _DEFAULT, inv: Inverse | None = None) -> float:
     """Return the log-likelihood of an innovation: log f(S^(-1/2) y) + log det S^(-1/2).
 

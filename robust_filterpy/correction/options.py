@@ -248,5 +248,6 @@ def length_and_direction(e: Array) -> tuple[float, Array]:
 def ratio(psi: Array, e: Array) -> Array:
     """Return psi/e, 1 where e = 0."""
     weights = np.ones_like(e)
-    np.divide(psi, e, out=weights, where=e != 0.0)
+    with np.errstate(under="ignore"):
+        np.divide(psi, e, out=weights, where=e != 0.0)
     return weights

@@ -24,6 +24,8 @@ __all__ = ["Diagnosis", "Finding", "diagnose"]
 
 # The search for causes looks at so many samples.
 _SEARCHED = 4000
+# Recordings up to here may be too short to show a wrong noise.
+_SHORT = 500
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class Finding:
     cause : str
         "R too small", "R too large", "Q too small", "Q too large", "R and Q too small", "R and Q too large",
         "wrong H", "lost units", "level shift", "state jump", "bias", "correlated noise", "coupled noise",
-        "saturation", "frozen sensor", "more outliers", "S too small", "S too large" or "not white".
+        "saturation", "frozen sensor", "wrong start", "more outliers", "S too small", "S too large" or "not white".
     sensor : int or None
         Component of z that it is about, None for all.
     value : float
@@ -91,6 +93,9 @@ class Diagnosis:
         linear model.
     findings : tuple of Finding
         The causes, the weightiest first; empty if there is nothing unusual.
+    unseen : tuple of str
+        What so short a recording would not have shown: "Q ten times too large", ...; looked for where there are no
+        findings and at most 500 samples.
     """
 
     samples: int
@@ -107,6 +112,7 @@ class Diagnosis:
     nis: Band
     R_scale: Array
     findings: tuple[Finding, ...]
+    unseen: tuple[str, ...] = ()
 
     @property
     def causes(self) -> tuple[str, ...]:
@@ -116,6 +122,10 @@ class Diagnosis:
     def __str__(self) -> str:
         """Say the causes, then the figures of each sensor."""
         lines = [finding.text for finding in self.findings] or ["Nothing unusual."]
+        if not np.any(self.observed):
+            lines = ["Nothing was measured, so that nothing can be said."]
+        elif self.unseen:
+            lines.append(f"In {self.samples} samples these would not have shown: {', '.join(self.unseen)}.")
         for i in range(len(self.observed)):
             low, high = self.clipped_expected[i]
             lines.append(
@@ -249,7 +259,11 @@ def _diagnosis(recording: FilterRecord, contamination: float) -> Diagnosis:
         "nis": statistics.unclipped_nis(recording),
         "R_scale": _implied(recording, bulks[:, 0]),
     }
-    return Diagnosis(**figures, findings=tuple(_findings(recording, e, figures, contamination)))
+    findings = tuple(_findings(recording, e, figures, contamination))
+    unseen: tuple[str, ...] = ()
+    if not findings and recording.model is not None and seen.any() and len(e) <= _SHORT:
+        unseen = search.unseen(recording.model, recording.z)
+    return Diagnosis(**figures, findings=findings, unseen=unseen)
 
 
 def _implied(recording: FilterRecord, scale: Array) -> Array:
@@ -370,6 +384,10 @@ def _told(repair: Repair, gain: float, figures: dict[str, Any]) -> Finding:
         "level shift": (
             "level shift",
             f"A level shift of one sensor at sample {value:.0f}: {z} moves and the other sensors do not follow.",
+        ),
+        "wrong start": (
+            "wrong start",
+            "The first state is further from the truth than its P says: x is wrong at the start, or P too small.",
         ),
         "bias": ("bias", f"{z} has a constant bias against the other sensors."),
     }

@@ -102,7 +102,7 @@ def _candidates(model: LinearModel, z: Array, clipped: Array, e: Array, so_far: 
                     result.append(Repair("coupled noise", i, r, 3.0, coupling=coupling))
     result += [Repair("correlated noise", None, a, 3.0, memory=a) for a in (-0.8, -0.5, 0.3, 0.5, 0.7, 0.8, 0.9, 0.96)]
     result += [Repair("more outliers", None, share, 2.0, tail=share) for share in (0.02, 0.2, 0.3, 0.4, 0.5)]
-    return result + _rows(model, z, so_far) + _jumps(model, z, clipped, e)
+    return result + _rows(model, z, so_far) + _jumps(model, z, clipped, e) + _starts(model, z)
 
 
 def _rows(model: LinearModel, z: Array, so_far: Repair) -> list[Repair]:
@@ -144,7 +144,9 @@ def _jumps(model: LinearModel, z: Array, clipped: Array, e: Array) -> list[Repai
     m, n = model.H.shape[1:]
     result = []
     for i in np.flatnonzero(~np.isnan(z).all(axis=0)).tolist():
-        size = float(np.nanmax(np.abs(z[:, i] - np.nanmedian(z[:, i])), initial=1e-300)) ** 2
+        size = float(np.nanmax(np.abs(z[:, i] - np.nanmedian(z[:, i])), initial=1e-300))
+        # Beyond this the square overflows.
+        size = min(size, 1e150) ** 2
         for k in sorted({0, *_breaks(e[:, i])}):
             if k:
                 row = model.H[k, i] ** 2
@@ -156,6 +158,50 @@ def _jumps(model: LinearModel, z: Array, clipped: Array, e: Array) -> list[Repai
                 cause = "level shift" if k else "bias"
                 result.append(Repair(cause, i, float(k), 5.0, jump_at=k, jump=sensor))
     return result
+
+
+def _starts(model: LinearModel, z: Array) -> list[Repair]:
+    """Return a first state that is as uncertain as the first innovations suggest."""
+    m = model.H.shape[1]
+    first = np.clip(np.nan_to_num(z[:5] - model.H[:5] @ model.x), -1e150, 1e150)
+    size = np.median(np.abs(first), axis=0) ** 2
+    row = model.H[0] ** 2
+    weighty = row > 1e-12 * row.max(initial=1e-300)
+    seen = np.where(weighty, size[:, None] / np.where(weighty, row, 1.0), 0.0).max(axis=0)
+    jump = np.r_[seen + 100.0 * model.P.diagonal(), np.zeros(m)]
+    return [Repair("wrong start", None, 0.0, 4.0, jump_at=0, jump=jump)]
+
+
+def unseen(model: LinearModel, z: Array) -> tuple[str, ...]:
+    """Return which noises, ten times too large or too small, a recording of this kind would not show.
+
+    By trial: recordings are drawn from the repaired model, with the same gaps, and the repair is looked for in them.
+    """
+    rng, found = np.random.default_rng(0), []
+    for name in ("R", "Q") if model.Q.any() else ("R",):
+        for word, factor in (("too large", 0.1), ("too small", 10.0)):
+            repair = _noise(name, None, factor, model.H.shape[1])
+            gains = []
+            for _ in range(3):
+                drawn = np.where(np.isnan(z), np.nan, _drawn(model, repair, rng))
+                wrong, right = scores(model, drawn, [Repair(), repair]).log_likelihood
+                gains.append(right - wrong - repair.cost)
+            if np.median(gains) < _GAIN:
+                found.append(f"{name} ten times {word}")
+    return tuple(found)
+
+
+def _drawn(model: LinearModel, repair: Repair, rng: np.random.Generator) -> Array:
+    """Return a recording of the repaired model, shape of z."""
+    x = rng.multivariate_normal(model.x, model.P, method="eigh")
+    zs = np.empty(model.H.shape[:2])
+    for k in range(len(zs)):
+        if k:
+            w = rng.multivariate_normal(np.zeros(len(x)), repair.Q * model.Q[k], method="eigh")
+            x = model.F[k] @ x + model.offset[k] + w
+        noise = rng.multivariate_normal(np.zeros(zs.shape[1]), model.R[k], method="eigh")
+        zs[k] = model.H[k] @ x + repair.R * noise
+    return zs
 
 
 def _breaks(e: Array) -> list[int]:

@@ -28,7 +28,8 @@ def _run(trial: Trial, root: SeedSequence, index: int) -> Any:
     """Do one run, wherever this is called."""
     try:
         return trial(default_rng(child_of(root, index)))
-    except Exception as error:
+    except (Exception, SystemExit) as error:
+        # A library that calls sys.exit ends its own run and no other.
         lines = traceback.format_exception_only(error)
         return Raised(lines[-1].strip(), traceback.format_exc())
 

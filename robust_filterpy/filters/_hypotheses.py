@@ -28,6 +28,8 @@ class MultipleHypothesisFilter(RobustKalmanFilter):
     __slots__ = ("_process_scales",)
 
     _found: tuple[Any, ...]
+    # Their psi follows from probabilities, and no share of clipped innovations is expected of it.
+    _counts_clipped = False
 
     @property
     def process_scale(self) -> float:

@@ -1,9 +1,11 @@
-"""Mixin of the robust filters: options, diagnostics of the last correction, robust log-likelihood."""
+"""Mixin of the robust filters: options, diagnostics of the last correction, robust log-likelihood, calls undone."""
 
 from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,7 @@ from robust_filterpy.correction.likelihood import log_density
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.whitening import Inverse
+from robust_filterpy.filters._outlier_share import Share
 from robust_filterpy.influence.functions import Influence
 
 _DEFAULT_INVERSE = np.linalg.inv
@@ -28,7 +31,7 @@ class RobustFilterMixin:
 
     # Outside __dict__, which filterpy's Saver copies at every epoch and turns into arrays.
     # (Not a literal: a type checker would then believe that there is no __dict__ at all.)
-    __slots__ = tuple("_K _S _SI _last _y".split())
+    __slots__ = tuple("_K _S _SI _last _share _updates _y".split())
 
     x: Array
     dim_z: int
@@ -37,6 +40,8 @@ class RobustFilterMixin:
     _S: Any
     _SI: Any
     _last: Any
+    _share: Share
+    _updates: int
     inv: Inverse
     _choices: Choices
     _log_likelihood: float | None
@@ -49,6 +54,7 @@ class RobustFilterMixin:
         """Check and keep the choices; called before filterpy's constructor."""
         self._choices = Choices(influence, scaling, information, grouping)
         self._last = None
+        self._share, self._updates = Share(), 0
 
     @property
     def _inverse(self) -> Inverse | None:
@@ -210,3 +216,22 @@ class RobustFilterMixin:
         return "\n".join(
             [f"{type(self).__name__} object", *lines[1:], *(pretty_str(name, getattr(self, name)) for name in names)]
         )
+
+
+@contextmanager
+def unchanged_if_refused(kf: Any) -> Iterator[None]:
+    """Put a filter back as it was if the block raises anything, an interrupt too."""
+    attributes = dict(kf.__dict__)
+    slots = {name: getattr(kf, name) for name in RobustFilterMixin.__slots__ if hasattr(kf, name)}
+    # A function of the user's may have written into an array that the filter still holds.
+    contents = [(v, v.copy()) for v in attributes.values() if type(v) is np.ndarray and v.flags.writeable]
+    try:
+        yield
+    except BaseException:
+        kf.__dict__.clear()
+        kf.__dict__.update(attributes)
+        for name, value in slots.items():
+            setattr(kf, name, value)
+        for array, content in contents:
+            array[...] = content
+        raise

@@ -1,9 +1,8 @@
-"""What the nonlinear filters share: the innovation of a nonlinear sensor, what is kept after it, and what is undone."""
+"""What the nonlinear filters share: the innovation of a nonlinear sensor, and what is kept after it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from robust_filterpy._checks import Array, described, numbers
 from robust_filterpy.correction.missing import nothing_observed
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters._mixin import RobustFilterMixin
+from robust_filterpy.filters._outlier_share import EVERY
 
 
 class NonlinearFilterMixin(RobustFilterMixin):
@@ -33,6 +33,9 @@ class NonlinearFilterMixin(RobustFilterMixin):
         column = np.ndim(self.x) == 2
         self.x = last.x[:, None] if column else last.x
         self.P, self.K, self._last = last.P, last.K, last
+        self._updates += 1
+        if self._updates % EVERY == 0:
+            self._share.look(self, last)
         self.z = z[:, None] if column else z
         self._forget()
 
@@ -78,21 +81,6 @@ def innovation_of(
     if y.size != m or not np.isfinite(y).all():
         raise ValueError(f"residual: expected {m} finite number(s), got {y}")
     return values, np.where(missing, np.nan, y)
-
-
-@contextmanager
-def unchanged_if_refused(kf: Any) -> Iterator[None]:
-    """Put a filter back as it was if the block raises."""
-    attributes = {k: v.copy() if type(v) is np.ndarray else v for k, v in kf.__dict__.items()}
-    slots = {name: getattr(kf, name) for name in RobustFilterMixin.__slots__ if hasattr(kf, name)}
-    try:
-        yield
-    except BaseException:
-        kf.__dict__.clear()
-        kf.__dict__.update(attributes)
-        for name, value in slots.items():
-            setattr(kf, name, value)
-        raise
 
 
 def require_finite(**arrays: Array) -> None:

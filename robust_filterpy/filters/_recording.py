@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array, all_covariances, entries, numbers, shown
 from robust_filterpy.compiled import dispatch
 from robust_filterpy.compiled.records import Model, Output
-from robust_filterpy.filters._mixin import RobustFilterMixin
+from robust_filterpy.filters._mixin import unchanged_if_refused
 
 
 def filter_recording(
@@ -52,7 +51,8 @@ def filter_recording(
     Raises
     ------
     ValueError, TypeError, LinAlgError
-        As the filter's own methods do, with the step named; the filter is then as it was.
+        As the filter's own methods do, with the step named. Whatever is raised, by a saver, a psi or an interrupt too,
+        the filter is then as it was.
     """
     if saver is not None and not callable(getattr(saver, "save", None)):
         raise TypeError(
@@ -65,7 +65,6 @@ def filter_recording(
     shape = (n, dim_x) if np.ndim(kf.x) == 1 else (n, dim_x, 1)
     means, means_p = np.zeros(shape), np.zeros(shape)
     covariances, covariances_p = np.zeros((n, dim_x, dim_x)), np.zeros((n, dim_x, dim_x))
-    before = _snapshot(kf)
     compiled = None
     if own and n and saver is None and dispatch.can_compile(kf._choices):
         kept = Output(
@@ -74,27 +73,27 @@ def filter_recording(
         )  # fmt: skip
         compiled = _prepared(kf, zs, Fs, Qs, Hs, Rs, Bs, us, kept, bool(update_first))
     k = 0
-    try:
-        while k < n:
-            if compiled is not None:
-                k = compiled.advance(kf, k)
-            z, F, Q, H, R, B, u = (None if column is None else column[k] for column in columns)
-            if update_first:
-                kf.update(z, R=R, H=H)
-                means[k], covariances[k] = kf.x, kf.P
-            kf.predict(u=u, B=B, F=F, Q=Q)
-            means_p[k], covariances_p[k] = kf.x, kf.P
-            if not update_first:
-                kf.update(z, R=R, H=H)
-                means[k], covariances[k] = kf.x, kf.P
-            if saver is not None:
-                saver.save()
-            k += 1
-    except (TypeError, ValueError, np.linalg.LinAlgError) as error:
-        _restore(kf, before)
-        error.args = (f"step {k}: {error}", *error.args[1:])
-        raise
-    return means, covariances, means_p, covariances_p
+    with unchanged_if_refused(kf):
+        try:
+            while k < n:
+                if compiled is not None:
+                    k = compiled.advance(kf, k)
+                z, F, Q, H, R, B, u = (None if column is None else column[k] for column in columns)
+                if update_first:
+                    kf.update(z, R=R, H=H)
+                    means[k], covariances[k] = kf.x, kf.P
+                kf.predict(u=u, B=B, F=F, Q=Q)
+                means_p[k], covariances_p[k] = kf.x, kf.P
+                if not update_first:
+                    kf.update(z, R=R, H=H)
+                    means[k], covariances[k] = kf.x, kf.P
+                if saver is not None:
+                    saver.save()
+                k += 1
+        except (TypeError, ValueError, np.linalg.LinAlgError) as error:
+            error.args = (f"step {k}: {error}", *error.args[1:])
+            raise
+        return means, covariances, means_p, covariances_p
 
 
 def _columns(zs: Any, **per_step: Any) -> list[Any]:
@@ -113,21 +112,6 @@ def _columns(zs: Any, **per_step: Any) -> list[Any]:
     return [
         None if column is None else column if isinstance(column, np.ndarray) else list(column) for column in columns
     ]
-
-
-def _snapshot(kf: Any) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return what it takes to put a filter back: arrays are replaced, never written into, by a correction."""
-    slots = {name: getattr(kf, name) for name in RobustFilterMixin.__slots__ if hasattr(kf, name)}
-    return copy.copy(kf.__dict__), slots
-
-
-def _restore(kf: Any, before: tuple[dict[str, Any], dict[str, Any]]) -> None:
-    """Put a filter back."""
-    attributes, slots = before
-    kf.__dict__.clear()
-    kf.__dict__.update(attributes)
-    for name, value in slots.items():
-        setattr(kf, name, value)
 
 
 class _Compiled:

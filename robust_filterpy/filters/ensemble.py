@@ -15,11 +15,11 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction.moments import correct_moments
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
+from robust_filterpy.filters._mixin import unchanged_if_refused
 from robust_filterpy.filters._nonlinear_mixin import (
     NonlinearFilterMixin,
     innovation_of,
     require_finite,
-    unchanged_if_refused,
 )
 from robust_filterpy.influence.functions import Huber, Influence
 

@@ -21,11 +21,11 @@ from robust_filterpy._arrays import (
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.definition import correct
 from robust_filterpy.correction.options import Grouping, Information, Scaling
+from robust_filterpy.filters._mixin import unchanged_if_refused
 from robust_filterpy.filters._nonlinear_mixin import (
     NonlinearFilterMixin,
     innovation_of,
     require_finite,
-    unchanged_if_refused,
 )
 from robust_filterpy.influence.functions import Huber, Influence
 
@@ -72,7 +72,8 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
     Notes
     -----
     NaN (or None, or a masked entry) in z is a missing component. The residual function never sees it: it is called
-    with the predicted value in its place. z may be a row or a column, whatever Hx returns.
+    with the predicted value in its place. z may be a row or a column, whatever Hx returns. HJacobian and Hx are given
+    copies of x, which they may write into.
 
     ``x_prior`` after `predict_update` is the predicted state; filterpy leaves the state before the prediction there.
 
@@ -220,7 +221,7 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
 
     def _jacobian(self, HJacobian: Callable[..., ArrayLike], x: Array, args: Any) -> Array:
         """Return H at x, checked."""
-        H = _checks.numbers("HJacobian", HJacobian(x, *(args if isinstance(args, tuple) else (args,))))
+        H = _checks.numbers("HJacobian", HJacobian(x.copy(), *(args if isinstance(args, tuple) else (args,))))
         if H.ndim != 2 or H.shape[1] != len(x) or not len(H):
             raise ValueError(
                 f"HJacobian: expected shape ({self.dim_z}, {len(x)}) for dim_z={self.dim_z}, dim_x={len(x)}, "
@@ -235,7 +236,7 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         """Correct by a whole measurement; every check comes before the first assignment."""
         m = len(H)
         R = noise_covariance(self.R, R, m)
-        at = Hx(x, *(hx_args if isinstance(hx_args, tuple) else (hx_args,)))
+        at = Hx(x.copy(), *(hx_args if isinstance(hx_args, tuple) else (hx_args,)))
         values, y = innovation_of(z, at, m, residual, "Hx")
         if values is None:
             self._skip()

@@ -19,6 +19,7 @@ from robust_filterpy._arrays import (
     measured,
     noise_covariance,
     process_noise,
+    regardless,
     require_finite_prediction,
     state_of,
 )
@@ -33,6 +34,7 @@ from robust_filterpy.correction.scalar import ScalarCorrection, correct_scalar
 from robust_filterpy.correction.whitening import SAFE, standardize, standardized
 from robust_filterpy.filters import _step
 from robust_filterpy.filters._mixin import RobustFilterMixin
+from robust_filterpy.filters._outlier_share import EVERY
 from robust_filterpy.filters._recording import filter_recording
 from robust_filterpy.influence.functions import Huber, Influence
 
@@ -120,6 +122,8 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
     True
     """
 
+    _counts_clipped = True
+
     def __init__(
         self,
         dim_x: int,
@@ -160,7 +164,7 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         ValueError
             If a shape does not fit; nothing has changed then.
         """
-        x, P = self._predicted(u, B, F, Q)
+        x, P = regardless(self._predicted, u, B, F, Q)
         self.x, self.P = x, P
         self.x_prior, self.P_prior = x.copy(), P.copy()
 
@@ -181,7 +185,8 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         P : ndarray, shape (dim_x, dim_x)
             Its covariance.
         """
-        return self._predicted(u, B, F, Q)
+        found: tuple[Array, Array] = regardless(self._predicted, u, B, F, Q)
+        return found
 
     def _predicted(self, u: Any, B: Any, F: Any, Q: Any) -> tuple[Array, Array]:
         """Return the predicted mean, in the shape of x, and covariance."""
@@ -287,12 +292,15 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         if values is None:
             self._skip()
             return
-        last = self._corrected(x, P, values, H, R, M)
+        last = regardless(self._corrected, x, P, values, H, R, M)
+        self._updates += 1
+        if self._updates % EVERY == 0 and self._counts_clipped:
+            self._share.look(self, last)
         x_post, P_post = last.x, last.P
-        if len(H) == 1:
-            values = np.array([values])
-        if x.ndim == 2:
-            values = values[:, None]
+        if x.ndim == 1:
+            values = np.atleast_1d(values)
+        else:
+            values = np.array([[values]]) if len(H) == 1 else values[:, None]
             if x_post.ndim == 1:
                 x_post = x_post[:, None]
         self.x, self.P, self.z, self._last = x_post, P_post, values, last
@@ -325,7 +333,7 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
     ) -> Correction | Observed | ScalarCorrection | _step.KernelCorrection:
         """Return the correction of x by checked values; changes nothing."""
         inv, choices = self._inverse, self._choices
-        if inv is None and M is None and (len(H) == 1 or not np.isnan(values).any()):
+        if inv is None and M is None and (len(H) == 1 or not math.isnan(sum(values.tolist()))):
             found = _step.correct(x, P, values, H, R, choices)
             if found is not None:
                 return found
@@ -378,7 +386,7 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         H, R, values, _ = self._measurement(z, None, None, None, len(x))
         if values is None:
             return x.copy(), P.copy()
-        last = self._corrected(x, P, values, H, R, None)
+        last = regardless(self._corrected, x, P, values, H, R, None)
         return last.x.reshape(x.shape), last.P
 
     def update_steadystate(self, z: ArrayLike | None) -> None:
@@ -483,7 +491,7 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
             _checks.matrix("R", self.R, (m, m), f"dim_z={m}")[part, part] if R_i is None else R_i, R_i, k
         )
         values = measured(z_i, k, missing=True)
-        some = self._corrected(x, P, values, H, np.ascontiguousarray(R), None)
+        some = regardless(self._corrected, x, P, values, H, np.ascontiguousarray(R), None)
         some = some if isinstance(some, Correction) else some.as_arrays()
         last, self._last = embed_block(self._arrays(), some, part, m), None
         z = np.array([None] * m) if np.size(self.z) != m else np.ravel(self.z).copy()
@@ -533,7 +541,8 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         Raises
         ------
         ValueError, LinAlgError
-            As in `predict` and `update`, with the step named; the filter is then as it was before the call.
+            As in `predict` and `update`, with the step named. After these, an interrupt, or an error of the saver or
+            of psi, the filter is as it was before the call; what the saver has kept by then it keeps.
         """
         return filter_recording(self, zs, Fs, Qs, Hs, Rs, Bs, us, update_first, saver, _is_ours(self))
 

@@ -22,7 +22,7 @@ __all__ = ["RecoveringKalmanFilter"]
 
 # A refused innovation has a length that a normal one exceeds as rarely as a number exceeds three deviations.
 _RARE = 0.0027
-# What insists from further away than P can be widened to in double precision is no state.
+# Beyond this factor P cannot be inflated in double precision.
 _WIDEST = 1e15
 
 
@@ -31,8 +31,9 @@ class RecoveringKalmanFilter(RobustKalmanFilter):
 
     A measurement whose innovation is longer than a chi-square bound of 99.73 % is refused. Refused ones that lie
     where the one before lay count up, any other measurement counts down; when the count reaches `patience`, P is
-    multiplied so that an innovation of this length is a third of a standard deviation, and the next measurement is
-    believed.
+    widened so that this innovation y is a third of a standard deviation, and the next measurement is believed. P is
+    widened only along the jump that the filter would have to believe in, P H' (H P H')^-1 y: what the sensors cannot
+    see stays as certain as it was.
 
     Parameters
     ----------
@@ -162,13 +163,19 @@ class RecoveringKalmanFilter(RobustKalmanFilter):
         return np.asarray((vectors / np.sqrt(values)) @ vectors.T)
 
     def _widen(self, y: Array, H: Array, prior: Array) -> None:
-        """Multiply P so that y is a third of a standard deviation of H x, and start to count anew."""
-        length, direction = length_and_direction(y)
-        share = float(direction @ np.linalg.pinv(H @ prior @ H.T, hermitian=True) @ direction)
-        reach = 3.0 * np.sqrt(max(share, 0.0)) * min(length, 1e150)
+        """Widen P along the jump that explains y, so that y is a third of a standard deviation of H x; count anew."""
+        N = H @ prior @ H.T
+        unit = np.sqrt(np.where(N.diagonal() > 0.0, N.diagonal(), 1.0))
+        length, direction = length_and_direction(y / unit)
+        pull = np.linalg.pinv(N / unit / unit[:, None], hermitian=True) @ direction
+        share = max(float(direction @ pull), 0.0)
+        reach = 3.0 * np.sqrt(share) * min(length, 1e150)
         self.refused = 0
         if reach < np.sqrt(_WIDEST):
-            self.P = self.P * max(reach**2, 1.0)
+            # In units of N a jump is one along the direction d of y, and d' (N + gained d d')^-1 d is share/reach^2.
+            gained = max(reach**2 - 1.0, 0.0) / share if share > 0.0 else 0.0
+            jump = prior @ H.T @ (pull / unit)
+            self.P = self.P + gained * np.outer(jump, jump)
             self.P_post = self.P.copy()
             self.recoveries += 1
         self._insisting = np.full(len(self._insisting), np.nan)

@@ -15,11 +15,11 @@ from robust_filterpy._arrays import noise_covariance, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.moments import correct_moments
 from robust_filterpy.correction.options import Grouping, Information, Scaling
+from robust_filterpy.filters._mixin import unchanged_if_refused
 from robust_filterpy.filters._nonlinear_mixin import (
     NonlinearFilterMixin,
     innovation_of,
     require_finite,
-    unchanged_if_refused,
 )
 from robust_filterpy.influence.functions import Huber, Influence
 
@@ -219,11 +219,12 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
             self._skip()
             return
         hx = self.hx if hx is None else hx
-        sigmas_h = _rows("hx", [hx(s, **hx_args) for s in self.sigmas_f])
-        R = noise_covariance(self.R, R, sigmas_h.shape[1])
-        zp, S = (UT or unscented_transform)(sigmas_h, self.Wm, self.Wc, R, self.z_mean, self.residual_z)
-        C = self.cross_variance(self.x, zp, self.sigmas_f, sigmas_h)
-        self._correct(z, sigmas_h, zp, C, S, R, self.residual_z)
+        with unchanged_if_refused(self):
+            sigmas_h = _rows("hx", [hx(s.copy(), **hx_args) for s in self.sigmas_f])
+            R = noise_covariance(self.R, R, sigmas_h.shape[1])
+            zp, S = (UT or unscented_transform)(sigmas_h, self.Wm, self.Wc, R, self.z_mean, self.residual_z)
+            C = self.cross_variance(self.x, zp, self.sigmas_f, sigmas_h)
+            self._correct(z, sigmas_h, zp, C, S, R, self.residual_z)
 
     def batch_filter(
         self, zs: Any, Rs: Any = None, dts: Any = None, UT: Callable[..., Any] | None = None, saver: Any = None
@@ -381,11 +382,12 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
             self._skip()
             return
         arguments = hx_args if isinstance(hx_args, tuple) else (hx_args,)
-        sigmas_h = _rows("hx", [self.hx(s, *arguments) for s in self.sigmas_f])
-        R = noise_covariance(self.R, R, sigmas_h.shape[1])
-        zp, S = ckf_transform(sigmas_h, R)
-        C = (self.sigmas_f - np.ravel(self.x)).T @ (sigmas_h - zp.ravel()) / len(sigmas_h)
-        self._correct(z, sigmas_h, zp, C, S, R, self.residual_z)
+        with unchanged_if_refused(self):
+            sigmas_h = _rows("hx", [self.hx(s.copy(), *arguments) for s in self.sigmas_f])
+            R = noise_covariance(self.R, R, sigmas_h.shape[1])
+            zp, S = ckf_transform(sigmas_h, R)
+            C = (self.sigmas_f - np.ravel(self.x)).T @ (sigmas_h - zp.ravel()) / len(sigmas_h)
+            self._correct(z, sigmas_h, zp, C, S, R, self.residual_z)
 
 
 def _rows(name: str, values: list[Any]) -> Array:

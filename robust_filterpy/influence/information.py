@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 
+@np.errstate(under="ignore")
 def expected_information(influence: Any, noise: Any = None) -> float:
     """Return E[psi'(e)], the expected information of one standardized innovation (paper 40, 45).
 
@@ -54,6 +55,7 @@ def expected_information(influence: Any, noise: Any = None) -> float:
     return _integral(lambda e: influence.psi_deriv(e) * noise.pdf(e), _corners(influence))
 
 
+@np.errstate(under="ignore")
 def expected_joint_information(influence: Any, dim: int) -> float:
     """Return the mean of tr(D)/dim for psi applied to the length of a standard normal vector in R^dim.
 

@@ -374,10 +374,10 @@ def test_what_cannot_be_diagnosed_is_said(call, error, match):
         call()
 
 
-def test_a_recording_of_nothing_is_nothing_unusual():
+def test_a_recording_of_nothing_says_nothing():
     d = diagnose(robust(), [None] * 30)
     assert not d.findings and d.observed.tolist() == [0, 0]
-    assert "Nothing unusual" in str(d)
+    assert "Nothing was measured" in str(d)
 
 
 def test_a_data_frame_is_diagnosed_by_its_rows():

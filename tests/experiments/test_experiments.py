@@ -105,6 +105,21 @@ def test_a_seed_sequence_is_left_unchanged_and_refused_once_it_has_children():
         monte_carlo(draw, 3, seed=seed)
 
 
+def leaves_the_program(rng):
+    """Fail as a library does that calls sys.exit."""
+    number = rng.random()
+    if number > 0.5:
+        raise SystemExit("no licence")
+    return number
+
+
+def test_a_run_that_leaves_the_program_is_a_failed_run():
+    with pytest.warns(RuntimeWarning, match="runs failed"):
+        result = monte_carlo(leaves_the_program, 20, seed=0)
+    assert len(result.results) + len(result.failures) == 20
+    assert result.failures and all(failure.error == "SystemExit: no licence" for failure in result.failures)
+
+
 @pytest.mark.parametrize("n_jobs", [1, 2])
 def test_failing_runs_are_kept_apart_with_their_seed(n_jobs):
     with pytest.warns(RuntimeWarning, match=r"of 12 runs failed.*rerun\(trial, result.seed"):

@@ -168,3 +168,30 @@ def test_a_long_recording_recovers_too():
 def test_bad_patience_is_refused(patience):
     with pytest.raises((ValueError, TypeError), match="patience"):
         RecoveringKalmanFilter(1, 1, patience=patience)
+
+
+@pytest.mark.parametrize("weight", [1e-3, 1e-6, 0.0])
+def test_what_the_sensor_barely_sees_stays_as_certain_as_it_was(weight):
+    kf = RecoveringKalmanFilter(3, 1)
+    kf.F, kf.H = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), np.array([[1.0, 0.0, weight]])
+    kf.Q = 0.01 * np.diag([1.0, 1.0, 0.0])
+    rng = np.random.default_rng(10001)
+    for k in range(3000):
+        kf.predict()
+        kf.update(100.0 * (k // 100 % 2) + rng.normal())
+        assert np.linalg.eigvalsh(kf.P)[0] > -1e-9 and kf.P[2, 2] < 2.0, k
+    assert kf.recoveries >= 25
+
+
+def test_a_jump_is_believed_in_units_of_any_size():
+    def final(units):
+        kf = make(RecoveringKalmanFilter, random_problem(3, 3, 3))
+        kf.H, kf.R = kf.H * units[:, None], kf.R * np.outer(units, units)
+        zs, _ = simulate(random_problem(3, 3, 3), 120, seed=3)
+        zs[40:] += random_problem(3, 3, 3).H @ [60.0, -40.0, 80.0]
+        advance(kf, zs * units)
+        return kf.recoveries, kf.x
+
+    (count, x), (others, y) = final(np.ones(3)), final(np.array([1e-8, 3.0, 1e8]))
+    assert count == others > 0
+    np.testing.assert_allclose(x, y, rtol=1e-6)

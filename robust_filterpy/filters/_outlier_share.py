@@ -1,0 +1,79 @@
+"""A warning for a filter that clips far more than its psi is made for: its model is wrong, not its sensor."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+
+__all__ = ["EVERY", "OutlierShareWarning", "Share"]
+
+#: Only every so many updates are looked at, so that it costs nothing.
+EVERY = 4
+# Innovations that make a window, and updates.
+_NUMBERS, _UPDATES = 64, 16
+_warned: set[str] = set()
+
+
+class OutlierShareWarning(UserWarning):
+    """Say that a filter clipped most of its last innovations, which no sensor with some outliers explains.
+
+    Given once for each class of filter in a process. To switch it off:
+    ``warnings.simplefilter("ignore", robust_filterpy.OutlierShareWarning)``.
+    """
+
+
+class Share:
+    """Count the clipped innovations of a window of updates."""
+
+    def __init__(self) -> None:
+        """Start an empty window."""
+        self.numbers = self.updates = self.clipped = self.kept = 0
+        self.sign = 0.0
+
+    def look(self, kf: Any, last: Any) -> None:
+        """Count one correction, and judge the window when it is full."""
+        e = np.ravel(last.e).tolist()
+        observed = [d for d in np.ravel(last.psi_deriv).tolist() if d == d]
+        sign = sum(1.0 if number > 0.0 else -1.0 for number in e)
+        self.numbers += len(observed)
+        self.updates += 1
+        self.clipped += sum(d <= 0.0 for d in observed)
+        self.kept += sign * self.sign > 0.0
+        self.sign = sign
+        if self.numbers >= _NUMBERS and self.updates >= _UPDATES:
+            share, numbers, keeps = self.clipped / self.numbers, self.numbers, self.kept > 0.75 * self.updates
+            self.__init__()  # type: ignore[misc]
+            # Half of an ordinary window's unclipped innovations: a jump or a run of outliers fills no window so far.
+            if share > 0.5 and kf.scaling == "innovation" and type(kf).__name__ not in _warned:
+                expected = _expected(kf.influence, kf.grouping, len(e))
+                if share > 0.5 * (1.0 + expected):
+                    self._warn(type(kf).__name__, share, expected, numbers, keeps)
+
+    def _warn(self, name: str, share: float, expected: float, numbers: int, keeps: bool) -> None:
+        """Warn once for each class."""
+        cause = (
+            "Q is too small (innovations keep their sign)"
+            if keeps
+            else "R is too small, or most measurements hold an outlier"
+        )
+        _warned.add(name)
+        warnings.warn(
+            f"{name}: clipped {share:.0%} of the last {numbers} innovations looked at, where its psi expects "
+            f"{expected:.0%}; most likely {cause}: see robust_filterpy.diagnose. Switch this off with "
+            f'warnings.simplefilter("ignore", robust_filterpy.OutlierShareWarning)',
+            OutlierShareWarning,
+            stacklevel=6,
+        )
+
+
+def _expected(influence: Any, grouping: str, m: int) -> float:
+    """Return the share of clipped innovations with as many outliers as psi is made for."""
+    from scipy import stats
+
+    grid = np.linspace(0.0, 10.0, 2001)
+    density = stats.chi(m if grouping == "joint" else 1).pdf(grid)
+    ordinary = float(density[np.asarray(influence.psi_deriv(grid)) <= 0.0].sum() / density.sum())
+    contamination = float(getattr(influence, "contamination", 0.0) or 0.0)
+    return ordinary + contamination * (1.0 - ordinary)

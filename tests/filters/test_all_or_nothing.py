@@ -1,0 +1,159 @@
+"""Either all of a call happened or none: whatever a saver, a psi, a user's function or an interrupt raises."""
+
+import copy
+
+import numpy as np
+import pytest
+import support
+from filterpy.kalman import MerweScaledSigmaPoints
+
+from robust_filterpy import (
+    AdaptiveKalmanFilter,
+    NoiseMatchedKalmanFilter,
+    RecoveringKalmanFilter,
+    RobustCubatureKalmanFilter,
+    RobustExtendedKalmanFilter,
+    RobustKalmanFilter,
+    RobustUnscentedKalmanFilter,
+    TwoSidedKalmanFilter,
+)
+from robust_filterpy.influence import Huber
+
+LINEAR = [
+    RobustKalmanFilter, RecoveringKalmanFilter, NoiseMatchedKalmanFilter, TwoSidedKalmanFilter, AdaptiveKalmanFilter,
+]  # fmt: skip
+ERRORS = [KeyboardInterrupt, OSError, ZeroDivisionError, MemoryError, SystemExit, ValueError]
+
+
+def contents(kf):
+    """Return everything that the filter holds, copied."""
+    kf.likelihood, kf.mahalanobis, kf.SI  # what is made when asked for  # noqa: B018
+    return copy.deepcopy({**kf.__dict__, **{name: getattr(kf, name) for name in ("y", "S", "SI", "K", "e", "weights")}})
+
+
+def assert_same(found, expected):
+    """Compare the contents of two filters to the last bit."""
+    assert found.keys() == expected.keys()
+    for name, value in expected.items():
+        if isinstance(value, np.ndarray):
+            np.testing.assert_array_equal(found[name], value, err_msg=name)
+        elif isinstance(value, (int, float)):
+            assert found[name] == value, name
+
+
+def raising(error, after):
+    """Return a function that raises at the call after so many."""
+    calls = iter(range(10**9))
+
+    def call(*_, **__):
+        if next(calls) >= after:
+            raise error("on purpose")
+
+    return call
+
+
+@pytest.mark.parametrize("error", ERRORS)
+@pytest.mark.parametrize("cls", LINEAR)
+def test_a_saver_that_fails_leaves_the_filter_of_before(cls, error):
+    problem = support.random_problem(3, 3, 2)
+    kf = support.make(cls, problem)
+    kf.predict()
+    kf.update([0.3, 0.1])
+    before, F = contents(kf), kf.F
+    saver = type("Saver", (), {"save": staticmethod(raising(error, 3))})()
+    with pytest.raises(error, match="on purpose"):
+        kf.batch_filter(np.ones((6, 2)), saver=saver)
+    assert_same(contents(kf), before)
+    assert kf.F is F
+
+
+@pytest.mark.parametrize("error", ERRORS)
+def test_a_psi_that_fails_leaves_the_filter_of_before(error):
+    class Failing(Huber):
+        """A user's psi."""
+
+        def psi(self, e):
+            fails()
+            return super().psi(e)
+
+    problem = support.random_problem(4, 3, 2)
+    fails = raising(error, 4)
+    kf = support.make(RobustKalmanFilter, problem, influence=Failing())
+    kf.predict()
+    kf.update([0.3, 0.1])
+    before = contents(kf)
+    with pytest.raises(error, match="on purpose"):
+        kf.batch_filter(np.ones((20, 2)))
+    assert_same(contents(kf), before)
+
+
+@pytest.mark.parametrize("error", ERRORS)
+def test_a_step_of_ones_own_that_writes_in_place_and_fails_is_undone(error):
+    class Tracker(RobustKalmanFilter):
+        """A user's class."""
+
+        def predict(self, *args, **kwargs):
+            self.x[:] += 1.0
+            self.F[0, 0] += 1.0
+            super().predict(*args, **kwargs)
+            fails()
+
+    fails = raising(error, 3)
+    kf = support.make(Tracker, support.random_problem(5, 3, 2))
+    before = contents(kf)
+    with pytest.raises(error):
+        kf.batch_filter(np.ones((6, 2)))
+    assert_same(contents(kf), before)
+
+
+def nonlinear(cls, hx, fx):
+    """Return a nonlinear filter of two states and two sensors, after one step."""
+    if cls is RobustExtendedKalmanFilter:
+        kf = cls(2, 2)
+        kf.F = np.array([[1.0, 0.1], [0.0, 1.0]])
+    elif cls is RobustUnscentedKalmanFilter:
+        kf = cls(2, 2, 1.0, hx, fx, MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0))
+    else:
+        kf = cls(2, 2, 1.0, hx, fx)
+    kf.x, kf.Q = np.array([1.0, 2.0]), 0.1 * np.eye(2)
+    return kf
+
+
+@pytest.mark.parametrize("error", [None, *ERRORS])
+@pytest.mark.parametrize("cls", [RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter, RobustCubatureKalmanFilter])
+def test_a_model_function_that_writes_into_its_argument_and_fails_changes_nothing(cls, error):
+    spoils = []
+
+    def spoilt(x):
+        if spoils:
+            x[:] = 7.0
+            if error is not None:
+                raise error("on purpose")
+
+    def hx(x):
+        found = np.ravel(x) ** 2
+        spoilt(x)
+        return found
+
+    def jacobian(x):
+        found = np.diag(2.0 * np.ravel(x))
+        spoilt(x)
+        return found
+
+    kf = nonlinear(cls, hx, lambda x, dt: np.ravel(x) * 0.9)
+    extra = (jacobian, hx) if cls is RobustExtendedKalmanFilter else ()
+    for _ in range(2):
+        kf.predict()
+        kf.update(np.array([1.0, 2.0]), *extra)
+    kf.predict()
+    before, twin = contents(kf), copy.deepcopy(kf)
+    twin.update(np.array([1.0, 2.0]), *extra)
+    spoils.append(True)
+    if error is None:
+        kf.update(np.array([1.0, 2.0]), *extra)
+        np.testing.assert_array_equal(kf.x, twin.x)
+        np.testing.assert_array_equal(kf.P, twin.P)
+    else:
+        with pytest.raises(error, match="on purpose"):
+            kf.update(np.array([1.0, 2.0]), *extra)
+        assert_same(contents(kf), before)

@@ -1,0 +1,135 @@
+"""What the program around a filter does: numpy told to raise, missing values of pandas, whole tables of them."""
+
+import numpy as np
+import pytest
+import support
+
+from robust_filterpy import (
+    AdaptiveKalmanFilter,
+    FilterBank,
+    Hampel,
+    Huber,
+    Linear,
+    NoiseMatchedKalmanFilter,
+    RecoveringKalmanFilter,
+    RobustExtendedKalmanFilter,
+    RobustKalmanFilter,
+    StudentT,
+    TukeyBiweight,
+    TwoSidedKalmanFilter,
+    filter_series,
+)
+
+SIZES = [1e-300, 1e-160, 1.0, 1e20, 1e160, 1e300]
+READ = ("x", "P", "log_likelihood", "likelihood", "mahalanobis", "y_bounded", "weights")
+
+
+@pytest.fixture(params=["kernel", "definition"], autouse=True)
+def path(request, monkeypatch):
+    """Let the kernel serve, where there is one, and then the definition."""
+    if request.param == "definition":
+        support.without_kernel(monkeypatch)
+    else:
+        support.needs_kernel()
+
+
+@pytest.fixture
+def raising():
+    """Tell numpy to raise whatever it can."""
+    with np.errstate(all="raise"):
+        yield
+
+
+def run(kf, zs):
+    """Return what a user reads after every step."""
+    found = []
+    for z in zs:
+        kf.predict()
+        kf.update(z)
+        found.append([np.copy(getattr(kf, name)) for name in READ])
+    return found
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("information", ["realized", "expected", "weight"])
+@pytest.mark.parametrize("influence", [Huber(), Linear(), Hampel(), TukeyBiweight(), StudentT()], ids=repr)
+def test_numpy_told_to_raise_changes_no_number(influence, information, size):
+    for dims in ((2, 1), (3, 2), (4, 3)):
+        problem, zs = support.random_problem(5, *dims), np.outer([1.0, -1.0, 0.0], np.full(dims[1], size))
+        for scaling, grouping in (("innovation", "component"), ("innovation", "joint"), ("bounded", "component")):
+            options = {"influence": influence, "information": information, "scaling": scaling, "grouping": grouping}
+            quiet = run(support.make(RobustKalmanFilter, problem, **options), zs)
+            with np.errstate(all="raise"):
+                loud = run(support.make(RobustKalmanFilter, problem, **options), zs)
+                bank = FilterBank(2, *dims, **options)
+                bank.H, bank.R = problem.H, problem.R
+                bank.predict()
+                bank.update(np.tile(zs[0], (2, 1)))
+                assert np.isfinite(bank.log_likelihood).all()
+            for ours, theirs in zip(loud, quiet, strict=True):
+                for one, other in zip(ours, theirs, strict=True):
+                    np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize(
+    "cls", [RecoveringKalmanFilter, NoiseMatchedKalmanFilter, TwoSidedKalmanFilter, AdaptiveKalmanFilter]
+)
+def test_nor_does_it_stop_another_filter_or_a_series(raising, cls, size):
+    problem = support.random_problem(5, 3, 2)
+    zs = np.array([[size] * 2] * 14 + [[-size] * 2, [0.0, 0.0]])
+    run(support.make(cls, problem), zs)
+    support.make(RobustKalmanFilter, problem).batch_filter(zs)
+    p = problem
+    filter_series(np.tile(zs, (2, 1, 1)), p.F, p.H, p.Q, p.R, p.x.ravel(), p.P)
+
+
+def test_a_prediction_that_overflows_is_refused_in_the_usual_words(raising):
+    kf = support.make(RobustKalmanFilter, support.random_problem(5, 3, 2))
+    kf.F = 1e200 * np.eye(3)
+    before = support.snapshot(kf)
+    with pytest.raises(ValueError, match="finite P"):
+        kf.predict()
+    support.assert_unchanged(before, kf)
+
+
+def gaps():
+    """Return measurements of two sensors with gaps, and the same as nullable columns of pandas."""
+    pd = pytest.importorskip("pandas")
+    zs, _ = support.simulate(support.random_problem(6, 3, 2), 12, seed=6)
+    zs[3, 0] = zs[5] = zs[8, 1] = np.nan
+    table = pd.DataFrame(zs, columns=["a", "b"]).convert_dtypes()
+    assert table["a"].isna().sum() == 2 and str(table["a"].dtype) == "Float64"
+    return pd, zs, table
+
+
+def test_missing_values_of_pandas_are_missing():
+    pd, zs, table = gaps()
+    problem = support.random_problem(6, 3, 2)
+    expected = support.make(RobustKalmanFilter, problem).batch_filter(zs)[0]
+    rows = [[pd.NA if np.isnan(v) else v for v in row] for row in zs]
+    for form in (table, rows, table.to_numpy()):
+        np.testing.assert_array_equal(support.make(RobustKalmanFilter, problem).batch_filter(form)[0], expected)
+    kf = support.make(RobustKalmanFilter, problem)
+    for k, row in enumerate(table.itertuples(index=False)):
+        kf.predict()
+        kf.update(list(row))
+        support.assert_close(kf.x, expected[k])
+    p = problem
+    ours = filter_series([rows], p.F, p.H, p.Q, p.R, p.x.ravel(), p.P)
+    theirs = filter_series([zs], p.F, p.H, p.Q, p.R, p.x.ravel(), p.P)
+    np.testing.assert_array_equal(ours.x, theirs.x)
+
+
+def test_missing_values_of_pandas_are_missing_for_one_sensor():
+    pd, zs, table = gaps()
+    problem = support.random_problem(6, 3, 1)
+    expected = support.make(RobustKalmanFilter, problem).batch_filter(zs[:, :1])[0]
+    np.testing.assert_array_equal(support.make(RobustKalmanFilter, problem).batch_filter(table["a"])[0], expected)
+    filters = [support.make(RobustKalmanFilter, problem) for _ in range(2)]
+    nonlinear = [RobustExtendedKalmanFilter(3, 1) for _ in range(2)]
+    for (kf, twin), functions in ((filters, ()), (nonlinear, (lambda x: problem.H, problem.H.dot))):
+        kf.update(pd.NA, *functions)
+        twin.update(None, *functions)
+        np.testing.assert_array_equal(kf.x, twin.x)
+        np.testing.assert_array_equal(kf.P, twin.P)

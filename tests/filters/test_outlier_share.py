@@ -1,0 +1,85 @@
+"""A filter whose model is wrong says so once; one whose sensor sometimes lies does not."""
+
+import copy
+import pickle
+import warnings
+
+import numpy as np
+import pytest
+import support
+
+from robust_filterpy import Linear, OutlierShareWarning, RobustKalmanFilter, RobustUnscentedKalmanFilter, TukeyBiweight
+from robust_filterpy.filters import _outlier_share
+
+
+@pytest.fixture(autouse=True)
+def anew(monkeypatch):
+    """Forget what has been warned of."""
+    monkeypatch.setattr(_outlier_share, "_warned", set())
+
+
+def run(problem, zs, **options):
+    """Run a filter and return the messages of its warnings."""
+    kf = support.make(RobustKalmanFilter, problem, **options)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for z in zs:
+            kf.predict()
+            kf.update(z)
+    return [str(one.message) for one in caught if one.category is OutlierShareWarning]
+
+
+def recordings(dims, factor=1.0, contamination=0.0):
+    problem = support.random_problem(10001, *dims)
+    zs, _ = support.simulate(problem, 400, seed=10001, contamination=contamination, size=30.0)
+    return support.with_(problem, R=problem.R * factor, Q=problem.Q * factor), zs
+
+
+@pytest.mark.parametrize("options", [{}, {"grouping": "joint"}, {"influence": TukeyBiweight()}])
+@pytest.mark.parametrize("dims", [(2, 1), (4, 2), (7, 4)])
+def test_noises_ten_thousand_times_too_small_are_told_once(dims, options):
+    told = run(*recordings(dims, 1e-4), **options)
+    assert len(told) == 1 and "psi expects" in told[0] and "diagnose" in told[0] and "is too small" in told[0]
+
+
+# Whitening spreads an outlier of one sensor over all: of four that each lie in 30 % of samples, one does in 76 %.
+@pytest.mark.parametrize("dims, contamination", [((2, 1), 0.0), ((2, 1), 0.3), ((4, 2), 0.15), ((7, 4), 0.05)])
+def test_outliers_are_not(dims, contamination):
+    assert not run(*recordings(dims, 1.0, contamination))
+    assert not run(*recordings(dims, 1e-4, contamination), influence=Linear())
+
+
+def test_it_can_be_switched_off_and_made_an_error_that_changes_nothing():
+    problem, zs = recordings((2, 1), 1e-4)
+    kf = support.make(RobustKalmanFilter, problem)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", OutlierShareWarning)
+        with pytest.raises(OutlierShareWarning):
+            for z in zs:
+                kf.predict()
+                before = support.snapshot(kf)
+                kf.update(z)
+    support.assert_unchanged(before, kf)
+
+
+def test_the_count_survives_copies():
+    problem, zs = recordings((2, 1), 1e-4)
+    kf = support.make(RobustKalmanFilter, problem)
+    with pytest.warns(OutlierShareWarning):
+        for k, z in enumerate(zs):
+            if k % 50 == 0:
+                kf = pickle.loads(pickle.dumps(copy.deepcopy(kf)))
+            kf.predict()
+            kf.update(z)
+
+
+def test_a_sigma_point_filter_says_it_too():
+    from filterpy.kalman import MerweScaledSigmaPoints
+
+    kf = RobustUnscentedKalmanFilter(1, 1, 1.0, lambda x: x, lambda x, dt: x, MerweScaledSigmaPoints(1, 0.5, 2.0, 2.0))
+    kf.Q, kf.R = 1e-6 * np.eye(1), 1e-6 * np.eye(1)
+    rng = np.random.default_rng(0)
+    with pytest.warns(OutlierShareWarning, match="Unscented"):
+        for _ in range(300):
+            kf.predict()
+            kf.update(rng.normal(size=1))

@@ -1,0 +1,241 @@
+"""Any sequence of calls, and any moderate problem on every path: what must hold whatever a user does.
+
+The state machine finds calls that break what every call must keep; the problems after it are drawn from a seed that
+``pytest -s`` prints, a few hundred by default, tens of thousands under ``-m slow``.
+"""
+
+import copy
+import os
+import pickle
+
+import numpy as np
+import pytest
+import support
+from filterpy.kalman import KalmanFilter
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+
+from robust_filterpy import (
+    FilterBank,
+    Hampel,
+    Huber,
+    Linear,
+    RobustKalmanFilter,
+    StudentT,
+    TukeyBiweight,
+    filter_series,
+)
+from robust_filterpy.correction.options import GROUPINGS, INFORMATIONS
+
+PSIS = [Huber(), Huber(3.0), Linear(), Hampel(), TukeyBiweight(), StudentT()]
+SEED = int(os.environ.get("ROBUST_FILTERPY_SEED", "20001"))
+numbers = st.one_of(
+    st.floats(-100.0, 100.0), st.sampled_from([0.0, 1e6, -1e12, 1e150, -1e300, np.nan]), st.floats(-1e-3, 1e-3)
+)
+
+
+class Calls(RuleBasedStateMachine):
+    """Draw calls of a filter with two sensors."""
+
+    @initialize(seed=st.integers(0, 10**6), dim_x=st.integers(1, 4), flat=st.booleans())
+    def start(self, seed, dim_x, flat):
+        self.problem = support.random_problem(seed, dim_x, 2)
+        self.kf = support.make(RobustKalmanFilter, self.problem, ndim=1 if flat else 2)
+        self.dim_x = dim_x
+
+    @rule()
+    def predict(self):
+        self.kf.predict()
+
+    @rule(z=st.lists(numbers, min_size=2, max_size=2))
+    def update(self, z):
+        x, P = self.kf.get_update(z)
+        self.kf.update(z)
+        np.testing.assert_array_equal(self.kf.x, x)
+        np.testing.assert_array_equal(self.kf.P, P)
+
+    @rule()
+    def miss(self):
+        x, P = self.kf.x.copy(), self.kf.P.copy()
+        self.kf.update(None)
+        np.testing.assert_array_equal(self.kf.x, x)
+        np.testing.assert_array_equal(self.kf.P, P)
+        assert self.kf.log_likelihood == 0.0
+
+    @rule(z=st.lists(numbers, min_size=2, max_size=2), seed=st.integers(0, 10**6))
+    def update_by_another_sensor(self, z, seed):
+        other = support.random_problem(seed, self.dim_x, 2)
+        self.kf.update(z, R=other.R, H=other.H)
+
+    @rule(z=st.lists(numbers, min_size=2, max_size=2))
+    def update_in_parts(self, z):
+        for i, number in enumerate(z):
+            self.kf.update_sequential(i, number)
+
+    @rule(rows=st.lists(st.lists(numbers, min_size=2, max_size=2), min_size=1, max_size=6), data=st.data())
+    def batch(self, rows, data):
+        """Any split of a recording gives the numbers of one run, and of a loop."""
+        whole, parts, loop = (copy.deepcopy(self.kf) for _ in range(3))
+        at = data.draw(st.integers(0, len(rows)))
+        expected = whole.batch_filter(rows)[0]
+        found = np.concatenate([parts.batch_filter(part)[0] for part in (rows[:at], rows[at:])])
+        for z in rows:
+            loop.predict()
+            loop.update(z)
+        size = max(np.abs(expected).max(), 1e-300)
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * size)
+        for other in (parts, loop):
+            support.assert_close(other.x, whole.x, 1e-9, "x", size)
+            support.assert_close(other.P, whole.P, 1e-9, "P")
+        self.kf = whole
+
+    @rule(how=st.sampled_from(["copy", "deepcopy", "pickle"]))
+    def go_on_with_a_copy(self, how):
+        copies = {"copy": copy.copy, "deepcopy": copy.deepcopy, "pickle": lambda kf: pickle.loads(pickle.dumps(kf))}
+        other = copies[how](self.kf)
+        for kf in (other, self.kf):
+            kf.predict()
+            kf.update([0.5, -0.5])
+        np.testing.assert_array_equal(other.x, self.kf.x)
+        np.testing.assert_array_equal(other.P, self.kf.P)
+        self.kf = other
+
+    @rule(psi=st.sampled_from(PSIS), information=st.sampled_from(INFORMATIONS), grouping=st.sampled_from(GROUPINGS))
+    def change_options(self, psi, information, grouping):
+        self.kf.influence, self.kf.information, self.kf.grouping = psi, information, grouping
+
+    @rule(scaling=st.sampled_from(["innovation", "bounded"]), alpha=st.sampled_from([1.0, 1.02]))
+    def change_scaling(self, scaling, alpha):
+        self.kf.scaling, self.kf.alpha = scaling, alpha
+
+    @rule(call=st.integers(0, 9))
+    def refused(self, call):
+        """Be refused, and change nothing."""
+        kf = self.kf
+        before = support.snapshot(kf)
+        calls = [
+            lambda: kf.update([1.0, np.inf]), lambda: kf.update([1.0, 2.0, 3.0]), lambda: kf.update("ab"),
+            lambda: kf.update([1.0, 2.0], R=-np.eye(2)), lambda: kf.update([1.0, 2.0], H=np.eye(7)),
+            lambda: kf.predict(F=np.full((self.dim_x, self.dim_x), np.nan)), lambda: kf.predict(Q=np.eye(9)),
+            lambda: kf.batch_filter([[1.0, 2.0], [1.0, np.inf]]), lambda: kf.update_sequential(1, [1.0, 2.0]),
+            lambda: setattr(kf, "scaling", "innovations"),
+        ]  # fmt: skip
+        with pytest.raises((ValueError, TypeError)):
+            calls[call]()
+        support.assert_unchanged(before, kf)
+
+    @invariant()
+    def holds(self):
+        """P is a covariance, x finite, and a weight a share."""
+        if not hasattr(self, "kf"):
+            return
+        kf = self.kf
+        np.testing.assert_allclose(kf.P, kf.P.T, rtol=1e-12, atol=0)
+        unit = np.sqrt(np.diag(kf.P))
+        assert np.linalg.eigvalsh(kf.P / np.outer(unit, unit))[0] > -1e-9
+        assert np.isfinite(kf.x).all()
+        weights = kf.weights[~np.isnan(kf.weights)]
+        assert ((weights >= 0.0) & (weights <= 1.0 + 1e-12)).all()
+        assert np.isfinite(kf.log_likelihood)
+
+
+Calls.TestCase.settings = settings(max_examples=40, stateful_step_count=20, deadline=None)
+TestCalls = Calls.TestCase
+
+
+@pytest.mark.slow
+class TestManyCalls(Calls.TestCase):
+    settings = settings(max_examples=4000, stateful_step_count=40, deadline=None)
+
+
+def drawn(seed):
+    """Return a moderate problem, a recording with outliers and gaps, and options."""
+    rng = np.random.default_rng(seed)
+    n, m = int(rng.integers(1, 9)), int(rng.integers(1, 5))
+    problem = support.random_problem(seed, n, m)
+    # Other units of the states, of the sensors, and of time.
+    states, sensors = 10.0 ** rng.uniform(-3, 3, n), 10.0 ** rng.uniform(-3, 3, m)
+    back = 1.0 / states
+    problem = support.with_(
+        problem,
+        x=problem.x * states[:, None], P=problem.P * np.outer(states, states), Q=problem.Q * np.outer(states, states),
+        F=problem.F * np.outer(states, back), H=problem.H * np.outer(sensors, back),
+        R=problem.R * np.outer(sensors, sensors), M=problem.M * np.outer(states, sensors),
+    )  # fmt: skip
+    zs = rng.normal(size=(12, m)) * sensors * 3.0
+    zs[rng.random(zs.shape) < 0.1] *= 10.0 ** rng.uniform(1, 12)
+    zs[rng.random(zs.shape) < 0.1] = np.nan
+    options = {
+        "influence": PSIS[rng.integers(len(PSIS))], "scaling": ["innovation", "bounded"][rng.integers(2)],
+        "information": INFORMATIONS[rng.integers(3)], "grouping": GROUPINGS[rng.integers(2)],
+    }  # fmt: skip
+    return problem, zs, options, states
+
+
+def agree(found, expected, states, what):
+    """Compare states and covariances in the units of the states."""
+    for name, ours, theirs, unit in zip(("x", "P"), found, expected, (states, np.outer(states, states)), strict=True):
+        support.assert_close(np.reshape(ours, unit.shape) / unit, np.reshape(theirs, unit.shape) / unit, 1e-7,
+                             f"{what}: {name}")  # fmt: skip
+
+
+def compare(seed):
+    """Require one answer of a loop, a recording, a series and a bank, with the kernel and without."""
+    problem, zs, options, states = drawn(seed)
+    p, n = problem, len(problem.x)
+
+    def loop(cls=RobustKalmanFilter, **options):
+        kf = support.make(cls, problem, **options)
+        for z in zs:
+            kf.predict()
+            kf.update(None if np.isnan(z).any() and cls is KalmanFilter else z.reshape(-1, 1))
+        return kf.x, kf.P
+
+    def batch():
+        kf = support.make(RobustKalmanFilter, problem, **options)
+        means, covariances, _, _ = kf.batch_filter(zs)
+        np.testing.assert_array_equal(means[-1], kf.x)
+        return means[-1], covariances[-1]
+
+    def series():
+        result = filter_series(zs[None], p.F, p.H, p.Q, p.R, p.x.ravel(), p.P, keep="last", **options)
+        return result.x[0, 0], result.P[0, 0]
+
+    def bank():
+        many = FilterBank(2, *problem.dims[:2], **options)
+        many.F, many.H, many.Q, many.R = p.F, p.H, p.Q, p.R
+        many.x, many.P = np.tile(p.x.ravel(), (2, 1)), np.tile(p.P, (2, 1, 1))
+        for z in zs:
+            many.predict()
+            many.update(np.tile(z, (2, 1)))
+        return many.x[1], many.P[1]
+
+    expected = loop(**options)
+    paths = {"loop": lambda: loop(**options), "batch": batch, "series": series, "bank": bank}
+    for name, path in paths.items():
+        agree(path(), expected, states, f"seed {seed}, {name}")
+    with pytest.MonkeyPatch.context() as patch:
+        support.without_kernel(patch)
+        for name, path in paths.items():
+            agree(path(), expected, states, f"seed {seed}, {name} without the kernel")
+    if support.FILTERPY_2:
+        zs = np.where(np.isnan(zs).any(axis=1)[:, None], np.nan, zs)
+        agree(loop(influence=Linear()), loop(KalmanFilter), states, f"seed {seed}, filterpy")
+    assert expected[1].shape == (n, n)
+
+
+@pytest.mark.parametrize("part", range(4))
+def test_every_path_gives_one_answer(part):
+    print(f"seeds from {SEED + 100 * part}")
+    for seed in range(SEED + 100 * part, SEED + 100 * (part + 1)):
+        compare(seed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", range(20))
+def test_every_path_gives_one_answer_many_times(part):
+    first = SEED + 10**6 + 1000 * part
+    print(f"seeds from {first}")
+    for seed in range(first, first + 1000):
+        compare(seed)

@@ -1,0 +1,195 @@
+"""Units cannot matter: sensors in other units give the same states and covariances, to rounding, on every path."""
+
+import numpy as np
+import pytest
+import support
+from filterpy.common import kinematic_kf
+from filterpy.kalman import MerweScaledSigmaPoints
+
+from robust_filterpy import (
+    AdaptiveKalmanFilter,
+    ContaminatedScore,
+    FilterBank,
+    NoiseMatchedKalmanFilter,
+    RecoveringKalmanFilter,
+    RobustCubatureKalmanFilter,
+    RobustExtendedKalmanFilter,
+    RobustKalmanFilter,
+    RobustUnscentedKalmanFilter,
+    TwoSidedKalmanFilter,
+    filter_series,
+)
+
+STEPS = 40
+SIZES = [(2, 1), (3, 2), (4, 3), (5, 5)]
+LINEAR = {
+    "robust": (RobustKalmanFilter, {}),
+    "robust, joint": (RobustKalmanFilter, {"grouping": "joint"}),
+    "robust, expected": (RobustKalmanFilter, {"information": "expected"}),
+    "recovering": (RecoveringKalmanFilter, {"patience": 4}),
+    "noise matched": (NoiseMatchedKalmanFilter, {}),
+    "noise matched, each sensor": (NoiseMatchedKalmanFilter, {"grouping": "component"}),
+    "noise matched, jumps": (NoiseMatchedKalmanFilter, {"process": ContaminatedScore(0.05, 10.0)}),
+    "two-sided": (TwoSidedKalmanFilter, {}),
+    "adaptive": (AdaptiveKalmanFilter, {}),
+}
+
+
+@pytest.fixture(params=["kernel", "definition"])
+def path(request, monkeypatch):
+    """Let the kernel serve, where there is one, and then the definition."""
+    if request.param == "definition":
+        support.without_kernel(monkeypatch)
+    else:
+        support.needs_kernel()
+
+
+def recording(seed, dims):
+    """Return a problem, a recording with outliers and gaps, and the same two in other units of the sensors."""
+    problem = support.random_problem(seed, *dims)
+    zs, _ = support.simulate(problem, STEPS, seed, contamination=0.2, size=30.0)
+    rng = np.random.default_rng(seed)
+    zs[rng.random(zs.shape) < 0.05] = np.nan
+    # Extremes side by side, and what is no power of two: products with it are rounded.
+    units = 10.0 ** rng.uniform(-8, 8, dims[1])
+    units[0] = 1e-8
+    units[-1] = 1e8
+    changed = support.with_(
+        problem, H=problem.H * units[:, None], R=problem.R * np.outer(units, units), M=problem.M * units
+    )
+    return problem, zs, changed, zs * units
+
+
+def same(found, expected, what):
+    """Compare states and covariances; rounding grows with the correlation of the sensors."""
+    for name, ours, theirs in zip(("x", "P"), found, expected, strict=True):
+        support.assert_close(ours, theirs, 1e-9, f"{what}: {name}")
+
+
+def by_steps(cls, problem, zs, method="update", **options):
+    """Return every state and covariance of a loop."""
+    kf, kept = support.make(cls, problem, **options), []
+    for z in zs:
+        kf.predict()
+        getattr(kf, method)(z)
+        kept.append((kf.x, kf.P))
+    return [np.array(column) for column in zip(*kept, strict=True)]
+
+
+@pytest.mark.parametrize("dims", SIZES)
+@pytest.mark.parametrize("name", LINEAR)
+def test_no_linear_filter_knows_the_units_of_its_sensors(path, name, dims):
+    problem, zs, changed, others = recording(7, dims)
+    cls, options = LINEAR[name]
+    same(by_steps(cls, changed, others, **options), by_steps(cls, problem, zs, **options), name)
+
+
+@pytest.mark.parametrize("dims", SIZES)
+@pytest.mark.parametrize("method", ["update_correlated", "update_steadystate", "update_sequential"])
+def test_no_other_update_does(path, method, dims):
+    problem, zs, changed, others = recording(8, dims)
+
+    def run(problem, zs):
+        kf = support.make(RobustKalmanFilter, problem)
+        kf.update(np.nan_to_num(zs[0]))
+        for z in zs[1:]:
+            if method == "update_sequential":
+                kf.predict()
+                for i, number in enumerate(z):
+                    kf.update_sequential(i, number)
+            elif method == "update_steadystate":
+                kf.predict_steadystate()
+                kf.update_steadystate(z)
+            else:
+                kf.predict()
+                kf.update_correlated(z)
+        return kf.x, kf.P
+
+    same(run(changed, others), run(problem, zs), method)
+
+
+@pytest.mark.parametrize("dims", SIZES)
+def test_neither_does_a_recording_a_series_or_a_bank(path, dims):
+    problem, zs, changed, others = recording(9, dims)
+
+    def batch(problem, zs):
+        return support.make(RobustKalmanFilter, problem).batch_filter(zs)[:2]
+
+    def series(problem, zs):
+        p = problem
+        return filter_series(np.tile(zs, (3, 1, 1)), p.F, p.H, p.Q, p.R, p.x.ravel(), p.P)[:2]
+
+    def bank(problem, zs):
+        many = FilterBank(3, *problem.dims[:2])
+        many.F, many.Q, many.H, many.R = problem.F, problem.Q, problem.H, problem.R
+        many.x, many.P = np.tile(problem.x.ravel(), (3, 1)), np.tile(problem.P, (3, 1, 1))
+        for z in zs:
+            many.predict()
+            many.update(np.tile(z, (3, 1)))
+        return many.x, many.P
+
+    for run in (batch, series, bank):
+        same(run(changed, others), run(problem, zs), run.__name__)
+
+
+def curved(problem):
+    """Return a measurement function that is not linear, and its Jacobian."""
+
+    def hx(x):
+        return problem.H @ (np.ravel(x) + 0.1 * np.sin(np.ravel(x)))
+
+    def jacobian(x):
+        return problem.H * (1.0 + 0.1 * np.cos(np.ravel(x)))
+
+    return hx, jacobian
+
+
+@pytest.mark.parametrize("dims", SIZES)
+@pytest.mark.parametrize("cls", [RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter, RobustCubatureKalmanFilter])
+def test_no_nonlinear_filter_does(cls, dims):
+    def run(problem, zs):
+        n, m, _ = problem.dims
+        hx, jacobian = curved(problem)
+        extended = cls is RobustExtendedKalmanFilter
+        if extended:
+            kf = cls(n, m)
+        else:
+            options = {"points": MerweScaledSigmaPoints(n, 0.5, 2.0, 3.0 - n)} if "Unscented" in cls.__name__ else {}
+            kf = cls(n, m, 1.0, hx, lambda x, dt: problem.F @ x, **options)
+        kf.x, kf.P, kf.Q, kf.R = problem.x[:, 0].copy(), problem.P.copy(), problem.Q, problem.R
+        kf.F = problem.F
+        for z in zs:
+            kf.predict()
+            kf.update(z, jacobian, hx) if extended else kf.update(z)
+        return kf.x, kf.P
+
+    problem, zs, changed, others = recording(10, dims)
+    same(run(changed, others), run(problem, zs), cls.__name__)
+
+
+def test_two_dependent_sensors_are_what_the_issue_of_units_was_about():
+    def corrected(unit):
+        kf = RobustKalmanFilter(2, 2)
+        kf.P, kf.H, kf.R = np.array([[4.0, 3.0], [3.0, 4.0]]), np.diag([1.0, unit]), np.diag([1.0, unit**2])
+        kf.update([10.0, 0.0])
+        return kf.x.ravel()
+
+    np.testing.assert_allclose(corrected(1e-3), corrected(1.0), rtol=1e-12)
+    np.testing.assert_allclose(corrected(1e7), corrected(1.0), rtol=1e-12)
+
+
+@pytest.mark.parametrize("dim, order", [(7, 5), (3, 4)])
+def test_many_kinematic_states_stay_positive_definite(path, dim, order):
+    plain = kinematic_kf(dim=dim, order=order, dt=0.1)
+    kf = RobustKalmanFilter(plain.dim_x, plain.dim_z)
+    kf.F, kf.H, kf.Q, kf.R, kf.P = (getattr(plain, name) for name in ("F", "H", "Q", "R", "P"))
+    assert plain.dim_x == dim * (order + 1)
+    rng = np.random.default_rng(0)
+    for _ in range(400):
+        kf.predict()
+        kf.update(rng.normal(size=plain.dim_z))
+        np.testing.assert_array_equal(kf.P, kf.P.T)
+        # Relative to the units of the states, of which the highest derivatives have no like.
+        unit = np.sqrt(np.diag(kf.P))
+        assert np.linalg.eigvalsh(kf.P / np.outer(unit, unit))[0] > -1e-12
+    support.assert_all_finite(kf)
