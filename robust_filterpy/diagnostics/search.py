@@ -194,12 +194,12 @@ def unseen(model: LinearModel, z: Array) -> tuple[str, ...]:
 def _drawn(model: LinearModel, repair: Repair, rng: np.random.Generator) -> Array:
     """Return a recording of the repaired model, shape of z."""
     x = rng.multivariate_normal(model.x, model.P, method="eigh")
-    zs = np.empty(model.H.shape[:2])
+    zs = np.empty((len(model.H), model.H.shape[1]))
     for k in range(len(zs)):
         if k:
             w = rng.multivariate_normal(np.zeros(len(x)), repair.Q * model.Q[k], method="eigh")
             x = model.F[k] @ x + model.offset[k] + w
-        noise = rng.multivariate_normal(np.zeros(zs.shape[1]), model.R[k], method="eigh")
+        noise = rng.multivariate_normal(np.zeros(model.H.shape[1]), model.R[k], method="eigh")
         zs[k] = model.H[k] @ x + repair.R * noise
     return zs
 
