@@ -210,7 +210,7 @@ class FilterBank:
             C = (P.reshape(-1, d) @ H[0].T).reshape(n, d, m)
             y = z - x @ H[0].T
         else:
-            # A sensor without sight, whose noise is independent: it moves nothing, like one that is not there.
+            # A sensor whose row of H is zero and whose noise is independent moves nothing, like a missing one.
             H = H * seen[:, :, None]
             C = P @ H.transpose(0, 2, 1)
             y = np.where(seen, z, 0.0) - (H @ x[:, :, None])[:, :, 0]

@@ -250,7 +250,7 @@ def _run_compiled(
     if len(spans) < 2:
         done = [part(span) for span in spans]
     else:
-        # Compile, or load from the cache, before there are two who would.
+        # Compile, or load from the cache, in one thread, before two do the same work.
         dispatch.filter_series(size, choices, z, full, x, P, kept, every=every, span=(0, 0))
         with ThreadPoolExecutor(threads) as pool:
             done = list(pool.map(part, spans))
@@ -291,13 +291,13 @@ def _run_bank(
                 kept.log_likelihood[at] = np.nan
                 return
             if refused:
-                # Which of them it was, each tells alone.
+                # Filtered one by one, only the series at fault becomes NaN.
                 kept.log_likelihood[at] = 0.0
                 for s in part:
                     _run_bank(choices, z, model, x, P, kept, every, range(s, s + 1), start, skips)
                 return
             where = f"series {part.start}, " if len(part) == 1 else ""
-            # The bank counts its filters, which a series alone is the first and only of.
+            # The bank names its filter by number; a series that runs alone is always number 0.
             sentence = str(error).removeprefix("filter 0: ") if where else str(error)
             error.args = (f"{where}step {k}: {sentence}", *error.args[1:])
             raise

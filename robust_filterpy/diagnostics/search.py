@@ -11,9 +11,9 @@ from robust_filterpy._checks import Array
 from robust_filterpy.diagnostics.candidates import Repair, scores
 from robust_filterpy.diagnostics.recording import LinearModel
 
-# Noise of a hypothesis: what a healthy recording grants to the luckiest of a hundred candidates.
+# Log-likelihood that the best of a hundred wrong candidates may gain on a recording without fault.
 _GAIN = 12.0
-# A factor of a variance below this is nothing to trouble anybody with.
+# A factor of a variance below this is not reported.
 _FACTOR = 2.0
 _UNITS = (1e3, 1e-3, 1e2, 1e-2, 10.0, 0.1, 180 / np.pi, np.pi / 180, 3.6, 1 / 3.6, 0.3048, 1 / 0.3048, 1e6, 1e-6)
 _AT_MOST = 3
@@ -194,12 +194,13 @@ def unseen(model: LinearModel, z: Array) -> tuple[str, ...]:
 def _drawn(model: LinearModel, repair: Repair, rng: np.random.Generator) -> Array:
     """Return a recording of the repaired model, shape of z."""
     x = rng.multivariate_normal(model.x, model.P, method="eigh")
-    zs = np.empty((len(model.H), model.H.shape[1]))
-    for k in range(len(zs)):
+    N, m, n = model.H.shape
+    zs = np.empty((N, m))
+    for k in range(N):
         if k:
-            w = rng.multivariate_normal(np.zeros(len(x)), repair.Q * model.Q[k], method="eigh")
+            w = rng.multivariate_normal(np.zeros(n), repair.Q * model.Q[k], method="eigh")
             x = model.F[k] @ x + model.offset[k] + w
-        noise = rng.multivariate_normal(np.zeros(model.H.shape[1]), model.R[k], method="eigh")
+        noise = rng.multivariate_normal(np.zeros(m), model.R[k], method="eigh")
         zs[k] = model.H[k] @ x + repair.R * noise
     return zs
 

@@ -11,7 +11,7 @@ __all__ = ["EVERY", "OutlierShareWarning", "Share"]
 
 #: Only every so many updates are looked at, so that it costs nothing.
 EVERY = 4
-# Innovations that make a window, and updates.
+# Innovations, and updates, that a window needs at least.
 _NUMBERS, _UPDATES = 64, 16
 _warned: set[str] = set()
 
@@ -45,7 +45,7 @@ class Share:
         if self.numbers >= _NUMBERS and self.updates >= _UPDATES:
             share, numbers, keeps = self.clipped / self.numbers, self.numbers, self.kept > 0.75 * self.updates
             self.__init__()  # type: ignore[misc]
-            # Half of an ordinary window's unclipped innovations: a jump or a run of outliers fills no window so far.
+            # More than half of what psi expects unclipped is clipped; one jump or run of outliers does not reach that.
             if share > 0.5 and kf.scaling == "innovation" and type(kf).__name__ not in _warned:
                 expected = _expected(kf.influence, kf.grouping, len(e))
                 if share > 0.5 * (1.0 + expected):
