@@ -4,6 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+import support
 from filterpy.kalman import MerweScaledSigmaPoints
 
 from robust_filterpy import (
@@ -60,28 +61,24 @@ FILTERS = {
     "noise-matched": (NoiseMatchedKalmanFilter, ("recovers",)),
     "two-sided": (TwoSidedKalmanFilter, ("prediction", "memoryless")),
 }
-UNITS = "T is the symmetric root of S, which depends on the units of the sensors"
 ROUNDING = "filterpy's P - K S K' loses its sign in rounding"
+SIGMA_POINTS = "filterpy's sigma points are drawn before Q is added"
 EXPECTED = {
     "unscented": {"covariance_stays_one": ROUNDING},
     "cubature": {
         "covariance_stays_one": ROUNDING,
         "state_keeps_its_shape": "filterpy's turns a flat x into a column",
-        "innovation_and_its_covariance_are_shown": "filterpy's sigma points are drawn before Q is added",
+        "innovation_and_its_covariance_are_shown": SIGMA_POINTS,
     },
 }
+if not support.FILTERPY_2:
+    EXPECTED["unscented"]["innovation_and_its_covariance_are_shown"] = SIGMA_POINTS
 
 
 @pytest.mark.parametrize(
     ("name", "check"),
     [
-        pytest.param(
-            name,
-            check,
-            id=f"{name}-{check}",
-            # Until T is the root of the correlation matrix.
-            marks=[pytest.mark.xfail(reason=UNITS, strict=False)] if check.name == "units_change_nothing" else [],
-        )
+        pytest.param(name, check, id=f"{name}-{check}")
         for name, (_, not_claimed) in FILTERS.items()
         for check in filter_checks(not_claimed=not_claimed, expected_failures=EXPECTED.get(name))
     ],
