@@ -83,17 +83,9 @@ class Recursion:
                 setattr(place, name, value)
         self._scale = held[2]
 
-    def _step(self, y: float, u: Array, R: float | None) -> Sample:
-        """Advance by one checked sample."""
-        held = self._held()
-        try:
-            return self._stepped(y - self._centre, self._with_constant(u), R)
-        except BaseException:
-            self._put_back(held)
-            raise
-
     def _stepped(self, y: float, u: Array, R: float | None) -> Sample:
-        """Advance by one sample from the centre, with the constant in u."""
+        """Advance by one checked sample; the caller undoes what is refused or interrupted."""
+        y, u = y - self._centre, self._with_constant(u)
         kf, layout, memory, part = self.filter, self._layout, self._memory, self._layout.part
         inputs = memory.with_input(layout, u)
         H, outputs = memory.regressor(layout, inputs), memory.outputs
@@ -174,7 +166,7 @@ class Recursion:
         variances = repeat(None) if R is None else R[start:stop].tolist()
         try:
             for k, output, r in zip(range(start, stop), y[start:stop].tolist(), variances, strict=False):
-                out.prediction[k], out.residual[k], out.weights[k], out.guard[k] = self._step(output, u[k], r)
+                out.prediction[k], out.residual[k], out.weights[k], out.guard[k] = self._stepped(output, u[k], r)
                 out.theta[k], out.variance[k] = np.ravel(self.filter.x), np.diagonal(self.filter.P)
         except (ValueError, TypeError, np.linalg.LinAlgError) as error:
             error.args = (f"sample {k}: {error}", *error.args[1:])

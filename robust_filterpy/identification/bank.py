@@ -562,7 +562,7 @@ class TrackerBank:
         R = None if R is None else R[samples, i]
         try:
             result = Columns.empty(len(y), self._layout.n)
-            tracker._whole(y, u, R, result)
+            tracker._advance(y, u, R, result)
         except (ValueError, TypeError, np.linalg.LinAlgError) as error:
             head, _, rest = str(error).partition(": ")
             place = "" if first is None else f"sample {int(head.removeprefix('sample ')) + samples.start + first}: "

@@ -59,11 +59,13 @@ def followed(R: float, samples: float, mean: float, memory: float, nu: float, S:
     -------
     R, samples : float
     """
+    # A sample whose regressor overflows tells nothing of R.
+    if not S < 1e290:
+        return R, samples
     share = R / S
     gain = share * max(_PACE / memory, min(1.0, _FIRST / (samples + 1.0)))
     surprise = min(nu * nu / S, _REACH * _REACH) / mean - 1.0
-    # Rounding of y is noise too.
-    return max(R * math.exp(gain * surprise), 1e-28 * nu * nu, 1e-290), samples + share
+    return max(R * math.exp(gain * surprise), 1e-290), samples + share
 
 
 def ordinary_mean(influence: Any) -> float:

@@ -517,16 +517,21 @@ class ParameterTracker(Recursion):
         """
         variance = None if R is None else np.array([_checks.positive("R", R)])
         output, values = np.array([one_output(y)]), one_input(self.structure, u)[None]
-        if self._start is None:
-            sample = self._step(output.item(), values[0], None if variance is None else variance.item())
-        else:
-            out = Columns.empty(1, self._layout.n)
-            self._whole(output, values, variance, out)
-            sample = Sample(*(column[0].item() for column in out[2:]))
-        if self._is_watched:
-            weight, guard, residual = (np.array([v]) for v in (sample.weight, sample.guard, sample.residual))
-            self._say(self._watch.see(weight, guard, residual, self.R, self._has_offset))
-        return sample
+        held = self._held()
+        try:
+            if self._start is None:
+                sample = self._stepped(output.item(), values[0], None if variance is None else variance.item())
+            else:
+                out = Columns.empty(1, self._layout.n)
+                self._advance(output, values, variance, out)
+                sample = Sample(*(column[0].item() for column in out[2:]))
+            if self._is_watched:
+                weight, guard, residual = (np.array([v]) for v in (sample.weight, sample.guard, sample.residual))
+                self._say(self._watch.see(weight, guard, residual, self.R, self._has_offset))
+            return sample
+        except BaseException:
+            self._put_back(held)
+            raise
 
     def run(self, y: ArrayLike, u: ArrayLike | None = None, R: ArrayLike | None = None) -> TrackingResult:
         """Take a whole recording; the numbers are those of `update`, sample by sample.
@@ -561,28 +566,44 @@ class ParameterTracker(Recursion):
         signal = recorded_input(self.structure, u, output.size)
         variances = None if R is None else recorded_variance(R, output.size)
         out = Columns.empty(output.size, self._layout.n)
-        result = self._whole(output, signal, variances, out)
-        if self._is_watched:
-            self._say(self._watch.see(out.weights, out.guard, out.residual, self.R, self._has_offset))
-        return result
-
-    def _whole(self, y: Array, u: Array, R: Array | None, out: Columns) -> TrackingResult:
-        """Take all of a checked recording, or nothing of it."""
         before, held = self.state(), self._held()
         try:
-            k = 0
-            while self._start is not None and k < y.size:
-                part = slice(k, min(k + self._start.waits, y.size))
-                self._look_on(y, u, R, out, part)
-                k = part.stop
-            if k < y.size:
-                self._run_through(y, u, R, out, k, y.size)
+            self._advance(output, signal, variances, out)
+            if self._is_watched:
+                self._say(self._watch.see(out.weights, out.guard, out.residual, self.R, self._has_offset))
             std = np.sqrt(np.maximum(out.variance[:, self._own], 0.0))
             return TrackingResult(out.theta[:, self._own], std, out.prediction, out.residual, out.weights, out.guard)
         except BaseException:
             self._set_state(before)
             self._put_back(held)
             raise
+
+    def _advance(self, y: Array, u: Array, R: Array | None, out: Columns) -> None:
+        """Take a checked recording; the caller undoes what is refused or interrupted."""
+        k = 0
+        while self._start is not None and k < y.size:
+            part = slice(k, min(k + self._start.waits, y.size))
+            self._look_on(y, u, R, out, part)
+            k = part.stop
+        if k < y.size:
+            self._run_through(y, u, R, out, k, y.size)
+
+    def _held(self) -> tuple[Any, ...]:
+        """Return what a sample changes: arrays are replaced, never written into."""
+        start, watch = self._start, self._watch
+        kept = None if start is None else (start.y, start.u, start.waits)
+        own = {"_centre": self._centre, "_windup": self._windup, "_begun": self._begun, "_memory": self._memory}
+        return *super()._held(), own, start, kept, dict(vars(watch))
+
+    def _put_back(self, held: tuple[Any, ...]) -> None:
+        """Undo what was refused, or interrupted."""
+        *recursion, own, start, kept, watch = held
+        vars(self).update(own)
+        self._start = start
+        if start is not None:
+            start.y, start.u, start.waits = kept
+        vars(self._watch).update(watch)
+        super()._put_back(tuple(recursion))
 
     # The start.
 
