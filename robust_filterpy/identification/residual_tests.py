@@ -124,11 +124,11 @@ class Validation:
             several = len(excess) > 1
             worst = int(excess.max(axis=1).argmax())
             which = f"input {worst}" if several else "u"
-            found.append(f"dynamics are missing: residuals follow {which} at {_lags(excess[worst], 0)}")
+            found.append(f"dynamics are missing: residuals follow {which} at {_lags(excess[worst], 0, self.level)}")
         if self.whiteness.p_value < 1.0 - self.level:
             excess = np.abs(self.autocorrelation) / np.maximum(self.autocorrelation_bound, np.finfo(float).tiny)
             what = "" if found else "the noise is not white: "
-            found.append(f"{what}residuals follow one another at {_lags(excess, 1)}")
+            found.append(f"{what}residuals follow one another at {_lags(excess, 1, self.level)}")
         return "; ".join(found) or "nothing is left in the residuals"
 
     def to_text(self) -> str:
@@ -214,7 +214,9 @@ def validate(
     white = np.ones(1)
     auto, auto_bound, whiteness = score.tested(before, white, level)
     prepared, _ = model._prepared(y, u)
-    independence, cross, cross_bound = None, np.zeros((0, lags + 1)), np.zeros((0, lags + 1))
+    independence = None
+    cross: Array = np.zeros((0, lags + 1))
+    cross_bound: Array = np.zeros((0, lags + 1))
     if prepared.u.shape[1]:
         kernel = white if whiteness.p_value >= 1.0 - level else _covariances(score.v, lags)
         inputs = _delayed(prepared.u - prepared.u.mean(axis=0), range(lags + 1))
@@ -239,7 +241,7 @@ class _Score(NamedTuple):
     @classmethod
     def of(cls, model: Model, residual: Array, y: Any, u: Any) -> _Score:
         """Return the score of a recording."""
-        known = ~np.isnan(residual)
+        known: Any = ~np.isnan(residual)
         e = np.where(known, residual, 0.0)
         weights = model.noise.weights(e)
         v = np.where(known, weights * e, 0.0)
@@ -268,7 +270,7 @@ class _Score(NamedTuple):
         covariance = variance * (W.T @ (W if kernel.size == 1 else _smeared(W, kernel)))
         if not self.same_recording:
             entering = Z.T @ self.J
-            covariance = covariance + entering @ self.spread @ entering.T
+            covariance += entering @ self.spread @ entering.T
         size = np.sqrt(np.maximum(variance * self.known.sum() * gram.diagonal(), np.finfo(float).tiny))
         share = np.maximum(covariance.diagonal(), _LEFT * variance * gram.diagonal())
         bound = float(norm.ppf(0.5 + 0.5 * level)) * np.sqrt(share) / size
@@ -345,9 +347,10 @@ def _fits(model: Model, y: Array, u: Any, residual: Array, steps: int) -> tuple[
     )
 
 
-def _lags(excess: Array, first: int) -> str:
-    """Return the lags outside their bounds as "lags 3-6, 9"; the most correlated one if there is none."""
-    outside = np.flatnonzero(excess > 1.0)
+def _lags(excess: Array, first: int, level: float) -> str:
+    """Return the lags that are no accident, at this level for all together, as "lags 3-6, 9"; at least the largest."""
+    all_together = norm.isf(0.5 * (1.0 - level) / excess.size) / norm.isf(0.5 * (1.0 - level))
+    outside = np.flatnonzero(excess > all_together)
     outside = outside if outside.size else np.array([excess.argmax()])
     runs = [[int(k) for _, k in run] for _, run in groupby(enumerate(outside + first), lambda pair: pair[1] - pair[0])]
     text = ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs)
