@@ -38,6 +38,9 @@ if TYPE_CHECKING:
         OutputError,
         ParameterTracker,
         TrackerBank,
+        compare,
+        select_structure,
+        validate,
     )
     from robust_filterpy.identification.identify import identify
     from robust_filterpy.noise import estimate_noise, tune
@@ -61,14 +64,17 @@ _LAZY = {
     "RobustUnscentedKalmanFilter": "filters",
     "TrackerBank": "identification",
     "TwoSidedKalmanFilter": "filters",
+    "compare": "identification",
     "diagnose": "diagnostics",
     "estimate_noise": "noise",
     "filter_series": "batch",
     "identify": "identification",
     "robust": "filters",
+    "select_structure": "identification",
     "smooth": "smoothing",
     "smooth_series": "smoothing",
     "tune": "noise",
+    "validate": "identification",
 }
 __all__ = [
     "ARMAX",
@@ -96,14 +102,17 @@ __all__ = [
     "TukeyBiweight",
     "TwoSidedKalmanFilter",
     "__version__",
+    "compare",
     "diagnose",
     "estimate_noise",
     "filter_series",
     "identify",
     "robust",
+    "select_structure",
     "smooth",
     "smooth_series",
     "tune",
+    "validate",
 ]
 
 

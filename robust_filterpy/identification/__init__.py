@@ -16,6 +16,9 @@
 * `model`: what `identify` returns; with `prediction` through outliers.
 * `guard`: keeping a model that feeds back its own output stable.
 * `validation`: how well a model agrees with a recording.
+* `selection`: its orders and its delay, by an information criterion.
+* `residual_tests`: whether anything is left in its residuals.
+* `comparison`: which of several models is the best.
 
 Imports from below: `influence`, `correction`, `compiled`, `filters`, `batch`.
 """
@@ -23,9 +26,12 @@ Imports from below: `influence`, `correction`, `compiled`, `filters`, `batch`.
 from __future__ import annotations
 
 from robust_filterpy.identification.bank import BankResult, BankSample, TrackerBank
+from robust_filterpy.identification.comparison import Comparison, compare
 from robust_filterpy.identification.identify import identify
 from robust_filterpy.identification.model import Model
+from robust_filterpy.identification.residual_tests import Validation, validate
 from robust_filterpy.identification.results import Coefficients, Intervals, Sample, TrackingResult
+from robust_filterpy.identification.selection import Selection, select_structure
 from robust_filterpy.identification.structures import ARMAX, ARX, FIR, LinearRegression, OutputError
 from robust_filterpy.identification.tracker import ParameterTracker
 from robust_filterpy.identification.watch import LostTrackerWarning
@@ -41,6 +47,7 @@ __all__ = [
     "BankResult",
     "BankSample",
     "Coefficients",
+    "Comparison",
     "Intervals",
     "LinearRegression",
     "LostTrackerWarning",
@@ -48,7 +55,12 @@ __all__ = [
     "OutputError",
     "ParameterTracker",
     "Sample",
+    "Selection",
     "TrackerBank",
     "TrackingResult",
+    "Validation",
+    "compare",
     "identify",
+    "select_structure",
+    "validate",
 ]

@@ -282,9 +282,30 @@ class Model:
         ValueError, TypeError
             If y or u does not fit, y is constant, or the model overflows.
         """
-        model, known = self._prepared(y, u)
-        free = self._from_inputs(model, known)
-        return fit_percent(recorded_output(y)[model.first :], free[model.first :])
+        measured, free = recorded_output(y), self.free_run(y, u)
+        return fit_percent(np.where(np.isnan(free), np.nan, measured), np.nan_to_num(free))
+
+    def free_run(self, y: ArrayLike, u: ArrayLike | None) -> Array:
+        """Compute the output from inputs alone, beginning with what was in motion when the recording began.
+
+        Parameters
+        ----------
+        y : array_like, shape (N,)
+            Measured output, which tells that motion; NaN where it is missing.
+        u : array_like, shape (N,) or (N, n_inputs)
+            Input.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            NaN in the first samples, whose regressors lie before the recording.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If y or u does not fit, or the model overflows.
+        """
+        return self._from_inputs(*self._prepared(y, u))
 
     # What comes next.
 

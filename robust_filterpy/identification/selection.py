@@ -1,0 +1,413 @@
+"""select_structure: the orders and the delay of a model, by a robust information criterion.
+
+All structures are compared on the same samples: the recording is cut for each of them such that its first residual
+belongs to the same sample. Their residuals have the noise that `learnt_noise` learns from them, by the same rule:
+
+    criterion = -2 log-likelihood + price n,   price = log(samples) for "bic", 2 for "aic"
+
+An outlier costs a bounded number of units of log-likelihood, whichever model it is held against (Ronchetti 1985,
+Machado 1993): a residual beyond all that y varies counts as one of that size, and an outlier that an ARX or ARMAX holds
+in its regressor costs what `cleaning` asks of one.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import norm
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+from robust_filterpy.identification._signals import recorded_input, recorded_output
+from robust_filterpy.identification.identify import identify
+from robust_filterpy.identification.learnt_noise import ContaminatedNormal, Noise, mad_scale
+from robust_filterpy.identification.model import Model
+from robust_filterpy.identification.structures import ARMAX, ARX, FIR, OutputError, Structure
+from robust_filterpy.identification.validation import ordinary_fit, ordinary_samples
+
+__all__ = ["Candidate", "ImpulseResponse", "Selection", "select_structure"]
+
+_Kind = type[OutputError] | type[ARX] | type[ARMAX]
+
+_CRITERIA: Final = {"bic": math.log, "aic": lambda samples: 2.0}
+# So many samples of the impulse response after the longest delay, and so many measured samples for each of them.
+_TAIL: Final = 30
+_SAMPLES_EACH: Final = 5
+# Chance that noise alone leaves the band of the impulse response anywhere.
+_FALSE_DELAY: Final = 0.05
+# What lies so many times outside the band is no accident.
+_SURE: Final = 2.0
+# An outlier in the regressor is as unlikely as a residual of so many standard deviations.
+_OUTLIER: Final = 3.2
+# A larger residual, in standard deviations of y, is as wild as this one.
+_WILD: Final = 10.0
+# Steps of expectation-maximisation, enough to settle.
+_NOISE_STEPS: Final = 50
+
+
+class Candidate(NamedTuple):
+    """One structure of the table.
+
+    Structures whose first b is worth its price come before those whose first b is 0 within the noise.
+
+    Attributes
+    ----------
+    structure : Structure
+        The structure.
+    criterion : float
+        Its information criterion; the least is the best.
+    fit : float
+        Fit of the output from inputs alone, or without input of the prediction one step ahead, on ordinary samples.
+    log_likelihood : float
+        Of the prediction errors on the samples that all structures share.
+    shows_delay : bool
+        Whether the first b is as many standard deviations from 0 as the criterion asks of a further parameter. Without
+        it the delay of the structure is shorter than the recording shows.
+    """
+
+    structure: Structure
+    criterion: float
+    fit: float
+    log_likelihood: float
+    shows_delay: bool
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """By which the table is sorted."""
+        return not self.shows_delay, self.criterion
+
+
+class ImpulseResponse(NamedTuple):
+    """What the output does after a unit impulse of the input, by robust regression.
+
+    Attributes
+    ----------
+    lags : ndarray of int, shape (n,)
+        Samples after the impulse.
+    values : ndarray, shape (n,)
+        Response, in units of y over u.
+    band : ndarray, shape (n,)
+        Where the response is 0, the values of all lags lie within -+ band with a probability of 95 %.
+    """
+
+    lags: Any
+    values: Array
+    band: Array
+
+    @property
+    def delay(self) -> int | None:
+        """The first lag outside the band, None if there is none."""
+        return self._first_outside(1.0)
+
+    @property
+    def sure_delay(self) -> int | None:
+        """The first lag far outside the band, None if there is none."""
+        return self._first_outside(_SURE)
+
+    def _first_outside(self, bands: float) -> int | None:
+        """Return the first lag outside so many bands."""
+        outside = np.abs(self.values) > bands * self.band
+        return int(self.lags[outside.argmax()]) if outside.any() else None
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Structures of a recording, the best first.
+
+    Attributes
+    ----------
+    rows : tuple of Candidate
+        The structures that were tried, sorted by their criterion.
+    best : Model
+        The model of the first, identified from the whole recording.
+    criterion : str
+        "bic" or "aic".
+    samples : int
+        How many samples the structures were compared on.
+    impulse_response : ImpulseResponse or None
+        What the search for the delay began with; None without input, or where the input excites too little for it.
+    """
+
+    rows: tuple[Candidate, ...]
+    best: Model
+    criterion: str
+    samples: int
+    impulse_response: ImpulseResponse | None
+
+    def to_text(self, rows: int = 10) -> str:
+        """Return the first rows as a table.
+
+        Parameters
+        ----------
+        rows : int, default 10
+            How many.
+
+        Returns
+        -------
+        str
+        """
+        lines = [f"{'structure':<38}{self.criterion:>12}{'above best':>12}{'fit, %':>9}{'log-likelihood':>16}"]
+        for row in self.rows[: _checks.count("rows", rows, 1)]:
+            above = row.criterion - self.rows[0].criterion
+            values = f"{row.criterion:>12.1f}{above:>12.1f}{row.fit:>9.2f}{row.log_likelihood:>16.1f}"
+            lines.append(f"{row.structure!s:<38}{values}{'' if row.shows_delay else '  first b is 0'}")
+        return "\n".join(lines)
+
+    def __str__(self) -> str:
+        """Return the table."""
+        return self.to_text()
+
+
+def select_structure(
+    y: ArrayLike,
+    u: ArrayLike | None,
+    kind: _Kind = OutputError,
+    na: Iterable[int] = range(1, 5),
+    nb: Iterable[int] | None = None,
+    nk: Iterable[int] = range(9),
+    criterion: str = "bic",
+) -> Selection:
+    """Find the orders and the delay of a recording with outliers.
+
+    Parameters
+    ----------
+    y : array_like, shape (N,)
+        Measured output; NaN where it is missing.
+    u : array_like, shape (N,) or (N, 1), or None
+        Input; None for an ARX or ARMAX without input.
+    kind : type, default OutputError
+        OutputError, ARX or ARMAX; an ARMAX has as many c's as a's.
+    na : iterable of int, default range(1, 5)
+        Numbers of a's to try.
+    nb : iterable of int, optional
+        Numbers of b's to try. Default: as many as a's.
+    nk : iterable of int, default range(9)
+        Delays to try.
+    criterion : {"bic", "aic"}, default "bic"
+        "bic" finds the true structure of a long recording, "aic" prefers predictions to parsimony.
+
+    Returns
+    -------
+    Selection
+        What was tried, the best first, and the best model.
+
+    Raises
+    ------
+    ValueError
+        If a range is empty, kind or criterion is unknown, u has several inputs, or the recording is too short for the
+        largest structure.
+    TypeError
+        If an order is no integer.
+
+    Notes
+    -----
+    A robust impulse response tells the delay first: its first sample outside its band, and the first far outside.
+    All orders are tried with these delays, then the neighbours of the best (an order or the delay one more or one
+    less), until none is better. A first b too small for the band is found then, by the likelihood. A structure
+    whose first b is 0 within the noise comes after all others: it has a longer delay. Where the input does not
+    excite a long impulse response, all delays are tried with all orders.
+
+    References
+    ----------
+    .. [1] Ronchetti, E. Robust model selection in regression. Statistics & Probability Letters 3 (1985) 21-23.
+    .. [2] Machado, J. A. F. Robust model selection and M-estimation. Econometric Theory 9 (1993) 478-493.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from robust_filterpy.noise import EpsilonContaminated
+    >>> from robust_filterpy.plants import simulate_output_error
+    >>> u = np.random.default_rng(1).choice([-1.0, 1.0], 1000)
+    >>> noise = EpsilonContaminated(0.1, 0.3, 3.0)
+    >>> y = simulate_output_error([-1.5, 0.7, 1.0, 0.5], u, noise=noise, rng=3, na=2, nb=2).y
+    >>> y = np.concatenate((np.zeros(3), y[:-3]))
+    >>> select_structure(y, u, na=range(1, 4)).best.structure
+    OutputError(na=2, nb=2, nk=4)
+    """
+    if kind not in (OutputError, ARX, ARMAX):
+        raise ValueError(
+            f"kind: expected OutputError, ARX or ARMAX, got {_checks.shown(kind)}; "
+            "a FIR is an OutputError or ARX with na=[0] and nb=range(..)"
+        )
+    if _checks.option("criterion", criterion, _CRITERIA) and kind is OutputError and u is None:
+        raise ValueError("u: expected an input for an OutputError, got None; take kind=ARX or kind=ARMAX without one")
+    grid = _Grid.of(kind, na, nb, nk, u is not None)
+    measured = recorded_output(y)
+    signal = np.zeros((measured.size, 0)) if u is None else _one_input(u, measured.size)
+    comparison = _Comparison(grid, measured, signal, criterion)
+    response = None if u is None else _impulse_response(measured, signal, grid)
+    delays = set() if response is None else {response.delay, response.sure_delay} - {None}
+    for orders in grid.beginning(delays):
+        comparison.try_out(orders)
+    best = None
+    while best != comparison.best:
+        best = comparison.best
+        for orders in grid.neighbours(best):
+            comparison.try_out(orders)
+    model = identify(measured, None if u is None else signal, grid.structure(best))
+    return Selection(comparison.rows(), model, criterion, comparison.samples, response)
+
+
+class _Orders(NamedTuple):
+    """Number of a's, of b's and the delay."""
+
+    na: int
+    nb: int
+    nk: int
+
+
+class _Grid(NamedTuple):
+    """What may be tried."""
+
+    kind: _Kind
+    na: tuple[int, ...]
+    nb: tuple[int, ...] | None
+    nk: tuple[int, ...]
+
+    @classmethod
+    def of(cls, kind: _Kind, na: Any, nb: Any, nk: Any, has_input: bool) -> _Grid:
+        """Return checked orders; no b's and one delay without input."""
+        orders = _range("na", na, 0)
+        if not has_input:
+            return cls(kind, orders, (0,), (0,))
+        if nb is None and 0 in orders:
+            raise ValueError("nb: expected the numbers of b's to try where na holds 0, got None; say nb=range(1, 5)")
+        return cls(kind, orders, None if nb is None else _range("nb", nb, 1), _range("nk", nk, 0))
+
+    def structure(self, orders: _Orders) -> Structure:
+        """Return the structure of these orders."""
+        if self.kind is ARMAX:
+            return ARMAX(orders.na, orders.nb, orders.na, orders.nk)
+        return self.kind(orders.na, orders.nb, orders.nk)
+
+    def beginning(self, found: set[int | None]) -> Iterator[_Orders]:
+        """Yield all orders with the delays that were found, or with all delays."""
+        delays = sorted({min(self.nk, key=lambda lag: abs(lag - delay)) for delay in found if delay is not None})
+        for n in self.na:
+            m = n if self.nb is None else min(self.nb, key=lambda m: abs(m - n))
+            yield from (_Orders(n, m, lag) for lag in delays or self.nk)
+
+    def neighbours(self, orders: _Orders) -> Iterator[_Orders]:
+        """Yield the orders of which one is the next one up or down."""
+        for name, values in (("na", self.na), ("nb", self.nb), ("nk", self.nk)):
+            if values is None:
+                continue
+            place = values.index(getattr(orders, name))
+            for value in values[max(place - 1, 0) : place + 2]:
+                found = orders._replace(**{name: value})
+                yield found._replace(nb=found.na) if self.nb is None else found
+
+    @property
+    def first(self) -> int:
+        """The first sample that every structure can predict."""
+        return max(self.na[-1], self.nk[-1] + (self.nb or self.na)[-1] - 1)
+
+
+class _Tried(NamedTuple):
+    """A row of the table without its fit, and the signals that the fit is computed from."""
+
+    row: Candidate
+    residual: Array
+    output: Array
+
+
+class _Comparison:
+    """The structures that were tried, on the same samples."""
+
+    def __init__(self, grid: _Grid, y: Array, u: Array, criterion: str) -> None:
+        """Keep the recording."""
+        self.grid, self.y, self.u, self.criterion = grid, y, u, criterion
+        self.tried: dict[_Orders, _Tried] = {}
+        self.samples = int(np.isfinite(y[grid.first :]).sum())
+        known = y[~np.isnan(y)]
+        # Without a limit where more than half of the samples are equal.
+        self.wild = (_WILD * mad_scale(known - np.median(known)) if known.size else 0.0) or np.inf
+
+    @property
+    def best(self) -> _Orders:
+        """The orders that come first."""
+        return min(self.tried, key=lambda orders: self.tried[orders].row.rank)
+
+    def try_out(self, orders: _Orders) -> None:
+        """Identify a structure unless it was, and keep its criterion, log-likelihood, residuals and output."""
+        if orders in self.tried:
+            return
+        structure, first = self.grid.structure(orders), self.grid.first
+        regressed = 0 if structure.uses_model_output else orders.na
+        before = max(regressed, orders.nk + orders.nb - 1)
+        y, u = self.y[first - before :], self.u[first - before :] if orders.nb else None
+        with warnings.catch_warnings():
+            # A structure with too many parameters leaves the model open; the best one warns again.
+            warnings.simplefilter("ignore", UserWarning)
+            model = identify(y, u, structure)
+        residual = model.residuals(y, u)
+        output = y - residual if u is None else model.free_run(y, u)
+        residual, output = residual[before:], output[before:]
+        likelihood = self._cleaned_likelihood(model) if regressed else self._log_likelihood(residual)
+        price = _CRITERIA[self.criterion](self.samples)
+        value = -2.0 * likelihood + price * (structure.n_theta + 1)
+        shows_delay = not orders.nb or bool(model.theta[orders.na] ** 2 > price * model.P[orders.na, orders.na])
+        row = Candidate(structure, value, float("nan"), likelihood, shows_delay)
+        self.tried[orders] = _Tried(row, residual, output)
+
+    def _log_likelihood(self, residual: Array) -> float:
+        """Return the log-likelihood of residuals of which no outlier touches another one."""
+        known = np.clip(residual[~np.isnan(residual)], -self.wild, self.wild)
+        start = Noise(ContaminatedNormal(), max(mad_scale(known) ** 2, np.finfo(float).tiny))
+        return start.refitted(known, _NOISE_STEPS).log_likelihood(known)
+
+    def _cleaned_likelihood(self, model: Model) -> float:
+        """Return the log-likelihood of residuals of the cleaned output, less what the outliers cost."""
+        return model.log_likelihood - 0.5 * _OUTLIER**2 * int((model.weights == 0.0).sum())
+
+    def rows(self) -> tuple[Candidate, ...]:
+        """Return the table; the ordinary samples are those of the best model."""
+        ordinary = ordinary_samples(self.tried[self.best].residual)
+        y = self.y[self.grid.first :]
+        rows = [row._replace(fit=ordinary_fit(y, output, ordinary)) for row, _, output in self.tried.values()]
+        return tuple(sorted(rows, key=lambda row: row.rank))
+
+
+def _range(name: str, values: Any, least: int) -> tuple[int, ...]:
+    """Return sorted orders or raise."""
+    if isinstance(values, (int, np.integer)):
+        values = (values,)
+    if not isinstance(values, Iterable) or isinstance(values, str):
+        raise TypeError(f"{name}: expected integers to try such as range(1, 5), got {_checks.shown(values)}")
+    orders = sorted({_checks.count(f"{name}[{i}]", value, least) for i, value in enumerate(values)})
+    if not orders:
+        raise ValueError(f"{name}: expected at least one integer to try, got an empty range")
+    return tuple(orders)
+
+
+def _one_input(u: Any, length: int) -> Array:
+    """Return a recorded input, shape (N, 1), or raise."""
+    signal = np.asarray(u)
+    if signal.ndim == 2 and min(signal.shape) > 1:
+        raise ValueError(
+            f"u: expected one input, got shape {signal.shape}; select_structure does not search the orders of several "
+            "inputs: compare the log-likelihoods of models that identify finds"
+        )
+    return recorded_input(FIR(1), u, length)
+
+
+def _impulse_response(y: Array, u: Array, grid: _Grid) -> ImpulseResponse | None:
+    """Return the robust impulse response, None where the recording does not tell it."""
+    present = int(np.isfinite(y).sum())
+    start = grid.nk[0]
+    length = min(grid.nk[-1] - start + _TAIL, present // _SAMPLES_EACH)
+    if length < grid.nk[-1] - start + 1:
+        return None
+    try:
+        model = identify(y, u, FIR(length, start))
+    except ValueError:
+        # The input does not excite so many samples, or y is not good for any model, which the first of them will say.
+        return None
+    level = norm.ppf(1.0 - 0.5 * _FALSE_DELAY / length)
+    return ImpulseResponse(np.arange(start, start + length), model.theta, level * model.std)

@@ -1,0 +1,205 @@
+"""validate and compare: nominal false alarms whatever the contamination, and what is missing is named."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from statsmodels.stats.diagnostic import acorr_ljungbox
+
+from robust_filterpy import ARX, FIR, Linear, OutputError, compare, identify, validate
+
+A, B = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5]
+THETA = np.array([-1.5, 0.7, 1.0, 0.5])
+LEVELS = (0.05, 0.2, 0.5)
+
+
+def recorded(seed, share=0.1, length=400, noise=(1.0,), b=B):
+    rng = np.random.default_rng(seed)
+    u = rng.choice([-1.0, 1.0], length)
+    wild = np.where(rng.random(length) < share, 10.0, 1.0)
+    return lfilter(b, A, u) + lfilter([1.0], noise, 0.3 * rng.normal(size=length)) * wild, u
+
+
+def assert_nominal(p_values):
+    """Shares below each level within 5 standard errors."""
+    p_values = np.array(p_values)
+    for level in LEVELS:
+        error = np.sqrt(level * (1.0 - level) / p_values.size)
+        assert abs((p_values < level).mean() - level) < 5.0 * error, f"{(p_values < level).mean()} below {level}"
+
+
+@pytest.fixture(scope="module")
+def model():
+    return identify(*recorded(0, length=2000), OutputError(2, 2))
+
+
+# False alarms.
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.2])
+def test_the_false_alarm_rate_is_nominal_for_the_true_parameters(model, share):
+    truth = replace(model, theta=THETA, offset=0.0, P=np.zeros((4, 4)), offset_std=0.0, offset_covariance=np.zeros(4))
+    found = [validate(truth, *recorded([1, seed], share), steps=1) for seed in range(300)]
+    assert_nominal([one.whiteness.p_value for one in found])
+    assert_nominal([one.independence.p_value for one in found])
+    outside = np.mean([np.abs(one.autocorrelation) > one.autocorrelation_bound for one in found])
+    assert abs(outside - 0.01) < 5.0 * np.sqrt(0.01 / 6000)
+    outside = np.mean([np.abs(one.cross_correlation) > one.cross_bound for one in found])
+    assert abs(outside - 0.01) < 5.0 * np.sqrt(0.01 / 6300)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.2])
+def test_the_false_alarm_rate_is_nominal_after_the_fit_and_on_a_fresh_recording(share):
+    structure, same, fresh = FIR(3), [], []
+    b = [0.0, 1.0, 0.5, 0.2]
+    for seed in range(150):
+        y, u = moving(seed, share, b)
+        one = identify(y, u, structure)
+        same.append(validate(one, y, u, steps=1))
+        fresh.append(validate(one, *moving(1000 + seed, share, b), steps=1))
+    assert all(one.same_recording for one in same) and not any(one.same_recording for one in fresh)
+    for found in (same, fresh):
+        assert_nominal([one.whiteness.p_value for one in found])
+        assert_nominal([one.independence.p_value for one in found])
+    # The fit has made three of the 21 cross-correlations zero.
+    assert {one.independence.degrees for one in same} == {18} and {one.independence.degrees for one in fresh} == {21}
+
+
+def moving(seed, share, b, length=300):
+    rng = np.random.default_rng([2, seed])
+    u = rng.choice([-1.0, 1.0], length)
+    return lfilter(b, [1.0], u) + 0.3 * np.where(rng.random(length) < share, 10.0, 1.0) * rng.normal(size=length), u
+
+
+def test_gaps_raise_no_alarm(model):
+    y, u = recorded(3, length=1000)
+    y[np.random.default_rng(0).random(1000) < 0.3] = np.nan
+    found = validate(model, y, u)
+    assert found.verdict == "nothing is left in the residuals"
+    assert found.samples == np.isfinite(model.residuals(y, u)).sum()
+
+
+def test_one_wild_sample_moves_no_correlation(model):
+    y, u = recorded(4)
+    before = validate(model, y, u)
+    y[200] = 1e9
+    after = validate(model, y, u)
+    np.testing.assert_allclose(after.autocorrelation, before.autocorrelation, atol=0.1)
+    np.testing.assert_allclose(after.cross_correlation, before.cross_correlation, atol=0.1)
+    assert after.verdict == before.verdict
+
+
+def test_without_outliers_the_statistic_is_that_of_ljung_and_box():
+    y, u = recorded(5, share=0.0, length=2000)
+    one = identify(y, u, OutputError(2, 2), influence=Linear())
+    found = validate(one, *recorded(6, share=0.0, length=2000), lags=10)
+    residual = one.residuals(*recorded(6, share=0.0, length=2000))
+    peer = acorr_ljungbox(residual[~np.isnan(residual)], lags=[10])
+    assert found.whiteness.statistic == pytest.approx(float(peer.lb_stat.iloc[0]), rel=0.1)
+    assert found.whiteness.degrees == 10
+
+
+# What is wrong.
+
+
+def test_missing_dynamics_are_named_with_their_lags():
+    b = [0.0, 1.0, 0.5, 0.2, 0.4, 0.3]
+    y, u = moving(1, 0.1, b, 2000)
+    found = validate(identify(y, u, FIR(3)), y, u)
+    assert re.match(r"dynamics are missing: residuals follow u at lags 4-5", found.verdict)
+    assert "nothing is left" in validate(identify(y, u, FIR(5)), y, u).verdict
+
+
+def test_coloured_noise_is_named_and_is_no_missing_dynamics():
+    alarms = 0
+    for seed in range(20):
+        y, u = recorded([7, seed], 0.0, 1000, noise=(1.0, -0.8))
+        found = validate(identify(y, u, OutputError(2, 2)), y, u)
+        assert found.verdict.split(";")[-1].strip().startswith(("the noise is not white: ", "residuals follow one"))
+        alarms += "dynamics" in found.verdict
+    assert alarms <= 3
+
+
+def test_an_arx_model_of_its_own_noise_passes():
+    rng = np.random.default_rng(8)
+    u = rng.choice([-1.0, 1.0], 2000)
+    y = lfilter(B, A, u) + lfilter([1.0], A, 0.3 * rng.normal(size=2000))
+    assert validate(identify(y, u, ARX(2, 2)), y, u).verdict == "nothing is left in the residuals"
+    assert "residuals follow" in validate(identify(y, u, ARX(1, 2)), y, u).verdict
+    alone = validate(identify(y, None, ARX(4, 0)), y)
+    assert alone.independence is None and [fit.kind for fit in alone.fits] == ["1 step", "10 steps"]
+
+
+def test_fits_of_ordinary_samples_are_those_without_the_outliers(model):
+    y, u = recorded(9, share=0.0, length=1000)
+    wild = y.copy()
+    wild[::50] += 50.0
+    clean, found = validate(model, y, u), validate(model, wild, u)
+    for one, other in zip(found.fits, clean.fits, strict=True):
+        assert one.kind == other.kind
+        assert one.ordinary == pytest.approx(other.ordinary, abs=0.2)
+        assert one.all < other.all - 20.0
+    assert clean.fits[-1].all == pytest.approx(model.fit(y, u))
+    assert found.verdict in str(found) and "free run" in found.to_text()
+
+
+def test_every_input_of_several_is_tested():
+    rng = np.random.default_rng(10)
+    u = rng.choice([-1.0, 1.0], (1000, 2))
+    y = u[:, 0] + np.concatenate(([0.0, 0.0], 0.5 * u[:-2, 1])) + 0.3 * rng.normal(size=1000)
+    found = validate(identify(y, u, FIR((2, 2), nk=0)), y, u)
+    assert found.cross_correlation.shape == (2, 21)
+    assert "residuals follow input 1 at lag 2" in found.verdict
+
+
+# compare.
+
+
+def test_models_are_sorted_by_their_fit_on_the_same_ordinary_samples(model):
+    y, u = recorded(11, length=1000)
+    y[:3] = np.nan
+    models = {"small": identify(y, u, OutputError(1, 1)), "right": model, "late": identify(y, u, OutputError(2, 2, 3))}
+    found = compare(models, y, u)
+    assert found.rows[0].name == "right"
+    assert [row.fit for row in found.rows] == sorted((row.fit for row in found.rows), reverse=True)
+    residual = model.residuals(y, u)
+    assert found.samples == np.isfinite(models["late"].residuals(y, u)).sum() < np.isfinite(residual).sum()
+    good = np.abs(residual) < 3.0 * 1.4826 * np.nanmedian(np.abs(residual[4:]))
+    assert found.ordinary == good[4:].sum()
+    good[:4] = False
+    expected = 100 * (1 - np.linalg.norm(residual[good]) / np.linalg.norm(y[good] - y[good].mean()))
+    assert found.rows[0].fit == pytest.approx(expected)
+    assert str(found).splitlines()[1].startswith("right")
+
+
+# Bad input.
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"lags": 0}, ValueError, "lags"),
+        ({"lags": 200}, ValueError, "y: expected at least 804"),
+        ({"level": 1.0}, ValueError, "level"),
+        ({"steps": 1.5}, TypeError, "steps"),
+    ],
+)
+def test_bad_options_are_refused_by_name(model, options, error, message):
+    with pytest.raises(error, match=message):
+        validate(model, *recorded(0), **options)
+
+
+def test_what_is_no_model_is_refused_by_name(model):
+    y, u = recorded(0)
+    with pytest.raises(TypeError, match="model: expected a Model"):
+        validate(OutputError(2, 2), y, u)
+    with pytest.raises(TypeError, match=r"models\['a'\]: expected a Model"):
+        compare({"a": 3}, y, u)
+    with pytest.raises(TypeError, match="models: expected"):
+        compare([model], y, u)
+    with pytest.raises(ValueError, match="models: expected at least one"):
+        compare({}, y, u)
+    with pytest.raises(ValueError, match="u: expected 400 samples"):
+        validate(model, y, u[:-1])

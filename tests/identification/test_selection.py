@@ -1,0 +1,134 @@
+"""select_structure: the delay and the orders that made the recording, through outliers, on the same samples for all."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from statsmodels.tsa.ar_model import AutoReg
+
+from robust_filterpy import select_structure
+from robust_filterpy.identification import ARMAX, ARX, FIR, OutputError, identify
+
+A, B = [1.0, -1.5, 0.7], [1.0, 0.5]
+
+
+def recorded(seed=0, delay=4, share=0.1, length=1000, a=A, b=B):
+    rng = np.random.default_rng([seed, delay])
+    u = rng.choice([-1.0, 1.0], length)
+    clean = lfilter([*[0.0] * delay, *b], a, u)
+    return clean + 0.3 * np.where(rng.random(length) < share, 10.0, 1.0) * rng.normal(size=length), u
+
+
+@pytest.mark.parametrize("delay", [0, 1, 8])
+def test_delay_and_orders_are_found_through_outliers(delay):
+    selection = select_structure(*recorded(delay=delay), na=range(1, 4))
+    assert selection.best.structure == OutputError(2, 2, delay)
+    assert selection.impulse_response.sure_delay == delay
+
+
+def test_a_first_b_below_the_band_is_found_by_the_likelihood():
+    y, u = recorded(4, b=[0.02, 1.0, 0.5], length=2000)
+    selection = select_structure(y, u, na=[2], nb=[3])
+    assert selection.impulse_response.delay == 5
+    assert selection.best.structure.nk == 4
+
+
+def test_wild_outliers_and_gaps_change_no_choice():
+    y, u = recorded(1)
+    y[::17] = 1e6
+    y[100:130] = np.nan
+    assert select_structure(y, u, na=range(1, 4)).best.structure == OutputError(2, 2, 4)
+
+
+def test_all_structures_have_the_same_samples():
+    y, u = recorded(length=400)
+    y[50:60] = np.nan
+    narrow = select_structure(y, u, na=[2], nk=[3, 4])
+    assert narrow.samples == 400 - 5 - 10
+    # As if the samples that only the largest structure cannot predict were never recorded: the criterion is that of
+    # residuals from sample 5 on, for every delay.
+    for row in narrow.rows:
+        first = 5 - (row.structure.nk + 1)
+        model = identify(y[first:], u[first:], row.structure)
+        assert np.isfinite(model.residuals(y[first:], u[first:])).sum() == narrow.samples
+        assert row.log_likelihood == pytest.approx(model.log_likelihood, abs=0.5)
+
+
+def test_rows_are_sorted_and_the_criterion_is_the_likelihood_with_its_price():
+    y, u = recorded(length=500)
+    for name, price in (("bic", None), ("aic", 2.0)):
+        selection = select_structure(y, u, na=range(1, 4), nk=[3, 4, 5], criterion=name)
+        ranks = [row.rank for row in selection.rows]
+        assert ranks == sorted(ranks) and len({row.structure for row in selection.rows}) == len(ranks)
+        price = price or np.log(selection.samples)
+        for row in selection.rows:
+            assert row.criterion == pytest.approx(-2.0 * row.log_likelihood + price * (row.structure.n_theta + 1))
+        assert str(selection.rows[0].structure) in str(selection).splitlines()[1]
+        assert len(selection.to_text(rows=2).splitlines()) == 3
+
+
+def test_numbers_of_a_and_b_of_their_own():
+    y, u = recorded(a=[1.0, -0.8], b=[1.0, 0.7, 0.4])
+    assert select_structure(y, u, na=range(3), nb=range(1, 5)).best.structure == OutputError(1, 3, 4)
+
+
+@pytest.mark.parametrize("kind", [ARX, ARMAX])
+def test_equation_error_models(kind):
+    rng = np.random.default_rng(5)
+    u = rng.choice([-1.0, 1.0], 800)
+    noise = 0.3 * rng.normal(size=800)
+    c = [1.0, 0.7, 0.3] if kind is ARMAX else [1.0]
+    y = lfilter([0.0, 0.0, *B], A, u) + lfilter(c, A, noise)
+    y[::40] += 20.0
+    found = select_structure(y, u, kind, na=range(1, 4), nk=range(5)).best.structure
+    assert isinstance(found, kind) and (found.na, found.nk) == (2, 2)
+
+
+def test_without_input_the_order_is_that_of_statsmodels():
+    y = lfilter([1.0], A, np.random.default_rng(7).normal(size=1000))
+    selection = select_structure(y, None, ARX, na=range(1, 5))
+    orders = range(1, 5)
+    reference = min(orders, key=lambda n: AutoReg(y, n, hold_back=4).fit().bic)
+    assert selection.best.structure == ARX(reference, 0, 0)
+    # The mixture has a share of outliers that normal noise does not need: a little less likely, for all alike.
+    for row in selection.rows:
+        assert row.log_likelihood == pytest.approx(AutoReg(y, row.structure.na, hold_back=4).fit().llf, abs=2.0)
+
+
+def test_an_input_that_excites_few_lags_tries_all_delays():
+    t = np.arange(800)
+    u = np.sin(0.2 * t) + np.sin(0.9 * t) + np.sin(1.9 * t)
+    y = lfilter([0.0, 0.0, 1.0], [1.0, -0.8], u) + 0.1 * np.random.default_rng(1).normal(size=800)
+    selection = select_structure(y, u, na=[1, 2], nk=range(4))
+    assert selection.impulse_response is None
+    assert selection.best.structure == OutputError(1, 1, 2)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"na": []}, ValueError, "na: .*empty"),
+        ({"nk": range(3, 3)}, ValueError, "nk: .*empty"),
+        ({"na": [1.5]}, TypeError, "na"),
+        ({"nk": [-1]}, ValueError, "nk"),
+        ({"na": "two"}, TypeError, "na"),
+        ({"na": [0, 1]}, ValueError, "nb: "),
+        ({"kind": FIR}, ValueError, "kind"),
+        ({"kind": "oe"}, ValueError, "kind"),
+        ({"criterion": "best"}, ValueError, "criterion"),
+        ({"na": [100]}, ValueError, "y: expected at least"),
+    ],
+)
+def test_bad_options_are_refused_by_name(options, error, message):
+    y, u = recorded(length=200)
+    with pytest.raises(error, match=message):
+        select_structure(y, u, **options)
+
+
+def test_bad_inputs_are_refused_by_name():
+    y, u = recorded(length=200)
+    with pytest.raises(ValueError, match="u: expected one input"):
+        select_structure(y, np.column_stack((u, u)))
+    with pytest.raises(ValueError, match="u: expected an input for an OutputError"):
+        select_structure(y, None)
+    with pytest.raises(ValueError, match="u: expected 200 samples"):
+        select_structure(y, u[:-1])
