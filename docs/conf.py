@@ -11,7 +11,7 @@ import generated  # noqa: E402
 from robust_filterpy import __version__  # noqa: E402
 
 project = "robust_filterpy"
-author = "The robust_filterpy authors"
+author = "the robust_filterpy developers"
 copyright = author
 version = release = __version__
 
