@@ -92,7 +92,9 @@ def directive(module: str, name: str, thing: object) -> str:
     """Return what makes autodoc describe a name."""
     path = f"{module}.{name}"
     if not callable(thing):
-        values = ", ".join(map(str, thing)) if isinstance(thing, (dict, tuple, frozenset)) else " ".join(repr(thing).split())
+        values = (
+            ", ".join(map(str, thing)) if isinstance(thing, (dict, tuple, frozenset)) else " ".join(repr(thing).split())
+        )
         return f".. py:data:: {path}\n\n   ``{values}``\n"
     if not inspect.isclass(thing):
         return f".. autofunction:: {path}\n"
