@@ -35,6 +35,8 @@ numpydoc_show_class_members = False
 nitpick_ignore_regex = [("py:obj", r"robust_filterpy\.correction\.\w+\.\w+|rv_discrete\.ppf")]
 
 html_theme = "furo"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_title = f"robust_filterpy {__version__}"
 html_show_copyright = False
 html_copy_source = False
