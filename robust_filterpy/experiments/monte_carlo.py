@@ -117,7 +117,7 @@ class MonteCarloResult:
         Returns
         -------
         same structure as one result
-            A number becomes an array of shape (runs,), an array or list of shape s one of shape (runs, *s);
+            A number becomes an array of shape (runs,), an array or list of shape s one of shape ``(runs, *s)``;
             a dict stays a dict, a tuple a tuple, a NamedTuple the same NamedTuple; a dataclass becomes a dict of
             its fields. Runs that failed have no row: row i belongs to run ``indices[i]``.
 

@@ -81,7 +81,7 @@ class AdaptiveKalmanFilter(ScoreFilter, InteractingFilter):
     See Also
     --------
     robust_filterpy.correction.adaptive.correct_adaptively : The step as a pure function.
-    robust_filterpy.NoiseMatchedKalmanFilter : The same merging with numbers that are given.
+    robust_filterpy.filters.NoiseMatchedKalmanFilter : The same merging with numbers that are given.
 
     Notes
     -----

@@ -1,0 +1,47 @@
+"""Sphinx configuration: MyST pages, numpydoc reference, a theme that needs no network."""
+
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE), str(HERE.parent)]
+
+import generated  # noqa: E402
+
+from robust_filterpy import __version__  # noqa: E402
+
+project = "robust_filterpy"
+author = "the robust_filterpy developers"
+copyright = author
+version = release = __version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc"]
+myst_enable_extensions = ["colon_fence", "deflist"]
+myst_heading_anchors = 3
+exclude_patterns = ["_build"]
+
+# A word in single backticks is code; what can be linked is linked by the tables of each page.
+default_role = "code"
+# Docstrings write the length of e as |e|, which reStructuredText takes for a substitution.
+rst_prolog = "\n".join(f".. |{name}| replace:: \\|{name}\\|" for name in ("e", "u"))
+autosummary_generate = False
+autodoc_typehints = "none"
+autodoc_member_order = "bysource"
+# What filterpy documents is not repeated.
+autodoc_inherit_docstrings = False
+numpydoc_show_class_members = False
+
+# "See also" names functions of single modules that have no page, and one of scipy.
+nitpick_ignore_regex = [("py:obj", r"robust_filterpy\.correction\.\w+\.\w+|rv_discrete\.ppf")]
+
+html_theme = "furo"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_title = f"robust_filterpy {__version__}"
+html_show_copyright = False
+html_copy_source = False
+
+
+def setup(app):
+    """Write the reference and the pages of the examples before Sphinx looks for pages."""
+    app.connect("builder-inited", lambda _: generated.write(HERE))

@@ -1,0 +1,85 @@
+"""The site builds without a warning, every link and image inside it leads somewhere, and its programs run."""
+
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
+
+import robust_filterpy
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+# testing.md is made from the room it describes, and its own test runs that.
+SNIPPETS = {
+    f"{path.stem}-{i}": text
+    for path in sorted(DOCS.glob("*.md"))
+    if path.name != "testing.md"
+    for i, text in enumerate(re.findall(r"```python\n(.*?)```", path.read_text(encoding="utf-8"), flags=re.S))
+}
+
+
+class Page(HTMLParser):
+    """What a page refers to, and what can be referred to in it."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.references, self.anchors = [], set()
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        found = dict(attributes)
+        self.references += [found[key] for key in ("href", "src") if found.get(key)]
+        self.anchors.add(found.get("id"))
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    pytest.importorskip("sphinx")
+    for needed in ("furo", "myst_parser", "numpydoc"):
+        pytest.importorskip(needed)
+    out = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "sphinx", "-b", "html", "-W", "--keep-going", "-n", "-q", "-E"]
+    built = subprocess.run([*command, "-d", out / "trees", DOCS, out / "html"], capture_output=True, text=True)
+    assert built.returncode == 0, built.stderr
+    return {path: Page(path.read_text(encoding="utf-8")) for path in (out / "html").rglob("*.html")}
+
+
+@pytest.mark.slow
+def test_no_internal_link_or_image_is_missing(site):
+    missing = []
+    for path, page in site.items():
+        for reference in page.references:
+            parts = urlsplit(reference)
+            if parts.scheme or parts.netloc:
+                continue
+            target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+            if not target.exists():
+                missing.append(f"{path.name}: {reference}")
+            elif parts.fragment and target in site and unquote(parts.fragment) not in site[target].anchors:
+                missing.append(f"{path.name}: {reference} (anchor)")
+    assert not missing
+
+
+@pytest.mark.slow
+def test_nothing_is_loaded_from_the_network(site):
+    for path in site:
+        text = path.read_text(encoding="utf-8")
+        loaded = re.findall(r"<(?:script|img|link)[^>]*(?:src|href)=\"((?:https?:)?//[^\"]+)\"", text)
+        assert not loaded, path.name
+
+
+@pytest.mark.slow
+def test_every_public_name_is_described(site):
+    anchors = set().union(*(page.anchors for page in site.values()))
+    described = {anchor.rpartition(".")[2] for anchor in anchors if anchor and anchor.startswith("robust_filterpy.")}
+    assert {name for name in robust_filterpy.__all__ if not name.startswith("__")} <= described
+
+
+@pytest.mark.parametrize("name", SNIPPETS)
+def test_program_runs(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    exec(compile(SNIPPETS[name], name, "exec"), {"__name__": "page"})
