@@ -2,7 +2,7 @@
 
     python tests/benchmarks/identification_study.py [part ..] [--plants 100] [--orders 2 3 4 6] [--seed 0]
 
-Parts: tracker, noise_scale, regressors, plants, noise, sampling, invariance, time, arx.
+Parts: tracker, drifting, noise_scale, regressors, plants, noise, sampling, invariance, time, arx.
 
 Beside it: the estimate that starts at the truth, the one that knows which samples are outliers, and scipy's
 `least_squares(loss="soft_l1")` from a naive start. Each target is printed with whether it is met. A table is printed
@@ -19,11 +19,13 @@ import warnings
 import numpy as np
 import scipy.optimize
 import scipy.signal
+from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import ARX, Huber, OutputError, ParameterTracker, identify
 from robust_filterpy.identification.learnt_noise import Noise
 from robust_filterpy.identification.polynomial_model import PolynomialModel
 from robust_filterpy.identification.prediction_error import minimised
+from robust_filterpy.plants import simulate_output_error
 
 SAMPLES = 2000
 SIGMA = 0.3
@@ -290,6 +292,32 @@ def tracker(arguments):
     target("worst fit, 60 samples per period", min(fits), 98, least=True)
 
 
+def drifting(arguments):
+    """Follow parameters that wander, or jump, after the start: told nothing but Q, beside the recursion told all."""
+    for name, jump in (("wander by Q = 1e-5 I", 0.0), ("jump by .3 in b", 0.3)):
+        errors = {"told nothing but Q": [], "told R, theta, P and Q": [], "filterpy's Kalman, told nothing but Q": []}
+        for plant in range(arguments.plants):
+            rng = np.random.default_rng([arguments.seed, 41, plant])
+            steps = np.sqrt(1e-5) * rng.normal(size=(SAMPLES, 4)) * (jump == 0.0)
+            steps[:500] = 0.0
+            steps[1200, 2:] += jump
+            path = np.array([-1.5, 0.7, 1.0, 0.5]) + np.cumsum(steps, axis=0)
+            # A pole pair inside the unit circle, whatever the walk does.
+            path[:, 1] = np.clip(path[:, 1], 0.4, 0.9)
+            path[:, 0] = np.clip(path[:, 0], -1.65, -1.2)
+            u = rng.choice([-1.0, 1.0], SAMPLES)
+            noise = outlying(rng, 0.1, False, SIGMA, SAMPLES)[0]
+            y = simulate_output_error(path, u, noise=noise, na=2, nb=2).y
+            told = dict(theta=path[0], P=0.01, R=SIGMA**2)
+            for kind, options in zip(errors, ({}, told, {"filter": KalmanFilter}), strict=True):
+                found = ParameterTracker(OutputError(2, 2), Q=1e-5, **options).run(y, u).theta
+                errors[kind].append(np.linalg.norm(found - path, axis=1)[600:].mean())
+        means = {kind: float(np.mean(values)) for kind, values in errors.items()}
+        print(f"{name}: mean error of theta: " + "   ".join(f"{kind} {value:.4f}" for kind, value in means.items()))
+        nothing, everything = list(means.values())[:2]
+        target(f"told nothing but Q, over told everything, {name}", nothing / everything, 1.0)
+
+
 def slowly_sampled(arguments, period):
     """Yield trackers after recordings of second-order plants, their truth and input."""
     for plant in range(arguments.plants):
@@ -374,6 +402,7 @@ def regressors(arguments):
 
 PARTS = {
     "tracker": tracker,
+    "drifting": drifting,
     "noise_scale": noise_scale,
     "regressors": regressors,
     "plants": plants,
