@@ -54,7 +54,7 @@ def is_result(thing):
     return inspect.isclass(thing) and (issubclass(thing, (tuple, Exception)) or getattr(thing, "_is_protocol", False))
 
 
-@pytest.mark.parametrize("thing", public_objects())
+@pytest.mark.parametrize("thing", list(public_objects()))
 def test_docstring_is_complete(thing):
     text = inspect.getdoc(thing)
     assert text, "no docstring"
@@ -81,6 +81,6 @@ def test_docstring_is_complete(thing):
             assert "shape" in parameter.type, f"{parameter.name}: an array without its shape"
 
 
-@pytest.mark.parametrize("module", public_modules(), ids=lambda module: module.__name__)
+@pytest.mark.parametrize("module", list(public_modules()), ids=lambda module: module.__name__)
 def test_module_says_what_it_is_for(module):
     assert module.__doc__ and len(module.__doc__.strip().splitlines()[0]) > 20
