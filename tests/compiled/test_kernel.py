@@ -74,9 +74,7 @@ def assert_is_the_definition(choices, zs, model, P, size=None):
 
 
 @pytest.mark.parametrize("influence", INFLUENCES, ids=lambda f: type(f).__name__)
-@pytest.mark.parametrize(
-    ("scaling", "information", "grouping"), list(itertools.product(SCALINGS, INFORMATIONS, GROUPINGS))
-)
+@pytest.mark.parametrize("rule", list(itertools.product(SCALINGS, INFORMATIONS, GROUPINGS)), ids="-".join)
 def test_every_choice_is_the_definition(influence, rule):
     choices = Choices(influence, *rule)
     for n, m, varying in ((2, 1, False), (4, 2, True), (3, 3, True), (2, 4, False)):
