@@ -1,0 +1,16 @@
+"""Fleets: from one filter to ten million, on engines that exist.
+
+* `packing`: states as bytes, without pickle.
+* `models`: what all devices have in common, immutable: `FilterModel`, `TrackerModel`.
+* `stepping`: one pure step, (model, state, batch) to (state, output).
+* `dask`, `spark`, `stream`: adapters to engines, imported by name.
+* `table`: many keys in a data frame.
+* `batches`: the forms a batch may have; `timeline`: late samples, duplicates and gaps.
+"""
+
+from robust_filterpy.fleet.models import FilterModel, Model, TrackerModel
+from robust_filterpy.fleet.packing import pack, unpack
+from robust_filterpy.fleet.stepping import step
+from robust_filterpy.fleet.table import filter_table, step_table
+
+__all__ = ["FilterModel", "Model", "TrackerModel", "filter_table", "pack", "step", "step_table", "unpack"]

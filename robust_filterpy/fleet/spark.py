@@ -1,0 +1,135 @@
+"""Spark: a fleet's table in a batch query, and its samples in a streaming one that keeps the states."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from robust_filterpy.fleet.models import Model
+from robust_filterpy.fleet.packing import pack, unpack
+from robust_filterpy.fleet.table import filter_table, step_table
+
+__all__ = ["filter_frame", "step_stream"]
+
+
+def filter_frame(
+    frame: Any,
+    model: Model,
+    *,
+    key: str = "device",
+    time: str | None = None,
+    measurements: Sequence[str] | None = None,
+    inputs: Sequence[str] | None = None,
+    groups: int | None = None,
+) -> Any:
+    """Filter a Spark data frame of many keys, each from the model's start, by ``applyInPandas``.
+
+    Parameters
+    ----------
+    frame : pyspark.sql.DataFrame
+        A row for each sample.
+    model, key, time, measurements, inputs
+        As in `filter_table`; time is needed, since a shuffle does not keep the order.
+    groups : int, optional
+        How many groups of keys are handed to Python, each as one table. Default: four for each core. A group has to
+        fit a worker's memory a few times.
+
+    Returns
+    -------
+    pyspark.sql.DataFrame
+        What `filter_table` returns.
+
+    Raises
+    ------
+    ValueError, TypeError
+        As in `filter_table`.
+
+    Notes
+    -----
+    One call of Python for each key would cost a millisecond a key; keys are therefore handed over in groups, by their
+    hash, and `filter_table` takes each group apart. ``pip install "robust_filterpy[spark]"``, and a Java runtime.
+    """
+    from pyspark.sql import functions
+
+    model = _timed(model.reading(time=time, measurements=measurements, inputs=inputs))
+    groups = groups or 4 * frame.sparkSession.sparkContext.defaultParallelism
+
+    def advance(part: Any) -> Any:
+        """Filter the keys of a group."""
+        return filter_table(part, model, key=key, sort=True)
+
+    of_key = functions.pmod(functions.hash(frame[key]), functions.lit(groups))
+    return frame.groupBy(of_key).applyInPandas(advance, _schema(frame, model, key))
+
+
+def step_stream(
+    frame: Any,
+    model: Model,
+    *,
+    key: str = "device",
+    time: str | None = None,
+    measurements: Sequence[str] | None = None,
+    inputs: Sequence[str] | None = None,
+) -> Any:
+    """Take the samples of a streaming data frame as they come, by ``applyInPandasWithState``.
+
+    Parameters
+    ----------
+    frame : pyspark.sql.DataFrame
+        A streaming one: a row for each sample.
+    model, key, time, measurements, inputs
+        As in `filter_table`; time is needed. Samples of a key that come in one micro-batch are put in order.
+
+    Returns
+    -------
+    pyspark.sql.DataFrame
+        A streaming one, for output mode "append": key, time, ``model.columns`` and ``error`` for each sample.
+
+    Raises
+    ------
+    ValueError, TypeError
+        As in `filter_table`.
+
+    Notes
+    -----
+    The state of each key is what `pack` makes of it, in the query's checkpoint; a query that is started again from it
+    goes on to the last bit. A micro-batch that a key's model refuses leaves the key's state as it was and has the
+    reason in ``error``.
+    """
+    model = _timed(model.reading(time=time, measurements=measurements, inputs=inputs))
+
+    def advance(name: tuple[Any, ...], parts: Iterator[Any], state: Any) -> Iterator[Any]:
+        """Take one key's samples of a micro-batch."""
+        import pandas as pd
+
+        table = pd.concat(list(parts), ignore_index=True)
+        # The name as the table has it: Spark hands over another type.
+        own = table[key].tolist()[0]
+        states = {own: unpack(state.get[0])} if state.exists else None
+        states, output = step_table(model, states, table, key=key, sort=True)
+        if own in states:
+            state.update((pack(states[own]),))
+        yield output
+
+    grouped = frame.groupBy(key)
+    return grouped.applyInPandasWithState(advance, _schema(frame, model, key), "state binary", "append", "NoTimeout")
+
+
+def _timed(model: Model) -> Model:
+    """Return a model that reads times, or raise."""
+    if model.time is None:
+        raise ValueError("time: expected the column of times, since Spark does not keep the order, got None")
+    return model
+
+
+def _schema(frame: Any, model: Model, key: str) -> Any:
+    """Return the columns of the result."""
+    from pyspark.sql.types import DoubleType, StringType, StructField, StructType
+
+    copied = (key, str(model.time))
+    missing = [name for name in copied if name not in frame.columns]
+    if missing:
+        raise ValueError(f"frame: expected the columns {missing}, got {frame.columns}")
+    given = [StructField(name, frame.schema[name].dataType) for name in copied]
+    numbers = [StructField(name, DoubleType()) for name in model.columns]
+    return StructType([*given, *numbers, StructField("error", StringType())])

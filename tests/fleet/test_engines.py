@@ -1,0 +1,278 @@
+"""On real engines, with workers that die and queries that are started again, the result is that of one process."""
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from robust_filterpy import ARX, FIR, RobustKalmanFilter, identify
+from robust_filterpy.fleet import FilterModel, TrackerModel, filter_table, step
+
+pd = pytest.importorskip("pandas")
+pytestmark = pytest.mark.engines
+
+
+def model():
+    kf = RobustKalmanFilter(2, 1)
+    kf.F, kf.H, kf.Q = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[1.0, 0.0]]), 0.01 * np.eye(2)
+    return FilterModel(kf, measurements=["z"], time="t", dt=1.0)
+
+
+def samples(keys, steps, seed=0):
+    """Samples of many devices, in no order at all, some missing, one device with a duplicate."""
+    rng = np.random.default_rng(seed)
+    table = pd.DataFrame(
+        {
+            "device": np.repeat(np.arange(keys), steps),
+            "t": np.tile(np.arange(float(steps)), keys),
+            "z": rng.normal(size=keys * steps) * np.where(rng.random(keys * steps) < 0.1, 20.0, 1.0),
+        }
+    )
+    table = table[(rng.random(len(table)) > 0.02) | (table["t"] == 0.0)]
+    table = pd.concat([table, table[table["device"] == 3][:1]])
+    return table.sample(frac=1.0, random_state=seed).reset_index(drop=True)
+
+
+def assert_same(found, table, described=None):
+    """Hold a result together with that of one process, in whatever order it came, to the last bit."""
+    expected = filter_table(table, model() if described is None else described, sort=True)
+    found, expected = (one.sort_values(["device", "t"], ignore_index=True) for one in (found, expected))
+    pd.testing.assert_frame_equal(found[expected.columns.tolist()], expected, check_exact=True, check_dtype=False)
+    assert expected["error"].notna().sum() == (table["device"] == 3).sum()
+
+
+# Dask
+
+
+@pytest.fixture(scope="module")
+def dask_frame():
+    dd = pytest.importorskip("dask.dataframe")
+    return lambda table, parts: dd.from_pandas(table, npartitions=parts)
+
+
+def on_a_cluster(frame, kill, memory="2GB"):
+    """Compute on two worker processes, one of which is killed on the way if so asked."""
+    distributed = pytest.importorskip("distributed")
+    from robust_filterpy.fleet.dask import filter_frame
+
+    options = {"n_workers": 2, "threads_per_worker": 1, "memory_limit": memory, "dashboard_address": None}
+    with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
+        pids = client.run(os.getpid)
+        future = client.compute(filter_frame(frame, model()))
+        if kill:
+            while client.run_on_scheduler(finished) < 3 and not future.done():
+                time.sleep(0.02)
+            os.kill(next(iter(pids.values())), signal.SIGKILL)
+        result = future.result(timeout=300)
+        after = client.run(os.getpid)
+        used = client.run(most_memory)
+    assert not kill or set(after.values()) != set(pids.values())
+    return result, max(used.values())
+
+
+def finished(dask_scheduler):
+    """Number of tasks that are in memory."""
+    return sum(task.state == "memory" for task in dask_scheduler.tasks.values())
+
+
+def most_memory():
+    """Largest resident memory of this process, in MB."""
+    import resource
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+def test_on_dask_the_result_is_that_of_one_process(dask_frame):
+    from robust_filterpy.fleet.dask import filter_frame
+
+    table = samples(200, 12)
+    assert_same(filter_frame(dask_frame(table, 5), model()).compute(scheduler="synchronous"), table)
+    whole = table[table["device"] != 3].sort_values(["device", "t"], ignore_index=True)
+    already = filter_frame(dask_frame(whole, 1), model(), partitioned=True).compute(scheduler="synchronous")
+    pd.testing.assert_frame_equal(already, filter_table(whole, model()))
+    with pytest.raises(ValueError, match="time: expected"):
+        filter_frame(dask_frame(table, 5), FilterModel(model().template(), measurements=["z"]))
+
+
+def test_on_dask_every_device_is_identified(dask_frame):
+    rng = np.random.default_rng(0)
+    u = rng.choice([-1.0, 1.0], 600)
+    gain = np.repeat([1.0, 2.0, 3.0], 200)
+    y = gain * np.where(np.arange(600) % 200 == 0, 0.0, np.roll(u, 1)) + 0.1 * rng.normal(size=600)
+    table = pd.DataFrame({"device": np.repeat(["a", "b", "c"], 200), "y": y, "u": u})
+
+    def model_of(one):
+        return identify(one["y"].to_numpy(), one["u"].to_numpy(), FIR(1), offset=False).theta[0]
+
+    groups = dask_frame(table, 4).groupby("device")[["y", "u"]]
+    found = groups.apply(model_of, meta=("b1", float)).compute(scheduler="synchronous")
+    np.testing.assert_allclose(found.sort_index(), [1.0, 2.0, 3.0], atol=0.05)
+
+
+@pytest.mark.slow
+def test_on_dask_a_worker_of_a_whole_fleet_may_be_killed(dask_frame, capsys):
+    table = samples(100_000, 100)
+    found, used = on_a_cluster(dask_frame(table, 32), kill=True, memory="8GB")
+    with capsys.disabled():
+        print(f"\nDask: 1e5 keys x 100 samples, a worker killed; most memory of a worker {used:.0f} MB")
+    assert_same(found, table)
+
+
+@pytest.mark.slow
+def test_on_dask_a_worker_may_be_killed_midway(dask_frame):
+    table = samples(2000, 12)
+    assert_same(on_a_cluster(dask_frame(table, 8), kill=True)[0], table)
+
+
+# Spark
+
+
+@pytest.fixture(scope="module")
+def spark():
+    sql = pytest.importorskip("pyspark.sql")
+    try:
+        subprocess.run(["java", "-version"], check=True, capture_output=True)
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("no Java")
+    builder = sql.SparkSession.builder.master("local[2]").config("spark.ui.enabled", "false")
+    os.environ["PYSPARK_PYTHON"] = sys.executable
+    settings = {
+        "spark.sql.shuffle.partitions": "2",
+        "spark.driver.bindAddress": "127.0.0.1",
+        "spark.driver.host": "127.0.0.1",
+        "spark.driver.memory": "4g",
+        "spark.driver.maxResultSize": "2g",
+        "spark.sql.execution.arrow.pyspark.enabled": "true",
+    }
+    for name, value in settings.items():
+        builder = builder.config(name, value)
+    session = builder.getOrCreate()
+    session.sparkContext.setLogLevel("ERROR")
+    yield session
+    session.stop()
+
+
+@pytest.mark.slow
+def test_on_spark_the_result_is_that_of_one_process(spark):
+    from robust_filterpy.fleet.spark import filter_frame
+
+    table = samples(200, 12)
+    assert_same(filter_frame(spark.createDataFrame(table), model(), groups=5).toPandas(), table)
+
+
+@pytest.mark.slow
+def test_on_spark_the_result_of_a_whole_fleet_is_that_of_one_process(spark, tmp_path):
+    from robust_filterpy.fleet.spark import filter_frame
+
+    table = samples(100_000, 100)
+    table.to_parquet(tmp_path / "samples.parquet")
+    frame = spark.read.parquet(str(tmp_path / "samples.parquet")).repartition(16)
+    assert_same(filter_frame(frame, model(), groups=32).toPandas(), table)
+
+
+def run_query(spark, described, folder, schema):
+    """Run a streaming query over the files that are there, from its checkpoint."""
+    from robust_filterpy.fleet.spark import step_stream
+
+    stream = spark.readStream.schema(schema).option("maxFilesPerTrigger", 1).parquet(str(folder / "in"))
+    query = (
+        step_stream(stream, described)
+        .writeStream.format("parquet")
+        .option("path", str(folder / "out"))
+        .option("checkpointLocation", str(folder / "checkpoint"))
+        .outputMode("append")
+        .trigger(availableNow=True)
+        .start()
+    )
+    query.awaitTermination(300)
+
+
+@pytest.mark.slow
+def test_a_streaming_query_goes_on_from_its_checkpoint(spark, tmp_path):
+    table = samples(60, 12).sort_values("t", kind="stable")
+    (tmp_path / "in").mkdir()
+    described = model().reading()
+    object.__setattr__(described, "late", "drop")
+    schema, now = "device long, t double, z double", time.time() - 60.0
+    for k in range(4):
+        part = table[(table["t"] >= 3 * k) & (table["t"] < 3 * k + 3)]
+        file = tmp_path / "in" / f"{k}.parquet"
+        part.to_parquet(file, index=False)
+        # The stream takes files by their age, and these may be of the same millisecond.
+        os.utime(file, (now + k, now + k))
+        if k in (1, 3):
+            # It ends, and is started again from its checkpoint.
+            run_query(spark, described, tmp_path, schema)
+    found = spark.read.parquet(str(tmp_path / "out")).toPandas()
+    expected = filter_table(table, described, sort=True).sort_values(["device", "t"], ignore_index=True)
+    found = found.sort_values(["device", "t"], ignore_index=True)
+    pd.testing.assert_frame_equal(found[list(expected)], expected, check_exact=True, check_dtype=False)
+    assert len(found) == len(table) - 1
+
+
+# A stream of messages
+
+
+@pytest.mark.parametrize(
+    "described",
+    [model(), TrackerModel(ARX(1, 1), {"start": 0}, time="t", measurements=["y"], inputs=["u"])],
+    ids=["filter", "tracker"],
+)
+def test_a_stream_goes_on_from_its_store(described, tmp_path):
+    stores = pytest.importorskip("quixstreams.state.rocksdb")
+    from robust_filterpy.fleet.stream import StreamStep
+
+    rng = np.random.default_rng(4)
+    names = [*described.measurements, *(described.inputs or ())]
+    messages = [
+        (f"d{i}", {"t": float(k), **{name: rng.normal() for name in names}}) for k in range(12) for i in range(4)
+    ]
+    messages[9][1][names[0]] = None
+    found = {}
+    for start, stop in ((0, 17), (17, 48)):
+        # The process ends in between: what goes on is what is on the disk, and a pickled step.
+        taken = pickle.loads(pickle.dumps(StreamStep(described)))
+        store = stores.RocksDBStore("default", "samples", str(tmp_path))
+        store.assign_partition(0)
+        with store.start_partition_transaction(0) as transaction:
+            for key, message in messages[start:stop]:
+                found.setdefault(key, []).append(taken(message, transaction.as_state(prefix=key)))
+            late = taken({**messages[start][1], "t": -1.0}, transaction.as_state(prefix=messages[start][0]))
+            assert "late" in late["error"] or "duplicate" in late["error"]
+        store.close()
+    for key, rows in found.items():
+        table = pd.DataFrame([message for name, message in messages if name == key]).astype(float)
+        expected = step(described, None, table)[1]
+        actual = pd.DataFrame(rows).drop(columns="error").astype(float)
+        pd.testing.assert_frame_equal(actual[list(expected)], expected, check_exact=True)
+
+
+def test_a_message_that_is_refused_is_named_and_a_late_one_dropped():
+    from robust_filterpy.fleet.stream import StreamStep
+
+    class Store(dict):
+        get_bytes = dict.get
+        set_bytes = dict.__setitem__
+
+    store, taken = Store(), StreamStep(model())
+    assert taken({"t": 0.0, "z": 1.0}, store)["error"] is None
+    kept = dict(store)
+    for message, reason in (
+        ({"t": 1.0, "z": "a"}, "numbers"),
+        ({"z": 1.0}, "'t'"),
+        ({"t": 0.0, "z": 1.0}, "duplicate"),
+    ):
+        answer = taken(message, store)
+        assert reason in answer["error"] and answer["x0"] is None
+    assert store == kept
+    dropping = FilterModel(model().template(), measurements=["z"], time="t", late="drop")
+    assert StreamStep(dropping)({"t": 0.0, "z": 1.0}, store) is None
+    with pytest.raises(ValueError, match="measurements"):
+        StreamStep(FilterModel(model().template()))
+    with pytest.raises(TypeError, match="model"):
+        StreamStep(None)
