@@ -1,0 +1,14 @@
+"""Filters and trackers on a microcontroller: one C99 file that steps exactly this one.
+
+* `export`: what a user calls.
+* `filter_model`, `tracker_model`: from a filter, or a tracker, to what the file holds, or why it cannot.
+* `template`: the C of ``templates``, with what a filter does not need left out.
+
+Imports from below: `correction.options`, `compiled.dispatch`, `filters`, `identification`.
+"""
+
+from __future__ import annotations
+
+from robust_filterpy.edge.export import Exported, export_c
+
+__all__ = ["Exported", "export_c"]

@@ -1,0 +1,155 @@
+"""`export_c`: a filter or a tracker as one C99 file and its header."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, TypeAlias
+
+from robust_filterpy import _checks
+from robust_filterpy._version import __version__
+from robust_filterpy.edge.filter_model import described_filter, influence_declarations
+from robust_filterpy.edge.template import REALS, Described, comment, rendered, table
+from robust_filterpy.edge.tracker_model import described_tracker
+from robust_filterpy.filters.kalman import RobustKalmanFilter
+from robust_filterpy.identification import ParameterTracker
+
+__all__ = ["Exported", "Precision", "export_c"]
+
+Precision: TypeAlias = Literal["double", "single"]
+
+
+class Exported(NamedTuple):
+    """The two files that were written."""
+
+    source: Path
+    """The C99 source."""
+    header: Path
+    """Its header, which explains how to use it."""
+
+
+def export_c(
+    model: RobustKalmanFilter | ParameterTracker, path: str | os.PathLike[str], *, precision: Precision = "double"
+) -> Exported:
+    """Write one C99 file and its header that step exactly this filter or tracker, from its present state.
+
+    The C predicts and corrects as `RobustKalmanFilter` does, with its psi, scaling, information and grouping, or takes
+    a sample as `ParameterTracker.update` does. It allocates nothing, needs no library but math.h, and says by a status
+    what Python says by an exception; a refused call changes nothing there either. NaN in a measurement is a missing
+    component, an infinite one is refused.
+
+    Parameters
+    ----------
+    model : RobustKalmanFilter or ParameterTracker
+        What to export, with its present state; a tracker's start must be over.
+    path : path-like
+        The C file, such as "cart.c", in a folder that exists; the header stands beside it. Its stem is the prefix of
+        all names in C.
+    precision : {"double", "single"}
+        Type of every number in C: double or float.
+
+    Returns
+    -------
+    Exported
+        source, header.
+
+    Raises
+    ------
+    TypeError
+        If model is another kind of filter, or is made of one.
+    ValueError
+        If psi is not one of this package's own, the start of a tracker is not over, a matrix does not fit, precision
+        cannot hold a number, or path makes no name in C. Nothing has been written then.
+
+    Notes
+    -----
+    Not exported are the log-likelihood, a tracker's warnings, R of a single sample, and `update_correlated`. The
+    threshold (or another parameter of psi) is a field of the model in C, and may be changed at run time.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from robust_filterpy import RobustKalmanFilter, export_c
+    >>> kf = RobustKalmanFilter(dim_x=2, dim_z=1)
+    >>> kf.F[0, 1], kf.H[0, 0] = 0.1, 1.0
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     source, header = export_c(kf, f"{folder}/cart.c")
+    ...     source.name, header.name, "cart_update" in header.read_text()
+    ('cart.c', 'cart.h', True)
+    """
+    precision = _checks.option("precision", precision, ("double", "single"))
+    source = _source(path)
+    name = source.stem
+    if type(model) is RobustKalmanFilter:
+        found, header, choices = described_filter(model, name), "filter.h", model._choices
+    elif type(model) is ParameterTracker:
+        found, header, choices = described_tracker(model, name), "tracker.h", model.filter._choices
+    else:
+        raise TypeError(
+            f"model: expected a RobustKalmanFilter or a ParameterTracker, got {_checks.shown(type(model).__name__)}; "
+            f"{_remedy(model)}"
+        )
+    values = {
+        **found.values, "title": comment(found.title), "name": name, "NAME": name.upper(), "real": REALS[precision],
+        "version": __version__, "influence_fields": influence_declarations(choices, name),
+    }  # fmt: skip
+    exported = Exported(source, source.with_suffix(".h"))
+    texts = (_code(found, values, name, precision), _tidy(rendered(header, found.sections, values)))
+    for file, text in zip(exported, texts, strict=True):
+        file.write_text(text, encoding="ascii")
+    return exported
+
+
+def _code(found: Described, values: dict[str, str], name: str, precision: str) -> str:
+    """Return the C file."""
+    sections = found.sections | {precision}
+    tables = (
+        table(f"const {name}_model {name}_default", found.model, precision),
+        table(f"const {name}_state {name}_start", found.start, precision),
+    )
+    preamble, *rest = (rendered(part, sections, values) for part in ("preamble.c", *found.parts))
+    return _tidy("\n".join([preamble, *tables, *rest]))
+
+
+def _tidy(text: str) -> str:
+    """Return C without the empty lines that sections left behind."""
+    return re.sub(r"\n{3,}", "\n\n", text)
+
+
+def _source(path: Any) -> Path:
+    """Return the path of the C file, or raise."""
+    try:
+        source = Path(path)
+    except TypeError:
+        raise TypeError(f"path: expected a path such as 'filter.c', got {_checks.shown(path)}") from None
+    if source.suffix not in ("", ".c"):
+        raise ValueError(f"path: expected a file that ends in .c, got {str(source)!r}")
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", source.stem):
+        raise ValueError(
+            f"path: expected a file name that is a name in C, a letter and then letters, digits and _, "
+            f"got {source.name!r}"
+        )
+    if not source.parent.is_dir():
+        raise ValueError(f"path: expected a folder that exists, got {str(source.parent)!r}; make it first")
+    return source.with_suffix(".c")
+
+
+def _remedy(model: Any) -> str:
+    """Say what to export in the place of something that has no C."""
+    if isinstance(model, type):
+        return "pass an instance of it"
+    if hasattr(model, "filters"):
+        return "export each of its filters"
+    if isinstance(model, ParameterTracker):
+        return "a subclass may do anything: pass the tracker that it is made of"
+    if hasattr(model, "HJacobian") or hasattr(model, "points_fn") or "Extended" in type(model).__name__:
+        return "export a RobustKalmanFilter with the F and H of a working point"
+    if all(hasattr(model, matrix) for matrix in "FHQR"):
+        return (
+            "export a RobustKalmanFilter with the same x, P, F, H, Q, R and B; with influence=Linear() it is the plain "
+            "Kalman filter"
+        )
+    if hasattr(model, "tracker"):
+        return "export a tracker of it, model.tracker(..)"
+    return "export a RobustKalmanFilter with constant matrices in its place"

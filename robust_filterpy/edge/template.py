@@ -1,0 +1,116 @@
+"""Readable C with two things to fill in: sections that only some filters need, and $names.
+
+A line ``//? this !that`` begins a section that is kept for descriptions with "this" and without "that" (``a|b``:
+either), ``//.`` ends it; both lines go. Sections may stand within each other. What a filter does not need is not in its
+file, so that a reader, a compiler's warnings and a coverage tool find nothing superfluous there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from string import Template
+from typing import Any, Final
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+
+_TEMPLATES: Final = Path(__file__).parent / "templates"
+_WIDTH: Final = 110
+_INDENT: Final = " " * 4
+
+#: The name of C's type, by precision.
+REALS: Final = {"double": "double", "single": "float"}
+
+
+@dataclass(frozen=True)
+class Described:
+    """What the C of a filter or tracker is made of."""
+
+    title: str
+    #: Templates in their order, and sections of theirs that are kept.
+    parts: tuple[str, ...]
+    sections: frozenset[str]
+    #: What $names stand for.
+    values: Mapping[str, str]
+    #: Entries of the two tables, in the order of their fields.
+    model: Mapping[str, Any] = field(default_factory=dict)
+    start: Mapping[str, Any] = field(default_factory=dict)
+
+
+def rendered(part: str, sections: Collection[str], values: Mapping[str, str]) -> str:
+    """Return a template with its sections chosen and its names filled in."""
+    kept, open_sections = [], []
+    for line in (_TEMPLATES / part).read_text(encoding="ascii").splitlines():
+        if line.startswith("//?"):
+            open_sections.append(all(_holds(condition, sections) for condition in line[3:].split()))
+        elif line == "//.":
+            open_sections.pop()
+        elif all(open_sections):
+            kept.append(line)
+    return Template("\n".join(kept) + "\n").substitute(values)
+
+
+def _holds(condition: str, sections: Collection[str]) -> bool:
+    """Tell whether one of some alternatives is, or with ! is not, among the sections."""
+    return any((name.lstrip("!") in sections) != name.startswith("!") for name in condition.split("|"))
+
+
+def table(declaration: str, entries: Mapping[str, Any], precision: str) -> str:
+    """Return the definition of a constant structure."""
+    lines = [f"{declaration} = {{"]
+    for name, value in entries.items():
+        if isinstance(value, int):
+            lines.append(f"{_INDENT}.{name} = {value},")
+        elif np.ndim(value) == 0:
+            lines.append(f"{_INDENT}.{name} = {number(name, value, precision)},")
+        else:
+            lines += [f"{_INDENT}.{name} = {{", *_rows(name, np.atleast_2d(value), precision), f"{_INDENT}}},"]
+    return "\n".join([*lines, "};\n"])
+
+
+def _rows(name: str, matrix: Array, precision: str) -> list[str]:
+    """Return the numbers of a matrix, each row on lines of its own."""
+    lines = []
+    for row in matrix:
+        line = _INDENT * 2
+        for value in row:
+            text = number(name, value, precision) + ", "
+            if len(line + text) > _WIDTH:
+                lines.append(line.rstrip())
+                line = _INDENT * 2
+            line += text
+        lines.append(line.rstrip())
+    return lines
+
+
+def number(name: str, value: float, precision: str) -> str:
+    """Return a number as C writes it, so that it is read back exactly; or raise, where its type cannot hold it."""
+    if name == "threshold" and math.isinf(value):
+        return "INFINITY"
+    if not math.isfinite(value):
+        raise ValueError(f"{name}: expected finite numbers, got {value!r} among them")
+    if precision == "double":
+        return repr(float(value))
+    with np.errstate(over="ignore", under="ignore"):
+        single = np.float32(value)
+    if not np.isfinite(single) or (single == 0.0 and value != 0.0):
+        raise ValueError(
+            f'{name}: expected numbers that "single" precision can hold, got {value!r}; choose other units, '
+            f'or precision="double"'
+        )
+    text = str(single)
+    return f"{text}F" if "." in text or "e" in text else f"{text}.0F"
+
+
+def comment(text: str) -> str:
+    """Return a text that stands in a comment, wrapped with its stars."""
+    lines = [""]
+    for word in text.split():
+        if len(lines[-1]) + len(word) > _WIDTH:
+            lines.append("")
+        lines[-1] = f"{lines[-1]} {word}".strip()
+    return "\n * ".join(lines)

@@ -1,0 +1,112 @@
+/*
+ * $title
+ *
+ * Written by robust_filterpy $version; export again rather than edit. To track the parameters
+ *
+ *     theta = [$names]
+ *
+ * of y(k) = phi(k)' theta + v(k), sample by sample:
+ *
+ *     #include "$name.h"
+ *
+ *     ${name}_state state = ${name}_start;
+ *     ...
+ *     ${name}_update(&${name}_default, &state, y, u, NULL);
+ *
+ * NaN in y is a sample that is missing. For another threshold at run time change a copy of ${name}_default.
+ */
+#ifndef ${NAME}_H
+#define ${NAME}_H
+
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define ${NAME}_PARAMETERS $n
+#define ${NAME}_INPUTS $inputs
+
+typedef $real ${name}_real;
+
+/* What a call found; whatever is not ${NAME}_OK has changed nothing. */
+typedef enum {
+    ${NAME}_OK = 0,
+    ${NAME}_BAD_ARGUMENT = 1, /* a null pointer, an infinite output, an input that is not finite or too large */
+    ${NAME}_SINGULAR = 2,     /* the variance of the innovation is not positive */
+    ${NAME}_INDEFINITE = 3,   /* scaling "unit" would make P indefinite */
+    ${NAME}_NOT_FINITE = 4    /* theta or P would overflow */
+} ${name}_status;
+
+/* The model; matrices are flat, row by row. */
+typedef struct {
+//? !random_walk
+    ${name}_real F[$n * $n]; /* theta(k+1) = F theta(k) + w(k) */
+//.
+    ${name}_real Q[$n * $n]; /* covariance of a step of theta */
+//? fading
+    ${name}_real alpha_sq;     /* 1/forgetting: P is multiplied by it at each sample */
+    ${name}_real windup; /* trace from which on P grows no more */
+//.
+//? told
+    ${name}_real R; /* variance of the ordinary noise */
+//.
+//? followed
+    ${name}_real R_memory; /* number of samples that R remembers */
+    ${name}_real R_mean;   /* mean of min(e^2, 4) where R is right */
+//.
+//? offset
+    ${name}_real centre; /* taken off y, so that the constant is small */
+//.
+$influence_fields
+//? expected
+    ${name}_real expected[2]; /* E[psi'], which belongs to the psi above */
+//.
+} ${name}_model;
+
+/* What moves; past signals newest first. */
+typedef struct {
+    ${name}_real theta[$n];
+    ${name}_real P[$n * $n]; /* covariance of theta, symmetric */
+//? followed
+    ${name}_real R;         /* variance of the ordinary noise, as it is followed */
+    ${name}_real R_samples; /* how many samples it stands on */
+//.
+//? outputs
+    ${name}_real outputs[$na]; /* the part of phi that belongs to them, with its minus sign */
+//.
+//? cleaned
+    ${name}_real measured[$na]; /* the same, as they were measured */
+//.
+//? inputs
+    ${name}_real inputs[$length];
+//.
+//? residuals
+    ${name}_real residuals[$nc];
+//.
+//? filtered
+    ${name}_real gradients[$order * $n]; /* derivatives of past predictions */
+//.
+    int32_t enabled; /* 0 freezes theta and P, while predictions go on */
+} ${name}_state;
+
+/* What a sample showed. */
+typedef struct {
+    ${name}_real prediction; /* phi' theta before the sample */
+    ${name}_real residual;   /* y - prediction; NaN where missing */
+    ${name}_real weight;     /* psi(e)/e: 1 is full trust; NaN where missing */
+    int32_t guard;           /* h > 0: the step was halved h times; -1: it was not taken */
+} ${name}_sample;
+
+extern const ${name}_model ${name}_default;
+extern const ${name}_state ${name}_start;
+
+/* Take one sample: y(k), and u(k) of $inputs inputs; what it showed goes into `sample`, unless that is NULL. */
+${name}_status ${name}_update(const ${name}_model *model, ${name}_state *state, ${name}_real y,
+                              const ${name}_real u[$inputs_or_one], ${name}_sample *sample);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

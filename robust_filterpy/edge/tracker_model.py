@@ -1,0 +1,141 @@
+"""From a `ParameterTracker` to the tables and sections of its C, or the reason why there is none."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from robust_filterpy._arrays import process_noise
+from robust_filterpy.edge.filter_model import (
+    choice_sections,
+    finite,
+    influence_fields,
+    require_plain,
+    shown,
+    symmetric,
+)
+from robust_filterpy.edge.template import Described, rendered
+from robust_filterpy.filters.kalman import RobustKalmanFilter
+from robust_filterpy.identification import ParameterTracker
+
+
+def described_tracker(tracker: ParameterTracker, name: str) -> Described:
+    """Return what the C of a tracker is made of, or raise."""
+    kf = tracker.filter
+    if type(kf) is not RobustKalmanFilter:
+        raise TypeError(
+            f"model.filter: expected a RobustKalmanFilter, got {type(kf).__name__}; "
+            f"influence=Linear() makes the same tracker with the plain Kalman filter"
+        )
+    require_plain(kf, "model.filter")
+    if tracker._layout.has_disturbance:
+        raise TypeError(
+            f"model.structure: expected ARX, ARMAX, OutputError, FIR or LinearRegression, got {tracker.structure}; an "
+            "OutputError with the same B and F follows the same plant, with larger errors"
+        )
+    if tracker._start is not None:
+        raise ValueError(
+            "model: expected a tracker whose start is over, got one that still looks for a model of its first samples; "
+            "take them with run(y, u) before the export, or make it with start=0"
+        )
+    state = tracker.state()
+    model, sections = _model(tracker, state)
+    start = _start(tracker, state, sections)
+    values = _values(tracker)
+    sections |= choice_sections(kf._choices, 1)
+    guard = rendered("guard.c", sections, {}) if {"guarded", "filtered"} & sections else ""
+    several = tracker._layout.n > 1
+    still = "random_walk" in sections
+    return Described(
+        f"{name}: ParameterTracker({tracker.structure}), {shown(kf._choices)}",
+        (
+            "psi.c", *(("eigen.c",) if several else ()), "whitening.c", "correction.c",
+            *(() if still else ("predict.c",)), "tracker.c", "step.c",
+        ),
+        frozenset(sections),
+        {**values, "guard_code": guard.rstrip()},
+        model,
+        start,
+    )  # fmt: skip
+
+
+def _model(tracker: ParameterTracker, state: dict[str, Any]) -> tuple[dict[str, Any], set[str]]:
+    """Return the table of what stays, and the sections that belong to it."""
+    kf, layout = tracker.filter, tracker._layout
+    sections = {"tracker"} | ({"several"} if layout.n > 1 else set())
+    model: dict[str, Any] = {}
+    if np.array_equal(kf.F, np.eye(layout.n)):
+        sections.add("random_walk")
+    else:
+        model["F"] = finite("F", kf.F, (layout.n, layout.n))
+    model["Q"] = symmetric("Q", process_noise(kf.Q, None, layout.n))
+    if kf._alpha_sq != 1.0:
+        sections.add("fading")
+        model |= {"alpha_sq": kf._alpha_sq, "windup": tracker._windup}
+    if tracker._scale.memory:
+        sections.add("followed")
+        model |= {"R_memory": tracker._scale.memory, "R_mean": tracker._scale.mean}
+    else:
+        sections.add("told")
+        model["R"] = tracker.R
+    if tracker._has_offset:
+        sections.add("offset")
+        model["centre"] = tracker._centre
+    return model | influence_fields(kf._choices, 1), sections
+
+
+def _start(tracker: ParameterTracker, state: dict[str, Any], sections: set[str]) -> dict[str, Any]:
+    """Return the table of what moves, and add the sections that belong to it."""
+    layout, structure = tracker._layout, tracker.structure
+    start: dict[str, Any] = {"theta": state["theta"], "P": symmetric("P", state["P"])}
+    if "followed" in sections:
+        start |= {"R": tracker.R, "R_samples": tracker._scale.samples}
+    if layout.na:
+        sections.add("outputs")
+        start["outputs"] = state["outputs"]
+    if tracker._cleans:
+        sections.add("cleaned")
+        start["measured"] = state["measured"]
+    if layout.length:
+        sections.add("inputs")
+        start["inputs"] = state["inputs"]
+    if layout.nc:
+        sections.add("residuals")
+        start["residuals"] = state["residuals"]
+    if structure.n_inputs:
+        sections.add("external")
+    if any(i < structure.n_inputs for i in layout.used.tolist()):
+        sections.add("reads_u")
+    if structure.uses_model_output:
+        sections.add("own_output")
+    if layout.order:
+        sections.add("feeds_back")
+        sections |= {tracker.guard} | ({"guarded"} if tracker.guard != "none" else set())
+        if tracker.gradient == "filtered":
+            sections.add("filtered")
+            start["gradients"] = state["gradients"]
+    return start | {"enabled": int(tracker.enabled)}
+
+
+def _values(tracker: ParameterTracker) -> dict[str, str]:
+    """Return the sizes and places that the templates name."""
+    layout, structure = tracker._layout, tracker.structure
+    names = list(structure.names)
+    if tracker._has_offset:
+        names.insert(structure.n_theta - structure.nc, "constant")
+    newest = [
+        f"    inputs[{place}] = {f'u[{i}]' if i < structure.n_inputs else 'REAL(1.0); /* the constant */'};"
+        for place, i in zip(layout.starts.tolist(), layout.used.tolist(), strict=True)
+    ]
+    sizes = {
+        "n": layout.n, "m": 1, "size": layout.n, "na": layout.na, "nc": layout.nc, "length": layout.length,
+        "lags": len(layout.picks), "order": layout.order, "part": layout.part.start,
+        "inputs": structure.n_inputs, "inputs_or_one": max(structure.n_inputs, 1),
+    }  # fmt: skip
+    return {
+        **{name: str(size) for name, size in sizes.items()},
+        "names": ", ".join(names),
+        "picks": ", ".join(map(str, layout.picks.tolist())),
+        "newest_inputs": "\n".join(line.replace("*/;", "*/") for line in newest),
+    }

@@ -1,0 +1,356 @@
+"""Random filters and trackers, their samples and what Python makes of them; one program that runs the C of many."""
+
+from __future__ import annotations
+
+import copy
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+from string import Template
+
+import numpy as np
+from support import random_problem, spd
+
+from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight, export_c
+from robust_filterpy.correction import NotPositiveDefiniteError, SingularInnovationError
+from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError, ParameterTracker
+
+OK, BAD_ARGUMENT, SINGULAR, INDEFINITE, NOT_FINITE = range(5)
+WARNINGS = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow", "-Wdouble-promotion"]
+SANITIZED = ["-std=c99", "-O0", *WARNINGS, "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+
+INFLUENCES = (Huber(), Huber(1.0), Huber(np.inf), Hampel(1.5, 3.0, 6.0), TukeyBiweight(), StudentT(3.0), Linear())
+
+MAIN = Template("""
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+$includes
+static double get(void) { double v = 0.0; if (fread(&v, sizeof v, 1, stdin) != 1) { v = 0.0; } return v; }
+static void put(double v) { fwrite(&v, sizeof v, 1, stdout); }
+$functions
+int main(void) {
+$calls
+    return 0;
+}
+""")
+FILTER = Template("""
+static void run_$name(void)
+{
+    ${name}_state state = ${name}_start;
+    ${name}_shown shown = {{0}};
+    ${name}_real u[$inputs + 1], z[$m];
+    for (int k = 0; k < $steps; k++) {
+        for (int i = 0; i < $inputs; i++) { u[i] = (${name}_real)get(); }
+        for (int i = 0; i < $m; i++) { z[i] = (${name}_real)get(); }
+        (void)u;
+        put(${name}_predict(&${name}_default, &state$u));
+        put(${name}_update(&${name}_default, &state, z, &shown));
+        for (int i = 0; i < $n; i++) { put(state.x[i]); }
+        for (int i = 0; i < $n * $n; i++) { put(state.P[i]); }
+        for (int i = 0; i < $m; i++) { put(shown.e[i]); put(shown.weight[i]); }
+    }
+}
+""")
+TRACKER = Template("""
+static void run_$name(void)
+{
+    ${name}_state state = ${name}_start;
+    ${name}_sample sample = {0};
+    ${name}_real u[$inputs + 1], y;
+    for (int k = 0; k < $steps; k++) {
+        for (int i = 0; i < $inputs; i++) { u[i] = (${name}_real)get(); }
+        y = (${name}_real)get();
+        put(0.0);
+        put(${name}_update(&${name}_default, &state, y, u, &sample));
+        for (int i = 0; i < $n; i++) { put(state.theta[i]); }
+        for (int i = 0; i < $n * $n; i++) { put(state.P[i]); }
+        put(sample.prediction); put(sample.residual); put(sample.weight); put(sample.guard);
+    }
+}
+""")
+
+
+FUZZED = Template("""
+static void run_$name(void)
+{
+    static const double odd[] = {NAN, INFINITY, -INFINITY, 0.0, -1.0, 1e300, -1e-300, 1e-320, 1.0, 0.3};
+    for (int k = 0; k < 3000; k++) {
+        ${name}_model model = ${name}_default;
+        ${name}_state state = ${name}_start, before;
+        double in[8], *numbers = (double *)&model;
+        for (int i = 0; i < 8; i++) { in[i] = odd[rand() % 10]; }
+        if (k % 3 == 1) { numbers[(size_t)rand() % (sizeof model / sizeof *numbers)] = odd[rand() % 10]; }
+        numbers = (double *)&state;
+        /* The last eight bytes of a tracker's state are no number. */
+        if (k % 3 == 2) { numbers[(size_t)rand() % (sizeof state / sizeof *numbers - 1)] = odd[rand() % 10]; }
+        for (int step = 0; step < 4; step++) {
+            before = state;
+            if ($call != ${name}_OK && memcmp(&before, &state, sizeof state) != 0) { put(1.0); }
+            for (int i = 0; i < $n && k % 3 == 0; i++) { if (!isfinite(numbers[i])) { put(2.0); } }
+        }
+    }
+}
+""")
+
+
+@dataclass
+class Case:
+    """A model, its samples (a row each: inputs, then measurements), and a row of results for each from Python."""
+
+    name: str
+    model: object
+    samples: np.ndarray
+    expected: np.ndarray
+    n: int
+    inputs: int
+
+    @property
+    def fuzzed(self):
+        """The same, of odd numbers anywhere."""
+        n, name = self.n + self.n**2, self.name
+        call = f"{name}_update(&model, &state, in[7], in, NULL)"
+        if isinstance(self.model, RobustKalmanFilter):
+            u = ", in" if self.inputs else ""
+            call = f"(step % 2 ? {name}_update(&model, &state, in, NULL) : {name}_predict(&model, &state{u}))"
+        body = FUZZED.substitute(name=name, n=n, call=call)
+        return body.replace(f"{name}_OK", f"{name.upper()}_OK")
+
+    @property
+    def body(self):
+        steps, width = self.samples.shape
+        values = {"name": self.name, "n": self.n, "inputs": self.inputs, "steps": steps, "m": width - self.inputs}
+        is_filter = isinstance(self.model, RobustKalmanFilter)
+        return (FILTER if is_filter else TRACKER).substitute(values, u=", u" if self.inputs else "")
+
+
+def status(call, *arguments):
+    """What C is to return where Python raises this."""
+    try:
+        call(*arguments)
+    except SingularInnovationError:
+        return SINGULAR
+    except NotPositiveDefiniteError:
+        return INDEFINITE
+    except ValueError as error:
+        return NOT_FINITE if "finite x" in str(error) or "finite P" in str(error) else BAD_ARGUMENT
+    return OK
+
+
+def filtered(kf, samples, inputs, nudge):
+    """What Python makes of samples: two codes, x, P, and e and the weight of each component; nudged after each."""
+    m = samples.shape[1] - inputs
+    e, weights, rows = np.zeros(m), np.zeros(m), []
+    for row in samples:
+        codes = (status(kf.predict, row[:inputs] if inputs else None), status(kf.update, row[inputs:]))
+        if codes[1] == OK:
+            e, weights = np.ravel(kf.e), np.ravel(kf.weights)
+        if np.isnan(row[inputs:]).all():
+            e, weights = np.zeros(m), np.full(m, np.nan)
+        rows.append([*codes, *np.ravel(kf.x), *kf.P.ravel(), *np.column_stack((e, weights)).ravel()])
+        nudge(kf)
+    return np.array(rows)
+
+
+def tracked(tracker, samples, inputs, nudge):
+    """What Python makes of samples: two codes, theta, P, and what each shows; nudged after each."""
+    shown, rows = (0.0, 0.0, 0.0, 0), []
+
+    def take(row):
+        nonlocal shown
+        shown = tuple(tracker.update(row[inputs], row[:inputs]))
+
+    for row in samples:
+        code, state = status(take, row), tracker.state()
+        rows.append([OK, code, *state["theta"], *state["P"].ravel(), *shown])
+        nudge(tracker.filter)
+    return np.array(rows)
+
+
+def answers(model, samples, inputs, nudge=lambda kf: None):
+    """What Python makes of samples."""
+    working = copy.deepcopy(model)
+    return (filtered if isinstance(model, RobustKalmanFilter) else tracked)(working, samples, inputs, nudge)
+
+
+def case(name, model, samples, inputs):
+    """A model and its samples with Python's answers."""
+    n = np.size(getattr(model, "filter", model).x)
+    return Case(name, model, samples, answers(model, samples, inputs), n, inputs)
+
+
+def sensitivity(case):
+    """How far, up to each sample, Python's own answers move where rounding moves the state by a last bit."""
+    rng = np.random.default_rng(0)
+
+    def nudge(kf):
+        for name in ("x", "P"):
+            value = getattr(kf, name)
+            change = 1.0 + rng.choice([-1.0, 1.0], value.shape) * 2.0**-52
+            setattr(kf, name, value * change)
+        kf.P = 0.5 * (kf.P + kf.P.T)
+
+    moved = (answers(case.model, case.samples, case.inputs, nudge) for _ in range(20))
+    return np.max([distances(found, case) for found in moved], axis=0)
+
+
+def filter_case(name, seed, extremes=True, steps=30):
+    """A filter of random size and choices; measurements with outliers, gaps, and infinite ones."""
+    rng = np.random.default_rng(seed)
+    n, m, inputs = (int(rng.integers(*bounds)) for bounds in ((1, 6), (1, 5), (0, 3)))
+    problem = random_problem(seed, n, m, inputs)
+    scaling = str(rng.choice(["innovation", "innovation", "bounded", "unit"]))
+    kf = RobustKalmanFilter(
+        n, m, inputs,
+        influence=INFLUENCES[int(rng.integers(len(INFLUENCES)))], scaling=scaling,
+        information=str(rng.choice(["realized", "expected", "weight"])),
+        grouping=str(rng.choice(["component", "joint"])),
+    )  # fmt: skip
+    shrink = 0.05 if scaling == "unit" else 1.0
+    kf.x, kf.P, kf.F, kf.H = problem.x.copy(), problem.P * shrink, problem.F, problem.H.copy()
+    kf.Q, kf.R, kf.B = problem.Q * shrink, problem.R, problem.B
+    if rng.random() < 0.3:
+        kf.alpha = 1.01
+    if rng.random() < 0.2:
+        # A sensor that the state has no part in.
+        kf.H[0] = 0.0
+    z = rng.normal(size=(steps, m)) * rng.choice([1.0, 30.0], size=(steps, m), p=[0.8, 0.2])
+    z[rng.random((steps, m)) < 0.15] = np.nan
+    z[3] = np.nan
+    if extremes:
+        z[7, 0], z[8, -1] = np.inf, -np.inf
+        if not kf.influence == Linear() and not kf.influence == Huber(np.inf):
+            z[11, 0], z[13] = 1e300, -1e290
+    u = rng.normal(size=(steps, inputs))
+    samples = np.column_stack((u, z))
+    return case(name, kf, samples, inputs)
+
+
+def structure(rng):
+    """A structure of random orders."""
+    na, nb, nk = (int(rng.integers(*bounds)) for bounds in ((1, 4), (1, 4), (0, 3)))
+    kind = int(rng.integers(7))
+    if kind == 0:
+        return ARX(na, (nb, 1), (nk, 2))
+    if kind == 1:
+        return ARMAX(na, nb, int(rng.integers(1, 3)), nk)
+    if kind == 2:
+        return FIR(nb, nk)
+    if kind == 3:
+        return LinearRegression(nb)
+    return (ARX, OutputError, OutputError)[kind - 4](na, nb, nk)
+
+
+def tracker_case(name, seed, steps=60, start=0):
+    """A tracker of random structure and options on an ARX plant, with outliers and gaps."""
+    rng = np.random.default_rng(seed)
+    model = ARX(2, 2) if start else structure(rng)
+    n, inputs = model.n_theta, model.n_inputs
+    options = {
+        "guard": str(rng.choice(["halve", "reject", "none"])),
+        "gradient": str(rng.choice(["filtered", "pseudolinear"])),
+        "regressor": str(rng.choice(["cleaned", "measured"])),
+        "information": str(rng.choice(["realized", "expected", "weight"])),
+        "influence": INFLUENCES[int(rng.integers(len(INFLUENCES)))],
+        "scaling": str(rng.choice(["innovation", "bounded"])),
+        "Q": float(rng.choice([0.0, 1e-4])) * spd(rng, n),
+        "offset": bool(rng.integers(2)),
+        "start": start,
+        "R_memory": int(rng.choice([10, 150])),
+    }
+    if rng.random() < 0.5:
+        options["R"] = 0.04
+    if rng.random() < 0.3:
+        options["forgetting"] = 0.99
+    if not start:
+        options["P"] = float(rng.choice([1.0, 10.0]))
+        if rng.random() < 0.2:
+            options["F"] = 0.999 * np.eye(n)
+    tracker = ParameterTracker(model, **options)
+    total = steps + 3 * start
+    u = rng.normal(size=(total, inputs))
+    y = np.zeros(total)
+    for k in range(total):
+        y[k] = 0.3 + 1.2 * y[k - 1] - 0.5 * y[k - 2] + (u[k - 1].sum() if k else 0.0) + 0.1 * rng.normal()
+    y += rng.choice([0.0, 10.0], size=total, p=[0.9, 0.1]) * rng.normal(size=total)
+    y[rng.random(total) < 0.1] = np.nan
+    if start:
+        tracker.run(y[: 3 * start], u[: 3 * start])
+    y, u = y[3 * start :], u[3 * start :]
+    y[5], u[9] = np.inf, np.nan
+    tracker.enabled = rng.random() < 0.95
+    if tracker._has_offset and not start:
+        # As a start would have found it.
+        tracker._centre = 0.2
+    if rng.random() < 0.3:
+        # As if it had been forgetting for long.
+        tracker._windup = 0.3 * float(np.trace(tracker.filter.P))
+    return case(name, tracker, np.column_stack((u, y)), inputs)
+
+
+def program(cases, folder, precision="double", part="body"):
+    """What a sanitized program writes that does this with the C of each case."""
+    folder = Path(folder)
+    for case in cases:
+        export_c(case.model, folder / f"{case.name}.c", precision=precision)
+    values = {
+        "includes": "\n".join(f'#include "{case.name}.h"' for case in cases),
+        "functions": "".join(getattr(case, part) for case in cases),
+        "calls": "\n".join(f"    run_{case.name}();" for case in cases),
+    }
+    (folder / "main.c").write_text(MAIN.substitute(values))
+    sources = [f"{case.name}.c" for case in cases]
+    # The program of the test itself may convert as it likes.
+    for command in (
+        ["cc", *SANITIZED, "-c", *sources],
+        ["cc", "-std=c99", "-fsanitize=address,undefined", "main.c", *(f"{case.name}.o" for case in cases), "-lm",
+         "-o", "program"],
+    ):  # fmt: skip
+        built = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+        assert built.returncode == 0, built.stderr[:3000]
+    samples = np.concatenate([case.samples.ravel() for case in cases]).tobytes()
+    ran = subprocess.run([folder / "program"], input=samples, capture_output=True)
+    assert ran.returncode == 0, ran.stderr.decode()[:3000]
+    return np.frombuffer(ran.stdout)
+
+
+def compiled(cases, folder, precision="double"):
+    """What the C of each case makes of its samples."""
+    numbers = program(cases, folder, precision)
+    sizes = np.cumsum([case.expected.size for case in cases])
+    assert numbers.size == sizes[-1]
+    return [part.reshape(case.expected.shape) for part, case in zip(np.split(numbers, sizes[:-1]), cases, strict=True)]
+
+
+def distances(found, case):
+    """Largest difference up to each sample of x, P, and what is shown, each relative; of a status, infinite."""
+    n, expected = case.n, case.expected
+    x, P, rest = slice(2, 2 + n), slice(2 + n, 2 + n + n * n), slice(2 + n + n * n, None)
+    scale = np.ones(expected.shape)
+    # x and P of one sample each by its own size: P may have shrunk since.
+    for part in (x, P):
+        scale[:, part] = np.abs(expected[:, part]).max(axis=1, initial=1e-300, keepdims=True)
+    if isinstance(case.model, RobustKalmanFilter):
+        e = scale[:, rest][:, ::2]
+        e[:] = np.maximum(np.abs(expected[:, rest][:, ::2]).max(axis=1, keepdims=True), 1.0)
+    else:
+        # Signals of a tracker by their size in the recording.
+        scale[:, rest] = np.maximum(np.nanmax(np.abs(expected[:, rest]), axis=0, initial=0.0), 1.0)
+    far = np.nanmax(np.abs(found - expected) / scale, axis=1)
+    other = (np.isnan(found) != np.isnan(expected)).any(axis=1) | (found[:, :2] != expected[:, :2]).any(axis=1)
+    return np.maximum.accumulate(np.where(other, np.inf, far))
+
+
+def bounded(case):
+    """Up to which sample a model that feeds on its own output, without a guard, has not exploded."""
+    if isinstance(case.model, RobustKalmanFilter):
+        return np.ones(len(case.expected), dtype=bool)
+    signal = np.abs(case.samples[:, -1])
+    prediction = np.maximum.accumulate(np.abs(case.expected[:, -4]))
+    return prediction < 1e6 * signal[np.isfinite(signal)].max()
+
+
+def distance(found, case):
+    """Largest difference of a recording."""
+    return float(distances(found, case)[-1])

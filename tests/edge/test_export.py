@@ -1,0 +1,341 @@
+"""The C of a filter or a tracker makes of every sample what the definition makes of it, or refuses it as that does."""
+
+import ctypes
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import c_programs
+import filterpy.kalman
+import numpy as np
+import pytest
+from c_programs import (
+    BAD_ARGUMENT,
+    OK,
+    WARNINGS,
+    bounded,
+    compiled,
+    distance,
+    distances,
+    filter_case,
+    program,
+    sensitivity,
+    tracker_case,
+)
+
+import robust_filterpy
+from robust_filterpy import Huber, Linear, RobustKalmanFilter, export_c
+from robust_filterpy.edge import template
+from robust_filterpy.filters import _step
+from robust_filterpy.identification import ARX, OutputError, ParameterTracker
+from robust_filterpy.identification._conditioning import repaired
+
+needs_cc = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
+
+
+@pytest.fixture(autouse=True)
+def definition(monkeypatch):
+    """What C is held to is the definition, not the kernel."""
+    monkeypatch.setattr(_step.dispatch, "online", lambda: None)
+
+
+def cases(seeds, **options):
+    """As many filters as trackers."""
+    return [filter_case(f"filter{seed}", seed, **options) for seed in seeds] + [
+        tracker_case(f"tracker{seed}", seed) for seed in seeds
+    ]
+
+
+def plain(n=2):
+    kf = RobustKalmanFilter(n, 1)
+    kf.F, kf.Q = np.eye(n) + 0.1 * np.eye(n, k=1), 0.01 * np.eye(n)
+    kf.H[0, 0] = 1.0
+    return kf
+
+
+def assert_equal(found, case):
+    """To 1e-12, or ten times what Python's own rounding may do; up to where an unguarded model explodes."""
+    far = distances(found, case)
+    if far[-1] >= 1e-12:
+        rows, own = bounded(case), sensitivity(case)
+        right = np.maximum(1e-12, 10.0 * own)
+        assert rows.sum() >= 10 and own[rows].max() < 1e-9 and (far < right)[rows].all(), (case.name, far, own)
+    return far[-1]
+
+
+@needs_cc
+def test_c_equals_the_definition(tmp_path):
+    some = [*cases(range(15)), tracker_case("begun", 1, start=64)]
+    for found, case in zip(compiled(some, tmp_path), some, strict=True):
+        assert_equal(found, case)
+
+
+@needs_cc
+@pytest.mark.slow
+@pytest.mark.parametrize("batch", list(range(20)))
+def test_c_equals_the_definition_on_a_thousand_models(batch, tmp_path):
+    some = cases(range(1000 + 25 * batch, 1025 + 25 * batch))
+    far = [assert_equal(found, case) for found, case in zip(compiled(some, tmp_path), some, strict=True)]
+    print(f"{sum(value < 1e-12 for value in far)} of {len(far)} within 1e-12, median {np.median(far):.0e}")
+
+
+@needs_cc
+def test_very_informative_samples_are_tempered_and_mended(tmp_path):
+    rng = np.random.default_rng(4)
+    u = rng.normal(size=(30, 1))
+    y = np.concatenate(([[0.0]], 2.0 * u[:-1]))
+    y[10] = 1e7
+    some = []
+    for name, P in (("tempered", 1e14), ("mended", 1e9)):
+        tracker = ParameterTracker(ARX(2, 1), P=P, R=0.01)
+        some.append(c_programs.case(name, tracker, np.column_stack((u, y)), 1))
+    for found, case in zip(compiled(some, tmp_path), some, strict=True):
+        # Rounding is a larger share of what so sharp a sample leaves.
+        assert np.allclose(found[:, 2:5], case.expected[:, 2:5], rtol=1e-4, atol=1e-6)
+        assert np.allclose(found[:, 5:14:4], case.expected[:, 5:14:4], rtol=1e-2)
+        for covariance in found[:, 5:14].reshape(-1, 3, 3):
+            values = np.linalg.eigvalsh(covariance)
+            assert values[0] >= -1e-15 * values[-1]
+
+
+@needs_cc
+def test_covariance_that_lost_its_sign_is_mended_as_in_python(tmp_path):
+    export_c(ParameterTracker(ARX(2, 2), start=0), tmp_path / "arx.c")
+    (tmp_path / "mend.c").write_text(
+        '#include "arx.c"\nvoid mend(double P[16]);\nvoid mend(double P[16]) { repair(P); }\n'
+    )
+    build = ["cc", "-std=c99", "-shared", "-fPIC", "mend.c", "-lm", "-o", "mend.so"]
+    subprocess.run(build, cwd=tmp_path, check=True)
+    vectors = np.linalg.qr(np.random.default_rng(5).normal(size=(4, 4)))[0]
+    for values in ([-1e-9, 1e-6, 1.0, 2.0], [1e-9, 1e-6, 1.0, 2.0]):
+        P = (vectors * values).dot(vectors.T)
+        P = 0.5 * (P + P.T)
+        found = (ctypes.c_double * 16)(*P.ravel())
+        ctypes.CDLL(str(tmp_path / "mend.so")).mend(found)
+        assert np.allclose(np.reshape(found, (4, 4)), repaired(P), rtol=0.0, atol=1e-14)
+        assert np.array_equal(np.reshape(found, (4, 4)), P) == (values[0] > 0.0)
+
+
+@needs_cc
+def test_single_precision_is_near(tmp_path):
+    some = [filter_case(f"filter{seed}", seed, extremes=False) for seed in range(20, 26)]
+    some += [tracker_case(f"tracker{seed}", seed) for seed in (20, 22, 24)]
+    for found, case in zip(compiled(some, tmp_path, "single"), some, strict=True):
+        assert distance(found, case) < 1e-4, case.model
+
+
+def test_samples_of_the_tests_are_refused_and_missing_and_outlying():
+    some = cases(range(15))
+    codes = np.concatenate([case.expected[:, :2] for case in some])
+    assert (codes == BAD_ARGUMENT).any() and (codes == OK).mean() > 0.8
+    assert any((case.samples == 1e300).any() for case in some)
+
+
+@needs_cc
+def test_every_section_of_the_templates_is_compiled(tmp_path, monkeypatch):
+    met = set()
+
+    def seen(part, sections, values, real=template.rendered):
+        met.update(sections)
+        return real(part, sections, values)
+
+    for module in ("export", "tracker_model"):
+        monkeypatch.setattr(f"robust_filterpy.edge.{module}.rendered", seen)
+    for case in cases(range(15)):
+        for precision in ("double", "single"):
+            export_c(case.model, tmp_path / f"{case.name}.c", precision=precision)
+    named = set()
+    for path in template._TEMPLATES.iterdir():
+        for line in re.findall(r"^//\?(.*)", path.read_text(), flags=re.M):
+            named |= {name.lstrip("!") for name in re.split(r"[ |]+", line.strip())}
+    assert named <= met
+
+
+@needs_cc
+def test_c_needs_nothing_but_math_and_a_stack_known_beforehand(tmp_path):
+    for case in cases(range(3)):
+        export_c(case.model, tmp_path / f"{case.name}.c")
+        command = ["cc", "-std=c99", "-O2", *WARNINGS, "-fstack-usage", "-c", f"{case.name}.c"]
+        subprocess.run(command, cwd=tmp_path, check=True)
+        needed = subprocess.run(["nm", "-u", f"{case.name}.o"], cwd=tmp_path, capture_output=True, text=True).stdout
+        # Compilers copy structures by the first two.
+        allowed = {"memcpy", "memset", "sqrt", "exp", "hypot", "_GLOBAL_OFFSET_TABLE_", "__stack_chk_fail"}
+        assert set(re.findall(r"U (\w+)", needed)) <= allowed
+        stack = (tmp_path / f"{case.name}.su").read_text().splitlines()
+        assert stack and all(line.endswith(("\tstatic", "\tdynamic,bounded")) for line in stack)
+
+
+@needs_cc
+@pytest.mark.slow
+def test_a_static_analyzer_finds_nothing(tmp_path):
+    if "Free Software Foundation" not in subprocess.run(["cc", "--version"], capture_output=True, text=True).stdout:
+        pytest.skip("the analyzer is gcc's")
+    for case in cases(range(12)):
+        export_c(case.model, tmp_path / f"{case.name}.c")
+        command = ["cc", "-std=c99", "-O2", "-fanalyzer", *WARNINGS, "-c", f"{case.name}.c"]
+        found = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+        assert found.returncode == 0, found.stderr[:3000]
+
+
+@pytest.fixture
+def cart(tmp_path):
+    """The compiled C of a filter, and types for its structures."""
+    kf = plain()
+    export_c(kf, tmp_path / "cart.c")
+    build = ["cc", "-std=c99", "-shared", "-fPIC", "cart.c", "-lm", "-o", "cart.so"]
+    subprocess.run(build, cwd=tmp_path, check=True)
+    library = ctypes.CDLL(str(tmp_path / "cart.so"))
+    model = (ctypes.c_double * 12).in_dll(library, "cart_default")
+    state = (ctypes.c_double * 6).in_dll(library, "cart_start")
+    return kf, library, list(model), list(state)
+
+
+@needs_cc
+def test_threshold_changes_at_run_time(cart):
+    kf, library, model, state = cart
+    kf.influence = Huber(0.5)
+    model, state = (ctypes.c_double * 12)(*model[:-1], 0.5), (ctypes.c_double * 6)(*state)
+    for z in (1.0, 50.0, 2.0):
+        kf.predict()
+        kf.update(z)
+        assert library.cart_predict(model, state) == library.cart_update(model, state, (ctypes.c_double * 1)(z), None)
+    assert np.allclose(state[:2], kf.x.ravel(), rtol=1e-12) and np.allclose(state[2:], kf.P.ravel(), rtol=1e-12)
+
+
+@needs_cc
+def test_wrong_use_is_refused_and_changes_nothing(cart):
+    _, library, model, start = cart
+    model, state, z = (ctypes.c_double * 12)(*model), (ctypes.c_double * 6)(*start), (ctypes.c_double * 1)(1.0)
+    assert library.cart_predict(None, state) == library.cart_predict(model, None) == BAD_ARGUMENT
+    for arguments in ((None, state, z), (model, None, z), (model, state, None)):
+        assert library.cart_update(*arguments, None) == BAD_ARGUMENT
+    assert list(state) == start
+    singular = (ctypes.c_double * 12)(*list(model)[:8], 0.0, 0.0, 0.0, 1.345)
+    assert library.cart_update(singular, state, z, None) == c_programs.SINGULAR
+    broken = (ctypes.c_double * 6)(*[float("nan")] * 6)
+    assert library.cart_predict(model, broken) == library.cart_update(model, broken, z, None) == c_programs.NOT_FINITE
+    huge = (ctypes.c_double * 6)(0.0, 0.0, 1e308, 0.0, 0.0, 1e308)
+    assert library.cart_predict((ctypes.c_double * 12)(*[1e300] * 12), huge) == c_programs.NOT_FINITE
+    assert list(huge) == [0.0, 0.0, 1e308, 0.0, 0.0, 1e308] and list(state) == start
+
+
+@needs_cc
+def test_odd_numbers_anywhere_do_no_harm(tmp_path):
+    some = [*cases(range(40, 43)), filter_case("joint", 7), tracker_case("more", 3)]
+    assert program(some, tmp_path, part="fuzzed").size == 0
+
+
+@needs_cc
+def test_unit_scaling_refuses_what_makes_P_indefinite(tmp_path):
+    kf = plain()
+    kf.scaling, kf.P = "unit", 50.0 * np.eye(2)
+    with pytest.raises(np.linalg.LinAlgError):
+        kf.update(0.1)
+    case = c_programs.Case("unit", kf, np.zeros((1, 1)), np.zeros((1, 10)), 2, 0)
+    (found,) = compiled([case], tmp_path)
+    assert found[0, 0] == OK and found[0, 1] == c_programs.INDEFINITE
+    kf.predict()
+    assert np.allclose(found[0, 4:8], kf.P.ravel())
+
+
+def test_the_same_filter_gives_the_same_file(tmp_path):
+    kf = plain()
+    texts = []
+    for folder in ("one", "two"):
+        (tmp_path / folder).mkdir()
+        texts.append([path.read_text() for path in export_c(kf, tmp_path / folder / "cart")])
+    assert texts[0] == texts[1]
+    assert max(len(line) for text in texts[0] for line in text.splitlines()) <= 120
+
+
+class OwnHuber(Huber):
+    def psi(self, e):
+        return 0.5 * super().psi(e)
+
+
+def tracker(**options):
+    return ParameterTracker(ARX(1, 1), **options)
+
+
+REFUSED = {
+    "bank": (lambda: robust_filterpy.TrackerBank(2, robust_filterpy.ARX(1, 1)), TypeError, r"model\.tracker\(\.\.\)"),
+    "noise model": (
+        lambda: robust_filterpy.ParameterTracker(robust_filterpy.BoxJenkins(1, 1, 1, 1), start=0),
+        TypeError,
+        "an OutputError with the same B and F",
+    ),
+    "filterpy's filter": (lambda: filterpy.kalman.KalmanFilter(2, 1), TypeError, "influence=Linear"),
+    "extended": (lambda: robust_filterpy.RobustExtendedKalmanFilter(2, 1), TypeError, "working point"),
+    "several": (
+        lambda: filterpy.kalman.IMMEstimator([plain(), plain()], np.ones(2) / 2, np.full((2, 2), 0.5)),
+        TypeError,
+        "each of its filters",
+    ),
+    "a class": (lambda: RobustKalmanFilter, TypeError, "instance"),
+    "nothing": (lambda: None, TypeError, "RobustKalmanFilter"),
+    "a subclass": (lambda: robust_filterpy.AdaptiveKalmanFilter(2, 1), TypeError, "same x, P, F"),
+    "psi": (lambda: changed(influence=OwnHuber()), ValueError, "StudentT"),
+    "inverse": (lambda: changed(inv=np.linalg.pinv), ValueError, "numpy.linalg.inv"),
+    "wrapped": (lambda: changed(update=print), ValueError, "update"),
+    "shape": (lambda: changed(F=np.eye(3)), ValueError, r"F: .*\(2, 2\)"),
+    "NaN": (lambda: changed(x=np.full(2, np.nan)), ValueError, "x: expected finite"),
+    "asymmetric": (lambda: changed(P=np.array([[1.0, 1e-9], [0.0, 1.0]])), ValueError, "P.T"),
+    "indefinite": (lambda: changed(Q=-np.eye(2)), ValueError, "Q: expected a positive"),
+    "tracker's filter": (lambda: tracker(filter=filterpy.kalman.KalmanFilter), TypeError, "influence=Linear"),
+    "start": (lambda: tracker(), ValueError, r"run\(y, u\) .* start=0"),
+}
+
+
+def changed(**attributes):
+    kf = plain()
+    for name, value in attributes.items():
+        setattr(kf, name, value)
+    return kf
+
+
+@pytest.mark.parametrize("name", list(REFUSED))
+def test_what_has_no_c_is_refused_with_a_remedy(name, tmp_path):
+    make, error, message = REFUSED[name]
+    with pytest.raises(error, match=message):
+        export_c(make(), tmp_path / "cart.c")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "path", ["2cart.c", "my cart.c", "cart.cpp", "none/cart.c", "", "wägen.c", pytest.param(3, id="number")]
+)
+def test_path_that_is_no_name_in_c_is_refused(path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises((ValueError, TypeError), match="path: expected"):
+        export_c(plain(), path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_numbers_that_single_precision_cannot_hold_are_refused(tmp_path):
+    kf = changed(R=np.array([[1e60]]))
+    with pytest.raises(ValueError, match=r"R: .* units"):
+        export_c(kf, tmp_path / "cart.c", precision="single")
+    with pytest.raises(ValueError, match="precision"):
+        export_c(kf, tmp_path / "cart.c", precision="half")
+    assert not list(tmp_path.iterdir())
+
+
+def test_linear_and_infinite_threshold_have_their_form(tmp_path):
+    assert "INFINITY" in export_c(changed(influence=Huber(np.inf)), tmp_path / "a.c").source.read_text()
+    assert "threshold" not in export_c(changed(influence=Linear()), tmp_path / "b.c").source.read_text()
+    text = export_c(ParameterTracker(OutputError(1, 1), start=0), tmp_path / "c.c").header.read_text()
+    assert "theta = [a1, b1]" in text
+
+
+@needs_cc
+def test_the_programs_of_the_page_run(tmp_path, monkeypatch):
+    page = (Path(__file__).parents[2] / "docs" / "edge.md").read_text()
+    monkeypatch.chdir(tmp_path)
+    exec(re.search(r"```python\n(.*?)```", page, flags=re.S).group(1), {})
+    (tmp_path / "main.c").write_text(re.search(r"```c\n(.*?)```", page, flags=re.S).group(1))
+    subprocess.run(["cc", "-std=c99", *WARNINGS, "main.c", "cart.c", "-lm"], check=True)
+    lines = subprocess.run(["./a.out"], capture_output=True, text=True, check=True).stdout.splitlines()
+    assert len(lines) == 5 and lines[2].endswith("weight 0.04") and lines[3].endswith("weight nan")

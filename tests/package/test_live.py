@@ -1,0 +1,66 @@
+"""The live page of the site computes what Python computes, by the C that `export_c` writes today."""
+
+import importlib.util
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robust_filterpy import Linear
+
+DOCS = Path(__file__).parents[2] / "docs"
+SCRIPT = DOCS / "_static" / "live_filter.js"
+BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
+
+
+@pytest.fixture(scope="module")
+def build():
+    spec = importlib.util.spec_from_file_location("live_build", DOCS / "_live" / "build.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def embedded(name):
+    return json.loads(re.search(rf"^  {name}: (.*?),?$", SCRIPT.read_text(), flags=re.M).group(1))
+
+
+def test_the_compiled_c_is_todays(build, tmp_path):
+    message = "export_c writes other C for the live page by now: run `python docs/_live/build.py` (needs clang and lld)"
+    assert build.exported(tmp_path)[1] == embedded("c"), message
+    assert SCRIPT.stat().st_size < 20_000
+
+
+def test_the_recording_is_the_scripts(build):
+    for name, signal in zip(("truth", "clean", "measured"), build.recording(), strict=True):
+        assert np.array_equal(signal, embedded(name))
+
+
+def root_mean_square(kf, truth, measured):
+    """Error of the position, in m."""
+    found = []
+    for z in measured:
+        kf.predict()
+        kf.update(z)
+        found.append(kf.x[0, 0])
+    return np.sqrt(np.mean((np.array(found) - truth) ** 2))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(BROWSER is None, reason="no browser")
+def test_the_page_shows_the_errors_that_python_finds(build, tmp_path):
+    html = re.search(r"```\{raw\} html\n(.*?)```", (DOCS / "live.md").read_text(), flags=re.S).group(1)
+    shutil.copytree(DOCS / "_static", tmp_path / "_static")
+    (tmp_path / "live.html").write_text(f'<!doctype html><meta charset="utf-8"><body>{html}</body>')
+    command = [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=3000", "--dump-dom"]
+    shown = subprocess.run([*command, f"file://{tmp_path}/live.html"], capture_output=True, text=True, timeout=120)
+    truth, _, measured = build.recording()
+    robust, kalman = build.live_filter(), build.live_filter()
+    robust.influence, kalman.influence = type(robust.influence)(1.35), Linear()
+    errors = [root_mean_square(kf, truth, measured) for kf in (kalman, robust)]
+    expected = f"Root-mean-square error: Kalman {errors[0]:.2f} m, robust {errors[1]:.2f} m"
+    assert expected in shown.stdout
