@@ -10,6 +10,7 @@ serves always.
 from __future__ import annotations
 
 import logging
+import math
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -29,6 +30,7 @@ COMPILATION, DEFINITION = 20.0, 2e-5
 
 #: Names of kernels in the list of those that are cached.
 ONLINE, BANK, TRACKING = "single steps", "steps of a bank", "tracking parameters"
+ADAPTIVE = "steps that learn the noise"
 
 _KINDS = ("linear", "huber", "hampel", "tukey", "student_t")
 _OLDEST = (0, 59)
@@ -110,6 +112,16 @@ def online() -> Steps | None:
     return None
 
 
+@lru_cache(maxsize=1)
+def adaptive() -> Any:
+    """Return the module with the kernels of filters side by side and of learnt noise, None if it is not cached."""
+    if ADAPTIVE not in _cached() or loops() is None:
+        return None
+    from robust_filterpy.compiled import adaptive
+
+    return adaptive
+
+
 def bank(choices: Choices) -> Steps | None:
     """Return the kernels of one step of many filters, None if they are not in the cache or do not know psi."""
     if BANK in _cached() and can_compile(choices) and loops() is not None:
@@ -128,6 +140,12 @@ def series_size(n: int, m: int, steps: float, seconds: float = DEFINITION) -> tu
         if series_name(size) in _cached() and loops() is not None:
             return size
     return candidates[0] if ready(series_name(candidates[0]), steps * seconds) else None
+
+
+def fixed_series_size(n: int, m: int) -> tuple[int, int] | None:
+    """Return which of the kernels serves whatever is cached and however long a call is, None if none can."""
+    size = next(size for size in ((n, m), (0, m), (0, 0)) if size in SIZES)
+    return size if ready(series_name(size), math.inf) else None
 
 
 def series_name(size: tuple[int, int]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import sys
+from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from zlib import crc32
@@ -14,7 +15,7 @@ _PACKAGE = Path(__file__).parents[1]
 
 def sources() -> int:
     """Return a number that changes with the source of what is compiled: numba itself looks at one file a function."""
-    rooms = (_PACKAGE / name for name in ("compiled", "influence", "identification", "smoothing"))
+    rooms = (_PACKAGE / name for name in ("compiled", "correction", "influence", "identification", "smoothing"))
     return crc32(b"".join(path.read_bytes() for room in rooms for path in sorted(room.glob("*.py"))))
 
 
@@ -22,6 +23,12 @@ def numba_version() -> str | None:
     """Return the version of numba, None if it is not installed or switched off by ROBUST_FILTERPY_KERNEL=off."""
     if os.environ.get("ROBUST_FILTERPY_KERNEL") == "off":
         return None
+    return _installed()
+
+
+@lru_cache(maxsize=1)
+def _installed() -> str | None:
+    """Return the version of numba; reading it takes a millisecond, which a recursion asks for at every batch."""
     try:
         return version("numba")
     except PackageNotFoundError:

@@ -9,12 +9,17 @@ import numpy as np
 from robust_filterpy.compiled import dispatch
 from robust_filterpy.compiled.kernel import workspace_size
 from robust_filterpy.compiled.records import SIZES, Model, Output
+from robust_filterpy.correction import adaptive_noise
 from robust_filterpy.correction.options import Choices
 
 
 def kernels() -> dict[str, Callable[[], object]]:
     """Return what compiles each kernel, by its name."""
-    calls: dict[str, Callable[[], object]] = {dispatch.ONLINE: _online, dispatch.BANK: _bank}
+    calls: dict[str, Callable[[], object]] = {
+        dispatch.ONLINE: _online,
+        dispatch.BANK: _bank,
+        dispatch.ADAPTIVE: _adaptive,
+    }
     for size in SIZES:
         calls[dispatch.series_name(size)] = lambda size=size: _series(size)  # type: ignore[misc]
     return calls
@@ -33,6 +38,20 @@ def _series(size: tuple[int, int]) -> None:
         np.empty((*four, m)), np.zeros(1),
     )  # fmt: skip
     dispatch.filter_series(size, Choices(), np.zeros((*four, m)), model, np.zeros((1, n)), np.eye(n)[None], output)
+
+
+def _adaptive() -> None:
+    """Take one step of one filter with one sensor, whose noise has one class."""
+    from robust_filterpy.compiled import adaptive
+
+    one = np.ones((1, 1))
+    begin = adaptive_noise.start(1)
+    adaptive.advance(one.copy(), one[None].copy(), one[0].copy(), one[0], one[0], one, one, one[0], 1.0, 1.0)
+    adaptive.merge(one, one[None], one[0], one[0].copy(), one.copy())
+    adaptive.correct(
+        one.copy(), one[None].copy(), one[0].copy(), begin[None].copy(), one[0], one, one[0], one[0], begin, 2.0, 2.0,
+        one[0].copy(), one[0].copy(),
+    )  # fmt: skip
 
 
 def _online() -> None:

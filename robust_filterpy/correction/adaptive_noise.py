@@ -7,19 +7,13 @@ with a forgetting memory and a weak prior, and r from the expected squares of th
 When these are no longer the majority, the class in which the median falls becomes the ordinary one: the way out of a
 wrong R.
 
-Everything that is learnt about a sensor is one array, `start` says in which order; each function is plain floats and
-loops, which numba compiles unchanged. `robust_filterpy.correction.adaptive` corrects a state with it; for a scalar
-measurement `class_probabilities`, `weigh` and `learn` are one step::
-
-    class_probabilities(learnt, p)
-    score, information, log_density, energy = weigh(p, scales, learnt[0], y, h, R)
-    learn(learnt, begin, scales, p, energy, memory, r_memory)
-    # x += P H' score,   P -= P H' information H P
+Everything that is learnt about a sensor is one array, `start` says in which order. `class_probabilities` and `learn`
+are the chain's prediction and what a sample adds to it, in plain floats and loops, which are fastest on lists;
+`robust_filterpy.correction.adaptive` corrects a state between the two.
 """
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,7 +23,7 @@ from robust_filterpy._checks import Array
 # An array, or a list, which Python indexes in a third of the time.
 Floats = Any
 
-__all__ = ["DECADES", "LearntNoise", "class_probabilities", "describe", "learn", "start", "weigh"]
+__all__ = ["DECADES", "LearntNoise", "class_probabilities", "describe", "learn", "start"]
 
 #: Factors of the variance: a standard deviation of 1, 3.2, 10 and 32 times the ordinary one.
 DECADES = (1.0, 10.0, 100.0, 1000.0)
@@ -96,59 +90,6 @@ def class_probabilities(learnt: Floats, p: Floats) -> None:
             total += learnt[first + j]
         for j in range(K):
             p[j] += learnt[2 + K + i] * learnt[first + j] / total
-
-
-def weigh(p: Floats, scales: Floats, r: float, y: float, h: float, R: float) -> tuple[float, float, float, float]:
-    """Weigh an innovation under every class.
-
-    Parameters
-    ----------
-    p : ndarray or list, shape (K,)
-        Probabilities of the classes, > 0; replaced by those given y.
-    scales : sequence of float, length K
-        Factors of the variance.
-    r : float
-        Factor of the variance of all classes.
-    y : float
-        Innovation; beyond 8 standard deviations of the widest class it is shortened to 8.
-    h : float
-        Variance H P H' of what is predicted.
-    R : float
-        Variance of the noise that the filter was given.
-
-    Returns
-    -------
-    score : float
-        -d log p(y)/dy: the state moves by P H' score.
-    information : float
-        Its derivative: P loses P H' information H P.
-    log_density : float
-        log p(y).
-    energy : float
-        E[v^2 | y, class 0]/R, from which r is learnt.
-    """
-    K = len(p)
-    reach = 8.0 * math.sqrt(h + r * scales[K - 1] * R)
-    y = min(max(y, -reach), reach)
-    peak = -math.inf
-    for k in range(K):
-        S = h + r * scales[k] * R
-        peak = max(peak, math.log(p[k]) - 0.5 * (y * y / S + math.log(S)))
-    total = 0.0
-    for k in range(K):
-        S = h + r * scales[k] * R
-        p[k] = math.exp(math.log(p[k]) - 0.5 * (y * y / S + math.log(S)) - peak)
-        total += p[k]
-    first, second = 0.0, 0.0
-    for k in range(K):
-        p[k] /= total
-        S = h + r * scales[k] * R
-        first += p[k] / S
-        second += p[k] / S / S
-    S = h + r * R
-    energy = (r * y / S) ** 2 * R + r * h / S
-    log_density = peak + math.log(total) - 0.5 * math.log(2.0 * math.pi)
-    return first * y, first - y * y * (second - first * first), log_density, energy
 
 
 def learn(

@@ -11,7 +11,8 @@ from robust_filterpy._checks import Array
 _HALF = np.array(0.5)
 
 
-class NotPositiveDefiniteError(np.linalg.LinAlgError):
+# LinAlgError is a ValueError from numpy 1.25 on.
+class NotPositiveDefiniteError(np.linalg.LinAlgError, ValueError):
     """Say that scaling "unit" would make P indefinite: it is a filter only while H P H' < 1."""
 
 

@@ -18,7 +18,8 @@ _EPS = sys.float_info.epsilon
 SAFE = 1e150
 
 
-class SingularInnovationError(np.linalg.LinAlgError):
+# LinAlgError is a ValueError from numpy 1.25 on.
+class SingularInnovationError(np.linalg.LinAlgError, ValueError):
     """Say that the innovation covariance S has no inverse."""
 
 
@@ -142,6 +143,11 @@ def _singular(S: Array, least: float) -> SingularInnovationError:
     """Return the error of an S without inverse; least: eigenvalue of its correlation matrix, or a variance."""
     if not np.isfinite(S).all():
         return SingularInnovationError("S = H P H' + R: not finite; check H, P and R for NaN, infinity and overflow")
+    if least < -1e-6:
+        return SingularInnovationError(
+            f"S = H P H' + R: singular or negative (least eigenvalue {least:.3g}); P or R is no covariance matrix: "
+            "look at both, and at the Q that predict adds to P"
+        )
     return SingularInnovationError(
         f"S = H P H' + R: singular (least eigenvalue {least:.3g}); make R positive definite, or set "
         f"inv=numpy.linalg.pinv to ignore the directions that carry no information"

@@ -5,7 +5,7 @@
 * `recovering`: a redescending psi that comes back after a jump.
 * `gaussian_sum`: noise that is a known mixture.
 * `multiple_model`: outliers in the process as well as in the measurement.
-* `adaptive`: noises that are learnt.
+* `adaptive`, `adaptive_nonlinear`: noises that are learnt.
 * `ensemble`: the ensemble Kalman filter.
 * `functions`: filterpy's functions update, predict, batch_filter, rts_smoother.
 * `conversion`: a robust filter made of an existing one.
@@ -22,6 +22,11 @@ from robust_filterpy.filters.kalman import RobustKalmanFilter
 
 if TYPE_CHECKING:
     from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter
+    from robust_filterpy.filters.adaptive_nonlinear import (
+        AdaptiveCubatureKalmanFilter,
+        AdaptiveExtendedKalmanFilter,
+        AdaptiveUnscentedKalmanFilter,
+    )
     from robust_filterpy.filters.conversion import robust
     from robust_filterpy.filters.ensemble import RobustEnsembleKalmanFilter
     from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
@@ -31,7 +36,10 @@ if TYPE_CHECKING:
     from robust_filterpy.filters.sigma_point import RobustCubatureKalmanFilter, RobustUnscentedKalmanFilter
 
 _LAZY = {
+    "AdaptiveCubatureKalmanFilter": "adaptive_nonlinear",
+    "AdaptiveExtendedKalmanFilter": "adaptive_nonlinear",
     "AdaptiveKalmanFilter": "adaptive",
+    "AdaptiveUnscentedKalmanFilter": "adaptive_nonlinear",
     "NoiseMatchedKalmanFilter": "gaussian_sum",
     "RecoveringKalmanFilter": "recovering",
     "RobustCubatureKalmanFilter": "sigma_point",
@@ -42,7 +50,10 @@ _LAZY = {
     "robust": "conversion",
 }
 __all__ = [
+    "AdaptiveCubatureKalmanFilter",
+    "AdaptiveExtendedKalmanFilter",
     "AdaptiveKalmanFilter",
+    "AdaptiveUnscentedKalmanFilter",
     "NoiseMatchedKalmanFilter",
     "RecoveringKalmanFilter",
     "RobustCubatureKalmanFilter",

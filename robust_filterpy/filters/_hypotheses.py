@@ -219,8 +219,11 @@ class _ProcessScales:
             self.saver.save()
 
 
-class ScoreFilter(MultipleHypothesisFilter):
+class ScoreMixin:
     """Correct by the score of the innovation, which follows from the noise model and leaves nothing to choose."""
+
+    # Its psi follows from probabilities, and no share of clipped innovations is expected of it.
+    _counts_clipped = False
 
     @property
     def scaling(self) -> Scaling:
@@ -239,6 +242,10 @@ class ScoreFilter(MultipleHypothesisFilter):
     @information.setter
     def information(self, value: Information) -> None:
         raise AttributeError(f"information: always 'realized' for a {type(self).__name__}")
+
+
+class ScoreFilter(ScoreMixin, MultipleHypothesisFilter):
+    """Correct a state under several hypotheses by the score."""
 
 
 def finite_product(H: Array, x: Array) -> Array:

@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._arrays import process_noise, require_finite_prediction, state_of
 from robust_filterpy._checks import Array
+from robust_filterpy._state import Shape
+from robust_filterpy.compiled import dispatch
 from robust_filterpy.correction.merging import collapse
 from robust_filterpy.filters._hypotheses import MultipleHypothesisFilter
 
@@ -107,14 +109,23 @@ class InteractingFilter(MultipleHypothesisFilter):
         bank = self._current()
         q, n = bank.means.shape
         stay = 1.0 - 1.0 / self._dwell if q > 1 else 1.0
+        F, noise = np.asarray(self.F if F is None else F, dtype=float), process_noise(self.Q, Q, n)
+        kernels = dispatch.adaptive()
+        if kernels is not None and np.shape(noise) == (n, n):
+            means, covariances, probabilities = bank.means.copy(), bank.covariances.copy(), bank.probabilities.copy()
+            kernels.advance(
+                means, covariances, probabilities, bank.x, x, dispatch.usable(F), dispatch.usable(noise), self._scales,
+                stay, self._alpha_sq,
+            )  # fmt: skip
+            advanced = merged_bank(means, covariances, probabilities)
+            require_finite_prediction(advanced.x, advanced.P)
+            return advanced
         moves = np.full((q, q), (1.0 - stay) / max(q - 1, 1))
         np.fill_diagonal(moves, stay)
         probabilities = bank.probabilities @ moves
         # Row j: where copy j starts from.
         origin = (bank.probabilities[:, None] * moves / probabilities).T
         mixed, P = collapse(origin, bank.means[None], bank.covariances[None])
-        F = np.asarray(self.F if F is None else F, dtype=float)
-        noise = process_noise(self.Q, Q, n)
         covariances = self._alpha_sq * (F @ P @ F.T) + self._scales[:, None, None] * noise
         # B u moves every copy as it moves the mean.
         advanced = merged_bank(x + (mixed - bank.x) @ F.T, covariances, probabilities)
@@ -130,6 +141,24 @@ class InteractingFilter(MultipleHypothesisFilter):
         """Leave the copies as they are."""
         self._found = (None,)
         super()._skip()
+
+    def _moving(self) -> dict[str, Any]:
+        """Return x, P and the copies."""
+        bank = self._current()
+        copies = {"means": bank.means, "covariances": bank.covariances, "shares": bank.probabilities}
+        return {**super()._moving(), **copies}
+
+    def _needed(self) -> dict[str, Shape]:
+        """Return the shapes of x, P and the copies."""
+        q, n = len(self._scales), self.dim_x
+        return {**super()._needed(), "means": (q, n), "covariances": (q, n, n), "shares": (q,)}
+
+    def _go_on(self, found: dict[str, Array]) -> None:
+        """Take over a checked state."""
+        super()._go_on(found)
+        x, P = state_of(self)
+        self._keep_copies(Bank(found["means"], found["covariances"], found["shares"], x.ravel().copy(), P.copy()))
+        self._found = (None,)
 
     def _take_over(self, bank: Bank) -> None:
         """Make these the copies, and x and P what they merge to."""
@@ -156,4 +185,9 @@ class InteractingFilter(MultipleHypothesisFilter):
 
 def merged_bank(means: Array, covariances: Array, probabilities: Array) -> Bank:
     """Return copies together with their overall mean and covariance."""
+    kernels = dispatch.adaptive()
+    if kernels is not None:
+        x, P = np.empty(means.shape[1]), np.empty(covariances.shape[1:])
+        kernels.merge(means, covariances, probabilities, x, P)
+        return Bank(means, covariances, probabilities, x, P)
     return Bank(means, covariances, probabilities, *collapse(probabilities, means, covariances))

@@ -16,13 +16,14 @@ from robust_filterpy.correction.likelihood import log_density
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.whitening import Inverse
+from robust_filterpy.filters._interruption import StateMixin
 from robust_filterpy.filters._outlier_share import Share
 from robust_filterpy.influence.functions import Influence
 
 _DEFAULT_INVERSE = np.linalg.inv
 
 
-class RobustFilterMixin:
+class RobustFilterMixin(StateMixin):
     """Add to a filter of filterpy's the choices of a robust correction and the attributes that show what it did.
 
     Comes before filterpy's class among the bases. The filter stores its `Correction` in ``_last`` and sets

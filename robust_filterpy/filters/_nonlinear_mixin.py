@@ -9,16 +9,22 @@ import numpy as np
 
 from robust_filterpy._arrays import measured
 from robust_filterpy._checks import Array, described, numbers
+from robust_filterpy.correction.definition import correct
 from robust_filterpy.correction.missing import nothing_observed
+from robust_filterpy.correction.moments import correct_moments
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.filters._mixin import RobustFilterMixin
+from robust_filterpy.filters._mixin import RobustFilterMixin, unchanged_if_refused
 from robust_filterpy.filters._outlier_share import EVERY
 
 
 class NonlinearFilterMixin(RobustFilterMixin):
     """Keep a correction in filterpy's attributes."""
 
+    # Whether an expected share of clipped innovations is known.
+    _counts_clipped = True
+
     inv: Any
+    dim_x: int
     P: Array
     K: Array
     z: Any
@@ -34,10 +40,43 @@ class NonlinearFilterMixin(RobustFilterMixin):
         self.x = last.x[:, None] if column else last.x
         self.P, self.K, self._last = last.P, last.K, last
         self._updates += 1
-        if self._updates % EVERY == 0:
+        if self._updates % EVERY == 0 and self._counts_clipped:
             self._share.look(self, last)
         self.z = z[:, None] if column else z
         self._forget()
+
+    def _corrected(self, x: Array, P: Array, y: Array, H: Array, R: Array) -> Any:
+        """Return the correction by an innovation, x of shape (n,), H the derivative of the measurement."""
+        return correct(x, P, y, H, R, self._choices, None, self._inverse)
+
+    def _corrected_by_moments(
+        self, x: Array, P: Array, y: Array, C: Array, S: Array, R: Array, add: Callable[..., Any]
+    ) -> Any:
+        """Return the correction by an innovation, C = cov(x, z), S = cov(z) with R in it."""
+        return correct_moments(x, P, y, C, S, R, self._choices, self._inverse, add)
+
+    def _filtered(self, zs: Any, columns: dict[str, Any], step: Callable[..., None], saver: Any) -> tuple[Array, Array]:
+        """Do a step for each measurement, with what each of the columns has for it; all of them or none."""
+        if not hasattr(zs, "__len__"):
+            raise TypeError(f"zs: expected a sequence of measurements, got {zs!r}")
+        if saver is not None and not callable(getattr(saver, "save", None)):
+            raise TypeError(f"saver: expected an object with a method save(), got {saver!r}")
+        each = []
+        for name, values in columns.items():
+            values = [values] * len(zs) if values is None or (name == "dts" and np.ndim(values) == 0) else values
+            if len(values) != len(zs):
+                raise ValueError(
+                    f"{name}: expected an entry for each of the {len(zs)} measurements in zs, got {len(values)}"
+                )
+            each.append(values)
+        means, covariances = np.zeros((len(zs), self.dim_x)), np.zeros((len(zs), self.dim_x, self.dim_x))
+        with unchanged_if_refused(self):
+            for k, (z, *values) in enumerate(zip(zs, *each, strict=True)):
+                step(z, *values)
+                means[k], covariances[k] = np.ravel(self.x), self.P
+                if saver is not None:
+                    saver.save()
+        return means, covariances
 
     def _skip(self) -> None:
         """Do what filterpy does for update(None), and forget the last innovation."""
@@ -87,4 +126,4 @@ def require_finite(**arrays: Array) -> None:
     """Raise ValueError, naming the array, unless every number is finite."""
     for name, value in arrays.items():
         if not np.isfinite(value).all():
-            raise ValueError(f"{name}: expected finite numbers, got NaN or infinity; check the model functions")
+            raise ValueError(f"{name}: expected finite numbers, got NaN or infinity; check x and the model functions")

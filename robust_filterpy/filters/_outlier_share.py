@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from robust_filterpy._documentation import SMALL, STOPPED, pointer
+
 __all__ = ["EVERY", "OutlierShareWarning", "Share"]
 
 #: Only every so many updates are looked at, so that it costs nothing.
@@ -61,7 +63,8 @@ class Share:
         _warned.add(name)
         warnings.warn(
             f"{name}: clipped {share:.0%} of the last {numbers} innovations looked at, where its psi expects "
-            f"{expected:.0%}; most likely {cause}: see robust_filterpy.diagnose. Switch this off with "
+            f"{expected:.0%}; most likely {cause}: robust_filterpy.diagnose tells, and "
+            f"{pointer(STOPPED if keeps else SMALL)}. Switch this off with "
             f'warnings.simplefilter("ignore", robust_filterpy.OutlierShareWarning)',
             OutlierShareWarning,
             stacklevel=6,

@@ -3,31 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
-from robust_filterpy._arrays import noise_covariance
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.adaptive import NoiseClasses, correct_adaptively
-from robust_filterpy.correction.adaptive_noise import DECADES, LearntNoise, describe
+from robust_filterpy.correction.adaptive import NoiseClasses
+from robust_filterpy.correction.adaptive_noise import DECADES
 from robust_filterpy.correction.missing import nothing_observed
 from robust_filterpy.correction.options import Grouping
 from robust_filterpy.filters._hypotheses import (
     MergedCorrection,
     ScoreFilter,
-    WeightInfluence,
     finite_product,
 )
 from robust_filterpy.filters._interacting import InteractingFilter, merged_bank
+from robust_filterpy.filters._learnt_noise import LearntNoiseMixin
 
 __all__ = ["AdaptiveKalmanFilter"]
 
 
-class AdaptiveKalmanFilter(ScoreFilter, InteractingFilter):
+class AdaptiveKalmanFilter(LearntNoiseMixin, ScoreFilter, InteractingFilter):
     """Filter like `filterpy.kalman.KalmanFilter`, and learn the noises while filtering.
 
     The measurement noise is a mixture of normal distributions whose covariances are r s R. The scales s are given; the
@@ -128,69 +126,9 @@ class AdaptiveKalmanFilter(ScoreFilter, InteractingFilter):
         """Set up filterpy's attributes, the copies and the noise."""
         classes = NoiseClasses(measurement_scales, grouping, memory, r_memory)
         super().__init__(dim_x, dim_z, dim_u, grouping=grouping)
-        self._classes, self._learnt = classes, classes.start(dim_z)
+        self._set_noise(classes, dim_z)
         self._set_copies(process_scales, dwell)
-        self._outlier_probability, self._first = 0.0, 0
-
-    @property
-    def measurement_scales(self) -> Array:
-        """Factors of R, shape (K,)."""
-        return np.array(self._classes.scales)
-
-    @property
-    def memory(self) -> float:
-        """Samples for which it is remembered how often each scale occurs."""
-        return self._classes.memory
-
-    @property
-    def r_memory(self) -> float:
-        """Ordinary samples for which the size of the noise is remembered."""
-        return self._classes.r_memory
-
-    @property
-    def learnt(self) -> Array:
-        """What is known of the noise, shape (1 or sensors, 2 + 2 K + K^2); a copy."""
-        return self._learnt.copy()
-
-    @learnt.setter
-    def learnt(self, value: ArrayLike) -> None:
-        self._learnt = self._classes.checked(value, self.dim_z)
-
-    @property
-    def noise(self) -> LearntNoise:
-        """What has been learnt about the measurement noise."""
-        return describe(self._learnt, self.measurement_scales, self.dim_z if self.grouping == "joint" else 1)
-
-    @property
-    def R_learnt(self) -> Array:
-        """Covariance of ordinary noise as learnt, shape (dim_z, dim_z)."""
-        return self._ordinary(noise_covariance(self.R, None, self.dim_z), self._known(self.dim_z))
-
-    @property
-    def outlier_probability(self) -> float:
-        """Probability that a component of the last measurement was an outlier."""
-        return self._outlier_probability
-
-    @property
-    def influence(self) -> Any:
-        """The noise as learnt, whose score is psi."""
-        return self.noise
-
-    @influence.setter
-    def influence(self, value: Any) -> None:
-        raise AttributeError("influence: follows from the noise, which an AdaptiveKalmanFilter learns")
-
-    @property
-    def grouping(self) -> Grouping:
-        """Whether the sensors fail "joint", or each "component" on its own; another one starts to learn anew."""
-        return self._classes.grouping
-
-    @grouping.setter
-    def grouping(self, value: Grouping) -> None:
-        classes = replace(self._classes, grouping=value)
-        if value != self._classes.grouping:
-            self._learnt, self._classes = classes.start(self.dim_z), classes
-            self._choices = self._choices.changed(grouping=value)
+        self._first = 0
 
     def update_sequential(self, start: int, z_i: ArrayLike, R_i: Any = None, H_i: ArrayLike | None = None) -> None:
         """Correct the state by a part of the measurement, as `RobustKalmanFilter.update_sequential` does.
@@ -221,40 +159,20 @@ class AdaptiveKalmanFilter(ScoreFilter, InteractingFilter):
         """Return the correction of the merged state; every copy is corrected by itself."""
         column, values, m = x.ravel(), np.atleast_1d(values), len(H)
         y = values - finite_product(H, column)
-        joint = self.grouping == "joint"
-        learnt = self._known(self._first + m)
-        ordinary = self._ordinary(R, learnt if joint else learnt[self._first :])
+        known = self._known(self._first + m)
+        ordinary = self._ordinary(R, known if self.grouping == "joint" else known[self._first :])
         # What H does not see says nothing about the state, and nothing is learnt from it.
         y[~H.any(axis=1)] = np.nan
         part = np.flatnonzero(y == y)
         if part.size == 0:
             self._found = (None,)
             return nothing_observed(column, P, H.dot(P).dot(H.T) + ordinary, m)
-        rows = np.zeros(1, dtype=int) if joint else self._first + part
-        bank, pick = self._current(), np.ix_(part, part)
-        step = correct_adaptively(
-            bank.means, bank.covariances, bank.probabilities, learnt[rows], values[part], H[part], R[pick],
-            self._classes, None if M is None else M[:, part], self._inverse,
-        )  # fmt: skip
-        learnt[rows] = step.learnt
-        bank = merged_bank(step.means, step.covariances, step.probabilities)
-        # Sensors that fail together have one probability.
-        ordinary_all = np.prod(1.0 - step.outlier_probabilities[: rows.size])
-        self._found = (step.log_density, bank, learnt, float(1.0 - ordinary_all))
+        found = self._learn(*self._current()[:3], values, H, R, M, self._inverse, known, part, self._first)
+        bank = merged_bank(found.step.means, found.step.covariances, found.step.probabilities)
+        self._found = (found.step.log_density, bank, found.known, found.outlier_probability)
         # A noise that is larger by a factor keeps its correlation with the state.
         cross = None if M is None else M * np.sqrt(ordinary.diagonal() / R.diagonal())
-        influence = WeightInfluence(step.weights, step.outlier_probabilities > 0.5)
-        return MergedCorrection(bank.x, bank.P, y, P.copy(), H.copy(), ordinary, cross, self._inverse, influence)
-
-    def _known(self, sensors: int) -> Array:
-        """Return a copy of what is known, with rows for sensors that have joined."""
-        more = 0 if self.grouping == "joint" else max(sensors - len(self._learnt), 0)
-        return np.concatenate([self._learnt, self._classes.start(more)[:more]])
-
-    def _ordinary(self, R: Array, learnt: Array) -> Array:
-        """Return the covariance of ordinary noise for an R that was given."""
-        r = np.sqrt(learnt[:, 0] * np.ones(len(R)) if len(learnt) == 1 else learnt[: len(R), 0])
-        return np.asarray(R * np.multiply.outer(r, r))
+        return MergedCorrection(bank.x, bank.P, y, P.copy(), H.copy(), ordinary, cross, self._inverse, found.influence)
 
     def _settle(self) -> None:
         """Take over the corrected copies and what they have learnt."""

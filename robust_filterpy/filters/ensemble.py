@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise
 from robust_filterpy._checks import Array
+from robust_filterpy._state import Shape, read, spelt
 from robust_filterpy.correction.moments import correct_moments
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
@@ -188,6 +189,28 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
         self.sigmas = self.sigmas + (last.x - self.x) + (noise - seen) @ self._shrinking(last, C).T
         self._keep(last._replace(x=np.mean(self.sigmas, axis=0)), values)
 
+    def _moving(self) -> dict[str, Any]:
+        """Return x, P, the members and where the random numbers are."""
+        words, name = _numbered(self.rng.bit_generator.state)
+        return {**super()._moving(), "sigmas": self.sigmas, "random": words, "generator": spelt(name)}
+
+    def _needed(self) -> dict[str, Shape]:
+        """Return the shapes of these."""
+        sizes: dict[str, Shape] = {"sigmas": (self.N, self.dim_x), "random": (None,), "generator": (None,)}
+        return {**super()._needed(), **sizes}
+
+    def _go_on(self, found: dict[str, Array]) -> None:
+        """Take over a checked state, with a generator of its own at the same place."""
+        now, name = self.rng.bit_generator, read(found["generator"])
+        if name != type(now).__name__ or found["random"].size != _numbered(now.state)[0].size:
+            raise ValueError(
+                f"state: expected random numbers of a {type(now).__name__}, got those of a {name or 'none'}"
+            )
+        generator = type(now)()
+        generator.state = _put_back(now.state, found["random"].tolist()[::-1])
+        super()._go_on(found)
+        self.sigmas, self.rng = found["sigmas"], np.random.Generator(generator)
+
     def _shrinking(self, last: Correction, C: Array) -> Array:
         """Return C T' (I - (I - D)^(1/2)) T, with which noisy members have covariance P - C T' D T C'."""
         part = np.flatnonzero(~np.isnan(last.weights))
@@ -201,3 +224,33 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
         found = np.zeros_like(C)
         found[:, part] = C[:, part] @ T.T @ root @ T
         return found
+
+
+def _numbered(value: Any) -> tuple[Array, str]:
+    """Return the state of a bit generator as numbers below 2^32, which floats hold exactly, and its name."""
+    words: list[float] = []
+
+    def note(part: Any) -> None:
+        """Note the words of a part, the lowest first."""
+        if isinstance(part, dict):
+            for name in sorted(part):
+                note(part[name])
+        elif isinstance(part, np.ndarray):
+            for number in part.ravel().tolist():
+                note(number)
+        elif not isinstance(part, str):
+            words.extend((int(part) >> shift) & 0xFFFFFFFF for shift in range(0, 128, 32))
+
+    note(value)
+    return np.array(words, dtype=float), str(value["bit_generator"])
+
+
+def _put_back(like: Any, words: list[float]) -> Any:
+    """Return a state like another one with these words, which are taken from the end of the list."""
+    if isinstance(like, dict):
+        return {name: _put_back(like[name], words) for name in sorted(like)}
+    if isinstance(like, np.ndarray):
+        return np.array([_put_back(0, words) for _ in range(like.size)], dtype=like.dtype).reshape(like.shape)
+    if isinstance(like, str):
+        return like
+    return sum(int(words.pop()) << shift for shift in range(0, 128, 32))

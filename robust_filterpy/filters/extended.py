@@ -19,7 +19,6 @@ from robust_filterpy._arrays import (
     state_of,
 )
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.definition import correct
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.filters._mixin import unchanged_if_refused
 from robust_filterpy.filters._nonlinear_mixin import (
@@ -107,6 +106,8 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         self._set_choices(influence, scaling, information, grouping)
         super().__init__(dim_x, dim_z, dim_u)
         self.inv = np.linalg.inv
+
+    _settings = {name: name for name in ("F", "Q", "R", "B")}
 
     def predict_x(self, u: ArrayLike = 0) -> None:
         """Predict the state alone, x = F x + B u; override it for a nonlinear model, as with filterpy.
@@ -219,6 +220,56 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
             x, P = state_of(self)
             self._correct(z, x, P, H, Hx, None, hx_args, np.subtract)
 
+    def batch_filter(
+        self,
+        zs: Any,
+        HJacobian: Callable[..., ArrayLike],
+        Hx: Callable[..., ArrayLike],
+        Rs: Any = None,
+        us: Any = None,
+        args: Any = (),
+        hx_args: Any = (),
+        residual: Callable[[Any, Any], Any] = np.subtract,
+        saver: Any = None,
+    ) -> tuple[Array, Array]:
+        """Filter a whole recording: predict and update for each measurement. filterpy has no such method.
+
+        Parameters
+        ----------
+        zs : sequence of length N
+            Measurements as `update` takes them: numbers, arrays, rows with NaN, None.
+        HJacobian, Hx : callable
+            As in `update`.
+        Rs : sequence of length N, optional
+            Noise covariance of each step.
+        us : sequence of length N, optional
+            Control input before each step.
+        args, hx_args : tuple
+            As in `update`.
+        residual : callable, default numpy.subtract
+            As in `update`.
+        saver : filterpy.common.Saver, optional
+            Its ``save()`` is called after each step.
+
+        Returns
+        -------
+        means : ndarray, shape (N, dim_x)
+            Corrected states.
+        covariances : ndarray, shape (N, dim_x, dim_x)
+            Their covariances.
+
+        Raises
+        ------
+        ValueError, TypeError, LinAlgError
+            As in `predict` and `update`; the filter is then as it was before the call.
+        """
+
+        def step(z: Any, R: Any, u: Any) -> None:
+            self.predict(0 if u is None else u)
+            self.update(z, HJacobian, Hx, R, args, hx_args, residual)
+
+        return self._filtered(zs, {"Rs": Rs, "us": us}, step, saver)
+
     def _jacobian(self, HJacobian: Callable[..., ArrayLike], x: Array, args: Any) -> Array:
         """Return H at x, checked."""
         H = _checks.numbers("HJacobian", HJacobian(x.copy(), *(args if isinstance(args, tuple) else (args,))))
@@ -241,4 +292,4 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         if values is None:
             self._skip()
             return
-        self._keep(correct(x.ravel(), P, y, H, R, self._choices, None, self._inverse), values)
+        self._keep(self._corrected(x.ravel(), P, y, H, R), values)

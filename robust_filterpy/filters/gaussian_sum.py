@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._arrays import process_noise, state_of
 from robust_filterpy._checks import Array
+from robust_filterpy._state import Shape
 from robust_filterpy.correction.merging import MOST_HYPOTHESES, Hypothesis, merge
 from robust_filterpy.correction.missing import nothing_observed
 from robust_filterpy.correction.mixture import ContaminatedScore
@@ -251,6 +252,19 @@ class NoiseMatchedKalmanFilter(ScoreFilter):
         self._jump = np.zeros_like(self._jump)
         self._found = (None, 0.0, 0.0)
         super()._skip()
+
+    def _moving(self) -> dict[str, Any]:
+        """Return x, P and the jump that no measurement has spoken about."""
+        return {**super()._moving(), "jump": self._jump}
+
+    def _needed(self) -> dict[str, Shape]:
+        """Return the shapes of x, P and the jump."""
+        return {**super()._needed(), "jump": (self.dim_x, self.dim_x)}
+
+    def _go_on(self, found: dict[str, Array]) -> None:
+        """Take over a checked state."""
+        super()._go_on(found)
+        self._jump, self._found = found["jump"], (None, 0.0, 0.0)
 
     def get_update(self, z: ArrayLike | None = None) -> tuple[Array, Array]:
         """Return what `update` would make of x and P, and change nothing.

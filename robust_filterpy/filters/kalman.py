@@ -123,6 +123,8 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
     """
 
     _counts_clipped = True
+    # K, S and SI are what `update_steadystate` goes on with.
+    _settings = {name: name for name in ("F", "H", "Q", "R", "B", "M", "K", "S", "SI")} | {"alpha_sq": "_alpha_sq"}
 
     def __init__(
         self,

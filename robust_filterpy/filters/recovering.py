@@ -14,6 +14,7 @@ from scipy.special import chdtri
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
+from robust_filterpy._state import Shape
 from robust_filterpy.correction.options import Grouping, Information, Scaling, length_and_direction
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.influence.functions import Influence, TukeyBiweight
@@ -72,7 +73,9 @@ class RecoveringKalmanFilter(RobustKalmanFilter):
     Only `update` and `update_correlated` count (and `batch_filter`, which calls them). Outliers that are longer than
     `patience` and agree are a jump to this filter; nothing in the measurement says otherwise. A sensor that fails
     for good beside a healthy one is believed in turn: give a sensor that is known to fail NaN. What insists from more
-    than 1e7 standard deviations away is no jump. Innovations agree only while H stays about the same, so this does not
+    than 1e7 standard deviations away is no jump. R is taken as it is told: where it is many times too small, ordinary
+    measurements are refused and do not agree, and the filter is lost, which `OutlierShareWarning` says; an
+    `AdaptiveKalmanFilter` learns R. Innovations agree only while H stays about the same, so this does not
     help a `ParameterTracker`, whose H is the regressor: give that a `TwoSidedKalmanFilter`.
 
     Examples
@@ -91,6 +94,8 @@ class RecoveringKalmanFilter(RobustKalmanFilter):
     >>> bool(abs(kf.x[0, 0] - 50.0) < 0.1), kf.recoveries
     (True, 1)
     """
+
+    _gaps = ("insisting",)
 
     def __init__(
         self,
@@ -153,6 +158,21 @@ class RecoveringKalmanFilter(RobustKalmanFilter):
         self._insisting = before
         if self.refused >= self._patience:
             self._widen(y, H[observed], prior)
+
+    def _moving(self) -> dict[str, Any]:
+        """Return x, P, the count and the refused innovation that the next one is compared with."""
+        counts = np.array([self.refused, self.recoveries])
+        return {**super()._moving(), "counts": counts, "insisting": self._insisting}
+
+    def _needed(self) -> dict[str, Shape]:
+        """Return the shapes of these."""
+        return {**super()._needed(), "counts": (2,), "insisting": (None,)}
+
+    def _go_on(self, found: dict[str, Array]) -> None:
+        """Take over a checked state."""
+        super()._go_on(found)
+        self.refused, self.recoveries = (int(number) for number in found["counts"])
+        self._insisting = found["insisting"]
 
     def _root(self, observed: np.ndarray) -> Array:
         """Return S^(-1/2) of the observed components, whatever the scaling."""

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, state_of
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.moments import correct_moments
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.filters._mixin import unchanged_if_refused
 from robust_filterpy.filters._nonlinear_mixin import (
@@ -30,6 +29,8 @@ class _SigmaPoint(NonlinearFilterMixin):
     """Correct by the moments of sigma points."""
 
     sigmas_h: Array
+    # Between a prediction and its correction the sigma points are what the correction needs.
+    _settings = {"Q": "Q", "R": "R", "sigmas_f": "sigmas_f"}
 
     def _correct(self, z: Any, sigmas_h: Array, zp: Any, C: Array, S: Array, R: Array, residual: Any) -> None:
         """Correct by a whole measurement; every check comes before the first assignment."""
@@ -40,7 +41,7 @@ class _SigmaPoint(NonlinearFilterMixin):
             self._skip()
             return
         add = getattr(self, "state_add", np.add)
-        last = correct_moments(x.ravel(), P, y, C, S, R, self._choices, self._inverse, add)
+        last = self._corrected_by_moments(x.ravel(), P, y, C, S, R, add)
         require_finite(x=last.x)
         self._keep(last, values)
         self.sigmas_h = sigmas_h
@@ -145,7 +146,7 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
         self.state_add = np.add if state_add is None else state_add
 
     @property
-    def dim_x(self) -> int:
+    def dim_x(self) -> int:  # type: ignore[override]
         """Length of the state."""
         return self._dim_x
 
@@ -256,24 +257,12 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
         ValueError, LinAlgError
             As in `predict` and `update`; the filter is then as it was before the call.
         """
-        if not hasattr(zs, "__len__"):
-            raise TypeError(f"zs: expected a sequence of measurements, got {zs!r}")
-        n, dim = len(zs), self.dim_x
-        columns = [zs]
-        for name, values in (("Rs", Rs), ("dts", dts)):
-            values = [values] * n if values is None or (name == "dts" and np.ndim(values) == 0) else values
-            if len(values) != n:
-                raise ValueError(f"{name}: expected an entry for each of the {n} measurements in zs, got {len(values)}")
-            columns.append(values)
-        means, covariances = np.zeros((n, dim)), np.zeros((n, dim, dim))
-        with unchanged_if_refused(self):
-            for k, (z, R, dt) in enumerate(zip(*columns, strict=True)):
-                self.predict(dt=dt, UT=UT)
-                self.update(z, R, UT=UT)
-                means[k], covariances[k] = self.x, self.P
-                if saver is not None:
-                    saver.save()
-        return means, covariances
+
+        def step(z: Any, R: Any, dt: Any) -> None:
+            self.predict(dt=dt, UT=UT)
+            self.update(z, R, UT=UT)
+
+        return self._filtered(zs, {"Rs": Rs, "dts": dts}, step, saver)
 
 
 class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
@@ -388,6 +377,39 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
             zp, S = ckf_transform(sigmas_h, R)
             C = (self.sigmas_f - np.ravel(self.x)).T @ (sigmas_h - zp.ravel()) / len(sigmas_h)
             self._correct(z, sigmas_h, zp, C, S, R, self.residual_z)
+
+    def batch_filter(self, zs: Any, Rs: Any = None, dts: Any = None, saver: Any = None) -> tuple[Array, Array]:
+        """Filter a whole recording: predict and update for each measurement. filterpy has no such method.
+
+        Parameters
+        ----------
+        zs : sequence of length N
+            Measurements as `update` takes them: numbers, arrays, rows with NaN, None.
+        Rs : sequence of length N, optional
+            Noise covariance of each step.
+        dts : sequence of length N, or float, optional
+            Time before each step.
+        saver : filterpy.common.Saver, optional
+            Its ``save()`` is called after each step.
+
+        Returns
+        -------
+        means : ndarray, shape (N, dim_x)
+            Corrected states.
+        covariances : ndarray, shape (N, dim_x, dim_x)
+            Their covariances.
+
+        Raises
+        ------
+        ValueError, TypeError, LinAlgError
+            As in `predict` and `update`; the filter is then as it was before the call.
+        """
+
+        def step(z: Any, R: Any, dt: Any) -> None:
+            self.predict(dt)
+            self.update(z, R)
+
+        return self._filtered(zs, {"Rs": Rs, "dts": dts}, step, saver)
 
 
 def _rows(name: str, values: list[Any]) -> Array:

@@ -110,7 +110,15 @@ def test_what_is_remembered_is_cached(monkeypatch, tmp_path):
     assert stamp.cached() == {"a kernel", "another one", "a third"}
 
 
-@pytest.mark.parametrize("name", ["influence/scalar.py", "compiled/whitening.py", "identification/_compiled_loop.py"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "influence/scalar.py",
+        "compiled/whitening.py",
+        "identification/_compiled_loop.py",
+        "correction/adaptive_noise.py",
+    ],
+)
 def test_the_cache_sees_an_edit_of_any_source(monkeypatch, tmp_path, name):
     copy = Path(shutil.copytree(PACKAGE, tmp_path / "package", ignore=shutil.ignore_patterns("__pycache__")))
     before = stamp.sources()

@@ -1,6 +1,7 @@
 """Learnt noise as pure functions: the scalar step is the general one, the counts are those of a Markov chain."""
 
 import itertools
+import math
 
 import numpy as np
 import pytest
@@ -9,8 +10,37 @@ from scipy.integrate import quad
 from support import random_problem
 
 from robust_filterpy.correction.adaptive import NoiseClasses, correct_adaptively
-from robust_filterpy.correction.adaptive_noise import DECADES, class_probabilities, describe, learn, start, weigh
+from robust_filterpy.correction.adaptive_noise import DECADES, class_probabilities, describe, learn, start
 from robust_filterpy.correction.merging import Hypothesis, collapse, correct_each, merge
+
+
+def weigh(p, scales, r, y, h, R):
+    """The correction for one sensor in floats, from the definition; p becomes the probabilities given y.
+
+    Score -d log p(y)/dy, its derivative, log p(y), and E[v^2 | y, class 0]/R; y is shortened to 8 standard deviations.
+    """
+    K = len(p)
+    reach = 8.0 * math.sqrt(h + r * scales[K - 1] * R)
+    y = min(max(y, -reach), reach)
+    peak = -math.inf
+    for k in range(K):
+        S = h + r * scales[k] * R
+        peak = max(peak, math.log(p[k]) - 0.5 * (y * y / S + math.log(S)))
+    total = 0.0
+    for k in range(K):
+        S = h + r * scales[k] * R
+        p[k] = math.exp(math.log(p[k]) - 0.5 * (y * y / S + math.log(S)) - peak)
+        total += p[k]
+    first, second = 0.0, 0.0
+    for k in range(K):
+        p[k] /= total
+        S = h + r * scales[k] * R
+        first += p[k] / S
+        second += p[k] / S / S
+    S = h + r * R
+    energy = (r * y / S) ** 2 * R + r * h / S
+    log_density = peak + math.log(total) - 0.5 * math.log(2.0 * math.pi)
+    return first * y, first - y * y * (second - first * first), log_density, energy
 
 
 def scalar_steps(ys, h=0.5, R=2.0, functions=(class_probabilities, weigh, learn), as_list=False):

@@ -431,3 +431,12 @@ def test_the_smoother(arguments, match):
     means, covariances, _, _ = kf.batch_filter([[0.1, 0.2]] * 5)
     with pytest.raises(REFUSED, match=f"^{match}"):
         kf.rts_smoother(**{"Xs": means, "Ps": covariances} | arguments)
+
+
+@pytest.mark.parametrize("m", [1, 2])
+def test_a_q_that_made_p_negative_is_named(m):
+    kf = RobustKalmanFilter(2, m)
+    kf.H, kf.Q = np.eye(2)[:m], -100.0 * np.eye(2)
+    kf.predict()
+    with pytest.raises(np.linalg.LinAlgError, match=r"least eigenvalue -98.*the Q that predict adds to P"):
+        kf.update(np.ones(m))

@@ -1,34 +1,40 @@
-"""filterpy's own tests, with the class swapped in at infinite threshold.
+"""filterpy's own tests, and those of its successor bayesian-filters, with the class swapped in at infinite threshold.
 
-They come from filterpy's 1.4.5 source distribution, fetched with pip when the test runs and kept in pytest's cache:
-later wheels do not ship them. They run twice in a process of their own, first as they are and then with
-`filterpy.kalman.KalmanFilter` replaced; what passes the first time must pass the second time.
+They come from source distributions, fetched with pip when the test runs and kept in pytest's cache: wheels do not ship
+them. They run twice in a process of their own, first as they are and then with the package's `KalmanFilter` replaced;
+what passes the first time must pass the second time.
 """
 
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import textwrap
-import zipfile
 
 import pytest
 
 pytestmark = pytest.mark.core
 
-REQUIREMENT = "filterpy==1.4.5"
+# Each archive, and the package in it.
+SUITES = [
+    pytest.param(("filterpy==1.4.5", "filterpy"), id="filterpy-1.4.5"),
+    pytest.param(("filterpy==2.0.0", "filterpy"), id="filterpy-2.0.0", marks=pytest.mark.slow),
+    pytest.param(("bayesian-filters", "bayesian_filters"), id="bayesian-filters", marks=pytest.mark.slow),
+]
 
 # Runs inside those processes: seeds every test, counts the filters that each one builds, and swaps the class.
 PLUGIN = """
+import importlib
 import json
 import os
 
-import filterpy.kalman
 import numpy as np
 import pytest
 
-plain = filterpy.kalman.KalmanFilter
+kalman = importlib.import_module(os.environ["PACKAGE"] + ".kalman")
+plain = kalman.KalmanFilter
 if os.environ["SWAP"] == "yes":
     from robust_filterpy import Linear, RobustKalmanFilter
 
@@ -50,7 +56,7 @@ def counting(self, *args, **kwargs):
 
 
 KalmanFilter.__init__ = counting
-filterpy.kalman.KalmanFilter = filterpy.kalman.kalman_filter.KalmanFilter = KalmanFilter
+kalman.KalmanFilter = importlib.import_module(kalman.__name__ + ".kalman_filter").KalmanFilter = KalmanFilter
 
 
 @pytest.fixture(autouse=True)
@@ -73,37 +79,35 @@ def pytest_sessionfinish(session):
 """
 
 
-def source_distribution(directory):
+def source_distribution(requirement, directory):
     """Download the archive with pip into the directory, unless it is there."""
-    if not list(directory.glob("filterpy-*")):
+    if not list(directory.iterdir()):
         command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--no-binary", ":all:"]
         done = subprocess.run(
-            [*command, "--dest", str(directory), REQUIREMENT], capture_output=True, text=True, timeout=300
+            [*command, "--dest", str(directory), requirement], capture_output=True, text=True, timeout=300
         )
         if done.returncode:
-            pytest.skip(f"pip cannot download the source distribution of {REQUIREMENT}: {done.stderr[-300:]}")
-    return next(directory.glob("filterpy-*"))
+            pytest.skip(f"pip cannot download the source distribution of {requirement}: {done.stderr[-300:]}")
+    return next(directory.iterdir())
 
 
 def extract_tests(archive, directory):
-    """Copy the test files that use the class out of the archive, without filterpy itself."""
-    if archive.suffix != ".zip":
-        pytest.skip(f"{archive.name} is not the zip file that {REQUIREMENT} is published as")
-    with zipfile.ZipFile(archive) as contents:
-        for member in contents.namelist():
-            if re.search(r"/tests/test_\w+\.py$", member):
-                text = contents.read(member).decode()
-                if re.search(r"\b(KalmanFilter|kinematic_kf)\b", text):
-                    (directory / member.rsplit("/", 1)[1]).write_text(text, encoding="utf-8")
-    return directory
+    """Copy the test files that use the class out of the archive, without the package itself."""
+    unpacked = directory.parent / "unpacked"
+    shutil.unpack_archive(archive, unpacked)
+    for path in unpacked.glob("**/tests/test_*.py"):
+        text = path.read_text(encoding="utf-8")
+        if re.search(r"\b(KalmanFilter|kinematic_kf)\b", text):
+            (directory / path.name).write_text(text, encoding="utf-8")
 
 
-def run(tests, directory, swap, names=()):
+def run(package, tests, directory, swap, names=()):
     """Run the tests, or those named, in a new process and return what became of each."""
     results = directory / f"results-{swap}.json"
     (directory / "swap_plugin.py").write_text(textwrap.dedent(PLUGIN))
     # Some of these tests compare to the last bit what is rounded otherwise in the kernel.
-    environment = dict(os.environ, SWAP=swap, RESULTS=str(results), MPLBACKEND="Agg", ROBUST_FILTERPY_KERNEL="off")
+    environment = dict(os.environ, PACKAGE=package, SWAP=swap, RESULTS=str(results), MPLBACKEND="Agg")
+    environment["ROBUST_FILTERPY_KERNEL"] = "off"
     environment["PYTHONPATH"] = os.pathsep.join([str(directory), *filter(None, [os.environ.get("PYTHONPATH")])])
     command = [sys.executable, "-m", "pytest", "-q", "-p", "swap_plugin", "-p", "no:cacheprovider", "-c", os.devnull]
     done = subprocess.run(
@@ -118,15 +122,18 @@ def run(tests, directory, swap, names=()):
     return json.loads(results.read_text())
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="module", params=SUITES)
 def outcomes(request, tmp_path_factory):
-    archive = source_distribution(request.config.cache.mkdir("filterpy-1.4.5"))
-    directory = tmp_path_factory.mktemp("filterpy")
+    requirement, package = request.param
+    pytest.importorskip(package)
+    archive = source_distribution(requirement, request.config.cache.mkdir(requirement.replace("==", "-")))
+    directory = tmp_path_factory.mktemp(package)
     tests = directory / "tests"
     tests.mkdir()
     extract_tests(archive, tests)
-    plain = run(tests, directory, "no")
-    return plain, run(tests, directory, "yes", [name for name, result in plain.items() if result["built"]])
+    plain = run(package, tests, directory, "no")
+    using = [name for name, result in plain.items() if result["built"]]
+    return plain, run(package, tests, directory, "yes", using)
 
 
 def passing(results):
@@ -134,7 +141,7 @@ def passing(results):
     return [name for name, result in results.items() if result["built"] and result["passed"]]
 
 
-def test_filterpy_passes_most_of_its_own_tests(outcomes):
+def test_most_of_its_own_tests_pass(outcomes):
     """So that the comparison below is not empty."""
     plain, swapped = outcomes
     using = passing(plain)
@@ -144,7 +151,7 @@ def test_filterpy_passes_most_of_its_own_tests(outcomes):
     assert all(swapped[name]["built"] for name in using)
 
 
-def test_what_passes_with_filterpys_class_passes_with_the_robust_one(outcomes):
+def test_what_passes_with_its_class_passes_with_the_robust_one(outcomes):
     plain, swapped = outcomes
     broken = {name: swapped[name]["why"] for name in passing(plain) if not swapped[name]["passed"]}
     assert not broken, "\n".join(f"{name}\n{why}" for name, why in broken.items())

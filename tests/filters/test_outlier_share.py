@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 import support
 
-from robust_filterpy import Linear, OutlierShareWarning, RobustKalmanFilter, RobustUnscentedKalmanFilter, TukeyBiweight
+from robust_filterpy import (
+    AdaptiveKalmanFilter,
+    Linear,
+    OutlierShareWarning,
+    RecoveringKalmanFilter,
+    RobustKalmanFilter,
+    RobustUnscentedKalmanFilter,
+    TukeyBiweight,
+)
 from robust_filterpy.filters import _outlier_share
 
 
@@ -83,3 +91,28 @@ def test_a_sigma_point_filter_says_it_too():
         for _ in range(300):
             kf.predict()
             kf.update(rng.normal(size=1))
+
+
+def walker(cls, factor, steps=800):
+    """Return the error in m of the end of a walk among six far anchors, R told as so many times too small."""
+    rng, angles = np.random.default_rng(10002), np.arange(6) * np.pi / 3
+    F, G, H = np.kron(np.eye(2), [[1.0, 0.1], [0.0, 1.0]]), np.kron(np.eye(2), [[0.005], [0.1]]), np.zeros((6, 4))
+    H[:, 0], H[:, 2] = np.cos(angles), np.sin(angles)
+    kf, x, errors = cls(4, 6), np.zeros(4), []
+    kf.F, kf.H, kf.Q, kf.R = F, H, G @ G.T, 0.01 / factor * np.eye(6)
+    for _ in range(steps):
+        x = F @ x + G @ rng.normal(size=2)
+        kf.predict()
+        kf.update(H @ x + 0.1 * rng.normal(size=6) + (rng.random(6) < 0.1) * rng.exponential(2.0, 6))
+        errors.append(np.hypot(*(np.ravel(kf.x) - x)[::2]))
+    return np.sqrt(np.mean(np.square(errors[steps // 2 :])))
+
+
+@pytest.mark.parametrize("factor", [100.0, 1e4])
+def test_a_recovering_filter_that_is_told_a_tiny_R_says_that_it_is_lost_and_an_adaptive_one_is_not(factor):
+    with pytest.warns(OutlierShareWarning, match="RecoveringKalmanFilter"):
+        lost = walker(RecoveringKalmanFilter, factor)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", OutlierShareWarning)
+        learnt = walker(AdaptiveKalmanFilter, factor)
+    assert learnt < min(1.2 * walker(AdaptiveKalmanFilter, 1.0), 0.1 * lost)

@@ -1,0 +1,119 @@
+"""Filters that are put away and go on later, elsewhere: `state` and `restore`."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from robust_filterpy import _state
+from robust_filterpy._arrays import state_of
+from robust_filterpy._checks import Array
+
+
+class StateMixin:
+    """Give a filter's state as plain arrays, and go on from one.
+
+    A subclass adds to `_moving` and `_needed` what a step moves besides x and P, and takes it over in `_go_on`.
+    """
+
+    __slots__ = ()
+
+    #: What else the filter's behaviour depends on: name in a state, attribute. A state without it leaves it as it is.
+    _settings: ClassVar[dict[str, str]] = {"Q": "Q", "R": "R"}
+    #: Which arrays may hold NaN.
+    _gaps: ClassVar[tuple[str, ...]] = ()
+
+    def state(self) -> dict[str, Array]:
+        """Return everything that the filter needs to go on, as plain arrays.
+
+        Returns
+        -------
+        dict of str to ndarray
+            ``format``: version, and the name of the class as character codes; x and P; what the class keeps besides;
+            and the matrices as they are now, those that are set. All of float64. ``numpy.savez(file, **state)`` stores
+            it, `robust_filterpy.fleet.pack` makes bytes of it.
+
+        Notes
+        -----
+        Model functions, the influence function and other choices are not in it: it is restored into a filter that was
+        made like this one. What the last correction showed is not in it either.
+
+        Examples
+        --------
+        >>> from robust_filterpy import RobustKalmanFilter
+        >>> kf, other = RobustKalmanFilter(1, 1), RobustKalmanFilter(1, 1)
+        >>> kf.H = np.eye(1)
+        >>> kf.update(0.5)
+        >>> other.restore(kf.state())
+        >>> bool(other.x == kf.x), bool(other.H == kf.H)
+        (True, True)
+        """
+        settings = {key: getattr(self, name, None) for key, name in self._settings.items()}
+        return _state.labelled(
+            type(self).__name__, {**self._moving(), **{k: v for k, v in settings.items() if v is not None}}
+        )
+
+    def restore(self, state: Any) -> None:
+        """Go back to a state of this filter, or of another one made like it.
+
+        Parameters
+        ----------
+        state : mapping of str to ndarray
+            From `state`, or what ``numpy.load`` makes of a file that holds it. x and P are needed, and what else a
+            step moves; matrices that it does not hold stay as they are.
+
+        Raises
+        ------
+        ValueError
+            If it is of another kind of filter or a newer format, an array is missing, does not fit, or is not finite,
+            or P is no covariance; nothing has changed then.
+        TypeError
+            If state is no mapping.
+
+        Notes
+        -----
+        The continuation is the same to the last bit. What the last correction showed (y, e, weights, ..) is as if there
+        had been none.
+        """
+        kf: Any = self
+        n = kf.dim_x
+        shapes: dict[str, _state.Shape] = {
+            "F": (n, n), "Q": (n, n), "H": (None, n), "R": (None, None), "B": (n, None), "M": (n, None),
+            "K": (n, None), "S": (None, None), "SI": (None, None), "alpha_sq": (), "sigmas_f": (None, n),
+        }  # fmt: skip
+        optional = {name: shapes[name] for name in self._settings}
+        found = _state.checked(state, type(self).__name__, self._needed(), optional, self._gaps)
+        if found.get("alpha_sq", 1.0) < 1.0:
+            raise ValueError(f"state: expected alpha_sq >= 1, got {found['alpha_sq']}")
+        self._go_on(found)
+
+    def _moving(self) -> dict[str, Any]:
+        """Return what a step moves."""
+        x, P = state_of(self)
+        return {"x": x, "P": P}
+
+    def _needed(self) -> dict[str, _state.Shape]:
+        """Return the shapes of what a step moves."""
+        kf: Any = self
+        return {"x": (kf.dim_x,), "P": (kf.dim_x, kf.dim_x)}
+
+    def _go_on(self, found: dict[str, Array]) -> None:
+        """Take over a checked state."""
+        kf: Any = self
+        kf.x, kf.P = found["x"], found["P"]
+        self._show_nothing()
+        for key, name in self._settings.items():
+            if key in found:
+                value = found[key]
+                setattr(self, name, value.item() if value.ndim == 0 else value)
+
+    def _show_nothing(self) -> None:
+        """Show what a filter shows that has corrected nothing."""
+        kf: Any = self
+        n, m = kf.dim_x, kf.dim_z
+        shape = (m, 1) if np.ndim(kf.x) == 2 else (m,)
+        kf._last, kf.z, kf.y = None, np.full(shape, None), np.zeros(shape)
+        kf.S, kf.SI, kf.K = np.zeros((m, m)), np.zeros((m, m)), np.zeros((n, m))
+        kf.x_prior, kf.x_post, kf.P_prior, kf.P_post = kf.x.copy(), kf.x.copy(), kf.P.copy(), kf.P.copy()
+        kf._log_likelihood = kf._likelihood = kf._mahalanobis = None
