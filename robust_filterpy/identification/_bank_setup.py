@@ -11,7 +11,7 @@ from robust_filterpy._checks import Array, described, numbers
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.identification import _setup
 from robust_filterpy.identification._regressor import LARGEST, Layout
-from robust_filterpy.identification.guard import is_stable
+from robust_filterpy.identification.guard import are_stable
 from robust_filterpy.identification.structures import LinearRegression, Structure
 
 _ABSENT = "NaN in y is for a sample that is missing"
@@ -65,7 +65,7 @@ def given(name: str, value: Any) -> Array:
 
 def parameters(structure: Structure, theta: Any, n: int) -> Array:
     """Return the parameters to start from, shape (n, n_theta), or raise."""
-    d, part = structure.n_theta, structure.feeds_back
+    d = structure.n_theta
     values = given("theta", theta)
     if values.shape not in ((), (d,), (n, d)):
         raise ValueError(
@@ -73,12 +73,11 @@ def parameters(structure: Structure, theta: Any, n: int) -> Array:
         )
     values = np.array(np.broadcast_to(values, (n, d)), order="C")
     require("theta: expected finite numbers, got NaN or infinity", np.isfinite(values).all(axis=1))
-    if part is not None:
-        require(
-            "theta: expected a stable model to start from, got coefficients that feed back with roots outside the "
-            "unit circle",
-            np.array([is_stable(row[part].tolist()) for row in values]),
-        )
+    require(
+        "theta: expected a stable model to start from, got coefficients that feed back with roots outside the unit "
+        "circle",
+        np.array([are_stable(row, structure.stable_parts) for row in values]),
+    )
     return values
 
 
@@ -138,11 +137,6 @@ def require(sentence: str, good: Any) -> None:
 
 def checked_state(state: Any, layout: Layout, own: int, n: int, guarded: np.ndarray) -> dict[str, Array]:
     """Return the arrays of a bank's state, copied, or raise."""
-    if not (hasattr(state, "keys") and hasattr(state, "__getitem__")):
-        raise TypeError(
-            f"state: expected what state() returned, or what numpy.load makes of a file that holds it, got "
-            f"{type(state).__name__}"
-        )
     d, found = own, {}
     shapes = {name: (n, *shape) for name, shape in layout.shapes().items()}
     shapes |= {"theta": (n, layout.n), "P": (n, layout.n, layout.n), "enabled": (n,), "R": (n,), "alpha_sq": (n,)}
@@ -170,12 +164,10 @@ def checked_state(state: Any, layout: Layout, own: int, n: int, guarded: np.ndar
     slack = 1e-8 * np.abs(P).max(axis=(1, 2))
     even = np.abs(P - P.swapaxes(1, 2)).max(axis=(1, 2)) <= slack
     require("state: expected a symmetric positive semidefinite P", even & (np.linalg.eigvalsh(P)[:, 0] >= -slack))
-    if layout.part is not None:
-        require(
-            "state: expected theta of a stable model, got coefficients that feed back with roots outside the unit "
-            "circle",
-            ~guarded | np.array([is_stable(row[layout.part].tolist()) for row in found["theta"]]),
-        )
+    require(
+        "state: expected theta of a stable model, got coefficients that feed back with roots outside the unit circle",
+        ~guarded | np.array([are_stable(row, layout.stable) for row in found["theta"]]),
+    )
     return found
 
 

@@ -48,9 +48,11 @@ class Memories(NamedTuple):
     residuals: Array
     gradients: Array
     measured: Array
+    undisturbed: Array
+    prefiltered: Array
 
 
-def serves(choices: tuple[Choices, ...], samples: int) -> bool:
+def serves(choices: tuple[Choices, ...], samples: float) -> bool:
     """Return whether the kernel takes so many samples, those of all actuators."""
     return all(map(dispatch.can_compile, choices)) and dispatch.ready(dispatch.TRACKING, samples * DEFINITION)
 
@@ -64,15 +66,16 @@ def advance(
     y (n, N) and phi (n, N, d), of which the inputs are filled in; r (n, 1 or N); x (n, d); P (n, d, d); scale (n, 4),
     R and the fields of `NoiseScale`, a memory of 0 where R is r; the columns of out have the axes (n, N) in front.
     """
-    part = slice(0, 0) if layout.part is None else layout.part
     identity = np.eye(layout.n)
     moves = np.broadcast_to((recursion.F != identity).any(axis=(1, 2)), len(y))
-    filtered = recursion.filtered & (layout.part is not None)
+    filtered = recursion.filtered & layout.is_filtered
     guard = [GUARDS.index(name) for name in recursion.guard]
     shared = (np.full(len(y), rule) for rule in (recursion.uses_model_output, recursion.cleans))
     rules = np.stack([filtered, guard, moves, *shared], axis=1).astype(np.int64)
     options = np.stack([dispatch.encoded(choice, 1) for choice in recursion.choices])
-    places = np.array([layout.na, layout.nc, part.start, part.stop], dtype=np.int64)
+    parts = (layout.outputs, layout.residuals, layout.undisturbed, layout.through, layout.part, *layout.stable[:2])
+    places = np.zeros((7, 2), dtype=np.int64)
+    places[: len(parts)] = [(part.start, part.stop) for part in parts]
     done = np.zeros(len(y), dtype=np.int64)
     F, Q, alpha_sq, windup = map(dispatch.usable, recursion[5:])
     with dispatch.announced(dispatch.TRACKING):

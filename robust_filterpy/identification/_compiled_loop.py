@@ -65,11 +65,17 @@ def _is_stable(theta, first, last, c, work):
     return True
 
 
+@inlined
+def _are_stable(theta, parts, c, work):
+    """Tell whether both polynomials that must be are stable; one of no coefficients is."""
+    return _is_stable(theta, parts[0, 0], parts[0, 1], c, work) and _is_stable(theta, parts[1, 0], parts[1, 1], c, work)
+
+
 @called
-def _restrain(theta, old, first, last, guard, c, work):
+def _restrain(theta, old, parts, guard, c, work):
     """Take theta back towards old until it is stable, and return what was done: as `restrained` does."""
     n = theta.shape[0]
-    if guard == 0 or _is_stable(theta, first, last, c, work):
+    if guard == 0 or _are_stable(theta, parts, c, work):
         return 0
     if guard == 2:
         share = 1.0
@@ -77,10 +83,9 @@ def _restrain(theta, old, first, last, guard, c, work):
             theta[i] -= old[i]
         for halvings in range(1, MOST_HALVINGS + 1):
             share *= 0.5
-            for i in range(first, last):
+            for i in range(n):
                 work[i] = old[i] + share * theta[i]
-            stable = _is_stable(work, first, last, c, work[n:])
-            if stable:
+            if _are_stable(work, parts, c, work[n:]):
                 for i in range(n):
                     theta[i] = old[i] + share * theta[i]
                 return halvings
@@ -98,6 +103,7 @@ class _Room(NamedTuple):
     zero: Array
     polynomial: Array
     work: Array
+    chi: Array
     G: Array
     """(1, d)"""
     z: Array
@@ -122,11 +128,11 @@ def _predicted(F, moves, Q, alpha_sq, x, P, room):
 
 
 @inlined
-def _explains(h, unclean, predicted, measured, r, room):
+def _explains(h, unclean, at, predicted, measured, r, room):
     """Tell whether the outputs as measured explain this one, and the cleaned ones do not."""
     other, S = predicted, r
     for j in range(len(unclean)):
-        other += (unclean[j] - h[j]) * room.x[j]
+        other += (unclean[j] - h[at + j]) * room.x[at + j]
     if other == predicted:
         return False
     for a in range(len(h)):
@@ -136,22 +142,57 @@ def _explains(h, unclean, predicted, measured, r, room):
 
 
 @inlined
+def _differentiate(h, outputs, undisturbed, through, part, memory, i, room):
+    """Write the derivative of the prediction: as `gradient` does."""
+    n, g, chi = len(h), room.G[0], room.chi
+    prefiltered, gradients = memory.prefiltered[i], memory.gradients[i]
+    for b in range(n):
+        g[b] = h[b]
+    if len(prefiltered):
+        for a in range(undisturbed[1] - undisturbed[0]):
+            for b in range(n):
+                g[b] -= room.x[undisturbed[0] + a] * prefiltered[a, b]
+        for b in range(n):
+            chi[b] = g[b] if through[0] <= b < through[1] else 0.0
+        for a in range(outputs[1] - outputs[0]):
+            for b in range(n):
+                g[b] += room.x[outputs[0] + a] * prefiltered[a, b]
+    for a in range(part[1] - part[0]):
+        for b in range(n):
+            g[b] -= room.x[part[0] + a] * gradients[a, b]
+
+
+@inlined
+def _push_row(past, newest):
+    """Move past rows one place on and put a new one in front."""
+    for a in range(past.shape[0] - 1, 0, -1):
+        for b in range(past.shape[1]):
+            past[a, b] = past[a - 1, b]
+    if past.shape[0]:
+        for b in range(past.shape[1]):
+            past[0, b] = newest[b]
+
+
+@inlined
 def _advance(i, y, phi, r, F, Q, alpha_sq, windup, rules, rule, places, x, P, memory, scale, out, room, ws):
     """Advance actuator i through a recording; return the first sample that is not for this loop, or N."""
     length, n = phi.shape[1], phi.shape[2]
     filtered, restrains, moves = rules[i, 0] == 1, rules[i, 1], rules[i, 2] == 1
     model_output, cleans, follows = rules[i, 3] == 1, rules[i, 4] == 1, scale[i, 3] > 0.0
-    na, nc, first, last = places[0], places[1], places[2], places[3]
-    order, feeds_back = last - first, last > first
-    outputs, residuals, gradients = memory.outputs[i], memory.residuals[i], memory.gradients[i]
+    at, late, early, through, part, stable = places[0], places[1], places[2], places[3], places[4], places[5:]
+    na, nc, nf, at_y, at_r, at_w = at[1] - at[0], late[1] - late[0], early[1] - early[0], at[0], late[0], early[0]
+    feeds_back, whitens = stable[0, 1] > stable[0, 0], len(memory.prefiltered[i]) > 0
+    outputs, residuals, undisturbed = memory.outputs[i], memory.residuals[i], memory.undisturbed[i]
     unclean = memory.measured[i]
     g = room.G[0]
     for k in range(length):
         h, measured, r_k = phi[i, k], y[i, k], scale[i, 0] if follows else r[i, k if r.shape[1] > 1 else 0]
         for j in range(na):
-            h[j] = outputs[j]
+            h[at_y + j] = outputs[j]
         for j in range(nc):
-            h[n - nc + j] = residuals[j]
+            h[at_r + j] = residuals[j]
+        for j in range(nf):
+            h[at_w + j] = undisturbed[j]
         trace = 0.0
         for j in range(n):
             trace += P[j, j]
@@ -169,17 +210,17 @@ def _advance(i, y, phi, r, F, Q, alpha_sq, windup, rules, rule, places, x, P, me
         for j in range(n):
             predicted += h[j] * room.x[j]
         shown, known = predicted, measured == measured
-        again = cleans and known and _explains(h, unclean, predicted, measured, r_k, room)
+        again = cleans and known and _explains(h, unclean, at_y, predicted, measured, r_k, room)
         if again:
             for j in range(na):
-                predicted += (unclean[j] - h[j]) * room.x[j]
-                h[j] = unclean[j]
-        for j in range(n):
-            g[j] = h[j]
-        if filtered and (restrains != 0 or _is_stable(room.x, first, last, room.polynomial, room.work)):
-            for a in range(order):
-                for b in range(n):
-                    g[b] -= room.x[first + a] * gradients[a, b]
+                predicted += (unclean[j] - h[at_y + j]) * room.x[at_y + j]
+                h[at_y + j] = unclean[j]
+        if filtered and (restrains != 0 or _are_stable(room.x, stable, room.polynomial, room.work)):
+            _differentiate(h, at, early, through, part, memory, i, room)
+        else:
+            for j in range(n):
+                g[j] = h[j]
+                room.chi[j] = h[j] if through[0] <= j < through[1] else 0.0
         square, along = 0.0, 0.0
         for j in range(n):
             square += g[j] * g[j]
@@ -199,7 +240,7 @@ def _advance(i, y, phi, r, F, Q, alpha_sq, windup, rules, rule, places, x, P, me
             if not fine:
                 return k
             weight, S = ws.psi[0] / ws.e[0] if ws.e[0] != 0.0 else 1.0, ws.S[0, 0]
-        event = _restrain(room.x, x, first, last, restrains, room.polynomial, room.work) if feeds_back else 0
+        event = _restrain(room.x, x, stable, restrains, room.polynomial, room.work) if feeds_back else 0
         after = 0.0
         for a in range(n):
             after += h[a] * room.x[a]
@@ -220,20 +261,23 @@ def _advance(i, y, phi, r, F, Q, alpha_sq, windup, rules, rule, places, x, P, me
         believed = measured
         if not known or (cleans and abs(nu) > CLEANED_FROM * math.sqrt(S)):
             believed = _bounded(predicted)
+        alone = 0.0
+        if whitens:
+            for j in range(through[0], through[1]):
+                alone += h[j] * room.x[j]
+            alone = _bounded(alone)
+            _push(undisturbed, -alone)
         if na:
             if again:
                 for j in range(na):
                     outputs[j] = unclean[j]
-            _push(outputs, -_bounded(after) if model_output else -believed)
-            _push(unclean, -measured if known else -_bounded(predicted))
+            _push(outputs, -_bounded(after) if model_output else alone - believed)
+            _push(unclean, alone - measured if known else alone - _bounded(predicted))
         if nc:
             _push(residuals, _bounded(believed - after) if known else 0.0)
         if filtered:
-            for a in range(order - 1, 0, -1):
-                for b in range(n):
-                    gradients[a, b] = gradients[a - 1, b]
-            for b in range(n):
-                gradients[0, b] = g[b]
+            _push_row(memory.gradients[i], g)
+            _push_row(memory.prefiltered[i], room.chi)
     return length
 
 
@@ -246,15 +290,16 @@ def _entry(version: int) -> Any:
 
         y (n, N); phi (n, N, d), the part of the inputs filled in; r (n, 1 or N); F, Q (n or 1, d, d); alpha_sq, windup
         (n,); rules (n, 5): whether the gradient is filtered, the guard, whether F is other than I, whether phi holds
-        the model's own outputs, whether cleaned ones; options (n or 1, ..) of the kernel; places: na, nc, first and
-        last place that feeds back; scale (n, 4): R and what following it takes. done (n,): the first sample that is not
-        for this loop, or N.
+        the model's own outputs, whether cleaned ones; options (n or 1, ..) of the kernel; places (7, 2): begin and end
+        in theta of outputs, residuals, what inputs do, all that goes through B/F, the denominator of the gradient, and
+        the two polynomials that must be stable; scale (n, 4): R and what following it takes. done (n,): the first
+        sample that is not for this loop, or N.
         """
         n = phi.shape[2]
         ws = workspace(np.empty(_buffer_size(n, 1)), n, 1)
         room = _Room(
             np.empty(n), np.empty((n, n)), np.empty((n, n)), np.zeros(n), np.empty(n), np.empty(2 * n),
-            np.empty((1, n)), np.empty(1), np.empty((1, 1)),
+            np.empty(n), np.empty((1, n)), np.empty(1), np.empty((1, 1)),
         )  # fmt: skip
         for i in range(len(y)):
             a, b, c = i if len(F) > 1 else 0, i if len(Q) > 1 else 0, i if len(options) > 1 else 0

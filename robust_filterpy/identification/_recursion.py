@@ -17,7 +17,7 @@ from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.identification import _compiled_dispatch, _setup
 from robust_filterpy.identification._conditioning import SHARP, repaired, tempering
 from robust_filterpy.identification._regressor import CLEANED_FROM, Layout, Memory, bounded, gradient, pushed
-from robust_filterpy.identification.guard import Guard, is_stable, restrained
+from robust_filterpy.identification.guard import Guard, are_stable, restrained
 from robust_filterpy.identification.noise_scale import EARLY, NoiseScale, followed
 from robust_filterpy.identification.results import Columns, Sample
 from robust_filterpy.identification.structures import Structure
@@ -86,12 +86,12 @@ class Recursion:
     def _stepped(self, y: float, u: Array, R: float | None) -> Sample:
         """Advance by one checked sample; the caller undoes what is refused or interrupted."""
         y, u = y - self._centre, self._with_constant(u)
-        kf, layout, memory, part = self.filter, self._layout, self._memory, self._layout.part
+        kf, layout, memory = self.filter, self._layout, self._memory
         inputs = memory.with_input(layout, u)
         H, outputs = memory.regressor(layout, inputs), memory.outputs
-        known, gradients, old = y == y, memory.gradients, np.ravel(kf.x)
+        known, gradients, prefiltered, old = y == y, memory.gradients, memory.prefiltered, np.ravel(kf.x)
         weight, event, outlying = math.nan, 0, False
-        filtered = self._gradient == "filtered" and part is not None
+        filtered = self._gradient == "filtered" and layout.is_filtered
         if self.enabled and self._drifts:
             kf.predict()
         x = kf.x
@@ -99,35 +99,40 @@ class Recursion:
         r = _setup.noise_variance(kf) if R is None else R
         if self._cleans and known and not np.array_equal(outputs, memory.measured):
             other = H.copy()
-            other[0, : layout.na] = memory.measured
+            other[0, layout.outputs] = memory.measured
             S, explained = variance(H, kf.P, r), other.dot(x).item()
             if abs(y - predicted) > CLEANED_FROM * math.sqrt(S) and abs(y - explained) < abs(y - predicted):
                 H, outputs, predicted = other, memory.measured, explained
-        G, target = H, y
+        G = H
         if filtered:
-            past = np.ravel(x)[part]
-            if self._guard != "none" or is_stable(past.tolist()):
-                G = gradient(H[0], past, gradients)[None, :]
-            gradients = pushed(gradients, G[0])
+            past, newest = np.ravel(x), H[0] * layout.goes_through
+            if self._guard != "none" or are_stable(past, layout.stable):
+                psi, newest = gradient(layout, H[0], past, memory)
+                G = psi[None, :]
+            gradients, prefiltered = pushed(gradients, G[0]), pushed(prefiltered, newest)
         if self.enabled and known:
             S = variance(G, kf.P, r)
             outlying = abs(y - predicted) > CLEANED_FROM * math.sqrt(S)
-            weight = self._corrected(G, target, predicted, R, r, filtered)
+            weight = self._corrected(G, y, predicted, R, r, filtered)
             if R is None and self._scale.memory:
                 self._follow(r, y - predicted, S)
-        if self.enabled and part is not None:
-            moved, event = restrained(np.ravel(kf.x), old, part, self._guard)
+        if self.enabled and layout.stable:
+            moved, event = restrained(np.ravel(kf.x), old, layout.stable, self._guard)
             if event:
                 kf.x = moved.reshape(np.shape(kf.x))
         after = H.dot(kf.x).item()
         believed = bounded(predicted) if not known or (self._cleans and outlying) else y
+        alone = 0.0
+        if layout.has_disturbance:
+            alone = bounded(H[0, layout.through].dot(np.ravel(kf.x)[layout.through]).item())
+            memory.undisturbed = pushed(memory.undisturbed, -alone)
         if self.structure.uses_model_output:
             memory.outputs = pushed(outputs, -bounded(after))
         else:
-            memory.outputs = pushed(outputs, -believed)
-        memory.measured = pushed(memory.measured, -y if known else -bounded(predicted))
+            memory.outputs = pushed(outputs, alone - believed)
+        memory.measured = pushed(memory.measured, alone - y if known else alone - bounded(predicted))
         memory.residuals = pushed(memory.residuals, bounded(believed - after) if known else 0.0)
-        memory.inputs, memory.gradients = inputs, gradients
+        memory.inputs, memory.gradients, memory.prefiltered = inputs, gradients, prefiltered
         return Sample(shown + self._centre, y - shown, weight, event)
 
     def _corrected(self, G: Array, y: float, predicted: float, R: float | None, r: float, filtered: bool) -> float:
@@ -211,7 +216,9 @@ class Recursion:
             self._run_stepwise(y, u, R, out, last, last + 1)
             start = last + 1
 
-    def _run_kernel(self, y: Array, u: Array, R: Array | None, out: Columns, start: int, stop: int) -> None:
+    def _run_kernel(
+        self, y: Array, u: Array, R: Array | None, out: Columns, start: int, stop: int, most_odd: int = _MOST_ODD
+    ) -> None:
         """Advance from sample start to stop - 1 by the kernel, and by the definition where the kernel declines."""
         kf, layout, k, odd = self.filter, self._layout, start, 1
         follows = R is None and self._scale.memory > 0.0
@@ -221,10 +228,7 @@ class Recursion:
             phi, inputs = self._memory.regressors(layout, signal[chunk])
             x, P, memory = np.array(kf.x).reshape(1, -1), np.array(kf.P, order="C")[None], self._memory
             past = _compiled_dispatch.Memories(
-                *(
-                    getattr(memory, name)[None].copy()
-                    for name in ("outputs", "inputs", "residuals", "gradients", "measured")
-                )
+                *(getattr(memory, name)[None].copy() for name in _compiled_dispatch.Memories._fields)
             )
             variances = np.full(1, kf.R.item()) if R is None else R[chunk]
             recursion = _compiled_dispatch.Recursion(
@@ -238,9 +242,10 @@ class Recursion:
             done = int(_compiled_dispatch.advance(layout, recursion, *signals, x, P, past, scale, here)[0])
             out.prediction[k : k + done] += self._centre
             kf.x, kf.P = x.reshape(np.shape(kf.x)), P[0]
-            memory.outputs, memory.residuals, memory.gradients, memory.measured = (
-                past.outputs[0], past.residuals[0], past.gradients[0], past.measured[0],
-            )  # fmt: skip
+            for name, value in past._asdict().items():
+                # The inputs at the end of the chunk are known already.
+                if name != "inputs":
+                    setattr(memory, name, value[0])
             if follows:
                 kf.R, self._scale = scale[:, :1].copy(), self._scale._replace(samples=float(scale[0, 1]))
             k += done
@@ -250,11 +255,12 @@ class Recursion:
             # Older inputs than the memory holds need not go through it.
             for values in signal[max(k - layout.length, chunk.start) : k]:
                 memory.inputs = memory.with_input(layout, values)
-            odd = 1 if done >= odd else min(2 * odd, _MOST_ODD)
+            odd = 1 if done >= odd else min(2 * odd, most_odd)
             self._run_stepwise(y, u, R, out, k, min(k + odd, stop))
             k = min(k + odd, stop)
 
 
 def variance(phi: Array, P: Array, r: float) -> float:
     """Return the variance of an innovation, phi' P phi + r, for a row phi."""
-    return float(phi.dot(P).dot(phi.T).item()) + r
+    # Rounding of a P that a spike in phi has made singular may have a sign.
+    return max(float(phi.dot(P).dot(phi.T).item()), 0.0) + r

@@ -10,8 +10,9 @@ import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import FLOAT, Array
+from robust_filterpy.filters._interruption import StateMixin
 from robust_filterpy.filters.kalman import RobustKalmanFilter
-from robust_filterpy.identification.guard import is_stable
+from robust_filterpy.identification.guard import are_stable
 from robust_filterpy.identification.structures import Structure
 
 # Before the data have spoken the parameters may be anything of moderate size.
@@ -71,7 +72,7 @@ def configure(
     """Check the arguments that are given and write them into the filter; own: the places of theta in its state."""
     n, size = structure.n_theta, np.size(kf.x)
     start = np.ravel(kf.x).astype(float)[own] if theta is None else _start(theta, n)
-    if structure.feeds_back is not None and not is_stable(start[structure.feeds_back].tolist()):
+    if not are_stable(start, structure.stable_parts):
         raise ValueError(
             f"theta: expected a stable model to start from, got {start[structure.feeds_back]} as the coefficients "
             f"that feed back, whose roots leave the unit circle"
@@ -185,6 +186,21 @@ def settings(kf: Any) -> dict[str, Array]:
     return {key: np.array(value, dtype=float) for key, value in found.items() if value is not None}
 
 
+def kept_by(kf: Any) -> dict[str, Array]:
+    """Return what a filter of this package keeps beside x and P, as arrays."""
+    if not isinstance(kf, StateMixin):
+        return {}
+    return {f"filter_{name}": value for name, value in kf._moving().items() if name not in ("x", "P")}
+
+
+def take_over(kf: Any, state: Any) -> None:
+    """Restore that, with the x and P that it belongs to, or raise; nothing has changed then."""
+    own = kept_by(kf)
+    if own and all(name in state for name in own):
+        inner = {name.removeprefix("filter_"): state[name] for name in own}
+        kf.restore({"x": np.reshape(state["theta"], np.shape(kf.x)), "P": state["P"], **inner})
+
+
 def apply_settings(kf: Any, state: dict[str, Array]) -> None:
     """Write them back where they differ."""
     for key, value in settings(kf).items():
@@ -194,11 +210,6 @@ def apply_settings(kf: Any, state: dict[str, Array]) -> None:
 
 def checked_state(state: Any, shapes: dict[str, tuple[int, ...]], present: dict[str, Array]) -> dict[str, Array]:
     """Return a state's arrays, copied, or raise if one is missing or does not fit."""
-    if not (hasattr(state, "keys") and hasattr(state, "__getitem__")):
-        raise TypeError(
-            f"state: expected what state() returned, or what numpy.load makes of a file that holds it, "
-            f"got {type(state).__name__}"
-        )
     found = {}
     for name, shape in {**shapes, **{name: value.shape for name, value in present.items()}}.items():
         if name not in state:
@@ -217,7 +228,7 @@ def checked_state(state: Any, shapes: dict[str, tuple[int, ...]], present: dict[
     return found
 
 
-def require_consistent(state: dict[str, Array], part: slice | None) -> None:
+def require_consistent(state: dict[str, Array], parts: tuple[slice, ...]) -> None:
     """Raise unless a state's matrices are covariances, and the model is stable where that is kept."""
     for name in ("P", "Q"):
         matrix = state.get(name)
@@ -230,7 +241,7 @@ def require_consistent(state: dict[str, Array], part: slice | None) -> None:
             raise ValueError(f"state: expected a symmetric positive semidefinite {name}, got eigenvalue {least:.3g}")
     if "alpha_sq" in state and not (state["alpha_sq"] >= 1.0).all():
         raise ValueError(f"state: expected alpha_sq >= 1, got {state['alpha_sq']}")
-    if part is not None and not is_stable(state["theta"][part].tolist()):
+    if not are_stable(state["theta"], parts):
         raise ValueError(
             "state: expected theta of a stable model, got coefficients that feed back with roots outside the unit "
             "circle"

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robust_filterpy import _checks
+from robust_filterpy import _checks, _state
 from robust_filterpy._checks import Array, numbers
 from robust_filterpy.correction.options import Information, Scaling
 from robust_filterpy.identification import _bank_setup, _model
@@ -18,8 +18,9 @@ from robust_filterpy.identification._recursion import GRADIENTS, Gradient, Regre
 from robust_filterpy.identification._regressor import LARGEST, Layout
 from robust_filterpy.identification.guard import GUARDS, Guard
 from robust_filterpy.identification.noise_scale import NoiseScale, ordinary_mean
-from robust_filterpy.identification.results import Coefficients, Columns, Intervals, TrackingResult, intervals
+from robust_filterpy.identification.results import Columns, Intervals, TrackingResult, intervals
 from robust_filterpy.identification.structures import Structure
+from robust_filterpy.identification.time_axis import recording, table
 from robust_filterpy.identification.tracker import _START, _WINDUP, ParameterTracker
 from robust_filterpy.identification.watch import LostTrackerWarning
 from robust_filterpy.influence.functions import Influence
@@ -51,8 +52,22 @@ class BankSample(NamedTuple):
     guard: np.ndarray
 
 
-class BankResult(NamedTuple):
+class _Recorded(NamedTuple):
+    """The columns of a `BankResult`; see there."""
+
+    theta: Array
+    std: Array
+    prediction: Array
+    residual: Array
+    weights: Array
+    guard: np.ndarray
+    sample: np.ndarray
+
+
+class BankResult(_Recorded):
     """What recordings of n actuators gave: the columns of a `TrackingResult` with an axis of actuators.
+
+    A tuple of its first seven attributes.
 
     Attributes
     ----------
@@ -64,15 +79,38 @@ class BankResult(NamedTuple):
         As in `BankSample`.
     sample : ndarray of int, shape (K,)
         Which samples were kept.
+    names : tuple of str, length n_theta
+        Names of the parameters.
+    actuators : tuple, length n
+        The columns of y if it was a pandas DataFrame, otherwise 0, 1, ..
+    index : pandas.Index or None
+        When the samples that were kept were taken, if the recording was a pandas object.
     """
 
-    theta: Array
-    std: Array
-    prediction: Array
-    residual: Array
-    weights: Array
-    guard: np.ndarray
-    sample: np.ndarray
+    names: tuple[str, ...] = ()
+    actuators: tuple[Any, ...] = ()
+    index: Any = None
+
+    def to_frame(self) -> Any:
+        """Return all columns as a pandas DataFrame, a row for each sample that was kept.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns (actuator, quantity), the quantities as in `TrackingResult.to_frame`.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        actuators = self.actuators or tuple(range(self.theta.shape[1]))
+        columns = {
+            (actuator, name): column
+            for i, actuator in enumerate(actuators)
+            for name, column in self.tracker(i)._columns().items()
+        }
+        return table(columns, self.sample, "sample") if self.index is None else table(columns, self.index)
 
     def tracker(self, i: int) -> TrackingResult:
         """Return what actuator i gave.
@@ -87,7 +125,7 @@ class BankResult(NamedTuple):
         TrackingResult
             A row for each sample that was kept.
         """
-        return TrackingResult(*(column[:, i] for column in self[:6]))
+        return TrackingResult(*(column[:, i] for column in self[:6])).labelled(self.names, self.index)
 
     def confidence_intervals(self, level: float = 0.95) -> Intervals:
         """Return theta -+ z std for every sample that was kept, z the normal quantile of the level.
@@ -129,7 +167,7 @@ class TrackerBank:
     ----------
     n : int
         Number of actuators, >= 1.
-    structure : ARX, OutputError, ARMAX, FIR or LinearRegression
+    structure : ARX, OutputError, ARMAX, BoxJenkins, FIR, AR, ARMA or LinearRegression
         What phi is made of.
     theta : array_like, shape (n_theta,) or (n, n_theta), or float, optional
         Parameters to start from. Default: found by the start; 0 with ``start=0``.
@@ -291,10 +329,10 @@ class TrackerBank:
         return np.array([self.tracker(i).offset for i in range(self.n)])
 
     @property
-    def coefficients(self) -> Coefficients:
-        """a, b and c of the models, each with a leading axis of n; see `Coefficients`."""
-        a, b, c = _model.coefficients(self.structure, self.theta.T)
-        return Coefficients(a.T, tuple(part.T for part in b) if isinstance(b, tuple) else b.T, c.T)
+    def coefficients(self) -> Any:
+        """a, b and c of the models, or b, f, c and d, each with a leading axis of n; see `ParameterTracker`."""
+        found = _model.coefficients(self.structure, self.theta.T)
+        return type(found)(*(tuple(p.T for p in part) if isinstance(part, tuple) else part.T for part in found))
 
     @property
     def enabled(self) -> np.ndarray:
@@ -427,7 +465,7 @@ class TrackerBank:
         Parameters
         ----------
         y : array_like, shape (N, n)
-            Measured outputs, N >= 1; NaN where one is missing.
+            Measured outputs, N >= 1; NaN where one is missing. A pandas DataFrame has the index of u, in equal steps.
         u : array_like, shape (N, n), or (N, n, n_inputs) for several inputs, optional
             Inputs; shape (N,), or (N, n_inputs), for all actuators alike.
         R : array_like, shape (N, n), or (N,) for all actuators alike, or float, optional
@@ -448,6 +486,8 @@ class TrackerBank:
         LinAlgError
             If a filter refuses a sample; the message names both, and no actuator has changed then.
         """
+        columns_of_y = getattr(y, "columns", None)
+        axis, y, u, R = recording(self.structure, y=y, u=u, R=R)
         outputs = _bank_setup.outputs(y, self.n, True)
         length = len(outputs)
         signal = _bank_setup.inputs(self.structure, u, self.n, length)
@@ -467,6 +507,8 @@ class TrackerBank:
         theta, variance, prediction, residual, weights, guard = columns
         std = np.sqrt(np.maximum(variance[..., self._own], 0.0))
         result = BankResult(theta[..., self._own], std, prediction, residual, weights, guard, kept)
+        result.names, result.index = self.structure.names, None if axis.index is None else axis.index[kept]
+        result.actuators = tuple(range(self.n) if columns_of_y is None else columns_of_y)
         self._now = now
         return result
 
@@ -533,7 +575,7 @@ class TrackerBank:
                 failures.setdefault(failure, []).append(i)
             tracker._begun = True
             for name, value in tracker.state().items():
-                if name not in ("start", "Q", "F", "R", "alpha_sq", "enabled"):
+                if name not in (_state.LABEL, "start", "Q", "F", "R", "alpha_sq", "enabled"):
                     state[name][i] = value
             state["R"][i] = tracker.R
         for failure, some in failures.items():
@@ -603,10 +645,16 @@ class TrackerBank:
         Returns
         -------
         dict of str to ndarray
-            What `ParameterTracker.state` returns, with a leading axis of n; Q and F without it if they are shared.
+            What `ParameterTracker.state` returns, with a leading axis of n but for ``format``; Q and F without it if
+            they are shared.
             ``numpy.savez(file, **state)`` stores it.
         """
-        return {name: np.array(value, order="C") for name, value in self._arrays(self._now).items()}
+        return _state.labelled(self._kind, self._arrays(self._now))
+
+    @property
+    def _kind(self) -> str:
+        """What a state belongs to."""
+        return f"TrackerBank of {self.structure}"
 
     def restore(self, state: Any) -> None:
         """Go back to a state of this bank, or of another one with the same n and structure.
@@ -619,8 +667,9 @@ class TrackerBank:
         Raises
         ------
         ValueError
-            If an array is missing, does not fit or is not finite, a variance is not positive, P not positive
-            semidefinite, or a model unstable that the guard keeps stable; nothing has changed then.
+            If it is of another structure or a newer format, an array is missing, does not fit or is not finite, a
+            variance is not positive, P not positive semidefinite, or a model unstable that the guard keeps stable;
+            nothing has changed then.
         TypeError
             If state is no mapping.
 
@@ -628,6 +677,7 @@ class TrackerBank:
         -----
         The continuation is the same to the last bit.
         """
+        _state.require_kind(state, self._kind)
         found = _bank_setup.checked_state(state, self._layout, len(self._own), self.n, self._guard != "none")
         self._now = self._from_arrays(found)
         self._enabled, self._alpha_sq = found["enabled"], found["alpha_sq"]
@@ -657,7 +707,11 @@ class TrackerBank:
 
     def _row(self, state: dict[str, Array], i: int) -> dict[str, Array]:
         """Return the state of one actuator's tracker."""
-        row = {name: value if name in ("Q", "F") and value.ndim == 2 else value[i] for name, value in state.items()}
+        row = {
+            name: value if name in ("Q", "F") and value.ndim == 2 else value[i]
+            for name, value in state.items()
+            if name != _state.LABEL
+        }
         whole = {name: np.eye(self._layout.n) if name == "F" else np.zeros((self._layout.n,) * 2) for name in "QF"}
         for name, matrix in whole.items():
             matrix[np.ix_(self._own, self._own)] = row[name]
@@ -692,7 +746,8 @@ def _with_inputs(layout: Layout, inputs: Array, u: Array) -> Array:
 def _regressors(layout: Layout, past: Memories, inputs: Array) -> Array:
     """Return phi of every actuator, shape (n, n_theta)."""
     phi = np.empty((len(inputs), layout.n))
-    phi[:, : layout.na] = past.outputs
+    phi[:, layout.outputs] = past.outputs
     phi[:, layout.inputs_in_phi] = inputs[:, layout.picks]
-    phi[:, layout.n - layout.nc :] = past.residuals
+    phi[:, layout.undisturbed] = past.undisturbed
+    phi[:, layout.residuals] = past.residuals
     return phi

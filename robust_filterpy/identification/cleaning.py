@@ -22,8 +22,9 @@ from robust_filterpy.identification.polynomial_model import PolynomialModel
 
 __all__ = ["Outliers", "found_outliers"]
 
-# Standard deviations that make an outlier: where there are many, one that is missed does more harm than one too many.
-_THRESHOLDS: Final = (2.5, 3.2)
+#: Standard deviations that make an outlier, where there are many and where there are few: where there are many, one
+# that is missed does more harm than one too many.
+THRESHOLDS: Final = (2.5, 3.2)
 _MOST_ROUNDS: Final = 40
 # Outliers are looked for in so many samples at a time, for the sake of dense matrices of their number.
 _BLOCK: Final = 4000
@@ -79,7 +80,7 @@ def found_outliers(
     h, first, residual = response(model, p), model.first, model.residuals(p)
     wrong, counts = missing.copy(), np.ones(residual.size, dtype=bool)
     R = noise.R if noise.known else None
-    threshold = _THRESHOLDS[1] if before is None else before.threshold
+    threshold = THRESHOLDS[1] if before is None else before.threshold
     if h.size == 1 or not noise.has_outliers:
         return Outliers(wrong, counts, threshold)
     if before is not None:
@@ -95,7 +96,7 @@ def found_outliers(
         tail += unknowns.beyond()[: tail.size]
     share = ((wrong & ~missing).sum() + 0.5) / (wrong.size + 10.0)
     even = math.sqrt(3.0 * max(math.log((1.0 - share) / share), 0.0))
-    return Outliers(wrong, counts, float(np.clip(even, *_THRESHOLDS)))
+    return Outliers(wrong, counts, float(np.clip(even, *THRESHOLDS)))
 
 
 def _judged(

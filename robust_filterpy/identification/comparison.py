@@ -4,15 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+from robust_filterpy._pictures import drawn
 from robust_filterpy.identification._signals import recorded_output
 from robust_filterpy.identification.model import Model
+from robust_filterpy.identification.time_axis import recording, table
+from robust_filterpy.identification.transfer_model import as_model
 from robust_filterpy.identification.validation import ordinary_fit, ordinary_samples
+
+if TYPE_CHECKING:
+    import control
 
 __all__ = ["Compared", "Comparison", "compare"]
 
@@ -38,7 +45,7 @@ class Compared(NamedTuple):
     all: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Comparison:
     """Models on one recording, the best first.
 
@@ -46,15 +53,53 @@ class Comparison:
     ----------
     rows : tuple of Compared
         Sorted by their fit on ordinary samples.
+    measured : ndarray, shape (N,)
+        Measured output; NaN where it is missing.
+    outputs : dict of str to ndarray, shape (N,)
+        Output of each model that its fit is of, the best first.
     samples : int
         How many measured samples all of them predict.
     ordinary : int
         How many of these are ordinary: within three standard deviations of the noise of the model with the least.
+    index : pandas.Index or None
+        When the samples were taken, if the recording was a pandas object.
     """
 
     rows: tuple[Compared, ...]
+    measured: Array
+    outputs: dict[str, Array]
     samples: int
     ordinary: int
+    index: Any = None
+
+    def plot(self, **options: Any) -> Any:
+        """Draw the outputs over the measured one.
+
+        Parameters
+        ----------
+        **options : dict, optional
+            Of `robust_filterpy.plotting.plot_comparison`.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        return drawn("plot_comparison", self, options)
+
+    def to_frame(self) -> Any:
+        """Return the table as a pandas DataFrame, a row for each model.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        columns = {field: [getattr(row, field) for row in self.rows] for field in Compared._fields[1:]}
+        return table(columns, [row.name for row in self.rows], "model")
 
     def to_text(self) -> str:
         """Return the table.
@@ -73,13 +118,15 @@ class Comparison:
         return self.to_text()
 
 
-def compare(models: Mapping[str, Model], y: ArrayLike, u: ArrayLike | None = None) -> Comparison:
+def compare(
+    models: Mapping[str, Model | control.TransferFunction], y: ArrayLike, u: ArrayLike | None = None
+) -> Comparison:
     """Rank models by their fit on the ordinary samples of one recording.
 
     Parameters
     ----------
-    models : mapping of str to Model
-        Models by name.
+    models : mapping of str to Model or control.TransferFunction
+        Models by name; transfer functions as `validate` takes them.
     y : array_like, shape (N,)
         Measured output; NaN where it is missing.
     u : array_like, shape (N,) or (N, n_inputs), optional
@@ -94,7 +141,7 @@ def compare(models: Mapping[str, Model], y: ArrayLike, u: ArrayLike | None = Non
     ValueError
         If there is no model, or y or u does not fit one of them.
     TypeError
-        If models is no mapping to Model.
+        If models is no mapping to such models.
 
     Notes
     -----
@@ -117,21 +164,24 @@ def compare(models: Mapping[str, Model], y: ArrayLike, u: ArrayLike | None = Non
         raise TypeError(f'models: expected {{"name": model, ..}}, got {_checks.shown(models)}')
     if not models:
         raise ValueError("models: expected at least one model, got none")
-    for name, model in models.items():
-        if not isinstance(model, Model):
-            raise TypeError(f"models[{name!r}]: expected a Model that identify found, got {_checks.shown(model)}")
+    found = {name: as_model(f"models[{name!r}]", model, y, u) for name, model in models.items()}
+    axis, y, u = recording(next(iter(found.values())).structure, y=y, u=u)
+    for model in found.values():
+        axis.require_period(model.dt)
     measured = recorded_output(y)
-    residuals = {name: model.residuals(measured, u) for name, model in models.items()}
+    residuals = {name: model.residuals(measured, u) for name, model in found.items()}
     shared = ~np.any(np.isnan(list(residuals.values())), axis=0)
     if not shared.any():
         raise ValueError("y: expected measured samples that all models predict, got none; record more")
     closest = min(residuals.values(), key=lambda residual: float(np.median(np.abs(residual[shared]))))
     ordinary = ordinary_samples(np.where(shared, closest, np.nan))
-    rows = []
-    for name, model in models.items():
+    rows, outputs = [], {}
+    for name, model in found.items():
         ahead = measured - residuals[name]
         output = model.free_run(measured, u) if model.structure.n_inputs else ahead
+        outputs[str(name)] = output
         fits = (ordinary_fit(measured, *pair) for pair in ((output, ordinary), (ahead, ordinary), (output, shared)))
         rows.append(Compared(str(name), *fits))
     rows.sort(key=lambda row: -row.fit if np.isfinite(row.fit) else np.inf)
-    return Comparison(tuple(rows), int(shared.sum()), int(ordinary.sum()))
+    outputs = {row.name: outputs[row.name] for row in rows}
+    return Comparison(tuple(rows), measured, outputs, int(shared.sum()), int(ordinary.sum()), axis.index)

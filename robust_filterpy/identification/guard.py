@@ -7,7 +7,7 @@ from typing import Final, Literal, TypeAlias
 
 from robust_filterpy._checks import Array
 
-__all__ = ["GUARDS", "Guard", "is_stable", "restrained"]
+__all__ = ["GUARDS", "Guard", "are_stable", "is_stable", "restrained"]
 
 #: What to do with a step of theta that leaves the stable region.
 Guard: TypeAlias = Literal["none", "reject", "halve"]
@@ -52,7 +52,24 @@ def is_stable(coefficients: Sequence[float]) -> bool:
     return True
 
 
-def restrained(theta: Array, old: Array, part: slice, guard: str) -> tuple[Array, int]:
+def are_stable(theta: Array, parts: Sequence[slice]) -> bool:
+    """Tell whether each of some parts of theta is a stable polynomial.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (n,)
+        Parameters.
+    parts : sequence of slice
+        Where the polynomials stand.
+
+    Returns
+    -------
+    bool
+    """
+    return all(is_stable(theta[part].tolist()) for part in parts)
+
+
+def restrained(theta: Array, old: Array, parts: Sequence[slice], guard: str) -> tuple[Array, int]:
     """Return theta as far towards its new value as the guard lets it, and what the guard did.
 
     Parameters
@@ -61,8 +78,8 @@ def restrained(theta: Array, old: Array, part: slice, guard: str) -> tuple[Array
         New parameters.
     old : ndarray, shape (n,)
         Parameters before the step.
-    part : slice
-        Where the polynomial that must be stable stands in theta.
+    parts : sequence of slice
+        Where the polynomials that must be stable stand in theta.
     guard : {"none", "reject", "halve"}
         What to do with a step out of the stable region.
 
@@ -73,13 +90,13 @@ def restrained(theta: Array, old: Array, part: slice, guard: str) -> tuple[Array
     event : int
         0: as it is; h > 0: the step was halved h times; -1: it was not taken.
     """
-    if guard == "none" or is_stable(theta[part].tolist()):
+    if guard == "none" or are_stable(theta, parts):
         return theta, 0
     if guard == "halve":
         step = theta - old
         for halvings in range(1, MOST_HALVINGS + 1):
             step *= 0.5
             shorter = old + step
-            if is_stable(shorter[part].tolist()):
+            if are_stable(shorter, parts):
                 return shorter, halvings
     return old.copy(), -1

@@ -14,12 +14,15 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.identification._recording import require_informative
 from robust_filterpy.identification._signals import recorded_input, recorded_output
+from robust_filterpy.identification._threads import one_thread
 from robust_filterpy.identification.learnt_noise import mad_scale
-from robust_filterpy.identification.model import Ending, Model, filled_memory, resting_level
+from robust_filterpy.identification.model import Ending, Model, filled_memory
 from robust_filterpy.identification.polynomial_model import PolynomialModel
 from robust_filterpy.identification.prediction_error import sandwich
 from robust_filterpy.identification.search import End, ends, known_part
 from robust_filterpy.identification.structures import Structure
+from robust_filterpy.identification.time_axis import recording
+from robust_filterpy.identification.validation import ordinary_fit, ordinary_samples
 from robust_filterpy.influence.functions import Influence
 
 __all__ = ["identify"]
@@ -52,10 +55,11 @@ def identify(
     Parameters
     ----------
     y : array_like, shape (N,)
-        Measured output; NaN where it is missing.
+        Measured output; NaN where it is missing. A pandas Series has the index of u, in equal steps, which tell the
+        sampling period.
     u : array_like, shape (N,) or (N, n_inputs), or None
         Input; the rows phi(k) for a LinearRegression; None for a structure without input.
-    structure : ARX, OutputError, ARMAX, FIR or LinearRegression
+    structure : ARX, OutputError, ARMAX, BoxJenkins, FIR, AR, ARMA or LinearRegression
         Which polynomials there are, and their orders.
     influence : influence function, optional
         Loss of the prediction errors, in units of their robust scale. Default: the noise is learnt, as a mixture of two
@@ -72,8 +76,9 @@ def identify(
     Raises
     ------
     ValueError
-        If the recording is too short for the structure or for its delay, y is all missing or constant, or u does not
-        excite the parameters; the message names the order of excitation.
+        If the recording is too short for the structure or for its delay, y is all missing or constant, u does not
+        excite the parameters (the message names the order of excitation), or the indexes of pandas objects differ or
+        are not uniform.
     TypeError
         If an argument is of the wrong kind.
 
@@ -110,6 +115,7 @@ def identify(
         raise TypeError(f"influence: expected an influence function such as Huber(), got {influence!r}")
     if not isinstance(offset, (bool, np.bool_)):
         raise TypeError(f"offset: expected True or False, got {offset!r}")
+    axis, y, u = recording(structure, y=y, u=u)
     measured = recorded_output(y)
     signal = recorded_input(structure, u, measured.size)
     known = None if R is None else _checks.positive("R", R)
@@ -117,7 +123,8 @@ def identify(
     units = _Units.of(measured, signal, bool(offset))
     model = PolynomialModel(structure, units.normal_output(measured), signal / units.u, bool(offset))
     require_informative(model, missing)
-    ranked = ends(model, missing, influence, None if known is None else known / units.y**2)
+    with one_thread():
+        ranked = ends(model, missing, influence, None if known is None else known / units.y**2)
     best = ranked[0].end
     output = _output(model, best)
     endings = tuple(Ending(end.starts, excess, _apart(output, _output(model, end))) for end, excess in ranked)
@@ -127,7 +134,8 @@ def identify(
     if doubt:
         warnings.warn(f"identify: {doubt}", stacklevel=2)
     recorded = PolynomialModel(structure, best.y * units.y + units.centre, signal, bool(offset))
-    return _as_model(recorded, units.back(model, best.p), best, missing, units.y, known, endings, doubt)
+    found = _as_model(recorded, units.back(model, best.p), best, missing, units.y, known, endings, doubt)
+    return replace(found, dt=axis.dt)
 
 
 class _Units(NamedTuple):
@@ -187,8 +195,6 @@ def _as_model(
     weights[end.outliers.wrong] = 0.0
     weights[missing] = np.nan
     offset = float(p[n]) if model.offset else 0.0
-    level = resting_level(model.parts(p))
-    regressed = model.undisturbed(p) if structure.uses_model_output else model.y - level
     return Model(
         structure=structure,
         theta=p[:n],
@@ -197,13 +203,19 @@ def _as_model(
         offset_std=float(np.sqrt(max(P[n, n], 0.0))) if model.offset else 0.0,
         offset_covariance=P[:n, n] if model.offset else np.zeros(n),
         has_offset=model.offset,
+        own_fit=_own_fit(model.y[model.first :], residual, rows),
         noise=replace(noise, R=R or found * samples / (samples - model.n)),
         weights=weights,
         log_likelihood=noise.log_likelihood(residual[rows]),
         endings=endings,
         warning=doubt,
-        memory=filled_memory(structure, regressed, model.u, residual, -model.jacobian(p)[:, :n]),
+        memory=filled_memory(model, p),
     )
+
+
+def _own_fit(y: Array, residual: Array, rows: Any) -> float:
+    """Return the fit of the prediction on the ordinary samples among those that count."""
+    return ordinary_fit(y, y - residual, ordinary_samples(np.where(rows, residual, np.nan)))
 
 
 def _apart(best: Array, other: Array) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,12 +13,15 @@ from robust_filterpy._checks import Array, count
 from robust_filterpy.identification import _model
 from robust_filterpy.identification._regressor import Layout, Memory
 from robust_filterpy.identification._signals import recorded_input, recorded_output
-from robust_filterpy.identification.learnt_noise import Noise
+from robust_filterpy.identification.learnt_noise import ContaminatedNormal, Noise
 from robust_filterpy.identification.polynomial_model import Parts, PolynomialModel
 from robust_filterpy.identification.prediction import cleaned_residuals, predicted
-from robust_filterpy.identification.results import Coefficients, Intervals, intervals
+from robust_filterpy.identification.results import Intervals, intervals
 from robust_filterpy.identification.starts import robust_regression
 from robust_filterpy.identification.structures import Structure
+from robust_filterpy.identification.summary import Summary, summarized
+from robust_filterpy.identification.time_axis import TimeAxis, recording
+from robust_filterpy.identification.uncertainty import Responses
 from robust_filterpy.identification.validation import fit_percent
 
 if TYPE_CHECKING:
@@ -51,7 +54,7 @@ class Ending(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Model:
+class Model(Responses):
     """A(q) y = B(q)/F(q) u + offset + C(q)/D(q) v, as `identify` found it.
 
     Attributes
@@ -61,8 +64,8 @@ class Model:
     theta : ndarray, shape (n,)
         Parameters, in the order of ``structure.names``.
     offset : float
-        Constant of the equation: in an OutputError, FIR or LinearRegression what is added to the output, in an ARX or
-        ARMAX the last coefficient of the regression. `level` is what it means for y.
+        Constant of the equation: in an OutputError, BoxJenkins, FIR or LinearRegression what is added to the output, in
+        an ARX or ARMAX (AR, ARMA) the last coefficient of the regression. `level` is what it means for y.
     P : ndarray, shape (n, n)
         Covariance of theta, in sandwich form: honest whatever the distribution of the noise.
     offset_std : float
@@ -84,10 +87,15 @@ class Model:
         Past signals at the end of the recording, for `tracker`.
     has_offset : bool
         Whether there is a constant.
+    dt : float or None
+        Sampling period in s, if the index of the recording told it.
+    own_fit : float
+        Fit of the prediction one step ahead on the ordinary samples of the recording, in percent.
 
     Notes
     -----
-    `identify` makes it.
+    `identify` makes it. Recordings may be pandas objects with one uniform index; what is computed of each sample comes
+    back as a Series on that index.
     """
 
     structure: Structure
@@ -103,6 +111,8 @@ class Model:
     warning: str
     memory: Memory = field(compare=False)
     has_offset: bool = True
+    dt: float | None = None
+    own_fit: float = float("nan")
 
     #: `ParameterTracker`, which begins with a model: the package's ``__init__`` puts it here.
     _tracker: ClassVar[type[ParameterTracker]]
@@ -126,8 +136,8 @@ class Model:
         return np.sqrt(np.maximum(self.P.diagonal(), 0.0))
 
     @property
-    def coefficients(self) -> Coefficients:
-        """a, b and c; see `Coefficients`."""
+    def coefficients(self) -> Any:
+        """a, b and c as `Coefficients`, or of a BoxJenkins b, f, c and d as `BoxJenkinsCoefficients`."""
         return _model.coefficients(self.structure, self.theta)
 
     @property
@@ -155,13 +165,45 @@ class Model:
         """
         return intervals(self.theta, self.std, level)
 
-    def transfer_function(self, dt: float | bool = True) -> control.TransferFunction:
+    def summary(self, level: float = 0.95) -> Summary:
+        """Return a table of the parameters with their uncertainty, and what was found beside them.
+
+        Parameters
+        ----------
+        level : float, default 0.95
+            Probability of each interval, in (0, 1).
+
+        Returns
+        -------
+        Summary
+            It prints as a table.
+
+        Raises
+        ------
+        ValueError
+            If level is no probability.
+        """
+        theta, std, names = self.theta, self.std, self.structure.names
+        if self.has_offset:
+            theta, std = np.append(theta, self.offset), np.append(std, self.offset_std)
+            names = (*names, "offset")
+        known = int((~np.isnan(self.weights)).sum())
+        facts = {"Samples": f"{known} of {self.weights.size}", "R": f"{self.R:.4g}"}
+        if isinstance(self.noise.influence, ContaminatedNormal):
+            facts["Contamination"] = f"{self.noise.influence.contamination:.3f}"
+            facts["Scale ratio"] = f"{self.noise.influence.scale_ratio:.3g}"
+        facts |= {"Log-likelihood": f"{self.log_likelihood:.1f}", "Fit, 1 step": f"{self.own_fit:.2f} %"}
+        if self.dt is not None:
+            facts["Sampling period"] = f"{self.dt:g} s"
+        return summarized(str(self.structure), facts, names, theta, std, level, self.warning)
+
+    def transfer_function(self, dt: float | bool | Literal["recorded"] = "recorded") -> control.TransferFunction:
         """Return the way from u to y.
 
         Parameters
         ----------
-        dt : float or True, default True
-            Sampling period in s; True leaves it open.
+        dt : float, True or "recorded", default "recorded"
+            Sampling period in s; True leaves it open. "recorded": as the index told it, True if it did not.
 
         Returns
         -------
@@ -173,7 +215,7 @@ class Model:
         ValueError
             If the structure has no input, or a regressor of the caller's.
         """
-        return _model.transfer_function(self.structure, self.theta, dt)
+        return _model.transfer_function(self.structure, self.theta, _model.period(dt, self.dt))
 
     # Its outputs.
 
@@ -194,12 +236,13 @@ class Model:
         ValueError
             If u does not fit or is not finite, or the output of an unstable model overflows.
         """
+        axis, _, u = self._recording(None, u)
         signal = recorded_input(self.structure, u, None)
         layout = Layout(self.structure)
         y = _model.simulate(self.structure, layout, Memory(layout), self.theta, signal)
-        if self.level == 0.0 != self.offset:
-            return y + lfilter([self.offset], self._parts().a, np.ones(y.size))
-        return y + self.level
+        integrates = self.level == 0.0 != self.offset
+        rest = lfilter([self.offset], self._parts().a, np.ones(y.size)) if integrates else self.level
+        return axis.series(y + rest, "simulated")
 
     def predict(self, y: ArrayLike, u: ArrayLike | None = None, steps: int = 1) -> Array:
         """Predict each output of a recording from the samples up to ``steps`` before it.
@@ -230,11 +273,15 @@ class Model:
         and the samples before it, in the regressor of the samples after it.
         """
         steps = count("steps", steps, 1)
-        model, known = self._prepared(y, u)
+        axis, y, u = self._recording(y, u)
+        return axis.series(self._predicted(*self._prepared(y, u), steps), "prediction")
+
+    def _predicted(self, model: PolynomialModel, known: Any, steps: int) -> Array:
+        """Return the prediction of each output of a checked recording."""
         parts = self._parts()
         if model.na == 0 and parts.c.size == parts.d.size == 1:
             return self._from_inputs(model, known)
-        error = model.equation_error(np.concatenate((self.theta, [self.offset])))
+        error = self._equation_error(model, known)
         found = cleaned_residuals(parts, error, known[model.first :], self.noise)
         ahead = predicted(parts, model.y[model.first :], found, steps)
         return np.concatenate((np.full(model.first, np.nan), ahead))
@@ -259,7 +306,8 @@ class Model:
         ValueError, TypeError
             If y or u does not fit.
         """
-        return recorded_output(y) - self.predict(y, u)
+        axis, y, u = self._recording(y, u)
+        return axis.series(recorded_output(y) - self.predict(y, u), "residual")
 
     def fit(self, y: ArrayLike, u: ArrayLike) -> float:
         """Compute how well the model's output, from inputs alone, agrees with a recording.
@@ -282,6 +330,7 @@ class Model:
         ValueError, TypeError
             If y or u does not fit, y is constant, or the model overflows.
         """
+        _, y, u = self._recording(y, u)
         measured, free = recorded_output(y), self.free_run(y, u)
         return fit_percent(np.where(np.isnan(free), np.nan, measured), np.nan_to_num(free))
 
@@ -305,7 +354,8 @@ class Model:
         ValueError, TypeError
             If y or u does not fit, or the model overflows.
         """
-        return self._from_inputs(*self._prepared(y, u))
+        axis, y, u = self._recording(y, u)
+        return axis.series(self._from_inputs(*self._prepared(y, u)), "free run")
 
     # What comes next.
 
@@ -316,7 +366,8 @@ class Model:
         ----------
         **options : dict, optional
             Of `ParameterTracker`: ``Q`` or ``forgetting`` for parameters that drift, influence, guard; theta, P and R
-            are the model's own unless they are given, and R is then followed.
+            are the model's own unless they are given, and R is then followed; the regressor is "cleaned" unless it is
+            given.
 
         Returns
         -------
@@ -340,14 +391,28 @@ class Model:
         3
         """
         given = {name: options.pop(name) for name in ("theta", "P") if name in options}
+        # As by a tracker that has made the model itself.
+        options.setdefault("regressor", "cleaned")
         tracker = self._tracker(self.structure, start=0, offset=self.has_offset, **options)
         tracker._begin(self)
         if given:
             tracker._set(**given)
         tracker._initial = tracker.state()
+        tracker.dt = self.dt
         return tracker
 
     # Helpers.
+
+    def _recording(self, y: Any, u: Any) -> tuple[TimeAxis, Any, Any]:
+        """Return the time axis of a recording, and its signals without index; or raise if the axis does not fit."""
+        axis, y, u = recording(self.structure, y=y, u=u)
+        axis.require_period(self.dt)
+        return axis, y, u
+
+    @property
+    def _noise_samples(self) -> float:
+        """How many samples R stands on."""
+        return max(float(np.nansum(self.weights)), 1.0)
 
     def _parts(self) -> Parts:
         """Return the polynomials."""
@@ -366,6 +431,12 @@ class Model:
                 f"got {output.size}"
             )
         return model, known
+
+    def _equation_error(self, model: PolynomialModel, known: Any) -> Array:
+        """Return A y - B/F u - d from the first sample that has a regressor on."""
+        if model.nf:
+            return np.asarray((model.y - self._from_inputs(model, known))[model.first :])
+        return model.equation_error(np.concatenate((self.theta, [self.offset])))
 
     def _from_inputs(self, model: PolynomialModel, known: Any) -> Array:
         """Return the output from inputs alone, whatever was in motion when the recording began."""
@@ -388,30 +459,41 @@ def resting_level(parts: Parts) -> float:
     return parts.offset / total if abs(total) > _INTEGRATES * float(np.abs(parts.a).sum()) else 0.0
 
 
-def filled_memory(structure: Structure, y: Array, u: Array, residual: Array, gradients: Array) -> Memory:
+def filled_memory(model: PolynomialModel, p: Array) -> Memory:
     """Return what a tracker would remember after a recording.
 
     Parameters
     ----------
-    structure : Structure
-        What phi is made of.
-    y : ndarray, shape (N,)
-        Output that stands in phi, its level taken off.
-    u : ndarray, shape (N, n_inputs)
-        Input.
-    residual : ndarray, shape (N - first,)
-        Residuals.
-    gradients : ndarray, shape (N - first, n_theta)
-        Derivatives of the prediction by theta.
+    model : PolynomialModel
+        The recording, its outliers and gaps interpolated.
+    p : ndarray, shape (n,)
+        Free parameters.
 
     Returns
     -------
     Memory
     """
-    layout = Layout(structure)
-    memory = Memory(layout)
-    _, memory.inputs = memory.regressors(layout, u)
-    memory.outputs = -y[::-1][: layout.na]
-    memory.residuals = residual[::-1][: layout.nc].copy()
-    memory.gradients = np.ascontiguousarray(gradients[::-1][: layout.order])
+    structure, layout = model.structure, Layout(model.structure)
+    memory, n, level = Memory(layout), structure.n_theta, resting_level(model.parts(p))
+    alone, residual = model.undisturbed(p), model.residuals(p)
+    _, memory.inputs = memory.regressors(layout, model.u)
+    if structure.uses_model_output:
+        memory.outputs = _newest(-alone, layout.na)
+    elif layout.has_disturbance:
+        memory.outputs = _newest(alone + level - model.y[model.first :], layout.na)
+        memory.undisturbed = _newest(-alone, layout.nf)
+        without_noise = p.copy()
+        without_noise[layout.residuals] = without_noise[layout.outputs] = 0.0
+        chi = -model.jacobian(without_noise)[:, :n] * layout.goes_through
+        memory.prefiltered = _newest(chi, len(memory.prefiltered))
+    else:
+        memory.outputs = _newest(level - model.y, layout.na)
+    memory.measured = memory.outputs
+    memory.residuals = _newest(residual, layout.nc)
+    memory.gradients = _newest(-model.jacobian(p)[:, :n], layout.order)
     return memory
+
+
+def _newest(signal: Array, count: int) -> Array:
+    """Return the last samples, the newest first."""
+    return np.ascontiguousarray(signal[::-1][:count])

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,10 +27,16 @@ from scipy.stats import chi2, norm
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
+from robust_filterpy._pictures import drawn
 from robust_filterpy.identification._signals import recorded_output
 from robust_filterpy.identification.model import Model
 from robust_filterpy.identification.prediction import cleaned_residuals
+from robust_filterpy.identification.time_axis import recording, table
+from robust_filterpy.identification.transfer_model import as_model
 from robust_filterpy.identification.validation import ordinary_fit, ordinary_samples
+
+if TYPE_CHECKING:
+    import control
 
 __all__ = ["Fit", "Portmanteau", "Validation", "validate"]
 
@@ -147,20 +153,66 @@ class Validation:
         lines += [f"{fit.kind:<28}{fit.ordinary:>10.2f}{fit.all:>10.2f}" for fit in self.fits]
         return "\n".join(lines)
 
+    def plot(self, **options: Any) -> Any:
+        """Draw the correlations with their bounds.
+
+        Parameters
+        ----------
+        **options : dict, optional
+            Of `robust_filterpy.plotting.plot_validation`.
+
+        Returns
+        -------
+        ndarray of matplotlib.axes.Axes
+        """
+        return drawn("plot_validation", self, options)
+
+    def to_frame(self) -> Any:
+        """Return the correlations and their bounds as a pandas DataFrame, a row for each lag.
+
+        Returns
+        -------
+        pandas.DataFrame
+            autocorrelation and cross_correlation with several inputs "cross_correlation[0]", .., each with a column
+            "_bound"; NaN for the autocorrelation at lag 0.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        pairs = [("autocorrelation", self.autocorrelation, self.autocorrelation_bound)]
+        several = len(self.cross_correlation) > 1
+        for i, each in enumerate(zip(self.cross_correlation, self.cross_bound, strict=True)):
+            pairs.append((f"cross_correlation[{i}]" if several else "cross_correlation", *each))
+        lags = self.autocorrelation.size + 1
+        columns = {}
+        for name, values, bound in pairs:
+            columns[name], columns[f"{name}_bound"] = (
+                np.concatenate((np.full(lags - part.size, np.nan), part)) for part in (values, bound)
+            )
+        return table(columns, name="lag")
+
     def __str__(self) -> str:
         """Return the text."""
         return self.to_text()
 
 
 def validate(
-    model: Model, y: ArrayLike, u: ArrayLike | None = None, lags: int = 20, level: float = 0.99, steps: int = 10
+    model: Model | control.TransferFunction,
+    y: ArrayLike,
+    u: ArrayLike | None = None,
+    lags: int = 20,
+    level: float = 0.99,
+    steps: int = 10,
 ) -> Validation:
     """Test what a model leaves in its residuals, and how well it predicts.
 
     Parameters
     ----------
-    model : Model
-        What `identify` found, in this recording or another one.
+    model : Model or control.TransferFunction
+        What `identify` found, in this recording or another one; or a transfer function in discrete time with one input,
+        whose parameters are taken as known for sure, and its level and noise from this recording.
     y : array_like, shape (N,)
         Measured output; NaN where it is missing.
     u : array_like, shape (N,) or (N, n_inputs), optional
@@ -181,7 +233,7 @@ def validate(
     ValueError
         If y or u does not fit, the recording is too short for so many lags, or level is no probability.
     TypeError
-        If model is no Model, or lags or steps no integer.
+        If model is none of these, or lags or steps no integer.
 
     Examples
     --------
@@ -197,10 +249,11 @@ def validate(
     >>> validate(identify(y, u, OutputError(1, 1)), y, u).verdict.split(":")[0]
     'dynamics are missing'
     """
-    if not isinstance(model, Model):
-        raise TypeError(f"model: expected a Model that identify found, got {_checks.shown(model)}")
+    model = as_model("model", model, y, u)
     lags, steps = _checks.count("lags", lags, 1), _checks.count("steps", steps, 1)
     level = _probability(level)
+    axis, y, u = recording(model.structure, y=y, u=u)
+    axis.require_period(model.dt)
     measured, residual = recorded_output(y), model.residuals(y, u)
     known = ~np.isnan(residual)
     if known.sum() < _SAMPLES_EACH * (lags + 1):
@@ -294,7 +347,7 @@ def _derivatives(model: Model, residual: Array, y: Any, u: Any) -> Array:
     p = np.concatenate((model.theta, [model.offset], np.zeros(prepared.nf)))
     parts, first = model._parts(), prepared.first
     if prepared.na or parts.c.size + parts.d.size > 2:
-        found = cleaned_residuals(parts, prepared.equation_error(p), known[first:], model.noise)
+        found = cleaned_residuals(parts, model._equation_error(prepared, known), known[first:], model.noise)
         cleaned = prepared.y.copy()
         cleaned[first:] += (found.weights - 1.0) * found.residual
         prepared = prepared.with_output(cleaned)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import ndtri
 
 from robust_filterpy._checks import Array, real
+from robust_filterpy._pictures import drawn
+from robust_filterpy.identification.time_axis import table
 
-__all__ = ["Coefficients", "Intervals", "Sample", "TrackingResult"]
+__all__ = ["BoxJenkinsCoefficients", "Coefficients", "Intervals", "Sample", "TrackingResult"]
 
 
 class Coefficients(NamedTuple):
@@ -28,6 +30,27 @@ class Coefficients(NamedTuple):
     a: Array
     b: Array | tuple[Array, ...]
     c: Array
+
+
+class BoxJenkinsCoefficients(NamedTuple):
+    """Coefficients of y = B(q)/F(q) u + C(q)/D(q) v without the leading 1 of F, C and D.
+
+    Attributes
+    ----------
+    b : ndarray, shape (nb,), or tuple of ndarray
+        b_1 .. b_nb; with several inputs one array for each.
+    f : ndarray, shape (nf,)
+        f_1 .. f_nf.
+    c : ndarray, shape (nc,)
+        c_1 .. c_nc.
+    d : ndarray, shape (nd,)
+        d_1 .. d_nd.
+    """
+
+    b: Array | tuple[Array, ...]
+    f: Array
+    c: Array
+    d: Array
 
 
 class Intervals(NamedTuple):
@@ -83,8 +106,19 @@ class Columns(NamedTuple):
         return cls(theta, variance, prediction, residual, weights, np.zeros(shape[:-1], dtype=np.int64))
 
 
-class TrackingResult(NamedTuple):
-    """What a recording of N samples gave, row k after sample k.
+class _Recorded(NamedTuple):
+    """The columns of a `TrackingResult`; see there."""
+
+    theta: Array
+    std: Array
+    prediction: Array
+    residual: Array
+    weights: Array
+    guard: np.ndarray
+
+
+class TrackingResult(_Recorded):
+    """What a recording of N samples gave, row k after sample k; a tuple of its first six attributes.
 
     Attributes
     ----------
@@ -100,14 +134,70 @@ class TrackingResult(NamedTuple):
         psi(e)/e; 1 for a filter that has no weights, NaN where there was no correction.
     guard : ndarray of int, shape (N,)
         0: step taken as it is; h > 0: halved h times; -1: not taken.
+    names : tuple of str, length n
+        Names of the parameters.
+    index : pandas.Index or None
+        When the samples were taken, if the recording was a pandas object.
     """
 
-    theta: Array
-    std: Array
-    prediction: Array
-    residual: Array
-    weights: Array
-    guard: np.ndarray
+    names: tuple[str, ...] = ()
+    index: Any = None
+
+    def labelled(self, names: tuple[str, ...], index: Any = None) -> TrackingResult:
+        """Return the same columns with names of the parameters and an index.
+
+        Parameters
+        ----------
+        names : tuple of str, length n
+            Names of the parameters.
+        index : pandas.Index, optional
+            When the samples were taken.
+
+        Returns
+        -------
+        TrackingResult
+        """
+        found = TrackingResult(*self)
+        found.names, found.index = names, index
+        return found
+
+    def plot(self, **options: Any) -> Any:
+        """Draw the paths of the parameters with their bands.
+
+        Parameters
+        ----------
+        **options : dict, optional
+            Of `robust_filterpy.plotting.plot_parameters`.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        return drawn("plot_parameters", self, options)
+
+    def to_frame(self) -> Any:
+        """Return all columns as a pandas DataFrame, a row for each sample.
+
+        Returns
+        -------
+        pandas.DataFrame
+            The parameters by their names, their standard deviations as "a1_std", prediction, residual, weight, guard;
+            on the index of the recording.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        return table(self._columns(), self.index, "sample" if self.index is None else None)
+
+    def _columns(self) -> dict[str, Array]:
+        """Return the columns by name."""
+        names = self.names or tuple(f"theta{j + 1}" for j in range(self.theta.shape[-1]))
+        columns = dict(zip(names, np.moveaxis(self.theta, -1, 0), strict=True))
+        columns |= {f"{name}_std": std for name, std in zip(names, np.moveaxis(self.std, -1, 0), strict=True)}
+        rest = {"prediction": self.prediction, "residual": self.residual, "weight": self.weights, "guard": self.guard}
+        return columns | rest
 
     def confidence_intervals(self, level: float = 0.95) -> Intervals:
         """Return theta -+ z std for every sample, z the normal quantile of the level.

@@ -7,18 +7,22 @@ from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from scipy.signal import lfilter
 
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.cleaning import Outliers, found_outliers
 from robust_filterpy.identification.learnt_noise import ContaminatedNormal, Noise, mad_scale
 from robust_filterpy.identification.missing import Unknowns, completed, response, touched
+from robust_filterpy.identification.noise_structures import BoxJenkins
 from robust_filterpy.identification.polynomial_model import PolynomialModel
 from robust_filterpy.identification.prediction_error import Optimum, minimised
 from robust_filterpy.identification.starts import (
     Start,
     autocorrelation_start,
+    disturbance_start,
     output_error_starts,
     regression_start,
+    whitened,
 )
 from robust_filterpy.identification.structures import OutputError
 from robust_filterpy.influence.functions import Huber, Influence
@@ -224,6 +228,36 @@ def _starts(model: PolynomialModel, missing: Any, noise: Noise) -> Iterator[Star
     if model.structure.polynomials == simple.structure.polynomials:
         yield from starts
         return
-    ends = [_searched(simple, start.p, noise, missing, (start.name,), 1) for start in starts]
-    best = simple.parts(_best_first(simple, missing, ends)[0].end.p)
-    yield Start("output-error model", model.from_output_error(best))
+    best = _best_of(simple, missing, noise, starts)
+    yield Start("output-error model", model.from_output_error(simple.parts(best)))
+    if isinstance(model.structure, BoxJenkins):
+        yield from _whitened_starts(model, simple, best, missing, noise)
+
+
+def _whitened_starts(
+    model: PolynomialModel, simple: PolynomialModel, p: Array, missing: Any, noise: Noise
+) -> Iterator[Start]:
+    """Yield starts of a model with a disturbance, from output-error models of whitened signals."""
+    known = ~missing[simple.first :]
+    q = model.from_output_error(simple.parts(p))
+    yield disturbance_start("output-error model and its disturbance", model, q, known)
+    order = model.structure.nd + 2 * model.structure.nc
+    for name, polynomial in (
+        ("whitened by the disturbance", whitened(simple, p, known, order)),
+        ("differences", np.array([1.0, -1.0])),
+    ):
+        first = polynomial.size - 1
+        y, u = (lfilter(polynomial, [1.0], signal, axis=0)[first:] for signal in (simple.y, simple.u))
+        gaps = np.convolve(missing, np.ones(first + 1))[first : missing.size] > 0.5
+        filtered = PolynomialModel(simple.structure, y, u, simple.offset)
+        q = _best_of(filtered, gaps, noise, output_error_starts(filtered, ~gaps[filtered.first :]))
+        q[simple.structure.n_theta :] = 0.0
+        if model.offset:
+            q[simple.structure.n_theta] = np.median(simple.equation_error(q)[known])
+        yield disturbance_start(name, model, model.from_output_error(simple.parts(q)), known)
+
+
+def _best_of(model: PolynomialModel, missing: Any, noise: Noise, starts: Iterator[Start]) -> Array:
+    """Return the free parameters of the best end from some starts."""
+    ends = [_searched(model, start.p, noise, missing, (start.name,), 1) for start in starts]
+    return _best_first(model, missing, ends)[0].end.p

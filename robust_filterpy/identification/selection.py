@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -24,11 +24,15 @@ from scipy.stats import norm
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
+from robust_filterpy._pictures import drawn
+from robust_filterpy._progress import progress_bar
 from robust_filterpy.identification._signals import recorded_input, recorded_output
+from robust_filterpy.identification.cleaning import THRESHOLDS
 from robust_filterpy.identification.identify import identify
 from robust_filterpy.identification.learnt_noise import ContaminatedNormal, Noise, mad_scale
 from robust_filterpy.identification.model import Model
 from robust_filterpy.identification.structures import ARMAX, ARX, FIR, OutputError, Structure
+from robust_filterpy.identification.time_axis import recording, table
 from robust_filterpy.identification.validation import ordinary_fit, ordinary_samples
 
 __all__ = ["Candidate", "ImpulseResponse", "Selection", "select_structure"]
@@ -43,8 +47,6 @@ _SAMPLES_EACH: Final = 5
 _FALSE_DELAY: Final = 0.05
 # What lies so many times outside the band is no accident.
 _SURE: Final = 2.0
-# An outlier in the regressor is as unlikely as a residual of so many standard deviations.
-_OUTLIER: Final = 3.2
 # A larger residual, in standard deviations of y, is as wild as this one.
 _WILD: Final = 10.0
 # Steps of expectation-maximisation, enough to settle.
@@ -69,6 +71,8 @@ class Candidate(NamedTuple):
     shows_delay : bool
         Whether the first b is as many standard deviations from 0 as the criterion asks of a further parameter. Without
         it the delay of the structure is shorter than the recording shows.
+    held_out_fit : float
+        Fit on the ordinary samples of the part that was held out, by the model of the part before; NaN if none was.
     """
 
     structure: Structure
@@ -76,6 +80,7 @@ class Candidate(NamedTuple):
     fit: float
     log_likelihood: float
     shows_delay: bool
+    held_out_fit: float = math.nan
 
     @property
     def rank(self) -> tuple[bool, float]:
@@ -140,6 +145,39 @@ class Selection:
     samples: int
     impulse_response: ImpulseResponse | None
 
+    def plot(self, **options: Any) -> Any:
+        """Draw fit and criterion against complexity.
+
+        Parameters
+        ----------
+        **options : dict, optional
+            Of `robust_filterpy.plotting.plot_structure_selection`.
+
+        Returns
+        -------
+        ndarray of matplotlib.axes.Axes
+        """
+        return drawn("plot_structure_selection", self, options)
+
+    def to_frame(self) -> Any:
+        """Return the whole table as a pandas DataFrame, the best first.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each structure: criterion, above_best, fit, log_likelihood, shows_delay, held_out_fit, parameters.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        fields = ("criterion", "fit", "log_likelihood", "shows_delay", "held_out_fit")
+        columns: dict[str, Any] = {name: [getattr(row, name) for row in self.rows] for name in fields}
+        columns["above_best"] = [row.criterion - self.rows[0].criterion for row in self.rows]
+        columns["parameters"] = [row.structure.n_theta for row in self.rows]
+        return table(columns, [str(row.structure) for row in self.rows], "structure")
+
     def to_text(self, rows: int = 10) -> str:
         """Return the first rows as a table.
 
@@ -152,10 +190,13 @@ class Selection:
         -------
         str
         """
+        held_out = not math.isnan(self.rows[0].held_out_fit)
         lines = [f"{'structure':<38}{self.criterion:>12}{'above best':>12}{'fit, %':>9}{'log-likelihood':>16}"]
+        lines[0] += f"{'held out, %':>13}" if held_out else ""
         for row in self.rows[: _checks.count("rows", rows, 1)]:
             above = row.criterion - self.rows[0].criterion
             values = f"{row.criterion:>12.1f}{above:>12.1f}{row.fit:>9.2f}{row.log_likelihood:>16.1f}"
+            values += f"{row.held_out_fit:>13.2f}" if held_out else ""
             lines.append(f"{row.structure!s:<38}{values}{'' if row.shows_delay else '  first b is 0'}")
         return "\n".join(lines)
 
@@ -172,6 +213,8 @@ def select_structure(
     nb: Iterable[int] | None = None,
     nk: Iterable[int] = range(9),
     criterion: str = "bic",
+    held_out: float = 0.0,
+    progress: bool | None = None,
 ) -> Selection:
     """Find the orders and the delay of a recording with outliers.
 
@@ -191,6 +234,11 @@ def select_structure(
         Delays to try.
     criterion : {"bic", "aic"}, default "bic"
         "bic" finds the true structure of a long recording, "aic" prefers predictions to parsimony.
+    held_out : float, default 0
+        Share of the recording, at its end, that the structures are compared without, in [0, 0.5]: how well each model
+        of the part before fits it stands in the table beside the criterion, which decides.
+    progress : bool, optional
+        Show a progress bar (tqdm) on standard error: True always, False never, None if that is a terminal.
 
     Returns
     -------
@@ -200,10 +248,12 @@ def select_structure(
     Raises
     ------
     ValueError
-        If a range is empty, kind or criterion is unknown, u has several inputs, or the recording is too short for the
-        largest structure.
+        If a range is empty, kind or criterion is unknown, held_out is out of range, u has several inputs, or the
+        recording is too short for the largest structure.
     TypeError
         If an order is no integer.
+    ImportError
+        If `progress` is True and tqdm is missing.
 
     Notes
     -----
@@ -238,10 +288,15 @@ def select_structure(
     if _checks.option("criterion", criterion, _CRITERIA) and kind is OutputError and u is None:
         raise ValueError("u: expected an input for an OutputError, got None; take kind=ARX or kind=ARMAX without one")
     grid = _Grid.of(kind, na, nb, nk, u is not None)
+    axis, y, u = recording(None, y=y, u=u)
     measured = recorded_output(y)
     signal = np.zeros((measured.size, 0)) if u is None else _one_input(u, measured.size)
-    comparison = _Comparison(grid, measured, signal, criterion)
-    response = None if u is None else _impulse_response(measured, signal, grid)
+    if not 0.0 <= _checks.real("held_out", held_out) <= 0.5:
+        raise ValueError(f"held_out: expected a share in [0, 0.5], got {held_out!r}")
+    kept = measured.size - round(held_out * measured.size)
+    bar = progress_bar(None, progress, " structures")
+    comparison = _Comparison(grid, measured, signal, criterion, kept, bar)
+    response = None if u is None else _impulse_response(measured[:kept], signal[:kept], grid)
     delays = set() if response is None else {response.delay, response.sure_delay} - {None}
     for orders in grid.beginning(delays):
         comparison.try_out(orders)
@@ -250,7 +305,8 @@ def select_structure(
         best = comparison.best
         for orders in grid.neighbours(best):
             comparison.try_out(orders)
-    model = identify(measured, None if u is None else signal, grid.structure(best))
+    bar.close()
+    model = replace(identify(measured, None if u is None else signal, grid.structure(best)), dt=axis.dt)
     return Selection(comparison.rows(), model, criterion, comparison.samples, response)
 
 
@@ -310,19 +366,23 @@ class _Grid(NamedTuple):
 
 
 class _Tried(NamedTuple):
-    """A row of the table without its fit, and the signals that the fit is computed from."""
+    """A row of the table without its fits, and the signals that these are computed from."""
 
     row: Candidate
     residual: Array
     output: Array
+    held_out: tuple[Array, Array] | None
+    """Residual and output of the part that was held out."""
 
 
 class _Comparison:
     """The structures that were tried, on the same samples."""
 
-    def __init__(self, grid: _Grid, y: Array, u: Array, criterion: str) -> None:
-        """Keep the recording."""
-        self.grid, self.y, self.u, self.criterion = grid, y, u, criterion
+    def __init__(self, grid: _Grid, y: Array, u: Array, criterion: str, kept: int, bar: Any) -> None:
+        """Keep the recording, and apart what comes after the samples that are kept."""
+        self.grid, self.criterion, self.bar = grid, criterion, bar
+        self.rest = (y[kept:], u[kept:]) if kept < y.size else None
+        self.y, self.u = y, u = y[:kept], u[:kept]
         self.tried: dict[_Orders, _Tried] = {}
         self.samples = int(np.isfinite(y[grid.first :]).sum())
         known = y[~np.isnan(y)]
@@ -346,15 +406,15 @@ class _Comparison:
             # A structure with too many parameters leaves the model open; the best one warns again.
             warnings.simplefilter("ignore", UserWarning)
             model = identify(y, u, structure)
-        residual = model.residuals(y, u)
-        output = y - residual if u is None else model.free_run(y, u)
-        residual, output = residual[before:], output[before:]
+        residual, output = (signal[before:] for signal in _signals(model, y, u))
         likelihood = self._cleaned_likelihood(model) if regressed else self._log_likelihood(residual)
         price = _CRITERIA[self.criterion](self.samples)
         value = -2.0 * likelihood + price * (structure.n_theta + 1)
         shows_delay = not orders.nb or bool(model.theta[orders.na] ** 2 > price * model.P[orders.na, orders.na])
         row = Candidate(structure, value, float("nan"), likelihood, shows_delay)
-        self.tried[orders] = _Tried(row, residual, output)
+        held_out = None if self.rest is None else _signals(model, self.rest[0], self.rest[1] if orders.nb else None)
+        self.tried[orders] = _Tried(row, residual, output, held_out)
+        self.bar.update()
 
     def _log_likelihood(self, residual: Array) -> float:
         """Return the log-likelihood of residuals of which no outlier touches another one."""
@@ -364,14 +424,26 @@ class _Comparison:
 
     def _cleaned_likelihood(self, model: Model) -> float:
         """Return the log-likelihood of residuals of the cleaned output, less what the outliers cost."""
-        return model.log_likelihood - 0.5 * _OUTLIER**2 * int((model.weights == 0.0).sum())
+        return model.log_likelihood - 0.5 * THRESHOLDS[1] ** 2 * int((model.weights == 0.0).sum())
 
     def rows(self) -> tuple[Candidate, ...]:
         """Return the table; the ordinary samples are those of the best model."""
-        ordinary = ordinary_samples(self.tried[self.best].residual)
-        y = self.y[self.grid.first :]
-        rows = [row._replace(fit=ordinary_fit(y, output, ordinary)) for row, _, output in self.tried.values()]
+        best = self.tried[self.best]
+        ordinary, y = ordinary_samples(best.residual), self.y[self.grid.first :]
+        rows = []
+        for row, _, output, held_out in self.tried.values():
+            row = row._replace(fit=ordinary_fit(y, output, ordinary))
+            if self.rest is not None and held_out is not None and best.held_out is not None:
+                late = ordinary_samples(best.held_out[0])
+                row = row._replace(held_out_fit=ordinary_fit(self.rest[0], held_out[1], late))
+            rows.append(row)
         return tuple(sorted(rows, key=lambda row: row.rank))
+
+
+def _signals(model: Model, y: Array, u: Array | None) -> tuple[Array, Array]:
+    """Return the residuals of a model, and its output from inputs alone, or without any one step ahead."""
+    residual = model.residuals(y, u)
+    return residual, y - residual if u is None else model.free_run(y, u)
 
 
 def _range(name: str, values: Any, least: int) -> tuple[int, ...]:

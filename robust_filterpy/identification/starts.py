@@ -5,6 +5,8 @@
 * The iteration of Steiglitz and McBride (1965): regression on signals filtered by the denominator found before.
 * For models with the measured output in their regressor: plain regression; without input also the Yule-Walker
   equations with autocorrelations from robust scales (Ma and Genton 2000).
+* For Box and Jenkins' model: the same for the disturbance that an output-error model leaves, and an output-error model
+  of signals that have been whitened so.
 """
 
 from __future__ import annotations
@@ -21,7 +23,15 @@ from robust_filterpy.identification.learnt_noise import mad_scale
 from robust_filterpy.identification.polynomial_model import PolynomialModel
 from robust_filterpy.influence.functions import Huber
 
-__all__ = ["Start", "autocorrelation_start", "output_error_starts", "regression_start", "robust_regression"]
+__all__ = [
+    "Start",
+    "autocorrelation_start",
+    "disturbance_start",
+    "output_error_starts",
+    "regression_start",
+    "robust_regression",
+    "whitened",
+]
 
 # Lengths of the impulse response that are tried, in samples.
 _LENGTHS: Final = (30, 80, 200)
@@ -103,6 +113,8 @@ def regression_start(model: PolynomialModel, rows: Any) -> Start:
     free = np.ones(model.n, dtype=bool)
     for place in (places.f, places.c, places.d):
         free[place] = False
+    if not free.any():
+        return Start("regression", p)
     p[free] = robust_regression(-model.jacobian(p)[rows][:, free], model.residuals(p)[rows])
     return Start("regression", p)
 
@@ -121,16 +133,72 @@ def autocorrelation_start(model: PolynomialModel, rows: Any) -> Start:
     -------
     Start
     """
-    order = model.na
+    p = np.zeros(model.n)
+    p[model.structure.polynomials.a] = _autoregression(model.y, model.na)[1:]
+    return Start("autocorrelations", p)
+
+
+def disturbance_start(name: str, model: PolynomialModel, p: Array, rows: Any) -> Start:
+    """Return parameters whose D is that of an autoregression of the disturbance.
+
+    Parameters
+    ----------
+    name : str
+        How p was found.
+    model : PolynomialModel
+        With a model of the noise.
+    p : ndarray, shape (n,)
+        Its free parameters, those of the noise left out.
+    rows : ndarray of bool, shape (N - first,)
+        Which residuals count.
+
+    Returns
+    -------
+    Start
+    """
+    p = p.copy()
+    p[model.structure.polynomials.d] = _autoregression(_disturbance(model, p, rows), model.nd)[1:]
+    return Start(name, p)
+
+
+def whitened(model: PolynomialModel, p: Array, rows: Any, order: int) -> Array:
+    """Return the polynomial that makes the disturbance white.
+
+    Parameters
+    ----------
+    model : PolynomialModel
+        A model.
+    p : ndarray, shape (n,)
+        Its free parameters.
+    rows : ndarray of bool, shape (N - first,)
+        Which residuals count.
+    order : int
+        Degree of the polynomial.
+
+    Returns
+    -------
+    ndarray, shape (order + 1,)
+    """
+    return _autoregression(_disturbance(model, p, rows), order)
+
+
+def _disturbance(model: PolynomialModel, p: Array, rows: Any) -> Array:
+    """Return what the inputs do not explain, its median taken off, 0 where it is missing."""
+    v = model.equation_error(p)
+    return np.where(rows, v - np.median(v[rows]), 0.0)
+
+
+def _autoregression(signal: Array, order: int) -> Array:
+    """Return a stable A(q) of a signal with outliers by Yule and Walker's equations, its leading 1 included."""
     correlations = [1.0]
     for lag in range(1, order + 1):
-        later, earlier = model.y[lag:], model.y[:-lag]
+        later, earlier = signal[lag:], signal[:-lag]
         both, apart = mad_scale(later + earlier) ** 2, mad_scale(later - earlier) ** 2
         correlations.append(0.99 * (both - apart) / max(both + apart, np.finfo(float).tiny))
-    p = np.zeros(model.n)
+    if not order:
+        return np.ones(1)
     a = -lstsq(toeplitz(correlations[:-1]), np.array(correlations[1:]))[0]
-    p[model.structure.polynomials.a] = _stabilised(np.concatenate(([1.0], a)))[1:]
-    return Start("autocorrelations", p)
+    return _stabilised(np.concatenate(([1.0], a)))
 
 
 def output_error_starts(model: PolynomialModel, rows: Any) -> Iterator[Start]:

@@ -6,12 +6,12 @@ Every structure is y(k) = phi(k)' theta + v(k) with::
     phi(k) = [-s(k-1) .. -s(k-na), u(k-nk) .. u(k-nk-nb+1), .., r(k-1) .. r(k-nc)]                        (13, 20)
 
 where s is the measured output for `ARX` and `ARMAX` and the model's own output for `OutputError` (18), and r are the
-a-posteriori residuals.
+a-posteriori residuals. `noise_structures` has those whose noise has a model of its own.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import accumulate, pairwise
 from typing import Any, NamedTuple
@@ -45,12 +45,13 @@ class Polynomials(NamedTuple):
 
 
 class Structure:
-    """What the five structures share: orders, names and the regressor.
+    """What the structures share: orders, names and the regressor.
 
     Attributes
     ----------
-    na, nc : int
-        Number of past outputs and of past residuals in phi; 0 where a structure has none.
+    na, nc, nd, nf : int
+        Number of past outputs and of past residuals in phi, and of coefficients of D and F; 0 where a structure has
+        none. The denominator of an OutputError counts as na.
     inputs : tuple of (int, int)
         (nb, nk) of each input: how many coefficients, and the delay of the first.
     """
@@ -58,6 +59,8 @@ class Structure:
     # No values here: dataclasses would take them for defaults.
     na: int
     nc: int
+    nd: int
+    nf: int
     inputs: tuple[tuple[int, int], ...]
 
     @property
@@ -68,12 +71,33 @@ class Structure:
     @cached_property
     def n_theta(self) -> int:
         """Length of theta."""
-        return self.na + sum(nb for nb, _ in self.inputs) + self.nc
+        return self.constant_place + self.nc
+
+    @cached_property
+    def constant_place(self) -> int:
+        """Where in theta a constant would stand, as one more input: after all b's."""
+        return self.na + sum(nb for nb, _ in self.inputs)
+
+    def with_constant(self) -> Structure:
+        """Return the structure with one more input, a constant that acts at once.
+
+        Returns
+        -------
+        Structure
+        """
+        nb, nk = tuple(nb for nb, _ in self.inputs), tuple(nk for _, nk in self.inputs)
+        extended: Any = self
+        return replace(extended, nb=(*nb, 1), nk=(*nk, 0))  # type: ignore[no-any-return]
 
     @cached_property
     def feeds_back(self) -> slice | None:
         """Which part of theta multiplies what the model computed itself: its polynomial must be stable."""
         return slice(self.n_theta - self.nc, self.n_theta) if self.nc else None
+
+    @property
+    def stable_parts(self) -> tuple[slice, ...]:
+        """Which parts of theta are polynomials that must be stable."""
+        return () if self.feeds_back is None else (self.feeds_back,)
 
     @property
     def uses_model_output(self) -> bool:
@@ -93,7 +117,27 @@ class Structure:
         """Names of the parameters, as "a1", "b2" or, with several inputs, "b2[0]" for the first input's."""
         several = self.n_inputs > 1
         b = [f"b{j + 1}[{i}]" if several else f"b{j + 1}" for i, (nb, _) in enumerate(self.inputs) for j in range(nb)]
-        return (*(f"a{j + 1}" for j in range(self.na)), *b, *(f"c{j + 1}" for j in range(self.nc)))
+        return (*numbered("a", self.na), *b, *numbered("c", self.nc))
+
+    def get_params(self, deep: bool = True) -> dict[str, Any]:
+        """Return the orders that the structure was made with, by scikit-learn's convention.
+
+        Parameters
+        ----------
+        deep : bool, default True
+            No difference; it belongs to the convention.
+
+        Returns
+        -------
+        dict of str
+
+        Examples
+        --------
+        >>> OutputError(2, 2).get_params()
+        {'na': 2, 'nb': 2, 'nk': 1}
+        """
+        made: Any = self
+        return {place.name: getattr(self, place.name) for place in fields(made)}
 
     def regressors(
         self, u: ArrayLike | None = None, y: ArrayLike | None = None, residual: ArrayLike | None = None
@@ -145,6 +189,11 @@ class Structure:
         return np.concatenate(parts, axis=1)
 
 
+def numbered(letter: str, order: int) -> tuple[str, ...]:
+    """Return the names of the coefficients of a polynomial."""
+    return tuple(f"{letter}{j + 1}" for j in range(order))
+
+
 def _shifted(signal: Array, lags: range) -> Array:
     """Return the signal delayed by each lag, one column each, 0 before the start."""
     columns = np.zeros((len(signal), len(lags)))
@@ -165,7 +214,7 @@ def input_columns(name: str, u: Any, n_inputs: int) -> Array:
     return signal
 
 
-def _orders(name: str, value: Any, least: int = 0) -> Orders:
+def input_orders(name: str, value: Any, least: int = 0) -> Orders:
     """Return an order, or one for each input, as int or tuple of int, or raise."""
     if isinstance(value, (list, tuple, np.ndarray)):
         if len(value) == 0:
@@ -188,11 +237,11 @@ def _inputs(nb: Orders, nk: Orders) -> tuple[tuple[int, int], ...]:
     return tuple(zip(nb, delays, strict=True))
 
 
-def _set(structure: Any, **orders: Any) -> None:
+def set_orders(structure: Any, nb: Orders = 0, nk: Orders = 1, **orders: int) -> None:
     """Write the checked orders into a frozen dataclass, with the inputs that follow, and refuse an empty model."""
-    for name, value in {"na": 0, "nc": 0, **orders}.items():
+    values = {"na": 0, "nc": 0, "nd": 0, "nf": 0, "nb": nb, "nk": nk, **orders, "inputs": _inputs(nb, nk)}
+    for name, value in values.items():
         object.__setattr__(structure, name, value)
-    object.__setattr__(structure, "inputs", _inputs(orders["nb"], orders["nk"]))
     if structure.n_theta == 0:
         raise ValueError(f"{structure}: expected at least one parameter, got orders that are all zero")
 
@@ -231,7 +280,7 @@ class ARX(Structure):
 
     def __post_init__(self) -> None:
         """Check the orders."""
-        _set(self, na=count("na", self.na), nb=_orders("nb", self.nb), nk=_orders("nk", self.nk))
+        set_orders(self, na=count("na", self.na), nb=input_orders("nb", self.nb), nk=input_orders("nk", self.nk))
 
 
 @dataclass(frozen=True)
@@ -273,7 +322,7 @@ class OutputError(Structure):
 
     def __post_init__(self) -> None:
         """Check the orders."""
-        _set(self, na=count("na", self.na), nb=_orders("nb", self.nb), nk=_orders("nk", self.nk))
+        set_orders(self, na=count("na", self.na), nb=input_orders("nb", self.nb), nk=input_orders("nk", self.nk))
         if self.n_theta == self.na:
             raise ValueError(f"nb: expected at least one b, without which the output is zero, got {self.nb}")
 
@@ -333,7 +382,7 @@ class ARMAX(Structure):
     def __post_init__(self) -> None:
         """Check the orders."""
         orders = {"na": count("na", self.na), "nc": count("nc", self.nc)}
-        _set(self, **orders, nb=_orders("nb", self.nb), nk=_orders("nk", self.nk))
+        set_orders(self, **orders, nb=input_orders("nb", self.nb), nk=input_orders("nk", self.nk))
 
 
 @dataclass(frozen=True)
@@ -367,7 +416,7 @@ class FIR(Structure):
 
     def __post_init__(self) -> None:
         """Check the orders."""
-        _set(self, nb=_orders("nb", self.nb), nk=_orders("nk", self.nk))
+        set_orders(self, nb=input_orders("nb", self.nb), nk=input_orders("nk", self.nk))
 
 
 @dataclass(frozen=True)
@@ -397,7 +446,16 @@ class LinearRegression(Structure):
 
     def __post_init__(self) -> None:
         """Check n: each entry of phi is an input with one coefficient and no delay."""
-        _set(self, n=count("n", self.n, 1), nb=(1,) * self.n, nk=0)
+        set_orders(self, n=count("n", self.n, 1), nb=(1,) * self.n, nk=0)
+
+    def with_constant(self) -> LinearRegression:
+        """Return the regression with one more column.
+
+        Returns
+        -------
+        LinearRegression
+        """
+        return LinearRegression(self.n + 1)
 
     @cached_property
     def names(self) -> tuple[str, ...]:

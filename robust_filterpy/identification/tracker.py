@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robust_filterpy import _checks
+from robust_filterpy import _checks, _state
 from robust_filterpy._checks import Array
+from robust_filterpy._documentation import STOPPED, pointer
 from robust_filterpy.correction.options import Information, Scaling
 from robust_filterpy.identification import _model, _setup
 from robust_filterpy.identification._recursion import GRADIENTS, REGRESSORS, Gradient, Recursion, Regressor
@@ -26,8 +26,12 @@ from robust_filterpy.identification._signals import (
 from robust_filterpy.identification.cold_start import ColdStart
 from robust_filterpy.identification.guard import GUARDS, Guard
 from robust_filterpy.identification.noise_scale import NoiseScale, ordinary_mean
-from robust_filterpy.identification.results import Coefficients, Columns, Intervals, Sample, TrackingResult, intervals
+from robust_filterpy.identification.results import Columns, Intervals, Sample, TrackingResult, intervals
 from robust_filterpy.identification.structures import LinearRegression, Structure
+from robust_filterpy.identification.summary import Summary, summarized
+from robust_filterpy.identification.time_axis import recording
+from robust_filterpy.identification.tuned import TunedTracker, tuned
+from robust_filterpy.identification.uncertainty import Responses
 from robust_filterpy.identification.validation import fit_percent
 from robust_filterpy.identification.watch import LostTrackerWarning, Watch
 from robust_filterpy.influence.functions import Influence
@@ -46,7 +50,7 @@ _START = 400
 _WINDUP = 1e8
 
 
-class ParameterTracker(Recursion):
+class ParameterTracker(Responses, Recursion):
     """Follow the parameters of a linear model, sample by sample, through outliers.
 
     A filter with the parameters as its state, F = I and H = phi'(k) (paper 53 and Table 1)::
@@ -56,7 +60,7 @@ class ParameterTracker(Recursion):
 
     Parameters
     ----------
-    structure : ARX, OutputError, ARMAX, FIR or LinearRegression
+    structure : ARX, OutputError, ARMAX, BoxJenkins, FIR, AR, ARMA or LinearRegression
         What phi is made of.
     filter : filter object or class, optional
         Any filter of filterpy's kind with ``x, P, H, predict(), update(z)``, dim_x = structure.n_theta (one more with
@@ -83,10 +87,10 @@ class ParameterTracker(Recursion):
         Whether there is a constant beside theta, for outputs that are not measured from their rest. Default: with a
         start yes, except for a LinearRegression, whose columns are the caller's.
     regressor : {"measured", "cleaned"}
-        Which outputs an ARX or ARMAX has in its regressor: those measured, or the prediction in the place of those
-        further than 3 standard deviations from it (the filter-cleaner of Masreliez and Martin), unless the outputs as
-        measured explain the next sample. Default: "cleaned" with a start, "measured" with ``start=0``, as in the paper.
-        No difference for other structures.
+        Which outputs an ARX, ARMAX, AR, ARMA or BoxJenkins has in its regressor: those measured, or the prediction in
+        the place of those further than 3 standard deviations from it (the filter-cleaner of Masreliez and Martin),
+        unless the outputs as measured explain the next sample. Default: "cleaned" with a start, "measured" with
+        ``start=0``, as in the paper. No difference for other structures.
     R_memory : int, default 150
         Number of samples that an R which is followed remembers.
     forgetting : float, optional
@@ -94,10 +98,11 @@ class ParameterTracker(Recursion):
         each sample (filterpy's alpha is its -1/2 power).
     gradient : {"filtered", "pseudolinear"}
         What the gain of an OutputError (ARMAX) model is computed from: phi filtered by 1/A_hat (1/C_hat), the
-        derivative of the prediction, or phi itself as in the paper. See Notes. No difference for other structures.
+        derivative of the prediction, or phi itself as in the paper. In a BoxJenkins what the inputs do goes through
+        D_hat/(C_hat F_hat), the rest through 1/C_hat. See Notes. No difference for other structures.
     guard : {"halve", "reject", "none"}
-        What to do with a step of theta that makes A (ARMAX: C) unstable: halve it until it does not, stay at the old
-        theta, or take it. See Notes. No difference for other structures.
+        What to do with a step of theta that makes A (ARMAX: C; BoxJenkins: F or C) unstable: halve it until it does
+        not, stay at the old theta, or take it. See Notes. No difference for other structures.
     influence, scaling, information : optional
         Choices of the `RobustKalmanFilter`; not together with filter.
 
@@ -111,6 +116,8 @@ class ParameterTracker(Recursion):
         False freezes theta and P, while predictions go on.
     offset : float
         Constant of the equation, as in `Model`; `level` is what it means for y.
+    dt : float or None
+        Sampling period in s, as the index of the first recording that has one told it; may be set.
 
     Raises
     ------
@@ -217,6 +224,7 @@ class ParameterTracker(Recursion):
         information: Information | None = None,
     ) -> None:
         """Set up the filter and a memory at rest."""
+        self._given = {name: value for name, value in locals().items() if name != "self"}
         if not isinstance(structure, Structure):
             raise TypeError(f"structure: expected ARX(..), OutputError(..) or another structure, got {structure!r}")
         self._gradient = _checks.option("gradient", gradient, GRADIENTS)
@@ -231,12 +239,13 @@ class ParameterTracker(Recursion):
         if offset is not None and not isinstance(offset, (bool, np.bool_)):
             raise TypeError(f"offset: expected True or False, got {offset!r}")
         self._has_offset = bool(samples and not isinstance(structure, LinearRegression) if offset is None else offset)
-        self._cleans = self._regressor == "cleaned" and structure.na > 0 and not structure.uses_model_output
+        holds_outputs = structure.na + structure.nd > 0 and not structure.uses_model_output
+        self._cleans = self._regressor == "cleaned" and holds_outputs
         choices = {"influence": influence, "scaling": scaling, "information": information}
         self.structure = structure
-        self._layout = Layout(with_constant(structure) if self._has_offset else structure)
+        self._layout = Layout(structure.with_constant() if self._has_offset else structure)
         places = np.arange(self._layout.n)
-        self._own = np.delete(places, structure.n_theta - structure.nc) if self._has_offset else places
+        self._own = np.delete(places, structure.constant_place) if self._has_offset else places
         self.filter = _setup.make_filter(self._layout.n, filter, choices)
         _setup.configure(
             self.filter, structure, self._own, theta=theta, P=P, Q=Q, R=R, F=F, forgetting=forgetting
@@ -253,11 +262,28 @@ class ParameterTracker(Recursion):
         self._start = ColdStart(structure, samples) if samples else None
         self._begun = not samples
         self._initial = self.state()
+        self.dt: float | None = None
 
     def __repr__(self) -> str:
         """Show the model as it stands."""
         values = ", ".join(f"{name}={value:.4g}" for name, value in zip(self.structure.names, self.theta, strict=True))
         return f"ParameterTracker({self.structure}, {values})"
+
+    def get_params(self, deep: bool = True) -> dict[str, Any]:
+        """Return the arguments that the tracker was made with, by scikit-learn's convention.
+
+        Parameters
+        ----------
+        deep : bool, default True
+            Whether the orders of the structure are there too, as "structure__na".
+
+        Returns
+        -------
+        dict of str
+            ``ParameterTracker(**tracker.get_params(deep=False))`` is a tracker that has not seen a sample.
+        """
+        orders = {f"structure__{name}": order for name, order in self.structure.get_params().items()} if deep else {}
+        return self._given | orders
 
     # The model as it stands.
 
@@ -295,12 +321,13 @@ class ParameterTracker(Recursion):
         """Constant in phi' theta, for outputs from the centre."""
         if not self._has_offset:
             return 0.0
-        return float(np.ravel(self.filter.x)[self.structure.n_theta - self.structure.nc])
+        return float(np.ravel(self.filter.x)[self.structure.constant_place])
 
     @property
     def _rest_gain(self) -> float:
-        """A(1)."""
-        return 1.0 + float(self.theta[: self.structure.na].sum())
+        """A(1), or with a model of the noise F(1)."""
+        f = self.structure.polynomials.f if self.structure.nf else slice(0, self.structure.na)
+        return 1.0 + float(self.theta[f].sum())
 
     @property
     def regressor(self) -> Regressor:
@@ -332,6 +359,11 @@ class ParameterTracker(Recursion):
         self._scale = self._scale._replace(memory=0.0)
 
     @property
+    def _noise_samples(self) -> float:
+        """How many samples R stands on; one that is told is known."""
+        return self._scale.memory or np.inf
+
+    @property
     def F(self) -> Array:
         """Transition matrix C of (9), shape (n, n); may be set."""
         return np.array(self.filter.F, dtype=float)[np.ix_(self._own, self._own)]
@@ -355,8 +387,8 @@ class ParameterTracker(Recursion):
         return np.sqrt(np.maximum(self.P.diagonal(), 0.0)) if self._begun else np.full(len(self._own), np.inf)
 
     @property
-    def coefficients(self) -> Coefficients:
-        """a, b and c of the model; see `Coefficients`."""
+    def coefficients(self) -> Any:
+        """a, b and c as `Coefficients`, or of a BoxJenkins b, f, c and d as `BoxJenkinsCoefficients`."""
         return _model.coefficients(self.structure, self.theta)
 
     def confidence_intervals(self, level: float = 0.95) -> Intervals:
@@ -383,13 +415,37 @@ class ParameterTracker(Recursion):
         """
         return intervals(self.theta, self.std, level)
 
-    def transfer_function(self, dt: float | bool = True) -> control.TransferFunction:
+    def summary(self, level: float = 0.95) -> Summary:
+        """Return a table of the parameters as they stand, with their uncertainty.
+
+        Parameters
+        ----------
+        level : float, default 0.95
+            Probability of each interval, in (0, 1).
+
+        Returns
+        -------
+        Summary
+            It prints as a table.
+
+        Raises
+        ------
+        ValueError
+            If level is no probability.
+        """
+        facts = {"R": f"{self.R:.4g}", "Level": f"{self.level:.4g}", "Forgetting": f"{self.forgetting:.4g}"}
+        if self.dt is not None:
+            facts["Sampling period"] = f"{self.dt:g} s"
+        waiting = "" if self._begun else "the start has not found a model yet"
+        return summarized(str(self.structure), facts, self.structure.names, self.theta, self.std, level, waiting)
+
+    def transfer_function(self, dt: float | bool | Literal["recorded"] = "recorded") -> control.TransferFunction:
         """Return the model B(q)/A(q) as it stands.
 
         Parameters
         ----------
-        dt : float or True, default True
-            Sampling period in s; True leaves it open.
+        dt : float, True or "recorded", default "recorded"
+            Sampling period in s; True leaves it open. "recorded": as an index told it, True if none did.
 
         Returns
         -------
@@ -408,7 +464,7 @@ class ParameterTracker(Recursion):
         >>> tf.poles().real, float(tf.dcgain())
         (array([0.5]), 4.0)
         """
-        return _model.transfer_function(self.structure, self.theta, dt)
+        return _model.transfer_function(self.structure, self.theta, _model.period(dt, self.dt))
 
     def predict(self, u: ArrayLike | None = None) -> float:
         """Predict the next output, phi(k+1)' theta (paper 22), and change nothing.
@@ -458,13 +514,17 @@ class ParameterTracker(Recursion):
         ValueError
             If u does not fit or is not finite, or the output of an unstable model overflows.
         """
+        axis, u = recording(self.structure, u=u)
+        axis.require_period(self.dt)
         signal = recorded_input(self.structure, u, None)
         x = np.array(self.filter.x, dtype=float).ravel()
         if continued:
             with_constant = self._with_constant(signal)
-            return _model.simulate(self.structure, self._layout, self._memory, x, with_constant) + self._centre
-        layout = Layout(self.structure)
-        return _model.simulate(self.structure, layout, Memory(layout), x[self._own], signal) + self.level
+            y = _model.simulate(self.structure, self._layout, self._memory, x, with_constant) + self._centre
+        else:
+            layout = Layout(self.structure)
+            y = _model.simulate(self.structure, layout, Memory(layout), x[self._own], signal) + self.level
+        return axis.series(y, "simulated")
 
     @staticmethod
     def fit(y: ArrayLike, y_model: ArrayLike) -> float:
@@ -539,7 +599,7 @@ class ParameterTracker(Recursion):
         Parameters
         ----------
         y : array_like, shape (N,)
-            Measured output, N >= 1; NaN where it is missing.
+            Measured output, N >= 1; NaN where it is missing. A pandas Series has the index of u, in equal steps.
         u : array_like, shape (N,) or (N, n_inputs)
             Input; the rows phi(k) for a LinearRegression.
         R : array_like, shape (N,), or float, optional
@@ -553,7 +613,8 @@ class ParameterTracker(Recursion):
         Raises
         ------
         ValueError, TypeError
-            If y or u is empty, not finite, they differ in length, or R is not positive; nothing has changed then.
+            If y or u is empty, not finite, they differ in length or in index, an index is not uniform, or R is not
+            positive; nothing has changed then.
         LinAlgError
             If the filter refuses a sample, which the message names; nothing has changed then.
 
@@ -562,6 +623,8 @@ class ParameterTracker(Recursion):
         Where the kernel serves (`robust_filterpy.compiled.dispatch`) and the filter is a `RobustKalmanFilter` as it
         comes with an influence function of this package, the numbers agree with those of `update` to rounding.
         """
+        axis, y, u, R = recording(self.structure, y=y, u=u, R=R)
+        axis.require_period(self.dt)
         output = recorded_output(y)
         signal = recorded_input(self.structure, u, output.size)
         variances = None if R is None else recorded_variance(R, output.size)
@@ -572,17 +635,71 @@ class ParameterTracker(Recursion):
             if self._is_watched:
                 self._say(self._watch.see(out.weights, out.guard, out.residual, self.R, self._has_offset))
             std = np.sqrt(np.maximum(out.variance[:, self._own], 0.0))
-            return TrackingResult(out.theta[:, self._own], std, out.prediction, out.residual, out.weights, out.guard)
+            rest = out.prediction, out.residual, out.weights, out.guard
+            result = TrackingResult(out.theta[:, self._own], std, *rest).labelled(self.structure.names, axis.index)
+            self.dt = axis.dt if self.dt is None else self.dt
+            return result
         except BaseException:
             self._set_state(before)
             self._put_back(held)
             raise
 
+    def tuned(
+        self, y: ArrayLike, u: ArrayLike | None = None, *, over: Mapping[str, Any], leave_out: int | None = None
+    ) -> TunedTracker:
+        """Choose Q or the forgetting factor by how well each value predicts a recording one step ahead.
+
+        Parameters
+        ----------
+        y : array_like, shape (N,)
+            Measured output; NaN where it is missing.
+        u : array_like, shape (N,) or (N, n_inputs)
+            Input; the rows phi(k) for a LinearRegression.
+        over : mapping of str to sequence
+            Values to try: "Q" (numbers, or covariances of shape (n, n)), "forgetting", or both, and then every pair.
+        leave_out : int, optional
+            How many samples after the start not to judge by. Default: 20 for each parameter.
+
+        Returns
+        -------
+        TunedTracker
+            tracker, a copy of this one with the best values, and rows, the log-likelihood of each.
+
+        Raises
+        ------
+        ValueError
+            If there is nothing to try, a value or the recording does not fit, or too few samples are left.
+        TypeError
+            If an argument is of the wrong kind.
+
+        Warns
+        -----
+        UserWarning
+            If the best value is the smallest or the largest that was tried.
+
+        Notes
+        -----
+        This tracker is not changed. The density of the prediction errors is the mixture that they show, for every
+        value alike, whatever the influence function of the filter: outliers do not decide.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from robust_filterpy.identification import FIR
+        >>> rng = np.random.default_rng(1)
+        >>> u, gain = rng.choice([-1.0, 1.0], 1000), 2.0 + np.cumsum(0.01 * rng.normal(size=1000))
+        >>> y = gain * u + np.where(rng.random(1000) < 0.1, 3.0, 0.3) * rng.normal(size=1000)
+        >>> found = ParameterTracker(FIR(1, nk=0)).tuned(y, u, over={"Q": [0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2]})
+        >>> found.best.values
+        {'Q': 0.0001}
+        """
+        return tuned(self, y, u, over, leave_out)
+
     def _advance(self, y: Array, u: Array, R: Array | None, out: Columns) -> None:
         """Take a checked recording; the caller undoes what is refused or interrupted."""
         k = 0
         while self._start is not None and k < y.size:
-            part = slice(k, min(k + self._start.waits, y.size))
+            part = slice(k, min(k + max(self._start.waits, 1), y.size))
             self._look_on(y, u, R, out, part)
             k = part.stop
         if k < y.size:
@@ -621,7 +738,7 @@ class ParameterTracker(Recursion):
                 out.prediction[k] = start.level()
                 start.add(y[k : k + 1], u[k : k + 1])
             out.residual[part] = y[part] - out.prediction[part]
-        if start.waits <= 0:
+        if self.enabled and start.waits <= 0:
             self._look()
 
     def _look(self) -> None:
@@ -633,9 +750,13 @@ class ParameterTracker(Recursion):
         if last and not failure:
             self._start = None
             return
-        if last:
-            self._say(f"no model can be made of the first {start.y.size} samples, it goes on looking: {failure}")
         start.wait()
+        if last:
+            self._say(
+                self._watch.without_model(
+                    f"no model can be made of {start.y.size} samples, it goes on looking: {failure}"
+                )
+            )
 
     def _started(self, y: Array, u: Array) -> str:
         """Go on from the model of some samples, or say why there is none."""
@@ -655,12 +776,12 @@ class ParameterTracker(Recursion):
     def _begin(self, model: Model) -> None:
         """Go on from a model at the end of its recording."""
         structure, layout, kf = self.structure, self._layout, self.filter
-        n, a = structure.n_theta, structure.na
+        n, a, place = structure.n_theta, structure.na, structure.constant_place
         x, P, memory = model.theta, model.P, model.memory
         if self._has_offset:
             # The constant for outputs from the centre is offset A(1), less centre A(1) where the outputs are measured.
             self._centre = model.level
-            rest = 1.0 + float(model.theta[:a].sum())
+            rest = 1.0 + float(model.theta[structure.polynomials.f if structure.nf else slice(0, a)].sum())
             J = np.eye(n + 1)
             if structure.uses_model_output or not a:
                 constant, J[n, n] = (model.offset - self._centre) * rest, rest
@@ -668,7 +789,7 @@ class ParameterTracker(Recursion):
                 constant, J[n, :a] = model.offset - self._centre * rest, -self._centre
             cross, square = model.offset_covariance[:, None], np.array([[model.offset_std**2]])
             joint = np.block([[P, cross], [cross.T, square]])
-            order = np.insert(np.arange(n), n - structure.nc, n)
+            order = np.insert(np.arange(n), place, n)
             x, P = np.append(x, constant)[order], (J @ joint @ J.T)[np.ix_(order, order)]
         kf.x, kf.P = x.reshape(np.shape(kf.x)).copy(), 0.5 * (P + P.T)
         self._windup = _WINDUP * max(float(np.trace(kf.P)), 1e-300)
@@ -679,11 +800,15 @@ class ParameterTracker(Recursion):
         found = Memory(layout)
         found.outputs, found.measured, found.residuals = memory.outputs, memory.outputs, memory.residuals
         found.inputs, found.gradients = memory.inputs, memory.gradients
+        found.undisturbed, found.prefiltered = memory.undisturbed, memory.prefiltered
         if self._has_offset:
             found.inputs = np.append(memory.inputs, 1.0)
-            fed_back = 1.0 + float(x[layout.part].sum()) if layout.part is not None else 1.0
-            constant_response = 1.0 / max(abs(fed_back), 1e-6)
-            found.gradients = np.insert(memory.gradients, n - structure.nc, constant_response, axis=1)
+            f, c = (1.0 + float(x[part].sum()) for part in (layout.undisturbed, layout.part))
+            prefiltered = 1.0 / max(abs(f), 1e-6)
+            whitened = 1.0 + float(x[layout.outputs].sum()) if layout.has_disturbance else 1.0
+            response = prefiltered * whitened / max(abs(c), 1e-6)
+            found.gradients = np.insert(memory.gradients, place, response, axis=1)
+            found.prefiltered = np.insert(memory.prefiltered, place, prefiltered, axis=1)
         self._memory, self._begun = found, True
 
     @property
@@ -694,9 +819,14 @@ class ParameterTracker(Recursion):
     def _say(self, trouble: str) -> None:
         """Warn of what is wrong, if anything."""
         if trouble:
-            warnings.warn(f"ParameterTracker: {trouble}", LostTrackerWarning, stacklevel=3)
+            warnings.warn(f"ParameterTracker: {trouble}; {pointer(STOPPED)}", LostTrackerWarning, stacklevel=3)
 
     # Interruption.
+
+    @property
+    def _kind(self) -> str:
+        """What a state belongs to."""
+        return f"ParameterTracker of {self.structure}"
 
     def state(self) -> dict[str, Array]:
         """Return everything the recursion needs to go on, as plain arrays.
@@ -707,21 +837,25 @@ class ParameterTracker(Recursion):
             theta and P, with the constant where there is one; the signals in memory: outputs (na,), inputs, residuals
             (nc,), gradients, measured (na,); enabled; recursion: centre of y, limit of tr P, samples, mean and memory
             of R, whether a model was found, samples until the next look; start: y and u kept for it, (L, 1 + n_inputs);
-            and the filter's Q, R, F and alpha_sq where it has them. ``numpy.savez(file, **state)`` stores it.
+            and the filter's Q, R, F and alpha_sq where it has them, and what else it keeps, as ``filter_..``.
+            ``format``: version, and name of tracker and structure as character codes. All of float64.
+            ``numpy.savez(file, **state)`` stores it.
         """
         memory = {name: getattr(self._memory, name).copy() for name in self._layout.shapes()}
         start = self._start
         kept = np.zeros((0, 1 + self.structure.n_inputs)) if start is None else np.column_stack((start.y, start.u))
         waits = -1 if start is None else start.waits
-        return {
+        arrays = {
             "theta": np.array(self.filter.x, dtype=float).ravel(),
             "P": np.array(self.filter.P, dtype=float),
             **memory,
-            "enabled": np.array(bool(self.enabled)),
-            "recursion": np.array([self._centre, self._windup, *self._scale, self._begun, waits], dtype=float),
+            "enabled": bool(self.enabled),
+            "recursion": [self._centre, self._windup, *self._scale, self._begun, waits],
             "start": kept,
             **_setup.settings(self.filter),
+            **_setup.kept_by(self.filter),
         }
+        return _state.labelled(self._kind, arrays)
 
     def restore(self, state: Any) -> None:
         """Go back to a state of this tracker, or of another one with the same structure and kind of filter.
@@ -734,8 +868,8 @@ class ParameterTracker(Recursion):
         Raises
         ------
         ValueError
-            If an array is missing, does not fit, or holds NaN or a variance that is not positive; nothing has changed
-            then.
+            If it is of another structure or a newer format, an array is missing, does not fit, or holds NaN or a
+            variance that is not positive; nothing has changed then.
         TypeError
             If state is no mapping.
 
@@ -746,9 +880,10 @@ class ParameterTracker(Recursion):
         n = self._layout.n
         shapes = {"theta": (n,), "P": (n, n), **self._layout.shapes(), "enabled": (), "recursion": (7,)}
         shapes["start"] = (-1, 1 + self.structure.n_inputs)
+        _state.require_kind(state, self._kind)
         found = _setup.checked_state(state, shapes, _setup.settings(self.filter))
-        part = None if self._guard == "none" else self._layout.part
-        _setup.require_consistent(found, part)
+        _setup.require_consistent(found, () if self._guard == "none" else self._layout.stable)
+        _setup.take_over(self.filter, state)
         self._set_state(found)
 
     def _set_state(self, found: dict[str, Array]) -> None:
@@ -775,12 +910,3 @@ class ParameterTracker(Recursion):
     def reset(self) -> None:
         """Go back to the start: theta, P, Q, R, F and the memory as they were when the tracker was made."""
         self.restore(self._initial)
-
-
-def with_constant(structure: Structure) -> Structure:
-    """Return a structure with one more input, a constant that acts at once."""
-    if isinstance(structure, LinearRegression):
-        return LinearRegression(structure.n + 1)
-    nb, nk = tuple(nb for nb, _ in structure.inputs), tuple(nk for _, nk in structure.inputs)
-    extended: Any = structure
-    return replace(extended, nb=(*nb, 1), nk=(*nk, 0))  # type: ignore[no-any-return]

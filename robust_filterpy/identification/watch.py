@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from robust_filterpy._checks import Array
+from robust_filterpy.identification.learnt_noise import mad_scale
 
 __all__ = ["LostTrackerWarning", "Watch"]
 
@@ -33,7 +34,7 @@ class Watch:
         """Start with no samples."""
         self._weights, self._guard, self._residuals = np.zeros(0), np.zeros(0, dtype=int), np.zeros(0)
         self._R: float | None = None
-        self._spoken = False
+        self._spoken = self._spoken_of_start = False
 
     def see(self, weights: Array, guard: np.ndarray, residuals: Array, R: float, has_offset: bool) -> str:
         """Take in samples and return what is wrong, in words; empty if nothing is, or it has been said.
@@ -66,6 +67,21 @@ class Watch:
                 return said
         return ""
 
+    def without_model(self, trouble: str) -> str:
+        """Return why the start has found no model; empty if that has been said.
+
+        Parameters
+        ----------
+        trouble : str
+            The reason.
+
+        Returns
+        -------
+        str
+        """
+        said, self._spoken_of_start = "" if self._spoken_of_start else trouble, True
+        return said
+
     def _judged(self, weights: Array, guard: np.ndarray, residuals: Array, R: float, has_offset: bool) -> str:
         """Say what is wrong with a window."""
         known = ~np.isnan(weights)
@@ -73,7 +89,7 @@ class Watch:
             return ""
         self._R = R if self._R is None else self._R
         level = float(np.median(residuals[known]))
-        scatter = 1.4826 * float(np.median(np.abs(residuals[known] - level)))
+        scatter = mad_scale(residuals[known] - level)
         if not has_offset and abs(level) > _OFFSET * scatter:
             return f"the residuals lie {level:.3g} off zero with a scatter of {scatter:.2g}: use offset=True"
         weight = float(weights[known].mean())

@@ -4,8 +4,9 @@
 
 Parts: tracker, drifting, noise_scale, regressors, plants, noise, sampling, invariance, time, arx.
 
-Beside it: the estimate that starts at the truth, the one that knows which samples are outliers, and scipy's
-`least_squares(loss="soft_l1")` from a naive start. Each target is printed with whether it is met. A table is printed
+Beside it: the estimate that starts at the truth, the one that knows which samples are outliers, scipy's
+`least_squares(loss="soft_l1")` from a naive start, filterpy's Kalman filter in the tracker, and padasip's recursive
+least squares. Each target is printed with whether it is met. A table is printed
 line by line as it comes, and every line can be had alone, by naming its part and one order. Fits are those of the free
 run on fresh input without noise, in percent: median / 10 % quantile / worst.
 """
@@ -20,6 +21,7 @@ import numpy as np
 import scipy.optimize
 import scipy.signal
 from filterpy.kalman import KalmanFilter
+from padasip.filters import FilterRLS
 
 from robust_filterpy import ARX, Huber, OutputError, ParameterTracker, identify
 from robust_filterpy.identification.learnt_noise import Noise
@@ -95,6 +97,13 @@ def naive_start(y, u, order):
     """Return the plain least-squares ARX model."""
     X = ARX(order, order).regressors(u, y)
     return np.linalg.lstsq(X, y, rcond=None)[0]
+
+
+def by_padasip(y, u, order):
+    """Return the ARX model of padasip's recursive least squares."""
+    adaptive = FilterRLS(2 * order, mu=1.0)
+    adaptive.run(y, ARX(order, order).regressors(u, y))
+    return adaptive.w
 
 
 def recording(seed, order, plant, contamination, one_sided=False):
@@ -271,16 +280,18 @@ def arx(arguments):
 
 def tracker(arguments):
     """Track OE(4, 4) plants by default, nothing told, beside the batch estimate that starts at the truth."""
-    found = {"tracker": [], "told R, start=0": [], "from the truth": []}
+    found = {"tracker": [], "told R, start=0": [], "filterpy's Kalman": [], "padasip": [], "from the truth": []}
     for plant in range(arguments.plants):
         truth, y, u, _, fresh = recording(arguments.seed, 4, plant, 0.1)
         structure = OutputError(4, 4)
         for name, one in (
             ("tracker", ParameterTracker(structure)),
             ("told R, start=0", ParameterTracker(structure, R=SIGMA**2, start=0)),
+            ("filterpy's Kalman", ParameterTracker(structure, filter=KalmanFilter)),
         ):
             one.run(y, u)
             found[name].append(fit(one.theta, truth, fresh))
+        found["padasip"].append(fit(by_padasip(y, u, 4), truth, fresh))
         found["from the truth"].append(fit(from_truth(truth, y, u), truth, fresh))
     print("OE(4, 4), contamination 0.1: " + "   ".join(f"{name} {spread(values)}" for name, values in found.items()))
     ours, best = np.array(found["tracker"]), np.array(found["from the truth"])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import support
 from filterpy.kalman import KalmanFilter
+from scipy.integrate import trapezoid
 from scipy.signal import lfilter
 from scipy.stats import norm
 
@@ -146,10 +147,30 @@ def test_a_start_that_finds_no_model_says_why_and_goes_on_looking():
     quiet = np.where(np.arange(1000) < 420, 0.0, u)
     output = lfilter(B, A, quiet) + 0.3 * np.random.default_rng(1).normal(size=1000)
     tracker = ParameterTracker(OutputError(2, 2))
-    with pytest.warns(LostTrackerWarning, match="no model can be made of the first 400 samples"):
+    with pytest.warns(LostTrackerWarning, match="no model can be made of 400 samples"):
         tracker.run(output[:420], quiet[:420])
     assert np.isinf(tracker.std).all()
     tracker.run(output[420:], quiet[420:])
+    np.testing.assert_allclose(tracker.theta, THETA, atol=0.1)
+
+
+def test_a_start_without_success_is_reported_once():
+    y = np.random.default_rng(0).normal(size=900)
+    with pytest.warns(LostTrackerWarning) as caught:
+        ParameterTracker(OutputError(2, 2), start=100).run(y, np.zeros(900))
+    assert len(caught) == 1
+
+
+def test_a_frozen_tracker_makes_no_model():
+    y, u = recording(500)
+    tracker = ParameterTracker(OutputError(2, 2))
+    tracker.run(y[:60], u[:60])
+    before = tracker.theta
+    tracker.enabled = False
+    tracker.run(y[60:450], u[60:450])
+    np.testing.assert_array_equal(tracker.theta, before)
+    tracker.enabled = True
+    tracker.run(y[450:], u[450:])
     np.testing.assert_allclose(tracker.theta, THETA, atol=0.1)
 
 
@@ -189,7 +210,7 @@ def test_the_mean_that_R_is_followed_by_is_that_of_the_noise():
         (None, norm.pdf(e)),
         (ContaminatedNormal(0.2, 5.0), 0.8 * norm.pdf(e) + 0.2 * norm.pdf(e, scale=5.0)),
     ):
-        assert ordinary_mean(influence) == pytest.approx(np.trapezoid(np.minimum(e * e, 4.0) * density, e), abs=1e-6)
+        assert ordinary_mean(influence) == pytest.approx(trapezoid(np.minimum(e * e, 4.0) * density, e), abs=1e-6)
 
 
 @pytest.mark.parametrize("factor", [1e-6, 1e-2, 1e2, 1e6])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError
+from robust_filterpy.identification import AR, ARMA, ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError
 from robust_filterpy.identification.polynomial_model import PolynomialModel
 from robust_filterpy.identification.structures import Polynomials, Structure
 
@@ -32,6 +32,10 @@ STRUCTURES = [
     ARMAX(2, 0, 1),
     FIR((2, 0, 1)),
     LinearRegression(2),
+    AR(2),
+    ARMA(2, 1),
+    BoxJenkins((2, 1), 1, 2, 2, nk=(0, 2)),
+    BoxJenkins(1, 2, 0, 0),
     EveryPolynomial(),
 ]
 

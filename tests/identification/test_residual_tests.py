@@ -122,6 +122,22 @@ def test_coloured_noise_is_named_and_is_no_missing_dynamics():
     assert alarms <= 3
 
 
+def test_bounds_hold_where_noise_and_input_are_coloured_alike():
+    """Without the residuals' autocorrelations a third of the chance correlations would lie outside."""
+    outside, b = [], [0.0, 1.0, 0.5, 0.2]
+    for seed in range(20):
+        rng = np.random.default_rng([12, seed])
+        u = lfilter([1.0], [1.0, -0.9], rng.normal(size=600))
+        y = lfilter(b, [1.0], u) + lfilter([1.0], [1.0, -0.9], 0.3 * rng.normal(size=600))
+        truth = replace(
+            identify(y, u, FIR(3)), theta=np.array(b[1:]), P=np.zeros((3, 3)), offset=0.0, offset_std=0.0,
+            offset_covariance=np.zeros(3), weights=np.ones(600),
+        )  # fmt: skip
+        found = validate(truth, y, u, steps=1)
+        outside.append(np.abs(found.cross_correlation) > found.cross_bound)
+    assert np.mean(outside) < 0.05
+
+
 def test_an_arx_model_of_its_own_noise_passes():
     rng = np.random.default_rng(8)
     u = rng.choice([-1.0, 1.0], 2000)

@@ -66,6 +66,30 @@ def test_rows_are_sorted_and_the_criterion_is_the_likelihood_with_its_price():
         assert len(selection.to_text(rows=2).splitlines()) == 3
 
 
+def test_the_held_out_part_is_fitted_by_the_model_of_the_part_before():
+    y, u = recorded(length=800)
+    selection = select_structure(y, u, na=range(1, 4), nk=[3, 4, 5], held_out=0.25, progress=False)
+    before = select_structure(y[:600], u[:600], na=range(1, 4), nk=[3, 4, 5])
+    assert [row[:4] for row in selection.rows] == [row[:4] for row in before.rows]
+    # The best is identified from the whole recording.
+    assert selection.best.weights.size == 800
+    model = identify(y[600:], u[600:], selection.rows[0].structure)
+    assert selection.rows[0].held_out_fit == pytest.approx(model.fit(y[600:], u[600:]), abs=25.0)
+    poor = next(row for row in selection.rows if row.structure.na == 1)
+    assert poor.held_out_fit < selection.rows[0].held_out_fit - 5.0
+    assert "held out" in str(selection).splitlines()[0]
+    assert np.isnan([row.held_out_fit for row in before.rows]).all() and "held out" not in str(before)
+    with pytest.raises(ValueError, match="held_out: expected a share"):
+        select_structure(y, u, held_out=0.9)
+
+
+def test_a_progress_bar_counts_the_structures(capsys):
+    pytest.importorskip("tqdm")
+    y, u = recorded(length=300)
+    found = select_structure(y, u, na=[1, 2], nk=[4], progress=True)
+    assert f"{len(found.rows)} structures" in capsys.readouterr().err
+
+
 def test_numbers_of_a_and_b_of_their_own():
     y, u = recorded(a=[1.0, -0.8], b=[1.0, 0.7, 0.4])
     assert select_structure(y, u, na=range(3), nb=range(1, 5)).best.structure == OutputError(1, 3, 4)

@@ -123,7 +123,7 @@ def test_stability_of_nothing_and_of_nan():
 
 def test_guard_halves_to_the_first_stable_point():
     old, new = np.array([-0.5, 1.0]), np.array([-4.5, 9.0])
-    theta, event = restrained(new, old, slice(0, 1), "halve")
+    theta, event = restrained(new, old, [slice(0, 1)], "halve")
     # -4.5, -2.5, -1.5, -1 (on the circle), -.75
     assert event == 4
     np.testing.assert_allclose(theta, [-0.75, 1.5])
@@ -131,6 +131,6 @@ def test_guard_halves_to_the_first_stable_point():
 
 def test_guard_rejects_or_lets_pass():
     old, new = np.array([-0.5]), np.array([-4.5])
-    theta, event = restrained(new, old, slice(0, 1), "reject")
+    theta, event = restrained(new, old, [slice(0, 1)], "reject")
     assert event == -1 and theta == old and theta is not old
-    assert restrained(new, old, slice(0, 1), "none") == (new, 0)
+    assert restrained(new, old, [slice(0, 1)], "none") == (new, 0)

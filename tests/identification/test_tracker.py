@@ -14,12 +14,13 @@ import support
 from filterpy.kalman import FadingKalmanFilter, InformationFilter, KalmanFilter, SquareRootKalmanFilter
 
 from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter
-from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError, ParameterTracker
+from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError, ParameterTracker
 from robust_filterpy.noise import EpsilonContaminated
 from robust_filterpy.plants import simulate_arx, simulate_output_error
 
 PLANT = np.array([-1.5, 0.7, 1.0, 0.5])
 STRUCTURES = [ARX(2, 2), OutputError(2, 2), ARMAX(2, 2, 2), FIR(6), FIR(2, nk=0), ARX(1, 2, nk=3), ARMAX(0, 1, 1)]
+STRUCTURES += [BoxJenkins(2, 1, 1, 2), BoxJenkins(1, 0, 2, 0)]
 
 
 @pytest.fixture(autouse=True)
@@ -177,7 +178,7 @@ def test_transfer_function_answers_as_simulate_does(nk):
     tracker = support.told_tracker(OutputError(2, (3, 1), nk=(nk, 2)), theta=theta)
     tf = tracker.transfer_function(0.1)
     assert (tf.ninputs, tf.noutputs, tf.dt) == (2, 1, 0.1)
-    parts = [control.forced_response(tf[0, i], inputs=u[i]).outputs for i in range(2)]
+    parts = [control.forced_response(tf[0, i], None, u[i]).outputs for i in range(2)]
     np.testing.assert_allclose(tracker.simulate(u.T), sum(np.ravel(p) for p in parts), atol=1e-10)
 
 

@@ -8,7 +8,7 @@ import pytest
 import support
 
 from robust_filterpy import Hampel, Huber, Linear, StudentT, TukeyBiweight
-from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError
+from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError
 from robust_filterpy.identification import bank as bank_module
 from robust_filterpy.identification._recursion import GRADIENTS
 from robust_filterpy.identification.guard import GUARDS
@@ -30,6 +30,7 @@ STRUCTURES = [
     ARMAX(0, 1, 1),
     ARMAX(1, 0, 2),
     FIR(6),
+    BoxJenkins((2, 1), 2, 1, 1, nk=(0, 2)),
     FIR(2, nk=0),
     LinearRegression(3),
 ]
@@ -93,7 +94,7 @@ def assert_is_the_loop(structure, y, u, **options):
     close(bank.run(y, u)[:6], expected)
     close([bank.theta, bank.P], zip(*((t.theta, t.P) for t in trackers), strict=True))
     state = [tracker.state() for tracker in trackers]
-    for name in ("outputs", "inputs", "residuals", "gradients", "measured"):
+    for name in ("outputs", "inputs", "residuals", "gradients", "measured", "undisturbed", "prefiltered"):
         close([bank.state()[name]], [np.stack([s[name] for s in state])])
     return expected
 
@@ -195,7 +196,7 @@ def assert_steps_are_the_loop(structure, y, u, **options):
     """
     bank, grown = support.told_bank(y.shape[1], structure, **options), 0
     trackers = [bank.tracker(i) for i in range(bank.n)]
-    signals = ("outputs", "inputs", "gradients", "residuals", "measured")
+    signals = ("outputs", "inputs", "gradients", "residuals", "measured", "undisturbed", "prefiltered")
     for k in range(len(y)):
         before = bank.state()
         grown += (before["P"].max(axis=(1, 2)) > 1.01 * 100.0).sum()

@@ -13,6 +13,7 @@ from robust_filterpy.identification import (
     ARMAX,
     ARX,
     FIR,
+    BoxJenkins,
     LinearRegression,
     OutputError,
     ParameterTracker,
@@ -27,7 +28,7 @@ support.needs_kernel()
 
 STRUCTURES = [
     ARX(2, 2), OutputError(2, 2), ARMAX(2, 2, 2), FIR(6), FIR(2, nk=0), ARX(1, 2, nk=3), ARMAX(0, 1, 1),
-    OutputError(1, 1), ARX(2, 0),
+    OutputError(1, 1), ARX(2, 0), BoxJenkins(2, 1, 2, 2),
 ]  # fmt: skip
 PLANT = [-1.5, 0.7, 1.0, 0.5]
 

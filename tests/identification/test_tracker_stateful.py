@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 import robust_filterpy
-from robust_filterpy.identification import ARMAX, ARX, FIR, OutputError, ParameterTracker
+from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, OutputError, ParameterTracker
 
 PACKAGE = robust_filterpy.__path__[0]
-STRUCTURES = [ARX(2, 2), OutputError(2, 2), ARMAX(1, 1, 1), FIR(3)]
+STRUCTURES = [ARX(2, 2), OutputError(2, 2), ARMAX(1, 1, 1), FIR(3), BoxJenkins(1, 1, 1, 1)]
 values = st.one_of(st.floats(-50.0, 50.0), st.sampled_from([0.0, np.nan, 1e6, -1e12, 1e150]))
 
 

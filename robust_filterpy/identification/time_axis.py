@@ -1,0 +1,202 @@
+"""The time axis of a recording that comes as pandas objects, and results on the same axis.
+
+Nothing here imports pandas: whoever passes a Series or a DataFrame has done so.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from robust_filterpy import _checks
+from robust_filterpy.identification.structures import LinearRegression
+
+__all__ = ["TimeAxis", "recording", "table"]
+
+# A step is regular within this share of the usual one; the clocks of loggers are no better.
+_JITTER: Final = 0.05
+# Two sampling periods that differ by no more are the same.
+_SAME: Final = 0.01
+
+
+class TimeAxis(NamedTuple):
+    """When the samples of a recording were taken, as far as they say so.
+
+    Attributes
+    ----------
+    index : pandas.Index or None
+        Of the pandas objects in the recording; None if there are none.
+    dt : float or None
+        Sampling period in s; None if the index does not tell it.
+    """
+
+    index: Any = None
+    dt: float | None = None
+
+    def series(self, values: Any, name: str) -> Any:
+        """Return values as a pandas Series on this axis, or as they are if there is no index.
+
+        Parameters
+        ----------
+        values : ndarray, shape (N,)
+            One for each sample.
+        name : str
+            Name of the Series.
+
+        Returns
+        -------
+        pandas.Series or ndarray
+        """
+        return values if self.index is None else sys.modules["pandas"].Series(values, index=self.index, name=name)
+
+    def require_period(self, dt: float | None) -> None:
+        """Refuse a recording with another sampling period.
+
+        Parameters
+        ----------
+        dt : float or None
+            The period that is expected, in s; None if nothing is known of it.
+
+        Raises
+        ------
+        ValueError
+            If both are known and differ by more than 1 %.
+        """
+        if dt is not None and self.dt is not None and abs(self.dt - dt) > _SAME * dt:
+            raise ValueError(
+                f"y: expected a sample every {dt:g} s, as the model has it, got one every {self.dt:g} s; "
+                f'resample with df.resample("{dt:g}s").mean()'
+            )
+
+
+def recording(structure: Any, /, **signals: Any) -> tuple[Any, ...]:
+    """Return the common time axis of signals, and each of them without its index.
+
+    Parameters
+    ----------
+    structure : Structure or None
+        What they are for; the samples of a LinearRegression may come at any time, all others reach back in equal steps.
+    **signals : array_like, shape (N,) or (N, n), or None
+        By name; pandas objects have one index in common.
+
+    Returns
+    -------
+    axis : TimeAxis
+    *signals
+        Arrays in the place of pandas objects, the others as they were given.
+
+    Raises
+    ------
+    ValueError
+        If two indexes differ, or one is not uniform.
+
+    Examples
+    --------
+    >>> axis, y = recording(None, y=[1.0, 2.0])
+    >>> axis.index is None, y
+    (True, [1.0, 2.0])
+    """
+    labelled = {name: signal for name, signal in signals.items() if _is_pandas(signal)}
+    if not labelled:
+        return TimeAxis(), *signals.values()
+    first, *others = labelled
+    index = labelled[first].index
+    for name in others:
+        _require_same(first, index, name, labelled[name].index)
+    dt = None if isinstance(structure, LinearRegression) else _uniform(first, index)
+    plain = (_checks.numbers(name, signal) if name in labelled else signal for name, signal in signals.items())
+    return TimeAxis(index, dt), *plain
+
+
+def table(columns: dict[Any, Any], index: Any = None, name: str | None = None) -> Any:
+    """Return a pandas DataFrame.
+
+    Parameters
+    ----------
+    columns : dict
+        Values by name.
+    index : pandas.Index or array_like, shape (rows,), optional
+        Labels of the rows. Default: 0, 1, ..
+    name : str, optional
+        Name of an index that has none.
+
+    Returns
+    -------
+    pandas.DataFrame
+
+    Raises
+    ------
+    ImportError
+        If pandas is not installed.
+    """
+    try:
+        import pandas as pd
+    except ImportError:
+        raise ImportError("to_frame: expected pandas, which is not installed; pip install pandas") from None
+    frame = pd.DataFrame(columns, index=index)
+    return frame if name is None or frame.index.name is not None else frame.rename_axis(index=name)
+
+
+def _is_pandas(signal: Any) -> bool:
+    """Tell a Series or a DataFrame."""
+    pd = sys.modules.get("pandas")
+    return pd is not None and isinstance(signal, (pd.Series, pd.DataFrame))
+
+
+def _require_same(first: str, index: Any, name: str, other: Any) -> None:
+    """Raise unless two indexes are equal."""
+    if index.equals(other):
+        return
+    mend = f"take both from one DataFrame, or {first}.align({name}, join='inner', axis=0)"
+    if len(index) != len(other):
+        raise ValueError(f"{name}: expected the index of {first}, {len(index)} samples, got {len(other)}; {mend}")
+    same = np.array([a == b for a, b in zip(index, other, strict=True)], dtype=bool)
+    if same.all():
+        # Equal labels of another type.
+        return
+    k = int(same.argmin())
+    raise ValueError(f"{name}: expected the index of {first}, {index[k]} in sample {k}, got {other[k]}; {mend}")
+
+
+def _uniform(name: str, index: Any) -> float | None:
+    """Return the sampling period in s of an index, None if it has none, or raise if its steps differ."""
+    pd = sys.modules["pandas"]
+    has_times = isinstance(index, (pd.DatetimeIndex, pd.TimedeltaIndex))
+    has_periods = isinstance(index, pd.PeriodIndex)
+    # Months are not equally long; who gave a frequency has chosen them.
+    calendar = getattr(index, "freq", None) is not None and has_times
+    is_number = pd.api.types.is_numeric_dtype(index.dtype) and index.dtype.kind in "iuf"
+    if len(index) < 2 or not (has_times or has_periods or is_number):
+        return None
+    if index.hasnans:
+        k = int(np.argmax(index.isna()))
+        raise ValueError(f"{name}: expected an index without gaps, got none in sample {k}; drop the row, then resample")
+    place = index.to_numpy(dtype=float) if is_number else index.astype("int64").to_numpy()
+    # pandas before 2 counts nanoseconds, whatever the index.
+    unit = float(np.timedelta64(1, getattr(index, "unit", "ns")) / np.timedelta64(1, "s")) if has_times else 1.0
+    steps = np.diff(place)
+    usual = float(np.median(steps))
+    regular = np.abs(steps - usual) <= _JITTER * abs(usual)
+    if usual <= 0.0 or not (regular.all() or calendar):
+        _refuse(name, index, steps, usual, regular, unit, has_times)
+    if not has_times or not regular.all():
+        return None
+    return float(place[-1] - place[0]) / (len(place) - 1) * unit
+
+
+def _refuse(name: str, index: Any, steps: Any, usual: float, regular: Any, unit: float, has_times: bool) -> None:
+    """Say which step of an index is irregular, and what to do."""
+    k = int(np.argmax(steps <= 0)) if usual <= 0.0 else int(regular.argmin())
+    size, expected = float(steps[k]) * unit, usual * unit
+    mend = "y and u from df.sort_index()"
+    if usual > 0.0:
+        mend = "put a row with y = NaN where a sample is absent, or df.reset_index(drop=True) if the index is no time"
+    if usual > 0.0 and has_times:
+        mend = f'resample with df.resample("{expected:g}s").mean(), then fill u; y may stay NaN'
+    second = " s" if has_times else ""
+    raise ValueError(
+        f"{name}: expected a uniform index, with steps of {abs(expected):g}{second}, got a step of {size:g}{second} "
+        f"from {index[k]} to {index[k + 1]}, samples {k} and {k + 1}; {mend}"
+    )

@@ -1,0 +1,293 @@
+"""Models of the noise: ARMA is statsmodels', Box and Jenkins' is scipy's least squares, online as from a recording."""
+
+import pickle
+import warnings
+
+import control
+import numpy as np
+import pytest
+import support
+from scipy.optimize import least_squares
+from scipy.signal import lfilter
+from statsmodels.tsa.arima.model import ARIMA
+
+from robust_filterpy.identification import (
+    AR,
+    ARMA,
+    ARMAX,
+    ARX,
+    BoxJenkins,
+    OutputError,
+    ParameterTracker,
+    compare,
+    identify,
+    validate,
+)
+from robust_filterpy.influence import Linear
+
+B, F, C, D = [1.0, 0.5], [-1.5, 0.7], [0.6], [-0.9]
+THETA = np.array([*B, *F, *C, *D])
+BJ = BoxJenkins(2, 1, 1, 2)
+
+
+def series(a, c, length=1500, seed=0, level=5.0):
+    """A stationary ARMA series."""
+    return level + lfilter(c, a, np.random.default_rng(seed).normal(size=length + 500))[500:]
+
+
+def recorded(length=1000, seed=0, share=0.1, c=C, d=D, sigma=0.3, level=0.0):
+    """A recording with coloured noise inside it and outliers of the sensor."""
+    rng = np.random.default_rng(seed)
+    u = rng.choice([-1.0, 1.0], length)
+    noise = lfilter([1.0, *c], [1.0, *d], sigma * rng.normal(size=length + 300))[300:]
+    wild = 20.0 * sigma * rng.normal(size=length) * (rng.random(length) < share)
+    return level + lfilter([0.0, *B], [1.0, *F], u) + noise + wild, u
+
+
+# From a recording.
+
+
+@pytest.mark.parametrize(
+    ("structure", "a", "c"),
+    [
+        (AR(2), [1.0, -1.5, 0.7], [1.0]),
+        (ARMA(2, 1), [1.0, -1.5, 0.7], [1.0, 0.5]),
+        (ARMA(0, 2), [1.0], [1.0, 0.8, 0.3]),
+    ],
+    ids=str,
+)
+def test_without_outliers_it_is_the_exact_likelihoods_arma_of_statsmodels(structure, a, c):
+    y = series(a, c)
+    model = identify(y, None, structure, influence=Linear())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        reference = ARIMA(y, order=(len(a) - 1, 0, len(c) - 1)).fit()
+    na = len(a) - 1
+    exact = np.concatenate((-reference.arparams, reference.maparams)) if len(c) > 1 else -reference.arparams
+    assert np.abs((model.theta - exact) / model.std).max() < 0.1
+    # Learning the noise takes a few ordinary samples for outliers.
+    assert np.abs((identify(y, None, structure).theta - exact) / model.std).max() < 1.5
+    np.testing.assert_allclose(model.std, reference.bse[1 : 1 + na + len(c) - 1], rtol=0.2)
+    assert model.level == pytest.approx(reference.params[0], abs=0.3 * reference.bse[0])
+    # statsmodels divides by the number of samples, the noise here is the median's.
+    assert pytest.approx(reference.params[-1], rel=0.06) == model.R
+
+
+def test_additive_outliers_and_gaps_cost_an_arma_model_little():
+    y = series([1.0, -1.5, 0.7], [1.0, 0.5], length=2000)
+    clean = identify(y, None, ARMA(2, 1))
+    rng = np.random.default_rng(1)
+    spoilt = y + 20.0 * rng.normal(size=y.size) * (rng.random(y.size) < 0.05)
+    spoilt[500:540] = np.nan
+    model = identify(spoilt, None, ARMA(2, 1))
+    assert np.abs((model.theta - clean.theta) / clean.std).max() < 2.0
+    assert pytest.approx(clean.R, rel=0.15) == model.R
+    assert np.abs((identify(spoilt, None, ARMA(2, 1), influence=Linear()).theta - clean.theta) / clean.std).max() > 5.0
+
+
+def test_ar_is_arx_and_arma_is_armax_without_input():
+    y = series([1.0, -0.8], [1.0, 0.4], length=400)
+    for one, other in ((AR(2), ARX(2, 0)), (ARMA(1, 1), ARMAX(1, 0, 1))):
+        np.testing.assert_array_equal(identify(y, None, one).theta, identify(y, None, other).theta)
+
+
+def test_without_robustness_box_and_jenkins_is_least_squares():
+    y, u = recorded(share=0.0)
+
+    def residuals(p):
+        w = lfilter([0.0, *p[:2]], [1.0, *p[2:4]], u)
+        return lfilter([1.0, p[5]], [1.0, p[4]], y - w)
+
+    model = identify(y, u, BJ, influence=Linear(), offset=False)
+    found = least_squares(residuals, THETA)
+    # The recording begins at rest, which scipy is told and identify estimates.
+    assert np.abs((model.theta - found.x) / model.std).max() < 0.25
+    covariance = np.linalg.inv(found.jac.T @ found.jac) * 2.0 * found.cost / (y.size - 6)
+    np.testing.assert_allclose(model.std, np.sqrt(covariance.diagonal()), rtol=0.1)
+
+
+def test_with_noise_that_wanders_it_is_much_closer_than_an_output_error_model():
+    worse, better = [], []
+    for seed in range(3):
+        y, u = recorded(c=[], d=[-0.98], seed=seed)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            worse.append(identify(y, u, OutputError(2, 2)).theta[[2, 3, 0, 1]] - THETA[:4])
+        better.append(identify(y, u, BoxJenkins(2, 0, 1, 2)).theta[:4] - THETA[:4])
+    assert np.linalg.norm(better) < 0.6 * np.linalg.norm(worse)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.05])
+def test_box_and_jenkins_finds_plant_noise_and_level(share):
+    y, u = recorded(2000, level=20.0, share=share)
+    y[700:720] = np.nan
+    model = identify(y, u, BJ)
+    assert np.abs((model.theta - THETA) / model.std).max() < 3.5
+    assert model.level == pytest.approx(20.0, abs=4.0 * model.offset_std)
+    assert pytest.approx(0.09, rel=0.15) == model.R
+    assert validate(model, y, u).verdict == "nothing is left in the residuals"
+
+
+def test_two_inputs_share_the_denominator():
+    rng = np.random.default_rng(2)
+    u = rng.normal(size=(1000, 2))
+    noise = lfilter([1.0], [1.0, -0.9], 0.1 * rng.normal(size=1000))
+    y = lfilter([0.0, 1.0], [1.0, -0.8], u[:, 0]) + lfilter([0.5, 0.2], [1.0, -0.8], u[:, 1]) + noise
+    model = identify(y, u, BoxJenkins((1, 2), 0, 1, 1, nk=(1, 0)))
+    assert model.structure.names == ("b1[0]", "b1[1]", "b2[1]", "f1", "d1")
+    np.testing.assert_allclose(model.theta, [1.0, 0.5, 0.2, -0.8, -0.9], atol=0.04)
+
+
+# The model.
+
+
+@pytest.fixture(scope="module")
+def model():
+    return identify(*recorded(share=0.0, level=3.0), BJ)
+
+
+def test_simulation_and_transfer_function_are_those_of_b_over_f(model):
+    u = np.random.default_rng(5).normal(size=60)
+    b, f, c, d = model.coefficients
+    np.testing.assert_array_equal(np.concatenate((b, f, c, d)), model.theta)
+    expected = lfilter([0.0, *b], [1.0, *f], u)
+    np.testing.assert_allclose(model.simulate(u) - model.level, expected, rtol=1e-9, atol=1e-12)
+    plant = model.transfer_function(dt=0.1)
+    assert plant.dt == 0.1
+    np.testing.assert_allclose(
+        control.forced_response(plant, 0.1 * np.arange(60), u).outputs, expected, rtol=1e-8, atol=1e-10
+    )
+
+
+def test_predictions_are_those_of_the_innovations_form(model):
+    y, u = recorded(share=0.0, level=3.0)
+    _, _, c, d = model.coefficients
+    w = model.free_run(y, u)[2:]
+    residual = lfilter([1.0, *d], [1.0, *c], y[2:] - w)
+    # Ordinary samples: the others have a part in the regressor that is less than 1.
+    difference = np.abs(model.residuals(y, u)[302:] - residual[300:])
+    assert np.median(difference) < 0.005 and difference.max() < 0.1
+    # Far ahead nothing is known of the disturbance.
+    np.testing.assert_allclose(model.predict(y, u, steps=400)[500:], w[498:], atol=0.02)
+    assert model.fit(y, u) < 100.0 * (1.0 - np.std(model.residuals(y, u)[2:]) / np.std(y))
+
+
+def test_the_true_structure_wins_a_comparison_one_step_ahead(model):
+    y, u = recorded(share=0.0, level=3.0, seed=9)
+    found = {row.name: row for row in compare({"bj": model, "oe": identify(y, u, OutputError(2, 2))}, y, u).rows}
+    assert found["bj"].one_step > found["oe"].one_step + 5.0
+
+
+# Online.
+
+
+def test_the_gradient_is_the_derivative_of_the_prediction():
+    y, u = recorded(60)
+    structure, step = BoxJenkins(2, 2, 2, 2), 1e-6
+    theta = np.array([*B, *F, 0.6, 0.1, -0.9, 0.2])
+
+    def tracker(shift):
+        found = support.told_tracker(structure, theta=theta + shift, P=1e-30, Q=0.0)
+        return found, found.run(y, u).prediction[-1]
+
+    derivative = [(tracker(step * e)[1] - tracker(-step * e)[1]) / (2.0 * step) for e in np.eye(8)]
+    found = tracker(np.zeros(8))[0]
+    np.testing.assert_allclose(found.state()["gradients"][0], derivative, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(found.filter.H[0], derivative, rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize("structure", [BJ, AR(2), ARMA(2, 1)], ids=str)
+def test_the_tracker_of_a_model_predicts_the_next_sample(structure):
+    y, u = recorded(501, level=20.0, share=0.0)
+    if not structure.n_inputs:
+        y, u = series([1.0, -1.5, 0.7], [1.0, 0.5], length=501), None
+    model = identify(y[:-1], None if u is None else u[:-1], structure)
+    started = ParameterTracker(structure, start=500)
+    started.run(y[:-1], None if u is None else u[:-1])
+    for tracker in (model.tracker(), started):
+        assert tracker.predict() == pytest.approx(model.predict(y, u)[-1], abs=0.02)
+        assert tracker.offset == pytest.approx(model.offset) and tracker.level == pytest.approx(model.level)
+        np.testing.assert_allclose(tracker.theta, model.theta, rtol=1e-9)
+
+
+@pytest.mark.parametrize("structure", [BJ, AR(2), ARMA(2, 1)], ids=str)
+def test_the_recursion_ends_where_the_recording_does(structure):
+    c = [1.0, 0.5][: 1 + structure.nc]
+    y, u = recorded(2000, share=0.0) if structure.n_inputs else (series([1.0, -1.5, 0.7], c, 2000), None)
+    y[::50] += 10.0
+    tracker, model = identify(y[:400], None if u is None else u[:400], structure).tracker(), identify(y, u, structure)
+    tracker.run(y[400:], None if u is None else u[400:])
+    assert np.abs((tracker.theta - model.theta) / model.std).max() < 4.0
+    assert pytest.approx(model.R, rel=0.5) == tracker.R
+
+
+def test_run_is_update_and_any_split_of_both_to_the_last_bit(monkeypatch):
+    support.without_kernel(monkeypatch)
+    y, u = recorded(120)
+    y[[10, 60, 100]] = np.nan
+    for structure in (BJ, ARMA(2, 1)):
+        inputs = u if structure.n_inputs else None
+        whole, steps, parts = (ParameterTracker(structure, start=60) for _ in range(3))
+        whole.run(y, inputs)
+        for k in range(y.size):
+            steps.update(y[k], None if inputs is None else inputs[k])
+        parts.run(y[:50], None if inputs is None else inputs[:50])
+        again = ParameterTracker(structure, start=60)
+        again.restore(parts.state())
+        for other in (pickle.loads(pickle.dumps(parts)), again):
+            other.run(y[50:], None if inputs is None else inputs[50:])
+            for name, value in whole.state().items():
+                np.testing.assert_array_equal(other.state()[name], value, err_msg=name)
+        for name, value in whole.state().items():
+            np.testing.assert_array_equal(steps.state()[name], value, err_msg=name)
+
+
+@pytest.mark.parametrize("guard", ["halve", "reject"])
+def test_the_guard_keeps_f_and_c_stable(guard):
+    y, u = recorded(400, share=0.3)
+    tracker = support.told_tracker(BJ, R=0.01, Q=0.02, guard=guard, influence=Linear())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        result = tracker.run(y, u)
+    assert (result.guard != 0).sum() > 20
+    radii = [max(np.abs(np.roots([1.0, *theta[part]])).max() for part in BJ.stable_parts) for theta in result.theta]
+    assert max(radii) < 1.0
+
+
+def test_a_continued_simulation_lets_the_disturbance_die_out():
+    y, u = recorded(600, share=0.0)
+    tracker = identify(y, u, BJ).tracker()
+    ahead = tracker.simulate(np.zeros(300), continued=True) - tracker.level
+    b, f, c, d = tracker.coefficients
+    memory = tracker.state()
+    w, v, r = [-x for x in memory["undisturbed"]], [-memory["outputs"][0]], memory["residuals"][0]
+    for k in range(3):
+        inputs = [u[-1] if k == 0 else 0.0, u[-1] if k == 1 else (u[-2] if k == 0 else 0.0)]
+        w.insert(0, b[0] * inputs[0] + b[1] * inputs[1] - f[0] * w[0] - f[1] * w[1])
+        v.insert(0, -d[0] * v[0] + (c[0] * r if k == 0 else 0.0))
+        assert ahead[k] == pytest.approx(w[0] + v[0], abs=1e-6)
+    assert abs(ahead[-1]) < 1e-6
+
+
+# Refusals.
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "words"),
+    [
+        (lambda: AR(0), ValueError, "na: expected an integer >= 1"),
+        (lambda: ARMA(0, 0), ValueError, "all zero"),
+        (lambda: BoxJenkins(0, 1, 1, 1), ValueError, "without input use ARMA"),
+        (lambda: BoxJenkins(1, 1, -1, 1), ValueError, "nd: expected"),
+        (lambda: BoxJenkins(1, 1.0, 1, 1), TypeError, "nc: expected"),
+        (lambda: BoxJenkins((1, 1), 1, 1, 1, nk=(1, 1, 1)), ValueError, "expected 2 delays"),
+        (lambda: BJ.regressors([1.0], [1.0]), ValueError, "use identify"),
+        (lambda: identify(np.arange(5.0), np.ones(5), BJ), ValueError, "y: expected at least"),
+        (lambda: identify(np.arange(50.0), None, BJ), ValueError, "u: expected"),
+        (lambda: support.told_tracker(BJ, theta=[1, 0, 0, 0, 2.0, 0]), ValueError, "theta: expected a stable model"),
+        (lambda: identify(series([1.0, -0.5], [1.0], 200), None, AR(1)).transfer_function(), ValueError, "an input"),
+    ],
+)
+def test_bad_orders_and_calls_are_refused(make, error, words):
+    with pytest.raises(error, match=words):
+        make()

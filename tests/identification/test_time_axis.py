@@ -1,0 +1,212 @@
+"""Recordings on a time axis: results come back on the same one, and an axis that does not fit is refused."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from robust_filterpy import (
+    ARX,
+    FIR,
+    LinearRegression,
+    OutputError,
+    ParameterTracker,
+    TrackerBank,
+    compare,
+    identify,
+    select_structure,
+    validate,
+)
+
+pd = pytest.importorskip("pandas")
+
+N = 600
+
+
+def table(index=None):
+    """A first-order plant with a gap and outliers."""
+    rng = np.random.default_rng(1)
+    u = rng.choice([-1.0, 1.0], N)
+    y = np.zeros(N)
+    for k in range(1, N):
+        y[k] = 0.8 * y[k - 1] + 2.0 * u[k - 1]
+    y += 5.0 + np.where(rng.random(N) < 0.05, 3.0, 0.1) * rng.normal(size=N)
+    y[100:110] = np.nan
+    return pd.DataFrame(
+        {"y": y, "u": u},
+        index=pd.date_range("2024-03-01", periods=N, freq="10s", name="when") if index is None else index,
+    )
+
+
+@pytest.fixture(scope="module")
+def model():
+    df = table()
+    return identify(df.y, df.u, OutputError(1, 1))
+
+
+def test_a_series_gives_the_model_of_its_numbers_and_its_period(model):
+    df = table()
+    plain = identify(df.y.to_numpy(), df.u.to_numpy(), OutputError(1, 1))
+    assert_array_equal(model.theta, plain.theta)
+    assert (model.dt, plain.dt) == (pytest.approx(10.0), None)
+    assert model.transfer_function().dt == 10.0 and plain.transfer_function().dt is True
+    assert model.transfer_function(dt=0.5).dt == 0.5
+
+
+@pytest.mark.parametrize("name", ["predict", "residuals", "free_run"])
+def test_signals_of_a_model_come_back_on_the_index(model, name):
+    df = table()
+    found = getattr(model, name)(df.y, df.u)
+    assert found.index.equals(df.index)
+    assert_array_equal(found.to_numpy(), getattr(model, name)(df.y.to_numpy(), df.u.to_numpy()))
+
+
+def test_simulation_fit_validation_and_comparison_take_a_table(model):
+    df = table()
+    assert model.simulate(df.u).index.equals(df.index)
+    assert model.fit(df.y, df.u) == model.fit(df.y.to_numpy(), df.u.to_numpy())
+    found, plain = (validate(model, *pair) for pair in ((df.y, df.u), (df.y.to_numpy(), df.u.to_numpy())))
+    assert found.verdict == plain.verdict
+    frame = found.to_frame()
+    assert frame.index.name == "lag" and len(frame) == 21 and np.isnan(frame.autocorrelation[0])
+    assert_array_equal(frame.autocorrelation[1:], plain.autocorrelation)
+    assert_array_equal(frame.cross_correlation_bound, plain.cross_bound[0])
+    ranked = compare({"one": model}, df.y, df.u)
+    assert ranked.index.equals(df.index)
+    assert ranked.to_frame().loc["one", "fit"] == ranked.rows[0].fit
+    assert_array_equal(ranked.outputs["one"], model.free_run(df.y.to_numpy(), df.u.to_numpy()))
+
+
+def test_selection_takes_a_table_and_gives_one():
+    df = table()
+    found = select_structure(df.y, df[["u"]], na=[1], nk=[1, 2])
+    assert found.best.dt == pytest.approx(10.0)
+    frame = found.to_frame()
+    assert frame.index[0] == str(found.rows[0].structure) and frame.above_best.iloc[0] == 0.0
+    assert list(frame.criterion) == [row.criterion for row in found.rows]
+
+
+def test_a_run_comes_back_on_the_index_with_the_names_of_the_parameters():
+    df = table()
+    tracker = ParameterTracker(OutputError(1, 1), Q=1e-6)
+    result = tracker.run(df.y, df.u)
+    frame = result.to_frame()
+    assert frame.index.equals(df.index)
+    assert list(frame) == ["a1", "b1", "a1_std", "b1_std", "prediction", "residual", "weight", "guard"]
+    assert_array_equal(frame[["a1", "b1"]].to_numpy(), result.theta)
+    assert tracker.dt == 10.0 and tracker.transfer_function().dt == 10.0
+    assert len(result) == 6
+    for same in (pickle.loads(pickle.dumps(result)), copy.deepcopy(result)):
+        assert same.names == ("a1", "b1") and same.index.equals(df.index)
+
+
+def test_a_run_of_arrays_counts_the_samples():
+    df = table()
+    frame = ParameterTracker(ARX(1, 1), start=0).run(df.y.to_numpy(), df.u.to_numpy()).to_frame()
+    assert frame.index.name == "sample" and list(frame.index[:2]) == [0, 1]
+
+
+def test_a_bank_comes_back_with_the_names_of_the_actuators():
+    df = table()
+    both = pd.DataFrame({"left": df.y, "right": 2.0 * df.y})
+    bank = TrackerBank(2, ARX(1, 1), start=0, R=0.01)
+    result = bank.run(both, df.u, keep=200)
+    frame = result.to_frame()
+    assert frame.index.equals(df.index[[199, 399, 599]])
+    assert_array_equal(frame["right"]["b1"].to_numpy(), result.theta[:, 1, 1])
+    assert result.tracker(0).to_frame()["a1"].iloc[-1] == result.theta[-1, 0, 0]
+
+
+CALLS = {
+    "identify": lambda model, y, u: identify(y, u, OutputError(1, 1)),
+    "validate": lambda model, y, u: validate(model, y, u),
+    "compare": lambda model, y, u: compare({"one": model}, y, u),
+    "select_structure": lambda model, y, u: select_structure(y, u),
+    "predict": lambda model, y, u: model.predict(y, u),
+    "residuals": lambda model, y, u: model.residuals(y, u),
+    "fit": lambda model, y, u: model.fit(y, u),
+    "run": lambda model, y, u: model.tracker().run(y, u),
+    "bank": lambda model, y, u: TrackerBank(1, ARX(1, 1), start=0).run(y.to_frame(), u),
+}
+
+
+@pytest.mark.parametrize("call", CALLS.values(), ids=CALLS)
+def test_an_axis_that_does_not_fit_is_refused(model, call):
+    df = table()
+    gone = df.drop(df.index[77])
+    for y, u, match in [
+        (df.y, df.u.shift(freq="1s"), r"u: expected the index of y, 2024-03-01 00:00:00 in sample 0, got .*00:00:01"),
+        (df.y, df.u[1:], r"u: expected the index of y, 600 samples, got 599"),
+        (gone.y, gone.u, r"y: .*steps of 10 s, got a step of 20 s from .*00:12:40 to .*00:13:00.*resample\(\"10s\"\)"),
+        (df.y[::-1], df.u[::-1], r"y: .*got a step of -10 s.*sort_index"),
+    ]:
+        with pytest.raises(ValueError, match=match):
+            call(model, y, u)
+
+
+@pytest.mark.parametrize("name", ["validate", "compare", "predict", "residuals", "fit", "run"])
+def test_a_recording_at_another_rate_is_refused(model, name):
+    df = table()
+    with pytest.raises(ValueError, match=r"expected a sample every 10 s.* got one every 20 s"):
+        CALLS[name](model, df.y[::2], df.u[::2])
+
+
+def test_a_refused_run_leaves_the_tracker_as_it_was():
+    df = table()
+    tracker = ParameterTracker(ARX(1, 1), start=0)
+    before = tracker.state()
+    with pytest.raises(ValueError, match="uniform"):
+        tracker.run(df.y.drop(df.index[3]), df.u.drop(df.index[3]))
+    assert tracker.dt is None
+    for name, value in tracker.state().items():
+        assert_array_equal(value, before[name])
+
+
+@pytest.mark.parametrize(
+    ("index", "dt"),
+    [
+        (pd.RangeIndex(N), None),
+        (np.arange(N) * 0.1, None),
+        (pd.timedelta_range("0s", periods=N, freq="250ms"), 0.25),
+        (pd.period_range("2024-01", periods=N, freq="M"), None),
+        (pd.date_range("1950-01-01", periods=N, freq="MS"), None),
+        (pd.date_range("2024-03-30", periods=N, freq="h", tz="Europe/Berlin"), 3600.0),
+        (pd.DatetimeIndex(pd.Timestamp("2024-01-01") + pd.to_timedelta(np.round(np.arange(N) / 30, 3), "s")), 1 / 30),
+        ([f"row {k}" for k in range(N)], None),
+    ],
+    ids=["count", "number", "durations", "periods", "months", "daylight saving", "30 Hz in ms", "words"],
+)
+def test_uniform_indexes_of_all_kinds_are_taken(index, dt):
+    df = table(index)
+    found = identify(df.y, df.u, FIR(2)).dt
+    assert found == (None if dt is None else pytest.approx(dt, rel=1e-4))
+
+
+def test_a_count_with_a_hole_is_refused_but_not_for_a_regression():
+    df = table(pd.RangeIndex(N)).drop(5)
+    with pytest.raises(ValueError, match=r"steps of 1, got a step of 2 from 4 to 6.*reset_index"):
+        identify(df.y, df.u, FIR(1))
+    identify(df.y, df.u, LinearRegression(1))
+
+
+def test_one_signal_without_index_goes_by_position(model):
+    df = table()
+    assert model.predict(df.y, df.u.to_numpy()).equals(model.predict(df.y, df.u))
+    assert model.predict(df.y.to_numpy(), df.u).equals(model.predict(df.y, df.u))
+
+
+def test_missing_values_of_nullable_columns_are_missing(model):
+    df = table().convert_dtypes()
+    assert df.y.isna().any()
+    assert_array_equal(model.predict(df.y, df.u), model.predict(table().y, table().u))
+
+
+def test_parameters_of_structures_and_trackers_make_them_again():
+    for structure in (ARX(2, (1, 2), (0, 3)), OutputError(2, 2), FIR(3), LinearRegression(2)):
+        assert type(structure)(**structure.get_params()) == structure
+    tracker = ParameterTracker(OutputError(2, 2), forgetting=0.99, guard="reject")
+    again = ParameterTracker(**tracker.get_params(deep=False))
+    assert (again.structure, again.forgetting, again.guard) == (tracker.structure, tracker.forgetting, "reject")
+    assert tracker.get_params()["structure__na"] == 2

@@ -1,0 +1,237 @@
+"""Bands and regions: exact where the property is linear, Monte-Carlo's elsewhere, responses python-control's."""
+
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+from scipy.integrate import trapezoid
+from scipy.signal import lfilter
+from scipy.stats import norm
+
+from robust_filterpy.identification import AR, ARX, FIR, LinearRegression, OutputError, ParameterTracker, identify
+
+Z = norm.ppf(0.975)
+OMEGA = np.linspace(0.0, np.pi, 30)
+
+
+def recorded(a=(1.0, -1.5, 0.7), b=(1.0, 0.5), length=500, seed=0, sigma=0.3):
+    rng = np.random.default_rng(seed)
+    u = rng.choice([-1.0, 1.0], length)
+    clean = lfilter([0.0, *b], a, u)
+    return clean + sigma * np.where(rng.random(length) < 0.1, 10.0, 1.0) * rng.normal(size=length), u
+
+
+@pytest.fixture(scope="module")
+def model():
+    return identify(*recorded(), OutputError(2, 2))
+
+
+@pytest.fixture(scope="module")
+def ringing():
+    """A model whose poles may lie on either side of the unit circle."""
+    a = np.poly([0.99 * np.exp(0.6j), 0.99 * np.exp(-0.6j)]).real
+    found = identify(*recorded(a, length=400), OutputError(2, 2))
+    # As if from a few samples: poles known to .007.
+    return replace(found, P=0.007**2 / np.trace(found.poles().covariance[0]) * found.P)
+
+
+def drawn(model, count=20_000):
+    """Parameters as sure as the model says, of stable models."""
+    thetas = np.random.default_rng(3).multivariate_normal(model.theta, model.P, count)
+    a1, a2 = thetas[:, 0], thetas[:, 1]
+    return thetas[(np.abs(a2) < 1.0) & (np.abs(a1) < 1.0 + a2)]
+
+
+def test_responses_are_those_of_python_control(model):
+    found, plant = model.frequency_response(OMEGA / 0.1, dt=0.1), model.transfer_function(dt=0.1)
+    expected = plant(np.exp(1j * OMEGA))
+    np.testing.assert_allclose(found.response, expected, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(found.magnitude * np.exp(1j * found.phase), expected, rtol=1e-9, atol=1e-12)
+    data = found.to_control()
+    assert isinstance(data, control.FrequencyResponseData) and data.dt == 0.1
+    np.testing.assert_allclose(data.frdata[0, 0], expected, rtol=1e-9, atol=1e-12)
+    step = model.step_response(40, dt=0.1)
+    time, rise = control.step_response(plant, 0.1 * np.arange(40))
+    np.testing.assert_allclose(step.response, rise, rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(step.time, time)
+    by_real = np.lexsort
+    for ours, theirs in ((model.poles().values, plant.poles()), (model.zeros().values, plant.zeros())):
+        order = [by_real((v.imag, v.real)) for v in (ours, theirs)]
+        np.testing.assert_allclose(ours[order[0]], theirs[order[1]], atol=1e-8)
+
+
+def test_bands_of_what_is_linear_in_theta_are_exact():
+    model = identify(*recorded([1.0], (1.0, 0.5)), FIR(2))
+    step = model.step_response(4)
+    ones = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [1.0, 1.0]])
+    std = np.sqrt(np.einsum("ij,jk,ik->i", ones, model.P, ones))
+    np.testing.assert_allclose(step.upper - step.response, Z * std, rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(step.response - step.lower, Z * std, rtol=1e-8, atol=1e-12)
+    assert not step.sampled.any()
+    first = identify(*recorded([1.0, -0.8], (1.0,)), OutputError(1, 1))
+    ends, pole = first.confidence_intervals(), first.poles()
+    assert pole.values == pytest.approx(-first.theta[:1])
+    edge = pole.ellipses(5)[0].real
+    np.testing.assert_allclose([edge.min(), edge.max()], [-ends.upper[0], -ends.lower[0]], rtol=1e-8)
+
+
+def test_bands_are_the_quantiles_of_monte_carlo(model):
+    thetas = drawn(model)
+    delays = np.exp(-1j * OMEGA[1:-1])
+    powers = delays ** np.arange(3)[:, None]
+    answers = (thetas[:, 2:] @ powers[1:]) / (1.0 + thetas[:, :2] @ powers[1:])
+    found = model.frequency_response(OMEGA[1:-1])
+    low, high = np.quantile(np.abs(answers), [0.025, 0.975], axis=0)
+    np.testing.assert_allclose(found.magnitude_lower, low, atol=0.1 * (high - low).max(), rtol=0.01)
+    np.testing.assert_allclose(found.magnitude_upper, high, atol=0.1 * (high - low).max(), rtol=0.01)
+    left, right = np.quantile(np.angle(answers / found.response), [0.025, 0.975], axis=0)
+    np.testing.assert_allclose(found.phase_upper - found.phase, right, rtol=0.12)
+    np.testing.assert_allclose(found.phase_lower - found.phase, left, rtol=0.12)
+    poles = np.array([np.roots([1.0, *theta[:2]]) for theta in thetas[:4000]])
+    up, region = poles[poles.imag > 0.0], model.poles()
+    first = int(region.values.imag.argmax())
+    inside = [region.contains(np.where(np.arange(2) == first, p, region.values))[first] for p in up]
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.02)
+
+
+def test_next_to_the_unit_circle_the_bands_are_sampled(ringing):
+    found = ringing.frequency_response([0.05, 0.6, 3.0])
+    assert found.sampled[1]
+    thetas = drawn(ringing)
+    delay = np.exp(-0.6j)
+    sizes = np.abs(
+        (thetas[:, 2] * delay + thetas[:, 3] * delay**2) / (1 + thetas[:, 0] * delay + thetas[:, 1] * delay**2)
+    )
+    low, high = np.quantile(sizes, [0.025, 0.975])
+    assert found.magnitude_lower[1] == pytest.approx(low, rel=0.1)
+    assert found.magnitude_upper[1] == pytest.approx(high, rel=0.3)
+    step = ringing.step_response(200)
+    assert step.sampled.any() and np.isfinite(step.upper).all()
+
+
+def test_a_double_pole_has_a_sampled_region_with_its_probability(model):
+    double = replace(model, theta=np.array([-1.6, 0.64, 1.0, 0.5]))
+    region = double.poles()
+    assert region.sampled.all()
+    draws = np.random.default_rng(5).multivariate_normal(double.theta, double.P, 4000)
+    roots = np.array([np.roots([1.0, *theta[:2]]) for theta in draws])
+    inside = np.mean([region.contains(r) | region.contains(r[::-1]) for r in roots])
+    assert 0.9 < inside < 0.99
+
+
+def test_the_noise_spectrum_has_the_power_of_the_noise():
+    y = lfilter([1.0], [1.0, -0.8], np.random.default_rng(1).normal(size=4000))
+    model = identify(y, None, AR(1))
+    w = np.linspace(0.0, np.pi / 0.1, 4001)
+    found = model.noise_spectrum(w, dt=0.1)
+    # Two-sided, per Hz.
+    assert 2.0 * trapezoid(found.density, w) / (2.0 * np.pi) == pytest.approx(np.var(y), rel=0.05)
+    np.testing.assert_allclose(found.density[0], 0.1 * model.R / (1.0 + model.theta[0]) ** 2)
+    # At the middle frequency the band is little more than that of the variance of 4000 samples.
+    assert np.log(found.upper / found.density).min() == pytest.approx(Z * np.sqrt(2.0 / 4000), rel=0.25)
+
+
+def test_bands_hold_the_truth_as_often_as_they_say():
+    truth = np.array([1.0, 0.5, -0.3])
+    inside = []
+    for seed in range(100):
+        model = identify(*recorded([1.0], truth, 200, seed), FIR(3))
+        found, step = model.frequency_response(OMEGA[3:-3:6]), model.step_response(5)
+        answer = np.abs(np.exp(-1j * np.outer(found.omega, [1, 2, 3])) @ truth)
+        rise = np.cumsum([0.0, *truth, 0.0])
+        inside.append(
+            np.concatenate(
+                (
+                    (found.magnitude_lower <= answer) & (answer <= found.magnitude_upper),
+                    ((step.lower <= rise) & (rise <= step.upper))[1:],
+                )
+            )
+        )
+    # Of 100 independent recordings; five standard errors of one column.
+    assert abs(np.mean(inside) - 0.95) < 5.0 * np.sqrt(0.95 * 0.05 / 100)
+
+
+def test_several_inputs_have_a_row_each():
+    rng = np.random.default_rng(1)
+    u = rng.normal(size=(400, 2))
+    y = (
+        lfilter([0.0, 1.0], [1.0, -0.8], u[:, 0])
+        + lfilter([0.5, 0.2], [1.0, -0.8], u[:, 1])
+        + 0.1 * rng.normal(size=400)
+    )
+    model = identify(y, u, OutputError(1, (1, 2), nk=(1, 0)))
+    found, plant = model.frequency_response([0.1, 1.0]), model.transfer_function(dt=1.0)
+    assert found.response.shape == found.sampled.shape == found.phase_lower.shape == (2, 2)
+    for i in range(2):
+        np.testing.assert_allclose(found.response[i], plant[0, i](np.exp(1j * found.omega)), rtol=1e-9)
+    assert found.to_control().frdata.shape == (1, 2, 2)
+    assert model.zeros(input=0).values.size == 0 and model.zeros(input=1).values == pytest.approx(
+        -model.theta[3:4] / model.theta[2:3]
+    )
+
+
+def test_an_input_without_coefficients_does_nothing_for_sure():
+    rng = np.random.default_rng(1)
+    u = rng.normal(size=(200, 2))
+    y = lfilter([0.0, 1.0], [1.0], u[:, 0]) + 0.1 * rng.normal(size=200)
+    found = identify(y, u, FIR((1, 0))).frequency_response([0.1, 1.0])
+    np.testing.assert_array_equal(found.magnitude_upper[1], 0.0)
+    assert not found.sampled.any()
+
+
+def test_a_tracker_has_the_bands_of_its_model(model):
+    tracker = model.tracker()
+    one, other = model.frequency_response(OMEGA[1:]), tracker.frequency_response(OMEGA[1:])
+    np.testing.assert_allclose(other.magnitude_upper, one.magnitude_upper, rtol=1e-6)
+    assert ParameterTracker(ARX(1, 1), theta=[-0.5, 1.0], P=0.0).poles().ellipses().std() == 0.0
+
+
+def test_sampled_bands_come_again_and_follow_the_generator(ringing):
+    def upper(rng=None):
+        return ringing.frequency_response([0.6], rng=rng).phase_upper[0]
+
+    assert upper() == upper() == upper(0)
+    assert upper(np.random.default_rng(1)) == upper(1) != upper()
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda m: m.frequency_response([4.0]), r"omega: .* pi/dt = 3.14"),
+        (lambda m: m.frequency_response([-0.1]), "omega"),
+        (lambda m: m.frequency_response([np.nan]), "omega"),
+        (lambda m: m.frequency_response([]), "omega"),
+        (lambda m: m.frequency_response([0.1], dt=0.0), "dt: expected"),
+        (lambda m: m.frequency_response([0.1], level=1.0), "level: expected"),
+        (lambda m: m.poles(level=0.0), "level: expected"),
+        (lambda m: m.step_response(0), "steps: expected"),
+        (lambda m: m.zeros(input=1), "input: expected 0 to 0"),
+    ],
+)
+def test_bad_arguments_are_refused_by_name(call, words, model):
+    with pytest.raises(ValueError, match=words):
+        call(model)
+
+
+def test_what_has_no_response_says_so():
+    y, u = recorded(length=100)
+    alone = identify(y, None, AR(1))
+    for call in (lambda: alone.frequency_response([0.1]), alone.step_response, alone.zeros):
+        with pytest.raises(ValueError, match="expected a model with an input"):
+            call()
+    assert alone.poles().values == pytest.approx(-alone.theta)
+    with pytest.raises(ValueError, match="expected a model with polynomials"):
+        identify(y, u, LinearRegression(1)).poles()
+
+
+def test_what_is_printed_fits_a_few_lines():
+    u = np.random.default_rng(4).choice([-1.0, 1.0], 400)
+    y = lfilter([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], u) + 0.1 * np.random.default_rng(5).normal(size=400)
+    model = identify(y, u, OutputError(2, 2))
+    poles, response, step = model.poles(), model.frequency_response(np.linspace(0.1, 3.0, 60)), model.step_response()
+    assert all(len(repr(found)) < 300 for found in (poles, response, step))
+    low, high = np.sort_complex(poles.values)[[0, -1]]
+    assert f"{high.real:.4g}+-" in repr(poles) and f"{low.imag:+.4g}i" in repr(poles)
+    assert f"|G| = {response.magnitude[0]:.3g} ({response.magnitude_lower[0]:.3g} .. " in repr(response)
+    assert "60 frequencies, 95 % bands" in repr(response) and f"{step.response[-1]:.3g} (" in repr(step)
