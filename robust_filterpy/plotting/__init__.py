@@ -1,6 +1,8 @@
 """Pictures of what a filter did.
 
-* `figures`: one function a picture.
+* `figures`: one function a picture of a filter's or a tracker's run.
+* `responses`: a model's frequency response, poles and zeros.
+* `workbench`: pictures of structures, models and their comparison.
 * `sources`: batch results, a Saver or a tracker's run as arrays.
 
 matplotlib is imported when something is drawn.
@@ -15,11 +17,24 @@ from robust_filterpy.plotting.figures import (
     plot_states,
     plot_weights,
 )
+from robust_filterpy.plotting.responses import plot_bode, plot_poles
+from robust_filterpy.plotting.workbench import (
+    plot_comparison,
+    plot_structure_selection,
+    plot_tuning,
+    plot_validation,
+)
 
 __all__ = [
+    "plot_bode",
+    "plot_comparison",
     "plot_fit",
     "plot_innovations",
     "plot_parameters",
+    "plot_poles",
     "plot_states",
+    "plot_structure_selection",
+    "plot_tuning",
+    "plot_validation",
     "plot_weights",
 ]

@@ -14,16 +14,12 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy.plotting import sources
+from robust_filterpy.plotting._style import COLOURS, MARK, MARKERS, all_names, finish, one_axes, with_band
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = ["plot_fit", "plot_innovations", "plot_parameters", "plot_states", "plot_weights"]
-
-# From dark to light, so that they differ in grey as well.
-_COLOURS = ("#08306b", "#a63603", "#2b8cbe", "#74a33e", "#fd8d3c", "#999999")
-_STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1, 1, 1)))
-_MARK = "#cb181d"
 
 
 def plot_states(
@@ -57,7 +53,7 @@ def plot_states(
     sigmas : float, default 2
         Half width of the band, in standard deviations.
     t : array_like, shape (N,), optional
-        Times; default the number of the sample.
+        Times or dates; default the index of a pandas object, or the number of the sample.
     names : sequence of str, length n, optional
         Names of all states.
     unit, time_unit : str, default ""
@@ -80,15 +76,15 @@ def plot_states(
     """
     mean, deviation = sources.mean_and_deviation(source, covariances)
     N, n = mean.shape
-    time = sources.time(t, N)
+    time = sources.time(t, N, source)
     which = sources.chosen("states", states, n)
-    names = _names(names, n, "x")
+    names = all_names(names, n, "x")
     width = _checks.positive("sigmas", sigmas)
     real = _truth(truth, N, n, which)
     seen = None if zs is None else _column("zs", zs, N)
-    ax = _axes(ax)
+    ax = one_axes(ax)
     for place, i in enumerate(which):
-        _with_band(ax, time, mean[:, i], None if deviation is None else width * deviation[:, i], names[i], place, width)
+        with_band(ax, time, mean[:, i], None if deviation is None else width * deviation[:, i], names[i], place, width)
         if real is not None and i in real:
             ax.plot(time, real[i], color="black", linewidth=1.5, linestyle=(0, (1, 1.5)), label=f"{names[i]}, true")
     if seen is not None:
@@ -96,7 +92,7 @@ def plot_states(
         margin = 0.25 * (limits[1] - limits[0])
         ax.plot(time, seen, ".", color="0.6", markersize=3, zorder=1, label="measured")
         ax.set_ylim(limits[0] - margin, limits[1] + margin)
-    return _finish(ax, "state" if len(which) > 1 else names[which[0]], unit, time_unit)
+    return finish(ax, "state" if len(which) > 1 else names[which[0]], unit, time_unit)
 
 
 def plot_innovations(
@@ -126,7 +122,7 @@ def plot_innovations(
     sigmas : float, default 2
         Half width of the band, in standard deviations sqrt(S_ii).
     t : array_like, shape (N,), optional
-        Times; default the number of the sample.
+        Times or dates; default the index of a pandas object, or the number of the sample.
     unit, time_unit : str, default ""
         Units for the axes' labels.
     ax : matplotlib.axes.Axes, optional
@@ -166,16 +162,16 @@ def plot_innovations(
         if covariances is not None:
             deviation = sources.deviation("covariances", covariances, y.shape[1], len(y))
     (i,) = sources.chosen("component", component, y.shape[1])
-    time = sources.time(t, len(y))
-    ax = _axes(ax)
+    time = sources.time(t, len(y), source)
+    ax = one_axes(ax)
     hit = marked[:, i]
     if deviation is not None:
         half = width * deviation[:, i]
         ax.fill_between(time, -half, half, color="0.85", linewidth=0, label=f"±{width:g} sigma")
-    ax.plot(time[~hit], y[~hit, i], ".", color=_COLOURS[0], markersize=4, label="innovation")
-    ax.plot(time[hit], y[hit, i], "x", color=_MARK, markersize=5, label=label)
+    ax.plot(time[~hit], y[~hit, i], ".", color=COLOURS[0], markersize=4, label="innovation")
+    ax.plot(time[hit], y[hit, i], "x", color=MARK, markersize=5, label=label)
     ax.axhline(0.0, color="black", linewidth=0.6)
-    return _finish(ax, "innovation" if y.shape[1] == 1 else f"innovation {i}", unit, time_unit)
+    return finish(ax, "innovation" if y.shape[1] == 1 else f"innovation {i}", unit, time_unit)
 
 
 def plot_weights(
@@ -196,7 +192,7 @@ def plot_weights(
     components : int or sequence of int, optional
         Which sensors; all by default.
     t : array_like, shape (N,), optional
-        Times; default the number of the sample.
+        Times or dates; default the index of a pandas object, or the number of the sample.
     names : sequence of str, length m, optional
         Names of all sensors.
     time_unit : str, default ""
@@ -219,16 +215,16 @@ def plot_weights(
         weights = sources.kept(source, "weights")
     else:
         weights = sources.rows("source", source)
-    time = sources.time(t, len(weights))
-    names = _names(names, weights.shape[1], "z")
+    time = sources.time(t, len(weights), source)
+    names = all_names(names, weights.shape[1], "z")
     which = sources.chosen("components", components, weights.shape[1])
-    ax = _axes(ax)
+    ax = one_axes(ax)
     for place, i in enumerate(which):
-        marker = ("o", "x", "^", "s", "+", "d")[place % 6]
-        colour = _COLOURS[place % 6]
+        marker = MARKERS[place % 6]
+        colour = COLOURS[place % 6]
         ax.plot(time, weights[:, i], marker, color=colour, markersize=3.5, fillstyle="none", label=names[i])
     ax.set_ylim(-0.05, 1.05)
-    return _finish(ax, "weight", "", time_unit)
+    return finish(ax, "weight", "", time_unit)
 
 
 def plot_parameters(
@@ -259,7 +255,7 @@ def plot_parameters(
     sigmas : float, default 2
         Half width of the bands, in standard deviations.
     t : array_like, shape (N,), optional
-        Times; default the number of the sample.
+        Times or dates; default the index of a pandas object, or the number of the sample.
     names : sequence of str, length n, optional
         Names of all parameters, such as ``tracker.structure.names``.
     unit, time_unit : str, default ""
@@ -282,9 +278,9 @@ def plot_parameters(
     """
     theta, deviation = sources.mean_and_deviation(source, covariances)
     N, n = theta.shape
-    time = sources.time(t, N)
+    time = sources.time(t, N, source)
     which = sources.chosen("parameters", parameters, n)
-    names = _names(names, n, "theta")
+    names = all_names(names if names is not None else getattr(source, "names", ()) or None, n, "theta")
     width = _checks.positive("sigmas", sigmas)
     real = None
     if truth is not None:
@@ -292,19 +288,17 @@ def plot_parameters(
         if real.shape not in ((n,), (N, n)):
             raise ValueError(f"truth: expected shape {(n,)} or {(N, n)}, got {real.shape}")
         real = np.broadcast_to(real, (N, n))
-    ax = _axes(ax)
+    ax = one_axes(ax)
     own = not ax.has_data()
     for place, i in enumerate(which):
-        _with_band(
-            ax, time, theta[:, i], None if deviation is None else width * deviation[:, i], names[i], place, width
-        )
+        with_band(ax, time, theta[:, i], None if deviation is None else width * deviation[:, i], names[i], place, width)
     if real is not None:
         for place, i in enumerate(which):
             label = "true" if place == 0 else "_nolegend_"
             ax.plot(time, real[:, i], color="black", linewidth=1.5, linestyle=(0, (1, 1.5)), label=label)
     if deviation is not None and own:
         _look_at_the_paths(ax, width * deviation[:, which])
-    return _finish(ax, "parameter" if len(which) > 1 else names[which[0]], unit, time_unit)
+    return finish(ax, "parameter" if len(which) > 1 else names[which[0]], unit, time_unit)
 
 
 def plot_fit(
@@ -325,7 +319,7 @@ def plot_fit(
     simulated : array_like, shape (N,), or TrackingResult
         Output of the model, such as ``tracker.simulate(u)``; of a tracker's run, its predictions.
     t : array_like, shape (N,), optional
-        Times; default the number of the sample.
+        Times or dates; default the index of a pandas object, or the number of the sample.
     unit, time_unit : str, default ""
         Units for the axes' labels.
     ax : matplotlib.axes.Axes, optional
@@ -345,46 +339,21 @@ def plot_fit(
     The fit is 100 (1 - ||y - y_model|| / ||y - mean(y)||) over the samples that are there; 100 is perfect, 0 no better
     than the mean.
     """
+    source: Any = simulated if hasattr(simulated, "index") else measured
     if sources.is_run(simulated):
         simulated = simulated.prediction  # type: ignore[union-attr]
     y = _checks.numbers("measured", measured).ravel()
     model = _column("simulated", simulated, len(y))
-    time = sources.time(t, len(y))
+    time = sources.time(t, len(y), source)
     seen = ~np.isnan(y) & ~np.isnan(model)
     about = np.linalg.norm(y[seen] - y[seen].mean()) if seen.any() else 0.0
     label = "simulated"
     if about > 0:
         label += f" (fit {100 * (1 - np.linalg.norm(y[seen] - model[seen]) / about):.1f} %)"
-    ax = _axes(ax)
+    ax = one_axes(ax)
     ax.plot(time, y, color="0.6", linewidth=2.2, label="measured")
-    ax.plot(time, model, color=_COLOURS[0], linewidth=1.0, linestyle="--", label=label)
-    return _finish(ax, "output", unit, time_unit)
-
-
-def _axes(ax: Any) -> Any:
-    """Return ax, or that of a new figure."""
-    if ax is not None:
-        return ax
-    import matplotlib.pyplot as plt
-
-    return plt.subplots(figsize=(7.0, 3.6), layout="constrained")[1]
-
-
-def _finish(ax: Any, what: str, unit: str, time_unit: str) -> Any:
-    """Label the axes and return them."""
-    ax.set_ylabel(f"{what} [{unit}]" if unit else what)
-    ax.set_xlabel(f"time [{time_unit}]" if time_unit else "sample")
-    ax.legend(loc="best", fontsize="small", framealpha=0.8)
-    return ax
-
-
-def _with_band(ax: Any, t: Any, mean: Any, half: Any, name: str, place: int, sigmas: float) -> None:
-    """Draw a line and its band."""
-    colour, style = _COLOURS[place % 6], _STYLES[place % 6]
-    if half is not None:
-        band = f"±{sigmas:g} sigma" if place == 0 else "_nolegend_"
-        ax.fill_between(t, mean - half, mean + half, color=colour, alpha=0.2, linewidth=0, label=band)
-    ax.plot(t, mean, color=colour, linestyle=style, linewidth=1.4, label=name)
+    ax.plot(time, model, color=COLOURS[0], linewidth=1.0, linestyle="--", label=label)
+    return finish(ax, "output", unit, time_unit)
 
 
 def _look_at_the_paths(ax: Any, half: Any) -> None:
@@ -395,15 +364,6 @@ def _look_at_the_paths(ax: Any, half: Any) -> None:
         margin = 3.0 * float(np.median(half)) + 0.05 * float(np.ptp(drawn))
         if margin > 0:
             ax.set_ylim(drawn.min() - margin, drawn.max() + margin)
-
-
-def _names(names: Sequence[str] | None, n: int, stem: str) -> list[str]:
-    """Return a name for each column."""
-    if names is None:
-        return [f"{stem}[{i}]" for i in range(n)]
-    if isinstance(names, str) or len(names) != n:
-        raise ValueError(f"names: expected {n} names, got {names!r}")
-    return list(names)
 
 
 def _column(name: str, values: Any, length: int) -> Any:

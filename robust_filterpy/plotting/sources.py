@@ -63,12 +63,33 @@ def deviation(name: str, covariances: Any, n: int, length: int | None = None) ->
     return np.asarray(np.sqrt(np.maximum(np.einsum("kii->ki", values), 0.0)))
 
 
-def time(t: Any, length: int) -> Array:
-    """Return the abscissa: t, or the number of the sample."""
-    values = np.arange(length, dtype=float) if t is None else numbers("t", t).ravel()
+def time(t: Any, length: int, source: Any = None) -> Any:
+    """Return the abscissa: t, or the index that the source has, or the number of the sample."""
+    index = getattr(source, "index", None) if t is None else t
+    if t is None and (index is None or callable(index)):
+        return np.arange(length, dtype=float)
+    values = dates(index)
+    if values is None:
+        kind = np.asarray(index).dtype.kind
+        values = np.arange(length, dtype=float) if t is None and kind not in "iuf" else numbers("t", index).ravel()
     if len(values) != length:
         raise ValueError(f"t: expected {length} times for {length} samples, got {len(values)}")
     return values
+
+
+def dates(values: Any) -> Any:
+    """Return dates as datetime64, durations as seconds; None if values are neither."""
+    if hasattr(values, "to_timestamp"):
+        values = values.to_timestamp()
+    # matplotlib shows the hours of the place.
+    if getattr(values, "tz", None) is not None:
+        values = values.tz_localize(None)
+    found = np.asarray(values)
+    if found.dtype.kind == "O" and found.size and hasattr(found.flat[0], "isoformat"):
+        found = found.astype("datetime64[us]")
+    if found.dtype.kind == "m":
+        return found.astype("timedelta64[ns]").astype(float) * 1e-9
+    return found if found.dtype.kind == "M" else None
 
 
 def chosen(name: str, which: Any, n: int) -> list[int]:

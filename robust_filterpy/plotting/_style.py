@@ -1,0 +1,79 @@
+"""What all pictures share: colours, axes, labels, bands, where the legend stands."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+# From dark to light, so that they differ in grey as well.
+COLOURS = ("#08306b", "#a63603", "#2b8cbe", "#74a33e", "#fd8d3c", "#999999")
+STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1, 1, 1)))
+MARKERS = ("o", "x", "^", "s", "+", "d")
+MARK = "#cb181d"
+
+
+def one_axes(ax: Any, size: tuple[float, float] = (7.0, 3.6)) -> Any:
+    """Return ax, or that of a new figure."""
+    if ax is not None:
+        return ax
+    import matplotlib.pyplot as plt
+
+    return plt.subplots(figsize=size, layout="constrained")[1]
+
+
+def several_axes(axes: Any, rows: int, columns: int, size: tuple[float, float], **options: Any) -> Any:
+    """Return axes as an array of rows times columns, or those of a new figure."""
+    if axes is not None:
+        found = np.atleast_1d(np.asarray(axes, dtype=object)).ravel()
+        if found.size != rows * columns:
+            raise ValueError(f"axes: expected {rows * columns} matplotlib axes, got {found.size}")
+        return found
+    import matplotlib.pyplot as plt
+
+    return plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False, **options)[1].ravel()
+
+
+def finish(ax: Any, what: str, unit: str, time_unit: str) -> Any:
+    """Label axes over time and return them."""
+    ax.set_ylabel(f"{what} [{unit}]" if unit else what)
+    if has_dates(ax):
+        from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
+
+        locator = AutoDateLocator()
+        ax.xaxis.set_major_locator(locator)
+        ax.xaxis.set_major_formatter(ConciseDateFormatter(locator))
+        ax.set_xlabel("time")
+    else:
+        ax.set_xlabel(f"time [{time_unit}]" if time_unit else "sample")
+    ax.legend(loc="best", fontsize="small", framealpha=0.8)
+    return ax
+
+
+def has_dates(ax: Any) -> bool:
+    """Tell whether the lines are drawn over dates."""
+    return any(np.asarray(line.get_xdata()).dtype.kind == "M" for line in ax.lines)
+
+
+def legend_outside(ax: Any) -> None:
+    """Put the legend to the right of the data."""
+    ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, fontsize="small", frameon=False)
+
+
+def with_band(ax: Any, t: Any, mean: Any, half: Any, name: str, place: int, sigmas: float) -> None:
+    """Draw a line and its band."""
+    colour, style = COLOURS[place % 6], STYLES[place % 6]
+    if half is not None:
+        band = f"±{sigmas:g} sigma" if place == 0 else "_nolegend_"
+        ax.fill_between(t, mean - half, mean + half, color=colour, alpha=0.2, linewidth=0, label=band)
+    ax.plot(t, mean, color=colour, linestyle=style, linewidth=1.4, label=name)
+
+
+def all_names(names: Sequence[str] | None, n: int, stem: str) -> list[str]:
+    """Return a name for each column."""
+    if names is None:
+        return [f"{stem}[{i}]" for i in range(n)]
+    if isinstance(names, str) or len(names) != n:
+        raise ValueError(f"names: expected {n} names, got {names!r}")
+    return list(names)

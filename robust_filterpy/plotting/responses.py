@@ -1,0 +1,187 @@
+"""Pictures of a model's dynamics: frequency response, poles and zeros, with how sure they are.
+
+matplotlib is imported when something is drawn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robust_filterpy import _checks
+from robust_filterpy.identification import FrequencyResponse, Model, ParameterTracker
+from robust_filterpy.plotting._style import COLOURS, STYLES, legend_outside, one_axes, several_axes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["plot_bode", "plot_poles"]
+
+_POINTS: Final = 400
+# A zero further from the origin than this is left outside the picture.
+_FAR: Final = 3.0
+
+
+def plot_bode(
+    models: Any, omega: ArrayLike | None = None, *, level: float = 0.95, which: int = 0, axes: Any = None
+) -> Any:
+    """Draw the frequency responses of models with their bands.
+
+    Parameters
+    ----------
+    models : Model, ParameterTracker, FrequencyResponse or mapping of str to these
+        Models by name; one alone is named by its structure.
+    omega : array_like, shape (n,), optional
+        Frequencies in rad/s, or in rad/sample if the models have no sampling period; in (0, pi/dt]. Default: the three
+        decades up to half the sampling frequency.
+    level : float, default 0.95
+        Probability of the bands, at each frequency.
+    which : int, default 0
+        Which input.
+    axes : sequence of two matplotlib.axes.Axes, optional
+        Where to draw magnitude and phase.
+
+    Returns
+    -------
+    ndarray of matplotlib.axes.Axes
+
+    Raises
+    ------
+    ValueError
+        If a model has no such input, only some have a sampling period, omega is outside its range, or level is no
+        probability.
+    TypeError
+        If models are no models.
+    """
+    named = _named(models, (Model, ParameterTracker, FrequencyResponse))
+    periods = {name: getattr(model, "dt", None) for name, model in named.items()}
+    if len({dt is None for dt in periods.values()}) > 1:
+        raise ValueError(f"models: expected all with or all without a sampling period, got {periods}")
+    found = {name: _response(name, model, omega, level) for name, model in named.items()}
+    rows = {name: _of_input(name, response, which) for name, response in found.items()}
+    axes = several_axes(axes, 2, 1, (7.5, 5.0), sharex=True)
+    for place, (name, (magnitude, phase)) in enumerate(rows.items()):
+        w, colour, style = found[name].omega, COLOURS[place % 6], STYLES[place % 6]
+        with np.errstate(divide="ignore"):
+            decibels = 20.0 * np.log10(magnitude)
+        for ax, (line, low, high) in ((axes[0], decibels), (axes[1], np.degrees(phase))):
+            label = f"{100 * found[name].level:.4g} % band" if place == 0 else "_nolegend_"
+            ax.fill_between(w, low, high, color=colour, alpha=0.2, linewidth=0, label=label)
+            ax.plot(w, line, color=colour, linestyle=style, linewidth=1.4, label=name)
+    axes[0].set_ylabel("magnitude [dB]")
+    axes[1].set_ylabel("phase [degrees]")
+    unit = "sample" if None in periods.values() else "s"
+    for ax in axes:
+        ax.set_xscale("log")
+        ax.grid(True, which="both", color="0.9", linewidth=0.5)
+    positive = np.concatenate([response.omega[response.omega > 0.0] for response in found.values()])
+    if np.ptp(positive) > 0.0:
+        axes[1].set_xlim(positive.min(), positive.max())
+    axes[1].set_xlabel(f"frequency [rad/{unit}]")
+    legend_outside(axes[0])
+    return axes
+
+
+def plot_poles(models: Any, *, level: float = 0.95, which: int = 0, ax: Axes | None = None) -> Axes:
+    """Draw poles and zeros of models, with the regions where they may lie.
+
+    Parameters
+    ----------
+    models : Model, ParameterTracker or mapping of str to these
+        Models by name; one alone is named by its structure.
+    level : float, default 0.95
+        Probability of each region.
+    which : int, default 0
+        Which input's zeros; a model without input has none.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    ValueError
+        If a model has no such input, its regressor is the caller's, or level is no probability.
+    TypeError
+        If models are no models.
+
+    Notes
+    -----
+    Poles and zeros at the origin, which only delay, are left out, and zeros further than 3 from it stand outside.
+    """
+    named = _named(models, (Model, ParameterTracker))
+    found = {}
+    for name, model in named.items():
+        _require_started(name, model)
+        found[name] = [("poles", "x", model.poles(level))]
+        if model.structure.inputs:
+            found[name].append(("zeros", "o", model.zeros(level, input=which)))
+    ax = one_axes(ax, (7.0, 4.8))
+    turn = np.linspace(0.0, 2.0 * np.pi, 200)
+    ax.plot(np.cos(turn), np.sin(turn), color="black", linewidth=0.8, label="unit circle")
+    ax.axhline(0.0, color="0.8", linewidth=0.6, zorder=0)
+    ax.axvline(0.0, color="0.8", linewidth=0.6, zorder=0)
+    reach = 1.1
+    for place, (name, kinds) in enumerate(found.items()):
+        for what, marker, regions in kinds:
+            points, colour = regions.values, COLOURS[place % 6]
+            if not points.size:
+                continue
+            for edge in regions.ellipses():
+                ax.plot(edge.real, edge.imag, linestyle=STYLES[place % 6], linewidth=1.4, alpha=0.7, color=colour)
+            ax.plot(
+                points.real, points.imag, marker, markersize=6 + 2 * place, fillstyle="none", linestyle="none",
+                markeredgewidth=1.6, label=f"{what}, {name}", color=colour,
+            )  # fmt: skip
+            near = np.abs(points)[np.abs(points) <= _FAR]
+            reach = max(reach, 1.15 * float(near.max(initial=0.0)))
+    ax.plot([], [], color="0.4", linewidth=1.4, label=f"{100 * level:.4g} % regions")
+    ax.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal", xlabel="real part", ylabel="imaginary part")
+    legend_outside(ax)
+    return ax
+
+
+def _response(name: str, model: Any, omega: Any, level: float) -> FrequencyResponse:
+    """Return the frequency response of a model."""
+    if isinstance(model, FrequencyResponse):
+        return model
+    _require_started(name, model)
+    w = np.geomspace(1e-3, 1.0, _POINTS) * np.pi / (model.dt or 1.0) if omega is None else np.sort(omega)
+    return model.frequency_response(w, level)
+
+
+def _of_input(name: str, response: FrequencyResponse, which: int) -> tuple[Any, Any]:
+    """Return magnitude and phase of one input, each with its band, shape (3, n)."""
+    several = np.ndim(response.response) > 1
+    inputs = len(response.response) if several else 1
+    if _checks.count("which", which) >= inputs:
+        raise ValueError(f"which: expected an input below {inputs} of {name}, got {which}")
+    fields = ("magnitude", "magnitude_lower", "magnitude_upper"), ("phase", "phase_lower", "phase_upper")
+    found = [np.array([getattr(response, field) for field in names]) for names in fields]
+    magnitude, phase = (values[:, which] if several else values for values in found)
+    return magnitude, phase
+
+
+def _named(models: Any, kinds: tuple[type, ...]) -> dict[str, Any]:
+    """Return models by name, or raise."""
+    expected = " or a ".join(kind.__name__ for kind in kinds)
+    named = {str(getattr(models, "structure", "response")): models} if isinstance(models, kinds) else models
+    if not isinstance(named, Mapping):
+        raise TypeError(f'models: expected a {expected}, or {{"name": model, ..}}, got {_checks.shown(models)}')
+    if not named:
+        raise ValueError("models: expected at least one model, got none")
+    for name, model in named.items():
+        if not isinstance(model, kinds):
+            raise TypeError(f"models[{name!r}]: expected a {expected}, got {_checks.shown(model)}")
+    return {str(name): model for name, model in named.items()}
+
+
+def _require_started(name: str, model: Any) -> None:
+    """Raise if a tracker has no model yet."""
+    if not np.isfinite(model.std).all():
+        raise ValueError(f"models[{name!r}]: expected a tracker that has found a model, got one that is at its start")

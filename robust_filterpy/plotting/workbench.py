@@ -1,0 +1,270 @@
+"""Pictures of the workbench: which structure, what is left in the residuals, which model, how fast parameters drift.
+
+Legends stand beside the data. matplotlib is imported when something is drawn.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from robust_filterpy import _checks
+from robust_filterpy.identification import Comparison, Selection, TunedTracker, Validation
+from robust_filterpy.plotting import sources
+from robust_filterpy.plotting._style import (
+    COLOURS,
+    MARK,
+    MARKERS,
+    STYLES,
+    finish,
+    legend_outside,
+    one_axes,
+    several_axes,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["plot_comparison", "plot_structure_selection", "plot_tuning", "plot_validation"]
+
+# Structures further than this from the best one's fit, in percent, are left below the picture.
+_DEEP: Final = 30.0
+
+
+def plot_validation(validation: Validation, *, axes: Any = None) -> Any:
+    """Draw what a model leaves in its residuals: correlations with their bounds, the verdict above.
+
+    Parameters
+    ----------
+    validation : Validation
+        What `validate` returned.
+    axes : sequence of matplotlib.axes.Axes, optional
+        Where to draw: one for the residuals among themselves and one for each input.
+
+    Returns
+    -------
+    ndarray of matplotlib.axes.Axes
+
+    Raises
+    ------
+    TypeError
+        If validation is no `Validation`.
+    ValueError
+        If there are not as many axes as pictures.
+    """
+    _require(validation, "validation", Validation, "validate(..)")
+    found = [("residuals among themselves", 1, validation.autocorrelation, validation.autocorrelation_bound)]
+    several = len(validation.cross_correlation) > 1
+    for i, pair in enumerate(zip(validation.cross_correlation, validation.cross_bound, strict=True)):
+        found.append((f"input {i} and residuals" if several else "input and residuals", 0, *pair))
+    axes = several_axes(axes, len(found), 1, (7.5, 0.8 + 2.1 * len(found)), sharex=True)
+    for ax, (title, first, values, bound) in zip(axes, found, strict=True):
+        lags = np.arange(first, first + values.size)
+        outside = np.abs(values) > bound
+        ax.fill_between(
+            lags, -bound, bound, step="mid", color="0.85", linewidth=0, label=f"{_percent(validation.level)} bound"
+        )
+        ax.axhline(0.0, color="black", linewidth=0.6)
+        for part, colour, marker, label in (
+            (~outside, COLOURS[0], "o", "within"),
+            (outside, MARK, "x", "outside"),
+        ):
+            ax.vlines(lags[part], 0.0, values[part], color=colour, linewidth=1.2)
+            ax.plot(lags[part], values[part], marker, color=colour, markersize=5, linestyle="none", label=label)
+        ax.set(ylabel="correlation", title=title)
+        ax.xaxis.get_major_locator().set_params(integer=True)
+        ax.title.set_fontsize("medium")
+        legend_outside(ax)
+    axes[-1].set_xlabel("lag [samples]")
+    axes[0].figure.suptitle(textwrap.fill(validation.verdict, 80), fontsize="medium")
+    return axes
+
+
+def plot_structure_selection(selection: Selection, *, axes: Any = None) -> Any:
+    """Draw the fit and the criterion of all structures against their complexity, and the impulse response.
+
+    Parameters
+    ----------
+    selection : Selection
+        What `select_structure` returned.
+    axes : sequence of matplotlib.axes.Axes, optional
+        Where to draw: fit, criterion, and the impulse response if there is one.
+
+    Returns
+    -------
+    ndarray of matplotlib.axes.Axes
+
+    Raises
+    ------
+    TypeError
+        If selection is no `Selection`.
+    ValueError
+        If there are not as many axes as pictures.
+
+    Notes
+    -----
+    Fits more than 30 points below the best one's are left below the picture.
+    """
+    _require(selection, "selection", Selection, "select_structure(..)")
+    response, rows = selection.impulse_response, selection.rows
+    axes = several_axes(axes, 2 + (response is not None), 1, (7.5, 4.6 + 2.2 * (response is not None)))
+    size = np.array([row.structure.n_theta for row in rows])
+    fit, criterion = (np.array([getattr(row, name) for row in rows]) for name in ("fit", "criterion"))
+    shows = np.array([row.shows_delay for row in rows])
+    above = criterion - criterion[0]
+    for ax, values, best_of in ((axes[0], fit, np.nanmax), (axes[1], above, np.nanmin)):
+        ax.plot(size[shows], values[shows], "o", color=COLOURS[2], markersize=5, label="tried")
+        if not shows.all():
+            ax.plot(size[~shows], values[~shows], "x", color=COLOURS[5], markersize=5, label="first b is 0")
+        sizes = np.unique(size[shows]) if shows.any() else np.unique(size)
+        counted = shows if shows.any() else ~shows
+        front = [best_of(values[counted & (size == n)]) for n in sizes]
+        ax.plot(sizes, front, color=COLOURS[0], linewidth=1.2, label="best of its size")
+        ax.plot(
+            size[:1], values[:1], "o", color=MARK, markersize=10, fillstyle="none", markeredgewidth=1.8, label="chosen"
+        )
+        ax.xaxis.get_major_locator().set_params(integer=True)
+    best = float(np.nanmax(fit))
+    worst = max(float(np.nanmin(fit)), best - _DEEP)
+    margin = 0.08 * (best - worst) + 0.1
+    axes[0].set(ylabel="fit [%]", ylim=(worst - margin, best + margin), title=f"chosen: {rows[0].structure}")
+    axes[1].set_yscale("symlog", linthresh=10.0)
+    axes[1].set(ylabel=f"{selection.criterion} above the best", xlabel="parameters")
+    legend_outside(axes[0])
+    if response is not None:
+        ax = axes[2]
+        ax.fill_between(
+            response.lags, -response.band, response.band, step="mid", color="0.85", linewidth=0, label="95 % band of 0"
+        )
+        ax.vlines(response.lags, 0.0, response.values, color=COLOURS[0], linewidth=1.2)
+        ax.plot(response.lags, response.values, "o", color=COLOURS[0], markersize=4, label="impulse response")
+        delay = selection.best.structure.inputs[0][1]
+        ax.axvline(delay, color=MARK, linestyle="--", linewidth=1.2, label=f"chosen delay, {delay}")
+        ax.set(xlabel="lag [samples]", ylabel="response [y per u]")
+        legend_outside(ax)
+    return axes
+
+
+def plot_comparison(
+    comparison: Comparison, *, t: Any = None, unit: str = "", time_unit: str = "", ax: Axes | None = None
+) -> Axes:
+    """Draw the outputs of several models over the measured one, with their fits beside.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        What `compare` returned.
+    t : array_like, shape (N,), optional
+        Times or dates; default the index of the recording, or the number of the sample.
+    unit, time_unit : str, default ""
+        Units for the axes' labels.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    TypeError
+        If comparison is no `Comparison`.
+    ValueError
+        If t does not fit.
+
+    Notes
+    -----
+    The axis shows what the models do; outliers beyond it are left outside. Fits are those on ordinary samples.
+    """
+    _require(comparison, "comparison", Comparison, "compare(..)")
+    y = comparison.measured
+    time = sources.time(t, y.size, comparison)
+    ax = one_axes(ax, (8.5, 3.6))
+    for place, row in enumerate(comparison.rows):
+        label = f"{row.name}, fit {row.fit:.1f} %"
+        output = comparison.outputs[row.name]
+        ax.plot(time, output, color=COLOURS[place % 6], linestyle=STYLES[place % 6], linewidth=1.2, label=label)
+    ordinary = np.quantile(y[~np.isnan(y)], [0.02, 0.98])
+    low, high = ax.get_ylim()
+    low, high = min(low, float(ordinary[0])), max(high, float(ordinary[1]))
+    ax.plot(time, y, ".", color="0.6", markersize=3, zorder=1, label="measured")
+    ax.set_ylim(low - 0.1 * (high - low), high + 0.1 * (high - low))
+    finish(ax, "output", unit, time_unit)
+    legend_outside(ax)
+    return ax
+
+
+def plot_tuning(found: TunedTracker, *, ax: Axes | None = None) -> Axes:
+    """Draw the log-likelihood of each value that `ParameterTracker.tuned` tried.
+
+    Parameters
+    ----------
+    found : TunedTracker
+        What `ParameterTracker.tuned` returned.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    TypeError
+        If found is no `TunedTracker`.
+
+    Notes
+    -----
+    Of two names that were tried together the first is the abscissa, and the second has a line for each value. A
+    covariance stands at its trace.
+    """
+    _require(found, "found", TunedTracker, "tracker.tuned(..)")
+    names = list(found.best.values)
+    x = np.array([_place(row.values[names[0]]) for row in found.rows])
+    value = np.array([row.log_likelihood for row in found.rows]) - found.best.log_likelihood
+    groups = [_place(row.values[names[1]]) if len(names) > 1 else 0.0 for row in found.rows]
+    ax = one_axes(ax)
+    for place, group in enumerate(dict.fromkeys(groups)):
+        of = np.array([one == group for one in groups])
+        order = np.argsort(x[of])
+        label = f"{names[1]} = {group:.3g}" if len(names) > 1 else "tried"
+        style: dict[str, Any] = {
+            "color": COLOURS[place % 6],
+            "linestyle": STYLES[place % 6],
+            "marker": MARKERS[place % 6],
+        }
+        ax.plot(x[of][order], value[of][order], markersize=4, linewidth=1.2, label=label, **style)
+    chosen = found.rows.index(found.best)
+    ax.plot(
+        x[chosen], value[chosen], "o", color=MARK, markersize=10, fillstyle="none", markeredgewidth=1.8, label="chosen"
+    )
+    ax.axhline(-2.0, color="0.5", linestyle=":", linewidth=1.0, label="as good: 2 below")
+    least = float(x[x > 0.0].min(initial=np.inf))
+    if x.max() > 100.0 * least:
+        # 0 has a place of its own, left of the least of the others.
+        ax.set_xscale("symlog", linthresh=least)
+        ax.set_xlim(-0.3 * least if (x == 0.0).any() else 0.8 * least, 1.5 * x.max())
+    ax.set_yscale("symlog", linthresh=10.0)
+    ax.set_ylim(None, 2.0)
+    what = "trace of Q" if any(np.ndim(row.values[names[0]]) for row in found.rows) else names[0]
+    ax.set(xlabel=what, ylabel="log-likelihood less the best")
+    legend_outside(ax)
+    return ax
+
+
+def _place(value: Any) -> float:
+    """Return a value as a number to draw at."""
+    return float(np.trace(np.atleast_2d(value))) if np.ndim(value) else float(value)
+
+
+def _percent(level: float) -> str:
+    """Return a probability as text."""
+    return f"{100 * level:.4g} %"
+
+
+def _require(thing: Any, name: str, kind: type, source: str) -> None:
+    """Raise unless thing is a result of this kind."""
+    if not isinstance(thing, kind):
+        raise TypeError(f"{name}: expected what {source} returned, got {_checks.shown(thing)}")

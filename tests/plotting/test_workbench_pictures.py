@@ -1,0 +1,190 @@
+"""Pictures of the workbench show the numbers of their results, on the user's time axis, legends beside the data."""
+
+import matplotlib
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from robust_filterpy import (
+    ARX,
+    FIR,
+    OutputError,
+    ParameterTracker,
+    compare,
+    identify,
+    plotting,
+    select_structure,
+    validate,
+)
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+pd = pytest.importorskip("pandas")
+
+
+@pytest.fixture(autouse=True)
+def closed():
+    yield
+    plt.close("all")
+
+
+@pytest.fixture(scope="module")
+def recording():
+    rng = np.random.default_rng(1)
+    u, y = rng.choice([-1.0, 1.0], 600), np.zeros(600)
+    for k in range(2, 600):
+        y[k] = 1.5 * y[k - 1] - 0.7 * y[k - 2] + u[k - 1] + 0.5 * u[k - 2]
+    y += np.where(rng.random(600) < 0.1, 5.0, 0.5) * rng.normal(size=600)
+    return pd.DataFrame({"y": y, "u": u}, index=pd.date_range("2024-03-01", periods=600, freq="10s"))
+
+
+@pytest.fixture(scope="module")
+def model(recording):
+    return identify(recording.y, recording.u, OutputError(2, 2))
+
+
+def labels(ax):
+    return [text.get_text() for text in ax.get_legend().get_texts()]
+
+
+def assert_beside_the_data(ax):
+    ax.figure.canvas.draw()
+    assert ax.get_legend().get_window_extent().x0 >= ax.get_window_extent().x1
+
+
+def test_validation_marks_exactly_what_is_outside(recording):
+    found = validate(identify(recording.y, recording.u, OutputError(1, 1)), recording.y, recording.u)
+    axes = found.plot()
+    assert len(axes) == 2
+    pairs = (found.autocorrelation, found.autocorrelation_bound), (found.cross_correlation[0], found.cross_bound[0])
+    for ax, (values, bound), first in zip(axes, pairs, (1, 0), strict=True):
+        outside = np.abs(values) > bound
+        assert 0 < outside.sum() < outside.size
+        marked = next(line for line in ax.lines if line.get_label() == "outside")
+        assert_array_equal(marked.get_ydata(), values[outside])
+        assert_array_equal(marked.get_xdata(), np.flatnonzero(outside) + first)
+        assert labels(ax) == ["99 % bound", "within", "outside"]
+        assert_beside_the_data(ax)
+    assert axes[1].get_xlabel() == "lag [samples]"
+    assert "dynamics are missing" in axes[0].figure.get_suptitle()
+
+
+def test_validation_has_a_picture_for_each_input_and_one_without(recording):
+    both = recording[["u"]].assign(w=np.random.default_rng(2).normal(size=600))
+    found = validate(identify(recording.y, both, FIR((3, 3))), recording.y, both)
+    assert [ax.get_title() for ax in plotting.plot_validation(found)] == [
+        "residuals among themselves", "input 0 and residuals", "input 1 and residuals",
+    ]  # fmt: skip
+    alone = validate(identify(recording.y, None, ARX(2, 0)), recording.y)
+    assert len(plotting.plot_validation(alone)) == 1
+
+
+def test_selection_shows_every_structure_and_rings_the_chosen(recording):
+    found = select_structure(recording.y, recording.u, na=[1, 2], nk=[1])
+    fit, criterion, response = found.plot()
+    for ax, name in ((fit, "fit"), (criterion, "criterion")):
+        drawn = np.concatenate([line.get_ydata() for line in ax.lines if line.get_label() in ("tried", "first b is 0")])
+        expected = [getattr(row, name) for row in found.rows]
+        if name == "criterion":
+            expected = np.array(expected) - found.rows[0].criterion
+        assert sorted(drawn) == pytest.approx(sorted(expected))
+    ring = next(line for line in fit.lines if line.get_label() == "chosen")
+    assert (ring.get_xdata()[0], ring.get_ydata()[0]) == (4, found.rows[0].fit)
+    assert fit.get_title() == "chosen: OutputError(na=2, nb=2, nk=1)"
+    assert (fit.get_ylabel(), criterion.get_ylabel(), criterion.get_xlabel()) == (
+        "fit [%]", "bic above the best", "parameters",
+    )  # fmt: skip
+    assert "chosen delay, 1" in labels(response)
+    assert_beside_the_data(fit)
+    assert_beside_the_data(response)
+
+
+def test_selection_without_input_has_no_impulse_response(recording):
+    assert len(select_structure(recording.y, None, ARX, na=[1, 2]).plot()) == 2
+
+
+def test_comparison_has_dates_fits_and_units(recording, model):
+    found = compare({"two": model, "none": identify(recording.y, recording.u, FIR(1))}, recording.y, recording.u)
+    ax = found.plot(unit="mm")
+    assert labels(ax) == [*(f"{row.name}, fit {row.fit:.1f} %" for row in found.rows), "measured"]
+    assert_array_equal(ax.lines[0].get_xdata(orig=True), recording.index.to_numpy())
+    assert_array_equal(ax.lines[0].get_ydata(), found.outputs["two"])
+    assert (ax.get_ylabel(), ax.get_xlabel()) == ("output [mm]", "time")
+    assert isinstance(ax.xaxis.get_major_formatter(), matplotlib.dates.ConciseDateFormatter)
+    assert_beside_the_data(ax)
+    # An outlier does not flatten the outputs.
+    wild = recording.y.copy()
+    wild.iloc[10] = 1e6
+    assert compare({"two": model}, wild, recording.u).plot().get_ylim()[1] < 100.0
+
+
+def test_comparison_of_arrays_counts_samples(recording, model):
+    found = compare({"two": model}, recording.y.to_numpy(), recording.u.to_numpy())
+    assert plotting.plot_comparison(found).get_xlabel() == "sample"
+    seconds = plotting.plot_comparison(found, t=np.arange(600) * 0.1, time_unit="s")
+    assert seconds.get_xlabel() == "time [s]" and seconds.lines[0].get_xdata()[-1] == pytest.approx(59.9)
+
+
+def test_tuning_shows_the_likelihoods_and_rings_the_chosen():
+    rng = np.random.default_rng(1)
+    u = rng.choice([-1.0, 1.0], 600)
+    y = (2.0 + np.cumsum(0.03 * rng.normal(size=600))) * u + 0.3 * rng.normal(size=600)
+    found = ParameterTracker(FIR(1, nk=0), start=0).tuned(y, u, over={"Q": [0.0, 1e-4, 1e-3, 1e-2]})
+    ax = found.plot()
+    assert_array_equal(ax.lines[0].get_ydata(), [row.log_likelihood - found.best.log_likelihood for row in found.rows])
+    ring = next(line for line in ax.lines if line.get_label() == "chosen")
+    assert ring.get_xdata()[0] == found.best.values["Q"]
+    assert ax.get_xlabel() == "Q"
+    assert_beside_the_data(ax)
+    pairs = ParameterTracker(FIR(1, nk=0), start=0).tuned(
+        y, u, over={"forgetting": [0.8, 0.9, 1.0], "Q": [0.0, 1e-3, 1.0]}
+    )
+    assert labels(pairs.plot())[:3] == ["Q = 0", "Q = 0.001", "Q = 1"]
+
+
+def test_a_run_has_the_names_and_the_dates_of_its_recording(recording):
+    result = ParameterTracker(ARX(1, 1), start=0, R=0.25).run(recording.y, recording.u)
+    ax = result.plot()
+    assert labels(ax) == ["±2 sigma", "a1", "b1"]
+    assert_array_equal(ax.lines[0].get_xdata(orig=True), recording.index.to_numpy())
+    assert plotting.plot_weights(result).get_xlabel() == "time"
+    assert plotting.plot_fit(recording.y, result.prediction).get_xlabel() == "time"
+
+
+@pytest.mark.parametrize(
+    ("index", "label"),
+    [
+        (pd.date_range("2024-03-30", periods=3, freq="h", tz="Europe/Berlin"), "time"),
+        (pd.period_range("2024-01", periods=3, freq="M"), "time"),
+        ([pd.Timestamp("2024-01-01").to_pydatetime()] * 3, "time"),
+        (pd.timedelta_range("0s", periods=3, freq="500ms"), "sample"),
+        (pd.RangeIndex(3), "sample"),
+    ],
+    ids=["hours of a place", "periods", "datetimes", "durations", "count"],
+)
+def test_times_of_all_kinds_stand_on_the_axis(index, label):
+    ax = plotting.plot_weights(np.ones(3), t=index)
+    assert ax.get_xlabel() == label
+    if isinstance(index, pd.TimedeltaIndex):
+        assert_array_equal(ax.lines[0].get_xdata(), [0.0, 0.5, 1.0])
+    if getattr(index, "tz", None) is not None:
+        assert ax.lines[0].get_xdata(orig=True)[0] == np.datetime64("2024-03-30T00:00")
+
+
+@pytest.mark.parametrize(
+    "plot",
+    [plotting.plot_validation, plotting.plot_structure_selection, plotting.plot_comparison, plotting.plot_tuning],
+)
+def test_other_things_are_no_results(plot, model):
+    with pytest.raises(TypeError, match=r"expected what .* returned, got"):
+        plot(model)
+    assert not plt.get_fignums()
+
+
+def test_axes_that_are_too_few_are_refused(recording, model):
+    found = validate(model, recording.y, recording.u)
+    with pytest.raises(ValueError, match="axes: expected 2 matplotlib axes, got 1"):
+        found.plot(axes=plt.figure().subplots())
+    given = plt.figure().subplots(2)
+    assert list(found.plot(axes=given)) == list(given)
