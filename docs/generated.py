@@ -6,6 +6,8 @@ import inspect
 import pkgutil
 from pathlib import Path
 
+import jupytext
+
 import robust_filterpy
 
 ROOT = "robust_filterpy"
@@ -21,7 +23,7 @@ def write(docs: Path) -> None:
     pages = {**api_pages(), **example_pages(docs.parent / "examples")}
     for name, text in pages.items():
         path = docs / name
-        path.parent.mkdir(exist_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
         # An unchanged page need not be read again.
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
@@ -112,10 +114,12 @@ def example_pages(folder: Path) -> dict[str, str]:
                 heading(path.stem.replace("_", " ")),
                 question + "\n",
                 rest + "\n",
-                f"Run ``python examples/{path.name}``, or take the file: :download:`{path.name} <{source}>`.\n",
+                f"Run ``python examples/{path.name}``, or take the file, :download:`{path.name} <{source}>`, or the "
+                f"notebook, :download:`{path.stem}.ipynb <notebooks/{path.stem}.ipynb>`.\n",
                 f".. literalinclude:: {source}\n   :language: python\n",
             ]
         )
+        pages[f"examples/notebooks/{path.stem}.ipynb"] = notebook(path)
         entries.append((path.stem, " ".join(question.split())))
     index = [
         heading("Examples"),
@@ -127,6 +131,21 @@ def example_pages(folder: Path) -> dict[str, str]:
         "",
     ]
     return {"examples/index.rst": "\n".join(index), **pages}
+
+
+def notebook(path: Path) -> str:
+    """Return an example as a notebook: a cell for each part that `# %%` begins; it runs in the folder of the examples.
+
+    An example reads its options from the command line, which a notebook has none of.
+    """
+    found = jupytext.reads(path.read_text(encoding="utf-8"), fmt="py:percent")
+    for number, cell in enumerate(found.cells):
+        # nbformat draws these at random, and the page would differ from build to build.
+        cell["id"] = f"cell-{number}"
+        cell.source = cell.source.replace('if __name__ == "__main__":\n    main()', "main([])")
+        # A notebook does not know its file.
+        cell.source = cell.source.replace("Path(__file__)", f'Path("{path.name}")')
+    return str(jupytext.writes(found, fmt="ipynb"))
 
 
 def heading(text: str, line: str = "=") -> str:

@@ -41,9 +41,12 @@ def recording(rng, steps=200, contamination=0.1):
 
 def track(kind, zs):
     """Return the estimated positions (steps, 2)."""
-    kf = tracker(kind)
-    means, _, _, _ = kf.batch_filter(zs)
-    return means[:, [0, 2]]
+    kf, positions = tracker(kind), []
+    for z in zs:
+        kf.predict()
+        kf.update(z)
+        positions.append(kf.x[[0, 2]])
+    return np.array(positions)
 
 
 # %% The same data through both classes.
@@ -56,15 +59,15 @@ def main(argv=None):
     path, zs, outlier = recording(np.random.default_rng(options.seed))
     estimates = {"KalmanFilter": track(KalmanFilter, zs), "RobustKalmanFilter": track(RobustKalmanFilter, zs)}
     errors = {name: np.linalg.norm(xy - path, axis=1) for name, xy in estimates.items()}
-    draw(path, zs, outlier, estimates, errors, options.out)
     rms = {name: float(np.sqrt(np.mean(error**2))) for name, error in errors.items()}
+    draw(path, zs, outlier, estimates, errors, rms, options.out)
     print(
         f"Conclusion: with {outlier.mean():.0%} outliers the root-mean-square position error is "
         f"{rms['KalmanFilter']:.2f} m with KalmanFilter and {rms['RobustKalmanFilter']:.2f} m with RobustKalmanFilter."
     )
 
 
-def draw(path, zs, outlier, estimates, errors, out):
+def draw(path, zs, outlier, estimates, errors, rms, out):
     """Draw the tracks and the errors."""
     import matplotlib.pyplot as plt
 
@@ -75,12 +78,18 @@ def draw(path, zs, outlier, estimates, errors, out):
     styles = {"KalmanFilter": dict(color="C1", ls="--"), "RobustKalmanFilter": dict(color="C0", ls="-")}
     for name, xy in estimates.items():
         plane.plot(*xy.T, lw=1.2, label=name, **styles[name])
-        time.plot(errors[name], lw=1.2, label=name, **styles[name])
+        time.plot(errors[name], lw=1.2, label=f"{name}, {rms[name]:.2f} m rms", **styles[name])
     margin = 20.0
-    plane.set(xlabel="x [m]", ylabel="y [m]", title="Track")
+    plane.set(xlabel="x [m]", ylabel="y [m]", title="Wrong readings pull the Kalman filter off the track")
     plane.set_xlim(path[:, 0].min() - margin, path[:, 0].max() + margin)
     plane.set_ylim(path[:, 1].min() - margin, path[:, 1].max() + margin)
-    time.set(xlabel="step", ylabel="position error [m]", title="Error", yscale="log", ylim=(1e-2, None))
+    time.set(
+        xlabel="step",
+        ylabel="position error [m]",
+        title="The same code with the other class stays on it",
+        yscale="log",
+        ylim=(1e-2, None),
+    )
     plane.legend(fontsize=8)
     time.legend(fontsize=8)
     out.mkdir(parents=True, exist_ok=True)

@@ -46,7 +46,7 @@ def simulate(seed=5):
 START = dict(theta=[-1.4, 0.65, 1.0, 0.5], P=0.1, Q=Q)
 BANKS = {
     "Kalman": dict(influence=Linear(), R=SIGMA**2 * (1 + 99 * CONTAMINATION)),
-    "robust": dict(R=SIGMA**2),
+    "robust": dict(),
 }
 
 

@@ -1,7 +1,7 @@
-"""Does an extended or unscented Kalman filter survive glint, the jumping echo of a target made of many reflectors?
+"""Extended or unscented, plain or robust, told R or not: what matters when a radar's echo jumps about the target?
 
 Range and bearing of a target in the plane; in one return out of seven the echo comes from elsewhere on the target or
-beside it. The correction is bounded, whatever the measurement function h:
+beside it (glint). The correction is bounded, whatever the measurement function h:
 x+ = x + C T' psi(T y), y = z - h(x), T = S^(-1/2), with C and S from a Jacobian or from sigma points.
 """
 
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-from robust_filterpy import RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter
+from robust_filterpy import AdaptiveExtendedKalmanFilter, RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter
 from robust_filterpy.experiments import bootstrap_interval
 
 DT, STEPS, RUNS = 0.5, 200, 10
@@ -52,9 +52,10 @@ def difference(a, b):
 
 
 # %% The robust filters differ by the class name. A glint spoils the whole return, so psi takes it as one: "joint".
-def extended(cls, **choice):
-    """Return a step function of an extended filter."""
+def extended(cls, told=1.0, **choice):
+    """Return a step function of an extended filter that is told R times a factor."""
     kf = prepared(cls(4, 2, **choice))
+    kf.R *= told
     kf.F = F
 
     def step(z):
@@ -85,11 +86,15 @@ def prepared(kf):
     return kf
 
 
+WRONG = 10.0
 FILTERS = {
     "EKF, filterpy": lambda: extended(ExtendedKalmanFilter),
     "UKF, filterpy": lambda: unscented(UnscentedKalmanFilter),
     "EKF, robust": lambda: extended(RobustExtendedKalmanFilter, grouping="joint"),
     "UKF, robust": lambda: unscented(RobustUnscentedKalmanFilter, grouping="joint"),
+    "EKF, adaptive": lambda: extended(AdaptiveExtendedKalmanFilter, grouping="joint"),
+    "EKF, robust, R x 10": lambda: extended(RobustExtendedKalmanFilter, WRONG, grouping="joint"),
+    "EKF, adaptive, R x 10": lambda: extended(AdaptiveExtendedKalmanFilter, WRONG, grouping="joint"),
 }
 
 
@@ -109,18 +114,25 @@ def main(argv=None):
             paths[name] = np.array([x for x, _ in states])
             error = (paths[name] - truth)[STEPS // 10 :, [0, 2]]
             rms[name].append(np.sqrt((error**2).sum(axis=1).mean()))
-            if name == "UKF, robust":
+            if name == "EKF, robust":
                 marked = np.array([w[0] for _, w in states])
         if seed == 0:
             draw(truth, zs, glint, paths, marked, options.out)
-    print(f"{'':14} RMS position error, m (mean of {options.runs} runs, 95 % interval)")
+    print(f"{'':24} RMS position error, m (mean of {options.runs} runs, 95 % interval)")
     for name, values in rms.items():
         interval = bootstrap_interval(values, rng=0)
-        print(f"{name:14} {interval.estimate:6.1f}   ({interval.low:.1f} to {interval.high:.1f})")
-    gain = {kind: np.mean(rms[f"{kind}, filterpy"]) / np.mean(rms[f"{kind}, robust"]) for kind in ("EKF", "UKF")}
+        print(f"{name:24} {interval.estimate:6.1f}   ({interval.low:.1f} to {interval.high:.1f})")
+    mean = {name: float(np.mean(values)) for name, values in rms.items()}
+
+    def over(one, other):
+        return mean[one] / mean[other]
+
     print(
-        f"Conclusion: with {100 * GLINT:.0f} % glint the robust filters' error is smaller than filterpy's by a "
-        f"factor of {gain['EKF']:.1f} (extended) and {gain['UKF']:.1f} (unscented)."
+        f"Conclusion: a bounded correction lowers the error by a factor of {over('EKF, filterpy', 'EKF, robust'):.1f}; "
+        f"extended or unscented changes it by {abs(over('UKF, robust', 'EKF, robust') - 1):.1%} here. An R that is "
+        f"{WRONG:.0f} times too large costs the robust filter {over('EKF, robust, R x 10', 'EKF, robust') - 1:.0%}, "
+        f"the adaptive one, which has {over('EKF, adaptive', 'EKF, robust'):.2f} of the robust one's error, "
+        f"{over('EKF, adaptive, R x 10', 'EKF, adaptive') - 1:.0%}."
     )
 
 
@@ -133,7 +145,7 @@ def draw(truth, zs, glint, paths, weights, out):
     left.plot(*seen[~glint].T, ".", color="0.6", ms=4, label="radar return")
     left.plot(*seen[glint].T, "x", color="0.3", ms=5, label="glint")
     left.plot(truth[:, 0], truth[:, 2], "k-", lw=3, alpha=0.35, label="target")
-    for name, style in (("UKF, filterpy", "C1--"), ("UKF, robust", "C0-")):
+    for name, style in (("EKF, filterpy", "C1--"), ("EKF, robust", "C0-")):
         left.plot(paths[name][:, 0], paths[name][:, 2], style, lw=1.3, label=name)
     margin = 150
     left.set_xlim(truth[:, 0].min() - margin, truth[:, 0].max() + margin)

@@ -10,7 +10,7 @@ One equation (paper Table 1)::
 
     theta+ = theta + P phi T psi(T (y - phi' theta))
 
-Run ``python examples/pneumatic_servo.py`` (less than a minute). It draws one experiment, writes its recording as CSV
+Run ``python examples/pneumatic_servo.py`` (a minute or two). It draws one experiment, writes its recording as CSV
 and MAT for other tools, and repeats it with ``--seeds`` other references, physics and noises: the conclusion speaks of
 all of them. The loop from reference to position is identified beside it: feedback hides the physics there, as it is
 meant to, and a constant model fits nearly as well as a tracked one.
@@ -33,7 +33,7 @@ matplotlib.use("Agg")
 import numpy as np
 from servo.experiment import NOMINAL, NONE, OUTLIERS, ROBUST, conditions, drive
 from servo.figures import FREQUENCIES, Response, decibel, draw_bode, draw_gain, draw_recording, responses
-from servo.models import TRACKERS, ordinary_variance, valve_to_velocity
+from servo.models import TRACKERS, valve_to_velocity
 from servo.study import INSTANTS, LOOPS, Run, at, mean_of, models_of, shown, table, trial
 
 from robust_filterpy.experiments import monte_carlo
@@ -49,7 +49,7 @@ def one_experiment(seed: int, steps: int, contamination: float, out: Path) -> No
     data = valve_to_velocity(recording, given)
     models = models_of(data)
     draw_recording(given, recordings, out / "servo_recording.png")
-    draw_gain(given, recording, models, ordinary_variance(data), out / "servo_gain.png")
+    draw_gain(given, recording, models, out / "servo_gain.png")
     found = responses(recording, models[ROBUST])
     draw_bode(recording, found, out / "servo_bode.png")
     recording.to_csv(out / "servo_recording.csv")

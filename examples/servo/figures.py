@@ -54,9 +54,7 @@ def draw_recording(given: Conditions, recordings: dict[str, ServoRecording], pat
     plt.close(figure)
 
 
-def draw_gain(
-    given: Conditions, recording: ServoRecording, models: dict[str, Model], variance: float, path: Path
-) -> None:
+def draw_gain(given: Conditions, recording: ServoRecording, models: dict[str, Model], path: Path) -> None:
     """Draw the static gain from opening to velocity beside the physics' own."""
     figure, axis = plt.subplots(figsize=(9, 4.4), layout="constrained")
     ends = np.arange(EVERY - 1, recording.t.size, EVERY)
@@ -70,7 +68,7 @@ def draw_gain(
     sliding = [sliding_gain(recording, k) for k in ends]
     axis.plot(t, sliding, color="black", linewidth=1.4, label="physics, steady sliding")
     instants = [at(share, recording.t.size) for share in np.linspace(0.1, 1.0, 7)]
-    frozen = [frozen_gain(given, k, variance) for k in instants]
+    frozen = [frozen_gain(given, k) for k in instants]
     axis.plot(recording.t[instants], frozen, "o", color="black", markerfacecolor="none",
               label="physics, frozen: its best linear model")  # fmt: skip
     axis.set(xlabel="time / s", ylabel="gain / (cm/s per % of opening)", ylim=(2.5, 9.5))

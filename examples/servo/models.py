@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import NamedTuple
 
 import numpy as np
-import scipy.optimize
-import scipy.signal
 import scipy.stats
 from servo.experiment import DT, LABELS, NOMINAL, ROBUST, SERVO, STD, TOTAL, Conditions
 
 from robust_filterpy import Huber, Linear
 from robust_filterpy.experiments import fit_percent
-from robust_filterpy.identification import OutputError, ParameterTracker
+from robust_filterpy.identification import (
+    LostTrackerWarning,
+    OutputError,
+    ParameterTracker,
+    TrackingResult,
+    identify,
+)
+from robust_filterpy.influence import Influence
 from robust_filterpy.plants import (
     PneumaticParameters,
     ServoRecording,
@@ -39,7 +45,6 @@ class Signals(NamedTuple):
     truth: np.ndarray  # that no sensor saw
     outliers: np.ndarray  # (N,), variance that the outliers add to a sample of y
     theta: np.ndarray  # to start from: the linear model of the data sheet's servo
-    noise: float  # variance of the ordinary noise of the sensor in y
 
 
 def valve_to_velocity(recording: ServoRecording, given: Conditions, servo: PneumaticParameters = SERVO) -> Signals:
@@ -54,7 +59,7 @@ def valve_to_velocity(recording: ServoRecording, given: Conditions, servo: Pneum
     measured, truth = (
         scale * np.diff(signal, prepend=signal[0]) for signal in (recording.position_measured, recording.position)
     )
-    return Signals(opening, measured, truth, extra, theta, 2 * (scale * STD[0]) ** 2)
+    return Signals(opening, measured, truth, extra, theta)
 
 
 def reference_to_position(recording: ServoRecording, given: Conditions) -> Signals:
@@ -62,7 +67,7 @@ def reference_to_position(recording: ServoRecording, given: Conditions) -> Signa
     extra = 100**2 * (given.variance[:, 0] - STD[0] ** 2)
     theta = _theta(linearize_servo(SERVO, dt=DT, friction="viscous").reference_to_position)
     measured, truth = 100 * recording.position_measured, 100 * recording.position
-    return Signals(100 * recording.reference, measured, truth, extra, theta, (100 * STD[0]) ** 2)
+    return Signals(100 * recording.reference, measured, truth, extra, theta)
 
 
 def _theta(model) -> np.ndarray:
@@ -83,59 +88,52 @@ class Model(NamedTuple):
 
 def ordinary_variance(data: Signals) -> float:
     """Return the variance of what a linear model leaves over, as its median size tells it: outliers count little."""
-    result = _tracker(data, 1e-6, data.noise).run(data.y, data.u)
+    result = _tracker(data, 1e-6, Huber()).run(data.y, data.u)
     return float(scipy.stats.median_abs_deviation(result.residual, scale="normal") ** 2)
 
 
-def identify(data: Signals, name: str, variance: float) -> Model:
+def tracked(data: Signals, name: str, variance: float) -> Model:
     """Track a model; the data choose how fast theta may drift."""
     if name == CONSTANT:
-        theta = best_constant(data, variance)
+        theta = best_constant(data)
         return Model(np.tile(theta, (data.y.size, 1)), np.array([]), np.array([]), np.array([]), 0.0)
-    influence = Huber() if name == ROBUST else Linear()
     R = np.full(data.y.size, variance + (data.outliers.mean() if name == TOTAL else 0.0))
     if name == LABELS:
         R += data.outliers
 
+    def run(tracker: ParameterTracker, piece: slice) -> TrackingResult:
+        with warnings.catch_warnings():
+            # Some drifts are too fast, and the Kalman filter loses its way: the tables tell what that costs.
+            warnings.simplefilter("ignore", LostTrackerWarning)
+            # The robust tracker finds R itself.
+            return tracker.run(data.y[piece], data.u[piece], None if name == ROBUST else R[piece])
+
     def loss(drift: float) -> float:
-        residual = _tracker(data, drift, variance, influence).run(data.y, data.u, R).residual[data.y.size // 5 :]
+        residual = run(_tracker(data, drift, influence), slice(None)).residual[data.y.size // 5 :]
         # The same yardstick for all: how far the next sample was missed, an outlier counting no more than its size.
         return float(np.mean(Huber().rho(residual / np.sqrt(variance))))
 
+    influence = Huber() if name == ROBUST else Linear()
     drift = min(DRIFTS, key=loss)
-    tracker = _tracker(data, drift, variance, influence)
+    tracker = _tracker(data, drift, influence)
     theta, gains, covariances = [], [], []
     for start in range(0, data.y.size, EVERY):
         piece = slice(start, start + EVERY)
-        theta.append(tracker.run(data.y[piece], data.u[piece], R[piece]).theta)
+        theta.append(run(tracker, piece).theta)
         gains.append(gain_of(tracker.theta, tracker.P))
         covariances.append(tracker.P)
     gain, std = np.transpose(gains)
     return Model(np.concatenate(theta), gain, std, np.array(covariances), drift)
 
 
-def best_constant(data: Signals, variance: float) -> np.ndarray:
-    """Fit one constant output-error model to the whole recording, by Huber's loss, from what trackers make of it."""
-
-    def residual(theta: np.ndarray) -> np.ndarray:
-        a, b = np.append(1.0, theta[:ORDER]), np.append(0.0, theta[ORDER:])
-        if np.abs(np.roots(a)).max() >= 1:
-            return np.full(data.y.size, 1e3)
-        return (data.y - scipy.signal.lfilter(b, a, data.u)) / np.sqrt(variance)
-
-    late = slice(data.y.size // 3, None)
-    starts = [_tracker(data, drift, variance).run(data.y, data.u).theta[late].mean(axis=0) for drift in DRIFTS[:5:2]]
-    fits = [
-        scipy.optimize.least_squares(residual, start, loss="huber", f_scale=1.345, x_scale="jac", max_nfev=100)
-        for start in starts
-    ]
-    return min(fits, key=lambda found: found.cost).x
+def best_constant(data: Signals) -> np.ndarray:
+    """Fit one constant output-error model to the whole recording."""
+    return identify(data.y, data.u, OutputError(ORDER, ORDER), influence=Huber()).theta
 
 
-def _tracker(data: Signals, drift: float, variance: float, influence=None) -> ParameterTracker:
+def _tracker(data: Signals, drift: float, influence: Influence) -> ParameterTracker:
     """Set up a tracker at the data sheet's model."""
-    structure = OutputError(ORDER, ORDER)
-    return ParameterTracker(structure, theta=data.theta, P=P0, Q=drift, R=variance, influence=influence)
+    return ParameterTracker(OutputError(ORDER, ORDER), theta=data.theta, P=P0, Q=drift, influence=influence)
 
 
 def gain_of(theta: np.ndarray, P: np.ndarray) -> tuple[float, float]:
@@ -155,19 +153,17 @@ def sliding_gain(recording: ServoRecording, k: int) -> float:
     return float(np.mean(gains))
 
 
-def frozen(
-    given: Conditions, k: int, variance: float, servo: PneumaticParameters = SERVO, amplitude: float = 1.0
-) -> np.ndarray:
+def frozen(given: Conditions, k: int, servo: PneumaticParameters = SERVO, amplitude: float = 1.0) -> np.ndarray:
     """Return theta of the best linear model of the physics of one moment: frozen, without any noise."""
     physics = {name: np.full(values.size, values[k]) for name, values in given.physics.items()}
     clean = given._replace(noise=np.zeros_like(given.noise), is_outlier=np.zeros_like(given.is_outlier))
     recording = simulate_servo(amplitude * given.reference, DT, servo, **physics)
-    return best_constant(valve_to_velocity(recording, clean, servo), amplitude**2 * variance)
+    return best_constant(valve_to_velocity(recording, clean, servo))
 
 
-def frozen_gain(given: Conditions, k: int, variance: float) -> float:
+def frozen_gain(given: Conditions, k: int) -> float:
     """Return the static gain of the best linear model of the physics of one moment."""
-    return gain_of(frozen(given, k, variance), np.eye(2 * ORDER))[0]
+    return gain_of(frozen(given, k), np.eye(2 * ORDER))[0]
 
 
 def free_run(theta: np.ndarray, u: np.ndarray) -> np.ndarray:

@@ -13,9 +13,9 @@ from servo.models import (
     Signals,
     fit,
     frozen_gain,
-    identify,
     ordinary_variance,
     reference_to_position,
+    tracked,
     valve_to_velocity,
 )
 
@@ -38,7 +38,7 @@ class Run(NamedTuple):
 def models_of(data: Signals) -> dict[str, Model]:
     """Identify the same recording in every way."""
     variance = ordinary_variance(data)
-    return {name: identify(data, name, variance) for name in TRACKERS}
+    return {name: tracked(data, name, variance) for name in TRACKERS}
 
 
 def at(share: float, steps: int) -> int:
@@ -57,11 +57,11 @@ def trial(rng: np.random.Generator, steps: int, contamination: float, encoder_ou
         models = models_of(data)
         fits.append([fit(data, model) for model in models.values()])
         if signals is valve_to_velocity:
-            robust, variance = models[ROBUST], ordinary_variance(data)
+            robust = models[ROBUST]
             drift = robust.drift
             for k in (at(share, steps) for share in INSTANTS):
                 row = (k + 1) // EVERY - 1
-                gain.append([frozen_gain(given, k, variance), robust.gain[row], robust.gain_std[row]])
+                gain.append([frozen_gain(given, k), robust.gain[row], robust.gain_std[row]])
     return Run(np.array(moved), np.array(fits), np.array(gain), drift)
 
 

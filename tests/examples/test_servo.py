@@ -26,17 +26,17 @@ def signals(models, n=800, outliers=0.0, seed=0):
     u = rng.choice([-1.0, 1.0], n)
     truth = lfilter([0.0, *THETA[4:]], [1.0, *THETA[:4]], u)
     noise = 0.05 * rng.standard_normal(n) + (rng.random(n) < outliers) * 3.0 * rng.standard_normal(n)
-    return models.Signals(u, truth + noise, truth, np.zeros(n), THETA + 0.02, 0.05**2)
+    return models.Signals(u, truth + noise, truth, np.zeros(n), THETA + 0.02)
 
 
 def test_constant_model_is_found_through_outliers(servo):
     models = servo("models")
     data = signals(models, outliers=0.1)
-    theta = models.best_constant(data, models.ordinary_variance(data))
+    theta = models.best_constant(data)
     # The a's and b's of such a plant are known less well than what it does.
     found = lfilter([0.0, *theta[4:]], [1.0, *theta[:4]], data.u)
     assert np.std(found - data.truth) < 0.2 * 0.05
-    assert models.fit(data, models.identify(data, models.CONSTANT, 0.05**2)) > 97
+    assert models.fit(data, models.tracked(data, models.CONSTANT, 0.05**2)) > 97
 
 
 def test_free_run_of_a_constant_path_is_the_filter(servo):
@@ -58,8 +58,8 @@ def test_gain_and_its_deviation_are_those_of_theta(servo):
 def test_looking_at_the_covariance_on_the_way_changes_nothing(servo):
     models = servo("models")
     data = signals(models, outliers=0.1)
-    model = models.identify(data, models.ROBUST, 0.05**2)
-    whole = models._tracker(data, model.drift, 0.05**2, models.Huber()).run(data.y, data.u)
+    model = models.tracked(data, models.ROBUST, 0.05**2)
+    whole = models._tracker(data, model.drift, models.Huber()).run(data.y, data.u)
     assert model.theta == pytest.approx(whole.theta, abs=1e-10)
     assert np.sqrt(model.covariance[-1].diagonal()) == pytest.approx(whole.std[-1])
     assert model.drift in models.DRIFTS

@@ -1,0 +1,68 @@
+"""Is the model good? The fit does not say, and outliers fool the usual tests.
+
+A good model leaves nothing in its residuals e: they follow neither one another nor the input. `validate` tests psi(e),
+which is bounded: with c the correlations of psi(e) with what came before, c' Cov(c)^-1 c has a chi-squared distribution
+if the model is right, however large the outliers are. A model with a mode too few and the right one are held against a
+recording that neither has seen.
+"""
+
+# %% A plant with a fast mode that hides behind a slow one; one reading in ten is ten times as bad.
+import argparse
+from pathlib import Path
+
+import numpy as np
+from scipy.signal import lfilter
+
+from robust_filterpy import OutputError, identify, validate
+
+A, B = np.convolve([1.0, -0.95], [1.0, 0.4, 0.45]), [0.0, 0.05, 0.25, 0.25]
+STEPS = 1500
+
+
+def recording(rng):
+    """Return y, u."""
+    u = rng.choice([-1.0, 1.0], STEPS)
+    noise = np.where(rng.random(STEPS) < 0.1, 1.0, 0.1) * rng.normal(size=STEPS)
+    return 3.0 + lfilter(B, A, u) + noise, u
+
+
+def main(argv=None):
+    """Identify, validate, draw, conclude."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("examples/output"))
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args(argv)
+    rng = np.random.default_rng(options.seed)
+    (y, u), (y_new, u_new) = recording(rng), recording(rng)
+
+    # %% Each model is made from one recording and validated on another.
+    found = {}
+    for name, structure in {"one mode": OutputError(1, 1), "three modes": OutputError(3, 3)}.items():
+        found[name] = validate(identify(y, u, structure), y_new, u_new)
+        print(f"{name}, {structure}\n{found[name]}\n")
+
+    draw(found, options.out)
+    small, right = found.values()
+    print(
+        f"Conclusion: of the small model, whose free run fits ordinary samples to {small.fits[-1].ordinary:.0f} %, "
+        f"{small.verdict}. The right one fits to {right.fits[-1].ordinary:.0f} %, and {right.verdict}; its fit on all "
+        f"samples, {right.fits[-1].all:.0f} %, says how wild the outliers are, not how good the model is."
+    )
+
+
+def draw(found, out):
+    """Draw the correlations that each model leaves."""
+    import matplotlib.pyplot as plt
+
+    figure = plt.figure(figsize=(8.5, 7.6), layout="constrained")
+    for part, (name, validation) in zip(figure.subfigures(2, 1), found.items(), strict=True):
+        axes = validation.plot(axes=part.subplots(2, 1, sharex=True))
+        part.suptitle(f"{name}: {validation.verdict}", fontsize=9)
+        axes[0].tick_params(labelbottom=False)
+    out.mkdir(parents=True, exist_ok=True)
+    figure.savefig(out / "19_is_the_model_good.png", dpi=110)
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    main()
