@@ -19,8 +19,12 @@ if TYPE_CHECKING:
     from robust_filterpy.batch import FilterBank, filter_series
     from robust_filterpy.correction.mixture import ContaminatedScore
     from robust_filterpy.diagnostics import diagnose
+    from robust_filterpy.edge import export_c
     from robust_filterpy.filters import (
+        AdaptiveCubatureKalmanFilter,
+        AdaptiveExtendedKalmanFilter,
         AdaptiveKalmanFilter,
+        AdaptiveUnscentedKalmanFilter,
         NoiseMatchedKalmanFilter,
         RecoveringKalmanFilter,
         RobustCubatureKalmanFilter,
@@ -30,9 +34,12 @@ if TYPE_CHECKING:
         robust,
     )
     from robust_filterpy.identification import (
+        AR,
+        ARMA,
         ARMAX,
         ARX,
         FIR,
+        BoxJenkins,
         LinearRegression,
         Model,
         OutputError,
@@ -47,9 +54,15 @@ if TYPE_CHECKING:
     from robust_filterpy.smoothing import smooth, smooth_series
 
 _LAZY = {
+    "AR": "identification",
+    "ARMA": "identification",
     "ARMAX": "identification",
     "ARX": "identification",
+    "AdaptiveCubatureKalmanFilter": "filters",
+    "AdaptiveExtendedKalmanFilter": "filters",
     "AdaptiveKalmanFilter": "filters",
+    "AdaptiveUnscentedKalmanFilter": "filters",
+    "BoxJenkins": "identification",
     "ContaminatedScore": "correction.mixture",
     "FIR": "identification",
     "FilterBank": "batch",
@@ -67,6 +80,7 @@ _LAZY = {
     "compare": "identification",
     "diagnose": "diagnostics",
     "estimate_noise": "noise",
+    "export_c": "edge",
     "filter_series": "batch",
     "identify": "identification",
     "robust": "filters",
@@ -77,10 +91,16 @@ _LAZY = {
     "validate": "identification",
 }
 __all__ = [
+    "AR",
+    "ARMA",
     "ARMAX",
     "ARX",
     "FIR",
+    "AdaptiveCubatureKalmanFilter",
+    "AdaptiveExtendedKalmanFilter",
     "AdaptiveKalmanFilter",
+    "AdaptiveUnscentedKalmanFilter",
+    "BoxJenkins",
     "ContaminatedScore",
     "FilterBank",
     "Hampel",
@@ -105,6 +125,7 @@ __all__ = [
     "compare",
     "diagnose",
     "estimate_noise",
+    "export_c",
     "filter_series",
     "identify",
     "robust",

@@ -312,6 +312,7 @@ def without_kernel(monkeypatch):
     monkeypatch.setattr(dispatch, "_cached", frozenset)
     monkeypatch.setattr(dispatch, "COMPILATION", np.inf)
     monkeypatch.setattr(dispatch, "online", lambda: None)
+    monkeypatch.setattr(dispatch, "adaptive", lambda: None)
 
 
 def needs_kernel():

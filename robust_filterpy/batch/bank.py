@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robust_filterpy import _checks
+from robust_filterpy import _checks, _state
 from robust_filterpy._checks import Array, numbers
 from robust_filterpy.compiled import dispatch
 from robust_filterpy.correction.covariance import NotPositiveDefiniteError
@@ -252,6 +252,51 @@ class FilterBank:
                     f'the measurement squared; use scaling="bounded" or "innovation"'
                 )
         return moved, covariance, y, e, S, w if everything else np.where(seen, w, np.nan)
+
+    def state(self) -> dict[str, Array]:
+        """Return everything that the filters need to go on, as plain arrays.
+
+        Returns
+        -------
+        dict of str to ndarray
+            ``format``, as in `RobustKalmanFilter.state`; x, P, F, Q, H and R.
+        """
+        x, P = self._state()
+        return _state.labelled("FilterBank", {"x": x, "P": P, **{name: getattr(self, name) for name in "FQHR"}})
+
+    def restore(self, state: Any) -> None:
+        """Go back to a state of this bank, or of another one of the same sizes.
+
+        Parameters
+        ----------
+        state : mapping of str to ndarray
+            From `state`, or what ``numpy.load`` makes of a file that holds it; F, Q, H and R stay as they are if it
+            does not hold them.
+
+        Raises
+        ------
+        ValueError
+            If it is not of a bank or of a newer format, an array is missing, does not fit, or is not finite, or a P is
+            no covariance; nothing has changed then.
+        TypeError
+            If state is no mapping.
+
+        Notes
+        -----
+        The continuation is the same to the last bit; y, e, S and weights show nothing until the next `update`.
+        """
+        n, d, m = self.n, self.dim_x, self.dim_z
+        sizes = {"F": (d, d), "Q": (d, d), "H": (m, d), "R": (m, m)}
+        shared = [name for name in sizes if name in state and np.ndim(state[name]) == 2]
+        optional = {name: shape if name in shared else (n, *shape) for name, shape in sizes.items()}
+        found = _state.checked(state, "FilterBank", {"x": (n, d), "P": (n, d, d)}, optional)
+        if not _checks.all_covariances(0.5 * (found["P"] + found["P"].swapaxes(1, 2))):
+            for i, matrix in enumerate(found["P"]):
+                _state.require_covariance(f"P[{i}]", matrix)
+        for name, value in found.items():
+            setattr(self, name, value)
+        self.y, self.e = np.zeros((n, m)), np.zeros((n, m))
+        self.S, self.weights = np.zeros((n, m, m)), np.full((n, m), np.nan)
 
     @property
     @np.errstate(all="ignore")

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from robust_filterpy._checks import Array, fraction
+from robust_filterpy._documentation import FOLLOWS, SMALL, STOPPED, pointer
 from robust_filterpy.diagnostics import search, statistics
 from robust_filterpy.diagnostics.candidates import Repair
 from robust_filterpy.diagnostics.recording import FilterRecord, of_filter, of_saver, of_tracker
@@ -26,6 +27,12 @@ __all__ = ["Diagnosis", "Finding", "diagnose"]
 _SEARCHED = 4000
 # Recordings up to here may be too short to show a wrong noise.
 _SHORT = 500
+# Where the documentation has the remedy; the words of the other causes are all there is to say.
+_SECTIONS = {
+    **dict.fromkeys(("R too large", "Q too large", "R and Q too large", "S too large", "more outliers"), FOLLOWS),
+    **dict.fromkeys(("Q too small", "level shift", "state jump", "lost units", "wrong H", "not white"), STOPPED),
+    **dict.fromkeys(("R too small", "R and Q too small", "S too small"), SMALL),
+}
 
 
 @dataclass(frozen=True)
@@ -140,6 +147,9 @@ class Diagnosis:
             f"  normalised innovation squared of unclipped samples {nis.mean:.2f} "
             f"(expected {nis.lower:.2f} to {nis.upper:.2f})"
         )
+        sections = [_SECTIONS[cause] for cause in self.causes if cause in _SECTIONS]
+        if sections:
+            lines.append(f"Remedies: {pointer(*sections)}.")
         return "\n".join(lines)
 
 
@@ -225,6 +235,11 @@ def _recorded(source: Any, zs: Any, per_step: dict[str, Any]) -> FilterRecord:
         )
     if zs is None:
         raise TypeError("zs: expected the measurements, got None")
+    if not is_tracker and not hasattr(source, "H"):
+        raise TypeError(
+            f"source: expected a linear filter, a Saver or a tracker, got {type(source).__name__}; run it with a "
+            "filterpy.common.Saver, save() after each update, and pass that"
+        )
     if is_tracker:
         if any(values is not None for name, values in per_step.items() if name != "us"):
             raise TypeError("Fs, Qs, Hs, Rs, Bs: expected None with a tracker")

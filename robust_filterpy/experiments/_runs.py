@@ -5,7 +5,6 @@ from __future__ import annotations
 import collections.abc
 import inspect
 import operator
-import sys
 import traceback
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple, TypeAlias
@@ -74,33 +73,6 @@ def outcomes_of(
                 yield from parallel(task(trial, root, i) for i in indices[start : start + size])
         return
     yield from parallel(task(trial, root, index) for index in indices)
-
-
-def progress_bar(total: int, progress: bool | None) -> Any:
-    """Return tqdm's bar, or something that takes its calls and shows nothing."""
-    shown = sys.stderr is not None and sys.stderr.isatty() if progress is None else progress
-    if shown:
-        try:
-            from tqdm import tqdm
-
-            return tqdm(total=total, unit="run")
-        except ImportError as error:
-            if progress:
-                raise ImportError("progress=True needs tqdm; use pip install tqdm") from error
-    return _NoBar()
-
-
-class _NoBar:
-    """Stand in for a progress bar."""
-
-    def update(self) -> None:
-        """Ignore a finished run."""
-
-    def set_postfix(self, **_: Any) -> None:
-        """Ignore a count."""
-
-    def close(self) -> None:
-        """Have nothing to close."""
 
 
 def check_trial(trial: Trial) -> None:

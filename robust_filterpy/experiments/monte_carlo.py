@@ -22,6 +22,7 @@ import numpy as np
 from numpy.random import SeedSequence, default_rng
 from numpy.typing import NDArray
 
+from robust_filterpy._progress import progress_bar
 from robust_filterpy.experiments._runs import (
     Raised,
     Seed,
@@ -30,7 +31,6 @@ from robust_filterpy.experiments._runs import (
     child_of,
     integer,
     outcomes_of,
-    progress_bar,
     root_seed,
     run_numbers,
 )
@@ -221,7 +221,7 @@ def monte_carlo(
         if n_jobs == 0:
             raise ValueError("n_jobs: expected a positive number, -1 for all processors, or None, got 0")
     outcomes = outcomes_of(trial, root, indices, n_jobs)
-    bar = progress_bar(len(indices), progress)
+    bar = progress_bar(len(indices), progress, "run")
 
     done: list[int] = []
     results: list[Any] = []

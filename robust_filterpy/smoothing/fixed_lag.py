@@ -9,7 +9,7 @@ import filterpy.kalman
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robust_filterpy import _checks
+from robust_filterpy import _checks, _state
 from robust_filterpy._arrays import control_term, measured, noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import GROUPINGS, Grouping
@@ -195,6 +195,94 @@ class FixedLagSmoother(filterpy.kalman.FixedLagSmoother):
         self._window = self._window[1:]
         self._beliefs = [rule.remembered(_MEMORY) if isinstance(rule, Learnt) else Belief() for rule in rules]
 
+    xSmooth: list[Array]
+    count: int
+
+    def state(self) -> dict[str, Array]:
+        """Return everything that the smoother needs to go on, as plain arrays.
+
+        Returns
+        -------
+        dict of str to ndarray
+            ``format``, as in `robust_filterpy.RobustKalmanFilter.state`; x and P; the window, a row for each of its L
+            steps: F, Q, c, H, R, z, precision, offset, process_scale and the estimates smooth; what is known before
+            the window, prior_x and prior_P; count; and what is learnt of the noises, beliefs (2, 4, kinds) and
+            mixtures (2, 2, kinds), NaN where nothing is. All of float64.
+        """
+        x, P = state_of(self)
+        window = _stacked(self._window, self.dim_x, self.dim_z)
+        latest = self.xSmooth[len(self.xSmooth) - len(self._window) :]
+        learnt = self._learnt_arrays(self._beliefs, self._mixtures)
+        prior = {"prior_x": self._prior[0], "prior_P": self._prior[1]}
+        return _state.labelled(
+            self._kind,
+            {"x": x, "P": P, **{f"window_{name}": array for name, array in window.items()},
+             "smooth": np.reshape(latest, (len(self._window), self.dim_x)), **prior, "count": self.count, **learnt},
+        )  # fmt: skip
+
+    def restore(self, state: Any) -> None:
+        """Go back to a state of this smoother, or of another one made like it.
+
+        Parameters
+        ----------
+        state : mapping of str to ndarray
+            From `state`, or what ``numpy.load`` makes of a file that holds it.
+
+        Raises
+        ------
+        ValueError
+            If it is of something else or of a newer format, an array is missing, does not fit, or is not finite, or P
+            is no covariance; nothing has changed then.
+        TypeError
+            If state is no mapping.
+
+        Notes
+        -----
+        The continuation is the same to the last bit. xSmooth begins with the oldest step of the window. F, Q, H, R and
+        B of the steps to come are those of this object.
+        """
+        n, m = self.dim_x, self.dim_z
+        parts = {f"window_{k}": (None, *a.shape[1:]) for k, a in _stacked([], n, m).items()}
+        needed = {"x": (n,), "P": (n, n), **parts, "smooth": (None, n), "prior_x": (n,), "prior_P": (n, n), "count": ()}
+        kinds = self._kinds
+        needed |= {"beliefs": (2, 4, kinds), "mixtures": (2, 2, kinds)}
+        found = _state.checked(state, self._kind, needed, {}, ("window_z", "beliefs", "mixtures"))
+        steps = len(found["smooth"])
+        if any(len(found[name]) != steps for name in parts):
+            raise ValueError(f"state: expected {steps} steps in each part of the window, got others")
+        self.x, self.P, shape = found["x"], found["P"], found["x"].shape
+        rows = [found[f"window_{name}"] for name in _Step._fields]
+        self._window = [_Step(*(row[i].item() if row.ndim == 1 else row[i] for row in rows)) for i in range(steps)]
+        self._prior, self.count = (found["prior_x"], found["prior_P"]), int(found["count"])
+        self.xSmooth = [one.reshape(shape).copy() for one in found["smooth"]]
+        self.x_s = self.xSmooth[0].copy() if steps else np.zeros(shape)
+        self.weights = np.empty((0, m))
+        for i, size in enumerate((1 if self._joint else m, 1)):
+            belief, mixture = found["beliefs"][i, :, :size], found["mixtures"][i, :, :size]
+            self._beliefs[i] = Belief() if np.isnan(belief).all() else Belief(*belief[:, None])
+            self._mixtures[i] = None if np.isnan(mixture).all() else Mixture(*mixture[:, None])
+
+    @property
+    def _kind(self) -> str:
+        """What a state belongs to."""
+        return f"{type(self).__name__} of lag {self.N}"
+
+    @property
+    def _kinds(self) -> int:
+        """How many noises there are at most."""
+        return 1 if self._joint else self.dim_z
+
+    def _learnt_arrays(self, beliefs: list[Belief], mixtures: list[Mixture | None]) -> dict[str, Array]:
+        """Return what is learnt of measurement and process noise, NaN where nothing is."""
+        found = {"beliefs": np.full((2, 4, self._kinds), np.nan), "mixtures": np.full((2, 2, self._kinds), np.nan)}
+        for i, (belief, mixture) in enumerate(zip(beliefs, mixtures, strict=True)):
+            # One that has not met a sample is made of numbers.
+            for name, parts in (("beliefs", belief), ("mixtures", mixture)):
+                for j, part in enumerate(parts or ()):
+                    if np.ndim(part):
+                        found[name][i, j, : np.size(part)] = np.ravel(part)
+        return found
+
     def smooth_batch(self, zs: Any, N: int, us: Any = None) -> tuple[Array, Array]:
         """Smooth a recording with a lag, and change nothing in this object.
 
@@ -233,6 +321,13 @@ class FixedLagSmoother(filterpy.kalman.FixedLagSmoother):
             latest.append(live.x)
         shape = (len(latest), *np.shape(self.x))
         return np.array(live.xSmooth).reshape(shape), np.array(latest).reshape(shape)
+
+
+def _stacked(window: list[_Step], n: int, m: int) -> dict[str, Array]:
+    """Return the steps of a window as arrays with an axis of steps in front."""
+    shapes = {"F": (n, n), "Q": (n, n), "c": (n,), "H": (m, n), "R": (m, m), "z": (m,), "precision": (m,)}
+    shapes |= {"offset": (m,), "process_scale": ()}
+    return {k: np.array([getattr(one, k) for one in window]).reshape(-1, *shape) for k, shape in shapes.items()}
 
 
 def _problem(window: list[_Step], prior: tuple[Array, Array]) -> Recording:

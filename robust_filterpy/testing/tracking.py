@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -116,10 +117,8 @@ def assert_stable_model(runs: Any) -> None:
         If not; it names the sample.
     """
     for run in as_tracker_runs(runs):
-        part = run.known.structure.feeds_back
-        if part is None:
-            continue
-        for k, theta in enumerate(run.theta):
+        parts = run.known.structure.stable_parts
+        for (k, theta), part in product(enumerate(run.theta), parts):
             if not is_stable(theta[part].tolist()):
                 radius = float(np.abs(np.roots([1.0, *np.nan_to_num(theta[part])])).max())
                 raise AssertionError(

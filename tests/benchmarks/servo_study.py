@@ -66,7 +66,7 @@ def causes(seed: int, steps: int) -> str:
         ("without dry friction, amplitude x 0.3", sliding, 0.3),
         ("without dry friction, amplitude x 0.1", sliding, 0.1),
     ):
-        model = model_response(frozen(given, k, 6.0, servo, amplitude), z)
+        model = model_response(frozen(given, k, servo, amplitude), z)
         apart = decibel(model) - decibel(linearized(servo, 0.0, 0.12 * amplitude, z, **physics))
         lines.append(f"  {what:40}" + " ".join(f"{value:+6.1f}" for value in apart))
     return "\n".join(lines)

@@ -7,7 +7,7 @@ from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
 from scipy import stats
 from statsmodels.stats.diagnostic import acorr_ljungbox
 
-from robust_filterpy import Huber, Linear, RobustKalmanFilter
+from robust_filterpy import Huber, Linear, RobustExtendedKalmanFilter, RobustKalmanFilter
 from robust_filterpy.diagnostics import diagnose, statistics
 from robust_filterpy.identification import ARX, ParameterTracker
 
@@ -364,6 +364,7 @@ def test_longest_run_of_random_events_is_below_the_expected_in_99_percent():
     [
         (lambda: diagnose(3), TypeError, "source: expected a filter"),
         (lambda: diagnose(robust()), TypeError, "zs: expected the measurements"),
+        (lambda: diagnose(RobustExtendedKalmanFilter(1, 1), [1.0]), TypeError, "linear filter, a Saver or a tracker"),
         (lambda: diagnose(robust(), []), ValueError, "zs: expected at least one"),
         (lambda: diagnose(Saver(robust())), ValueError, "saver: expected"),
         (lambda: diagnose(robust(), [[1.0, 2.0]], contamination=1.0), ValueError, "contamination"),

@@ -1,15 +1,20 @@
 """The site builds without a warning, every link and image inside it leads somewhere, and its programs run."""
 
+import json
+import os
 import re
+import shutil
 import subprocess
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+import numpy as np
 import pytest
 
 import robust_filterpy
+from robust_filterpy import RobustKalmanFilter, _documentation, diagnose
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -83,3 +88,33 @@ def test_every_public_name_is_described(site):
 def test_program_runs(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     exec(compile(SNIPPETS[name], name, "exec"), {"__name__": "page"})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("[01]*.py")), ids=lambda path: path.stem)
+def test_notebooks_run_in_the_folder_of_the_examples(path, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(DOCS))
+    cells = json.loads(pytest.importorskip("generated").notebook(path))["cells"]
+    code = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+    folder = tmp_path / "examples"
+    shutil.copytree(path.parent, folder)
+    environment = {**os.environ, "MPLBACKEND": "Agg", "PYTHONPATH": str(ROOT)}
+    run = subprocess.run([sys.executable, "-c", code], cwd=folder, env=environment, capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    assert "onclusion" in run.stdout
+
+
+def test_messages_point_to_sections_that_the_page_has():
+    text = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
+    assert text.startswith(f"# {_documentation.PAGE}\n")
+    for section in (_documentation.FOLLOWS, _documentation.STOPPED, _documentation.SMALL):
+        assert f"\n## {section}\n" in text
+    said = str(diagnose(*_too_small()))
+    assert _documentation.pointer(_documentation.SMALL) in said
+
+
+def _too_small():
+    """Return a filter whose R is a hundred times too small, and a recording."""
+    kf = RobustKalmanFilter(1, 1)
+    kf.F, kf.H, kf.Q, kf.R = np.eye(1), np.eye(1), 1e-4 * np.eye(1), 0.01 * np.eye(1)
+    return kf, np.random.default_rng(10004).normal(size=400)

@@ -59,7 +59,7 @@ def test_fixed_parameters_agree_with_control(seed, na, degree):
     den = np.concatenate(([1.0], stable_theta(rng, na, 0))) * rng.uniform(0.5, 2.0)
     system = control.tf(rng.normal(size=min(degree, na) + 1), den, dt=0.1)
     u = rng.normal(size=200)
-    expected = control.forced_response(system, inputs=u).outputs
+    expected = control.forced_response(system, None, u).outputs
     for simulate in SIMULATORS:
         found = simulate(system, u)
         np.testing.assert_allclose(found.y, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
@@ -70,7 +70,7 @@ def test_fixed_parameters_agree_with_control(seed, na, degree):
 def test_the_papers_plant_agrees_with_control_to_rounding():
     u = np.random.default_rng(0).choice((-1.0, 1.0), 1000)
     system = control.tf(THETA_BAR[4:], np.concatenate(([1.0], THETA_BAR[:4])), dt=True)
-    expected = control.forced_response(system, inputs=u).outputs
+    expected = control.forced_response(system, None, u).outputs
     found = simulate_output_error(system, u)
     np.testing.assert_allclose(found.y_clean, expected, atol=1e-13)
     np.testing.assert_array_equal(found.theta, np.tile(THETA_BAR, (1000, 1)))
@@ -88,7 +88,7 @@ def test_direct_feed_through_and_delay_agree_with_control():
     u = np.random.default_rng(1).normal(size=50)
     for num, nk in (([2.0, 1.0, 0.5], 0), ([2.0, 1.0], 1), ([2.0], 2)):
         system = control.tf(num, [1.0, -0.5, 0.1], dt=1)
-        expected = control.forced_response(system, inputs=u).outputs
+        expected = control.forced_response(system, None, u).outputs
         np.testing.assert_allclose(simulate_output_error(system, u).y, expected, atol=1e-12)
         by_theta = simulate_output_error([-0.5, 0.1, *num], u, na=2, nb=len(num), nk=nk)
         np.testing.assert_allclose(by_theta.y, expected, atol=1e-12)

@@ -230,7 +230,7 @@ def test_linear_model_predicts_small_perturbations_of_the_nonlinear_plant():
     steady = simulate_actuator(np.full(n, point.valve), dt, **options)
     nudged = simulate_actuator(point.valve + nudge, dt, **options)
     assert steady.velocity == pytest.approx(0.05, abs=1e-6)
-    predicted = control.forced_response(model.valve_to_position, inputs=nudge).outputs
+    predicted = control.forced_response(model.valve_to_position, None, nudge).outputs
     difference = nudged.position - steady.position
     assert np.linalg.norm(difference - predicted) < 0.05 * np.linalg.norm(difference)
 
@@ -245,7 +245,7 @@ def test_linear_loop_predicts_small_perturbations_of_the_nonlinear_loop():
     nudge = 1e-4 * np.sign(np.random.default_rng(3).standard_normal(n))
     options = dict(initial=start, rtol=1e-9, compensation=1.0)
     difference = simulate_servo(ramp + nudge, dt, **options).position - simulate_servo(ramp, dt, **options).position
-    predicted = control.forced_response(model.reference_to_position, inputs=nudge).outputs
+    predicted = control.forced_response(model.reference_to_position, None, nudge).outputs
     assert np.linalg.norm(difference - predicted) < 0.05 * np.linalg.norm(difference)
 
 

@@ -156,7 +156,7 @@ def test_a_transfer_function_of_python_control_becomes_a_plant():
     assert arx(system).structure == ARX(2, 1, 2)
     np.testing.assert_array_equal(output_error(system, sigma=0.1).theta, [-0.5, 0.0, 2.0])
     scenario = draw(output_error(system, sigma=0.1), 50, rng=1)
-    answer = control.forced_response(system, inputs=scenario.u).outputs
+    answer = control.forced_response(system, None, scenario.u).outputs
     np.testing.assert_allclose(scenario.y_clean, answer, atol=1e-12)
 
 
