@@ -33,7 +33,8 @@ class ColdStart:
 
     def add(self, y: Array, u: Array) -> None:
         """Keep samples, at most as many as it waits for."""
-        self.waits -= len(y)
+        # A frozen tracker does not look: it stays due, and a count below 0 would say in a state that there is no start.
+        self.waits = max(self.waits - len(y), 0)
         keep = max(0, _LONGEST * self.samples - len(y))
         self.y, self.u = np.append(self.y[-keep:], y), np.concatenate((self.u[-keep:], u))
 

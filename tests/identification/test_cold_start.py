@@ -174,6 +174,19 @@ def test_a_frozen_tracker_makes_no_model():
     np.testing.assert_allclose(tracker.theta, THETA, atol=0.1)
 
 
+def test_a_start_that_a_frozen_tracker_outlived_is_in_its_state():
+    y, u = recording(200)
+    tracker, other = (ParameterTracker(ARX(1, 1), start=40) for _ in range(2))
+    tracker.enabled = False
+    tracker.run(y[:22], u[:22])
+    other.restore(tracker.state())
+    for one in (tracker, other):
+        one.enabled = True
+        one.run(y[22:], u[22:])
+    assert np.isfinite(other.std).all()
+    np.testing.assert_array_equal(other.theta, tracker.theta)
+
+
 def test_what_is_told_keeps_its_meaning():
     assert ParameterTracker(ARX(1, 1), R=0.3).R == 0.3
     one = ParameterTracker(ARX(1, 1), theta=[0.1, 0.2])
