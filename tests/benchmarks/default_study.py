@@ -61,6 +61,31 @@ def ranges(seed: int, steps: int, scale: float = 1.0) -> Case:
                 np.ones(steps), label / np.sqrt(scale))  # fmt: skip
 
 
+def beside_each_other(seed: int, steps: int, scale: float = 1.0) -> Case:
+    """Two sensors of one position, one four times as good; each is wrong a tenth of the time, whatever the other is."""
+    g = np.random.default_rng(seed)
+    F, H, root = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]] * 2), 0.1 * np.array([[0.5], [1.0]])
+    truth, R = _path(g, F, root, steps, 2), np.diag([1.0, 16.0])
+    label = np.where(g.random((steps, 2)) < 0.1, 10.0, 1.0)
+    zs = truth @ H.T + label * np.sqrt(R.diagonal()) * g.standard_normal((steps, 2))
+    return Case(F, H, root @ root.T, scale * R, np.zeros(2), 10 * np.eye(2), truth, zs, np.ones(steps),
+                label / np.sqrt(scale))  # fmt: skip
+
+
+def one_stuck(seed: int, steps: int) -> Case:
+    """Position and speed of three axes, of which one position at a time says the same for 20 samples in a hundred."""
+    g = np.random.default_rng(seed)
+    F, root = np.kron(np.eye(3), [[1.0, 0.1], [0.0, 1.0]]), np.kron(np.eye(3), 0.3 * np.array([[0.05], [1.0]]))
+    H, truth = np.eye(6), _path(g, F, root, steps, 6)
+    zs, label = truth + 0.2 * g.standard_normal((steps, 6)), np.ones((steps, 6))
+    for k in range(20, steps - 20, 100):
+        axis = 2 * g.integers(3)
+        zs[k : k + 20, axis] = zs[k, axis]
+    # The labels leave out what is stuck.
+    label[1:][zs[1:] == zs[:-1]] = 1e4
+    return Case(F, H, root @ root.T, 0.04 * np.eye(6), np.zeros(6), np.eye(6), truth, zs, np.ones(steps), label)
+
+
 def vectors(seed: int, steps: int) -> Case:
     """A camera that reports three coordinates and is wrong in all of them at once, a tenth of the time."""
     g = np.random.default_rng(seed)
@@ -137,6 +162,9 @@ def problems(steps: int) -> dict[str, tuple[Callable[[int], Case], Callable[...,
         "vehicle, both noises": partial(vehicle, process=0.1, measurement=0.1, scale=10.0, steps=steps),
         "six ranges, natural delays": partial(ranges, steps=steps),
         "six ranges, R told 4 times too small": partial(ranges, steps=steps, scale=0.25),
+        "two sensors, each fails on its own": partial(beside_each_other, steps=steps),
+        "the same, R told 10 times too small": partial(beside_each_other, steps=steps, scale=0.1),
+        "six sensors, one stuck": partial(one_stuck, steps=steps),
         "camera of three coordinates": partial(vectors, steps=steps),
     }
     found = {name: (draw, alone) for name, draw in drawn.items()}
