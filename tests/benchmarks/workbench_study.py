@@ -111,9 +111,8 @@ def sippy(arguments):
         found["select_structure's"].append(fit - free_fit(best.simulate(fresh) - best.level, clean))
     print(f"  SIPPY's ARX by BIC, {len(found['delay'])} plants: delay {100 * np.mean(found['delay']):.0f} %")
     for name in ("SIPPY's", "select_structure's"):
-        print(
-            f"  {name} points below the true structure: median {np.median(found[name]):.1f}, worst {max(found[name]):.1f}"
-        )
+        middle, worst = np.median(found[name]), max(found[name])
+        print(f"  {name} points below the true structure: median {middle:.1f}, worst {worst:.1f}")
 
 
 def alarms(arguments):
