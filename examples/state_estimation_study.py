@@ -321,9 +321,10 @@ def main(argv: list[str] | None = None) -> dict[str, dict[str, Row]]:
         errors = study(setting, args.runs, args.steps, args.seed, on_threads(args.jobs))
         results[setting.title] = summarize(errors, args.seed)
         print(f"{setting.title}\n{table(results[setting.title], args.runs)}\n", flush=True)
-    draw(results, args.runs, args.out / "state_estimation_study.png")
+    figure = args.out.resolve() / "state_estimation_study.png"
+    draw(results, args.runs, figure)
     print(conclusion(results, args.runs))
-    print("Figure: state_estimation_study.png")
+    print(f"Figure: {figure}")
     return results
 
 

@@ -94,7 +94,7 @@ def test_program_runs(name, tmp_path, monkeypatch):
 @pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("[01]*.py")), ids=lambda path: path.stem)
 def test_notebooks_run_in_the_folder_of_the_examples(path, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(DOCS))
-    cells = json.loads(pytest.importorskip("generated").notebook(path))["cells"]
+    cells = json.loads(pytest.importorskip("gallery").notebook(path))["cells"]
     code = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
     folder = tmp_path / "examples"
     shutil.copytree(path.parent, folder)
