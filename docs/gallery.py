@@ -48,6 +48,8 @@ STORY = {
         "pneumatic_servo": "A pneumatic servo",
     },
 }
+# What makes a long one short enough to be run whenever the site is built.
+OPTIONS = {"pneumatic_servo": ["--seeds", "2"]}
 # Beside the outputs: what they were made from.
 STAMP = "made_from"
 SPECIAL = re.compile(r"([\\*`|_])")
@@ -96,9 +98,8 @@ def run(path: Path, out: Path) -> str:
     here = path.parents[1]
     search = os.pathsep.join(filter(None, (str(here), os.environ.get("PYTHONPATH"))))
     environment = {**os.environ, "MPLBACKEND": "Agg", "PYTHONPATH": search, "PYTHONIOENCODING": "utf-8"}
-    done = subprocess.run(
-        [sys.executable, path, "--out", out], cwd=here, env=environment, capture_output=True, encoding="utf-8"
-    )
+    command = [sys.executable, path, "--out", out, *OPTIONS.get(path.stem, [])]
+    done = subprocess.run(command, cwd=here, env=environment, capture_output=True, encoding="utf-8")
     if done.returncode:
         raise ExtensionError(f"{path.name} fails:\n{done.stderr}")
     return done.stdout.replace(str(out), "examples/output")
@@ -108,17 +109,19 @@ def page(name: str, title: str, question: str, rest: str, figures: list[str], pr
     """Return the page of an example: question, figures, conclusion, what else it prints, code."""
     table, _, conclusion = printed.partition("Conclusion")
     # The figures are on the page.
-    table, conclusion = (re.sub(r"(?m)^(\w+ )?Figures?: .*\n?", "", text) for text in (table, conclusion))
+    table, conclusion = (re.sub(r"(?m)^(Figure|Data): .*\n?", "", text) for text in (table, conclusion))
     stem = Path(name).stem
+    run_as = " ".join([f"python examples/{name}", *OPTIONS.get(stem, [])])
     lines = [heading(title), question + "\n", rest + "\n"]
     lines += [f".. image:: {figure}\n   :alt: {title}\n   :class: figure\n" for figure in figures]
     lines += [f"**Conclusion**{escaped(' '.join(conclusion.split()))}\n"]
-    lines += [heading("What it prints", "-"), "::\n", indented(table.strip("\n")), ""] if table.strip() else []
+    if table.strip():
+        lines += [heading("What it prints", "-"), ".. code-block:: text\n", indented(table.strip("\n")), ""]
     return "\n".join(
         [
             *lines,
             heading("The program", "-"),
-            f"Run ``python examples/{name}``, or take the file, :download:`{name} <../../examples/{name}>`, or the "
+            f"Run ``{run_as}``, as this page did, or take the file, :download:`{name} <../../examples/{name}>`, or the "
             f"notebook, :download:`{stem}.ipynb <notebooks/{stem}.ipynb>`.\n",
             f".. literalinclude:: ../../examples/{name}\n   :language: python\n",
         ]

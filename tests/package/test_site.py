@@ -18,6 +18,7 @@ from robust_filterpy import RobustKalmanFilter, _documentation, diagnose
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 # testing.md is made from the room it describes, and its own test runs that.
 SNIPPETS = {
     f"{path.stem}-{i}": text
@@ -82,6 +83,21 @@ def test_every_public_name_is_described(site):
     anchors = set().union(*(page.anchors for page in site.values()))
     described = {anchor.rpartition(".")[2] for anchor in anchors if anchor and anchor.startswith("robust_filterpy.")}
     assert {name for name in robust_filterpy.__all__ if not name.startswith("__")} <= described
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_page_of_an_example_shows_its_figure_and_its_conclusion(path, site):
+    (page,) = (page for page in site if page.parts[-2:] == ("examples", f"{path.stem}.html"))
+    assert any("_images/" in reference for reference in site[page].references)
+    assert "<strong>Conclusion</strong>" in page.read_text(encoding="utf-8")
+
+
+def test_every_example_has_its_place_in_the_gallery(monkeypatch):
+    monkeypatch.syspath_prepend(str(DOCS))
+    story = pytest.importorskip("gallery").STORY
+    placed = [stem for chapter in story.values() for stem in chapter]
+    assert sorted(placed) == [path.stem for path in EXAMPLES]
 
 
 @pytest.mark.parametrize("name", SNIPPETS)
