@@ -165,6 +165,7 @@ STYLE = {
 def draw(flow, reference, tracks, lasting, path: Path) -> None:
     """Draw the recording, one stop, the spike, and the stop that lasts."""
     import matplotlib.pyplot as plt
+    from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 
     figure = plt.figure(figsize=(12, 7.2), layout="constrained")
     grid = figure.add_gridspec(2, 3, height_ratios=(1, 1.6))
@@ -176,6 +177,8 @@ def draw(flow, reference, tracks, lasting, path: Path) -> None:
         whole.annotate(name, (times[after + 10], 40 if name != "spike" else 70))
     whole.set(ylabel="flow, l/s", title="Eight weeks of a water main: the pump stops, the meter jumps")
     whole.set(xlim=(times[0], times[-1]))
+    locator = AutoDateLocator()
+    whole.xaxis.set(major_locator=locator, major_formatter=ConciseDateFormatter(locator))
 
     views = (("stop 1", 12, 30, tracks, flow), ("spike", 12, 18, tracks, flow), ("stop 3", 12, 60, lasting, None))
     for column, (name, before, beyond, shown, data) in enumerate(views):
@@ -192,7 +195,7 @@ def draw(flow, reference, tracks, lasting, path: Path) -> None:
         title = {
             "stop 1": "A pump stop: Tukey keeps the usual flow",
             "spike": "The spike: only Kalman follows it",
-            "stop 3": "Had stop 3 lasted (made up): Huber learns it",
+            "stop 3": "Had it lasted (made up): Huber learns it",
         }[name]
         axis.set(xlabel="hours since it began", ylabel="flow, l/s", title=title)
     figure.legend(*figure.axes[1].get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False)
