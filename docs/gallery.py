@@ -63,10 +63,10 @@ def pages(examples: Path, docs: Path) -> dict[str, str]:
     found, questions, figures = {}, {}, {}
     printed = outputs([examples / f"{stem}.py" for stem in titles], docs / "examples" / "outputs")
     for stem, title in titles.items():
-        path, drawn = examples / f"{stem}.py", sorted((docs / "examples" / "outputs" / stem).glob("*.png"))
+        path, drawn = examples / f"{stem}.py", re.findall(r"(?m)^Figure: (.*)$", printed[stem])
         question, _, rest = (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "").partition("\n\n")
         questions[stem] = " ".join(question.split())
-        figures[stem] = [f"outputs/{stem}/{image.name}" for image in drawn]
+        figures[stem] = [f"outputs/{stem}/{Path(figure).name}" for figure in drawn]
         found[f"examples/{stem}.rst"] = page(path.name, title, question, rest, figures[stem], printed[stem])
         found[f"examples/notebooks/{stem}.ipynb"] = notebook(path)
     found["examples/index.rst"] = gallery(questions, figures)
