@@ -75,17 +75,18 @@ def pages(examples: Path, docs: Path) -> dict[str, str]:
 
 def outputs(paths: list[Path], folder: Path) -> dict[str, str]:
     """Run the examples whose source or package has changed, and return what each printed, by name."""
-    source, folders = hashlib.sha256(), (paths[0].parent, paths[0].parents[1] / "robust_filterpy")
+    shared, folders = hashlib.sha256(), (paths[0].parent / "servo", paths[0].parents[1] / "robust_filterpy")
     for path in sorted(path for top in folders for path in top.rglob("*.py")):
-        source.update(path.read_bytes())
+        shared.update(path.read_bytes())
 
     def one(path: Path) -> str:
         out = folder / path.stem
         stamp, log = out / STAMP, out / "printed.txt"
-        if not stamp.exists() or stamp.read_text(encoding="utf-8") != source.hexdigest():
+        made_from = hashlib.sha256(shared.digest() + path.read_bytes()).hexdigest()
+        if not stamp.exists() or stamp.read_text(encoding="utf-8") != made_from:
             out.mkdir(parents=True, exist_ok=True)
             log.write_text(run(path, out), encoding="utf-8")
-            stamp.write_text(source.hexdigest(), encoding="utf-8")
+            stamp.write_text(made_from, encoding="utf-8")
         return log.read_text(encoding="utf-8")
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
