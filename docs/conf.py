@@ -6,6 +6,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent)]
 
+import gallery  # noqa: E402
 import generated  # noqa: E402
 
 from robust_filterpy import __version__  # noqa: E402
@@ -44,4 +45,8 @@ html_copy_source = False
 
 def setup(app):
     """Write the reference and the pages of the examples before Sphinx looks for pages."""
-    app.connect("builder-inited", lambda _: generated.write(HERE))
+
+    def write(_):
+        generated.write(HERE, {**generated.api_pages(), **gallery.pages(HERE.parent / "examples", HERE)})
+
+    app.connect("builder-inited", write)

@@ -1,12 +1,9 @@
-"""Pages made from the code: one for each room of the package, one for each example."""
+"""Pages made from the code: one for each room of the package."""
 
-import ast
 import importlib
 import inspect
 import pkgutil
 from pathlib import Path
-
-import jupytext
 
 import robust_filterpy
 
@@ -18,9 +15,8 @@ FOREIGN = (
 )
 
 
-def write(docs: Path) -> None:
-    """Write api/ and examples/ below docs."""
-    pages = {**api_pages(), **example_pages(docs.parent / "examples")}
+def write(docs: Path, pages: dict[str, str]) -> None:
+    """Write pages, by file name, below docs."""
     for name, text in pages.items():
         path = docs / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -101,51 +97,6 @@ def directive(module: str, name: str, thing: object) -> str:
     if not inspect.isclass(thing):
         return f".. autofunction:: {path}\n"
     return f".. autoclass:: {path}\n   :members:\n   :inherited-members: {FOREIGN}\n"
-
-
-def example_pages(folder: Path) -> dict[str, str]:
-    """Return a page for each example and their list, by file name."""
-    pages, entries = {}, []
-    for path in sorted(folder.glob("*.py")):
-        question, _, rest = (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "").partition("\n\n")
-        source = f"../../examples/{path.name}"
-        pages[f"examples/{path.stem}.rst"] = "\n".join(
-            [
-                heading(path.stem.replace("_", " ")),
-                question + "\n",
-                rest + "\n",
-                f"Run ``python examples/{path.name}``, or take the file, :download:`{path.name} <{source}>`, or the "
-                f"notebook, :download:`{path.stem}.ipynb <notebooks/{path.stem}.ipynb>`.\n",
-                f".. literalinclude:: {source}\n   :language: python\n",
-            ]
-        )
-        pages[f"examples/notebooks/{path.stem}.ipynb"] = notebook(path)
-        entries.append((path.stem, " ".join(question.split())))
-    index = [
-        heading("Examples"),
-        "Each states a question, draws one figure and prints one conclusion. The figures are written to\n"
-        "``examples/output``.\n",
-        *[f"* :doc:`{stem}`: {question}" for stem, question in entries],
-        "\n.. toctree::\n   :hidden:\n",
-        *[f"   {stem}" for stem, _ in entries],
-        "",
-    ]
-    return {"examples/index.rst": "\n".join(index), **pages}
-
-
-def notebook(path: Path) -> str:
-    """Return an example as a notebook: a cell for each part that `# %%` begins; it runs in the folder of the examples.
-
-    An example reads its options from the command line, which a notebook has none of.
-    """
-    found = jupytext.reads(path.read_text(encoding="utf-8"), fmt="py:percent")
-    for number, cell in enumerate(found.cells):
-        # nbformat draws these at random, and the page would differ from build to build.
-        cell["id"] = f"cell-{number}"
-        cell.source = cell.source.replace('if __name__ == "__main__":\n    main()', "main([])")
-        # A notebook does not know its file.
-        cell.source = cell.source.replace("Path(__file__)", f'Path("{path.name}")')
-    return str(jupytext.writes(found, fmt="ipynb"))
 
 
 def heading(text: str, line: str = "=") -> str:

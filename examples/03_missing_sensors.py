@@ -12,6 +12,7 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import RobustKalmanFilter
+from robust_filterpy.plotting import LOOKS
 
 SIGMA = np.array([0.2, 0.3, 0.5])
 
@@ -69,22 +70,27 @@ def draw(level, zs, plain, robust, weights, out):
 
     figure, (top, bottom) = plt.subplots(2, 1, figsize=(9, 5.5), sharex=True, layout="constrained")
     for column, (name, marker) in enumerate(zip("ABC", "xo+", strict=True)):
-        top.plot(zs[:, column], marker, color=str(0.35 + 0.2 * column), ms=3, label=f"sensor {name}")
-        bottom.plot(weights[:, column], ["-", "--", ":"][column], color=f"C{column}", label=f"sensor {name}")
+        shade, style = str(0.2 + 0.25 * column), ("-", "--", ":")[column]
+        top.plot(zs[:, column], marker, color=shade, ms=3, label=f"sensor {name}")
+        smooth = np.convolve(weights[:, column], np.ones(15) / 15, mode="same")
+        bottom.plot(np.arange(7, smooth.size - 7), smooth[7:-7], style, color=shade, label=f"sensor {name}")
     top.plot(level, "k-", lw=2.5, label="truth")
-    top.plot(plain, "C1--", label="KalmanFilter")
-    top.plot(robust, "C0-", label="RobustKalmanFilter")
+    top.plot(plain, label="KalmanFilter", **LOOKS["Kalman"])
+    top.plot(robust, label="RobustKalmanFilter", **LOOKS["Huber"])
     for span, text in (((50, 120), "B missing"), ((150, 180), "all missing"), ((250, 350), "A reads 8 too much")):
         for ax in (top, bottom):
             ax.axvspan(*span, color="0.92", zorder=0)
         bottom.text(np.mean(span), 0.05, text, ha="center", fontsize=8)
-    top.set(ylabel="temperature [°C]", title="Three thermometers")
+    top.set(ylabel="temperature [°C]", title="A sensor that fails carries the Kalman filter away")
     bottom.set(xlabel="step", ylabel="weight psi(e)/e", ylim=(0, 1.08))
+    bottom.set_title("The robust filter gives it no weight, and uses what is there (means of 15 samples)")
     top.legend(fontsize=8, ncols=2)
     bottom.legend(fontsize=8, loc="center left")
     out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out / "03_missing_sensors.png", dpi=110)
+    path = out.resolve() / "03_missing_sensors.png"
+    figure.savefig(path, dpi=110)
     plt.close(figure)
+    print(f"Figure: {path}")
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from filterpy.common import Q_discrete_white_noise
 from filterpy.kalman import IMMEstimator, KalmanFilter
 
 from robust_filterpy import RobustKalmanFilter, TukeyBiweight
+from robust_filterpy.plotting import LOOKS
 
 SIGMA = 1.0
 KINDS = {
@@ -89,17 +90,21 @@ def draw(truth, agile, results, out):
     import matplotlib.pyplot as plt
 
     figure, (top, bottom) = plt.subplots(2, 1, figsize=(9, 5.5), sharex=True, layout="constrained")
-    for (name, (x, mu)), color, style in zip(results.items(), ("C1", "C0", "k"), ("--", "-", ":"), strict=True):
-        top.plot(mu, lw=1.3, label=f"IMM of {name}", color=color, ls=style)
-        bottom.plot(np.abs(x - truth), lw=1.3, label=f"IMM of {name}", color=color, ls=style)
+    looks = (LOOKS[name] for name in ("Kalman", "Huber", "Tukey"))
+    for (name, (x, mu)), look in zip(results.items(), looks, strict=True):
+        top.plot(mu, lw=1.3, label=f"IMM of {name}", **look)
+        bottom.plot(np.abs(x - truth), lw=1.3, label=f"IMM of {name}", **look)
     for ax in (top, bottom):
         ax.axvspan(*np.flatnonzero(agile)[[0, -1]], color="0.9", zorder=0, label="manoeuvre")
     top.set(ylabel="probability of the agile model", ylim=(-0.02, 1.02))
     bottom.set(xlabel="step", ylabel="position error [m]", yscale="log", ylim=(1e-2, None))
+    figure.suptitle("Outliers look like manoeuvres, unless psi returns to zero")
     top.legend(fontsize=8, ncols=4, loc="lower left", bbox_to_anchor=(0.0, 1.0))
     out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out / "05_imm.png", dpi=110)
+    path = out.resolve() / "05_imm.png"
+    figure.savefig(path, dpi=110)
     plt.close(figure)
+    print(f"Figure: {path}")
 
 
 if __name__ == "__main__":

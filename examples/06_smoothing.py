@@ -14,6 +14,7 @@ from filterpy.common import Q_discrete_white_noise
 from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import RobustKalmanFilter, smooth
+from robust_filterpy.plotting import LOOKS
 
 CONTAMINATION, RATIO = 0.3, 15.0
 
@@ -94,7 +95,9 @@ def draw(truth, zs, bad, found, weights, out):
     axes[0].set(ylabel="position [m]", ylim=(truth.min() - 25, truth.max() + 25))
     axes[0].legend(fontsize=8, ncols=3, loc="upper left")
     figure.colorbar(dots, ax=axes[0], label="weight in smooth", pad=0.01)
-    for ax, (name, (x, deviation)), colour in zip(axes[1:], found.items(), ("C1", "C4", "C0", "C2"), strict=True):
+    axes[0].set_title("Each measurement weighed by all others: the error of a smoother that is told the outliers")
+    colours = (LOOKS[name]["color"] for name in ("Kalman", "Huber", "learnt", "told"))
+    for ax, (name, (x, deviation)), colour in zip(axes[1:], found.items(), colours, strict=True):
         rms = np.sqrt(np.mean((x - truth) ** 2))
         ax.fill_between(steps, -2 * deviation, 2 * deviation, color=colour, alpha=0.2, lw=0, label="± 2 deviations")
         ax.plot(x - truth, color=colour, lw=1.4, label=f"{name}: {rms:.2f} m rms")
@@ -104,8 +107,10 @@ def draw(truth, zs, bad, found, weights, out):
         ax.legend(fontsize=8, ncols=2, loc="upper left")
     axes[-1].set_xlabel("step")
     out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out / "06_smoothing.png", dpi=110)
+    path = out.resolve() / "06_smoothing.png"
+    figure.savefig(path, dpi=110)
     plt.close(figure)
+    print(f"Figure: {path}")
 
 
 if __name__ == "__main__":

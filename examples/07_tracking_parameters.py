@@ -1,4 +1,4 @@
-"""Which model structure, and which way to let parameters drift, for a recording with outliers?
+"""Which model structure, and which filter, for parameters that drift in a recording with outliers?
 
 An actuator's gain and damping drift while one reading in ten is wrong. The tracker is a filter whose state is theta:
 theta(k+1) = theta(k) + w(k), y(k) = phi(k)' theta(k) + v(k). ARX feeds measured outputs back into phi, outliers
@@ -16,6 +16,7 @@ from robust_filterpy import ARX, OutputError, ParameterTracker
 from robust_filterpy.experiments import fit_percent
 from robust_filterpy.noise import EpsilonContaminated
 from robust_filterpy.plants import random_walk, simulate_output_error, stable
+from robust_filterpy.plotting import LOOKS
 
 HERE = Path(__file__).parent
 SIGMA, CONTAMINATION = 0.5, 0.1
@@ -38,7 +39,6 @@ CANDIDATES = {
     "ARX, robust": dict(structure=ARX(2, 2)),
     "OE, Kalman": dict(structure=OutputError(2, 2), filter=KalmanFilter),
     "OE, robust": dict(structure=OutputError(2, 2)),
-    "OE, robust, forgetting .99": dict(structure=OutputError(2, 2), Q=0.0, forgetting=0.99),
 }
 # How fast the parameters may drift; the start, the noise and the level are found from the recording.
 WALK = dict(Q=np.diag([2e-6, 2e-6, 2e-4, 2e-4]))
@@ -74,28 +74,32 @@ def draw(u, y, results, truth, out):
     """Draw the recording and the gain b1 with its band, and its true value where that is known."""
     import matplotlib.pyplot as plt
 
-    figure, (top, bottom) = plt.subplots(2, 1, figsize=(9, 5.5), sharex=True, layout="constrained")
-    robust = results["OE, robust"]
-    top.plot(y, ".", color="0.6", ms=3, label="measured y")
-    outlier = robust.weights < 0.3
-    top.plot(np.flatnonzero(outlier), y[outlier], "kx", ms=4, label="weight below 0.3")
-    top.plot(robust.prediction, "C0-", lw=0.8, label="prediction, OE robust")
-    top.set(ylabel="output y", title="One reading in ten is wrong, and is not believed")
-    for name, color, style in (("OE, Kalman", "C1", "--"), ("OE, robust", "C0", "-")):
+    figure, (top, bottom) = plt.subplots(2, 1, figsize=(9, 5.5), layout="constrained")
+    robust, shown = results["OE, robust"], slice(y.size // 2, y.size // 2 + 150)
+    k = np.arange(y.size)
+    doubted = np.where(robust.weights < 0.3, y, np.nan)
+    top.plot(k[shown], y[shown], ".", color="0.5", ms=4, label="measured")
+    top.plot(k[shown], doubted[shown], "kx", ms=6, label="weight below 0.3")
+    top.plot(k[shown], robust.prediction[shown], lw=1.2, label="prediction, OE, robust", **LOOKS["Huber"])
+    top.set(xlabel="sample", ylabel="output y", title="One reading in ten is wrong, and is not believed (a part)")
+    for name, look in (("OE, Kalman", LOOKS["Kalman"]), ("OE, robust", LOOKS["Huber"])):
         deviation = results[name].std[:, 2]
         # Until the tracker has a model it claims nothing.
         gain = np.where(np.isfinite(deviation), results[name].theta[:, 2], np.nan)
-        bottom.plot(gain, color=color, ls=style, label=f"b1, {name}")
-        bottom.fill_between(np.arange(u.size), gain - 2 * deviation, gain + 2 * deviation, color=color, alpha=0.15)
+        bottom.plot(gain, label=f"b1, {name}", **look)
+        low, high = gain - 2 * deviation, gain + 2 * deviation
+        bottom.fill_between(k, low, high, color=look["color"], alpha=0.15, lw=0)
     if truth is not None:
-        bottom.plot(truth, "k-", lw=1.2, label="b1, truth")
+        bottom.plot(truth, color="k", ls=(0, (1, 1.5)), lw=1.8, label="b1, truth")
     bottom.set(xlabel="sample", ylabel="b1 [output per input]", ylim=(0, 2))
     bottom.set_title("Outliers shake the Kalman filter's gain, not the robust one's (bands: ± 2 std)")
     top.legend(fontsize=8, ncols=3)
     bottom.legend(fontsize=8)
     out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out / "07_tracking_parameters.png", dpi=110)
+    path = out.resolve() / "07_tracking_parameters.png"
+    figure.savefig(path, dpi=110)
     plt.close(figure)
+    print(f"Figure: {path}")
 
 
 if __name__ == "__main__":

@@ -71,21 +71,24 @@ def draw(u, target, out):
 
     figure, (left, middle, right) = plt.subplots(1, 3, figsize=(11, 3.6), layout="constrained")
     left.step(np.arange(150), u[:150], "k-", lw=1.0, where="post")
-    left.set(xlabel="sample", ylabel="u", title="Binary input")
+    left.set(xlabel="sample", ylabel="input u", title="Two positions only ...")
     middle.plot(target, "k-", lw=2.0, label="desired (57)")
-    middle.plot(sample_autocovariance(u, LAGS), "C1o", ms=3, label="achieved")
-    middle.set(xlabel="lag [samples]", ylabel="autocovariance", title="Autocovariance")
+    middle.plot(sample_autocovariance(u, LAGS), "o", color="C0", ms=3, label="achieved")
+    middle.set(xlabel="lag [samples]", ylabel="autocovariance", title="... with the correlations asked for ...")
     middle.legend(fontsize=8)
     w, power = welch(u, fs=2 * np.pi, nperseg=512)
-    right.semilogy(w, power, color="C1", label="achieved")
+    right.semilogy(w, power, color="C0", label="achieved")
     fine = np.linspace(1e-3, np.pi, 2000)
     ideal = bandlimited_pink_spectrum(fine, *BAND)
     right.semilogy(fine, np.where(ideal > 0, ideal, np.nan), "k-", lw=2.0, label="desired (56)")
-    right.set(xlabel="frequency [rad/sample]", ylabel="power density", title="Spectrum", ylim=(1e-4, 20))
+    right.set(xlabel="frequency [rad/sample]", ylabel="power density", ylim=(1e-4, 20))
+    right.set_title("... and the power in the band")
     right.legend(fontsize=8)
     out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out / "08_input_design.png", dpi=110)
+    path = out.resolve() / "08_input_design.png"
+    figure.savefig(path, dpi=110)
     plt.close(figure)
+    print(f"Figure: {path}")
 
 
 if __name__ == "__main__":

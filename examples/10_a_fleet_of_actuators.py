@@ -102,7 +102,7 @@ def main(argv=None):
     for name, (error, delay, mistaken) in rows.items():
         print(f"{name:8} {error:27.3f} {delay:15.0f} samples {mistaken:22d}")
     print(f"A sample of one actuator, bank to loop of trackers: {cost / cost_alone:.3f}; numbers differ by {same:.0e}")
-    draw(gains, leaking, options.out)
+    draw(gains, leaking, {name: mistaken for name, (_, _, mistaken) in rows.items()}, options.out)
     (_, soon, few), (_, late_by, many) = rows["robust"], rows["Kalman"]
     print(
         f"Conclusion: where one reading in ten is wrong, the robust bank reports a leak {soon:.0f} samples after the "
@@ -112,23 +112,27 @@ def main(argv=None):
     )
 
 
-def draw(gains, leaking, out):
+def draw(gains, leaking, mistaken, out):
     """Draw every actuator's gain as it is and as each bank sees it."""
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(1, 3, figsize=(11, 4), sharex=True, sharey=True, layout="constrained")
+    titles = {name: f"{name} bank: {count} reported by mistake" for name, count in mistaken.items()}
+    titles["truth"] = f"truth: {leaking.sum()} of {leaking.size} leak"
     for ax, (name, gain) in zip(axes, gains.items(), strict=True):
         healthy = ax.plot(gain[:, ~leaking], color="0.65", lw=0.4)
         leaks = ax.plot(gain[:, leaking], color="C3", lw=0.9)
         limit = ax.axhline(LIMIT, color="k", ls="--", lw=1)
         ax.axvspan(400, 420, color="C0", alpha=0.3, lw=0)
-        ax.set(xlabel="sample", title=name if name == "truth" else f"as the {name} bank sees it", ylim=(0.3, 1.7))
-    axes[0].set_ylabel("steady gain / when new")
+        ax.set(xlabel="sample", title=titles[name], ylim=(0.3, 1.7))
+    axes[0].set_ylabel("steady gain over that when new")
     axes[0].text(410, 0.33, "no readings", color="C0", ha="center", fontsize=8)
     axes[0].legend([healthy[0], leaks[0], limit], ["healthy", "leaking", "reported below"], loc="upper right")
     out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out / "10_a_fleet_of_actuators.png", dpi=110)
+    path = out.resolve() / "10_a_fleet_of_actuators.png"
+    figure.savefig(path, dpi=110)
     plt.close(figure)
+    print(f"Figure: {path}")
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import RobustKalmanFilter, TukeyBiweight
 from robust_filterpy.filters.recovering import RecoveringKalmanFilter
+from robust_filterpy.plotting import LOOKS
 
 DT, STEPS = 1.0, 600
 SIGMA_FIX, SIGMA_ACCELERATION = 3.0, 0.15  # m, m/s2
@@ -104,14 +105,17 @@ def draw(errors, out):
         ax.axvspan(first, last, color="0.85", label=None if k else "multipath")
     ax.axvline(CARRIED, color="k", ls=":", label="carried 60 m aside")
     ax.axvspan(520, 540, facecolor="none", edgecolor="0.5", hatch="///", label="tunnel: no fix")
-    styles = ("C1--", "C2-.", "C3:", "C0-")
-    for (name, error), style in zip(errors.items(), styles, strict=True):
-        ax.plot(np.maximum(error, 0.05), style, lw=1.5, label=name)
+    looks = (LOOKS["Kalman"], LOOKS["Huber"], LOOKS["Tukey"], {"color": "k", "linestyle": ":"})
+    for (name, error), look in zip(errors.items(), looks, strict=True):
+        ax.plot(np.maximum(error, 0.05), lw=1.5, label=name, **look)
     ax.set(yscale="log", ylim=(0.3, 400), xlabel="time, s", ylabel="position error, m")
+    ax.set_title("Tukey's psi ignores reflected fixes; recovering, it also believes a true jump")
     ax.legend(loc="upper left", ncols=4, fontsize=8)
     out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out / "12_multipath_fusion.png", dpi=120)
+    path = out.resolve() / "12_multipath_fusion.png"
+    figure.savefig(path, dpi=120)
     plt.close(figure)
+    print(f"Figure: {path}")
 
 
 if __name__ == "__main__":

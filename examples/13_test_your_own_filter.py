@@ -98,7 +98,7 @@ def draw_figure(scenario, runs, out):
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(1, 2, figsize=(10.5, 4.4), layout="constrained")
-    ax, looks = axes[0], {"my filter": ("C1", "--"), "mended": ("C0", "-")}
+    ax, looks = axes[0], {"my filter": ("C3", "-."), "mended": ("0.3", "-")}
     ax.plot(scenario.z[:, 0], scenario.z[:, 1], ".", color="0.75", label="measurement")
     ax.plot(scenario.x[:, 0], scenario.x[:, 2], "k", lw=1, label="truth")
     for name, (color, style) in looks.items():
@@ -115,8 +115,10 @@ def draw_figure(scenario, runs, out):
     ax.set(xlabel="step", ylabel="squared error in units of P", title=title, ylim=(0, None))
     ax.legend(fontsize=8)
     out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out / "13_test_your_own_filter.png", dpi=120)
+    path = out.resolve() / "13_test_your_own_filter.png"
+    figure.savefig(path, dpi=120)
     plt.close(figure)
+    print(f"Figure: {path}")
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import AdaptiveKalmanFilter, RobustKalmanFilter, tune
+from robust_filterpy.plotting import LOOKS
 
 STEPS, WORN = 1600, 800
 F, H = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]])
@@ -101,33 +102,35 @@ def draw(learnt, errors, loss, out):
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.2), width_ratios=(3, 2), layout="constrained")
     k = np.arange(STEPS)
     left.step(k, np.where(k < WORN, 1.0, 9.0), "k--", lw=1.5, label="true R of ordinary samples")
-    for style, (factor, path) in zip(("C0-", "C1-.", "C2:"), learnt.items(), strict=True):
-        left.plot(k, path, style, lw=1.5, label=f"learnt, told {factor:g}")
+    colour = LOOKS["learnt"]["color"]
+    for style, (factor, path) in zip(("--", "-", ":"), learnt.items(), strict=True):
+        left.plot(k, path, style, color=colour, lw=1.8, label=f"learnt, told {factor:g}")
     low, high = learnt[1.0] - errors[1.0], learnt[1.0] + errors[1.0]
-    left.fill_between(k, np.maximum(low, 0.05), high, color="C1", alpha=0.2, lw=0, label="± standard error")
+    left.fill_between(k, np.maximum(low, 0.05), high, color=colour, alpha=0.25, lw=0, label="± standard error")
     left.set(
         yscale="log",
         ylim=(0.05, 40),
         xlabel="step",
         ylabel="variance R",
-        title="R learnt from R told; a tenth of the samples are outliers",
+        title="R is learnt, whatever was told, while a tenth are outliers",
     )
     left.legend(fontsize=8, loc="lower right")
-    width = 0.26
+    width, colours = 0.26, [LOOKS[name]["color"] for name in ("Kalman", "Huber", "learnt")]
     for j, (name, values) in enumerate(loss.items()):
-        bars = right.bar(
-            np.arange(len(FACTORS)) + (j - 1) * width, values, width, label=name, color=("0.6", "C3", "C0")[j]
-        )
+        bars = right.bar(np.arange(len(FACTORS)) + (j - 1) * width, values, width, label=name, color=colours[j])
         right.bar_label(bars, [f"{value:.2f}" for value in values], fontsize=7)
     right.axhline(1.0, color="k", lw=0.8)
     right.set(
         xticks=np.arange(len(FACTORS)), xticklabels=[f"{factor:g}" for factor in FACTORS],
         xlabel="R told, over the true one at the start", ylabel="error over the possible one",
+        title="What a wrong R costs",
     )  # fmt: skip
     right.legend(fontsize=8)
     out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out / "14_noise_unknown.png", dpi=110)
+    path = out.resolve() / "14_noise_unknown.png"
+    figure.savefig(path, dpi=110)
     plt.close(figure)
+    print(f"Figure: {path}")
 
 
 if __name__ == "__main__":

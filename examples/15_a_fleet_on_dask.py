@@ -53,7 +53,7 @@ def on_dask(table):
         victim = next(iter(client.run(os.getpid).values()))
         future = client.compute(filter_frame(dd.from_pandas(table, npartitions=16), model()))
         time.sleep(0.3)
-        os.kill(victim, signal.SIGKILL)
+        os.kill(victim, getattr(signal, "SIGKILL", signal.SIGTERM))  # Windows has but the latter, which kills
         return future.result()
 
 
@@ -85,14 +85,17 @@ def draw(doubted, worn, out):
 
     figure, ax = plt.subplots(figsize=(7, 4), layout="constrained")
     bins = np.linspace(0.0, 0.8, 41)
-    ax.hist(100.0 * doubted[~worn], 100.0 * bins, label="sound sensor", color="C0")
+    ax.hist(100.0 * doubted[~worn], 100.0 * bins, label="sound sensor", color="0.6")
     ax.hist(100.0 * doubted[worn], 100.0 * bins, label="worn sensor", color="C3")
     ax.axvline(35.0, color="k", linestyle=":", label="suspected from here")
-    ax.set(xlabel="readings that the filter doubts, %", ylabel="devices", yscale="log", title="A fleet on Dask")
+    ax.set(xlabel="readings that the filter doubts, %", ylabel="devices", yscale="log")
+    ax.set_title("A sensor that lies is doubted more often")
     ax.legend()
     out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out / "15_a_fleet_on_dask.png", dpi=110)
+    path = out.resolve() / "15_a_fleet_on_dask.png"
+    figure.savefig(path, dpi=110)
     plt.close(figure)
+    print(f"Figure: {path}")
 
 
 if __name__ == "__main__":

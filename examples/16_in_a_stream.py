@@ -15,6 +15,7 @@ import pandas as pd
 
 from robust_filterpy import RobustKalmanFilter
 from robust_filterpy.fleet import FilterModel, filter_table, pack, step_table, unpack
+from robust_filterpy.plotting import LOOKS
 
 kf = RobustKalmanFilter(2, 1)
 kf.F, kf.H = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]])
@@ -99,14 +100,17 @@ def draw(table, whole, crash, out):
     figure, ax = plt.subplots(figsize=(7, 4), layout="constrained")
     mine, found = table[table["device"] == 7], whole[whole["device"] == 7]
     ax.plot(mine["t"], mine["z"], ".", color="0.6", label="messages")
-    ax.plot(found["t"], found["x0"], "C0", label="estimate")
-    ax.fill_between(found["t"], found["x0"] - 2 * found["std0"], found["x0"] + 2 * found["std0"], alpha=0.2)
-    ax.axvline(table["t"].iloc[crash], color="C3", linestyle="--", label="the process dies")
-    ax.set(xlabel="time, s", ylabel="position of device 7, m", title="In a stream")
+    ax.plot(found["t"], found["x0"], label="estimate", **LOOKS["Huber"])
+    low, high = found["x0"] - 2 * found["std0"], found["x0"] + 2 * found["std0"]
+    ax.fill_between(found["t"], low, high, color=LOOKS["Huber"]["color"], alpha=0.2, lw=0, label="± 2 deviations")
+    ax.axvline(table["t"].iloc[crash], color="k", linestyle="--", label="the process dies")
+    ax.set(xlabel="time, s", ylabel="position of device 7, m", title="The process dies, the estimate goes on")
     ax.legend()
     out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out / "16_in_a_stream.png", dpi=110)
+    path = out.resolve() / "16_in_a_stream.png"
+    figure.savefig(path, dpi=110)
     plt.close(figure)
+    print(f"Figure: {path}")
 
 
 if __name__ == "__main__":

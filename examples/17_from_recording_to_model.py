@@ -81,10 +81,13 @@ def draw(compared, out):
 
     figure, ax = plt.subplots(figsize=(9, 3.8), layout="constrained")
     plot_comparison(compared, unit="degrees C", ax=ax)
-    ax.set_title("The other half of the recording, from the input alone")
+    fit = max(row.fit for row in compared.rows)
+    ax.set_title(f"From the input alone, the half that the model has not seen is met to {fit:.0f} %")
     out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out / "17_from_recording_to_model.png", dpi=110)
+    path = out.resolve() / "17_from_recording_to_model.png"
+    figure.savefig(path, dpi=110)
     plt.close(figure)
+    print(f"Figure: {path}")
 
 
 if __name__ == "__main__":

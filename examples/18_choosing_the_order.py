@@ -73,8 +73,10 @@ def draw(selection, out):
 
     axes = plot_structure_selection(selection)
     out.mkdir(parents=True, exist_ok=True)
-    axes[0].figure.savefig(out / "18_choosing_the_order.png", dpi=110)
+    path = out.resolve() / "18_choosing_the_order.png"
+    axes[0].figure.savefig(path, dpi=110)
     plt.close(axes[0].figure)
+    print(f"Figure: {path}")
 
 
 if __name__ == "__main__":

@@ -60,8 +60,10 @@ def draw(found, out):
         part.suptitle(f"{name}: {validation.verdict}", fontsize=9)
         axes[0].tick_params(labelbottom=False)
     out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out / "19_is_the_model_good.png", dpi=110)
+    path = out.resolve() / "19_is_the_model_good.png"
+    figure.savefig(path, dpi=110)
     plt.close(figure)
+    print(f"Figure: {path}")
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import RobustKalmanFilter
 from robust_filterpy.noise import EpsilonContaminated
+from robust_filterpy.plotting import LOOKS
 
 STEPS, R, Q = 100, 0.5, 0.01
 
@@ -66,8 +67,8 @@ def draw(position, readings, is_outlier, tracks, path: Path) -> None:
     axis.plot(k[~is_outlier], readings[~is_outlier], ".", color="0.35", markersize=5, label="readings")
     visible = np.clip(readings, low + 0.8, high - 0.8)
     axis.plot(k[is_outlier], visible[is_outlier], "x", color="black", markersize=6, label="outliers (edge: beyond)")
-    styles = (dict(color="tab:red", linestyle="--"), dict(color="navy", linestyle="-"))
-    for (name, estimate), style in zip(tracks.items(), styles, strict=True):
+    looks = (LOOKS["Kalman"], LOOKS["Huber"])
+    for (name, estimate), style in zip(tracks.items(), looks, strict=True):
         axis.plot(k, estimate, linewidth=2, label=f"{name}: {rms(estimate - position):.2f} m rms", **style)
     axis.set(xlabel="step", ylabel="position, m", ylim=(low, high), xlim=(-1, STEPS))
     axis.set_title("Same readings, same matrices: only the class differs", fontsize=12)
@@ -89,7 +90,8 @@ def main(argv: list[str] | None = None) -> dict[str, float]:
 
     position, readings, is_outlier = simulate()
     tracks = {"KalmanFilter": track(KalmanFilter, readings), "RobustKalmanFilter": track(RobustKalmanFilter, readings)}
-    draw(position, readings, is_outlier, tracks, args.out / "first_screen.png")
+    figure = args.out.resolve() / "first_screen.png"
+    draw(position, readings, is_outlier, tracks, figure)
     errors = {name: rms(estimate - position) for name, estimate in tracks.items()}
     for name, error in errors.items():
         print(f"{name:20}{error:8.2f} m rms")
@@ -103,7 +105,7 @@ def main(argv: list[str] | None = None) -> dict[str, float]:
         f"Conclusion: with {is_outlier.sum()} outliers in {STEPS} readings the error falls from "
         f"{errors['KalmanFilter']:.2f} m to {errors['RobustKalmanFilter']:.2f} m; only the class differs."
     )
-    print("Figure: first_screen.png")
+    print(f"Figure: {figure}")
     return errors
 
 

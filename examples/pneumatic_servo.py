@@ -54,9 +54,10 @@ def one_experiment(seed: int, steps: int, contamination: float, out: Path) -> No
     draw_bode(recording, found, out / "servo_bode.png")
     recording.to_csv(out / "servo_recording.csv")
     recording.to_mat(out / "servo_recording.mat")
-    print(
-        "Figures: servo_recording.png, servo_gain.png, servo_bode.png; data: servo_recording.csv, servo_recording.mat"
-    )
+    for name in ("servo_recording.png", "servo_gain.png", "servo_bode.png"):
+        print(f"Figure: {out.resolve() / name}")
+    for name in ("servo_recording.csv", "servo_recording.mat"):
+        print(f"Data: {out.resolve() / name}", flush=True)
     print(bode_table(recording, found))
 
 
@@ -121,7 +122,9 @@ def main(argv: list[str] | None = None) -> list[Run]:
     # This folder, for processes that joblib starts.
     here = str(Path(__file__).resolve().parent)
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (here, os.environ.get("PYTHONPATH"))))
+    print(f"One experiment of {args.steps} samples, driven three times and identified ...", file=sys.stderr, flush=True)
     one_experiment(args.seed, args.steps, args.contamination, args.out)
+    print(f"{args.seeds} more, with other references, physics and noises ...", file=sys.stderr, flush=True)
     one = partial(trial, steps=args.steps, contamination=args.contamination, encoder_outliers=OUTLIERS[0])
     runs = monte_carlo(one, args.seeds, args.seed, args.jobs).results
     print(table(runs, args.seed))

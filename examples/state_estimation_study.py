@@ -31,6 +31,7 @@ from robust_filterpy import Huber, Linear, RobustKalmanFilter, filter_series
 from robust_filterpy.correction import NotPositiveDefiniteError
 from robust_filterpy.experiments import bootstrap_interval, mean_square_error, monte_carlo
 from robust_filterpy.noise import EpsilonContaminated
+from robust_filterpy.plotting import LOOKS
 
 # %% The problem, equations (31)-(34)
 F = np.array(
@@ -241,13 +242,13 @@ def table(rows: dict[str, Row], runs: int) -> str:
 
 # %% The figure: the paper's figures 3 and 4, over many runs
 STYLE = {
-    KALMAN: dict(color="0.45", linestyle="--", linewidth=1.6),
-    KALMAN_TOTAL: dict(color="0.65", linestyle="-.", linewidth=1.6),
-    "T(k), expected": dict(color="navy", linestyle=":", linewidth=2.2),
-    "T(k), realized": dict(color="navy", linestyle="-", linewidth=2.2),
-    "T=1,  expected": dict(color="darkorange", linestyle=":", linewidth=2.0),
-    "T=1,  realized": dict(color="darkorange", linestyle="-", linewidth=1.4),
-    LABELS: dict(color="black", linestyle="-", linewidth=1.4),
+    KALMAN: {**LOOKS["Kalman"], "linewidth": 1.6},
+    KALMAN_TOTAL: {**LOOKS["Kalman"], "linestyle": "-.", "linewidth": 0.9},
+    "T(k), expected": {**LOOKS["Huber"], "linestyle": ":", "linewidth": 2.2},
+    "T(k), realized": {**LOOKS["Huber"], "linewidth": 2.2},
+    "T=1,  expected": dict(color="tab:cyan", linestyle=":", linewidth=2.0),
+    "T=1,  realized": dict(color="tab:cyan", linestyle="-", linewidth=1.4),
+    LABELS: {**LOOKS["told"], "linewidth": 1.6},
 }
 MARKER = {"Ka": "o", "T(": "s", "T=": "^"}
 
@@ -280,7 +281,9 @@ def draw(results: dict[str, dict[str, Row]], runs: int, path: Path) -> None:
     axes[2].set_yticks([1, 2, 5, 10], ["1", "2", "5", "10"])
     figure.legend(*axes[2].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
     figure.suptitle(
-        f"Equations (31)-(34), P0 = 0.1 I, {runs} runs; time series averaged over {window} steps", fontsize=11
+        "T(k) comes closest to the filter that knows the outliers, of x1; of all states little can be known\n"
+        f"(equations (31)-(34), P0 = 0.1 I, {runs} runs; time series averaged over {window} steps)",
+        fontsize=11,
     )
     figure.savefig(path, dpi=110)
     plt.close(figure)
@@ -321,9 +324,10 @@ def main(argv: list[str] | None = None) -> dict[str, dict[str, Row]]:
         errors = study(setting, args.runs, args.steps, args.seed, on_threads(args.jobs))
         results[setting.title] = summarize(errors, args.seed)
         print(f"{setting.title}\n{table(results[setting.title], args.runs)}\n", flush=True)
-    draw(results, args.runs, args.out / "state_estimation_study.png")
+    figure = args.out.resolve() / "state_estimation_study.png"
+    draw(results, args.runs, figure)
     print(conclusion(results, args.runs))
-    print("Figure: state_estimation_study.png")
+    print(f"Figure: {figure}")
     return results
 
 

@@ -25,6 +25,7 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import OutlierShareWarning, RobustKalmanFilter, TukeyBiweight
+from robust_filterpy.plotting import LOOKS
 
 # %% The recording, on an hourly grid: hours that are missing in it are NaN
 DISTURBANCES = {  # first disturbed hour, first hour after it; read off the recording
@@ -33,7 +34,7 @@ DISTURBANCES = {  # first disturbed hour, first hour after it; read off the reco
     "spike": (329, 331),
     "stop 3": (915, 933),
 }
-HOUR = timedelta(hours=1)
+HOUR, START = timedelta(hours=1), np.datetime64("2022-03-20T11:00")
 
 
 def load() -> np.ndarray:
@@ -155,27 +156,29 @@ def table(scores: dict[str, Score], hours: int) -> str:
 
 # %%
 STYLE = {
-    "KalmanFilter": dict(color="0.6", linestyle="--", linewidth=2.0),
-    "Robust, Huber": dict(color="tab:blue", linestyle="-", linewidth=2.0),
-    "Robust, Tukey": dict(color="black", linestyle="-.", linewidth=1.8),
+    "KalmanFilter": LOOKS["Kalman"],
+    "Robust, Huber": LOOKS["Huber"],
+    "Robust, Tukey": LOOKS["Tukey"],
 }
 
 
 def draw(flow, reference, tracks, lasting, path: Path) -> None:
     """Draw the recording, one stop, the spike, and the stop that lasts."""
     import matplotlib.pyplot as plt
+    from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 
     figure = plt.figure(figsize=(12, 7.2), layout="constrained")
     grid = figure.add_gridspec(2, 3, height_ratios=(1, 1.6))
     whole = figure.add_subplot(grid[0, :])
-    hours = np.arange(len(flow))
-    whole.plot(hours / 24, flow, color="0.35", linewidth=0.9)
+    times = START + np.arange(len(flow)) * np.timedelta64(1, "h")
+    whole.plot(times, flow, color="0.35", linewidth=0.9)
     for name, (first, after) in DISTURBANCES.items():
-        whole.axvspan((first - 4) / 24, (after + 4) / 24, color="0.85", zorder=0)
-        whole.annotate(name, (after / 24 + 0.4, 40 if name != "spike" else 70))
-    whole.set(
-        xlabel="days since 20 March 2022, 11:00", ylabel="flow, l/s", title="The recording", xlim=(0, hours[-1] / 24)
-    )
+        whole.axvspan(times[first - 4], times[after + 4], color="0.85", zorder=0)
+        whole.annotate(name, (times[after + 10], 40 if name != "spike" else 70))
+    whole.set(ylabel="flow, l/s", title="Eight weeks of a water main: the pump stops, the meter jumps")
+    whole.set(xlim=(times[0], times[-1]))
+    locator = AutoDateLocator()
+    whole.xaxis.set(major_locator=locator, major_formatter=ConciseDateFormatter(locator))
 
     views = (("stop 1", 12, 30, tracks, flow), ("spike", 12, 18, tracks, flow), ("stop 3", 12, 60, lasting, None))
     for column, (name, before, beyond, shown, data) in enumerate(views):
@@ -188,8 +191,12 @@ def draw(flow, reference, tracks, lasting, path: Path) -> None:
         if data is not None:
             axis.plot(since, reference[window], color="0.8", linewidth=5, zorder=0, label="undisturbed (reference)")
         for label, style in STYLE.items():
-            axis.plot(since, shown[label][window], label=label, **style)
-        title = {"stop 1": "A pump stop", "spike": "The spike", "stop 3": "Had stop 3 lasted (made up)"}[name]
+            axis.plot(since, shown[label][window], label=label, linewidth=2.0, **style)
+        title = {
+            "stop 1": "A pump stop: Tukey keeps the usual flow",
+            "spike": "The spike: only Kalman follows it",
+            "stop 3": "Had it lasted (made up): Huber learns it",
+        }[name]
         axis.set(xlabel="hours since it began", ylabel="flow, l/s", title=title)
     figure.legend(*figure.axes[1].get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False)
     figure.savefig(path, dpi=110)
@@ -240,8 +247,9 @@ def main(argv: list[str] | None = None) -> dict[str, Score]:
     print("hours until it is back within 1 l/s for six hours on end (no: not before the next disturbance).\n")
     print(table(scores, len(flow) - DISTURBANCES["stop 3"][0]))
     print("\n" + conclusion(scores))
-    draw(flow, reference, tracks, lasting, args.out / "water_flow.png")
-    print("Figure: water_flow.png")
+    figure = args.out.resolve() / "water_flow.png"
+    draw(flow, reference, tracks, lasting, figure)
+    print(f"Figure: {figure}")
     return scores
 
 

@@ -18,11 +18,13 @@ from identification import (
     staying,
 )
 
+from robust_filterpy.plotting import LOOKS
+
 STYLE = {
-    KALMAN: dict(color="0.55", linestyle="-."),
-    KALMAN_TOTAL: dict(color="tab:orange", linestyle="--"),
-    LITERAL: dict(color="navy", linestyle="-"),
-    INNOVATION: dict(color="tab:green", linestyle=(0, (5, 1))),
+    KALMAN: LOOKS["Kalman"],
+    KALMAN_TOTAL: {**LOOKS["Kalman"], "linestyle": "-.", "linewidth": 0.9},
+    LITERAL: dict(color="tab:cyan", linestyle="-"),
+    INNOVATION: LOOKS["Huber"],
     LABELS: dict(color="black", linestyle=":"),
 }
 

@@ -74,7 +74,7 @@ def main(argv: list[str] | None = None) -> Path | None:
     command = f"python examples/paper/reproduce.py --runs {args.runs} --seed {args.seed}"
     path = write_report(parts, CHOICES, options, command)
     claims = [claim for part in parts for claim in part.claims]
-    print(f"report.md and {sum(len(part.figures) for part in parts)} figures; {len(claims)} claims:")
+    print(f"{path.resolve()} and {sum(len(part.figures) for part in parts)} figures beside it; {len(claims)} claims:")
     for c in claims:
         print(f"  {c.verdict:14} {c.claim}  {c.measured}")
     counts = {v: sum(c.verdict == v for c in claims) for v in ("holds", "does not hold", "undecided")}

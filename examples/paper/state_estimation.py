@@ -16,17 +16,18 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from state_estimation_study import FILTERS, KALMAN, LABELS, Setting, on_threads, study
 
 from robust_filterpy import Huber
+from robust_filterpy.plotting import LOOKS
 
 STEPS = 200
 USUAL, UNCERTAIN = Setting("contamination 0.1"), Setting("P0 = 10 I", P0=10.0)
 T_EXPECTED, T_REALIZED, UNIT_EXPECTED, UNIT_REALIZED = FILTERS[2:6]
 STYLE = {
-    KALMAN: dict(color="0.6", linestyle="-", linewidth=1.2, label="Kalman, nominal R"),
+    KALMAN: {**LOOKS["Kalman"], "linewidth": 1.2, "label": "Kalman, nominal R"},
     LABELS: dict(color="black", linestyle=":", linewidth=1.6, label="Kalman, outliers known"),
-    T_EXPECTED: dict(color="tab:blue", linestyle="--", linewidth=1.6, label="(37)-(41): T(k), expected psi'"),
-    T_REALIZED: dict(color="black", linestyle="-", linewidth=1.6, label="T(k), realized psi'"),
-    UNIT_EXPECTED: dict(color="tab:red", linestyle="-.", linewidth=1.6, label="(42)-(45): T = 1, expected psi'"),
-    UNIT_REALIZED: dict(color="navy", linestyle="-", linewidth=1.2, label="(47)-(49): T = 1, realized psi'"),
+    T_EXPECTED: {**LOOKS["Huber"], "linewidth": 1.6, "label": "(37)-(41): T(k), expected psi'"},
+    T_REALIZED: {**LOOKS["Huber"], "linewidth": 1.6, "label": "T(k), realized psi'"},
+    UNIT_EXPECTED: dict(color="tab:cyan", linestyle="-.", linewidth=1.6, label="(42)-(45): T = 1, expected psi'"),
+    UNIT_REALIZED: dict(color="tab:cyan", linestyle="-", linewidth=1.2, label="(47)-(49): T = 1, realized psi'"),
 }
 COMPARED = {3: (KALMAN, T_EXPECTED, UNIT_EXPECTED, LABELS), 4: (KALMAN, T_EXPECTED, UNIT_REALIZED, LABELS)}
 

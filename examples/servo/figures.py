@@ -12,11 +12,10 @@ from servo.models import CONSTANT, EVERY, ORDER, Model, frozen_gain, gain_of, sl
 from servo.study import INSTANTS, at
 
 from robust_filterpy.plants import PneumaticParameters, ServoRecording, linearize_servo
+from robust_filterpy.plotting import LOOKS
 
-STYLE = {
-    NOMINAL: dict(color="tab:red", linestyle="-.", linewidth=1.1),
-    ROBUST: dict(color="tab:blue", linestyle="-", linewidth=1.3),
-}
+STYLE = {NOMINAL: {**LOOKS["Kalman"], "linewidth": 1.1}, ROBUST: {**LOOKS["Huber"], "linewidth": 1.3}}
+BLUE = LOOKS["Huber"]["color"]
 FREQUENCIES = np.logspace(np.log10(0.3), np.log10(45), 200)  # Hz
 POSITIONS = (-0.025, 0.0, 0.025)  # m
 DRAWS = 200
@@ -30,23 +29,23 @@ def draw_recording(given: Conditions, recordings: dict[str, ServoRecording], pat
     part = slice(max(end - 400, 0), end)
     bad = np.flatnonzero(given.is_outlier[part, 0]) + part.start
     axes[0].plot(t[part], 100 * robust.position_measured[part], ".", color="0.6", markersize=3, label="measured")
-    axes[0].plot(t[bad], 100 * robust.position_measured[bad], "x", color="tab:red", markersize=5, label="outlier")
+    axes[0].plot(t[bad], 100 * robust.position_measured[bad], "x", color="black", markersize=5, label="outlier")
     axes[0].plot(t[part], 100 * robust.position[part], color="black", linewidth=1.3, label="true position")
-    axes[0].step(t[part], 100 * given.reference[part], color="tab:blue", linestyle=":", where="post", label="reference")
-    axes[0].set(ylabel="position / cm", title="recording, the loop on the robust filter's estimate (last 4 s)")
+    axes[0].step(t[part], 100 * given.reference[part], color="tab:green", ls=":", where="post", label="reference")
+    axes[0].set(ylabel="position / cm", title="The loop on the robust filter, one reading in ten wrong (last 4 s)")
     for loop in (NOMINAL, ROBUST):
         recording, style = recordings[loop], STYLE[loop]
         axes[1].plot(t, 1e3 * (recording.position - without.position), label=f"loop on {loop}", **style)
         axes[2].plot(t[part], 100 * recording.valve[part], label=f"loop on {loop}", **style)
-    axes[1].set(ylabel="moved by outliers / mm", title="true position less that of the loop without outliers")
+    axes[1].set(ylabel="moved by outliers / mm", title="What outliers do to the piston: less on the robust filter")
     axes[2].plot(t[part], 100 * without.valve[part], color="black", linewidth=0.8, label="loop without outliers")
-    axes[2].set(ylabel="valve / % of stroke", title="what the valve is told (last 4 s)")
+    axes[2].set(ylabel="valve / % of stroke", title="The Kalman filter passes outliers on to the valve (last 4 s)")
     physics = given.physics
-    axes[3].plot(t, physics["beta"], color="black", label="beta: discharge, heat, temperature")
-    axes[3].plot(t, physics["alpha"] - 1, color="0.5", linestyle="--", label="alpha - 1: heat")
-    axes[3].plot(t, physics["load"] / 20, color="tab:blue", linestyle=":", label="load / 20 N")
-    axes[3].plot(t, physics["supply"] / 1e6, color="tab:green", linestyle="-.", label="supply / 10 bar")
-    axes[3].set(ylabel="1", xlabel="time / s", title="what changes in the servo")
+    axes[3].plot(t, physics["beta"], color="black", label="beta (discharge, heat, temperature)")
+    axes[3].plot(t, physics["alpha"] - 1, color="0.5", linestyle="--", label="alpha - 1 (heat)")
+    axes[3].plot(t, physics["load"] / 20, color="tab:blue", linestyle=":", label="load [20 N]")
+    axes[3].plot(t, physics["supply"] / 1e6, color="tab:green", linestyle="-.", label="supply [10 bar]")
+    axes[3].set(ylabel="in the legend's units", xlabel="time / s", title="Meanwhile the servo changes")
     for axis in axes:
         axis.legend(loc="upper left", ncols=4, fontsize=8)
         axis.margins(x=0.01, y=0.3)
@@ -60,7 +59,7 @@ def draw_gain(given: Conditions, recording: ServoRecording, models: dict[str, Mo
     ends = np.arange(EVERY - 1, recording.t.size, EVERY)
     t, robust = recording.t[ends], models[ROBUST]
     low, high = robust.gain - 1.96 * robust.gain_std, robust.gain + 1.96 * robust.gain_std
-    axis.fill_between(t, low, high, color="tab:blue", alpha=0.2, label="robust, 95 % band")
+    axis.fill_between(t, low, high, color=BLUE, alpha=0.2, label="robust, 95 % band")
     axis.plot(t, models[NOMINAL].gain, label=NOMINAL, **STYLE[NOMINAL])
     axis.plot(t, robust.gain, label=ROBUST, **STYLE[ROBUST])
     constant = gain_of(models[CONSTANT].theta[-1], np.eye(2 * ORDER))[0]
@@ -72,7 +71,7 @@ def draw_gain(given: Conditions, recording: ServoRecording, models: dict[str, Mo
     axis.plot(recording.t[instants], frozen, "o", color="black", markerfacecolor="none",
               label="physics, frozen: its best linear model")  # fmt: skip
     axis.set(xlabel="time / s", ylabel="gain / (cm/s per % of opening)", ylim=(2.5, 9.5))
-    axis.set_title("valve to velocity: static gain of the tracked model beside the physics' own")
+    axis.set_title("The tracked gain follows the physics; a constant model cannot")
     axis.legend(loc="upper left", ncols=2, fontsize=8)
     figure.savefig(path, dpi=80)
     plt.close(figure)
@@ -138,15 +137,16 @@ def draw_bode(recording: ServoRecording, found: list[Response], path: Path) -> N
             label = "linearized servo, mid-stroke" if y == 0 else "linearized servo, 2.5 cm off" if y > 0 else None
             top.plot(FREQUENCIES, decibel(linear), label=label, **style)
             bottom.plot(FREQUENCIES, np.degrees(np.unwrap(np.angle(linear))), **style)
-        top.fill_between(FREQUENCIES, *response.gain, color="tab:blue", alpha=0.2, label="robust model, 95 % band")
-        bottom.fill_between(FREQUENCIES, *response.phase, color="tab:blue", alpha=0.2)
-        top.plot(FREQUENCIES, decibel(response.model), color="tab:blue", ls="--", label="robust model")
-        bottom.plot(FREQUENCIES, np.degrees(np.unwrap(np.angle(response.model))), color="tab:blue", ls="--")
+        top.fill_between(FREQUENCIES, *response.gain, color=BLUE, alpha=0.2, label="robust model, 95 % band")
+        bottom.fill_between(FREQUENCIES, *response.phase, color=BLUE, alpha=0.2)
+        top.plot(FREQUENCIES, decibel(response.model), color=BLUE, ls="--", label="robust model")
+        bottom.plot(FREQUENCIES, np.degrees(np.unwrap(np.angle(response.model))), color=BLUE, ls="--")
         k = at(share, recording.t.size)
         top.set_title(f"t = {recording.t[k]:.1f} s, beta = {recording.beta[k]:.2f}")
         bottom.set(xlabel="frequency / Hz", xscale="log")
     axes[0, 0].set(ylabel="gain / dB (cm/s per % of opening)", ylim=(-25, 42))
     axes[1, 0].set(ylabel="phase / degrees", ylim=(-420, 40))
+    figure.suptitle("The model found from data is the linearized physics, up to the resonance")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
     figure.savefig(path, dpi=80)
     plt.close(figure)

@@ -5,11 +5,15 @@
 * `workbench`: pictures of structures, models and their comparison.
 * `sources`: batch results, a Saver or a tracker's run as arrays.
 
+`LOOKS` has colour and line style of the filters that pictures compare: "Kalman", "gate", "Huber", "Tukey", "learnt"
+(noise learnt on the way) and "told" (told what nobody can know). ``ax.plot(t, x, **LOOKS["Huber"])``.
+
 matplotlib is imported when something is drawn.
 """
 
 from __future__ import annotations
 
+from robust_filterpy.plotting._style import LOOKS
 from robust_filterpy.plotting.figures import (
     plot_fit,
     plot_innovations,
@@ -26,6 +30,7 @@ from robust_filterpy.plotting.workbench import (
 )
 
 __all__ = [
+    "LOOKS",
     "plot_bode",
     "plot_comparison",
     "plot_fit",

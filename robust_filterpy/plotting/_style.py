@@ -12,6 +12,15 @@ COLOURS = ("#08306b", "#a63603", "#2b8cbe", "#74a33e", "#fd8d3c", "#999999")
 STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1, 1, 1)))
 MARKERS = ("o", "x", "^", "s", "+", "d")
 MARK = "#cb181d"
+# The same filter looks the same in every picture, and no two alike to the colour-blind.
+LOOKS: dict[str, dict[str, Any]] = {
+    "Kalman": {"color": COLOURS[1], "linestyle": "--"},
+    "gate": {"color": "#e6ab02", "linestyle": ":"},
+    "Huber": {"color": COLOURS[0], "linestyle": "-"},
+    "Tukey": {"color": COLOURS[2], "linestyle": "-."},
+    "learnt": {"color": "#41ab5d", "linestyle": (0, (5, 1))},
+    "told": {"color": COLOURS[5], "linestyle": (0, (3, 1, 1, 1, 1, 1))},
+}
 
 
 def one_axes(ax: Any, size: tuple[float, float] = (7.0, 3.6)) -> Any:

@@ -52,3 +52,5 @@ def test_example_draws_a_figure_and_concludes(script, tmp_path):
     assert figures, done.stdout
     assert all(path.stat().st_size > 5000 for path in figures)
     assert "conclusion" in done.stdout.lower()
+    # A path that can be opened from anywhere.
+    assert str(tmp_path.resolve()) in done.stdout

@@ -30,6 +30,13 @@ def test_unknown_name_is_an_attribute_error():
         robust_filterpy.no_such_name  # noqa: B018
 
 
+def test_a_run_of_the_tests_says_that_it_compiles_first():
+    command = [sys.executable, "-m", "pytest", "--collect-only", "-p", "no:cacheprovider", "tests/influence"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert done.stdout.startswith("compiling what is not in the cache")
+    assert done.returncode == 0
+
+
 def test_version_is_one():
     assert re.fullmatch(r"\d+\.\d+\.\d+", robust_filterpy.__version__)
 

@@ -18,6 +18,7 @@ from robust_filterpy import RobustKalmanFilter, _documentation, diagnose
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 # testing.md is made from the room it describes, and its own test runs that.
 SNIPPETS = {
     f"{path.stem}-{i}": text
@@ -84,6 +85,21 @@ def test_every_public_name_is_described(site):
     assert {name for name in robust_filterpy.__all__ if not name.startswith("__")} <= described
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_page_of_an_example_shows_its_figure_and_its_conclusion(path, site):
+    (page,) = (page for page in site if page.parts[-2:] == ("examples", f"{path.stem}.html"))
+    assert any("_images/" in reference for reference in site[page].references)
+    assert "<strong>Conclusion</strong>" in page.read_text(encoding="utf-8")
+
+
+def test_every_example_has_its_place_in_the_gallery(monkeypatch):
+    monkeypatch.syspath_prepend(str(DOCS))
+    story = pytest.importorskip("gallery").STORY
+    placed = [stem for chapter in story.values() for stem in chapter]
+    assert sorted(placed) == [path.stem for path in EXAMPLES]
+
+
 @pytest.mark.parametrize("name", SNIPPETS)
 def test_program_runs(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -94,7 +110,7 @@ def test_program_runs(name, tmp_path, monkeypatch):
 @pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("[01]*.py")), ids=lambda path: path.stem)
 def test_notebooks_run_in_the_folder_of_the_examples(path, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(DOCS))
-    cells = json.loads(pytest.importorskip("generated").notebook(path))["cells"]
+    cells = json.loads(pytest.importorskip("gallery").notebook(path))["cells"]
     code = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
     folder = tmp_path / "examples"
     shutil.copytree(path.parent, folder)
