@@ -261,7 +261,7 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         Raises
         ------
         ValueError, TypeError, LinAlgError
-            As in `predict` and `update`; the filter is then as it was before the call.
+            As in `predict` and `update`, with the step named; the filter is then as it was before the call.
         """
 
         def step(z: Any, R: Any, u: Any) -> None:

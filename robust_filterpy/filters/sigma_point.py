@@ -255,7 +255,7 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
         Raises
         ------
         ValueError, LinAlgError
-            As in `predict` and `update`; the filter is then as it was before the call.
+            As in `predict` and `update`, with the step named; the filter is then as it was before the call.
         """
 
         def step(z: Any, R: Any, dt: Any) -> None:
@@ -402,7 +402,7 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
         Raises
         ------
         ValueError, TypeError, LinAlgError
-            As in `predict` and `update`; the filter is then as it was before the call.
+            As in `predict` and `update`, with the step named; the filter is then as it was before the call.
         """
 
         def step(z: Any, R: Any, dt: Any) -> None:
