@@ -34,6 +34,9 @@ class RobustFilterMixin(StateMixin):
     # (Not a literal: a type checker would then believe that there is no __dict__ at all.)
     __slots__ = tuple("_K _S _SI _last _share _updates _y".split())
 
+    #: Whether an expected share of clipped innovations is known, and nobody else watches it.
+    _counts_clipped: bool
+
     x: Array
     dim_z: int
     _K: Any
