@@ -59,7 +59,7 @@ def make_filter(n: int, given: Any, choices: dict[str, Any]) -> Any:
 
 
 def _unwatched(kf: Any) -> Any:
-    """Return the filter; the tracker watches its samples, and a second warning would name what its user has not made."""
+    """Return the filter, which shall not warn of its samples: the tracker does."""
     if isinstance(kf, RobustFilterMixin):
         kf._counts_clipped = False
     return kf

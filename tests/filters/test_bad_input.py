@@ -481,7 +481,7 @@ def test_nonlinear_filters_refuse_such_a_q_too(cls, n):
     for bad in (-0.1 * np.eye(n), np.eye(n) + np.eye(n, k=1)):
         kf.Q = bad
         before = kf.P.copy()
-        with pytest.raises(ValueError, match="^Q: expected a "):
+        with pytest.raises(ValueError, match=r"^Q: expected a "):
             kf.predict()
         np.testing.assert_array_equal(kf.P, before)
     kf.Q = np.ones((n, n))
@@ -490,7 +490,7 @@ def test_nonlinear_filters_refuse_such_a_q_too(cls, n):
 
 def test_a_series_refuses_such_a_q_too():
     one, Q = np.eye(1), -0.01 * np.eye(2)
-    with pytest.raises(ValueError, match="^Q: expected a positive semidefinite"):
+    with pytest.raises(ValueError, match=r"^Q: expected a positive semidefinite"):
         filter_series(np.zeros((1, 5, 1)), np.eye(2), [[1.0, 0.0]], Q, one, np.zeros(2), np.eye(2))
 
 
