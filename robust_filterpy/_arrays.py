@@ -80,22 +80,23 @@ def noise_covariance(default: Any, given: Any, m: int) -> Array:
 @lru_cache(maxsize=256)
 def _require_covariance(name: str, content: bytes, m: int) -> None:
     """Raise unless a matrix is a covariance; what passed once is remembered."""
-    _checks.covariance(name, np.frombuffer(content).reshape(m, m))
+    _checks.covariance(name, np.frombuffer(content).reshape(m, m), name == "R")
 
 
 def process_noise(default: Any, given: Any, n: int) -> Array:
-    """Return Q, shape (n, n), positive semidefinite; a scalar means times I, wherever it comes from."""
+    """Return Q, shape (n, n), symmetric, with variances >= 0; a scalar means times I, wherever it comes from."""
     Q = default if given is None else given
     if not (type(Q) is np.ndarray and Q.dtype == FLOAT and Q.shape == (n, n)):
         if np.ndim(Q) == 0 and Q is not None:
             Q = _checks.real("Q", Q) * np.eye(n)
         Q = _checks.matrix("Q", Q, (n, n), f"dim_x={n}")
+    # Programs live with a Q that is slightly indefinite, filterpy's own tests among them: P + Q is what matters.
     content = Q.tobytes()
     if content != _last_Q.get(n):
         if n <= _REMEMBERED:
             _require_covariance("Q", content, n)
         else:
-            _checks.covariance("Q", Q)
+            _checks.covariance("Q", Q, semidefinite=False)
         _last_Q[n] = content
     return Q
 

@@ -149,7 +149,7 @@ def filter_series(
         for name, value, shape in (("F", F, (n, n)), ("Q", Q, (n, n)), ("H", H, (m, n)), ("R", R, (m, m)))
     )
     _require_covariances("R", model[3].reshape(-1, m, m))
-    _require_covariances("Q", model[1].reshape(-1, n, n))
+    _require_symmetric("Q", model[1])
     _require_symmetric("P0", P0)
     x, P = np.broadcast_to(x0, (series, n)).copy(), np.broadcast_to(P0, (series, n, n)).copy()
     every = _every(keep, steps)

@@ -178,7 +178,7 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
         Raises
         ------
         ValueError
-            If Q is no covariance or the prediction not finite; nothing has changed then.
+            If Q is negative or not symmetric or the prediction not finite; nothing has changed then.
         LinAlgError
             If P is not positive definite; nothing has changed then.
         """
@@ -341,7 +341,7 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
         Raises
         ------
         ValueError
-            If Q is no covariance or the prediction not finite; nothing has changed then.
+            If Q is negative or not symmetric or the prediction not finite; nothing has changed then.
         LinAlgError
             If P is not positive definite; nothing has changed then.
         """

@@ -446,17 +446,16 @@ def test_the_smoother(arguments, match):
 
 
 BAD_Q = {
-    "negative": (-0.1, "positive semidefinite"),
-    "one negative": (np.diag([1.0, 1.0, -1e-6, 1.0]), "positive semidefinite"),
-    "indefinite": (np.ones((4, 4)) - 0.1 * np.eye(4), "positive semidefinite"),
-    "not symmetric": (np.eye(4) + np.eye(4, k=1), "symmetric"),
+    "negative": (-0.1, "variances >= 0"),
+    "one negative": (np.diag([1.0, 1.0, -1e-6, 1.0]), "variances >= 0"),
+    "not symmetric": (np.eye(4) + np.eye(4, k=1), "a symmetric"),
 }
 
 
 @pytest.mark.parametrize("case", BAD_Q)
 def test_a_q_that_is_no_covariance_is_refused_where_it_is_used(case):
     bad, words = BAD_Q[case]
-    kf, match = started(), f"^Q: expected a {words}"
+    kf, match = started(), f"^Q: expected {words}"
     for method in ("predict", "get_prediction"):
         refuse(kf, lambda kf, method=method: getattr(kf, method)(Q=bad), match=match)
     # Long recordings go through the kernel.
@@ -481,17 +480,11 @@ def test_nonlinear_filters_refuse_such_a_q_too(cls, n):
     for bad in (-0.1 * np.eye(n), np.eye(n) + np.eye(n, k=1)):
         kf.Q = bad
         before = kf.P.copy()
-        with pytest.raises(ValueError, match=r"^Q: expected a "):
+        with pytest.raises(ValueError, match=r"^Q: expected "):
             kf.predict()
         np.testing.assert_array_equal(kf.P, before)
     kf.Q = np.ones((n, n))
     kf.predict()
-
-
-def test_a_series_refuses_such_a_q_too():
-    one, Q = np.eye(1), -0.01 * np.eye(2)
-    with pytest.raises(ValueError, match=r"^Q: expected a positive semidefinite"):
-        filter_series(np.zeros((1, 5, 1)), np.eye(2), [[1.0, 0.0]], Q, one, np.zeros(2), np.eye(2))
 
 
 @pytest.mark.parametrize("m", [1, 2])
