@@ -132,7 +132,8 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         Raises
         ------
         ValueError
-            If a shape does not fit, Q is negative or not symmetric or the prediction not finite; nothing has changed then.
+            If a shape does not fit, Q is negative or not symmetric, or the prediction not finite; nothing has changed
+            then.
         """
         with unchanged_if_refused(self):
             _, P = state_of(self)

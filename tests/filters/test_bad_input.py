@@ -17,7 +17,6 @@ from robust_filterpy import (
     RobustUnscentedKalmanFilter,
     StudentT,
     TukeyBiweight,
-    filter_series,
 )
 from robust_filterpy.testing import assert_refused_call_changes_nothing
 
