@@ -11,8 +11,10 @@ import numpy as np
 from robust_filterpy import _checks
 from robust_filterpy._checks import FLOAT, Array
 
-# Sensors up to which a checked R is remembered by its bytes: 256 of them take half a megabyte.
-_REMEMBERED = 16
+# Size up to which a checked covariance is remembered by its bytes: 256 of them take two megabytes.
+_REMEMBERED = 32
+# The bytes of the last Q of each size: to compare them takes a tenth of the time that it takes to look them up.
+_last_Q: dict[int, bytes] = {}
 
 
 def state_of(kf: Any) -> tuple[Array, Array]:
@@ -69,26 +71,34 @@ def noise_covariance(default: Any, given: Any, m: int) -> Array:
             raise ValueError(f"R: expected a variance >= 0, got {R.item()}; use NaN in z for a sensor that is absent")
     elif m <= _REMEMBERED:
         # By content, since users write into R, and by the bytes, since most never do.
-        _require_covariance(R.tobytes(), m)
+        _require_covariance("R", R.tobytes(), m)
     else:
         _checks.covariance("R", R)
     return R
 
 
 @lru_cache(maxsize=256)
-def _require_covariance(content: bytes, m: int) -> None:
-    """Raise unless R is a covariance; what passed once is remembered."""
-    _checks.covariance("R", np.frombuffer(content).reshape(m, m))
+def _require_covariance(name: str, content: bytes, m: int) -> None:
+    """Raise unless a matrix is a covariance; what passed once is remembered."""
+    _checks.covariance(name, np.frombuffer(content).reshape(m, m), name == "R")
 
 
 def process_noise(default: Any, given: Any, n: int) -> Array:
-    """Return Q, shape (n, n); a scalar means times I, wherever it comes from."""
+    """Return Q, shape (n, n), symmetric, with variances >= 0; a scalar means times I, wherever it comes from."""
     Q = default if given is None else given
-    if type(Q) is np.ndarray and Q.dtype == FLOAT and Q.shape == (n, n):
-        return Q
-    if np.ndim(Q) == 0 and Q is not None:
-        return _checks.real("Q", Q) * np.eye(n)
-    return _checks.matrix("Q", Q, (n, n), f"dim_x={n}")
+    if not (type(Q) is np.ndarray and Q.dtype == FLOAT and Q.shape == (n, n)):
+        if np.ndim(Q) == 0 and Q is not None:
+            Q = _checks.real("Q", Q) * np.eye(n)
+        Q = _checks.matrix("Q", Q, (n, n), f"dim_x={n}")
+    # Programs live with a Q that is slightly indefinite, filterpy's own tests among them: P + Q is what matters.
+    content = Q.tobytes()
+    if content != _last_Q.get(n):
+        if n <= _REMEMBERED:
+            _require_covariance("Q", content, n)
+        else:
+            _checks.covariance("Q", Q, semidefinite=False)
+        _last_Q[n] = content
+    return Q
 
 
 def control_term(B: Any, u: Any, shape: tuple[int, ...]) -> Array:

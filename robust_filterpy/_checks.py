@@ -137,13 +137,21 @@ def described(found: Array) -> str:
     return f"scalar {found}" if found.ndim == 0 else f"shape {found.shape}"
 
 
-def covariance(name: str, value: Array) -> None:
-    """Raise ValueError unless value is symmetric and positive semidefinite, both to rounding and in any units."""
+def covariance(name: str, value: Array, semidefinite: bool = True) -> None:
+    """Raise ValueError unless value is symmetric and positive semidefinite, both to rounding and in any units.
+
+    If it need not be semidefinite, its variances must still be no less than 0.
+    """
     if not np.isfinite(value).all():
-        raise ValueError(f"{name}: expected finite numbers, got NaN or infinity; use NaN in z for an absent sensor")
+        mend = "; use NaN in z for an absent sensor" if name == "R" else ""
+        raise ValueError(f"{name}: expected finite numbers, got NaN or infinity{mend}")
     unit = np.sqrt(np.abs(value.diagonal()))
     if (np.abs(value - value.T) > 1e-8 * np.outer(unit, unit)).any():
         raise ValueError(f"{name}: expected a symmetric matrix, got one that differs from its transpose")
+    if not semidefinite:
+        if (value.diagonal() < 0.0).any():
+            raise ValueError(f"{name}: expected variances >= 0 on the diagonal, got {value.diagonal()}")
+        return
     try:
         np.linalg.cholesky(value)
     except np.linalg.LinAlgError:
@@ -164,12 +172,11 @@ def all_covariances(stack: Array) -> bool:
             return True
     except np.linalg.LinAlgError:
         pass
-    try:
-        for one in stack:
-            covariance("", one)
-    except ValueError:
+    unit = np.sqrt(np.abs(stack.diagonal(axis1=1, axis2=2)))
+    scale = unit[:, :, None] * unit[:, None, :]
+    if not np.isfinite(stack).all() or (np.abs(stack - stack.transpose(0, 2, 1)) > 1e-8 * scale).any():
         return False
-    return True
+    return bool(np.linalg.eigvalsh(stack / np.where(scale > 0.0, scale, 1.0)).min() >= -1e-10)
 
 
 def finite_vector(name: str, value: Any) -> Array:

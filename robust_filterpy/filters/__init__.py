@@ -2,7 +2,7 @@
 
 * `kalman`: `RobustKalmanFilter`.
 * `extended`, `sigma_point`: nonlinear filters.
-* `recovering`: a redescending psi that comes back after a jump.
+* `recovering`, `recovering_nonlinear`: a redescending psi that comes back after a jump.
 * `gaussian_sum`: noise that is a known mixture.
 * `multiple_model`: outliers in the process as well as in the measurement.
 * `adaptive`, `adaptive_nonlinear`: noises that are learnt.
@@ -33,6 +33,11 @@ if TYPE_CHECKING:
     from robust_filterpy.filters.gaussian_sum import NoiseMatchedKalmanFilter
     from robust_filterpy.filters.multiple_model import TwoSidedKalmanFilter
     from robust_filterpy.filters.recovering import RecoveringKalmanFilter
+    from robust_filterpy.filters.recovering_nonlinear import (
+        RecoveringCubatureKalmanFilter,
+        RecoveringExtendedKalmanFilter,
+        RecoveringUnscentedKalmanFilter,
+    )
     from robust_filterpy.filters.sigma_point import RobustCubatureKalmanFilter, RobustUnscentedKalmanFilter
 
 _LAZY = {
@@ -41,7 +46,10 @@ _LAZY = {
     "AdaptiveKalmanFilter": "adaptive",
     "AdaptiveUnscentedKalmanFilter": "adaptive_nonlinear",
     "NoiseMatchedKalmanFilter": "gaussian_sum",
+    "RecoveringCubatureKalmanFilter": "recovering_nonlinear",
+    "RecoveringExtendedKalmanFilter": "recovering_nonlinear",
     "RecoveringKalmanFilter": "recovering",
+    "RecoveringUnscentedKalmanFilter": "recovering_nonlinear",
     "RobustCubatureKalmanFilter": "sigma_point",
     "RobustEnsembleKalmanFilter": "ensemble",
     "RobustExtendedKalmanFilter": "extended",
@@ -55,7 +63,10 @@ __all__ = [
     "AdaptiveKalmanFilter",
     "AdaptiveUnscentedKalmanFilter",
     "NoiseMatchedKalmanFilter",
+    "RecoveringCubatureKalmanFilter",
+    "RecoveringExtendedKalmanFilter",
     "RecoveringKalmanFilter",
+    "RecoveringUnscentedKalmanFilter",
     "RobustCubatureKalmanFilter",
     "RobustEnsembleKalmanFilter",
     "RobustExtendedKalmanFilter",

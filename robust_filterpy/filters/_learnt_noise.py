@@ -37,6 +37,7 @@ class LearntNoiseMixin:
 
     R: Any
     dim_z: int
+    _inverse: Any
     _choices: Choices
     _classes: NoiseClasses
     _learnt: Array
@@ -133,27 +134,17 @@ class LearntNoiseMixin:
         return np.asarray(R * np.multiply.outer(r, r))
 
     def _learn(
-        self,
-        means: Array,
-        covariances: Array,
-        probabilities: Array,
-        z: Array,
-        H: Array,
-        R: Array,
-        M: Any,
-        inv: Any,
-        known: Array,
-        part: np.ndarray,
+        self, copies: tuple[Array, Array, Array], z: Array, H: Array, R: Array, M: Any, known: Array, part: np.ndarray,
         first: int = 0,
-    ) -> Learnt:
+    ) -> Learnt:  # fmt: skip
         """Correct copies of a state by the components `part` of z, which stands at `first` in the whole measurement.
 
-        What is `known` of the noise is written over.
+        The copies are means, covariances and probabilities. What is `known` of the noise is written over.
         """
         rows = np.zeros(1, dtype=int) if self.grouping == "joint" else first + part
         if part.size < len(H):
             z, H, R, M = z[part], H[part], R[np.ix_(part, part)], None if M is None else M[:, part]
-        step = corrected(means, covariances, probabilities, known[rows], z, H, R, self._classes, M, inv)
+        step = corrected(*copies, known[rows], z, H, R, self._classes, M, self._inverse)
         known[rows] = step.learnt
         # Sensors that fail together have one probability.
         ordinary = (1.0 - step.outlier_probabilities[: rows.size]).prod()

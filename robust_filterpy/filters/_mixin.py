@@ -34,6 +34,9 @@ class RobustFilterMixin(StateMixin):
     # (Not a literal: a type checker would then believe that there is no __dict__ at all.)
     __slots__ = tuple("_K _S _SI _last _share _updates _y".split())
 
+    #: Whether an expected share of clipped innovations is known, and nobody else watches it.
+    _counts_clipped: bool
+
     x: Array
     dim_z: int
     _K: Any
@@ -219,20 +222,32 @@ class RobustFilterMixin(StateMixin):
         )
 
 
+class Snapshot:
+    """What a filter holds, to put it back."""
+
+    def __init__(self, kf: Any) -> None:
+        """Keep the attributes, and the contents of arrays: a user's function may write into one that is still held."""
+        self._attributes = dict(kf.__dict__)
+        self._slots = {name: getattr(kf, name) for name in RobustFilterMixin.__slots__ if hasattr(kf, name)}
+        arrays = (v for v in self._attributes.values() if type(v) is np.ndarray and v.flags.writeable)
+        self._contents = [(array, array.copy()) for array in arrays]
+
+    def put_back(self, kf: Any) -> None:
+        """Put the filter back as it was."""
+        kf.__dict__.clear()
+        kf.__dict__.update(self._attributes)
+        for name, value in self._slots.items():
+            setattr(kf, name, value)
+        for array, content in self._contents:
+            array[...] = content
+
+
 @contextmanager
 def unchanged_if_refused(kf: Any) -> Iterator[None]:
     """Put a filter back as it was if the block raises anything, an interrupt too."""
-    attributes = dict(kf.__dict__)
-    slots = {name: getattr(kf, name) for name in RobustFilterMixin.__slots__ if hasattr(kf, name)}
-    # A function of the user's may have written into an array that the filter still holds.
-    contents = [(v, v.copy()) for v in attributes.values() if type(v) is np.ndarray and v.flags.writeable]
+    before = Snapshot(kf)
     try:
         yield
     except BaseException:
-        kf.__dict__.clear()
-        kf.__dict__.update(attributes)
-        for name, value in slots.items():
-            setattr(kf, name, value)
-        for array, content in contents:
-            array[...] = content
+        before.put_back(kf)
         raise

@@ -70,12 +70,17 @@ class NonlinearFilterMixin(RobustFilterMixin):
                 )
             each.append(values)
         means, covariances = np.zeros((len(zs), self.dim_x)), np.zeros((len(zs), self.dim_x, self.dim_x))
+        k = 0
         with unchanged_if_refused(self):
-            for k, (z, *values) in enumerate(zip(zs, *each, strict=True)):
-                step(z, *values)
-                means[k], covariances[k] = np.ravel(self.x), self.P
-                if saver is not None:
-                    saver.save()
+            try:
+                for k, (z, *values) in enumerate(zip(zs, *each, strict=True)):
+                    step(z, *values)
+                    means[k], covariances[k] = np.ravel(self.x), self.P
+                    if saver is not None:
+                        saver.save()
+            except (TypeError, ValueError, np.linalg.LinAlgError) as error:
+                error.args = (f"step {k}: {error}", *error.args[1:])
+                raise
         return means, covariances
 
     def _skip(self) -> None:

@@ -166,6 +166,8 @@ def _prepared(
         R = noise_covariance(kf.R, None, m)[None] if Rs is None else _stack(None, Rs, steps, (m, m), True)
         if not (_symmetric(Q) and _symmetric(R) and _symmetric(P[None]) and all_covariances(R)):
             return None
+        if Qs is not None and not all_covariances(Q):
+            return None
         rows = _measurements(zs, m)
         control = _control(kf.B, Bs, us, n, steps)
     except (TypeError, ValueError, AttributeError, np.linalg.LinAlgError):

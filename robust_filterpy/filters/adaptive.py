@@ -167,7 +167,7 @@ class AdaptiveKalmanFilter(LearntNoiseMixin, ScoreFilter, InteractingFilter):
         if part.size == 0:
             self._found = (None,)
             return nothing_observed(column, P, H.dot(P).dot(H.T) + ordinary, m)
-        found = self._learn(*self._current()[:3], values, H, R, M, self._inverse, known, part, self._first)
+        found = self._learn(self._current()[:3], values, H, R, M, known, part, self._first)
         bank = merged_bank(found.step.means, found.step.covariances, found.step.probabilities)
         self._found = (found.step.log_density, bank, found.known, found.outlier_probability)
         # A noise that is larger by a factor keeps its correlation with the state.

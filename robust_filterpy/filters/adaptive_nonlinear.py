@@ -38,7 +38,6 @@ class _Found(NamedTuple):
 class _AdaptiveNonlinear(LearntNoiseMixin, ScoreMixin):
     """Correct by the linear measurement that a nonlinear one is, around the predicted state."""
 
-    _inverse: Any
     _log_likelihood: float | None
 
     def _corrected(self, x: Array, P: Array, y: Array, H: Array, R: Array) -> Any:
@@ -66,8 +65,8 @@ class _AdaptiveNonlinear(LearntNoiseMixin, ScoreMixin):
         if part.size == 0:
             return nothing_observed(x, P, H @ P @ H.T + unexplained + ordinary, m)
         whole, states = np.hstack((H, np.eye(m)[:, : len(curvature)])), block_diag(P, curvature)
-        start = np.zeros((1, n + len(curvature)))
-        learnt = self._learn(start, states[None], np.ones(1), y, whole, R, None, self._inverse, known, part)
+        copies = np.zeros((1, n + len(curvature))), states[None], np.ones(1)
+        learnt = self._learn(copies, y, whole, R, None, known, part)
         x_post = np.asarray(add(x, learnt.step.means[0, :n]), dtype=float)
         P_post = learnt.step.covariances[0, :n, :n]
         merged = MergedCorrection(

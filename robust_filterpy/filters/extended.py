@@ -132,7 +132,8 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         Raises
         ------
         ValueError
-            If a shape does not fit or the prediction is not finite; nothing has changed then.
+            If a shape does not fit, Q is negative or not symmetric, or the prediction not finite; nothing has changed
+            then.
         """
         with unchanged_if_refused(self):
             _, P = state_of(self)
@@ -261,7 +262,7 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         Raises
         ------
         ValueError, TypeError, LinAlgError
-            As in `predict` and `update`; the filter is then as it was before the call.
+            As in `predict` and `update`, with the step named; the filter is then as it was before the call.
         """
 
         def step(z: Any, R: Any, u: Any) -> None:

@@ -164,7 +164,7 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         Raises
         ------
         ValueError
-            If a shape does not fit; nothing has changed then.
+            If a shape does not fit or Q is negative or not symmetric; nothing has changed then.
         """
         x, P = regardless(self._predicted, u, B, F, Q)
         self.x, self.P = x, P

@@ -11,7 +11,7 @@ from filterpy.kalman.CubatureKalmanFilter import ckf_transform
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
-from robust_filterpy._arrays import noise_covariance, state_of
+from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.filters._mixin import unchanged_if_refused
@@ -178,11 +178,12 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
         Raises
         ------
         ValueError
-            If the prediction is not finite; nothing has changed then.
+            If Q is negative or not symmetric or the prediction not finite; nothing has changed then.
         LinAlgError
             If P is not positive definite; nothing has changed then.
         """
         with unchanged_if_refused(self):
+            process_noise(self.Q, None, self.dim_x)
             super().predict(dt, UT, fx, **fx_args)
             require_finite(x=self.x, P=self.P)
 
@@ -255,7 +256,7 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
         Raises
         ------
         ValueError, LinAlgError
-            As in `predict` and `update`; the filter is then as it was before the call.
+            As in `predict` and `update`, with the step named; the filter is then as it was before the call.
         """
 
         def step(z: Any, R: Any, dt: Any) -> None:
@@ -340,11 +341,12 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
         Raises
         ------
         ValueError
-            If the prediction is not finite; nothing has changed then.
+            If Q is negative or not symmetric or the prediction not finite; nothing has changed then.
         LinAlgError
             If P is not positive definite; nothing has changed then.
         """
         with unchanged_if_refused(self):
+            process_noise(self.Q, None, self.dim_x)
             super().predict(dt, fx_args)
             require_finite(x=self.x, P=self.P)
 
@@ -402,7 +404,7 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
         Raises
         ------
         ValueError, TypeError, LinAlgError
-            As in `predict` and `update`; the filter is then as it was before the call.
+            As in `predict` and `update`, with the step named; the filter is then as it was before the call.
         """
 
         def step(z: Any, R: Any, dt: Any) -> None:

@@ -6,13 +6,16 @@ gradient, restrain an unstable step, follow R, remember.
 
 from __future__ import annotations
 
+import copy
 import math
 from itertools import repeat
 from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
+from filterpy.kalman import KalmanFilter
 
 from robust_filterpy._checks import Array
+from robust_filterpy.filters._mixin import RobustFilterMixin, Snapshot
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.identification import _compiled_dispatch, _setup
 from robust_filterpy.identification._conditioning import SHARP, repaired, tempering
@@ -74,7 +77,7 @@ class Recursion:
         """Return what a sample changes: arrays are replaced, never written into."""
         moving = {name: getattr(self.filter, name) for name in _MOVING if hasattr(self.filter, name)}
         memory = {name: getattr(self._memory, name) for name in self._memory.__slots__}
-        return moving, memory, self._scale
+        return moving, memory, self._scale, _kept_of(self.filter)
 
     def _put_back(self, held: tuple[Any, ...]) -> None:
         """Undo what was refused, or interrupted."""
@@ -82,6 +85,8 @@ class Recursion:
             for name, value in values.items():
                 setattr(place, name, value)
         self._scale = held[2]
+        if held[3] is not None:
+            held[3].put_back(self.filter)
 
     def _stepped(self, y: float, u: Array, R: float | None) -> Sample:
         """Advance by one checked sample; the caller undoes what is refused or interrupted."""
@@ -258,6 +263,29 @@ class Recursion:
             odd = 1 if done >= odd else min(2 * odd, most_odd)
             self._run_stepwise(y, u, R, out, k, min(k + odd, stop))
             k = min(k + odd, stop)
+
+
+class _Contents:
+    """Everything that a filter of the user's holds, to the depth of the filters that it may be made of."""
+
+    def __init__(self, kf: Any) -> None:
+        """Copy it; of a filter that cannot be copied, with a lock in it, the attributes alone."""
+        attributes = getattr(kf, "__dict__", {})
+        try:
+            self._attributes = copy.deepcopy(attributes)
+        except TypeError:
+            self._attributes = dict(attributes)
+
+    def put_back(self, kf: Any) -> None:
+        """Put the filter back as it was."""
+        vars(kf).update(self._attributes)
+
+
+def _kept_of(kf: Any) -> _Contents | Snapshot | None:
+    """Return what a sample moves in a filter besides _MOVING; None if that is nothing."""
+    if type(kf) in (RobustKalmanFilter, KalmanFilter):
+        return None
+    return Snapshot(kf) if isinstance(kf, RobustFilterMixin) else _Contents(kf)
 
 
 def variance(phi: Array, P: Array, r: float) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 from robust_filterpy import _checks
 from robust_filterpy._checks import FLOAT, Array
 from robust_filterpy.filters._interruption import StateMixin
+from robust_filterpy.filters._mixin import RobustFilterMixin
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.identification.guard import are_stable
 from robust_filterpy.identification.structures import Structure
@@ -33,7 +34,7 @@ def make_filter(n: int, given: Any, choices: dict[str, Any]) -> Any:
     if given is None:
         kf = RobustKalmanFilter(n, 1, **chosen)
         kf.x, kf.P, kf.Q = np.zeros(n), _VAGUE * np.eye(n), np.zeros((n, n))
-        return kf
+        return _unwatched(kf)
     if chosen:
         raise ValueError(f"{', '.join(chosen)}: expected only without filter=; set them on the filter that you pass")
     kf = given
@@ -54,6 +55,13 @@ def make_filter(n: int, given: Any, choices: dict[str, Any]) -> Any:
         raise ValueError(f"filter: expected dim_x={n} for the structure's parameters, got {np.size(kf.x)}")
     if getattr(kf, "dim_z", 1) != 1:
         raise ValueError(f"filter: expected dim_z=1, got {kf.dim_z}; a tracker has one output")
+    return _unwatched(kf)
+
+
+def _unwatched(kf: Any) -> Any:
+    """Return the filter, which shall not warn of its samples: the tracker does."""
+    if isinstance(kf, RobustFilterMixin):
+        kf._counts_clipped = False
     return kf
 
 

@@ -194,7 +194,7 @@ class Model(Responses):
             facts["Scale ratio"] = f"{self.noise.influence.scale_ratio:.3g}"
         facts |= {"Log-likelihood": f"{self.log_likelihood:.1f}", "Fit, 1 step": f"{self.own_fit:.2f} %"}
         if self.dt is not None:
-            facts["Sampling period"] = f"{self.dt:g} s"
+            facts["Sampling period"] = f"{self.dt:.6g} s"
         return summarized(str(self.structure), facts, names, theta, std, level, self.warning)
 
     def transfer_function(self, dt: float | bool | Literal["recorded"] = "recorded") -> control.TransferFunction:

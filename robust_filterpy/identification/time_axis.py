@@ -5,6 +5,7 @@ Nothing here imports pandas: whoever passes a Series or a DataFrame has done so.
 
 from __future__ import annotations
 
+import math
 import sys
 from typing import Any, Final, NamedTuple
 
@@ -51,6 +52,49 @@ class TimeAxis(NamedTuple):
         """
         return values if self.index is None else sys.modules["pandas"].Series(values, index=self.index, name=name)
 
+    @property
+    def last(self) -> Any:
+        """Time of the last sample; None if the index is no time."""
+        pd = sys.modules.get("pandas")
+        if pd is None or not isinstance(self.index, (pd.DatetimeIndex, pd.TimedeltaIndex, pd.PeriodIndex)):
+            return None
+        return None if len(self.index) == 0 or pd.isna(self.index[-1]) else self.index[-1]
+
+    def missing_after(self, before: tuple[Any, int], dt: float | None) -> int:
+        """Return how many samples are missing between what came before this recording and its first sample.
+
+        Parameters
+        ----------
+        before : tuple of a time and an int
+            A time, and how many samples came after it without one.
+        dt : float or None
+            Sampling period in s; None if it is not known, and then no sample is known to be missing.
+
+        Returns
+        -------
+        int
+
+        Raises
+        ------
+        ValueError
+            If the recording begins no later than what came before it.
+        """
+        last, since = before
+        first = self.index[0]
+        try:
+            steps = (first - last).total_seconds() / dt - since if dt else math.nan
+            goes_on = bool(first > last) and not steps < 0.5
+        except (TypeError, ValueError):
+            # A time zone on one side alone, durations and dates.
+            raise ValueError(f"y: expected times that follow {last!r}, the last before them, got {first!r}") from None
+        if not goes_on:
+            after = f" and {since} more" if since else ""
+            raise ValueError(
+                f"y: expected times that follow {last}{after}, the last before them, got {first}; leave out what the "
+                "tracker has seen, or, to follow another recording, forget the time by tracker.restore(tracker.state())"
+            )
+        return 0 if math.isnan(steps) else round(steps) - 1
+
     def require_period(self, dt: float | None) -> None:
         """Refuse a recording with another sampling period.
 
@@ -66,8 +110,8 @@ class TimeAxis(NamedTuple):
         """
         if dt is not None and self.dt is not None and abs(self.dt - dt) > _SAME * dt:
             raise ValueError(
-                f"y: expected a sample every {dt:g} s, as the model has it, got one every {self.dt:g} s; "
-                f'resample with df.resample("{dt:g}s").mean()'
+                f"y: expected a sample every {dt:.6g} s, as the model has it, got one every {self.dt:.6g} s; "
+                f'resample with df.resample("{dt:.6g}s").mean()'
             )
 
 
@@ -174,29 +218,28 @@ def _uniform(name: str, index: Any) -> float | None:
         k = int(np.argmax(index.isna()))
         raise ValueError(f"{name}: expected an index without gaps, got none in sample {k}; drop the row, then resample")
     place = index.to_numpy(dtype=float) if is_number else index.astype("int64").to_numpy()
-    # pandas before 2 counts nanoseconds, whatever the index.
-    unit = float(np.timedelta64(1, getattr(index, "unit", "ns")) / np.timedelta64(1, "s")) if has_times else 1.0
+    # pandas before 2 counts nanoseconds, whatever the index. To divide by a whole number gives 0.1 s, not 0.09999...
+    per_second = float(np.timedelta64(1, "s") / np.timedelta64(1, getattr(index, "unit", "ns"))) if has_times else 1.0
     steps = np.diff(place)
     usual = float(np.median(steps))
     regular = np.abs(steps - usual) <= _JITTER * abs(usual)
     if usual <= 0.0 or not (regular.all() or calendar):
-        _refuse(name, index, steps, usual, regular, unit, has_times)
+        _refuse(name, index, steps / per_second, usual / per_second, regular, has_times)
     if not has_times or not regular.all():
         return None
-    return float(place[-1] - place[0]) / (len(place) - 1) * unit
+    return float(place[-1] - place[0]) / ((len(place) - 1) * per_second)
 
 
-def _refuse(name: str, index: Any, steps: Any, usual: float, regular: Any, unit: float, has_times: bool) -> None:
+def _refuse(name: str, index: Any, steps: Any, usual: float, regular: Any, has_times: bool) -> None:
     """Say which step of an index is irregular, and what to do."""
     k = int(np.argmax(steps <= 0)) if usual <= 0.0 else int(regular.argmin())
-    size, expected = float(steps[k]) * unit, usual * unit
     mend = "y and u from df.sort_index()"
     if usual > 0.0:
         mend = "put a row with y = NaN where a sample is absent, or df.reset_index(drop=True) if the index is no time"
     if usual > 0.0 and has_times:
-        mend = f'resample with df.resample("{expected:g}s").mean(), then fill u; y may stay NaN'
+        mend = f'resample with df.resample("{usual:.6g}s").mean(), then fill u; y may stay NaN'
     second = " s" if has_times else ""
     raise ValueError(
-        f"{name}: expected a uniform index, with steps of {abs(expected):g}{second}, got a step of {size:g}{second} "
-        f"from {index[k]} to {index[k + 1]}, samples {k} and {k + 1}; {mend}"
+        f"{name}: expected a uniform index, with steps of {abs(usual):.6g}{second}, got a step of "
+        f"{steps[k]:.6g}{second} from {index[k]} to {index[k + 1]}, samples {k} and {k + 1}; {mend}"
     )

@@ -29,7 +29,7 @@ from robust_filterpy.identification.noise_scale import NoiseScale, ordinary_mean
 from robust_filterpy.identification.results import Columns, Intervals, Sample, TrackingResult, intervals
 from robust_filterpy.identification.structures import LinearRegression, Structure
 from robust_filterpy.identification.summary import Summary, summarized
-from robust_filterpy.identification.time_axis import recording
+from robust_filterpy.identification.time_axis import TimeAxis, recording
 from robust_filterpy.identification.tuned import TunedTracker, tuned
 from robust_filterpy.identification.uncertainty import Responses
 from robust_filterpy.identification.validation import fit_percent
@@ -263,6 +263,8 @@ class ParameterTracker(Responses, Recursion):
         self._begun = not samples
         self._initial = self.state()
         self.dt: float | None = None
+        # The last time that a recording told, and how many samples came after it.
+        self._time: tuple[Any, int] | None = None
 
     def __repr__(self) -> str:
         """Show the model as it stands."""
@@ -435,7 +437,7 @@ class ParameterTracker(Responses, Recursion):
         """
         facts = {"R": f"{self.R:.4g}", "Level": f"{self.level:.4g}", "Forgetting": f"{self.forgetting:.4g}"}
         if self.dt is not None:
-            facts["Sampling period"] = f"{self.dt:g} s"
+            facts["Sampling period"] = f"{self.dt:.6g} s"
         waiting = "" if self._begun else "the start has not found a model yet"
         return summarized(str(self.structure), facts, self.structure.names, self.theta, self.std, level, waiting)
 
@@ -588,6 +590,7 @@ class ParameterTracker(Responses, Recursion):
             if self._is_watched:
                 weight, guard, residual = (np.array([v]) for v in (sample.weight, sample.guard, sample.residual))
                 self._say(self._watch.see(weight, guard, residual, self.R, self._has_offset))
+            self._time = None if self._time is None else (self._time[0], self._time[1] + 1)
             return sample
         except BaseException:
             self._put_back(held)
@@ -613,13 +616,20 @@ class ParameterTracker(Responses, Recursion):
         Raises
         ------
         ValueError, TypeError
-            If y or u is empty, not finite, they differ in length or in index, an index is not uniform, or R is not
-            positive; nothing has changed then.
+            If y or u is empty, not finite, they differ in length or in index, an index is not uniform or goes back
+            before the last time of the run before, or R is not positive; nothing has changed then.
         LinAlgError
             If the filter refuses a sample, which the message names; nothing has changed then.
 
+        Warns
+        -----
+        UserWarning
+            If the times say that samples are missing since the run before, and how many.
+
         Notes
         -----
+        A state holds no time: after `restore` and `reset` a recording may begin at any.
+
         Where the kernel serves (`robust_filterpy.compiled.dispatch`) and the filter is a `RobustKalmanFilter` as it
         comes with an influence function of this package, the numbers agree with those of `update` to rounding.
         """
@@ -629,6 +639,7 @@ class ParameterTracker(Responses, Recursion):
         signal = recorded_input(self.structure, u, output.size)
         variances = None if R is None else recorded_variance(R, output.size)
         out = Columns.empty(output.size, self._layout.n)
+        time = self._time_after(axis, output.size)
         before, held = self.state(), self._held()
         try:
             self._advance(output, signal, variances, out)
@@ -637,7 +648,7 @@ class ParameterTracker(Responses, Recursion):
             std = np.sqrt(np.maximum(out.variance[:, self._own], 0.0))
             rest = out.prediction, out.residual, out.weights, out.guard
             result = TrackingResult(out.theta[:, self._own], std, *rest).labelled(self.structure.names, axis.index)
-            self.dt = axis.dt if self.dt is None else self.dt
+            self.dt, self._time = axis.dt if self.dt is None else self.dt, time
             return result
         except BaseException:
             self._set_state(before)
@@ -695,6 +706,24 @@ class ParameterTracker(Responses, Recursion):
         """
         return tuned(self, y, u, over, leave_out)
 
+    def _time_after(self, axis: TimeAxis, samples: int) -> tuple[Any, int] | None:
+        """Return the time after a recording; warn if samples are missing before it, and raise if it goes back."""
+        last = None if isinstance(self.structure, LinearRegression) else axis.last
+        before = self._time
+        if last is None:
+            return None if before is None else (before[0], before[1] + samples)
+        dt = axis.dt if self.dt is None else self.dt
+        missing = 0 if before is None else axis.missing_after(before, dt)
+        if missing > 0:
+            warnings.warn(
+                f"y: {missing} missing sample(s) between {before[0]} and {axis.index[0]}, which "  # type: ignore[index]
+                f"the tracker takes for neighbours; give it the gap first, tracker.run(numpy.full({missing}, "
+                "numpy.nan), u) with the u of the gap",
+                UserWarning,
+                stacklevel=3,
+            )
+        return last, 0
+
     def _advance(self, y: Array, u: Array, R: Array | None, out: Columns) -> None:
         """Take a checked recording; the caller undoes what is refused or interrupted."""
         k = 0
@@ -709,7 +738,7 @@ class ParameterTracker(Responses, Recursion):
         """Return what a sample changes: arrays are replaced, never written into."""
         start, watch = self._start, self._watch
         kept = None if start is None else (start.y, start.u, start.waits)
-        own = {"_centre": self._centre, "_windup": self._windup, "_begun": self._begun, "_memory": self._memory}
+        own = {name: getattr(self, name) for name in ("_centre", "_windup", "_begun", "_memory", "_time", "dt")}
         return *super()._held(), own, start, kept, dict(vars(watch))
 
     def _put_back(self, held: tuple[Any, ...]) -> None:
@@ -885,6 +914,7 @@ class ParameterTracker(Responses, Recursion):
         _setup.require_consistent(found, () if self._guard == "none" else self._layout.stable)
         _setup.take_over(self.filter, state)
         self._set_state(found)
+        self._time = None
 
     def _set_state(self, found: dict[str, Array]) -> None:
         """Take over a checked state."""

@@ -5,8 +5,19 @@ import re
 import numpy as np
 import pytest
 import support
+from filterpy.kalman import MerweScaledSigmaPoints
 
-from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy import (
+    Hampel,
+    Huber,
+    Linear,
+    RobustCubatureKalmanFilter,
+    RobustExtendedKalmanFilter,
+    RobustKalmanFilter,
+    RobustUnscentedKalmanFilter,
+    StudentT,
+    TukeyBiweight,
+)
 from robust_filterpy.testing import assert_refused_call_changes_nothing
 
 pytestmark = pytest.mark.core
@@ -433,10 +444,51 @@ def test_the_smoother(arguments, match):
         kf.rts_smoother(**{"Xs": means, "Ps": covariances} | arguments)
 
 
-@pytest.mark.parametrize("m", [1, 2])
-def test_a_q_that_made_p_negative_is_named(m):
-    kf = RobustKalmanFilter(2, m)
-    kf.H, kf.Q = np.eye(2)[:m], -100.0 * np.eye(2)
+BAD_Q = {
+    "negative": (-0.1, "variances >= 0"),
+    "one negative": (np.diag([1.0, 1.0, -1e-6, 1.0]), "variances >= 0"),
+    "not symmetric": (np.eye(4) + np.eye(4, k=1), "a symmetric"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_Q)
+def test_a_q_that_is_no_covariance_is_refused_where_it_is_used(case):
+    bad, words = BAD_Q[case]
+    kf, match = started(), f"^Q: expected {words}"
+    for method in ("predict", "get_prediction"):
+        refuse(kf, lambda kf, method=method: getattr(kf, method)(Q=bad), match=match)
+    # Long recordings go through the kernel.
+    for Qs in ([bad] * 200, [np.eye(4)] * 150 + [bad * np.ones((4, 4))] * 50):
+        first = 0 if Qs[0] is bad else 150
+        refuse(kf, lambda kf, Qs=Qs: kf.batch_filter(np.zeros((200, 2)), Qs=Qs), match=f"step {first}: {match[1:]}")
+    goes_on(kf)
+    # Written into the array that was good in the step before.
+    kf = started()
+    kf.Q[:] = bad * np.ones((4, 4)) if np.ndim(bad) else bad * np.eye(4)
+    refuse(kf, lambda kf: kf.predict(), match=match)
+    refuse(kf, lambda kf: kf.batch_filter(np.zeros((200, 2))), match=f"step 0: {match[1:]}")
+
+
+@pytest.mark.parametrize("n", [2, 40])
+@pytest.mark.parametrize("cls", [RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter, RobustCubatureKalmanFilter])
+def test_nonlinear_filters_refuse_such_a_q_too(cls, n):
+    functions = () if cls is RobustExtendedKalmanFilter else (1.0, lambda x: x[:1], lambda x, dt: x)
+    points = (MerweScaledSigmaPoints(n, 0.5, 2.0, 1.0),) if cls is RobustUnscentedKalmanFilter else ()
+    kf = cls(n, 1, *functions, *points)
     kf.predict()
-    with pytest.raises(np.linalg.LinAlgError, match=r"least eigenvalue -98.*the Q that predict adds to P"):
+    for bad in (-0.1 * np.eye(n), np.eye(n) + np.eye(n, k=1)):
+        kf.Q = bad
+        before = kf.P.copy()
+        with pytest.raises(ValueError, match=r"^Q: expected "):
+            kf.predict()
+        np.testing.assert_array_equal(kf.P, before)
+    kf.Q = np.ones((n, n))
+    kf.predict()
+
+
+@pytest.mark.parametrize("m", [1, 2])
+def test_a_p_that_is_negative_is_named(m):
+    kf = RobustKalmanFilter(2, m)
+    kf.H, kf.P = np.eye(2)[:m], -98.0 * np.eye(2)
+    with pytest.raises(np.linalg.LinAlgError, match=r"least eigenvalue -97.*the Q that predict adds to P"):
         kf.update(np.ones(m))

@@ -12,7 +12,10 @@ from robust_filterpy import (
     Huber,
     Linear,
     NoiseMatchedKalmanFilter,
+    RecoveringCubatureKalmanFilter,
+    RecoveringExtendedKalmanFilter,
     RecoveringKalmanFilter,
+    RecoveringUnscentedKalmanFilter,
     RobustCubatureKalmanFilter,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
@@ -32,7 +35,7 @@ def of_a_linear_model(cls):
 
     def make(dim_x, dim_z):
         functions = {"hx": lambda x: kf.H @ x, "fx": lambda x, dt: kf.F @ x}
-        if cls is RobustUnscentedKalmanFilter:
+        if issubclass(cls, RobustUnscentedKalmanFilter):
             functions["points"] = MerweScaledSigmaPoints(dim_x, 1.0, 2.0, 3.0 - dim_x)
         kf = cls(dim_x=dim_x, dim_z=dim_z, dt=1.0, **functions)
         kf.F, kf.H = np.eye(dim_x), np.zeros((dim_z, dim_x))
@@ -58,6 +61,9 @@ FILTERS = {
     "unscented": (of_a_linear_model(RobustUnscentedKalmanFilter), SIGMA),
     "cubature": (of_a_linear_model(RobustCubatureKalmanFilter), SIGMA),
     "recovering": (RecoveringKalmanFilter, ("likelihood", "memoryless")),
+    "recovering extended": (RecoveringExtendedKalmanFilter, ("likelihood", "memoryless")),
+    "recovering unscented": (of_a_linear_model(RecoveringUnscentedKalmanFilter), ("likelihood", *SIGMA)),
+    "recovering cubature": (of_a_linear_model(RecoveringCubatureKalmanFilter), ("likelihood", *SIGMA)),
     "noise-matched": (NoiseMatchedKalmanFilter, ("recovers",)),
     "two-sided": (TwoSidedKalmanFilter, ("prediction", "memoryless")),
 }
@@ -71,6 +77,7 @@ EXPECTED = {
         "innovation_and_its_covariance_are_shown": SIGMA_POINTS,
     },
 }
+EXPECTED |= {f"recovering {name}": EXPECTED[name] for name in ("unscented", "cubature")}
 if not support.FILTERPY_2:
     EXPECTED["unscented"]["innovation_and_its_covariance_are_shown"] = SIGMA_POINTS
 

@@ -9,15 +9,18 @@ import pytest
 import support
 
 from robust_filterpy import (
+    ARX,
     AdaptiveKalmanFilter,
     Linear,
     OutlierShareWarning,
+    ParameterTracker,
     RecoveringKalmanFilter,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
     TukeyBiweight,
 )
 from robust_filterpy.filters import _outlier_share
+from robust_filterpy.identification import LostTrackerWarning
 
 
 @pytest.fixture(autouse=True)
@@ -91,6 +94,18 @@ def test_a_sigma_point_filter_says_it_too():
         for _ in range(300):
             kf.predict()
             kf.update(rng.normal(size=1))
+
+
+@pytest.mark.parametrize("filter", [None, RobustKalmanFilter, RobustKalmanFilter(2, 1)], ids=["own", "class", "object"])
+def test_a_tracker_speaks_for_its_filter(filter):
+    rng = np.random.default_rng(0)
+    tracker = ParameterTracker(ARX(1, 1), filter=filter, P=100.0, Q=0.0, R=1e-6, start=0)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for y, u in rng.normal(size=(600, 2)):
+            tracker.update(y, u)
+    assert [one.category for one in caught] == [LostTrackerWarning]
+    assert "ParameterTracker" in str(caught[0].message)
 
 
 def walker(cls, factor, steps=800):

@@ -19,7 +19,10 @@ from robust_filterpy import (
     NoiseMatchedKalmanFilter,
     OutputError,
     ParameterTracker,
+    RecoveringCubatureKalmanFilter,
+    RecoveringExtendedKalmanFilter,
     RecoveringKalmanFilter,
+    RecoveringUnscentedKalmanFilter,
     RobustCubatureKalmanFilter,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
@@ -56,16 +59,16 @@ def observe(x):
     return np.ravel(x)[:1]
 
 
-def extended(cls=RobustExtendedKalmanFilter):
-    kf = cls(2, 1)
+def extended(cls=RobustExtendedKalmanFilter, **options):
+    kf = cls(2, 1, **options)
     kf.F, kf.Q = F, 0.01 * np.eye(2)
     return kf
 
 
-def sigma_points(cls):
+def sigma_points(cls, **options):
     def make():
         points = (MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0),) if "Unscented" in cls.__name__ else ()
-        kf = cls(2, 1, 1.0, observe, move, *points)
+        kf = cls(2, 1, 1.0, observe, move, *points, **options)
         kf.Q = 0.01 * np.eye(2)
         return kf
 
@@ -106,6 +109,9 @@ FILTERS = {
     "adaptive extended": lambda: extended(AdaptiveExtendedKalmanFilter),
     "adaptive unscented": sigma_points(AdaptiveUnscentedKalmanFilter),
     "adaptive cubature": sigma_points(AdaptiveCubatureKalmanFilter),
+    "recovering extended": lambda: extended(RecoveringExtendedKalmanFilter, patience=3),
+    "recovering unscented": sigma_points(RecoveringUnscentedKalmanFilter, patience=3),
+    "recovering cubature": sigma_points(RecoveringCubatureKalmanFilter, patience=3),
     "ensemble": ensemble,
     "fixed lag": lagged(),
     "fixed lag, Kalman measurement": lagged(process=None),

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import warnings
 
 import numpy as np
 import pytest
@@ -210,3 +211,112 @@ def test_parameters_of_structures_and_trackers_make_them_again():
     again = ParameterTracker(**tracker.get_params(deep=False))
     assert (again.structure, again.forgetting, again.guard) == (tracker.structure, tracker.forgetting, "reject")
     assert tracker.get_params()["structure__na"] == 2
+
+
+@pytest.mark.parametrize("unit", ["ns", "us", "ms"])
+@pytest.mark.parametrize("ms", [100, 300, 700])
+def test_a_period_is_the_number_that_one_would_write(unit, ms):
+    index = pd.date_range("2024-03-01", periods=N, freq=f"{ms}ms").as_unit(unit)
+    df = table(index)
+    tracker = ParameterTracker(ARX(1, 1), start=0, offset=True)
+    tracker.run(df.y, df.u)
+    assert tracker.dt == tracker.transfer_function().dt == ms / 1000
+    assert f" {ms / 1000:g} s\n" in tracker.summary().to_text()
+    tracker.dt = 0.1234567890123
+    assert " 0.123457 s\n" in tracker.summary().to_text()
+
+
+def split(first=300, second=300, index=None):
+    """A tracker that has seen the first samples, and the table of the others."""
+    df = table(index)
+    tracker = ParameterTracker(ARX(1, 1), start=0, offset=True)
+    tracker.run(df.y[:first], df.u[:first])
+    return tracker, df[second:]
+
+
+TIMES = {
+    "dates": None,
+    "durations": pd.timedelta_range("0s", periods=N, freq="250ms"),
+    "daylight saving": pd.date_range("2024-03-30", periods=N, freq="h", tz="Europe/Berlin"),
+    "months": pd.date_range("1950-01-01", periods=N, freq="MS"),
+    "periods": pd.period_range("2024-01", periods=N, freq="M"),
+}
+
+
+@pytest.mark.parametrize("index", TIMES.values(), ids=TIMES)
+def test_a_recording_that_goes_back_in_time_is_refused_and_one_that_goes_on_is_not(index):
+    for second in (0, 200, 299):
+        tracker, rest = split(300, second, index)
+        before = tracker.state()
+        with pytest.raises(ValueError, match=r"^y: expected times that follow .*, got .*restore"):
+            tracker.run(rest.y, rest.u)
+        for name, value in tracker.state().items():
+            assert_array_equal(value, before[name])
+    tracker, rest = split(300, 300, index)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        tracker.run(rest.y[:1], rest.u[:1])
+        tracker.run(rest.y[1:], rest.u[1:])
+    whole = ParameterTracker(ARX(1, 1), start=0, offset=True)
+    whole.run(table().y.to_numpy(), table().u.to_numpy())
+    assert_array_equal(tracker.theta, whole.theta)
+
+
+@pytest.mark.parametrize("name", ["dates", "durations", "daylight saving"])
+def test_a_gap_between_two_recordings_is_told_and_how_to_fill_it(name):
+    tracker, rest = split(300, 342, TIMES[name])
+    with pytest.warns(UserWarning, match=r"^y: 42 missing sample.s. between .*numpy.full\(42, numpy.nan\)"):
+        tracker.run(rest.y, rest.u)
+    # As the message says; samples without an index count.
+    tracker, rest = split(300, 342, TIMES[name])
+    u = table().u.to_numpy()[300:342]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for k in range(2):
+            tracker.update(np.nan, u[k])
+        tracker.run(np.full(40, np.nan), u[2:])
+        tracker.run(rest.y, rest.u)
+    with pytest.raises(ValueError, match="follow"):
+        tracker.run(rest.y, rest.u)
+
+
+def test_a_gap_that_is_made_an_error_changes_nothing():
+    tracker, rest = split(300, 301)
+    before = tracker.state()
+    with warnings.catch_warnings(), pytest.raises(UserWarning, match="1 missing sample"):
+        warnings.simplefilter("error")
+        tracker.run(rest.y, rest.u)
+    for name, value in tracker.state().items():
+        assert_array_equal(value, before[name])
+
+
+def test_time_is_forgotten_with_a_state_and_other_kinds_of_time_are_refused():
+    tracker, _ = split()
+    df = table()
+    for other in (df.index.tz_localize("UTC"), TIMES["durations"]):
+        there = df.set_index(other)
+        with pytest.raises(ValueError, match=r"every 10 s|follow Timestamp"):
+            tracker.run(there.y, there.u)
+    tracker.restore(tracker.state())
+    tracker.run(df.y, df.u)
+    tracker.reset()
+    tracker.run(df.y, df.u)
+    # Counts and words are no times.
+    tracker = ParameterTracker(ARX(1, 1), start=0, offset=True)
+    for _ in range(2):
+        tracker.run(df.y.reset_index(drop=True), df.u.reset_index(drop=True))
+    # Regressors may come in any order.
+    tracker = ParameterTracker(LinearRegression(1), start=0, offset=True)
+    for _ in range(2):
+        tracker.run(df.y, df[["u"]])
+
+
+def test_a_refused_run_leaves_the_time_as_it_was():
+    tracker, rest = split(300, 300)
+    with pytest.raises(ValueError, match="finite"):
+        tracker.run(rest.y, rest.u * np.inf)
+    with pytest.raises(ValueError, match="finite"):
+        tracker.update(1.0, np.inf)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        tracker.run(rest.y, rest.u)

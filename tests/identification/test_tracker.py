@@ -13,7 +13,7 @@ import pytest
 import support
 from filterpy.kalman import FadingKalmanFilter, InformationFilter, KalmanFilter, SquareRootKalmanFilter
 
-from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter
+from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, TwoSidedKalmanFilter
 from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError, ParameterTracker
 from robust_filterpy.noise import EpsilonContaminated
 from robust_filterpy.plants import simulate_arx, simulate_output_error
@@ -429,6 +429,70 @@ def test_sample_that_another_filter_refuses_changes_nothing_and_is_named():
     with pytest.raises(ValueError, match=r"sample \d+: enough"):
         tracker.run(y, u)
     same(before.values(), tracker.state().values())
+
+
+class Mixed:
+    """Two filters side by side, as in an IMMEstimator, that refuse a sample after both have moved."""
+
+    def __init__(self, dim_x, dim_z):
+        self.filters = [KalmanFilter(dim_x, dim_z) for _ in range(2)]
+        for kf, q in zip(self.filters, (0.0, 1e-3), strict=True):
+            kf.x, kf.Q = np.zeros(dim_x), q * np.eye(dim_x)
+        self.fails, self.x = False, np.zeros(dim_x)
+
+    @property
+    def P(self):
+        return self.filters[0].P
+
+    @P.setter
+    def P(self, value):
+        for kf in self.filters:
+            kf.P = value.copy()
+
+    @property
+    def H(self):
+        return self.filters[0].H
+
+    @H.setter
+    def H(self, value):
+        for kf in self.filters:
+            kf.H = value
+
+    def predict(self):
+        for kf in self.filters:
+            kf.predict()
+
+    def update(self, z):
+        for kf in self.filters:
+            kf.update(z)
+        if self.fails:
+            raise ValueError("enough")
+        self.x = 0.5 * sum(kf.x for kf in self.filters)
+
+
+class Failing(TwoSidedKalmanFilter):
+    """A filter with copies that refuses a sample after they have moved."""
+
+    fails = False
+
+    def update(self, z):
+        super().update(z)
+        if self.fails:
+            raise ValueError("enough")
+
+
+@pytest.mark.parametrize("make", [Mixed, Failing])
+@pytest.mark.parametrize("call", ["run", "update"])
+def test_what_a_filter_is_made_of_is_undone_too(make, call):
+    y, u = recording(60, missing=False)
+    tracker, twin = (support.told_tracker(ARX(2, 2), filter=make) for _ in range(2))
+    for one in (tracker, twin):
+        one.run(y[:20], u[:20])
+    tracker.filter.fails = True
+    with pytest.raises(ValueError, match="enough"):
+        tracker.run(y[20:], u[20:]) if call == "run" else tracker.update(y[20], u[20])
+    tracker.filter.fails = False
+    np.testing.assert_array_equal(tracker.run(y[20:], u[20:]).theta, twin.run(y[20:], u[20:]).theta)
 
 
 # A variance for each sample
