@@ -21,7 +21,7 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy.compiled import stamp
-from robust_filterpy.compiled.records import SIZES, Model, Output, Run
+from robust_filterpy.compiled.records import SIZES, Copies, Model, Noise, Output, Run
 from robust_filterpy.correction.options import GROUPINGS, INFORMATIONS, SCALINGS, Choices
 from robust_filterpy.influence.information import expected_joint_information
 
@@ -30,7 +30,7 @@ COMPILATION, DEFINITION = 20.0, 2e-5
 
 #: Names of kernels in the list of those that are cached.
 ONLINE, BANK, TRACKING = "single steps", "steps of a bank", "tracking parameters"
-ADAPTIVE = "steps that learn the noise"
+ADAPTIVE, ADAPTIVE_SERIES = "steps that learn the noise", "recordings that learn the noise"
 
 _KINDS = ("linear", "huber", "hampel", "tukey", "student_t")
 _OLDEST = (0, 59)
@@ -182,6 +182,8 @@ def _encode(choices: Choices, m: int) -> Array:
 
 def usable(array: Array) -> Array:
     """Return an array as the kernels take it: numba would compile anew for one that is read only or strided."""
+    if array.flags.carray and array.dtype == np.float64:
+        return array
     return np.require(array, dtype=np.float64, requirements=("C", "W"))
 
 
@@ -227,11 +229,60 @@ def filter_series(
     """
     done = np.zeros(len(zs), dtype=np.int64)
     low, high = (0, len(zs)) if span is None else span
-    flat = [a.reshape(*a.shape[:2], a.shape[2] * a.shape[3]) if a.ndim == 4 else a for a in output]
     with announced(series_name(size)):
         loops().filter_series[size](
             usable(zs), Model(*map(usable, model)), x, P.reshape(len(P), -1), encoded(choices, zs.shape[2]),
             Run(float(alpha_sq), bool(update_first), int(every), bool(likely), int(start)), int(low), int(high),
-            Output(*flat), done,
+            _flat(output), done,
         )  # fmt: skip
     return done
+
+
+def adaptive_series(
+    zs: Array,
+    model: Model,
+    series: Copies,
+    noise: Noise,
+    output: Output,
+    outlying: Array,
+    scale: Array,
+    *,
+    alpha_sq: float = 1.0,
+    update_first: bool = False,
+    every: int = 1,
+    start: int = 0,
+    span: tuple[int, int] | None = None,
+) -> np.ndarray:
+    """Advance series whose noise is learnt in place and return how many steps of each were taken.
+
+    Parameters
+    ----------
+    zs, model, output, alpha_sq, update_first, every, start, span
+        As in `filter_series`; covariances are kept where there is room for them.
+    series : Copies
+        Filters side by side, of each series; advanced in place, C-contiguous.
+    noise : Noise
+        What the filters are told of the noises.
+    outlying, scale : ndarray, shape (series, kept step)
+        Probability of an outlier and mean factor of Q are written here.
+
+    Returns
+    -------
+    ndarray of int, shape (series,)
+    """
+    from robust_filterpy.compiled import adaptive
+
+    done = np.zeros(len(zs), dtype=np.int64)
+    low, high = (0, len(zs)) if span is None else span
+    with announced(ADAPTIVE_SERIES):
+        adaptive.filter_series(
+            usable(zs), Model(*map(usable, model)), series, noise,
+            Run(float(alpha_sq), bool(update_first), int(every), True, int(start)), int(low), int(high),
+            _flat(output), outlying, scale, done,
+        )  # fmt: skip
+    return done
+
+
+def _flat(output: Output) -> Output:
+    """Return the same with flat covariances."""
+    return Output(*(a.reshape(*a.shape[:2], a.shape[2] * a.shape[3]) if a.ndim == 4 else a for a in output))

@@ -48,3 +48,35 @@ class Output(NamedTuple):
     weights: Array
     log_likelihood: Array
     """(series,)"""
+
+
+class Copies(NamedTuple):
+    """Filters side by side that learn their measurement noise; in the kernel over series with one more axis in front."""
+
+    means: Array
+    """(q, n)"""
+    covariances: Array
+    """(q, n, n)"""
+    probabilities: Array
+    """(q,)"""
+    learnt: Array
+    """What is known of the noise of each sensor, (m, ...)."""
+    x: Array
+    """Mean of all, (n,)."""
+    P: Array
+    """Its covariance, (n, n)."""
+
+
+class Noise(NamedTuple):
+    """What such filters are told of the noises."""
+
+    process_scales: Array
+    """Factors of Q, (q,)."""
+    stay: float
+    """Probability that a scale of Q stays."""
+    scales: Array
+    """Factors of R, (K,)."""
+    begin: Array
+    """What is known before the first sample, (...)."""
+    memory: float
+    r_memory: float

@@ -8,7 +8,7 @@ import numpy as np
 
 from robust_filterpy.compiled import dispatch
 from robust_filterpy.compiled.kernel import workspace_size
-from robust_filterpy.compiled.records import SIZES, Model, Output
+from robust_filterpy.compiled.records import SIZES, Copies, Model, Noise, Output
 from robust_filterpy.correction import adaptive_noise
 from robust_filterpy.correction.options import Choices
 
@@ -19,6 +19,7 @@ def kernels() -> dict[str, Callable[[], object]]:
         dispatch.ONLINE: _online,
         dispatch.BANK: _bank,
         dispatch.ADAPTIVE: _adaptive,
+        dispatch.ADAPTIVE_SERIES: _adaptive_series,
     }
     for size in SIZES:
         calls[dispatch.series_name(size)] = lambda size=size: _series(size)  # type: ignore[misc]
@@ -46,11 +47,21 @@ def _adaptive() -> None:
 
     one = np.ones((1, 1))
     begin = adaptive_noise.start(1)
-    adaptive.advance(one.copy(), one[None].copy(), one[0].copy(), one[0], one[0], one, one, one[0], 1.0, 1.0)
-    adaptive.merge(one, one[None], one[0], one[0].copy(), one.copy())
-    adaptive.correct(
-        one.copy(), one[None].copy(), one[0].copy(), begin[None].copy(), one[0], one, one[0], one[0], begin, 2.0, 2.0,
-        one[0].copy(), one[0].copy(),
+    copies = Copies(one.copy(), one[None].copy(), one[0].copy(), begin[None].copy(), one[0].copy(), one.copy())
+    adaptive.advance(*copies[:3], *copies[4:], one, one, one[0], one[0], 1.0, 1.0)
+    adaptive.merge(*copies[:3], *copies[4:])
+    adaptive.correct(copies, one[0], one, one, Noise(one[0], 1.0, one[0], begin, 2.0, 2.0), one[0].copy(), one[0].copy())
+
+
+def _adaptive_series() -> None:
+    """Filter one series of one step."""
+    one, begin = np.ones((1, 1)), adaptive_noise.start(1)
+    four, three = one[None, None], one[None]
+    series = Copies(three.copy(), four.copy(), one.copy(), begin[None, None].copy(), one.copy(), three.copy())
+    output = Output(three.copy(), four.copy(), three.copy(), four.copy(), three.copy(), np.zeros(1))
+    dispatch.adaptive_series(
+        three, Model(four, four, four, four, three), series, Noise(one[0], 1.0, one[0], begin, 2.0, 2.0), output,
+        one.copy(), one.copy(),
     )  # fmt: skip
 
 
