@@ -68,15 +68,15 @@ def _workspace(q, n, m, K):
 
 
 @inlined
-def _correct(copies, z, H, R, noise, weights, outlying, ws):
+def _correct(copies, z, H, R, noise, weights, outlying, ws, n, m):
     """Correct q filters by what z tells in place; return from how many sensors, -1 if that is for the definition.
 
     A sensor that is missing, or that H does not see, gets NaN as its weight; if -1 is returned, `copies` are spoilt.
     """
     means, covariances, probabilities, x, P = copies.means, copies.covariances, copies.probabilities, copies.x, copies.P
-    (q, n), K, scales = means.shape, len(noise.scales), noise.scales
+    q, K, scales = len(means), len(noise.scales), noise.scales
     log_density = 0.0
-    count = _by_plausibility(copies, z, H, R, weights, outlying, ws)
+    count = _by_plausibility(copies, z, H, R, weights, outlying, ws, n, m)
     for place in range(count):
         sensor = ws.order[place]
         h, variance, known = H[sensor], R[sensor, sensor], copies.learnt[sensor]
@@ -124,7 +124,7 @@ def _correct(copies, z, H, R, noise, weights, outlying, ws):
             left = ordinary / (ws.seen[c] + ordinary)
             energy += probabilities[c] * ws.likely[c, 0] * ((ws.y[c] * left) ** 2 + ws.seen[c] * left) / variance
             _merge_classes(
-                means[c], covariances[c], ws.C[c], h, ws.y[c], ws.likely[c], ws.precision[c], ordinary, scales, ws.row
+                means[c], covariances[c], ws.C[c], h, ws.y[c], ws.likely[c], ws.precision[c], ordinary, scales, ws.row, n
             )
         weight = 0.0
         for k in range(K):
@@ -135,17 +135,17 @@ def _correct(copies, z, H, R, noise, weights, outlying, ws):
             noise.r_memory,
         )  # fmt: skip
     if count > 0:
-        _merge_copies(means, covariances, probabilities, x, P)
+        _merge_copies(means, covariances, probabilities, x, P, n)
     return count, log_density
 
 
 @inlined
-def _merge_classes(x, P, C, h, y, likely, precision, ordinary, scales, left):
+def _merge_classes(x, P, C, h, y, likely, precision, ordinary, scales, left, n):
     """Correct one filter under every class and merge: x + C g, P - C C' g', g the score of y.
 
     P in Joseph's form, with the mean gain of the classes: what is added to it cannot be negative.
     """
-    n, first, noisy, between = len(x), 0.0, 0.0, 0.0
+    first, noisy, between = 0.0, 0.0, 0.0
     for k in range(len(scales)):
         first += likely[k] * precision[k]
         noisy += likely[k] * precision[k] * ordinary * scales[k]
@@ -170,12 +170,12 @@ def _merge_classes(x, P, C, h, y, likely, precision, ordinary, scales, left):
 
 
 @inlined
-def _by_plausibility(copies, z, H, R, weights, outlying, ws):
+def _by_plausibility(copies, z, H, R, weights, outlying, ws, n, m):
     """Put the sensors that tell something into order, the smallest innovation in standard deviations first.
 
     Returns how many there are, -1 if their noises are correlated or H x is not finite.
     """
-    n, m, count = len(copies.x), len(z), 0
+    count = 0
     for sensor in range(m):
         weights[sensor], outlying[sensor] = math.nan, 0.0
         predicted, visible = 0.0, False
@@ -209,9 +209,9 @@ def _by_plausibility(copies, z, H, R, weights, outlying, ws):
 
 
 @inlined
-def _merge_copies(means, covariances, probabilities, x, P):
+def _merge_copies(means, covariances, probabilities, x, P, n):
     """Write the mean and the covariance of the mixture of q filters into x and P."""
-    q, n = means.shape
+    q = len(means)
     for i in range(n):
         x[i] = 0.0
         for j in range(n):
@@ -227,9 +227,9 @@ def _merge_copies(means, covariances, probabilities, x, P):
 
 
 @inlined
-def _advance(means, covariances, probabilities, x, P, F, Q, Bu, scales, stay, alpha_sq, ws):
+def _advance(means, covariances, probabilities, x, P, F, Q, Bu, scales, stay, alpha_sq, ws, n):
     """Mix q filters as the scale of Q may have changed, and move them; return whether x and P are finite."""
-    q, n = means.shape
+    q = len(means)
     for c in range(q):
         p = 0.0
         for o in range(q):
@@ -272,7 +272,7 @@ def _advance(means, covariances, probabilities, x, P, F, Q, Bu, scales, stay, al
                 for k in range(n):
                     total += ws.FP[i, k] * F[j, k]
                 covariances[c, i, j] = alpha_sq * total + scales[c] * Q[i, j]
-    _merge_copies(means, covariances, probabilities, x, P)
+    _merge_copies(means, covariances, probabilities, x, P, n)
     for i in range(n):
         if not math.isfinite(x[i]):
             return False
@@ -283,10 +283,9 @@ def _advance(means, covariances, probabilities, x, P, F, Q, Bu, scales, stay, al
 
 
 @inlined
-def _put(copies, to):
+def _put(copies, to, n, m):
     """Write a state of q filters into another."""
-    (q, n), (m, width) = copies.means.shape, copies.learnt.shape
-    for c in range(q):
+    for c in range(len(copies.means)):
         to.probabilities[c] = copies.probabilities[c]
         for i in range(n):
             to.means[c, i] = copies.means[c, i]
@@ -297,55 +296,58 @@ def _put(copies, to):
         for j in range(n):
             to.P[i, j] = copies.P[i, j]
     for sensor in range(m):
-        for i in range(width):
+        for i in range(copies.learnt.shape[1]):
             to.learnt[sensor, i] = copies.learnt[sensor, i]
 
 
 @allocating
-def _filter_span(zs, model, series, noise, run, low, high, output, outlying, scale, done):
+def _filter_span(zs, model, series, noise, run, low, high, output, outlying, scale, done, n, m):
     """Advance series low to high - 1."""
-    steps, m, every = zs.shape[1], zs.shape[2], run.every
-    (q, n), width = series.means.shape[1:], series.learnt.shape[2]
+    steps, every = zs.shape[1], run.every
+    q, width = series.means.shape[1], series.learnt.shape[2]
     ws = _workspace(q, n, m, len(noise.scales))
     # A step that is refused leaves its series as it was.
     kept = Copies(
         np.empty((q, n)), np.empty((q, n, n)), np.empty(q), np.empty((m, width)), np.empty(n), np.empty((n, n))
     )
     z, weights, outliers = np.empty(m), np.empty(m), np.empty(m)
+    varies = max(model.F.shape[1], model.Q.shape[1], model.H.shape[1], model.R.shape[1], model.Bu.shape[1]) > 1
     for s in range(low, high):
         f, e, h = _place(s, len(model.F)), _place(s, len(model.Q)), _place(s, len(model.H))
         r, b = _place(s, len(model.R)), _place(s, len(model.Bu))
+        F, Q, H, R, Bu = model.F[f, 0], model.Q[e, 0], model.H[h, 0], model.R[r, 0], model.Bu[b, 0]
         now = Copies(
             series.means[s], series.covariances[s], series.probabilities[s], series.learnt[s], series.x[s], series.P[s]
         )
         flat = now.P.reshape(n * n)
         done[s] = steps
         for k in range(run.start, steps):
-            F, Q = model.F[f, _place(k, model.F.shape[1])], model.Q[e, _place(k, model.Q.shape[1])]
-            H, R = model.H[h, _place(k, model.H.shape[1])], model.R[r, _place(k, model.R.shape[1])]
-            Bu = model.Bu[b, _place(k, model.Bu.shape[1])]
+            if varies:
+                F, Q = model.F[f, _place(k, model.F.shape[1])], model.Q[e, _place(k, model.Q.shape[1])]
+                H, R = model.H[h, _place(k, model.H.shape[1])], model.R[r, _place(k, model.R.shape[1])]
+                Bu = model.Bu[b, _place(k, model.Bu.shape[1])]
             for i in range(m):
                 z[i] = zs[s, k, i]
-            _put(now, kept)
-            keeps, row = (k + 1) % every == 0, (k + 1) // every - 1
+            _put(now, kept, n, m)
+            keeps, row = every == 1 or (k + 1) % every == 0, (k + 1) // every - 1
             likelihood = 0.0
             for half in range(2):
                 if (half == 0) == run.update_first:
-                    count, likelihood = _correct(now, z, H, R, noise, weights, outliers, ws)
+                    count, likelihood = _correct(now, z, H, R, noise, weights, outliers, ws, n, m)
                     fine = count >= 0
                     if keeps:
                         _keep(now.x, flat, s, row, output.means, output.covariances)
                 else:
                     fine = _advance(
                         now.means, now.covariances, now.probabilities, now.x, now.P, F, Q, Bu, noise.process_scales,
-                        noise.stay, run.alpha_sq, ws,
+                        noise.stay, run.alpha_sq, ws, n,
                     )  # fmt: skip
                     if keeps:
                         _keep(now.x, flat, s, row, output.means_p, output.covariances_p)
                 if not fine:
                     break
             if not fine:
-                _put(kept, now)
+                _put(kept, now, n, m)
                 done[s] = k
                 break
             output.log_likelihood[s] += likelihood
@@ -371,7 +373,7 @@ def _entries(version: int) -> Any:
         """
         (q, n), m = copies.means.shape, len(z)
         ws = _workspace(q, n, m, len(noise.scales))
-        count, log_density = _correct(copies, z, H, R, noise, weights, outlying, ws)
+        count, log_density = _correct(copies, z, H, R, noise, weights, outlying, ws, n, m)
         return count if version >= 0 else -1, log_density
 
     @entry
@@ -382,13 +384,13 @@ def _entries(version: int) -> Any:
         """
         q, n = means.shape
         ws = _workspace(q, n, 0, 0)
-        fine = _advance(means, covariances, probabilities, x, P, F, Q, Bu, scales, stay, alpha_sq, ws)
+        fine = _advance(means, covariances, probabilities, x, P, F, Q, Bu, scales, stay, alpha_sq, ws, n)
         return fine and version >= 0
 
     @entry
     def merge(means, covariances, probabilities, x, P):
         """Write the mean and the covariance of the mixture of q filters into x (n,) and P (n, n)."""
-        _merge_copies(means, covariances, probabilities, x, P)
+        _merge_copies(means, covariances, probabilities, x, P, len(x))
         return version
 
     @entry
@@ -397,7 +399,9 @@ def _entries(version: int) -> Any:
 
         outlying and scale (series, kept step) are the probability of an outlier and the mean factor of Q.
         """
-        _filter_span(zs, model, series, noise, run, low, high, output, outlying, scale, done)
+        _filter_span(
+            zs, model, series, noise, run, low, high, output, outlying, scale, done, series.x.shape[1], zs.shape[2]
+        )
         return version
 
     return correct, advance, merge, filter_series

@@ -51,7 +51,7 @@ class Output(NamedTuple):
 
 
 class Copies(NamedTuple):
-    """Filters side by side that learn their measurement noise; in the kernel over series with one more axis in front."""
+    """Filters side by side that learn their measurement noise; with one more axis in front, a series each."""
 
     means: Array
     """(q, n)"""
