@@ -124,8 +124,9 @@ def _correct(copies, z, H, R, noise, weights, outlying, ws, n, m):
             left = ordinary / (ws.seen[c] + ordinary)
             energy += probabilities[c] * ws.likely[c, 0] * ((ws.y[c] * left) ** 2 + ws.seen[c] * left) / variance
             _merge_classes(
-                means[c], covariances[c], ws.C[c], h, ws.y[c], ws.likely[c], ws.precision[c], ordinary, scales, ws.row, n
-            )
+                means[c], covariances[c], ws.C[c], h, ws.y[c], ws.likely[c], ws.precision[c], ordinary, scales, ws.row,
+                n,
+            )  # fmt: skip
         weight = 0.0
         for k in range(K):
             weight += ws.posterior[k] / scales[k]

@@ -80,6 +80,7 @@ class AdaptiveKalmanFilter(LearntNoiseMixin, ScoreFilter, InteractingFilter):
     --------
     robust_filterpy.correction.adaptive.correct_adaptively : The step as a pure function.
     robust_filterpy.filters.NoiseMatchedKalmanFilter : The same merging with numbers that are given.
+    robust_filterpy.batch.adaptive_series : Many recordings by one call.
 
     Notes
     -----

@@ -144,7 +144,7 @@ def test_a_series_that_is_refused_is_nan_from_there_on_and_leaves_the_others_alo
     F[1, 20] *= 1e200
     model = (F, H, problem.Q, R, problem.x[:, 0], problem.P)
     with np.errstate(over="ignore", invalid="ignore"):
-        with pytest.raises(ValueError, match="^series 1, step 20: predict"):
+        with pytest.raises(ValueError, match=r"^series 1, step 20: predict"):
             adaptive_series(zs, *model)
         for keep, row in ((1, 20), (4, 5), ("last", 0)):
             found = adaptive_series(zs, *model, refused="nan", keep=keep)
