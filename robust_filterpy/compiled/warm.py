@@ -50,8 +50,7 @@ def _adaptive() -> None:
     copies = Copies(one.copy(), one[None].copy(), one[0].copy(), begin[None].copy(), one[0].copy(), one.copy())
     adaptive.advance(*copies[:3], *copies[4:], one, one, one[0], one[0], 1.0, 1.0)
     adaptive.merge(*copies[:3], *copies[4:])
-    noise = Noise(one[0], 1.0, one[0], begin, 2.0, 2.0)
-    adaptive.correct(copies, one[0], one, one, noise, one[0].copy(), one[0].copy())
+    adaptive.correct(*copies, one[0], one, one, one[0], begin, 2.0, 2.0, one[0].copy(), one[0].copy())
 
 
 def _adaptive_series() -> None:

@@ -41,12 +41,10 @@ def _told(scales: tuple[float, ...], memory: float, r_memory: float) -> Noise:
     return Noise(np.ones(1), 1.0, np.array(scales), adaptive_noise.start(len(scales)), memory, r_memory)
 
 
-def told(noise: NoiseClasses, process_scales: Array | None = None, dwell: float = np.inf) -> Noise:
+def told(noise: NoiseClasses, process_scales: Array, dwell: float) -> Noise:
     """Return what the kernel is told of the noises."""
-    classes = _told(noise.scales, noise.memory, noise.r_memory)  # type: ignore[arg-type]
-    if process_scales is None:
-        return classes
     stay = 1.0 - 1.0 / dwell if len(process_scales) > 1 else 1.0
+    classes = _told(noise.scales, noise.memory, noise.r_memory)  # type: ignore[arg-type]
     return classes._replace(process_scales=process_scales, stay=stay)
 
 
@@ -60,19 +58,14 @@ def corrected(
     """
     kernels = dispatch.adaptive()
     if kernels is not None and M is None and inv is None and noise.grouping == "component":
-        copies = Copies(
-            bank.means.copy(), bank.covariances.copy(), bank.probabilities.copy(), learnt.copy(), bank.x.copy(),
-            bank.P.copy(),
-        )  # fmt: skip
-        weights, outlying = np.empty(len(z)), np.empty(len(z))
+        known, weights, outlying = learnt.copy(), np.empty(len(z)), np.empty(len(z))
+        means, covariances, probabilities, x, P = (a.copy() for a in bank)
         count, log_density = kernels.correct(
-            copies, dispatch.usable(z), dispatch.usable(H), dispatch.usable(R), told(noise), weights, outlying
-        )
+            means, covariances, probabilities, known, x, P, dispatch.usable(z), dispatch.usable(H), dispatch.usable(R),
+            *_told(noise.scales, noise.memory, noise.r_memory)[2:], weights, outlying,  # type: ignore[arg-type]
+        )  # fmt: skip
         if count > 0:
-            means, covariances, probabilities, learnt, x, P = copies
-            return Corrected(
-                Bank(means, covariances, probabilities, x, P), learnt, log_density, weights, outlying
-            )  # fmt: skip
+            return Corrected(Bank(means, covariances, probabilities, x, P), known, log_density, weights, outlying)
         if count == 0:
             return None
     # What H does not see says nothing about the state, and nothing is learnt from it.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -166,5 +167,6 @@ class LearntNoiseMixin:
             learnt = known.copy()
             learnt[first : first + len(z)] = found.learnt
         # Sensors that fail together have one probability.
-        probability = found.outlying.max() if joint else 1.0 - (1.0 - found.outlying).prod()
-        return Learnt(found.bank, learnt, found.log_density, float(probability), found.weights, found.outlying)
+        outlying = found.outlying.tolist()
+        probability = max(outlying) if joint else 1.0 - math.prod(1.0 - p for p in outlying)
+        return Learnt(found.bank, learnt, found.log_density, probability, found.weights, found.outlying)
