@@ -14,7 +14,7 @@ from robust_filterpy.compiled import dispatch
 from robust_filterpy.compiled.records import Copies, Model
 from robust_filterpy.correction.adaptive_noise import DECADES
 from robust_filterpy.correction.options import Grouping
-from robust_filterpy.filters._adaptive_step import series_kernel, told, uncorrelated
+from robust_filterpy.filters._adaptive_step import told, uncorrelated
 from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter
 
 __all__ = ["AdaptiveSeries", "adaptive_series"]
@@ -126,12 +126,14 @@ def adaptive_series(
     )  # fmt: skip
     outlying, scale = np.empty(kept.means.shape[:2]), np.empty(kept.means.shape[:2])
     done = np.zeros(series, dtype=int)
-    if series and grouping == "component" and uncorrelated(given.model[3]) and series_kernel(series * steps):
+    serves = series * steps and grouping == "component" and uncorrelated(given.model[3])
+    size = dispatch.adaptive_size(given.x.shape[1], m, series * steps) if serves else None
+    if size is not None:
         model, noise = Model(*given.model, np.zeros((1, 1, given.x.shape[1]))), told(kf._classes, kf._scales, kf.dwell)
 
         def part(low: int, high: int) -> np.ndarray:
             return dispatch.adaptive_series(
-                given.z, model, state, noise, kept, outlying, scale, every=given.every, span=(low, high)
+                size, given.z, model, state, noise, kept, outlying, scale, every=given.every, span=(low, high)
             )[low:high]
 
         done = spread(part, series, n_threads)

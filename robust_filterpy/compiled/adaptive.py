@@ -15,7 +15,7 @@ import numpy as np
 from robust_filterpy._checks import Array
 from robust_filterpy.compiled.jit import allocating, entry, inlined
 from robust_filterpy.compiled.loops import _keep, _place
-from robust_filterpy.compiled.records import Copies, Noise
+from robust_filterpy.compiled.records import ADAPTIVE_SIZES, Copies, Noise
 from robust_filterpy.compiled.stamp import sources
 from robust_filterpy.correction import adaptive_noise
 from robust_filterpy.correction.merging import _LOG_2PI, _REACH
@@ -398,18 +398,22 @@ def _entries(version: int) -> Any:
         _merge_copies(means, covariances, probabilities, x, P, len(x))
         return version
 
-    @entry
-    def filter_series(zs, model, series, noise, run, low, high, output, outlying, scale, done):
-        """Advance series low to high - 1: `series` go in and come out, done (series,) tells how many steps were taken.
+    def filter_series_of(n: int, m: int) -> Any:
+        """Return the loop for a number of states and of sensors that the compiler knows, 0 for any."""
 
-        outlying and scale (series, kept step) are the probability of an outlier and the mean factor of Q.
-        """
-        _filter_span(
-            zs, model, series, noise, run, low, high, output, outlying, scale, done, series.x.shape[1], zs.shape[2]
-        )
-        return version
+        @entry
+        def filter_series(zs, model, series, noise, run, low, high, output, outlying, scale, done):
+            """Advance series low to high - 1, in place; done (series,) tells how many steps were taken.
 
-    return correct, advance, merge, filter_series
+            outlying and scale (series, kept step) are the probability of an outlier and the mean factor of Q.
+            """
+            states, sensors = n + 0 if n > 0 else series.x.shape[1], m + 0 if m > 0 else zs.shape[2]
+            _filter_span(zs, model, series, noise, run, low, high, output, outlying, scale, done, states, sensors)
+            return version
+
+        return filter_series
+
+    return correct, advance, merge, {size: filter_series_of(*size) for size in ADAPTIVE_SIZES}
 
 
 correct, advance, merge, filter_series = _entries(sources())

@@ -21,16 +21,19 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy.compiled import stamp
-from robust_filterpy.compiled.records import SIZES, Copies, Model, Noise, Output, Run
+from robust_filterpy.compiled.records import ADAPTIVE_SIZES, SIZES, Copies, Model, Noise, Output, Run
 from robust_filterpy.correction.options import GROUPINGS, INFORMATIONS, SCALINGS, Choices
 from robust_filterpy.influence.information import expected_joint_information
 
 #: Seconds that compiling one kernel takes at most, and that a step by the definition takes at least.
 COMPILATION, DEFINITION = 20.0, 2e-5
 
+#: Seconds that a step that learns the noise takes at least, by the definition and by the kernel of single steps.
+LEARNING, LEARNING_STEP = 3e-4, 2e-5
+
 #: Names of kernels in the list of those that are cached.
 ONLINE, BANK, TRACKING = "single steps", "steps of a bank", "tracking parameters"
-ADAPTIVE, ADAPTIVE_SERIES = "steps that learn the noise", "recordings that learn the noise"
+ADAPTIVE = "steps that learn the noise"
 
 _KINDS = ("linear", "huber", "hampel", "tukey", "student_t")
 _OLDEST = (0, 59)
@@ -238,7 +241,24 @@ def filter_series(
     return done
 
 
+def adaptive_size(n: int, m: int, steps: float) -> tuple[int, int] | None:
+    """Return which of the kernels serves series of n states and m sensors whose noise is learnt, None if none does."""
+    candidates = [size for size in ((n, m), (0, 0)) if size in ADAPTIVE_SIZES]
+    for size in candidates:
+        if adaptive_name(size) in _cached() and loops() is not None:
+            return size
+    seconds = steps * (LEARNING if adaptive() is None else LEARNING_STEP)
+    return candidates[0] if ready(adaptive_name(candidates[0]), seconds) else None
+
+
+def adaptive_name(size: tuple[int, int]) -> str:
+    """Return the name of a kernel for series whose noise is learnt."""
+    n, m = (str(k) if k else "any" for k in size)
+    return f"recordings of {n} states and {m} sensors that learn the noise"
+
+
 def adaptive_series(
+    size: tuple[int, int],
     zs: Array,
     model: Model,
     series: Copies,
@@ -257,6 +277,8 @@ def adaptive_series(
 
     Parameters
     ----------
+    size : tuple of int
+        Which kernel, from `adaptive_size`.
     zs, model, output, alpha_sq, update_first, every, start, span
         As in `filter_series`; covariances are kept where there is room for them.
     series : Copies
@@ -274,8 +296,8 @@ def adaptive_series(
 
     done = np.zeros(len(zs), dtype=np.int64)
     low, high = (0, len(zs)) if span is None else span
-    with announced(ADAPTIVE_SERIES):
-        adaptive.filter_series(
+    with announced(adaptive_name(size)):
+        adaptive.filter_series[size](
             usable(zs), Model(*map(usable, model)), series, noise,
             Run(float(alpha_sq), bool(update_first), int(every), True, int(start)), int(low), int(high),
             _flat(output), outlying, scale, done,

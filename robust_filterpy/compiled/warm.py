@@ -8,7 +8,7 @@ import numpy as np
 
 from robust_filterpy.compiled import dispatch
 from robust_filterpy.compiled.kernel import workspace_size
-from robust_filterpy.compiled.records import SIZES, Copies, Model, Noise, Output
+from robust_filterpy.compiled.records import ADAPTIVE_SIZES, SIZES, Copies, Model, Noise, Output
 from robust_filterpy.correction import adaptive_noise
 from robust_filterpy.correction.options import Choices
 
@@ -19,10 +19,11 @@ def kernels() -> dict[str, Callable[[], object]]:
         dispatch.ONLINE: _online,
         dispatch.BANK: _bank,
         dispatch.ADAPTIVE: _adaptive,
-        dispatch.ADAPTIVE_SERIES: _adaptive_series,
     }
     for size in SIZES:
         calls[dispatch.series_name(size)] = lambda size=size: _series(size)  # type: ignore[misc]
+    for size in ADAPTIVE_SIZES:
+        calls[dispatch.adaptive_name(size)] = lambda size=size: _adaptive_series(size)  # type: ignore[misc]
     return calls
 
 
@@ -53,16 +54,24 @@ def _adaptive() -> None:
     adaptive.correct(*copies, one[0], one, one, one[0], begin, 2.0, 2.0, one[0].copy(), one[0].copy())
 
 
-def _adaptive_series() -> None:
-    """Filter one series of one step."""
-    one, begin = np.ones((1, 1)), adaptive_noise.start(1)
-    four, three = one[None, None], one[None]
-    series = Copies(three.copy(), four.copy(), one.copy(), begin[None, None].copy(), one.copy(), three.copy())
-    output = Output(three.copy(), four.copy(), three.copy(), four.copy(), three.copy(), np.zeros(1))
-    dispatch.adaptive_series(
-        three, Model(four, four, four, four, three), series, Noise(one[0], 1.0, one[0], begin, 2.0, 2.0), output,
-        one.copy(), one.copy(),
+def _adaptive_series(size: tuple[int, int]) -> None:
+    """Filter one series of one step by one filter, whose noise has one class."""
+    n, m = size[0] or 1, size[1] or 1
+    four, begin, one = (1, 1), adaptive_noise.start(1), np.ones(1)
+    model = Model(
+        np.eye(n).reshape(*four, n, n), np.eye(n).reshape(*four, n, n), np.ones((*four, m, n)),
+        np.eye(m).reshape(*four, m, m), np.zeros((*four, n)),
     )  # fmt: skip
+    series = Copies(
+        np.zeros((*four, n)), np.eye(n).reshape(*four, n, n), np.ones(four), np.tile(begin, (1, m, 1)),
+        np.zeros((1, n)), np.eye(n)[None],
+    )  # fmt: skip
+    output = Output(
+        np.empty((*four, n)), np.empty((*four, n, n)), np.empty((1, 0, n)), np.empty((1, 0, n, n)),
+        np.empty((*four, m)), np.zeros(1),
+    )  # fmt: skip
+    noise = Noise(one, 1.0, one, begin, 2.0, 2.0)
+    dispatch.adaptive_series(size, np.zeros((*four, m)), model, series, noise, output, np.empty(four), np.empty(four))
 
 
 def _online() -> None:

@@ -17,9 +17,6 @@ from robust_filterpy.filters._hypotheses import finite_product
 from robust_filterpy.filters._interacting import Bank, merged_bank
 from robust_filterpy.filters._recording import CompiledLoop
 
-# Seconds that a step takes at least by the filter's own methods: by the definition, and by the kernel of single steps.
-_DEFINITION, _STEP = 3e-4, 2e-5
-
 
 class Corrected(NamedTuple):
     """The filters and the noise after a correction, and what has become of each component."""
@@ -91,7 +88,8 @@ class AdaptiveLoop(CompiledLoop):
 
     def _serves(self, n: int, m: int, steps: int) -> bool:
         """Return whether the kernel serves so many states, sensors and steps."""
-        return series_kernel(steps)
+        self._size = dispatch.adaptive_size(n, m, steps)
+        return self._size is not None
 
     def prepare(
         self, zs: Any, Fs: Any, Qs: Any, Hs: Any, Rs: Any, Bs: Any, us: Any, kept: Output, update_first: bool
@@ -112,8 +110,8 @@ class AdaptiveLoop(CompiledLoop):
         series = Copies(*(a[None].copy() for a in arrays))
         taken = int(
             dispatch.adaptive_series(
-                self._zs[:, :last], self._model, series, told(kf._classes, kf._scales, kf._dwell), self._kept,
-                self._outlying, self._scale, start=k, **self._options,
+                self._size, self._zs[:, :last], self._model, series, told(kf._classes, kf._scales, kf._dwell),  # type: ignore[arg-type]
+                self._kept, self._outlying, self._scale, start=k, **self._options,
             )[0]
         )  # fmt: skip
         if taken > k:
@@ -123,11 +121,6 @@ class AdaptiveLoop(CompiledLoop):
             kf._learnt = np.concatenate([known, learnt[m:]])
             self._process_scale.extend(self._scale[0, k:taken].tolist())
         return taken
-
-
-def series_kernel(steps: float) -> bool:
-    """Return whether the kernel serves so many steps, of all series together."""
-    return dispatch.ready(dispatch.ADAPTIVE_SERIES, steps * (_DEFINITION if dispatch.adaptive() is None else _STEP))
 
 
 def uncorrelated(R: Array) -> bool:

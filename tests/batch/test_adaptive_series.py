@@ -31,7 +31,7 @@ def path(request, monkeypatch):
         support.without_kernel(monkeypatch)
         return request.param
     support.needs_kernel()
-    if dispatch.ADAPTIVE_SERIES not in dispatch._cached():
+    if dispatch.adaptive_name((0, 0)) not in dispatch._cached():
         pytest.skip("no kernel of recordings in the cache")
     return request.param
 
