@@ -16,7 +16,7 @@ from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.influence import Hampel, Huber, Linear, StudentT, TukeyBiweight
 
 if TYPE_CHECKING:
-    from robust_filterpy.batch import FilterBank, filter_series
+    from robust_filterpy.batch import FilterBank, adaptive_series, filter_series
     from robust_filterpy.correction.mixture import ContaminatedScore
     from robust_filterpy.diagnostics import diagnose
     from robust_filterpy.edge import export_c
@@ -83,6 +83,7 @@ _LAZY = {
     "RobustUnscentedKalmanFilter": "filters",
     "TrackerBank": "identification",
     "TwoSidedKalmanFilter": "filters",
+    "adaptive_series": "batch",
     "compare": "identification",
     "diagnose": "diagnostics",
     "estimate_noise": "noise",
@@ -131,6 +132,7 @@ __all__ = [
     "TukeyBiweight",
     "TwoSidedKalmanFilter",
     "__version__",
+    "adaptive_series",
     "compare",
     "diagnose",
     "estimate_noise",

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
-import os
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robust_filterpy import _checks
-from robust_filterpy._checks import Array, numbers
+from robust_filterpy._checks import Array
+from robust_filterpy.batch._arguments import series_arguments, spread, threads
 from robust_filterpy.batch.bank import FilterBank
 from robust_filterpy.compiled import dispatch
 from robust_filterpy.compiled.records import Model, Output
@@ -20,8 +17,6 @@ from robust_filterpy.influence.functions import Huber, Influence
 
 __all__ = ["FilteredSeries", "filter_series"]
 
-_COVARIANCES = ("full", "diagonal", "none")
-_REFUSED = ("raise", "nan")
 # Seconds a step of one series takes in numpy, many together.
 _STACKED = 1e-6
 
@@ -122,102 +117,18 @@ def filter_series(
     ((2, 3, 2), array([ 1., nan,  1.]))
     """
     choices = Choices(influence, scaling, information, grouping)
-    _checks.option("covariance", covariance, _COVARIANCES)
-    skips = _checks.option("refused", refused, _REFUSED) == "nan"
-    z = np.ascontiguousarray(numbers("zs", zs))
-    if z.ndim != 3:
-        mend = "; use zs[:, :, None] for series of one sensor, zs[None] for one series" if z.ndim == 2 else ""
-        raise ValueError(f"zs: expected shape (series, steps, dim_z), got {z.shape}{mend}")
-    if np.isinf(z).any():
-        raise ValueError("zs: expected finite numbers or NaN (missing), got infinity")
+    given = series_arguments(zs, F, H, Q, R, x0, P0, keep, covariance, refused)
+    z, model, x, P, kept, every, skips = given
     series, steps, m = z.shape
-    if m == 0:
-        raise ValueError(f"zs: expected dim_z >= 1, got shape {z.shape}")
-    x0, P0 = numbers("x0", x0), numbers("P0", P0)
-    # A column, as filterpy keeps its state, would pass for one number for each series.
-    unclear = x0.ndim == 0 or (x0.ndim == 2 and x0.shape[1] == 1)
-    n = P0.shape[-1] if unclear and P0.ndim else x0.shape[-1] if x0.ndim else 1
-    if n == 0:
-        raise ValueError(f"x0: expected dim_x >= 1, got shape {x0.shape}")
-    if x0.shape not in ((n,), (series, n)):
-        mend = "; use x0.ravel()" if x0.shape == (n, 1) else f"; use x0*np.ones({n})" if x0.ndim == 0 else ""
-        raise ValueError(f"x0: expected shape {(n,)} or {(series, n)}, got {x0.shape}{mend}")
-    if P0.shape not in ((n, n), (series, n, n)):
-        raise ValueError(f"P0: expected shape {(n, n)} or {(series, n, n)} for dim_x={n}, got {P0.shape}")
-    model = tuple(
-        _leading(name, value, shape, series, steps)
-        for name, value, shape in (("F", F, (n, n)), ("Q", Q, (n, n)), ("H", H, (m, n)), ("R", R, (m, m)))
-    )
-    _require_covariances("R", model[3].reshape(-1, m, m))
-    _require_symmetric("Q", model[1])
-    _require_symmetric("P0", P0)
-    x, P = np.broadcast_to(x0, (series, n)).copy(), np.broadcast_to(P0, (series, n, n)).copy()
-    every = _every(keep, steps)
-    rows = steps // every if every else 0
-    shape = {"full": (n, n), "diagonal": (1, n), "none": (0, 0)}[covariance]
-    kept = Output(
-        np.empty((series, rows, n)), np.empty((series, rows, *shape)), np.empty((series, 0, n)),
-        np.empty((series, 0, n, n)), np.empty((series, rows, m)), np.zeros(series),
-    )  # fmt: skip
-    n_threads = _threads(n_threads)
+    n_threads = threads(n_threads)
     left = [(range(series), 0)]
-    size = _kernel(choices, n, m, series * steps)
+    size = _kernel(choices, x.shape[1], m, series * steps)
     if size is not None:
         taken = _run_compiled(size, choices, z, model, x, P, kept, every, n_threads).tolist()
         left = [(range(s, s + 1), k) for s, k in enumerate(taken) if k < steps]
     for part, start in left if series else ():
         _run_bank(choices, z, model, x, P, kept, every, part, start, skips)
-    covariances = kept.covariances if covariance == "full" else None
-    if covariance == "diagonal":
-        covariances = kept.covariances[:, :, 0]
-    return FilteredSeries(kept.means, covariances, kept.log_likelihood, kept.weights)
-
-
-def _require_covariances(name: str, stack: Array) -> None:
-    """Raise unless every matrix of a stack is a covariance; one by one only where the stack as a whole is not."""
-    if not _checks.all_covariances(stack):
-        for one in stack:
-            _checks.covariance(name, one)
-
-
-def _require_symmetric(name: str, value: Array) -> None:
-    """Raise unless every matrix of a stack is symmetric, to rounding."""
-    apart = np.abs(value - value.swapaxes(-1, -2))
-    if apart.any():
-        scale = np.sqrt(np.abs(np.diagonal(value, axis1=-2, axis2=-1)))
-        if (apart > 1e-8 * scale[..., :, None] * scale[..., None, :]).any():
-            raise ValueError(f"{name}: expected a symmetric matrix, got one that differs from its transpose")
-
-
-def _threads(n_threads: int | None) -> int:
-    """Return how many threads to use: by default as many as the process may."""
-    if n_threads is not None:
-        return _checks.count("n_threads", n_threads, 1)
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _leading(name: str, value: Any, shape: tuple[int, int], series: int, steps: int) -> Array:
-    """Return a matrix with the axes (series or 1, step or 1) in front, or raise."""
-    found = numbers(name, value)
-    if found.ndim in (2, 3):
-        found = found[(None,) * (4 - found.ndim)]
-    good = found.ndim == 4 and found.shape[2:] == shape and found.shape[0] in (1, series)
-    if not good or found.shape[1] not in (1, steps):
-        raise ValueError(
-            f"{name}: expected shape {shape}, ({steps}, ..) with one a step, or ({series}, {steps} or 1, ..) with each "
-            f"series' own, got {np.shape(value)}"
-        )
-    if not np.isfinite(found).all():
-        raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
-    return np.ascontiguousarray(found)
-
-
-def _every(keep: Any, steps: int) -> int:
-    """Return the distance of kept steps."""
-    if isinstance(keep, str):
-        _checks.option("keep", keep, ("all", "last"))
-        return 1 if keep == "all" else max(steps, 1)
-    return _checks.count("keep", keep, 1)
+    return FilteredSeries(kept.means, given.covariances(covariance), kept.log_likelihood, kept.weights)
 
 
 def _kernel(choices: Choices, n: int, m: int, steps: int) -> tuple[int, int] | None:
@@ -236,25 +147,16 @@ def _run_compiled(
     P: Array,
     kept: Output,
     every: int,
-    threads: int,
+    n_threads: int,
 ) -> np.ndarray:
     """Run the loops, which let go of the interpreter, on several threads; return how many steps of each were taken."""
     F, Q, H, R = model
     full = Model(F, Q, H, R, np.zeros((1, 1, x.shape[1])))
-    edges = np.unique(np.linspace(0, len(z), 4 * threads + 1).astype(int)).tolist() if threads > 1 else [0, len(z)]
-    spans = list(itertools.pairwise(edges))
 
-    def part(span: tuple[int, int]) -> np.ndarray:
-        return dispatch.filter_series(size, choices, z, full, x, P, kept, every=every, span=span)[slice(*span)]
+    def part(low: int, high: int) -> np.ndarray:
+        return dispatch.filter_series(size, choices, z, full, x, P, kept, every=every, span=(low, high))[low:high]
 
-    if len(spans) < 2:
-        done = [part(span) for span in spans]
-    else:
-        # Compile, or load from the cache, in one thread, before two do the same work.
-        dispatch.filter_series(size, choices, z, full, x, P, kept, every=every, span=(0, 0))
-        with ThreadPoolExecutor(threads) as pool:
-            done = list(pool.map(part, spans))
-    return np.concatenate(done)
+    return spread(part, len(z), n_threads)
 
 
 def _run_bank(

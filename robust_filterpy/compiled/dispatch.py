@@ -21,12 +21,15 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy.compiled import stamp
-from robust_filterpy.compiled.records import SIZES, Model, Output, Run
+from robust_filterpy.compiled.records import ADAPTIVE_SIZES, SIZES, Copies, Model, Noise, Output, Run
 from robust_filterpy.correction.options import GROUPINGS, INFORMATIONS, SCALINGS, Choices
 from robust_filterpy.influence.information import expected_joint_information
 
 #: Seconds that compiling one kernel takes at most, and that a step by the definition takes at least.
 COMPILATION, DEFINITION = 20.0, 2e-5
+
+#: Seconds that a step that learns the noise takes at least, by the definition and by the kernel of single steps.
+LEARNING, LEARNING_STEP = 3e-4, 2e-5
 
 #: Names of kernels in the list of those that are cached.
 ONLINE, BANK, TRACKING = "single steps", "steps of a bank", "tracking parameters"
@@ -182,6 +185,8 @@ def _encode(choices: Choices, m: int) -> Array:
 
 def usable(array: Array) -> Array:
     """Return an array as the kernels take it: numba would compile anew for one that is read only or strided."""
+    if array.flags.carray and array.dtype == np.float64:
+        return array
     return np.require(array, dtype=np.float64, requirements=("C", "W"))
 
 
@@ -227,11 +232,79 @@ def filter_series(
     """
     done = np.zeros(len(zs), dtype=np.int64)
     low, high = (0, len(zs)) if span is None else span
-    flat = [a.reshape(*a.shape[:2], a.shape[2] * a.shape[3]) if a.ndim == 4 else a for a in output]
     with announced(series_name(size)):
         loops().filter_series[size](
             usable(zs), Model(*map(usable, model)), x, P.reshape(len(P), -1), encoded(choices, zs.shape[2]),
             Run(float(alpha_sq), bool(update_first), int(every), bool(likely), int(start)), int(low), int(high),
-            Output(*flat), done,
+            _flat(output), done,
         )  # fmt: skip
     return done
+
+
+def adaptive_size(n: int, m: int, steps: float) -> tuple[int, int] | None:
+    """Return which of the kernels serves series of n states and m sensors whose noise is learnt, None if none does."""
+    candidates = [size for size in ((n, m), (0, 0)) if size in ADAPTIVE_SIZES]
+    for size in candidates:
+        if adaptive_name(size) in _cached() and loops() is not None:
+            return size
+    seconds = steps * (LEARNING if adaptive() is None else LEARNING_STEP)
+    return candidates[0] if ready(adaptive_name(candidates[0]), seconds) else None
+
+
+def adaptive_name(size: tuple[int, int]) -> str:
+    """Return the name of a kernel for series whose noise is learnt."""
+    n, m = (str(k) if k else "any" for k in size)
+    return f"recordings of {n} states and {m} sensors that learn the noise"
+
+
+def adaptive_series(
+    size: tuple[int, int],
+    zs: Array,
+    model: Model,
+    series: Copies,
+    noise: Noise,
+    output: Output,
+    outlying: Array,
+    scale: Array,
+    *,
+    alpha_sq: float = 1.0,
+    update_first: bool = False,
+    every: int = 1,
+    start: int = 0,
+    span: tuple[int, int] | None = None,
+) -> np.ndarray:
+    """Advance series whose noise is learnt in place and return how many steps of each were taken.
+
+    Parameters
+    ----------
+    size : tuple of int
+        Which kernel, from `adaptive_size`.
+    zs, model, output, alpha_sq, update_first, every, start, span
+        As in `filter_series`; covariances are kept where there is room for them.
+    series : Copies
+        Filters side by side, of each series; advanced in place, C-contiguous.
+    noise : Noise
+        What the filters are told of the noises.
+    outlying, scale : ndarray, shape (series, kept step)
+        Probability of an outlier and mean factor of Q are written here.
+
+    Returns
+    -------
+    ndarray of int, shape (series,)
+    """
+    from robust_filterpy.compiled import adaptive
+
+    done = np.zeros(len(zs), dtype=np.int64)
+    low, high = (0, len(zs)) if span is None else span
+    with announced(adaptive_name(size)):
+        adaptive.filter_series[size](
+            usable(zs), Model(*map(usable, model)), series, noise,
+            Run(float(alpha_sq), bool(update_first), int(every), True, int(start)), int(low), int(high),
+            _flat(output), outlying, scale, done,
+        )  # fmt: skip
+    return done
+
+
+def _flat(output: Output) -> Output:
+    """Return the same with flat covariances."""
+    return Output(*(a.reshape(*a.shape[:2], a.shape[2] * a.shape[3]) if a.ndim == 4 else a for a in output))

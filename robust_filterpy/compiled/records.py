@@ -8,6 +8,8 @@ from robust_filterpy._checks import Array
 
 #: Sizes that the compiler knows, 0 for any: it unrolls the loops over sensors, and over the states of small filters.
 SIZES = ((0, 0), (0, 1), (0, 2), (0, 3), (0, 4), (2, 1), (4, 1), (4, 2), (7, 4), (8, 1))
+#: The same where the noise is learnt: known sizes take two fifths less at (2, 1), a fifth at (4, 2).
+ADAPTIVE_SIZES = ((0, 0), (2, 1), (4, 1), (4, 2))
 
 
 class Model(NamedTuple):
@@ -48,3 +50,35 @@ class Output(NamedTuple):
     weights: Array
     log_likelihood: Array
     """(series,)"""
+
+
+class Copies(NamedTuple):
+    """Filters side by side that learn their measurement noise; with one more axis in front, a series each."""
+
+    means: Array
+    """(q, n)"""
+    covariances: Array
+    """(q, n, n)"""
+    probabilities: Array
+    """(q,)"""
+    learnt: Array
+    """What is known of the noise of each sensor, (m, ...)."""
+    x: Array
+    """Mean of all, (n,)."""
+    P: Array
+    """Its covariance, (n, n)."""
+
+
+class Noise(NamedTuple):
+    """What such filters are told of the noises."""
+
+    process_scales: Array
+    """Factors of Q, (q,)."""
+    stay: float
+    """Probability that a scale of Q stays."""
+    scales: Array
+    """Factors of R, (K,)."""
+    begin: Array
+    """What is known before the first sample, (...)."""
+    memory: float
+    r_memory: float

@@ -8,7 +8,7 @@ import numpy as np
 
 from robust_filterpy.compiled import dispatch
 from robust_filterpy.compiled.kernel import workspace_size
-from robust_filterpy.compiled.records import SIZES, Model, Output
+from robust_filterpy.compiled.records import ADAPTIVE_SIZES, SIZES, Copies, Model, Noise, Output
 from robust_filterpy.correction import adaptive_noise
 from robust_filterpy.correction.options import Choices
 
@@ -22,6 +22,8 @@ def kernels() -> dict[str, Callable[[], object]]:
     }
     for size in SIZES:
         calls[dispatch.series_name(size)] = lambda size=size: _series(size)  # type: ignore[misc]
+    for size in ADAPTIVE_SIZES:
+        calls[dispatch.adaptive_name(size)] = lambda size=size: _adaptive_series(size)  # type: ignore[misc]
     return calls
 
 
@@ -46,12 +48,30 @@ def _adaptive() -> None:
 
     one = np.ones((1, 1))
     begin = adaptive_noise.start(1)
-    adaptive.advance(one.copy(), one[None].copy(), one[0].copy(), one[0], one[0], one, one, one[0], 1.0, 1.0)
-    adaptive.merge(one, one[None], one[0], one[0].copy(), one.copy())
-    adaptive.correct(
-        one.copy(), one[None].copy(), one[0].copy(), begin[None].copy(), one[0], one, one[0], one[0], begin, 2.0, 2.0,
-        one[0].copy(), one[0].copy(),
+    copies = Copies(one.copy(), one[None].copy(), one[0].copy(), begin[None].copy(), one[0].copy(), one.copy())
+    adaptive.advance(*copies[:3], *copies[4:], one, one, one[0], one[0], 1.0, 1.0)
+    adaptive.merge(*copies[:3], *copies[4:])
+    adaptive.correct(*copies, one[0], one, one, one[0], begin, 2.0, 2.0, one[0].copy(), one[0].copy())
+
+
+def _adaptive_series(size: tuple[int, int]) -> None:
+    """Filter one series of one step by one filter, whose noise has one class."""
+    n, m = size[0] or 1, size[1] or 1
+    four, begin, one = (1, 1), adaptive_noise.start(1), np.ones(1)
+    model = Model(
+        np.eye(n).reshape(*four, n, n), np.eye(n).reshape(*four, n, n), np.ones((*four, m, n)),
+        np.eye(m).reshape(*four, m, m), np.zeros((*four, n)),
     )  # fmt: skip
+    series = Copies(
+        np.zeros((*four, n)), np.eye(n).reshape(*four, n, n), np.ones(four), np.tile(begin, (1, m, 1)),
+        np.zeros((1, n)), np.eye(n)[None],
+    )  # fmt: skip
+    output = Output(
+        np.empty((*four, n)), np.empty((*four, n, n)), np.empty((1, 0, n)), np.empty((1, 0, n, n)),
+        np.empty((*four, m)), np.zeros(1),
+    )  # fmt: skip
+    noise = Noise(one, 1.0, one, begin, 2.0, 2.0)
+    dispatch.adaptive_series(size, np.zeros((*four, m)), model, series, noise, output, np.empty(four), np.empty(four))
 
 
 def _online() -> None:

@@ -88,8 +88,9 @@ def class_probabilities(learnt: Floats, p: Floats) -> None:
         total = 0.0
         for j in range(K):
             total += learnt[first + j]
+        share = learnt[2 + K + i] / total
         for j in range(K):
-            p[j] += learnt[2 + K + i] * learnt[first + j] / total
+            p[j] += share * learnt[first + j]
 
 
 def learn(
@@ -122,21 +123,22 @@ def learn(
     learnt[0] = min(max(learnt[0], 1e-8), 1e8)
     for j in range(K):
         learnt[2 + j] = keep_share * learnt[2 + j] + (1.0 - keep_share) * p[j]
-    # E[class i before, class j now] = q_i A_ij p_j / sum_l q_l A_lj, with q_i A_ij put in place of the counts first.
+    # E[class i before, class j now] = q_i A_ij p_j / sum_l q_l A_lj, A_ij the counts over their sum.
     last = 2 + K
     counts = last + K
-    totals = [0.0] * K
     for i in range(K):
+        total = 0.0
         for j in range(K):
-            totals[i] += learnt[counts + i * K + j]
+            total += learnt[counts + i * K + j]
+        learnt[last + i] /= total
     for j in range(K):
         predicted = 0.0
         for i in range(K):
-            predicted += learnt[last + i] * learnt[counts + i * K + j] / totals[i]
+            predicted += learnt[last + i] * learnt[counts + i * K + j]
+        moved = p[j] / predicted if predicted > 0.0 else 0.0
         for i in range(K):
             at = counts + i * K + j
-            moved = learnt[last + i] * learnt[at] / totals[i] * p[j] / predicted if predicted > 0.0 else 0.0
-            learnt[at] = begin[at] + keep * (learnt[at] - begin[at]) + moved
+            learnt[at] = begin[at] + keep * (learnt[at] - begin[at]) + moved * learnt[last + i] * learnt[at]
     for j in range(K):
         learnt[last + j] = p[j]
     # Ordinary is what most samples are. (At .4 an R that is 30 times too small can stay so for 1000 samples.)

@@ -67,7 +67,7 @@ class MultipleHypothesisFilter(RobustKalmanFilter):
         """
         if saver is not None and not callable(getattr(saver, "save", None)):
             return super().batch_filter(zs, Fs, Qs, Hs, Rs, Bs, us, update_first, saver)
-        notes = _ProcessScales(self, saver)
+        notes = ProcessScales(self, saver)
         found = super().batch_filter(zs, Fs, Qs, Hs, Rs, Bs, us, update_first, notes)
         self._process_scales = np.array(notes.scales)
         return found
@@ -204,7 +204,7 @@ class MultipleHypothesisFilter(RobustKalmanFilter):
             self._found = found
 
 
-class _ProcessScales:
+class ProcessScales:
     """A saver that notes the process scale of each step, before another saver's turn."""
 
     def __init__(self, kf: MultipleHypothesisFilter, saver: Any) -> None:

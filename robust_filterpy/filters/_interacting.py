@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
-from robust_filterpy._arrays import process_noise, require_finite_prediction, state_of
+from robust_filterpy._arrays import require_finite_prediction, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy._state import Shape
 from robust_filterpy.compiled import dispatch
@@ -104,21 +104,21 @@ class InteractingFilter(MultipleHypothesisFilter):
 
     def _advanced(self, u: Any, B: Any, F: Any, Q: Any) -> Bank:
         """Return the copies after a prediction: mixed as the scale may have changed, then moved."""
-        x, _ = super()._predicted(u, B, F, Q)
-        x = x.ravel()
+        x, _ = state_of(self)
+        F, noise, Bu = self._transition(x.shape, u, B, F, Q)
         bank = self._current()
         q, n = bank.means.shape
+        Bu = np.zeros(n) if Bu is None else Bu.ravel()
         stay = 1.0 - 1.0 / self._dwell if q > 1 else 1.0
-        F, noise = np.asarray(self.F if F is None else F, dtype=float), process_noise(self.Q, Q, n)
         kernels = dispatch.adaptive()
-        if kernels is not None and np.shape(noise) == (n, n):
-            means, covariances, probabilities = bank.means.copy(), bank.covariances.copy(), bank.probabilities.copy()
-            kernels.advance(
-                means, covariances, probabilities, bank.x, x, dispatch.usable(F), dispatch.usable(noise), self._scales,
-                stay, self._alpha_sq,
+        if kernels is not None:
+            advanced = Bank(*(a.copy() for a in bank))
+            fine = kernels.advance(
+                *advanced, dispatch.usable(F), dispatch.usable(noise), dispatch.usable(Bu), self._scales, stay,
+                self._alpha_sq,
             )  # fmt: skip
-            advanced = merged_bank(means, covariances, probabilities)
-            require_finite_prediction(advanced.x, advanced.P)
+            if not fine:
+                require_finite_prediction(advanced.x, advanced.P)
             return advanced
         moves = np.full((q, q), (1.0 - stay) / max(q - 1, 1))
         np.fill_diagonal(moves, stay)
@@ -128,7 +128,7 @@ class InteractingFilter(MultipleHypothesisFilter):
         mixed, P = collapse(origin, bank.means[None], bank.covariances[None])
         covariances = self._alpha_sq * (F @ P @ F.T) + self._scales[:, None, None] * noise
         # B u moves every copy as it moves the mean.
-        advanced = merged_bank(x + (mixed - bank.x) @ F.T, covariances, probabilities)
+        advanced = merged_bank(F.dot(bank.x) + Bu + (mixed - bank.x) @ F.T, covariances, probabilities)
         require_finite_prediction(advanced.x, advanced.P)
         return advanced
 
@@ -172,7 +172,7 @@ class InteractingFilter(MultipleHypothesisFilter):
     def _current(self) -> Bank:
         """Return the copies; all of them at x, P if these have been assigned from outside."""
         x, P = state_of(self)
-        if np.array_equal(x.ravel(), self._merged_x) and np.array_equal(P, self._merged_P):
+        if x.tobytes() == self._merged_x.tobytes() and P.tobytes() == self._merged_P.tobytes():
             return Bank(self._means, self._covariances, self._shares, self._merged_x, self._merged_P)
         return self._copies(self._shares)
 

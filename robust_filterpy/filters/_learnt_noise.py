@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -11,21 +12,45 @@ from numpy.typing import ArrayLike
 from robust_filterpy._arrays import noise_covariance
 from robust_filterpy._checks import Array
 from robust_filterpy._state import Shape
-from robust_filterpy.correction.adaptive import AdaptiveStep, NoiseClasses
+from robust_filterpy.correction.adaptive import NoiseClasses
 from robust_filterpy.correction.adaptive_noise import LearntNoise, describe
 from robust_filterpy.correction.options import Choices, Grouping
+from robust_filterpy.correction.result import Correction
+from robust_filterpy.correction.whitening import Inverse
 from robust_filterpy.filters._adaptive_step import corrected
-from robust_filterpy.filters._hypotheses import WeightInfluence
+from robust_filterpy.filters._hypotheses import MergedCorrection, WeightInfluence
+from robust_filterpy.filters._interacting import Bank
 
 
 class Learnt(NamedTuple):
     """A correction under learnt noise."""
 
-    step: AdaptiveStep
+    bank: Bank
     known: Array
     """What is known of the noise after it, a row for each sensor or one for all."""
+    log_density: float
     outlier_probability: float
-    influence: WeightInfluence
+    weights: Array
+    """Expected precision of each component over that of ordinary noise, NaN where it tells nothing, shape (m,)."""
+    outlying: Array
+    """Probability that each component was an outlier, shape (m,)."""
+
+    def correction(
+        self, z: Array, x: Array, P: Array, H: Array, R: Array, M: Array | None, inv: Inverse | None
+    ) -> Correction:
+        """Return what a filter shows of it; R is the covariance of ordinary noise as it was learnt before."""
+        y = np.where(np.isnan(self.weights), np.nan, z - H.dot(x))
+        part = np.flatnonzero(y == y)
+        influence = WeightInfluence(self.weights[part], self.outlying[part] > 0.5)
+        return MergedCorrection(self.bank.x, self.bank.P, y, P, H, R, M, inv, influence).as_arrays()
+
+
+def ordinary_noise(R: Array, learnt: Array) -> Array:
+    """Return the covariance of ordinary noise for an R that was given, learnt a row for each sensor or one for all."""
+    if len(learnt) == 1:
+        return np.asarray(R * learnt[0, 0])
+    r = np.sqrt(learnt[: len(R), 0])
+    return np.asarray(R * np.multiply.outer(r, r))
 
 
 class LearntNoiseMixin:
@@ -37,11 +62,11 @@ class LearntNoiseMixin:
 
     R: Any
     dim_z: int
-    _inverse: Any
     _choices: Choices
     _classes: NoiseClasses
     _learnt: Array
     _outlier_probability: float
+    _inverse: Any
 
     def _set_noise(self, classes: NoiseClasses, dim_z: int) -> None:
         """Start with nothing learnt."""
@@ -79,7 +104,7 @@ class LearntNoiseMixin:
     @property
     def R_learnt(self) -> Array:
         """Covariance of ordinary noise as learnt, shape (dim_z, dim_z)."""
-        return self._ordinary(noise_covariance(self.R, None, self.dim_z), self._known(self.dim_z))
+        return ordinary_noise(noise_covariance(self.R, None, self.dim_z), self._known(self.dim_z))
 
     @property
     def outlier_probability(self) -> float:
@@ -121,33 +146,28 @@ class LearntNoiseMixin:
         self._learnt, self._outlier_probability = found["learnt"], 0.0
 
     def _known(self, sensors: int) -> Array:
-        """Return a copy of what is known, with rows for sensors that have joined."""
-        if self.grouping == "joint" or sensors <= len(self._learnt):
-            return self._learnt.copy()
+        """Return what is known, with rows for sensors that have joined."""
+        if sensors <= len(self._learnt) or self.grouping == "joint":
+            return self._learnt
         return np.concatenate([self._learnt, self._classes.start(sensors - len(self._learnt))])
 
-    def _ordinary(self, R: Array, learnt: Array) -> Array:
-        """Return the covariance of ordinary noise for an R that was given."""
-        if len(learnt) == 1:
-            return np.asarray(R * learnt[0, 0])
-        r = np.sqrt(learnt[: len(R), 0])
-        return np.asarray(R * np.multiply.outer(r, r))
-
     def _learn(
-        self, copies: tuple[Array, Array, Array], z: Array, H: Array, R: Array, M: Any, known: Array, part: np.ndarray,
-        first: int = 0,
-    ) -> Learnt:  # fmt: skip
-        """Correct copies of a state by the components `part` of z, which stands at `first` in the whole measurement.
+        self, bank: Bank, z: Array, H: Array, R: Array, M: Any, known: Array, first: int = 0
+    ) -> Learnt | None:
+        """Correct copies of a state by z, NaN where missing, which stands at `first` in the whole measurement.
 
-        The copies are means, covariances and probabilities. What is `known` of the noise is written over.
+        None if nothing of z tells anything.
         """
-        rows = np.zeros(1, dtype=int) if self.grouping == "joint" else first + part
-        if part.size < len(H):
-            z, H, R, M = z[part], H[part], R[np.ix_(part, part)], None if M is None else M[:, part]
-        step = corrected(*copies, known[rows], z, H, R, self._classes, M, self._inverse)
-        known[rows] = step.learnt
+        joint = self._classes.grouping == "joint"
+        rows = known if joint else known[first : first + len(z)]
+        found = corrected(bank, rows, z, H, R, self._classes, M, self._inverse)
+        if found is None:
+            return None
+        learnt = found.learnt
+        if len(learnt) < len(known):
+            learnt = known.copy()
+            learnt[first : first + len(z)] = found.learnt
         # Sensors that fail together have one probability.
-        ordinary = (1.0 - step.outlier_probabilities[: rows.size]).prod()
-        return Learnt(
-            step, known, float(1.0 - ordinary), WeightInfluence(step.weights, step.outlier_probabilities > 0.5)
-        )
+        outlying = found.outlying.tolist()
+        probability = max(outlying) if joint else 1.0 - math.prod(1.0 - p for p in outlying)
+        return Learnt(found.bank, learnt, found.log_density, probability, found.weights, found.outlying)

@@ -24,7 +24,7 @@ def filter_recording(
     us: Any,
     update_first: bool,
     saver: Any,
-    own: bool = False,
+    loop: CompiledLoop | None = None,
 ) -> tuple[Array, Array, Array, Array]:
     """Advance a filter through a recording: by the compiled loops where they can, else by its own methods.
 
@@ -34,8 +34,8 @@ def filter_recording(
         The filter.
     zs, Fs, Qs, Hs, Rs, Bs, us, update_first, saver
         As in `RobustKalmanFilter.batch_filter`.
-    own
-        Whether nobody has put methods of his own in the place of the filter's.
+    loop
+        What takes steps by the kernel, None if all are for the filter's own methods.
 
     Returns
     -------
@@ -65,19 +65,18 @@ def filter_recording(
     shape = (n, dim_x) if np.ndim(kf.x) == 1 else (n, dim_x, 1)
     means, means_p = np.zeros(shape), np.zeros(shape)
     covariances, covariances_p = np.zeros((n, dim_x, dim_x)), np.zeros((n, dim_x, dim_x))
-    compiled = None
-    if own and n and saver is None and dispatch.can_compile(kf._choices):
+    if loop is not None and n:
         kept = Output(
             means.reshape(1, n, dim_x), covariances[None], means_p.reshape(1, n, dim_x), covariances_p[None],
             np.empty((1, 0, 0)), np.zeros(1),
         )  # fmt: skip
-        compiled = _prepared(kf, zs, Fs, Qs, Hs, Rs, Bs, us, kept, bool(update_first))
+        loop = loop if loop.prepare(zs, Fs, Qs, Hs, Rs, Bs, us, kept, bool(update_first)) else None
     k = 0
     with unchanged_if_refused(kf):
         try:
             while k < n:
-                if compiled is not None:
-                    k = compiled.advance(kf, k)
+                if loop is not None:
+                    k = loop.advance(k)
                 z, F, Q, H, R, B, u = (None if column is None else column[k] for column in columns)
                 if update_first:
                     kf.update(z, R=R, H=H)
@@ -114,68 +113,84 @@ def _columns(zs: Any, **per_step: Any) -> list[Any]:
     ]
 
 
-class _Compiled:
-    """A recording ready for the kernel."""
+def is_own(kf: Any, cls: type, methods: tuple[str, ...]) -> bool:
+    """Return whether these methods of a filter are the class's own, by class and by instance."""
+    return all(getattr(type(kf), name, None) is getattr(cls, name) and name not in kf.__dict__ for name in methods)
 
-    def __init__(
-        self, size: tuple[int, int], choices: Any, zs: Array, model: Model, kept: Output, options: Any
-    ) -> None:
-        """Keep the arrays; zs has shape (1, N, m)."""
-        self.size, self.choices, self.zs, self.model, self.kept, self.options = size, choices, zs, model, kept, options
-        seen = np.flatnonzero(~np.isnan(zs[0]).all(axis=1))
-        self.last_seen = int(seen[-1]) if len(seen) else -1
 
-    def advance(self, kf: Any, k: int) -> int:
+class CompiledLoop:
+    """Steps of a recording by the kernel. A subclass says which kernel, and what that leaves in the filter."""
+
+    _zs: Array
+    _model: Model
+    _kept: Output
+    _options: dict[str, Any]
+    _last_seen: int
+    _size: tuple[int, int] | None
+
+    def __init__(self, kf: Any) -> None:
+        """Keep the filter."""
+        self._kf = kf
+
+    def _serves(self, n: int, m: int, steps: int) -> bool:
+        """Return whether the kernel serves so many states, sensors and steps."""
+        self._size = dispatch.series_size(n, m, steps)
+        return self._size is not None
+
+    def _run(self, k: int, last: int) -> int:
+        """Take steps from k to last - 1 as far as the kernel can, and return the next."""
+        kf = self._kf
+        x, P = state_of(kf)
+        state, covariance = x.reshape(1, -1).copy(), P[None].copy()
+        taken = dispatch.filter_series(
+            self._size, kf._choices, self._zs[:, :last], self._model, state, covariance, self._kept, start=k,  # type: ignore[arg-type]
+            likely=False, **self._options,
+        )  # fmt: skip
+        if taken[0] > k:
+            # What else a step leaves in the filter, the filter's own next step sets anew.
+            kf.x, kf.P = state[0].reshape(x.shape), covariance[0]
+        return int(taken[0])
+
+    def advance(self, k: int) -> int:
         """Take steps from k on as far as the kernel can and return the next, which is the filter's.
 
         The filter's own are the last step and the last with a measurement: what they leave in it stays.
         """
-        last = self.last_seen if k <= self.last_seen else self.zs.shape[1] - 1
-        if k >= last:
-            return k
-        x, P = state_of(kf)
-        state, covariance = x.reshape(1, -1).copy(), P[None].copy()
-        taken = int(
-            dispatch.filter_series(
-                self.size, self.choices, self.zs[:, :last], self.model, state, covariance, self.kept, start=k,
-                likely=False, **self.options,
-            )[0]
-        )  # fmt: skip
-        if taken > k:
-            # What else a step leaves in the filter, the filter's own next step sets anew.
-            kf.x, kf.P = state[0].reshape(x.shape), covariance[0]
-        return taken
+        last = self._last_seen if k <= self._last_seen else self._zs.shape[1] - 1
+        return k if k >= last else self._run(k, last)
 
-
-def _prepared(
-    kf: Any, zs: Any, Fs: Any, Qs: Any, Hs: Any, Rs: Any, Bs: Any, us: Any, kept: Output, update_first: bool
-) -> _Compiled | None:
-    """Return the recording for the kernel, None if the call is for the filter's own methods."""
-    try:
-        x, P = state_of(kf)
-        n, steps = len(x), len(zs)
-        H = _stack(kf.H, Hs, steps, None)
-        if H.ndim != 3 or H.shape[2] != n or (Hs is None and H.shape[1] != kf.dim_z):
-            return None
-        m = H.shape[1]
-        size = dispatch.series_size(n, m, steps)
-        if size is None:
-            return None
-        F = _stack(kf.F, Fs, steps, (n, n))
-        Q = process_noise(kf.Q, None, n)[None] if Qs is None else _stack(None, Qs, steps, (n, n), True)
-        R = noise_covariance(kf.R, None, m)[None] if Rs is None else _stack(None, Rs, steps, (m, m), True)
-        if not (_symmetric(Q) and _symmetric(R) and _symmetric(P[None]) and all_covariances(R)):
-            return None
-        if Qs is not None and not all_covariances(Q):
-            return None
-        rows = _measurements(zs, m)
-        control = _control(kf.B, Bs, us, n, steps)
-    except (TypeError, ValueError, AttributeError, np.linalg.LinAlgError):
-        # Let the filter's own methods say what is wrong, and at which step.
-        return None
-    model = Model(*(np.ascontiguousarray(a, dtype=float)[None] for a in (F, Q, H, R, control)))
-    options = {"alpha_sq": float(kf._alpha_sq), "update_first": update_first}
-    return _Compiled(size, kf._choices, rows[None], model, kept, options)
+    def prepare(
+        self, zs: Any, Fs: Any, Qs: Any, Hs: Any, Rs: Any, Bs: Any, us: Any, kept: Output, update_first: bool
+    ) -> bool:
+        """Return whether the kernel serves a recording; if not, the call is for the filter's own methods."""
+        kf = self._kf
+        try:
+            x, P = state_of(kf)
+            n, steps = len(x), len(zs)
+            H = _stack(kf.H, Hs, steps, None)
+            if H.ndim != 3 or H.shape[2] != n or (Hs is None and H.shape[1] != kf.dim_z):
+                return False
+            m = H.shape[1]
+            if not self._serves(n, m, steps):
+                return False
+            F = _stack(kf.F, Fs, steps, (n, n))
+            Q = process_noise(kf.Q, None, n)[None] if Qs is None else _stack(None, Qs, steps, (n, n), True)
+            R = noise_covariance(kf.R, None, m)[None] if Rs is None else _stack(None, Rs, steps, (m, m), True)
+            if not (_symmetric(Q) and _symmetric(R) and _symmetric(P[None]) and all_covariances(R)):
+                return False
+            if Qs is not None and not all_covariances(Q):
+                return False
+            rows = _measurements(zs, m)
+            control = _control(kf.B, Bs, us, n, steps)
+        except (TypeError, ValueError, AttributeError, np.linalg.LinAlgError):
+            # Let the filter's own methods say what is wrong, and at which step.
+            return False
+        self._zs, self._kept = rows[None], kept
+        self._model = Model(*(np.ascontiguousarray(a, dtype=float)[None] for a in (F, Q, H, R, control)))
+        self._options = {"alpha_sq": float(kf._alpha_sq), "update_first": update_first}
+        seen = np.flatnonzero(~np.isnan(rows).all(axis=1))
+        self._last_seen = int(seen[-1]) if len(seen) else -1
+        return True
 
 
 def _measurements(zs: Any, m: int) -> Array:

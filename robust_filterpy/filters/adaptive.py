@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,13 +14,13 @@ from robust_filterpy.correction.adaptive import NoiseClasses
 from robust_filterpy.correction.adaptive_noise import DECADES
 from robust_filterpy.correction.missing import nothing_observed
 from robust_filterpy.correction.options import Grouping
-from robust_filterpy.filters._hypotheses import (
-    MergedCorrection,
-    ScoreFilter,
-    finite_product,
-)
-from robust_filterpy.filters._interacting import InteractingFilter, merged_bank
-from robust_filterpy.filters._learnt_noise import LearntNoiseMixin
+from robust_filterpy.correction.result import Correction
+from robust_filterpy.correction.whitening import Inverse
+from robust_filterpy.filters._adaptive_step import AdaptiveLoop
+from robust_filterpy.filters._hypotheses import ProcessScales, ScoreFilter
+from robust_filterpy.filters._interacting import Bank, InteractingFilter
+from robust_filterpy.filters._learnt_noise import Learnt, LearntNoiseMixin, ordinary_noise
+from robust_filterpy.filters._recording import CompiledLoop, is_own
 
 __all__ = ["AdaptiveKalmanFilter"]
 
@@ -80,6 +80,7 @@ class AdaptiveKalmanFilter(LearntNoiseMixin, ScoreFilter, InteractingFilter):
     --------
     robust_filterpy.correction.adaptive.correct_adaptively : The step as a pure function.
     robust_filterpy.filters.NoiseMatchedKalmanFilter : The same merging with numbers that are given.
+    robust_filterpy.batch.adaptive_series : Many recordings by one call.
 
     Notes
     -----
@@ -157,22 +158,23 @@ class AdaptiveKalmanFilter(LearntNoiseMixin, ScoreFilter, InteractingFilter):
 
     def _corrected(self, x: Array, P: Array, values: Any, H: Array, R: Array, M: Any) -> Any:
         """Return the correction of the merged state; every copy is corrected by itself."""
-        column, values, m = x.ravel(), np.atleast_1d(values), len(H)
-        y = values - finite_product(H, column)
+        bank, values, m = self._current(), np.atleast_1d(values), len(H)
         known = self._known(self._first + m)
-        ordinary = self._ordinary(R, known if self.grouping == "joint" else known[self._first :])
-        # What H does not see says nothing about the state, and nothing is learnt from it.
-        y[~H.any(axis=1)] = np.nan
-        part = np.flatnonzero(y == y)
-        if part.size == 0:
-            self._found = (None,)
-            return nothing_observed(column, P, H.dot(P).dot(H.T) + ordinary, m)
-        found = self._learn(self._current()[:3], values, H, R, M, known, part, self._first)
-        bank = merged_bank(found.step.means, found.step.covariances, found.step.probabilities)
-        self._found = (found.step.log_density, bank, found.known, found.outlier_probability)
-        # A noise that is larger by a factor keeps its correlation with the state.
-        cross = None if M is None else M * np.sqrt(ordinary.diagonal() / R.diagonal())
-        return MergedCorrection(bank.x, bank.P, y, P.copy(), H.copy(), ordinary, cross, self._inverse, found.influence)
+        found = self._learn(bank, values, H, R, M, known, self._first)
+        before = known if self._classes.grouping == "joint" else known[self._first :]
+        if found is None:
+            self._found = (0.0, bank, self._learnt, 0.0)
+            return nothing_observed(bank.x, P, H.dot(P).dot(H.T) + ordinary_noise(R, before), m)
+        self._found = (found.log_density, found.bank, found.known, found.outlier_probability)
+        return _Adapted(found.bank.x, found.bank.P, found, values, bank, H.copy(), R.copy(), M, before, self._inverse)
+
+    def _compiled_loop(self, saver: Any) -> CompiledLoop | None:
+        """Return what takes steps of a recording by the kernel, None if all are for the filter's own methods."""
+        own = (
+            isinstance(saver, ProcessScales) and saver.saver is None and self._classes.grouping == "component"
+            and self._inverse is None and is_own(self, AdaptiveKalmanFilter, _METHODS)
+        )  # fmt: skip
+        return AdaptiveLoop(self, saver.scales) if own else None
 
     def _settle(self) -> None:
         """Take over the corrected copies and what they have learnt."""
@@ -183,3 +185,32 @@ class AdaptiveKalmanFilter(LearntNoiseMixin, ScoreFilter, InteractingFilter):
         """Leave the copies and the noise as they are."""
         super()._skip()
         self._outlier_probability = 0.0
+
+
+_METHODS = (
+    *("predict", "update", "process_scale", "_predicted", "_advanced", "_transition", "_update", "_measurement"),
+    *("_corrected", "_learn", "_known", "_settle", "_skip", "_current", "_copies", "_take_over", "_keep_copies"),
+)
+
+
+class _Adapted(NamedTuple):
+    """A correction under learnt noise; what few programs look at is computed on request."""
+
+    x: Array
+    P: Array
+    learnt: Learnt
+    z: Array
+    prior: Bank
+    H: Array
+    R: Array
+    M: Array | None
+    known: Array
+    """Of the noise, before it; a row for each sensor or one for all."""
+    inv: Inverse | None
+
+    def as_arrays(self) -> Correction:
+        """Return everything that a correction shows."""
+        ordinary, M = ordinary_noise(self.R, self.known), self.M
+        # A noise that is larger by a factor keeps its correlation with the state.
+        cross = None if M is None else M * np.sqrt(ordinary.diagonal() / self.R.diagonal())
+        return self.learnt.correction(self.z, self.prior.x, self.prior.P, self.H, ordinary, cross, self.inv)

@@ -15,8 +15,9 @@ from robust_filterpy.correction.adaptive_noise import DECADES
 from robust_filterpy.correction.missing import nothing_observed
 from robust_filterpy.correction.options import Grouping
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.filters._hypotheses import MergedCorrection, ScoreMixin
-from robust_filterpy.filters._learnt_noise import Learnt, LearntNoiseMixin
+from robust_filterpy.filters._hypotheses import ScoreMixin
+from robust_filterpy.filters._interacting import Bank
+from robust_filterpy.filters._learnt_noise import Learnt, LearntNoiseMixin, ordinary_noise
 from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
 from robust_filterpy.filters.sigma_point import RobustCubatureKalmanFilter, RobustUnscentedKalmanFilter
 
@@ -38,6 +39,7 @@ class _Found(NamedTuple):
 class _AdaptiveNonlinear(LearntNoiseMixin, ScoreMixin):
     """Correct by the linear measurement that a nonlinear one is, around the predicted state."""
 
+    _inverse: Any
     _log_likelihood: float | None
 
     def _corrected(self, x: Array, P: Array, y: Array, H: Array, R: Array) -> Any:
@@ -58,21 +60,17 @@ class _AdaptiveNonlinear(LearntNoiseMixin, ScoreMixin):
     ) -> Any:
         """Return the correction; what a line does not explain of z is a state of its own, of which R knows nothing."""
         n, m, known = x.size, y.size, self._known(y.size)
-        seen = H.any(axis=1)
-        y, part = np.where(seen, y, np.nan), np.flatnonzero(seen & ~np.isnan(y))
-        ordinary = self._ordinary(R, known)
+        y, ordinary = np.where(H.any(axis=1), y, np.nan), ordinary_noise(R, known)
         unexplained = curvature if curvature.size else np.zeros((m, m))
-        if part.size == 0:
-            return nothing_observed(x, P, H @ P @ H.T + unexplained + ordinary, m)
         whole, states = np.hstack((H, np.eye(m)[:, : len(curvature)])), block_diag(P, curvature)
-        copies = np.zeros((1, n + len(curvature))), states[None], np.ones(1)
-        learnt = self._learn(copies, y, whole, R, None, known, part)
-        x_post = np.asarray(add(x, learnt.step.means[0, :n]), dtype=float)
-        P_post = learnt.step.covariances[0, :n, :n]
-        merged = MergedCorrection(
-            x_post, P_post, y, P, H, ordinary + unexplained, None, self._inverse, learnt.influence
-        )
-        return _Found(merged.as_arrays(), learnt)
+        start = np.zeros((1, n + len(curvature)))
+        bank = Bank(start, states[None], np.ones(1), start[0], states)
+        learnt = self._learn(bank, y, whole, R, None, known)
+        if learnt is None:
+            return nothing_observed(x, P, H @ P @ H.T + unexplained + ordinary, m)
+        shown = learnt.correction(y, np.zeros(n), P, H, ordinary + unexplained, None, self._inverse)
+        x_post = np.asarray(add(x, learnt.bank.means[0, :n]), dtype=float)
+        return _Found(shown._replace(x=x_post, P=learnt.bank.covariances[0, :n, :n]), learnt)
 
     def _keep(self, last: Any, z: Array) -> None:
         """Write the correction into the attributes, and what it has taught."""
@@ -82,7 +80,7 @@ class _AdaptiveNonlinear(LearntNoiseMixin, ScoreMixin):
             return
         super()._keep(last.correction, z)  # type: ignore[misc]
         self._learnt, self._outlier_probability = last.learnt.known, last.learnt.outlier_probability
-        self._log_likelihood = last.learnt.step.log_density
+        self._log_likelihood = last.learnt.log_density
 
     def _skip(self) -> None:
         """Leave the noise as it is."""

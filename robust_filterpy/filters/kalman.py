@@ -24,6 +24,7 @@ from robust_filterpy._arrays import (
     state_of,
 )
 from robust_filterpy._checks import FLOAT, Array
+from robust_filterpy.compiled import dispatch
 from robust_filterpy.correction.covariance import symmetrized
 from robust_filterpy.correction.definition import correct, correct_observed
 from robust_filterpy.correction.likelihood import log_density
@@ -35,7 +36,7 @@ from robust_filterpy.correction.whitening import SAFE, standardize, standardized
 from robust_filterpy.filters import _step
 from robust_filterpy.filters._mixin import RobustFilterMixin
 from robust_filterpy.filters._outlier_share import EVERY
-from robust_filterpy.filters._recording import filter_recording
+from robust_filterpy.filters._recording import CompiledLoop, filter_recording, is_own
 from robust_filterpy.influence.functions import Huber, Influence
 
 __all__ = ["RobustKalmanFilter"]
@@ -193,11 +194,7 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
     def _predicted(self, u: Any, B: Any, F: Any, Q: Any) -> tuple[Array, Array]:
         """Return the predicted mean, in the shape of x, and covariance."""
         x, P = state_of(self)
-        n = len(x)
-        F = _checks.matrix("F", self.F if F is None else F, (n, n), "dim_x")
-        noise = process_noise(self.Q, Q, n)
-        B = self.B if B is None else B
-        Bu = None if B is None or u is None else control_term(B, u, x.shape)
+        F, noise, Bu = self._transition(x.shape, u, B, F, Q)
         found = _step.predict(x, P, F, noise, Bu, self._alpha_sq)
         if found is not None:
             return found
@@ -211,6 +208,14 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         P = symmetrized(P)
         require_finite_prediction(x, P)
         return x, P
+
+    def _transition(self, shape: tuple[int, ...], u: Any, B: Any, F: Any, Q: Any) -> tuple[Array, Array, Any]:
+        """Return checked F, Q, and B u in the shape of x, None if there is none."""
+        n = shape[0]
+        F = _checks.matrix("F", self.F if F is None else F, (n, n), "dim_x")
+        noise = process_noise(self.Q, Q, n)
+        B = self.B if B is None else B
+        return F, noise, None if B is None or u is None else control_term(B, u, shape)
 
     def predict_steadystate(self, u: ArrayLike | None = 0, B: ArrayLike | None = None) -> None:
         """Predict the next state and leave P as it is.
@@ -546,7 +551,12 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
             As in `predict` and `update`, with the step named. After these, an interrupt, or an error of the saver or
             of psi, the filter is as it was before the call; what the saver has kept by then it keeps.
         """
-        return filter_recording(self, zs, Fs, Qs, Hs, Rs, Bs, us, update_first, saver, _is_ours(self))
+        return filter_recording(self, zs, Fs, Qs, Hs, Rs, Bs, us, update_first, saver, self._compiled_loop(saver))
+
+    def _compiled_loop(self, saver: Any) -> CompiledLoop | None:
+        """Return what takes steps of a recording by the kernel, None if all are for the filter's own methods."""
+        own = saver is None and self._inverse is None and is_own(self, RobustKalmanFilter, _METHODS)
+        return CompiledLoop(self) if own and dispatch.can_compile(self._choices) else None
 
     def rts_smoother(
         self, Xs: Array, Ps: Array, Fs: Any = None, Qs: Any = None, inv: Any = np.linalg.inv
@@ -624,13 +634,4 @@ def _not_finite(H: Array, predicted: Array) -> ValueError:
     return ValueError(f"x: expected finite numbers, got H x = {predicted}")
 
 
-_METHODS = ("predict", "update", "_predicted", "_update", "_measurement", "_corrected")
-
-
-def _is_ours(kf: RobustKalmanFilter) -> bool:
-    """Return whether predict and update are `RobustKalmanFilter`'s own, by class and by instance."""
-    own = all(
-        getattr(type(kf), name, None) is getattr(RobustKalmanFilter, name) and name not in kf.__dict__
-        for name in _METHODS
-    )
-    return own and kf._inverse is None
+_METHODS = ("predict", "update", "_predicted", "_transition", "_update", "_measurement", "_corrected")

@@ -17,7 +17,7 @@ from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy.compiled import dispatch
 from robust_filterpy.compiled.records import Model, Output
-from robust_filterpy.filters.kalman import RobustKalmanFilter, _is_ours
+from robust_filterpy.filters.kalman import RobustKalmanFilter
 
 #: What an impossible step raises.
 REFUSED = (ValueError, TypeError, np.linalg.LinAlgError)
@@ -44,7 +44,7 @@ class Plain(NamedTuple):
 
 def plain(kf: Any) -> Plain | None:
     """Return what the loops need, None if they do not serve this filter on this machine, however long the batch."""
-    if type(kf) is not RobustKalmanFilter or not _is_ours(kf) or not dispatch.can_compile(kf._choices):
+    if type(kf) is not RobustKalmanFilter or kf._compiled_loop(None) is None:
         return None
     x, P = state_of(kf)
     n, m = kf.dim_x, kf.dim_z

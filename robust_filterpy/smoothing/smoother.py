@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array, numbers
-from robust_filterpy.batch.series import _leading
+from robust_filterpy.batch._arguments import leading
 from robust_filterpy.correction.options import GROUPINGS, Choices, Grouping
 from robust_filterpy.influence.functions import Influence, Linear
 from robust_filterpy.smoothing.convex import is_convex, minimised
@@ -235,7 +235,7 @@ def smooth_series(
     if P0.shape not in ((n, n), (series, n, n)):
         raise ValueError(f"P0: expected shape {(n, n)} or {(series, n, n)} for dim_x={n}, got {P0.shape}")
     F, H, Q, R = (
-        _leading(name, value, shape, series, steps)
+        leading(name, value, shape, series, steps)
         for name, value, shape in (("F", F, (n, n)), ("H", H, (m, n)), ("Q", Q, (n, n)), ("R", R, (m, m)))
     )
     c = np.zeros((1, 1, n))

@@ -2,7 +2,8 @@
 
 Run ``python tests/benchmarks/filter_speed.py``, and again with ROBUST_FILTERPY_KERNEL=off in the environment for the
 definition; with ``--check`` the exit code is 1 if a target is not met. Each number is the least of many short turns, so
-that other work on the machine does not matter. ``--scalar`` compares the two forms of the definition for one sensor.
+that other work on the machine does not matter. ``--scalar`` compares the two forms of the definition for one sensor;
+``--learning`` compares the filter that learns the noise with the robust one, online and over recordings and series.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ import gc
 import sys
 import time
 import timeit
+from functools import partial
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from robust_filterpy import AdaptiveKalmanFilter, Linear, RobustKalmanFilter
+from robust_filterpy import AdaptiveKalmanFilter, Linear, RobustKalmanFilter, adaptive_series, filter_series
 from robust_filterpy.compiled import dispatch
 from robust_filterpy.correction.definition import correct
 from robust_filterpy.correction.scalar import correct_scalar
@@ -89,12 +91,57 @@ def scalar_form():
         print(f"one sensor, {dim_x} states: {scalar:.2f} us / {general:.2f} us = {scalar / general:.2f}")
 
 
+def learning():
+    """Print how long a step of the filter that learns the noise takes, of the robust filter's time."""
+    variants = {"3 process scales": {}, "1": {"process_scales": (1.0,)}}
+    ways = ("predict + update", "batch_filter", "series")
+    print("a step that learns the noise, of a robust one: " + ", ".join(ways))
+    for n, m in ((2, 1), (4, 1), (4, 2)):
+        zs = np.resize(np.array(recording(m)).reshape(STEPS, m), (2000, m))
+        zs += np.random.default_rng(2).standard_normal(zs.shape)
+
+        def calls(kf, series, zs=zs):
+            kf.R = np.diag(kf.R.diagonal())
+            model = (kf.F, kf.H, kf.Q, kf.R, np.zeros(len(kf.F)), np.eye(len(kf.F)))
+            few = list(zs[:STEPS]) if zs.shape[1] > 1 else zs[:STEPS, 0].tolist()
+            return (
+                lambda: duration(kf, few) * len(few),
+                lambda: kf.batch_filter(zs),
+                lambda: series(zs[None], *model, n_threads=1),
+            )
+
+        filters = {"robust": calls(built(RobustKalmanFilter, n, m), filter_series)}
+        for name, options in variants.items():
+            kf = built(AdaptiveKalmanFilter, n, m, **options)
+            filters[name] = calls(kf, partial(adaptive_series, **options))
+        least = {name: np.full(len(ways), np.inf) for name in filters}
+        for _ in range(TURNS // 5):
+            for name, each in filters.items():
+                for i, call in enumerate(each):
+                    start = time.perf_counter()
+                    call()
+                    steps = STEPS if i == 0 else len(zs)
+                    least[name][i] = min(least[name][i], (time.perf_counter() - start) / steps)
+        for name in variants:
+            pairs = zip(least[name], least["robust"], strict=True)
+            print(
+                f"{(n, m)!s:>8} {name:>17}: "
+                + ", ".join(
+                    f"{ours * 1e6:.2f} us / {theirs * 1e6:.2f} us = {ours / theirs:.1f}" for ours, theirs in pairs
+                )
+            )
+
+
 def main():
     """Print the ratios to filterpy, and say whether the targets are met."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--check", action="store_true", help="exit with 1 if a target is not met")
     parser.add_argument("--scalar", action="store_true", help="compare the two forms of the definition for one sensor")
+    parser.add_argument("--learning", action="store_true", help="compare the filter that learns with the robust one")
     arguments = parser.parse_args()
+    if arguments.learning:
+        learning()
+        return
     if arguments.scalar:
         scalar_form()
         return

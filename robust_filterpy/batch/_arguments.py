@@ -1,0 +1,147 @@
+"""What the functions of many series have in common: their arguments, checked, and their threads."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array, numbers
+from robust_filterpy.compiled.records import Output
+
+_COVARIANCES = ("full", "diagonal", "none")
+_REFUSED = ("raise", "nan")
+
+
+class SeriesArguments(NamedTuple):
+    """Arguments of a function of many series, checked, and room for its results."""
+
+    z: Array
+    """(series, steps, m)"""
+    model: tuple[Array, Array, Array, Array]
+    """F, Q, H, R, with the axes (series or 1, steps or 1) in front."""
+    x: Array
+    """Start of each series, (series, n); a copy, as P."""
+    P: Array
+    """(series, n, n)"""
+    kept: Output
+    every: int
+    """Distance of kept steps."""
+    skips: bool
+    """Whether a series that is refused becomes NaN."""
+
+    def covariances(self, covariance: str) -> Array | None:
+        """Return what was asked for of the covariances."""
+        if covariance == "none":
+            return None
+        return self.kept.covariances[:, :, 0] if covariance == "diagonal" else self.kept.covariances
+
+
+def series_arguments(
+    zs: Any, F: Any, H: Any, Q: Any, R: Any, x0: Any, P0: Any, keep: Any, covariance: Any, refused: Any
+) -> SeriesArguments:
+    """Return the arguments as arrays, or raise."""
+    _checks.option("covariance", covariance, _COVARIANCES)
+    skips = _checks.option("refused", refused, _REFUSED) == "nan"
+    z = np.ascontiguousarray(numbers("zs", zs))
+    if z.ndim != 3:
+        mend = "; use zs[:, :, None] for series of one sensor, zs[None] for one series" if z.ndim == 2 else ""
+        raise ValueError(f"zs: expected shape (series, steps, dim_z), got {z.shape}{mend}")
+    if np.isinf(z).any():
+        raise ValueError("zs: expected finite numbers or NaN (missing), got infinity")
+    series, steps, m = z.shape
+    if m == 0:
+        raise ValueError(f"zs: expected dim_z >= 1, got shape {z.shape}")
+    x0, P0 = numbers("x0", x0), numbers("P0", P0)
+    # A column, as filterpy keeps its state, would pass for one number for each series.
+    unclear = x0.ndim == 0 or (x0.ndim == 2 and x0.shape[1] == 1)
+    n = P0.shape[-1] if unclear and P0.ndim else x0.shape[-1] if x0.ndim else 1
+    if n == 0:
+        raise ValueError(f"x0: expected dim_x >= 1, got shape {x0.shape}")
+    if x0.shape not in ((n,), (series, n)):
+        mend = "; use x0.ravel()" if x0.shape == (n, 1) else f"; use x0*np.ones({n})" if x0.ndim == 0 else ""
+        raise ValueError(f"x0: expected shape {(n,)} or {(series, n)}, got {x0.shape}{mend}")
+    if P0.shape not in ((n, n), (series, n, n)):
+        raise ValueError(f"P0: expected shape {(n, n)} or {(series, n, n)} for dim_x={n}, got {P0.shape}")
+    model: Any = tuple(
+        leading(name, value, shape, series, steps)
+        for name, value, shape in (("F", F, (n, n)), ("Q", Q, (n, n)), ("H", H, (m, n)), ("R", R, (m, m)))
+    )
+    _require_covariances("R", model[3].reshape(-1, m, m))
+    _require_symmetric("Q", model[1])
+    _require_symmetric("P0", P0)
+    x, P = np.broadcast_to(x0, (series, n)).copy(), np.broadcast_to(P0, (series, n, n)).copy()
+    every = _every(keep, steps)
+    rows = steps // every if every else 0
+    shape = {"full": (n, n), "diagonal": (1, n), "none": (0, 0)}[covariance]
+    kept = Output(
+        np.empty((series, rows, n)), np.empty((series, rows, *shape)), np.empty((series, 0, n)),
+        np.empty((series, 0, n, n)), np.empty((series, rows, m)), np.zeros(series),
+    )  # fmt: skip
+    return SeriesArguments(z, model, x, P, kept, every, skips)
+
+
+def threads(n_threads: int | None) -> int:
+    """Return how many threads to use: by default as many as the process may."""
+    if n_threads is not None:
+        return _checks.count("n_threads", n_threads, 1)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def spread(part: Callable[[int, int], np.ndarray], series: int, n_threads: int) -> np.ndarray:
+    """Call part(low, high) over all series, which lets go of the interpreter, on threads; join the results."""
+    edges = np.unique(np.linspace(0, series, 4 * n_threads + 1).astype(int)).tolist() if n_threads > 1 else [0, series]
+    spans = list(itertools.pairwise(edges))
+    if len(spans) < 2:
+        done = [part(*span) for span in spans]
+    else:
+        # Compile, or load from the cache, in one thread, before two do the same work.
+        part(0, 0)
+        with ThreadPoolExecutor(n_threads) as pool:
+            done = list(pool.map(lambda span: part(*span), spans))
+    return np.concatenate(done)
+
+
+def leading(name: str, value: Any, shape: tuple[int, int], series: int, steps: int) -> Array:
+    """Return a matrix with the axes (series or 1, step or 1) in front, or raise."""
+    found = numbers(name, value)
+    if found.ndim in (2, 3):
+        found = found[(None,) * (4 - found.ndim)]
+    good = found.ndim == 4 and found.shape[2:] == shape and found.shape[0] in (1, series)
+    if not good or found.shape[1] not in (1, steps):
+        raise ValueError(
+            f"{name}: expected shape {shape}, ({steps}, ..) with one a step, or ({series}, {steps} or 1, ..) with each "
+            f"series' own, got {np.shape(value)}"
+        )
+    if not np.isfinite(found).all():
+        raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
+    return np.ascontiguousarray(found)
+
+
+def _require_covariances(name: str, stack: Array) -> None:
+    """Raise unless every matrix of a stack is a covariance; one by one only where the stack as a whole is not."""
+    if not _checks.all_covariances(stack):
+        for one in stack:
+            _checks.covariance(name, one)
+
+
+def _require_symmetric(name: str, value: Array) -> None:
+    """Raise unless every matrix of a stack is symmetric, to rounding."""
+    apart = np.abs(value - value.swapaxes(-1, -2))
+    if apart.any():
+        scale = np.sqrt(np.abs(np.diagonal(value, axis1=-2, axis2=-1)))
+        if (apart > 1e-8 * scale[..., :, None] * scale[..., None, :]).any():
+            raise ValueError(f"{name}: expected a symmetric matrix, got one that differs from its transpose")
+
+
+def _every(keep: Any, steps: int) -> int:
+    """Return the distance of kept steps."""
+    if isinstance(keep, str):
+        _checks.option("keep", keep, ("all", "last"))
+        return 1 if keep == "all" else max(steps, 1)
+    return _checks.count("keep", keep, 1)

@@ -1,0 +1,195 @@
+"""Many series whose noise is learnt, each for itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robust_filterpy._checks import Array, numbers
+from robust_filterpy.batch._arguments import SeriesArguments, series_arguments, spread, threads
+from robust_filterpy.compiled import dispatch
+from robust_filterpy.compiled.records import Copies, Model
+from robust_filterpy.correction.adaptive_noise import DECADES
+from robust_filterpy.correction.options import Grouping
+from robust_filterpy.filters._adaptive_step import told, uncorrelated
+from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter
+
+__all__ = ["AdaptiveSeries", "adaptive_series"]
+
+
+class AdaptiveSeries(NamedTuple):
+    """What `adaptive_series` returns; K is the number of kept steps.
+
+    Attributes
+    ----------
+    x : ndarray, shape (S, K, dim_x)
+        Corrected states.
+    P : ndarray, shape (S, K, dim_x, dim_x), (S, K, dim_x), or None
+        Their covariances, the diagonals of these, or nothing, as asked for.
+    log_likelihood : ndarray, shape (S,)
+        Log-likelihood of each whole series.
+    weights : ndarray, shape (S, K, dim_z)
+        Expected precision of each component over that of ordinary noise, in (0, 1]; NaN where it was missing.
+    outlier_probability : ndarray, shape (S, K)
+        Probability that a component of the measurement was an outlier.
+    process_scale : ndarray, shape (S, K)
+        Mean factor of Q in the step before the measurement.
+    learnt : ndarray, shape (S, 1 or dim_z, 2 + 2 C + C^2)
+        What is known of each series' noise after its last step, with C measurement scales; ``learnt[:, :, 0]`` is r,
+        the variance of ordinary noise over R.
+    """
+
+    x: Array
+    P: Array | None
+    log_likelihood: Array
+    weights: Array
+    outlier_probability: Array
+    process_scale: Array
+    learnt: Array
+
+
+def adaptive_series(
+    zs: ArrayLike,
+    F: ArrayLike,
+    H: ArrayLike,
+    Q: ArrayLike,
+    R: ArrayLike,
+    x0: ArrayLike,
+    P0: ArrayLike,
+    *,
+    process_scales: Sequence[float] = (1.0, 10.0, 100.0),
+    dwell: float = 1000.0,
+    measurement_scales: Sequence[float] = DECADES,
+    grouping: Grouping = "component",
+    memory: float = 300.0,
+    r_memory: float = 30.0,
+    learnt: ArrayLike | None = None,
+    keep: str | int = "all",
+    covariance: str = "full",
+    refused: str = "raise",
+    n_threads: int | None = None,
+) -> AdaptiveSeries:
+    """Filter S series of N measurements each, and learn the noise of each: `filter_series` where R is a guess.
+
+    Parameters
+    ----------
+    zs, F, H, Q, R, x0, P0
+        As in `filter_series`. R may be wrong by a factor of 1000 either way, Q too small by 100.
+    process_scales, dwell, measurement_scales, grouping, memory, r_memory
+        As in `AdaptiveKalmanFilter`.
+    learnt : array_like, shape (1 or dim_z, 2 + 2 C + C^2), or (S, ..) for each series its own, optional
+        What is known of the noise before the first step, with C measurement scales: the ``learnt`` of a filter with the
+        same options, or that of an earlier part of the same series.
+    keep, covariance, refused, n_threads
+        As in `filter_series`.
+
+    Returns
+    -------
+    AdaptiveSeries
+        x, P, log_likelihood, weights, outlier_probability, process_scale, learnt.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a shape does not fit, a number is infinite, or an option unknown or out of range.
+    LinAlgError
+        If a correction is impossible and refused is "raise"; the message names series and step.
+
+    Notes
+    -----
+    Same numbers, to rounding, as a loop over `AdaptiveKalmanFilter`, which runs where the kernel does not serve: for
+    sensors that fail together or whose noises are correlated. A series that is refused keeps what it had learnt.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> scales = np.array([1.0, 5.0])
+    >>> zs = (scales * np.where(rng.random((400, 2)) < 0.1, 10.0, 1.0) * rng.normal(size=(400, 2))).T[:, :, None]
+    >>> found = adaptive_series(zs, [[1.0]], [[1.0]], [[1e-4]], [[1.0]], [0.0], [[1.0]])
+    >>> found.x.shape, bool(np.abs(np.log(found.learnt[:, 0, 0] ** 0.5 / scales)).max() < 0.4)
+    ((2, 400, 1), True)
+    """
+    given = series_arguments(zs, F, H, Q, R, x0, P0, keep, covariance, refused)
+    series, steps, m = given.z.shape
+    kf = AdaptiveKalmanFilter(
+        given.x.shape[1], m, process_scales=process_scales, dwell=dwell, measurement_scales=measurement_scales,
+        grouping=grouping, memory=memory, r_memory=r_memory,
+    )  # fmt: skip
+    n_threads = threads(n_threads)
+    q, kept = len(kf.process_scales), given.kept
+    state = Copies(
+        np.repeat(given.x[:, None], q, axis=1), np.repeat(given.P[:, None], q, axis=1),
+        np.tile(kf.process_probabilities, (series, 1)), _learnt(kf, learnt, series, m), given.x, given.P,
+    )  # fmt: skip
+    outlying, scale = np.empty(kept.means.shape[:2]), np.empty(kept.means.shape[:2])
+    done = np.zeros(series, dtype=int)
+    serves = series * steps and grouping == "component" and uncorrelated(given.model[3])
+    size = dispatch.adaptive_size(given.x.shape[1], m, series * steps) if serves else None
+    if size is not None:
+        model, noise = Model(*given.model, np.zeros((1, 1, given.x.shape[1]))), told(kf._classes, kf._scales, kf.dwell)
+
+        def part(low: int, high: int) -> np.ndarray:
+            return dispatch.adaptive_series(
+                size, given.z, model, state, noise, kept, outlying, scale, every=given.every, span=(low, high)
+            )[low:high]
+
+        done = spread(part, series, n_threads)
+    for s in np.flatnonzero(done < steps).tolist():
+        _run_filter(kf, given, state, outlying, scale, s, int(done[s]))
+    return AdaptiveSeries(
+        kept.means, given.covariances(covariance), kept.log_likelihood, kept.weights, outlying, scale, state.learnt
+    )
+
+
+def _learnt(kf: AdaptiveKalmanFilter, learnt: ArrayLike | None, series: int, m: int) -> Array:
+    """Return what is known of each series' noise before its first step, or raise."""
+    if learnt is None:
+        return np.tile(kf.learnt, (series, 1, 1))
+    values = numbers("learnt", learnt)
+    if values.ndim != 3:
+        return np.tile(kf._classes.checked(values, m), (series, 1, 1))
+    if len(values) != series:
+        raise ValueError(f"learnt: expected an entry for each of the {series} series, got {len(values)}")
+    return np.array([kf._classes.checked(one, m) for one in values]).reshape(values.shape)
+
+
+def _run_filter(
+    kf: AdaptiveKalmanFilter, given: SeriesArguments, state: Copies, outlying: Array, scale: Array, s: int, start: int
+) -> None:
+    """Run a series by the filter's own methods from a step on."""
+    kept, every = given.kept, given.every
+    # The series' own state without the checks of a foreign one, which is NaN where x0 or P0 is.
+    means, covariances, shares, learnt, x, P = (a[s].copy() for a in state)
+    kf._go_on({"x": x, "P": P, "means": means, "covariances": covariances, "shares": shares, "learnt": learnt})
+    for k in range(start, given.z.shape[1]):
+        F, Q, H, R = (a[s % len(a), k % a.shape[1]] for a in given.model)
+        try:
+            kf.predict(F=F, Q=Q)
+            kf.update(given.z[s, k], R=R, H=H)
+        except (ValueError, np.linalg.LinAlgError) as error:
+            if not given.skips:
+                error.args = (f"series {s}, step {k}: {error}", *error.args[1:])
+                raise
+            for column in (kept.means, kept.covariances, kept.weights, outlying, scale):
+                column[s, k // every :] = np.nan
+            kept.log_likelihood[s] = np.nan
+            break
+        kept.log_likelihood[s] += kf.log_likelihood
+        if (k + 1) % every == 0:
+            row = (k + 1) // every - 1
+            kept.means[s, row], kept.weights[s, row] = kf.x, _weights(kf, len(H))
+            outlying[s, row], scale[s, row] = kf.outlier_probability, kf.process_scale
+            if kept.covariances.shape[2] == 1:
+                kept.covariances[s, row, 0] = np.diagonal(kf.P)
+            elif kept.covariances.shape[2]:
+                kept.covariances[s, row] = kf.P
+    state.learnt[s] = kf.learnt
+
+
+def _weights(kf: Any, m: int) -> Array:
+    """Return the weights of the last correction, NaN where a component told nothing."""
+    found = getattr(kf._last, "learnt", None)
+    return np.full(m, np.nan) if found is None else found.weights

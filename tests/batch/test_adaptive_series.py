@@ -1,0 +1,205 @@
+"""Many series whose noise is learnt are a loop over filters, whatever runs them."""
+
+import numpy as np
+import pytest
+import support
+
+from robust_filterpy import AdaptiveKalmanFilter, adaptive_series
+from robust_filterpy.compiled import dispatch
+from robust_filterpy.correction import SingularInnovationError
+
+SERIES, N = 3, 25
+
+
+def problem_and_series(dims=(3, 2, 0)):
+    problem = support.random_problem(8, *dims)
+    problem = support.with_(problem, R=np.diag(problem.R.diagonal()))
+    zs = np.array([support.simulate(problem, N, seed, contamination=0.15)[0] for seed in range(SERIES)])
+    zs[np.random.default_rng(0).random(zs.shape) < 0.1] = np.nan
+    zs[1, 4:6] = np.nan
+    return problem, zs
+
+
+def arguments(problem):
+    return problem.F, problem.H, problem.Q, problem.R, problem.x[:, 0], problem.P
+
+
+@pytest.fixture(params=["compiled", "loop"])
+def path(request, monkeypatch):
+    """Both ways; the compiled one fails if a filter takes a step."""
+    if request.param == "loop":
+        support.without_kernel(monkeypatch)
+        return request.param
+    support.needs_kernel()
+    if dispatch.adaptive_name((0, 0)) not in dispatch._cached():
+        pytest.skip("no kernel of recordings in the cache")
+    return request.param
+
+
+@pytest.fixture
+def compiled(path, monkeypatch):
+    """Where the kernel is asked for, let the function have nothing else."""
+    if path == "compiled":
+        monkeypatch.setattr("robust_filterpy.batch.adaptive._run_filter", None)
+
+
+def by_filters(problem, zs, learnt=None, model=lambda s, k: {}, **options):
+    """A loop over filters: what each shows at each step, by name."""
+    rows = {name: [] for name in ("x", "P", "weights", "outlier_probability", "process_scale", "log_likelihood")}
+    known = []
+    for s, z in enumerate(zs):
+        kf = support.make(AdaptiveKalmanFilter, problem, 1, **options)
+        if learnt is not None:
+            kf.learnt = learnt[s]
+        for k, z_k in enumerate(z):
+            given = model(s, k)
+            kf.predict(F=given.get("F"), Q=given.get("Q"))
+            kf.update(z_k, H=given.get("H"), R=given.get("R"))
+            for name, column in rows.items():
+                column.append(np.copy(getattr(kf, name)))
+        known.append(kf.learnt)
+    shown = {name: np.array(column).reshape(len(zs), zs.shape[1], *column[0].shape) for name, column in rows.items()}
+    shown["log_likelihood"] = shown["log_likelihood"].sum(axis=1)
+    return {**shown, "learnt": np.array(known)}
+
+
+def assert_same(found, expected, rtol=1e-8):
+    assert set(found._fields) == set(expected)
+    for name, value in expected.items():
+        np.testing.assert_allclose(getattr(found, name), value, rtol=rtol, atol=1e-10, err_msg=name)
+
+
+OPTIONS = [{}, {"process_scales": (1.0, 0.1), "dwell": 20.0, "memory": 50.0, "r_memory": 10.0,
+                "measurement_scales": (1.0, 30.0)}]  # fmt: skip
+
+
+@pytest.mark.parametrize("options", OPTIONS)
+def test_series_are_a_loop_over_filters(compiled, options):
+    problem, zs = problem_and_series()
+    assert_same(adaptive_series(zs, *arguments(problem), **options), by_filters(problem, zs, **options))
+
+
+@pytest.mark.parametrize("why", ["joint", "correlated"])
+def test_so_are_sensors_that_have_to_do_with_each_other(why):
+    problem, zs = problem_and_series()
+    grouping = "joint" if why == "joint" else "component"
+    if why == "correlated":
+        problem = support.with_(problem, R=problem.R + 0.1)
+    found = adaptive_series(zs, *arguments(problem), grouping=grouping)
+    assert_same(found, by_filters(problem, zs, grouping=grouping))
+
+
+def test_each_series_may_have_its_own_matrices_at_each_step(compiled):
+    problem, zs = problem_and_series()
+    rng = np.random.default_rng(1)
+    F = np.array([[support.stable(rng, 3) for _ in range(N)] for _ in range(SERIES)])
+    Q = np.array([support.spd(rng, 3) for _ in range(N)])
+    H = rng.normal(size=(SERIES, 1, 2, 3))
+    H[1, 0, 0] = 0.0
+    R = np.array([[np.diag(rng.uniform(0.5, 2.0, 2)) for _ in range(N)] for _ in range(SERIES)])
+    found = adaptive_series(zs, F, H, Q, R, *arguments(problem)[4:])
+    own = by_filters(problem, zs, model=lambda s, k: {"F": F[s, k], "Q": Q[k], "H": H[s, 0], "R": R[s, k]})
+    assert_same(found, own)
+
+
+def test_what_was_learnt_is_passed_on(compiled):
+    problem, zs = problem_and_series()
+    first = adaptive_series(zs, *arguments(problem))
+    again = adaptive_series(zs, *arguments(problem), learnt=first.learnt)
+    assert_same(again, by_filters(problem, zs, learnt=first.learnt))
+    shared = adaptive_series(zs, *arguments(problem), learnt=first.learnt[1])
+    assert_same(shared, by_filters(problem, zs, learnt=[first.learnt[1]] * SERIES))
+    assert np.abs(again.x - first.x).max() > 1e-3
+
+
+def test_threads_and_what_is_kept_change_nothing(path):
+    problem, zs = problem_and_series()
+    whole = adaptive_series(zs, *arguments(problem))
+    last = adaptive_series(zs, *arguments(problem), keep="last", covariance="diagonal", n_threads=1)
+    some = adaptive_series(zs, *arguments(problem), keep=7, covariance="none", n_threads=3)
+    np.testing.assert_array_equal(last.x, whole.x[:, -1:])
+    np.testing.assert_array_equal(last.P, np.diagonal(whole.P[:, -1:], axis1=2, axis2=3))
+    assert some.P is None
+    for name in ("x", "weights", "outlier_probability", "process_scale"):
+        np.testing.assert_array_equal(getattr(some, name), getattr(whole, name)[:, 6::7])
+    for name in ("log_likelihood", "learnt"):
+        np.testing.assert_array_equal(getattr(some, name), getattr(whole, name))
+
+
+def test_arguments_are_left_alone(path):
+    problem, zs = problem_and_series()
+    given = [zs, *arguments(problem), adaptive_series(zs, *arguments(problem)).learnt]
+    copies = [a.copy() for a in given]
+    adaptive_series(*given[:-1], learnt=given[-1])
+    for one, other in zip(given, copies, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_series_that_is_refused_is_nan_from_there_on_and_leaves_the_others_alone(path):
+    problem, zs = problem_and_series((2, 1, 0))
+    zs = np.where(np.isnan(zs), 0.5, zs)
+    H = np.tile(problem.H, (SERIES, N, 1, 1))
+    R = np.tile(problem.R, (SERIES, N, 1, 1))
+    F = np.tile(problem.F, (SERIES, N, 1, 1))
+    F[1, 20] *= 1e200
+    model = (F, H, problem.Q, R, problem.x[:, 0], problem.P)
+    with np.errstate(over="ignore", invalid="ignore"):
+        with pytest.raises(ValueError, match=r"^series 1, step 20: predict"):
+            adaptive_series(zs, *model)
+        for keep, row in ((1, 20), (4, 5), ("last", 0)):
+            found = adaptive_series(zs, *model, refused="nan", keep=keep)
+            for column in (found.x, found.P, found.weights, found.outlier_probability, found.process_scale):
+                assert np.isnan(column[1, row:]).all() and not np.isnan(column[1, :row]).any()
+            np.testing.assert_array_equal(np.isnan(found.log_likelihood), [False, True, False])
+    rows = [0, 2]
+    alone = adaptive_series(zs[rows], F[rows], H[rows], problem.Q, R[rows], *model[4:], keep="last")
+    for name in found._fields:
+        np.testing.assert_allclose(getattr(found, name)[rows], getattr(alone, name), rtol=1e-10)
+    # What it had learnt until then is what it keeps.
+    before = adaptive_series(zs[1:2, :20], F[1:2, :20], H[1:2, :20], problem.Q, R[1:2, :20], *model[4:])
+    np.testing.assert_allclose(found.learnt[1], before.learnt[0], rtol=1e-10)
+
+
+@pytest.mark.parametrize("spoil", ["x0", "P0"])
+def test_a_start_that_is_not_finite_is_refused(path, spoil):
+    problem, zs = problem_and_series()
+    start = {"x0": np.tile(problem.x[:, 0], (SERIES, 1)), "P0": np.tile(problem.P, (SERIES, 1, 1))}
+    start[spoil][2] = np.nan
+    with pytest.raises(ValueError, match="series 2, step 0: "):
+        adaptive_series(zs, *arguments(problem)[:4], **start)
+    found = adaptive_series(zs, *arguments(problem)[:4], **start, refused="nan")
+    assert np.isnan(found.x[2]).all() and not np.isnan(found.x[:2]).any()
+
+
+def test_a_certain_state_and_sensor_are_refused_by_name(path):
+    with pytest.raises(SingularInnovationError, match="series 0, step 0: "):
+        adaptive_series(np.ones((1, 3, 1)), np.eye(1), np.eye(1), np.zeros((1, 1)), np.zeros((1, 1)), [0.0], [[0.0]])
+
+
+@pytest.mark.parametrize("change, match", [
+    ({"zs": np.zeros((2, 3))}, r"zs: expected shape .*zs\[:, :, None\]"),
+    ({"R": -np.eye(2)}, "R: expected a positive semidefinite"),
+    ({"keep": "some"}, "keep"),
+    ({"covariance": "half"}, "covariance"),
+    ({"grouping": "together"}, "grouping"),
+    ({"process_scales": ()}, "process_scales"),
+    ({"measurement_scales": (2.0,)}, "measurement_scales"),
+    ({"dwell": 1.0}, "dwell"),
+    ({"memory": 0.5}, "memory"),
+    ({"n_threads": 0}, "n_threads"),
+    ({"learnt": np.ones((2, 3))}, "learnt: expected shape"),
+    ({"learnt": np.ones((5, 2, 26))}, "learnt: expected an entry for each of the 3 series, got 5"),
+])  # fmt: skip
+def test_refusals_say_what_was_expected(change, match):
+    problem, zs = problem_and_series()
+    call = dict(zip(["F", "H", "Q", "R", "x0", "P0"], arguments(problem), strict=True), zs=zs)
+    with pytest.raises(ValueError, match=match):
+        adaptive_series(**{**call, **change})
+
+
+@pytest.mark.parametrize("shape", [(0, 7, 2), (4, 0, 2)])
+def test_of_nothing_comes_nothing(path, shape):
+    problem, _ = problem_and_series()
+    found = adaptive_series(np.zeros(shape), *arguments(problem))
+    assert found.x.shape == (*shape[:2], 3) and found.P.shape == (*shape[:2], 3, 3)
+    assert found.learnt.shape == (shape[0], 2, 26)
