@@ -39,7 +39,6 @@ class _Found(NamedTuple):
 class _AdaptiveNonlinear(LearntNoiseMixin, ScoreMixin):
     """Correct by the linear measurement that a nonlinear one is, around the predicted state."""
 
-    _inverse: Any
     _log_likelihood: float | None
 
     def _corrected(self, x: Array, P: Array, y: Array, H: Array, R: Array) -> Any:
