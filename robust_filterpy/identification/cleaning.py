@@ -112,7 +112,7 @@ def _even(deviations: Array) -> float:
 
     Otherwise these look as if the measurement had less noise of its own than it has, or more, and C takes that up.
     """
-    found = Noise(ContaminatedNormal(), 1.0, known=True).refitted(deviations, _NOISE_STEPS).influence
+    found: Any = Noise(ContaminatedNormal(), 1.0, known=True).refitted(deviations, _NOISE_STEPS).influence
     odds = (1.0 - found.contamination) / found.contamination * found.scale_ratio
     return float(np.interp(odds, _EVEN_ODDS, _EVEN_THRESHOLDS))
 
