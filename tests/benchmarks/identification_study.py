@@ -81,15 +81,11 @@ def from_truth(truth, y, u, influence=HUBER):
 
 
 class KnownNoise:
-    """The score of the noise as it is, which nobody has to learn."""
+    """The score of the noise as it is: no `ContaminatedNormal`, which would be learnt."""
 
     def __init__(self, contamination):
-        mixture = ContaminatedNormal(contamination, 10.0)
-        self.rho, self.psi, self.psi_deriv, self.weights = (
-            (mixture.rho, mixture.psi, mixture.psi_deriv, mixture.weights)
-            if contamination
-            else (Linear().rho, Linear().psi, Linear().psi_deriv, Linear().weights)
-        )
+        mixture = ContaminatedNormal(contamination, 10.0) if contamination else Linear()
+        self.rho, self.psi, self.psi_deriv, self.weights = mixture.rho, mixture.psi, mixture.psi_deriv, mixture.weights
 
 
 def by_scipy(y, u, start, weights=None):
