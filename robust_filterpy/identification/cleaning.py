@@ -9,23 +9,26 @@ Chen and Liu, Journal of the American Statistical Association 88, 1993). Samples
 
 from __future__ import annotations
 
-import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.learnt_noise import Noise, mad_scale
+from robust_filterpy.identification.learnt_noise import ContaminatedNormal, Noise, mad_scale
 from robust_filterpy.identification.missing import Unknowns, response, touched
 from robust_filterpy.identification.polynomial_model import PolynomialModel
 
 __all__ = ["Outliers", "found_outliers"]
 
-#: Standard deviations that make an outlier, where there are many and where there are few: where there are many, one
-# that is missed does more harm than one too many.
-THRESHOLDS: Final = (2.5, 3.2)
+#: Standard deviations that make an outlier, at the least and at the most.
+THRESHOLDS: Final = (2.5, 3.6)
+# Odds of an ordinary sample, times the size of outliers, for which each threshold t is the even one: see `_even`.
+_EVEN_THRESHOLDS: Final = np.linspace(*THRESHOLDS, 101)
+_EVEN_ODDS: Final = np.exp(_EVEN_THRESHOLDS**2 / 2.0) * (_EVEN_THRESHOLDS**2 / 3.0 - 1.0)
 _MOST_ROUNDS: Final = 40
+# Steps of expectation-maximisation, enough to settle.
+_NOISE_STEPS: Final = 20
 # Outliers are looked for in so many samples at a time, for the sake of dense matrices of their number.
 _BLOCK: Final = 4000
 # Residuals of this size, of an output of unit size, are no noise.
@@ -46,7 +49,7 @@ class Outliers(NamedTuple):
     counts : ndarray of bool, shape (N - first,)
         Residuals that are no outliers of v.
     threshold : float
-        Standard deviations that make an outlier, by the share of outliers found.
+        Standard deviations that make an outlier, by the share and the size of the outliers found.
     """
 
     wrong: Any
@@ -85,30 +88,45 @@ def found_outliers(
         return Outliers(wrong, counts, threshold)
     if before is not None:
         wrong |= before.wrong
+    deviations = []
     for start in range(0, residual.size, _BLOCK):
         # The samples before the first residual belong to the first block.
         samples = slice(start + (first if start else 0), start + _BLOCK + first)
         rows = slice(start, start + _BLOCK)
         offset = first if start == 0 else 0
-        unknowns = _judged(residual[rows], h, wrong[samples], missing[samples], counts[rows], offset, threshold, R)
+        unknowns, d = _judged(residual[rows], h, wrong[samples], missing[samples], counts[rows], offset, threshold, R)
+        deviations.append(d)
         # What is unknown at the end of a block reaches into the next.
         tail = residual[start + _BLOCK :][: h.size - 1]
         tail += unknowns.beyond()[: tail.size]
-    share = ((wrong & ~missing).sum() + 0.5) / (wrong.size + 10.0)
-    even = math.sqrt(3.0 * max(math.log((1.0 - share) / share), 0.0))
-    return Outliers(wrong, counts, float(np.clip(even, *THRESHOLDS)))
+    return Outliers(wrong, counts, _even(np.concatenate(deviations)))
+
+
+def _even(deviations: Array) -> float:
+    """Return the threshold at which outliers that are missed add what ordinary samples taken for outliers take away.
+
+    With a share s of outliers of N(0, V), V >> t^2, among standardized deviations d, the mean of d^2 - 1 over the
+    samples that stay is 0 if
+
+        (1 - s) 2 t phi(t) = s (2 t^3/3 - 2 t)/sqrt(2 pi V),   exp(t^2/2) (t^2/3 - 1) = (1 - s)/s sqrt(V)
+
+    Otherwise these look as if the measurement had less noise of its own than it has, or more, and C takes that up.
+    """
+    found: Any = Noise(ContaminatedNormal(), 1.0, known=True).refitted(deviations, _NOISE_STEPS).influence
+    odds = (1.0 - found.contamination) / found.contamination * found.scale_ratio
+    return float(np.interp(odds, _EVEN_ODDS, _EVEN_THRESHOLDS))
 
 
 def _judged(
     base: Array, h: Array, wrong: Any, missing: Any, counts: Any, first: int, threshold: float, R: float | None
-) -> Unknowns:
-    """Mark the outliers of a block in ``wrong`` and ``counts``, and return the unknown samples that remain."""
-    near = 2 * _similar(h) + 1
+) -> tuple[Unknowns, Array]:
+    """Mark the outliers of a block in ``wrong`` and ``counts``; return what is unknown, and deviations."""
+    near, output = 2 * _similar(h) + 1, np.zeros(wrong.size)
     for turn in range(_MOST_ROUNDS):
         unknowns = Unknowns(base, h, wrong, counts.astype(float), first)
         residual = unknowns.residual
         clear = counts & ~touched(wrong, h, first)
-        scale = mad_scale(residual[clear if clear.sum() > 0.2 * base.size else counts]) if R is None else math.sqrt(R)
+        scale = mad_scale(residual[clear if clear.sum() > 0.2 * base.size else counts]) if R is None else R**0.5
         if scale < _ROUNDING:
             break
         deviation, precision = unknowns.deviations()
@@ -127,7 +145,7 @@ def _judged(
         wrong[new], wrong[back] = True, False
         counts[(peak & ~new)[first:]] = False
         counts[again] = True
-    return Unknowns(base, h, wrong, counts.astype(float), first)
+    return Unknowns(base, h, wrong, counts.astype(float), first), output[~missing & (output > 0.0)]
 
 
 def _decided(statistic: Array) -> Array:

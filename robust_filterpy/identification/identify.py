@@ -15,7 +15,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.identification._recording import require_informative
 from robust_filterpy.identification._signals import recorded_input, recorded_output
 from robust_filterpy.identification._threads import one_thread
-from robust_filterpy.identification.learnt_noise import mad_scale
+from robust_filterpy.identification.learnt_noise import Noise, mad_scale
 from robust_filterpy.identification.model import Ending, Model, filled_memory
 from robust_filterpy.identification.polynomial_model import PolynomialModel
 from robust_filterpy.identification.prediction_error import sandwich
@@ -31,6 +31,9 @@ __all__ = ["identify"]
 # the model open.
 _CLOSE: Final = 3.0
 _APART: Final = 5.0
+
+# Steps of expectation-maximisation, enough to settle.
+_NOISE_STEPS: Final = 20
 
 # In units of its scale, a larger output is as wild as this one; its loss would hide all others in rounding.
 _LARGEST: Final = 1e10
@@ -134,7 +137,9 @@ def identify(
     if doubt:
         warnings.warn(f"identify: {doubt}", stacklevel=2)
     recorded = PolynomialModel(structure, best.y * units.y + units.centre, signal, bool(offset))
-    found = _as_model(recorded, units.back(model, best.p), best, missing, units.y, known, endings, doubt)
+    # Where an outlier stood in the regressor: what was measured, less what stands there now.
+    replaced = np.where(best.outliers.wrong & ~missing, measured - recorded.y, 0.0)
+    found = _as_model(recorded, units.back(model, best.p), best, missing, replaced, units.y, known, endings, doubt)
     return replace(found, dt=axis.dt)
 
 
@@ -177,6 +182,7 @@ def _as_model(
     p: Array,
     end: End,
     missing: Any,
+    replaced: Array,
     unit: float,
     R: float | None,
     endings: tuple[Ending, ...],
@@ -195,6 +201,7 @@ def _as_model(
     weights[end.outliers.wrong] = 0.0
     weights[missing] = np.nan
     offset = float(p[n]) if model.offset else 0.0
+    total = R or found * samples / (samples - model.n)
     return Model(
         structure=structure,
         theta=p[:n],
@@ -204,13 +211,21 @@ def _as_model(
         offset_covariance=P[:n, n] if model.offset else np.zeros(n),
         has_offset=model.offset,
         own_fit=_own_fit(model.y[model.first :], residual, rows),
-        noise=replace(noise, R=R or found * samples / (samples - model.n)),
+        noise=_as_measured(replace(noise, R=total), residual, replaced[model.first :], ~missing[model.first :]),
         weights=weights,
         log_likelihood=noise.log_likelihood(residual[rows]),
         endings=endings,
         warning=doubt,
         memory=filled_memory(model, p),
     )
+
+
+def _as_measured(noise: Noise, residual: Array, replaced: Array, known: Any) -> Noise:
+    """Return the noise that the prediction will meet: of y as it was measured, outliers and all."""
+    if not replaced.any():
+        return noise
+    told = replace(noise, known=True).refitted((residual + replaced)[known], _NOISE_STEPS)
+    return replace(told, known=noise.known)
 
 
 def _own_fit(y: Array, residual: Array, rows: Any) -> float:

@@ -41,6 +41,9 @@ _SETTLED: Final = 1e-5
 # Ends whose residuals differ by less than this share of their size are the same.
 _SAME: Final = 1e-3
 
+# Steps of expectation-maximisation, enough to settle.
+_NOISE_STEPS: Final = 20
+
 # Variance of the noise, of an output of unit size, that is rounding.
 _LEAST: Final = 1e-24
 
@@ -186,9 +189,14 @@ def _best_first(model: PolynomialModel, missing: Any, found: list[End]) -> list[
     """Sort ends by what the data say for them, and join those that are the same.
 
     Of two optima with the same loss the wider one is the likelier (Laplace's approximation of the evidence): a narrow
-    one fits this recording with a pole next to the unit circle that no other recording shows.
+    one fits this recording with a pole next to the unit circle that no other recording shows. Where two optima are
+    nearly as good for a robust loss, the noise that their residuals show still tells them apart.
     """
-    noise = min((end.noise for end in found), key=lambda n: n.R)
+    likeliest = min(found, key=lambda end: end.noise.R)
+    noise = likeliest.noise
+    if noise.has_outliers and not isinstance(noise.influence, ContaminatedNormal):
+        shown = likeliest.residual[likeliest.rows]
+        noise = replace(noise, influence=ContaminatedNormal()).refitted(shown, _NOISE_STEPS)
     threshold = min(end.outliers.threshold for end in found)
     losses = []
     for end in found:

@@ -66,6 +66,14 @@ def test_rows_are_sorted_and_the_criterion_is_the_likelihood_with_its_price():
         assert len(selection.to_text(rows=2).splitlines()) == 3
 
 
+def test_a_first_b_of_zero_comes_last_however_likely():
+    best, *_, last = select_structure(*recorded(length=500), na=[1, 2], nb=[3], nk=[3, 4]).rows
+    assert best.structure == OutputError(2, 3, 4) and best.shows_delay
+    # b = [0, 1, .5] from one sample earlier on is as good a model, and that with too few poles a bad one.
+    assert last.structure == OutputError(2, 3, 3) and not last.shows_delay
+    assert last.criterion < best.criterion + 10.0
+
+
 def test_the_held_out_part_is_fitted_by_the_model_of_the_part_before():
     y, u = recorded(length=800)
     selection = select_structure(y, u, na=range(1, 4), nk=[3, 4, 5], held_out=0.25, progress=False)
@@ -105,6 +113,19 @@ def test_equation_error_models(kind):
     y[::40] += 20.0
     found = select_structure(y, u, kind, na=range(1, 4), nk=range(5)).best.structure
     assert isinstance(found, kind) and (found.na, found.nk) == (2, 2)
+
+
+def test_an_outlier_in_the_regressor_costs_as_much_as_a_few_parameters_whatever_its_size():
+    rng = np.random.default_rng(5)
+    u = rng.choice([-1.0, 1.0], 800)
+    y = lfilter([0.0, *B], A, u) + lfilter([1.0], A, 0.3 * rng.normal(size=800))
+    options = {"kind": ARX, "na": [2], "nk": [1]}
+    clean = select_structure(y, u, **options).rows[0].log_likelihood
+    for size in (20.0, 2000.0):
+        spoilt = y.copy()
+        spoilt[20::40] += size
+        lost = clean - select_structure(spoilt, u, **options).rows[0].log_likelihood
+        assert 4.0 < lost / 20 < 12.0
 
 
 def test_without_input_the_order_is_that_of_statsmodels():
