@@ -151,9 +151,7 @@ class LearntNoiseMixin:
             return self._learnt
         return np.concatenate([self._learnt, self._classes.start(sensors - len(self._learnt))])
 
-    def _learn(
-        self, bank: Bank, z: Array, H: Array, R: Array, M: Any, known: Array, first: int = 0
-    ) -> Learnt | None:
+    def _learn(self, bank: Bank, z: Array, H: Array, R: Array, M: Any, known: Array, first: int = 0) -> Learnt | None:
         """Correct copies of a state by z, NaN where missing, which stands at `first` in the whole measurement.
 
         None if nothing of z tells anything.

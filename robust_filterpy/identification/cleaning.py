@@ -27,8 +27,6 @@ THRESHOLDS: Final = (2.5, 3.6)
 _EVEN_THRESHOLDS: Final = np.linspace(*THRESHOLDS, 101)
 _EVEN_ODDS: Final = np.exp(_EVEN_THRESHOLDS**2 / 2.0) * (_EVEN_THRESHOLDS**2 / 3.0 - 1.0)
 _MOST_ROUNDS: Final = 40
-# Steps of expectation-maximisation, enough to settle.
-_NOISE_STEPS: Final = 20
 # Outliers are looked for in so many samples at a time, for the sake of dense matrices of their number.
 _BLOCK: Final = 4000
 # Residuals of this size, of an output of unit size, are no noise.
@@ -112,7 +110,7 @@ def _even(deviations: Array) -> float:
 
     Otherwise these look as if the measurement had less noise of its own than it has, or more, and C takes that up.
     """
-    found: Any = Noise(ContaminatedNormal(), 1.0, known=True).refitted(deviations, _NOISE_STEPS).influence
+    found: Any = Noise(ContaminatedNormal(), 1.0, known=True).settled(deviations).influence
     odds = (1.0 - found.contamination) / found.contamination * found.scale_ratio
     return float(np.interp(odds, _EVEN_ODDS, _EVEN_THRESHOLDS))
 

@@ -32,9 +32,6 @@ __all__ = ["identify"]
 _CLOSE: Final = 3.0
 _APART: Final = 5.0
 
-# Steps of expectation-maximisation, enough to settle.
-_NOISE_STEPS: Final = 20
-
 # In units of its scale, a larger output is as wild as this one; its loss would hide all others in rounding.
 _LARGEST: Final = 1e10
 
@@ -224,7 +221,7 @@ def _as_measured(noise: Noise, residual: Array, replaced: Array, known: Any) -> 
     """Return the noise that the prediction will meet: of y as it was measured, outliers and all."""
     if not replaced.any():
         return noise
-    told = replace(noise, known=True).refitted((residual + replaced)[known], _NOISE_STEPS)
+    told = replace(noise, known=True).settled((residual + replaced)[known])
     return replace(told, known=noise.known)
 
 

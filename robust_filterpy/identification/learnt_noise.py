@@ -35,6 +35,8 @@ _RATIOS: Final = (3.0, 1e4)
 # Beyond so many standard deviations of the wider distribution its tails are those of Huber's least favourable one, or a
 # single gross outlier would move everything and make all others ordinary.
 _REACH: Final = 3.0
+# Steps of expectation-maximisation after which more would hardly move it.
+_SETTLING_STEPS: Final = 50
 _WIDE: Final = Huber(_REACH)
 
 _MAD_TO_SCALE: Final = 1.482602218505602
@@ -170,6 +172,10 @@ class Noise:
             return self._maximised(self.influence, residual, steps)
         return self if self.known else replace(self, R=max(mad_scale(residual) ** 2, self.least))
 
+    def settled(self, residual: Array) -> Noise:
+        """Return `refitted` after so many steps that more would hardly move it."""
+        return self.refitted(residual, _SETTLING_STEPS)
+
     @property
     def has_outliers(self) -> bool:
         """Whether a large residual has less weight than a small one: not for `Linear`."""
@@ -203,6 +209,13 @@ class Noise:
             prior = _PRIOR_RATIO_SAMPLES * _PRIOR_RATIO**2
             ratio = float(np.clip(math.sqrt((energy / R + prior) / (outliers + _PRIOR_RATIO_SAMPLES)), *_RATIOS))
         return replace(self, influence=ContaminatedNormal(contamination, ratio), R=R)
+
+
+def likelihood_of_mixture(residual: Array, wild: float) -> float:
+    """Return the log-likelihood of residuals under the mixture that they show; a larger one counts as ``wild``."""
+    bounded = np.clip(residual, -wild, wild)
+    start = Noise(ContaminatedNormal(), max(mad_scale(bounded) ** 2, np.finfo(float).tiny))
+    return start.settled(bounded).log_likelihood(bounded)
 
 
 def mad_scale(residual: Array) -> float:

@@ -41,9 +41,6 @@ _SETTLED: Final = 1e-5
 # Ends whose residuals differ by less than this share of their size are the same.
 _SAME: Final = 1e-3
 
-# Steps of expectation-maximisation, enough to settle.
-_NOISE_STEPS: Final = 20
-
 # Variance of the noise, of an output of unit size, that is rounding.
 _LEAST: Final = 1e-24
 
@@ -196,7 +193,7 @@ def _best_first(model: PolynomialModel, missing: Any, found: list[End]) -> list[
     noise = likeliest.noise
     if noise.has_outliers and not isinstance(noise.influence, ContaminatedNormal):
         shown = likeliest.residual[likeliest.rows]
-        noise = replace(noise, influence=ContaminatedNormal()).refitted(shown, _NOISE_STEPS)
+        noise = replace(noise, influence=ContaminatedNormal()).settled(shown)
     threshold = min(end.outliers.threshold for end in found)
     losses = []
     for end in found:

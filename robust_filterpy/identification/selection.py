@@ -29,7 +29,7 @@ from robust_filterpy._progress import progress_bar
 from robust_filterpy.identification._signals import recorded_input, recorded_output
 from robust_filterpy.identification.cleaning import THRESHOLDS
 from robust_filterpy.identification.identify import identify
-from robust_filterpy.identification.learnt_noise import ContaminatedNormal, Noise, mad_scale
+from robust_filterpy.identification.learnt_noise import likelihood_of_mixture, mad_scale
 from robust_filterpy.identification.model import Model
 from robust_filterpy.identification.structures import ARMAX, ARX, FIR, OutputError, Structure
 from robust_filterpy.identification.time_axis import recording, table
@@ -49,8 +49,6 @@ _FALSE_DELAY: Final = 0.05
 _SURE: Final = 2.0
 # A larger residual, in standard deviations of y, is as wild as this one.
 _WILD: Final = 10.0
-# Steps of expectation-maximisation, enough to settle.
-_NOISE_STEPS: Final = 50
 
 
 class Candidate(NamedTuple):
@@ -418,9 +416,7 @@ class _Comparison:
 
     def _log_likelihood(self, residual: Array) -> float:
         """Return the log-likelihood of residuals of which no outlier touches another one."""
-        known = np.clip(residual[~np.isnan(residual)], -self.wild, self.wild)
-        start = Noise(ContaminatedNormal(), max(mad_scale(known) ** 2, np.finfo(float).tiny))
-        return start.refitted(known, _NOISE_STEPS).log_likelihood(known)
+        return likelihood_of_mixture(residual[~np.isnan(residual)], self.wild)
 
     def _cleaned_likelihood(self, model: Model) -> float:
         """Return the log-likelihood of residuals of the cleaned output, less what the outliers cost."""

@@ -21,7 +21,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._pictures import drawn
 from robust_filterpy.identification import _setup
 from robust_filterpy.identification._signals import recorded_input, recorded_output
-from robust_filterpy.identification.learnt_noise import ContaminatedNormal, Noise, mad_scale
+from robust_filterpy.identification.learnt_noise import likelihood_of_mixture, mad_scale
 from robust_filterpy.identification.time_axis import recording, table
 
 if TYPE_CHECKING:
@@ -33,9 +33,8 @@ _NAMES: Final = ("Q", "forgetting")
 # Samples left out after the start, for each parameter, and how many must be left to judge by.
 _SETTLING: Final = 20
 _LEAST: Final = 50
-# A residual this many times as large as y varies is as wild as any; steps of expectation-maximisation to settle.
+# A residual this many times as large as y varies is as wild as any.
 _WILD: Final = 10.0
-_NOISE_STEPS: Final = 50
 # Values within so much log-likelihood of the best predict as well as it does.
 _CLOSE: Final = 2.0
 
@@ -178,7 +177,8 @@ def tuned(tracker: ParameterTracker, y: Any, u: Any, over: Any, leave_out: int |
             )
         residuals = [_residual(ready, values, output, signal, first, counts) for values in candidates]
     wild = _WILD * mad_scale(output[~np.isnan(output)] - np.nanmedian(output)) or np.inf
-    rows = tuple(Tried(values, _likelihood(e, wild)) for values, e in zip(candidates, residuals, strict=True))
+    likelihoods = [-np.inf if e is None else likelihood_of_mixture(e, wild) for e in residuals]
+    rows = tuple(Tried(*row) for row in zip(candidates, likelihoods, strict=True))
     if not any(np.isfinite(row.log_likelihood) for row in rows):
         raise ValueError("over: expected a value with which the filter goes through the recording, got none")
     samples = int((counts & ~np.isnan(output)).sum())
@@ -238,15 +238,6 @@ def _with_values(tracker: ParameterTracker, values: dict[str, Any]) -> Parameter
     kept = {name: settings[name] for name in ("Q", "alpha_sq") if name in settings}
     found._initial, found._given = found._initial | kept, found._given | values
     return found
-
-
-def _likelihood(residual: Array | None, wild: float) -> float:
-    """Return the log-likelihood of residuals under the mixture that they show."""
-    if residual is None:
-        return -np.inf
-    bounded = np.clip(residual, -wild, wild)
-    start = Noise(ContaminatedNormal(), max(mad_scale(bounded) ** 2, np.finfo(float).tiny))
-    return start.refitted(bounded, _NOISE_STEPS).log_likelihood(bounded)
 
 
 def _doubt(chosen: Tried, candidates: list[dict[str, Any]]) -> str:
