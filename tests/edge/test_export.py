@@ -283,7 +283,8 @@ REFUSED = {
     "shape": (lambda: changed(F=np.eye(3)), ValueError, r"F: .*\(2, 2\)"),
     "NaN": (lambda: changed(x=np.full(2, np.nan)), ValueError, "x: expected finite"),
     "asymmetric": (lambda: changed(P=np.array([[1.0, 1e-9], [0.0, 1.0]])), ValueError, "P.T"),
-    "indefinite": (lambda: changed(Q=-np.eye(2)), ValueError, "Q: expected a positive"),
+    "negative": (lambda: changed(Q=-np.eye(2)), ValueError, "Q: expected variances"),
+    "indefinite": (lambda: changed(Q=np.array([[1.0, 2.0], [2.0, 1.0]])), ValueError, "Q: expected a positive"),
     "tracker's filter": (lambda: tracker(filter=filterpy.kalman.KalmanFilter), TypeError, "influence=Linear"),
     "start": (lambda: tracker(), ValueError, r"run\(y, u\) .* start=0"),
 }
