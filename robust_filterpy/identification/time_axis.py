@@ -246,8 +246,8 @@ def _refuse_unread_times(name: str, index: Any) -> None:
             return
     # A file that spans a change of daylight saving stays text even with parse_dates.
     raise ValueError(
-        f"{name}: expected times in the index, got {type(index[0]).__name__} that reads as a time, {str(index[0])!r} in "
-        "sample 0; df.index = pd.to_datetime(df.index, utc=True)"
+        f"{name}: expected times in the index, got {type(index[0]).__name__} that reads as a time, {str(index[0])!r} "
+        "in sample 0; df.index = pd.to_datetime(df.index, utc=True)"
     )
 
 

@@ -192,7 +192,7 @@ def test_uniform_indexes_of_all_kinds_are_taken(index, dt):
 def test_times_that_pandas_has_not_read_are_refused(kind):
     times = pd.date_range("2024-03-30", periods=N, freq="h", tz="Europe/Berlin")
     df = table(pd.Index([kind(time) for time in times], dtype=object))
-    with pytest.raises(ValueError, match=r"y: expected times in the index, got .*2024-03-30 00:00:00\+01:00.*to_datetime"):
+    with pytest.raises(ValueError, match=r"y: expected times in the index.*2024-03-30 00:00:00\+01:00.*to_datetime"):
         identify(df.y, df.u, FIR(2))
     df.index = pd.to_datetime(df.index, utc=True)
     assert identify(df.y, df.u, FIR(2)).dt == 3600.0
