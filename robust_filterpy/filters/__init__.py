@@ -18,6 +18,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from robust_filterpy.filters._outlier_share import OutlierShareWarning
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 
 if TYPE_CHECKING:
@@ -63,6 +64,7 @@ __all__ = [
     "AdaptiveKalmanFilter",
     "AdaptiveUnscentedKalmanFilter",
     "NoiseMatchedKalmanFilter",
+    "OutlierShareWarning",
     "RecoveringCubatureKalmanFilter",
     "RecoveringExtendedKalmanFilter",
     "RecoveringKalmanFilter",

@@ -84,5 +84,6 @@ def _require_finite(values: Array) -> None:
         k = np.unravel_index(int(np.argmin(good)), good.shape)
         where = f" in sample {k[0]}" if good.ndim == 2 else ""
         raise ValueError(
-            f"u: expected finite numbers up to {LARGEST:g} in size (an input cannot be missing), got {values[k]}{where}"
+            f"u: expected finite numbers up to {LARGEST:g} in size (an input cannot be missing; the order is y, u), "
+            f"got {values[k]}{where}"
         )

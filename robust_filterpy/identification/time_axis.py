@@ -5,6 +5,7 @@ Nothing here imports pandas: whoever passes a Series or a DataFrame has done so.
 
 from __future__ import annotations
 
+import datetime
 import math
 import sys
 from typing import Any, Final, NamedTuple
@@ -109,9 +110,10 @@ class TimeAxis(NamedTuple):
             If both are known and differ by more than 1 %.
         """
         if dt is not None and self.dt is not None and abs(self.dt - dt) > _SAME * dt:
+            # What lies between slow samples cannot be had by resampling.
+            mend = f'resample with df.resample("{dt:.6g}s").mean()' if self.dt < dt else "identify one at this period"
             raise ValueError(
-                f"y: expected a sample every {dt:.6g} s, as the model has it, got one every {self.dt:.6g} s; "
-                f'resample with df.resample("{dt:.6g}s").mean()'
+                f"y: expected a sample every {dt:.6g} s, as the model has it, got one every {self.dt:.6g} s; {mend}"
             )
 
 
@@ -134,7 +136,7 @@ def recording(structure: Any, /, **signals: Any) -> tuple[Any, ...]:
     Raises
     ------
     ValueError
-        If two indexes differ, or one is not uniform.
+        If two indexes differ, or one is not uniform, or has times as text.
 
     Examples
     --------
@@ -212,7 +214,10 @@ def _uniform(name: str, index: Any) -> float | None:
     # Months are not equally long; who gave a frequency has chosen them.
     calendar = getattr(index, "freq", None) is not None and has_times
     is_number = pd.api.types.is_numeric_dtype(index.dtype) and index.dtype.kind in "iuf"
-    if len(index) < 2 or not (has_times or has_periods or is_number):
+    if len(index) < 2:
+        return None
+    if not (has_times or has_periods or is_number):
+        _refuse_unread_times(name, index)
         return None
     if index.hasnans:
         k = int(np.argmax(index.isna()))
@@ -228,6 +233,22 @@ def _uniform(name: str, index: Any) -> float | None:
     if not has_times or not regular.all():
         return None
     return float(place[-1] - place[0]) / ((len(place) - 1) * per_second)
+
+
+def _refuse_unread_times(name: str, index: Any) -> None:
+    """Raise if labels are times that pandas has not read as such, from a file for instance."""
+    for label in (index[0], index[-1]):
+        if not isinstance(label, (str, datetime.date)):
+            return
+        try:
+            sys.modules["pandas"].Timestamp(label)
+        except (ValueError, TypeError, OverflowError):
+            return
+    # A file that spans a change of daylight saving stays text even with parse_dates.
+    raise ValueError(
+        f"{name}: expected times in the index, got {type(index[0]).__name__} that reads as a time, {str(index[0])!r} "
+        "in sample 0; df.index = pd.to_datetime(df.index, utc=True)"
+    )
 
 
 def _refuse(name: str, index: Any, steps: Any, usual: float, regular: Any, has_times: bool) -> None:

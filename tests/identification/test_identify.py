@@ -346,7 +346,7 @@ GOOD = np.random.default_rng(0).normal(size=(100, 2))
         (GOOD[:, 0], GOOD[:50, 1], ARX(1, 1), {}, ValueError, "u: expected 100 samples"),
         (GOOD[:, 0], None, ARX(1, 1), {}, ValueError, "u: expected a recording"),
         (np.full(100, np.nan), GOOD[:, 1], ARX(1, 1), {}, ValueError, "y: expected some measured samples"),
-        (np.full(100, 3.0), GOOD[:, 1], ARX(1, 1), {}, ValueError, "y: expected an output that varies"),
+        (np.full(100, 3.0), GOOD[:, 1], ARX(1, 1), {}, ValueError, "y: expected an output that varies, got the same"),
         (np.where(GOOD[:, 0] > 9, 0, np.inf), GOOD[:, 1], ARX(1, 1), {}, ValueError, "y: expected finite"),
         (GOOD[:15, 0], GOOD[:15, 1], OutputError(4, 4), {}, ValueError, "y: expected at least .* record more"),
         (GOOD[:, 0], GOOD[:, 1], FIR(2, nk=200), {}, ValueError, "nk: expected a delay shorter than the recording"),

@@ -150,8 +150,11 @@ def test_an_axis_that_does_not_fit_is_refused(model, call):
 @pytest.mark.parametrize("name", ["validate", "compare", "predict", "residuals", "fit", "run"])
 def test_a_recording_at_another_rate_is_refused(model, name):
     df = table()
-    with pytest.raises(ValueError, match=r"expected a sample every 10 s.* got one every 20 s"):
+    with pytest.raises(ValueError, match=r"expected a sample every 10 s.* got one every 20 s; identify one at"):
         CALLS[name](model, df.y[::2], df.u[::2])
+    quick = df.set_index(pd.date_range("2024-03-01", periods=N, freq="5s"))
+    with pytest.raises(ValueError, match=r"expected a sample every 10 s.* got one every 5 s; resample.*10s"):
+        CALLS[name](model, quick.y, quick.u)
 
 
 def test_a_refused_run_leaves_the_tracker_as_it_was():
@@ -183,6 +186,16 @@ def test_uniform_indexes_of_all_kinds_are_taken(index, dt):
     df = table(index)
     found = identify(df.y, df.u, FIR(2)).dt
     assert found == (None if dt is None else pytest.approx(dt, rel=1e-4))
+
+
+@pytest.mark.parametrize("kind", [str, lambda time: time.to_pydatetime()], ids=["text", "objects"])
+def test_times_that_pandas_has_not_read_are_refused(kind):
+    times = pd.date_range("2024-03-30", periods=N, freq="h", tz="Europe/Berlin")
+    df = table(pd.Index([kind(time) for time in times], dtype=object))
+    with pytest.raises(ValueError, match=r"y: expected times in the index.*2024-03-30 00:00:00\+01:00.*to_datetime"):
+        identify(df.y, df.u, FIR(2))
+    df.index = pd.to_datetime(df.index, utc=True)
+    assert identify(df.y, df.u, FIR(2)).dt == 3600.0
 
 
 def test_a_count_with_a_hole_is_refused_but_not_for_a_regression():

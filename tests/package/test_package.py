@@ -1,5 +1,6 @@
 """The package as a whole: cheap to import, honest about its version, nothing heavy before it is used."""
 
+import importlib
 import re
 import subprocess
 import sys
@@ -49,3 +50,11 @@ def test_no_machine_path_in_the_sources():
         if path.exists() and path.suffix in {".py", ".md", ".cfg", ".toml"} and path.name != "test_package.py":
             found = bad.search(path.read_text())
             assert not found, f"{name}: {found.group()}"
+
+
+def test_no_public_name_is_found_in_a_private_module_alone():
+    # The reference describes it where it is found, and a reader imports it from there.
+    for name in set(robust_filterpy.__all__) - {"__version__"}:
+        module = getattr(robust_filterpy, name).__module__
+        room = importlib.import_module(".".join(module.split(".")[:2]))
+        assert name in room.__all__ or "._" not in module, name
