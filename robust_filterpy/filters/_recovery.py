@@ -13,7 +13,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._state import Shape
 from robust_filterpy.correction.options import length_and_direction
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.correction.whitening import standardized
+from robust_filterpy.correction.whitening import Inverse, standardize, standardized
 
 # A refused innovation has a length that a normal one exceeds as rarely as a number exceeds three deviations.
 _RARE = 0.0027
@@ -31,6 +31,7 @@ class RecoveryMixin:
     P: Array
     P_post: Array
     scaling: Any
+    _inverse: Inverse | None
     _arrays: Callable[[], Correction | None]
     _gaps: ClassVar[tuple[str, ...]] = ("insisting",)
 
@@ -103,10 +104,8 @@ class RecoveryMixin:
 
     def _root(self, last: Correction, observed: np.ndarray) -> Array:
         """Return S^(-1/2) of the observed components, whatever the scaling."""
-        if self.scaling == "innovation":
-            return last.T[np.ix_(observed, observed)]
-        values, vectors = np.linalg.eigh(last.S[np.ix_(observed, observed)])
-        return np.asarray((vectors / np.sqrt(values)) @ vectors.T)
+        pick = np.ix_(observed, observed)
+        return last.T[pick] if self.scaling == "innovation" else standardize(last.S[pick], "innovation", self._inverse)[0]
 
     def _moving(self) -> dict[str, Any]:
         """Return what a step moves, the count and the refused innovation that the next one is compared with."""

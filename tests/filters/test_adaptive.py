@@ -261,6 +261,23 @@ def test_what_is_shown_where_s_is_singular_to_rounding(sensors):
     np.testing.assert_array_equal(twin.x, kf.x)
 
 
+@pytest.mark.parametrize("kernel", [True, False])
+@pytest.mark.parametrize("grouping", ["component", "joint"])
+@pytest.mark.parametrize("variances", [(0.0,), (1.0, 0.0)])
+def test_a_sensor_without_noise_is_believed_and_teaches_nothing(variances, grouping, kernel, monkeypatch):
+    if not kernel:
+        without_kernel(monkeypatch)
+    m = len(variances)
+    problem = with_(random_problem(8, 3, m), R=np.diag(variances), M=np.zeros((3, m)))
+    kf = make(AdaptiveKalmanFilter, problem, 1, grouping=grouping)
+    for k, z in enumerate(simulate(problem, 20, 3)[0]):
+        kf.predict()
+        kf.update(z) if k % 2 else kf.update_correlated(z)
+        assert np.isfinite(kf.learnt).all() and np.isfinite(kf.K).all()
+        assert kf.H[-1] @ kf.x == pytest.approx(z[-1], rel=1e-6, abs=1e-6)
+    assert (kf.learnt[-1, 0] == 1.0) == (grouping == "component" or m == 1)
+
+
 @pytest.mark.parametrize("name, spoilt, match", [
     ("learnt", lambda a: -a, "learnt: expected finite numbers >= 0"),
     ("learnt", lambda a: 2.0 * a, "learnt: expected probabilities"),

@@ -216,3 +216,14 @@ def test_where_numpy_raises_wild_measurements_stop_no_filter(size):
             kf.predict()
             kf.update(sign * size)
     assert kf.recoveries == 0 and abs(kf.x.item()) < 1.0
+
+
+@pytest.mark.parametrize("scaling", ["innovation", "unit", "bounded"])
+def test_a_direction_that_inv_leaves_out_does_not_count(scaling):
+    kf = RecoveringKalmanFilter(2, 2, patience=3, scaling=scaling)
+    kf.H, kf.P, kf.Q, kf.R, kf.inv = np.eye(2), np.diag([0.01, 0.0]), 0.0, np.diag([0.01, 0.0]), np.linalg.pinv
+    with np.errstate(all="raise"):
+        for z in ([0.0, 50.0], [0.0, 50.0], [0.0, 50.0], [5.0, 50.0]):
+            kf.predict()
+            kf.update(z)
+    assert (kf.refused, kf.recoveries) == (1, 0)
