@@ -105,7 +105,9 @@ class RecoveryMixin:
     def _root(self, last: Correction, observed: np.ndarray) -> Array:
         """Return S^(-1/2) of the observed components, whatever the scaling."""
         pick = np.ix_(observed, observed)
-        return last.T[pick] if self.scaling == "innovation" else standardize(last.S[pick], "innovation", self._inverse)[0]
+        if self.scaling == "innovation":
+            return last.T[pick]
+        return standardize(last.S[pick], "innovation", self._inverse)[0]
 
     def _moving(self) -> dict[str, Any]:
         """Return what a step moves, the count and the refused innovation that the next one is compared with."""
