@@ -74,6 +74,8 @@ def series_arguments(
     )
     _require_covariances("R", model[3].reshape(-1, m, m))
     _require_symmetric("Q", model[1])
+    if (np.diagonal(model[1], axis1=-2, axis2=-1) < 0.0).any():
+        raise ValueError("Q: expected variances >= 0 on the diagonal, got one that is negative")
     _require_symmetric("P0", P0)
     x, P = np.broadcast_to(x0, (series, n)).copy(), np.broadcast_to(P0, (series, n, n)).copy()
     every = _every(keep, steps)

@@ -110,8 +110,6 @@ def _correct(copies, z, H, R, noise, weights, outlying, ws, n, m):
             for k in range(K):
                 ws.likely[c, k] /= likelihood
             total += ws.p[c]
-        if not total > _LEAST:
-            return -1, 0.0
         log_density += math.log(total) - 0.5 * _LOG_2PI
         energy = 0.0
         for k in range(K):

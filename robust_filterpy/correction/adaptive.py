@@ -196,16 +196,22 @@ def correct_adaptively(
             spread = np.zeros((1, 1, 1))
         elif M is not None:
             cross = deviations * M
-        y = z[group] - (seen @ means[:, None, :, None])[..., 0]
+        predicted = (seen @ means[:, None, :, None])[..., 0]
+        y = z[group] - predicted
         each = correct_each(y, covariances[:, None], seen, spread, cross, inv)
         likely = np.log(before) + each.log_densities
         joint, log_total = normalized(np.log(np.maximum(probabilities, 1e-300))[:, None] + likely)
         posterior = joint.sum(axis=0)
-        # What is left of y under the ordinary class is noise.
-        left = each.y[:, 0] + (z[group] - y[:, 0] - means[:, :n] @ H[group].T) - each.moves[:, 0, :n] @ H[group].T
+        # What is left of y under the ordinary class is noise. (z - y would have lost its digits beside a wild z.)
+        left = each.y[:, 0] + (predicted[:, 0] - means[:, :n] @ H[group].T) - each.moves[:, 0, :n] @ H[group].T
         left_var = ((H[group] @ each.P[:, 0, :n, :n]) * H[group]).sum(axis=2)
-        energies = ((left**2 + left_var) / R.diagonal()[group]).mean(axis=1)
-        energy = float(joint[:, 0] @ energies / max(posterior[0], 1e-300))
+        variances = R.diagonal()[group]
+        noisy = variances > 0.0
+        # Of a sensor without noise there is no factor to learn.
+        energy = known[0]
+        if noisy.any():
+            energies = ((left**2 + left_var)[:, noisy] / variances[noisy]).mean(axis=1)
+            energy = float(joint[:, 0] @ energies / max(posterior[0], 1e-300))
         adaptive_noise.learn(known, begin, noise.scales, posterior.tolist(), energy, noise.memory, noise.r_memory)
         learnt[row] = known
         # By itself, since the joint probabilities of a filter that is all but impossible underflow.

@@ -154,7 +154,10 @@ class InteractingFilter(MultipleHypothesisFilter):
         return {**super()._needed(), "means": (q, n), "covariances": (q, n, n), "shares": (q,)}
 
     def _go_on(self, found: dict[str, Array]) -> None:
-        """Take over a checked state."""
+        """Take over a checked state, if its probabilities are some."""
+        shares = found["shares"]
+        if (shares < 0.0).any() or not np.isclose(shares.sum(), 1.0):
+            raise ValueError(f"state: expected shares >= 0 that sum to 1, got {shares}")
         super()._go_on(found)
         x, P = state_of(self)
         self._keep_copies(Bank(found["means"], found["covariances"], found["shares"], x.ravel().copy(), P.copy()))

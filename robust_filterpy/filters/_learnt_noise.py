@@ -16,7 +16,7 @@ from robust_filterpy.correction.adaptive import NoiseClasses
 from robust_filterpy.correction.adaptive_noise import LearntNoise, describe
 from robust_filterpy.correction.options import Choices, Grouping
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.correction.whitening import Inverse
+from robust_filterpy.correction.whitening import Inverse, SingularInnovationError
 from robust_filterpy.filters._adaptive_step import corrected
 from robust_filterpy.filters._hypotheses import MergedCorrection, WeightInfluence
 from robust_filterpy.filters._interacting import Bank
@@ -42,7 +42,18 @@ class Learnt(NamedTuple):
         y = np.where(np.isnan(self.weights), np.nan, z - H.dot(x))
         part = np.flatnonzero(y == y)
         influence = WeightInfluence(self.weights[part], self.outlying[part] > 0.5)
-        return MergedCorrection(self.bank.x, self.bank.P, y, P, H, R, M, inv, influence).as_arrays()
+        merged = MergedCorrection(self.bank.x, self.bank.P, y, P, H, R, M, inv, influence)
+        try:
+            return merged.as_arrays()
+        except SingularInnovationError:
+            # Sensors are taken one after the other, which takes no inverse of S as a whole.
+            return merged._replace(inv=_what_is_seen).as_arrays()
+
+
+def _what_is_seen(S: Array) -> Array:
+    """Return the inverse of S without the directions that rounding alone shows."""
+    unit = np.sqrt(S.diagonal())
+    return np.asarray(np.linalg.pinv(S / unit / unit[:, None], 1e-12, hermitian=True) / unit / unit[:, None])
 
 
 def ordinary_noise(R: Array, learnt: Array) -> Array:
@@ -141,9 +152,11 @@ class LearntNoiseMixin:
         return {**super()._needed(), "learnt": (None, self._learnt.shape[1])}  # type: ignore[misc]
 
     def _go_on(self, found: dict[str, Array]) -> None:
-        """Take over a checked state."""
+        """Take over a checked state, if it holds what can be learnt."""
+        # Sensors may have joined since.
+        learnt = self._classes.checked(found["learnt"], min(self.dim_z, len(found["learnt"])))
         super()._go_on(found)  # type: ignore[misc]
-        self._learnt, self._outlier_probability = found["learnt"], 0.0
+        self._learnt, self._outlier_probability = learnt, 0.0
 
     def _known(self, sensors: int) -> Array:
         """Return what is known, with rows for sensors that have joined."""

@@ -13,6 +13,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._state import Shape
 from robust_filterpy.correction.options import length_and_direction
 from robust_filterpy.correction.result import Correction
+from robust_filterpy.correction.whitening import Inverse, standardize, standardized
 
 # A refused innovation has a length that a normal one exceeds as rarely as a number exceeds three deviations.
 _RARE = 0.0027
@@ -30,6 +31,7 @@ class RecoveryMixin:
     P: Array
     P_post: Array
     scaling: Any
+    _inverse: Inverse | None
     _arrays: Callable[[], Correction | None]
     _gaps: ClassVar[tuple[str, ...]] = ("insisting",)
 
@@ -56,14 +58,17 @@ class RecoveryMixin:
             return False
         T = self._root(last, observed)
         bound = float(np.sqrt(chdtri(observed.size, _RARE)))
-        if length_and_direction(T @ last.y[observed])[0] <= bound:
+        if length_and_direction(standardized(T, last.y[observed]))[0] <= bound:
             self.refused = max(self.refused - 1, 0)
             return False
         before, agrees = self._insisting, False
         if before.size == last.y.size and not np.isnan(before[observed]).any():
-            apart = difference(last.y, np.nan_to_num(before))[observed]
+            with np.errstate(over="ignore"):
+                apart = difference(last.y, np.nan_to_num(before))[observed]
             # The difference of two innovations has twice the variance of one.
-            agrees = bool(np.isfinite(apart).all() and length_and_direction(T @ apart)[0] <= np.sqrt(2.0) * bound)
+            agrees = bool(
+                np.isfinite(apart).all() and length_and_direction(standardized(T, apart))[0] <= np.sqrt(2.0) * bound
+            )
         if not agrees and self.refused > 1:
             self.refused -= 1
             return False
@@ -82,10 +87,11 @@ class RecoveryMixin:
         observed = _observed(last)
         y, C, N = last.y[observed], C[:, observed], N[np.ix_(observed, observed)]  # type: ignore[union-attr]
         unit = np.sqrt(np.where(N.diagonal() > 0.0, N.diagonal(), 1.0))
-        length, direction = length_and_direction(y / unit)
+        peak = float(np.abs(y).max())
+        length, direction = length_and_direction(y / peak / unit)
         pull = np.linalg.pinv(N / unit / unit[:, None], hermitian=True) @ direction
         share = max(float(direction @ pull), 0.0)
-        reach = 3.0 * np.sqrt(share) * min(length, 1e150)
+        reach = 3.0 * np.sqrt(share) * min(float(length) * peak, 1e150)
         self.refused = 0
         if reach < np.sqrt(_WIDEST):
             # In units of N a jump is one along the direction d of y, and d' (N + gained d d')^-1 d is share/reach^2.
@@ -98,10 +104,10 @@ class RecoveryMixin:
 
     def _root(self, last: Correction, observed: np.ndarray) -> Array:
         """Return S^(-1/2) of the observed components, whatever the scaling."""
+        pick = np.ix_(observed, observed)
         if self.scaling == "innovation":
-            return last.T[np.ix_(observed, observed)]
-        values, vectors = np.linalg.eigh(last.S[np.ix_(observed, observed)])
-        return np.asarray((vectors / np.sqrt(values)) @ vectors.T)
+            return last.T[pick]
+        return standardize(last.S[pick], "innovation", self._inverse)[0]
 
     def _moving(self) -> dict[str, Any]:
         """Return what a step moves, the count and the refused innovation that the next one is compared with."""
@@ -113,9 +119,12 @@ class RecoveryMixin:
         return {**super()._needed(), "counts": (2,), "insisting": (None,)}  # type: ignore[misc]
 
     def _go_on(self, found: dict[str, Array]) -> None:
-        """Take over a checked state."""
+        """Take over a checked state, if its counts are some."""
+        counts = found["counts"]
+        if (counts < 0).any() or (counts != np.floor(counts)).any():
+            raise ValueError(f"state: expected whole counts >= 0, got {counts}")
         super()._go_on(found)  # type: ignore[misc]
-        self.refused, self.recoveries = (int(number) for number in found["counts"])
+        self.refused, self.recoveries = (int(number) for number in counts)
         self._insisting = found["insisting"]
 
 

@@ -212,5 +212,5 @@ class _Adapted(NamedTuple):
         """Return everything that a correction shows."""
         ordinary, M = ordinary_noise(self.R, self.known), self.M
         # A noise that is larger by a factor keeps its correlation with the state.
-        cross = None if M is None else M * np.sqrt(ordinary.diagonal() / self.R.diagonal())
+        cross = None if M is None else M * np.sqrt(self.known[: len(self.R), 0])
         return self.learnt.correction(self.z, self.prior.x, self.prior.P, self.H, ordinary, cross, self.inv)

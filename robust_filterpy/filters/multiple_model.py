@@ -138,7 +138,7 @@ class TwoSidedKalmanFilter(InteractingFilter):
         relative = np.array(logs) - outlier
         if not self._choices.is_linear:
             relative = np.logaddexp(np.log1p(-_OUTLIER_SHARE) + relative, np.log(_OUTLIER_SHARE))
-        joint = np.log(bank.probabilities) + relative
+        joint = np.log(np.maximum(bank.probabilities, 1e-300)) + relative
         peak = joint.max()
         weights = np.exp(joint - peak)
         total = float(outlier + peak + np.log(weights.sum()))

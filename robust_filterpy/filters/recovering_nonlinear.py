@@ -33,7 +33,11 @@ class _RecoveringNonlinear(RecoveryMixin):
             return residual(z, predicted)
 
         def difference(y: Array, before: Array) -> Array:
-            return np.ravel(np.asarray(residual(y.reshape(shapes[0]), before.reshape(shapes[0])), dtype=float))
+            # A copy: a residual function may write into what it is given.
+            apart = np.ravel(np.asarray(residual(y.reshape(shapes[0]).copy(), before.reshape(shapes[0])), dtype=float))
+            if apart.size != y.size:
+                raise ValueError(f"residual: expected {y.size} number(s), got {apart}")
+            return apart
 
         with unchanged_if_refused(self):
             yield noted

@@ -83,7 +83,10 @@ class TimeAxis(NamedTuple):
         last, since = before
         first = self.index[0]
         try:
-            steps = (first - last).total_seconds() / dt - since if dt else math.nan
+            apart = first - last
+            # Of two periods the difference is a number of steps of their own, which has no length in s.
+            apart = apart if hasattr(apart, "total_seconds") else first.to_timestamp() - last.to_timestamp()
+            steps = apart.total_seconds() / dt - since if dt else math.nan
             goes_on = bool(first > last) and not steps < 0.5
         except (TypeError, ValueError):
             # A time zone on one side alone, durations and dates.

@@ -179,6 +179,8 @@ def test_a_certain_state_and_sensor_are_refused_by_name(path):
 @pytest.mark.parametrize("change, match", [
     ({"zs": np.zeros((2, 3))}, r"zs: expected shape .*zs\[:, :, None\]"),
     ({"R": -np.eye(2)}, "R: expected a positive semidefinite"),
+    ({"Q": np.diag([1.0, 1.0, -1e-3])}, "^Q: expected variances >= 0"),
+    ({"Q": np.array([np.diag([1.0, 1.0, k - 23.5]) for k in range(N)][::-1])}, "^Q: expected variances >= 0"),
     ({"keep": "some"}, "keep"),
     ({"covariance": "half"}, "covariance"),
     ({"grouping": "together"}, "grouping"),

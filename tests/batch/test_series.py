@@ -84,6 +84,7 @@ def test_keeping_less_changes_nothing_else(path):
         ({"zs": np.full((1, 2, 2), np.inf)}, "zs: expected finite"),
         ({"R": 5.0}, "R: expected shape"),
         ({"R": -np.eye(2)}, "R: expected a positive semidefinite"),
+        ({"Q": np.diag([1.0, 1.0, -1e-3])}, "^Q: expected variances >= 0"),
         ({"P0": np.eye(2)}, "P0: expected shape"),
         ({"keep": 0}, "keep"),
         ({"keep": "some"}, "keep"),

@@ -99,12 +99,13 @@ def test_a_filter_gives_the_numbers_of_the_definition(cls, dims, monkeypatch):
                 np.testing.assert_allclose(ours, theirs, rtol=1e-7, atol=1e-9, err_msg=name)
 
 
-def test_a_class_that_is_impossible_goes_to_the_definition():
+@pytest.mark.parametrize("chance", [0.0, 1e-300])
+def test_a_class_that_is_all_but_impossible_goes_to_the_definition(chance):
     """The kernel adds likelihoods, which the widest class keeps from vanishing, unless that has been ruled out."""
     rng, noise = np.random.default_rng(7), NoiseClasses()
     x, P, p = filters(2, 3, rng)
     learnt = noise.start(1)
-    learnt[0, 6:10], learnt[0, 10:14] = (1.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
+    learnt[0, 6:10], learnt[0, 10:14] = (1.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0, chance)
     given = (x, P, p, learnt, np.array([1e6]), rng.normal(size=(1, 3)), np.eye(1), noise)
     with np.errstate(divide="ignore"):
         for one, other in zip(corrected(*given), correct_adaptively(*given), strict=True):
@@ -263,6 +264,31 @@ def test_a_step_that_the_loop_declines_is_taken_by_the_filter(steps, monkeypatch
     assert len(steps) > 1 and steps[0] <= 20 and sum(steps) >= N - 6
     np.testing.assert_allclose(a[0], b[0], rtol=1e-8, atol=1e-10)
     np.testing.assert_allclose(one.learnt, two.learnt, rtol=1e-8, atol=1e-12)
+
+
+def test_a_predicted_measurement_that_is_not_finite_goes_to_the_definition(steps):
+    kf = support.make(AdaptiveKalmanFilter, diagonal(4, 2, 1))
+    Hs = np.ones((N, 1, 2))
+    Hs[40] = 1e308
+    kf.x, kf.F, kf.Q, before = np.full((2, 1), 1e10), np.eye(2), 0.0, kf.state()
+    with np.errstate(over="ignore"), pytest.raises(ValueError, match="step 40: x: expected finite numbers, got H x"):
+        kf.batch_filter(np.full((N, 1), 2e10), Hs=Hs)
+    assert steps[0] == 40
+    kf.x[1] = np.inf
+    with pytest.raises(ValueError, match="x: expected finite numbers, got H x"):
+        kf.update(1.0)
+    np.testing.assert_array_equal(kf.learnt, before["learnt"])
+
+
+@pytest.mark.parametrize("first", [0, 40])
+def test_an_infinite_measurement_in_a_recording_is_named_and_changes_nothing(first):
+    kf = support.make(AdaptiveKalmanFilter, diagonal(4, 3, 2))
+    zs, before = [np.zeros(2) for _ in range(N)], kf.state()
+    zs[first] = np.array([1.0, -np.inf])
+    with pytest.raises(ValueError, match=f"step {first}: z: expected finite numbers"):
+        kf.batch_filter(zs)
+    for name in ("x", "P", "learnt"):
+        np.testing.assert_array_equal(kf.state()[name], before[name])
 
 
 def test_a_fault_late_in_a_recording_is_named_and_undone(steps):

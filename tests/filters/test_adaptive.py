@@ -10,7 +10,7 @@ from filterpy.kalman import KalmanFilter
 from scipy.integrate import quad
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
-from support import cart, load, make, random_problem, simulate, with_
+from support import cart, load, make, random_problem, simulate, with_, without_kernel
 
 from robust_filterpy import ARX, NoiseMatchedKalmanFilter, ParameterTracker
 from robust_filterpy.correction.mixture import ContaminatedScore
@@ -225,6 +225,73 @@ def test_one_outlier_of_any_size_moves_the_state_little_and_r_hardly(size):
     assert np.abs(kf.x - x).max() < 1.0
     assert kf.R_learnt[0, 0] == pytest.approx(r, rel=0.01)
     assert kf.outlier_probability > 0.99 and kf.clipped.all() and kf.weights[0] < 0.11
+
+
+@pytest.mark.parametrize("kind", ["component", "joint", "correlated"])
+@pytest.mark.parametrize("size", [1e12, 1e290])
+def test_r_does_not_depend_on_how_wild_an_outlier_is(kind, size, monkeypatch):
+    """By the definition, with classes so narrow that no outlier is surely one."""
+    without_kernel(monkeypatch)
+    R = np.array([[1.0, 0.5], [0.5, 2.0]]) if kind == "correlated" else np.diag([1.0, 2.0])
+    kf = make(
+        AdaptiveKalmanFilter, with_(random_problem(6, 3, 2), R=R), 1, measurement_scales=(1.0, 1.1),
+        grouping="joint" if kind == "joint" else "component",
+    )  # fmt: skip
+    twin = copy.deepcopy(kf)
+    for one, wild in ((kf, 1e9), (twin, size)):
+        one.predict()
+        one.update([0.3, wild] if kind != "joint" else [wild, wild])
+    np.testing.assert_allclose(twin.learnt, kf.learnt, rtol=1e-6)
+    np.testing.assert_allclose(twin.x, kf.x, rtol=1e-6)
+
+
+@pytest.mark.parametrize("sensors", [2, 3])
+def test_what_is_shown_where_s_is_singular_to_rounding(sensors):
+    """Sensors are taken one after the other, so that nothing was refused; only what is shown needs an inverse of S."""
+    kf = AdaptiveKalmanFilter(1, sensors)
+    kf.H, kf.P, kf.R = np.ones((sensors, 1)), 1e18 * np.eye(1), np.eye(sensors)
+    kf.predict()
+    kf.update(np.full(sensors, 5.0))
+    assert kf.x.item() == pytest.approx(5.0)
+    for name in ("weights", "clipped", "e", "S", "SI", "K", "mahalanobis", "y_bounded"):
+        assert np.isfinite(getattr(kf, name)).all(), name
+    np.testing.assert_allclose(kf.K @ np.ones(sensors), [1.0])
+    twin = AdaptiveKalmanFilter(1, sensors)
+    twin.restore(kf.state())
+    np.testing.assert_array_equal(twin.x, kf.x)
+
+
+@pytest.mark.parametrize("kernel", [True, False])
+@pytest.mark.parametrize("grouping", ["component", "joint"])
+@pytest.mark.parametrize("variances", [(0.0,), (1.0, 0.0)])
+def test_a_sensor_without_noise_is_believed_and_teaches_nothing(variances, grouping, kernel, monkeypatch):
+    if not kernel:
+        without_kernel(monkeypatch)
+    m = len(variances)
+    problem = with_(random_problem(8, 3, m), R=np.diag(variances), M=np.zeros((3, m)))
+    kf = make(AdaptiveKalmanFilter, problem, 1, grouping=grouping)
+    for k, z in enumerate(simulate(problem, 20, 3)[0]):
+        kf.predict()
+        kf.update(z) if k % 2 else kf.update_correlated(z)
+        assert np.isfinite(kf.learnt).all() and np.isfinite(kf.K).all()
+        assert kf.H[-1] @ kf.x == pytest.approx(z[-1], rel=1e-6, abs=1e-6)
+    assert (kf.learnt[-1, 0] == 1.0) == (grouping == "component" or m == 1)
+
+
+@pytest.mark.parametrize("name, spoilt, match", [
+    ("learnt", lambda a: -a, "learnt: expected finite numbers >= 0"),
+    ("learnt", lambda a: 2.0 * a, "learnt: expected probabilities"),
+    ("shares", lambda a: a - 1.0, "state: expected shares >= 0 that sum to 1"),
+    ("shares", lambda a: 0.0 * a, "state: expected shares >= 0 that sum to 1"),
+])  # fmt: skip
+def test_a_state_that_holds_no_probabilities_is_refused(name, spoilt, match):
+    kf = make(AdaptiveKalmanFilter, cart(), 1)
+    advance(kf, [0.1, 0.2])
+    before = kf.state()
+    with pytest.raises(ValueError, match=match):
+        kf.restore({**before, name: spoilt(before[name]), "x": before["x"] + 1.0})
+    for key, value in before.items():
+        np.testing.assert_array_equal(kf.state()[key], value)
 
 
 def test_what_is_missing_or_unseen_teaches_nothing():

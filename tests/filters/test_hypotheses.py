@@ -287,6 +287,16 @@ def test_every_path_that_corrects_is_robust(cls, options):
         assert np.isfinite(kf.log_likelihood)
 
 
+@pytest.mark.parametrize("cls", [TwoSidedKalmanFilter, AdaptiveKalmanFilter])
+def test_a_process_scale_that_is_ruled_out_for_long_spoils_nothing(cls):
+    """A dwell beyond 1/eps lets no probability back in; one that has underflowed is divided by."""
+    kf = make(cls, cart(), 1, process_scales=(1.0, 1e6), dwell=1e20)
+    for z in np.random.default_rng(0).normal(size=600):
+        kf.predict()
+        kf.update(z)
+    assert np.isfinite(kf.x).all() and kf.process_probabilities[0] == pytest.approx(1.0)
+
+
 def test_two_sided_starts_over_from_an_assigned_state():
     problem = cart()
     kf = make(TwoSidedKalmanFilter, problem, 1)

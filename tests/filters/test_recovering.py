@@ -195,3 +195,35 @@ def test_a_jump_is_believed_in_units_of_any_size():
     (count, x), (others, y) = final(np.ones(3)), final(np.array([1e-8, 3.0, 1e8]))
     assert count == others > 0
     np.testing.assert_allclose(x, y, rtol=1e-6)
+
+
+@pytest.mark.parametrize("counts", [[-1.0, 0.0], [0.5, 0.0]])
+def test_a_state_that_holds_no_counts_is_refused(counts):
+    kf = level()
+    advance(kf, [0.1, 50.0])
+    before = kf.state()
+    with pytest.raises(ValueError, match="state: expected whole counts"):
+        kf.restore({**before, "counts": np.array(counts)})
+    assert kf.refused == before["counts"][0]
+
+
+@pytest.mark.parametrize("size", [1e200, 1.7e308])
+def test_where_numpy_raises_wild_measurements_stop_no_filter(size):
+    kf = level(patience=2)
+    kf.P, kf.Q, kf.R = 1e-6 * np.eye(1), 1e-9 * np.eye(1), 1e-6 * np.eye(1)
+    with np.errstate(over="raise", invalid="raise", divide="raise"):
+        for sign in (1.0, 1.0, -1.0, 1.0, 1.0, 1.0):
+            kf.predict()
+            kf.update(sign * size)
+    assert kf.recoveries == 0 and abs(kf.x.item()) < 1.0
+
+
+@pytest.mark.parametrize("scaling", ["innovation", "unit", "bounded"])
+def test_a_direction_that_inv_leaves_out_does_not_count(scaling):
+    kf = RecoveringKalmanFilter(2, 2, patience=3, scaling=scaling)
+    kf.H, kf.P, kf.Q, kf.R, kf.inv = np.eye(2), np.diag([0.01, 0.0]), 0.0, np.diag([0.01, 0.0]), np.linalg.pinv
+    with np.errstate(all="raise"):
+        for z in ([0.0, 50.0], [0.0, 50.0], [0.0, 50.0], [5.0, 50.0]):
+            kf.predict()
+            kf.update(z)
+    assert (kf.refused, kf.recoveries) == (1, 0)

@@ -266,3 +266,29 @@ def test_bad_patience_is_refused(cls):
     with pytest.raises(ValueError, match="patience"):
         kf.patience = 1
     assert kf.patience == 3
+
+
+def test_a_residual_function_may_write_into_what_it_is_given():
+    for residual in (np.subtract, lambda a, b: np.subtract(a, b, out=a)):
+        kf = RecoveringExtendedKalmanFilter(1, 1, patience=3)
+        kf.x, kf.Q = np.zeros(1), 0.01 * np.eye(1)
+        for _ in range(5):
+            kf.predict()
+            kf.update(np.array([50.0]), lambda x: np.eye(1), lambda x: x, residual=residual)
+        assert kf.recoveries == 1 and abs(kf.x.item() - 50.0) < 1.0
+
+
+def test_a_difference_of_another_length_is_named_and_changes_nothing():
+    kf, calls = radar(RecoveringExtendedKalmanFilter), []
+
+    def shrinking(z, predicted):
+        calls.append(z)
+        return wrapped(z, predicted) if len(calls) < 3 else np.zeros(1)
+
+    z = polar(kf.x) + [500.0, 0.0]
+    kf.update(z, polar_jacobian, polar, residual=shrinking)
+    before = kf.x.copy(), kf.P.copy(), kf.refused
+    with pytest.raises(ValueError, match="residual: expected 2"):
+        kf.update(z, polar_jacobian, polar, residual=shrinking)
+    for one, other in zip((kf.x, kf.P, kf.refused), before, strict=True):
+        np.testing.assert_array_equal(one, other)

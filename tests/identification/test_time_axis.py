@@ -293,6 +293,20 @@ def test_a_gap_between_two_recordings_is_told_and_how_to_fill_it(name):
         tracker.run(rest.y, rest.u)
 
 
+def test_periods_follow_each_other_where_their_length_in_seconds_is_known():
+    tracker, _ = split(300, 300)
+    tracker.restore(tracker.state())
+    for first, missing in (("00:00", []), ("00:20", []), ("01:10", ["3"])):
+        index = pd.period_range(f"2026-01-01 {first}".replace(" ", " 00:"), periods=2, freq="10s")
+        y, u = (pd.Series([1.0, -1.0], index) for _ in range(2))
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            tracker.run(y, u)
+        assert [str(one.message).split()[1] for one in told] == missing
+    with pytest.raises(ValueError, match="expected times that follow 2026-01-01 00:01:20"):
+        tracker.run(y, u)
+
+
 def test_a_gap_that_is_made_an_error_changes_nothing():
     tracker, rest = split(300, 301)
     before = tracker.state()
