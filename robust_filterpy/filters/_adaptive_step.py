@@ -97,6 +97,9 @@ class AdaptiveLoop(CompiledLoop):
         """Return whether the kernel serves a recording; if not, the call is for the filter's own methods."""
         if not (super().prepare(zs, Fs, Qs, Hs, Rs, Bs, us, kept, update_first) and uncorrelated(self._model.R)):
             return False
+        # To this kernel an infinite measurement is a wild one.
+        if np.isinf(self._zs).any():
+            return False
         shape = self._zs.shape
         self._kept, self._outlying = kept._replace(weights=np.empty(shape)), np.empty(shape[:2])
         self._scale = np.empty(shape[:2])

@@ -181,8 +181,6 @@ class CompiledLoop:
             if Qs is not None and not all_covariances(Q):
                 return False
             rows = _measurements(zs, m)
-            if np.isinf(rows).any():
-                return False
             control = _control(kf.B, Bs, us, n, steps)
         except (TypeError, ValueError, AttributeError, np.linalg.LinAlgError):
             # Let the filter's own methods say what is wrong, and at which step.
