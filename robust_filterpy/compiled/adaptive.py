@@ -181,7 +181,8 @@ def _by_plausibility(copies, z, H, R, weights, outlying, ws, n, m):
         for i in range(n):
             predicted += H[sensor, i] * copies.x[i]
             visible |= H[sensor, i] != 0.0
-        if not math.isfinite(predicted):
+        # isfinite takes a sum from itself, of which the compiler, free to reorder sums, makes 0 (so below).
+        if not abs(predicted) < math.inf:
             return -1
         if not visible or math.isnan(z[sensor]):
             continue
@@ -273,10 +274,10 @@ def _advance(means, covariances, probabilities, x, P, F, Q, Bu, scales, stay, al
                 covariances[c, i, j] = alpha_sq * total + scales[c] * Q[i, j]
     _merge_copies(means, covariances, probabilities, x, P, n)
     for i in range(n):
-        if not math.isfinite(x[i]):
+        if not abs(x[i]) < math.inf:
             return False
         for j in range(n):
-            if not math.isfinite(P[i, j]):
+            if not abs(P[i, j]) < math.inf:
                 return False
     return True
 
