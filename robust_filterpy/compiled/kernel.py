@@ -123,7 +123,8 @@ def predict(x, P, F, Q, Bu, alpha_sq, x_next, P_next, W, n):
             P_next[i, j] = P_next[j, i] = alpha_sq * total + Q[i, j]
         # What is not finite anywhere in F, P or Q shows on the diagonal.
         check += P_next[i, i]
-    return math.isfinite(check)
+    # isfinite takes a number from itself, of which the compiler, free to reorder sums, makes 0.
+    return abs(check) < math.inf
 
 
 @inlined
