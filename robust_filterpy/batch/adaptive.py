@@ -40,6 +40,10 @@ class AdaptiveSeries(NamedTuple):
     learnt : ndarray, shape (S, 1 or dim_z, 2 + 2 C + C^2)
         What is known of each series' noise after its last step, with C measurement scales; ``learnt[:, :, 0]`` is r,
         the variance of ordinary noise over R.
+    state : named tuple of ndarray
+        Where each series stands after its last step, to go on from: the copies' ``means`` (S, q, dim_x),
+        ``covariances`` and ``probabilities`` (S, q), ``learnt``, and their mixture ``x``, ``P``; means and covariances
+        are NaN where a series was refused.
     """
 
     x: Array
@@ -49,6 +53,7 @@ class AdaptiveSeries(NamedTuple):
     outlier_probability: Array
     process_scale: Array
     learnt: Array
+    state: Copies
 
 
 def adaptive_series(
@@ -57,8 +62,8 @@ def adaptive_series(
     H: ArrayLike,
     Q: ArrayLike,
     R: ArrayLike,
-    x0: ArrayLike,
-    P0: ArrayLike,
+    x0: ArrayLike | None = None,
+    P0: ArrayLike | None = None,
     *,
     process_scales: Sequence[float] = (1.0, 10.0, 100.0),
     dwell: float = 1000.0,
@@ -67,6 +72,7 @@ def adaptive_series(
     memory: float = 300.0,
     r_memory: float = 30.0,
     learnt: ArrayLike | None = None,
+    state: Copies | None = None,
     keep: str | int = "all",
     covariance: str = "full",
     refused: str = "raise",
@@ -82,14 +88,17 @@ def adaptive_series(
         As in `AdaptiveKalmanFilter`.
     learnt : array_like, shape (1 or dim_z, 2 + 2 C + C^2), or (S, ..) for each series its own, optional
         What is known of the noise before the first step, with C measurement scales: the ``learnt`` of a filter with the
-        same options, or that of an earlier part of the same series.
+        same options.
+    state : named tuple, optional
+        Where an earlier part of the same series, with the same options, has ended, instead of x0, P0 and learnt: many
+        filters go on together, a sample at a time if need be, and the numbers are those of one call.
     keep, covariance, refused, n_threads
         As in `filter_series`.
 
     Returns
     -------
     AdaptiveSeries
-        x, P, log_likelihood, weights, outlier_probability, process_scale, learnt.
+        x, P, log_likelihood, weights, outlier_probability, process_scale, learnt, state.
 
     Raises
     ------
@@ -111,7 +120,16 @@ def adaptive_series(
     >>> found = adaptive_series(zs, [[1.0]], [[1.0]], [[1e-4]], [[1.0]], [0.0], [[1.0]])
     >>> found.x.shape, bool(np.abs(np.log(found.learnt[:, 0, 0] ** 0.5 / scales)).max() < 0.4)
     ((2, 400, 1), True)
+    >>> later = adaptive_series(rng.normal(size=(2, 1, 1)), [[1.0]], [[1.0]], [[1e-4]], [[1.0]], state=found.state)
+    >>> later.x.shape
+    (2, 1, 1)
     """
+    if state is not None:
+        if not (x0 is None and P0 is None and learnt is None):
+            raise ValueError("state: expected none of x0, P0, learnt beside it; it holds them")
+        if not isinstance(state, Copies):
+            raise TypeError(f"state: expected what adaptive_series returned as state, got {type(state).__name__}")
+        x0, P0 = state.x, state.P
     given = series_arguments(zs, F, H, Q, R, x0, P0, keep, covariance, refused)
     series, steps, m = given.z.shape
     kf = AdaptiveKalmanFilter(
@@ -120,10 +138,13 @@ def adaptive_series(
     )  # fmt: skip
     n_threads = threads(n_threads)
     q, kept = len(kf.process_scales), given.kept
-    state = Copies(
-        np.repeat(given.x[:, None], q, axis=1), np.repeat(given.P[:, None], q, axis=1),
-        np.tile(kf.process_probabilities, (series, 1)), _learnt(kf, learnt, series, m), given.x, given.P,
-    )  # fmt: skip
+    if state is None:
+        state = Copies(
+            np.repeat(given.x[:, None], q, axis=1), np.repeat(given.P[:, None], q, axis=1),
+            np.tile(kf.process_probabilities, (series, 1)), _learnt(kf, learnt, series, m), given.x, given.P,
+        )  # fmt: skip
+    else:
+        state = _continued(kf, state, given)
     outlying, scale = np.empty(kept.means.shape[:2]), np.empty(kept.means.shape[:2])
     done = np.zeros(series, dtype=int)
     serves = series * steps and grouping == "component" and uncorrelated(given.model[3])
@@ -140,8 +161,9 @@ def adaptive_series(
     for s in np.flatnonzero(done < steps).tolist():
         _run_filter(kf, given, state, outlying, scale, s, int(done[s]))
     return AdaptiveSeries(
-        kept.means, given.covariances(covariance), kept.log_likelihood, kept.weights, outlying, scale, state.learnt
-    )
+        kept.means, given.covariances(covariance), kept.log_likelihood, kept.weights, outlying, scale,
+        state.learnt, state,
+    )  # fmt: skip
 
 
 def _learnt(kf: AdaptiveKalmanFilter, learnt: ArrayLike | None, series: int, m: int) -> Array:
@@ -154,6 +176,25 @@ def _learnt(kf: AdaptiveKalmanFilter, learnt: ArrayLike | None, series: int, m: 
     if len(values) != series:
         raise ValueError(f"learnt: expected an entry for each of the {series} series, got {len(values)}")
     return np.array([kf._classes.checked(one, m) for one in values]).reshape(values.shape)
+
+
+def _continued(kf: AdaptiveKalmanFilter, state: Copies, given: SeriesArguments) -> Copies:
+    """Return a copy of a state, or raise."""
+    (series, n), q = given.x.shape, len(kf.process_scales)
+    shapes = {"means": (series, q, n), "covariances": (series, q, n, n), "probabilities": (series, q)}
+    arrays = {name: numbers(f"state.{name}", getattr(state, name)) for name in shapes}
+    for name, shape in shapes.items():
+        if arrays[name].shape != shape:
+            raise ValueError(
+                f"state.{name}: expected shape {shape}, got {arrays[name].shape}; it goes on with the same series and "
+                "process_scales"
+            )
+    shares = arrays["probabilities"]
+    if not ((shares >= 0.0).all() and np.allclose(shares.sum(axis=1), 1.0)):
+        raise ValueError("state.probabilities: expected numbers >= 0 that sum to 1 for each series")
+    learnt = _learnt(kf, state.learnt, series, given.z.shape[2])
+    means, covariances, probabilities = (np.array(a, order="C") for a in arrays.values())
+    return Copies(means, covariances, probabilities, learnt, given.x, given.P)
 
 
 def _run_filter(
@@ -176,7 +217,10 @@ def _run_filter(
             for column in (kept.means, kept.covariances, kept.weights, outlying, scale):
                 column[s, k // every :] = np.nan
             kept.log_likelihood[s] = np.nan
-            break
+            for array in (state.means, state.covariances, state.x, state.P):
+                array[s] = np.nan
+            state.learnt[s] = kf.learnt
+            return
         kept.log_likelihood[s] += kf.log_likelihood
         if (k + 1) % every == 0:
             row = (k + 1) // every - 1
@@ -186,7 +230,8 @@ def _run_filter(
                 kept.covariances[s, row, 0] = np.diagonal(kf.P)
             elif kept.covariances.shape[2]:
                 kept.covariances[s, row] = kf.P
-    state.learnt[s] = kf.learnt
+    for array, value in zip(state, (*kf._current()[:3], kf.learnt, *kf._current()[3:]), strict=True):
+        array[s] = value
 
 
 def _weights(kf: Any, m: int) -> Array:

@@ -64,7 +64,7 @@ def by_filters(problem, zs, learnt=None, model=lambda s, k: {}, **options):
 
 
 def assert_same(found, expected, rtol=1e-8):
-    assert set(found._fields) == set(expected)
+    assert set(found._fields) == {*expected, "state"}
     for name, value in expected.items():
         np.testing.assert_allclose(getattr(found, name), value, rtol=rtol, atol=1e-10, err_msg=name)
 
@@ -112,6 +112,54 @@ def test_what_was_learnt_is_passed_on(compiled):
     assert np.abs(again.x - first.x).max() > 1e-3
 
 
+@pytest.mark.parametrize("grouping", ["component", "joint"])
+def test_parts_give_the_numbers_of_the_whole(grouping, path):
+    problem, zs = problem_and_series()
+    whole = adaptive_series(zs, *arguments(problem), grouping=grouping)
+    state, parts = None, []
+    for part in np.split(zs, [1, 2, N // 2], axis=1):
+        start = arguments(problem) if state is None else arguments(problem)[:4]
+        found = adaptive_series(part, *start, grouping=grouping, state=state)
+        state = found.state
+        parts.append(found)
+    for name in ("x", "P", "weights", "outlier_probability", "process_scale"):
+        joined = np.concatenate([getattr(part, name) for part in parts], axis=1)
+        np.testing.assert_allclose(joined, getattr(whole, name), rtol=1e-8, atol=1e-10, err_msg=name)
+    for ours, theirs in zip(state, whole.state, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-8, atol=1e-10)
+
+
+def test_a_state_is_not_written_into_and_a_refused_series_stays_refused():
+    problem, zs = problem_and_series()
+    state = adaptive_series(zs, *arguments(problem)).state
+    before = [array.copy() for array in state]
+    spoilt = state._replace(x=state.x.copy())
+    spoilt.x[1] = np.nan
+    spoilt.means[1] = np.nan
+    found = adaptive_series(zs, *arguments(problem)[:4], state=spoilt, refused="nan")
+    assert np.isnan(found.x[1]).all() and np.isnan(found.state.x[1]).all() and np.isfinite(found.x[[0, 2]]).all()
+    state.means[1] = before[0][1]
+    for array, kept in zip(state, before, strict=True):
+        np.testing.assert_array_equal(array, kept)
+
+
+def test_a_state_that_does_not_fit_is_refused():
+    problem, zs = problem_and_series()
+    state, model = adaptive_series(zs, *arguments(problem)).state, arguments(problem)[:4]
+    with pytest.raises(ValueError, match="none of x0, P0, learnt"):
+        adaptive_series(zs, *arguments(problem), state=state)
+    with pytest.raises(TypeError, match="state: expected what adaptive_series"):
+        adaptive_series(zs, *model, state=state.learnt)
+    with pytest.raises(ValueError, match=r"state\.means: expected shape"):
+        adaptive_series(zs, *model, state=state, process_scales=(1.0,))
+    with pytest.raises(ValueError, match=r"state.probabilities: .* sum to 1"):
+        adaptive_series(zs, *model, state=state._replace(probabilities=2.0 * state.probabilities))
+    with pytest.raises(ValueError, match="learnt: expected"):
+        adaptive_series(zs, *model, state=state._replace(learnt=-state.learnt))
+    with pytest.raises(ValueError, match="x0"):
+        adaptive_series(zs, *model)
+
+
 def test_threads_and_what_is_kept_change_nothing(path):
     problem, zs = problem_and_series()
     whole = adaptive_series(zs, *arguments(problem))
@@ -153,7 +201,7 @@ def test_a_series_that_is_refused_is_nan_from_there_on_and_leaves_the_others_alo
             np.testing.assert_array_equal(np.isnan(found.log_likelihood), [False, True, False])
     rows = [0, 2]
     alone = adaptive_series(zs[rows], F[rows], H[rows], problem.Q, R[rows], *model[4:], keep="last")
-    for name in found._fields:
+    for name in found._fields[:-1]:
         np.testing.assert_allclose(getattr(found, name)[rows], getattr(alone, name), rtol=1e-10)
     # What it had learnt until then is what it keeps.
     before = adaptive_series(zs[1:2, :20], F[1:2, :20], H[1:2, :20], problem.Q, R[1:2, :20], *model[4:])
