@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
@@ -71,16 +72,16 @@ def noise_covariance(default: Any, given: Any, m: int) -> Array:
             raise ValueError(f"R: expected a variance >= 0, got {R.item()}; use NaN in z for a sensor that is absent")
     elif m <= _REMEMBERED:
         # By content, since users write into R, and by the bytes, since most never do.
-        _require_covariance("R", R.tobytes(), m)
+        _require(_checks.covariance, "R", R.tobytes(), m)
     else:
         _checks.covariance("R", R)
     return R
 
 
 @lru_cache(maxsize=256)
-def _require_covariance(name: str, content: bytes, m: int) -> None:
-    """Raise unless a matrix is a covariance; what passed once is remembered."""
-    _checks.covariance(name, np.frombuffer(content).reshape(m, m), name == "R")
+def _require(check: Callable[[str, Array], None], name: str, content: bytes, m: int) -> None:
+    """Raise as the check of a matrix does; what passed once is remembered."""
+    check(name, np.frombuffer(content).reshape(m, m))
 
 
 def process_noise(default: Any, given: Any, n: int) -> Array:
@@ -90,13 +91,12 @@ def process_noise(default: Any, given: Any, n: int) -> Array:
         if np.ndim(Q) == 0 and Q is not None:
             Q = _checks.real("Q", Q) * np.eye(n)
         Q = _checks.matrix("Q", Q, (n, n), f"dim_x={n}")
-    # Programs live with a Q that is slightly indefinite, filterpy's own tests among them: P + Q is what matters.
     content = Q.tobytes()
     if content != _last_Q.get(n):
         if n <= _REMEMBERED:
-            _require_covariance("Q", content, n)
+            _require(_checks.process_covariance, "Q", content, n)
         else:
-            _checks.covariance("Q", Q, semidefinite=False)
+            _checks.process_covariance("Q", Q)
         _last_Q[n] = content
     return Q
 

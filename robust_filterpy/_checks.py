@@ -137,30 +137,39 @@ def described(found: Array) -> str:
     return f"scalar {found}" if found.ndim == 0 else f"shape {found.shape}"
 
 
-def covariance(name: str, value: Array, semidefinite: bool = True) -> None:
-    """Raise ValueError unless value is symmetric and positive semidefinite, both to rounding and in any units.
-
-    If it need not be semidefinite, its variances must still be no less than 0.
-    """
+def covariance(name: str, value: Array) -> None:
+    """Raise ValueError unless value is symmetric and positive semidefinite, both to rounding and in any units."""
     if not np.isfinite(value).all():
         mend = "; use NaN in z for an absent sensor" if name == "R" else ""
         raise ValueError(f"{name}: expected finite numbers, got NaN or infinity{mend}")
-    unit = np.sqrt(np.abs(value.diagonal()))
-    if (np.abs(value - value.T) > 1e-8 * np.outer(unit, unit)).any():
-        raise ValueError(f"{name}: expected a symmetric matrix, got one that differs from its transpose")
-    if not semidefinite:
-        if (value.diagonal() < 0.0).any():
-            raise ValueError(f"{name}: expected variances >= 0 on the diagonal, got {value.diagonal()}")
-        return
+    symmetric(name, value)
     try:
         np.linalg.cholesky(value)
     except np.linalg.LinAlgError:
-        unit[unit == 0.0] = 1.0
-        if np.linalg.eigvalsh(value / unit / unit[:, None])[0] < -1e-10:
+        if not _is_semidefinite(value):
             raise ValueError(
                 f"{name}: expected a positive semidefinite matrix, got one whose least eigenvalue is "
                 f"{np.linalg.eigvalsh(value)[0]:.3g}"
             ) from None
+
+
+def process_covariance(name: str, stack: Array) -> None:
+    """Raise ValueError unless a matrix, or every matrix of a stack, is finite and symmetric with variances >= 0.
+
+    Programs live with a Q that is slightly indefinite, filterpy's own tests among them: P + Q is what matters.
+    """
+    if not np.isfinite(stack).all():
+        raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
+    symmetric(name, stack)
+    least = np.diagonal(stack, axis1=-2, axis2=-1).min(initial=0.0)
+    if least < 0.0:
+        raise ValueError(f"{name}: expected variances >= 0 on the diagonal, got {least:.4g}")
+
+
+def symmetric(name: str, stack: Array) -> None:
+    """Raise ValueError unless a matrix, or every matrix of a stack, is symmetric to rounding; NaN may stand there."""
+    if not _is_symmetric(stack):
+        raise ValueError(f"{name}: expected a symmetric matrix, got one that differs from its transpose")
 
 
 def all_covariances(stack: Array) -> bool:
@@ -172,11 +181,25 @@ def all_covariances(stack: Array) -> bool:
             return True
     except np.linalg.LinAlgError:
         pass
-    unit = np.sqrt(np.abs(stack.diagonal(axis1=1, axis2=2)))
-    scale = unit[:, :, None] * unit[:, None, :]
-    if not np.isfinite(stack).all() or (np.abs(stack - stack.transpose(0, 2, 1)) > 1e-8 * scale).any():
-        return False
-    return bool(np.linalg.eigvalsh(stack / np.where(scale > 0.0, scale, 1.0)).min() >= -1e-10)
+    return bool(np.isfinite(stack).all()) and _is_symmetric(stack) and _is_semidefinite(stack)
+
+
+def _is_symmetric(stack: Array) -> bool:
+    """Return whether nothing differs from its transpose but by rounding, in any units."""
+    apart, unit = np.abs(stack - stack.swapaxes(-1, -2)), _unit(stack)
+    return not (apart > 1e-8 * unit[..., :, None] * unit[..., None, :]).any()
+
+
+def _is_semidefinite(stack: Array) -> bool:
+    """Return whether no eigenvalue is negative but by rounding, in any units."""
+    unit = _unit(stack)
+    unit[unit == 0.0] = 1.0
+    return bool(np.linalg.eigvalsh(stack / unit[..., :, None] / unit[..., None, :]).min() >= -1e-10)
+
+
+def _unit(stack: Array) -> Array:
+    """Return the standard deviations of covariances: the units of their rows."""
+    return np.sqrt(np.abs(np.diagonal(stack, axis1=-2, axis2=-1)))
 
 
 def finite_vector(name: str, value: Any) -> Array:

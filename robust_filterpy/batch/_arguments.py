@@ -73,10 +73,8 @@ def series_arguments(
         for name, value, shape in (("F", F, (n, n)), ("Q", Q, (n, n)), ("H", H, (m, n)), ("R", R, (m, m)))
     )
     _require_covariances("R", model[3].reshape(-1, m, m))
-    _require_symmetric("Q", model[1])
-    if (np.diagonal(model[1], axis1=-2, axis2=-1) < 0.0).any():
-        raise ValueError("Q: expected variances >= 0 on the diagonal, got one that is negative")
-    _require_symmetric("P0", P0)
+    _checks.process_covariance("Q", model[1])
+    _checks.symmetric("P0", P0)
     x, P = np.broadcast_to(x0, (series, n)).copy(), np.broadcast_to(P0, (series, n, n)).copy()
     every = _every(keep, steps)
     rows = steps // every if every else 0
@@ -130,15 +128,6 @@ def _require_covariances(name: str, stack: Array) -> None:
     if not _checks.all_covariances(stack):
         for one in stack:
             _checks.covariance(name, one)
-
-
-def _require_symmetric(name: str, value: Array) -> None:
-    """Raise unless every matrix of a stack is symmetric, to rounding."""
-    apart = np.abs(value - value.swapaxes(-1, -2))
-    if apart.any():
-        scale = np.sqrt(np.abs(np.diagonal(value, axis1=-2, axis2=-1)))
-        if (apart > 1e-8 * scale[..., :, None] * scale[..., None, :]).any():
-            raise ValueError(f"{name}: expected a symmetric matrix, got one that differs from its transpose")
 
 
 def _every(keep: Any, steps: int) -> int:

@@ -199,6 +199,9 @@ def test_a_series_that_is_refused_is_nan_from_there_on_and_leaves_the_others_alo
             for column in (found.x, found.P, found.weights, found.outlier_probability, found.process_scale):
                 assert np.isnan(column[1, row:]).all() and not np.isnan(column[1, :row]).any()
             np.testing.assert_array_equal(np.isnan(found.log_likelihood), [False, True, False])
+            for name in ("means", "covariances", "x", "P"):
+                ends = getattr(found.state, name).reshape(SERIES, -1)
+                np.testing.assert_array_equal(np.isnan(ends).all(axis=1), [False, True, False])
     rows = [0, 2]
     alone = adaptive_series(zs[rows], F[rows], H[rows], problem.Q, R[rows], *model[4:], keep="last")
     for name in found._fields[:-1]:
