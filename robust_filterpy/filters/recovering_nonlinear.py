@@ -59,29 +59,8 @@ class RecoveringExtendedKalmanFilter(_RecoveringNonlinear, RobustExtendedKalmanF
 
     Parameters
     ----------
-    dim_x : int
-        Length of the state, >= 1.
-    dim_z : int
-        Length of the measurement, >= 1.
-    dim_u : int, default 0
-        Length of the control input.
-    patience : int, default 12
-        How many refused measurements that agree it takes, >= 2, as in `RecoveringKalmanFilter`.
-    influence : Influence, default TukeyBiweight(4.685)
-        psi, as in `RobustKalmanFilter`.
-    scaling : {"innovation", "unit", "bounded"}
-        T, as in `RobustKalmanFilter`.
-    information : {"realized", "expected", "weight"}
-        D, as in `RobustKalmanFilter`.
-    grouping : {"component", "joint"}
-        psi of each component of e, or of the length of e.
-
-    Attributes
-    ----------
-    refused : int
-        The count.
-    recoveries : int
-        How often it has reached `patience`.
+    dim_x, dim_z, dim_u, patience, influence, scaling, information, grouping
+        As in `RecoveringKalmanFilter`.
 
     Raises
     ------
@@ -90,9 +69,9 @@ class RecoveringExtendedKalmanFilter(_RecoveringNonlinear, RobustExtendedKalmanF
 
     Notes
     -----
-    The measurement is taken as linear around the predicted state, so a jump so far that the line is wrong there can
-    take more than one recovery. Two refused innovations agree by their ``residual``, which is called with both of them:
-    it may wrap angles, and must subtract otherwise.
+    The attributes are those of `RecoveringKalmanFilter`. The measurement is taken as linear around the predicted state,
+    so a jump so far that the line is wrong there can take more than one recovery. Two refused innovations agree by
+    their ``residual``, which is called with both of them: it may wrap angles, and must subtract otherwise.
 
     Examples
     --------
@@ -141,7 +120,7 @@ class RecoveringUnscentedKalmanFilter(_RecoveringSigmaPoint, RobustUnscentedKalm
     dim_x, dim_z, dt, hx, fx, points, sqrt_fn, x_mean_fn, z_mean_fn, residual_x, residual_z, state_add
         As in `RobustUnscentedKalmanFilter`.
     patience, influence, scaling, information, grouping
-        As in `RecoveringExtendedKalmanFilter`.
+        As in `RecoveringKalmanFilter`.
 
     Raises
     ------
@@ -150,7 +129,7 @@ class RecoveringUnscentedKalmanFilter(_RecoveringSigmaPoint, RobustUnscentedKalm
 
     Notes
     -----
-    The attributes are those of `RecoveringExtendedKalmanFilter`. P is widened along C (S - R)^-1 y, with C = cov(x, z)
+    The attributes are those of `RecoveringKalmanFilter`. P is widened along C (S - R)^-1 y, with C = cov(x, z)
     and S = cov(z) by the sigma points. Two refused innovations agree by residual_z, which is called with both of them:
     it may wrap angles, and must subtract otherwise.
 
@@ -195,7 +174,7 @@ class RecoveringCubatureKalmanFilter(_RecoveringSigmaPoint, RobustCubatureKalman
     dim_x, dim_z, dt, hx, fx, x_mean_fn, z_mean_fn, residual_x, residual_z
         As in `RobustCubatureKalmanFilter`.
     patience, influence, scaling, information, grouping
-        As in `RecoveringExtendedKalmanFilter`.
+        As in `RecoveringKalmanFilter`.
 
     Raises
     ------
