@@ -76,7 +76,7 @@ def pages(examples: Path, docs: Path) -> dict[str, str]:
 def outputs(paths: list[Path], folder: Path) -> dict[str, str]:
     """Run the examples whose source or package has changed, and return what each printed, by name."""
     shared, folders = hashlib.sha256(), (paths[0].parent / "servo", paths[0].parents[1] / "robust_filterpy")
-    for path in sorted(path for top in folders for path in top.rglob("*.py")):
+    for path in sorted(path for top in folders for path in top.rglob("*") if path.suffix in {".py", ".c", ".h"}):
         shared.update(path.read_bytes())
 
     def one(path: Path) -> str:

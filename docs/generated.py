@@ -11,7 +11,7 @@ ROOT = "robust_filterpy"
 # Where a class takes over filterpy's or Python's methods, these are left out.
 FOREIGN = (
     "KalmanFilter, ExtendedKalmanFilter, UnscentedKalmanFilter, CubatureKalmanFilter, EnsembleKalmanFilter, "
-    "FixedLagSmoother, rv_continuous, tuple, dict, Exception, object"
+    "FixedLagSmoother, rv_continuous, tuple, dict, Mapping, Exception, object"
 )
 
 
@@ -26,9 +26,16 @@ def write(docs: Path, pages: dict[str, str]) -> None:
 
 
 def rooms() -> list[str]:
-    """Return the modules that list public names: each room, and the drop-in for filterpy.kalman."""
+    """Return the modules that list public names: each room, its inner rooms, and the drop-in for filterpy.kalman."""
     found = [info.name for info in pkgutil.iter_modules(robust_filterpy.__path__, f"{ROOT}.")]
-    return sorted(name for name in found if "._" not in name and getattr(importlib.import_module(name), "__all__", ()))
+    found += [info.name for info in pkgutil.walk_packages(robust_filterpy.__path__, f"{ROOT}.") if info.ispkg]
+    return sorted(name for name in set(found) if "._" not in name and own_page(name))
+
+
+def own_page(module: str) -> bool:
+    """Tell whether a module lists names that the room around it does not list."""
+    names, around = (getattr(importlib.import_module(m), "__all__", ()) for m in (module, module.rpartition(".")[0]))
+    return bool(names) and (module.count(".") == 1 or not set(names) <= set(around))
 
 
 def home(thing: object, name: str) -> str:

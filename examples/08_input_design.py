@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from robust_filterpy.excitation import (
+from robust_filterpy.plants.excitation import (
     bandlimited_pink_autocovariance,
     bandlimited_pink_spectrum,
     prbs,

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from robust_filterpy import select_structure, validate
+from robust_filterpy import ParameterTracker, select_structure, validate
 from robust_filterpy.identification import compare
 from robust_filterpy.plotting import plot_comparison
 
@@ -57,10 +57,10 @@ def main(argv=None):
 
     # %% Go on sample by sample, save in between, and go on from the file.
     quarter = len(second) // 2
-    tracker = model.tracker(Q=1e-8)
+    tracker = ParameterTracker(model, Q=1e-8)
     tracker.run(second["temperature"].iloc[:quarter], second["power"].iloc[:quarter])
     np.savez(options.out / "oven_tracker.npz", **tracker.state())
-    resumed = model.tracker(Q=1e-8)
+    resumed = ParameterTracker(model, Q=1e-8)
     resumed.restore(np.load(options.out / "oven_tracker.npz"))
     rest = second["temperature"].iloc[quarter:], second["power"].iloc[quarter:]
     same = resumed.run(*rest).to_frame().equals(tracker.run(*rest).to_frame())
@@ -68,7 +68,7 @@ def main(argv=None):
     draw(compare({str(model.structure): model}, second["temperature"], second["power"]), options.out)
     gain = float(model.transfer_function().dcgain())
     print(
-        f"Conclusion: order {model.structure.na}, {gain:.2f} degrees per percent of power (the oven: 1.25), dead time "
+        f"Conclusion: order {model.structure.nf}, {gain:.2f} degrees per percent of power (the oven: 1.25), dead time "
         f"{SECONDS * (model.structure.nk - 1)} s. On the other half of the file {checked.verdict}, and the free run "
         f"fits ordinary samples to {checked.fits[-1].ordinary:.1f} %. The tracker that was saved "
         f"{'goes on to the last bit' if same else 'goes on differently'}."

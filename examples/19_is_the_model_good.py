@@ -8,6 +8,7 @@ recording that neither has seen.
 
 # %% A plant with a fast mode that hides behind a slow one; one reading in ten is ten times as bad.
 import argparse
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -38,8 +39,13 @@ def main(argv=None):
     # %% Each model is made from one recording and validated on another.
     found = {}
     for name, structure in {"one mode": OutputError(1, 1), "three modes": OutputError(3, 3)}.items():
-        found[name] = validate(identify(y, u, structure), y_new, u_new)
-        print(f"{name}, {structure}\n{found[name]}\n")
+        with warnings.catch_warnings():
+            # identify warns of what it finds; here that is printed.
+            warnings.simplefilter("ignore", UserWarning)
+            model = identify(y, u, structure)
+        found[name] = validate(model, y_new, u_new)
+        print(f"{name}, {structure}\n{found[name]}")
+        print("".join(f"identify found: {finding.text}\n" for finding in model.findings))
 
     draw(found, options.out)
     small, right = found.values()

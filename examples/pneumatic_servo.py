@@ -37,7 +37,7 @@ from servo.models import TRACKERS, valve_to_velocity
 from servo.study import INSTANTS, LOOPS, Run, at, mean_of, models_of, shown, table, trial
 
 from robust_filterpy.experiments import monte_carlo
-from robust_filterpy.plants import ServoRecording
+from robust_filterpy.plants.servo import ServoRecording
 
 
 # %% One experiment

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
@@ -72,16 +71,16 @@ def noise_covariance(default: Any, given: Any, m: int) -> Array:
             raise ValueError(f"R: expected a variance >= 0, got {R.item()}; use NaN in z for a sensor that is absent")
     elif m <= _REMEMBERED:
         # By content, since users write into R, and by the bytes, since most never do.
-        _require(_checks.covariance, "R", R.tobytes(), m)
+        _require("R", R.tobytes(), m, _checks.TOLD)
     else:
         _checks.covariance("R", R)
     return R
 
 
 @lru_cache(maxsize=256)
-def _require(check: Callable[[str, Array], None], name: str, content: bytes, m: int) -> None:
-    """Raise as the check of a matrix does; what passed once is remembered."""
-    check(name, np.frombuffer(content).reshape(m, m))
+def _require(name: str, content: bytes, m: int, slack: float) -> None:
+    """Raise as the check of a covariance does; what passed once is remembered."""
+    _checks.covariance(name, np.frombuffer(content).reshape(m, m), slack)
 
 
 def process_noise(default: Any, given: Any, n: int) -> Array:
@@ -94,9 +93,9 @@ def process_noise(default: Any, given: Any, n: int) -> Array:
     content = Q.tobytes()
     if content != _last_Q.get(n):
         if n <= _REMEMBERED:
-            _require(_checks.process_covariance, "Q", content, n)
+            _require("Q", content, n, math.inf)
         else:
-            _checks.process_covariance("Q", Q)
+            _checks.covariance("Q", Q, math.inf)
         _last_Q[n] = content
     return Q
 

@@ -13,6 +13,11 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 FLOAT = np.dtype(np.float64)
 
+#: How far below 0 an eigenvalue may be where the variances are 1: of what a user tells, and of what a recursion gives.
+TOLD, GATHERED = 1e-10, 1e-8
+#: What rounding leaves of a variance of 0 in a recursion, as a share of the largest one.
+ROUNDING = 1e-15
+
 # np.asarray(.., float) silently accepts text, dates and durations.
 _NO_NUMBERS = "cmMSU"
 _NO_NUMBER = (str, bytes, np.datetime64, np.timedelta64)
@@ -20,8 +25,12 @@ _NO_NUMBER = (str, bytes, np.datetime64, np.timedelta64)
 
 def shown(value: Any) -> str:
     """Return a value as a message can show it: as its repr, the middle of a long one left out."""
-    with np.printoptions(threshold=20):
-        text = repr(value)
+    try:
+        with np.printoptions(threshold=20):
+            text = repr(value)
+    except Exception:
+        # An integer of too many digits has no repr, nor have some objects.
+        text = f"{type(value).__name__} without a repr"
     return text if len(text) <= 200 else f"{text[:120]} ... {text[-40:]}"
 
 
@@ -137,69 +146,84 @@ def described(found: Array) -> str:
     return f"scalar {found}" if found.ndim == 0 else f"shape {found.shape}"
 
 
-def covariance(name: str, value: Array) -> None:
-    """Raise ValueError unless value is symmetric and positive semidefinite, both to rounding and in any units."""
-    if not np.isfinite(value).all():
+def covariance(name: str, stack: Array, slack: float = TOLD, gathered: float = 0.0) -> None:
+    """Raise ValueError unless a matrix, or every matrix of a stack, is a covariance, in whatever units.
+
+    Parameters
+    ----------
+    name : str
+        What the message calls it; in a stack of several with the index of the first that is none.
+    stack : ndarray, shape (.., n, n)
+        Matrices.
+    slack : float
+        How far below 0 an eigenvalue may be where the variances are 1; `GATHERED` for what comes out of a long
+        recursion, infinite for a Q, since programs live with one that is slightly indefinite, filterpy's own tests
+        among them: P + Q is what matters.
+    gathered : float
+        What rounding alone may have left of a variance of 0, as a share of the largest one: `ROUNDING` for what comes
+        out of a recursion.
+    """
+    bad = ~are_covariances(stack, slack, gathered)
+    if not bad.any():
+        return
+    first = tuple(int(i) for i in np.unravel_index(int(np.argmax(bad)), bad.shape))
+    if bad.size > 1:
+        name = f"{name}[{', '.join(map(str, first))}]"
+    one = stack[first]
+    if not np.isfinite(one).all():
         mend = "; use NaN in z for an absent sensor" if name == "R" else ""
         raise ValueError(f"{name}: expected finite numbers, got NaN or infinity{mend}")
-    symmetric(name, value)
-    try:
-        np.linalg.cholesky(value)
-    except np.linalg.LinAlgError:
-        if not _is_semidefinite(value):
-            raise ValueError(
-                f"{name}: expected a positive semidefinite matrix, got one whose least eigenvalue is "
-                f"{np.linalg.eigvalsh(value)[0]:.3g}"
-            ) from None
-
-
-def process_covariance(name: str, stack: Array) -> None:
-    """Raise ValueError unless a matrix, or every matrix of a stack, is finite and symmetric with variances >= 0.
-
-    Programs live with a Q that is slightly indefinite, filterpy's own tests among them: P + Q is what matters.
-    """
-    if not np.isfinite(stack).all():
-        raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
-    symmetric(name, stack)
-    least = np.diagonal(stack, axis1=-2, axis2=-1).min(initial=0.0)
-    if least < 0.0:
-        raise ValueError(f"{name}: expected variances >= 0 on the diagonal, got {least:.4g}")
-
-
-def symmetric(name: str, stack: Array) -> None:
-    """Raise ValueError unless a matrix, or every matrix of a stack, is symmetric to rounding; NaN may stand there."""
-    if not _is_symmetric(stack):
+    if not _is_symmetric(one, _unit(one, slack, gathered)):
         raise ValueError(f"{name}: expected a symmetric matrix, got one that differs from its transpose")
+    if slack == math.inf:
+        raise ValueError(f"{name}: expected variances >= 0 on the diagonal, got {np.diagonal(one).min():.4g}")
+    raise ValueError(
+        f"{name}: expected a positive semidefinite matrix, got one whose least eigenvalue is "
+        f"{np.linalg.eigvalsh(one)[0]:.3g}"
+    )
+
+
+def are_covariances(stack: Array, slack: float = TOLD, gathered: float = 0.0) -> NDArray[np.bool_]:
+    """Return which matrices of a stack `covariance` takes, shape (..); quickly, if all are positive definite."""
+    if stack.shape[-1] == 1:
+        return (stack[..., 0, 0] >= 0.0) & (stack[..., 0, 0] < math.inf)
+    good = np.asarray(np.isfinite(stack).all(axis=(-2, -1)))
+    if good.all() and _are_positive(stack):
+        return good
+    stack = stack if good.all() else np.where(good[..., None, None], stack, np.eye(stack.shape[-1]))
+    unit = _unit(stack, slack, gathered)
+    good &= _is_symmetric(stack, unit)
+    if slack == math.inf:
+        return good & (np.diagonal(stack, axis1=-2, axis2=-1) >= 0.0).all(axis=-1)
+    good &= np.linalg.eigvalsh(stack / unit[..., :, None] / unit[..., None, :])[..., 0] >= -slack
+    return np.asarray(good)
 
 
 def all_covariances(stack: Array) -> bool:
-    """Return whether `covariance` takes every matrix of a stack; quickly, if all are positive definite."""
-    if stack.shape[1] == 1:
-        return stack.size == 0 or bool(stack.min() >= 0.0 and stack.max() < math.inf)
+    """Return whether `covariance` takes every matrix of a stack."""
+    return bool(are_covariances(stack).all())
+
+
+def _are_positive(stack: Array) -> bool:
+    """Return whether all matrices are symmetric to the last bit, and positive definite."""
     try:
-        if (stack == stack.transpose(0, 2, 1)).all() and np.isfinite(np.linalg.cholesky(stack)).all():
-            return True
+        return bool((stack == stack.swapaxes(-1, -2)).all() and np.isfinite(np.linalg.cholesky(stack)).all())
     except np.linalg.LinAlgError:
-        pass
-    return bool(np.isfinite(stack).all()) and _is_symmetric(stack) and _is_semidefinite(stack)
+        return False
 
 
-def _is_symmetric(stack: Array) -> bool:
-    """Return whether nothing differs from its transpose but by rounding, in any units."""
-    apart, unit = np.abs(stack - stack.swapaxes(-1, -2)), _unit(stack)
-    return not (apart > 1e-8 * unit[..., :, None] * unit[..., None, :]).any()
+@np.errstate(under="ignore")
+def _is_symmetric(stack: Array, unit: Array) -> NDArray[np.bool_]:
+    """Return which matrices differ from their transposes by no more than rounding, in their units."""
+    apart = np.abs(stack - stack.swapaxes(-1, -2))
+    return np.asarray((apart <= 1e-8 * unit[..., :, None] * unit[..., None, :]).all(axis=(-2, -1)))
 
 
-def _is_semidefinite(stack: Array) -> bool:
-    """Return whether no eigenvalue is negative but by rounding, in any units."""
-    unit = _unit(stack)
-    unit[unit == 0.0] = 1.0
-    return bool(np.linalg.eigvalsh(stack / unit[..., :, None] / unit[..., None, :]).min() >= -1e-10)
-
-
-def _unit(stack: Array) -> Array:
-    """Return the standard deviations of covariances: the units of their rows."""
-    return np.sqrt(np.abs(np.diagonal(stack, axis1=-2, axis2=-1)))
+def _unit(stack: Array, slack: float, gathered: float) -> Array:
+    """Return the standard deviations of covariances, the units of their rows; where there is none, the smallest."""
+    variances = np.abs(np.diagonal(stack, axis1=-2, axis2=-1))
+    floor = variances.max(axis=-1, keepdims=True) * max(gathered / slack, 1e-300)
+    return np.sqrt(np.maximum(variances, np.maximum(floor, 1e-300)))
 
 
 def finite_vector(name: str, value: Any) -> Array:

@@ -1,6 +1,7 @@
-"""`plot()` of a result: the picture that the room above all others draws of it, loaded when it is asked for.
+"""`plot()` of a result: its picture is drawn by the room `plotting`, which stands above all others.
 
-A result knows the name of its picture and nothing of how it is drawn.
+Imports between rooms point down, so a result knows the name of its picture and nothing of how it is drawn. `plotting`,
+and with it matplotlib, is imported here, by name, when a picture is asked for.
 """
 
 from __future__ import annotations
@@ -10,5 +11,5 @@ from typing import Any
 
 
 def drawn(picture: str, result: Any, options: dict[str, Any]) -> Any:
-    """Return the axes of a picture of a result."""
+    """Return the axes that a function of `robust_filterpy.plotting`, such as "plot_bode", makes of a result."""
     return getattr(importlib.import_module("robust_filterpy.plotting"), picture)(result, **options)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -17,6 +18,17 @@ LABEL: Final = "format"
 
 #: Shape of an array: sizes, and None for any.
 Shape = tuple[int | None, ...]
+
+# Arrays of a state that are covariances, or stacks of them, and what `_checks.covariance` is told of them.
+_MOVING: Final = {"slack": _checks.GATHERED, "gathered": _checks.ROUNDING}
+_COVARIANCES: Final[dict[str, dict[str, float]]] = {
+    **{name: _MOVING for name in ("P", "R", "covariances", "prior_P", "window_R")},
+    **{name: {"slack": math.inf} for name in ("Q", "window_Q")},
+}
+
+
+class StateError(ValueError):
+    """A state that nothing can go on from: damaged, of something else, or of a newer format."""
 
 
 def labelled(kind: str, arrays: Mapping[str, Any]) -> dict[str, Array]:
@@ -46,11 +58,11 @@ def kind_of(state: Any) -> str:
         )
     if LABEL not in state:
         return ""
-    label = _checks.numbers(LABEL, state[LABEL])
+    label = _numbers(LABEL, state[LABEL])
     if label.ndim != 1 or not label.size or not ((label >= 0) & (label < 0x110000) & (label % 1 == 0)).all():
-        raise ValueError(f"state: expected {LABEL} to be a version and a name, got {_checks.shown(label)}")
+        raise StateError(f"state: expected {LABEL} to be a version and a name, got {_checks.shown(label)}")
     if label[0] > FORMAT:
-        raise ValueError(
+        raise StateError(
             f"state: expected format {FORMAT} or older, got {label[0]:g}; it comes from a newer robust_filterpy, "
             f"update this one"
         )
@@ -61,46 +73,54 @@ def require_kind(state: Any, kind: str) -> None:
     """Raise unless a state belongs to this kind, or does not say what it belongs to."""
     found = kind_of(state)
     if found and found != kind:
-        raise ValueError(f"state: expected one of a {kind}, got one of a {found}")
+        raise StateError(f"state: expected one of a {kind}, got one of a {found}")
 
 
 def checked(
-    state: Any, kind: str, needed: Mapping[str, Shape], optional: Mapping[str, Shape], gaps: tuple[str, ...] = ()
+    state: Any, kind: str | None, needed: Mapping[str, Shape], optional: Mapping[str, Shape], gaps: tuple[str, ...] = ()
 ) -> dict[str, Array]:
     """Return a state's arrays, copied, or raise; those named in gaps may hold NaN.
 
-    x may be a vector or a column, an optional matrix a number that stands for itself times I.
+    Without a kind its label has been looked at. x may be a vector or a column, an optional matrix a number that stands
+    for itself times I.
     """
-    require_kind(state, kind)
+    if kind is not None:
+        require_kind(state, kind)
     found = {}
     for name, shape in {**needed, **optional}.items():
         if name not in state:
             if name in optional:
                 continue
-            raise ValueError(f"state: expected {name}, of shape {_text(shape)}, got none")
-        value = _checks.numbers(name, state[name]).copy()
+            raise StateError(f"state: expected {name}, of shape {_text(shape)}, got none")
+        value = _numbers(name, state[name]).copy()
+        if value.size == 0 and len(shape) != value.ndim and math.prod(size or 0 for size in shape) == 0:
+            # Text formats, JSON among them, do not keep the shape of what is empty.
+            value = value.reshape([size or 0 for size in shape])
         column = name == "x" and value.shape == (*shape, 1)
         if not (_fits(value.shape, shape) or column or (name in optional and value.ndim == 0)):
-            raise ValueError(f"state: expected {name} of shape {_text(shape)}, got {value.shape}")
+            raise StateError(f"state: expected {name} of shape {_text(shape)}, got {value.shape}")
         if not (np.isfinite(value) | (np.isnan(value) & (name in gaps))).all():
-            raise ValueError(f"state: expected finite numbers in {name}, got NaN or infinity")
+            raise StateError(f"state: expected finite numbers in {name}, got NaN or infinity")
+        if name in _COVARIANCES and value.ndim >= 2:
+            require_covariance(name, value)
         found[name] = value
-    for name in ("P", "Q", "R"):
-        matrix = found.get(name)
-        if matrix is not None and matrix.ndim == 2:
-            require_covariance(name, matrix)
     return found
 
 
-def require_covariance(name: str, matrix: Array) -> None:
-    """Raise unless a matrix is a covariance, up to more than rounding adds in a long recursion."""
-    slack = 1e-8 * np.abs(matrix).max(initial=1e-300)
-    if np.abs(matrix - matrix.T).max(initial=0.0) <= slack:
-        least = float(np.linalg.eigvalsh(0.5 * (matrix + matrix.T))[0])
-        if least >= -slack:
-            return
-        raise ValueError(f"state: expected a positive semidefinite {name}, got eigenvalue {least:.3g}")
-    raise ValueError(f"state: expected a symmetric {name}, got one that differs from its transpose")
+def require_covariance(name: str, stack: Array) -> None:
+    """Raise unless a matrix of a state, or every one of a stack, is a covariance, up to what a recursion gathers."""
+    try:
+        _checks.covariance(name, stack, **_COVARIANCES.get(name, _MOVING))
+    except ValueError as error:
+        raise StateError(f"state: {error}") from None
+
+
+def _numbers(name: str, value: Any) -> Array:
+    """Return an array of a state, or raise."""
+    try:
+        return _checks.numbers(name, value)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise StateError(f"state: {error}") from None
 
 
 def _fits(found: tuple[int, ...], shape: Shape) -> bool:

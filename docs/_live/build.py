@@ -24,6 +24,7 @@ MATH = """
 #define isfinite(x) __builtin_isfinite(x)
 double sqrt(double);
 double fabs(double);
+double exp(double), log(double), hypot(double, double), copysign(double, double);
 """
 FLAGS = (
     "--target=wasm32 -std=c99 -O2 -fno-math-errno -mbulk-memory -nostdlib -Wl,--no-entry -Wl,--strip-all "
@@ -33,7 +34,7 @@ FLAGS = (
 
 def live_filter() -> RobustKalmanFilter:
     """Return the filter of the page: position and velocity of a vehicle, its position measured each second."""
-    kf = RobustKalmanFilter(2, 1, influence=Huber())
+    kf = RobustKalmanFilter(2, 1, influence=Huber(), scaling="innovation")
     kf.F = np.array([[1.0, 1.0], [0.0, 1.0]])
     kf.H = np.array([[1.0, 0.0]])
     kf.Q = 0.02 * np.array([[1.0 / 3.0, 0.5], [0.5, 1.0]])

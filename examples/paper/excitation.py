@@ -7,7 +7,7 @@ import numpy as np
 import scipy.signal
 from report import Claim, Options, Part, markdown_table
 
-from robust_filterpy.excitation import (
+from robust_filterpy.plants.excitation import (
     bandlimited_pink_autocovariance,
     bandlimited_pink_spectrum,
     receding_horizon_binary,

@@ -8,9 +8,9 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import RobustKalmanFilter, TwoSidedKalmanFilter
-from robust_filterpy.excitation import bandlimited_pink_autocovariance, receding_horizon_binary
 from robust_filterpy.noise import EpsilonContaminated
-from robust_filterpy.plants import (
+from robust_filterpy.plants.excitation import bandlimited_pink_autocovariance, receding_horizon_binary
+from robust_filterpy.plants.servo import (
     PneumaticParameters,
     ServoObserver,
     ServoRecording,

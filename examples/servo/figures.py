@@ -11,7 +11,7 @@ from servo.experiment import DT, NOMINAL, NONE, ROBUST, SERVO, Conditions
 from servo.models import CONSTANT, EVERY, ORDER, Model, frozen_gain, gain_of, sliding_gain
 from servo.study import INSTANTS, at
 
-from robust_filterpy.plants import PneumaticParameters, ServoRecording, linearize_servo
+from robust_filterpy.plants.servo import PneumaticParameters, ServoRecording, linearize_servo
 from robust_filterpy.plotting import LOOKS
 
 STYLE = {NOMINAL: {**LOOKS["Kalman"], "linewidth": 1.1}, ROBUST: {**LOOKS["Huber"], "linewidth": 1.3}}

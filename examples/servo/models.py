@@ -19,7 +19,7 @@ from robust_filterpy.identification import (
     identify,
 )
 from robust_filterpy.influence import Influence
-from robust_filterpy.plants import (
+from robust_filterpy.plants.servo import (
     PneumaticParameters,
     ServoRecording,
     linearize_servo,

@@ -4,7 +4,7 @@
 * `series`: many recordings filtered.
 * `adaptive`: the same, and the noise of each learnt.
 
-Imports from below: `influence`, `correction`, `compiled`, `filters`.
+Imports from below: `influence`, `correction`, `kernel`, `filters`.
 """
 
 from __future__ import annotations

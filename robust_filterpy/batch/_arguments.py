@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -12,7 +13,7 @@ import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array, numbers
-from robust_filterpy.compiled.records import Output
+from robust_filterpy.kernel.records import Output
 
 _COVARIANCES = ("full", "diagonal", "none")
 _REFUSED = ("raise", "nan")
@@ -72,9 +73,11 @@ def series_arguments(
         leading(name, value, shape, series, steps)
         for name, value, shape in (("F", F, (n, n)), ("Q", Q, (n, n)), ("H", H, (m, n)), ("R", R, (m, m)))
     )
-    _require_covariances("R", model[3].reshape(-1, m, m))
-    _checks.process_covariance("Q", model[1])
-    _checks.symmetric("P0", P0)
+    _checks.covariance("R", model[3])
+    _checks.covariance("Q", model[1], math.inf)
+    # A series whose start is not finite is refused by itself.
+    started = np.where(np.isfinite(P0).all(axis=(-2, -1), keepdims=True), P0, np.eye(n))
+    _checks.covariance("P0", started, _checks.GATHERED, _checks.ROUNDING)
     x, P = np.broadcast_to(x0, (series, n)).copy(), np.broadcast_to(P0, (series, n, n)).copy()
     every = _every(keep, steps)
     rows = steps // every if every else 0
@@ -121,13 +124,6 @@ def leading(name: str, value: Any, shape: tuple[int, int], series: int, steps: i
     if not np.isfinite(found).all():
         raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
     return np.ascontiguousarray(found)
-
-
-def _require_covariances(name: str, stack: Array) -> None:
-    """Raise unless every matrix of a stack is a covariance; one by one only where the stack as a whole is not."""
-    if not _checks.all_covariances(stack):
-        for one in stack:
-            _checks.covariance(name, one)
 
 
 def _every(keep: Any, steps: int) -> int:

@@ -9,15 +9,33 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy._checks import Array, numbers
-from robust_filterpy.batch._arguments import SeriesArguments, series_arguments, spread, threads
-from robust_filterpy.compiled import dispatch
-from robust_filterpy.compiled.records import Copies, Model
-from robust_filterpy.correction.adaptive_noise import DECADES
+from robust_filterpy.batch._arguments import SeriesArguments, series_arguments, threads
+from robust_filterpy.correction import copies as side_by_side
+from robust_filterpy.correction.learning import SCALES
 from robust_filterpy.correction.options import Grouping
-from robust_filterpy.filters._adaptive_step import told, uncorrelated
 from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter
+from robust_filterpy.kernel import learnt as learnt_kernel
 
 __all__ = ["AdaptiveSeries", "adaptive_series"]
+
+
+class Copies(NamedTuple):
+    """Where series stand: filters side by side for each, and what is known of its noise."""
+
+    means: Array
+    """(S, q, n)"""
+    covariances: Array
+    """(S, q, n, n)"""
+    probabilities: Array
+    """(S, q)"""
+    learnt: Array
+    """(S, 1 or m, 6 + 2 C + C^2)"""
+    x: Array
+    """Mean of all, (S, n)."""
+    P: Array
+    """Its covariance, (S, n, n)."""
+    unseen: Array
+    """Chance that the state has jumped since the last measurement, (S,)."""
 
 
 class AdaptiveSeries(NamedTuple):
@@ -37,13 +55,13 @@ class AdaptiveSeries(NamedTuple):
         Probability that a component of the measurement was an outlier.
     process_scale : ndarray, shape (S, K)
         Mean factor of Q in the step before the measurement.
-    learnt : ndarray, shape (S, 1 or dim_z, 2 + 2 C + C^2)
+    learnt : ndarray, shape (S, 1 or dim_z, 6 + 2 C + C^2)
         What is known of each series' noise after its last step, with C measurement scales; ``learnt[:, :, 0]`` is r,
         the variance of ordinary noise over R.
     state : named tuple of ndarray
         Where each series stands after its last step, to go on from: the copies' ``means`` (S, q, dim_x),
-        ``covariances`` and ``probabilities`` (S, q), ``learnt``, and their mixture ``x``, ``P``; means and covariances
-        are NaN where a series was refused.
+        ``covariances`` and ``probabilities`` (S, q), ``learnt``, their mixture ``x``, ``P``, and ``unseen`` (S,), the
+        chance of a jump since the last measurement; means and covariances are NaN where a series was refused.
     """
 
     x: Array
@@ -65,9 +83,10 @@ def adaptive_series(
     x0: ArrayLike | None = None,
     P0: ArrayLike | None = None,
     *,
-    process_scales: Sequence[float] = (1.0, 10.0, 100.0),
+    process_scales: Sequence[float] = (1.0, 0.01, 0.1, 10.0, 100.0),
     dwell: float = 1000.0,
-    measurement_scales: Sequence[float] = DECADES,
+    jump: float = 1e-9,
+    measurement_scales: Sequence[float] = SCALES,
     grouping: Grouping = "component",
     memory: float = 300.0,
     r_memory: float = 30.0,
@@ -83,10 +102,10 @@ def adaptive_series(
     Parameters
     ----------
     zs, F, H, Q, R, x0, P0
-        As in `filter_series`. R may be wrong by a factor of 1000 either way, Q too small by 100.
-    process_scales, dwell, measurement_scales, grouping, memory, r_memory
+        As in `filter_series`. R may be wrong by a factor of 1000 either way, Q by 100.
+    process_scales, dwell, jump, measurement_scales, grouping, memory, r_memory
         As in `AdaptiveKalmanFilter`.
-    learnt : array_like, shape (1 or dim_z, 2 + 2 C + C^2), or (S, ..) for each series its own, optional
+    learnt : array_like, shape (1 or dim_z, 6 + 2 C + C^2), or (S, ..) for each series its own, optional
         What is known of the noise before the first step, with C measurement scales: the ``learnt`` of a filter with the
         same options.
     state : named tuple, optional
@@ -109,8 +128,7 @@ def adaptive_series(
 
     Notes
     -----
-    Same numbers, to rounding, as a loop over `AdaptiveKalmanFilter`, which runs where the kernel does not serve: for
-    sensors that fail together or whose noises are correlated. A series that is refused keeps what it had learnt.
+    Same numbers, to rounding, as a loop over `AdaptiveKalmanFilter`. A series that is refused keeps what it had learnt.
 
     Examples
     --------
@@ -131,38 +149,33 @@ def adaptive_series(
             raise TypeError(f"state: expected what adaptive_series returned as state, got {type(state).__name__}")
         x0, P0 = state.x, state.P
     given = series_arguments(zs, F, H, Q, R, x0, P0, keep, covariance, refused)
-    series, steps, m = given.z.shape
+    series, _, m = given.z.shape
     kf = AdaptiveKalmanFilter(
-        given.x.shape[1], m, process_scales=process_scales, dwell=dwell, measurement_scales=measurement_scales,
-        grouping=grouping, memory=memory, r_memory=r_memory,
+        given.x.shape[1], m, process_scales=process_scales, dwell=dwell, jump=jump,
+        measurement_scales=measurement_scales, grouping=grouping, memory=memory, r_memory=r_memory,
     )  # fmt: skip
-    n_threads = threads(n_threads)
-    q, kept = len(kf.process_scales), given.kept
-    if state is None:
-        state = Copies(
-            np.repeat(given.x[:, None], q, axis=1), np.repeat(given.P[:, None], q, axis=1),
-            np.tile(kf.process_probabilities, (series, 1)), _learnt(kf, learnt, series, m), given.x, given.P,
-        )  # fmt: skip
-    else:
-        state = _continued(kf, state, given)
+    threads(n_threads)
+    kept = given.kept
+    state = _started(kf, learnt, given) if state is None else _continued(kf, state, given)
     outlying, scale = np.empty(kept.means.shape[:2]), np.empty(kept.means.shape[:2])
-    done = np.zeros(series, dtype=int)
-    serves = series * steps and grouping == "component" and uncorrelated(given.model[3])
-    size = dispatch.adaptive_size(given.x.shape[1], m, series * steps) if serves else None
-    if size is not None:
-        model, noise = Model(*given.model, np.zeros((1, 1, given.x.shape[1]))), told(kf._classes, kf._scales, kf.dwell)
-
-        def part(low: int, high: int) -> np.ndarray:
-            return dispatch.adaptive_series(
-                size, given.z, model, state, noise, kept, outlying, scale, every=given.every, span=(low, high)
-            )[low:high]
-
-        done = spread(part, series, n_threads)
-    for s in np.flatnonzero(done < steps).tolist():
-        _run_filter(kf, given, state, outlying, scale, s, int(done[s]))
+    for s in range(series):
+        done = _run_kernel(kf, given, state, outlying, scale, s)
+        if done < given.z.shape[1]:
+            _run_filter(kf, given, state, outlying, scale, s, done)
     return AdaptiveSeries(
         kept.means, given.covariances(covariance), kept.log_likelihood, kept.weights, outlying, scale,
         state.learnt, state,
+    )  # fmt: skip
+
+
+def _started(kf: AdaptiveKalmanFilter, learnt: ArrayLike | None, given: SeriesArguments) -> Copies:
+    """Return where series stand that begin, or raise."""
+    (series, n), q = given.x.shape, kf._process.count
+    begin = side_by_side.start(np.zeros(n), np.zeros((n, n)), kf._process)
+    return Copies(
+        np.repeat(given.x[:, None], q, axis=1), np.repeat(given.P[:, None], q, axis=1),
+        np.tile(begin.probabilities, (series, 1)), _learnt(kf, learnt, series, given.z.shape[2]), given.x, given.P,
+        np.full(series, begin.unseen),
     )  # fmt: skip
 
 
@@ -180,21 +193,39 @@ def _learnt(kf: AdaptiveKalmanFilter, learnt: ArrayLike | None, series: int, m: 
 
 def _continued(kf: AdaptiveKalmanFilter, state: Copies, given: SeriesArguments) -> Copies:
     """Return a copy of a state, or raise."""
-    (series, n), q = given.x.shape, len(kf.process_scales)
-    shapes = {"means": (series, q, n), "covariances": (series, q, n, n), "probabilities": (series, q)}
-    arrays = {name: numbers(f"state.{name}", getattr(state, name)) for name in shapes}
+    (series, n), q = given.x.shape, kf._process.count
+    shapes = {
+        "means": (series, q, n), "covariances": (series, q, n, n), "probabilities": (series, q), "unseen": (series,),
+    }  # fmt: skip
+    arrays = {name: np.array(numbers(f"state.{name}", getattr(state, name)), order="C") for name in shapes}
     for name, shape in shapes.items():
         if arrays[name].shape != shape:
             raise ValueError(
                 f"state.{name}: expected shape {shape}, got {arrays[name].shape}; it goes on with the same series and "
                 "process_scales"
             )
-    shares = arrays["probabilities"]
+    shares, unseen = arrays["probabilities"], arrays["unseen"]
     if not ((shares >= 0.0).all() and np.allclose(shares.sum(axis=1), 1.0)):
         raise ValueError("state.probabilities: expected numbers >= 0 that sum to 1 for each series")
+    if not ((unseen >= 0.0) & (unseen <= 1.0)).all():
+        raise ValueError("state.unseen: expected a number between 0 and 1 for each series")
     learnt = _learnt(kf, state.learnt, series, given.z.shape[2])
-    means, covariances, probabilities = (np.array(a, order="C") for a in arrays.values())
-    return Copies(means, covariances, probabilities, learnt, given.x, given.P)
+    return Copies(arrays["means"], arrays["covariances"], shares, learnt, given.x, given.P, unseen)
+
+
+def _run_kernel(
+    kf: AdaptiveKalmanFilter, given: SeriesArguments, state: Copies, outlying: Array, scale: Array, s: int
+) -> int:
+    """Run a series by the kernel as far as it can and return the first step that was not taken."""
+    kept, rows = given.kept, len(outlying[s])
+    covariances = kept.covariances[s].reshape(rows, -1) if rows and kept.covariances[s].size else None
+    into = learnt_kernel.Kept(
+        kept.means[s], covariances, weights=kept.weights[s], outlying=outlying[s][:, None], scale=scale[s][:, None],
+        log_likelihood=kept.log_likelihood[s : s + 1],
+    )  # fmt: skip
+    stands = learnt_kernel.State._make([*(array[s] for array in state[:-1]), state.unseen[s : s + 1]])
+    model = (*(array[s % len(array)] for array in given.model), None)
+    return learnt_kernel.run(stands, given.z[s], model, kf._classes, kf._process, into, every=given.every)
 
 
 def _run_filter(
@@ -203,8 +234,11 @@ def _run_filter(
     """Run a series by the filter's own methods from a step on."""
     kept, every = given.kept, given.every
     # The series' own state without the checks of a foreign one, which is NaN where x0 or P0 is.
-    means, covariances, shares, learnt, x, P = (a[s].copy() for a in state)
-    kf._go_on({"x": x, "P": P, "means": means, "covariances": covariances, "shares": shares, "learnt": learnt})
+    means, covariances, shares, learnt, x, P, unseen = (a[s].copy() for a in state)
+    kf._go_on({
+        "x": x, "P": P, "means": means, "covariances": covariances, "shares": shares, "learnt": learnt,
+        "unseen": unseen,
+    })  # fmt: skip
     for k in range(start, given.z.shape[1]):
         F, Q, H, R = (a[s % len(a), k % a.shape[1]] for a in given.model)
         try:
@@ -230,7 +264,9 @@ def _run_filter(
                 kept.covariances[s, row, 0] = np.diagonal(kf.P)
             elif kept.covariances.shape[2]:
                 kept.covariances[s, row] = kf.P
-    for array, value in zip(state, (*kf._current()[:3], kf.learnt, *kf._current()[3:]), strict=True):
+    bank = kf._current()
+    values: tuple[Any, ...] = (*bank[:3], kf.learnt, *bank[3:])
+    for array, value in zip(state, values, strict=True):
         array[s] = value
 
 

@@ -9,16 +9,14 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy._checks import Array
 from robust_filterpy.batch._arguments import series_arguments, spread, threads
-from robust_filterpy.batch.bank import FilterBank
-from robust_filterpy.compiled import dispatch
-from robust_filterpy.compiled.records import Model, Output
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
+from robust_filterpy.filters._sensors import nothing_known
+from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.influence.functions import Huber, Influence
+from robust_filterpy.kernel import series as kernel
+from robust_filterpy.kernel.records import Model, Output
 
 __all__ = ["FilteredSeries", "filter_series"]
-
-# Seconds a step of one series takes in numpy, many together.
-_STACKED = 1e-6
 
 
 class FilteredSeries(NamedTuple):
@@ -52,7 +50,7 @@ def filter_series(
     P0: ArrayLike,
     *,
     influence: Influence = Huber(),
-    scaling: Scaling = "innovation",
+    scaling: Scaling = "learnt",
     information: Information = "realized",
     grouping: Grouping = "component",
     keep: str | int = "all",
@@ -87,7 +85,7 @@ def filter_series(
         What becomes of a series with a correction that is impossible, a state or covariance that overflows, or NaN
         in its x0 or P0: an error for all, or NaN from that step on.
     n_threads : int, optional
-        Threads of the compiled loops; by default as many as the process may use.
+        Threads of the kernel; by default as many as the process may use.
 
     Returns
     -------
@@ -103,8 +101,8 @@ def filter_series(
 
     Notes
     -----
-    Same numbers, to rounding, as a loop over `RobustKalmanFilter`. By the kernel, where that serves (see
-    `robust_filterpy.compiled.dispatch`), or in numpy, all series together. A function of arrays alone, so an engine
+    Same numbers, to rounding, as a loop over `RobustKalmanFilter`; by the kernel, where that is there, many times
+    faster. A function of arrays alone, so an engine
     for data that do not fit one machine can call it block by block over the series: with Dask
     ``dask.array.map_blocks(lambda z: filter_series(z, F, H, Q, R, x0, P0).x, zs, dtype=float, chunks=..)``.
 
@@ -121,94 +119,60 @@ def filter_series(
     z, model, x, P, kept, every, skips = given
     series, steps, m = z.shape
     n_threads = threads(n_threads)
-    left = [(range(series), 0)]
-    size = _kernel(choices, x.shape[1], m, series * steps)
-    if size is not None:
-        taken = _run_compiled(size, choices, z, model, x, P, kept, every, n_threads).tolist()
-        left = [(range(s, s + 1), k) for s, k in enumerate(taken) if k < steps]
-    for part, start in left if series else ():
-        _run_bank(choices, z, model, x, P, kept, every, part, start, skips)
+    memory, starts = np.zeros((series, m, 6)), [0] * series
+    if series and steps and kernel.serves(choices):
+        starts = _run_kernel(choices, z, model, x, P, memory, kept, every, n_threads).tolist()
+    for s, start in enumerate(starts):
+        if start < steps:
+            _run_filter(choices, z, model, (x[s], P[s], memory[s]), kept, every, s, start, skips)
     return FilteredSeries(kept.means, given.covariances(covariance), kept.log_likelihood, kept.weights)
 
 
-def _kernel(choices: Choices, n: int, m: int, steps: int) -> tuple[int, int] | None:
-    """Return which kernel serves, None for the definition; steps: of all series together."""
-    if steps == 0 or not dispatch.can_compile(choices):
-        return None
-    return dispatch.series_size(n, m, steps, seconds=_STACKED)
-
-
-def _run_compiled(
-    size: tuple[int, int],
-    choices: Choices,
-    z: Array,
-    model: Any,
-    x: Array,
-    P: Array,
-    kept: Output,
-    every: int,
-    n_threads: int,
+def _run_kernel(
+    choices: Choices, z: Array, model: Any, x: Array, P: Array, memory: Array, kept: Output, every: int, n_threads: int
 ) -> np.ndarray:
-    """Run the loops, which let go of the interpreter, on several threads; return how many steps of each were taken."""
+    """Run the kernel, which lets go of the interpreter, on threads; return how many steps of each were taken."""
     F, Q, H, R = model
     full = Model(F, Q, H, R, np.zeros((1, 1, x.shape[1])))
 
     def part(low: int, high: int) -> np.ndarray:
-        return dispatch.filter_series(size, choices, z, full, x, P, kept, every=every, span=(low, high))[low:high]
+        return kernel.filter_series(
+            choices, z, full, x, P, kept, memory=memory, every=every, span=(low, high)
+        )[low:high]  # fmt: skip
 
     return spread(part, len(z), n_threads)
 
 
-def _run_bank(
-    choices: Choices,
-    z: Array,
-    model: Any,
-    x: Array,
-    P: Array,
-    kept: Output,
-    every: int,
-    part: range,
-    start: int,
+def _run_filter(
+    choices: Choices, z: Array, model: Any, state: tuple[Array, ...], kept: Output, every: int, s: int, start: int,
     skips: bool,
-) -> None:
-    """Run series together in numpy from a step on; skips: whether one that is refused becomes NaN."""
-    at = slice(part.start, part.stop)
-    F, Q, H, R = (matrix if len(matrix) == 1 else matrix[at] for matrix in model)
-    bank = FilterBank(
-        len(part), x.shape[1], z.shape[2], influence=choices.influence, scaling=choices.scaling,
+) -> None:  # fmt: skip
+    """Run one series by a filter's own steps from a step on; skips: whether one that is refused becomes NaN."""
+    kf = RobustKalmanFilter(
+        len(state[0]), z.shape[2], influence=choices.influence, scaling=choices.scaling,
         information=choices.information, grouping=choices.grouping,
     )  # fmt: skip
-    bank.x, bank.P = x[at].copy(), P[at].copy()
+    kf.x, kf.P, memory = state
+    kf._keep_sensors(nothing_known(0).updated(memory))
+    F, Q, H, R = (matrix[s if len(matrix) > 1 else 0] for matrix in model)
     for k in range(start, z.shape[1]):
         try:
-            bank.F, bank.Q, bank.H, bank.R = (a[:, k if a.shape[1] > 1 else 0] for a in (F, Q, H, R))
-            bank.predict()
-            bank.update(z[at, k])
+            kf.F, kf.Q, kf.H, kf.R = (a[k if len(a) > 1 else 0] for a in (F, Q, H, R))
+            kf.predict()
+            kf.update(z[s, k])
         except (ValueError, np.linalg.LinAlgError) as error:
-            # All arguments are checked by now but for NaN in x0 and P0: what is left is the numbers of one series.
-            refused = skips
-            if refused and len(part) == 1:
-                for column in (kept.means, kept.covariances, kept.weights):
-                    column[at, k // every :] = np.nan
-                kept.log_likelihood[at] = np.nan
-                return
-            if refused:
-                # Filtered one by one, only the series at fault becomes NaN.
-                kept.log_likelihood[at] = 0.0
-                for s in part:
-                    _run_bank(choices, z, model, x, P, kept, every, range(s, s + 1), start, skips)
-                return
-            where = f"series {part.start}, " if len(part) == 1 else ""
-            # The bank names its filter by number; a series that runs alone is always number 0.
-            sentence = str(error).removeprefix("filter 0: ") if where else str(error)
-            error.args = (f"{where}step {k}: {sentence}", *error.args[1:])
-            raise
-        kept.log_likelihood[at] += bank.log_likelihood
+            if not skips:
+                error.args = (f"series {s}, step {k}: {error}", *error.args[1:])
+                raise
+            for column in (kept.means, kept.covariances, kept.weights):
+                column[s, k // every :] = np.nan
+            kept.log_likelihood[s] = np.nan
+            return
+        kept.log_likelihood[s] += kf.log_likelihood
         if (k + 1) % every == 0:
             row = (k + 1) // every - 1
-            kept.means[at, row], kept.weights[at, row] = bank.x, bank.weights
+            kept.means[s, row], kept.weights[s, row] = kf.x, kf.weights
             if kept.covariances.shape[2] == 1:
-                kept.covariances[at, row, 0] = np.diagonal(bank.P, axis1=1, axis2=2)
+                kept.covariances[s, row, 0] = np.diagonal(kf.P)
             elif kept.covariances.shape[2]:
-                kept.covariances[at, row] = bank.P
-    x[at], P[at] = bank.x, bank.P
+                kept.covariances[s, row] = kf.P

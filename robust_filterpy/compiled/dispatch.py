@@ -1,6 +1,6 @@
-"""When the kernel serves, and when the definition does.
+"""When what numba compiles serves, and when the definition does: the smoothing pass, which is not in C yet.
 
-The kernel serves where numba can be used and either has the kernel in its cache, or the definition would take longer
+The compiled form serves where numba can be used and either has it in its cache, or the definition would take longer
 than compiling it. ``python -m robust_filterpy compile`` fills the cache; until then only long recordings wait for a
 compilation, and say so. What serves depends on the machine and the length of the call, never on what ran before in the
 process; kernel and definition agree to rounding. With ROBUST_FILTERPY_KERNEL=off in the environment the definition
@@ -10,30 +10,20 @@ serves always.
 from __future__ import annotations
 
 import logging
-import math
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy.compiled import stamp
-from robust_filterpy.compiled.records import ADAPTIVE_SIZES, SIZES, Copies, Model, Noise, Output, Run
 from robust_filterpy.correction.options import GROUPINGS, INFORMATIONS, SCALINGS, Choices
 from robust_filterpy.influence.information import expected_joint_information
 
-#: Seconds that compiling one kernel takes at most, and that a step by the definition takes at least.
-COMPILATION, DEFINITION = 20.0, 2e-5
-
-#: Seconds that a step that learns the noise takes at least, by the definition and by the kernel of single steps.
-LEARNING, LEARNING_STEP = 3e-4, 2e-5
-
-#: Names of kernels in the list of those that are cached.
-ONLINE, BANK, TRACKING = "single steps", "steps of a bank", "tracking parameters"
-ADAPTIVE = "steps that learn the noise"
+#: Seconds that compiling one kernel takes at most.
+COMPILATION = 20.0
 
 _KINDS = ("linear", "huber", "hampel", "tukey", "student_t")
 _OLDEST = (0, 59)
@@ -55,29 +45,29 @@ def _cached() -> frozenset[str]:
 
 
 @lru_cache(maxsize=1)
-def loops() -> Any:
-    """Return the module of compiled loops, None (after one warning that says why) if numba cannot be used."""
+def usable_numba() -> bool:
+    """Return whether numba can be used; if it is installed and cannot, one warning says why."""
     version = stamp.numba_version()
     if version is None:
-        return None
+        return False
     try:
         if tuple(int(part) for part in version.split(".")[:2]) < _OLDEST:
             raise ImportError(f"numba {version} is too old, 0.59 or newer is needed")
-        from robust_filterpy.compiled import loops
+        from numba import njit  # noqa: F401
 
-        return loops
+        return True
     except Exception as error:
         warnings.warn(
             f"robust_filterpy runs without numba, which is installed but cannot be used here: {error}",
             RuntimeWarning,
             stacklevel=2,
         )
-        return None
+        return False
 
 
 def ready(kernel: str, seconds: float) -> bool:
     """Return whether a kernel is to be used for a call that takes so many seconds by the definition."""
-    return (kernel in _cached() or seconds > COMPILATION) and stamp.numba_version() is not None and loops() is not None
+    return (kernel in _cached() or seconds > COMPILATION) and usable_numba()
 
 
 _met: set[str] = set()
@@ -100,65 +90,8 @@ def announced(kernel: str) -> Iterator[None]:
     _met.add(kernel)
 
 
-class Steps(NamedTuple):
-    """The kernels of a prediction and of a correction."""
-
-    predict: Callable[..., Any]
-    correct: Callable[..., Any]
-
-
-@lru_cache(maxsize=1)
-def online() -> Steps | None:
-    """Return the kernels of one step of one filter, None if they are not in the cache."""
-    if ONLINE in _cached() and loops() is not None:
-        return Steps(loops().predict_step, loops().correct_step)
-    return None
-
-
-@lru_cache(maxsize=1)
-def adaptive() -> Any:
-    """Return the module with the kernels of filters side by side and of learnt noise, None if it is not cached."""
-    if ADAPTIVE not in _cached() or loops() is None:
-        return None
-    from robust_filterpy.compiled import adaptive
-
-    return adaptive
-
-
-def bank(choices: Choices) -> Steps | None:
-    """Return the kernels of one step of many filters, None if they are not in the cache or do not know psi."""
-    if BANK in _cached() and can_compile(choices) and loops() is not None:
-        return Steps(loops().predict_bank, loops().correct_bank)
-    return None
-
-
-def series_size(n: int, m: int, steps: float, seconds: float = DEFINITION) -> tuple[int, int] | None:
-    """Return which of the kernels for series serves n states and m sensors, None if none does.
-
-    steps: of all series; seconds: that each takes otherwise.
-    """
-    # Those for fewer sizes are faster.
-    candidates = [size for size in ((n, m), (0, m), (0, 0)) if size in SIZES]
-    for size in candidates:
-        if series_name(size) in _cached() and loops() is not None:
-            return size
-    return candidates[0] if ready(series_name(candidates[0]), steps * seconds) else None
-
-
-def fixed_series_size(n: int, m: int) -> tuple[int, int] | None:
-    """Return which of the kernels serves whatever is cached and however long a call is, None if none can."""
-    size = next(size for size in ((n, m), (0, m), (0, 0)) if size in SIZES)
-    return size if ready(series_name(size), math.inf) else None
-
-
-def series_name(size: tuple[int, int]) -> str:
-    """Return the name of a kernel for series."""
-    n, m = (str(k) if k else "any" for k in size)
-    return f"series of {n} states and {m} sensors"
-
-
 def encoded(choices: Choices, m: int) -> Array:
-    """Return the options for up to m sensors as numbers: see `loops.decoded`."""
+    """Return the options for up to m sensors as numbers, as generated C takes them."""
     found = choices.derived.get(m)
     if found is None:
         found = choices.derived[m] = _encode(choices, m)
@@ -188,123 +121,3 @@ def usable(array: Array) -> Array:
     if array.flags.carray and array.dtype == np.float64:
         return array
     return np.require(array, dtype=np.float64, requirements=("C", "W"))
-
-
-def filter_series(
-    size: tuple[int, int],
-    choices: Choices,
-    zs: Array,
-    model: Model,
-    x: Array,
-    P: Array,
-    output: Output,
-    *,
-    alpha_sq: float = 1.0,
-    update_first: bool = False,
-    every: int = 1,
-    likely: bool = True,
-    start: int = 0,
-    span: tuple[int, int] | None = None,
-) -> np.ndarray:
-    """Advance series in place and return how many steps of each were taken.
-
-    Parameters
-    ----------
-    size : tuple of int
-        Which kernel, from `series_size`.
-    choices : Choices
-        Influence function, scaling, information, grouping.
-    zs : ndarray, shape (series, steps, m)
-        Measurements, NaN where missing.
-    model : Model
-        F, Q, H, R, B u.
-    x, P : ndarray, shape (series, n) and (series, n, n)
-        States, advanced in place; C-contiguous.
-    output : Output
-        What is written.
-    alpha_sq, update_first, every, likely, start, span
-        Fading memory; whether a step begins with its correction; which steps are kept; whether the likelihood is
-        wanted; the first step; the first series and the one after the last.
-
-    Returns
-    -------
-    ndarray of int, shape (series,)
-    """
-    done = np.zeros(len(zs), dtype=np.int64)
-    low, high = (0, len(zs)) if span is None else span
-    with announced(series_name(size)):
-        loops().filter_series[size](
-            usable(zs), Model(*map(usable, model)), x, P.reshape(len(P), -1), encoded(choices, zs.shape[2]),
-            Run(float(alpha_sq), bool(update_first), int(every), bool(likely), int(start)), int(low), int(high),
-            _flat(output), done,
-        )  # fmt: skip
-    return done
-
-
-def adaptive_size(n: int, m: int, steps: float) -> tuple[int, int] | None:
-    """Return which of the kernels serves series of n states and m sensors whose noise is learnt, None if none does."""
-    candidates = [size for size in ((n, m), (0, 0)) if size in ADAPTIVE_SIZES]
-    for size in candidates:
-        if adaptive_name(size) in _cached() and loops() is not None:
-            return size
-    seconds = steps * (LEARNING if adaptive() is None else LEARNING_STEP)
-    return candidates[0] if ready(adaptive_name(candidates[0]), seconds) else None
-
-
-def adaptive_name(size: tuple[int, int]) -> str:
-    """Return the name of a kernel for series whose noise is learnt."""
-    n, m = (str(k) if k else "any" for k in size)
-    return f"recordings of {n} states and {m} sensors that learn the noise"
-
-
-def adaptive_series(
-    size: tuple[int, int],
-    zs: Array,
-    model: Model,
-    series: Copies,
-    noise: Noise,
-    output: Output,
-    outlying: Array,
-    scale: Array,
-    *,
-    alpha_sq: float = 1.0,
-    update_first: bool = False,
-    every: int = 1,
-    start: int = 0,
-    span: tuple[int, int] | None = None,
-) -> np.ndarray:
-    """Advance series whose noise is learnt in place and return how many steps of each were taken.
-
-    Parameters
-    ----------
-    size : tuple of int
-        Which kernel, from `adaptive_size`.
-    zs, model, output, alpha_sq, update_first, every, start, span
-        As in `filter_series`; covariances are kept where there is room for them.
-    series : Copies
-        Filters side by side, of each series; advanced in place, C-contiguous.
-    noise : Noise
-        What the filters are told of the noises.
-    outlying, scale : ndarray, shape (series, kept step)
-        Probability of an outlier and mean factor of Q are written here.
-
-    Returns
-    -------
-    ndarray of int, shape (series,)
-    """
-    from robust_filterpy.compiled import adaptive
-
-    done = np.zeros(len(zs), dtype=np.int64)
-    low, high = (0, len(zs)) if span is None else span
-    with announced(adaptive_name(size)):
-        adaptive.filter_series[size](
-            usable(zs), Model(*map(usable, model)), series, noise,
-            Run(float(alpha_sq), bool(update_first), int(every), True, int(start)), int(low), int(high),
-            _flat(output), outlying, scale, done,
-        )  # fmt: skip
-    return done
-
-
-def _flat(output: Output) -> Output:
-    """Return the same with flat covariances."""
-    return Output(*(a.reshape(*a.shape[:2], a.shape[2] * a.shape[3]) if a.ndim == 4 else a for a in output))

@@ -1,30 +1,32 @@
 """The robust correction, as pure functions of arrays.
 
-* `definition`: the equations as they read; every other form is tested against it.
+* `definition`: the equations as they read; the kernel is tested against it.
 * `options`: influence, scaling, information, grouping, checked.
 * `result`: what a correction returns.
-* `whitening`: T with T S T' = I.
-* `covariance`: P+ in forms that stay positive semidefinite.
+* `standardization`: T of a group of sensors, and of all of them in the order taken.
+* `spread`: how large a sensor's innovations usually are, learnt.
+* `whitening`: T of correlated noise, for the smoothers.
 * `likelihood`: log-density of an innovation.
-* `missing`: placing observed components among all.
-* `scalar`: a fast form for one sensor.
-* `moments`: the correction from sigma points.
 * `mixture`: noise that is a known mixture of normal distributions, and the score of its innovation.
 * `merging`: a correction for each hypothesis about the noise, merged by moments.
-* `adaptive_noise`: a mixture that is learnt while a filter runs.
-* `adaptive`: the correction under it.
+* `learning`: what is learnt of a sensor's noise, a mixture of classes, while a filter runs.
+* `copies`: copies of a filter that differ in what they take the process for.
+* `learnt`: the correction of copies under such noise, learnt or told.
 
 Imports from below: `robust_filterpy.influence`.
 """
 
 from __future__ import annotations
 
-from robust_filterpy.correction.covariance import NotPositiveDefiniteError, posterior_covariance
-from robust_filterpy.correction.definition import correct
-from robust_filterpy.correction.likelihood import log_density
+from robust_filterpy.correction.definition import (
+    NotPositiveDefiniteError,
+    correct,
+    correct_by_custom,
+    innovation_moments,
+)
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.correction.whitening import SingularInnovationError, standardize
+from robust_filterpy.correction.standardization import SingularInnovationError
 
 __all__ = [
     "Choices",
@@ -32,7 +34,6 @@ __all__ = [
     "NotPositiveDefiniteError",
     "SingularInnovationError",
     "correct",
-    "log_density",
-    "posterior_covariance",
-    "standardize",
+    "correct_by_custom",
+    "innovation_moments",
 ]

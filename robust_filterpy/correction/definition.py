@@ -1,41 +1,93 @@
-"""The robust correction: definition. The fast forms elsewhere are tested against it.
+"""The robust correction: definition. The kernel is tested against it.
 
-For an innovation y = z - H x with covariance S = H P H' + R and cross-covariance C = P H'::
+A state x and an innovation y are one Gaussian vector with covariances P = cov(x), C = cov(x, y), S = cov(y). It is
+conditioned on one sensor (or group of sensors that fail together) after the other, the most plausible first, by the
+scalar Masreliez-Martin step. With s the spread of that sensor's standardized innovations and t = S_ii^(-1/2)::
 
-    e  = T y                       standardized innovation            (paper 29, 36)
-    x+ = x + C T' psi(e)           bounded influence                  (26, 37, 42, 47)
-    P+ = P - C T' D T C'           information D between 0 and I      (28, 39, 44, 49)
+    e_i = t y_i                                    standardized innovation            (paper 29, 36)
+    x  += C_i t s psi(e_i / s)                     bounded influence                  (26, 37, 42, 47)
+    y  -= S_i t s psi(e_i / s)                     for the sensors still to come
+    P  -= d C_i t t C_i'   (C and S likewise)      information d between 0 and 1      (28, 39, 44, 49)
 
-T, D and psi are `Choices`.
+With psi = identity this is the Kalman filter. A wild sensor is judged last, against what the others agree on, and
+never touches a sensor that is uncorrelated with it.
 """
 
 from __future__ import annotations
 
+import math
+import sys
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.covariance import _require_positive, innovation_moments, posterior_covariance
-from robust_filterpy.correction.missing import _embed, nothing_observed
+from robust_filterpy.correction import spread
+from robust_filterpy.correction.likelihood import log_density_of_group
 from robust_filterpy.correction.options import Choices
-from robust_filterpy.correction.result import Correction, Observed
-from robust_filterpy.correction.whitening import SAFE, Inverse, standardize, standardized
+from robust_filterpy.correction.result import Correction
+from robust_filterpy.correction.standardization import SingularInnovationError, group_scaling, is_cancelled, singular
+
+__all__ = [
+    "NotPositiveDefiniteError",
+    "SingularInnovationError",
+    "correct",
+    "correct_by_custom",
+    "embed_block",
+    "innovation_moments",
+    "nothing_observed",
+]
 
 _DEFAULT = Choices()
+_LARGEST = sys.float_info.max
+
+
+# LinAlgError is a ValueError from numpy 1.25 on.
+class NotPositiveDefiniteError(np.linalg.LinAlgError, ValueError):
+    """Say that scaling "unit" would make P indefinite: it is a filter only while H P H' < 1."""
+
+
+def innovation_moments(P: Array, H: Array, R: Array, M: Array | None = None) -> tuple[Array, Array]:
+    """Return C = P H' + M and S = H P H' + H M + M' H' + R.
+
+    Parameters
+    ----------
+    P : ndarray, shape (n, n)
+        Covariance of the state.
+    H : ndarray, shape (m, n)
+        Measurement matrix.
+    R : ndarray, shape (m, m)
+        Measurement noise covariance.
+    M : ndarray, shape (n, m), optional
+        Covariance of the state's error and the measurement noise.
+
+    Returns
+    -------
+    C : ndarray, shape (n, m)
+        Covariance of state and innovation.
+    S : ndarray, shape (m, m)
+        Covariance of the innovation.
+    """
+    C = P.dot(H.T)
+    S = H.dot(C) + R
+    if M is not None:
+        C = C + M
+        HM = H.dot(M)
+        S += HM + HM.T
+    return C, S
 
 
 def correct(
     x: Array,
     P: Array,
     y: Array,
-    H: Array,
-    R: Array,
+    C: Array,
+    S: Array,
     choices: Choices = _DEFAULT,
-    M: Array | None = None,
-    inv: Inverse | None = None,
+    widths: Array | None = None,
+    skip_singular: bool = False,
 ) -> Correction:
     """Correct a state by an innovation whose influence is bounded.
-
-    x+ = x + C T' psi(T y) and P+ = P - C T' D T C' (paper 26-28, 37-39, 42-44, 47-49).
 
     Parameters
     ----------
@@ -45,18 +97,16 @@ def correct(
         Prior covariance.
     y : ndarray, shape (m,)
         Innovation z - H x; NaN marks a missing component.
-    H : ndarray, shape (m, n)
-        Measurement matrix.
-    R : ndarray, shape (m, m)
-        Measurement noise covariance, positive definite.
+    C : ndarray, shape (n, m)
+        Covariance of the state and the innovation, P H' for a linear sensor.
+    S : ndarray, shape (m, m)
+        Covariance of the innovation, H P H' + R.
     choices : Choices
         Influence function, scaling, information, grouping.
-    M : ndarray, shape (n, m), optional
-        Covariance of the state's error and the measurement noise; then C = P H' + M and
-        S = H P H' + H M + M' H' + R.
-    inv : callable, optional
-        What inverts S, such as `numpy.linalg.pinv`; T'T is then inv(S). By default a singular S is an
-        error.
+    widths : ndarray, shape (m,), optional
+        s, the spread of each sensor's standardized innovations; 1 if not given.
+    skip_singular : bool, default False
+        Whether a sensor that the ones before it determine is left out; by default it is an error.
 
     Returns
     -------
@@ -67,46 +117,246 @@ def correct(
     NotPositiveDefiniteError
         If scaling is "unit" and P+ would be indefinite.
     SingularInnovationError
-        If S is singular and inv is not given.
+        If S is not positive definite and skip_singular is False.
 
     Examples
     --------
-    >>> c = correct(np.zeros(1), np.eye(1), np.array([100.0]), np.eye(1), np.eye(1))
+    >>> one = np.eye(1)
+    >>> c = correct(np.zeros(1), one, np.array([100.0]), one, 2.0 * one)
     >>> c.x.round(3), c.P, c.clipped
     (array([0.951]), array([[1.]]), array([ True]))
     """
-    if sum(map(abs, y.tolist())) < SAFE:
-        return correct_observed(x, P, y, H, R, choices, M, inv).as_arrays()
-    part = np.flatnonzero(y == y)
-    if part.size == y.size:
-        return correct_observed(x, P, y, H, R, choices, M, inv, small=False).as_arrays()
-    _, S = innovation_moments(P, H, R, M)
-    if part.size == 0:
-        return nothing_observed(x, P, S, y.size)
-    M = None if M is None else M[:, part]
-    some = correct_observed(x, P, y[part], H[part], R[np.ix_(part, part)], choices, M, inv, small=False)
-    return _embed(some.as_arrays(), part, S)
+    m = len(y)
+    # Copies: they are conditioned in place. What is unsymmetric in P is rounding, which no correction damps and a state
+    # that grows multiplies.
+    halves = 0.5 * P + 0.5 * P.T
+    joint = _Joint(x.astype(float), halves, y.astype(float), C.astype(float), S.astype(float), np.eye(m))
+    seen = _Seen(np.zeros(m), np.full(m, np.nan), np.full(m, np.nan), np.zeros(m), np.zeros((m, m)))
+    s = np.ones(m) if widths is None else widths
+    left, order, log_density = choices.groups(y, C, S, P), [], 0.0
+    with np.errstate(over="ignore", under="ignore"):
+        while left:
+            judged = [_judge(group, joint, S, choices, s, skip_singular) for group in left]
+            chosen = min(range(len(left)), key=lambda k: judged[k].key)
+            group, step = left.pop(chosen), judged[chosen]
+            order.append(group)
+            if step.T is None:
+                # What the sensors before it determine teaches nothing.
+                seen.e[group], seen.weights[group], seen.psi_deriv[group] = 0.0, 1.0, 1.0
+                continue
+            log_density += log_density_of_group(joint.y[group], joint.S[np.ix_(group, group)], choices)
+            seen.note(group, step, joint.W[:, group] @ step.T.T)
+            joint.condition(group, step.T, step.psi, step.D)
+    if choices.scaling == "unit":
+        _require_positive(joint.P, P)
+    y = np.where(np.isnan(y), 0.0, y)
+    return Correction(
+        joint.x, joint.P, np.array(C), y, np.array(S), seen.score, seen.information, seen.e, seen.weights,
+        seen.psi_deriv, tuple(map(tuple, order)), choices.scaling, log_density,
+    )  # fmt: skip
 
 
-def correct_observed(
+def correct_by_custom(
+    memory: Array,
     x: Array,
     P: Array,
     y: Array,
-    H: Array,
+    C: Array,
+    S: Array,
     R: Array,
     choices: Choices,
-    M: Array | None = None,
-    inv: Inverse | None = None,
-    small: bool = True,
-) -> Observed:
-    """Correct by a complete measurement. small: every |y_i| < SAFE, so that T y cannot overflow."""
-    C, S = innovation_moments(P, H, R, M)
-    T, SI, whitening_defect = standardize(S, choices.scaling, inv)
-    e = T.dot(y) if small else standardized(T, y)
-    psi, D, psi_deriv = choices.apply_influence(e, None if choices.grouping == "component" else H.any(axis=1))
-    G = C.dot(T.T)
-    x_post = x + G.dot(psi)
-    P_post = posterior_covariance(P, H, R, G, T, D, whitening_defect, M)
-    if choices.scaling == "unit":
-        _require_positive(P_post, D, S - R)
-    return Observed(x_post, P_post, C, y, S, SI, T, e, psi, psi_deriv)
+    H: Array | None = None,
+    skip_singular: bool = False,
+) -> Correction:
+    """Correct a state under scaling "learnt": judge each sensor by the custom of its own innovations, and learn it.
+
+    Parameters
+    ----------
+    memory : ndarray, shape (m, 6)
+        What is known of the sensors, from `robust_filterpy.correction.spread.begin` or the correction before.
+    x, P, y, C, S, choices, skip_singular
+        As in `correct`.
+    R : ndarray, shape (m, m)
+        The part of S that is measurement noise.
+    H : ndarray, shape (m, n), optional
+        Measurement matrix, where there is one; else that of the regression of y on x serves where P must grow.
+
+    Returns
+    -------
+    Correction
+        With ``memory`` as it is afterwards. Where P has grown, C and S are those of the grown P; what a sensor is
+        charged as noise of its own is in neither.
+    """
+    found = spread.prepared(memory, y, S, R, C, P)
+    if (found.growth > 1.0).any():
+        grown = P * np.outer(found.growth, found.growth)
+        H = np.linalg.lstsq(P, C, rcond=None)[0].T if H is None else H
+        gained = (grown - P) @ H.T
+        P, C, S = grown, C + gained, S + H @ gained
+    charged = S + np.diag(found.charge) if found.charge.any() else S
+    last = correct(x, P, y, C, charged, choices, found.spread(S), skip_singular)
+    rest = np.where(np.isnan(y), np.nan, last.y - (S - R) @ last.score)
+    return last._replace(S=np.array(S), memory=spread.after(found.memory, rest))
+
+
+class _Seen(NamedTuple):
+    """What has become of each sensor, arrays of shape (m,) that are filled one sensor after the other."""
+
+    e: Array
+    weights: Array
+    psi_deriv: Array
+    score: Array
+    """v in x+ = x + C v, C as it was before."""
+    information: Array
+    """B in P+ = P - C B C', shape (m, m)."""
+
+    def note(self, group: list[int], step: _Step, rows: Array) -> None:
+        """Write down what became of a group; rows: its columns of T', in terms of the innovations as they were."""
+        self.e[group], self.weights[group], self.psi_deriv[group] = step.e, step.weights, step.psi_deriv
+        self.score[:] += rows @ step.psi
+        self.information[:] += rows @ step.D @ rows.T
+
+
+class _Step(NamedTuple):
+    """How a group would be corrected by if it came next; k sensors."""
+
+    key: tuple[float, ...]
+    """How implausible its innovation is, and its length: the least comes first."""
+    T: Array | None
+    """Scaling of the group, shape (k, k); None where its innovation is nothing but rounding."""
+    e: Array
+    psi: Array
+    """s psi(e / s), shape (k,)."""
+    D: Array
+    """Information, shape (k, k)."""
+    weights: Array
+    psi_deriv: Array
+
+
+def _judge(group: list[int], joint: _Joint, S: Array, choices: Choices, widths: Array, skip_singular: bool) -> _Step:
+    """Return how a group would be corrected by, given the ones before it."""
+    block = joint.S[np.ix_(group, group)]
+    if is_cancelled(block, S.diagonal()[group]):
+        if not skip_singular:
+            # Under "unit" the sensors before this one may have taken more than there was.
+            told_apart = choices.scaling == "unit" and (block.diagonal() < 0.0).any() and (S.diagonal() > 0.0).all()
+            raise _indefinite() if told_apart else singular(S, block)
+        nothing = np.zeros(len(group))
+        return _Step((math.inf, math.inf), None, nothing, nothing, nothing, nothing, nothing)
+    T, s = group_scaling(block, choices.scaling), float(widths[group].max())
+    e = np.clip(T @ joint.y[group], -_LARGEST, _LARGEST)
+    psi, D, weights, psi_deriv, length = choices.influence_on(e, s)
+    return _Step(_key(length / s, length), T, e, psi, D, weights, psi_deriv)
+
+
+def _key(*sizes: float) -> tuple[float, ...]:
+    """Return what is compared between sensors: rounding must not choose the order of those that are equal."""
+    return tuple(float(np.float32(min(size, 1e38))) for size in sizes)
+
+
+class _Joint(NamedTuple):
+    """The Gaussian vector of the state and the innovations that are left, given those that were taken."""
+
+    x: Array
+    P: Array
+    y: Array
+    C: Array
+    S: Array
+    W: Array
+    """What is left of C, and of S's columns, is C W as it was before."""
+
+    def condition(self, group: list[int], T: Array, psi: Array, D: Array) -> None:
+        """Condition everything on one group."""
+        g, q, w = self.C[:, group] @ T.T, self.S[:, group] @ T.T, self.W[:, group] @ T.T
+        self.x[:] += g @ psi
+        self.y[:] -= q @ psi
+        informed = q @ D
+        # D is symmetric; the products are written so that P and S stay so to the last bit.
+        self.P[:] -= _product(g, D)
+        self.C[:] -= g @ informed.T
+        self.W[:] -= w @ informed.T
+        self.S[:] -= _product(q, D)
+
+
+def _product(g: Array, D: Array) -> Array:
+    """Return g D g', symmetric to the last bit."""
+    if g.shape[1] == 1:
+        return D[0, 0] * (g * g.T)
+    product = g @ D @ g.T
+    return 0.5 * (product + product.T)
+
+
+def _require_positive(P: Array, prior: Array) -> None:
+    """Raise if scaling "unit" made P indefinite, or singular where it was not."""
+    if not P.size:
+        return
+    least = np.linalg.eigvalsh(P)[0]
+    if least < -1e-13 * np.abs(P).max() or (least <= 0.0 < np.linalg.eigvalsh(prior)[0]):
+        raise _indefinite()
+
+
+def _indefinite() -> NotPositiveDefiniteError:
+    """Return the error of a "unit" correction that would make P indefinite."""
+    return NotPositiveDefiniteError(
+        'scaling="unit" would make P indefinite: it needs H P H\' < 1 in the unit of the measurement squared; '
+        'use scaling="bounded" or "innovation", a smaller P, or a larger unit of measurement'
+    )
+
+
+def nothing_observed(x: Array, P: Array, S: Array, m: int) -> Correction:
+    """Return the correction by a measurement that is missing altogether.
+
+    Parameters
+    ----------
+    x, P : ndarray, shape (n,), (n, n)
+        The state, which stays.
+    S : ndarray, shape (m, m)
+        Innovation covariance to show.
+    m : int
+        Number of sensors.
+
+    Returns
+    -------
+    Correction
+    """
+    zero, none = np.zeros(m), np.full(m, np.nan)
+    square = np.zeros((m, m))
+    return Correction(x, P, np.zeros((len(P), m)), zero, S, zero, square, zero, none, none, (), "innovation", 0.0)
+
+
+def embed_block(before: Any, some: Correction, start: int, m: int) -> Correction:
+    """Put the correction by one block of a measurement beside those by the blocks before it.
+
+    Parameters
+    ----------
+    before : Correction or None
+        By the blocks before.
+    some : Correction
+        By this block.
+    start : int
+        Its place among the m sensors.
+    m : int
+        Number of sensors.
+
+    Returns
+    -------
+    Correction
+        By all of them; blocks are uncorrelated in its S.
+    """
+    n, k = len(some.P), len(some.y)
+    if before is None or before.S.shape != (m, m) or before.C.shape != (n, m):
+        before = nothing_observed(some.x, some.P, np.zeros((m, m)), m)
+    part = slice(start, start + k)
+    S, information, C = before.S.copy(), before.information.copy(), before.C.copy()
+    for whole, block in ((S, some.S), (information, some.information)):
+        whole[part], whole[:, part] = 0.0, 0.0
+        whole[part, part] = block
+    C[:, part] = some.C
+    vectors: dict[str, Any] = {}
+    for name in ("y", "score", "e", "weights", "psi_deriv"):
+        vectors[name] = np.array(getattr(before, name), dtype=float)
+        vectors[name][part] = getattr(some, name)
+    mine = set(range(start, start + k))
+    order = tuple(group for group in before.order if not mine & set(group))
+    order += tuple(tuple(start + i for i in group) for group in some.order)
+    return some._replace(S=S, C=C, information=information, order=order, **vectors)

@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from robust_filterpy._checks import Array
+from robust_filterpy.correction.copies import collapse
 from robust_filterpy.correction.whitening import Inverse, standardize
 
-__all__ = ["EachCorrection", "Hypothesis", "Merged", "collapse", "correct_each", "merge"]
+__all__ = ["EachCorrection", "Hypothesis", "Merged", "correct_each", "merge"]
 
 _LOG_2PI = math.log(2.0 * math.pi)
 # Standard deviations of the widest hypothesis up to which an innovation counts as what it is. Beyond, no part of
@@ -121,38 +122,6 @@ def correct_each(
         mixed = I_KH @ M @ np.swapaxes(K, -1, -2)
         after = after - mixed - np.swapaxes(mixed, -1, -2)
     return EachCorrection((C @ pulls[..., None])[..., 0], after, log_densities, y, pulls, inverses)
-
-
-def collapse(probabilities: Array, means: Array, covariances: Array) -> tuple[Array, Array]:
-    """Return mean and covariance of a mixture, over the last axis of probabilities.
-
-    Parameters
-    ----------
-    probabilities : ndarray, shape (..., h)
-        Weights, with sum 1.
-    means : ndarray, shape (..., h, n)
-        Means of the parts.
-    covariances : ndarray, shape (..., h, n, n)
-        Their covariances.
-
-    Returns
-    -------
-    mean : ndarray, shape (..., n)
-        Overall mean.
-    covariance : ndarray, shape (..., n, n)
-        Overall covariance, that of the means among each other included.
-
-    Examples
-    --------
-    >>> mean, covariance = collapse(np.array([0.5, 0.5]), np.array([[-1.0], [1.0]]), np.ones((2, 1, 1)))
-    >>> mean, covariance
-    (array([0.]), array([[2.]]))
-    """
-    weights = probabilities[..., None]
-    mean = (weights * means).sum(axis=-2)
-    apart = means - mean[..., None, :]
-    within = (weights[..., None] * covariances).sum(axis=-3)
-    return mean, within + np.swapaxes(apart * weights, -1, -2) @ apart
 
 
 def normalized(logs: Array) -> tuple[Array, float]:

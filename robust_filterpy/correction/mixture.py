@@ -147,7 +147,7 @@ class ContaminatedScore:
         """Variance of the mixture over that of the ordinary samples."""
         return 1.0 + self.contamination * (self.scale_ratio**2 - 1.0)
 
-    def patterns(self, dim: int, grouping: str = "joint") -> list[tuple[float, Array]]:
+    def patterns(self, dim: int, grouping: Any = "joint") -> list[tuple[float, Array]]:
         """Return every hypothesis of which components are outliers.
 
         Parameters

@@ -6,7 +6,7 @@ import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
@@ -18,15 +18,17 @@ from robust_filterpy.influence.information import expected_information, expected
 
 __all__ = ["GROUPINGS", "INFORMATIONS", "SCALINGS", "Choices", "Grouping", "Information", "Scaling"]
 
-Scaling: TypeAlias = Literal["innovation", "unit", "bounded"]
+Scaling: TypeAlias = Literal["learnt", "innovation", "unit", "bounded"]
 Information: TypeAlias = Literal["realized", "expected", "weight"]
-Grouping: TypeAlias = Literal["component", "joint"]
-SCALINGS: Final[tuple[Scaling, ...]] = ("innovation", "unit", "bounded")
+Grouping: TypeAlias = Literal["component", "joint"] | tuple[tuple[int, ...], ...]
+SCALINGS: Final[tuple[Scaling, ...]] = ("learnt", "innovation", "unit", "bounded")
 INFORMATIONS: Final[tuple[Information, ...]] = ("realized", "expected", "weight")
-GROUPINGS: Final[tuple[Grouping, ...]] = ("component", "joint")
+GROUPINGS: Final[tuple[str, ...]] = ("component", "joint")
 
 # Above this a third-party psi may overflow: norms of statsmodels take the eighth power of e.
 _BEARABLE = 1e30
+# Below this correlation with every state a sensor is one that the state has no part in.
+_NO_PART = 1e-12
 
 
 @dataclass(frozen=True)
@@ -37,12 +39,14 @@ class Choices:
     ----------
     influence : Influence, default Huber(1.345)
         psi, with its rho, psi_deriv and weights.
-    scaling : {"innovation", "unit", "bounded"}
-        T in e = T y: S^(-1/2) (paper 36), I (42), or S^(-1/2) with the eigenvalues of S floored at 1.
+    scaling : {"learnt", "innovation", "unit", "bounded"}
+        t in e = t y, sensor by sensor: S_ii^(-1/2) with thresholds in units of what that is usually, S_ii^(-1/2) with
+        thresholds as they are (paper 36), 1 (42), or 1/sqrt(max(S_ii, 1)).
     information : {"realized", "expected", "weight"}
         d in P+ = P - C T' D T C': psi'(e) (46, 49), E[psi'] (40, 45), or psi(e)/e; clipped to [0, 1].
-    grouping : {"component", "joint"}
-        psi of each component of e, or of its length.
+    grouping : {"component", "joint"} or tuple of tuple of int
+        Which sensors fail together: none, all, or those named, such as ``((0, 1), (2,))``; sensors in no tuple fail
+        on their own.
 
     Raises
     ------
@@ -71,7 +75,7 @@ class Choices:
             )
         _checks.option("scaling", self.scaling, SCALINGS)
         _checks.option("information", self.information, INFORMATIONS)
-        _checks.option("grouping", self.grouping, GROUPINGS)
+        object.__setattr__(self, "grouping", checked_grouping(self.grouping))
 
     def changed(self, **choice: Any) -> Choices:
         """Return the same choices but for the ones given."""
@@ -109,31 +113,87 @@ class Choices:
         """E[psi'] clipped to [0, 1] (paper 40, 45)."""
         return min(max(expected_information(self.influence), 0.0), 1.0)
 
-    def apply_influence(self, e: Array, visible: Any = None) -> tuple[Array, Array | list[float], list[float]]:
-        """Apply psi to a standardized innovation.
+    def groups(self, y: Array, C: Array, S: Array, P: Array) -> list[list[int]]:
+        """Return which sensors fail together, those that were observed.
 
         Parameters
         ----------
-        e : ndarray, shape (m,)
-            Standardized innovation, finite.
-        visible : ndarray of bool, shape (m,), optional
-            For joint grouping: the components that the state has a part in. The length is taken over these;
-            the others, which cannot tell the state anything, are treated one by one.
+        y : ndarray, shape (m,)
+            Innovation; NaN marks a missing component.
+        C : ndarray, shape (n, m)
+            Covariance of the state and the innovation.
+        S : ndarray, shape (m, m)
+            Innovation covariance.
+        P : ndarray, shape (n, n)
+            Covariance of the state.
 
         Returns
         -------
-        psi : ndarray, shape (m,)
-            psi(e).
-        D : list of m floats, or ndarray, shape (m, m)
-            Information: its diagonal, or the matrix if that is not diagonal.
-        psi_deriv : list of m floats
-            psi'(e); for joint grouping psi'(\\|e\\|) in every place.
+        list of list of int
+            A sensor that the state has no part in can tell the state nothing, and is in a group of its own: its
+            innovation would only lengthen the others'.
         """
+        m = len(y)
+        seen = (y == y).tolist()
         if self.grouping == "component":
-            return self._componentwise(e)
-        if visible is None or visible.all():
-            return self._jointly(e)
-        return self._jointly_where(e, visible)
+            return [[i] for i in range(m) if seen[i]]
+        named = (tuple(range(m)),) if self.grouping == "joint" else self.grouping
+        # Sigma points leave rounding, not zeros.
+        unit = np.sqrt(np.outer(np.maximum(P.diagonal(), 0.0), np.maximum(S.diagonal(), 0.0)))
+        visible = (np.abs(C) > _NO_PART * unit).any(axis=0).tolist()
+        together = [[i for i in group if i < m and seen[i] and visible[i]] for group in named]
+        alone = set(range(m)) - {i for group in together for i in group}
+        return [group for group in together if group] + [[i] for i in sorted(alone) if seen[i]]
+
+    def influence_on(self, e: Array, s: float) -> tuple[Array, Array, Array, Array, float]:
+        """Apply psi to the standardized innovation of a group of sensors, with its threshold in units of s.
+
+        Parameters
+        ----------
+        e : ndarray, shape (k,)
+            Standardized innovation, finite.
+        s : float
+            Spread of this group's standardized innovations.
+
+        Returns
+        -------
+        psi : ndarray, shape (k,)
+            s psi(e/s); for a group, psi of the length in the direction of e.
+        D : ndarray, shape (k, k)
+            Information, symmetric, its eigenvalues in [0, 1]: psi' for one sensor; for a group the Jacobian of psi, its
+            mean, or psi(|e|)/|e| times I.
+        weights : ndarray, shape (k,)
+            psi(e)/e.
+        psi_deriv : ndarray, shape (k,)
+            psi'(e); for a group psi'(|e|) in every place.
+        length : float
+            How far out the group is: |e| over the median of what its length is without outliers, times that of one.
+        """
+        k = len(e)
+        # One sensor keeps its sign, for a psi that is not odd.
+        size, direction = (float(e[0]), np.ones(1)) if k == 1 else length_and_direction(e)
+        along, psi_deriv = self._psi_of(size / s)
+        weight = along / (size / s) if size != 0.0 else 1.0
+        if self.information == "expected":
+            across = radial = _bounded(self.expected if k == 1 else expected_joint_information(self.influence, k))
+        else:
+            across = _bounded(weight)
+            radial = _bounded(psi_deriv) if self.information == "realized" and size != 0.0 else across
+        if k == 1:
+            D = np.array([[radial]])
+        else:
+            D = across * np.eye(k) + (radial - across) * np.outer(direction, direction)
+        # An innovation that is not bounded stays as it is to the last bit.
+        psi = e if weight == 1.0 else s * along * direction
+        return psi, D, np.full(k, weight), np.full(k, psi_deriv), abs(size) * typical_length(k)
+
+    def _psi_of(self, length: float) -> tuple[float, float]:
+        """Return psi and psi' of one number."""
+        if self.pointwise is not None:
+            function, a, b, c = self.pointwise
+            return function(length, a, b, c)
+        at = np.array([length])
+        return self.evaluated("psi", at).item(), self.evaluated("psi_deriv", at).item()
 
     def evaluated(self, name: str, e: Array) -> Array:
         """Return rho, psi or psi_deriv of e, shape (m,), by the influence function's own vectorised method.
@@ -164,75 +224,51 @@ class Choices:
             )
         return found
 
-    def _componentwise(self, e: Array) -> tuple[Array, list[float], list[float]]:
-        """Apply psi to each component."""
-        if self.pointwise is not None and len(e) <= 8:
-            function, a, b, c = self.pointwise
-            values, moved, psi_deriv = e.tolist(), [], []
-            for value in values:
-                p, d = function(value, a, b, c)
-                moved.append(p)
-                psi_deriv.append(d)
-            psi = e if moved == values else np.array(moved)
-        else:
-            psi, psi_deriv = self.evaluated("psi", e), self.evaluated("psi_deriv", e).tolist()
-        if self.information == "expected":
-            return psi, [self.expected] * len(e), psi_deriv
-        D = psi_deriv if self.information == "realized" else ratio(psi, e).tolist()
-        if D.count(1.0) + D.count(0.0) < len(D):
-            D = [min(max(d, 0.0), 1.0) for d in D]
-        return psi, D, psi_deriv
 
-    def _jointly(self, e: Array) -> tuple[Array, Array | list[float], list[float]]:
-        """Apply psi to the length: psi(e) = w(|e|) e, D its Jacobian, its mean, or w I."""
-        m = e.size
-        length, direction = length_and_direction(e)
-        along, psi_deriv, across, radial = self.apply_to_length(length, m)
-        if across == radial:
-            return along * direction, [across] * m, [psi_deriv] * m
-        column = direction[:, None]
-        D = (radial - across) * column.dot(column.T)
-        D.ravel()[:: m + 1] += across
-        return along * direction, D, [psi_deriv] * m
+def checked_grouping(value: Any) -> Any:
+    """Return a grouping as a string or a tuple of tuples of int, or raise.
 
-    def apply_to_length(self, length: float, m: int) -> tuple[float, float, float, float]:
-        """Apply psi to the length of several components.
+    Parameters
+    ----------
+    value : {"component", "joint"} or sequence of sequence of int
+        As a user gives it.
 
-        Parameters
-        ----------
-        length : float
-            Length of e, >= 0.
-        m : int
-            How many components it is taken over.
+    Returns
+    -------
+    str or tuple of tuple of int
 
-        Returns
-        -------
-        psi, psi_deriv : float
-            psi and psi' of the length.
-        across, along : float
-            Eigenvalues of D: of the directions across e, and of that along e.
-        """
-        if self.pointwise is not None:
-            function, a, b, c = self.pointwise
-            along, psi_deriv = function(length, a, b, c)
-        else:
-            at = np.array([length])
-            along, psi_deriv = self.evaluated("psi", at).item(), self.evaluated("psi_deriv", at).item()
-        if self.information == "expected":
-            across = min(max(expected_joint_information(self.influence, m), 0.0), 1.0)
-        else:
-            across = min(max(along / length, 0.0), 1.0) if length > 0.0 else 1.0
-        radial = min(max(psi_deriv, 0.0), 1.0) if self.information == "realized" and length > 0.0 else across
-        return along, psi_deriv, across, radial
+    Raises
+    ------
+    TypeError, ValueError
+        If it is neither, or names a sensor twice or by a negative number.
+    """
+    if isinstance(value, str):
+        return _checks.option("grouping", value, GROUPINGS)
+    try:
+        groups = tuple(tuple(_checks.count("grouping", i) for i in group) for group in value)
+    except TypeError:
+        raise TypeError(
+            f"grouping: expected 'component', 'joint' or groups of sensors such as ((0, 1), (2,)), got {value!r}"
+        ) from None
+    sensors = [i for group in groups for i in group]
+    if len(set(sensors)) < len(sensors) or not all(groups):
+        raise ValueError(f"grouping: expected groups of sensors that name each sensor once, got {value!r}")
+    return groups
 
-    def _jointly_where(self, e: Array, visible: np.ndarray) -> tuple[Array, Array, list[float]]:
-        """Take the visible components together and the others one by one."""
-        psi, diagonal, derivatives = self._componentwise(e.copy())
-        D, psi_deriv = np.diag(diagonal), np.array(derivatives)
-        if visible.any():
-            psi[visible], together, psi_deriv[visible] = self._jointly(e[visible])
-            D[np.ix_(visible, visible)] = np.diag(together) if isinstance(together, list) else together
-        return psi, D, psi_deriv.tolist()
+
+@lru_cache(maxsize=64)
+def typical_length(k: int) -> float:
+    """Return the median of \\|e\\| for one sensor over that for k, without outliers."""
+    if k == 1:
+        return 1.0
+    from scipy import stats
+
+    return float(stats.chi.median(1) / stats.chi.median(k))
+
+
+def _bounded(number: float) -> float:
+    """Return a number clipped to [0, 1]."""
+    return min(max(number, 0.0), 1.0)
 
 
 def length_and_direction(e: Array) -> tuple[float, Array]:
@@ -243,11 +279,3 @@ def length_and_direction(e: Array) -> tuple[float, Array]:
     relative = e / peak
     length = math.sqrt(relative.dot(relative))
     return min(peak * length, sys.float_info.max), relative / length
-
-
-def ratio(psi: Array, e: Array) -> Array:
-    """Return psi/e, 1 where e = 0."""
-    weights = np.ones_like(e)
-    with np.errstate(under="ignore"):
-        np.divide(psi, e, out=weights, where=e != 0.0)
-    return weights

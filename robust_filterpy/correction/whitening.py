@@ -10,17 +10,13 @@ import numpy as np
 from scipy.linalg import lapack
 
 from robust_filterpy._checks import Array
+from robust_filterpy.correction.standardization import SingularInnovationError
 
 Inverse = Callable[[Array], Array]
 _LARGEST = sys.float_info.max
 _EPS = sys.float_info.epsilon
 # Up to here a product with T does not overflow.
 SAFE = 1e150
-
-
-# LinAlgError is a ValueError from numpy 1.25 on.
-class SingularInnovationError(np.linalg.LinAlgError, ValueError):
-    """Say that the innovation covariance S has no inverse."""
 
 
 def standardize(S: Array, scaling: str, inv: Inverse | None = None) -> tuple[Array, Array | None, Array | None]:

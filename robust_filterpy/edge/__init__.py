@@ -2,9 +2,9 @@
 
 * `export`: what a user calls.
 * `filter_model`, `tracker_model`: from a filter, or a tracker, to what the file holds, or why it cannot.
-* `template`: the C of ``templates``, with what a filter does not need left out.
+* `template`: the C of ``templates``; a filter's is the headers of `robust_filterpy.kernel` and a few lines beside them.
 
-Imports from below: `correction.options`, `compiled.dispatch`, `filters`, `identification`.
+Imports from below: `correction`, `kernel`, `filters`, `identification`.
 """
 
 from __future__ import annotations

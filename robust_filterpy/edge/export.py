@@ -7,17 +7,19 @@ import re
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
-from robust_filterpy import _checks
+from robust_filterpy import _checks, kernel
 from robust_filterpy._version import __version__
 from robust_filterpy.edge.filter_model import described_filter, influence_declarations
 from robust_filterpy.edge.template import REALS, Described, comment, rendered, table
 from robust_filterpy.edge.tracker_model import described_tracker
 from robust_filterpy.filters.kalman import RobustKalmanFilter
-from robust_filterpy.identification import ParameterTracker
+from robust_filterpy.identification import Model, ParameterTracker
 
 __all__ = ["Exported", "Precision", "export_c"]
 
 Precision: TypeAlias = Literal["double", "single"]
+
+_HEADERS = ("real", "psi", "prediction", "correction", "spread", "update")
 
 
 class Exported(NamedTuple):
@@ -34,7 +36,7 @@ def export_c(
 ) -> Exported:
     """Write one C99 file and its header that step exactly this filter or tracker, from its present state.
 
-    The C predicts and corrects as `RobustKalmanFilter` does, with its psi, scaling, information and grouping, or takes
+    The C predicts and corrects as `RobustKalmanFilter` does, with its psi, scaling and information, or takes
     a sample as `ParameterTracker.update` does. It allocates nothing, needs no library but math.h, and says by a status
     what Python says by an exception; a refused call changes nothing there either. NaN in a measurement is a missing
     component, an infinite one is refused.
@@ -92,7 +94,8 @@ def export_c(
         )
     values = {
         **found.values, "title": comment(found.title), "name": name, "NAME": name.upper(), "real": REALS[precision],
-        "version": __version__, "influence_fields": influence_declarations(choices, name),
+        "largest": "1e150" if precision == "double" else "1e15", "version": __version__,
+        "influence_fields": influence_declarations(choices, name),
     }  # fmt: skip
     exported = Exported(source, source.with_suffix(".h"))
     texts = (_code(found, values, name, precision), _tidy(rendered(header, found.sections, values)))
@@ -109,7 +112,17 @@ def _code(found: Described, values: dict[str, str], name: str, precision: str) -
         table(f"const {name}_state {name}_start", found.start, precision),
     )
     preamble, *rest = (rendered(part, sections, values) for part in ("preamble.c", *found.parts))
+    if found.parts == ("filter.c",):
+        define = "#define ROBUST_FILTERPY_FLOAT\n" if precision == "single" else ""
+        preamble = f'/*\n * {values["title"]}\n *\n * See {name}.h.\n */\n#include "{name}.h"\n\n{define}\n{_kernel()}'
     return _tidy("\n".join([preamble, *tables, *rest]))
+
+
+def _kernel() -> str:
+    """Return the kernel's headers, each as it is but for its includes of the others."""
+    room = Path(kernel.__file__).parent
+    texts = ((room / f"{header}.h").read_text(encoding="ascii") for header in _HEADERS)
+    return "\n".join(re.sub(r'^#include "\w+\.h"\n', "", text, flags=re.M) for text in texts)
 
 
 def _tidy(text: str) -> str:
@@ -150,6 +163,8 @@ def _remedy(model: Any) -> str:
             "export a RobustKalmanFilter with the same x, P, F, H, Q, R and B; with influence=Linear() it is the plain "
             "Kalman filter"
         )
+    if isinstance(model, Model):
+        return "export a tracker that goes on from it, ParameterTracker(model)"
     if hasattr(model, "tracker"):
         return "export a tracker of it, model.tracker(..)"
     return "export a RobustKalmanFilter with constant matrices in its place"

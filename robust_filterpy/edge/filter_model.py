@@ -9,8 +9,8 @@ import numpy as np
 from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array
-from robust_filterpy.compiled.dispatch import can_compile, encoded
 from robust_filterpy.correction.options import Choices
+from robust_filterpy.correction.spread import begin
 from robust_filterpy.edge.template import Described
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 
@@ -30,8 +30,14 @@ _SLACK: Final = 1e-12
 def described_filter(kf: RobustKalmanFilter, name: str) -> Described:
     """Return what the C of a filter is made of, or raise."""
     require_plain(kf, "model")
+    choices = kf._choices
     x, P = state_of(kf)
     n, m = len(x), kf.dim_z
+    if m > 1 and choices.grouping != "component":
+        raise ValueError(
+            f"grouping: expected 'component', got {choices.grouping!r}: C takes sensor by sensor; "
+            f"set grouping='component' before the export"
+        )
     F, H = finite("F", kf.F, (n, n)), finite("H", kf.H, (m, n))
     B = _control(kf.B, n)
     model: dict[str, Any] = {"F": F}
@@ -42,22 +48,78 @@ def described_filter(kf: RobustKalmanFilter, name: str) -> Described:
         "H": H,
         "R": symmetric("R", noise_covariance(kf.R, None, m)),
     }
-    sections = {"control"} if B is not None else set()
     if kf._alpha_sq != 1.0:
-        sections.add("fading")
         model["alpha_sq"] = kf._alpha_sq
-    model |= influence_fields(kf._choices, m)
-    sections |= choice_sections(kf._choices, m)
-    eigen = m > 2 or (m == 2 and kf.scaling == "bounded")
-    inputs = 0 if B is None else B.shape[1]
+    model |= influence_fields(choices)
+    start = {"x": finite("x", x.ravel(), (n,)), "P": symmetric("P", P)}
+    # Linear, which cannot become anything else at run time, has no thresholds to learn for.
+    if choices.scaling == "learnt" and _kind(choices) != "linear":
+        # Before its first correction a filter remembers no sensor.
+        start["memory"] = finite("memory", kf._memory if len(kf._memory) == m else begin(m), (m, 6))
     return Described(
-        f"{name}: RobustKalmanFilter(dim_x={n}, dim_z={m}), {shown(kf._choices)}",
-        ("psi.c", *(("eigen.c",) if eigen else ()), "whitening.c", "correction.c", "predict.c", "filter.c"),
-        frozenset(sections),
-        {"n": str(n), "m": str(m), "size": str(m), "inputs": str(inputs), "example_u": ", u" if inputs else ""},
-        model,
-        {"x": finite("x", x.ravel(), (n,)), "P": symmetric("P", P)},
-    )
+        f"{name}: RobustKalmanFilter(dim_x={n}, dim_z={m}), {shown(choices)}",
+        ("filter.c",), frozenset(),
+        {"n": str(n), "m": str(m), **_choice_values(choices, name)}
+        | _control_values(0 if B is None else B.shape[1], name)
+        | {
+            "alpha_sq": "REAL(1.0)" if kf._alpha_sq == 1.0 else "model->alpha_sq",
+            "alpha_field": ""
+            if kf._alpha_sq == 1.0
+            else f"    {name}_real alpha_sq; /* P is multiplied by it at each prediction */",
+            "memory_field": f"    {name}_real memory[{m} * 6]; /* what is usual of each sensor's innovations */"
+            if "memory" in start
+            else "",
+        },
+        model, start,
+    )  # fmt: skip
+
+
+def _choice_values(choices: Choices, name: str) -> dict[str, str]:
+    """Return the choices of a filter as the kernel names them."""
+    kind = _kind(choices)
+    learns = choices.scaling == "learnt" and kind != "linear"
+    scaling = f"SCALING_{choices.scaling.upper()}" if learns or choices.scaling != "learnt" else "SCALING_INNOVATION"
+    fields = [f"    rule.psi.{own} = model->{field};" for own, field in zip("abc", _FIELDS[kind], strict=False)]
+    if choices.information == "expected":
+        fields.append("    rule.expected = model->expected;")
+    if learns and kind == "huber":
+        # The definition's way: without a threshold it is the Kalman filter.
+        fields.append("    rule.scaling = real_is_finite(model->threshold) ? SCALING_LEARNT : SCALING_INNOVATION;")
+    return {
+        "kind": f"PSI_{kind.upper()}",
+        "scaling": scaling,
+        "information": f"INFORMATION_{choices.information.upper()}",
+        "rule": "\n".join(fields),
+        "expected_field": f"    {name}_real expected; /* E[psi'], which belongs to the psi above */"
+        if choices.information == "expected"
+        else "",
+        "memory": "(spread_memory *)next.memory" if learns else "NULL",
+    }
+
+
+def _control_values(inputs: int, name: str) -> dict[str, str]:
+    """Return what the C of a filter with so many control inputs has for them."""
+    if not inputs:
+        empty = ("inputs_define", "control_field", "example_u", "predict_parameter", "control", "control_sum")
+        comment = "/* Predict the next state. */"
+        return {**dict.fromkeys(empty, ""), "control_given": "NULL", "predict_comment": comment}
+    return {
+        "inputs_define": f"#define {name.upper()}_INPUTS {inputs}",
+        "control_field": f"    {name}_real B[{name.upper()}_STATES * {inputs}];",
+        "example_u": ", u",
+        "predict_parameter": f", const {name}_real u[{inputs}]",
+        "predict_comment": "/* Predict the next state, with the control input u, or without where u is NULL. */",
+        "control": "    real control[N] = {0};",
+        "control_given": "(u != NULL) ? control : NULL",
+        "control_sum": f"""    for (int k = 0; (k < {inputs}) && (u != NULL); k++) {{
+        if (!real_is_finite(u[k])) {{
+            return {name.upper()}_BAD_ARGUMENT;
+        }}
+        for (int i = 0; i < N; i++) {{
+            control[i] += model->B[i * {inputs} + k] * u[k];
+        }}
+    }}""",
+    }
 
 
 def require_plain(kf: Any, name: str) -> None:
@@ -65,7 +127,7 @@ def require_plain(kf: Any, name: str) -> None:
     wrapped = {"predict", "update"} & vars(kf).keys()
     if wrapped:
         raise ValueError(f"{name}: expected the filter's own {sorted(wrapped)[0]}(), got one that was put in its place")
-    if not can_compile(kf._choices):
+    if kf._choices.pointwise is None or _kind(kf._choices) not in _FIELDS:
         raise ValueError(
             f"influence: expected Huber, Hampel, TukeyBiweight, StudentT or Linear, got {kf.influence!r}, of which "
             f"there is no C; set the nearest of these, such as StudentT(4), before the export"
@@ -76,19 +138,11 @@ def require_plain(kf: Any, name: str) -> None:
         )
 
 
-def choice_sections(choices: Choices, m: int) -> set[str]:
-    """Return the sections of a filter's choices."""
-    joint = {"joint"} if choices.grouping == "joint" and m > 1 else set()
-    count = "alone" if m == 1 else "pair" if m == 2 else "many"
-    return {_kind(choices), choices.scaling, choices.information, count, *joint}
-
-
-def influence_fields(choices: Choices, m: int) -> dict[str, Any]:
+def influence_fields(choices: Choices) -> dict[str, Any]:
     """Return the parameters of psi, and E[psi'] where that is asked for."""
-    code = encoded(choices, m)
-    found: dict[str, Any] = dict(zip(_FIELDS[_kind(choices)], code[1:4].tolist(), strict=False))
+    found: dict[str, Any] = dict(zip(_FIELDS[_kind(choices)], choices.pointwise[1:], strict=False))  # type: ignore[index]
     if choices.information == "expected":
-        found["expected"] = code[7 : 8 + m]
+        found["expected"] = float(choices.expected)
     return found
 
 

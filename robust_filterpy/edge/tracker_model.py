@@ -8,7 +8,6 @@ import numpy as np
 
 from robust_filterpy._arrays import process_noise
 from robust_filterpy.edge.filter_model import (
-    choice_sections,
     finite,
     influence_fields,
     require_plain,
@@ -29,11 +28,8 @@ def described_tracker(tracker: ParameterTracker, name: str) -> Described:
             f"influence=Linear() makes the same tracker with the plain Kalman filter"
         )
     require_plain(kf, "model.filter")
-    if tracker._layout.has_disturbance:
-        raise TypeError(
-            f"model.structure: expected ARX, ARMAX, OutputError, FIR or LinearRegression, got {tracker.structure}; an "
-            "OutputError with the same B and F follows the same plant, with larger errors"
-        )
+    if tracker._layout.na and tracker._layout.nf + tracker._layout.nd:
+        raise TypeError(f"model.structure: expected no A beside an F or D, got {tracker.structure}")
     if tracker._start is not None:
         raise ValueError(
             "model: expected a tracker whose start is over, got one that still looks for a model of its first samples; "
@@ -43,8 +39,16 @@ def described_tracker(tracker: ParameterTracker, name: str) -> Described:
     model, sections = _model(tracker, state)
     start = _start(tracker, state, sections)
     values = _values(tracker)
-    sections |= choice_sections(kf._choices, 1)
-    guard = rendered("guard.c", sections, {}) if {"guarded", "filtered"} & sections else ""
+    choices = kf._choices
+    if choices.scaling == "learnt":
+        raise ValueError(
+            "scaling: expected 'innovation', 'unit' or 'bounded' of a tracker, got 'learnt': R follows the noise; "
+            "set scaling='innovation' before the export"
+        )
+    sections |= {choices.pointwise[0].__name__, choices.scaling, choices.information, "alone"}  # type: ignore[index]
+    guard = ""
+    if {"guarded", "unguarded"} & sections:
+        guard = rendered("guard.c", sections, {name: values[name] for name in ("longest", "stable_calls")})
     several = tracker._layout.n > 1
     still = "random_walk" in sections
     return Described(
@@ -82,7 +86,7 @@ def _model(tracker: ParameterTracker, state: dict[str, Any]) -> tuple[dict[str, 
     if tracker._has_offset:
         sections.add("offset")
         model["centre"] = tracker._centre
-    return model | influence_fields(kf._choices, 1), sections
+    return model | influence_fields(kf._choices), sections
 
 
 def _start(tracker: ParameterTracker, state: dict[str, Any], sections: set[str]) -> dict[str, Any]:
@@ -91,8 +95,8 @@ def _start(tracker: ParameterTracker, state: dict[str, Any], sections: set[str])
     start: dict[str, Any] = {"theta": state["theta"], "P": symmetric("P", state["P"])}
     if "followed" in sections:
         start |= {"R": tracker.R, "R_samples": tracker._scale.samples}
-    if layout.na:
-        sections.add("outputs")
+    if layout.na + layout.nd:
+        sections |= {"outputs"} | ({"whitened"} if layout.nd else set())
         start["outputs"] = state["outputs"]
     if tracker._cleans:
         sections.add("cleaned")
@@ -107,14 +111,17 @@ def _start(tracker: ParameterTracker, state: dict[str, Any], sections: set[str])
         sections.add("external")
     if any(i < structure.n_inputs for i in layout.used.tolist()):
         sections.add("reads_u")
-    if structure.uses_model_output:
-        sections.add("own_output")
-    if layout.order:
-        sections.add("feeds_back")
-        sections |= {tracker.guard} | ({"guarded"} if tracker.guard != "none" else set())
-        if tracker.gradient == "filtered":
-            sections.add("filtered")
-            start["gradients"] = state["gradients"]
+    if layout.nf:
+        sections.add("undisturbed")
+        start["undisturbed"] = state["undisturbed"]
+    if layout.stable and tracker.guard != "none":
+        sections |= {tracker.guard, "guarded"}
+    if layout.is_filtered and tracker.gradient == "filtered":
+        sections |= {"filtered"} | ({"unguarded"} if layout.stable and tracker.guard == "none" else set())
+        for name in ("prefiltered", "gradients"):
+            if state[name].size:
+                sections.add(name)
+                start[name] = state[name]
     return start | {"enabled": int(tracker.enabled)}
 
 
@@ -123,19 +130,26 @@ def _values(tracker: ParameterTracker) -> dict[str, str]:
     layout, structure = tracker._layout, tracker.structure
     names = list(structure.names)
     if tracker._has_offset:
-        names.insert(structure.n_theta - structure.nc, "constant")
+        names.insert(structure.constant_place, "constant")
+    outputs = layout.d if layout.nd else layout.a
+    calls = [f"(is_stable(&theta[{part.start}], {part.stop - part.start}) != 0)" for part in layout.stable]
     newest = [
         f"    inputs[{place}] = {f'u[{i}]' if i < structure.n_inputs else 'REAL(1.0); /* the constant */'};"
         for place, i in zip(layout.starts.tolist(), layout.used.tolist(), strict=True)
     ]
     sizes = {
-        "n": layout.n, "m": 1, "size": layout.n, "na": layout.na, "nc": layout.nc, "length": layout.length,
-        "lags": len(layout.picks), "order": layout.order, "part": layout.part.start,
+        "n": layout.n, "m": 1, "size": layout.n, "na": layout.na + layout.nd, "nc": layout.nc, "nf": layout.nf,
+        "length": layout.length, "lags": len(layout.picks), "rows": max(layout.nf, layout.nd),
+        "outputs_at": outputs.start, "c_at": layout.c.start, "f_at": layout.f.start,
+        "inputs_at": layout.inputs_in_phi[0] if len(layout.inputs_in_phi) else 0,
+        "through_at": layout.through.start, "through_end": layout.through.stop,
+        "longest": max((part.stop - part.start for part in layout.stable), default=1),
         "inputs": structure.n_inputs, "inputs_or_one": max(structure.n_inputs, 1),
     }  # fmt: skip
     return {
         **{name: str(size) for name, size in sizes.items()},
         "names": ", ".join(names),
+        "stable_calls": f"({' && '.join(calls)}) ? 1 : 0",
         "picks": ", ".join(map(str, layout.picks.tolist())),
         "newest_inputs": "\n".join(line.replace("*/;", "*/") for line in newest),
     }

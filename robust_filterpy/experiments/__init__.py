@@ -1,25 +1,15 @@
 """Monte-Carlo studies of estimators.
 
 * `monte_carlo`: repeat a trial with other random numbers, on many processes.
-* `metrics`: what the runs show: errors, ratios, fits, intervals.
+* `metrics`: what the runs show: errors, fits, intervals.
 
 Imports from below: `identification`, for `fit_percent`.
 """
 
 from __future__ import annotations
 
-from robust_filterpy.experiments.monte_carlo import (
-    Failure,
-    Interval,
-    MonteCarloResult,
-    bootstrap_interval,
-    fit_percent,
-    log_squared_error,
-    mean_square_error,
-    monte_carlo,
-    ratio_to,
-    rerun,
-)
+from robust_filterpy.experiments.metrics import Interval, bootstrap_interval, fit_percent, mean_square_error
+from robust_filterpy.experiments.monte_carlo import Failure, MonteCarloResult, monte_carlo, rerun
 
 __all__ = [
     "Failure",
@@ -27,9 +17,7 @@ __all__ = [
     "MonteCarloResult",
     "bootstrap_interval",
     "fit_percent",
-    "log_squared_error",
     "mean_square_error",
     "monte_carlo",
-    "ratio_to",
     "rerun",
 ]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import inspect
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,15 +15,13 @@ from numpy.random import Generator, default_rng
 from numpy.typing import ArrayLike, NDArray
 
 from robust_filterpy import _checks
-from robust_filterpy.identification.validation import fit_percent
+from robust_filterpy.identification.models.fit import fit_percent
 
 __all__ = [
     "Interval",
     "bootstrap_interval",
     "fit_percent",
-    "log_squared_error",
     "mean_square_error",
-    "ratio_to",
 ]
 
 
@@ -68,92 +66,6 @@ def mean_square_error(x_hat: ArrayLike, x: ArrayLike) -> NDArray[np.float64]:
     return squared.sum(axis=tuple(range(2, estimate.ndim))).mean(axis=0)
 
 
-def log_squared_error(theta_hat: ArrayLike, theta: ArrayLike) -> NDArray[np.float64]:
-    """Compute the logarithm of the squared parameter error (section 4 of the paper, MSE).
-
-    ``MSE(k) = ln(||theta_hat(k) - theta(k)||^2)``
-
-    Parameters
-    ----------
-    theta_hat : array_like, shape (..., n)
-        Estimates, such as (steps, n) or (runs, steps, n).
-    theta : array_like, shape (n,), (steps, n) or that of `theta_hat`
-        True parameters: constant, a path common to all runs, or one path for each.
-
-    Returns
-    -------
-    ndarray, shape (...)
-        -inf where the estimate is exact.
-
-    Raises
-    ------
-    ValueError
-        If the shape of `theta` is not that of the last axes of `theta_hat`.
-
-    Notes
-    -----
-    The paper writes "log"; this is the natural logarithm. For several runs the paper does not say what is averaged:
-    the mean of these values is the logarithm of the geometric mean of the squared error, which is less than
-    ``log(mean_square_error(...))``.
-
-    Examples
-    --------
-    >>> log_squared_error([[1.0, 1.0], [0.0, 1.0]], [0.0, 1.0])
-    array([  0., -inf])
-    """
-    estimate, truth = np.asarray(theta_hat, dtype=float), np.asarray(theta, dtype=float)
-    if truth.ndim == 0 or truth.shape != estimate.shape[-truth.ndim :]:
-        raise ValueError(
-            f"theta: expected the last axes of theta_hat, which has shape {estimate.shape}, got {truth.shape}"
-        )
-    with np.errstate(divide="ignore"):
-        return np.log(((estimate - truth) ** 2).sum(axis=-1))
-
-
-def ratio_to(
-    reference: ArrayLike,
-    errors: ArrayLike | Mapping[str, ArrayLike],
-    statistic: str | Callable[..., Any] = "mean",
-) -> Any:
-    """Divide the average error of filters by that of a reference, such as the filter that knows the outliers.
-
-    Parameters
-    ----------
-    reference : array_like, shape (runs, ...)
-        Errors of the reference, run by run.
-    errors : array_like, shape (runs, ...), or a mapping from names to such arrays
-        Errors of the filters compared, in the same runs.
-    statistic : {"mean", "median"} or callable
-        What to average the runs by; a callable takes ``(errors, axis=0)``.
-
-    Returns
-    -------
-    ndarray, shape (...), or dict of such arrays
-        ``statistic(errors) / statistic(reference)``: NaN for 0/0, inf where only the reference is without error.
-
-    Raises
-    ------
-    ValueError
-        If the shapes differ.
-
-    See Also
-    --------
-    bootstrap_interval : with ``statistic="ratio"``, how well the runs determine this.
-
-    Examples
-    --------
-    >>> ratio_to([1.0, 3.0], {"Kalman": [6.0, 4.0], "robust": [2.0, 3.0]})
-    {'Kalman': 2.5, 'robust': 1.25}
-    """
-    if isinstance(errors, Mapping):
-        return {name: ratio_to(reference, error, statistic) for name, error in errors.items()}
-    average = _statistic(statistic, ("mean", "median"))
-    error, base = _same_runs([errors, reference], ["errors", "reference"])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.asarray(np.divide(average(error, axis=0), average(base, axis=0)))
-    return ratio if ratio.ndim else float(ratio)
-
-
 class Interval(NamedTuple):
     """Hold an estimate and its confidence interval; every field has the shape of one run's sample."""
 
@@ -183,7 +95,7 @@ def bootstrap_interval(
         What the runs gave. Several arrays are resampled together, run by run: filters compared on the same
         noise share its luck, and their ratio is far better known than their errors.
     statistic : {"mean", "median", "rms", "ratio"} or callable
-        "ratio" is the mean of the first of two arrays over the mean of the second (`ratio_to`). A callable takes
+        "ratio" is the mean of the first of two arrays over the mean of the second. A callable takes
         as many arrays as there are samples and, to be fast, ``axis``.
     level : float
         Confidence level, between 0 and 1.

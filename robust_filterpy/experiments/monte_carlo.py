@@ -35,27 +35,8 @@ from robust_filterpy.experiments._runs import (
     run_numbers,
 )
 from robust_filterpy.experiments._stacking import stack_leaves
-from robust_filterpy.experiments.metrics import (
-    Interval,
-    bootstrap_interval,
-    fit_percent,
-    log_squared_error,
-    mean_square_error,
-    ratio_to,
-)
 
-__all__ = [
-    "Failure",
-    "Interval",
-    "MonteCarloResult",
-    "bootstrap_interval",
-    "fit_percent",
-    "log_squared_error",
-    "mean_square_error",
-    "monte_carlo",
-    "ratio_to",
-    "rerun",
-]
+__all__ = ["Failure", "MonteCarloResult", "monte_carlo", "rerun"]
 
 
 class Failure(NamedTuple):

@@ -10,10 +10,11 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._arrays import process_noise, state_of
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.missing import scatter
+from robust_filterpy.correction.definition import innovation_moments
 from robust_filterpy.correction.options import Information, Scaling
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.correction.whitening import Inverse, standardize, standardized
+from robust_filterpy.correction.standardization import ordered_scaling
+from robust_filterpy.correction.whitening import Inverse
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 
 
@@ -257,7 +258,7 @@ def finite_product(H: Array, x: Array) -> Array:
 
 
 class ScoreInfluence(NamedTuple):
-    """psi is the score of the innovation in standardized form."""
+    """psi is the score of the innovation."""
 
     score: Array
     """g(y) of the k observed components, shape (k,)."""
@@ -265,9 +266,11 @@ class ScoreInfluence(NamedTuple):
     """Its derivative, shape (k, k)."""
 
     def __call__(self, T: Array, S: Array, e: Array) -> tuple[Array, Array]:
-        """Return psi(e) and psi'(e): T S = T'^-1, so that C T' psi = C g and C T' D T C' = C g' C'."""
+        """Return psi(e)/e and psi'(e): with T S T' = I, psi = T S g so that C T' psi = C g."""
         root = T.dot(S)
-        return root.dot(self.score), np.diag(root.dot(self.information).dot(root.T))
+        psi, weights = root.dot(self.score), np.ones_like(e)
+        np.divide(psi, e, out=weights, where=e != 0.0)
+        return weights, np.diag(root.dot(self.information).dot(root.T))
 
 
 class WeightInfluence(NamedTuple):
@@ -279,8 +282,8 @@ class WeightInfluence(NamedTuple):
     """Whether a component counts as clipped, shape (k,)."""
 
     def __call__(self, T: Array, S: Array, e: Array) -> tuple[Array, Array]:
-        """Return psi(e) and psi'(e)."""
-        return self.weights * e, np.where(self.outlying, 0.0, self.weights)
+        """Return psi(e)/e and psi'(e)."""
+        return self.weights, np.where(self.outlying, 0.0, self.weights)
 
 
 class MergedCorrection(NamedTuple):
@@ -304,22 +307,21 @@ class MergedCorrection(NamedTuple):
     """What inverts S."""
     influence: ScoreInfluence | WeightInfluence
     """psi of the observed components."""
+    memory: None = None
+    """Of customary innovations it has none."""
 
     def as_arrays(self) -> Correction:
         """Return everything that a correction shows."""
-        m, n = self.H.shape
-        C = self.prior.dot(self.H.T)
-        S = self.H.dot(C) + self.R
-        if self.M is not None:
-            C = C + self.M
-            S = S + self.H.dot(self.M) + self.H.dot(self.M).T
+        m = len(self.H)
+        C, S = innovation_moments(self.prior, self.H, self.R, self.M)
         part = np.flatnonzero(self.y == self.y)
-        pick = np.ix_(part, part)
-        T, SI, _ = standardize(S[pick], "innovation", self.inv)
-        e = standardized(T, self.y[part])
-        psi, psi_deriv = self.influence(T, S[pick], e)
-        K, whole_T, whole_SI = np.zeros((n, m)), np.zeros((m, m)), np.zeros((m, m))
-        whole_T[pick], whole_SI[pick] = T, T.T.dot(T) if SI is None else SI
-        K[:, part] = C[:, part].dot(T.T).dot(T)
-        y, e, psi = (scatter(values, part, m) for values in (self.y[part], e, psi))
-        return Correction(self.x, self.P, y, S, whole_SI, K, whole_T, e, psi, scatter(psi_deriv, part, m, np.nan))
+        y = np.where(np.isnan(self.y), 0.0, self.y)
+        order = tuple((int(i),) for i in part[np.argsort(np.abs(y[part]) / np.sqrt(S.diagonal()[part]))])
+        T = ordered_scaling(S, order, "innovation")
+        e, pick = T.dot(y), np.ix_(part, part)
+        weights, psi_deriv, score = np.full(m, np.nan), np.full(m, np.nan), np.zeros(m)
+        weights[part], psi_deriv[part] = self.influence(T[pick], S[pick], e[part])
+        score[part] = T[pick].T.dot(weights[part] * e[part])
+        return Correction(
+            self.x, self.P, C, y, S, score, T.T.dot(T), e, weights, psi_deriv, order, "innovation", 0.0
+        )  # fmt: skip

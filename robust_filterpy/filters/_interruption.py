@@ -9,6 +9,8 @@ import numpy as np
 from robust_filterpy import _state
 from robust_filterpy._arrays import state_of
 from robust_filterpy._checks import Array
+from robust_filterpy.correction import spread
+from robust_filterpy.filters._sensors import Customs
 
 
 class StateMixin:
@@ -49,7 +51,8 @@ class StateMixin:
         >>> bool(other.x == kf.x), bool(other.H == kf.H)
         (True, True)
         """
-        settings = {key: getattr(self, name, None) for key, name in self._settings.items()}
+        settings: dict[str, Any] = {key: getattr(self, name, None) for key, name in self._settings.items()}
+        settings |= self._sensors_in_state()
         return _state.labelled(
             type(self).__name__, {**self._moving(), **{k: v for k, v in settings.items() if v is not None}}
         )
@@ -83,10 +86,31 @@ class StateMixin:
             "K": (n, None), "S": (None, None), "SI": (None, None), "alpha_sq": (), "sigmas_f": (None, n),
         }  # fmt: skip
         optional = {name: shapes[name] for name in self._settings}
+        optional |= self._sensor_shapes()
         found = _state.checked(state, type(self).__name__, self._needed(), optional, self._gaps)
         if found.get("alpha_sq", 1.0) < 1.0:
             raise ValueError(f"state: expected alpha_sq >= 1, got {found['alpha_sq']}")
         self._go_on(found)
+
+    def _sensor_shapes(self) -> dict[str, _state.Shape]:
+        """Return the shapes of what is known of the sensors: at each place of z, and by the rows of an H passed."""
+        kf: Any = self
+        return {"spread": (None, 6), "sensors": (None, kf.dim_x), "sensors_spread": (None, 6)}
+
+    def _sensors_in_state(self) -> dict[str, Array]:
+        """Return what is known of the sensors, if anything is."""
+        kf: Any = self
+        if not hasattr(self, "_known_sensors"):
+            return {}
+        customs = kf._known_sensors()
+        if not (customs.places.any() or customs.rows):
+            return {}
+        rows = {key: one for key, one in customs.rows.items()}
+        known = {"spread": customs.places}
+        if rows:
+            known["sensors"] = np.array([np.frombuffer(key) for key in rows])
+            known["sensors_spread"] = np.array(list(rows.values()))
+        return known
 
     def _moving(self) -> dict[str, Any]:
         """Return what a step moves."""
@@ -103,6 +127,11 @@ class StateMixin:
         kf: Any = self
         kf.x, kf.P = found["x"], found["P"]
         self._show_nothing()
+        rows = found.get("sensors", np.zeros((0, 1)))
+        memories = found.get("sensors_spread", np.zeros((len(rows), 6)))
+        if hasattr(kf, "_keep_sensors"):
+            others = {row.tobytes(): one for row, one in zip(rows, memories, strict=True)}
+            kf._keep_sensors(Customs(found.get("spread", spread.begin(0)), others))
         for key, name in self._settings.items():
             if key in found:
                 value = found[key]

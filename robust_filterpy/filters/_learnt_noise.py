@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike
 from robust_filterpy._arrays import noise_covariance
 from robust_filterpy._checks import Array
 from robust_filterpy._state import Shape
-from robust_filterpy.correction.adaptive import NoiseClasses
-from robust_filterpy.correction.adaptive_noise import LearntNoise, describe
+from robust_filterpy.correction import learnt as learnt_step
+from robust_filterpy.correction.copies import Scales, merged
+from robust_filterpy.correction.learning import LearntNoise, NoiseClasses, describe
 from robust_filterpy.correction.options import Choices, Grouping
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.whitening import Inverse, SingularInnovationError
-from robust_filterpy.filters._adaptive_step import corrected
-from robust_filterpy.filters._hypotheses import MergedCorrection, WeightInfluence
+from robust_filterpy.filters._hypotheses import MergedCorrection, WeightInfluence, finite_product
 from robust_filterpy.filters._interacting import Bank
 
 
@@ -75,6 +75,8 @@ class LearntNoiseMixin:
     dim_z: int
     _choices: Choices
     _classes: NoiseClasses
+    # A filter that trusts its process is one copy of itself.
+    _process: Scales = Scales((1.0,), jump=0.0)
     _learnt: Array
     _outlier_probability: float
     _inverse: Any
@@ -100,7 +102,7 @@ class LearntNoiseMixin:
 
     @property
     def learnt(self) -> Array:
-        """What is known of the noise, shape (1 or sensors, 2 + 2 K + K^2); a copy."""
+        """What is known of the noise, shape (1 or sensors, 6 + 2 K + K^2); a copy."""
         return self._learnt.copy()
 
     @learnt.setter
@@ -170,15 +172,18 @@ class LearntNoiseMixin:
         None if nothing of z tells anything.
         """
         joint = self._classes.grouping == "joint"
+        # Raises where H x is not finite.
+        finite_product(H, bank.x)
         rows = known if joint else known[first : first + len(z)]
-        found = corrected(bank, rows, z, H, R, self._classes, M, self._inverse)
-        if found is None:
+        found = learnt_step.correct(bank.copies, rows, z, H, R, self._classes, self._process, M, self._inverse)
+        if np.isnan(found.weights).all():
             return None
-        learnt = found.learnt
+        learnt = found.memory
         if len(learnt) < len(known):
             learnt = known.copy()
-            learnt[first : first + len(z)] = found.learnt
+            learnt[first : first + len(z)] = found.memory
         # Sensors that fail together have one probability.
-        outlying = found.outlying.tolist()
+        outlying = found.outlier_probabilities.tolist()
         probability = max(outlying) if joint else 1.0 - math.prod(1.0 - p for p in outlying)
-        return Learnt(found.bank, learnt, found.log_density, probability, found.weights, found.outlying)
+        after = Bank(*found.copies[:3], *merged(found.copies, self._process), found.copies.unseen)
+        return Learnt(after, learnt, found.log_density, probability, found.weights, found.outlier_probabilities)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -12,15 +12,18 @@ import numpy as np
 from filterpy.common import pretty_str
 
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.likelihood import log_density
+from robust_filterpy.correction.definition import correct, correct_by_custom
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.correction.whitening import Inverse
+from robust_filterpy.correction.spread import settled
 from robust_filterpy.filters._interruption import StateMixin
 from robust_filterpy.filters._outlier_share import Share
+from robust_filterpy.filters._sensors import Customs, nothing_known
 from robust_filterpy.influence.functions import Influence
+from robust_filterpy.kernel.record import correction_of
 
 _DEFAULT_INVERSE = np.linalg.inv
+Inverse = Callable[[Array], Array]
 
 
 class RobustFilterMixin(StateMixin):
@@ -32,7 +35,7 @@ class RobustFilterMixin(StateMixin):
 
     # Outside __dict__, which filterpy's Saver copies at every epoch and turns into arrays.
     # (Not a literal: a type checker would then believe that there is no __dict__ at all.)
-    __slots__ = tuple("_K _S _SI _last _share _updates _y".split())
+    __slots__ = tuple("_K _S _SI _last _memory _other_sensors _share _updates _y".split())
 
     #: Whether an expected share of clipped innovations is known, and nobody else watches it.
     _counts_clipped: bool
@@ -45,6 +48,10 @@ class RobustFilterMixin(StateMixin):
     _SI: Any
     _last: Any
     _share: Share
+    x_post: Array
+    P_post: Array
+    _memory: Array
+    _other_sensors: dict[bytes, Array]
     _updates: int
     inv: Inverse
     _choices: Choices
@@ -59,6 +66,7 @@ class RobustFilterMixin(StateMixin):
         self._choices = Choices(influence, scaling, information, grouping)
         self._last = None
         self._share, self._updates = Share(), 0
+        self._keep_sensors(nothing_known(0))
 
     @property
     def _inverse(self) -> Inverse | None:
@@ -76,7 +84,7 @@ class RobustFilterMixin(StateMixin):
 
     @property
     def scaling(self) -> Scaling:
-        """Which T: "innovation", "unit" or "bounded"."""
+        """Which T: "learnt", "innovation", "unit" or "bounded"."""
         return self._choices.scaling
 
     @scaling.setter
@@ -94,7 +102,7 @@ class RobustFilterMixin(StateMixin):
 
     @property
     def grouping(self) -> Grouping:
-        """psi of each "component" or of all of them "joint"."""
+        """Which sensors fail together: none ("component"), all ("joint"), or groups of them."""
         return self._choices.grouping
 
     @grouping.setter
@@ -125,11 +133,63 @@ class RobustFilterMixin(StateMixin):
     def T(self) -> Array:
         """Scaling of the last correction, shape (dim_z, dim_z) (paper 36)."""
         last = self._arrays()
-        return np.eye(self.dim_z) if last is None else last.T.copy()
+        return np.eye(self.dim_z) if last is None or not last.order else last.T
+
+    def _known_sensors(self) -> Customs:
+        """Return what is known of the sensors; the array alone is what the kernel reads and replaces."""
+        return Customs(self._memory, self._other_sensors)
+
+    def _keep_sensors(self, value: Customs) -> None:
+        """Keep what is known of the sensors."""
+        self._memory, self._other_sensors = value
+
+    @property
+    def _learns_spread(self) -> bool:
+        """Whether thresholds are in units of the spread; the Kalman filter has none."""
+        return self.scaling == "learnt" and not self._choices.is_linear
+
+    def _corrected_by(
+        self, x: Array, P: Array, y: Array, C: Array, S: Array, R: Array, H: Array | None = None, memory: Any = None
+    ) -> Correction:
+        """Return the correction by an innovation y with C = cov(x, y), S = cov(y), R of it noise; changes nothing.
+
+        memory is what is known of the sensors, by default of those at the first places of z.
+        """
+        skip = self._inverse is not None
+        if not self._learns_spread:
+            return correct(x, P, y, C, S, self._choices, skip_singular=skip)
+        memory = self._known_sensors().of(len(y)) if memory is None else memory
+        return correct_by_custom(memory, x, P, y, C, S, R, self._choices, H, skip)
+
+    def _emptied(self) -> Correction | None:
+        """Return the last correction with nothing observed: the scaling stays, the innovation is forgotten."""
+        last = self._arrays()
+        if last is None:
+            return None
+        zero, none = np.zeros_like(last.y), np.full(last.y.shape, np.nan)
+        return last._replace(y=zero, score=zero, e=zero, weights=none, psi_deriv=none, log_density=0.0, memory=None)
+
+    def _log_density(self, y: Array, S: Array) -> float:
+        """Return the log-likelihood of an innovation: the correction of a state without components."""
+        nothing, none, skip = np.zeros((0, 0)), np.zeros((0, len(y))), self._inverse is not None
+        widths = settled(self._known_sensors().of(len(y))) if self._learns_spread else None
+        return correct(nothing.ravel(), nothing, y, none, S, self._choices, widths, skip).log_density
+
+    @property
+    def spread(self) -> Array:
+        """How large each sensor's standardized innovations usually are, shape (dim_z,); NaN before the first.
+
+        Under scaling "learnt" thresholds are in units of this: 1 where P, Q and R are right, 10 where they are told 100
+        times too small.
+        """
+        memory = self._known_sensors().of(self.dim_z)
+        return np.where(memory[:, 0] > 0.0, memory[:, 1], np.nan)
 
     def _arrays(self) -> Correction | None:
         """Return the last correction, as arrays."""
-        if self._last is not None and type(self._last) is not Correction:
+        if type(self._last) is np.ndarray:
+            self._last = correction_of(self._last, self.x_post, self.P_post)
+        elif self._last is not None and type(self._last) is not Correction:
             self._last = self._last.as_arrays()
         return self._last  # type: ignore[no-any-return]
 
@@ -169,7 +229,9 @@ class RobustFilterMixin(StateMixin):
     def SI(self) -> Array:
         """Inverse of S, shape (dim_z, dim_z)."""
         if self._SI is None:
-            self._SI = self._arrays().inverse  # type: ignore[union-attr]
+            last = self._arrays()
+            inverse = self._inverse
+            self._SI = last.inverse if inverse is None else inverse(last.S)  # type: ignore[union-attr]
         return self._SI
 
     @SI.setter
@@ -191,9 +253,8 @@ class RobustFilterMixin(StateMixin):
     def log_likelihood(self) -> float:
         """Log-likelihood of the last measurement under the density of psi; 0 if it was missing altogether."""
         if self._log_likelihood is None:
-            weights = self.weights.ravel()
-            y = np.where(np.isnan(weights), np.nan, np.ravel(self.y))
-            self._log_likelihood = log_density(y, np.atleast_2d(self.S), self._choices, self._inverse)
+            last = self._arrays()
+            self._log_likelihood = 0.0 if last is None else last.log_density
         return self._log_likelihood
 
     @property
@@ -207,16 +268,18 @@ class RobustFilterMixin(StateMixin):
     def mahalanobis(self) -> float:
         """Length of the innovation in standard deviations, sqrt(y' S^-1 y), the Kalman filter's."""
         if self._mahalanobis is None:
-            y = np.ravel(self.y)
+            y, last = np.ravel(self.y), self._arrays()
+            # After `update_sequential` S and SI are not those of y.
+            SI = self.SI if last is None or self._inverse is not None else last.inverse
             peak = float(np.abs(y).max()) or 1.0
-            length = math.sqrt(max(float(y / peak @ self.SI @ (y / peak)), 0.0))
+            length = math.sqrt(max(float(y / peak @ SI @ (y / peak)), 0.0))
             self._mahalanobis = min(peak * length, sys.float_info.max)
         return self._mahalanobis
 
     def __repr__(self) -> str:
         """Show the choices and everything that filterpy shows."""
         lines = super().__repr__().split("\n")
-        names = ("influence", "scaling", "information", "grouping", "weights", "clipped", "e", "T", "y_bounded")
+        names = ("influence", "scaling", "information", "grouping", "spread", "weights", "clipped", "e", "T")
         return "\n".join(
             [f"{type(self).__name__} object", *lines[1:], *(pretty_str(name, getattr(self, name)) for name in names)]
         )

@@ -9,9 +9,7 @@ import numpy as np
 
 from robust_filterpy._arrays import measured
 from robust_filterpy._checks import Array, described, numbers
-from robust_filterpy.correction.definition import correct
-from robust_filterpy.correction.missing import nothing_observed
-from robust_filterpy.correction.moments import correct_moments
+from robust_filterpy.correction.definition import innovation_moments
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters._mixin import RobustFilterMixin, unchanged_if_refused
 from robust_filterpy.filters._outlier_share import EVERY
@@ -39,6 +37,9 @@ class NonlinearFilterMixin(RobustFilterMixin):
         column = np.ndim(self.x) == 2
         self.x = last.x[:, None] if column else last.x
         self.P, self.K, self._last = last.P, last.K, last
+        memory = getattr(last, "memory", None)
+        if memory is not None:
+            self._keep_sensors(self._known_sensors().updated(memory))
         self._updates += 1
         if self._updates % EVERY == 0 and self._counts_clipped:
             self._share.look(self, last)
@@ -47,13 +48,14 @@ class NonlinearFilterMixin(RobustFilterMixin):
 
     def _corrected(self, x: Array, P: Array, y: Array, H: Array, R: Array) -> Any:
         """Return the correction by an innovation, x of shape (n,), H the derivative of the measurement."""
-        return correct(x, P, y, H, R, self._choices, None, self._inverse)
+        return self._corrected_by(x, P, y, *innovation_moments(P, H, R), R, H)
 
     def _corrected_by_moments(
         self, x: Array, P: Array, y: Array, C: Array, S: Array, R: Array, add: Callable[..., Any]
     ) -> Any:
         """Return the correction by an innovation, C = cov(x, z), S = cov(z) with R in it."""
-        return correct_moments(x, P, y, C, S, R, self._choices, self._inverse, add)
+        last = self._corrected_by(x, P, y, C, S, R)
+        return last._replace(x=np.asarray(add(x, last.C @ last.score), dtype=float))
 
     def _filtered(self, zs: Any, columns: dict[str, Any], step: Callable[..., None], saver: Any) -> tuple[Array, Array]:
         """Do a step for each measurement, with what each of the columns has for it; all of them or none."""
@@ -88,9 +90,8 @@ class NonlinearFilterMixin(RobustFilterMixin):
         m = self.dim_z
         self.z = np.array([[None] * m]).T
         self.y = np.zeros((m, 1) if np.ndim(self.x) == 2 else m)
-        T, S, SI = self.T, self.S, self.SI
-        T = T if T.shape == (m, m) else np.eye(m)
-        self._last = nothing_observed(np.ravel(self.x), self.P, S, m)._replace(T=T)
+        S, SI = self.S, self.SI
+        self._last = self._emptied()
         self._forget()
         self.S, self.SI = S, SI
 

@@ -34,6 +34,10 @@ class Share:
         self.numbers = self.updates = self.clipped = self.kept = 0
         self.sign = 0.0
 
+    def fills(self, m: int) -> bool:
+        """Return whether one more correction, by m sensors at most, can fill the window."""
+        return self.numbers + m >= _NUMBERS and self.updates + 1 >= _UPDATES
+
     def look(self, kf: Any, last: Any) -> None:
         """Count one correction, and judge the window when it is full."""
         e = np.ravel(last.e).tolist()

@@ -8,9 +8,9 @@ import numpy as np
 
 from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array, all_covariances, entries, numbers, shown
-from robust_filterpy.compiled import dispatch
-from robust_filterpy.compiled.records import Model, Output
 from robust_filterpy.filters._mixin import unchanged_if_refused
+from robust_filterpy.kernel import series
+from robust_filterpy.kernel.records import Model, Output
 
 
 def filter_recording(
@@ -126,7 +126,6 @@ class CompiledLoop:
     _kept: Output
     _options: dict[str, Any]
     _last_seen: int
-    _size: tuple[int, int] | None
 
     def __init__(self, kf: Any) -> None:
         """Keep the filter."""
@@ -134,21 +133,23 @@ class CompiledLoop:
 
     def _serves(self, n: int, m: int, steps: int) -> bool:
         """Return whether the kernel serves so many states, sensors and steps."""
-        self._size = dispatch.series_size(n, m, steps)
-        return self._size is not None
+        return series.serves(self._kf._choices)
 
     def _run(self, k: int, last: int) -> int:
         """Take steps from k to last - 1 as far as the kernel can, and return the next."""
         kf = self._kf
         x, P = state_of(kf)
         state, covariance = x.reshape(1, -1).copy(), P[None].copy()
-        taken = dispatch.filter_series(
-            self._size, kf._choices, self._zs[:, :last], self._model, state, covariance, self._kept, start=k,  # type: ignore[arg-type]
-            likely=False, **self._options,
+        memory = kf._known_sensors().of(self._zs.shape[2])[None] if kf._learns_spread else None
+        taken = series.filter_series(
+            kf._choices, self._zs, self._model, state, covariance, self._kept, memory=memory, start=k, stop=last,
+            **self._options,
         )  # fmt: skip
         if taken[0] > k:
             # What else a step leaves in the filter, the filter's own next step sets anew.
             kf.x, kf.P = state[0].reshape(x.shape), covariance[0]
+            if memory is not None:
+                kf._keep_sensors(kf._known_sensors().updated(memory[0]))
         return int(taken[0])
 
     def advance(self, k: int) -> int:
@@ -164,6 +165,9 @@ class CompiledLoop:
     ) -> bool:
         """Return whether the kernel serves a recording; if not, the call is for the filter's own methods."""
         kf = self._kf
+        # Sensors of an H that is passed are known by its rows, which the filter's own methods look up.
+        if Hs is not None and kf._learns_spread:
+            return False
         try:
             x, P = state_of(kf)
             n, steps = len(x), len(zs)

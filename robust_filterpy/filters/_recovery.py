@@ -13,7 +13,8 @@ from robust_filterpy._checks import Array
 from robust_filterpy._state import Shape
 from robust_filterpy.correction.options import length_and_direction
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.correction.whitening import Inverse, standardize, standardized
+from robust_filterpy.correction.standardization import ordered_scaling
+from robust_filterpy.correction.whitening import Inverse
 
 # A refused innovation has a length that a normal one exceeds as rarely as a number exceeds three deviations.
 _RARE = 0.0027
@@ -58,7 +59,7 @@ class RecoveryMixin:
             return False
         T = self._root(last, observed)
         bound = float(np.sqrt(chdtri(observed.size, _RARE)))
-        if length_and_direction(standardized(T, last.y[observed]))[0] <= bound:
+        if _length(T, last.y[observed]) <= bound:
             self.refused = max(self.refused - 1, 0)
             return False
         before, agrees = self._insisting, False
@@ -66,9 +67,7 @@ class RecoveryMixin:
             with np.errstate(over="ignore"):
                 apart = difference(last.y, np.nan_to_num(before))[observed]
             # The difference of two innovations has twice the variance of one.
-            agrees = bool(
-                np.isfinite(apart).all() and length_and_direction(standardized(T, apart))[0] <= np.sqrt(2.0) * bound
-            )
+            agrees = bool(np.isfinite(apart).all() and _length(T, apart) <= np.sqrt(2.0) * bound)
         if not agrees and self.refused > 1:
             self.refused -= 1
             return False
@@ -105,9 +104,7 @@ class RecoveryMixin:
     def _root(self, last: Correction, observed: np.ndarray) -> Array:
         """Return S^(-1/2) of the observed components, whatever the scaling."""
         pick = np.ix_(observed, observed)
-        if self.scaling == "innovation":
-            return last.T[pick]
-        return standardize(last.S[pick], "innovation", self._inverse)[0]
+        return ordered_scaling(last.S, last.order, "innovation")[pick]
 
     def _moving(self) -> dict[str, Any]:
         """Return what a step moves, the count and the refused innovation that the next one is compared with."""
@@ -126,6 +123,12 @@ class RecoveryMixin:
         super()._go_on(found)  # type: ignore[misc]
         self.refused, self.recoveries = (int(number) for number in counts)
         self._insisting = found["insisting"]
+
+
+def _length(T: Array, y: Array) -> float:
+    """Return |T y|, infinite where it is no float."""
+    length, direction = length_and_direction(y)
+    return length * float(np.linalg.norm(T @ direction))
 
 
 def _observed(last: Correction | None) -> np.ndarray:

@@ -2,93 +2,43 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
+from robust_filterpy import kernel
+from robust_filterpy.filters._mixin import Snapshot
+from robust_filterpy.filters._outlier_share import EVERY
 
-from robust_filterpy._checks import Array
-from robust_filterpy.compiled import dispatch
-from robust_filterpy.correction.options import Choices
-from robust_filterpy.correction.result import Correction
-from robust_filterpy.correction.whitening import standardize
-
-
-class KernelCorrection(NamedTuple):
-    """`Correction` as the kernel left it: values begin with y, e, psi, psi' (m,), S, T (m, m) and H P (m, n)."""
-
-    x: Array
-    P: Array
-    values: Array
-    m: int
-    scaling: str
-
-    @property
-    def e(self) -> Array:
-        """Standardized innovation, shape (m,)."""
-        return self.values[self.m : 2 * self.m]
-
-    @property
-    def psi_deriv(self) -> Array:
-        """psi'(e), shape (m,)."""
-        return self.values[3 * self.m : 4 * self.m]
-
-    def as_arrays(self) -> Correction:
-        """Return the same with arrays of their own."""
-        x, P, values, m, scaling = self
-        x, n = x.ravel(), len(x)
-        y, e, psi, psi_deriv = values[: 4 * m].reshape(4, m)
-        S, T = values[4 * m : 4 * m + 2 * m * m].reshape(2, m, m)
-        C = values[4 * m + 2 * m * m : 4 * m + 2 * m * m + m * n].reshape(m, n)
-        SI = None
-        if scaling != "innovation":
-            whitening = standardize(S, "innovation")[0]
-            SI = whitening.T.dot(whitening)
-        return Correction(x, P, y, S, SI, C.T.dot(T.T).dot(T), T, e, psi, psi_deriv.tolist())
+_extension = kernel.extension()
+# What a subclass may do in its own way; then the kernel's is not that filter's.
+_METHODS = ("_predicted", "_transition", "_update", "_measurement", "_corrected", "_corrected_by", "_inverse")
 
 
-@lru_cache(maxsize=64)
-def _nothing(n: int) -> Array:
-    """Return zeros that nobody writes into (read-only ones would be another type to the kernel)."""
-    return np.zeros(n)
+def is_own(cls: type, base: type) -> bool:
+    """Return whether a subclass predicts and corrects as its base does."""
+    return all(getattr(cls, name) is getattr(base, name) for name in _METHODS)
 
 
-@lru_cache(maxsize=64)
-def _size(n: int, m: int) -> int:
-    """Return how many numbers the kernel works with."""
-    from robust_filterpy.compiled.kernel import workspace_size
-
-    return workspace_size(n, m)
+def predict(kf: Any, u: Any) -> bool:
+    """Predict if that is ordinary, return whether it was; nothing has changed if not."""
+    return _extension is not None and kf._by_kernel and _extension.predict(kf, u)
 
 
-# The kernel takes writable arrays in C order alone: it would be compiled anew for others. All are of floats by now.
-
-
-def predict(x: Array, P: Array, F: Array, Q: Array, Bu: Any, alpha_sq: float) -> tuple[Array, Array] | None:
-    """Return F x + B u, in the shape of x, and alpha^2 F P F' + Q; None if that is for the definition."""
-    steps = dispatch.online()
-    if steps is None or not (x.flags.carray and P.flags.carray and F.flags.carray and Q.flags.carray):
-        return None
-    control = _nothing(len(x)) if Bu is None else np.ascontiguousarray(Bu).ravel()
-    x_next, P_next = np.empty(x.shape), np.empty(P.shape)
-    if not steps.predict(x.ravel(), P, F, Q, control, alpha_sq, x_next.ravel(), P_next):
-        return None
-    return x_next, P_next
-
-
-def correct(x: Array, P: Array, z: Any, H: Array, R: Array, choices: Choices) -> KernelCorrection | None:
-    """Correct by a complete measurement z, a float or of shape (m,); None if that is for the definition."""
-    steps = dispatch.online()
-    if steps is None or not (x.flags.carray and P.flags.carray and H.flags.carray and R.flags.carray):
-        return None
-    m, n = H.shape
-    options = choices.derived.get(m)
-    if options is None:
-        if not dispatch.can_compile(choices):
-            return None
-        options = dispatch.encoded(choices, m)
-    values, x_post, P_post = np.empty(_size(n, m)), np.empty(x.shape), np.empty(P.shape)
-    values[:m] = z
-    if not steps.correct(x.ravel(), P, H, R, options, x_post.ravel(), P_post, values):
-        return None
-    return KernelCorrection(x_post, P_post, values, m, choices.scaling)
+def correct(kf: Any, z: Any, R: Any, H: Any, M: Any) -> bool:
+    """Correct if that is ordinary, return whether it was; nothing has changed if not."""
+    if _extension is None or not kf._by_kernel:
+        return False
+    counts = kf._choices.scaling == "innovation" and kf._counts_clipped
+    looks = counts and (kf._updates + 1) % EVERY == 0
+    # A warning that is made an error refuses the call: nothing may have changed then.
+    before = Snapshot(kf) if looks and kf._share.fills(kf.dim_z) else None
+    if not _extension.correct(kf, z, R, H, M):
+        return False
+    kf._updates += counts
+    if looks:
+        try:
+            kf._share.look(kf, kf._arrays())
+        except BaseException:
+            if before is not None:
+                before.put_back(kf)
+            raise
+    return True

@@ -10,17 +10,14 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.adaptive import NoiseClasses
-from robust_filterpy.correction.adaptive_noise import DECADES
-from robust_filterpy.correction.missing import nothing_observed
+from robust_filterpy.correction.definition import nothing_observed
+from robust_filterpy.correction.learning import SCALES, NoiseClasses
 from robust_filterpy.correction.options import Grouping
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.whitening import Inverse
-from robust_filterpy.filters._adaptive_step import AdaptiveLoop
-from robust_filterpy.filters._hypotheses import ProcessScales, ScoreFilter
+from robust_filterpy.filters._hypotheses import ScoreFilter
 from robust_filterpy.filters._interacting import Bank, InteractingFilter
 from robust_filterpy.filters._learnt_noise import Learnt, LearntNoiseMixin, ordinary_noise
-from robust_filterpy.filters._recording import CompiledLoop, is_own
 
 __all__ = ["AdaptiveKalmanFilter"]
 
@@ -41,11 +38,14 @@ class AdaptiveKalmanFilter(LearntNoiseMixin, ScoreFilter, InteractingFilter):
         Length of the measurement, >= 1.
     dim_u : int, default 0
         Length of the control input.
-    process_scales : sequence of float, default (1, 10, 100)
-        Factors of the covariance Q, > 0; the first is where the filter starts. ``(1, 0.01, 0.1, 10, 100)`` finds a Q
-        that is too large as well; ``(1,)`` trusts Q.
+    process_scales : sequence of float, default (1, 0.01, 0.1, 10, 100)
+        Factors of the covariance Q, > 0; the first is where the filter starts; ``(1,)`` trusts Q.
     dwell : float, default 1000
         Mean number of steps that the process keeps a scale, > 1.
+    jump : float, default 1e-9
+        Chance in each step that the state jumps somewhere else, in [0, 1). Samples have to agree before a jump is
+        believed, about eight with 1e-9, six with 1e-6; outliers that agree for longer are believed too. 0 means never,
+        and then the start is trusted as P says.
     measurement_scales : sequence of float, default (1, 10, 100, 1000)
         Factors of the covariance R, ascending from 1.
     grouping : {"component", "joint"}
@@ -67,7 +67,7 @@ class AdaptiveKalmanFilter(LearntNoiseMixin, ScoreFilter, InteractingFilter):
         Probability that a component of the last measurement was an outlier.
     process_probabilities : ndarray, shape (q,)
         Probability of each process scale.
-    learnt : ndarray, shape (1 or sensors, 2 + 2 K + K^2)
+    learnt : ndarray, shape (1 or sensors, 6 + 2 K + K^2)
         What is known of the noise, as one small array, r (a factor of R) first: keep it, or assign it to another
         filter with the same R, grouping and measurement scales, which then starts with it.
 
@@ -78,14 +78,14 @@ class AdaptiveKalmanFilter(LearntNoiseMixin, ScoreFilter, InteractingFilter):
 
     See Also
     --------
-    robust_filterpy.correction.adaptive.correct_adaptively : The step as a pure function.
+    robust_filterpy.correction.learnt.correct : The step as a pure function.
     robust_filterpy.filters.NoiseMatchedKalmanFilter : The same merging with numbers that are given.
     robust_filterpy.batch.adaptive_series : Many recordings by one call.
 
     Notes
     -----
     An outlier is what exceeds most samples: if class 0 is no longer the majority, the noise itself has grown. R may be
-    wrong by a factor of 1000 either way, Q may be too small by 100. From an R ten to thirty times too small it can take
+    wrong by a factor of 1000 either way, Q by 100. From an R ten to thirty times too small it can take
     some hundred samples until R is found; the state suffers little meanwhile, since ordinary samples then count as the
     next class.
 
@@ -117,9 +117,10 @@ class AdaptiveKalmanFilter(LearntNoiseMixin, ScoreFilter, InteractingFilter):
         dim_z: int,
         dim_u: int = 0,
         *,
-        process_scales: Sequence[float] = (1.0, 10.0, 100.0),
+        process_scales: Sequence[float] = (1.0, 0.01, 0.1, 10.0, 100.0),
         dwell: float = 1000.0,
-        measurement_scales: Sequence[float] = DECADES,
+        jump: float = 1e-9,
+        measurement_scales: Sequence[float] = SCALES,
         grouping: Grouping = "component",
         memory: float = 300.0,
         r_memory: float = 30.0,
@@ -128,7 +129,7 @@ class AdaptiveKalmanFilter(LearntNoiseMixin, ScoreFilter, InteractingFilter):
         classes = NoiseClasses(measurement_scales, grouping, memory, r_memory)
         super().__init__(dim_x, dim_z, dim_u, grouping=grouping)
         self._set_noise(classes, dim_z)
-        self._set_copies(process_scales, dwell)
+        self._set_copies(process_scales, dwell, jump)
         self._first = 0
 
     def update_sequential(self, start: int, z_i: ArrayLike, R_i: Any = None, H_i: ArrayLike | None = None) -> None:
@@ -168,14 +169,6 @@ class AdaptiveKalmanFilter(LearntNoiseMixin, ScoreFilter, InteractingFilter):
         self._found = (found.log_density, found.bank, found.known, found.outlier_probability)
         return _Adapted(found.bank.x, found.bank.P, found, values, bank, H.copy(), R.copy(), M, before, self._inverse)
 
-    def _compiled_loop(self, saver: Any) -> CompiledLoop | None:
-        """Return what takes steps of a recording by the kernel, None if all are for the filter's own methods."""
-        own = (
-            isinstance(saver, ProcessScales) and saver.saver is None and self._classes.grouping == "component"
-            and self._inverse is None and is_own(self, AdaptiveKalmanFilter, _METHODS)
-        )  # fmt: skip
-        return AdaptiveLoop(self, saver.scales) if own else None
-
     def _settle(self) -> None:
         """Take over the corrected copies and what they have learnt."""
         _, _, self._learnt, self._outlier_probability = self._found
@@ -185,12 +178,6 @@ class AdaptiveKalmanFilter(LearntNoiseMixin, ScoreFilter, InteractingFilter):
         """Leave the copies and the noise as they are."""
         super()._skip()
         self._outlier_probability = 0.0
-
-
-_METHODS = (
-    *("predict", "update", "process_scale", "_predicted", "_advanced", "_transition", "_update", "_measurement"),
-    *("_corrected", "_learn", "_known", "_settle", "_skip", "_current", "_copies", "_take_over", "_keep_copies"),
-)
 
 
 class _Adapted(NamedTuple):
@@ -207,6 +194,8 @@ class _Adapted(NamedTuple):
     known: Array
     """Of the noise, before it; a row for each sensor or one for all."""
     inv: Inverse | None
+    memory: None = None
+    """Of customary innovations it has none."""
 
     def as_arrays(self) -> Correction:
         """Return everything that a correction shows."""

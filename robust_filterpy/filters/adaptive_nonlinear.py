@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.adaptive import NoiseClasses
-from robust_filterpy.correction.adaptive_noise import DECADES
-from robust_filterpy.correction.missing import nothing_observed
+from robust_filterpy.correction.definition import nothing_observed
+from robust_filterpy.correction.learning import SCALES, NoiseClasses
 from robust_filterpy.correction.options import Grouping
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters._hypotheses import ScoreMixin
@@ -149,7 +148,7 @@ class AdaptiveExtendedKalmanFilter(_AdaptiveNonlinear, RobustExtendedKalmanFilte
         dim_z: int,
         dim_u: int = 0,
         *,
-        measurement_scales: Sequence[float] = DECADES,
+        measurement_scales: Sequence[float] = SCALES,
         grouping: Grouping = "component",
         memory: float = 300.0,
         r_memory: float = 30.0,
@@ -196,7 +195,7 @@ class AdaptiveUnscentedKalmanFilter(_AdaptiveNonlinear, RobustUnscentedKalmanFil
         residual_z: Any = None,
         state_add: Any = None,
         *,
-        measurement_scales: Sequence[float] = DECADES,
+        measurement_scales: Sequence[float] = SCALES,
         grouping: Grouping = "component",
         memory: float = 300.0,
         r_memory: float = 30.0,
@@ -242,7 +241,7 @@ class AdaptiveCubatureKalmanFilter(_AdaptiveNonlinear, RobustCubatureKalmanFilte
         residual_x: Any = None,
         residual_z: Any = None,
         *,
-        measurement_scales: Sequence[float] = DECADES,
+        measurement_scales: Sequence[float] = SCALES,
         grouping: Grouping = "component",
         memory: float = 300.0,
         r_memory: float = 30.0,

@@ -30,7 +30,7 @@ def robust(
     kf: Any,
     *,
     influence: Influence = Huber(),
-    scaling: Scaling = "innovation",
+    scaling: Scaling = "learnt",
     information: Information = "realized",
     grouping: Grouping = "component",
 ) -> Any:

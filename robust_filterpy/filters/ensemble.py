@@ -13,7 +13,6 @@ from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise
 from robust_filterpy._checks import Array
 from robust_filterpy._state import Shape, read, spelt
-from robust_filterpy.correction.moments import correct_moments
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters._mixin import unchanged_if_refused
@@ -53,11 +52,11 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
         ``fx(x, dt)`` returns the next state, shape (dim_x,).
     influence : Influence, default Huber(1.345)
         psi, as in `RobustKalmanFilter`.
-    scaling : {"innovation", "unit", "bounded"}
+    scaling : {"learnt", "innovation", "unit", "bounded"}
         T, as in `RobustKalmanFilter`.
     information : {"realized", "expected", "weight"}
         D, as in `RobustKalmanFilter`.
-    grouping : {"component", "joint"}
+    grouping : {"component", "joint"} or tuple of tuple of int
         psi of each component of e, or of the length of e.
     rng : numpy.random.Generator, optional
         Where random numbers come from, a new generator by default; filterpy takes them from numpy's global state.
@@ -102,7 +101,7 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
         fx: Callable[..., ArrayLike],
         *,
         influence: Influence = Huber(),
-        scaling: Scaling = "innovation",
+        scaling: Scaling = "learnt",
         information: Information = "realized",
         grouping: Grouping = "component",
         rng: np.random.Generator | None = None,
@@ -183,7 +182,7 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
             return
         apart, seen = self.sigmas - self.x, predicted - mean
         C, S = apart.T @ seen / (self.N - 1), seen.T @ seen / (self.N - 1) + R
-        last = correct_moments(self.x, self.P, y, C, S, R, self._choices, self._inverse)
+        last = self._corrected_by(self.x, self.P, y, C, S, R)
         require_finite(x=last.x)
         noise = self.rng.multivariate_normal(np.zeros(m), R, self.N)
         self.sigmas = self.sigmas + (last.x - self.x) + (noise - seen) @ self._shrinking(last, C).T
@@ -212,17 +211,15 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
         self.sigmas, self.rng = found["sigmas"], np.random.Generator(generator)
 
     def _shrinking(self, last: Correction, C: Array) -> Array:
-        """Return C T' (I - (I - D)^(1/2)) T, with which noisy members have covariance P - C T' D T C'."""
+        """Return the gain C L with which noisy members have covariance P - C B C': B = 2 L - L S L."""
         part = np.flatnonzero(~np.isnan(last.weights))
-        D = self._choices.apply_influence(last.e[part])[1]
-        if isinstance(D, list):
-            root = np.diag(1.0 - np.sqrt(1.0 - np.array(D)))
-        else:
-            values, vectors = np.linalg.eigh(D)
-            root = (vectors * (1.0 - np.sqrt(np.maximum(1.0 - values, 0.0)))) @ vectors.T
-        T = last.T[np.ix_(part, part)]
+        pick = np.ix_(part, part)
+        root = np.linalg.cholesky(last.S[pick])
+        values, vectors = np.linalg.eigh(root.T @ last.information[pick] @ root)
+        inner = (vectors * (1.0 - np.sqrt(np.clip(1.0 - values, 0.0, 1.0)))) @ vectors.T
+        half = np.linalg.solve(root, C[:, part].T)
         found = np.zeros_like(C)
-        found[:, part] = C[:, part] @ T.T @ root @ T
+        found[:, part] = np.linalg.solve(root.T, inner @ half).T
         return found
 
 

@@ -50,11 +50,11 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
     influence : Influence, default Huber(1.345)
         psi: `Huber`, `Linear` (the extended Kalman filter), `Hampel`, `TukeyBiweight`, `StudentT`, or any norm of
         `statsmodels.robust.norms`. Thresholds are in standard deviations of the innovation.
-    scaling : {"innovation", "unit", "bounded"}
+    scaling : {"learnt", "innovation", "unit", "bounded"}
         T, as in `RobustKalmanFilter`.
     information : {"realized", "expected", "weight"}
         D, as in `RobustKalmanFilter`.
-    grouping : {"component", "joint"}
+    grouping : {"component", "joint"} or tuple of tuple of int
         psi of each component of e, or of the length of e.
 
     Attributes
@@ -96,7 +96,7 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         dim_u: int = 0,
         *,
         influence: Influence = Huber(),
-        scaling: Scaling = "innovation",
+        scaling: Scaling = "learnt",
         information: Information = "realized",
         grouping: Grouping = "component",
     ) -> None:

@@ -45,7 +45,7 @@ def update(
     return_all : bool, default False
         Whether y, K, S and log_likelihood are returned too.
     influence, scaling, information, grouping
-        As in `RobustKalmanFilter`.
+        As in `RobustKalmanFilter`; a single call has no custom to learn, so that "learnt" bounds nothing here.
 
     Returns
     -------
@@ -136,7 +136,7 @@ def batch_filter(
     saver: Any = None,
     *,
     influence: Influence = Huber(),
-    scaling: Scaling = "innovation",
+    scaling: Scaling = "learnt",
     information: Information = "realized",
     grouping: Grouping = "component",
 ) -> tuple[Array, Array, Array, Array]:

@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robust_filterpy import _checks
 from robust_filterpy._arrays import process_noise, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy._state import Shape
+from robust_filterpy.correction.definition import nothing_observed
 from robust_filterpy.correction.merging import MOST_HYPOTHESES, Hypothesis, merge
-from robust_filterpy.correction.missing import nothing_observed
 from robust_filterpy.correction.mixture import ContaminatedScore
 from robust_filterpy.correction.options import Grouping
 from robust_filterpy.filters._hypotheses import (
@@ -106,8 +105,10 @@ class NoiseMatchedKalmanFilter(ScoreFilter):
         self._jump = np.zeros((dim_x, dim_x))
         self._found = (0.0, 0.0, 0.0)
 
-    def _require_few_sensors(self, grouping: str) -> None:
+    def _require_few_sensors(self, grouping: Any) -> None:
         """Raise if every combination of failing sensors is too many."""
+        if not isinstance(grouping, str):
+            raise ValueError(f"grouping: expected 'joint' or 'component' for noise that is told, got {grouping!r}")
         if grouping == "component" and 2**self.dim_z > MOST_HYPOTHESES:
             raise ValueError(f"grouping: expected 'joint' for dim_z={self.dim_z} > 8, got 'component'")
 
@@ -265,26 +266,6 @@ class NoiseMatchedKalmanFilter(ScoreFilter):
         """Take over a checked state."""
         super()._go_on(found)
         self._jump, self._found = found["jump"], (None, 0.0, 0.0)
-
-    def get_update(self, z: ArrayLike | None = None) -> tuple[Array, Array]:
-        """Return what `update` would make of x and P, and change nothing.
-
-        Parameters
-        ----------
-        z : array_like, shape (dim_z,) or (dim_z, 1), or scalar, or None
-            Measurement, as in `update`.
-
-        Returns
-        -------
-        x : ndarray, shape of ``self.x``
-            Corrected state.
-        P : ndarray, shape (dim_x, dim_x)
-            Its covariance.
-        """
-        x, P = super().get_update(z)
-        if self._may_have_jumped and (z is None or np.isnan(_checks.numbers("z", z)).all()):
-            P = P + self._process_noise.contamination * self._jump
-        return x, P
 
 
 def _model(name: str, value: Any) -> ContaminatedScore:

@@ -24,19 +24,14 @@ from robust_filterpy._arrays import (
     state_of,
 )
 from robust_filterpy._checks import FLOAT, Array
-from robust_filterpy.compiled import dispatch
-from robust_filterpy.correction.covariance import symmetrized
-from robust_filterpy.correction.definition import correct, correct_observed
-from robust_filterpy.correction.likelihood import log_density
-from robust_filterpy.correction.missing import embed_block, nothing_observed, scatter
+from robust_filterpy.correction.definition import embed_block, innovation_moments
 from robust_filterpy.correction.options import Grouping, Information, Scaling
-from robust_filterpy.correction.result import Correction, Observed
-from robust_filterpy.correction.scalar import ScalarCorrection, correct_scalar
-from robust_filterpy.correction.whitening import SAFE, standardize, standardized
+from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters import _step
-from robust_filterpy.filters._mixin import RobustFilterMixin
+from robust_filterpy.filters._mixin import RobustFilterMixin, Snapshot
 from robust_filterpy.filters._outlier_share import EVERY
 from robust_filterpy.filters._recording import CompiledLoop, filter_recording, is_own
+from robust_filterpy.filters._sensors import Customs, nothing_known
 from robust_filterpy.influence.functions import Huber, Influence
 
 __all__ = ["RobustKalmanFilter"]
@@ -45,11 +40,13 @@ __all__ = ["RobustKalmanFilter"]
 class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
     """Filter like `filterpy.kalman.KalmanFilter`, without believing outliers.
 
-    Every attribute, method and shape is filterpy's. What differs is the correction: the standardized innovation
-    e = T y goes through a bounded function psi before it moves the state, and what psi cuts off does not shrink
-    P (paper 26-28 and 37-49)::
+    Every attribute, method and shape is filterpy's, and so are the gains. What differs is how much of an innovation
+    moves the state: sensor by sensor, the most plausible first, e = t y goes through a bounded function psi whose
+    threshold is in units of what the innovations of this sensor usually are (paper 26-28 and 37-49)::
 
-        x+ = x + C T' psi(T y),    P+ = P - C T' D T C',    C = P H'
+        x += C_i t s psi(e_i / s),    P -= d C_i t t C_i',    C = P H',  t = S_ii^(-1/2)
+
+    and the innovations of the sensors still to come likewise.
 
     Parameters
     ----------
@@ -61,19 +58,20 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         Length of the control input.
     influence : Influence, default Huber(1.345)
         psi: `Huber`, `Linear` (the Kalman filter), `Hampel`, `TukeyBiweight`, `StudentT`, or any norm of
-        `statsmodels.robust.norms`. Thresholds are in standard deviations of the innovation (with scaling
-        "unit": in the unit of z).
-    scaling : {"innovation", "unit", "bounded"}
-        T: Z^(-1/2) diag(S)^(-1/2) with Z the correlation matrix of S (36), so that an infinite threshold gives the
-        Kalman filter and the units of the sensors do not matter; I, the
-        paper's modification (42)-(49), a filter only while H P H' < 1 in the unit of z squared; or S^(-1/2)
-        with the eigenvalues of S floored at 1: "unit" wherever that is a valid filter.
+        `statsmodels.robust.norms`.
+    scaling : {"learnt", "innovation", "unit", "bounded"}
+        How an innovation is measured. "learnt": in its standard deviation, and thresholds in units of what that
+        usually is, which is learnt; x does not depend on a common factor of P, Q and R, as the Kalman filter's does
+        not. "innovation": in its standard deviation, thresholds as they are, for an S that is right (36). "unit": in
+        the unit of z, the paper's modification (42)-(49), a filter only while H P H' < 1. "bounded": "unit" wherever
+        that is a valid filter, "innovation" elsewhere.
     information : {"realized", "expected", "weight"}
-        D: psi'(e) (46), so that P stays while innovations are clipped and a filter that is wrong, not its
-        sensor, comes back; E[psi'] (40, 45), which can lock out after a true jump; or psi(e)/e.
-    grouping : {"component", "joint"}
-        psi of each component of e, or of the length of e: for one sensor that reports a vector and fails as a
-        whole.
+        What an innovation takes off P. "realized": psi'(e) (46), so that P stays while innovations are clipped and a
+        filter that is wrong, not its sensor, comes back. "expected": E[psi'] (40, 45), which can lock out after a true
+        jump. "weight": psi(e)/e.
+    grouping : {"component", "joint"} or tuple of tuple of int
+        Which sensors fail together: each on its own; all, as for one sensor that reports a vector and fails as a whole;
+        or those named, such as ``((0, 1), (2,))``.
 
     Attributes
     ----------
@@ -82,11 +80,13 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
     clipped : ndarray of bool, shape of y
         Whether psi'(e) <= 0.
     e : ndarray, shape of y
-        Standardized innovation T y.
+        Standardized innovation of each sensor given those taken before it; T y while none of these was clipped.
+    spread : ndarray, shape (dim_z,)
+        How large each sensor's e usually is; NaN before its first.
     T : ndarray, shape (dim_z, dim_z)
-        Scaling.
+        Scaling: the inverse Cholesky factor of S in the order in which the sensors were taken, T S T' = I.
     y_bounded : ndarray, shape of y
-        T^-1 psi(T y), so that x_post == x_prior + K @ y_bounded, in the unit of z.
+        What psi leaves of y, in the unit of z, so that x_post == x_prior + K @ y_bounded.
 
     Raises
     ------
@@ -101,13 +101,18 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
     Notes
     -----
     ``y``, ``S``, ``SI`` and ``mahalanobis`` are those of the Kalman filter; ``K`` is the gain before psi, C T'T.
-    ``log_likelihood`` is that of the least favourable density, linear in \\|e\\| beyond the threshold.
+    ``log_likelihood`` is that of the least favourable density, linear in \\|e\\| beyond the threshold, with S as told.
+
+    Under "learnt" nothing is an outlier before there is a custom: the very first reading is believed as the Kalman
+    filter believes it. Sensors that take turns through ``update(z, R, H)`` are told apart by their rows of H. Where
+    redundant sensors contradict one of them, the rest is charged to it as noise of its own; where a sensor's
+    innovations keep their sign and height four times in a row and nobody contradicts, P grows and the state jumps. S
+    and K are then those of the grown P.
 
     NaN (or None, or a masked entry) in z is a missing component: the others are used; y, e, y_bounded and the
     columns of K are 0 there. A measurement that is missing altogether is ``update(None)``, with log-likelihood 0.
 
-    The scalings are independent of the noise: "unit" raises `NotPositiveDefiniteError` where it would make P
-    indefinite and leaves the filter as it was.
+    "unit" raises `NotPositiveDefiniteError` where it would make P indefinite and leaves the filter as it was.
 
     Examples
     --------
@@ -124,8 +129,14 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
     """
 
     _counts_clipped = True
+    _by_kernel = True
     # K, S and SI are what `update_steadystate` goes on with.
     _settings = {name: name for name in ("F", "H", "Q", "R", "B", "M", "K", "S", "SI")} | {"alpha_sq": "_alpha_sq"}
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """See whether the kernel's steps are a subclass's too."""
+        super().__init_subclass__(**options)
+        cls._by_kernel = _step.is_own(cls, RobustKalmanFilter)
 
     def __init__(
         self,
@@ -134,7 +145,7 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         dim_u: int = 0,
         *,
         influence: Influence = Huber(),
-        scaling: Scaling = "innovation",
+        scaling: Scaling = "learnt",
         information: Information = "realized",
         grouping: Grouping = "component",
     ) -> None:
@@ -143,6 +154,8 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
             _checks.count(name, value, least)
         self._set_choices(influence, scaling, information, grouping)
         super().__init__(dim_x, dim_z, dim_u)
+        # The kernel takes arrays of the right shape, from the first measurement on.
+        self._keep_sensors(nothing_known(dim_z))
         # filterpy 1.4.5 has it as (dim_z, dim_z), with which update_correlated cannot work.
         self.M = np.zeros((dim_x, dim_z))
 
@@ -167,6 +180,8 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         ValueError
             If a shape does not fit or Q is negative or not symmetric; nothing has changed then.
         """
+        if B is None and F is None and Q is None and _step.predict(self, u):
+            return
         x, P = regardless(self._predicted, u, B, F, Q)
         self.x, self.P = x, P
         self.x_prior, self.P_prior = x.copy(), P.copy()
@@ -195,9 +210,6 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         """Return the predicted mean, in the shape of x, and covariance."""
         x, P = state_of(self)
         F, noise, Bu = self._transition(x.shape, u, B, F, Q)
-        found = _step.predict(x, P, F, noise, Bu, self._alpha_sq)
-        if found is not None:
-            return found
         x = F.dot(x)
         if Bu is not None:
             x = x + Bu
@@ -205,7 +217,7 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         if self._alpha_sq != 1.0:
             P *= self._alpha_sq
         P += noise
-        P = symmetrized(P)
+        P = 0.5 * (P + P.T)
         require_finite_prediction(x, P)
         return x, P
 
@@ -294,12 +306,16 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
 
     def _update(self, z: Any, R: Any, H: Any, M: Any) -> None:
         """Correct by a whole measurement; every check comes before the first assignment."""
+        if _step.correct(self, z, R, H, M):
+            return
         x, P = state_of(self)
         H, R, values, M = self._measurement(z, R, H, M, len(x))
         if values is None:
             self._skip()
             return
         last = regardless(self._corrected, x, P, values, H, R, M)
+        if getattr(last, "memory", None) is not None:
+            self._keep_sensors(self._known_sensors().updated(last.memory, None if H is self.H else H, self.H))
         self._updates += 1
         if self._updates % EVERY == 0 and self._counts_clipped:
             self._share.look(self, last)
@@ -335,32 +351,17 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
                 raise ValueError("M: expected finite numbers, got NaN or infinity")
         return H, R, values, M
 
-    def _corrected(
-        self, x: Array, P: Array, values: Any, H: Array, R: Array, M: Any
-    ) -> Correction | Observed | ScalarCorrection | _step.KernelCorrection:
+    def _corrected(self, x: Array, P: Array, values: Any, H: Array, R: Array, M: Any) -> Any:
         """Return the correction of x by checked values; changes nothing."""
-        inv, choices = self._inverse, self._choices
-        if inv is None and M is None and (len(H) == 1 or not math.isnan(sum(values.tolist()))):
-            found = _step.correct(x, P, values, H, R, choices)
-            if found is not None:
-                return found
-        if len(H) == 1:
-            predicted = H.dot(x)
-            y = values - predicted.item()
-            if y - y != 0.0 and not np.isfinite(predicted).all():
-                raise _not_finite(H, predicted.ravel())
-            if inv is None and choices.pointwise is not None and y == y:
-                return correct_scalar(x, P, y, H, R.item(), choices, M)
-            return correct(x.ravel(), P, np.array([y]), H, R, choices, M, inv)
-        x = x.ravel()
+        x, values = x.ravel(), np.atleast_1d(values)
         predicted = H.dot(x)
-        y = values - predicted
-        size = sum(map(abs, y.tolist()))
-        if size < SAFE:
-            return correct_observed(x, P, y, H, R, choices, M, inv)
-        if size - size != 0.0 and not np.isfinite(predicted).all():
+        if not np.isfinite(predicted).all():
             raise _not_finite(H, predicted)
-        return correct(x, P, y, H, R, choices, M, inv)
+        C, S = innovation_moments(P, H, R, M)
+        memory = None
+        if self._learns_spread:
+            memory = self._known_sensors().of(len(H), None if H is self.H else H, self.H)
+        return self._corrected_by(x, P, values - predicted, C, S, R, H, memory)
 
     def _skip(self) -> None:
         """Do what filterpy does for update(None), and forget the last innovation."""
@@ -368,9 +369,8 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         self.z = np.full((m, 1) if np.ndim(self.x) != 1 else m, None)
         self.x_post, self.P_post = np.copy(self.x), np.copy(self.P)
         self.y = np.zeros((m, 1) if np.ndim(self.x) != 1 else m)
-        T, S, SI, K = self.T, self.S, self.SI, self.K
-        T = T if T.shape == (m, m) else np.eye(m)
-        self._last = nothing_observed(self.x, self.P, S, m)._replace(T=T)
+        S, SI, K = self.S, self.SI, self.K
+        self._last = self._emptied()
         self.S, self.SI, self.K = S, SI, K
         self._log_likelihood = self._likelihood = self._mahalanobis = None
 
@@ -389,12 +389,14 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         P : ndarray, shape (dim_x, dim_x)
             Its covariance.
         """
-        x, P = state_of(self)
-        H, R, values, _ = self._measurement(z, None, None, None, len(x))
-        if values is None:
+        # By the step that `update` takes, to the last bit, and undone.
+        before = Snapshot(self)
+        try:
+            self._update(z, None, None, None)
+            x, P = state_of(self)
             return x.copy(), P.copy()
-        last = regardless(self._corrected, x, P, values, H, R, None)
-        return last.x.reshape(x.shape), last.P
+        finally:
+            before.put_back(self)
 
     def update_steadystate(self, z: ArrayLike | None) -> None:
         """Correct the state with the gain K as it stands, and leave P and K as they are.
@@ -429,21 +431,15 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         if not np.isfinite(predicted).all():
             raise _not_finite(H, predicted)
         y = values - predicted
-        part = np.flatnonzero(y == y)
-        inv = self._inverse
-        pick = np.ix_(part, part)
-        T, _, _ = standardize(S[pick], self.scaling, inv)
-        e = standardized(T, y[part])
-        psi, _, psi_deriv = self._choices.apply_influence(
-            e, None if self.grouping == "component" else H[part].any(axis=1)
-        )
-        whole = np.zeros((m, m))
-        whole[pick] = T
-        y, e, psi = (scatter(values_, part, m) for values_ in (y[part], e, psi))
-        last = Correction(x, P, y, S, self.SI, K, whole, e, psi, scatter(np.array(psi_deriv), part, m, np.nan))
+        # Of the correction by this S only what psi leaves of y is used: the gain is K.
+        last = self._corrected_by(x.ravel(), P, y, P @ H.T, S, R, H)
+        if last.memory is not None:
+            self._keep_sensors(self._known_sensors().updated(last.memory))
+        SI = self.SI
         self.x = (x.ravel() + K @ last.y_bounded).reshape(x.shape)
         shape = (m, 1) if x.ndim == 2 else (m,)
-        self.y, self.z, self.S, self._last = y.reshape(shape), values.reshape(shape), S, last
+        self.y, self.z, self.S, self._last = last.y.reshape(shape), values.reshape(shape), S, last
+        self.K, self.SI = K, SI
         self.x_post, self.P_post = self.x.copy(), P.copy()
         self._log_likelihood = self._likelihood = self._mahalanobis = None
 
@@ -483,8 +479,8 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
 
         Notes
         -----
-        y, S, SI, K, T, e and weights keep what earlier blocks left in their places, so that after the last block
-        ``log_likelihood`` is that of the whole measurement.
+        y, K, T, e and weights keep what earlier blocks left in their places; S and SI stay as they were, as filterpy's.
+        ``log_likelihood`` is that of all blocks, so that after the last one it is that of the whole measurement.
         """
         x, P = state_of(self)
         n, m, k = len(x), self.dim_z, int(np.size(z_i))
@@ -498,16 +494,34 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
             _checks.matrix("R", self.R, (m, m), f"dim_z={m}")[part, part] if R_i is None else R_i, R_i, k
         )
         values = measured(z_i, k, missing=True)
-        some = regardless(self._corrected, x, P, values, H, np.ascontiguousarray(R), None)
+        some = regardless(self._corrected_part, x, P, values, H, np.ascontiguousarray(R), start)
         some = some if isinstance(some, Correction) else some.as_arrays()
-        last, self._last = embed_block(self._arrays(), some, part, m), None
+        last = embed_block(self._arrays(), some, start, m)
+        seen = np.where(np.isnan(last.weights), np.nan, last.y)
+        last = last._replace(log_density=self._log_density(seen, last.S))
         z = np.array([None] * m) if np.size(self.z) != m else np.ravel(self.z).copy()
         z[part] = values
+        # S and SI stay what they were, as in filterpy.
+        S, SI = self.S, self.SI
         self.x, self.P, self.K, self._last = some.x.reshape(x.shape), some.P, last.K, last
         self.z = (z if None in z.tolist() else z.astype(float)).reshape((m, 1) if x.ndim == 2 else m)
-        self._y = self._S = self._SI = None
+        self._y, self.S, self.SI = None, S, SI
         self.x_post, self.P_post = self.x.copy(), self.P.copy()
         self._log_likelihood = self._likelihood = self._mahalanobis = None
+
+    def _corrected_part(self, x: Array, P: Array, values: Any, H: Array, R: Array, start: int) -> Any:
+        """Return the correction by the sensors from place start on; changes nothing but what is known of them."""
+        customs, k = self._known_sensors(), len(H)
+        try:
+            self._keep_sensors(Customs(customs.of(start + k)[start:], {}))
+            some = self._corrected(x, P, values, H, R, None)
+        finally:
+            self._keep_sensors(customs)
+        if getattr(some, "memory", None) is not None:
+            places = customs.of(max(len(customs.places), start + k))
+            places[start : start + k] = some.memory
+            self._keep_sensors(Customs(places, customs.rows))
+        return some
 
     def batch_filter(
         self,
@@ -555,8 +569,9 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
 
     def _compiled_loop(self, saver: Any) -> CompiledLoop | None:
         """Return what takes steps of a recording by the kernel, None if all are for the filter's own methods."""
-        own = saver is None and self._inverse is None and is_own(self, RobustKalmanFilter, _METHODS)
-        return CompiledLoop(self) if own and dispatch.can_compile(self._choices) else None
+        own = saver is None and self._inverse is None and type(self)._by_kernel
+        own = own and is_own(self, RobustKalmanFilter, ("predict", "update"))
+        return CompiledLoop(self) if own else None
 
     def rts_smoother(
         self, Xs: Array, Ps: Array, Fs: Any = None, Qs: Any = None, inv: Any = np.linalg.inv
@@ -624,7 +639,7 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         if values is None:
             return 0.0
         y = np.atleast_1d(values) - H.dot(x).ravel()
-        return log_density(y, self.S, self._choices, self._inverse)
+        return self._log_density(y, self.S)
 
 
 def _not_finite(H: Array, predicted: Array) -> ValueError:

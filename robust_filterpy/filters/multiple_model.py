@@ -9,16 +9,14 @@ the same side tell a lot.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.definition import correct
-from robust_filterpy.correction.likelihood import log_density
-from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling, length_and_direction
+from robust_filterpy.correction.definition import correct, innovation_moments
+from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters._hypotheses import finite_product
 from robust_filterpy.filters._interacting import InteractingFilter, merged_bank
@@ -32,7 +30,6 @@ __all__ = ["TwoSidedKalmanFilter"]
 _OUTLIER_SHARE = 0.5
 _OUTLIER_SCALE = 5.0
 _GAUSSIAN = Choices(Linear())
-_LOG_2PI = math.log(2.0 * math.pi)
 # The square of this is finite, and so is the sum of a few.
 _LARGE = 1e150
 
@@ -122,18 +119,20 @@ class TwoSidedKalmanFilter(InteractingFilter):
 
     def _corrected(self, x: Array, P: Array, values: Any, H: Array, R: Array, M: Any) -> Correction:
         """Return the correction of the merged state; every copy is corrected by itself."""
-        values, inv = np.atleast_1d(values), self._inverse
+        values = np.atleast_1d(values)
         bank = self._current()
-        shown = correct(x.ravel(), P, values - finite_product(H, x.ravel()), H, R, self._choices, M, inv)
+        skip = self._inverse is not None
+        moments = innovation_moments(P, H, R, M)
+        shown = correct(x.ravel(), P, values - finite_product(H, x.ravel()), *moments, self._choices, None, skip)
         if np.isnan(values).all():
             return shown
         copies = [
-            correct(mean, covariance, values - H.dot(mean), H, R, self._choices, M, inv)
-            for mean, covariance in zip(bank.means, bank.covariances, strict=True)
+            correct(mean, cov, values - H.dot(mean), *innovation_moments(cov, H, R, M), self._choices, None, skip)
+            for mean, cov in zip(bank.means, bank.covariances, strict=True)
         ]
         part = np.flatnonzero(~np.isnan(values))
         wide = shown._replace(S=_OUTLIER_SCALE**2 * shown.S)
-        *logs, outlier = _log_normal([*copies, wide], part, inv)
+        *logs, outlier = _log_normal([*copies, wide], part, skip)
         # Relative to the outlier's, so that what is nearly impossible under all of them still compares.
         relative = np.array(logs) - outlier
         if not self._choices.is_linear:
@@ -148,17 +147,13 @@ class TwoSidedKalmanFilter(InteractingFilter):
         return shown._replace(x=merged.x, P=merged.P)
 
 
-def _log_normal(found: list[Correction], part: np.ndarray, inv: Any) -> list[float]:
+def _log_normal(found: list[Correction], part: np.ndarray, skip: bool) -> list[float]:
     """Return log N(y; 0, S) of the observed part of each innovation."""
-    pick = np.ix_(part, part)
-    if inv is not None:
-        return [log_density(one.y[part], one.S[pick], _GAUSSIAN, inv) for one in found]
-    # What has passed `correct` has a factor, unless rounding alone was at fault; then the slower way finds it.
-    try:
-        factors = np.linalg.cholesky(np.array([one.S[pick] for one in found]))
-    except np.linalg.LinAlgError:
-        return [log_density(one.y[part], one.S[pick], _GAUSSIAN) for one in found]
-    e = np.linalg.solve(factors, np.array([one.y[part] for one in found])[:, :, None])[:, :, 0]
-    log_dets = 2.0 * np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)
-    lengths = [length_and_direction(one)[0] for one in np.clip(e, -_LARGE, _LARGE)]
-    return [-0.5 * (r * r + d + part.size * _LOG_2PI) for r, d in zip(lengths, log_dets.tolist(), strict=True)]
+    nothing, pick = np.zeros((0, 0)), np.ix_(part, part)
+    return [
+        correct(
+            nothing.ravel(), nothing, np.clip(one.y[part], -_LARGE, _LARGE), np.zeros((0, part.size)), one.S[pick],
+            _GAUSSIAN, None, skip,
+        ).log_density
+        for one in found
+    ]  # fmt: skip

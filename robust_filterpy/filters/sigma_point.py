@@ -75,11 +75,11 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
         ``state_add(x, dx)`` moves a state (angles); with filterpy 1.4.5 too.
     influence : Influence, default Huber(1.345)
         psi, as in `RobustKalmanFilter`.
-    scaling : {"innovation", "unit", "bounded"}
+    scaling : {"learnt", "innovation", "unit", "bounded"}
         T, as in `RobustKalmanFilter`.
     information : {"realized", "expected", "weight"}
         D, as in `RobustKalmanFilter`.
-    grouping : {"component", "joint"}
+    grouping : {"component", "joint"} or tuple of tuple of int
         psi of each component of e, or of the length of e.
 
     Attributes
@@ -132,7 +132,7 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
         state_add: Any = None,
         *,
         influence: Influence = Huber(),
-        scaling: Scaling = "innovation",
+        scaling: Scaling = "learnt",
         information: Information = "realized",
         grouping: Grouping = "component",
     ) -> None:
@@ -285,11 +285,11 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
         As in filterpy.
     influence : Influence, default Huber(1.345)
         psi, as in `RobustKalmanFilter`.
-    scaling : {"innovation", "unit", "bounded"}
+    scaling : {"learnt", "innovation", "unit", "bounded"}
         T, as in `RobustKalmanFilter`.
     information : {"realized", "expected", "weight"}
         D, as in `RobustKalmanFilter`.
-    grouping : {"component", "joint"}
+    grouping : {"component", "joint"} or tuple of tuple of int
         psi of each component of e, or of the length of e.
 
     Raises
@@ -315,7 +315,7 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
         residual_z: Any = None,
         *,
         influence: Influence = Huber(),
-        scaling: Scaling = "innovation",
+        scaling: Scaling = "learnt",
         information: Information = "realized",
         grouping: Grouping = "component",
     ) -> None:

@@ -5,12 +5,14 @@
 * `stepping`: one pure step, (model, state, batch) to (state, output).
 * `dask`, `spark`, `stream`: adapters to engines, imported by name.
 * `table`: many keys in a data frame.
-* `batches`: the forms a batch may have; `timeline`: late samples, duplicates and gaps.
+* `states`: states of many keys in columns, as an Arrow table.
+* `reading`: the forms a batch may have; `timeline`: late samples, duplicates and gaps.
 """
 
 from robust_filterpy.fleet.models import FilterModel, Model, TrackerModel
 from robust_filterpy.fleet.packing import pack, unpack
+from robust_filterpy.fleet.states import States
 from robust_filterpy.fleet.stepping import step
 from robust_filterpy.fleet.table import filter_table, step_table
 
-__all__ = ["FilterModel", "Model", "TrackerModel", "filter_table", "pack", "step", "step_table", "unpack"]
+__all__ = ["FilterModel", "Model", "States", "TrackerModel", "filter_table", "pack", "step", "step_table", "unpack"]

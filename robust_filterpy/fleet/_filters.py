@@ -1,4 +1,4 @@
-"""Many keys with one filter: by the compiled loops, keys with equally many steps together, or one by one.
+"""Many keys with one filter: by the kernel, keys with equally many steps together, or one by one.
 
 However a recording is cut into batches, and whichever keys come together, the numbers are the same to the last bit:
 every step that the kernel can take is the kernel's, and the definition takes single steps.
@@ -7,58 +7,97 @@ every step that the kernel can take is the kernel's, and the definition takes si
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from robust_filterpy import _checks, _state
+from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array
-from robust_filterpy.compiled import dispatch
-from robust_filterpy.compiled.records import Model, Output
+from robust_filterpy._state import Shape
+from robust_filterpy.filters._sensors import Customs
 from robust_filterpy.filters.kalman import RobustKalmanFilter
+from robust_filterpy.kernel import series as kernel
+from robust_filterpy.kernel.records import Model, Output
 
 #: What an impossible step raises.
-REFUSED = (ValueError, TypeError, np.linalg.LinAlgError)
+REFUSED = (ValueError, TypeError, ArithmeticError, np.linalg.LinAlgError)
 # Numbers of a group of keys that are worked on at once: what stays in a processor's cache.
 _GROUP = 100_000
 
 
-class Plain(NamedTuple):
-    """A `RobustKalmanFilter` as the compiled loops take it."""
+class Work(NamedTuple):
+    """What some keys bring, and what becomes of it: written into by who advances them."""
 
-    size: tuple[int, int]
+    entries: dict[str, np.ndarray]
+    """States in columns, a row for each key."""
+    z: Array
+    """Measurements of all steps, shape (N, m), NaN where missing; those of a key together."""
+    u: Array | None
+    """Inputs, shape (N, p)."""
+    bounds: np.ndarray
+    """First step of each key, and the end, shape (K + 1,)."""
+    columns: Array
+    """What the model gives for each step, shape (N, c)."""
+    stopped: dict[int, tuple[int, str]]
+    """Keys that could not go on: how many steps they took, and why. -1: their state is refused."""
+    missed: dict[int, str]
+    """Steps whose measurement was refused, and so was as if missing."""
+
+
+class Plain(NamedTuple):
+    """A `RobustKalmanFilter` as the kernel takes it."""
+
     F: Array
     Q: Array
     H: Array
     R: Array
     B: Array | None
-    x: Array
-    """Shape (n,)."""
-    P: Array
-    column: bool
-    """Whether the filter holds x as a column."""
-    label: Array
 
 
-def plain(kf: Any) -> Plain | None:
-    """Return what the loops need, None if they do not serve this filter on this machine, however long the batch."""
-    if type(kf) is not RobustKalmanFilter or kf._compiled_loop(None) is None:
+def plain(kf: Any, update: Mapping[str, Any]) -> Plain | None:
+    """Return what the kernel needs, None if it does not serve this filter on this machine, however long the batch."""
+    # An R or H of the user's own is for `update` to look at.
+    if update or type(kf) is not RobustKalmanFilter or kf._compiled_loop(None) is None:
         return None
-    x, P = state_of(kf)
+    if not kernel.serves(kf._choices):
+        return None
+    _, P = state_of(kf)
     n, m = kf.dim_x, kf.dim_z
-    size = dispatch.fixed_series_size(n, m)
-    if size is None:
-        return None
     F, H = _checks.matrix("F", kf.F, (n, n), "dim_x"), _checks.matrix("H", kf.H, (m, n), "dim_z")
     Q, R = process_noise(kf.Q, None, n) * np.ones((n, n)), noise_covariance(kf.R, None, m)
     if not all((a == a.T).all() for a in (Q, R, P)):
         return None
     B = None if kf.B is None or np.ndim(kf.B) != 2 else _checks.numbers("B", kf.B)
-    label = _state.labelled(type(kf).__name__, {})[_state.LABEL]
-    label.flags.writeable = False
-    return Plain(size, F, Q, H, R, B, x.ravel().copy(), P.copy(), np.ndim(kf.x) == 2, label)
+    return Plain(F, Q, H, R, B)
+
+
+class Moving(NamedTuple):
+    """What steps move of some keys, advanced in place."""
+
+    x: Array
+    """(keys, n)"""
+    P: Array
+    """(keys, n, n)"""
+    memory: Array | None
+    """What is known of the sensors, (keys, m, 6); None if nothing is learnt of them."""
+
+    def of(self, s: int) -> Moving:
+        """Return that of one key, the same numbers."""
+        return Moving(*(None if a is None else a[s : s + 1] for a in self))  # type: ignore[arg-type]
+
+    def lend(self, s: int, kf: Any) -> None:
+        """Let a filter stand where a key stands."""
+        kf.x, kf.P = self.x[s].reshape(np.shape(kf.x)).copy(), self.P[s].copy()
+        if self.memory is not None:
+            kf._keep_sensors(Customs(self.memory[s].copy(), {}))
+
+    def take(self, s: int, kf: Any) -> None:
+        """Let a key stand where a filter stands."""
+        self.x[s], self.P[s] = np.ravel(kf.x), kf.P
+        if self.memory is not None:
+            self.memory[s] = kf._known_sensors().of(kf.dim_z)
 
 
 def require_consistent(kf: Any, update: Mapping[str, Any]) -> None:
@@ -72,164 +111,160 @@ def require_consistent(kf: Any, update: Mapping[str, Any]) -> None:
         raise TypeError(f"update: expected the further arguments of {type(kf).__name__}.update, {error}") from None
 
 
-def advance(
-    kf: Any, update: Mapping[str, Any], series: Plain | None, jobs: Sequence[Any]
-) -> list[tuple[dict[str, Array], Array] | Exception]:
-    """Return state and columns of each job, or what was wrong with it; kf stays as it is."""
-    found: list[Any] = [None] * len(jobs)
+def start(kf: Any) -> dict[str, Array]:
+    """Return what a filter's steps move, as it is; of sensors of which nothing is known yet, zeros."""
+    found = {name: np.array(value, dtype=float) for name, value in kf._moving().items()}
+    known = kf._sensors_in_state()
+    empty = {name: np.zeros([size or 0 for size in shape]) for name, shape in _sensors(kf).items()}
+    return {**found, **{name: np.array(known.get(name, value), dtype=float) for name, value in empty.items()}}
+
+
+def shapes(kf: Any) -> dict[str, Shape]:
+    """Return the shapes of that."""
+    return {**kf._needed(), "x": np.shape(kf.x), **_sensors(kf)}
+
+
+def _sensors(kf: Any) -> dict[str, Shape]:
+    """Return the shapes of what a filter knows of its sensors, if it learns anything of them."""
+    if not getattr(kf, "_learns_spread", False):
+        return {}
+    return {**kf._sensor_shapes(), "spread": (kf.dim_z, 6)}
+
+
+def advance(kf: Any, update: Mapping[str, Any], series: Plain | None, work: Work) -> None:
+    """Take the steps of all keys; kf stays as it is."""
+    worker = copy.deepcopy(kf)
     if series is None:
-        worker = copy.deepcopy(kf)
-        for i, job in enumerate(jobs):
-            try:
-                found[i] = _alone(worker, update, kf, job)
-            except REFUSED as error:
-                found[i] = error
-        return found
-    for rows, x, P in _groups(series, kf, jobs, found):
-        z = np.stack([jobs[i].z for i in rows])
-        u = None if jobs[rows[0]].u is None else np.stack([jobs[i].u for i in rows])
-        _together(series, kf, update, z, u, x, P, rows, found)
-    return found
+        settings = {name: value for name, value in kf.state().items() if name in kf._settings}
+        for i in range(len(work.bounds) - 1):
+            _alone(worker, update, settings, work, i)
+        return
+    # Written into in place, without the axis of a column.
+    x, P = work.entries["x"].reshape(-1, kf.dim_x), work.entries["P"]
+    memory = work.entries["spread"] if kf._learns_spread else None
+    good = np.isfinite(x).all(axis=1) & _checks.are_covariances(P, _checks.GATHERED, _checks.ROUNDING)
+    if memory is not None:
+        good &= np.isfinite(memory).all(axis=(1, 2))
+    for i in np.flatnonzero(~good).tolist():
+        _explain(worker, work, i)
+    for rows in _groups(good, np.diff(work.bounds), kf):
+        own = Moving(x[rows], P[rows], None if memory is None else memory[rows])
+        _together(series, worker, update, work, own, rows)
+        x[rows], P[rows] = own.x, own.P
+        if memory is not None:
+            memory[rows] = own.memory
 
 
-def _alone(worker: Any, update: Mapping[str, Any], kf: Any, job: Any) -> tuple[dict[str, Array], Array]:
-    """Take the steps of one key by the filter's own methods."""
-    state = kf.state()
-    if job.state is not None:
-        # Matrices are the model's.
-        moving = {name: value for name, value in job.state.items() if name not in kf._settings}
-        state = {**{name: value for name, value in state.items() if name in kf._settings}, **moving}
-    worker.restore(state)
-    n, m = kf.dim_x, kf.dim_z
-    columns = np.empty((len(job.z), 2 * n + m))
-    for k in range(len(job.z)):
-        _step(worker, update, job, k)
-        columns[k] = np.concatenate((np.ravel(worker.x), np.sqrt(np.diagonal(worker.P)), np.ravel(worker.weights)))
-    return _state.labelled(type(kf).__name__, worker._moving()), columns
-
-
-def _step(worker: Any, update: Mapping[str, Any], job: Any, k: int) -> None:
-    """Predict and correct once, or raise with the step named."""
+def _explain(worker: Any, work: Work, i: int) -> None:
+    """Say what is wrong with the state of a key."""
     try:
-        if job.u is None:
+        worker.restore({name: work.entries[name][i] for name in shapes(worker)})
+        work.stopped[i] = -1, "state: expected finite numbers and a covariance"
+    except REFUSED as error:
+        work.stopped[i] = -1, str(error)
+
+
+def _alone(worker: Any, update: Mapping[str, Any], settings: Mapping[str, Array], work: Work, i: int) -> None:
+    """Take the steps of one key by the filter's own methods."""
+    try:
+        worker.restore({**settings, **{name: work.entries[name][i] for name in shapes(worker)}})
+    except REFUSED as error:
+        work.stopped[i] = -1, str(error)
+        return
+    first = work.bounds[i]
+    for k in range(first, work.bounds[i + 1]):
+        if not _step(worker, update, work, i, k):
+            break
+        work.columns[k] = _shown(worker)
+    for name, value in start(worker).items():
+        work.entries[name][i] = value
+
+
+def _shown(worker: Any) -> Array:
+    """Return a row of what a filter gives."""
+    std = np.sqrt(np.maximum(np.diagonal(worker.P), 0.0))
+    return np.concatenate((np.ravel(worker.x), std, np.ravel(worker.weights)))
+
+
+def _step(worker: Any, update: Mapping[str, Any], work: Work, i: int, k: int) -> bool:
+    """Predict and correct once; a measurement that is refused is as if missing. Return whether there was a step."""
+    try:
+        if work.u is None:
             worker.predict()
         else:
-            worker.predict(u=job.u[k])
-        worker.update(job.z[k], **update)
+            worker.predict(u=work.u[k])
+        try:
+            worker.update(work.z[k], **update)
+        except REFUSED as error:
+            worker.update(None, **update)
+            work.missed[k] = f"update: {error}; as if it were missing"
     except REFUSED as error:
-        error.args = (f"step {k}: {error}", *error.args[1:])
-        raise
-
-
-def _groups(series: Plain, kf: Any, jobs: Sequence[Any], found: list[Any]) -> Iterator[tuple[list[int], Array, Array]]:
-    """Yield keys with equally many steps, their x and P; those without a fitting state are put among the found."""
-    n = len(series.x)
-    kinds: dict[tuple[int, bool], list[int]] = {}
-    for i, job in enumerate(jobs):
-        kinds.setdefault((len(job.z), job.u is None), []).append(i)
-    for (steps, _), members in kinds.items():
-        share = max(1, _GROUP // max(steps * (2 * n + len(series.H)), n * n))
-        for first in range(0, len(members), share):
-            rows = members[first : first + share]
-            x, P = np.empty((len(rows), n)), np.empty((len(rows), n, n))
-            good = [_started(series, kf, jobs[i].state, x, P, at, found, i) for at, i in enumerate(rows)]
-            good = [at for at in good if at >= 0]
-            if len(good) < len(rows):
-                rows, x, P = [rows[at] for at in good], x[good], P[good]
-            if rows and not (np.isfinite(x).all() and _checks.all_covariances(P)):
-                good = [at for at, i in enumerate(rows) if _is_fit(kf, jobs[i].state, found, i)]
-                rows, x, P = [rows[at] for at in good], x[good], P[good]
-            if rows:
-                yield rows, x, P
-
-
-def _started(series: Plain, kf: Any, state: Any, x: Array, P: Array, at: int, found: list[Any], i: int) -> int:
-    """Write x and P of a key and return their place, -1 if its state does not fit."""
-    if state is None:
-        x[at], P[at] = series.x, series.P
-        return at
-    try:
-        label = state.get(_state.LABEL)
-        if label is not series.label and not np.array_equal(label, series.label):
-            _state.require_kind(state, type(kf).__name__)
-        x[at], P[at] = np.reshape(state["x"], len(series.x)), state["P"]
-        return at
-    except (*REFUSED, KeyError, AttributeError):
-        return at if _is_fit(kf, state, found, i) else -1
-
-
-def _is_fit(kf: Any, state: Any, found: list[Any], i: int) -> bool:
-    """Return whether a state fits the filter; what is wrong with it is put among the found."""
-    if state is None:
-        return True
-    try:
-        copy.deepcopy(kf).restore(state)
-    except REFUSED as error:
-        found[i] = error
+        # A refused call changes nothing: the filter stands where it stood before the step.
+        work.stopped[i] = int(k - work.bounds[i]), f"step {k - work.bounds[i]}: {error}"
         return False
     return True
 
 
+def _groups(good: np.ndarray, steps: np.ndarray, kf: Any) -> Iterator[np.ndarray]:
+    """Yield keys with equally many steps, as many at once as stay in a processor's cache."""
+    n, m = kf.dim_x, kf.dim_z
+    order = np.argsort(steps, kind="stable")
+    order = order[good[order] & (steps[order] > 0)]
+    for members in np.split(order, np.flatnonzero(np.diff(steps[order])) + 1):
+        if len(members):
+            share = max(1, _GROUP // max(int(steps[members[0]]) * (2 * n + m), n * n))
+            yield from (members[first : first + share] for first in range(0, len(members), share))
+
+
 def _together(
-    series: Plain, kf: Any, update: Mapping[str, Any], z: Array, u: Array | None, x: Array, P: Array,
-    rows: list[int], found: list[Any],
-) -> None:  # fmt: skip
-    """Advance keys with equally many steps, and put what comes of them among the found."""
-    count, steps, m = z.shape
-    n = x.shape[1]
-    Bu = np.zeros((1, 1, n)) if u is None or series.B is None else np.ascontiguousarray(u @ series.B.T)
-    columns = np.empty((count, steps, 2 * n + m))
+    series: Plain, worker: Any, update: Mapping[str, Any], work: Work, moving: Moving, rows: np.ndarray
+) -> None:
+    """Advance keys with equally many steps."""
+    n, m = len(series.F), len(series.H)
+    first, steps = work.bounds[rows], int(work.bounds[rows[0] + 1] - work.bounds[rows[0]])
+    every = first[:, None] + np.arange(steps)
+    z = work.z[every]
+    if work.u is None or series.B is None:
+        Bu = np.zeros((1, 1, n))
+    else:
+        Bu = np.ascontiguousarray(work.u[every] @ series.B.T)
     kept = Output(
-        np.empty((count, steps, n)), np.empty((count, steps, 1, n)), np.empty((count, 0, n)),
-        np.empty((count, 0, n, n)), np.empty((count, steps, m)), np.zeros(count),
+        np.empty((len(rows), steps, n)), np.empty((len(rows), steps, 1, n)), np.empty((len(rows), 0, n)),
+        np.empty((len(rows), 0, n, n)), np.empty((len(rows), steps, m)), np.zeros(len(rows)),
     )  # fmt: skip
     model = Model(series.F[None, None], series.Q[None, None], series.H[None, None], series.R[None, None], Bu)
-    done = _kernel(series, kf, z, model, x, P, kept, 0)
+    done = _by_kernel(worker, z, model, moving, kept, 0)
     for s in np.flatnonzero(done < steps).tolist():
-        try:
-            _mixed(series, kf, update, z, u, model, x, P, kept, s, int(done[s]))
-        except REFUSED as error:
-            found[rows[s]] = error
-    columns[:, :, :n], columns[:, :, 2 * n :] = kept.means, kept.weights
-    np.sqrt(np.maximum(kept.covariances[:, :, 0], 0.0), out=columns[:, :, n : 2 * n])
-    shape = (n, 1) if series.column else (n,)
-    for s, i in enumerate(rows):
-        if found[i] is None:
-            state = {_state.LABEL: series.label, "x": x[s].reshape(shape).copy(), "P": P[s].copy()}
-            found[i] = state, columns[s]
+        _mixed(worker, update, work, model, moving, kept, s, int(rows[s]), int(done[s]))
+    # A name for each, since what is assigned to a part of a fancy index is lost.
+    found = np.concatenate((kept.means, np.sqrt(np.maximum(kept.covariances[:, :, 0], 0.0)), kept.weights), axis=2)
+    work.columns[every] = found
 
 
-def _kernel(series: Plain, kf: Any, z: Array, model: Model, x: Array, P: Array, kept: Output, start: int) -> np.ndarray:
-    """Advance in place and return how many steps were taken."""
-    if not z.shape[1]:
-        return np.zeros(len(z), dtype=int)
-    return dispatch.filter_series(
-        series.size, kf._choices, z, model, x, P, kept, alpha_sq=kf._alpha_sq, likely=False, start=start
+def _by_kernel(kf: Any, z: Array, model: Model, moving: Moving, kept: Output, start: int) -> np.ndarray:
+    """Advance in place and return the first step of each key that was not taken."""
+    return kernel.filter_series(
+        kf._choices, z, model, moving.x, moving.P, kept, memory=moving.memory, alpha_sq=kf._alpha_sq, start=start
     )
 
 
 def _mixed(
-    series: Plain, kf: Any, update: Mapping[str, Any], z: Array, u: Array | None, model: Model, x: Array, P: Array,
-    kept: Output, s: int, k: int,
+    worker: Any, update: Mapping[str, Any], work: Work, model: Model, moving: Moving, kept: Output, s: int, i: int,
+    k: int,
 ) -> None:  # fmt: skip
     """Go on with one key from step k, which the kernel has declined: that step by the definition, then the kernel."""
-    steps, only = z.shape[1], slice(s, s + 1)
-    own = model if len(model.Bu) == 1 else Model(*model[:4], model.Bu[only])
-    worker = copy.deepcopy(kf)
-    part = Output(*(a[only] for a in kept))
+    first, steps, n = int(work.bounds[i]), kept.means.shape[1], moving.x.shape[1]
+    own = model if len(model.Bu) == 1 else Model(*model[:4], model.Bu[s : s + 1])
+    part = Output(*(a[s : s + 1] for a in kept))
+    z = work.z[None, first : first + steps]
     while k < steps:
-        worker.x, worker.P = x[s].reshape(np.shape(worker.x)).copy(), P[s].copy()
-        _step(worker, update, _Row(z[s], None if u is None else u[s]), k)
-        kept.means[s, k], kept.covariances[s, k, 0] = np.ravel(worker.x), np.diagonal(worker.P)
-        kept.weights[s, k] = np.ravel(worker.weights)
-        x[s], P[s] = np.ravel(worker.x), worker.P
+        moving.lend(s, worker)
+        if not _step(worker, update, work, i, first + k):
+            return
+        row = _shown(worker)
+        kept.means[s, k], kept.covariances[s, k, 0] = row[:n], np.diagonal(worker.P)
+        kept.weights[s, k] = row[2 * n :]
+        moving.take(s, worker)
         k += 1
         if k < steps:
-            k = int(_kernel(series, kf, z[only], own, x[only], P[only], part, k)[0])
-
-
-class _Row(NamedTuple):
-    """Measurements and inputs of one key."""
-
-    z: Array
-    u: Array | None
+            k = int(_by_kernel(worker, z, own, moving.of(s), part, k)[0])

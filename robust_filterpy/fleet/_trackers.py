@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from robust_filterpy import _state
 from robust_filterpy._checks import Array
-from robust_filterpy.identification import ParameterTracker, _compiled_dispatch
-from robust_filterpy.identification._signals import recorded_input, recorded_output
-from robust_filterpy.identification.results import Columns
+from robust_filterpy.fleet._filters import REFUSED, Work
+from robust_filterpy.identification.models.results import Columns
+from robust_filterpy.identification.models.signals import measured_output, recorded_input
+from robust_filterpy.identification.recursive import track
+from robust_filterpy.identification.recursive.tracker import ParameterTracker
 
-_REFUSED = (ValueError, TypeError, np.linalg.LinAlgError)
 # What the model says, not the state.
-_SETTINGS = ("Q", "F", "alpha_sq")
+_SETTINGS = ("Q", "F", "alpha_sq", _state.LABEL)
 
 
 class EvenTracker(ParameterTracker):
@@ -23,38 +23,71 @@ class EvenTracker(ParameterTracker):
 
     def _run_through(self, y: Array, u: Array, R: Array | None, out: Columns, start: int, stop: int) -> None:
         """Advance by the kernel wherever it can, by single steps of the definition elsewhere."""
-        if self._is_plain and _compiled_dispatch.serves((self.filter._choices,), math.inf):
+        if self._is_plain and track.serves((self.filter._choices,)):
             self._run_kernel(y, u, R, out, start, stop, most_odd=1)
         else:
             self._run_stepwise(y, u, R, out, start, stop)
 
 
-def advance(tracker: EvenTracker, jobs: Sequence[Any]) -> list[tuple[dict[str, Array], Array] | Exception]:
-    """Return state and columns of each job, or what was wrong with it."""
-    initial = tracker.state()
-    found: list[Any] = []
-    for job in jobs:
+def start(tracker: EvenTracker) -> dict[str, Array]:
+    """Return what a tracker's steps move, as it is; of a sensor of which nothing is known yet, zeros."""
+    unknown = {"filter_spread": np.zeros((1, 6))} if getattr(tracker.filter, "_learns_spread", False) else {}
+    return {**unknown, **{name: value for name, value in tracker.state().items() if name not in _SETTINGS}}
+
+
+def shapes(tracker: EvenTracker) -> dict[str, _state.Shape]:
+    """Return the shapes of that; how long a recording is kept for a start or watched, no one knows beforehand."""
+    found: dict[str, _state.Shape] = {name: value.shape for name, value in start(tracker).items()}
+    return {**found, **{name: (None, *found[name][1:]) for name in ("start", "followed")}}
+
+
+def advance(tracker: EvenTracker, work: Work) -> None:
+    """Take the samples of all keys."""
+    settings = {name: value for name, value in tracker.state().items() if name in _SETTINGS and name != _state.LABEL}
+    for i in range(len(work.bounds) - 1):
         try:
-            found.append(_alone(tracker, initial, job))
-        except _REFUSED as error:
-            found.append(error)
-    return found
+            tracker.restore({**settings, **{name: column[i] for name, column in work.entries.items()}})
+        except REFUSED as error:
+            work.stopped[i] = -1, str(error)
+            continue
+        first, stop = int(work.bounds[i]), int(work.bounds[i + 1])
+        before = tracker.state()
+        try:
+            _through(tracker, work, first, stop)
+        except REFUSED:
+            tracker.restore(before)
+            _one_by_one(tracker, work, i)
+        for name, value in start(tracker).items():
+            work.entries[name][i] = value
 
 
-def _alone(tracker: EvenTracker, initial: dict[str, Array], job: Any) -> tuple[dict[str, Array], Array]:
-    """Take the samples of one key."""
-    state = initial
-    if job.state is not None:
-        moving = {name: value for name, value in job.state.items() if name not in _SETTINGS}
-        state = {**{name: initial[name] for name in _SETTINGS if name in initial}, **moving}
-    tracker.restore(state)
-    n, steps, own = tracker._layout.n, len(job.z), tracker._own
+def _through(tracker: EvenTracker, work: Work, first: int, stop: int) -> None:
+    """Take the samples from first to stop, or raise."""
+    steps, own = stop - first, tracker._own
     d = len(own)
-    columns = np.empty((steps, 2 * d + 4))
-    if steps:
-        out = Columns.empty(steps, n)
-        tracker._advance(recorded_output(job.z), recorded_input(tracker.structure, job.u, steps), None, out)
-        columns[:, :d], columns[:, d : 2 * d] = out.theta[:, own], np.sqrt(np.maximum(out.variance[:, own], 0.0))
-        columns[:, 2 * d :] = np.column_stack((out.prediction, out.residual, out.weights, out.guard))
-    state = tracker.state()
-    return {name: value for name, value in state.items() if name not in _SETTINGS}, columns
+    if not steps:
+        return
+    out = Columns.empty(steps, tracker._layout.n)
+    u = None if work.u is None else work.u[first:stop]
+    tracker._advance(measured_output(work.z[first:stop]), recorded_input(tracker.structure, u, steps), None, out)
+    columns: Any = work.columns[first:stop]
+    columns[:, :d], columns[:, d : 2 * d] = out.theta[:, own], np.sqrt(np.maximum(out.variance[:, own], 0.0))
+    columns[:, 2 * d :] = np.column_stack((out.prediction, out.residual, out.weights, out.guard))
+
+
+def _one_by_one(tracker: EvenTracker, work: Work, i: int) -> None:
+    """Take the samples of a key one by one; an output that is refused is as if missing."""
+    for k in range(int(work.bounds[i]), int(work.bounds[i + 1])):
+        before = tracker.state()
+        try:
+            _through(tracker, work, k, k + 1)
+        except REFUSED as refusal:
+            tracker.restore(before)
+            work.missed[k], work.z[k] = f"update: {refusal}; as if it were missing", np.nan
+            try:
+                _through(tracker, work, k, k + 1)
+            except REFUSED as error:
+                tracker.restore(before)
+                del work.missed[k]
+                work.stopped[i] = int(k - work.bounds[i]), f"step {k - work.bounds[i]}: {error}"
+                return

@@ -6,47 +6,31 @@ A model is made once, travels to every worker by pickle, and is never advanced: 
 from __future__ import annotations
 
 import copy
+import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar
+from typing import Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
+from robust_filterpy._state import LABEL, Shape, labelled
 from robust_filterpy.filters._interruption import StateMixin
 from robust_filterpy.fleet import _filters, _trackers
+from robust_filterpy.fleet._filters import Work
+from robust_filterpy.fleet.states import FLEET, checked
 from robust_filterpy.fleet.timeline import POLICIES
-from robust_filterpy.identification.structures import Structure
+from robust_filterpy.identification.models.structures import Structure
 
 __all__ = ["FilterModel", "Late", "Model", "TrackerModel"]
 
 #: What is done with samples that are not later than the one before them.
 Late: TypeAlias = Literal["refuse", "drop"]
 _Self = TypeVar("_Self", bound="Model")
-
-
-class Job(NamedTuple):
-    """What one key brings."""
-
-    state: Mapping[str, Any] | None
-    """None at its start."""
-    z: Array
-    """Measurements of each step, shape (N, m), NaN where missing."""
-    u: Array | None
-    """Inputs of each step, shape (N, p)."""
-
-
-class Done(NamedTuple):
-    """What became of it."""
-
-    state: dict[str, Array]
-    """What the next batch goes on from."""
-    columns: Array
-    """What the model gives for each step, shape (N, c)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,15 +48,16 @@ class Model(ABC):
     dt : float, optional
         Sampling period in seconds: what is missing between two times becomes steps without a measurement, with the
         input before it. Default: every sample is a step.
-    late : {"refuse", "drop"}
-        What is done with a sample that is not later than the one before it.
+    late : {"refuse", "drop"}, optional
+        What is done with a sample that is not later than the one before it: named in ``error``, or left out and
+        counted. Default: streams of messages drop it, tables and batches name it.
     """
 
     measurements: tuple[str, ...] | None = field(default=None, kw_only=True)
     inputs: tuple[str, ...] | None = field(default=None, kw_only=True)
     time: str | None = field(default=None, kw_only=True)
     dt: float | None = field(default=None, kw_only=True)
-    late: Late = field(default="refuse", kw_only=True)
+    late: Late | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         """Check the description of the samples."""
@@ -81,7 +66,8 @@ class Model(ABC):
             if isinstance(value, str):
                 raise TypeError(f"{name}: expected a list of names, got {value!r}; use [{value!r}]")
             object.__setattr__(self, name, None if value is None else tuple(value))
-        _checks.option("late", self.late, POLICIES)
+        if self.late is not None:
+            _checks.option("late", self.late, POLICIES)
         if self.dt is not None:
             _checks.positive("dt", self.dt)
             if self.time is None:
@@ -120,20 +106,104 @@ class Model(ABC):
     def widths(self) -> tuple[int, int]:
         """Number of measurements and of inputs."""
 
+    @property
     @abstractmethod
-    def advance(self, jobs: Sequence[Job]) -> list[Done | Exception]:
-        """Advance many keys; one that is refused does not stop the others.
+    def kind(self) -> str:
+        """What its states belong to."""
+
+    @property
+    @abstractmethod
+    def gaps(self) -> tuple[str, ...]:
+        """Entries of a state that may hold NaN."""
+
+    @abstractmethod
+    def start(self) -> dict[str, Array]:
+        """Return the entries of a state at the start."""
+
+    @abstractmethod
+    def _shapes(self) -> dict[str, Shape]:
+        """Return the shapes of these."""
+
+    @abstractmethod
+    def _said(self) -> Iterator[tuple[str, Any]]:
+        """Yield what makes the model this one."""
+
+    @abstractmethod
+    def advance(self, work: Work) -> None:
+        """Take the steps of many keys; one that is refused does not stop the others.
 
         Parameters
         ----------
-        jobs : sequence of Job
-            State, measurements and inputs of each key.
+        work : Work
+            States and samples, written into.
+        """
+
+    @cached_property
+    def shapes(self) -> dict[str, Shape]:
+        """Shapes of the entries of a state, those that a fleet adds among them."""
+        shapes = {**self._shapes(), **FLEET, "input": (self.widths[1],)}
+        return shapes if self.widths[1] else {name: shape for name, shape in shapes.items() if name != "input"}
+
+    @cached_property
+    def label(self) -> Array:
+        """``format`` of its states."""
+        label = labelled(self.kind, {})[LABEL]
+        label.flags.writeable = False
+        return label
+
+    @cached_property
+    def fingerprint(self) -> float:
+        """A number that another model does not have: of its matrices, to nine digits, choices and sampling period."""
+        found = hashlib.sha256(self.kind.encode())
+        for name, value in (*self._said(), ("dt", self.dt)):
+            found.update(f"{name}:{_spelt(value)}\n".encode())
+        return float(int.from_bytes(found.digest()[:6], "big"))
+
+    def adopt(self, state: Any) -> dict[str, Array]:
+        """Return a state of another model as one of this one: asked for, it is gone on from.
+
+        Parameters
+        ----------
+        state : mapping of str to ndarray
+            From `step`, or of `step_table`'s.
 
         Returns
         -------
-        list of Done or Exception
-            For each key its state and columns, or what was wrong.
+        dict of str to ndarray
+
+        Raises
+        ------
+        ValueError
+            If it is of another class or structure, or damaged.
         """
+        found = checked(state, self.label, self.shapes, self.kind, self.gaps)
+        return {LABEL: self.label.copy(), **found, "model": np.array([self.fingerprint])}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what can be made anew."""
+        return {name: value for name, value in vars(self).items() if name not in _DERIVED}
+
+
+# What is made of a model's fields when it is first asked for.
+_DERIVED = ("shapes", "label", "fingerprint", "_plain", "_tracker")
+
+
+def _spelt(value: Any) -> str:
+    """Return a value as text that is the same on every machine."""
+    if isinstance(value, np.ndarray) or (np.isscalar(value) and not isinstance(value, str)):
+        array = np.asarray(value)
+        if array.dtype.kind in "fiub":
+            # An exponential may differ in its last digit from one machine to another.
+            return f"{array.shape}{[format(number, '.9g') for number in array.ravel().tolist()]}"
+    if isinstance(value, (list, tuple)):
+        return f"[{','.join(map(_spelt, value))}]"
+    if isinstance(value, Mapping):
+        return f"{{{','.join(f'{name}={_spelt(value[name])}' for name in sorted(value))}}}"
+    if callable(value):
+        return f"{getattr(value, '__module__', '')}.{getattr(value, '__qualname__', type(value).__qualname__)}"
+    text = repr(value)
+    # An object that does not say what it is has its address in its name.
+    return type(value).__qualname__ if " at 0x" in text else text
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +232,7 @@ class FilterModel(Model):
     Columns: ``x0``, .. and their standard deviations ``std0``, .. after each sample, and ``weight0``, ..: how much each
     measurement was believed, NaN where it was missing.
 
-    A plain `RobustKalmanFilter` goes through the compiled loops, all keys with equally many samples together.
+    A plain `RobustKalmanFilter` goes through the kernel, all keys with equally many samples together.
 
     Examples
     --------
@@ -209,30 +279,56 @@ class FilterModel(Model):
         B = getattr(self.filter, "B", None)
         return self.filter.dim_z, 0 if B is None or np.ndim(B) != 2 else np.shape(B)[1]
 
-    def advance(self, jobs: Sequence[Job]) -> list[Done | Exception]:
-        """Advance many keys; one that is refused does not stop the others.
+    @property
+    def kind(self) -> str:
+        """What its states belong to."""
+        return type(self.filter).__name__
 
-        Parameters
-        ----------
-        jobs : sequence of Job
-            State, measurements and inputs of each key.
+    @property
+    def gaps(self) -> tuple[str, ...]:
+        """Entries of a state that may hold NaN."""
+        return self.filter._gaps  # type: ignore[no-any-return]
+
+    def start(self) -> dict[str, Array]:
+        """Return the entries of a state at the start.
 
         Returns
         -------
-        list of Done or Exception
-            For each key its state and columns, or what was wrong.
+        dict of str to ndarray
         """
-        found = _filters.advance(self.filter, self.update, self._plain, jobs)
-        return [one if isinstance(one, Exception) else Done(*one) for one in found]
+        return _filters.start(self.filter)
+
+    def _shapes(self) -> dict[str, Shape]:
+        """Return the shapes of these."""
+        return _filters.shapes(self.filter)
+
+    def _said(self) -> Iterator[tuple[str, Any]]:
+        """Yield what makes the model this one: matrices, choices, functions."""
+        kf = self.filter
+        yield from ((name, getattr(kf, own, None)) for name, own in sorted(kf._settings.items()) if name not in _MOVED)
+        choices = ("influence", "scaling", "information", "grouping", "process", "noise", "patience", "hx", "fx", "dt")
+        yield from ((name, getattr(kf, name)) for name in choices if name in vars(kf))
+        yield "choices", repr(kf._choices)
+        yield "update", self.update
+
+    def advance(self, work: Work) -> None:
+        """Take the steps of many keys; one that is refused does not stop the others.
+
+        Parameters
+        ----------
+        work : Work
+            States and samples, written into.
+        """
+        _filters.advance(self.filter, self.update, self._plain, work)
 
     @cached_property
     def _plain(self) -> _filters.Plain | None:
-        """What the compiled loops need, None if they do not serve."""
-        return _filters.plain(self.filter)
+        """What the kernel needs, None if it does not serve."""
+        return _filters.plain(self.filter, self.update)
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave out what can be made anew."""
-        return {name: value for name, value in vars(self).items() if name != "_plain"}
+
+# What a correction shows, among what a filter calls its settings.
+_MOVED = ("K", "S", "SI", "sigmas_f")
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,25 +392,52 @@ class TrackerModel(Model):
         """Number of measurements and of inputs."""
         return 1, self.structure.n_inputs
 
-    def advance(self, jobs: Sequence[Job]) -> list[Done | Exception]:
-        """Advance many keys; one that is refused does not stop the others.
+    @property
+    def kind(self) -> str:
+        """What its states belong to."""
+        return self._tracker._kind
 
-        Parameters
-        ----------
-        jobs : sequence of Job
-            State, measurements and inputs of each key.
+    @property
+    def gaps(self) -> tuple[str, ...]:
+        """Entries of a state that may hold NaN."""
+        return "start", "followed"
+
+    def start(self) -> dict[str, Array]:
+        """Return the entries of a state at the start.
 
         Returns
         -------
-        list of Done or Exception
-            For each key its state and columns, or what was wrong.
+        dict of str to ndarray
         """
-        found = _trackers.advance(self.template(), jobs)
-        return [one if isinstance(one, Exception) else Done(*one) for one in found]
+        return _trackers.start(self._tracker)
+
+    def _shapes(self) -> dict[str, Shape]:
+        """Return the shapes of these."""
+        return _trackers.shapes(self._tracker)
+
+    @cached_property
+    def _tracker(self) -> _trackers.EvenTracker:
+        """A tracker at the start, never advanced."""
+        return self.template()
+
+    def _said(self) -> Iterator[tuple[str, Any]]:
+        """Yield what makes the model this one."""
+        yield "structure", repr(self.structure)
+        yield "options", self.options
+
+    def advance(self, work: Work) -> None:
+        """Take the steps of many keys; one that is refused does not stop the others.
+
+        Parameters
+        ----------
+        work : Work
+            States and samples, written into.
+        """
+        _trackers.advance(self.template(), work)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return plain attributes: a read-only view has no pickle."""
-        return {**vars(self), "options": dict(self.options)}
+        return {**super().__getstate__(), "options": dict(self.options)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Make the options read only again."""

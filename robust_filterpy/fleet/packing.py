@@ -15,6 +15,7 @@ import numpy as np
 
 from robust_filterpy import _state
 from robust_filterpy._checks import Array
+from robust_filterpy._state import StateError
 
 __all__ = ["pack", "unpack"]
 
@@ -48,7 +49,7 @@ def pack(state: Any) -> bytes:
     >>> kf.restore(unpack(pack(kf.state())))
     """
     if not _state.kind_of(state):
-        raise ValueError(f"state: expected what state() or step returned, with {_state.LABEL}, got {list(state)}")
+        raise StateError(f"state: expected what state() or step returned, with {_state.LABEL}, got {list(state)}")
     arrays = {name: np.asarray(state[name]) for name in state}
     for name, array in arrays.items():
         if array.dtype.kind not in "fiub":
@@ -89,16 +90,19 @@ def unpack(data: bytes) -> dict[str, Array]:
     data = bytes(data)
     size = 10 + int.from_bytes(data[8:10], "little")
     if data[:8] != b"\x93NUMPY\x01\x00" or len(data) < size + 4:
-        raise ValueError(f"data: expected a packed state, got {len(data)} bytes of something else, or cut off")
+        raise StateError(f"data: expected a packed state, got {len(data)} bytes of something else, or cut off")
     if zlib.crc32(data[:-4]) != int.from_bytes(data[-4:], "little"):
-        raise ValueError("data: expected a packed state, got a damaged one: its checksum does not fit")
+        raise StateError("data: expected a packed state, got a damaged one: its checksum does not fit")
     dtype = _dtype_of(data[:size])
     if dtype.names is None or dtype.names[-1:] != (_CHECKSUM,) or dtype.itemsize != len(data) - size:
-        raise ValueError(f"data: expected one record of a state, got {dtype}")
+        raise StateError(f"data: expected one record of a state, got {dtype}")
     record = np.frombuffer(data, dtype, count=1, offset=size)[0]
-    state = {name: np.array(record[name], dtype=float) for name in dtype.names[:-1]}
+    try:
+        state = {name: np.array(record[name], dtype=float) for name in dtype.names[:-1]}
+    except (TypeError, ValueError) as error:
+        raise StateError(f"data: expected numbers in a state, {error}") from None
     if not _state.kind_of(state):
-        raise ValueError(f"data: expected a packed state with {_state.LABEL}, got {list(state)}")
+        raise StateError(f"data: expected a packed state with {_state.LABEL}, got {list(state)}")
     return state
 
 
@@ -116,7 +120,11 @@ def _header(fields: tuple[tuple[str, str, tuple[int, ...]], ...]) -> tuple[bytes
 def _dtype_of(header: bytes) -> np.dtype[Any]:
     """Return the type of the record that a head announces."""
     file = io.BytesIO(header[8:])
-    shape, _, dtype = np.lib.format.read_array_header_1_0(file)
+    try:
+        shape, _, dtype = np.lib.format.read_array_header_1_0(file)
+    except Exception as error:
+        # The header is parsed as Python text: what is none raises whatever the parser raises.
+        raise StateError(f"data: expected the head of a packed state, {type(error).__name__}: {error}") from None
     if shape != ():
-        raise ValueError(f"data: expected one record, got shape {shape}")
+        raise StateError(f"data: expected one record, got shape {shape}")
     return np.dtype(dtype)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 from robust_filterpy.fleet.models import Model
@@ -97,6 +98,7 @@ def step_stream(
     reason in ``error``.
     """
     model = _timed(model.reading(time=time, measurements=measurements, inputs=inputs))
+    model = replace(model, late=model.late or "drop")
 
     def advance(name: tuple[Any, ...], parts: Iterator[Any], state: Any) -> Iterator[Any]:
         """Take one key's samples of a micro-batch."""
@@ -105,14 +107,22 @@ def step_stream(
         table = pd.concat(list(parts), ignore_index=True)
         # The name as the table has it: Spark hands over another type.
         own = table[key].tolist()[0]
-        states = {own: unpack(state.get[0])} if state.exists else None
-        states, output = step_table(model, states, table, key=key, sort=True)
-        if own in states:
+        before = {own: _unpacked(state.get[0])} if state.exists else None
+        states, output = step_table(model, before, table, key=key, sort=True)
+        if own in states and own not in states.odd:
             state.update((pack(states[own]),))
         yield output
 
     grouped = frame.groupBy(key)
     return grouped.applyInPandasWithState(advance, _schema(frame, model, key), "state binary", "append", "NoTimeout")
+
+
+def _unpacked(data: Any) -> Any:
+    """Return a state, or what is none as it is, which the table then names."""
+    try:
+        return unpack(data)
+    except (TypeError, ValueError):
+        return data
 
 
 def _timed(model: Model) -> Model:

@@ -1,7 +1,11 @@
-"""One pure step: a state and a batch of one key's samples in, the next state and what the model makes of them out."""
+"""One pure step: states and a batch of samples in, the next states and what the model makes of them out.
+
+A step of one key, a table of many, and a message are the same call with another number of keys.
+"""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -9,19 +13,28 @@ import numpy as np
 
 from robust_filterpy import _state
 from robust_filterpy._checks import Array
-from robust_filterpy.fleet.batches import Batch, read
-from robust_filterpy.fleet.models import Job, Model
-from robust_filterpy.fleet.timeline import Timeline, seconds, timeline
+from robust_filterpy.fleet._filters import Work
+from robust_filterpy.fleet.models import Late, Model
+from robust_filterpy.fleet.reading import Reasons, Rows, read_array, read_table
+from robust_filterpy.fleet.states import States, checked
+from robust_filterpy.fleet.timeline import Clocks, Placed, grouped, placed
 
 __all__ = ["step"]
 
 
-class Prepared(NamedTuple):
-    """A batch of one key, ready for its model."""
+class Outcome(NamedTuple):
+    """What became of the rows of a batch."""
 
-    batch: Batch
-    line: Timeline
-    job: Job
+    entries: dict[str, np.ndarray]
+    """States after it, a row for each key."""
+    moved: np.ndarray
+    """Which keys have a state now, shape (K,)."""
+    columns: Array
+    """What the model gives for each row, shape (N, c), NaN where it was refused."""
+    kept: np.ndarray
+    """Rows that were not dropped."""
+    errors: np.ndarray
+    """What is wrong with each row, or None, shape (N,)."""
 
 
 def step(model: Model, state: Mapping[str, Any] | None, batch: Any) -> tuple[dict[str, Array] | None, Any]:
@@ -32,8 +45,8 @@ def step(model: Model, state: Mapping[str, Any] | None, batch: Any) -> tuple[dic
     model : FilterModel or TrackerModel
         What all keys have in common.
     state : mapping of str to ndarray, or None
-        What the step before returned, or `unpack` made of it; None at the start. A filter's or tracker's own
-        ``state()`` serves too, its matrices being the model's.
+        What the step before returned, or `unpack` made of it, or JSON of its lists; None at the start. A filter's or
+        tracker's own ``state()`` serves too, its matrices being the model's.
     batch : array_like, shape (N, columns), or DataFrame, or Arrow table
         The samples in order, N >= 0. An array has the time first, if ``model.time`` is set, then the measurements, then
         the inputs; a table has columns by name. NaN is a missing measurement.
@@ -43,21 +56,25 @@ def step(model: Model, state: Mapping[str, Any] | None, batch: Any) -> tuple[dic
     state : dict of str to ndarray, or None
         What the next step goes on from; None if there has been no sample yet.
     output : mapping of str to ndarray, or DataFrame, or Arrow table
-        ``model.columns`` for each sample that was taken, in the form of the batch: columns by name for an array, and
-        the times too for a table, whose index is kept.
+        ``model.columns`` for each sample, in the form of the batch: columns by name for an array, and the times too for
+        a table, whose index is kept; and ``error``: None, or what is wrong with the sample.
 
     Raises
     ------
-    ValueError, TypeError
-        If the state is of another model, a column is missing or holds no numbers, or a sample is late and
-        ``model.late`` is "refuse". state and batch are as they were, and can be used again.
-    LinAlgError
-        If a correction is impossible; the step is named.
+    ValueError
+        If the state is damaged or of another model (`Model.adopt` asks for it nevertheless), or a column is missing.
+        state and batch are as they were, and can be used again.
+    TypeError
+        If model or state is something else.
 
     Notes
     -----
     However a recording is cut into batches, the numbers are the same to the last bit, on machines with the same
-    processor, packages and compiled kernels (``python -m robust_filterpy compile``).
+    processor and packages, of which all or none have the kernel (``python -m robust_filterpy`` says so).
+
+    One bad sample costs one sample. A measurement that is no number is missing; a step with an input that is none holds
+    the one before it; a sample that has no time, is late, or lies off the grid is refused, and has NaN. ``error`` says
+    which, and the sample after one or more that were refused in the batch before says how many those were.
 
     Examples
     --------
@@ -67,61 +84,265 @@ def step(model: Model, state: Mapping[str, Any] | None, batch: Any) -> tuple[dic
     >>> kf.H, kf.Q = np.eye(1), 0.01 * np.eye(1)
     >>> model = FilterModel(kf)
     >>> state, output = step(model, None, [[0.1], [-0.2]])
-    >>> state, output = step(model, state, [[1e6], [np.nan], [0.1]])
+    >>> state, output = step(model, state, [[1e6], [np.nan], ["text"], [0.1]])
     >>> bool(np.abs(output["x0"]).max() < 1.0), output["weight0"].round(2)
-    (True, array([ 0., nan,  1.]))
+    (True, array([ 0., nan, nan,  1.]))
+    >>> output["error"][2]
+    "z: expected a finite number or NaN (missing), got 'text'"
     """
-    ready = prepared(model, state, batch)
-    if not len(ready.job.z):
-        kept = None if state is None else {name: np.array(state[name], dtype=float) for name in state}
-        return kept, output_of(model, ready, np.empty((0, len(model.columns))))
-    (done,) = model.advance([ready.job])
-    if isinstance(done, Exception):
-        raise done
-    return next_state(done.state, ready), output_of(model, ready, done.columns)
-
-
-def prepared(model: Model, state: Mapping[str, Any] | None, batch: Any) -> Prepared:
-    """Return a batch with the steps that it makes, or raise."""
     if not isinstance(model, Model):
         raise TypeError(f"model: expected a FilterModel or a TrackerModel, got {type(model).__name__}")
-    if state is not None:
-        _state.kind_of(state)
-    m, p = model.widths
-    found = read(batch, model, m, p)
-    times = None if found.times is None else seconds(found.times)
-    last = float(np.ravel(state["time"])[0]) if state is not None and "time" in state else np.nan
-    line = timeline(times, len(found.z), last, model.dt, model.late)
-    return Prepared(found, line, Job(state, *spread(found, line, state)))
+    before = None if state is None else owned(model, state)
+    is_table = hasattr(batch, "columns") or hasattr(batch, "schema")
+    rows = read_table(batch, model, None) if is_table else read_array(batch, model)
+    entries = started(model, 1)
+    if before is not None:
+        for name, value in before.items():
+            entries[name][0] = value
+    _, order, starts = grouped(None, len(rows.z))
+    late = model.late or "refuse"
+    found = advance(model, entries, np.array([before is not None]), rows, order, starts, late, lambda i, text: text)
+    if 0 in found.refused:
+        raise _state.StateError(found.refused[0])
+    outcome = found.outcome
+    after = one_of(model, outcome.entries, 0) if outcome.moved[0] else None
+    columns = {name: outcome.columns[outcome.kept, j] for j, name in enumerate(model.columns)}
+    return after, rows.like(outcome.kept, {**columns, "error": outcome.errors[outcome.kept]})
 
 
-def spread(batch: Batch, line: Timeline, state: Mapping[str, Any] | None) -> tuple[Array, Array | None]:
-    """Return measurements and inputs of every step: NaN in a gap, and the input before it."""
-    z, u = batch.z, batch.u
-    if line.steps == len(z) == len(line.kept):
-        return np.ascontiguousarray(z), None if u is None else np.ascontiguousarray(u)
-    whole = np.full((line.steps, z.shape[1]), np.nan)
-    whole[line.place] = z[line.kept]
-    if u is None:
-        return whole, None
-    chosen = u[line.kept]
-    before = np.ravel(state["input"]) if state is not None and "input" in state else chosen[0]
-    held = np.vstack((before[None], chosen))[np.searchsorted(line.place, np.arange(line.steps), side="right")]
-    return whole, np.ascontiguousarray(held)
+def one_of(model: Model, entries: Mapping[str, np.ndarray], i: int) -> dict[str, Array]:
+    """Return the state in a row."""
+    return States(model.label, [], entries).row(i)
 
 
-def next_state(state: dict[str, Array], ready: Prepared) -> dict[str, Array]:
-    """Return the model's state with the time and the input of the last sample, where there are any."""
-    state = dict(state)
-    if ready.batch.times is not None:
-        state["time"] = np.array([ready.line.last])
-        if ready.job.u is not None:
-            state["input"] = ready.job.u[-1].copy()
-    return state
+def owned(model: Model, state: Any) -> dict[str, Array]:
+    """Return the entries of a state of this model, or raise."""
+    found = checked(state, model.label, model.shapes, model.kind, model.gaps)
+    if "model" in found and found["model"][0] != model.fingerprint:
+        raise _state.StateError(
+            "state: expected one of this model, got one of a model with other matrices, choices or sampling period; "
+            "model.adopt(state) goes on from it nevertheless"
+        )
+    return found
 
 
-def output_of(model: Model, ready: Prepared, columns: Array) -> Any:
-    """Return what a model made of a batch, in the form of the batch."""
-    place, rows = ready.line.place, ready.line.kept
-    found = {name: columns[place, j] for j, name in enumerate(model.columns)}
-    return ready.batch.like(found, rows)
+def started(model: Model, count: int) -> dict[str, np.ndarray]:
+    """Return states at the start, in columns."""
+    start, entries = model.start(), {}
+    for name, shape in model.shapes.items():
+        if None in shape:
+            entries[name] = np.full(count, None, dtype=object)
+            for i in range(count):
+                entries[name][i] = start[name]
+        elif name in start:
+            entries[name] = np.tile(start[name], (count, *[1] * len(shape)))
+        else:
+            entries[name] = np.full((count, *(size or 0 for size in shape)), np.nan)
+    entries["model"][:] = model.fingerprint
+    return entries
+
+
+class Advanced(NamedTuple):
+    """An outcome, and the keys whose states were refused."""
+
+    outcome: Outcome
+    refused: dict[int, str]
+
+
+def advance(
+    model: Model, entries: dict[str, np.ndarray], known: np.ndarray, rows: Rows, order: np.ndarray,
+    starts: np.ndarray, late: Late, named: Any,
+) -> Advanced:  # fmt: skip
+    """Take the samples of many keys, whose states are written over.
+
+    Parameters
+    ----------
+    model : Model
+        What all keys have in common.
+    entries : dict of str to ndarray
+        States in columns, a row for each key.
+    known : ndarray of bool, shape (K,)
+        Which keys have had a sample.
+    rows : Rows
+        Samples in the order of the batch.
+    order, starts : ndarray of int
+        The rows in the order of the keys, and where each key's begin; rows of nobody are not among them.
+    late : {"refuse", "drop"}
+        What is done with late samples.
+    named : callable
+        From a key's number and a sentence to what stands in ``error``.
+
+    Returns
+    -------
+    Advanced
+    """
+    of = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    z, u = rows.z[order], None if rows.u is None else rows.u[order]
+    times = None if rows.times is None else rows.times[order]
+    time, grid = entries["time"][:, 0].copy(), entries["grid"].copy()
+    clocks = Clocks(time, *grid.T)
+    if model.dt is not None:
+        # States from before a grid was kept begin one.
+        new = np.isnan(grid[:, 0]) & ~np.isnan(time)
+        clocks = Clocks(time, np.where(new, time, grid[:, 0]), np.where(new, 0.0, grid[:, 1]))
+    line = placed(times, starts, clocks, model.dt)
+    if line.milliseconds:
+        warnings.warn(
+            f"time: gaps of a thousand steps of dt={model.dt:g} s; times as large as these are milliseconds since 1970 "
+            f"as a rule, divide them by 1000",
+            stacklevel=3,
+        )
+    work, at, held = _steps(model, entries, known, line, starts, of, z, u)
+    model.advance(work)
+    return _gathered(model, known, line, rows, order, starts, of, late, named, work, at, held, clocks)
+
+
+def _steps(
+    model: Model, entries: dict[str, np.ndarray], known: np.ndarray, line: Placed, starts: np.ndarray, of: np.ndarray,
+    z: Array, u: Array | None,
+) -> tuple[Work, np.ndarray, Array | None]:  # fmt: skip
+    """Return the steps that the samples make, which of them each sample is (-1: none), and the last inputs."""
+    step, steps = line.step, line.steps
+    if u is not None:
+        # Before there is an input nothing has begun.
+        step, steps = _from_first_input(step, steps, u, of, entries["input"])
+    bounds = np.concatenate(([0], np.cumsum(steps)))
+    taken = step >= 0
+    at = np.where(taken, bounds[of] + step, -1)
+    total = int(bounds[-1])
+    if taken.all() and total == len(z):
+        whole = np.ascontiguousarray(z)
+    else:
+        whole = np.full((total, z.shape[1]), np.nan)
+        whole[at[taken]] = z[taken]
+    held = None if u is None else _held(u, at, bounds, entries["input"])
+    columns = np.empty((total, len(model.columns)))
+    return Work(entries, whole, held, bounds, columns, {}, {}), at, held
+
+
+def _from_first_input(
+    step: np.ndarray, steps: np.ndarray, u: Array, of: np.ndarray, before: Array
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the steps without those of keys that have had no input yet."""
+    good: np.ndarray = np.asarray(np.isfinite(u).all(axis=1))
+    if good.all():
+        return step, steps
+    step, steps = step.copy(), steps.copy()
+    waiting: np.ndarray = np.asarray(np.isnan(before).any(axis=1))
+    for i in np.unique(of[~good & waiting[of]]).tolist():
+        mine = np.flatnonzero(of == i)
+        begins = [row for row in mine.tolist() if good[row] and step[row] >= 0]
+        first = int(step[begins[0]]) if begins else int(steps[i])
+        step[mine] = np.where(step[mine] >= first, step[mine] - first, -1)
+        steps[i] -= first
+    return step, steps
+
+
+def _held(u: Array, at: np.ndarray, bounds: np.ndarray, before: Array) -> Array:
+    """Return the input of every step: its own, or the one before it."""
+    total = int(bounds[-1])
+    if total == len(u) and np.isfinite(u).all() and (at >= 0).all():
+        return np.ascontiguousarray(u)
+    good: np.ndarray = np.asarray(np.isfinite(u).all(axis=1)) & (at >= 0)
+    whole = np.concatenate((before, np.full((total, u.shape[1]), np.nan)))
+    whole[len(before) + at[good]] = u[good]
+    source = np.full(total, -1)
+    source[at[good]] = len(before) + at[good]
+    first = bounds[:-1][np.diff(bounds) > 0]
+    keys = np.flatnonzero(np.diff(bounds) > 0)
+    source[first] = np.where(source[first] < 0, keys, source[first])
+    # The last known one of the same key, since each key's first step is known.
+    last = np.maximum.accumulate(np.where(source >= 0, np.arange(total), 0))
+    return np.ascontiguousarray(whole[source[last]])
+
+
+def _gathered(
+    model: Model, known: np.ndarray, line: Placed, rows: Rows, order: np.ndarray, starts: np.ndarray, of: np.ndarray,
+    late: Late, named: Any, work: Work, at: np.ndarray, held: Array | None, clocks: Clocks,
+) -> Advanced:  # fmt: skip
+    """Return what became of the rows, and write times, inputs and counts into the states."""
+    entries, bounds = work.entries, work.bounds
+    said: Reasons = {}
+    refused = {i: text for i, (k, text) in work.stopped.items() if k < 0}
+    ends = np.diff(bounds)
+    for i, (k, text) in work.stopped.items():
+        if k >= 0:
+            ends[i] = k
+        for place in range(starts[i], starts[i + 1]):
+            if k < 0 or at[place] >= bounds[i] + k:
+                at[place] = -1
+                said[place] = text
+    for place, text in {**line.off, **(line.late if late == "refuse" else {})}.items():
+        said.setdefault(place, text)
+    if work.missed:
+        where = {int(one): place for place, one in enumerate(at.tolist()) if one in work.missed}
+        said.update({where[one]: text for one, text in work.missed.items() if one in where})
+    taken = at >= 0
+    columns = np.full((len(rows.z), len(model.columns)), np.nan)
+    columns[order[taken]] = work.columns[at[taken]]
+    kept = np.ones(len(rows.z), dtype=bool)
+    if late == "drop":
+        kept[order[list(line.late)]] = False
+    _count(entries, line, starts, of, taken, said, refused, late)
+    errors = np.full(len(rows.z), None, dtype=object)
+    for row, text in rows.said.items():
+        errors[row] = text
+    for place, text in said.items():
+        row = int(order[place])
+        errors[row] = text if errors[row] is None else f"{errors[row]}; {text}"
+    for row in np.flatnonzero(errors != None).tolist() if (rows.said or said) else ():  # noqa: E711
+        errors[row] = named(row, errors[row])
+    _keep(entries, line, work, starts, at, held, clocks, None if rows.times is None else rows.times[order])
+    moved = known | (np.bincount(of[taken], minlength=len(known)) > 0)
+    return Advanced(Outcome(entries, moved, columns, np.flatnonzero(kept), errors), refused)
+
+
+def _count(
+    entries: dict[str, np.ndarray], line: Placed, starts: np.ndarray, of: np.ndarray, taken: np.ndarray,
+    said: Reasons, refused: Mapping[int, str], late: Late,
+) -> None:  # fmt: skip
+    """Count refused and dropped samples, and have the first one after refused ones of a batch before say so."""
+    counts = entries["refused"]
+    if taken.all() and not (counts[:, 0] > 0.0).any():
+        return
+    so_far = np.nan_to_num(counts)
+    dropped = np.zeros(len(taken), dtype=bool)
+    if late == "drop":
+        dropped[list(line.late)] = True
+    for i in np.unique(np.concatenate((of[~taken], np.flatnonzero(so_far[:, 0] > 0)))).tolist():
+        if i in refused or starts[i] == starts[i + 1]:
+            continue
+        mine = slice(starts[i], starts[i + 1])
+        good = np.flatnonzero(taken[mine])
+        if good.size and so_far[i, 0]:
+            first = int(starts[i] + good[0])
+            note = f"refused before this sample: {so_far[i, 0]:.0f}, in the batches before"
+            said[first] = f"{said[first]}; {note}" if first in said else note
+        after = int(good[-1]) + 1 if good.size else 0
+        lost = int((~taken[mine] & ~dropped[mine])[after:].sum())
+        now = (0.0 if good.size else so_far[i, 0]) + lost, so_far[i, 1] + int(dropped[mine].sum())
+        counts[i] = now if any(now) else np.nan
+
+
+def _keep(
+    entries: dict[str, np.ndarray], line: Placed, work: Work, starts: np.ndarray, at: np.ndarray, held: Array | None,
+    clocks: Clocks, times: Array | None,
+) -> None:  # fmt: skip
+    """Write the times and inputs of the last samples into the states."""
+    steps = np.diff(work.bounds)
+    if times is not None:
+        entries["time"][:, 0], entries["grid"][:] = line.clocks.last, np.column_stack(line.clocks[1:])
+    if held is not None:
+        some = steps > 0
+        entries["input"][some] = held[work.bounds[1:][some] - 1]
+    for i, (k, _) in work.stopped.items():
+        # It stands where it stopped, after k steps.
+        mine = slice(starts[i], starts[i + 1])
+        done = np.flatnonzero(at[mine] >= 0)
+        left = float(steps[i] - max(k, 0))
+        entries["time"][i], entries["grid"][i] = clocks.last[i], (clocks.origin[i], clocks.step[i])
+        if times is not None and done.size:
+            entries["time"][i] = times[mine][done[-1]]
+            entries["grid"][i] = line.clocks.origin[i], line.clocks.step[i] - left
+        if held is not None and k > 0:
+            entries["input"][i] = held[work.bounds[i] + k - 1]

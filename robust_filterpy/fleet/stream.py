@@ -8,17 +8,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from robust_filterpy._checks import shown
+from robust_filterpy.fleet._filters import REFUSED
 from robust_filterpy.fleet.models import Model
 from robust_filterpy.fleet.packing import pack, unpack
 from robust_filterpy.fleet.stepping import step
 
 __all__ = ["StreamStep"]
-
-_REFUSED = (ValueError, TypeError, KeyError, np.linalg.LinAlgError)
 
 
 class StreamStep:
@@ -40,10 +41,11 @@ class StreamStep:
 
     Notes
     -----
-    A message is a mapping, ``{"t": 12.0, "z": 0.3}``; an entry that is absent or None is a missing measurement. What
-    comes back has the message's time, ``model.columns`` and ``error``, None for NaN, so that it can be written as
-    JSON; a message that is refused leaves the state as it was and has the reason in ``error``. One that is dropped
-    because it is late (``late="drop"``) gives None.
+    A message is a mapping, ``{"t": 12.0, "z": 0.3}``, the time a number of seconds or a text as ISO 8601 has it; an
+    entry that is absent or None is a missing measurement. What comes back has the message's time, ``model.columns``,
+    ``error`` and ``dropped``, None for NaN, so that it can be written as JSON. No message stops a stream: of one that
+    is no mapping, or has no time or no number, ``error`` says so. One that is late or comes again is dropped, gives
+    None, and is counted in ``dropped``; with ``late="refuse"`` it is named.
 
     The state is what `pack` makes of it. quixstreams keeps it in RocksDB, with a changelog in Kafka, from which a
     worker that takes over goes on to the last bit. ``pip install "robust_filterpy[stream]"``.
@@ -70,30 +72,38 @@ class StreamStep:
         """Keep the model."""
         if not isinstance(model, Model):
             raise TypeError(f"model: expected a FilterModel or a TrackerModel, got {type(model).__name__}")
-        self.model, self.name = model.reading(time=time, measurements=measurements, inputs=inputs), name
+        model = model.reading(time=time, measurements=measurements, inputs=inputs)
+        self.model, self.name = replace(model, late=model.late or "drop"), name
         if self.model.measurements is None:
             raise ValueError("measurements: expected the names of the entries that are measured, got None")
 
-    def __call__(self, message: Mapping[str, Any], state: Any) -> dict[str, Any] | None:
+    def __call__(self, message: Any, state: Any) -> dict[str, Any] | None:
         """Take a message, with a store that has ``get_bytes(name)`` and ``set_bytes(name, value)``."""
         model = self.model
-        time = {} if model.time is None else {model.time: message.get(model.time)}
+        row, time, wrong = self._row(message)
         try:
             kept = state.get_bytes(self.name)
-            after, found = step(model, None if kept is None else unpack(kept), self._row(message))
-        except _REFUSED as error:
-            return {**time, **dict.fromkeys(model.columns), "error": str(error)}
-        columns = {name: values.tolist() for name, values in found.items()}
-        if not columns[model.columns[0]]:
-            return None
+            before = None if kept is None else unpack(kept)
+            after, found = step(model, before, row)
+        except (*REFUSED, KeyError) as error:
+            return {**time, **dict.fromkeys(model.columns), "error": str(error), "dropped": 0}
+        dropped = 0 if after is None or "refused" not in after else int(after["refused"][1])
         if after is not None:
             state.set_bytes(self.name, pack(after))
-        numbers = {name: None if math.isnan(values[0]) else values[0] for name, values in columns.items()}
-        return {**time, **numbers, "error": None}
+        if not len(found["error"]):
+            return None
+        columns = {name: found[name][0].item() for name in model.columns}
+        numbers = {name: None if math.isnan(value) else value for name, value in columns.items()}
+        said = "; ".join(one for one in (wrong, found["error"][0]) if one) or None
+        return {**time, **numbers, "error": said, "dropped": dropped}
 
-    def _row(self, message: Mapping[str, Any]) -> np.ndarray:
-        """Return a message as an array of one sample, or raise."""
+    def _row(self, message: Any) -> tuple[np.ndarray, dict[str, Any], str]:
+        """Return a message as an array of one sample, its time, and what is wrong with it as a whole."""
         model = self.model
-        row = [] if model.time is None else [message[model.time]]
-        row += [math.nan if message.get(name) is None else message[name] for name in model.measurements or ()]
-        return np.array([row + [message[name] for name in model.inputs or ()]])
+        wrong = "" if isinstance(message, Mapping) else f"message: expected a mapping, got {shown(message)}"
+        entries = {} if wrong else message
+        names = [*([] if model.time is None else [model.time]), *(model.measurements or ()), *(model.inputs or ())]
+        row = np.full((1, len(names)), None, dtype=object)
+        for j, name in enumerate(names):
+            row[0, j] = entries.get(name)
+        return row, {} if model.time is None else {model.time: entries.get(model.time)}, wrong

@@ -2,123 +2,210 @@
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from collections.abc import Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 
 #: What may be done with a sample that is not later than the one before it.
 POLICIES: Final = ("refuse", "drop")
-# How far from a whole number of sampling periods a sample may lie.
-_JITTER: Final = 0.25
+#: How far from the grid a sample may lie, in sampling periods; beyond it is half way between two steps.
+JITTER: Final = 0.45
+# A clock that drifts is followed: from here on the grid goes after it, by this share of what it is off.
+_STILL, _FOLLOWED = 0.02, 0.05
 # A longer silence is no gap but another recording.
 _LONGEST: Final = 100_000
+# Numbers as large as this are milliseconds since 1970, or smaller parts of a second.
+_MILLISECONDS: Final = 1e11
 
 
-class Timeline(NamedTuple):
-    """Where samples stand among the steps of a model."""
+class Clocks(NamedTuple):
+    """Where the last samples of some keys stand, each of shape (K,); NaN before the first one."""
 
-    kept: np.ndarray
-    """Which rows of the batch are taken, shape (K,)."""
-    place: np.ndarray
-    """Which step each of them is, shape (K,)."""
-    steps: int
-    """How many steps there are."""
-    last: float
-    """Time of the last sample, NaN if there has been none."""
+    last: Array
+    """Their times."""
+    origin: Array
+    """A time on the grid."""
+    step: Array
+    """How many steps after it the last sample stands."""
 
 
-def seconds(times: Any) -> Array:
-    """Return times as float seconds, shape (N,), or raise; dates count from 1970."""
-    found = np.asarray(times)
-    if found.dtype.kind == "O" and found.size and all(hasattr(one, "timestamp") for one in found.flat):
-        found = np.array([one.timestamp() for one in found.flat])
-    if found.dtype.kind in "mM":
-        unit = found.dtype.str[1]
-        nanoseconds = found.astype(f"{unit}8[ns]")
-        missing, whole = np.isnat(nanoseconds), nanoseconds.astype(np.int64)
-        # Whole seconds first, or the nanoseconds would be rounded away.
-        values = whole // 1_000_000_000 + (whole % 1_000_000_000) * 1e-9
-        found = np.where(missing, np.nan, values)
-    values = _checks.numbers("time", found)
-    bad = ~np.isfinite(values)
-    if values.ndim != 1 or bad.any():
-        where = f"none in row {int(np.argmax(bad))}" if values.ndim == 1 else f"shape {values.shape}"
-        raise ValueError(f"time: expected a time for each sample, got {where}")
-    return values
+class Placed(NamedTuple):
+    """Where samples stand among the steps of their keys."""
+
+    step: np.ndarray
+    """Which step of its key each row is, shape (N,), -1 if it is none."""
+    steps: np.ndarray
+    """How many steps each key takes, shape (K,)."""
+    clocks: Clocks
+    """Where their last samples stand."""
+    late: dict[int, str]
+    """Rows that are not later than the one before them, and what they are."""
+    off: dict[int, str]
+    """Rows that lie off the grid or after too long a silence."""
+    milliseconds: bool
+    """Whether times look like milliseconds where seconds were expected."""
 
 
-def timeline(times: Array | None, n: int, last: float, dt: float | None, late: str) -> Timeline:
-    """Return where n samples stand after one at the time last (NaN if there is none), or raise.
+def placed(times: Array | None, starts: np.ndarray, clocks: Clocks, dt: float | None) -> Placed:
+    """Return where the samples of each key stand after those before them.
 
     Parameters
     ----------
-    times : ndarray, shape (n,), or None
-        In seconds; None if samples have no times, and each is a step.
-    n : int
-        Number of samples.
-    last : float
-        Time of the sample before them.
+    times : ndarray, shape (N,), or None
+        In seconds, those of a key together, NaN where there is none; None if each sample is a step.
+    starts : ndarray of int, shape (K + 1,)
+        First row of each key, and the end.
+    clocks : Clocks
+        Where the last samples stand.
     dt : float, optional
         Sampling period in seconds, which makes steps of what is missing between samples; without it each sample is
-        a step.
-    late : {"refuse", "drop"}
-        What is done with a sample that is not later than the one before it.
+        a step. A sample belongs to the nearest step of a grid that begins with the first one, unless it lies
+        half way between two; the grid follows a clock that drifts, by a twentieth of what each sample is off.
 
     Returns
     -------
-    Timeline
-        kept, place, steps, last.
-
-    Raises
-    ------
-    ValueError
-        If a sample is late and late is "refuse", or lies between the steps, or after a gap of more than 1e5 steps.
+    Placed
     """
+    counts = np.diff(starts)
+    step = np.arange(starts[-1]) - np.repeat(starts[:-1], counts)
     if times is None:
-        return Timeline(np.arange(n), np.arange(n), n, last)
-    before = np.fmax.accumulate(np.concatenate(([last], times)))[:-1]
-    least = 0.0 if dt is None else _JITTER * dt
-    # One that is left out is not later than what stands before it, and so changes no other's fate.
-    kept = np.isnan(before) | (times > before + least)
-    if dt is not None and late == "drop":
-        kept = _spread(times, last, least)
-    if late == "refuse" and not kept.all():
-        k = int(np.argmin(kept))
-        what = "a duplicate" if times[k] == before[k] else "late" if times[k] < before[k] else "too early for the next"
-        raise ValueError(
-            f"time: expected each sample later than the one before it, at {before[k]:.15g}, got {times[k]:.15g} in row "
-            f'{k}, which is {what}; sort them, or use late="drop"'
-        )
-    rows = np.flatnonzero(kept)
-    if dt is None or not rows.size:
-        return Timeline(rows, np.arange(rows.size), rows.size, float(times[rows[-1]]) if rows.size else last)
-    chosen = times[rows]
-    apart = np.diff(chosen, prepend=chosen[0] - dt if np.isnan(last) else last) / dt
-    periods = np.rint(apart)
-    off = np.abs(apart - periods) > _JITTER
-    if off.any():
-        k = int(np.argmax(off))
-        raise ValueError(
-            f"time: expected whole numbers of dt={dt:g} s between samples, within {_JITTER:.0%} of it, got "
-            f"{apart[k]:.3g} of it before row {rows[k]}"
-        )
-    if periods.max() > _LONGEST:
-        k = int(np.argmax(periods))
-        raise ValueError(
-            f"time: expected gaps of at most {_LONGEST} steps of dt={dt:g} s, got {periods[k]:.6g} before row {rows[k]}"
-            f"; start anew with state None"
-        )
-    place = np.cumsum(periods).astype(int) - 1
-    return Timeline(rows, place, int(place[-1]) + 1, float(chosen[-1]))
+        return Placed(step, counts, clocks, {}, {}, False)
+    if not len(times):
+        return Placed(step, counts, clocks, {}, {}, False)
+    last, origin, at = (one.copy() for one in clocks)
+    first, filled = starts[:-1], counts > 0
+    if dt is not None:
+        origin[filled] = np.where(np.isnan(origin), times[np.minimum(first, len(times) - 1)], origin)[filled]
+    quick, finals = _each_a_step(times, starts, Clocks(last, origin, at), dt)
+    steps, ends = counts.copy(), starts[1:] - 1
+    last[quick] = times[ends[quick]]
+    at[quick] = finals[quick]
+    late: dict[int, str] = {}
+    off: dict[int, str] = {}
+    milliseconds = False
+    for i in np.flatnonzero(~quick).tolist():
+        line = _Line(clocks.last[i], clocks.origin[i], clocks.step[i], dt)
+        for row in range(starts[i], starts[i + 1]):
+            step[row] = line.place(float(times[row]), row, late, off)
+        last[i], origin[i], at[i], steps[i] = line.last, line.origin, line.step, line.steps
+        milliseconds |= line.milliseconds
+    return Placed(step, steps, Clocks(last, origin, at), late, off, milliseconds)
 
 
-def _spread(times: Array, last: float, least: float) -> np.ndarray:
-    """Return which samples are later than the last one that was taken by more than least."""
-    kept = np.zeros(times.size, dtype=bool)
-    for k, time in enumerate(times.tolist()):
-        if not time <= last + least:
-            kept[k], last = True, time
-    return kept
+def _each_a_step(
+    times: Array, starts: np.ndarray, clocks: Clocks, dt: float | None
+) -> tuple[np.ndarray, Array]:
+    """Return for which keys every sample is the next step, and which the last one is; all keys at once."""
+    counts, first = np.diff(starts), starts[:-1]
+    filled = counts > 0
+    before = clocks.last if dt is None else np.where(np.isnan(clocks.step), -1.0, clocks.step)
+    if dt is None:
+        place = times
+        good = np.diff(place, prepend=np.nan) > 0.0
+    else:
+        place = (times - np.repeat(clocks.origin, counts)) / dt
+        near = np.rint(place)
+        still = np.abs(place - near) <= _STILL
+        place = near
+        good = still & (np.diff(place, prepend=np.nan) == 1.0)
+    begins = first[filled]
+    if dt is None:
+        good[begins] = ~np.isnan(times[begins]) & ~(times[begins] <= before[filled])
+    else:
+        good[begins] = still[begins] & (place[begins] - before[filled] == 1.0)
+    quick = np.ones(len(counts), dtype=bool)
+    quick[filled] = np.logical_and.reduceat(good, begins)
+    finals = clocks.step.copy()
+    finals[filled] = place[starts[1:][filled] - 1] if dt is not None else np.nan
+    return quick, finals
+
+
+class _Line:
+    """The samples of one key, one after the other."""
+
+    def __init__(self, last: float, origin: float, step: float, dt: float | None) -> None:
+        """Begin where the last sample stands."""
+        self.last, self.origin, self.step, self.dt, self.steps = float(last), float(origin), float(step), dt, 0
+        self.milliseconds = False
+
+    def place(self, time: float, row: int, late: dict[int, str], off: dict[int, str]) -> int:
+        """Return which step a sample is, -1 if it is none, which is noted."""
+        if time != time:
+            return -1
+        if time <= self.last:
+            what = "a duplicate" if time == self.last else "late"
+            late[row] = f"time: expected a sample later than the one at {self.last:.15g}, got {time:.15g}, {what}"
+            return -1
+        if self.dt is None:
+            self.last, self.steps = time, self.steps + 1
+            return self.steps - 1
+        if self.last != self.last:
+            self.origin, self.step = time, -1.0
+        return self._on_grid(time, row, self.dt, late, off)
+
+    def _on_grid(self, time: float, row: int, dt: float, late: dict[int, str], off: dict[int, str]) -> int:
+        """Return which step of the grid a sample is."""
+        place = (time - self.origin) / dt
+        if not abs(place) < 1e15:
+            off[row] = f"time: expected a time that {dt:g} s is a step of, got {time:.15g}"
+            return -1
+        near = float(np.rint(place))
+        apart, ahead = place - near, near - self.step
+        if abs(apart) > JITTER:
+            off[row] = (
+                f"time: expected samples within {JITTER:.0%} of dt={dt:g} s of the grid through {self.origin:.15g}, "
+                f"got {time:.15g}, {abs(apart):.2f} of it away"
+            )
+            return -1
+        if ahead < 1.0:
+            late[row] = f"time: expected one sample a step of dt={dt:g} s, got {time:.15g}, too early for the next"
+            return -1
+        self.milliseconds |= ahead >= 900.0 and abs(time) > _MILLISECONDS
+        if ahead > _LONGEST:
+            off[row] = (
+                f"time: expected gaps of at most {_LONGEST} steps of dt={dt:g} s, got {ahead:.6g}; start anew with "
+                f"state None"
+            )
+            return -1
+        if abs(apart) > _STILL:
+            self.origin += _FOLLOWED * apart * dt
+        self.last, self.step, self.steps = time, near, self.steps + int(ahead)
+        return self.steps - 1
+
+
+def grouped(keys: Sequence[object] | None, n: int) -> tuple[list[object], np.ndarray, np.ndarray]:
+    """Return the keys, the rows in the order of the keys, and where each key's rows begin.
+
+    Parameters
+    ----------
+    keys : sequence of length n, or None
+        Whose each row is; None if all are of one.
+    n : int
+        Number of rows.
+
+    Returns
+    -------
+    names : list
+        In the order in which they come first.
+    order : ndarray of int, shape (n,)
+    starts : ndarray of int, shape (K + 1,)
+    """
+    if keys is None:
+        return [None], np.arange(n), np.array([0, n])
+    if isinstance(keys, np.ndarray):
+        found, first, codes = np.unique(keys, return_index=True, return_inverse=True)
+        by_place = np.argsort(first)
+        names: list[object] = found[by_place].tolist()
+        rank = np.empty(len(found), dtype=int)
+        rank[by_place] = np.arange(len(found))
+        codes = rank[codes]
+    else:
+        names = list(dict.fromkeys(keys))
+        place = dict(zip(names, range(len(names)), strict=True))
+        codes = np.fromiter(map(place.__getitem__, keys), int, n)
+    order = np.argsort(codes, kind="stable")
+    starts = np.searchsorted(codes[order], np.arange(len(names) + 1))
+    return names, order, starts

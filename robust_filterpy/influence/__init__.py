@@ -4,6 +4,7 @@
 * `scalar`: the same of one float; also what numba compiles.
 * `huber_tuning`: threshold <-> contamination <-> efficiency of Huber's psi.
 * `information`: E[psi'], in closed form or by quadrature.
+* `regression`: a linear regression by Huber's weights, and a scale that outliers do not move.
 
 Imports from below: `robust_filterpy._checks` alone.
 """

@@ -11,6 +11,7 @@ import numpy as np
 from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise
 from robust_filterpy._checks import Array
+from robust_filterpy._fill_values import without_fill_values
 from robust_filterpy.correction.mixture import ContaminatedScore
 from robust_filterpy.noise._likelihood import log_likelihoods, of_filter, of_tracker, scaled
 
@@ -112,7 +113,8 @@ def estimate_noise(
         A linear filter of filterpy or of this package, with F, H, x, P set and R, Q as the first guess; or a tracker.
         It is not changed.
     zs : array_like, shape (N,) or (N, dim_z), or sequence
-        Measurements as `batch_filter` takes them: NaN and None are missing. A tracker's outputs y.
+        Measurements as `batch_filter` takes them: NaN and None are missing, and a fill value (9999, 1e7: one that
+        repeats exactly, far outside the rest). A tracker's outputs y.
     us : array_like, shape (N,) or (N, dim_u), optional
         Control inputs; a tracker's inputs u.
     Fs, Qs, Hs, Rs : sequence of length N, optional
@@ -138,6 +140,11 @@ def estimate_noise(
     ValueError
         If the recording has fewer than 10 measurements, or an option or shape does not fit.
 
+    Warns
+    -----
+    UserWarning
+        If zs has fill values, which are named.
+
     Notes
     -----
     Factors that the data do not determine (Q of a state that hardly shows, R where Q is far larger), and a
@@ -145,7 +152,7 @@ def estimate_noise(
     error of a variance is about sqrt(2/N) at best.
 
     A weak prior, worth ten samples, keeps the contamination and the ratio where there are no outliers. What lies
-    beyond 8 standard deviations of outliers counts as 8: a sentinel such as 999999 is an outlier like any other.
+    beyond 8 standard deviations of outliers counts as 8.
 
     With ``Qs`` or ``Rs``, R and Q of the result are those of the filter, scaled.
 
@@ -164,6 +171,7 @@ def estimate_noise(
     from scipy.optimize import minimize
 
     per_step = (Fs, Qs, Hs, Rs)
+    zs, _ = without_fill_values("zs", _checks.entries("zs", zs))
     if hasattr(filter, "structure") and hasattr(filter, "filter"):
         if any(values is not None for values in per_step):
             raise TypeError("Fs, Qs, Hs, Rs: expected only for a filter; a ParameterTracker makes them itself")

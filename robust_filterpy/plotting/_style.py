@@ -70,13 +70,39 @@ def legend_outside(ax: Any) -> None:
     ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, fontsize="small", frameon=False)
 
 
+def line_of(place: int) -> dict[str, Any]:
+    """Return colour and style of the line at a place; they come again after six."""
+    return {"color": COLOURS[place % 6], "linestyle": STYLES[place % 6]}
+
+
+def zero_band(ax: Any, x: Any, half: Any, label: str, **options: Any) -> None:
+    """Draw the band about 0 in which nothing means anything."""
+    ax.fill_between(x, -half, half, color="0.85", linewidth=0, label=label, **options)
+
+
+def stems(ax: Any, x: Any, y: Any, colour: str, marker: str, label: str) -> None:
+    """Draw values as marks on stems from 0."""
+    ax.vlines(x, 0.0, y, color=colour, linewidth=1.2)
+    ax.plot(x, y, marker, color=colour, markersize=5, linestyle="none", label=label)
+
+
+def ring(ax: Any, x: Any, y: Any) -> None:
+    """Draw a ring around what was chosen."""
+    ax.plot(x, y, "o", color=MARK, markersize=10, fillstyle="none", markeredgewidth=1.8, label="chosen")
+
+
 def with_band(ax: Any, t: Any, mean: Any, half: Any, name: str, place: int, sigmas: float) -> None:
     """Draw a line and its band."""
-    colour, style = COLOURS[place % 6], STYLES[place % 6]
+    look = line_of(place)
     if half is not None:
         band = f"±{sigmas:g} sigma" if place == 0 else "_nolegend_"
-        ax.fill_between(t, mean - half, mean + half, color=colour, alpha=0.2, linewidth=0, label=band)
-    ax.plot(t, mean, color=colour, linestyle=style, linewidth=1.4, label=name)
+        ax.fill_between(t, mean - half, mean + half, color=look["color"], alpha=0.2, linewidth=0, label=band)
+    ax.plot(t, mean, linewidth=1.4, label=name, **look)
+
+
+def true_line(ax: Any, t: Any, values: Any, label: str) -> None:
+    """Draw what is true."""
+    ax.plot(t, values, color="black", linewidth=1.5, linestyle=(0, (1, 1.5)), label=label)
 
 
 def all_names(names: Sequence[str] | None, n: int, stem: str) -> list[str]:

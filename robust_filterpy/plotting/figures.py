@@ -13,8 +13,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
+from robust_filterpy.identification.models.fit import fit_percent
 from robust_filterpy.plotting import sources
-from robust_filterpy.plotting._style import COLOURS, MARK, MARKERS, all_names, finish, one_axes, with_band
+from robust_filterpy.plotting._style import (
+    COLOURS,
+    MARK,
+    MARKERS,
+    all_names,
+    finish,
+    one_axes,
+    true_line,
+    with_band,
+    zero_band,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -86,7 +97,7 @@ def plot_states(
     for place, i in enumerate(which):
         with_band(ax, time, mean[:, i], None if deviation is None else width * deviation[:, i], names[i], place, width)
         if real is not None and i in real:
-            ax.plot(time, real[i], color="black", linewidth=1.5, linestyle=(0, (1, 1.5)), label=f"{names[i]}, true")
+            true_line(ax, time, real[i], f"{names[i]}, true")
     if seen is not None:
         limits = ax.get_ylim()
         margin = 0.25 * (limits[1] - limits[0])
@@ -166,8 +177,7 @@ def plot_innovations(
     ax = one_axes(ax)
     hit = marked[:, i]
     if deviation is not None:
-        half = width * deviation[:, i]
-        ax.fill_between(time, -half, half, color="0.85", linewidth=0, label=f"±{width:g} sigma")
+        zero_band(ax, time, width * deviation[:, i], f"±{width:g} sigma")
     ax.plot(time[~hit], y[~hit, i], ".", color=COLOURS[0], markersize=4, label="innovation")
     ax.plot(time[hit], y[hit, i], "x", color=MARK, markersize=5, label=label)
     ax.axhline(0.0, color="black", linewidth=0.6)
@@ -220,8 +230,7 @@ def plot_weights(
     which = sources.chosen("components", components, weights.shape[1])
     ax = one_axes(ax)
     for place, i in enumerate(which):
-        marker = MARKERS[place % 6]
-        colour = COLOURS[place % 6]
+        marker, colour = MARKERS[place % 6], COLOURS[place % 6]
         ax.plot(time, weights[:, i], marker, color=colour, markersize=3.5, fillstyle="none", label=names[i])
     ax.set_ylim(-0.05, 1.05)
     return finish(ax, "weight", "", time_unit)
@@ -294,8 +303,7 @@ def plot_parameters(
         with_band(ax, time, theta[:, i], None if deviation is None else width * deviation[:, i], names[i], place, width)
     if real is not None:
         for place, i in enumerate(which):
-            label = "true" if place == 0 else "_nolegend_"
-            ax.plot(time, real[:, i], color="black", linewidth=1.5, linestyle=(0, (1, 1.5)), label=label)
+            true_line(ax, time, real[:, i], "true" if place == 0 else "_nolegend_")
     if deviation is not None and own:
         _look_at_the_paths(ax, width * deviation[:, which])
     return finish(ax, "parameter" if len(which) > 1 else names[which[0]], unit, time_unit)
@@ -336,8 +344,7 @@ def plot_fit(
 
     Notes
     -----
-    The fit is 100 (1 - ||y - y_model|| / ||y - mean(y)||) over the samples that are there; 100 is perfect, 0 no better
-    than the mean.
+    The fit is `robust_filterpy.experiments.fit_percent` over the samples that are there.
     """
     source: Any = simulated if hasattr(simulated, "index") else measured
     if sources.is_run(simulated):
@@ -346,10 +353,10 @@ def plot_fit(
     model = _column("simulated", simulated, len(y))
     time = sources.time(t, len(y), source)
     seen = ~np.isnan(y) & ~np.isnan(model)
-    about = np.linalg.norm(y[seen] - y[seen].mean()) if seen.any() else 0.0
     label = "simulated"
-    if about > 0:
-        label += f" (fit {100 * (1 - np.linalg.norm(y[seen] - model[seen]) / about):.1f} %)"
+    # The fit of a constant output is undefined.
+    if len(set(y[seen])) > 1:
+        label += f" (fit {fit_percent(y[seen], model[seen]):.1f} %)"
     ax = one_axes(ax)
     ax.plot(time, y, color="0.6", linewidth=2.2, label="measured")
     ax.plot(time, model, color=COLOURS[0], linewidth=1.0, linestyle="--", label=label)

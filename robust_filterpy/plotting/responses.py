@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy.identification import FrequencyResponse, Model, ParameterTracker
-from robust_filterpy.plotting._style import COLOURS, STYLES, legend_outside, one_axes, several_axes
+from robust_filterpy.plotting._style import COLOURS, STYLES, legend_outside, line_of, one_axes, several_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -64,13 +64,13 @@ def plot_bode(
     rows = {name: _of_input(name, response, which) for name, response in found.items()}
     axes = several_axes(axes, 2, 1, (7.5, 5.0), sharex=True)
     for place, (name, (magnitude, phase)) in enumerate(rows.items()):
-        w, colour, style = found[name].omega, COLOURS[place % 6], STYLES[place % 6]
+        w, look = found[name].omega, line_of(place)
         with np.errstate(divide="ignore"):
             decibels = 20.0 * np.log10(magnitude)
         for ax, (line, low, high) in ((axes[0], decibels), (axes[1], np.degrees(phase))):
             label = f"{100 * found[name].level:.4g} % band" if place == 0 else "_nolegend_"
-            ax.fill_between(w, low, high, color=colour, alpha=0.2, linewidth=0, label=label)
-            ax.plot(w, line, color=colour, linestyle=style, linewidth=1.4, label=name)
+            ax.fill_between(w, low, high, color=look["color"], alpha=0.2, linewidth=0, label=label)
+            ax.plot(w, line, linewidth=1.4, label=name, **look)
     axes[0].set_ylabel("magnitude [dB]")
     axes[1].set_ylabel("phase [degrees]")
     unit = "sample" if None in periods.values() else "s"

@@ -17,11 +17,14 @@ from robust_filterpy.plotting._style import (
     COLOURS,
     MARK,
     MARKERS,
-    STYLES,
     finish,
     legend_outside,
+    line_of,
     one_axes,
+    ring,
     several_axes,
+    stems,
+    zero_band,
 )
 
 if TYPE_CHECKING:
@@ -63,16 +66,10 @@ def plot_validation(validation: Validation, *, axes: Any = None) -> Any:
     for ax, (title, first, values, bound) in zip(axes, found, strict=True):
         lags = np.arange(first, first + values.size)
         outside = np.abs(values) > bound
-        ax.fill_between(
-            lags, -bound, bound, step="mid", color="0.85", linewidth=0, label=f"{_percent(validation.level)} bound"
-        )
+        zero_band(ax, lags, bound, f"{100 * validation.level:.4g} % bound", step="mid")
         ax.axhline(0.0, color="black", linewidth=0.6)
-        for part, colour, marker, label in (
-            (~outside, COLOURS[0], "o", "within"),
-            (outside, MARK, "x", "outside"),
-        ):
-            ax.vlines(lags[part], 0.0, values[part], color=colour, linewidth=1.2)
-            ax.plot(lags[part], values[part], marker, color=colour, markersize=5, linestyle="none", label=label)
+        stems(ax, lags[~outside], values[~outside], COLOURS[0], "o", "within")
+        stems(ax, lags[outside], values[outside], MARK, "x", "outside")
         ax.set(ylabel="correlation", title=title)
         ax.xaxis.get_major_locator().set_params(integer=True)
         ax.title.set_fontsize("medium")
@@ -122,9 +119,7 @@ def plot_structure_selection(selection: Selection, *, axes: Any = None) -> Any:
         counted = shows if shows.any() else ~shows
         front = [best_of(values[counted & (size == n)]) for n in sizes]
         ax.plot(sizes, front, color=COLOURS[0], linewidth=1.2, label="best of its size")
-        ax.plot(
-            size[:1], values[:1], "o", color=MARK, markersize=10, fillstyle="none", markeredgewidth=1.8, label="chosen"
-        )
+        ring(ax, size[:1], values[:1])
         ax.xaxis.get_major_locator().set_params(integer=True)
     best = float(np.nanmax(fit))
     worst = max(float(np.nanmin(fit)), best - _DEEP)
@@ -135,11 +130,8 @@ def plot_structure_selection(selection: Selection, *, axes: Any = None) -> Any:
     legend_outside(axes[0])
     if response is not None:
         ax = axes[2]
-        ax.fill_between(
-            response.lags, -response.band, response.band, step="mid", color="0.85", linewidth=0, label="95 % band of 0"
-        )
-        ax.vlines(response.lags, 0.0, response.values, color=COLOURS[0], linewidth=1.2)
-        ax.plot(response.lags, response.values, "o", color=COLOURS[0], markersize=4, label="impulse response")
+        zero_band(ax, response.lags, response.band, "95 % band of 0", step="mid")
+        stems(ax, response.lags, response.values, COLOURS[0], "o", "impulse response")
         delay = selection.best.structure.inputs[0][1]
         ax.axvline(delay, color=MARK, linestyle="--", linewidth=1.2, label=f"chosen delay, {delay}")
         ax.set(xlabel="lag [samples]", ylabel="response [y per u]")
@@ -185,7 +177,7 @@ def plot_comparison(
     for place, row in enumerate(comparison.rows):
         label = f"{row.name}, fit {row.fit:.1f} %"
         output = comparison.outputs[row.name]
-        ax.plot(time, output, color=COLOURS[place % 6], linestyle=STYLES[place % 6], linewidth=1.2, label=label)
+        ax.plot(time, output, linewidth=1.2, label=label, **line_of(place))
     ordinary = np.quantile(y[~np.isnan(y)], [0.02, 0.98])
     low, high = ax.get_ylim()
     low, high = min(low, float(ordinary[0])), max(high, float(ordinary[1]))
@@ -230,16 +222,10 @@ def plot_tuning(found: TunedTracker, *, ax: Axes | None = None) -> Axes:
         of = np.array([one == group for one in groups])
         order = np.argsort(x[of])
         label = f"{names[1]} = {group:.3g}" if len(names) > 1 else "tried"
-        style: dict[str, Any] = {
-            "color": COLOURS[place % 6],
-            "linestyle": STYLES[place % 6],
-            "marker": MARKERS[place % 6],
-        }
-        ax.plot(x[of][order], value[of][order], markersize=4, linewidth=1.2, label=label, **style)
+        look = {**line_of(place), "marker": MARKERS[place % 6], "markersize": 4}
+        ax.plot(x[of][order], value[of][order], linewidth=1.2, label=label, **look)
     chosen = found.rows.index(found.best)
-    ax.plot(
-        x[chosen], value[chosen], "o", color=MARK, markersize=10, fillstyle="none", markeredgewidth=1.8, label="chosen"
-    )
+    ring(ax, x[chosen], value[chosen])
     ax.axhline(-2.0, color="0.5", linestyle=":", linewidth=1.0, label="as good: 2 below")
     least = float(x[x > 0.0].min(initial=np.inf))
     if x.max() > 100.0 * least:
@@ -257,11 +243,6 @@ def plot_tuning(found: TunedTracker, *, ax: Axes | None = None) -> Axes:
 def _place(value: Any) -> float:
     """Return a value as a number to draw at."""
     return float(np.trace(np.atleast_2d(value))) if np.ndim(value) else float(value)
-
-
-def _percent(level: float) -> str:
-    """Return a probability as text."""
-    return f"{100 * level:.4g} %"
 
 
 def _require(thing: Any, name: str, kind: type, source: str) -> None:

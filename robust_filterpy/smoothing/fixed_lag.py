@@ -142,14 +142,17 @@ class FixedLagSmoother(filterpy.kalman.FixedLagSmoother):
         rules = self._rules(there.observed, there.driven)
         start = Weighting(*(np.array([[getattr(one, name) for one in window]]) for name in Weighting._fields))
         fit = reweighted(there.model, there.observed, *rules, _SWEEPS, start=start)
-        self._prior = prior
-        self._window = [
+        after: dict[str, Any] = {"_prior": prior, "_beliefs": self._beliefs}
+        after["_window"] = [
             one._replace(**{name: getattr(fit.weighting, name)[0, i] for name in Weighting._fields})
             for i, one in enumerate(window)
         ]
-        self._show(fit.smooth, step, x, P, rules)
+        after |= self._shown(fit.smooth, step, x, P, rules)
         if len(window) > self.N:
-            self._leave(there, fit.weighting, rules)
+            after |= self._left(there, fit.weighting, rules, after["_window"])
+        after["_settled"] = len(self.xSmooth) + 1 - len(window)
+        # Everything at once, so that an interrupt falls before it or behind it.
+        self.__dict__.update(after)
 
     def _step(self, z: Any, u: Any, x: Array, P: Array) -> _Step:
         """Return a measurement with the matrices of its time."""
@@ -172,30 +175,49 @@ class FixedLagSmoother(filterpy.kalman.FixedLagSmoother):
                 rule.belief, rule.mixture = belief, rule.mixture if mixture is None else mixture
         return rules
 
-    def _show(self, smooth: Smooth, step: _Step, x: Array, P: Array, rules: tuple[Rule, Rule]) -> None:
-        """Set filterpy's attributes."""
+    def _shown(self, smooth: Smooth, step: _Step, x: Array, P: Array, rules: tuple[Rule, Rule]) -> dict[str, Any]:
+        """Return filterpy's attributes after a step."""
         shape = x.shape
         prior = step.F @ x.ravel() + step.c
-        self.y = (np.where(np.isnan(step.z), 0.0, step.z - step.H @ prior)).reshape((-1, 1) if len(shape) == 2 else -1)
-        self.S = step.H @ (step.F @ P @ step.F.T + step.Q) @ step.H.T + step.R
+        y = np.where(np.isnan(step.z), 0.0, step.z - step.H @ prior)
         states = [one.reshape(shape) for one in smooth.x[0]]
-        self.xSmooth.append(states[-1].copy())
-        self.xSmooth[-len(states) :] = states
-        self.x, self.P, self.x_s = states[-1].copy(), smooth.P[0, -1].copy(), states[0].copy()
-        self._mixtures = [rule.mixture for rule in rules]
-        self.weights = np.array(rules[0].weights[0])
-        self.count += 1
+        return {
+            "y": y.reshape((-1, 1) if len(shape) == 2 else -1),
+            "S": step.H @ (step.F @ P @ step.F.T + step.Q) @ step.H.T + step.R,
+            "x": states[-1].copy(), "P": smooth.P[0, -1].copy(), "x_s": states[0].copy(), "_latest": states,
+            "_mixtures": [rule.mixture for rule in rules], "weights": np.array(rules[0].weights[0]),
+            "count": self.count + 1,
+        }  # fmt: skip
 
-    def _leave(self, there: Recording, weighting: Weighting, rules: tuple[Rule, Rule]) -> None:
+    def _left(
+        self, there: Recording, weighting: Weighting, rules: tuple[Rule, Rule], window: list[_Step]
+    ) -> dict[str, Any]:
         """Let the oldest step go: the prior of the window moves on by it, and learnt noise remembers it."""
         model = there.model
         model = model._replace(**{name: getattr(model, name)[:, :1] for name in ("F", "G", "c", "H", "z")})
         first = smoothing_pass(model, Weighting(*(a[:, :1] for a in weighting)), states=True)
-        self._prior = first.x[0, 0].copy(), first.P[0, 0].copy()
-        self._window = self._window[1:]
-        self._beliefs = [rule.remembered(_MEMORY) if isinstance(rule, Learnt) else Belief() for rule in rules]
+        beliefs = [rule.remembered(_MEMORY) if isinstance(rule, Learnt) else Belief() for rule in rules]
+        return {"_prior": (first.x[0, 0].copy(), first.P[0, 0].copy()), "_window": window[1:], "_beliefs": beliefs}
 
-    xSmooth: list[Array]
+    @property
+    def xSmooth(self) -> list[Array]:
+        """Estimates of all steps: one list, brought up to date when it is looked at."""
+        if self._in_list is not self._latest:
+            # Again and again the same, should an interrupt fall between the two.
+            self._estimates[self._settled :] = self._latest
+            self._in_list = self._latest
+        return self._estimates
+
+    @xSmooth.setter
+    def xSmooth(self, value: list[Array]) -> None:
+        """Begin another list."""
+        latest: list[Array] = []
+        self.__dict__.update(_estimates=list(value), _settled=len(value), _latest=latest, _in_list=latest)
+
+    _estimates: list[Array]
+    _latest: list[Array]
+    _in_list: list[Array]
+    _settled: int
     count: int
 
     def state(self) -> dict[str, Array]:

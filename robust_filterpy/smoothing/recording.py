@@ -71,7 +71,7 @@ def problem(F: Array, Q: Array, c: Array, H: Array, R: Array, z: Array, x0: Arra
     for name, value in (("F", F), ("H", H), ("B u", c), ("x", x0)):
         if not np.isfinite(value).all():
             raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
-    _require_semidefinite("P", P0)
+    _checks.covariance("P", P0, _checks.GATHERED, _checks.ROUNDING)
     G = noise_root(Q)
     observed = ~np.isnan(z)
     H, z = _whitened(H, R, z, observed)
@@ -133,7 +133,7 @@ def measurement_rows(zs: Any, m: int, name: str = "zs") -> Array:
 
 def noise_root(Q: Array) -> Array:
     """Return G with G G' = Q for a stack of positive semidefinite matrices, without columns that are zero in all."""
-    _require_semidefinite("Q", Q)
+    _checks.covariance("Q", Q, _checks.GATHERED, _checks.ROUNDING)
     values, vectors = np.linalg.eigh(0.5 * (Q + Q.swapaxes(-1, -2)))
     floor = Q.shape[-1] * np.finfo(float).eps * np.abs(values).max(axis=-1, keepdims=True)
     roots = np.sqrt(np.where(values > floor, values, 0.0))
@@ -141,23 +141,10 @@ def noise_root(Q: Array) -> Array:
     return np.ascontiguousarray((vectors * roots[..., None, :])[..., -rank:])
 
 
-def _require_semidefinite(name: str, stack: Array) -> None:
-    """Raise unless every matrix is symmetric and has no eigenvalue below 0, to rounding."""
-    if not np.isfinite(stack).all():
-        raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
-    transposed = stack.swapaxes(-1, -2)
-    scale = np.sqrt(np.abs(np.diagonal(stack, axis1=-2, axis2=-1)))
-    if (np.abs(stack - transposed) > 1e-8 * scale[..., :, None] * scale[..., None, :]).any():
-        raise ValueError(f"{name}: expected a symmetric matrix, got one that differs from its transpose")
-    values = np.linalg.eigvalsh(0.5 * (stack + transposed))
-    if (values[..., 0] < -1e-9 * np.abs(values).max(axis=-1)).any():
-        raise ValueError(f"{name}: expected no variance below 0, got least eigenvalue {values.min():.3g}")
-
-
 def _whitened(H: Array, R: Array, z: Array, observed: Array) -> tuple[Array, Array]:
     """Return H and z in units of the noise, T R T' = I, with zeros where nothing was observed."""
     m = R.shape[-1]
-    _require_semidefinite("R", R)
+    _checks.covariance("R", R)
     least = np.linalg.eigvalsh(R)[..., 0] if m > 1 else R[..., 0, 0]
     if (least <= 0.0).any():
         raise ValueError(f"R: expected noise of every sensor, got least eigenvalue {least.min():.3g}; give it a little")

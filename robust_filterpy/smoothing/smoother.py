@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array, numbers
+from robust_filterpy._fill_values import without_fill_values
 from robust_filterpy.batch._arguments import leading
 from robust_filterpy.correction.options import GROUPINGS, Choices, Grouping
 from robust_filterpy.influence.functions import Influence, Linear
@@ -96,7 +97,8 @@ def smooth(
         and P are those before the first prediction. It is not changed. Its own psi plays no part, except that a
         nonlinear filter finds the trajectory to start from.
     zs : sequence of length N
-        Measurements as `batch_filter` takes them: numbers, arrays, rows with NaN, None.
+        Measurements as `batch_filter` takes them: numbers, arrays, rows with NaN, None. A fill value (9999, 1e7: one
+        that repeats exactly, far outside the rest) is taken for missing.
     influence : Influence, optional
         What to make of a residual z - H x in standard deviations of R. By default contamination and size of the
         outliers are learnt from the recording: on clean data that costs nothing. `Huber` gives the optimum of the
@@ -131,6 +133,11 @@ def smooth(
     TypeError, ValueError
         If an argument does not fit; it is named.
 
+    Warns
+    -----
+    UserWarning
+        If zs has fill values, which are named.
+
     Notes
     -----
     Singular Q and P (a known initial state) are legal: no predicted covariance is inverted. P is the covariance given
@@ -148,6 +155,7 @@ def smooth(
     (True, True, True)
     """
     grouping = getattr(kf, "grouping", "component") if grouping is None else grouping
+    zs, filled = without_fill_values("zs", _checks.entries("zs", zs))
     if is_nonlinear(kf):
         for name, value in (("Fs", Fs), ("Qs", Qs), ("Hs", Hs), ("Bs", Bs)):
             if value is not None:
@@ -157,6 +165,8 @@ def smooth(
     else:
         recording = linear_recording(kf, zs, Fs, Qs, Hs, Rs, Bs, us)
         found = _smoothed(recording, influence, process, grouping, max_sweeps)
+    if filled.any():
+        found.weights[0][filled] = 0.0
     x = found.x[0] if np.ndim(kf.x) == 1 else found.x[0][..., None]
     return Smoothed(
         x, found.P[0], found.weights[0], found.process_weights[0], found.contamination[0], found.scale_ratio[0],
@@ -184,7 +194,7 @@ def smooth_series(
     Parameters
     ----------
     zs : array_like, shape (S, N, dim_z)
-        Measurements; NaN marks a missing component.
+        Measurements; NaN marks a missing component. Fill values are taken for missing, with a warning.
     F, Q : array_like, shape (dim_x, dim_x), (N, dim_x, dim_x) or (S or 1, N or 1, dim_x, dim_x)
         Transition matrix and process noise covariance: shared, one a step, or each series' own.
     H : array_like, shape (dim_z, dim_x), or with the same axes in front
@@ -226,6 +236,7 @@ def smooth_series(
         raise ValueError(f"zs: expected shape (series, steps, dim_z), none of them 0, got {z.shape}{mend}")
     if np.isinf(z).any():
         raise ValueError("zs: expected finite numbers or NaN (missing), got infinity")
+    z = np.array([without_fill_values(f"zs[{i}]", each)[0] for i, each in enumerate(z)])
     series, steps, m = z.shape
     x0, P0 = numbers("x0", x0), numbers("P0", P0)
     n = x0.shape[-1] if x0.ndim else 1

@@ -29,7 +29,14 @@ def path(request, monkeypatch):
     return request.param
 
 
-@pytest.mark.parametrize("choices", [{}, {"influence": StudentT(3), "scaling": "bounded", "grouping": "joint"}])
+@pytest.mark.parametrize(
+    "choices",
+    [
+        {"scaling": "learnt"},
+        {"scaling": "innovation"},
+        {"influence": StudentT(3), "scaling": "bounded", "grouping": "joint"},
+    ],
+)
 def test_series_are_a_loop_over_filters(path, choices):
     problem, zs = problem_and_series()
     result = filter_series(zs, *arguments(problem), **choices)
@@ -148,7 +155,7 @@ def test_a_bad_R_among_many_is_found():
     R = np.ones((4, 30, 1, 1))
     R[2, 7] = -0.1
     F, H, Q, _, x0, P0 = arguments(problem)
-    with pytest.raises(ValueError, match="R: expected a positive semidefinite matrix"):
+    with pytest.raises(ValueError, match=r"R\[2, 7\]: expected a positive semidefinite matrix"):
         filter_series(zs, F, H, Q, R, x0, P0)
 
 

@@ -25,8 +25,8 @@ MATH = """
 #define isnan(x) __builtin_isnan(x)
 #define isinf(x) __builtin_isinf(x)
 #define isfinite(x) __builtin_isfinite(x)
-double sqrt(double), fabs(double), exp(double);
-float sqrtf(float), fabsf(float), expf(float);
+double sqrt(double), fabs(double), exp(double), log(double), hypot(double, double), copysign(double, double);
+float sqrtf(float), fabsf(float), expf(float), logf(float), hypotf(float, float), copysignf(float, float);
 """
 
 
@@ -43,7 +43,7 @@ def kinematic(axes, **choices):
 MODELS = {
     "position and velocity": kinematic(1),
     "the same in the plane": kinematic(2),
-    "the same in space, joint psi": kinematic(3, grouping="joint"),
+    "the same in space": kinematic(3),
     "ARX(2, 2), R told": ParameterTracker(ARX(2, 2), start=0, R=1.0),
     "OutputError(2, 2), R followed": ParameterTracker(OutputError(2, 2), start=0, offset=True),
     "OutputError(4, 4), R followed": ParameterTracker(OutputError(4, 4), start=0, offset=True),

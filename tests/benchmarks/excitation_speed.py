@@ -13,7 +13,7 @@ from itertools import product
 
 import numpy as np
 
-from robust_filterpy.excitation import bandlimited_pink_autocovariance, receding_horizon_binary
+from robust_filterpy.plants.excitation import bandlimited_pink_autocovariance, receding_horizon_binary
 
 LAGS, HORIZON, LENGTH, LENGTH_PRINTED = 40, 1, 10_000, 1_000
 

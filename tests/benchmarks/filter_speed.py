@@ -2,8 +2,8 @@
 
 Run ``python tests/benchmarks/filter_speed.py``, and again with ROBUST_FILTERPY_KERNEL=off in the environment for the
 definition; with ``--check`` the exit code is 1 if a target is not met. Each number is the least of many short turns, so
-that other work on the machine does not matter. ``--scalar`` compares the two forms of the definition for one sensor;
-``--learning`` compares the filter that learns the noise with the robust one, online and over recordings and series.
+that other work on the machine does not matter. ``--learning`` compares the filter that learns the noise with the
+robust one, online and over recordings and series.
 """
 
 from __future__ import annotations
@@ -12,21 +12,17 @@ import argparse
 import gc
 import sys
 import time
-import timeit
 from functools import partial
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from robust_filterpy import AdaptiveKalmanFilter, Linear, RobustKalmanFilter, adaptive_series, filter_series
-from robust_filterpy.compiled import dispatch
-from robust_filterpy.correction.definition import correct
-from robust_filterpy.correction.scalar import correct_scalar
+from robust_filterpy import AdaptiveKalmanFilter, Linear, RobustKalmanFilter, adaptive_series, filter_series, kernel
 
 SIZES = ((2, 1), (4, 1), (8, 1), (4, 2), (7, 4), (20, 5))
 #: Greatest ratio of the robust filter, by the kernel and by the definition.
-KERNEL = {(2, 1): 0.4, (4, 1): 0.4, (4, 2): 0.4, (8, 1): 0.4, (7, 4): 0.5, (20, 5): 0.55}
-DEFINITION = {(4, 1): 0.85, (4, 2): 1.25, (7, 4): 1.6}
+KERNEL = {(2, 1): 0.15, (4, 1): 0.15, (4, 2): 0.15, (8, 1): 0.15, (7, 4): 0.2, (20, 5): 0.35}
+DEFINITION: dict = {}
 VARIANTS = {"robust": {}, "Linear()": {"influence": Linear()}, "joint": {"grouping": "joint"}}
 ADAPTIVE = "adaptive"
 # A turn is shorter than the slice of time that a busy machine gives a process.
@@ -77,20 +73,6 @@ def measured(dim_x, dim_z):
     return least
 
 
-def scalar_form():
-    """Print how long the form for one sensor takes, of the general form's time."""
-    for dim_x in (2, 4, 8):
-        kf = built(RobustKalmanFilter, dim_x, 1)
-        x, P, H, R, choices = kf.x, np.eye(dim_x), kf.H, kf.R, kf._choices
-        flat, y = x.ravel(), np.ones(1)
-        forms = (
-            lambda x=x, P=P, H=H, choices=choices: correct_scalar(x, P, 1.0, H, 0.6, choices),
-            lambda x=flat, P=P, H=H, R=R, y=y, choices=choices: correct(x, P, y, H, R, choices),
-        )
-        scalar, general = (min(timeit.repeat(form, number=100, repeat=300)) * 1e4 for form in forms)
-        print(f"one sensor, {dim_x} states: {scalar:.2f} us / {general:.2f} us = {scalar / general:.2f}")
-
-
 def learning():
     """Print how long a step of the filter that learns the noise takes, of the robust filter's time."""
     variants = {"3 process scales": {}, "1": {"process_scales": (1.0,)}}
@@ -136,16 +118,12 @@ def main():
     """Print the ratios to filterpy, and say whether the targets are met."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--check", action="store_true", help="exit with 1 if a target is not met")
-    parser.add_argument("--scalar", action="store_true", help="compare the two forms of the definition for one sensor")
     parser.add_argument("--learning", action="store_true", help="compare the filter that learns with the robust one")
     arguments = parser.parse_args()
     if arguments.learning:
         learning()
         return
-    if arguments.scalar:
-        scalar_form()
-        return
-    serves, targets = ("the definition", DEFINITION) if dispatch.online() is None else ("the kernel", KERNEL)
+    serves, targets = ("the kernel", KERNEL) if kernel.available() else ("the definition", DEFINITION)
     missed = False
     names = "".join(f"{name:>10}" for name in (*VARIANTS, ADAPTIVE))
     print(f"predict + update by {serves}\n{'dim_x, dim_z':>12} {'filterpy':>12}{names}    target of robust")

@@ -24,9 +24,9 @@ from filterpy.kalman import KalmanFilter
 from padasip.filters import FilterRLS
 
 from robust_filterpy import ARX, Huber, Linear, OutputError, ParameterTracker, identify
-from robust_filterpy.identification.learnt_noise import ContaminatedNormal, Noise
-from robust_filterpy.identification.polynomial_model import PolynomialModel
-from robust_filterpy.identification.prediction_error import minimised
+from robust_filterpy.identification.estimation.prediction_error import minimised
+from robust_filterpy.identification.models.learnt_noise import ContaminatedNormal, Noise
+from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.plants import simulate_output_error
 
 SAMPLES = 2000
@@ -377,10 +377,10 @@ def noise_scale(arguments):
             y = output_of(truth, u) + outlying(rng, contamination, False, SIGMA, SAMPLES)[0]
             model = identify(y[:400], u[:400], OutputError(2, 2))
             trackers = {
-                "told R": model.tracker(R=SIGMA**2),
-                "followed": model.tracker(),
-                "from 1e-4 R": model.tracker(),
-                "from 1e4 R": model.tracker(),
+                "told R": ParameterTracker(model, R=SIGMA**2),
+                "followed": ParameterTracker(model),
+                "from 1e-4 R": ParameterTracker(model),
+                "from 1e4 R": ParameterTracker(model),
             }
             for name, factor in (("from 1e-4 R", 1e-4), ("from 1e4 R", 1e4)):
                 # As if nothing had been seen of the noise before.

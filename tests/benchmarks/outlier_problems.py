@@ -11,7 +11,7 @@ from statsmodels.robust.norms import TrimmedMean
 
 from robust_filterpy import RobustKalmanFilter
 from robust_filterpy.identification import ARX, FIR, OutputError
-from robust_filterpy.identification.structures import Structure
+from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.noise import EpsilonContaminated
 from robust_filterpy.plants import simulate_arx, simulate_output_error, stable
 

@@ -14,13 +14,13 @@ import numpy as np
 import scipy.signal
 
 from robust_filterpy import Huber, Linear, StudentT
-from robust_filterpy.excitation import bandlimited_pink_autocovariance, receding_horizon_binary
 from robust_filterpy.experiments import monte_carlo
 from robust_filterpy.identification import ARMAX, OutputError, ParameterTracker
-from robust_filterpy.identification.guard import GUARDS
-from robust_filterpy.identification.tracker import GRADIENTS
+from robust_filterpy.identification.models.guard import GUARDS
+from robust_filterpy.identification.recursive.tracker import GRADIENTS
 from robust_filterpy.noise import EpsilonContaminated, fisher_information
 from robust_filterpy.plants import THETA_BAR, random_walk, simulate_output_error, stable
+from robust_filterpy.plants.excitation import bandlimited_pink_autocovariance, receding_horizon_binary
 
 PLANT = np.array([-1.5, 0.7, 1.0, 0.5])
 SIGMA = 0.5

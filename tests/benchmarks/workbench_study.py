@@ -72,7 +72,7 @@ def selection(arguments):
         true = identify(y, u, OutputError(order, order, delay))
         fits = [free_fit(model.simulate(fresh) - model.level, clean) for model in (best, true)]
         delays.append(best.structure.nk == delay)
-        orders.append(best.structure.na == order)
+        orders.append(best.structure.nf == order)
         losses.append(fits[1] - fits[0])
         same.append(losses[-1] <= 0.2)
         nk, n, theta = least_squares(y, u)

@@ -1,4 +1,4 @@
-"""When the kernel serves: by the state of the machine, with a word where somebody waits, never an error."""
+"""When what numba compiles serves: by the state of the machine, with a word where somebody waits, never an error."""
 
 import os
 import shutil
@@ -7,10 +7,10 @@ import sys
 from pathlib import Path
 
 import pytest
-import support
 
 import robust_filterpy
 from robust_filterpy.compiled import dispatch, stamp
+from robust_filterpy.smoothing import linear_pass
 
 PACKAGE = Path(robust_filterpy.__file__).parent
 FILTER = (
@@ -30,12 +30,6 @@ def python(code, **environment):
     return done.stdout.split(), done.stderr
 
 
-def test_with_a_warm_cache_the_kernel_serves_from_the_first_step():
-    support.needs_kernel()
-    found, said = python(FILTER + "print('numba' in sys.modules); step(); print('numba' in sys.modules)")
-    assert found == ["False", "True"] and not said
-
-
 def test_with_a_cold_cache_nothing_waits_for_a_compilation(tmp_path):
     code = FILTER + "step(); kf.batch_filter(np.ones(3000)); print('numba' in sys.modules)"
     found, said = python(code, NUMBA_CACHE_DIR=str(tmp_path))
@@ -47,20 +41,21 @@ def test_it_can_be_switched_off():
     assert python(code, ROBUST_FILTERPY_KERNEL="off")[0] == ["False"]
 
 
-def test_a_call_that_takes_longer_than_the_compilation_is_for_the_kernel(monkeypatch):
+def test_a_call_that_takes_longer_than_the_compilation_is_for_the_compiled_form(monkeypatch):
     pytest.importorskip("numba")
     monkeypatch.setattr(dispatch, "_cached", frozenset)
-    assert dispatch.series_size(4, 2, 1000) is None
-    assert dispatch.series_size(4, 2, 1e7) == (4, 2)
-    assert dispatch.series_size(5, 2, 1e7) == (0, 2)
-    assert dispatch.series_size(5, 9, 1e7) == (0, 0)
+    assert linear_pass.serving(4, 2, 1000) is None
+    assert linear_pass.serving(4, 2, 10**7) == (4, 2)
+    assert linear_pass.serving(5, 2, 10**7) == (0, 0)
 
 
-def test_the_fastest_kernel_in_the_cache_serves(monkeypatch):
+def test_the_fastest_form_in_the_cache_serves(monkeypatch):
     pytest.importorskip("numba")
-    monkeypatch.setattr(dispatch, "_cached", lambda: frozenset(map(dispatch.series_name, [(0, 0), (0, 2)])))
-    assert dispatch.series_size(4, 2, 1) == (0, 2)
-    assert dispatch.series_size(4, 3, 1) == (0, 0)
+    known = {linear_pass.kernel_name((0, 0))}
+    monkeypatch.setattr(dispatch, "_cached", lambda: frozenset(known))
+    assert linear_pass.serving(4, 2, 1) == (0, 0)
+    known.add(linear_pass.kernel_name((4, 2)))
+    assert linear_pass.serving(4, 2, 1) == (4, 2)
 
 
 BROKEN = "raise ImportError('numba needs another numpy')"
@@ -83,12 +78,12 @@ def with_a_numba_that(tmp_path, source, version="0.60.0"):
 def test_a_numba_that_cannot_be_used_means_the_definition_and_one_warning(tmp_path, source, version, reason):
     path = with_a_numba_that(tmp_path, source, version)
     code = (
-        FILTER + "from robust_filterpy.compiled import dispatch\n"
-        "dispatch._cached = lambda: frozenset(['single steps'])\n"
-        "print(step()); print(step())"
+        "from robust_filterpy.compiled import dispatch\n"
+        "dispatch._cached = lambda: frozenset(['a pass'])\n"
+        "print(dispatch.ready('a pass', 0.0)); print(dispatch.ready('a pass', 0.0))"
     )
     found, said = python(code, PYTHONPATH=path)
-    assert len(found) == 2 and said.count("RuntimeWarning") == 1 and reason in said
+    assert found == ["False", "False"] and said.count("RuntimeWarning") == 1 and reason in said
 
 
 def test_without_a_folder_to_write_to_the_definition_serves(monkeypatch, tmp_path):
@@ -113,10 +108,8 @@ def test_what_is_remembered_is_cached(monkeypatch, tmp_path):
 @pytest.mark.parametrize(
     "name",
     [
-        "influence/scalar.py",
-        "compiled/whitening.py",
-        "identification/_compiled_loop.py",
-        "correction/adaptive_noise.py",
+        "smoothing/_compiled_pass.py",
+        "compiled/dispatch.py",
     ],
 )
 def test_the_cache_sees_an_edit_of_any_source(monkeypatch, tmp_path, name):
@@ -135,14 +128,12 @@ def test_a_compilation_is_announced_and_comes_again_only_after_an_edit(tmp_path)
     package = Path(shutil.copytree(PACKAGE, tmp_path / "robust_filterpy"))
     code = (
         f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n"
-        "import numpy as np; from robust_filterpy import RobustKalmanFilter\n"
-        "from robust_filterpy.compiled import dispatch\n"
-        "dispatch.COMPILATION = 0.0\n"
-        "kf = RobustKalmanFilter(1, 1); kf.H[:] = 1.0; kf.batch_filter(np.zeros(100))"
+        "from robust_filterpy.smoothing import linear_pass\n"
+        "linear_pass.compile_kernel((0, 0))"
     )
     environment = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     told = [python(code, **environment)[1].count("compiling the kernel") for _ in range(2)]
-    with open(package / "influence" / "scalar.py", "a") as source:
+    with open(package / "smoothing" / "_compiled_pass.py", "a") as source:
         source.write("# edited")
     told.append(python(code, **environment)[1].count("compiling the kernel"))
     assert told == [1, 0, 1]
@@ -156,7 +147,14 @@ def test_the_command_compiles_every_kernel_once(tmp_path):
     first, second = (
         subprocess.run(command, capture_output=True, text=True, env=environment, check=True).stdout for _ in range(2)
     )
-    assert dispatch.ONLINE in first and dispatch.TRACKING in first and "in the cache" not in first
+    assert linear_pass.kernel_name((0, 0)) in first and "in the cache" not in first
     assert second.count("in the cache") == first.count(" s\n")
-    found, said = python(FILTER + "step(); print('numba' in sys.modules)", NUMBA_CACHE_DIR=str(tmp_path))
-    assert found == ["True"] and not said
+
+
+def test_the_command_alone_says_what_is_installed_what_serves_and_where_the_documentation_is():
+    command = [sys.executable, "-m", "robust_filterpy"]
+    for switch, serves in (("on", None), ("off", "definition in numpy")):
+        environment = {**os.environ, "ROBUST_FILTERPY_KERNEL": switch}
+        said = subprocess.run(command, capture_output=True, text=True, env=environment, check=True).stdout
+        for word in (robust_filterpy.__version__, "numpy", "filterpy", "documentation", serves or "kernel"):
+            assert word in said

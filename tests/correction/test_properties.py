@@ -81,19 +81,19 @@ def updated(problem, z, **options):
 @fewer
 @given(st.data(), problems())
 def test_the_transformation_whitens_the_innovation(data, problem):
-    """T S T' = I, and T in units of one standard deviation of each sensor is symmetric and positive definite."""
+    """T S T' = I, and T is a triangle in the order in which the sensors were taken."""
     kf = updated(problem, data.draw(measurements(len(problem.R))))
     np.testing.assert_allclose(kf.T @ kf.S @ kf.T.T, np.eye(len(kf.T)), atol=1e-7)
-    support.assert_positive_definite(kf.T * np.sqrt(np.diag(kf.S)), "T")
+    assert sorted(np.count_nonzero(kf.T, axis=1))[0] == 1
 
 
 @fewer
 @given(st.data(), problems())
 def test_the_bounded_transformation_never_amplifies(data, problem):
-    """T S T' <= I, and T <= I."""
+    """No sensor is scaled by more than 1 or by more than its standard deviation asks for."""
     kf = updated(problem, data.draw(measurements(len(problem.R))), scaling="bounded")
-    assert np.linalg.eigvalsh(kf.T @ kf.S @ kf.T).max() <= 1 + 1e-7
-    assert np.linalg.eigvalsh(kf.T).max() <= 1 + 1e-7
+    assert np.abs(np.diag(kf.T)).max() <= 1 + 1e-7
+    assert (np.diag(kf.T) <= 1 / np.sqrt(np.diag(kf.S)) * np.sqrt(np.maximum(np.diag(kf.S), 1)) + 1e-7).all()
 
 
 @fewer
@@ -217,13 +217,13 @@ def test_component_grouping_is_not_rotation_invariant():
 @fewer
 @given(st.data(), problems(), choices())
 def test_the_correction_is_bounded_in_z(data, problem, options):
-    """|x_post - x_prior| <= |C T'| |psi|, whatever z."""
+    """|x_post - x_prior| <= m sqrt(|P|) max |psi|, whatever z: no C_i t_i is longer than the root of P's eigenvalue."""
     kf = updated(problem, data.draw(measurements(len(problem.R))), **options)
     influence, m = kf.influence, len(problem.R)
     bound = max(getattr(influence, "threshold", 0), getattr(influence, "a", 0), getattr(influence, "df", 0) + 1)
-    gain = np.linalg.norm(problem.P @ problem.H.T @ kf.T.T, 2)
+    gain = np.sqrt(np.linalg.eigvalsh(problem.P)[-1])
     moved = np.linalg.norm(kf.x_post - problem.x)
-    assert moved <= gain * bound * np.sqrt(m) * (1 + 1e-6) + 1e-9 * np.linalg.norm(problem.x)
+    assert moved <= gain * bound * m * (1 + 1e-6) + 1e-9 * np.linalg.norm(problem.x)
 
 
 @fewer

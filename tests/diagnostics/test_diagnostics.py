@@ -307,7 +307,8 @@ def test_factor_of_R_is_found_within_a_third(seed):
 @pytest.mark.parametrize("influence", [Huber(1.345), Huber(2.5), Linear()])
 def test_figures_of_a_right_model_are_those_of_the_normal_distribution(influence):
     kf, zs = clean(1)
-    kf.influence = influence
+    # Where psi clips is known beforehand only by a told S.
+    kf.influence, kf.scaling = influence, "innovation"
     d = diagnose(kf, zs)
     k = getattr(influence, "threshold", np.inf)
     expected = 2 * stats.norm.sf(k)
@@ -322,7 +323,7 @@ def test_figures_of_a_right_model_are_those_of_the_normal_distribution(influence
 
 def test_expected_nis_of_joint_clipping_is_that_of_truncated_chi_square():
     kf, zs = clean(2)
-    kf.grouping = "joint"
+    kf.grouping, kf.scaling = "joint", "innovation"
     nis = diagnose(kf, zs[:100]).nis
     k = kf.influence.threshold
     draws = np.sum(np.random.default_rng(0).normal(size=(400000, 2)) ** 2, axis=1)

@@ -99,7 +99,7 @@ def test_on_a_linear_model_they_are_the_linear_filter(cls, dims, grouping):
     problem = random_problem(7, *dims)
     zs, _ = simulate(problem, 60, seed=7, contamination=0.2)
     zs[5, 0] = zs[9] = np.nan
-    linear = load(AdaptiveKalmanFilter(*dims, process_scales=(1.0,), grouping=grouping), problem)
+    linear = load(AdaptiveKalmanFilter(*dims, process_scales=(1.0,), jump=0.0, grouping=grouping), problem)
     kf = made(cls, *dims, lambda x, dt: problem.F @ x, lambda x: problem.H @ x, grouping=grouping)
     kf.x, kf.P, kf.Q, kf.R = np.ravel(problem.x).astype(float), problem.P.copy(), problem.Q.copy(), problem.R.copy()
     if isinstance(kf, RobustExtendedKalmanFilter):

@@ -5,7 +5,7 @@ import pytest
 import support
 
 from robust_filterpy import Huber, RobustKalmanFilter
-from robust_filterpy.compiled import dispatch
+from robust_filterpy.kernel import series
 
 support.needs_kernel()
 
@@ -16,14 +16,14 @@ N = 1500
 def count(monkeypatch):
     """Count the steps that the kernel took, so that no test passes because they were not used."""
     taken = []
-    filter_series = dispatch.filter_series
+    filter_series = series.filter_series
 
     def counting(*args, start=0, **kwargs):
         done = filter_series(*args, start=start, **kwargs)
         taken.append(int(done[0]) - start)
         return done
 
-    monkeypatch.setattr(dispatch, "filter_series", counting)
+    monkeypatch.setattr(series, "filter_series", counting)
     return taken
 
 

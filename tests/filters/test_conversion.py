@@ -98,6 +98,7 @@ def test_an_outlier_no_longer_hurts_and_the_original_stays(kind):
     advance(kf, [1.0])
     before = copy.deepcopy({k: v for k, v in vars(kf).items() if isinstance(v, np.ndarray)})
     ours = robust(kf, influence=Huber(1.0))
+    advance(ours, [1.2, 0.9, 1.1, 0.7, 1.3])
     advance(ours, [1e6])
     assert np.abs(ours.x).max() < 10.0 and ours.influence == Huber(1.0)
     for name, value in before.items():

@@ -136,6 +136,11 @@ def outcomes(request, tmp_path_factory):
     return plain, run(package, tests, directory, "yes", using)
 
 
+#: Compares numbers of the size of 1e5 within 1e-12, a tenth of what rounding leaves of them: it holds for filterpy
+#: with its own order of multiplications alone, and P - g g' is another one.
+TO_THE_LAST_BIT = {"test_kf.py::test_procedure_form"}
+
+
 def passing(results):
     """The tests that build at least one Kalman filter and pass."""
     return [name for name, result in results.items() if result["built"] and result["passed"]]
@@ -154,4 +159,5 @@ def test_most_of_its_own_tests_pass(outcomes):
 def test_what_passes_with_its_class_passes_with_the_robust_one(outcomes):
     plain, swapped = outcomes
     broken = {name: swapped[name]["why"] for name in passing(plain) if not swapped[name]["passed"]}
+    broken = {name: why for name, why in broken.items() if name not in TO_THE_LAST_BIT}
     assert not broken, "\n".join(f"{name}\n{why}" for name, why in broken.items())

@@ -109,7 +109,9 @@ def test_missing_values_of_pandas_are_missing():
     expected = support.make(RobustKalmanFilter, problem).batch_filter(zs)[0]
     rows = [[pd.NA if np.isnan(v) else v for v in row] for row in zs]
     for form in (table, rows, table.to_numpy()):
-        np.testing.assert_array_equal(support.make(RobustKalmanFilter, problem).batch_filter(form)[0], expected)
+        # Rows of objects go by the filter's own steps, which agree with the kernel to rounding.
+        found = support.make(RobustKalmanFilter, problem).batch_filter(form)[0]
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
     kf = support.make(RobustKalmanFilter, problem)
     for k, row in enumerate(table.itertuples(index=False)):
         kf.predict()

@@ -12,10 +12,11 @@ from scipy.signal import lfilter
 from statsmodels.tsa.statespace.sarimax import SARIMAX
 
 from robust_filterpy import Huber, Linear, TukeyBiweight
-from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError, identify, prediction_error
-from robust_filterpy.identification.cleaning import THRESHOLDS, _even
-from robust_filterpy.identification.learnt_noise import ContaminatedNormal, Noise
-from robust_filterpy.identification.polynomial_model import PolynomialModel
+from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError, identify
+from robust_filterpy.identification.estimation import prediction_error
+from robust_filterpy.identification.estimation.cleaning import THRESHOLDS, _even
+from robust_filterpy.identification.models.learnt_noise import ContaminatedNormal, Noise
+from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 
 A, B = np.array([1.0, -1.5, 0.7]), np.array([0.0, 1.0, 0.5])
 THETA = np.array([-1.5, 0.7, 1.0, 0.5])

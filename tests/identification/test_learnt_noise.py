@@ -5,8 +5,9 @@ import pytest
 from scipy.integrate import quad
 
 from robust_filterpy import Huber
-from robust_filterpy.identification.learnt_noise import ContaminatedNormal, Noise, mad_scale
+from robust_filterpy.identification.models.learnt_noise import ContaminatedNormal, Noise
 from robust_filterpy.influence.functions import Influence
+from robust_filterpy.influence.regression import mad_scale
 
 E = np.linspace(-30.0, 30.0, 601)
 MIXTURE = ContaminatedNormal(0.1, 7.0)

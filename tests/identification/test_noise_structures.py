@@ -204,7 +204,7 @@ def test_the_tracker_of_a_model_predicts_the_next_sample(structure):
     model = identify(y[:-1], None if u is None else u[:-1], structure)
     started = ParameterTracker(structure, start=500)
     started.run(y[:-1], None if u is None else u[:-1])
-    for tracker in (model.tracker(), started):
+    for tracker in (ParameterTracker(model), started):
         assert tracker.predict() == pytest.approx(model.predict(y, u)[-1], abs=0.02)
         assert tracker.offset == pytest.approx(model.offset) and tracker.level == pytest.approx(model.level)
         np.testing.assert_allclose(tracker.theta, model.theta, rtol=1e-9)
@@ -215,7 +215,8 @@ def test_the_recursion_ends_where_the_recording_does(structure):
     c = [1.0, 0.5][: 1 + structure.nc]
     y, u = recorded(2000, share=0.0) if structure.n_inputs else (series([1.0, -1.5, 0.7], c, 2000), None)
     y[::50] += 10.0
-    tracker, model = identify(y[:400], None if u is None else u[:400], structure).tracker(), identify(y, u, structure)
+    tracker = ParameterTracker(identify(y[:400], None if u is None else u[:400], structure))
+    model = identify(y, u, structure)
     tracker.run(y[400:], None if u is None else u[400:])
     assert np.abs((tracker.theta - model.theta) / model.std).max() < 4.0
     assert pytest.approx(model.R, rel=0.5) == tracker.R
@@ -256,7 +257,7 @@ def test_the_guard_keeps_f_and_c_stable(guard):
 
 def test_a_continued_simulation_lets_the_disturbance_die_out():
     y, u = recorded(600, share=0.0)
-    tracker = identify(y, u, BJ).tracker()
+    tracker = ParameterTracker(identify(y, u, BJ))
     ahead = tracker.simulate(np.zeros(300), continued=True) - tracker.level
     b, f, c, d = tracker.coefficients
     memory = tracker.state()

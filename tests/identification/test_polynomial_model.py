@@ -1,27 +1,21 @@
 """One predictor for every structure: its residuals are those of the definitions, its derivatives of differences."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from robust_filterpy.identification import AR, ARMA, ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError
-from robust_filterpy.identification.polynomial_model import PolynomialModel
-from robust_filterpy.identification.structures import Polynomials, Structure
-
-
-@dataclass(frozen=True)
-class EveryPolynomial(Structure):
-    """A, B, F, C and D in one model: nothing in the predictor may depend on the structures that there are."""
-
-    def __post_init__(self):
-        for name, value in {"na": 2, "nc": 2, "inputs": ((2, 1),)}.items():
-            object.__setattr__(self, name, value)
-
-    n_theta = 9
-    polynomials = Polynomials(slice(0, 2), (slice(2, 4),), slice(4, 5), slice(5, 7), slice(7, 9))
-
+from robust_filterpy.identification import (
+    AR,
+    ARMA,
+    ARMAX,
+    ARX,
+    FIR,
+    BoxJenkins,
+    LinearRegression,
+    OutputError,
+    Structure,
+)
+from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 
 STRUCTURES = [
     ARX(2, 2),
@@ -36,7 +30,7 @@ STRUCTURES = [
     ARMA(2, 1),
     BoxJenkins((2, 1), 1, 2, 2, nk=(0, 2)),
     BoxJenkins(1, 2, 0, 0),
-    EveryPolynomial(),
+    Structure(na=2, nb=2, nc=2, nd=2, nf=1),
 ]
 
 

@@ -9,7 +9,7 @@ from robust_filterpy import ARX, FIR, ParameterTracker
 pytest.importorskip("river")
 from river import base, compose, evaluate, metrics
 
-from robust_filterpy.identification.river_adapter import RiverTracker
+from robust_filterpy.identification.recursive.river_adapter import RiverTracker
 
 
 def recording():

@@ -6,7 +6,7 @@ from scipy.signal import lfilter
 from statsmodels.tsa.ar_model import AutoReg
 
 from robust_filterpy import select_structure
-from robust_filterpy.identification import ARMAX, ARX, FIR, OutputError, identify
+from robust_filterpy.identification import ARMAX, ARX, OutputError, identify
 
 A, B = [1.0, -1.5, 0.7], [1.0, 0.5]
 
@@ -83,7 +83,7 @@ def test_the_held_out_part_is_fitted_by_the_model_of_the_part_before():
     assert selection.best.weights.size == 800
     model = identify(y[600:], u[600:], selection.rows[0].structure)
     assert selection.rows[0].held_out_fit == pytest.approx(model.fit(y[600:], u[600:]), abs=25.0)
-    poor = next(row for row in selection.rows if row.structure.na == 1)
+    poor = next(row for row in selection.rows if row.structure.nf == 1)
     assert poor.held_out_fit < selection.rows[0].held_out_fit - 5.0
     assert "held out" in str(selection).splitlines()[0]
     assert np.isnan([row.held_out_fit for row in before.rows]).all() and "held out" not in str(before)
@@ -112,7 +112,7 @@ def test_equation_error_models(kind):
     y = lfilter([0.0, 0.0, *B], A, u) + lfilter(c, A, noise)
     y[::40] += 20.0
     found = select_structure(y, u, kind, na=range(1, 4), nk=range(5)).best.structure
-    assert isinstance(found, kind) and (found.na, found.nk) == (2, 2)
+    assert found.form == kind.__name__ and (found.na, found.nk) == (2, 2)
 
 
 def test_an_outlier_in_the_regressor_costs_as_much_as_a_few_parameters_whatever_its_size():
@@ -157,7 +157,7 @@ def test_an_input_that_excites_few_lags_tries_all_delays():
         ({"nk": [-1]}, ValueError, "nk"),
         ({"na": "two"}, TypeError, "na"),
         ({"na": [0, 1]}, ValueError, "nb: "),
-        ({"kind": FIR}, ValueError, "kind"),
+        ({"kind": sorted}, ValueError, "kind"),
         ({"kind": "oe"}, ValueError, "kind"),
         ({"criterion": "best"}, ValueError, "criterion"),
         ({"na": [100]}, ValueError, "y: expected at least"),
@@ -173,7 +173,7 @@ def test_bad_inputs_are_refused_by_name():
     y, u = recorded(length=200)
     with pytest.raises(ValueError, match="u: expected one input"):
         select_structure(y, np.column_stack((u, u)))
-    with pytest.raises(ValueError, match="u: expected an input for an OutputError"):
+    with pytest.raises(ValueError, match="u: expected an input for OutputError"):
         select_structure(y, None)
     with pytest.raises(ValueError, match="u: expected 200 samples"):
         select_structure(y, u[:-1])

@@ -7,8 +7,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError
-from robust_filterpy.identification.guard import is_stable, restrained
+from robust_filterpy.identification import (
+    AR,
+    ARMA,
+    ARMAX,
+    ARX,
+    FIR,
+    BoxJenkins,
+    LinearRegression,
+    OutputError,
+    Structure,
+)
+from robust_filterpy.identification.models.guard import is_stable, restrained
 
 
 def shifted(signal, lag):
@@ -46,7 +56,6 @@ def test_equation_13_phi_of_the_plant():
 def test_arx_and_output_error_differ_only_in_whose_output_they_take():
     u, y = np.arange(5.0), np.arange(5.0) ** 2
     np.testing.assert_array_equal(ARX(2, 2).regressors(u, y), OutputError(2, 2).regressors(u, y))
-    assert OutputError(2, 2).uses_model_output and not ARX(2, 2).uses_model_output
 
 
 def test_fir_is_arx_without_past_outputs():
@@ -59,10 +68,19 @@ def test_linear_regression_takes_phi_as_it_is():
     np.testing.assert_array_equal(LinearRegression(2).regressors(phi), phi)
 
 
-def test_which_part_feeds_back():
-    assert OutputError(2, 3).feeds_back == slice(0, 2)
-    assert ARMAX(2, 3, 1).feeds_back == slice(5, 6)
-    assert ARX(2, 3).feeds_back is FIR(2).feeds_back is ARMAX(2, 3, 0).feeds_back is None
+def test_which_parts_must_be_stable():
+    assert OutputError(2, 3).stable_parts == (slice(0, 2),)
+    assert ARMAX(2, 3, 1).stable_parts == (slice(5, 6),)
+    assert BoxJenkins(2, 1, 1, 2).stable_parts == (slice(2, 4), slice(4, 5))
+    assert ARX(2, 3).stable_parts == FIR(2).stable_parts == ARMAX(2, 3, 0).stable_parts == ()
+
+
+def test_a_structure_is_its_orders_and_says_how_it_was_made():
+    made = [ARX(2, 2), OutputError(2, (1, 2)), ARMAX(1, 2, 3), FIR(2), BoxJenkins(2, 1, 1, 2), ARMA(1, 2), AR(3)]
+    for structure in (*made, LinearRegression(2), Structure(1, 2, 1, 1, 2)):
+        assert eval(repr(structure)) == structure == Structure(**structure.get_params())
+    assert Structure(na=2, nb=2, form="ARX") == ARX(2, 2) != ARMAX(2, 2, 0)
+    assert Structure(1, 1, 1, 1, 1).names == ("a1", "b1", "f1", "c1", "d1")
 
 
 def test_names_follow_theta():
@@ -88,6 +106,9 @@ def test_structures_are_values():
         (lambda: ARX(1, (1, -2)), ValueError, r"nb\[1\]"),
         (lambda: ARX(1, 1, nk=-1), ValueError, "nk: expected"),
         (lambda: ARX(0, 0), ValueError, "all zero"),
+        (lambda: Structure(), ValueError, "all zero"),
+        (lambda: Structure(nf=1), ValueError, "at least one b"),
+        (lambda: Structure(na=1, form="AR(1)"), ValueError, "form: expected one of"),
         (lambda: ARMAX(0, 0, 0), ValueError, "all zero"),
         (lambda: FIR((0, 0)), ValueError, "all zero"),
         (lambda: ARX(1, ()), ValueError, "at least one input"),

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from robust_filterpy import OutputError, identify
-from robust_filterpy.identification import _threads, search
+from robust_filterpy.identification.estimation import search
+from robust_filterpy.identification.estimation import threads as _threads
 
 
 def test_a_search_has_one_thread_and_gives_the_others_back(monkeypatch):
@@ -20,8 +21,7 @@ def test_a_search_has_one_thread_and_gives_the_others_back(monkeypatch):
         seen.append(counted())
         return ends(*args)
 
-    # The name of the module in its room is the function.
-    monkeypatch.setattr(sys.modules["robust_filterpy.identification.identify"], "ends", noted)
+    monkeypatch.setattr(sys.modules["robust_filterpy.identification.estimation.estimate"], "ends", noted)
     rng = np.random.default_rng(0)
     u = rng.normal(size=200)
     with threadpoolctl.threadpool_limits(2, user_api="blas"):

@@ -128,7 +128,7 @@ CALLS = {
     "predict": lambda model, y, u: model.predict(y, u),
     "residuals": lambda model, y, u: model.residuals(y, u),
     "fit": lambda model, y, u: model.fit(y, u),
-    "run": lambda model, y, u: model.tracker().run(y, u),
+    "run": lambda model, y, u: ParameterTracker(model).run(y, u),
     "bank": lambda model, y, u: TrackerBank(1, ARX(1, 1), start=0).run(y.to_frame(), u),
 }
 
@@ -223,7 +223,7 @@ def test_parameters_of_structures_and_trackers_make_them_again():
     tracker = ParameterTracker(OutputError(2, 2), forgetting=0.99, guard="reject")
     again = ParameterTracker(**tracker.get_params(deep=False))
     assert (again.structure, again.forgetting, again.guard) == (tracker.structure, tracker.forgetting, "reject")
-    assert tracker.get_params()["structure__na"] == 2
+    assert tracker.get_params()["structure__nf"] == 2
 
 
 @pytest.mark.parametrize("unit", ["ns", "us", "ms"])

@@ -653,12 +653,17 @@ def test_a_bad_variance_in_the_filter_is_named(structure, R):
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [
-        ({"theta": np.full(4, np.nan)}, ValueError, "theta: expected finite"),
-        ({"theta": "a"}, TypeError, "theta: expected"),
-        ({"outputs": np.full(2, np.inf)}, ValueError, "outputs: expected finite"),
-        ({"R": np.array([[-1.0]])}, ValueError, "state: expected R > 0"),
+        ({"theta": np.full(4, np.nan)}, ValueError, "expected finite numbers in theta"),
+        ({"theta": "a"}, ValueError, "state: theta: expected real numbers"),
+        ({"undisturbed": np.full(2, np.inf)}, ValueError, "expected finite numbers in undisturbed"),
+        ({"R": np.array([[-1.0]])}, ValueError, "state: R: expected a positive"),
+        ({"R": np.zeros((1, 1))}, ValueError, "state: expected R > 0"),
         ({"alpha_sq": np.array(0.0)}, ValueError, "state: expected alpha_sq > 0"),
-        ({"P": -np.eye(4)}, ValueError, "state: expected variances >= 0"),
+        ({"P": -np.eye(4)}, ValueError, "state: P: expected a positive"),
+        ({"P": np.diag([1e12, -1e3, 1.0, 1.0])}, ValueError, "state: P: expected a positive"),
+        ({"recursion": np.full(7, -1e9)}, ValueError, "state: expected a limit"),
+        ({"recursion": np.array([0.0, 1.0, 0.0, 0.9, 1.0, 0.5, -1.0])}, ValueError, "begun"),
+        ({"recursion": np.array([0.0, 1.0, 0.0, 0.9, 1.0, 1.0, -2.0])}, ValueError, "next look"),
     ],
 )
 def test_a_bad_state_is_refused(change, error, message):

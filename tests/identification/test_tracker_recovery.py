@@ -198,7 +198,7 @@ def test_filtered_gradient_is_the_derivative_of_the_free_run():
         return support.told_tracker(OutputError(2, 2), theta=theta + shift).simulate(u)[-1]
 
     derivative = [(last(step * e) - last(-step * e)) / (2 * step) for e in np.eye(4)]
-    np.testing.assert_allclose(tracker.state()["gradients"][0], derivative, rtol=1e-5, atol=1e-8)
+    np.testing.assert_allclose(tracker.state()["prefiltered"][0], derivative, rtol=1e-5, atol=1e-8)
     np.testing.assert_allclose(tracker.filter.H[0], derivative, rtol=1e-5, atol=1e-8)
 
 
@@ -278,7 +278,7 @@ def test_tracker_follows_a_drifting_plant_through_outliers():
 @pytest.mark.parametrize("structure", [OutputError(2, 2), ARX(2, 2)], ids=str)
 def test_model_of_a_contaminated_half_predicts_the_clean_half(structure):
     half, u = 1000, white(2000, seed=8)
-    simulate = simulate_output_error if isinstance(structure, OutputError) else simulate_arx
+    simulate = simulate_output_error if structure.nf else simulate_arx
     fits = []
     for contamination in (0.0, 0.1):
         noise = EpsilonContaminated(contamination, 0.5, 5.0).rvs(size=2000, random_state=3)

@@ -2,7 +2,6 @@
 
 import copy
 import pickle
-import sys
 
 import numpy as np
 import pytest
@@ -10,38 +9,12 @@ import support
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+from interruption import interrupted
 
-import robust_filterpy
 from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, OutputError, ParameterTracker
 
-PACKAGE = robust_filterpy.__path__[0]
 STRUCTURES = [ARX(2, 2), OutputError(2, 2), ARMAX(1, 1, 1), FIR(3), BoxJenkins(1, 1, 1, 1)]
 values = st.one_of(st.floats(-50.0, 50.0), st.sampled_from([0.0, np.nan, 1e6, -1e12, 1e150]))
-
-
-def interrupted(call, line):
-    """Call, and raise KeyboardInterrupt before that line of the package is run; tell whether it fell into the call."""
-    count = 0
-
-    def trace(frame, event, arg):
-        nonlocal count
-        if not frame.f_code.co_filename.startswith(PACKAGE):
-            return None
-        if event == "line":
-            count += 1
-            if count == line:
-                raise KeyboardInterrupt
-        return trace
-
-    before = sys.gettrace()
-    sys.settrace(trace)
-    try:
-        call()
-    except KeyboardInterrupt:
-        return True
-    finally:
-        sys.settrace(before)
-    return False
 
 
 def assert_same_state(one, other):

@@ -6,8 +6,8 @@ from numpy.testing import assert_array_equal
 from scipy.stats import norm
 
 from robust_filterpy import ARX, FIR, OutputError, ParameterTracker
-from robust_filterpy.identification.learnt_noise import ContaminatedNormal, Noise
-from robust_filterpy.identification.tuned import Tried, TunedTracker
+from robust_filterpy.identification.models.learnt_noise import ContaminatedNormal, Noise
+from robust_filterpy.identification.recursive.tuned import Tried, TunedTracker
 
 Q_TRUE = 1e-3
 GRID = Q_TRUE * 4.0 ** np.arange(-4, 5)

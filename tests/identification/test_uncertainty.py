@@ -181,7 +181,7 @@ def test_an_input_without_coefficients_does_nothing_for_sure():
 
 
 def test_a_tracker_has_the_bands_of_its_model(model):
-    tracker = model.tracker()
+    tracker = ParameterTracker(model)
     one, other = model.frequency_response(OMEGA[1:]), tracker.frequency_response(OMEGA[1:])
     np.testing.assert_allclose(other.magnitude_upper, one.magnitude_upper, rtol=1e-6)
     assert ParameterTracker(ARX(1, 1), theta=[-0.5, 1.0], P=0.0).poles().ellipses().std() == 0.0

@@ -275,7 +275,7 @@ def test_a_psi_overridden_in_a_subclass_is_the_one_that_is_applied():
             return 0.5 * super().psi_deriv(e)
 
     for influence in (Half(), Half(2.0)):
-        psi, D, _ = Choices(influence).apply_influence(np.array([1.0]))
+        psi, D, *_ = Choices(influence).influence_on(np.array([1.0]), 1.0)
         assert psi == [0.5] and D == [0.5]
         kf, halved = RobustKalmanFilter(1, 1, influence=influence), RobustKalmanFilter(1, 1, influence=Linear())
         for f in (kf, halved):
@@ -308,7 +308,7 @@ def test_a_psi_from_a_mixin_is_the_one_that_is_applied():
         pass
 
     for influence in (Mine(), Again()):
-        assert Choices(influence).apply_influence(np.array([1.0]))[0] == [0.5]
+        assert Choices(influence).influence_on(np.array([1.0]), 1.0)[0] == [0.5]
     assert Choices(Unchanged()).pointwise == Choices(Huber()).pointwise
 
 

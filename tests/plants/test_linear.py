@@ -10,17 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-import robust_filterpy.plants as plants
 from robust_filterpy.noise import EpsilonContaminated
 from robust_filterpy.plants import (
     THETA_BAR,
-    LinearParameters,
     linear_parameters,
     random_walk,
     simulate_arx,
     simulate_output_error,
     stable,
 )
+from robust_filterpy.plants.parameters import LinearParameters
 
 SIMULATORS = (simulate_arx, simulate_output_error)
 G = control.tf([1.0, 0.5], [1.0, -1.5, 0.7], dt=1)
@@ -372,19 +371,6 @@ def test_random_walk_refuses(arguments, options, error, words):
 def test_stable_refuses(arguments, error):
     with pytest.raises(error):
         stable(*arguments)
-
-
-# --- the package's front door ---
-
-
-def test_plants_finds_its_names_when_they_are_asked_for():
-    assert {"simulate_arx", "random_walk", "stable", "THETA_BAR"} <= set(dir(plants))
-    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
-        _ = plants.nonsense
-    assert not hasattr(plants, "__wrapped__")
-    everything = {}
-    exec("from robust_filterpy.plants import *", everything)
-    assert everything["simulate_arx"] is simulate_arx
 
 
 def test_a_drifting_plant_can_be_followed_by_hand():

@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from robust_filterpy.plants.pneumatic import (
-    PneumaticParameters,
-    operating_point,
-    simulate_actuator,
-    simulate_servo,
-)
+from robust_filterpy.plants.servo import PneumaticParameters, operating_point, simulate_actuator, simulate_servo
 
 P = PneumaticParameters(leakage_area=2e-9, dead_band=0.015)
 R, T, KAPPA = 287.06, 293.15, 1.4

@@ -10,17 +10,16 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
-from robust_filterpy.plants.pneumatic import (
+from robust_filterpy.plants.servo import (
     PneumaticParameters,
     beta_coefficient,
-    critical_ratio,
-    flow_function,
     operating_point,
     pneumatic_servo,
-    servo_derivatives,
     simulate_actuator,
     valve_opening,
 )
+from robust_filterpy.plants.servo.equations import flow_function, servo_derivatives
+from robust_filterpy.plants.servo.parameters import critical_ratio
 
 P = PneumaticParameters()
 #: The paper's own plant: no overlap of the spool, no leakage.

@@ -11,20 +11,19 @@ import pytest
 import scipy.stats
 from scipy.integrate import solve_ivp
 
-from robust_filterpy.plants import position_loop
-from robust_filterpy.plants.pneumatic import (
+from robust_filterpy.plants.servo import (
     PneumaticParameters,
-    UnstableLoopError,
     linearize_servo,
     operating_point,
     pneumatic_servo,
-    position_gains,
+    position_loop,
     random_alpha,
     random_beta,
-    servo_derivatives,
     simulate_actuator,
     simulate_servo,
 )
+from robust_filterpy.plants.servo.equations import servo_derivatives
+from robust_filterpy.plants.servo.loop_design import UnstableLoopError, position_gains
 
 P = PneumaticParameters()
 

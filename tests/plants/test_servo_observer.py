@@ -13,14 +13,14 @@ from scipy.io import loadmat
 
 from robust_filterpy import RobustKalmanFilter
 from robust_filterpy.noise import EpsilonContaminated
-from robust_filterpy.plants.pneumatic import (
+from robust_filterpy.plants.servo import (
     PneumaticParameters,
     ServoObserver,
     operating_point,
-    servo_derivatives,
     simulate_actuator,
     simulate_servo,
 )
+from robust_filterpy.plants.servo.equations import servo_derivatives
 
 DT, STD = 0.01, np.array([5e-5, 500.0, 500.0])
 P = PneumaticParameters()

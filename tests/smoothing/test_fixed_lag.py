@@ -7,6 +7,7 @@ import filterpy.kalman
 import numpy as np
 import pytest
 import support
+from interruption import half_steps
 
 from robust_filterpy import Linear, smooth
 from robust_filterpy.kalman import FixedLagSmoother
@@ -151,3 +152,18 @@ def test_bad_arguments_are_refused():
             FixedLagSmoother(*arguments, **choices)
     with pytest.raises(ValueError, match="N: expected a lag"):
         ready().smooth(1.0)
+
+
+@pytest.mark.parametrize("steps", [1, 6])
+@pytest.mark.parametrize("choices", [{}, {"influence": Linear()}], ids=["learnt", "linear"])
+def test_an_interrupt_leaves_no_half_step(steps, choices):
+    smoother = ready(N=3, **choices)
+    for z in drive(2, 0.1, steps)[1]:
+        smoother.smooth(z)
+
+    def seen(one):
+        shown = {name: getattr(one, name) for name in ("x", "P", "y", "S", "x_s", "count", "xSmooth", "weights")}
+        return {**one.state(), **shown}
+
+    half, lines = half_steps(smoother, lambda one: one.smooth(1.5), seen, every=1 if steps == 6 else 7)
+    assert half == [] and lines > 20

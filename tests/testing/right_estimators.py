@@ -6,7 +6,7 @@ from functools import partial
 
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
 from support import told_tracker
-from wrong_filters import PLAIN, ROBUST, Textbook, TextbookRobust
+from wrong_filters import PLAIN, ROBUST, EigenvalueRoots, Textbook, TextbookRobust
 from wrong_trackers import PLAIN as PLAIN_TRACKER
 from wrong_trackers import LeastSquares, RobustLeastSquares
 
@@ -20,23 +20,27 @@ from robust_filterpy import (
     TukeyBiweight,
 )
 
+#: The spread of the innovations is learnt, and remembered.
+SPREAD = ("memoryless",)
 #: Name: factory, what it does not claim.
 FILTERS = {
     "filterpy KalmanFilter": (KalmanFilter, PLAIN),
     "filterpy ExtendedKalmanFilter": (ExtendedKalmanFilter, PLAIN),
     "textbook": (Textbook, PLAIN),
     "textbook, robust": (TextbookRobust, ROBUST),
+    "textbook, eigenvalue roots": (EigenvalueRoots, PLAIN),
     "Linear": (partial(RobustKalmanFilter, influence=Linear()), ("robust",)),
-    "Huber": (RobustKalmanFilter, ()),
-    "Huber(.8)": (partial(RobustKalmanFilter, influence=Huber(0.8)), ()),
-    "Huber, joint": (partial(RobustKalmanFilter, grouping="joint"), ()),
+    "Huber": (RobustKalmanFilter, SPREAD),
+    "Huber, innovation": (partial(RobustKalmanFilter, scaling="innovation"), ()),
+    "Huber(.8)": (partial(RobustKalmanFilter, influence=Huber(0.8)), SPREAD),
+    "Huber, joint": (partial(RobustKalmanFilter, grouping="joint"), SPREAD),
     "Huber, bounded": (partial(RobustKalmanFilter, scaling="bounded"), ("units",)),
-    "Huber, weight": (partial(RobustKalmanFilter, information="weight"), ()),
-    "Huber, expected": (partial(RobustKalmanFilter, information="expected"), ("recovers",)),
-    "Hampel": (partial(RobustKalmanFilter, influence=Hampel()), ("recovers",)),
-    "Student": (partial(RobustKalmanFilter, influence=StudentT()), ("recovers",)),
-    "Tukey": (partial(RobustKalmanFilter, influence=TukeyBiweight()), ("recovers", "likelihood")),
-    "Huber, extended": (RobustExtendedKalmanFilter, ()),
+    "Huber, weight": (partial(RobustKalmanFilter, information="weight"), SPREAD),
+    "Huber, expected": (partial(RobustKalmanFilter, information="expected"), ("recovers", *SPREAD)),
+    "Hampel": (partial(RobustKalmanFilter, influence=Hampel()), ("recovers", *SPREAD)),
+    "Student": (partial(RobustKalmanFilter, influence=StudentT()), ("recovers", *SPREAD)),
+    "Tukey": (partial(RobustKalmanFilter, influence=TukeyBiweight()), ("recovers", "likelihood", *SPREAD)),
+    "Huber, extended": (RobustExtendedKalmanFilter, SPREAD),
 }
 
 TRACKERS = {

@@ -1,6 +1,7 @@
 """Robustness, invariance, contracts, tracking: each assertion holds of a right estimator and fails of a wrong one."""
 
 import copy
+from functools import partial
 
 import numpy as np
 import pytest
@@ -34,7 +35,7 @@ from robust_filterpy.testing import (
     run_tracker,
     visible,
 )
-from robust_filterpy.testing.models import random_stable
+from robust_filterpy.testing.scenarios.models import random_stable
 
 
 def fails(call, *match):
@@ -61,7 +62,7 @@ def test_the_way_back_from_a_jump():
     for seed in range(5):
         assert_recovers_from_jump(RobustKalmanFilter, rng=seed)
         assert_recovers_from_jump(KalmanFilter, within=60, size=100.0, rng=seed)
-    tukey = lambda n, m: RobustKalmanFilter(n, m, influence=TukeyBiweight())  # noqa: E731
+    tukey = partial(RobustKalmanFilter, influence=TukeyBiweight(), scaling="innovation")
     fails(lambda: assert_recovers_from_jump(tukey), "100 samples after a jump of the state by 30", "for an outlier")
     fails(lambda: assert_recovers_from_jump(RobustKalmanFilter, within=2), "2 samples after")
 
@@ -86,7 +87,7 @@ def test_efficiency_is_the_ratio_of_squared_errors():
 
 def test_efficiency_of_just_the_limit_seldom_fails():
     """Errors of a filter with exactly the efficiency that is asked for; 5 standard errors of the binomial."""
-    from robust_filterpy.testing.robustness import ratio_of_errors
+    from robust_filterpy.testing.assertions.robustness import ratio_of_errors
 
     rng, alarms = np.random.default_rng(0), 0
     for _ in range(2000):

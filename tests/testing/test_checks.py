@@ -6,14 +6,22 @@ import time
 import unittest
 from functools import partial
 
+import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 from right_estimators import FILTERS, TRACKERS
-from wrong_filters import PLAIN, WRONG_FILTERS, HardGate, Textbook
+from wrong_filters import PLAIN, WRONG_FILTERS, CutAndCertain, EigenvalueRoots, HardGate, NoSetter, Textbook
 from wrong_trackers import WRONG_TRACKERS
 
 from robust_filterpy import ParameterTracker, RobustKalmanFilter
-from robust_filterpy.testing import ChecksFailed, check_filter, check_tracker, filter_checks, tracker_checks
+from robust_filterpy.testing import (
+    ChecksFailed,
+    assert_recovers_from_jump,
+    check_filter,
+    check_tracker,
+    filter_checks,
+    tracker_checks,
+)
 
 
 @pytest.mark.parametrize("name", [name for name in FILTERS if name.startswith(("filterpy", "textbook"))])
@@ -81,6 +89,42 @@ def test_the_error_names_every_check_that_failed():
     assert isinstance(error.value, AssertionError)
 
 
+def test_what_several_checks_have_in_common_is_said_once():
+    class NoInverse(Textbook):
+        def gain(self, P, S):
+            raise ZeroDivisionError("no gain")
+
+    with pytest.raises(ChecksFailed) as error:
+        check_filter(NoInverse, not_claimed=PLAIN)
+    message = str(error.value)
+    assert message.count("ZeroDivisionError: no gain") == 1
+    assert all(f"{r.name}" in message for r in error.value.results if r.status == "failed")
+
+
+def test_a_filter_whose_P_cannot_be_set_is_refused_once():
+    with pytest.raises(TypeError, match=r"^make: expected a filter whose P can be set, NoSetter: "):
+        check_filter(NoSetter, not_claimed=PLAIN)
+
+
+def test_a_right_filter_with_roots_by_eigenvalues_is_right_in_other_units():
+    (check,) = [check for check in filter_checks(not_claimed=PLAIN) if check.name == "units_change_nothing"]
+    for seed in range(50):
+        check(EigenvalueRoots, seed=seed)
+
+
+def test_the_words_for_a_jump_that_is_lost_tell_what_P_did():
+    class GivesUp(Textbook):
+        """Gates by R and its prior, and lets P grow."""
+
+        def update(self, z):
+            if z is not None and np.abs(np.ravel(z) - np.ravel(self.H @ self.x)).max() < 8.0:
+                super().update(z)
+
+    for cls, words in ((CutAndCertain, "P stays as small as before"), (GivesUp, "P has grown")):
+        with pytest.raises(AssertionError, match=words):
+            assert_recovers_from_jump(cls)
+
+
 def test_a_filter_of_four_states_takes_less_than_ten_seconds():
     start = time.process_time()
     check_filter(KalmanFilter, not_claimed=PLAIN)
@@ -95,8 +139,9 @@ def test_what_is_not_claimed_is_not_tested():
 
 
 def test_an_expected_failure_is_skipped_with_its_reason_and_warns_when_it_passes():
-    name = "a_true_jump_is_followed"
-    results = check_filter(HardGate, not_claimed=HardGate.not_claimed, expected_failures={name: "gates for good"})
+    name, other = "a_true_jump_is_followed", "what_is_cut_off_makes_nothing_certain"
+    expected = {name: "gates for good", other: "P shrinks all the same"}
+    results = check_filter(HardGate, not_claimed=HardGate.not_claimed, expected_failures=expected)
     (result,) = [result for result in results if result.name == name]
     assert result.status == "skipped" and result.message.startswith("fails as expected, gates for good: 100 samples")
     with pytest.warns(UserWarning, match="state_keeps_its_shape: expected to fail .* but it passes"):
@@ -136,7 +181,7 @@ def test_an_error_inside_a_filter_is_a_failure_of_the_check():
         def predict(self, u=None):
             raise ZeroDivisionError("in predict")
 
-    with pytest.raises(ChecksFailed, match="prediction_moves_the_state_by_F: ZeroDivisionError: in predict"):
+    with pytest.raises(ChecksFailed, match=r"ZeroDivisionError: in predict \(\d+ checks: .*moves_the_state_by_F"):
         check_filter(Raises, not_claimed=PLAIN)
 
 

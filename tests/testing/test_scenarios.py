@@ -21,8 +21,8 @@ from robust_filterpy.testing import (
     load,
     run_filter,
 )
-from robust_filterpy.testing.models import random_stable
-from robust_filterpy.testing.plant_scenarios import arx, output_error
+from robust_filterpy.testing.scenarios.models import random_stable
+from robust_filterpy.testing.scenarios.plants import arx, output_error
 
 KINDS = ["none", *CONTAMINATIONS, ("mixture", "missing"), Bursts(0.2, 8)]
 

@@ -499,6 +499,71 @@ class CachedById(Textbook):
         return z - self.copy @ self.x
 
 
+# Age
+
+
+class Counts(Textbook):
+    """Knows how many corrections there have been."""
+
+    count = 0
+
+    def update(self, z):
+        self.count += 1
+        super().update(z)
+
+
+@wrong("small_innovations_are_believed")
+class GainFrozenLate(Counts):
+    """After a hundred corrections the gain stays what it is."""
+
+    def gain(self, P, S):
+        if self.count <= 100:
+            self.frozen = super().gain(P, S)
+        return self.frozen
+
+
+@wrong("prediction_adds_Q_once")
+class QDroppedLate(Counts):
+    """After a thousand corrections the process is taken for free of noise."""
+
+    def spread(self, P):
+        return self.F @ P @ self.F.T + (self.Q if self.count <= 1000 else 0.0)
+
+
+@wrong("small_innovations_are_believed")
+class Retires(Counts):
+    """Each correction counts a little less than the one before, as in stochastic approximation."""
+
+    def corrected(self, x, K, y):
+        return x + K @ y * 0.9995**self.count
+
+
+@wrong("small_innovations_are_believed")
+class CounterOverflows(Counts):
+    """A counter of eight bits turns the sign of the step when it overflows."""
+
+    def corrected(self, x, K, y):
+        return x + K @ y * (1 if self.count % 256 < 128 else -1)
+
+
+@wrong("small_innovations_are_believed", not_claimed=(*PLAIN, "memoryless"))
+class RLearntFromTheFirstHundred(Counts):
+    """R is what it was when it had been told a hundred times."""
+
+    def noise(self):
+        if self.count <= 100:
+            self.kept = self.R.copy()
+        return self.kept
+
+
+@wrong("prediction_adds_Q_once")
+class FadesLate(Counts):
+    """A fading memory that nobody asked for, once the filter has settled."""
+
+    def spread(self, P):
+        return super().spread(P) * (1.0 if self.count <= 500 else 1.02)
+
+
 # Missing measurements
 
 
@@ -587,7 +652,7 @@ class WritesIntoQ(Textbook):
 _SHARED = {}
 
 
-@wrong("two_filters_share_nothing")
+@wrong("two_estimators_share_nothing")
 class SharedDefault(Textbook):
     """All filters start with one and the same array, which the first update of any of them changes."""
 
@@ -680,6 +745,23 @@ class PseudoInverse(Textbook):
 
     def gain(self, P, S):
         return P @ self.H.T @ np.linalg.pinv(S, rcond=1e-6)
+
+
+@wrong("units_change_nothing")
+class ClippedState(Textbook):
+    """No state is larger than 1000, whatever its unit."""
+
+    def corrected(self, x, K, y):
+        return np.clip(super().corrected(x, K, y), -1e3, 1e3)
+
+
+@wrong("units_change_nothing")
+class CovarianceWithAFloor(Textbook):
+    """No variance is below 1e-6."""
+
+    def shrunk(self, P, K, S):
+        P = super().shrunk(P, K, S)
+        return P + np.diag(np.maximum(1e-6 - np.diag(P), 0.0))
 
 
 @wrong("units_change_nothing")
@@ -805,7 +887,7 @@ class OneSensorAfterAnother(TextbookRobust):
         return True
 
 
-@wrong("a_true_jump_is_followed", not_claimed=ROBUST)
+@wrong("a_true_jump_is_followed", "what_is_cut_off_makes_nothing_certain", not_claimed=ROBUST)
 class HardGate(TextbookRobust):
     """What is more than three sigma away is dropped, for ever."""
 
@@ -818,12 +900,47 @@ class HardGate(TextbookRobust):
         return True
 
 
-@wrong("a_true_jump_is_followed", not_claimed=ROBUST)
+@wrong("what_is_cut_off_makes_nothing_certain", "a_true_jump_is_followed", not_claimed=ROBUST)
 class CutAndCertain(TextbookRobust):
     """P shrinks by what psi has cut off as well."""
 
     def counts(self, d):
         return True
+
+
+@wrong("small_innovations_are_believed", not_claimed=ROBUST)
+class GainTooLarge(TextbookRobust):
+    """A fifth more than the Kalman gain."""
+
+    def corrected(self, x, K, y):
+        return x + 1.2 * K @ y
+
+
+@wrong("innovations_are_judged_by_their_own_deviation", not_claimed=ROBUST)
+class WeightsFromR(TextbookRobust):
+    """The innovation is judged by R alone."""
+
+    def length(self, y, S):
+        return super().length(y, self.noise())
+
+
+@wrong("innovations_are_judged_by_their_own_deviation", not_claimed=ROBUST)
+class WeightsFromPredictedState(TextbookRobust):
+    """The innovation is judged by H P H' alone."""
+
+    def length(self, y, S):
+        return super().length(y, S - self.noise() + 1e-9 * S)
+
+
+@wrong("what_is_cut_off_makes_nothing_certain", not_claimed=ROBUST)
+class KeepsALittle(TextbookRobust):
+    """A tenth of what was cut off stays in P, the rest is taken for known."""
+
+    def update(self, z):
+        before = self.P
+        super().update(z)
+        if z is not None and not self.counts(self.length(self.y, self.S)):
+            self.P = 0.1 * before + 0.9 * self.shrunk(before, self.gain(before, self.S), self.S)
 
 
 @wrong("outliers_cost_little", not_claimed=ROBUST)
@@ -849,3 +966,29 @@ class LikelihoodOfRobustFilterNotNormalised(TextbookRobust):
         if z is not None:
             d = self.length(self.y, self.S)
             self.log_likelihood = -0.5 * min(d, self.k) ** 2 - self.k * max(d - self.k, 0.0)
+
+
+# Right ones
+
+
+class EigenvalueRoots(Textbook):
+    """Right: the Kalman filter that keeps a root of P, made by eigenvalues."""
+
+    @property
+    def P(self):
+        return self.root @ self.root.T
+
+    @P.setter
+    def P(self, P):
+        values, vectors = np.linalg.eigh((P + P.T) / 2)
+        self.root = vectors * np.sqrt(np.maximum(values, 0.0))
+
+
+class NoSetter(Textbook):
+    """Right, but nobody can set its P."""
+
+    P = property(lambda self: self._P)
+
+    def __init__(self, dim_x, dim_z):
+        self._P = np.eye(dim_x)
+        self.dim_x, self.dim_z, self.x = dim_x, dim_z, np.zeros((dim_x, 1))

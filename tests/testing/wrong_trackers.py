@@ -7,8 +7,6 @@ import math
 
 import numpy as np
 
-from robust_filterpy.identification import OutputError
-
 PLAIN = ("robust", "validates")
 WRONG_TRACKERS = []
 
@@ -32,7 +30,7 @@ class LeastSquares:
         self.structure = structure
         self.theta, self.P = np.zeros(n), 100.0 * np.eye(n)
         self.R, self.Q = 1.0, np.zeros((n, n))
-        self.outputs, self.residuals = [0.0] * structure.na, [0.0] * structure.nc
+        self.outputs, self.residuals = [0.0] * (structure.na + structure.nf), [0.0] * structure.nc
         self.inputs = [[0.0] * (nb + nk) for nb, nk in structure.inputs]
 
     @property
@@ -82,9 +80,9 @@ class LeastSquares:
         return self.stabilized(theta, new)
 
     def stabilized(self, old, new):
-        if isinstance(self.structure, OutputError):
+        if self.structure.nf:
             for _ in range(30):
-                if np.abs(np.roots([1.0, *new[: self.structure.na]])).max(initial=0.0) < 1.0:
+                if np.abs(np.roots([1.0, *new[: self.structure.nf]])).max(initial=0.0) < 1.0:
                     return new
                 new = old + 0.5 * (new - old)
             return old
@@ -102,7 +100,7 @@ class LeastSquares:
             self.residuals = [self.kept_residual(float(y) - after), *self.residuals[:-1]]
 
     def kept_output(self, y, after):
-        return float(after) if isinstance(self.structure, OutputError) else y
+        return float(after) if self.structure.nf else y
 
     def kept_residual(self, residual):
         return residual
@@ -151,7 +149,7 @@ class InputsBeforeOutputs(LeastSquares):
 
     def phi(self, u):
         phi = super().phi(u)
-        na = self.structure.na
+        na = self.structure.na + self.structure.nf
         return np.concatenate([phi[na:], phi[:na]])
 
     def stabilized(self, old, new):
@@ -367,6 +365,77 @@ class Timid(RobustLeastSquares):
     k = 9.0
 
 
+@wrong("small_innovations_are_believed", not_claimed=("validates",))
+class GainTooLarge(RobustLeastSquares):
+    """A fifth more than the Kalman gain."""
+
+    def moved(self, theta, K, innovation, S):
+        return super().moved(theta, 1.2 * K, innovation, S)
+
+
+@wrong("innovations_are_judged_by_their_own_deviation", not_claimed=("validates",))
+class WeightsFromR(RobustLeastSquares):
+    """The innovation is judged by R alone."""
+
+    def moved(self, theta, K, innovation, S):
+        return super().moved(theta, K, innovation, self.R)
+
+    def shrunk(self, P, K, phi, S, innovation):
+        return LeastSquares.shrunk(self, P, K, phi, S, innovation) if innovation**2 <= self.k**2 * self.R else P
+
+
+@wrong("what_is_cut_off_makes_nothing_certain", not_claimed=("validates",))
+class CutAndCertain(RobustLeastSquares):
+    """P shrinks by what psi has cut off as well."""
+
+    def shrunk(self, P, K, phi, S, innovation):
+        return LeastSquares.shrunk(self, P, K, phi, S, innovation)
+
+
+class Counts(LeastSquares):
+    """Knows how many samples there have been."""
+
+    count = 0
+
+    def update(self, y, u):
+        self.count += 1
+        super().update(y, u)
+
+
+@wrong("small_innovations_are_believed")
+class GainFrozenLate(Counts):
+    """After a hundred samples the gain stays what it is."""
+
+    def moved(self, theta, K, innovation, S):
+        if self.count <= 100:
+            self.frozen = K
+        return super().moved(theta, self.frozen, innovation, S)
+
+
+@wrong("Q_is_added_at_any_age")
+class QDroppedLate(Counts):
+    """After a thousand samples parameters stand still."""
+
+    def spread(self, P):
+        return P + (self.Q if self.count <= 1000 else 0.0)
+
+
+@wrong("covariance_is_that_of_least_squares")
+class ForgetsLate(Counts):
+    """A forgetting factor that nobody asked for, once the tracker has settled."""
+
+    def spread(self, P):
+        return super().spread(P) / (1.0 if self.count <= 500 else 0.98)
+
+
+@wrong("small_innovations_are_believed")
+class Retires(Counts):
+    """Each sample counts a little less than the one before."""
+
+    def moved(self, theta, K, innovation, S):
+        return super().moved(theta, K * 0.9995**self.count, innovation, S)
+
+
 @wrong("inputs_are_copied")
 class AliasedInput(LeastSquares):
     """Keeps the caller's array, and reads it a sample later."""
@@ -391,13 +460,13 @@ class ThetaInPlace(LeastSquares):
 _MEMORY: dict[int, list] = {}
 
 
-@wrong("two_trackers_share_nothing")
+@wrong("two_estimators_share_nothing")
 class SharedMemory(LeastSquares):
     """All trackers of one order remember the same outputs."""
 
     def __init__(self, structure):
         super().__init__(structure)
-        self.outputs = _MEMORY.setdefault(structure.na, self.outputs)
+        self.outputs = _MEMORY.setdefault(structure.na + structure.nf, self.outputs)
 
     def remember(self, y, phi, known):
         shared = self.outputs

@@ -188,21 +188,6 @@ static Status correct(const Model *model, const real H[M * N], const real R[M * 
     } else {
         standardized(T, y, shown->e);
         bound_components(model, shown->e, psi, slope, D);
-//? joint
-        int32_t visible[M];
-        int32_t any = 0;
-        for (int32_t i = 0; i < M; i++) {
-            /* What the state has no part in cannot tell it anything, and does not belong to the length. */
-            visible[i] = 0;
-            for (int32_t k = 0; k < N; k++) {
-                visible[i] = ((observed[i] != 0) && (H[i * N + k] != REAL(0.0))) ? 1 : visible[i];
-            }
-            any = (visible[i] != 0) ? 1 : any;
-        }
-        if (any != 0) {
-            bound_length(model, shown->e, visible, psi, slope, D);
-        }
-//.
         for (int32_t k = 0; k < N; k++) {
             x_next[k] = x[k];
             for (int32_t i = 0; i < M; i++) {

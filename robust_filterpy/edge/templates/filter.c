@@ -1,60 +1,79 @@
-//? control
-${name}_status ${name}_predict(const ${name}_model *model, ${name}_state *state, const ${name}_real u[$inputs])
-//.
-//? !control
-${name}_status ${name}_predict(const ${name}_model *model, ${name}_state *state)
-//.
+typedef ${name}_status Status;
+
+#define N ${NAME}_STATES
+#define M ${NAME}_SENSORS
+
+/* Why a correction was not made, from what it has left behind. */
+static Status refusal(const correction *const c, const real *const x, const real *const P)
 {
-    Status status = ${NAME}_BAD_ARGUMENT;
-    if ((model != NULL) && (state != NULL)) {
-//? control
-        int32_t usable = 1;
-        for (int32_t i = 0; (i < U) && (u != NULL); i++) {
-            usable = isfinite(u[i]) ? usable : 0;
+    real check = 0;
+    for (int i = 0; i < M; i++) {
+        if (!((real_abs(c->y[i]) < REAL_ORDINARY) && (real_abs(c->S[i * M + i]) < REAL_ORDINARY))) {
+            return ${NAME}_NOT_FINITE;
         }
-        if (usable != 0) {
-            status = advance(model, u, state->x, state->P);
-        }
-//.
-//? !control
-        status = advance(model, state->x, state->P);
-//.
     }
-    return status;
+    for (int i = 0; i < M; i++) {
+        /* A sensor that was judged already is not left. */
+        if ((c->left[i] != 0) && !(c->S[i * M + i] > REAL_PIVOT * c->first[i])) {
+            const int overdone = (c->S[i * M + i] < 0) && (c->first[i] > 0);
+            return (($scaling == SCALING_UNIT) && overdone) ? ${NAME}_INDEFINITE : ${NAME}_SINGULAR;
+        }
+    }
+    for (int i = 0; i < N; i++) {
+        check += real_abs(x[i]) + real_abs(P[i * N + i]);
+    }
+    return (($scaling == SCALING_UNIT) && real_is_finite(check)) ? ${NAME}_INDEFINITE : ${NAME}_NOT_FINITE;
+}
+
+${name}_status ${name}_predict(const ${name}_model *model, ${name}_state *state$predict_parameter)
+{
+    ${name}_state next;
+    real work[predict_work(N)];
+$control
+    if ((model == NULL) || (state == NULL)) {
+        return ${NAME}_BAD_ARGUMENT;
+    }
+$control_sum
+    next = *state;
+    if (!predict(N, state->x, state->P, model->F, model->Q, $control_given, $alpha_sq,
+                 next.x, next.P, work)) {
+        return ${NAME}_NOT_FINITE;
+    }
+    *state = next;
+    return ${NAME}_OK;
 }
 
 ${name}_status ${name}_update(const ${name}_model *model, ${name}_state *state, const ${name}_real z[$m],
                               ${name}_shown *shown)
 {
-    Status status = ${NAME}_BAD_ARGUMENT;
-    if ((model != NULL) && (state != NULL) && (z != NULL)) {
-        Correction found;
-        real y[M];
-        int32_t usable = 1;
-        int32_t measured = 0;
-        for (int32_t i = 0; i < M; i++) {
-            y[i] = z[i];
-            for (int32_t k = 0; k < N; k++) {
-                y[i] -= model->H[i * N + k] * state->x[k];
-            }
-            usable = isinf(z[i]) ? 0 : usable;
-            measured = isnan(z[i]) ? measured : 1;
-            found.e[i] = REAL(0.0);
-            found.weight[i] = REAL(NAN);
-        }
-        for (int32_t i = 0; i < M; i++) {
-            /* An overflow must not pass for a component that is missing. */
-            status = (isfinite(z[i]) && !isfinite(y[i])) ? ${NAME}_NOT_FINITE : status;
-        }
-        if ((usable != 0) && (status != ${NAME}_NOT_FINITE)) {
-            /* y of what is missing is 0 from here on. */
-            status = (measured != 0) ? correct(model, model->H, model->R, y, state->x, state->P, &found) : ${NAME}_OK;
-            for (int32_t i = 0; (i < M) && (status == ${NAME}_OK) && (shown != NULL); i++) {
-                shown->y[i] = isnan(z[i]) ? REAL(0.0) : y[i];
-                shown->e[i] = found.e[i];
-                shown->weight[i] = found.weight[i];
-            }
+    ${name}_state next;
+    correction_rule rule = {{$kind, 0, 0, 0}, $scaling, $information, 1, 0};
+    correction c;
+    real work[update_work(N, M)] = {0};
+    if ((model == NULL) || (state == NULL) || (z == NULL)) {
+        return ${NAME}_BAD_ARGUMENT;
+    }
+    for (int i = 0; i < M; i++) {
+        if ((z[i] == z[i]) && !(real_abs(z[i]) < REAL_ORDINARY)) {
+            return ${NAME}_BAD_ARGUMENT;
         }
     }
-    return status;
+$rule
+    next = *state;
+    correction_begin(N, M, 0, &c, work);
+    if (!update(N, M, &rule, z, model->H, model->R, NULL, $memory,
+                next.x, next.P, &c, NULL, work)) {
+        return refusal(&c, next.x, next.P);
+    }
+    for (int i = 0; (i < M) && (shown != NULL); i++) {
+        real predicted = 0;
+        for (int k = 0; k < N; k++) {
+            predicted += model->H[i * N + k] * state->x[k];
+        }
+        shown->y[i] = (z[i] == z[i]) ? z[i] - predicted : 0;
+        shown->e[i] = c.e[i];
+        shown->weight[i] = c.weights[i];
+    }
+    *state = next;
+    return ${NAME}_OK;
 }

@@ -23,43 +23,36 @@ extern "C" {
 
 #define ${NAME}_STATES $n
 #define ${NAME}_SENSORS $m
-//? control
-#define ${NAME}_INPUTS $inputs
-//.
+$inputs_define
 
 typedef $real ${name}_real;
 
 /* What a call found; whatever is not ${NAME}_OK has changed nothing. */
 typedef enum {
     ${NAME}_OK = 0,
-    ${NAME}_BAD_ARGUMENT = 1, /* a null pointer, an infinite measurement, an input that is not finite */
-    ${NAME}_SINGULAR = 2,     /* S = H P H' + R has no inverse */
-    ${NAME}_INDEFINITE = 3,   /* scaling "unit" would make P indefinite */
-    ${NAME}_NOT_FINITE = 4    /* x or P would overflow */
+    ${NAME}_BAD_ARGUMENT = 1, /* a null pointer, an input that is not finite, a measurement of $largest or more */
+    ${NAME}_SINGULAR = 2,     /* S = H P H' + R has no inverse, or a sensor is told by the others to the last digit */
+    ${NAME}_INDEFINITE = 3,   /* scaling "unit" would make P indefinite, or singular */
+    ${NAME}_NOT_FINITE = 4    /* x or P would overflow, or P lose a variance in rounding */
 } ${name}_status;
 
 /* The model; matrices are flat, row by row. */
 typedef struct {
     ${name}_real F[$n * $n]; /* x(k+1) = F x(k) + B u(k) + w(k) */
-//? control
-    ${name}_real B[$n * $inputs];
-//.
+$control_field
     ${name}_real Q[$n * $n]; /* covariance of w */
     ${name}_real H[$m * $n]; /* z(k) = H x(k) + v(k) */
     ${name}_real R[$m * $m]; /* covariance of v */
-//? fading
-    ${name}_real alpha_sq; /* P is multiplied by it at each prediction */
-//.
+$alpha_field
 $influence_fields
-//? expected
-    ${name}_real expected[$m + 1]; /* E[psi'] of one component, then of the length of 1, 2, ..; belongs to the psi above */
-//.
+$expected_field
 } ${name}_model;
 
 /* What moves. */
 typedef struct {
     ${name}_real x[$n];
     ${name}_real P[$n * $n]; /* covariance of x, symmetric */
+$memory_field
 } ${name}_state;
 
 /* What an update found of each component. */
@@ -72,14 +65,8 @@ typedef struct {
 extern const ${name}_model ${name}_default;
 extern const ${name}_state ${name}_start;
 
-//? control
-/* Predict the next state, with the control input u, or without where u is NULL. */
-${name}_status ${name}_predict(const ${name}_model *model, ${name}_state *state, const ${name}_real u[$inputs]);
-//.
-//? !control
-/* Predict the next state. */
-${name}_status ${name}_predict(const ${name}_model *model, ${name}_state *state);
-//.
+$predict_comment
+${name}_status ${name}_predict(const ${name}_model *model, ${name}_state *state$predict_parameter);
 
 /* Correct the state by a measurement z; what it found goes into `shown`, unless that is NULL. */
 ${name}_status ${name}_update(const ${name}_model *model, ${name}_state *state, const ${name}_real z[$m],

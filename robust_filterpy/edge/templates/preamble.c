@@ -17,7 +17,7 @@
 #include <math.h>
 #include <stddef.h>
 
-#ifdef __FAST_MATH__
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
 #error "$name: a missing measurement is NaN, which -ffast-math takes away; compile without it"
 #endif
 
@@ -25,15 +25,10 @@ typedef ${name}_real real;
 typedef ${name}_model Model;
 typedef ${name}_state State;
 typedef ${name}_status Status;
-//? tracker
 typedef ${name}_sample Sample;
-//.
 
 #define N $n /* length of the state */
 #define M $m /* length of the measurement */
-//? control
-#define U $inputs /* length of the control input */
-//.
 
 #define REAL(number) ((real)(number))
 //? double

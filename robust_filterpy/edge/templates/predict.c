@@ -1,10 +1,5 @@
 /* x = F x + B u and P = alpha^2 F P F' + Q; they change only if the result is ${NAME}_OK. */
-//? control
-static Status advance(const Model *model, const real u[U], real x[N], real P[N * N])
-//.
-//? !control
 static Status advance(const Model *model, real x[N], real P[N * N])
-//.
 {
     real x_next[N];
     real P_next[N * N];
@@ -19,11 +14,6 @@ static Status advance(const Model *model, real x[N], real P[N * N])
                 row[j] += model->F[i * N + k] * P[k * N + j];
             }
         }
-//? control
-        for (int32_t j = 0; j < U; j++) {
-            x_next[i] += (u != NULL) ? model->B[i * U + j] * u[j] : REAL(0.0);
-        }
-//.
         for (int32_t j = 0; j <= i; j++) {
             real total = REAL(0.0);
             for (int32_t k = 0; k < N; k++) {

@@ -76,7 +76,7 @@ static real information(const Model *model, real e, real psi, real slope)
     (void)e;
     (void)psi;
     (void)slope;
-    return model->expected[0];
+    return model->expected;
 //.
 //? weight
     (void)model;
@@ -96,69 +96,3 @@ static void bound_components(const Model *model, const real e[M], real psi[M], r
         D[i * M + i] = information(model, e[i], psi[i], slope[i]);
     }
 }
-//? joint
-
-/* Length of the visible components, and in `direction` what each has of it; their number in `count`. */
-static real length_of(const real e[M], const int32_t visible[M], real direction[M], int32_t *count)
-{
-    real peak = REAL(0.0);
-    real square = REAL(0.0);
-    real length = REAL(0.0);
-    *count = 0;
-    for (int32_t i = 0; i < M; i++) {
-        direction[i] = REAL(0.0);
-        if (visible[i] != 0) {
-            *count += 1;
-            peak = (FABS(e[i]) > peak) ? FABS(e[i]) : peak;
-        }
-    }
-    if (peak > REAL(0.0)) {
-        /* Of shares of the largest, since the square of the largest may overflow. */
-        for (int32_t i = 0; i < M; i++) {
-            direction[i] = (visible[i] != 0) ? e[i] / peak : REAL(0.0);
-            square += direction[i] * direction[i];
-        }
-        length = peak * SQRT(square);
-        length = (length > BIGGEST) ? BIGGEST : length;
-        for (int32_t i = 0; i < M; i++) {
-            direction[i] /= SQRT(square);
-        }
-    }
-    return length;
-}
-
-/* The same for the visible components together: psi of their length, and D its Jacobian, its mean or its weight. */
-static void bound_length(const Model *model, const real e[M], const int32_t visible[M], real psi[M], real slope[M],
-                         real D[M * M])
-{
-    real direction[M];
-    int32_t count = 0;
-    const real length = length_of(e, visible, direction, &count);
-    real along = REAL(0.0);
-    real rise = REAL(0.0);
-    influence(model, length, &along, &rise);
-//? expected
-    const real across = model->expected[count];
-//.
-//? !expected
-    const real across = (length > REAL(0.0)) ? clipped(along / length) : REAL(1.0);
-//.
-//? realized
-    const real radial = (length > REAL(0.0)) ? clipped(rise) : across;
-//.
-//? !realized
-    const real radial = across;
-//.
-    for (int32_t i = 0; i < M; i++) {
-        if (visible[i] != 0) {
-            psi[i] = along * direction[i];
-            slope[i] = rise;
-            for (int32_t j = 0; j < M; j++) {
-                if (visible[j] != 0) {
-                    D[i * M + j] = (radial - across) * direction[i] * direction[j] + ((i == j) ? across : REAL(0.0));
-                }
-            }
-        }
-    }
-}
-//.

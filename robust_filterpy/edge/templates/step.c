@@ -26,7 +26,7 @@ static Status step(const Model *model, State *state, real y, const real u[$input
 //? followed
     const real r = state->R;
 //.
-//? feeds_back guarded
+//? guarded
     real old[N];
     for (int32_t i = 0; i < N; i++) {
         old[i] = state->theta[i];
@@ -58,14 +58,17 @@ static Status step(const Model *model, State *state, real y, const real u[$input
         real other[N];
         real explained;
         for (int32_t i = 0; i < N; i++) {
-            other[i] = (i < NA) ? state->measured[(i < NA) ? i : 0] : phi[i];
+            other[i] = phi[i];
+        }
+        for (int32_t i = 0; i < NA; i++) {
+            other[OUTPUTS + i] = state->measured[i];
         }
         explained = dot(other, state->theta);
         if ((FABS(y - predicted) > CLEANED_FROM * SQRT(variance(phi, state->P, r)))
             && (FABS(y - explained) < FABS(y - predicted))) {
             predicted = explained;
             for (int32_t i = 0; i < NA; i++) {
-                phi[i] = state->measured[i];
+                phi[OUTPUTS + i] = state->measured[i];
                 state->outputs[i] = state->measured[i];
             }
         }
@@ -75,20 +78,34 @@ static Status step(const Model *model, State *state, real y, const real u[$input
         gradient[i] = phi[i];
     }
 //? filtered
-//? !guarded
-    if (is_stable(&state->theta[PART]) != 0) {
-        differentiate(state, phi, gradient);
+//? prefiltered
+    real chi[N] = {REAL(0.0)};
+    for (int32_t i = THROUGH; i < THROUGH_END; i++) {
+        chi[i] = phi[i];
     }
 //.
-//? guarded
-    differentiate(state, phi, gradient);
+//? !prefiltered
+    real *const chi = NULL;
 //.
-    push_gradient(state, gradient);
+//? unguarded
+    if (are_stable(state->theta) != 0) {
+        differentiate(state, gradient, chi);
+    }
+//.
+//? !unguarded
+    differentiate(state, gradient, chi);
+//.
+//? prefiltered
+    push_row(state->prefiltered, ROWS, chi);
+//.
+//? gradients
+    push_row(state->gradients, NC, gradient);
+//.
 //.
 //? cleaned
     real believed = (known != 0) ? y : bounded(predicted);
 //.
-//? outputs|residuals !own_output !cleaned
+//? outputs|residuals !cleaned
     const real believed = (known != 0) ? y : bounded(predicted);
 //.
     if ((state->enabled != 0) && (known != 0) && (status == ${NAME}_OK)) {
@@ -105,24 +122,35 @@ static Status step(const Model *model, State *state, real y, const real u[$input
         }
 //.
     }
-//? feeds_back guarded
+//? guarded
     if (state->enabled != 0) {
         sample->guard = restrain(state->theta, old);
     }
 //.
-//? own_output|residuals
-    const real after = dot(phi, state->theta);
+//? undisturbed|whitened
+    real alone = REAL(0.0);
+    for (int32_t i = THROUGH; i < THROUGH_END; i++) {
+        alone += phi[i] * state->theta[i];
+    }
+    alone = bounded(alone);
 //.
-//? own_output
-    push(state->outputs, NA, -bounded(after));
+//? undisturbed
+    push(state->undisturbed, NF, -alone);
 //.
-//? outputs !own_output
+//? outputs whitened
+    push(state->outputs, NA, alone - believed);
+//.
+//? outputs !whitened
     push(state->outputs, NA, -believed);
 //.
-//? cleaned
+//? cleaned whitened
+    push(state->measured, NA, alone - ((known != 0) ? y : bounded(predicted)));
+//.
+//? cleaned !whitened
     push(state->measured, NA, (known != 0) ? -y : -bounded(predicted));
 //.
 //? residuals
+    const real after = dot(phi, state->theta);
     push(state->residuals, NC, (known != 0) ? bounded(believed - after) : REAL(0.0));
 //.
     return status;

@@ -1,16 +1,25 @@
 //? outputs
-#define NA $na /* past outputs in phi */
+#define NA $na /* past outputs or disturbances in phi */
+#define OUTPUTS $outputs_at /* where they begin */
 //.
 //? residuals
-#define NC $nc /* past residuals in phi, its last entries */
+#define NC $nc /* past residuals in phi */
+#define RESIDUALS $c_at /* where they begin */
 //.
 //? inputs
 #define LENGTH $length /* inputs that are remembered */
-#define LAGS $lags    /* those of them that stand in phi, after the outputs */
+#define LAGS $lags    /* those of them that stand in phi */
 //.
-//? feeds_back
-#define PART $part  /* where the polynomial that must be stable begins in theta */
-#define ORDER $order /* its order */
+//? undisturbed
+#define NF $nf /* past outputs of B/F alone in phi */
+#define UNDISTURBED $f_at /* where they begin */
+//.
+//? undisturbed|whitened
+#define THROUGH $through_at /* where in phi stands what goes through B/F */
+#define THROUGH_END $through_end /* and where it ends */
+//.
+//? prefiltered
+#define ROWS $rows /* past phi through 1/F that are remembered */
 //.
 //? double
 #define LARGEST 1e100       /* size of a signal, whose square must not overflow */
@@ -40,7 +49,7 @@
 /* Places of the inputs of phi among those remembered. */
 static const int32_t lagged[LAGS] = {$picks};
 //.
-//? feeds_back guarded|filtered
+//? guarded|unguarded
 
 $guard_code
 //.
@@ -84,7 +93,7 @@ static real variance(const real phi[N], const real P[N * N], real r)
     return total + r;
 }
 //.
-//? outputs|residuals
+//? outputs|residuals|undisturbed
 
 /* Put a value in front of `length` past ones, and drop the oldest. */
 static void push(real past[], int32_t length, real newest)
@@ -96,22 +105,27 @@ static void push(real past[], int32_t length, real newest)
 }
 //.
 
-/* phi: past outputs, inputs, past residuals. */
+/* phi: what is remembered, in the order of theta. */
 static void regressor(const State *state, real phi[N])
 {
 //? outputs
     for (int32_t i = 0; i < NA; i++) {
-        phi[i] = state->outputs[i];
+        phi[OUTPUTS + i] = state->outputs[i];
     }
 //.
 //? inputs
     for (int32_t i = 0; i < LAGS; i++) {
-        phi[$na + i] = state->inputs[lagged[i]];
+        phi[$inputs_at + i] = state->inputs[lagged[i]];
     }
 //.
 //? residuals
     for (int32_t i = 0; i < NC; i++) {
-        phi[N - NC + i] = state->residuals[i];
+        phi[RESIDUALS + i] = state->residuals[i];
+    }
+//.
+//? undisturbed
+    for (int32_t i = 0; i < NF; i++) {
+        phi[UNDISTURBED + i] = state->undisturbed[i];
     }
 //.
 }
@@ -179,31 +193,61 @@ static void repair(real P[N * N])
 //.
 //? filtered
 
-/* Derivative of the prediction, phi(k) - f_1 psi(k-1) - .. of the coefficients f that feed back. */
-static void differentiate(const State *state, const real phi[N], real gradient[N])
+/* Numbers that can be squared. */
+static void bound(real row[N])
 {
-    for (int32_t i = 0; i < N; i++) {
-        gradient[i] = phi[i];
-        for (int32_t k = 0; k < ORDER; k++) {
-            gradient[i] -= state->theta[PART + k] * state->gradients[k * N + i];
-        }
-    }
-    if (!(dot(gradient, gradient) < LARGEST * LARGEST)) {
+    if (!(dot(row, row) < LARGEST * LARGEST)) {
         for (int32_t i = 0; i < N; i++) {
-            gradient[i] = bounded(gradient[i]);
+            row[i] = bounded(row[i]);
         }
     }
 }
 
-/* Remember a gradient. */
-static void push_gradient(State *state, const real gradient[N])
+/* Put a row in front of `count` past ones, and drop the oldest. */
+static void push_row(real past[], int32_t count, const real newest[N])
 {
-    for (int32_t i = ORDER * N - 1; i >= N; i--) {
-        state->gradients[i] = state->gradients[i - N];
+    for (int32_t i = count * N - 1; i >= N; i--) {
+        past[i] = past[i - N];
     }
     for (int32_t i = 0; i < N; i++) {
-        state->gradients[i] = gradient[i];
+        past[i] = newest[i];
     }
+}
+
+/* Derivative of the prediction: chi = phi/F for what goes through B/F, C gradient = D chi for that, = phi for the rest. */
+static void differentiate(const State *state, real gradient[N], real chi[N])
+{
+//? undisturbed
+    for (int32_t i = THROUGH; i < THROUGH_END; i++) {
+        for (int32_t k = 0; k < NF; k++) {
+            gradient[i] -= state->theta[UNDISTURBED + k] * state->prefiltered[k * N + i];
+        }
+    }
+    bound(gradient);
+//.
+//? prefiltered
+    for (int32_t i = THROUGH; i < THROUGH_END; i++) {
+        chi[i] = gradient[i];
+    }
+//.
+//? !prefiltered
+    (void)chi;
+//.
+//? whitened
+    for (int32_t i = THROUGH; i < THROUGH_END; i++) {
+        for (int32_t k = 0; k < NA; k++) {
+            gradient[i] += state->theta[OUTPUTS + k] * state->prefiltered[k * N + i];
+        }
+    }
+//.
+//? gradients
+    for (int32_t i = 0; i < N; i++) {
+        for (int32_t k = 0; k < NC; k++) {
+            gradient[i] -= state->theta[RESIDUALS + k] * state->gradients[k * N + i];
+        }
+    }
+//.
+    bound(gradient);
 }
 //.
 

@@ -60,7 +60,7 @@ typedef struct {
 //.
 $influence_fields
 //? expected
-    ${name}_real expected[2]; /* E[psi'], which belongs to the psi above */
+    ${name}_real expected; /* E[psi'], which belongs to the psi above */
 //.
 } ${name}_model;
 
@@ -73,7 +73,7 @@ typedef struct {
     ${name}_real R_samples; /* how many samples it stands on */
 //.
 //? outputs
-    ${name}_real outputs[$na]; /* the part of phi that belongs to them, with its minus sign */
+    ${name}_real outputs[$na]; /* outputs or disturbances as they stand in phi, with their minus sign */
 //.
 //? cleaned
     ${name}_real measured[$na]; /* the same, as they were measured */
@@ -84,8 +84,14 @@ typedef struct {
 //? residuals
     ${name}_real residuals[$nc];
 //.
-//? filtered
-    ${name}_real gradients[$order * $n]; /* derivatives of past predictions */
+//? undisturbed
+    ${name}_real undisturbed[$nf]; /* what the inputs alone did, with its minus sign */
+//.
+//? prefiltered
+    ${name}_real prefiltered[$rows * $n]; /* past phi through 1/F */
+//.
+//? gradients
+    ${name}_real gradients[$nc * $n]; /* derivatives of past predictions */
 //.
     int32_t enabled; /* 0 freezes theta and P, while predictions go on */
 } ${name}_state;

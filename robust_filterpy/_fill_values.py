@@ -1,0 +1,155 @@
+"""Numbers that a logger writes where it has none (9999, 1e7, 9.97e36): recognised, since they repeat far outside."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+
+__all__ = ["FillValues", "fill_values", "without_fill_values"]
+
+# A value that occurs less often, or in a smaller share of the samples, does not repeat.
+_LEAST: Final = 3
+_LEAST_SHARE: Final = 0.002
+# How far outside the rest a fill value lies, in robust standard deviations of the rest, and at least its whole width.
+_FAR: Final = 8.0
+# Of so few different values nobody can say where the rest ends.
+_LEAST_DIFFERENT: Final = 5
+# A logger has one or two such numbers; more of them are a signal with several levels.
+_MOST_VALUES: Final = 4
+
+_MAD_TO_SCALE: Final = 1.482602218505602
+
+
+class FillValues(NamedTuple):
+    """A signal without its fill values, and which they were.
+
+    Attributes
+    ----------
+    signal : ndarray, shape (N,)
+        NaN where a fill value stood; the argument itself where there was none.
+    values : tuple of float
+        The fill values.
+    counts : tuple of int
+        How often each stood there.
+    """
+
+    signal: Array
+    values: tuple[float, ...] = ()
+    counts: tuple[int, ...] = ()
+
+    @property
+    def said(self) -> str:
+        """What was found, in words; empty if nothing was."""
+        each = [f"{value:.6g} ({count} samples)" for value, count in zip(self.values, self.counts, strict=True)]
+        return (
+            f"{', '.join(each)}: repeated exactly and far outside the rest, taken for missing samples" if each else ""
+        )
+
+
+def fill_values(signal: Array) -> FillValues:
+    """Find the values that repeat exactly and lie far outside all others, and take them for missing.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (N,)
+        NaN where a sample is missing.
+
+    Returns
+    -------
+    FillValues
+
+    Notes
+    -----
+    A value counts if it occurs in .2 % of the samples, three at least; is further from the nearest 98 % of the others
+    than these are from one another, and than 8 of their robust standard deviations; and has no neighbour. Rounded and
+    saturated signals, a rest at 0, on and off are left alone: their repeated values have neighbours, lie within the
+    width of the others, or leave too few different others. A wild value that does not repeat is an outlier, not a fill.
+
+    Examples
+    --------
+    >>> y = np.random.default_rng(1).normal(size=100)
+    >>> y[::20] = 9999.0
+    >>> fill_values(y).said
+    '9999 (5 samples): repeated exactly and far outside the rest, taken for missing samples'
+    """
+    known = signal[np.isfinite(signal)]
+    values, counts = np.unique(known, return_counts=True)
+    repeated = counts >= max(_LEAST, _LEAST_SHARE * known.size)
+    if not repeated.any() or values.size <= _LEAST_DIFFERENT:
+        return FillValues(signal)
+    distance = np.abs(values - float(np.median(known)))
+    found: list[int] = []
+    for i in np.flatnonzero(repeated)[np.argsort(-distance[repeated])]:
+        # What repeats as far out as this one may be another fill value, and says nothing of the width of the rest.
+        rest = ~(repeated & (distance >= 0.5 * distance[i]))
+        if rest.sum() < _LEAST_DIFFERENT or not _is_far(values[i], values[rest], counts[rest]):
+            break
+        found.append(int(i))
+    if not found or len(found) > _MOST_VALUES:
+        return FillValues(signal)
+    found.sort()
+    return FillValues(
+        np.where(np.isin(signal, values[found]), np.nan, signal),
+        tuple(values[found].tolist()),
+        tuple(counts[found].tolist()),
+    )
+
+
+def without_fill_values(name: str, rows: Any) -> tuple[Any, Any]:
+    """Return measurements with NaN for the fill values of each component, and warn of them; else the argument itself.
+
+    Parameters
+    ----------
+    name : str
+        Of the argument, for the warning.
+    rows : sequence of length N
+        Numbers, arrays of one shape, None.
+
+    Returns
+    -------
+    rows : ndarray, shape (N, ..)
+        The argument itself if there are none, or if it cannot be read as numbers of one shape.
+    filled : ndarray of bool, shape (N, m)
+        Where the fill values stood.
+
+    Warns
+    -----
+    UserWarning
+        If there are fill values.
+    """
+    try:
+        present = [np.asarray(row, dtype=float) for row in rows if row is not None]
+        gap = np.full(present[0].shape, np.nan)
+        found = np.array([gap if row is None else np.asarray(row, dtype=float) for row in rows])
+    except (TypeError, ValueError, IndexError):
+        return rows, np.zeros((0, 0), dtype=bool)
+    said, known = [], ~np.isnan(found)
+    for place in np.ndindex(found.shape[1:]):
+        column = (slice(None), *place)
+        fills = fill_values(found[column])
+        if fills.values:
+            found[column] = fills.signal
+            said.append(f"{f'component {place[0]}: ' if known[0].size > 1 else ''}{fills.said}")
+    filled = (known & np.isnan(found)).reshape(len(found), -1)
+    if not said:
+        return rows, filled
+    warnings.warn(f"{name}: {'; '.join(said)}", stacklevel=3)
+    return found, filled
+
+
+def _is_far(value: float, others: Array, counts: Array) -> bool:
+    """Tell whether a value lies far outside the others, which are sorted and occur so often."""
+    places = np.cumsum(counts) - 0.5 * counts
+    low, middle, high = np.interp(counts.sum() * np.array([0.01, 0.5, 0.99]), places, others)
+    deviations = np.abs(others - middle)
+    order = np.argsort(deviations)
+    half = int(np.searchsorted(np.cumsum(counts[order]), 0.5 * counts.sum()))
+    scale = _MAD_TO_SCALE * float(deviations[order][min(half, order.size - 1)])
+    # More than half of the others at one value: their width is all that is known.
+    away = max(_FAR * scale, high - low)
+    alone = float(np.abs(others - value).min()) > _FAR * scale
+    return alone and bool(value > high + away or value < low - away)

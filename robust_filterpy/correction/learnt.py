@@ -1,0 +1,259 @@
+"""The correction under noise that is a mixture of classes, learnt or told: one step as a pure function of arrays.
+
+The scalar step that serves every filter (DESIGN section 2): with score a and information b of the sensor taken next,
+
+    x += C_i a,   y -= S_i a,   P -= b C_i C_i',   C -= b C_i S_i',   S -= b S_i S_i'.
+
+Under class k the variance of y_i is S_ii + (s_k - 1) r R_ii: what an outlier has in excess is independent of everything
+else, correlated noises included. Its density is a mixture, a the mixture's score and b the derivative of it, which is
+the exact second moment (Masreliez 1975) and may be negative. Each copy has its own x, P, C, S, y, a, b; the
+probabilities of the classes are shared. Sensors that fail together are taken at once: a is a vector, b a matrix.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+from robust_filterpy.correction import copies as side_by_side
+from robust_filterpy.correction import learning
+from robust_filterpy.correction.copies import Copies, Scales
+from robust_filterpy.correction.learning import NoiseClasses
+from robust_filterpy.correction.merging import _LOG_2PI, _inverted, _shortened, normalized
+from robust_filterpy.correction.whitening import Inverse, _singular
+
+__all__ = ["Learnt", "correct"]
+
+# A state that is so much less certain than a sensor's noise, in variance, is not known at all.
+_WIDEST = 1e12
+# What a sample is worth for a jump at most, 100 to 1: so many have to agree, however wild they are.
+_LOG_EVIDENCE = math.log(100.0)
+# A variance that has shrunk to this part of what it was is rounding.
+_CANCELLED = 1e-13
+
+
+class Learnt(NamedTuple):
+    """The copies and the noise after a correction, and what has become of each component."""
+
+    copies: Copies
+    """Corrected."""
+    memory: Array
+    """What is known of the noise, shape (g, ...), as `robust_filterpy.correction.learning` orders it."""
+    log_density: float
+    """log p(z)."""
+    weights: Array
+    """Expected precision of each component over that of ordinary noise, NaN where it tells nothing, shape (m,)."""
+    outlier_probabilities: Array
+    """Probability that each component was an outlier, 0 where it tells nothing, shape (m,)."""
+
+
+class _Part(NamedTuple):
+    """The copies while sensor after sensor is taken: x and what is left of the innovation, one Gaussian vector each."""
+
+    x: Array
+    """(q, n)"""
+    P: Array
+    """(q, n, n)"""
+    y: Array
+    """(q, m)"""
+    C: Array
+    """(q, n, m)"""
+    S: Array
+    """(q, m, m)"""
+    probabilities: Array
+    """(q,)"""
+
+
+class _Scores(NamedTuple):
+    """What the classes of a group of g sensors make of its innovation, under each of q copies."""
+
+    a: Array
+    """Score, (q, g)."""
+    b: Array
+    """Its derivative, (q, g, g)."""
+    given: Array
+    """Probabilities of the classes under each copy, (q, K)."""
+    log_densities: Array
+    """(q,)"""
+    energies: Array
+    """E[v^2 | class 0]/(r R), in the mean over the group, (q,)."""
+
+
+def correct(
+    copies: Copies,
+    memory: Array,
+    z: Array,
+    H: Array,
+    R: Array,
+    noise: NoiseClasses,
+    process: Scales,
+    M: Array | None = None,
+    inv: Inverse | None = None,
+) -> Learnt:
+    """Correct copies of a filter by one measurement and learn the noise from it.
+
+    Parameters
+    ----------
+    copies : Copies
+        Predicted.
+    memory : ndarray, shape (g, ...)
+        What is known of the noise, g = 1 under grouping "joint", else m.
+    z : ndarray, shape (m,)
+        Measurement; NaN where missing.
+    H : ndarray, shape (m, n)
+        Measurement matrix.
+    R : ndarray, shape (m, m)
+        Covariance of the measurement noise as the filter was given it.
+    noise : NoiseClasses
+        Classes and memories.
+    process : Scales
+        Which copies there are.
+    M : ndarray, shape (n, m), optional
+        Covariance of the state's error and the measurement noise. It grows with r.
+    inv : callable, optional
+        What inverts S; by default a singular S is an error.
+
+    Returns
+    -------
+    Learnt
+        Nothing of what was passed is changed.
+
+    Raises
+    ------
+    SingularInnovationError
+        If S is not positive definite and inv is not given.
+
+    Notes
+    -----
+    Groups are taken one after the other, the most plausible first by the moments of all copies together, so that the
+    order of the sensors in z does not matter. What H does not see says nothing, and nothing is learnt from it.
+    An innovation beyond 8 standard deviations of the widest class is shortened to 8: it has no place in the model.
+    """
+    m, joint = len(z), noise.grouping == "joint"
+    weights, outlying = np.full(m, np.nan), np.zeros(m)
+    part = np.flatnonzero(~np.isnan(z) & H.any(axis=1))
+    if part.size == 0:
+        return Learnt(copies, memory, 0.0, weights, outlying)
+    z, H, R, M = z[part], H[part], R[np.ix_(part, part)], None if M is None else M[:, part]
+    memory, rows = memory.copy(), np.zeros(len(part), dtype=int) if joint else part
+    r = memory[rows, 0]
+    if noise.learns and not joint:
+        r, memory[part] = learning.ordinary_size(memory[part], z, H, R)
+    copies, fresh = side_by_side.with_candidate(copies, z, H, r * R.diagonal(), process)
+    now, N = _begin(copies, z, H, R, r, M)
+    first, log_density = now.S, 0.0
+    groups = [np.arange(len(part))] if joint else [np.array([i]) for i in range(len(part))]
+    while groups:
+        group = groups.pop(_most_plausible(now, groups))
+        row = rows[group[0]]
+        S = now.S[:, group[:, None], group]
+        if inv is None and (S[:, 0, 0] <= _CANCELLED * first[:, group[0], group[0]]).any():
+            raise _singular(now.S[0], float(S[:, 0, 0].min()))
+        # What the last sample was is known to copies that were there then.
+        before = np.tile(learning.predicted(memory[row], len(noise.scales)), (len(now.x), 1))
+        before[len(process.scales) :] = learning.usual(memory[row], len(noise.scales))
+        found = _scores(now.y[:, group], S, N[group[:, None], group], before, np.array(noise.scales), inv)
+        shares, log_total = _weighed(now.probabilities, found.log_densities, len(process.scales), fresh)
+        posterior = shares @ found.given
+        if noise.learns:
+            ordinary = shares * found.given[:, 0]
+            energy = r[group[0]] * float(ordinary @ found.energies) / max(float(ordinary.sum()), 1e-300)
+            memory[row] = learning.learn(memory[row], posterior, energy, noise)
+        log_density += log_total
+        weights[part[group]], outlying[part[group]] = posterior @ (1.0 / np.array(noise.scales)), 1.0 - posterior[0]
+        now = _taken(now, group, found, shares)
+    corrected = Copies(now.x, 0.5 * (now.P + np.swapaxes(now.P, 1, 2)), now.probabilities, 0.0)
+    return Learnt(side_by_side.settled(corrected, process), memory, log_density, weights, outlying)
+
+
+def _begin(copies: Copies, z: Array, H: Array, R: Array, r: Array, M: Array | None) -> tuple[_Part, Array]:
+    """Return the copies with their innovations, and the covariance of ordinary noise, (m, m)."""
+    root = np.sqrt(r)
+    N = R * np.multiply.outer(root, root)
+    with np.errstate(over="ignore", invalid="ignore"):
+        y = np.clip(z - copies.x @ H.T, -1e300, 1e300)
+    P = _limited(copies.P, H, N.diagonal())
+    C = P @ H.T
+    S = H @ C + N
+    if M is not None:
+        C, cross = C + M * root, H @ (M * root)
+        S = S + cross + cross.T
+    return _Part(copies.x, P, y, C, S, copies.probabilities), N
+
+
+def _limited(P: Array, H: Array, noise: Array) -> Array:
+    """Return P, what a sensor sees of it no more than 1e12 of its noise: beyond, P - b C C' would leave rounding."""
+    for h, variance in zip(H, noise.tolist(), strict=True):
+        C = P @ h
+        seen = C @ h
+        wide = seen > _WIDEST * variance
+        if variance > 0.0 and wide.any():
+            seen = np.where(wide, seen, 1.0)
+            excess = np.where(wide, (1.0 - _WIDEST * variance / seen) / seen, 0.0)
+            P = P - excess[:, None, None] * C[:, :, None] * C[:, None, :]
+    return P
+
+
+def _most_plausible(now: _Part, groups: list[np.ndarray]) -> int:
+    """Return the place of the group with the smallest innovation in standard deviations, over all copies."""
+    if len(groups) == 1:
+        return 0
+    sensors = [group[0] for group in groups]
+    y, variances, p = now.y[:, sensors], now.S[:, sensors, sensors], now.probabilities[:, None]
+    unit = np.maximum(np.abs(y).max(axis=0), 1e-300)
+    mean = (p * (y / unit)).sum(axis=0)
+    spread = (p * (variances / unit / unit + (y / unit - mean) ** 2)).sum(axis=0)
+    return int(np.argmin(np.abs(mean) / np.sqrt(np.maximum(spread, 1e-300))))
+
+
+def _scores(y: Array, S: Array, N: Array, before: Array, scales: Array, inv: Inverse | None) -> _Scores:
+    """Return score, information and likelihoods: y (q, g), S (q, g, g), N (g, g) ordinary noise, before (q, K)."""
+    inverses, log_dets = _inverted(S[:, None] + (scales - 1.0)[:, None, None] * N, inv)
+    y = _shortened(np.broadcast_to(y[:, None], log_dets.shape + y.shape[1:]), inverses)
+    pulls = (inverses @ y[..., None])[..., 0]
+    logs = np.log(before) - 0.5 * ((pulls * y).sum(axis=2) + log_dets + y.shape[2] * _LOG_2PI)
+    peaks = logs.max(axis=1)
+    given = np.exp(logs - peaks[:, None])
+    totals = given.sum(axis=1)
+    given /= totals[:, None]
+    a = (given[..., None] * pulls).sum(axis=1)
+    b = (given[..., None, None] * (inverses - pulls[..., :, None] * pulls[..., None, :])).sum(axis=1)
+    # What is left of y under the ordinary class is noise: E[v' N^-1 v] = g + (S^-1 y)' N (S^-1 y) - tr(S^-1 N), where
+    # of all the variance that S has no more than all can be noise.
+    expected = (inverses[:, 0] * N).sum(axis=(1, 2))
+    found = ((pulls[:, 0] @ N) * pulls[:, 0]).sum(axis=1)
+    size = y.shape[2]
+    excess = np.divide(found, expected, out=np.ones_like(found), where=expected > 0.0) - 1.0
+    energies = np.maximum(1.0 + np.minimum(expected / size, 1.0) * excess, 0.0)
+    return _Scores(a, b + a[:, :, None] * a[:, None, :], given, peaks + np.log(totals), energies)
+
+
+def _weighed(probabilities: Array, log_densities: Array, q: int, fresh: bool) -> tuple[Array, float]:
+    """Return the probabilities of the copies given a group, and log p(y); q of them are for scales of Q."""
+    shares, log_total = normalized(np.log(np.maximum(probabilities[:q], 1e-300)) + log_densities[:q])
+    if len(probabilities) == q:
+        return shares, log_total
+    log_total -= math.log(max(float(probabilities[:q].sum()), 1e-300))
+    # A candidate is made to fit what it begins with, which is no evidence for it.
+    own = log_total if fresh else min(float(log_densities[q]), log_total + _LOG_EVIDENCE)
+    candidate = float(probabilities[q])
+    parts = np.array([math.log(max(1.0 - candidate, 1e-300)) + log_total, math.log(max(candidate, 1e-300)) + own])
+    (slow, jumped), log_total = normalized(parts)
+    return np.append(slow * shares, jumped if candidate > 0.0 else 0.0), log_total
+
+
+def _taken(now: _Part, group: np.ndarray, found: _Scores, shares: Array) -> _Part:
+    """Return what is left when a group has been taken: the step of which the head of this module speaks."""
+    C, S, (a, b) = now.C[:, :, group], now.S[:, :, group], found[:2]
+    bC, bS = b @ np.swapaxes(C, 1, 2), b @ np.swapaxes(S, 1, 2)
+    return _Part(
+        now.x + (C @ a[..., None])[..., 0],
+        now.P - C @ bC,
+        now.y - (S @ a[..., None])[..., 0],
+        now.C - C @ bS,
+        now.S - S @ bS,
+        shares,
+    )

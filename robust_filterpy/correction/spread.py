@@ -1,0 +1,220 @@
+"""How large a sensor's innovations usually are, learnt: the unit of its thresholds under scaling="learnt".
+
+Nothing is an outlier before there is a custom. A memory has six numbers a sensor; what they do to a correction does not
+depend on a common factor of P, Q and R, on units, on the order of the sensors or on psi. `prepared` comes before a
+correction and `after` behind it::
+
+    s_i   the median of |e_i| over .6745, of those that are not far     e_i = y_i / sqrt(S_ii), S as told
+    p_i   the share of those beyond 3 s_i
+    width s_i (1 - 1.5 p_i) sqrt(S_ii)                                  the unit of psi's threshold
+
+A sensor that is wider than those which see the same, or contradicted by them, is charged the rest as noise of its own.
+Four clipped innovations in a row, of one sign and height, which the majority of those who see them does not
+contradict, are a jump of the state: P grows until it explains them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+#: Columns of a memory, shape (m, 6).
+WEIGHT, SPREAD, SHARE, STRANGE, RUN, REST = range(6)
+
+QUARTILE = 0.6744897501960817  #: median of |e| for a normal e of deviation 1
+BEND = 1.345  #: beyond so many spreads an innovation counts as clipped, whatever psi is
+FAR = 3.0  #: beyond so many spreads it is an outlier, and does not move the spread
+PACE, MEMORY = 2.0, 100.0  #: steps of log(spread): 2/n of n samples, at least 2/100
+MOST, YIELD = 0.4, 1.5  #: the largest share of outliers; threshold times 1 - 1.5 share
+PRIOR = 10.0  #: the share starts from so many innovations without an outlier
+LOST = 10  #: so many far ones in a row, and the custom is another one
+RUN_LENGTH, AGREE = 4, 2.5  #: a jump: so many clipped in a row, each within 2.5 spreads of where the last left x
+LARGEST_GROWTH = 1e6  #: of S at one jump; makes the gain 1 - 1e-6
+WITNESS, APART, CONTRADICTED = 0.47, 1.5, 2.0  #: see `_charges`
+
+
+class Prepared(NamedTuple):
+    """What a correction begins with under scaling "learnt"; C and S are as told unless P has grown."""
+
+    memory: np.ndarray
+    """Memory after the innovation, shape (m, 6)."""
+    width: np.ndarray
+    """Unit of each sensor's threshold, in that of its measurement, shape (m,)."""
+    charge: np.ndarray
+    """Variance that is a sensor's own noise beyond R, shape (m,)."""
+    growth: np.ndarray
+    """Factor of each state's standard deviation, shape (n,)."""
+
+    def spread(self, S: np.ndarray) -> np.ndarray:
+        """Return s, the width in units of the S that the correction is by, shape (m,)."""
+        variances = np.diag(S) + self.charge
+        return np.asarray(self.width / np.sqrt(np.where(variances > 0.0, variances, 1.0)))
+
+
+def begin(m: int) -> np.ndarray:
+    """Return the memory of sensors of which nothing is known.
+
+    Parameters
+    ----------
+    m : int
+        Number of sensors.
+
+    Returns
+    -------
+    ndarray, shape (m, 6)
+        Information that the spread rests on, spread s, share p of far innovations, far ones in a row, clipped ones in
+        a row that agree, and what the last correction left of z - H x (the only one with a unit).
+    """
+    return np.zeros((m, 6))
+
+
+def prepared(memory: np.ndarray, y: np.ndarray, S: np.ndarray, R: np.ndarray, C: np.ndarray, P: np.ndarray) -> Prepared:
+    """Learn from an innovation, and say how it is to be judged.
+
+    Parameters
+    ----------
+    memory : ndarray, shape (m, 6)
+        Memory before; not changed.
+    y : ndarray, shape (m,)
+        Innovation, NaN where missing.
+    S, R : ndarray, shape (m, m)
+        Covariances of the innovation and of the measurement noise, as told.
+    C : ndarray, shape (n, m)
+        Covariance of the state and the innovation.
+    P : ndarray, shape (n, n)
+        Covariance of the state.
+
+    Returns
+    -------
+    Prepared
+    """
+    memory, here = memory.copy(), np.isfinite(y) & (np.diag(S) > 0)
+    told, size = np.sqrt(np.where(here, np.diag(S), 1.0)), np.zeros(len(y))
+    # Below a number whose square is a number.
+    size[here] = np.minimum(np.abs(y[here]) / told[here], 1e100)
+    for i in np.flatnonzero(here & (size > 0)):
+        _learn(memory[i], size[i], math.sqrt(min(max(R[i, i] / S[i, i], 1e-9), 1.0)))
+    # Who has no custom yet has shown exact zeros alone: any width will do.
+    s = np.where(memory[:, WEIGHT] > 0, memory[:, SPREAD], 1.0)
+    B = S - R
+    seen = _seen_by(B, here)
+    charge = _charges(y, s, told, B, seen, here) if here.sum() > 1 else np.zeros(len(y))
+    narrowed = s * (1 - YIELD * memory[:, SHARE])
+    out = here & (size > BEND * narrowed)
+    _count_runs(memory, y, AGREE * s * told, out, here)
+    jumped = _jumps(memory, y, B, seen, out, charge, here)
+    growth, width = np.ones(len(C)), narrowed * told
+    for i in np.flatnonzero(jumped):
+        wanted = min((size[i] / (BEND * narrowed[i])) ** 2 - 1, LARGEST_GROWTH) * S[i, i] / B[i, i]
+        concerned = C[:, i] ** 2 > 1e-9 * np.diag(P) * B[i, i]
+        growth = np.maximum(growth, np.sqrt(1 + wanted * concerned))
+        # Believed: as large as is usual.
+        width[i], memory[i, RUN] = abs(y[i]), 0
+    return Prepared(memory, width, charge, growth)
+
+
+def after(memory: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    """Return the memory that knows what a correction left over.
+
+    Parameters
+    ----------
+    memory : ndarray, shape (m, 6)
+        From `prepared`.
+    rest : ndarray, shape (m,)
+        z - H x after the correction, NaN where missing.
+
+    Returns
+    -------
+    ndarray, shape (m, 6)
+    """
+    memory, here = memory.copy(), np.isfinite(rest)
+    memory[here, REST] = rest[here]
+    return memory
+
+
+def _learn(own: np.ndarray, size: float, weight: float) -> None:
+    """Let one sensor's |e| move its spread and its share of outliers."""
+    if own[STRANGE] >= LOST:
+        own[[WEIGHT, SHARE, STRANGE]] = 0.0
+    known, aim = own[WEIGHT], size / QUARTILE
+    own[WEIGHT] += weight
+    if known == 0:
+        own[SPREAD] = aim
+        return
+    pace, far = max(weight / known, 1 / MEMORY), size > FAR * own[SPREAD]
+    # A median by recursion: up or down by a pace, but never beyond what was seen. The far ones are left out of it.
+    spread, share = float(own[SPREAD]), float(own[SHARE])
+    if aim > spread:
+        own[SPREAD] = min(aim, spread * math.exp(min(PACE * pace * (1 - share), 700.0)))
+    else:
+        own[SPREAD] = max(aim, spread * math.exp(-PACE * pace * (1 + share)))
+    own[STRANGE] = own[STRANGE] + 1 if far else 0
+    own[SHARE] = min(own[SHARE] + (far - own[SHARE]) * max(weight / (own[WEIGHT] + PRIOR), 1 / MEMORY), MOST)
+
+
+def settled(memory: np.ndarray) -> np.ndarray:
+    """Return the spread of each sensor as a threshold's unit, 1 where there is no custom yet.
+
+    Parameters
+    ----------
+    memory : ndarray, shape (m, 6)
+
+    Returns
+    -------
+    ndarray, shape (m,)
+    """
+    known = memory[:, WEIGHT] > 0
+    return np.where(known, memory[:, SPREAD] * (1 - YIELD * memory[:, SHARE]), 1.0)
+
+
+def _seen_by(B: np.ndarray, here: np.ndarray) -> np.ndarray:
+    """Return the part of sensor i's prediction error that sensor j sees too, squared correlations (m, m)."""
+    b = np.where(here, np.diag(B), 0.0)
+    scale = np.outer(b, b)
+    seen = np.where((scale > 0) & (np.minimum.outer(b, b) > 0), B**2 / np.where(scale > 0, scale, 1.0), 0.0)
+    np.fill_diagonal(seen, here)
+    return seen
+
+
+def _charges(
+    y: np.ndarray, s: np.ndarray, told: np.ndarray, B: np.ndarray, seen: np.ndarray, here: np.ndarray
+) -> np.ndarray:
+    """Return what each sensor is noisier than those that see the same: that can only be its own noise."""
+    charge, b = np.zeros(len(y)), np.diag(B)
+    for i in np.flatnonzero(here & (b > 0)):
+        w = seen[i]
+        total = w.sum()
+        # The spread that the better half of the witnesses has: a witness sees nine tenths of the same (.47/.53).
+        others = np.flatnonzero(w > 0)
+        usual = min(s[j] for j in others if w[others][s[others] <= s[j]].sum() > WITNESS * total * (1 + 1e-9))
+        # What they say that y_i should be: the weighted median nearest to the prediction.
+        says = np.array([y[i] if j == i else y[j] * B[i, j] / b[j] for j in others])
+        low = min(v for v in says if w[others][says <= v].sum() >= total * (0.5 - 1e-9))
+        high = max(v for v in says if w[others][says >= v].sum() >= total * (0.5 - 1e-9))
+        odd = abs(y[i] - min(max(0.0, low), high)) / told[i]
+        own = max(s[i], odd / CONTRADICTED)
+        if own > APART * usual:
+            charge[i] = told[i] ** 2 * ((own / usual) ** 2 - 1)
+    return charge
+
+
+def _count_runs(memory: np.ndarray, y: np.ndarray, near: np.ndarray, out: np.ndarray, here: np.ndarray) -> None:
+    """Count each sensor's clipped innovations in a row, of one sign, each where the one before left x."""
+    rest = memory[:, REST]
+    with np.errstate(invalid="ignore"):
+        same = (memory[:, RUN] > 0) & (np.sign(y) == np.sign(rest)) & (np.abs(y - rest) < near)
+    memory[here, RUN] = np.where(out, np.where(same, memory[:, RUN] + 1, 1), 0)[here]
+
+
+def _jumps(
+    memory: np.ndarray, y: np.ndarray, B: np.ndarray, seen: np.ndarray, out: np.ndarray, charge: np.ndarray,
+    here: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """Return who has seen a jump: a run that those who see the same do not contradict."""
+    jumped = np.zeros(len(y), dtype=bool)
+    for i in np.flatnonzero(here & (memory[:, RUN] >= RUN_LENGTH) & (charge == 0) & (np.diag(B) > 0)):
+        agree = out & (y * y[i] * B[i] > 0)
+        jumped[i] = (seen[i] * agree).sum() > (seen[i] * (here & ~agree)).sum() * (1 + 1e-9)
+    return jumped

@@ -1,0 +1,136 @@
+"""T of one group of sensors, and of all of them in the order in which they were taken (paper 29, 36, 42)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from robust_filterpy._checks import Array
+
+__all__ = ["SingularInnovationError", "group_scaling", "is_cancelled", "ordered_scaling", "singular"]
+
+# What is left of a variance of 1 below this is rounding, not a sensor's own noise.
+_ROUNDING = 1e-13
+
+
+# LinAlgError is a ValueError from numpy 1.25 on.
+class SingularInnovationError(np.linalg.LinAlgError, ValueError):
+    """Say that the innovation covariance S has no inverse."""
+
+
+def is_cancelled(block: Array, variances: Array) -> bool:
+    """Return whether what is left of a group's covariance is not positive definite beyond rounding.
+
+    Parameters
+    ----------
+    block : ndarray, shape (k, k)
+        Covariance of the group given the sensors before it.
+    variances : ndarray, shape (k,)
+        Variances of its sensors before any was taken.
+
+    Returns
+    -------
+    bool
+    """
+    if not (np.isfinite(block).all() and (variances > 0.0).all()):
+        return True
+    if len(block) == 1:
+        return not block[0, 0] > _ROUNDING * variances[0]
+    try:
+        root = np.linalg.cholesky(block)
+    except np.linalg.LinAlgError:
+        return True
+    return bool((root.diagonal() ** 2 <= _ROUNDING * variances).any())
+
+
+def group_scaling(block: Array, scaling: str) -> Array:
+    """Return T of one group.
+
+    Parameters
+    ----------
+    block : ndarray, shape (k, k)
+        Covariance of the group given the sensors before it, positive definite.
+    scaling : {"learnt", "innovation", "unit", "bounded"}
+        S^(-1/2) (paper 36), I (42), or I over the root of max(S, 1).
+
+    Returns
+    -------
+    ndarray, shape (k, k)
+        A lower triangle.
+    """
+    k = len(block)
+    if scaling == "unit":
+        return np.eye(k)
+    if scaling == "bounded":
+        largest = block[0, 0] if k == 1 else np.linalg.eigvalsh(block)[-1]
+        return np.eye(k) / math.sqrt(max(float(largest), 1.0))
+    if k == 1:
+        return 1.0 / np.sqrt(block)
+    # Units first: they must not decide what is rounding.
+    unit = np.sqrt(block.diagonal())
+    root = np.linalg.cholesky(block / unit / unit[:, None])
+    return np.asarray(solve_triangular(root, np.eye(k), lower=True)) / unit
+
+
+def ordered_scaling(S: Array, order: tuple[tuple[int, ...], ...], scaling: str) -> Array:
+    """Return T, the rows of all groups together, as if none of them had been clipped.
+
+    Parameters
+    ----------
+    S : ndarray, shape (m, m)
+        Innovation covariance.
+    order : tuple of tuple of int
+        Groups in the order in which they were taken; sensors that are in none were missing.
+    scaling : {"learnt", "innovation", "unit", "bounded"}
+        As in `group_scaling`.
+
+    Returns
+    -------
+    ndarray, shape (m, m)
+        With "innovation" and "learnt" the inverse Cholesky factor of S in that order, T S T' = I among the observed;
+        0 where a sensor was missing or determined by those before it.
+    """
+    S, start = np.array(S, dtype=float), S.diagonal().copy()
+    T, W = np.zeros_like(S), np.eye(len(S))
+    for group in map(list, order):
+        block = S[np.ix_(group, group)]
+        if is_cancelled(block, start[group]):
+            continue
+        t = group_scaling(block, scaling)
+        q, w = S[:, group] @ t.T, W[:, group] @ t.T
+        T[group] = w.T
+        W -= w @ q.T
+        S -= q @ q.T
+    return T
+
+
+def singular(S: Array, block: Array) -> SingularInnovationError:
+    """Return the error that says what is wrong with an S without inverse.
+
+    Parameters
+    ----------
+    S : ndarray, shape (m, m)
+        Covariance of the innovation.
+    block : ndarray, shape (k, k)
+        What is left of S for the group of k sensors that showed it.
+
+    Returns
+    -------
+    SingularInnovationError
+    """
+    if not np.isfinite(S).all():
+        return SingularInnovationError("S = H P H' + R: not finite; check H, P and R for NaN, infinity and overflow")
+    variances = np.maximum(S.diagonal(), 0.0)
+    units = np.sqrt(np.outer(variances, variances))
+    least = float(np.linalg.eigvalsh(S / np.where(units > 0.0, units, 1.0))[0])
+    if least < -1e-6:
+        return SingularInnovationError(
+            f"S = H P H' + R: singular or negative (least eigenvalue {least:.3g}); P or R is no covariance matrix: "
+            "look at both, and at the Q that predict adds to P"
+        )
+    return SingularInnovationError(
+        f"S = H P H' + R: singular (least eigenvalue {least:.3g}); make R positive definite, or set "
+        f"inv=numpy.linalg.pinv to ignore the directions that carry no information"
+    )

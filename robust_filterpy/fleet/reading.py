@@ -1,0 +1,277 @@
+"""From the forms that engines hand over to numbers: arrays, and tables of any kind that narwhals knows.
+
+What is no number, and no time, costs its row alone: the others go on, and its reason stands beside it.
+"""
+
+from __future__ import annotations
+
+import numbers
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from datetime import datetime, timezone
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+
+#: What is wrong with some of the rows.
+Reasons: TypeAlias = dict[int, str]
+
+#: Whose a row is that says nobody's name.
+NOBODY = object()
+_MISSING = ("NoneType", "NAType", "NaTType", "MaskedConstant")
+
+
+class Rows(NamedTuple):
+    """Samples in the order of a batch."""
+
+    keys: Sequence[Any] | None
+    """Whose each is; None if all are of one."""
+    times: Array | None
+    """Shape (N,), in seconds, NaN where there is none."""
+    z: Array
+    """Measurements, shape (N, m), NaN where missing."""
+    u: Array | None
+    """Inputs, shape (N, p), NaN where there is none."""
+    said: Reasons
+    """What is wrong with a row, though the others go on."""
+    like: Callable[[np.ndarray, dict[str, Any]], Any]
+    """From the rows that were taken, and the columns that belong to them, to the form of the batch."""
+
+
+def read_array(batch: Any, model: Any) -> Rows:
+    """Return the samples of an array, or of rows of anything: the time first, measurements, inputs; or raise."""
+    m, p = model.widths
+    timed = int(model.time is not None)
+    widths = [timed + m + p] if model.inputs else sorted({timed + m, timed + m + p})
+    values, said = _as_array(batch, widths)
+    if values.ndim == 1 and widths[0] == 1:
+        values = values[:, None]
+    if values.ndim != 2 or values.shape[1] not in widths:
+        what = ", ".join([*(["a time"] if timed else []), f"{m} measurement(s)", *([f"{p} input(s)"] if p else [])])
+        raise ValueError(
+            f"batch: expected shape (samples, {' or '.join(map(str, widths))}), {what} in a row, got {values.shape}"
+        )
+    times = seconds(values[:, 0], said) if timed else None
+    z = measured([("z" if m == 1 else f"z{i}", values[:, timed + i]) for i in range(m)], len(values), said)
+    given = range(timed + m, values.shape[1])
+    u = inputs([("u" if p == 1 else f"u{i}", values[:, j]) for i, j in enumerate(given)], said) if given else None
+    return Rows(None, times, z, u, said, lambda rows, columns: columns)
+
+
+def _as_array(batch: Any, widths: list[int]) -> tuple[np.ndarray, Reasons]:
+    """Return rows as an array, of objects if they are not all numbers; rows of another length are named."""
+    if isinstance(batch, np.ndarray):
+        return batch, {}
+    try:
+        values = np.asarray(batch)
+        if values.dtype.kind in "fiumM":
+            return values, {}
+    except (TypeError, ValueError, OverflowError):
+        pass
+    rows = list(batch) if isinstance(batch, Iterable) and not isinstance(batch, (str, bytes)) else [batch]
+    rows = [[row] if widths == [1] and not isinstance(row, (list, tuple, np.ndarray)) else row for row in rows]
+    width = next((len(row) for row in rows if hasattr(row, "__len__") and len(row) in widths), widths[-1])
+    found, said = np.full((len(rows), width), None, dtype=object), {}
+    for i, row in enumerate(rows):
+        if isinstance(row, (list, tuple, np.ndarray)) and len(row) == width:
+            for j, value in enumerate(row):
+                found[i, j] = value
+        else:
+            said[i] = f"row: expected {width} number(s), got {_checks.shown(row)}"
+    return found, said
+
+
+def read_table(table: Any, model: Any, key: str | None) -> Rows:
+    """Return the samples of a table with columns by name, or raise if it lacks one."""
+    nw, frame, back = _frame(table)
+    names = frame.columns
+    given = list(model.inputs or ())
+    chosen = model.measurements
+    if chosen is None:
+        chosen = [name for name in names if name not in (key, model.time) and name not in given]
+    missing = [name for name in (key, model.time, *chosen, *given) if name is not None and name not in names]
+    if missing:
+        raise ValueError(f"table: expected the columns {missing}, got {names}")
+    m, p = model.widths
+    for what, found, allowed in (("measurements", chosen, (m,)), ("inputs", given, (0, p))):
+        if len(found) not in allowed:
+            raise ValueError(f"{what}: expected {allowed[-1]} column(s) for the model, got {list(found)}")
+    said: Reasons = {}
+    keys = None if key is None else _keys(key, frame[key], said)
+    times = None if model.time is None else seconds(_instants(nw, frame[model.time]), said)
+    z = measured([(name, frame[name].to_numpy()) for name in chosen], len(frame), said)
+    u = inputs([(name, frame[name].to_numpy()) for name in given], said) if given else None
+    copied = [name for name in (key, model.time) if name is not None]
+
+    def like(rows: np.ndarray, columns: dict[str, Any]) -> Any:
+        """Return columns as a table of the kind of the batch, with its keys and times."""
+        kept = frame.select(copied) if len(rows) == len(frame) else frame.select(copied)[rows]
+        if not copied and hasattr(table, "index"):
+            kept = nw.from_native(table[[]].iloc[rows], eager_only=True)
+        kinds = {np.dtype(object): nw.String, np.dtype(float): nw.Float64}
+        series = [
+            nw.new_series(name, values, kinds[values.dtype], backend=frame.implementation)
+            for name, values in columns.items()
+        ]
+        return back(kept.with_columns(series) if len(kept.columns) or hasattr(table, "index") else _put(nw, series))
+
+    return Rows(keys, times, z, u, said, like)
+
+
+def _put(nw: Any, series: list[Any]) -> Any:
+    """Return series side by side as a frame."""
+    return nw.concat([one.to_frame() for one in series], how="horizontal")
+
+
+def _frame(table: Any) -> tuple[Any, Any, Callable[[Any], Any]]:
+    """Return narwhals, the table as its data frame, and the way back; or raise."""
+    try:
+        import narwhals as nw
+    except ImportError:
+        raise ImportError('robust_filterpy reads tables by narwhals; pip install "robust_filterpy[fleet]"') from None
+    if type(table).__name__ == "RecordBatch":
+        import pyarrow as pa
+
+        def record_batch(frame: Any) -> Any:
+            """Return an Arrow record batch."""
+            return frame.to_native().combine_chunks().to_batches()[0] if len(frame) else frame.to_native().to_batches()
+
+        return nw, nw.from_native(pa.Table.from_batches([table]), eager_only=True), record_batch
+    return nw, nw.from_native(table, eager_only=True), lambda frame: frame.to_native()
+
+
+def _keys(key: str, column: Any, said: Reasons) -> Sequence[Any]:
+    """Return whose each row is; rows of nobody are named."""
+    values = column.to_numpy()
+    if values.dtype.kind in "iub":
+        return values
+    found = values.tolist()
+    for row, name in enumerate(found):
+        if type(name).__name__ in _MISSING or name != name:
+            said[row], found[row] = f"{key}: expected a name or number in each row, got none", NOBODY
+        elif not isinstance(name, Hashable):
+            said[row] = f"{key}: expected a name or number in each row, got {_checks.shown(name)}"
+            found[row] = NOBODY
+    return found
+
+
+def _instants(nw: Any, column: Any) -> np.ndarray:
+    """Return a column of times as an array, those with a time zone in UTC."""
+    if isinstance(column.dtype, nw.Datetime) and column.dtype.time_zone is not None:
+        column = column.dt.convert_time_zone("UTC").dt.replace_time_zone(None)
+    return np.asarray(column.to_numpy())
+
+
+def measured(columns: Sequence[tuple[str, np.ndarray]], n: int, said: Reasons) -> Array:
+    """Return measurements, shape (n, m), NaN where one is missing or is no number, which is named."""
+    found = [_column(name, values, said, "a finite number or NaN (missing)", True) for name, values in columns]
+    return np.column_stack(found) if found else np.empty((n, 0))
+
+
+def inputs(columns: Sequence[tuple[str, np.ndarray]], said: Reasons) -> Array:
+    """Return inputs, shape (n, p), NaN where one is no number, which is named."""
+    what = "a finite number, since an input cannot be missing; the one before it is held"
+    return np.column_stack([_column(name, values, said, what, False) for name, values in columns])
+
+
+def _column(name: str, values: np.ndarray, said: Reasons, what: str, gaps: bool) -> Array:
+    """Return a column as finite numbers, NaN for every other one; those that are not missing are named."""
+    if values.dtype.kind in "fiub":
+        found = values.astype(float)
+        bad = np.isinf(found) if gaps else ~np.isfinite(found)
+    else:
+        found, bad = np.full(len(values), np.nan), np.zeros(len(values), dtype=bool)
+        for row, value in enumerate(values.tolist() if values.dtype.kind != "O" else values):
+            try:
+                found[row] = _number(value)
+                bad[row] = np.isinf(found[row]) if gaps else not np.isfinite(found[row])
+            except (TypeError, ValueError, OverflowError):
+                bad[row] = True
+    for row in np.flatnonzero(bad).tolist():
+        _say(said, row, f"{name}: expected {what}, got {_checks.shown(values[row])}")
+    found[bad] = np.nan
+    return found
+
+
+def _number(value: Any) -> float:
+    """Return a number, NaN for what is missing, or raise."""
+    if type(value).__name__ in _MISSING:
+        return np.nan
+    if isinstance(value, (numbers.Real, np.bool_)) or type(value).__name__ == "Decimal":
+        return float(value)
+    if isinstance(value, np.ndarray) and value.ndim == 0 and value.dtype.kind in "fiub":
+        return float(value)
+    raise TypeError
+
+
+def _say(said: Reasons, row: int, sentence: str) -> None:
+    """Add what is wrong with a row."""
+    said[row] = f"{said[row]}; {sentence}" if row in said else sentence
+
+
+def seconds(values: np.ndarray, said: Reasons) -> Array:
+    """Return times as seconds, shape (N,); dates count from 1970. NaN where there is none, which is named.
+
+    Parameters
+    ----------
+    values : ndarray, shape (N,)
+        Numbers, dates of numpy (in UTC), or of Python with a time zone, or text as ISO 8601 has it, with one.
+    said : dict of int to str
+        What is wrong with a row is added.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+    """
+    if values.dtype.kind in "mM":
+        return _whole(values, said)
+    if values.dtype.kind in "fiu":
+        found = values.astype(float)
+        for row in np.flatnonzero(~np.isfinite(found)).tolist():
+            _say(said, row, f"time: expected a time for each sample, got {found[row]}")
+        found[~np.isfinite(found)] = np.nan
+        return found
+    found = np.full(len(values), np.nan)
+    for row, value in enumerate(values):
+        try:
+            found[row] = _instant(value)
+        except (TypeError, ValueError, OverflowError) as error:
+            why = f", {error}" if str(error).startswith("which") else ""
+            _say(said, row, f"time: expected a time for each sample, got {_checks.shown(value)}{why}")
+    return found
+
+
+def _instant(value: Any) -> float:
+    """Return one time in seconds, or raise."""
+    if isinstance(value, np.datetime64) or hasattr(value, "to_datetime64"):
+        missing: Reasons = {}
+        (found,) = _whole(np.array([value if isinstance(value, np.datetime64) else value.to_datetime64()]), missing)
+        if missing:
+            raise ValueError
+        return float(found)
+    if isinstance(value, str):
+        value = datetime.fromisoformat(value.strip().replace("Z", "+00:00").replace("z", "+00:00"))
+    if isinstance(value, datetime):
+        if value.tzinfo is None:
+            raise ValueError("which has no time zone and would mean another time on every machine; use timezone.utc")
+        return value.astimezone(timezone.utc).timestamp()
+    if isinstance(value, (bool, np.bool_)):
+        raise TypeError
+    found = _number(value)
+    if not np.isfinite(found):
+        raise ValueError
+    return float(found)
+
+
+def _whole(values: np.ndarray, said: Reasons) -> Array:
+    """Return dates and durations of numpy in seconds, to the nanosecond."""
+    with np.errstate(all="ignore"):
+        nanoseconds = values.astype(f"{values.dtype.kind}8[ns]")
+    lost = np.isnat(nanoseconds)
+    for row in np.flatnonzero(lost).tolist():
+        _say(said, row, f"time: expected a time for each sample, got {values[row]}")
+    whole = nanoseconds.astype(np.int64)
+    # Whole seconds first, or the nanoseconds would be rounded away.
+    return np.where(lost, np.nan, whole // 1_000_000_000 + (whole % 1_000_000_000) * 1e-9)

@@ -1,0 +1,15 @@
+"""The model of a whole recording, from nothing.
+
+* `identify`: the way from y and u to a model; made of
+* `level`, `trend`: steps and ramps of y by evidence, and a motion that never dies,
+* `estimate`: one model of one output, in the units of the recording,
+* `excitation_check`: whether the recording can tell the parameters,
+* `starts`: where to begin without a guess,
+* `prediction_error`: the search for the least robust loss,
+* `cleaning`: outliers that the regressor holds,
+* `missing`: outputs that it holds and nobody measured,
+* `search`: all of these together, and which of several ends to believe.
+* `threads`: one thread of linear algebra, since the matrices are small.
+
+Imports from below: `models`.
+"""

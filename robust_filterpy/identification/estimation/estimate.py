@@ -1,0 +1,255 @@
+"""From checked arrays to one model: units, starts, search, and what was found in the units of the recording."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from scipy.signal import lfilter
+
+from robust_filterpy._checks import Array
+from robust_filterpy.identification.estimation.excitation_check import require_informative
+from robust_filterpy.identification.estimation.prediction_error import sandwich
+from robust_filterpy.identification.estimation.search import End, ends, known_part
+from robust_filterpy.identification.estimation.threads import one_thread
+from robust_filterpy.identification.models.fit import ordinary_fit, ordinary_samples
+from robust_filterpy.identification.models.learnt_noise import Noise
+from robust_filterpy.identification.models.model import Ending, Model, filled_memory
+from robust_filterpy.identification.models.polynomial_model import PolynomialModel
+from robust_filterpy.identification.models.structures import Structure
+from robust_filterpy.influence.functions import Influence
+from robust_filterpy.influence.regression import mad_scale
+
+__all__ = ["Problem", "estimated"]
+
+# Two ends as close in log-likelihood, and so far apart in output (percent, and twice what the noise explains), leave
+# the model open.
+_CLOSE: Final = 3.0
+_APART: Final = 5.0
+
+# In units of its scale, a larger output is as wild as this one; its loss would hide all others in rounding.
+_LARGEST: Final = 1e10
+
+
+class Problem(NamedTuple):
+    """What is to be found, but for the output.
+
+    Attributes
+    ----------
+    structure : Structure
+        Which polynomials there are.
+    u : ndarray, shape (N, n_inputs)
+        Input, as measured.
+    rest : ndarray, shape (n_inputs,)
+        Its operating point.
+    influence : Influence or None
+        Loss; None: learnt.
+    offset : bool
+        Whether there is a constant.
+    R : float or None
+        Variance of the noise, if it is known.
+    dt : float or None
+        Sampling period in s.
+    moving : bool
+        Whether something may have been in motion when the recording began.
+    """
+
+    structure: Structure
+    u: Array
+    rest: Array
+    influence: Influence | None
+    offset: bool
+    R: float | None
+    dt: float | None
+    moving: bool = True
+
+
+def estimated(problem: Problem, y: Array) -> Model:
+    """Find the model of an output; its ``warning`` says what is doubtful.
+
+    Parameters
+    ----------
+    problem : Problem
+        What is to be found.
+    y : ndarray, shape (N,)
+        Output, NaN where it is missing.
+
+    Returns
+    -------
+    Model
+
+    Raises
+    ------
+    ValueError
+        If the recording is too short or does not excite the parameters.
+    """
+    structure, offset, known = problem.structure, problem.offset, problem.R
+    signal, missing = problem.u - problem.rest, np.isnan(y)
+    units = _Units.of(y, signal, offset)
+    model = PolynomialModel(structure, units.normal_output(y), signal / units.u, offset, problem.moving)
+    require_informative(model, missing)
+    with one_thread():
+        ranked = ends(model, missing, problem.influence, None if known is None else known / units.y**2)
+    best = ranked[0].end
+    output = _output(model, best)
+    endings = tuple(Ending(end.starts, excess, _apart(output, _output(model, end))) for end, excess in ranked)
+    # What the noise makes of the output of any model with so many parameters.
+    unsure = 100.0 * np.sqrt(structure.n_theta * best.noise.R / best.rows.sum()) / np.std(output)
+    doubt = _doubt(best, endings, max(_APART, 2.0 * unsure))
+    recorded = PolynomialModel(structure, best.y * units.y + units.centre, signal, offset, problem.moving)
+    # Where an outlier stood in the regressor: what was measured, less what stands there now.
+    replaced = np.where(best.outliers.wrong & ~missing, y - recorded.y, 0.0)
+    p = units.back(model, best.p)
+    found = _as_model(recorded, p, best, missing, replaced, units.y, known, endings, doubt)
+    return _with_inputs_from_zero(replace(found, dt=problem.dt), recorded, p, problem.rest)
+
+
+class _Units(NamedTuple):
+    """Where y has its zero, and how large y and each input are."""
+
+    centre: float
+    y: float
+    u: Array
+
+    @classmethod
+    def of(cls, y: Array, u: Array, offset: bool) -> _Units:
+        """Return the units of a recording, 1 for a signal that is always 0."""
+        values = y[~np.isnan(y)]
+        if values.size == 0:
+            values = np.zeros(1)
+        centre = float(np.median(values)) if offset else 0.0
+        scale = mad_scale(values - centre) or float(np.abs(values - centre).mean())
+        size = np.sqrt(np.mean(np.square(u), axis=0))
+        return cls(centre, scale or 1.0, np.where(size > 0.0, size, 1.0))
+
+    def normal_output(self, y: Array) -> Array:
+        """Return y from its centre in its scale, 0 where it is missing."""
+        return np.clip(np.nan_to_num((y - self.centre) / self.y, nan=0.0), -_LARGEST, _LARGEST)
+
+    def back(self, model: PolynomialModel, p: Array) -> Array:
+        """Return the free parameters for the recording as it was measured."""
+        places, n = model.structure.polynomials, model.structure.n_theta
+        p = p.copy()
+        for place, size in zip(places.b, self.u, strict=True):
+            p[place] *= self.y / size
+        p[n:] *= self.y
+        if model.offset:
+            p[n] += self.centre * (1.0 + p[places.a].sum())
+        return p
+
+
+def _as_model(
+    model: PolynomialModel,
+    p: Array,
+    end: End,
+    missing: Any,
+    replaced: Array,
+    unit: float,
+    R: float | None,
+    endings: tuple[Ending, ...],
+    doubt: str,
+) -> Model:
+    """Return what was found, for the recording as it was measured, its outliers and gaps interpolated."""
+    structure, n, rows = model.structure, model.structure.n_theta, end.rows
+    residual = model.residuals(p)
+    # One parameter more is one residual less to tell of the noise.
+    samples = int(rows.sum())
+    found = end.noise.R * unit**2
+    noise = replace(end.noise, R=found)
+    P = sandwich(*known_part(model, end._replace(p=p)), noise)
+    weights = np.full(missing.size, np.nan)
+    weights[model.first :] = noise.weights(residual)
+    weights[end.outliers.wrong] = 0.0
+    weights[missing] = np.nan
+    offset = float(p[n]) if model.offset else 0.0
+    total = R or found * samples / (samples - model.n)
+    return Model(
+        structure=structure,
+        theta=p[:n],
+        offset=offset,
+        P=P[:n, :n],
+        offset_std=float(np.sqrt(max(P[n, n], 0.0))) if model.offset else 0.0,
+        offset_covariance=P[:n, n] if model.offset else np.zeros(n),
+        has_offset=model.offset,
+        own_fit=_own_fit(model.y[model.first :], residual, rows),
+        noise=_as_measured(replace(noise, R=total), residual, replaced[model.first :], ~missing[model.first :]),
+        weights=weights,
+        log_likelihood=noise.log_likelihood(residual[rows]),
+        endings=endings,
+        warning=doubt,
+        memory=filled_memory(model, p),
+    )
+
+
+def _with_inputs_from_zero(model: Model, recorded: PolynomialModel, p: Array, rest: Array) -> Model:
+    """Return a model of inputs from their operating point for inputs as they were measured."""
+    if not rest.any():
+        return replace(model, operating_point=rest)
+    places, parts, n = recorded.structure.polynomials, recorded.parts(p), recorded.structure.n_theta
+    # What an input at its operating point adds to the constant, and its derivatives: gain = B(1)/F(1).
+    slope, total, F = np.zeros(n), 0.0, float(parts.f.sum())
+    for acting, b in zip(recorded.inputs, parts.b, strict=True):
+        at = float(rest[recorded.structure.polynomials.b.index(acting.place)])
+        slope[acting.place] = at / F
+        slope[places.f] -= at * b.sum() / F**2
+        total += at * float(b.sum()) / F
+    q = np.concatenate((p[: n + 1], np.zeros(recorded.nf)))
+    q[n + 1 : p.size] = p[n + 1 :]
+    q[n] -= total
+    # In the first samples 1/F has not yet brought the input to its operating point.
+    q[n + 1 :] += total * (np.cumsum(parts.f)[: recorded.nf] - F)
+    P, cross = model.P, model.offset_covariance
+    variance = model.offset_std**2 - 2.0 * slope @ cross + slope @ P @ slope
+    whole = PolynomialModel(recorded.structure, recorded.y, recorded.u + rest, True)
+    return replace(
+        model,
+        offset=float(q[n]),
+        offset_std=float(np.sqrt(max(float(variance), 0.0))),
+        offset_covariance=cross - P @ slope,
+        memory=filled_memory(whole, q),
+        operating_point=rest,
+    )
+
+
+def _as_measured(noise: Noise, residual: Array, replaced: Array, known: Any) -> Noise:
+    """Return the noise that the prediction will meet: of y as it was measured, outliers and all."""
+    if not replaced.any():
+        return noise
+    told = replace(noise, known=True).settled((residual + replaced)[known])
+    return replace(told, known=noise.known)
+
+
+def _own_fit(y: Array, residual: Array, rows: Any) -> float:
+    """Return the fit of the prediction on the ordinary samples among those that count."""
+    return ordinary_fit(y, y - residual, ordinary_samples(np.where(rows, residual, np.nan)))
+
+
+def _apart(best: Array, other: Array) -> float:
+    """Return how far another output is from the best one, in percent of that one's variation."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        difference = float(100.0 * np.std(other - best) / np.std(best))
+    return difference if np.isfinite(difference) else np.inf
+
+
+def _output(model: PolynomialModel, end: End) -> Array:
+    """Return what a model makes of the inputs alone, or without any what it predicts."""
+    if not model.inputs:
+        return end.y[model.first :] - end.residual
+    p = end.p.copy()
+    p[model.structure.n_theta :] = 0.0
+    return np.asarray(lfilter([1.0], model.parts(p).a, model.undisturbed(p)))
+
+
+def _doubt(best: End, endings: tuple[Ending, ...], apart: float) -> str:
+    """Say what makes the estimate doubtful, or nothing."""
+    for starts, excess, difference in endings[1:]:
+        if excess < _CLOSE and difference > apart:
+            return (
+                f"two models explain the recording almost equally well (log-likelihoods {excess:.1f} apart), and their "
+                f"outputs differ by {difference:.0f} %; a longer recording, a more exciting input or a smaller "
+                f"structure would decide. The other was found from: {', '.join(starts)}"
+            )
+    if not best.converged:
+        return "the search did not settle; the structure may have more parameters than the recording tells of"
+    return ""

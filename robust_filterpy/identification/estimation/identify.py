@@ -1,0 +1,142 @@
+"""identify: from a recording with outliers, gaps and an offset, in any unit, to a model; nothing told."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robust_filterpy import _checks
+from robust_filterpy.identification.estimation.estimate import Problem
+from robust_filterpy.identification.estimation.level import (
+    TRENDS,
+    beside_input_outliers,
+    beside_trend,
+    unlike_in_parts,
+    without_endless_motion,
+)
+from robust_filterpy.identification.models.findings import of_fill_values, said
+from robust_filterpy.identification.models.model import Model
+from robust_filterpy.identification.models.signals import filled_output, operating_point, recorded_input
+from robust_filterpy.identification.models.structures import Structure
+from robust_filterpy.identification.models.time_axis import recording
+from robust_filterpy.influence.functions import Influence
+
+__all__ = ["identify"]
+
+
+def identify(
+    y: ArrayLike,
+    u: ArrayLike | None,
+    structure: Structure,
+    *,
+    influence: Influence | None = None,
+    offset: bool = True,
+    R: float | None = None,
+    trend: str | None = None,
+) -> Model:
+    """Find the model of a recording with outliers, from nothing but the recording.
+
+    Minimises the robust loss of the prediction errors from several starts that need no guess, the noise learnt on the
+    way::
+
+        A(q) y = B(q)/F(q) u + offset + C(q)/D(q) v,   v ~ (1 - eps) N(0, R) + eps N(0, ratio^2 R)
+
+    Parameters
+    ----------
+    y : array_like, shape (N,)
+        Measured output; NaN where it is missing. A pandas Series has the index of u, in equal steps, which tell the
+        sampling period.
+    u : array_like, shape (N,) or (N, n_inputs), or None
+        Input; the rows phi(k) for a LinearRegression; None for a structure without input.
+    structure : Structure
+        Which polynomials there are, and their orders.
+    influence : influence function, optional
+        Loss of the prediction errors, in units of their robust scale. Default: the noise is learnt, as a mixture of two
+        normal distributions whose share, ratio and R are fitted with the model.
+    offset : bool, default True
+        Whether there is a constant, for outputs that are not measured from their rest.
+    R : float, optional
+        Variance of the ordinary noise, in the unit of y squared, if it is known.
+    trend : {"none", "constant", "line", "breaks"}, optional
+        What level y has beside the model: none (as ``offset=False``), a constant, a straight line, or a constant with
+        steps and ramps wherever the recording shows them. Default: "breaks", for a structure with inputs.
+
+    Returns
+    -------
+    Model
+
+    Raises
+    ------
+    ValueError
+        If the recording is too short for the structure or for its delay, y is all missing or constant, u does not
+        excite the parameters (the message names the order of excitation), or the indexes of pandas objects differ or
+        are not uniform.
+    TypeError
+        If an argument is of the wrong kind.
+
+    Warns
+    -----
+    UserWarning
+        If models that differ much explain the recording almost equally well; ``warning`` of the model says the same.
+        If y has fill values, or anything else is found in the recording; ``findings`` of the model say the same.
+
+    Notes
+    -----
+    Starts, search and choice are described in the modules `starts`, `prediction_error` and `search`. Nothing depends on
+    the units of y and u, nor, with ``offset=True``, on where y has its zero. What was in motion when the recording
+    began is estimated with the parameters of an OutputError; an ARX or ARMAX begins where its regressor does.
+
+    An outlier of y in an ARX or ARMAX stands in the regressor of the samples after it. Such samples are found by the
+    pattern they leave, and taken for missing (`cleaning`).
+
+    What the model does not explain, but repeats, lasts or never dies, is a finding: fill values are taken for missing,
+    steps and ramps of the level are taken off (`trend`; each must explain 6 log N in units of twice the
+    log-likelihood), and a motion from the beginning that would outlast the recording is left out. The level is that at
+    the end. Methods of the model that are given the same y take the trend off it and put it back.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from robust_filterpy.identification import OutputError
+    >>> from robust_filterpy.noise import EpsilonContaminated
+    >>> from robust_filterpy.plants import simulate_output_error
+    >>> u = np.random.default_rng(1).choice([-1.0, 1.0], 1000)
+    >>> noise = EpsilonContaminated(0.1, 0.3, 3.0)
+    >>> y = 20.0 + simulate_output_error([-1.5, 0.7, 1.0, 0.5], u, noise=noise, rng=2, na=2, nb=2).y
+    >>> model = identify(y, u, OutputError(2, 2))
+    >>> model.theta.round(1), round(model.offset)
+    (array([-1.5,  0.7,  1. ,  0.5]), 20)
+    """
+    if not isinstance(structure, Structure):
+        raise TypeError(f"structure: expected ARX(..), OutputError(..) or another structure, got {structure!r}")
+    if influence is not None and not isinstance(influence, Influence):
+        raise TypeError(f"influence: expected an influence function such as Huber(), got {influence!r}")
+    if not isinstance(offset, (bool, np.bool_)):
+        raise TypeError(f"offset: expected True or False, got {offset!r}")
+    if trend is not None:
+        _checks.option("trend", trend, TRENDS)
+        if not offset and trend != "none":
+            raise ValueError(f'trend: expected "none" with offset=False, got {trend!r}; leave offset out')
+    axis, y, u = recording(structure, y=y, u=u)
+    fills = filled_output(y)
+    signal = recorded_input(structure, u, fills.signal.size)
+    has_offset = bool(offset) and trend != "none"
+    moves = has_offset and not structure.takes_phi
+    rest = operating_point(signal) if moves else np.zeros(signal.shape[1])
+    known = None if R is None else _checks.positive("R", R)
+    problem = Problem(structure, signal, rest, influence, has_offset, known, axis.dt)
+    chosen = trend or ("breaks" if moves else "constant")
+    found, findings = beside_trend(problem, fills.signal, chosen, axis.index)
+    found, more = without_endless_motion(problem, fills.signal, found)
+    found, outliers = beside_input_outliers(problem, fills.signal, found)
+    findings = (*of_fill_values(fills), *findings, *more, *outliers)
+    if not outliers:
+        findings = (*findings, *unlike_in_parts(problem, fills.signal, found))
+    found = replace(found, findings=findings)
+    for words in (said(found.findings), found.warning):
+        if words:
+            warnings.warn(f"identify: {words}", stacklevel=2)
+    return found

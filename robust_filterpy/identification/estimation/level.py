@@ -1,0 +1,250 @@
+"""The model beside a level that breaks, and without a motion that never dies: kept where the likelihood says so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Final
+from zlib import crc32
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+from robust_filterpy.identification.estimation.estimate import Problem, estimated
+from robust_filterpy.identification.estimation.trend import PRICE, Trend, impulse_output, piecewise_level
+from robust_filterpy.identification.models.dependence import autocovariances, dependence, whitening_of
+from robust_filterpy.identification.models.findings import Finding
+from robust_filterpy.identification.models.model import Model
+from robust_filterpy.influence.regression import mad_scale
+
+__all__ = ["TRENDS", "beside_input_outliers", "beside_trend", "unlike_in_parts", "without_endless_motion"]
+
+TRENDS: Final = ("none", "constant", "line", "breaks")
+# In fewer samples a step and the dynamics cannot be told apart.
+_LEAST_SAMPLES: Final = 200
+_ROUNDS: Final = 3
+# A pole that leaves so much after the impulse response of `impulse_output` calls for a model of the differences.
+_SLOW: Final = 0.995
+# Motion counts if its size in the second half is this share of y's; it never dies if (1 - |pole|) N is below the other.
+_SMALL: Final = 0.05
+_ENDLESS: Final = 0.1
+# An input is far outside beyond so many half widths of nine tenths of its values; so many are no accident.
+_FAR_INPUT: Final = 2.5
+_FEWEST: Final = 4
+# Parts of a recording that are held against its inputs, and how long one may be.
+_PARTS: Final = 8
+_LEAST_PART: Final = 120
+_MOST_PART: Final = 400
+
+
+def beside_trend(problem: Problem, y: Array, trend: str, index: Any) -> tuple[Model, tuple[Finding, ...]]:
+    """Find the model of an output and of its trend.
+
+    Parameters
+    ----------
+    problem : Problem
+        What is to be found.
+    y : ndarray, shape (N,)
+        Output, NaN where it is missing.
+    trend : str
+        One of TRENDS.
+    index : pandas.Index or None
+        Times of the samples, to name breaks by.
+
+    Returns
+    -------
+    model : Model
+        With the trend, where there is one.
+    findings : tuple of Finding
+    """
+    plain = estimated(problem, y)
+    line = trend == "line"
+    searched = line or (trend == "breaks" and np.count_nonzero(~np.isnan(y)) >= _LEAST_SAMPLES)
+    if not searched or not plain.structure.n_inputs:
+        return plain, ()
+    best, kept, least = plain, None, plain.log_likelihood
+    for output in _starts(problem, y, plain):
+        found, level = _alternated(problem, y, output, line)
+        price = 0.5 * PRICE * np.log(y.size) * len(level.breaks)
+        if found is not None and (line or found.log_likelihood - price > least):
+            best, kept, least = found, level, found.log_likelihood - price
+    if kept is None:
+        return plain, ()
+    gain = 2.0 * (best.log_likelihood - plain.log_likelihood)
+    model = replace(best, trend=kept.values, fingerprint=fingerprint(y))
+    return model, () if line else tuple(_finding(one, index, gain, y.size) for one in kept.breaks)
+
+
+def without_endless_motion(problem: Problem, y: Array, model: Model) -> tuple[Model, tuple[Finding, ...]]:
+    """Find the model again from rest if what was in motion when the recording began would outlast it.
+
+    Parameters
+    ----------
+    problem : Problem
+        What is to be found.
+    y : ndarray, shape (N,)
+        Output, NaN where it is missing.
+    model : Model
+        With that motion.
+
+    Returns
+    -------
+    model : Model
+    findings : tuple of Finding
+    """
+    parts = model._parts()
+    slowest = float(np.abs(np.roots(parts.f)).max(initial=0.0)) if parts.f.size > 1 else 0.0
+    if not model.structure.n_inputs or abs(1.0 - slowest) * y.size >= _ENDLESS:
+        return model, ()
+    late = slice(y.size // 2, None)
+    motion = model.free_run(y, problem.u)[late] - model.simulate(problem.u)[late] - _trend(model, y)[late]
+    if np.sqrt(np.mean(np.square(motion))) < _SMALL * np.nanstd(y):
+        return model, ()
+    still = estimated(problem._replace(moving=False), y - _trend(model, y))
+    still = replace(still, trend=model.trend, fingerprint=model.fingerprint)
+    text = (
+        f"a pole at {slowest:.6g} would keep what was in motion when y began beyond its {y.size} samples, which cannot "
+        "tell it from none: the model begins at rest"
+    )
+    evidence = 2.0 * (still.log_likelihood - model.log_likelihood)
+    return still, (Finding("slow start", text, evidence, (0, y.size)),)
+
+
+def unlike_in_parts(problem: Problem, y: Array, model: Model) -> tuple[Finding, ...]:
+    """Find the parts of a recording in which what the model leaves follows the inputs.
+
+    Parameters
+    ----------
+    problem : Problem
+        What was to be found.
+    y : ndarray, shape (N,)
+        Output, NaN where it is missing.
+    model : Model
+        Of this recording.
+
+    Returns
+    -------
+    tuple of Finding
+        One, from the first of these parts to the last, or none.
+    """
+    span = max(_LEAST_PART, min(y.size // _PARTS, _MOST_PART))
+    if not model.structure.n_inputs or model.structure.takes_phi or y.size < 2 * span:
+        return ()
+    prediction = model.predict(y, problem.u)
+    residual = np.where(np.isnan(prediction), np.nan, y - prediction)
+    signals = np.column_stack((np.nan_to_num(prediction - _trend(model, y) - model.level), problem.u - problem.rest))
+    begins = np.arange(y.size % span, y.size - span + 1, span)
+    parts = begins[:, None] + np.arange(span)
+    found = dependence(residual[parts], signals[parts], whitening=whitening_of(autocovariances(residual)))
+    if not found.found.any():
+        return ()
+    where = begins[found.found]
+    first, last = int(where[0]), int(where[-1] + span)
+    text = (
+        f"between samples {first} and {last} up to {100 * float(found.share.max()):.0f} % of what the model leaves "
+        "follow u: the plant is another one there, a sensor is stuck, or the structure is too small"
+    )
+    evidence = float(-2.0 * np.log(np.maximum(found.chance.min(), np.finfo(float).tiny)))
+    return (Finding("another plant", text, evidence, (first, last)),)
+
+
+def beside_input_outliers(problem: Problem, y: Array, model: Model) -> tuple[Model, tuple[Finding, ...]]:
+    """Find the model again with values of u far outside the others held back, and keep it if it is much likelier.
+
+    Parameters
+    ----------
+    problem : Problem
+        What was to be found.
+    y : ndarray, shape (N,)
+        Output, NaN where it is missing.
+    model : Model
+        Of this recording.
+
+    Returns
+    -------
+    model : Model
+    findings : tuple of Finding
+    """
+    u = problem.u.copy()
+    if not u.shape[1] or model.structure.takes_phi:
+        return model, ()
+    low, middle, high = np.quantile(u, [0.05, 0.5, 0.95], axis=0)
+    far = np.abs(u - middle) > _FAR_INPUT * np.maximum(high - middle, middle - low)
+    far &= far.sum(axis=0) >= _FEWEST
+    if not far.any() or not (high > low).all():
+        return model, ()
+    for column, odd in zip(u.T, far.T, strict=True):
+        # The last ordinary value before each; at the beginning the first one.
+        last = np.maximum.accumulate(np.where(odd, -1, np.arange(odd.size)))
+        column[:] = column[np.where(last < 0, int(np.argmin(odd)), last)]
+    try:
+        other = estimated(problem._replace(u=u), y - _trend(model, y))
+    except ValueError:
+        return model, ()
+    gain = 2.0 * (other.log_likelihood - model.log_likelihood)
+    if gain < PRICE * np.log(y.size):
+        return model, ()
+    places = np.flatnonzero(far.any(axis=1))
+    text = (
+        f"u has {places.size} values far outside the others that y does not follow: the model is of the values before "
+        "them, held; give u as it acted"
+    )
+    found = Finding("input outliers", text, gain, (int(places[0]), int(places[-1]) + 1))
+    return replace(other, trend=model.trend, fingerprint=model.fingerprint), (found,)
+
+
+def fingerprint(y: Array) -> int:
+    """Return a number by which a recording is known again."""
+    return crc32(np.ascontiguousarray(y).tobytes())
+
+
+def _trend(model: Model, y: Array) -> Array:
+    """Return the trend of a model's recording, 0 if it has none."""
+    return model.trend if model.trend.size else np.zeros(y.size)
+
+
+def _starts(problem: Problem, y: Array, plain: Model) -> Any:
+    """Yield outputs that no level disturbs."""
+    yield impulse_output(y, problem.u)
+    parts = plain._parts()
+    if np.abs(np.roots(np.convolve(parts.a, parts.f))).max(initial=0.0) > _SLOW:
+        try:
+            differences = problem._replace(u=np.diff(problem.u, axis=0), rest=np.zeros(problem.rest.size))
+            found = estimated(differences, np.diff(y))
+        except ValueError:
+            return
+        yield replace(found, operating_point=problem.rest).simulate(problem.u)
+
+
+def _alternated(problem: Problem, y: Array, output: Array, line: bool) -> tuple[Model | None, Trend]:
+    """Find level and model in turns until the breaks stay where they are."""
+    level, model, before = Trend(np.zeros(y.size), ()), None, None
+    for _ in range(_ROUNDS):
+        now = piecewise_level(y - output, line=line)
+        times = [(b.kind, b.time) for b in now.breaks]
+        if not times:
+            return None, now
+        if times == before and not line:
+            break
+        level, before = now, times
+        model = estimated(problem, y - level.values)
+        output = _output_of(model, y - level.values, problem.u)
+    return model, level
+
+
+def _output_of(model: Model, y: Array, u: Array) -> Array:
+    """Return a model's output, with the motion in which it began if that dies."""
+    rest, run = model.simulate(u), model.free_run(y, u)
+    motion, known = run - rest, ~np.isnan(run)
+    late = motion[y.size // 2 :]
+    dies = np.sqrt(np.mean(np.square(late))) < _SMALL * mad_scale(y[~np.isnan(y)] - np.nanmedian(y))
+    return np.where(known & dies, np.nan_to_num(run), rest)
+
+
+def _finding(found: Any, index: Any, gain: float, samples: int) -> Finding:
+    """Return a break in words."""
+    when = f"sample {found.time}" + ("" if index is None else f" ({index[found.time]})")
+    if found.kind == "step":
+        text = f"the level of y steps by {found.size:.4g} at {when}"
+    else:
+        text = f"the level of y changes by {found.size:.4g} a sample from {when} on"
+    return Finding(found.kind, f"{text}; taken off", min(found.evidence, gain), (found.time, samples))

@@ -1,0 +1,298 @@
+"""From several starts to one estimate: the search from each, and which end to believe."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from scipy.signal import lfilter
+
+from robust_filterpy._checks import Array
+from robust_filterpy.identification.estimation.cleaning import Outliers, found_outliers
+from robust_filterpy.identification.estimation.excitation_check import require_informative
+from robust_filterpy.identification.estimation.missing import Unknowns, completed, response, touched
+from robust_filterpy.identification.estimation.prediction_error import Optimum, minimised
+from robust_filterpy.identification.estimation.starts import (
+    Start,
+    autocorrelation_start,
+    disturbance_start,
+    output_error_starts,
+    regression_start,
+    whitened,
+)
+from robust_filterpy.identification.models.learnt_noise import ContaminatedNormal, Noise
+from robust_filterpy.identification.models.polynomial_model import PolynomialModel
+from robust_filterpy.identification.models.structures import OutputError
+from robust_filterpy.influence.functions import Huber, Influence
+from robust_filterpy.influence.regression import mad_scale
+
+__all__ = ["End", "Ranked", "ends", "known_part"]
+
+# An outlier in the regressor changes the residuals, and these show which samples are outliers.
+_MOST_CLEANINGS: Final = 10
+_FIRST_CLEANINGS: Final = 2
+# Unknown samples and parameters determine each other: so many turns of so many steps, or until the residuals move by
+# less than this share.
+_FEW_MAXIMISATIONS: Final = 3
+_MOST_MAXIMISATIONS: Final = 30
+_STEPS_BETWEEN: Final = 2
+_SETTLED: Final = 1e-5
+# Ends whose residuals differ by less than this share of their size are the same.
+_SAME: Final = 1e-3
+
+# A recording with measured outputs in its regressor, where each cleaning takes its time, is searched in so many samples
+# of its middle; ends so much less likely there are not followed in the whole.
+_MOST_SEARCHED: Final = 4000
+_HOPELESS: Final = 30.0
+
+# Variance of the noise, of an output of unit size, that is rounding.
+_LEAST: Final = 1e-24
+
+
+class End(NamedTuple):
+    """Where the search ended.
+
+    Attributes
+    ----------
+    starts : tuple of str
+        The starts that led here.
+    p : ndarray, shape (n,)
+        Free parameters.
+    noise : Noise
+        Noise of the residuals.
+    y : ndarray, shape (N,)
+        Output with wrong and missing samples interpolated.
+    outliers : Outliers
+        Which samples these are.
+    rows : ndarray of bool, shape (N - first,)
+        Which residuals count.
+    residual : ndarray, shape (N - first,)
+        Residuals of ``y``.
+    converged : bool
+        Whether the search ended by itself.
+    """
+
+    starts: tuple[str, ...]
+    p: Array
+    noise: Noise
+    y: Array
+    outliers: Outliers
+    rows: Any
+    residual: Array
+    converged: bool
+
+
+class Ranked(NamedTuple):
+    """An end, and how much worse than the best it is, in units of log-likelihood."""
+
+    end: End
+    excess: float
+
+
+def ends(model: PolynomialModel, missing: Any, influence: Influence | None, R: float | None) -> list[Ranked]:
+    """Search from every start.
+
+    Parameters
+    ----------
+    model : PolynomialModel
+        With an output of about unit size, any numbers where it is missing.
+    missing : ndarray of bool, shape (N,)
+        Where it is.
+    influence : Influence or None
+        Loss; None: Huber's first, then that of the noise as it is learnt.
+    R : float or None
+        Variance of the noise, if it is known.
+
+    Returns
+    -------
+    list of Ranked
+        Ends that differ, the best first.
+    """
+    if model.na and not model.nf and model.y.size > 2 * _MOST_SEARCHED:
+        return _ends_of_long(model, missing, influence, R)
+    noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, _LEAST)
+    turns = _FIRST_CLEANINGS if influence is None else _MOST_CLEANINGS
+    found = [_searched(model, s.p, noise, missing, (s.name,), turns) for s in _starts(model, missing, noise)]
+    ranked = _best_first(model, missing, found)
+    if influence is not None:
+        return ranked
+    mixed = [(end, replace(end.noise, influence=ContaminatedNormal())) for end, _ in ranked]
+    found = [_searched(model, end.p, noise, missing, end.starts, _MOST_CLEANINGS) for end, noise in mixed]
+    return _best_first(model, missing, found)
+
+
+def _ends_of_long(model: PolynomialModel, missing: Any, influence: Influence | None, R: float | None) -> list[Ranked]:
+    """Search from every start in the middle of a long recording, and from what is found there in all of it."""
+    begin = (model.y.size - _MOST_SEARCHED) // 2
+    part = slice(begin, begin + _MOST_SEARCHED)
+    inner = PolynomialModel(model.structure, model.y[part], model.u[part], model.offset, model.moving)
+    try:
+        require_informative(inner, missing[part])
+        ranked = ends(inner, missing[part], influence, R)
+    except ValueError:
+        # The middle tells nothing: an input that stood still there, or a gap.
+        inner = PolynomialModel(model.structure, model.y, model.u, model.offset, model.moving)
+        noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, _LEAST)
+        starts = list(_starts(model, missing, noise))
+        ranked = [Ranked(_searched(model, s.p, noise, missing, (s.name,), 1), 0.0) for s in starts]
+        if influence is None:
+            mixed = ContaminatedNormal()
+            ranked = [Ranked(end._replace(noise=replace(end.noise, influence=mixed)), e) for end, e in ranked]
+    chosen = [end for end, excess in ranked if excess < _HOPELESS]
+    found = [_searched(model, end.p, end.noise, missing, end.starts, _FIRST_CLEANINGS) for end in chosen]
+    return _best_first(model, missing, found)
+
+
+def known_part(model: PolynomialModel, end: End) -> tuple[Array, Array]:
+    """Return the derivatives of the residuals that count less what unknown outputs could make of them, and residuals.
+
+    Parameters
+    ----------
+    model : PolynomialModel
+        With the output of the end, in any unit.
+    end : End
+        Parameters, and which outputs are unknown.
+
+    Returns
+    -------
+    derivatives : ndarray, shape (number of residuals that count, n)
+        Without the part that corrections of unknown outputs explain.
+    residual : ndarray, shape (number of residuals that count,)
+        As large as they would be, had not the unknown outputs been chosen to make them small.
+    """
+    derivatives, residual, h = model.jacobian(end.p), model.residuals(end.p), response(model, end.p)
+    if h.size > 1 and end.outliers.wrong.any():
+        unknowns = Unknowns(derivatives, h, end.outliers.wrong, end.noise.weights(end.residual), model.first)
+        derivatives = unknowns.residual
+        residual = residual / np.sqrt(np.maximum(1.0 - unknowns.leverages(), 1e-3))
+    return derivatives[end.rows], residual[end.rows]
+
+
+def _searched(
+    model: PolynomialModel, p: Array, noise: Noise, missing: Any, starts: tuple[str, ...], cleanings: int
+) -> End:
+    """Minimise the loss from p on, looking for outliers again as often as the parameters change what is one."""
+    outliers = found_outliers(model, p, missing, noise)
+    for _ in range(cleanings):
+        found, _ = _maximised(model, p, noise, outliers, _FEW_MAXIMISATIONS)
+        p, noise = found.p, found.noise
+        again = found_outliers(model, p, missing, noise, outliers)
+        settled = np.array_equal(again.wrong, outliers.wrong)
+        outliers = again
+        if settled:
+            break
+    found, full = _maximised(model, p, noise, outliers, _MOST_MAXIMISATIONS)
+    rows = _counting(full, full is model, outliers.wrong)
+    return End(starts, found.p, found.noise, full.y, outliers, rows, found.residual, found.converged)
+
+
+def _maximised(
+    model: PolynomialModel, p: Array, noise: Noise, outliers: Outliers, turns: int
+) -> tuple[Optimum, PolynomialModel]:
+    """Minimise the loss with outliers in the regressor as unknowns, which take turns with the parameters."""
+    if not (outliers.wrong.any() and response(model, p).size > 1):
+        rows = _counting(model, True, outliers.wrong)
+        return minimised(model, p, noise, rows, rows), model
+    weights = outliers.counts.astype(float)
+    for _ in range(turns):
+        full = completed(model, p, outliers.wrong, weights)
+        clear = full.conditioned & ~touched(outliers.wrong, response(model, p), model.first)
+        found = minimised(full, p, noise, full.conditioned, clear, _STEPS_BETWEEN)
+        moved = np.linalg.norm(found.residual - full.residuals(p))
+        p, noise, weights = found.p, found.noise, found.noise.weights(found.residual)
+        if moved <= _SETTLED * np.linalg.norm(found.residual):
+            break
+    return found._replace(converged=True), full
+
+
+def _counting(model: PolynomialModel, measured: bool, unknown: Any) -> Any:
+    """Return which residuals count: all of an interpolated output, else those of samples that are measured."""
+    return model.conditioned & ~unknown[model.first :] if measured else model.conditioned
+
+
+def _best_first(model: PolynomialModel, missing: Any, found: list[End]) -> list[Ranked]:
+    """Sort ends by what the data say for them, and join those that are the same.
+
+    Of two optima with the same loss the wider one is the likelier (Laplace's approximation of the evidence): a narrow
+    one fits this recording with a pole next to the unit circle that no other recording shows. Where two optima are
+    nearly as good for a robust loss, the noise that their residuals show still tells them apart.
+    """
+    likeliest = min(found, key=lambda end: end.noise.R)
+    noise = likeliest.noise
+    if noise.has_outliers and not isinstance(noise.influence, ContaminatedNormal):
+        shown = likeliest.residual[likeliest.rows]
+        noise = replace(noise, influence=ContaminatedNormal()).settled(shown)
+    threshold = min(end.outliers.threshold for end in found)
+    losses = []
+    for end in found:
+        jacobian, _ = known_part(model.with_output(end.y), end)
+        root = np.sqrt(noise.weights(end.residual[end.rows]) / noise.R)
+        # Offset and start first: what follows on the diagonal is what the data tell of theta without knowing them.
+        backwards = np.asarray(np.linalg.qr(jacobian[:, ::-1] * root[:, None], mode="r"))
+        diagonal = np.abs(np.diag(backwards))[-model.structure.n_theta :]
+        information = np.log(np.maximum(diagonal, np.finfo(float).tiny)).sum()
+        price = 0.5 * threshold**2 * (end.outliers.wrong.sum() - missing.sum())
+        losses.append(noise.cost(end.residual[end.rows]) + price + information)
+    ranked: list[Ranked] = []
+    for i in np.argsort(losses, kind="stable"):
+        for j, (end, excess) in enumerate(ranked):
+            if mad_scale(end.residual - found[i].residual) < _SAME * np.sqrt(noise.R):
+                ranked[j] = Ranked(end._replace(starts=(*end.starts, *found[i].starts)), excess)
+                break
+        else:
+            ranked.append(Ranked(found[i], float(losses[i] - min(losses))))
+    return ranked
+
+
+def _starts(model: PolynomialModel, missing: Any, noise: Noise) -> Iterator[Start]:
+    """Yield the starts that suit the structure."""
+    order = max(model.na, model.nf)
+    known = ~np.convolve(missing, np.ones(model.na + 1))[model.first : missing.size].astype(bool)
+    if not model.nf:
+        yield regression_start(model, known)
+    if not order:
+        return
+    if not model.inputs:
+        yield autocorrelation_start(model, known)
+        return
+    nb, nk = zip(*model.structure.inputs, strict=True)
+    simple = PolynomialModel(OutputError(order, nb, nk), model.y, model.u, model.offset, model.moving)
+    starts = output_error_starts(simple, ~missing[simple.first :])
+    if model.structure.polynomials == simple.structure.polynomials:
+        yield from starts
+        return
+    best = _best_of(simple, missing, noise, starts)
+    yield Start("output-error model", model.from_output_error(simple.parts(best)))
+    if model.nf + model.nd:
+        yield from _whitened_starts(model, simple, best, missing, noise)
+
+
+def _whitened_starts(
+    model: PolynomialModel, simple: PolynomialModel, p: Array, missing: Any, noise: Noise
+) -> Iterator[Start]:
+    """Yield starts of a model with a disturbance, from output-error models of whitened signals."""
+    known = ~missing[simple.first :]
+    q = model.from_output_error(simple.parts(p))
+    yield disturbance_start("output-error model and its disturbance", model, q, known)
+    order = model.structure.nd + 2 * model.structure.nc
+    for name, polynomial in (
+        ("whitened by the disturbance", whitened(simple, p, known, order)),
+        ("differences", np.array([1.0, -1.0])),
+    ):
+        first = polynomial.size - 1
+        y, u = (lfilter(polynomial, [1.0], signal, axis=0)[first:] for signal in (simple.y, simple.u))
+        gaps = np.convolve(missing, np.ones(first + 1))[first : missing.size] > 0.5
+        filtered = PolynomialModel(simple.structure, y, u, simple.offset, simple.moving)
+        q = _best_of(filtered, gaps, noise, output_error_starts(filtered, ~gaps[filtered.first :]))
+        q[simple.structure.n_theta :] = 0.0
+        if model.offset:
+            q[simple.structure.n_theta] = np.median(simple.equation_error(q)[known])
+        yield disturbance_start(name, model, model.from_output_error(simple.parts(q)), known)
+
+
+def _best_of(model: PolynomialModel, missing: Any, noise: Noise, starts: Iterator[Start]) -> Array:
+    """Return the free parameters of the best end from some starts."""
+    ends = [_searched(model, start.p, noise, missing, (start.name,), 1) for start in starts]
+    return _best_first(model, missing, ends)[0].end.p

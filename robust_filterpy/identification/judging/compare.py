@@ -1,0 +1,187 @@
+"""compare: which of several models agrees best with a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+from robust_filterpy._pictures import drawn
+from robust_filterpy.identification.models.fit import ordinary_fit, ordinary_samples
+from robust_filterpy.identification.models.model import Model
+from robust_filterpy.identification.models.signals import recorded_output
+from robust_filterpy.identification.models.time_axis import recording, table
+from robust_filterpy.identification.models.transfer_model import as_model
+
+if TYPE_CHECKING:
+    import control
+
+__all__ = ["Compared", "Comparison", "compare"]
+
+
+class Compared(NamedTuple):
+    """One model of a comparison.
+
+    Attributes
+    ----------
+    name : str
+        Its name.
+    fit : float
+        Fit of the output from inputs alone, in percent on ordinary samples; without input that of one step ahead.
+    one_step : float
+        Fit one step ahead on ordinary samples.
+    all : float
+        The first fit on all samples.
+    """
+
+    name: str
+    fit: float
+    one_step: float
+    all: float
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Models on one recording, the best first.
+
+    Attributes
+    ----------
+    rows : tuple of Compared
+        Sorted by their fit on ordinary samples.
+    measured : ndarray, shape (N,)
+        Measured output; NaN where it is missing.
+    outputs : dict of str to ndarray, shape (N,)
+        Output of each model that its fit is of, the best first.
+    samples : int
+        How many measured samples all of them predict.
+    ordinary : int
+        How many of these are ordinary: within three standard deviations of the noise of the model with the least.
+    index : pandas.Index or None
+        When the samples were taken, if the recording was a pandas object.
+    """
+
+    rows: tuple[Compared, ...]
+    measured: Array
+    outputs: dict[str, Array]
+    samples: int
+    ordinary: int
+    index: Any = None
+
+    def plot(self, **options: Any) -> Any:
+        """Draw the outputs over the measured one.
+
+        Parameters
+        ----------
+        **options : dict, optional
+            Of `robust_filterpy.plotting.plot_comparison`.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        return drawn("plot_comparison", self, options)
+
+    def to_frame(self) -> Any:
+        """Return the table as a pandas DataFrame, a row for each model.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        columns = {field: [getattr(row, field) for row in self.rows] for field in Compared._fields[1:]}
+        return table(columns, [row.name for row in self.rows], "model")
+
+    def to_text(self) -> str:
+        """Return the table.
+
+        Returns
+        -------
+        str
+        """
+        width = max(10, *(len(row.name) for row in self.rows)) + 2
+        lines = [f"{'model':<{width}}{'fit, %':>10}{'1 step':>10}{'all':>10}"]
+        lines += [f"{row.name:<{width}}{row.fit:>10.2f}{row.one_step:>10.2f}{row.all:>10.2f}" for row in self.rows]
+        return "\n".join([*lines, f"fits on {self.ordinary} ordinary samples, and on all {self.samples}"])
+
+    def __str__(self) -> str:
+        """Return the table."""
+        return self.to_text()
+
+
+def compare(
+    models: Mapping[str, Model | control.TransferFunction], y: ArrayLike, u: ArrayLike | None = None
+) -> Comparison:
+    """Rank models by their fit on the ordinary samples of one recording.
+
+    Parameters
+    ----------
+    models : mapping of str to Model or control.TransferFunction
+        Models by name; transfer functions as `validate` takes them.
+    y : array_like, shape (N,)
+        Measured output; NaN where it is missing.
+    u : array_like, shape (N,) or (N, n_inputs), optional
+        Input.
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    ValueError
+        If there is no model, or y or u does not fit one of them.
+    TypeError
+        If models is no mapping to such models.
+
+    Notes
+    -----
+    Every model is judged on the same samples: those that all predict, and of these the ones that are ordinary to the
+    model whose residuals have the least median size.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from robust_filterpy.identification import FIR, identify
+    >>> rng = np.random.default_rng(1)
+    >>> u = rng.choice([-1.0, 1.0], 300)
+    >>> y = np.concatenate(([0.0], 2.0 * u[:-1])) + 0.1 * rng.normal(size=300)
+    >>> y[::20] += 30.0
+    >>> found = compare({"right": identify(y, u, FIR(1)), "late": identify(y, u, FIR(1, nk=2))}, y, u)
+    >>> [row.name for row in found.rows]
+    ['right', 'late']
+    """
+    if not isinstance(models, Mapping):
+        raise TypeError(f'models: expected {{"name": model, ..}}, got {_checks.shown(models)}')
+    if not models:
+        raise ValueError("models: expected at least one model, got none")
+    found = {name: as_model(f"models[{name!r}]", model, y, u) for name, model in models.items()}
+    axis, y, u = recording(next(iter(found.values())).structure, y=y, u=u)
+    for model in found.values():
+        axis.require_period(model.dt)
+    measured = recorded_output(y)
+    residuals = {name: model.residuals(measured, u) for name, model in found.items()}
+    shared = ~np.any(np.isnan(list(residuals.values())), axis=0)
+    if not shared.any():
+        raise ValueError("y: expected measured samples that all models predict, got none; record more")
+    closest = min(residuals.values(), key=lambda residual: float(np.median(np.abs(residual[shared]))))
+    ordinary = ordinary_samples(np.where(shared, closest, np.nan))
+    rows, outputs = [], {}
+    for name, model in found.items():
+        ahead = measured - residuals[name]
+        output = model.free_run(measured, u) if model.structure.n_inputs else ahead
+        outputs[str(name)] = output
+        fits = (ordinary_fit(measured, *pair) for pair in ((output, ordinary), (ahead, ordinary), (output, shared)))
+        rows.append(Compared(str(name), *fits))
+    rows.sort(key=lambda row: -row.fit if np.isfinite(row.fit) else np.inf)
+    outputs = {row.name: outputs[row.name] for row in rows}
+    return Comparison(tuple(rows), measured, outputs, int(shared.sum()), int(ordinary.sum()), axis.index)

@@ -1,0 +1,526 @@
+"""select_structure: the orders and the delay of a model, by a robust information criterion.
+
+All structures are compared on the same samples: the recording is cut for each of them such that its first residual
+belongs to the same sample. Their residuals have the noise that `learnt_noise` learns from them, by the same rule:
+
+    criterion = -2 log-likelihood + price n,   price = log(samples) for "bic", 2 for "aic"
+
+An outlier costs a bounded number of units of log-likelihood, whichever model it is held against (Ronchetti 1985,
+Machado 1993): a residual beyond all that y varies counts as one of that size, and an outlier that an ARX or ARMAX holds
+in its regressor costs what `cleaning` asks of one.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import norm
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+from robust_filterpy._pictures import drawn
+from robust_filterpy._progress import progress_bar
+from robust_filterpy.identification.estimation.cleaning import THRESHOLDS
+from robust_filterpy.identification.estimation.identify import identify
+from robust_filterpy.identification.models.fit import ordinary_fit, ordinary_samples
+from robust_filterpy.identification.models.learnt_noise import likelihood_of_mixture
+from robust_filterpy.identification.models.model import Model
+from robust_filterpy.identification.models.signals import recorded_input, recorded_output
+from robust_filterpy.identification.models.structures import (
+    AR,
+    ARMA,
+    ARMAX,
+    ARX,
+    FIR,
+    FORMS,
+    BoxJenkins,
+    OutputError,
+    Structure,
+)
+from robust_filterpy.identification.models.time_axis import recording, table
+from robust_filterpy.influence.regression import mad_scale
+
+__all__ = ["Candidate", "ImpulseResponse", "Selection", "select_structure"]
+
+_Kind = Callable[..., Structure]
+_KINDS: Final[tuple[_Kind, ...]] = (OutputError, ARX, ARMAX, FIR, BoxJenkins, ARMA, AR)
+
+_CRITERIA: Final = {"bic": math.log, "aic": lambda samples: 2.0}
+# So many samples of the impulse response after the longest delay, and so many measured samples for each of them.
+_TAIL: Final = 30
+_SAMPLES_EACH: Final = 5
+# Chance that noise alone leaves the band of the impulse response anywhere.
+_FALSE_DELAY: Final = 0.05
+# What lies so many times outside the band is no accident.
+_SURE: Final = 2.0
+# A larger residual, in standard deviations of y, is as wild as this one.
+_WILD: Final = 10.0
+
+
+class Candidate(NamedTuple):
+    """One structure of the table.
+
+    Structures whose first b is worth its price come before those whose first b is 0 within the noise.
+
+    Attributes
+    ----------
+    structure : Structure
+        The structure.
+    criterion : float
+        Its information criterion; the least is the best.
+    fit : float
+        Fit of the output from inputs alone, or without input of the prediction one step ahead, on ordinary samples.
+    log_likelihood : float
+        Of the prediction errors on the samples that all structures share.
+    shows_delay : bool
+        Whether the first b is as many standard deviations from 0 as the criterion asks of a further parameter. Without
+        it the delay of the structure is shorter than the recording shows.
+    held_out_fit : float
+        Fit on the ordinary samples of the part that was held out, by the model of the part before; NaN if none was.
+    """
+
+    structure: Structure
+    criterion: float
+    fit: float
+    log_likelihood: float
+    shows_delay: bool
+    held_out_fit: float = math.nan
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """By which the table is sorted."""
+        return not self.shows_delay, self.criterion
+
+
+class ImpulseResponse(NamedTuple):
+    """What the output does after a unit impulse of the input, by robust regression.
+
+    Attributes
+    ----------
+    lags : ndarray of int, shape (n,)
+        Samples after the impulse.
+    values : ndarray, shape (n,)
+        Response, in units of y over u.
+    band : ndarray, shape (n,)
+        Where the response is 0, the values of all lags lie within -+ band with a probability of 95 %.
+    """
+
+    lags: Any
+    values: Array
+    band: Array
+
+    @property
+    def delay(self) -> int | None:
+        """The first lag outside the band, None if there is none."""
+        return self._first_outside(1.0)
+
+    @property
+    def sure_delay(self) -> int | None:
+        """The first lag far outside the band, None if there is none."""
+        return self._first_outside(_SURE)
+
+    def _first_outside(self, bands: float) -> int | None:
+        """Return the first lag outside so many bands."""
+        outside = np.abs(self.values) > bands * self.band
+        return int(self.lags[outside.argmax()]) if outside.any() else None
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Structures of a recording, the best first.
+
+    Attributes
+    ----------
+    rows : tuple of Candidate
+        The structures that were tried, sorted by their criterion.
+    best : Model
+        The model of the first, identified from the whole recording.
+    criterion : str
+        "bic" or "aic".
+    samples : int
+        How many samples the structures were compared on.
+    impulse_response : ImpulseResponse or None
+        What the search for the delay began with; None without input, or where the input excites too little for it.
+    """
+
+    rows: tuple[Candidate, ...]
+    best: Model
+    criterion: str
+    samples: int
+    impulse_response: ImpulseResponse | None
+
+    def plot(self, **options: Any) -> Any:
+        """Draw fit and criterion against complexity.
+
+        Parameters
+        ----------
+        **options : dict, optional
+            Of `robust_filterpy.plotting.plot_structure_selection`.
+
+        Returns
+        -------
+        ndarray of matplotlib.axes.Axes
+        """
+        return drawn("plot_structure_selection", self, options)
+
+    def to_frame(self) -> Any:
+        """Return the whole table as a pandas DataFrame, the best first.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each structure: criterion, above_best, fit, log_likelihood, shows_delay, held_out_fit, parameters.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        fields = ("criterion", "fit", "log_likelihood", "shows_delay", "held_out_fit")
+        columns: dict[str, Any] = {name: [getattr(row, name) for row in self.rows] for name in fields}
+        columns["above_best"] = [row.criterion - self.rows[0].criterion for row in self.rows]
+        columns["parameters"] = [row.structure.n_theta for row in self.rows]
+        return table(columns, [str(row.structure) for row in self.rows], "structure")
+
+    def to_text(self, rows: int = 10) -> str:
+        """Return the first rows as a table.
+
+        Parameters
+        ----------
+        rows : int, default 10
+            How many.
+
+        Returns
+        -------
+        str
+        """
+        held_out = not math.isnan(self.rows[0].held_out_fit)
+        lines = [f"{'structure':<38}{self.criterion:>12}{'above best':>12}{'fit, %':>9}{'log-likelihood':>16}"]
+        lines[0] += f"{'held out, %':>13}" if held_out else ""
+        for row in self.rows[: _checks.count("rows", rows, 1)]:
+            above = row.criterion - self.rows[0].criterion
+            values = f"{row.criterion:>12.1f}{above:>12.1f}{row.fit:>9.2f}{row.log_likelihood:>16.1f}"
+            values += f"{row.held_out_fit:>13.2f}" if held_out else ""
+            lines.append(f"{row.structure!s:<38}{values}{'' if row.shows_delay else '  first b is 0'}")
+        return "\n".join(lines)
+
+    def __str__(self) -> str:
+        """Return the table."""
+        return self.to_text()
+
+
+def select_structure(
+    y: ArrayLike,
+    u: ArrayLike | None,
+    kind: _Kind = OutputError,
+    na: Iterable[int] | None = None,
+    nb: Iterable[int] | None = None,
+    nc: Iterable[int] | None = None,
+    nd: Iterable[int] | None = None,
+    nf: Iterable[int] | None = None,
+    nk: Iterable[int] | None = None,
+    criterion: str = "bic",
+    held_out: float = 0.0,
+    progress: bool | None = None,
+) -> Selection:
+    """Find the orders and the delay of a recording with outliers.
+
+    Parameters
+    ----------
+    y : array_like, shape (N,)
+        Measured output; NaN where it is missing.
+    u : array_like, shape (N,) or (N, 1), or None
+        Input; None for an AR or ARMA, or an ARX or ARMAX without input.
+    kind : function, default OutputError
+        OutputError, ARX, ARMAX, FIR, BoxJenkins, ARMA or AR.
+    na, nf : iterable of int, optional
+        Numbers of a's, of a BoxJenkins of f's, to try. Default: range(1, 5).
+    nb, nc : iterable of int, optional
+        Numbers of b's and c's to try. Default: as many as a's; of a BoxJenkins as many b's as f's, and range(3) for nc,
+        of a FIR range(1, 5).
+    nd : iterable of int, optional
+        Numbers of d's of a BoxJenkins to try. Default: range(3).
+    nk : iterable of int, optional
+        Delays to try. Default: range(9).
+    criterion : {"bic", "aic"}, default "bic"
+        "bic" finds the true structure of a long recording, "aic" prefers predictions to parsimony.
+    held_out : float, default 0
+        Share of the recording, at its end, that the structures are compared without, in [0, 0.5]: how well each model
+        of the part before fits it stands in the table beside the criterion, which decides.
+    progress : bool, optional
+        Show a progress bar (tqdm) on standard error: True always, False never, None if that is a terminal.
+
+    Returns
+    -------
+    Selection
+        What was tried, the best first, and the best model.
+
+    Raises
+    ------
+    ValueError
+        If a range is empty or of an order that the kind has not, kind or criterion is unknown, held_out is out of
+        range, u has several inputs or is missing, or the recording is too short for the largest structure.
+    TypeError
+        If an order is no integer.
+    ImportError
+        If `progress` is True and tqdm is missing.
+
+    Notes
+    -----
+    A robust impulse response tells the delay first: its first sample outside its band, and the first far outside.
+    All orders are tried with these delays, then the neighbours of the best (an order or the delay one more or one
+    less), until none is better. A first b too small for the band is found then, by the likelihood. A structure
+    whose first b is 0 within the noise comes after all others: it has a longer delay. Where the input does not
+    excite a long impulse response, all delays are tried with all orders.
+
+    References
+    ----------
+    .. [1] Ronchetti, E. Robust model selection in regression. Statistics & Probability Letters 3 (1985) 21-23.
+    .. [2] Machado, J. A. F. Robust model selection and M-estimation. Econometric Theory 9 (1993) 478-493.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from robust_filterpy.noise import EpsilonContaminated
+    >>> from robust_filterpy.plants import simulate_output_error
+    >>> u = np.random.default_rng(1).choice([-1.0, 1.0], 1000)
+    >>> noise = EpsilonContaminated(0.1, 0.3, 3.0)
+    >>> y = simulate_output_error([-1.5, 0.7, 1.0, 0.5], u, noise=noise, rng=3, na=2, nb=2).y
+    >>> y = np.concatenate((np.zeros(3), y[:-3]))
+    >>> select_structure(y, u, na=range(1, 4)).best.structure
+    OutputError(na=2, nb=2, nk=4)
+    """
+    _checks.option("criterion", criterion, _CRITERIA)
+    grid = _Grid.of(kind, {"na": na, "nb": nb, "nc": nc, "nd": nd, "nf": nf, "nk": nk}, u is not None)
+    axis, y, u = recording(None, y=y, u=u)
+    measured = recorded_output(y)
+    signal = np.zeros((measured.size, 0)) if u is None else _one_input(u, measured.size)
+    if not 0.0 <= _checks.real("held_out", held_out) <= 0.5:
+        raise ValueError(f"held_out: expected a share in [0, 0.5], got {held_out!r}")
+    kept = measured.size - round(held_out * measured.size)
+    bar = progress_bar(None, progress, " structures")
+    comparison = _Comparison(grid, measured, signal, criterion, kept, bar)
+    response = None if u is None else _impulse_response(measured[:kept], signal[:kept], grid)
+    delays = set() if response is None else {response.delay, response.sure_delay} - {None}
+    for orders in grid.beginning(delays):
+        comparison.try_out(orders)
+    best = None
+    while best != comparison.best:
+        best = comparison.best
+        for orders in grid.neighbours(best):
+            comparison.try_out(orders)
+    bar.close()
+    model = replace(identify(measured, None if u is None else signal, grid.structure(best)), dt=axis.dt)
+    return Selection(comparison.rows(), model, criterion, comparison.samples, response)
+
+
+_Orders = tuple[int, ...]
+
+
+class _Grid(NamedTuple):
+    """What may be tried: values of each argument of a constructor, None for as many as the first of them."""
+
+    kind: _Kind
+    ranges: dict[str, tuple[int, ...] | None]
+
+    @classmethod
+    def of(cls, kind: _Kind, given: dict[str, Any], has_input: bool) -> _Grid:
+        """Return checked orders; no b's and one delay without input."""
+        if kind not in _KINDS:
+            names = ", ".join(one.__name__ for one in _KINDS)
+            raise ValueError(f"kind: expected one of {names}, got {_checks.shown(kind)}")
+        arguments = FORMS[kind.__name__]
+        for name, values in given.items():
+            if values is not None and name not in arguments:
+                raise ValueError(f"{name}: expected none for {kind.__name__}, which has {', '.join(arguments)}")
+        first = next(name for name in ("na", "nf", "nb") if name in arguments)
+        leading = _range(first, _or(given[first], range(1, 5)), first == "nb")
+        ranges: dict[str, tuple[int, ...] | None] = {first: leading}
+        if has_input and "nb" not in arguments:
+            raise ValueError(f"u: expected None for {kind.__name__}, which has no input; take ARX or ARMAX")
+        if not has_input and "nb" in arguments and kind not in (ARX, ARMAX):
+            raise ValueError(f"u: expected an input for {kind.__name__}, got None; without one take ARX or ARMAX")
+        for name in arguments:
+            if name in ("nb", "nk") and not has_input:
+                ranges[name] = (0,)
+            elif name == "nk":
+                ranges[name] = _range(name, _or(given[name], range(9)), 0)
+            elif name == "nd" or (name == "nc" and kind is BoxJenkins):
+                ranges[name] = _range(name, _or(given[name], range(3)), 0)
+            elif name != first:
+                ranges[name] = None if given[name] is None else _range(name, given[name], name == "nb")
+        if "nb" in ranges and ranges["nb"] is None and 0 in leading:
+            raise ValueError(
+                f"nb: expected the numbers of b's to try where {first} holds 0, got None; say nb=range(1, 5)"
+            )
+        return cls(kind, ranges)
+
+    def named(self, orders: _Orders) -> dict[str, int]:
+        """Return orders by their names."""
+        return dict(zip(self.ranges, orders, strict=True))
+
+    def structure(self, orders: _Orders) -> Structure:
+        """Return the structure of these orders."""
+        return self.kind(**self.named(orders))
+
+    def beginning(self, found: set[int | None]) -> Iterator[_Orders]:
+        """Yield all orders with the delays that were found, or with all delays."""
+        (_, first), *others = self.ranges.items()
+        lags = self.ranges.get("nk") or (0,)
+        delays = sorted({min(lags, key=lambda lag: abs(lag - delay)) for delay in found if delay is not None})
+        for n in first or ():
+            for lag in delays or lags:
+                wanted = {"nk": lag, "nb": n}
+                chosen = (
+                    n if values is None else min(values, key=lambda value: abs(value - wanted.get(name, 0)))
+                    for name, values in others
+                )
+                yield (n, *chosen)
+
+    def neighbours(self, orders: _Orders) -> Iterator[_Orders]:
+        """Yield the orders of which one is the next one up or down."""
+        tied = [values is None for values in self.ranges.values()]
+        for i, values in enumerate(self.ranges.values()):
+            if values is None:
+                continue
+            place = values.index(orders[i])
+            for value in values[max(place - 1, 0) : place + 2]:
+                found = (*orders[:i], value, *orders[i + 1 :])
+                yield tuple(found[0] if follows else order for follows, order in zip(tied, found, strict=True))
+
+    @property
+    def first(self) -> int:
+        """The first sample that every structure can predict."""
+        most = {name: (values or next(iter(self.ranges.values())) or (0,))[-1] for name, values in self.ranges.items()}
+        return max(most.get("na", 0), most.get("nk", 0) + most.get("nb", 1) - 1, 0)
+
+
+def _or(values: Any, default: range) -> Any:
+    """Return values, or the default of those that were not given."""
+    return default if values is None else values
+
+
+class _Tried(NamedTuple):
+    """A row of the table without its fits, and the signals that these are computed from."""
+
+    row: Candidate
+    residual: Array
+    output: Array
+    held_out: tuple[Array, Array] | None
+    """Residual and output of the part that was held out."""
+
+
+class _Comparison:
+    """The structures that were tried, on the same samples."""
+
+    def __init__(self, grid: _Grid, y: Array, u: Array, criterion: str, kept: int, bar: Any) -> None:
+        """Keep the recording, and apart what comes after the samples that are kept."""
+        self.grid, self.criterion, self.bar = grid, criterion, bar
+        self.rest = (y[kept:], u[kept:]) if kept < y.size else None
+        self.y, self.u = y, u = y[:kept], u[:kept]
+        self.tried: dict[_Orders, _Tried] = {}
+        self.samples = int(np.isfinite(y[grid.first :]).sum())
+        known = y[~np.isnan(y)]
+        # Without a limit where more than half of the samples are equal.
+        self.wild = (_WILD * mad_scale(known - np.median(known)) if known.size else 0.0) or np.inf
+
+    @property
+    def best(self) -> _Orders:
+        """The orders that come first."""
+        return min(self.tried, key=lambda orders: self.tried[orders].row.rank)
+
+    def try_out(self, orders: _Orders) -> None:
+        """Identify a structure unless it was, and keep its criterion, log-likelihood, residuals and output."""
+        if orders in self.tried:
+            return
+        structure, first = self.grid.structure(orders), self.grid.first
+        nb, nk = structure.inputs[0] if structure.inputs else (0, 0)
+        before = max(structure.na, nk + nb - 1)
+        y, u = self.y[first - before :], self.u[first - before :] if nb else None
+        with warnings.catch_warnings():
+            # A structure with too many parameters leaves the model open; the best one warns again.
+            warnings.simplefilter("ignore", UserWarning)
+            model = identify(y, u, structure)
+        residual, output = (signal[before:] for signal in _signals(model, y, u))
+        likelihood = self._cleaned_likelihood(model) if structure.na + structure.nd else self._log_likelihood(residual)
+        price = _CRITERIA[self.criterion](self.samples)
+        value = -2.0 * likelihood + price * (structure.n_theta + 1)
+        b = structure.polynomials.b[0].start if nb else 0
+        shows_delay = not nb or bool(model.theta[b] ** 2 > price * model.P[b, b])
+        row = Candidate(structure, value, float("nan"), likelihood, shows_delay)
+        held_out = None if self.rest is None else _signals(model, self.rest[0], self.rest[1] if nb else None)
+        self.tried[orders] = _Tried(row, residual, output, held_out)
+        self.bar.update()
+
+    def _log_likelihood(self, residual: Array) -> float:
+        """Return the log-likelihood of residuals of which no outlier touches another one."""
+        return likelihood_of_mixture(residual[~np.isnan(residual)], self.wild)
+
+    def _cleaned_likelihood(self, model: Model) -> float:
+        """Return the log-likelihood of residuals of the cleaned output, less what the outliers cost."""
+        return model.log_likelihood - 0.5 * THRESHOLDS[1] ** 2 * int((model.weights == 0.0).sum())
+
+    def rows(self) -> tuple[Candidate, ...]:
+        """Return the table; the ordinary samples are those of the best model."""
+        best = self.tried[self.best]
+        ordinary, y = ordinary_samples(best.residual), self.y[self.grid.first :]
+        rows = []
+        for row, _, output, held_out in self.tried.values():
+            row = row._replace(fit=ordinary_fit(y, output, ordinary))
+            if self.rest is not None and held_out is not None and best.held_out is not None:
+                late = ordinary_samples(best.held_out[0])
+                row = row._replace(held_out_fit=ordinary_fit(self.rest[0], held_out[1], late))
+            rows.append(row)
+        return tuple(sorted(rows, key=lambda row: row.rank))
+
+
+def _signals(model: Model, y: Array, u: Array | None) -> tuple[Array, Array]:
+    """Return the residuals of a model, and its output from inputs alone, or without any one step ahead."""
+    residual = model.residuals(y, u)
+    return residual, y - residual if u is None else model.free_run(y, u)
+
+
+def _range(name: str, values: Any, least: int) -> tuple[int, ...]:
+    """Return sorted orders or raise."""
+    if isinstance(values, (int, np.integer)):
+        values = (values,)
+    if not isinstance(values, Iterable) or isinstance(values, str):
+        raise TypeError(f"{name}: expected integers to try such as range(1, 5), got {_checks.shown(values)}")
+    orders = sorted({_checks.count(f"{name}[{i}]", value, least) for i, value in enumerate(values)})
+    if not orders:
+        raise ValueError(f"{name}: expected at least one integer to try, got an empty range")
+    return tuple(orders)
+
+
+def _one_input(u: Any, length: int) -> Array:
+    """Return a recorded input, shape (N, 1), or raise."""
+    signal = np.asarray(u)
+    if signal.ndim == 2 and min(signal.shape) > 1:
+        raise ValueError(
+            f"u: expected one input, got shape {signal.shape}; select_structure does not search the orders of several "
+            "inputs: compare the log-likelihoods of models that identify finds"
+        )
+    return recorded_input(FIR(1), u, length)
+
+
+def _impulse_response(y: Array, u: Array, grid: _Grid) -> ImpulseResponse | None:
+    """Return the robust impulse response, None where the recording does not tell it."""
+    present = int(np.isfinite(y).sum())
+    lags = grid.ranges["nk"] or (0,)
+    start, last = lags[0], lags[-1]
+    length = min(last - start + _TAIL, present // _SAMPLES_EACH)
+    if length < last - start + 1:
+        return None
+    try:
+        model = identify(y, u, FIR(length, start))
+    except ValueError:
+        # The input does not excite so many samples, or y is not good for any model, which the first of them will say.
+        return None
+    level = norm.ppf(1.0 - 0.5 * _FALSE_DELAY / length)
+    return ImpulseResponse(np.arange(start, start + length), model.theta, level * model.std)

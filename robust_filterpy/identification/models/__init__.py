@@ -1,0 +1,20 @@
+"""Models: which signals a regressor is made of, a model of a recording, and what follows from it.
+
+* `structures`: orders, and which signals the regressor phi is made of.
+* `regressor`: the regressor of one sample, from what is remembered.
+* `coefficients`: polynomials and transfer functions made of theta.
+* `guard`: keeping a model that feeds back its own output stable.
+* `signals`, `time_axis`: recordings as arrays; pandas objects in, results on the same index.
+* `polynomial_model`: residuals of all structures and their derivatives.
+* `prediction`: predictions through outliers.
+* `learnt_noise`: the noise that residuals show.
+* `model`: what `identify` returns.
+* `transfer_model`: a transfer function of python-control in the place of a model.
+* `findings`: what a recording has beside a model: fill values, level steps, ..
+* `dependence`: what is left of a model that follows its inputs.
+* `fit`: how well a model agrees with a recording.
+* `responses`: how sure a model or tracker is of its responses, poles and zeros.
+* `results`, `summary`: what trackers return, and parameters as a table.
+
+Imports from below: `influence`, `correction`, `filters`, `batch`.
+"""

@@ -1,0 +1,481 @@
+"""Model: what a recording told, as one value: parameters and their uncertainty, the noise, predictions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.signal import lfilter
+
+from robust_filterpy._checks import Array, count
+from robust_filterpy.identification.models import coefficients
+from robust_filterpy.identification.models.findings import Finding, said
+from robust_filterpy.identification.models.fit import fit_percent
+from robust_filterpy.identification.models.learnt_noise import ContaminatedNormal, Noise
+from robust_filterpy.identification.models.polynomial_model import Parts, PolynomialModel
+from robust_filterpy.identification.models.prediction import cleaned_residuals, predicted
+from robust_filterpy.identification.models.regressor import Layout, Memory
+from robust_filterpy.identification.models.responses import Responses
+from robust_filterpy.identification.models.results import Intervals, intervals
+from robust_filterpy.identification.models.signals import recorded_input, recorded_output
+from robust_filterpy.identification.models.structures import Structure
+from robust_filterpy.identification.models.summary import Summary, summarized
+from robust_filterpy.identification.models.time_axis import TimeAxis, recording
+from robust_filterpy.influence.regression import robust_regression
+
+if TYPE_CHECKING:
+    import control
+
+__all__ = ["Ending", "Model"]
+
+# Below this share of its coefficients' size A(1) is 0: the model integrates and has no level.
+_INTEGRATES: Final = 1e-9
+
+
+class Ending(NamedTuple):
+    """Where the search from some of the starts ended.
+
+    Attributes
+    ----------
+    starts : tuple of str
+        The starts that led here.
+    excess : float
+        How much less likely than the best this end is, as a difference of log-likelihoods; 0 for the best.
+    difference : float
+        How far its output is from the best one's, in percent of that one's variation.
+    """
+
+    starts: tuple[str, ...]
+    excess: float
+    difference: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Model(Responses):
+    """A(q) y = B(q)/F(q) u + offset + C(q)/D(q) v, as `identify` found it.
+
+    Attributes
+    ----------
+    structure : Structure
+        Which polynomials there are, and their orders.
+    theta : ndarray, shape (n,)
+        Parameters, in the order of ``structure.names``.
+    offset : float
+        Constant of the equation: in an OutputError, BoxJenkins, FIR or LinearRegression what is added to the output, in
+        an ARX or ARMAX (AR, ARMA) the last coefficient of the regression. `level` is what it means for y.
+    P : ndarray, shape (n, n)
+        Covariance of theta, in sandwich form: honest whatever the distribution of the noise.
+    offset_std : float
+        Standard deviation of the offset; 0 if it was not estimated.
+    offset_covariance : ndarray, shape (n,)
+        Its covariance with theta.
+    noise : Noise
+        Variance R of the ordinary noise and the influence function, with contamination and scale_ratio if learnt.
+    weights : ndarray, shape (N,)
+        How much each sample of the recording was believed: psi(e)/e of its residual, 0 for an outlier that stood in
+        the regressor, NaN where y is missing or the regressor lies before the recording.
+    log_likelihood : float
+        Of the samples that count, under the density that the influence function is made for.
+    endings : tuple of Ending
+        Where the search ended from each start, the best first.
+    warning : str
+        What makes this estimate doubtful, in words; empty if nothing does.
+    memory : Memory
+        Past signals at the end of the recording, for `tracker`.
+    has_offset : bool
+        Whether there is a constant.
+    dt : float or None
+        Sampling period in s, if the index of the recording told it.
+    own_fit : float
+        Fit of the prediction one step ahead on the ordinary samples of the recording, in percent.
+    findings : tuple of Finding
+        What the recording has beside the model and its noise: fill values, level steps, .., with the evidence.
+    operating_point : ndarray, shape (n_inputs,)
+        Inputs at which the plant rests: 0, unless an input is far from 0 in all of the recording, and then its mean.
+    trend : ndarray, shape (N,) or (0,)
+        Steps and ramps of the level of the recording, 0 at its end; ``findings`` say when and how large.
+    fingerprint : int
+        Of y as it was recorded: methods that are given the same y take the trend off it, and put it back.
+
+    Notes
+    -----
+    `identify` makes it. Recordings may be pandas objects with one uniform index; what is computed of each sample comes
+    back as a Series on that index.
+    """
+
+    structure: Structure
+    theta: Array
+    offset: float
+    P: Array
+    offset_std: float
+    offset_covariance: Array
+    noise: Noise
+    weights: Array
+    log_likelihood: float
+    endings: tuple[Ending, ...]
+    warning: str
+    memory: Memory = field(compare=False)
+    has_offset: bool = True
+    dt: float | None = None
+    own_fit: float = float("nan")
+    findings: tuple[Finding, ...] = ()
+    operating_point: Array = field(default_factory=lambda: np.zeros(0))
+    trend: Array = field(default_factory=lambda: np.zeros(0))
+    fingerprint: int = 0
+
+    def __repr__(self) -> str:
+        """Show the parameters with their standard deviations."""
+        values = zip(self.structure.names, self.theta, self.std, strict=True)
+        text = ", ".join(f"{name}={value:.4g}+-{std:.2g}" for name, value, std in values)
+        found = f"; found: {said(self.findings)}" if self.findings else ""
+        return f"Model({self.structure}, {text}, offset={self.offset:.4g}, R={self.R:.4g}){found}"
+
+    # The model.
+
+    @property
+    def R(self) -> float:
+        """Variance of the ordinary noise, in the unit of y squared."""
+        return self.noise.R
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations of the parameters, shape (n,)."""
+        return np.sqrt(np.maximum(self.P.diagonal(), 0.0))
+
+    @property
+    def coefficients(self) -> Any:
+        """a, b and c as `Coefficients`, or of a BoxJenkins b, f, c and d as `BoxJenkinsCoefficients`."""
+        return coefficients.coefficients(self.structure, self.theta)
+
+    @property
+    def level(self) -> float:
+        """What the output is at rest with no input, offset/A(1); 0 if the model integrates, which has no rest."""
+        return resting_level(self._parts())
+
+    @property
+    def _gain(self) -> Array:
+        """What a constant input of 1 adds to the output in the end, for each input, shape (n_inputs,)."""
+        parts, found = self._parts(), np.zeros(self.structure.n_inputs)
+        acting = [i for i, (nb, _) in enumerate(self.structure.inputs) if nb]
+        found[acting] = [b.sum() / (parts.f.sum() * parts.a.sum()) for b in parts.b]
+        return found
+
+    def confidence_intervals(self, level: float = 0.95) -> Intervals:
+        """Return theta -+ z std, z the normal quantile of the level.
+
+        Parameters
+        ----------
+        level : float, default 0.95
+            Probability of each interval, in (0, 1).
+
+        Returns
+        -------
+        Intervals
+            lower, upper, each of shape (n,).
+
+        Raises
+        ------
+        ValueError
+            If level is no probability.
+        """
+        return intervals(self.theta, self.std, level)
+
+    def summary(self, level: float = 0.95) -> Summary:
+        """Return a table of the parameters with their uncertainty, and what was found beside them.
+
+        Parameters
+        ----------
+        level : float, default 0.95
+            Probability of each interval, in (0, 1).
+
+        Returns
+        -------
+        Summary
+            It prints as a table.
+
+        Raises
+        ------
+        ValueError
+            If level is no probability.
+        """
+        theta, std, names = self.theta, self.std, self.structure.names
+        if self.has_offset:
+            theta, std = np.append(theta, self.offset), np.append(std, self.offset_std)
+            names = (*names, "offset")
+        known = int((~np.isnan(self.weights)).sum())
+        facts = {"Samples": f"{known} of {self.weights.size}", "R": f"{self.R:.4g}"}
+        if isinstance(self.noise.influence, ContaminatedNormal):
+            facts["Contamination"] = f"{self.noise.influence.contamination:.3f}"
+            facts["Scale ratio"] = f"{self.noise.influence.scale_ratio:.3g}"
+        facts |= {"Log-likelihood": f"{self.log_likelihood:.1f}", "Fit, 1 step": f"{self.own_fit:.2f} %"}
+        if self.dt is not None:
+            facts["Sampling period"] = f"{self.dt:.6g} s"
+        return summarized(str(self.structure), facts, names, theta, std, level, self.warning, said(self.findings))
+
+    def transfer_function(self, dt: float | bool | Literal["recorded"] = "recorded") -> control.TransferFunction:
+        """Return the way from u to y.
+
+        Parameters
+        ----------
+        dt : float, True or "recorded", default "recorded"
+            Sampling period in s; True leaves it open. "recorded": as the index told it, True if it did not.
+
+        Returns
+        -------
+        control.TransferFunction
+            One output and as many inputs as the structure has.
+
+        Raises
+        ------
+        ValueError
+            If the structure has no input, or a regressor of the caller's.
+        """
+        return coefficients.transfer_function(self.structure, self.theta, coefficients.period(dt, self.dt))
+
+    # Its outputs.
+
+    def simulate(self, u: ArrayLike) -> Array:
+        """Run the model on inputs alone from rest, where its output is `level` and each input at its operating point.
+
+        Parameters
+        ----------
+        u : array_like, shape (N,) or (N, n_inputs)
+            Input.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+
+        Raises
+        ------
+        ValueError
+            If u does not fit or is not finite, or the output of an unstable model overflows.
+        """
+        axis, _, u = self._recording(None, u)
+        signal = recorded_input(self.structure, u, None)
+        layout = Layout(self.structure)
+        if self.operating_point.any():
+            # From the start: an input of 1e8 beside which there is motion of 1 is not switched on in the first sample.
+            y = coefficients.simulate(self.structure, layout, Memory(layout), self.theta, signal - self.operating_point)
+            return axis.series(y + (self.level + float(self._gain @ self.operating_point)), "simulated")
+        y = coefficients.simulate(self.structure, layout, Memory(layout), self.theta, signal)
+        integrates = self.level == 0.0 != self.offset
+        rest = lfilter([self.offset], self._parts().a, np.ones(y.size)) if integrates else self.level
+        return axis.series(y + rest, "simulated")
+
+    def predict(self, y: ArrayLike, u: ArrayLike | None = None, steps: int = 1) -> Array:
+        """Predict each output of a recording from the samples up to ``steps`` before it.
+
+        Parameters
+        ----------
+        y : array_like, shape (N,)
+            Measured output; NaN where it is missing.
+        u : array_like, shape (N,) or (N, n_inputs)
+            Input.
+        steps : int, default 1
+            How many samples ahead. Inputs are taken as known.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            NaN in the first samples, whose regressors lie before the recording.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If y or u does not fit, or steps is not a positive integer.
+
+        Notes
+        -----
+        An OutputError, FIR or LinearRegression predicts from inputs alone, whatever ``steps``; only what was in motion
+        when the recording began is estimated from all of y. For ARX and ARMAX an outlier in y is replaced, by the model
+        and the samples before it, in the regressor of the samples after it.
+        """
+        steps = count("steps", steps, 1)
+        axis, y, u = self._recording(y, u)
+        prediction = self._predicted(*self._prepared(y, u), steps)
+        return axis.series(prediction + self._own_trend(recorded_output(y)), "prediction")
+
+    def _predicted(self, model: PolynomialModel, known: Any, steps: int) -> Array:
+        """Return the prediction of each output of a checked recording."""
+        parts = self._parts()
+        if model.na == 0 and parts.c.size == parts.d.size == 1:
+            return self._from_inputs(model, known)
+        error = self._equation_error(model, known)
+        found = cleaned_residuals(parts, error, known[model.first :], self.noise)
+        ahead = predicted(parts, model.y[model.first :], found, steps)
+        return np.concatenate((np.full(model.first, np.nan), ahead))
+
+    def residuals(self, y: ArrayLike, u: ArrayLike | None = None) -> Array:
+        """Return measured less predicted output, one step ahead.
+
+        Parameters
+        ----------
+        y : array_like, shape (N,)
+            Measured output; NaN where it is missing.
+        u : array_like, shape (N,) or (N, n_inputs)
+            Input.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            NaN where y is missing and where there is no prediction.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If y or u does not fit.
+        """
+        axis, y, u = self._recording(y, u)
+        return axis.series(recorded_output(y) - self.predict(y, u), "residual")
+
+    def fit(self, y: ArrayLike, u: ArrayLike) -> float:
+        """Compute how well the model's output, from inputs alone, agrees with a recording.
+
+        Parameters
+        ----------
+        y : array_like, shape (N,)
+            Measured output; NaN does not count.
+        u : array_like, shape (N,) or (N, n_inputs)
+            Input.
+
+        Returns
+        -------
+        float
+            100 (1 - ||y - y_model||/||y - mean(y)||), in percent; see `fit_percent`. What was in motion when the
+            recording began is estimated.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If y or u does not fit, y is constant, or the model overflows.
+        """
+        _, y, u = self._recording(y, u)
+        measured, free = recorded_output(y), self.free_run(y, u)
+        return fit_percent(np.where(np.isnan(free), np.nan, measured), np.nan_to_num(free))
+
+    def free_run(self, y: ArrayLike, u: ArrayLike | None) -> Array:
+        """Compute the output from inputs alone, beginning with what was in motion when the recording began.
+
+        Parameters
+        ----------
+        y : array_like, shape (N,)
+            Measured output, which tells that motion; NaN where it is missing.
+        u : array_like, shape (N,) or (N, n_inputs)
+            Input.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            NaN in the first samples, whose regressors lie before the recording.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If y or u does not fit, or the model overflows.
+        """
+        axis, y, u = self._recording(y, u)
+        return axis.series(self._from_inputs(*self._prepared(y, u)) + self._own_trend(recorded_output(y)), "free run")
+
+    # Helpers.
+
+    def _recording(self, y: Any, u: Any) -> tuple[TimeAxis, Any, Any]:
+        """Return the time axis of a recording, and its signals without index; or raise if the axis does not fit."""
+        axis, y, u = recording(self.structure, y=y, u=u)
+        axis.require_period(self.dt)
+        return axis, y, u
+
+    @property
+    def _noise_samples(self) -> float:
+        """How many samples R stands on."""
+        return max(float(np.nansum(self.weights)), 1.0)
+
+    def _parts(self) -> Parts:
+        """Return the polynomials."""
+        empty = PolynomialModel(self.structure, np.zeros(0), np.zeros((0, self.structure.n_inputs)), True)
+        return empty.parts(np.concatenate((self.theta, [self.offset])))
+
+    def _prepared(self, y: Any, u: Any) -> tuple[PolynomialModel, Any]:
+        """Return a checked recording, the level in the place of missing outputs, and where it is measured."""
+        output = recorded_output(y)
+        output = output - self._own_trend(output)
+        signal = recorded_input(self.structure, u, output.size)
+        known = ~np.isnan(output)
+        model = PolynomialModel(self.structure, np.where(known, output, self.level), signal, True)
+        if output.size <= model.first:
+            raise ValueError(
+                f"y: expected more than the {model.first} samples that the regressor of {self.structure} reaches back, "
+                f"got {output.size}"
+            )
+        return model, known
+
+    def _own_trend(self, y: Array) -> Array:
+        """Return the trend of a checked output: that of the recording if it is the same one, else 0."""
+        same = bool(self.trend.size) and y.size == self.trend.size and crc32(y.tobytes()) == self.fingerprint
+        return self.trend if same else np.zeros(y.size)
+
+    def _equation_error(self, model: PolynomialModel, known: Any) -> Array:
+        """Return A y - B/F u - d from the first sample that has a regressor on."""
+        if model.nf:
+            disturbance = np.nan_to_num(model.y - self._from_inputs(model, known))
+            return np.asarray(lfilter(self._parts().a, [1.0], disturbance)[model.first :])
+        return model.equation_error(np.concatenate((self.theta, [self.offset])))
+
+    def _from_inputs(self, model: PolynomialModel, known: Any) -> Array:
+        """Return the output from inputs alone, whatever was in motion when the recording began."""
+        y = self.simulate(model.u) if model.inputs else np.full(model.y.size, self.level)
+        y[: model.first] = np.nan
+        parts = self._parts()
+        dynamics = np.convolve(parts.a, parts.f)
+        order = dynamics.size - 1
+        rows = known[model.first :]
+        if order and rows.any():
+            impulses = np.eye(order, y.size - model.first)
+            motion = np.asarray(lfilter([1.0], dynamics, impulses)).T
+            y[model.first :] += motion @ robust_regression(motion[rows], (model.y - y)[model.first :][rows])
+        return y
+
+
+def resting_level(parts: Parts) -> float:
+    """Return what the output of a model is at rest, offset/A(1), or 0 if it integrates and has no rest."""
+    total = float(parts.a.sum())
+    return parts.offset / total if abs(total) > _INTEGRATES * float(np.abs(parts.a).sum()) else 0.0
+
+
+def filled_memory(model: PolynomialModel, p: Array) -> Memory:
+    """Return what a tracker would remember after a recording.
+
+    Parameters
+    ----------
+    model : PolynomialModel
+        The recording, its outliers and gaps interpolated.
+    p : ndarray, shape (n,)
+        Free parameters.
+
+    Returns
+    -------
+    Memory
+    """
+    structure, layout = model.structure, Layout(model.structure)
+    memory, n, level = Memory(layout), structure.n_theta, resting_level(model.parts(p))
+    alone, residual = model.undisturbed(p), model.residuals(p)
+    _, memory.inputs = memory.regressors(layout, model.u)
+    disturbance = model.equation_error(p)
+    memory.outputs = np.concatenate((_newest(level - model.y, layout.na), _newest(-disturbance, layout.nd)))
+    memory.undisturbed = _newest(-alone, layout.nf)
+    without_noise = p.copy()
+    without_noise[layout.c] = without_noise[layout.d] = 0.0
+    chi = -model.jacobian(without_noise)[:, :n] * layout.precedes_noise
+    memory.prefiltered = _newest(chi, len(memory.prefiltered))
+    memory.measured = memory.outputs
+    memory.residuals = _newest(residual, layout.nc)
+    memory.gradients = _newest(-model.jacobian(p)[:, :n], layout.nc)
+    return memory
+
+
+def _newest(signal: Array, count: int) -> Array:
+    """Return the last samples, the newest first."""
+    return np.ascontiguousarray(signal[::-1][:count])

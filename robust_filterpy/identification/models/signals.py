@@ -1,0 +1,111 @@
+"""The checks that every sample and recording goes through on its way into a tracker."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+from robust_filterpy._fill_values import FillValues, fill_values
+from robust_filterpy.identification.models.regressor import LARGEST, bounded
+from robust_filterpy.identification.models.structures import Structure, input_columns
+
+
+def one_output(y: Any) -> float:
+    """Return a measured output, NaN if it is missing, or raise."""
+    output = math.nan if y is None else _checks.real("y", y)
+    if math.isinf(output):
+        raise ValueError(f"y: expected a finite number or NaN (missing), got {output}")
+    return bounded(output) if output == output else output
+
+
+def one_input(structure: Structure, u: Any) -> Array:
+    """Return the input of one sample, shape (n_inputs,), or raise."""
+    n_inputs = structure.n_inputs
+    if u is None:
+        if n_inputs:
+            what = "phi" if structure.takes_phi else "input"
+            raise ValueError(f"u: expected the {what} of this sample, {n_inputs} number(s), got None")
+        return np.zeros(0)
+    values = _checks.numbers("u", u)
+    if values.size != n_inputs or values.ndim > 2:
+        raise ValueError(f"u: expected {n_inputs} number(s) for {structure}, got {_checks.described(values)}")
+    values = values.ravel()
+    _require_finite(values)
+    return values
+
+
+def recorded_output(y: Any) -> Array:
+    """Return a recorded output, shape (N,), NaN where it is missing or has a fill value, or raise."""
+    return filled_output(y).signal
+
+
+def filled_output(y: Any) -> FillValues:
+    """Return a recorded output without its fill values, shape (N,), and which these were; or raise."""
+    return fill_values(measured_output(y))
+
+
+def measured_output(y: Any) -> Array:
+    """Return an output as it was measured, shape (N,), or raise: in a batch nobody can tell fill values."""
+    output = _checks.numbers("y", y)
+    if output.ndim == 2 and 1 in output.shape:
+        output = output.ravel()
+    if output.ndim != 1 or output.size == 0:
+        raise ValueError(f"y: expected a recording of shape (N,), N >= 1, got shape {output.shape}")
+    if np.isinf(output).any():
+        raise ValueError(f"y: expected finite numbers or NaN (missing), got inf in sample {np.isinf(output).argmax()}")
+    return np.clip(output, -LARGEST, LARGEST)
+
+
+def operating_point(u: Array) -> Array:
+    """Return where each input rests, shape (n_inputs,): 0, unless all of it is far from 0, and then its mean."""
+    if not u.size:
+        return np.zeros(u.shape[1])
+    low, high = np.quantile(u, [0.01, 0.99], axis=0)
+    width = high - low
+    return np.where(
+        (np.ptp(u, axis=0) > 0.0) & ((low > width) | (high < -width)), np.clip(u, low, high).mean(axis=0), 0.0
+    )
+
+
+def recorded_input(structure: Structure, u: Any, length: int | None) -> Array:
+    """Return a recorded input, shape (N, n_inputs), of the given length, or raise."""
+    n_inputs = structure.n_inputs
+    if u is None:
+        if n_inputs or length is None:
+            raise ValueError(f"u: expected a recording of {n_inputs} input(s) for {structure}, got None")
+        return np.zeros((length, 0))
+    signal = input_columns("u", u, n_inputs)
+    if len(signal) == 0:
+        raise ValueError("u: expected a recording of at least one sample, got none")
+    if length is not None and len(signal) != length:
+        raise ValueError(f"u: expected {length} samples like y, got {len(signal)}")
+    _require_finite(signal)
+    return signal
+
+
+def recorded_variance(R: Any, length: int) -> Array:
+    """Return the variance of the noise in each sample, shape (N,), or raise."""
+    variances = _checks.numbers("R", R)
+    if variances.shape not in ((), (1,), (length,)):
+        raise ValueError(f"R: expected a variance or one for each of the {length} samples, got shape {variances.shape}")
+    good = (variances > 0.0) & (variances < np.inf)
+    if not good.all():
+        k = int(np.argmin(good.ravel()))
+        raise ValueError(f"R: expected variances > 0, got {variances.ravel()[k]} in sample {k}; NaN in y is a gap")
+    return np.array(np.broadcast_to(variances, length))
+
+
+def _require_finite(values: Array) -> None:
+    """Raise unless every input is a number that can be squared."""
+    good = np.abs(values) <= LARGEST
+    if not good.all():
+        k = np.unravel_index(int(np.argmin(good)), good.shape)
+        where = f" in sample {k[0]}" if good.ndim == 2 else ""
+        raise ValueError(
+            f"u: expected finite numbers up to {LARGEST:g} in size (an input cannot be missing; the order is y, u), "
+            f"got {values[k]}{where}"
+        )

@@ -1,0 +1,741 @@
+"""TrackerBank: the parameters of many actuators of one structure, advanced together."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robust_filterpy import _checks, _state
+from robust_filterpy._checks import Array, numbers
+from robust_filterpy.correction.options import Information, Scaling
+from robust_filterpy.identification.models import coefficients
+from robust_filterpy.identification.models.guard import GUARDS, Guard
+from robust_filterpy.identification.models.regressor import LARGEST, Layout
+from robust_filterpy.identification.models.results import Columns, Intervals, TrackingResult, intervals
+from robust_filterpy.identification.models.structures import Structure
+from robust_filterpy.identification.models.time_axis import recording, table
+from robust_filterpy.identification.recursive import bank_setup
+from robust_filterpy.identification.recursive.noise_scale import NoiseScale, ordinary_mean
+from robust_filterpy.identification.recursive.recursion import GRADIENTS, Gradient, Regressor
+from robust_filterpy.identification.recursive.track import Memories, Recursion, advance, serves
+from robust_filterpy.identification.recursive.tracker import _START, _WINDUP, ParameterTracker
+from robust_filterpy.identification.recursive.watch import LostTrackerWarning
+from robust_filterpy.influence.functions import Influence
+
+__all__ = ["BankResult", "BankSample", "TrackerBank"]
+
+# Numbers in phi that are worked on at once.
+_CHUNK = 1_000_000
+
+
+class BankSample(NamedTuple):
+    """What one update did to each of n actuators; see `Sample`.
+
+    Attributes
+    ----------
+    prediction : ndarray, shape (n,)
+        phi(k)' theta(k-1), before y(k) is used (paper 22).
+    residual : ndarray, shape (n,)
+        y(k) - prediction (23); NaN where y is missing.
+    weights : ndarray, shape (n,)
+        psi(e)/e; NaN where there was no correction (y missing, or adaptation off).
+    guard : ndarray of int, shape (n,)
+        0: step taken as it is; h > 0: halved h times; -1: not taken.
+    """
+
+    prediction: Array
+    residual: Array
+    weights: Array
+    guard: np.ndarray
+
+
+class _Recorded(NamedTuple):
+    """The columns of a `BankResult`; see there."""
+
+    theta: Array
+    std: Array
+    prediction: Array
+    residual: Array
+    weights: Array
+    guard: np.ndarray
+    sample: np.ndarray
+
+
+class BankResult(_Recorded):
+    """What recordings of n actuators gave: the columns of a `TrackingResult` with an axis of actuators.
+
+    A tuple of its first seven attributes.
+
+    Attributes
+    ----------
+    theta, std : ndarray, shape (K, n, n_theta)
+        Parameters and their standard deviations, after each of the K samples that were kept.
+    prediction, residual, weights : ndarray, shape (K, n)
+        As in `BankSample`.
+    guard : ndarray of int, shape (K, n)
+        As in `BankSample`.
+    sample : ndarray of int, shape (K,)
+        Which samples were kept.
+    names : tuple of str, length n_theta
+        Names of the parameters.
+    actuators : tuple, length n
+        The columns of y if it was a pandas DataFrame, otherwise 0, 1, ..
+    index : pandas.Index or None
+        When the samples that were kept were taken, if the recording was a pandas object.
+    """
+
+    names: tuple[str, ...] = ()
+    actuators: tuple[Any, ...] = ()
+    index: Any = None
+
+    def to_frame(self) -> Any:
+        """Return all columns as a pandas DataFrame, a row for each sample that was kept.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns (actuator, quantity), the quantities as in `TrackingResult.to_frame`.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        actuators = self.actuators or tuple(range(self.theta.shape[1]))
+        columns = {
+            (actuator, name): column
+            for i, actuator in enumerate(actuators)
+            for name, column in self.tracker(i)._columns().items()
+        }
+        return table(columns, self.sample, "sample") if self.index is None else table(columns, self.index)
+
+    def tracker(self, i: int) -> TrackingResult:
+        """Return what actuator i gave.
+
+        Parameters
+        ----------
+        i : int
+            Which actuator.
+
+        Returns
+        -------
+        TrackingResult
+            A row for each sample that was kept.
+        """
+        return TrackingResult(*(column[:, i] for column in self[:6])).labelled(self.names, self.index)
+
+    def confidence_intervals(self, level: float = 0.95) -> Intervals:
+        """Return theta -+ z std for every sample that was kept, z the normal quantile of the level.
+
+        Parameters
+        ----------
+        level : float, default 0.95
+            Probability of the interval, in (0, 1).
+
+        Returns
+        -------
+        Intervals
+            lower, upper, each of shape (K, n, n_theta).
+        """
+        return intervals(self.theta, self.std, level)
+
+
+class _Now(NamedTuple):
+    """Parameters, covariances and past signals at one moment; no array in it is ever written into."""
+
+    theta: Array
+    """With the constant, where there is one."""
+    P: Array
+    past: Memories
+    scale: Array
+    """R and the fields of `NoiseScale`, (n, 4)."""
+    others: Array
+    """Centre of y, limit of tr P, whether a model was found, (n, 3)."""
+    start: Array
+    """y and u of the samples so far, (L, n, 1 + n_inputs), until the start is over."""
+    waits: int
+    """Samples until the start is over; -1 once it is."""
+
+
+class TrackerBank:
+    """Follow the parameters of n actuators of one structure; equal to a loop over n `ParameterTracker`.
+
+    Parameters
+    ----------
+    n : int
+        Number of actuators, >= 1.
+    structure : Structure
+        What phi is made of: ARX(..), OutputError(..) ..
+    theta : array_like, shape (n_theta,) or (n, n_theta), or float, optional
+        Parameters to start from. Default: found by the start; 0 with ``start=0``.
+    P : array_like, shape (n_theta, n_theta) or (n, n_theta, n_theta), or float, or shape (n,), optional
+        Their covariances; a number p stands for p I. Default: found by the start; 100 I with
+        ``start=0``.
+    Q : array_like, any shape that P may have, optional
+        Covariance of a step of theta (paper 8). Default: 0.
+    R : float, or array_like, shape (n,), optional
+        Variance of the ordinary noise. Default: found from the data and followed. Setting the attribute fixes it.
+    F : array_like, shape (n_theta, n_theta) or (n, n_theta, n_theta), optional
+        Transition matrix C of (9). Default: the identity.
+    forgetting : float, or array_like, shape (n,), optional
+        Forgetting factor in (0, 1].
+    start : int, optional
+        How many samples are kept before `identify` makes a model of each actuator. Default: 400, or 0 if theta or P is
+        given. An actuator of which none can be made starts from nothing.
+    offset : bool, optional
+        Whether there is a constant; default as in `ParameterTracker`.
+    regressor, R_memory
+        As in `ParameterTracker`.
+    gradient, guard : str, or list of n str
+        As in `ParameterTracker`.
+    influence, scaling, information : optional
+        As in `RobustKalmanFilter`, or lists of n.
+
+    Attributes
+    ----------
+    n : int
+        As given.
+    structure : Structure
+        As given.
+    Q, F : ndarray, shape (n_theta, n_theta) or (n, n_theta, n_theta)
+        As given; may be changed between samples.
+    R : ndarray, shape (n,), or float
+        As given; may be changed between samples.
+
+    Raises
+    ------
+    ValueError, TypeError
+        As by `ParameterTracker`; the message names the actuators.
+
+    Notes
+    -----
+    Everything is `ParameterTracker`'s, by the kernel for all actuators where that serves
+    (`robust_filterpy.kernel`), otherwise one actuator after the other. The filters are always the robust
+    ones: for the Kalman baseline pass ``influence=Linear()``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from robust_filterpy.identification import ARX
+    >>> rng = np.random.default_rng(1)
+    >>> gains = np.linspace(1.0, 2.0, 100)
+    >>> u = rng.choice([-1.0, 1.0], 400)
+    >>> y = np.zeros((400, 100))
+    >>> for k in range(1, 400):
+    ...     y[k] = 0.8 * y[k - 1] + gains * u[k - 1] + 0.1 * rng.normal(size=100)
+    >>> y[rng.random(y.shape) < 0.01] = np.nan
+    >>> bank = TrackerBank(100, ARX(1, 1), R=0.01)
+    >>> result = bank.run(y, u, keep="last")
+    >>> result.theta.shape, bool(np.abs(bank.coefficients.b[:, 0] - gains).max() < 0.05)
+    ((1, 100, 2), True)
+    """
+
+    def __init__(
+        self,
+        n: int,
+        structure: Structure,
+        *,
+        theta: ArrayLike | None = None,
+        P: ArrayLike | None = None,
+        Q: ArrayLike = 0.0,
+        R: ArrayLike | None = None,
+        F: ArrayLike | None = None,
+        forgetting: ArrayLike | None = None,
+        start: int | None = None,
+        offset: bool | None = None,
+        regressor: Regressor | None = None,
+        R_memory: int = 150,
+        gradient: Gradient | Sequence[Gradient] = "filtered",
+        guard: Guard | Sequence[Guard] = "halve",
+        influence: Influence | Sequence[Influence] | None = None,
+        scaling: Scaling | Sequence[Scaling] | None = None,
+        information: Information | Sequence[Information] | None = None,
+    ) -> None:
+        """Set up n filters and a memory at rest."""
+        self.n = n = _checks.count("n", n, 1)
+        if not isinstance(structure, Structure):
+            raise TypeError(f"structure: expected ARX(..), OutputError(..) or another structure, got {structure!r}")
+        self.structure, d = structure, structure.n_theta
+        self._gradient = bank_setup.options("gradient", gradient, n, GRADIENTS)
+        self._guard = bank_setup.options("guard", guard, n, GUARDS)
+        choices = {"influence": influence, "scaling": scaling, "information": information}
+        self._choices = bank_setup.choices(n, choices)
+        # One tracker checks the rest, and shows what all of them have in common.
+        told = theta is not None or P is not None
+        samples = (0 if told else _START) if start is None else start
+        self._one = ParameterTracker(
+            structure, theta=0.0 if told else None, start=samples, offset=offset, regressor=regressor, R_memory=R_memory
+        )
+        self._layout, self._own = self._one._layout, self._one._own
+        values = bank_setup.parameters(structure, 0.0 if theta is None else theta, n)
+        spread = bank_setup.covariances("P", 100.0 if P is None else P, n, d)
+        size = self._layout.n
+        first, covariance = np.zeros((n, size)), np.tile(100.0 * np.eye(size), (n, 1, 1))
+        first[:, self._own], covariance[:, self._own[:, None], self._own] = values, spread
+        self.Q = bank_setup.covariances("Q", Q, n, d)
+        self.F = bank_setup.transitions(F, n, d)
+        self._forgetting = bank_setup.factors(forgetting, n)
+        self._alpha_sq = (1.0 / np.sqrt(self._forgetting)) ** 2
+        past = Memories(**{name: np.zeros((n, *shape)) for name, shape in self._layout.shapes().items()})
+        scale = np.empty((n, 4))
+        scale[:, 0] = bank_setup.variances(1.0 if R is None else R, n)
+        scale[:, 1:] = NoiseScale(0.0, ordinary_mean(None), 0.0 if R is not None else self._one._scale.memory)
+        windup = _WINDUP * np.maximum(np.trace(covariance, axis1=1, axis2=2), 1e-300)
+        others = np.column_stack((np.zeros(n), windup, np.full(n, samples == 0)))
+        kept = np.zeros((0, n, 1 + structure.n_inputs))
+        self._now = _Now(first, covariance, past, scale, others, kept, samples or -1)
+        self.enabled = True
+        self._initial = self.state()
+
+    def __repr__(self) -> str:
+        """Show the size and the structure."""
+        return f"TrackerBank(n={self.n}, {self.structure})"
+
+    # The models as they stand.
+
+    @property
+    def theta(self) -> Array:
+        """Parameters, shape (n, n_theta)."""
+        return self._now.theta[:, self._own]
+
+    @property
+    def P(self) -> Array:
+        """Covariances of the parameters, shape (n, n_theta, n_theta)."""
+        return self._now.P[:, self._own[:, None], self._own]
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations of the parameters, shape (n, n_theta); infinite until the start has found a model."""
+        std = np.sqrt(np.maximum(np.einsum("ijj->ij", self._now.P), 0.0))[:, self._own]
+        return np.where(self._now.others[:, 2:] > 0.0, std, np.inf)
+
+    @property
+    def R(self) -> Array:
+        """Variances of the ordinary noise, as they are followed, shape (n,); may be set, and are then not followed."""
+        return self._now.scale[:, 0].copy()
+
+    @R.setter
+    def R(self, value: ArrayLike) -> None:
+        scale = self._now.scale.copy()
+        scale[:, 0], scale[:, 3] = bank_setup.variances(value, self.n), 0.0
+        self._now = self._now._replace(scale=scale)
+
+    @property
+    def offset(self) -> Array:
+        """Constants of the equations, shape (n,); see `ParameterTracker`."""
+        return np.array([self.tracker(i).offset for i in range(self.n)])
+
+    @property
+    def coefficients(self) -> Any:
+        """a, b and c of the models, or b, f, c and d, each with a leading axis of n; see `ParameterTracker`."""
+        found = coefficients.coefficients(self.structure, self.theta.T)
+        return type(found)(*(tuple(p.T for p in part) if isinstance(part, tuple) else part.T for part in found))
+
+    @property
+    def enabled(self) -> np.ndarray:
+        """Which actuators adapt, bool, shape (n,); False freezes theta and P, while predictions go on.
+
+        May be set, to one bool or to a mask, and written into.
+        """
+        return self._enabled
+
+    @enabled.setter
+    def enabled(self, value: bool | ArrayLike) -> None:
+        mask = np.asarray(value)
+        if mask.dtype != bool or mask.shape not in ((), (self.n,)):
+            raise TypeError(f"enabled: expected a bool or a mask of {self.n} bools, got {value!r}")
+        self._enabled = np.array(np.broadcast_to(mask, self.n))
+
+    def predict(self, u: ArrayLike | None = None) -> Array:
+        """Predict the next outputs, phi(k+1)' theta (paper 22), and change nothing.
+
+        Parameters
+        ----------
+        u : array_like, shape (n,) or (n, n_inputs), optional
+            The next inputs, in the forms of `update`; needed if one acts at once (nk = 0).
+
+        Returns
+        -------
+        ndarray, shape (n,)
+
+        Raises
+        ------
+        ValueError
+            If the next input is needed and not given, or F or Q would make theta or P infinite.
+        """
+        layout, past = self._layout, self._now.past
+        if u is None and any(nb and not nk for nb, nk in self.structure.inputs):
+            raise ValueError(f"u: expected the next input, which acts at once in {self.structure}, got None")
+        width = self.structure.n_inputs
+        values = np.zeros((self.n, width)) if u is None else bank_setup.inputs(self.structure, u, self.n)
+        phi = _regressors(layout, past, _with_inputs(layout, past.inputs, self._with_constant(values)))
+        with np.errstate(over="ignore", invalid="ignore"):
+            moved = (self._matrices("F") @ self._now.theta[:, :, None])[:, :, 0]
+            theta = np.where(self._drifting()[:, None], moved, self._now.theta)
+            predicted = np.nan_to_num(np.einsum("ij,ij->i", phi, theta), posinf=LARGEST, neginf=-LARGEST)
+        predicted = np.clip(predicted, -LARGEST, LARGEST) + self._now.others[:, 0]
+        return np.where(self._now.others[:, 2] > 0.0, predicted, _levels(self._now.start))
+
+    def tracker(self, i: int) -> ParameterTracker:
+        """Return a tracker of one actuator that goes on where the bank is, and resets to where the bank began.
+
+        Parameters
+        ----------
+        i : int
+            Which actuator, from 0.
+
+        Returns
+        -------
+        ParameterTracker
+            Independent of the bank.
+
+        Raises
+        ------
+        IndexError
+            If there is no such actuator.
+        TypeError
+            If i is no integer.
+        """
+        if isinstance(i, bool) or not isinstance(i, (int, np.integer)):
+            raise TypeError(f"actuator: expected an integer from 0 to {self.n - 1}, got {i!r}")
+        if not 0 <= i < self.n:
+            raise IndexError(f"actuator: expected 0 to {self.n - 1}, got {i}")
+        choices = self._choices[i if len(self._choices) > 1 else 0]
+        tracker = ParameterTracker(
+            self.structure,
+            start=0,
+            offset=self._one._has_offset,
+            regressor=self._one.regressor,
+            forgetting=float(self._forgetting[i]),
+            gradient=cast(Gradient, str(self._gradient[i])),
+            guard=cast(Guard, str(self._guard[i])),
+            influence=choices.influence,
+            scaling=choices.scaling,
+            information=choices.information,
+        )
+        tracker._samples = self._one._samples
+        # States of this bank: what `restore` of a tracker refuses has been refused before.
+        tracker._set_state(self._row(self._initial, i))
+        tracker._initial = tracker.state()
+        tracker._set_state(self._row(self._arrays(self._now), i))
+        return tracker
+
+    # The recursion.
+
+    def update(self, y: ArrayLike | None, u: ArrayLike | None = None, R: ArrayLike | None = None) -> BankSample:
+        """Take one sample of every actuator: the outputs y(k) and the inputs u(k).
+
+        Parameters
+        ----------
+        y : array_like, shape (n,), or None
+            Measured outputs; NaN where one is missing, None if all are.
+        u : array_like, shape (n,), or (n, n_inputs) for several inputs, optional
+            Inputs of the same sample; a number, or shape (n_inputs,), for all actuators alike.
+        R : float, or array_like, shape (n,), optional
+            Variances of the noise in this sample. Default: the bank's R.
+
+        Returns
+        -------
+        BankSample
+            prediction, residual, weights, guard, each of shape (n,).
+
+        Raises
+        ------
+        ValueError, TypeError
+            If y is infinite, u not finite, R not positive or a shape wrong; no actuator has changed then.
+        LinAlgError
+            If a filter refuses its sample; no actuator has changed then.
+        """
+        outputs = bank_setup.outputs(y, self.n, False)
+        inputs = bank_setup.inputs(self.structure, u, self.n)
+        variances = None if R is None else bank_setup.variances(R, self.n)[None]
+        now, out = self._advance(self._now, outputs[None], inputs[None], variances, None)
+        sample = BankSample(*(column[:, 0] for column in out[2:]))
+        self._now = now
+        return sample
+
+    def run(
+        self, y: ArrayLike, u: ArrayLike | None = None, R: ArrayLike | None = None, *, keep: str | int = "all"
+    ) -> BankResult:
+        """Take whole recordings; the numbers are those of `update`, sample by sample.
+
+        Parameters
+        ----------
+        y : array_like, shape (N, n)
+            Measured outputs, N >= 1; NaN where one is missing. A pandas DataFrame has the index of u, in equal steps.
+        u : array_like, shape (N, n), or (N, n, n_inputs) for several inputs, optional
+            Inputs; shape (N,), or (N, n_inputs), for all actuators alike.
+        R : array_like, shape (N, n), or (N,) for all actuators alike, or float, optional
+            Variances of the noise in each sample. Default: the bank's R.
+        keep : {"all", "last"} or int, default "all"
+            Which samples to return: all, the last, or every keep-th (samples keep - 1, 2 keep - 1, ..), so that
+            memory is bounded.
+
+        Returns
+        -------
+        BankResult
+            theta, std, prediction, residual, weights, guard, with axes (samples kept, n, ..).
+
+        Raises
+        ------
+        ValueError, TypeError
+            If y or u is empty or not finite, R not positive, or a shape wrong; no actuator has changed then.
+        LinAlgError
+            If a filter refuses a sample; the message names both, and no actuator has changed then.
+        """
+        columns_of_y = getattr(y, "columns", None)
+        axis, y, u, R = recording(self.structure, y=y, u=u, R=R)
+        outputs = bank_setup.outputs(y, self.n, True)
+        length = len(outputs)
+        signal = bank_setup.inputs(self.structure, u, self.n, length)
+        noise = None if R is None else bank_setup.recorded_variances(R, self.n, length)
+        every = _every(keep, length)
+        kept = np.arange(every - 1, length, every)
+        columns = Columns.empty(kept.size, self.n, self._layout.n)
+        now, k = self._now, 0
+        while k < length:
+            step = max(1, _CHUNK // (self.n * self._layout.n)) if now.waits < 0 else now.waits
+            chunk = slice(k, min(k + step, length))
+            now, out = self._advance(now, outputs[chunk], signal[chunk], None if noise is None else noise[chunk], k)
+            due = np.flatnonzero((kept >= k) & (kept < chunk.stop))
+            for column, part in zip(columns, out, strict=True):
+                column[due] = part[:, kept[due] - k].swapaxes(0, 1)
+            k = chunk.stop
+        theta, variance, prediction, residual, weights, guard = columns
+        std = np.sqrt(np.maximum(variance[..., self._own], 0.0))
+        result = BankResult(theta[..., self._own], std, prediction, residual, weights, guard, kept)
+        result.names, result.index = self.structure.names, None if axis.index is None else axis.index[kept]
+        result.actuators = tuple(range(self.n) if columns_of_y is None else columns_of_y)
+        self._now = now
+        return result
+
+    def _with_constant(self, u: Array) -> Array:
+        """Return inputs (.., n, n_inputs) with the constant, where phi has one."""
+        return np.concatenate((u, np.ones((*u.shape[:-1], 1))), axis=-1) if self._one._has_offset else u
+
+    def _advance(
+        self, now: _Now, y: Array, u: Array, R: Array | None, first: int | None
+    ) -> tuple[_Now, Columns]:  # fmt: skip
+        """Return what N checked samples make of now, and columns with the axes (n, N); changes nothing.
+
+        y and R have shape (N, n), u (N, n, n_inputs). first: number of the first sample, for messages that name it.
+        """
+        layout, length = self._layout, len(y)
+        out = Columns.empty(self.n, length, layout.n)
+        if now.waits >= 0:
+            return self._look_on(now, y, u, out), out
+        theta, P, scale = now.theta.copy(), now.P.copy(), now.scale.copy()
+        past = Memories(*(np.array(a, order="C") for a in now.past))
+        after = now._replace(theta=theta, P=P, past=past, scale=scale)
+        left = np.zeros(self.n, dtype=np.intp)
+        if serves(self._choices):
+            recursion = Recursion(
+                self._choices, self._one._cleans, self._gradient == "filtered", self._guard, self._enabled,
+                self._matrices("F"), self._matrices("Q"), self._alpha_sq, now.others[:, 1], now.others[:, 0],
+            )  # fmt: skip
+            noise = None if R is None else R.T
+            left = advance(layout, recursion, y.T, u.swapaxes(0, 1), noise, theta, P, past, scale, out)
+        for i in np.flatnonzero(left < length).tolist():
+            self._advance_alone(i, after, slice(left[i], length), (y, u, R), out, first)
+        return after, out
+
+    def _look_on(self, now: _Now, y: Array, u: Array, out: Columns) -> _Now:
+        """Return what so many samples of the start make of now; at its end, a model of each actuator."""
+        start = np.concatenate((now.start, np.concatenate((y[:, :, None], u), axis=2)))
+        out.theta[:], out.variance[:] = now.theta[:, None], np.inf
+        for k in range(len(y)):
+            out.prediction[:, k] = _levels(start[: len(now.start) + k])
+        out.residual[:] = y.T - out.prediction
+        if now.waits > len(y):
+            return now._replace(start=start, waits=now.waits - len(y))
+        found = self._arrays(now._replace(start=start[:0], waits=-1))
+        state = {name: np.array(value) for name, value in found.items()}
+        failures: dict[str, list[int]] = {}
+        for i in range(self.n):
+            tracker = self.tracker(i)
+            tracker._set_state(self._row(state, i))
+            failure = tracker._started(start[:, i, 0], start[:, i, 1:])
+            if failure:
+                failures.setdefault(failure, []).append(i)
+            tracker._begun = True
+            for name, value in tracker.state().items():
+                if name in state and name not in ("start", "Q", "F", "R", "alpha_sq", "enabled"):
+                    state[name][i] = value
+            state["R"][i] = tracker.R
+        for failure, some in failures.items():
+            mask = np.isin(np.arange(self.n), some)
+            warnings.warn(
+                f"TrackerBank: no model can be made of the first {len(start)} samples of "
+                f"{bank_setup.actuators(mask)}, which start from nothing: {failure}",
+                LostTrackerWarning,
+                stacklevel=4,
+            )
+        return self._from_arrays(state)
+
+    def _advance_alone(
+        self,
+        i: int,
+        now: _Now,
+        samples: slice,
+        signals: tuple[Array, Array, Array | None],
+        out: Columns,
+        first: int | None,
+    ) -> None:
+        """Advance one actuator through some of the samples, by its `ParameterTracker`, in the arrays of now."""
+        tracker = self.tracker(i)
+        tracker._set_state(self._row(self._arrays(now), i))
+        y, u, R = signals[0][samples, i], signals[1][samples, i], signals[2]
+        R = None if R is None else R[samples, i]
+        try:
+            result = Columns.empty(len(y), self._layout.n)
+            tracker._advance(y, u, R, result)
+        except (ValueError, TypeError, np.linalg.LinAlgError) as error:
+            head, _, rest = str(error).partition(": ")
+            place = "" if first is None else f"sample {int(head.removeprefix('sample ')) + samples.start + first}: "
+            error.args = (f"{place}actuator {i}: {rest}", *error.args[1:])
+            raise
+        state = tracker.state()
+        now.theta[i], now.P[i] = state["theta"], state["P"]
+        now.scale[i, 0], now.scale[i, 1:] = tracker.R, tracker._scale
+        for name, array in now.past._asdict().items():
+            array[i] = state[name]
+        for name, column in zip(Columns._fields, out, strict=True):
+            column[i, samples] = getattr(result, name)
+
+    def _drifting(self) -> np.ndarray:
+        """Tell for which actuators the next sample begins with a step of theta."""
+        wound_up = (self._alpha_sq != 1.0) & (np.einsum("ijj->i", self._now.P) > self._now.others[:, 1])
+        return np.asarray(self._enabled & ~wound_up)
+
+    def _matrices(self, name: str) -> Array:
+        """Return F or Q, which the user may have changed, with the axis (1 or n) in front."""
+        found = bank_setup.matrices(name, getattr(self, name), self.n, len(self._own))
+        if not np.isfinite(found).all():
+            raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
+        found = found[None] if found.ndim == 2 else found
+        size = self._layout.n
+        if size == len(self._own):
+            return found
+        # The constant stays.
+        whole = np.tile(np.eye(size) if name == "F" else np.zeros((size, size)), (len(found), 1, 1))
+        whole[:, self._own[:, None], self._own] = found
+        return whole
+
+    # Interruption.
+
+    def state(self) -> dict[str, Array]:
+        """Return everything the recursion needs to go on, as plain arrays.
+
+        Returns
+        -------
+        dict of str to ndarray
+            What `ParameterTracker.state` returns, with a leading axis of n but for ``format``; Q and F without it if
+            they are shared.
+            ``numpy.savez(file, **state)`` stores it.
+        """
+        return _state.labelled(self._kind, self._arrays(self._now))
+
+    @property
+    def _kind(self) -> str:
+        """What a state belongs to."""
+        return f"TrackerBank of {self.structure}"
+
+    def restore(self, state: Any) -> None:
+        """Go back to a state of this bank, or of another one with the same n and structure.
+
+        Parameters
+        ----------
+        state : mapping of str to ndarray
+            From `state`, or what ``numpy.load`` makes of a file that holds it.
+
+        Raises
+        ------
+        ValueError
+            If it is of another structure or a newer format, an array is missing, does not fit or is not finite, a
+            variance is not positive, P not positive semidefinite, or a model unstable that the guard keeps stable;
+            nothing has changed then.
+        TypeError
+            If state is no mapping.
+
+        Notes
+        -----
+        The continuation is the same to the last bit.
+        """
+        _state.require_kind(state, self._kind)
+        found = bank_setup.checked_state(state, self._layout, len(self._own), self.n, self._guard != "none")
+        self._now = self._from_arrays(found)
+        self._enabled, self._alpha_sq = found["enabled"], found["alpha_sq"]
+        self.Q, self.F = found["Q"], found["F"]
+
+    def _from_arrays(self, found: dict[str, Array]) -> _Now:
+        """Return what `_arrays` was made of."""
+        recursion = found["recursion"]
+        scale, others = np.column_stack((found["R"], recursion[:, 2:5])), recursion[:, [0, 1, 5]]
+        past = Memories(*(found[name] for name in Memories._fields))
+        start = np.ascontiguousarray(found["start"].swapaxes(0, 1))
+        return _Now(found["theta"], found["P"], past, scale, others, start, int(recursion[0, 6]))
+
+    def reset(self) -> None:
+        """Go back to the start: theta, P, Q, R, F and the memory as they were when the bank was made."""
+        self.restore(self._initial)
+
+    def _arrays(self, now: _Now) -> dict[str, Array]:
+        """Return the arrays of `state`, not copied."""
+        theta, P, past, scale, others, start, waits = now
+        waiting = np.full((self.n, 1), float(waits))
+        recursion = np.concatenate((others[:, :2], scale[:, 1:], others[:, 2:], waiting), axis=1)
+        arrays = {"theta": theta, "P": P, **past._asdict(), "enabled": self._enabled, "recursion": recursion}
+        # What a user sets may be a list.
+        arrays |= {name: numbers(name, getattr(self, name)) for name in "QF"}
+        return arrays | {"start": start.swapaxes(0, 1), "R": scale[:, 0], "alpha_sq": self._alpha_sq}
+
+    def _row(self, state: dict[str, Array], i: int) -> dict[str, Array]:
+        """Return the state of one actuator's tracker."""
+        row = {
+            name: value if name in ("Q", "F") and value.ndim == 2 else value[i]
+            for name, value in state.items()
+            if name != _state.LABEL
+        }
+        whole = {name: np.eye(self._layout.n) if name == "F" else np.zeros((self._layout.n,) * 2) for name in "QF"}
+        for name, matrix in whole.items():
+            matrix[np.ix_(self._own, self._own)] = row[name]
+        return {**row, **whole, "R": np.reshape(row["R"], (1, 1))}
+
+
+def _levels(start: Array) -> Array:
+    """Return the median of the outputs so far of each actuator, (n,), 0 where there are none."""
+    y = start[:, :, 0]
+    known = ~np.isnan(y)
+    levels = np.zeros(y.shape[1])
+    for i in np.flatnonzero(known.any(axis=0)):
+        levels[i] = np.median(y[known[:, i], i])
+    return levels
+
+
+def _every(keep: Any, length: int) -> int:
+    """Return which samples to keep: each of how many."""
+    if isinstance(keep, str):
+        return 1 if _checks.option("keep", keep, ("all", "last")) == "all" else length
+    return _checks.count("keep", keep, 1)
+
+
+def _with_inputs(layout: Layout, inputs: Array, u: Array) -> Array:
+    """Return what the past inputs (n, length) become with the next ones, u of shape (n, n_inputs)."""
+    moved = np.empty_like(inputs)
+    moved[:, 1:] = inputs[:, :-1]
+    moved[:, layout.starts] = u[:, layout.used]
+    return moved
+
+
+def _regressors(layout: Layout, past: Memories, inputs: Array) -> Array:
+    """Return phi of every actuator, shape (n, n_theta)."""
+    phi = np.empty((len(inputs), layout.n))
+    phi[:, layout.outputs] = past.outputs
+    phi[:, layout.inputs_in_phi] = inputs[:, layout.picks]
+    phi[:, layout.f] = past.undisturbed
+    phi[:, layout.c] = past.residuals
+    return phi

@@ -1,0 +1,261 @@
+"""How fast parameters drift: Q or the forgetting factor, by how well each value predicts a recording one step ahead.
+
+Every value is judged by the same density, the mixture that `learnt_noise` learns from the residuals, so that an outlier
+costs a bounded amount whichever value it is held against. The samples from which the tracker makes its first model are
+left out, and so are those after them in which P still forgets how it began.
+"""
+
+from __future__ import annotations
+
+import copy
+import itertools
+import warnings
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+from robust_filterpy._pictures import drawn
+from robust_filterpy.identification.models.learnt_noise import likelihood_of_mixture
+from robust_filterpy.identification.models.signals import recorded_input, recorded_output
+from robust_filterpy.identification.models.time_axis import recording, table
+from robust_filterpy.identification.recursive import setup
+from robust_filterpy.influence.regression import mad_scale
+
+if TYPE_CHECKING:
+    from robust_filterpy.identification.recursive.tracker import ParameterTracker
+
+__all__ = ["Tried", "TunedTracker", "tuned"]
+
+_NAMES: Final = ("Q", "forgetting")
+# Samples left out after the start, for each parameter, and how many must be left to judge by.
+_SETTLING: Final = 20
+_LEAST: Final = 50
+# A residual this many times as large as y varies is as wild as any.
+_WILD: Final = 10.0
+# Values within so much log-likelihood of the best predict as well as it does.
+_CLOSE: Final = 2.0
+
+
+class Tried(NamedTuple):
+    """One candidate of `TunedTracker`.
+
+    Attributes
+    ----------
+    values : dict of str
+        What was set, by name.
+    log_likelihood : float
+        Of the prediction errors one step ahead; -inf if the filter could not go through the recording.
+    """
+
+    values: dict[str, Any]
+    log_likelihood: float
+
+
+@dataclass(frozen=True, eq=False)
+class TunedTracker:
+    """What `ParameterTracker.tuned` chose.
+
+    Attributes
+    ----------
+    tracker : ParameterTracker
+        The tracker as it was before the recording, with the chosen values.
+    rows : tuple of Tried
+        All candidates, in the order in which they were given.
+    samples : int
+        How many samples they were judged by.
+    warning : str
+        What makes the choice doubtful, in words; empty if nothing does.
+    """
+
+    tracker: ParameterTracker
+    rows: tuple[Tried, ...]
+    samples: int
+    warning: str
+
+    @property
+    def best(self) -> Tried:
+        """The candidate with the greatest log-likelihood."""
+        return max(self.rows, key=lambda row: row.log_likelihood)
+
+    def to_text(self) -> str:
+        """Return the candidates as a table.
+
+        Returns
+        -------
+        str
+        """
+        names = list(self.best.values)
+        lines = ["".join(f"{name:>16}" for name in names) + f"{'log-likelihood':>18}{'below best':>12}"]
+        for row in self.rows:
+            below = self.best.log_likelihood - row.log_likelihood
+            mark = "  chosen" if row is self.best else "  as good" if below < _CLOSE else ""
+            values = "".join(f"{_short(row.values[name]):>16}" for name in names)
+            lines.append(f"{values}{row.log_likelihood:>18.1f}{below:>12.1f}{mark}")
+        lines.append(f"predictions one step ahead of {self.samples} samples")
+        return "\n".join([*lines, *([f"Doubtful: {self.warning}"] if self.warning else [])])
+
+    def __str__(self) -> str:
+        """Return the table."""
+        return self.to_text()
+
+    def plot(self, **options: Any) -> Any:
+        """Draw the log-likelihood of each value.
+
+        Parameters
+        ----------
+        **options : dict, optional
+            Of `robust_filterpy.plotting.plot_tuning`.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        return drawn("plot_tuning", self, options)
+
+    def to_frame(self) -> Any:
+        """Return the candidates as a pandas DataFrame, a row for each.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A column for each name, and log_likelihood.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        columns: dict[str, Any] = {name: [row.values[name] for row in self.rows] for name in self.best.values}
+        return table(columns | {"log_likelihood": [row.log_likelihood for row in self.rows]})
+
+
+def tuned(tracker: ParameterTracker, y: Any, u: Any, over: Any, leave_out: int | None) -> TunedTracker:
+    """Choose Q or the forgetting factor of a tracker.
+
+    Parameters
+    ----------
+    tracker : ParameterTracker
+        It is not changed.
+    y, u : array_like, shape (N,) or (N, n_inputs)
+        Recording.
+    over : mapping of str to iterable
+        Values to try.
+    leave_out : int or None
+        How many samples not to judge by, after the start.
+
+    Returns
+    -------
+    TunedTracker
+
+    Raises
+    ------
+    ValueError, TypeError
+        As `ParameterTracker.tuned`.
+    """
+    axis, y, u = recording(tracker.structure, y=y, u=u)
+    axis.require_period(tracker.dt)
+    output = recorded_output(y)
+    signal = recorded_input(tracker.structure, u, output.size)
+    candidates = _candidates(tracker, over)
+    if not tracker.enabled:
+        raise ValueError("tracker: expected one that learns, got enabled=False, with which no value makes a difference")
+    ready = copy.deepcopy(tracker)
+    with warnings.catch_warnings():
+        # A value that is far off loses its way, which its likelihood says.
+        warnings.simplefilter("ignore", UserWarning)
+        first = _through_the_start(ready, output, signal)
+        settling = _SETTLING * tracker.structure.n_theta if leave_out is None else _checks.count("leave_out", leave_out)
+        counts = np.arange(output.size) >= first + settling
+        if (counts & ~np.isnan(output)).sum() < _LEAST:
+            raise ValueError(
+                f"y: expected at least {_LEAST} measured samples after the first {first + settling}, of which {first} "
+                f"are the start and {settling} are left out, got {(counts & ~np.isnan(output)).sum()}; record more, or "
+                "take a smaller start or leave_out"
+            )
+        residuals = [_residual(ready, values, output, signal, first, counts) for values in candidates]
+    wild = _WILD * mad_scale(output[~np.isnan(output)] - np.nanmedian(output)) or np.inf
+    likelihoods = [-np.inf if e is None else likelihood_of_mixture(e, wild) for e in residuals]
+    rows = tuple(Tried(*row) for row in zip(candidates, likelihoods, strict=True))
+    if not any(np.isfinite(row.log_likelihood) for row in rows):
+        raise ValueError("over: expected a value with which the filter goes through the recording, got none")
+    samples = int((counts & ~np.isnan(output)).sum())
+    chosen = max(rows, key=lambda row: row.log_likelihood)
+    doubt = _doubt(chosen, candidates)
+    if doubt:
+        warnings.warn(f"tuned: {doubt}", stacklevel=3)
+    return TunedTracker(_with_values(tracker, chosen.values), rows, samples, doubt)
+
+
+def _candidates(tracker: ParameterTracker, over: Any) -> list[dict[str, Any]]:
+    """Return every combination of the values, checked."""
+    if not isinstance(over, Mapping):
+        raise TypeError(f'over: expected values by name such as {{"Q": [1e-6, 1e-5]}}, got {_checks.shown(over)}')
+    if not over or set(over) - set(_NAMES):
+        raise ValueError(f"over: expected values of {' or '.join(_NAMES)}, got {_checks.shown(list(over))}")
+    lists = {}
+    for name, values in over.items():
+        if not isinstance(values, Iterable) or isinstance(values, str):
+            raise TypeError(f"over[{name!r}]: expected a sequence of values to try, got {_checks.shown(values)}")
+        lists[name] = [value.item() if np.ndim(value) == 0 and hasattr(value, "item") else value for value in values]
+        if not lists[name]:
+            raise ValueError(f"over[{name!r}]: expected at least one value to try, got an empty sequence")
+        trial = copy.deepcopy(tracker)
+        for value in lists[name]:
+            setattr(trial, name, value)
+    return [dict(zip(lists, values, strict=True)) for values in itertools.product(*lists.values())]
+
+
+def _through_the_start(tracker: ParameterTracker, y: Array, u: Array) -> int:
+    """Take the samples of which the tracker makes its first model, which no value changes; return how many."""
+    k = 0
+    while tracker._start is not None and k < y.size:
+        part = slice(k, min(k + max(tracker._start.waits, 1), y.size))
+        tracker.run(y[part], u[part])
+        k = part.stop
+    return k
+
+
+def _residual(tracker: ParameterTracker, values: Any, y: Array, u: Array, first: int, counts: Any) -> Array | None:
+    """Return the prediction errors that count with these values, None if the filter breaks down."""
+    trial = _with_values(tracker, values)
+    try:
+        residual = trial.run(y[first:], u[first:]).residual
+    except (np.linalg.LinAlgError, ValueError):
+        return None
+    residual = residual[counts[first:]]
+    return np.asarray(residual[~np.isnan(residual)])
+
+
+def _with_values(tracker: ParameterTracker, values: dict[str, Any]) -> ParameterTracker:
+    """Return a copy with these values, also after a reset."""
+    found = copy.deepcopy(tracker)
+    for name, value in values.items():
+        setattr(found, name, value)
+    settings = setup.settings(found.filter)
+    kept = {name: settings[name] for name in ("Q", "alpha_sq") if name in settings}
+    found._initial, found._given = found._initial | kept, found._given | values
+    return found
+
+
+def _doubt(chosen: Tried, candidates: list[dict[str, Any]]) -> str:
+    """Say which value lies at the end of what was tried, where a further one may be better; or nothing."""
+    for name, value in chosen.values.items():
+        tried = [values[name] for values in candidates]
+        if any(np.ndim(one) for one in tried) or len(set(tried)) < 2 or value == (0.0 if name == "Q" else 1.0):
+            continue
+        if name == "Q" and value == min((one for one in tried if one > 0.0), default=0.0):
+            between = ", also between 0 and it" if 0.0 in tried else ""
+            return f"the best Q, {value:g}, is the smallest that was tried; try smaller ones too{between}"
+        if value in (min(tried), max(tried)):
+            where = "smaller" if value == min(tried) else "larger"
+            return f"the best {name}, {value:g}, is at the end of what was tried; try {where} ones too"
+    return ""
+
+
+def _short(value: Any) -> str:
+    """Return a value as a cell of the table."""
+    return f"{value:.3g}" if np.ndim(value) == 0 else f"trace {np.trace(np.atleast_2d(value)):.3g}"

@@ -1,0 +1,66 @@
+"""The kernel: the package's recursions in C, one concept a header, and the extension module around them.
+
+What is written in numpy (`robust_filterpy.correction` above all) is the definition; the kernel does the same work
+faster and is held to it by tests. Where it declines, the definition serves; where it could not be built, that serves
+everywhere. ``ROBUST_FILTERPY_KERNEL=off`` in the environment makes that so, for tests.
+
+The headers (``real.h`` says how they are written) know nothing of Python and are what `robust_filterpy.export_c` writes
+for microcontrollers: C99, sizes as arguments, workspaces from the caller, no allocation, no state of their own.
+
+* `records`, `series`: series and recordings, from Python. `record`: what one correction left.
+* `learnt`: steps under learnt noise (``learnt.h``).
+* ``real.h``: the number type. ``psi.h``: psi, psi', rho.
+* ``prediction.h``, ``correction.h``: one step. ``series.h``: many of many.
+
+The extension is written by hand against Python's stable interface and numpy's. ``glue.h`` has what all its functions
+need: arrays that are checked when taken, attributes read and set, references held during a call. The functions are in
+one ``.c`` file for each group, with a table ``<group>_functions``; a new group is named in ``groups.h`` and in
+``module.c``. A function that does a step returns True where it has done it, and False, with nothing changed, where that
+is for the definition: another dtype, shape or order than usual, a subclass of ndarray, numbers that are not finite, a
+matrix that is no covariance, an overflow, a variance that cancels. What Python code raises on the way is passed on.
+
+``python setup.py build_ext --inplace`` builds it in a checkout.
+
+Imports from below: `robust_filterpy.influence`, `robust_filterpy.correction`.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from functools import lru_cache
+from typing import Any
+
+__all__ = ["available", "extension"]
+
+
+@lru_cache(maxsize=1)
+def extension() -> Any:
+    """Return the extension module, None (after one line in the log that says so) if the definition is to serve.
+
+    Returns
+    -------
+    module or None
+    """
+    if os.environ.get("ROBUST_FILTERPY_KERNEL") == "off":
+        return None
+    try:
+        from robust_filterpy.kernel import _extension  # type: ignore[attr-defined]
+    except ImportError as error:
+        logging.getLogger("robust_filterpy").info(
+            "robust_filterpy: the definition in numpy serves, several times slower; the kernel in C cannot be loaded "
+            "(%s); to build it, install again where there is a C compiler",
+            error,
+        )
+        return None
+    return _extension
+
+
+def available() -> bool:
+    """Return whether the kernel serves.
+
+    Returns
+    -------
+    bool
+    """
+    return extension() is not None

@@ -1,0 +1,137 @@
+/* What glue.h declares. */
+#include "glue.h"
+
+PyObject *hold(held *h, PyObject *object) {
+    if (object) h->objects[h->count++] = object;
+    return object;
+}
+
+PyObject *hold_attribute(held *h, PyObject *owner, enum attribute which) {
+    return hold(h, PyObject_GetAttr(owner, attribute_names[which]));
+}
+
+PyObject *answer(held *h, int outcome) {
+    while (h->count) Py_DECREF(h->objects[--h->count]);
+    if (outcome < 0) return NULL;
+    return PyBool_FromLong(outcome);
+}
+
+int set_attribute(PyObject *owner, enum attribute which, PyObject *value) {
+    return PyObject_SetAttr(owner, attribute_names[which], value);
+}
+
+/* Whether an object is an exact ndarray of float64 in C order; read only, if that serves. */
+static int is_plain(PyObject *object, int writable) {
+    PyArrayObject *const array = (PyArrayObject *)object;
+    if (!PyArray_CheckExact(object) || PyArray_TYPE(array) != NPY_DOUBLE) return 0;
+    return writable ? PyArray_ISCARRAY(array) : PyArray_ISCARRAY_RO(array);
+}
+
+double *numbers_of(PyObject *array) { return (double *)PyArray_DATA((PyArrayObject *)array); }
+
+const double *matrix_of(PyObject *object, npy_intp rows, npy_intp columns) {
+    PyArrayObject *const array = (PyArrayObject *)object;
+    if (!is_plain(object, 0) || PyArray_NDIM(array) != 2) return NULL;
+    if (PyArray_DIM(array, 0) != rows || PyArray_DIM(array, 1) != columns) return NULL;
+    return numbers_of(object);
+}
+
+const double *vector_of(PyObject *object, npy_intp length) {
+    PyArrayObject *const array = (PyArrayObject *)object;
+    if (!is_plain(object, 0) || PyArray_NDIM(array) < 1 || PyArray_NDIM(array) > 2) return NULL;
+    if (PyArray_DIM(array, 0) != length || (PyArray_NDIM(array) == 2 && PyArray_DIM(array, 1) != 1)) return NULL;
+    return numbers_of(object);
+}
+
+double *writable(PyObject *object, int ndim, const npy_intp *shape) {
+    PyArrayObject *const array = (PyArrayObject *)object;
+    if (!is_plain(object, 1) || PyArray_NDIM(array) != ndim) return NULL;
+    for (int i = 0; i < ndim; i++)
+        if (PyArray_DIM(array, i) != shape[i]) return NULL;
+    return numbers_of(object);
+}
+
+PyObject *new_array(int ndim, npy_intp first, npy_intp second) {
+    npy_intp shape[2] = {first, second};
+    return PyArray_SimpleNew(ndim, shape, NPY_DOUBLE);
+}
+
+int is_symmetric(const double *a, npy_intp n) {
+    for (npy_intp i = 0; i < n; i++)
+        for (npy_intp j = 0; j < i; j++) {
+            const double above = a[j * n + i], below = a[i * n + j];
+            if (above != below && !(fabs(above - below) <= 1e-13 * (fabs(above) + fabs(below)))) return 0;
+        }
+    return 1;
+}
+
+int is_covariance(const double *a, npy_intp n, double *L) {
+    if (!is_symmetric(a, n)) return 0;
+    for (npy_intp i = 0; i < n; i++)
+        for (npy_intp j = 0; j <= i; j++) {
+            double total = a[i * n + j];
+            for (npy_intp k = 0; k < j; k++) total -= L[i * n + k] * L[j * n + k];
+            if (i == j) {
+                if (!(total >= 0 && total <= DBL_MAX)) return 0;
+                L[i * n + i] = sqrt(total);
+            } else if (L[j * n + j] > 0) {
+                L[i * n + j] = total / L[j * n + j];
+            } else if (total == 0) {
+                L[i * n + j] = 0;
+            } else {
+                return 0;
+            }
+        }
+    return 1;
+}
+
+int all_finite(const double *a, npy_intp count) {
+    double check = 0;
+    /* Not the sum: x - x is 0 where x is a number. */
+    for (npy_intp i = 0; i < count; i++) check += a[i] - a[i];
+    return check == 0;
+}
+
+int rule_of(PyObject *object, correction_rule *rule) {
+    const double *const numbers = vector_of(object, 8);
+    if (!numbers) return 0;
+    rule->psi.kind = (int)numbers[0];
+    rule->psi.a = numbers[1];
+    rule->psi.b = numbers[2];
+    rule->psi.c = numbers[3];
+    rule->scaling = (int)numbers[4];
+    rule->information = (int)numbers[5];
+    rule->expected = numbers[6];
+    rule->normalizer = numbers[7];
+    return 1;
+}
+
+int rule_of_filter(held *h, PyObject *filter, correction_rule *rule) {
+    PyObject *const choices = hold_attribute(h, filter, AT__choices);
+    PyObject *const derived = choices ? hold_attribute(h, choices, AT_derived) : NULL;
+    PyObject *found, *room;
+    if (!derived) return -1;
+    if (!PyDict_CheckExact(derived)) return 0;
+    found = PyDict_GetItemWithError(derived, attribute_names[AT_rule]);
+    if (!found) {
+        /* Once for each set of options. */
+        if (PyErr_Occurred()) return -1;
+        room = hold(h, PyImport_ImportModule("robust_filterpy.kernel.series"));
+        found = room ? hold(h, PyObject_CallMethod(room, "rule", "O", choices)) : NULL;
+        if (!found) return -1;
+    } else {
+        Py_INCREF(hold(h, found));
+    }
+    return rule_of(found, rule);
+}
+
+double *work_of(double *stack, size_t count) {
+    if (count <= STACK_WORK) return stack;
+    double *const found = PyMem_Malloc(count * sizeof(double));
+    if (!found) PyErr_NoMemory();
+    return found;
+}
+
+void work_done(const double *stack, double *work) {
+    if (work && work != stack) PyMem_Free(work);
+}

@@ -1,0 +1,67 @@
+/* What the functions of the extension share: arrays taken and made, attributes read and set.
+
+   A function of the extension returns True where it did the work, False where the definition is to do it (nothing has
+   changed then), and NULL with an exception that Python code raised on the way. */
+#ifndef ROBUST_FILTERPY_GLUE_H
+#define ROBUST_FILTERPY_GLUE_H
+
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+
+#define NPY_NO_DEPRECATED_API NPY_1_23_API_VERSION
+#define PY_ARRAY_UNIQUE_SYMBOL robust_filterpy_numpy
+#ifndef ROBUST_FILTERPY_MODULE
+#define NO_IMPORT_ARRAY
+#endif
+#include <numpy/arrayobject.h>
+
+#include "correction.h"
+
+/* Attributes by name; the same list makes the enumeration and the interned strings. */
+#define ATTRIBUTES(X) \
+    X(x) X(P) X(F) X(Q) X(H) X(R) X(B) X(z) X(dim_x) X(dim_z) X(inv) X(x_prior) X(P_prior) X(x_post) X(P_post) \
+    X(_alpha_sq) X(_choices) X(derived) X(rule) X(_memory) X(_last) X(_y) X(_S) X(_SI) X(_K) X(_log_likelihood) X(_likelihood) X(_mahalanobis)
+enum attribute {
+#define ATTRIBUTE(name) AT_##name,
+    ATTRIBUTES(ATTRIBUTE)
+#undef ATTRIBUTE
+    ATTRIBUTE_COUNT
+};
+extern PyObject *attribute_names[ATTRIBUTE_COUNT];
+extern PyObject *numpy_inverse; /* numpy.linalg.inv, filterpy's default for inv */
+
+/* References held during a call: no array can go away while it is worked on. */
+#define HELD_MOST 24
+typedef struct {
+    PyObject *objects[HELD_MOST];
+    int count;
+} held;
+
+PyObject *hold(held *h, PyObject *object);                           /* takes the reference over; NULL stays NULL */
+PyObject *hold_attribute(held *h, PyObject *owner, enum attribute which);
+PyObject *answer(held *h, int outcome);                              /* 1 True, 0 False, -1 NULL; lets go of all */
+int set_attribute(PyObject *owner, enum attribute which, PyObject *value);
+
+/* The numbers of an exact ndarray of float64, C-contiguous, with these dimensions; NULL if it is anything else. */
+const double *matrix_of(PyObject *object, npy_intp rows, npy_intp columns);
+const double *vector_of(PyObject *object, npy_intp length);          /* also (length, 1) */
+double *writable(PyObject *object, int ndim, const npy_intp *shape); /* for what is written into */
+PyObject *new_array(int ndim, npy_intp first, npy_intp second);      /* not initialized */
+double *numbers_of(PyObject *array);
+
+/* Whether a matrix is what the definition takes for one, without a second thought. */
+int is_symmetric(const double *a, npy_intp n);
+int is_covariance(const double *a, npy_intp n, double *work);        /* positive semidefinite; work: n n */
+int all_finite(const double *a, npy_intp count);
+
+/* The options of a filter from the array that carries them (see robust_filterpy.kernel.rule): 1 if they are that. */
+int rule_of(PyObject *object, correction_rule *rule);
+/* The same of a filter; 0 if the kernel does not know its options, -1 with an exception. */
+int rule_of_filter(held *h, PyObject *filter, correction_rule *rule);
+
+/* Workspace of a call: on the stack up to here, else from the heap, and then to be freed. */
+#define STACK_WORK 2048
+double *work_of(double *stack, size_t count);
+void work_done(const double *stack, double *work);
+
+#endif

@@ -1,0 +1,548 @@
+/* Noise that is learnt, and copies of a filter side by side: robust_filterpy.correction.learnt, .learning and .copies in C.
+
+   q copies take the process noise for s_j Q. If jumps are possible there is one more for a state that has jumped, the
+   candidate, whose probability is 0 while there is none. Each sensor is conditioned on by the score of its mixture of classes
+   and the derivative of it, the most plausible first, under every copy. What is known of a sensor is a row of numbers:
+   [r, n, shares (K), last (K), counts (K, K), parity (4)]. */
+#ifndef ROBUST_FILTERPY_LEARNT_H
+#define ROBUST_FILTERPY_LEARNT_H
+
+#include "real.h"
+
+#define LEARNT_REACH REAL(8.0)        /* standard deviations of the widest class that an innovation counts for */
+#define LEARNT_LOG_2PI REAL(1.8378770664093454836)
+#define LEARNT_PARITY 4               /* numbers that tell of parity: last, lag-one covariance, variance, how many */
+#define LEARNT_PARITY_MEMORY REAL(200.0)
+#define LEARNT_PARITY_FROM REAL(0.15)
+#define LEARNT_PARITY_OVER REAL(0.30)
+#define LEARNT_PARITY_SAMPLES REAL(20.0)
+#define LEARNT_REDUNDANT REAL(1e-6)
+#define LEARNT_ASKS REAL(9.0)         /* squared standard deviations from which an innovation asks for a jump */
+#define LEARNT_WIDEST REAL(1e12)       /* a state less certain than a sensor's noise by this is left to the definition */
+#define LEARNT_FARTHEST REAL(1e24)     /* and to which it can tell where to */
+#define LEARNT_AROUND REAL(100.0)     /* variances of its noise within which a sensor tells where a jump went */
+#define LEARNT_EVIDENCE REAL(100.0)   /* a sample is not worth more for a jump */
+#define LEARNT_TAKEN REAL(0.999)      /* a candidate that is so probable is taken over */
+#define LEARNT_DROPPED REAL(0.01)     /* one whose probability is this part of a jump's is dropped */
+
+/* What a filter is told of its noises. */
+typedef struct {
+    int q;               /* scales of the process noise */
+    int K;               /* classes of the measurement noise */
+    const real *process; /* (q) */
+    const real *scales;  /* (K), ascending from 1 */
+    const real *begin;   /* (width) what is known of a sensor before the first sample */
+    real stay;           /* probability that the scale of the process stays */
+    real jump;           /* chance of a jump in a step, 0 for never */
+    real memory, r_memory;
+    int learns;          /* else the classes' probabilities are told, and r is 1 */
+} learnt_rule;
+
+/* The copies, and what is known of each sensor. */
+typedef struct {
+    real *x;      /* (copies, n) */
+    real *P;      /* (copies, n, n) */
+    real *p;      /* (copies) */
+    real *unseen; /* chance that the state has jumped since the last measurement */
+    real *memory; /* (m, width) */
+} learnt_state;
+
+INLINE int learnt_copies(const learnt_rule *const rule) { return rule->jump > 0 ? rule->q + 1 : rule->q; }
+
+INLINE int learnt_width(const int K) { return 2 + 2 * K + K * K + LEARNT_PARITY; }
+
+/* Whether it is more likely than not that the state has jumped. */
+INLINE int learnt_jumped(const learnt_rule *const rule, const real *const p) {
+    return rule->jump > 0 && p[rule->q] > REAL(0.5);
+}
+
+INLINE void learnt_normalize(const int count, real *RESTRICT p) {
+    real total = 0;
+    for (int c = 0; c < count; c++) total += p[c];
+    for (int c = 0; c < count; c++) p[c] /= total;
+}
+
+/* Mean and covariance of a mixture of h parts whose weights add to 1. */
+INLINE void learnt_collapse(const int n, const int h, const real *RESTRICT weights, const real *RESTRICT means,
+                            const real *RESTRICT covariances, real *RESTRICT x, real *RESTRICT P) {
+    for (int i = 0; i < n; i++) x[i] = 0;
+    for (int i = 0; i < n * n; i++) P[i] = 0;
+    for (int c = 0; c < h; c++)
+        for (int i = 0; i < n; i++) x[i] += weights[c] * means[c * n + i];
+    for (int c = 0; c < h; c++) {
+        const real w = weights[c];
+        const real *RESTRICT from = covariances + c * n * n, *RESTRICT mean = means + c * n;
+        if (!(w > 0)) continue;
+        for (int i = 0; i < n; i++) {
+            const real apart = mean[i] - x[i];
+            for (int j = 0; j < n; j++) P[i * n + j] += w * (from[i * n + j] + apart * (mean[j] - x[j]));
+        }
+    }
+}
+
+INLINE size_t learnt_merge_work(const int copies) { return (size_t)copies; }
+
+/* Mean and covariance of the state; a jump is hidden until it is more likely than not. Return whether they are finite. */
+INLINE int learnt_merge(const int n, const learnt_rule *const rule, const learnt_state *const s, real *RESTRICT x,
+                        real *RESTRICT P, real *RESTRICT work) {
+    const int shown = learnt_jumped(rule, s->p) || !(rule->jump > 0) ? learnt_copies(rule) : rule->q;
+    real total = 0, check = 0;
+    for (int c = 0; c < shown; c++) total += s->p[c];
+    for (int c = 0; c < shown; c++) work[c] = s->p[c] / total;
+    learnt_collapse(n, shown, work, s->x, s->P, x, P);
+    for (int i = 0; i < n; i++) check += real_abs(x[i]) + real_abs(P[i * n + i]);
+    return real_is_finite(check);
+}
+
+INLINE size_t learnt_predict_work(const int n, const int copies) {
+    return (size_t)(copies * (2 + n + n * n) + n * n);
+}
+
+/* Predict: mixed as the scale of the process may have changed, then moved. control is B u, or NULL. */
+INLINE void learnt_predict(const int n, const learnt_rule *const rule, learnt_state *const s, const real *RESTRICT F,
+                           const real *RESTRICT Q, const real *control, const real alpha_sq, real *RESTRICT work) {
+    const int q = rule->q, copies = learnt_copies(rule);
+    const real other = (1 - rule->stay) / (real)(q > 1 ? q - 1 : 1);
+    real *RESTRICT p = work, *RESTRICT origin = p + copies, *RESTRICT x = origin + copies, *RESTRICT P = x + copies * n;
+    real *RESTRICT FP = P + copies * n * n;
+    real slow = 0, usual = 0;
+    for (int j = 0; j < q; j++) {
+        p[j] = 0;
+        for (int i = 0; i < q; i++) p[j] += origin[i] = s->p[i] * (i == j ? rule->stay : other);
+        for (int i = 0; i < q; i++) origin[i] /= p[j];
+        learnt_collapse(n, q, origin, s->x, s->P, x + j * n, P + j * n * n);
+    }
+    if (copies > q) {
+        p[q] = s->p[q];
+        real_copy(n, s->x + q * n, x + q * n);
+        real_copy(n * n, s->P + q * n * n, P + q * n * n);
+        for (int j = 0; j < q; j++) slow += p[j];
+        for (int j = 0; j < q; j++) usual += p[j] / slow * real_log(rule->process[j]);
+        usual = real_exp(usual);
+        *s->unseen += rule->jump * (1 - *s->unseen);
+    }
+    for (int j = 0; j < copies; j++) {
+        const real scale = j < q ? rule->process[j] : usual;
+        const real *RESTRICT mean = x + j * n, *RESTRICT from = P + j * n * n;
+        real *RESTRICT to = s->P + j * n * n;
+        s->p[j] = p[j];
+        if (!(p[j] > 0)) continue;
+        for (int i = 0; i < n; i++) {
+            real sum = 0;
+            for (int k = 0; k < n; k++) sum += F[i * n + k] * mean[k];
+            s->x[j * n + i] = control ? sum + control[i] : sum;
+            for (int k = 0; k < n; k++) FP[i * n + k] = 0;
+            for (int o = 0; o < n; o++) {
+                const real f = F[i * n + o];
+                for (int k = 0; k < n; k++) FP[i * n + k] += f * from[o * n + k];
+            }
+        }
+        for (int i = 0; i < n; i++)
+            for (int k = 0; k <= i; k++) {
+                real sum = 0;
+                for (int o = 0; o < n; o++) sum += FP[i * n + o] * F[k * n + o];
+                to[i * n + k] = to[k * n + i] = alpha_sq * sum + scale * Q[i * n + k];
+            }
+    }
+}
+
+/* Predict the class of a sensor's next sample. */
+INLINE void learnt_predicted(const int K, const real *RESTRICT known, real *RESTRICT p) {
+    const real *RESTRICT last = known + 2 + K, *RESTRICT counts = last + K;
+    for (int j = 0; j < K; j++) p[j] = 0;
+    for (int i = 0; i < K; i++) {
+        real total = 0;
+        for (int j = 0; j < K; j++) total += counts[i * K + j];
+        total = last[i] / total;
+        for (int j = 0; j < K; j++) p[j] += total * counts[i * K + j];
+    }
+}
+
+/* The classes of a sensor's next sample whatever the last one was. */
+INLINE void learnt_usual(const int K, const real *RESTRICT known, real *RESTRICT p) {
+    const real *RESTRICT counts = known + 2 + 2 * K;
+    for (int j = 0; j < K; j++) p[j] = 0;
+    for (int i = 0; i < K * K; i++) p[i % K] += counts[i];
+    learnt_normalize(K, p);
+}
+
+/* Learn from a sample: p the probabilities of its classes, before those that were predicted, energy E[v^2 | class 0]/R. */
+INLINE void learnt_learn(const learnt_rule *const rule, const real *RESTRICT p, const real *RESTRICT before,
+                         const real energy, real *RESTRICT known) {
+    const int K = rule->K, width = learnt_width(K);
+    real *RESTRICT shares = known + 2, *RESTRICT last = shares + K, *RESTRICT counts = last + K;
+    const real *RESTRICT prior = rule->begin + 2 + 2 * K;
+    const real keep = 1 - 1 / rule->memory;
+    known[1] = (1 - 1 / rule->r_memory) * known[1] + p[0];
+    if (known[1] > REAL(1e-12)) known[0] += p[0] * (energy - known[0]) / known[1];
+    known[0] = real_min(real_max(known[0], REAL(1e-8)), REAL(1e8));
+    for (int j = 0; j < K; j++) shares[j] += REAL(0.5) / rule->r_memory * (p[j] - shares[j]);
+    for (int i = 0; i < K; i++) {
+        real total = 0;
+        for (int j = 0; j < K; j++) total += counts[i * K + j];
+        total = last[i] / total;
+        for (int j = 0; j < K; j++) {
+            const real moved = before[j] > 0 ? total * counts[i * K + j] * p[j] / before[j] : 0;
+            counts[i * K + j] = prior[i * K + j] + keep * (counts[i * K + j] - prior[i * K + j]) + moved;
+        }
+    }
+    for (int j = 0; j < K; j++) last[j] = p[j];
+    /* Ordinary is what most samples are. */
+    if (K > 1 && shares[0] < REAL(0.5)) {
+        const real r = known[0];
+        real below = shares[0];
+        int k = 0;
+        while (below < REAL(0.5) && k < K - 1) below += shares[++k];
+        real_copy(width - LEARNT_PARITY, rule->begin, known);
+        known[0] = r * rule->scales[k];
+    }
+}
+
+INLINE size_t learnt_parity_work(const int m) { return (size_t)(m * (m + 3)); }
+
+/* Write r of each sensor that is left, nowhere less than its parity allows, and note this sample's parity. */
+INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule, const real *RESTRICT z,
+                         const real *RESTRICT H, const real *RESTRICT R, const real *RESTRICT left,
+                         real *RESTRICT memory, real *RESTRICT r, real *RESTRICT work) {
+    const int width = learnt_width(rule->K);
+    real *RESTRICT rest = work, *RESTRICT unit = rest + m * m, *RESTRICT column = unit + m, *RESTRICT out = column + m;
+    int count = 0;
+    for (int i = 0; i < m; i++) {
+        r[i] = rule->learns ? memory[i * width] : 1;
+        unit[i] = left[i] > 0 ? real_sqrt(r[i] * R[i * m + i]) : 1;
+        if (!(unit[i] > 0)) return;
+        count += left[i] > 0;
+    }
+    if (count < 2 || !rule->learns) return;
+    for (int i = 0; i < m; i++)
+        for (int j = 0; j < m; j++) rest[i * m + j] = i == j && left[i] > 0 ? 1 : 0;
+    /* What is left of the space of measurements when the state's part is taken out, direction by direction. */
+    for (int k = 0; k < n; k++) {
+        real length = 0, whole = 0;
+        for (int i = 0; i < m; i++) {
+            column[i] = left[i] > 0 ? H[i * n + k] / unit[i] : 0;
+            whole += column[i] * column[i];
+        }
+        for (int i = 0; i < m; i++) {
+            out[i] = 0;
+            for (int j = 0; j < m; j++) out[i] += rest[i * m + j] * column[j];
+            length += out[i] * out[i];
+        }
+        if (!(length > REAL(1e-16) * whole)) continue;
+        for (int i = 0; i < m; i++)
+            for (int j = 0; j < m; j++) rest[i * m + j] -= out[i] * out[j] / length;
+    }
+    for (int i = 0; i < m; i++) {
+        real *RESTRICT known = memory + i * width + width - LEARNT_PARITY;
+        real e = 0, variance = 0, share;
+        if (!(left[i] > 0 && rest[i * m + i] > LEARNT_REDUNDANT)) continue;
+        for (int j = 0; j < m; j++) {
+            real sum = 0;
+            for (int k = 0; k < m; k++)
+                if (left[k] > 0) sum += rest[i * m + k] / unit[k] * R[k * m + j];
+            if (left[j] > 0) {
+                e += rest[i * m + j] / unit[j] * z[j];
+                variance += sum * rest[i * m + j] / unit[j];
+            }
+        }
+        e /= real_sqrt(variance);
+        if (!real_is_finite(e)) continue;
+        known[3] += 1;
+        share = real_max(1 / LEARNT_PARITY_MEMORY, 1 / known[3]);
+        if (known[3] > 6) {
+            /* An outlier is no news about the colour. */
+            const real reach = 3 * real_sqrt(known[2]);
+            e = real_min(real_max(e, -reach), reach);
+        }
+        e = real_min(real_max(e, REAL(-1e100)), REAL(1e100));
+        known[1] += share * (e * known[0] - known[1]);
+        known[2] += share * (e * e - known[2]);
+        known[0] = e;
+        if (known[3] >= LEARNT_PARITY_SAMPLES && known[2] > 0) {
+            const real slope = (known[1] / known[2] - LEARNT_PARITY_FROM) / LEARNT_PARITY_OVER;
+            const real colour = real_min(real_max(slope, 0), 1);
+            const real least = real_min(real_max(known[2], REAL(1e-8)), 1);
+            if (colour > 0) r[i] = real_max(r[i], real_exp((1 - colour) * real_log(r[i]) + colour * real_log(least)));
+        }
+    }
+}
+
+INLINE size_t learnt_correct_work(const int n, const int m, const int copies, const int K) {
+    return (size_t)(copies * (m * (1 + n + m) + K + 6) + n + 4 * m + 4 * K) + learnt_parity_work(m);
+}
+
+/* What the copies are while sensor after sensor is taken. */
+typedef struct {
+    real *y;     /* (copies, m) */
+    real *C;     /* (copies, m, n) */
+    real *S;     /* (copies, m, m) */
+    real *given; /* (copies, K) probabilities of the classes */
+    real *a, *b, *logs, *energy, *shares, *first; /* (copies); first: S of the sensor of the turn */
+    real *direction; /* (n) scratch */
+    real *left, *r, *start, *seen; /* (m) 1 where not yet used; factors of R; the largest S_ii at the beginning; scratch */
+    real *before, *usual, *after, *weights; /* (K) */
+} learnt_parts;
+
+/* Let a candidate begin if an innovation asks for it, where the measurement says: as if what a sensor sees of each state
+   were independent, so that the others keep what they have. */
+INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
+                         const real *RESTRICT H, const real *RESTRICT R, const learnt_parts *const w) {
+    const int q = rule->q;
+    real *RESTRICT x = s->x + q * n, *RESTRICT P = s->P + q * n * n;
+    real *RESTRICT y = w->y + q * m, *RESTRICT C = w->C + q * m * n, *RESTRICT S = w->S + q * m * m;
+    int turns = 0;
+    for (int i = 0; i < m; i++) turns += w->left[i] > 0;
+    for (int turn = 0; turn < turns; turn++) {
+        real most = LEARNT_ASKS, more, step;
+        int i = -1;
+        for (int j = 0; j < m; j++) {
+            const real asks = y[j] * y[j] / (S[j * m + j] + w->r[j] * R[j * m + j]);
+            if (w->left[j] > 0 && S[j * m + j] > 0 && asks < LEARNT_FARTHEST && asks > most) most = asks, i = j;
+        }
+        if (i < 0) return;
+        if (turn == 0) {
+            for (int c = 0; c < q; c++) s->p[c] *= 1 - *s->unseen;
+            s->p[q] = *s->unseen;
+        }
+        for (int k = 0; k < n; k++) w->direction[k] = P[k * n + k] * H[i * n + k];
+        for (int j = 0; j < m; j++) {
+            w->seen[j] = 0;
+            for (int k = 0; k < n; k++) w->seen[j] += H[j * n + k] * w->direction[k];
+        }
+        more = LEARNT_AROUND * w->r[i] * R[i * m + i] / w->seen[i] / w->seen[i];
+        step = y[i] / w->seen[i];
+        for (int k = 0; k < n; k++) {
+            x[k] += step * w->direction[k];
+            for (int j = 0; j < n; j++) P[k * n + j] += more * w->direction[k] * w->direction[j];
+        }
+        for (int j = 0; j < m; j++) {
+            if (w->left[j] > 0) y[j] -= step * w->seen[j];
+            for (int k = 0; k < n; k++) C[j * n + k] += more * w->seen[j] * w->direction[k];
+            for (int k = 0; k < m; k++) S[j * m + k] += more * w->seen[j] * w->seen[k];
+        }
+    }
+}
+
+/* Begin a correction: innovations and their moments, the fresh copy as wide as they ask for. Return whether ordinary. */
+INLINE int learnt_begin(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
+                        const real *RESTRICT H, const real *RESTRICT R, const real *RESTRICT z,
+                        const learnt_parts *const w) {
+    const int q = rule->q, copies = learnt_copies(rule), fresh = copies > q && s->p[q] == 0;
+    real check = 0;
+    if (fresh) learnt_collapse(n, q, s->p, s->x, s->P, s->x + q * n, s->P + q * n * n);
+    for (int c = 0; c < copies; c++) {
+        const real *RESTRICT x = s->x + c * n, *RESTRICT P = s->P + c * n * n;
+        real *RESTRICT C = w->C + c * m * n, *RESTRICT S = w->S + c * m * m, *RESTRICT y = w->y + c * m;
+        for (int i = 0; i < m; i++) {
+            real sum = 0;
+            for (int j = 0; j < n; j++) C[i * n + j] = 0;
+            for (int k = 0; k < n; k++) {
+                const real h = H[i * n + k];
+                sum += h * x[k];
+                for (int j = 0; j < n; j++) C[i * n + j] += h * P[k * n + j];
+            }
+            y[i] = w->left[i] > 0 ? z[i] - sum : 0;
+            check += real_abs(y[i]);
+        }
+        for (int i = 0; i < m; i++)
+            for (int j = 0; j <= i; j++) {
+                real sum = 0;
+                for (int k = 0; k < n; k++) sum += C[i * n + k] * H[j * n + k];
+                S[i * m + j] = S[j * m + i] = sum;
+            }
+    }
+    if (!(check < REAL_ORDINARY)) return 0;
+    for (int c = 0; c < copies; c++)
+        for (int i = 0; i < m; i++) {
+            const real noise = w->r[i] * R[i * m + i];
+            if (w->left[i] > 0 && noise > 0 && w->S[c * m * m + i * m + i] > LEARNT_WIDEST * noise) return 0;
+        }
+    if (fresh) learnt_widen(n, m, rule, s, H, R, w);
+    for (int c = 0; c < copies; c++)
+        for (int i = 0; i < m; i++) {
+            real *RESTRICT S = w->S + c * m * m;
+            for (int j = 0; j < m; j++) {
+                if (!(w->left[i] > 0 && w->left[j] > 0) || R[i * m + j] == 0) continue;
+                S[i * m + j] += i == j ? w->r[i] * R[i * m + j] : R[i * m + j] * real_sqrt(w->r[i] * w->r[j]);
+            }
+        }
+    for (int i = 0; i < m; i++) w->start[i] = 0;
+    for (int c = 0; c < copies; c++)
+        for (int i = 0; i < m; i++)
+            if (w->left[i] > 0) w->start[i] = real_max(w->start[i], w->S[c * m * m + i * m + i]);
+    return 1;
+}
+
+/* The sensor with the smallest innovation in standard deviations, over all copies; -1 if none is left. */
+INLINE int learnt_next(const int m, const int copies, const real *const p, const learnt_parts *const w) {
+    int best = -1, count = 0;
+    real least = 0;
+    for (int i = 0; i < m; i++)
+        if (w->left[i] > 0) best = i, count++;
+    if (count < 2) return best;
+    best = -1;
+    for (int i = 0; i < m; i++) {
+        real mean = 0, variance = 0;
+        if (!(w->left[i] > 0)) continue;
+        for (int c = 0; c < copies; c++) mean += p[c] * w->y[c * m + i];
+        for (int c = 0; c < copies; c++) {
+            const real apart = w->y[c * m + i] - mean;
+            variance += p[c] * (w->S[c * m * m + i * m + i] + apart * apart);
+        }
+        mean = mean * mean / variance;
+        if (best < 0 || mean < least) best = i, least = mean;
+    }
+    return best;
+}
+
+/* Score, information and likelihood of sensor i under every copy; return 0 if a variance has cancelled. */
+INLINE int learnt_scores(const int m, const learnt_rule *const rule, const int i, const real noise,
+                         const learnt_parts *const w) {
+    const int copies = learnt_copies(rule), K = rule->K;
+    for (int c = 0; c < copies; c++) {
+        const real S = w->S[c * m * m + i * m + i];
+        const real *const before = c < rule->q ? w->before : w->usual;
+        real *RESTRICT given = w->given + c * K;
+        real y = w->y[c * m + i], reach, total = 0, first = 0, second = 0, part;
+        if (!(S > REAL_PIVOT * w->start[i]) || !real_is_finite(S)) return 0;
+        reach = LEARNT_REACH * real_sqrt(S + (rule->scales[K - 1] - 1) * noise);
+        y = real_min(real_max(y, -reach), reach);
+        for (int k = 0; k < K; k++) {
+            const real precision = 1 / (S + (rule->scales[k] - 1) * noise);
+            /* No likelihood of the widest class is below exp(-32). */
+            given[k] = before[k] * real_sqrt(precision) * real_exp(REAL(-0.5) * y * y * precision);
+            w->weights[k] = precision;
+            total += given[k];
+        }
+        if (!(total > REAL(1e-290))) return 0;
+        for (int k = 0; k < K; k++) {
+            given[k] /= total;
+            first += given[k] * w->weights[k];
+        }
+        for (int k = 0; k < K; k++) second += given[k] * (w->weights[k] - first) * (w->weights[k] - first);
+        w->a[c] = first * y;
+        w->b[c] = first - second * y * y;
+        w->logs[c] = total;
+        part = real_min(noise / S, 1);
+        w->energy[c] = real_max(1 + part * (y * y / S - 1), 0);
+    }
+    return 1;
+}
+
+/* Correct by what z tells, NaN where it is missing: R need not be diagonal. weights and outlying (m) are written, NaN and
+   0 where a component told nothing, log_density is added to. Return how many told something, -1 if the step is out of
+   the ordinary; the state is spoilt then. */
+INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
+                          const real *RESTRICT z, const real *RESTRICT H, const real *RESTRICT R,
+                          real *RESTRICT weights, real *RESTRICT outlying, real *const log_density,
+                          real *RESTRICT work) {
+    const int q = rule->q, copies = learnt_copies(rule), K = rule->K, width = learnt_width(K);
+    learnt_parts w;
+    int count = 0, fresh = 0;
+    w.y = work;
+    w.C = w.y + copies * m;
+    w.S = w.C + copies * m * n;
+    w.given = w.S + copies * m * m;
+    w.a = w.given + copies * K;
+    w.b = w.a + copies;
+    w.logs = w.b + copies;
+    w.energy = w.logs + copies;
+    w.shares = w.energy + copies;
+    w.first = w.shares + copies;
+    w.direction = w.first + copies;
+    w.left = w.direction + n;
+    w.r = w.left + m;
+    w.start = w.r + m;
+    w.seen = w.start + m;
+    w.before = w.seen + m;
+    w.usual = w.before + K;
+    w.after = w.usual + K;
+    w.weights = w.after + K;
+    for (int i = 0; i < m; i++) {
+        int seen = 0;
+        for (int k = 0; k < n; k++) seen |= H[i * n + k] != 0;
+        w.left[i] = seen && z[i] == z[i] ? 1 : 0;
+        weights[i] = (real)NAN;
+        outlying[i] = 0;
+        count += w.left[i] > 0;
+    }
+    if (count == 0) return 0;
+    learnt_sizes(n, m, rule, z, H, R, w.left, s->memory, w.r, w.weights + K);
+    if (copies > q && s->p[q] < LEARNT_DROPPED * rule->jump) {
+        s->p[q] = 0;
+        learnt_normalize(q, s->p);
+        fresh = 1;
+    }
+    if (!learnt_begin(n, m, rule, s, H, R, z, &w)) return -1;
+    for (int turn = 0; turn < count; turn++) {
+        const int i = learnt_next(m, copies, s->p, &w);
+        const real noise = w.r[i] * R[i * m + i];
+        real *RESTRICT known = s->memory + i * width;
+        real total = 0, others = 0, evidence = 0, ordinary = 0, energy = 0, weight = 0;
+        learnt_predicted(K, known, w.before);
+        learnt_usual(K, known, w.usual);
+        if (!learnt_scores(m, rule, i, noise, &w)) return -1;
+        if (copies > q) {
+            /* A candidate is made to fit what it begins with, which is no evidence for it; nor is a sample that is wild to
+               all others worth more than a hundred. */
+            for (int c = 0; c < q; c++) {
+                others += real_max(s->p[c], REAL(1e-300));
+                evidence += real_max(s->p[c], REAL(1e-300)) * w.logs[c];
+            }
+            evidence /= others;
+            w.logs[q] = fresh ? evidence : real_min(w.logs[q], LEARNT_EVIDENCE * evidence);
+        }
+        for (int c = 0; c < copies; c++) {
+            w.shares[c] = (c < q ? real_max(s->p[c], REAL(1e-300)) : s->p[c]) * w.logs[c];
+            total += w.shares[c];
+        }
+        if (!(total > REAL(1e-290))) return -1;
+        *log_density += real_log(total) - REAL(0.5) * LEARNT_LOG_2PI;
+        for (int k = 0; k < K; k++) w.after[k] = 0;
+        for (int c = 0; c < copies; c++) {
+            const real share = s->p[c] = w.shares[c] / total;
+            for (int k = 0; k < K; k++) w.after[k] += share * w.given[c * K + k];
+            ordinary += share * w.given[c * K];
+            energy += share * w.given[c * K] * w.energy[c];
+        }
+        for (int k = 0; k < K; k++) weight += w.after[k] / rule->scales[k];
+        weights[i] = weight;
+        outlying[i] = 1 - w.after[0];
+        if (rule->learns)
+            learnt_learn(rule, w.after, w.before, w.r[i] * energy / real_max(ordinary, REAL(1e-300)), known);
+        w.left[i] = 0;
+        for (int c = 0; c < copies; c++) {
+            real *RESTRICT x = s->x + c * n, *RESTRICT P = s->P + c * n * n, *RESTRICT S = w.S + c * m * m;
+            const real *RESTRICT C = w.C + c * m * n + i * n;
+            const real a = w.a[c], b = w.b[c];
+            for (int j = 0; j < n; j++) {
+                const real g = b * C[j];
+                x[j] += a * C[j];
+                for (int k = 0; k < n; k++) P[j * n + k] -= g * C[k];
+            }
+            for (int o = 0; o < m; o++)
+                if (w.left[o] > 0) {
+                    const real cross = S[i * m + o], g = b * cross;
+                    real *RESTRICT to = w.C + c * m * n + o * n;
+                    w.y[c * m + o] -= a * cross;
+                    for (int k = 0; k < n; k++) to[k] -= g * C[k];
+                    for (int k = 0; k < m; k++)
+                        if (w.left[k] > 0) S[o * m + k] -= g * S[i * m + k];
+                }
+        }
+    }
+    if (copies > q) {
+        *s->unseen = 0;
+        if (s->p[q] > LEARNT_TAKEN) {
+            s->p[q] = 0;
+            learnt_normalize(q, s->p);
+            for (int c = 0; c < q; c++) {
+                real_copy(n, s->x + q * n, s->x + c * n);
+                real_copy(n * n, s->P + q * n * n, s->P + c * n * n);
+            }
+        }
+    }
+    return count;
+}
+
+#endif

@@ -1,0 +1,134 @@
+"""Learnt noise by the kernel: a prediction, a correction, a recording; None or fewer steps where it declines."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+from robust_filterpy.correction import learning
+from robust_filterpy.correction.copies import Copies, Scales
+from robust_filterpy.correction.learning import NoiseClasses
+from robust_filterpy.kernel import extension
+
+__all__ = ["Kept", "State", "begin", "run"]
+
+#: Which half of a step is taken.
+PREDICTION, CORRECTION, BOTH = 1, 2, 3
+
+
+class State(NamedTuple):
+    """Where a recording stands; arrays that a run changes in place."""
+
+    means: Array
+    """(q, n)"""
+    covariances: Array
+    """(q, n, n)"""
+    probabilities: Array
+    """(q,)"""
+    learnt: Array
+    """(m, ..)"""
+    x: Array
+    """Mean of all, (n,)."""
+    P: Array
+    """Its covariance, (n, n)."""
+    unseen: Array
+    """Chance of a jump since the last measurement, (1,)."""
+
+
+class Kept(NamedTuple):
+    """What a run writes into, a row for each kept step; None where nothing is wanted."""
+
+    means: Array | None = None
+    covariances: Array | None = None
+    """(rows, n n) or, for the diagonals, (rows, n); as covariances_p."""
+    means_p: Array | None = None
+    covariances_p: Array | None = None
+    weights: Array | None = None
+    outlying: Array | None = None
+    """(rows, 1), as scale."""
+    scale: Array | None = None
+    log_likelihood: Array | None = None
+    """(1,), added to."""
+
+
+@lru_cache(maxsize=64)
+def _rule(noise: NoiseClasses, process: Scales) -> Array:
+    """Return what learnt.c takes: sizes and options, scales of Q, scales of R, what is known at first."""
+    head = [
+        len(process.scales), len(noise.scales), process.stay, process.jump, noise.memory, noise.r_memory, noise.learns,
+    ]  # fmt: skip
+    known = learning.start(len(noise.scales), noise.probabilities)
+    return np.concatenate([np.array(head, dtype=float), process.scales, noise.scales, known])
+
+
+def begin(copies: Copies, memory: Array) -> State:
+    """Return copies of the arrays as a state, with room for the mean and the covariance of all.
+
+    Parameters
+    ----------
+    copies : Copies
+        Copies of the filter.
+    memory : ndarray, shape (m, 6 + 2 K + K^2)
+        What is known of each sensor.
+
+    Returns
+    -------
+    State
+    """
+    n = copies.x.shape[1]
+    return State(
+        copies.x.copy(), copies.P.copy(), copies.probabilities.copy(), memory.copy(), np.zeros(n), np.zeros((n, n)),
+        np.array([copies.unseen]),
+    )  # fmt: skip
+
+
+def run(
+    state: State, zs: Array, model: tuple[Any, ...], noise: NoiseClasses, process: Scales, kept: Kept,
+    *, first: int = 0, last: int | None = None, every: int = 1, alpha_sq: float = 1.0, update_first: bool = False,
+    which: int = BOTH,
+) -> int:  # fmt: skip
+    """Take the steps of a recording as far as the kernel can, in place, and return the first that was not taken.
+
+    Parameters
+    ----------
+    state : State
+        Where it stands; as it was before a step that is not taken.
+    zs : ndarray, shape (steps, m)
+        Measurements, NaN where missing.
+    model : tuple of ndarray, shapes (N, n, n), (N, n, n), (N, m, n), (N, m, m), (N, n)
+        F, Q, H, R and B u or None; N is the number of steps, or 1 where one serves all.
+    noise : NoiseClasses
+        Classes; sensors that fail together are for the definition.
+    process : Scales
+        Copies of the filter.
+    kept : Kept
+        What is written.
+    first, last, every, alpha_sq, update_first
+        First step, the one after the last, which are kept, fading memory, whether a step begins with its correction.
+    which : int
+        `PREDICTION` or `CORRECTION` alone, or `BOTH`.
+
+    Returns
+    -------
+    int
+
+    Raises
+    ------
+    ValueError
+        If an array is not what a step needs.
+    """
+    kernel = extension()
+    last = len(zs) if last is None else last
+    if kernel is None or not hasattr(kernel, "learnt_steps") or noise.grouping == "joint":
+        return first
+    width = 0 if kept.covariances is None else kept.covariances.shape[1]
+    likelihood = np.zeros(1) if kept.log_likelihood is None else kept.log_likelihood
+    F, Q, H, R, u = (a if a is None else np.ascontiguousarray(a, dtype=float) for a in model)
+    taken = kernel.learnt_steps(
+        _rule(noise, process), tuple(state), np.ascontiguousarray(zs, dtype=float), (F, Q, H, R, u),
+        (*kept[:-1], likelihood), (first, last, every, alpha_sq, bool(update_first), width, which),
+    )  # fmt: skip
+    return int(taken)

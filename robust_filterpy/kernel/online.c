@@ -1,0 +1,250 @@
+/* One step of one filter as one call: attributes read, the step taken, attributes set. */
+#include "groups.h"
+#include "prediction.h"
+#include "update.h"
+
+/* Python code may run where an attribute is read (a property of a subclass), and may do anything to arrays. So all that a
+   step needs is read first, and looked into only then. */
+static int hold_all(held *h, PyObject *filter, const enum attribute *which, int count) {
+    for (int i = 0; i < count; i++)
+        if (!hold_attribute(h, filter, which[i])) return -1;
+    return 1;
+}
+
+/* A whole number > 0, or 0. */
+static npy_intp whole_number(PyObject *object) {
+    npy_intp found;
+    if (!PyLong_CheckExact(object)) return 0;
+    found = PyLong_AsSsize_t(object);
+    if (found == -1 && PyErr_Occurred()) PyErr_Clear();
+    return found > 0 ? found : 0;
+}
+
+typedef struct {
+    const double *x, *P;
+    npy_intp n;
+    int ndim; /* of x */
+} state;
+
+/* Whether x is (n,) or (n, 1) and P a symmetric (n, n). */
+static int take_state(PyObject *dim_x, PyObject *x, PyObject *P, state *s) {
+    s->n = whole_number(dim_x);
+    s->x = vector_of(x, s->n);
+    s->P = matrix_of(P, s->n, s->n);
+    if (!s->n || !s->x || !s->P || !is_symmetric(s->P, s->n)) return 0;
+    s->ndim = PyArray_NDIM((PyArrayObject *)x);
+    return 1;
+}
+
+/* Set x and P and their copies; return whether that went well. */
+static int set_state(held *h, PyObject *filter, PyObject *x, PyObject *P, enum attribute x_too, enum attribute P_too) {
+    PyObject *const x_copy = hold(h, PyArray_NewCopy((PyArrayObject *)x, NPY_CORDER));
+    PyObject *const P_copy = x_copy ? hold(h, PyArray_NewCopy((PyArrayObject *)P, NPY_CORDER)) : NULL;
+    return P_copy && set_attribute(filter, AT_x, x) == 0 && set_attribute(filter, AT_P, P) == 0 &&
+           set_attribute(filter, x_too, x_copy) == 0 && set_attribute(filter, P_too, P_copy) == 0;
+}
+
+/* A number that no code of the user's has a part in. */
+static int number_of(PyObject *object, double *found) {
+    if (PyFloat_Check(object)) {
+        *found = PyFloat_AsDouble(object);
+        return 1;
+    }
+    if (!PyLong_CheckExact(object)) return 0;
+    *found = PyLong_AsDouble(object);
+    if (*found != -1 || !PyErr_Occurred()) return 1;
+    /* Larger than a float can be. */
+    PyErr_Clear();
+    return 0;
+}
+
+/* Write B u into control, and let the pointer to it be NULL if there is none; return whether that is all ordinary. */
+static int take_control(PyObject *B, PyObject *u, npy_intp n, double **control) {
+    npy_intp width;
+    double number;
+    const double *values = &number, *matrix;
+    if (u == Py_None || B == Py_None) {
+        *control = NULL;
+        return 1;
+    }
+    if (!PyArray_CheckExact(B) || PyArray_NDIM((PyArrayObject *)B) != 2) return 0;
+    width = PyArray_DIM((PyArrayObject *)B, 1);
+    matrix = matrix_of(B, n, width);
+    if (width != 1 || !number_of(u, &number)) values = vector_of(u, width);
+    if (!matrix || !values) return 0;
+    for (npy_intp i = 0; i < n; i++) {
+        (*control)[i] = 0;
+        for (npy_intp k = 0; k < width; k++) (*control)[i] += matrix[i * width + k] * values[k];
+    }
+    return 1;
+}
+
+static int take_prediction(held *h, PyObject *filter, PyObject *u) {
+    static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT_F, AT_Q, AT__alpha_sq, AT_B};
+    PyObject *const *const given = h->objects;
+    state now;
+    const double *F, *Q;
+    PyObject *x_next, *P_next;
+    double stack[STACK_WORK], *work, *control, alpha_sq;
+    int fine = 1;
+    if (hold_all(h, filter, names, sizeof names / sizeof *names) < 0) return -1;
+    if (!take_state(given[0], given[1], given[2], &now)) return 0;
+    F = matrix_of(given[3], now.n, now.n);
+    Q = matrix_of(given[4], now.n, now.n);
+    if (!F || !Q || !number_of(given[5], &alpha_sq) || !is_symmetric(Q, now.n)) return 0;
+    for (npy_intp i = 0; i < now.n; i++) fine = fine && Q[i * now.n + i] >= 0;
+    if (!fine) return 0;
+    x_next = hold(h, new_array(now.ndim, now.n, 1));
+    P_next = x_next ? hold(h, new_array(2, now.n, now.n)) : NULL;
+    work = P_next ? work_of(stack, predict_work((int)now.n) + (size_t)now.n) : NULL;
+    if (!work) return -1;
+    control = work;
+    fine = take_control(given[6], u, now.n, &control) &&
+           predict((int)now.n, now.x, now.P, F, Q, control, alpha_sq, numbers_of(x_next), numbers_of(P_next), work + now.n);
+    work_done(stack, work);
+    if (!fine) return 0;
+    return set_state(h, filter, x_next, P_next, AT_x_prior, AT_P_prior) ? 1 : -1;
+}
+
+static PyObject *predict_step(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
+    held h = {.count = 0};
+    (void)self;
+    if (count != 2) {
+        PyErr_SetString(PyExc_TypeError, "predict: expected a filter and u");
+        return NULL;
+    }
+    return answer(&h, take_prediction(&h, arguments[0], arguments[1]));
+}
+
+/* Write a measurement into z, NaN where missing; return whether it is an ordinary one with something in it. */
+static int take_measurement(PyObject *object, npy_intp m, double *z) {
+    PyArrayObject *const array = (PyArrayObject *)object;
+    int seen = 0;
+    if (m == 1 && number_of(object, z)) {
+    } else if (PyList_CheckExact(object)) {
+        if (PyList_Size(object) != m) return 0;
+        for (npy_intp i = 0; i < m; i++)
+            if (!number_of(PyList_GetItem(object, i), z + i)) return 0;
+    } else {
+        /* With strides: a row of a table may be a column of its array. */
+        if (!PyArray_CheckExact(object) || PyArray_TYPE(array) != NPY_DOUBLE || !PyArray_ISBEHAVED_RO(array)) return 0;
+        if (PyArray_NDIM(array) < 1 || PyArray_NDIM(array) > 2 || PyArray_DIM(array, 0) != m) return 0;
+        if (PyArray_NDIM(array) == 2 && PyArray_DIM(array, 1) != 1) return 0;
+        for (npy_intp i = 0; i < m; i++) z[i] = *(double *)(PyArray_BYTES(array) + i * PyArray_STRIDE(array, 0));
+    }
+    for (npy_intp i = 0; i < m; i++) {
+        if (isinf(z[i])) return 0;
+        seen |= z[i] == z[i];
+    }
+    return seen;
+}
+
+/* Everything that a measurement is taken up by, checked. */
+typedef struct {
+    correction_rule rule;
+    npy_intp m;
+    const double *H, *R, *M, *memory; /* M and memory may be NULL */
+} sensors;
+
+/* given: R, H, M, then what take_correction has read. */
+static int take_sensors(PyObject *const given[3], PyObject *const own[5], npy_intp n, sensors *s) {
+    PyObject *const dim_z = own[0], *const inverse = own[1], *const memory = own[4];
+    PyObject *const R = given[0] == Py_None ? own[2] : given[0], *const H = given[1] == Py_None ? own[3] : given[1];
+    if (inverse != numpy_inverse || !PyArray_CheckExact(H) || PyArray_NDIM((PyArrayObject *)H) != 2) return 0;
+    s->m = PyArray_DIM((PyArrayObject *)H, 0);
+    s->H = matrix_of(H, s->m, n);
+    s->R = matrix_of(R, s->m, s->m);
+    if (s->m < 1 || !s->H || !s->R || (given[1] == Py_None && s->m != whole_number(dim_z))) return 0;
+    s->M = s->memory = NULL;
+    if (given[2] != Py_None) {
+        s->M = matrix_of(given[2], n, s->m);
+        if (!s->M || !all_finite(s->M, n * s->m)) return 0;
+    }
+    if (s->rule.scaling == SCALING_LEARNT) {
+        /* Sensors of an H that is passed are known by its rows. */
+        if (given[1] != Py_None) return 0;
+        s->memory = matrix_of(memory, s->m, SPREAD_NUMBERS);
+        if (!s->memory || !all_finite(s->memory, s->m * SPREAD_NUMBERS)) return 0;
+    }
+    return 1;
+}
+
+/* What a correction leaves: see robust_filterpy.kernel.record, which reads it. */
+static void write_record(double *values, npy_intp n, npy_intp m, const correction_rule *rule, const double *z,
+                         const double *H, const double *x, const correction *c) {
+    double *const vectors = values + 4;
+    values[0] = (double)n;
+    values[1] = (double)m;
+    values[2] = (double)rule->scaling;
+    values[3] = correction_log_likelihood(rule, c);
+    for (npy_intp i = 0; i < m; i++) {
+        double predicted = 0;
+        for (npy_intp k = 0; k < n; k++) predicted += H[i * n + k] * x[k];
+        vectors[i] = z[i] == z[i] ? z[i] - predicted : 0;
+    }
+    real_copy((int)(4 * m), c->e, vectors + m);     /* e, weights, slopes, d */
+    real_copy((int)(2 * m), c->v, vectors + 5 * m); /* v, order */
+}
+#define RECORD(n, m) (4 + 7 * (m) + (m) * (m) + (m) * (n))
+
+static int take_correction(held *h, PyObject *filter, PyObject *z, PyObject *const given[3]) {
+    state now;
+    sensors s;
+    correction c;
+    npy_intp n, m;
+    PyObject *x_next, *P_next, *record, *kept, *learnt = NULL;
+    double stack[STACK_WORK], *work, *values;
+    static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT_dim_z, AT_inv, AT_R, AT_H, AT__memory};
+    PyObject *const *own;
+    int outcome = rule_of_filter(h, filter, &s.rule);
+    if (outcome <= 0) return outcome;
+    own = h->objects + h->count;
+    /* The last is for scaling "learnt" alone. */
+    if (hold_all(h, filter, names, s.rule.scaling == SCALING_LEARNT ? 8 : 7) < 0) return -1;
+    if (!take_state(own[0], own[1], own[2], &now) || !take_sensors(given, own + 3, now.n, &s)) return 0;
+    n = now.n;
+    m = s.m;
+    x_next = hold(h, new_array(now.ndim, n, 1));
+    P_next = x_next ? hold(h, new_array(2, n, n)) : NULL;
+    record = P_next ? hold(h, new_array(1, RECORD(n, m), 0)) : NULL;
+    kept = record ? hold(h, new_array(now.ndim, m, 1)) : NULL;
+    if (kept && s.memory) learnt = hold(h, new_array(2, m, SPREAD_NUMBERS));
+    work = kept && (learnt || !s.memory) ? work_of(stack, update_work((int)n, (int)m)) : NULL;
+    if (!work) return -1;
+    values = numbers_of(record);
+    correction_begin((int)n, (int)m, 1, &c, work);
+    outcome = take_measurement(z, m, numbers_of(kept)) && is_covariance(s.R, m, c.S);
+    if (outcome) {
+        real_copy((int)n, now.x, numbers_of(x_next));
+        real_copy((int)(n * n), now.P, numbers_of(P_next));
+        if (learnt) real_copy((int)(SPREAD_NUMBERS * m), s.memory, numbers_of(learnt));
+        outcome = update((int)n, (int)m, &s.rule, numbers_of(kept), s.H, s.R, s.M,
+                         learnt ? (spread_memory *)numbers_of(learnt) : NULL, numbers_of(x_next), numbers_of(P_next), &c,
+                         values + 4 + 7 * m, work);
+        write_record(values, n, m, &s.rule, numbers_of(kept), s.H, now.x, &c);
+    }
+    work_done(stack, work);
+    if (!outcome) return 0;
+    if (!set_state(h, filter, x_next, P_next, AT_x_post, AT_P_post)) return -1;
+    if (set_attribute(filter, AT_z, kept) < 0 || set_attribute(filter, AT__last, record) < 0) return -1;
+    if (learnt && set_attribute(filter, AT__memory, learnt) < 0) return -1;
+    for (enum attribute which = AT__y; which <= AT__mahalanobis; which++)
+        if (set_attribute(filter, which, Py_None) < 0) return -1;
+    return 1;
+}
+
+static PyObject *correct_step(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
+    held h = {.count = 0};
+    (void)self;
+    if (count != 5) {
+        PyErr_SetString(PyExc_TypeError, "correct: expected a filter, z, R, H and M");
+        return NULL;
+    }
+    return answer(&h, take_correction(&h, arguments[0], arguments[1], arguments + 2));
+}
+
+PyMethodDef online_functions[] = {
+    {"predict", (PyCFunction)(void (*)(void))predict_step, METH_FASTCALL, "Predict a filter's next state: (filter, u)."},
+    {"correct", (PyCFunction)(void (*)(void))correct_step, METH_FASTCALL,
+     "Correct a filter's state: (filter, z, R, H, M), None for its own R and H and for no M."},
+    {NULL, NULL, 0, NULL}};

@@ -1,0 +1,110 @@
+/* Series and recordings: the loop of series.h, without the interpreter's lock. */
+#include "groups.h"
+#include "series.h"
+
+/* Sizes of the state that the compiler knows, with one sensor or any number. */
+#define SIZES(X) X(1) X(2) X(3) X(4) X(5) X(6) X(7) X(8)
+typedef void span_function(const series_job *, ptrdiff_t, ptrdiff_t, double *);
+
+#define SPAN(size) \
+    static void span_##size(const series_job *job, ptrdiff_t low, ptrdiff_t high, double *work) { \
+        if (job->m == 1) series_span(size, 1, job, low, high, work); \
+        else series_span(size, job->m, job, low, high, work); \
+    }
+SIZES(SPAN)
+#undef SPAN
+
+static void span_any(const series_job *job, ptrdiff_t low, ptrdiff_t high, double *work) {
+    series_span(job->n, job->m, job, low, high, work);
+}
+
+static span_function *const spans[] = {span_any,
+#define SPAN(size) span_##size,
+                                       SIZES(SPAN)
+#undef SPAN
+};
+
+/* Take matrices of shape (series or 1, steps or 1, rows, columns), columns 0 for vectors; return whether they are that. */
+static int take(series_matrices *found, PyObject *object, npy_intp series, npy_intp steps, npy_intp rows,
+                npy_intp columns) {
+    PyArrayObject *const array = (PyArrayObject *)object;
+    const int ndim = columns ? 4 : 3;
+    if (!PyArray_CheckExact(object) || PyArray_TYPE(array) != NPY_DOUBLE || !PyArray_ISCARRAY_RO(array)) return 0;
+    if (PyArray_NDIM(array) != ndim || PyArray_DIM(array, 2) != rows) return 0;
+    if (columns && PyArray_DIM(array, 3) != columns) return 0;
+    const npy_intp own = PyArray_DIM(array, 0), each = PyArray_DIM(array, 1), size = rows * (columns ? columns : 1);
+    if ((own != series && own != 1) || (each < steps && each != 1)) return 0;
+    found->data = numbers_of(object);
+    found->by_series = own > 1 ? each * size : 0;
+    found->by_step = each > 1 ? size : 0;
+    return 1;
+}
+
+/* Take room for results, shape (series, rows, width), or None; return whether it is that. */
+static int take_room(double **found, PyObject *object, npy_intp series, npy_intp rows, npy_intp width) {
+    const npy_intp shape[3] = {series, rows, width};
+    *found = NULL;
+    return object == Py_None || (*found = writable(object, 3, shape)) != NULL;
+}
+
+static PyObject *filter_series(PyObject *self, PyObject *arguments) {
+    PyObject *rule, *z, *F, *Q, *H, *R, *u, *x, *P, *memory, *means, *covariances, *means_p, *covariances_p, *weights;
+    PyObject *likelihood, *done;
+    Py_ssize_t steps, first, every, low, high, width;
+    series_job job = {0};
+    (void)self;
+    if (!PyArg_ParseTuple(arguments, "OO(OOOOO)OOO(OOOOO)OO(nnnndpn)n", &rule, &z, &F, &Q, &H, &R, &u, &x, &P, &memory,
+                          &means, &covariances, &means_p, &covariances_p, &weights, &likelihood, &done, &first, &steps,
+                          &low, &high, &job.alpha_sq, &job.update_first, &every, &width))
+        return NULL;
+    if (!PyArray_CheckExact(z) || PyArray_NDIM((PyArrayObject *)z) != 3 || !PyArray_CheckExact(x) ||
+        PyArray_NDIM((PyArrayObject *)x) != 2)
+        goto refused;
+    {
+        const npy_intp series = PyArray_DIM((PyArrayObject *)z, 0), all = PyArray_DIM((PyArrayObject *)z, 1);
+        const npy_intp m = PyArray_DIM((PyArrayObject *)z, 2), n = PyArray_DIM((PyArrayObject *)x, 1);
+        const npy_intp states[3] = {series, n, n}, memories[3] = {series, m, SPREAD_NUMBERS};
+        if (n < 1 || m < 1 || n > 10000 || m > 10000 || every < 1 || first < 0 || steps < first || steps > all ||
+            low < 0 || high < low || high > series || (width != 0 && width != n && width != n * n))
+            goto refused;
+        const npy_intp rows = all / every;
+        if (!rule_of(rule, &job.rule) || !take(&job.z, z, series, all, m, 0) || !take(&job.F, F, series, all, n, n) ||
+            !take(&job.Q, Q, series, all, n, n) || !take(&job.H, H, series, all, m, n) ||
+            !take(&job.R, R, series, all, m, m) || (u != Py_None && !take(&job.control, u, series, all, n, 0)))
+            goto refused;
+        /* Of z no axis may be shared. */
+        job.z.by_series = all * m, job.z.by_step = m;
+        job.x = writable(x, 2, states), job.P = writable(P, 3, states);
+        job.memory = memory == Py_None ? NULL : (spread_memory *)writable(memory, 3, memories);
+        if (!job.x || !job.P || (job.rule.scaling == SCALING_LEARNT && !job.memory) || !take_room(&job.means, means, series, rows, n) ||
+            !take_room(&job.covariances, covariances, series, rows, width) ||
+            !take_room(&job.means_p, means_p, series, rows, n) ||
+            !take_room(&job.covariances_p, covariances_p, series, rows, width) ||
+            !take_room(&job.weights, weights, series, rows, m))
+            goto refused;
+        job.log_likelihood = writable(likelihood, 1, states);
+        if (!job.log_likelihood || !PyArray_CheckExact(done) || PyArray_TYPE((PyArrayObject *)done) != NPY_INTP ||
+            !PyArray_ISCARRAY((PyArrayObject *)done) || PyArray_NDIM((PyArrayObject *)done) != 1 ||
+            PyArray_DIM((PyArrayObject *)done, 0) != series)
+            goto refused;
+        job.done = PyArray_DATA((PyArrayObject *)done);
+        if (job.rule.scaling != SCALING_LEARNT) job.memory = NULL;
+        job.n = (int)n, job.m = (int)m, job.steps = steps, job.first_step = first, job.every = every, job.rows = rows;
+        job.covariance_width = (int)width;
+        double *const work = PyMem_Malloc(series_work(job.n, job.m) * sizeof(double));
+        if (!work) return PyErr_NoMemory();
+        Py_BEGIN_ALLOW_THREADS;
+        spans[n < (npy_intp)(sizeof spans / sizeof *spans) ? n : 0](&job, low, high, work);
+        Py_END_ALLOW_THREADS;
+        PyMem_Free(work);
+    }
+    Py_RETURN_NONE;
+refused:
+    PyErr_SetString(PyExc_ValueError, "filter_series: expected C-contiguous arrays of float64 of matching shapes, as "
+                                      "robust_filterpy.kernel.series makes them");
+    return NULL;
+}
+
+PyMethodDef series_functions[] = {
+    {"filter_series", filter_series, METH_VARARGS, "Take the steps of some series; see robust_filterpy.kernel.series."},
+    {NULL, NULL, 0, NULL}};

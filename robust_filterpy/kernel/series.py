@@ -1,0 +1,131 @@
+"""Series and recordings by the kernel: the options of a filter as numbers, and one call for many steps."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from robust_filterpy import kernel
+from robust_filterpy._checks import Array
+from robust_filterpy.correction.options import Choices
+from robust_filterpy.kernel.records import Model, Output
+
+__all__ = ["filter_series", "rule", "serves"]
+
+# As psi.h and correction.h number them, too.
+_KINDS = ("linear", "huber", "hampel", "tukey", "student_t")
+#: As correction.h numbers them.
+SCALINGS = ("learnt", "innovation", "unit", "bounded")
+_INFORMATIONS = ("realized", "expected", "weight")
+
+
+def rule(choices: Choices) -> Array | None:
+    """Return the options as numbers: kind and parameters of psi, scaling, information, E[psi'], normalizer.
+
+    Parameters
+    ----------
+    choices : Choices
+        Influence function, scaling, information, grouping.
+
+    Returns
+    -------
+    ndarray, shape (8,), or None
+        None if the kernel does not know them.
+    """
+    if "rule" not in choices.derived:
+        choices.derived["rule"] = _encoded(choices)
+    return choices.derived["rule"]  # type: ignore[no-any-return]
+
+
+def _encoded(choices: Choices) -> Array | None:
+    """Return the options as numbers, None if the kernel does not know them."""
+    known = choices.pointwise is not None and choices.pointwise[0].__name__ in _KINDS
+    if not known or choices.grouping != "component" or choices.scaling not in SCALINGS:
+        return None
+    function, a, b, c = choices.pointwise  # type: ignore[misc]
+    # Without thresholds there is nothing to learn.
+    scaling = "innovation" if choices.is_linear and choices.scaling == "learnt" else choices.scaling
+    codes = _KINDS.index(function.__name__), a, b, c, SCALINGS.index(scaling)
+    information = _INFORMATIONS.index(choices.information)
+    expected = choices.expected if choices.information == "expected" else 1.0
+    return np.array([*codes, information, expected, choices.influence.log_normalizer(1)], dtype=float)
+
+
+def serves(choices: Choices) -> bool:
+    """Return whether the kernel is there and knows these options.
+
+    Parameters
+    ----------
+    choices : Choices
+        Influence function, scaling, information, grouping.
+
+    Returns
+    -------
+    bool
+    """
+    return kernel.available() and rule(choices) is not None
+
+
+def filter_series(
+    choices: Choices,
+    zs: Array,
+    model: Model,
+    x: Array,
+    P: Array,
+    output: Output,
+    *,
+    memory: Array | None = None,
+    alpha_sq: float = 1.0,
+    update_first: bool = False,
+    every: int = 1,
+    start: int = 0,
+    stop: int | None = None,
+    span: tuple[int, int] | None = None,
+) -> np.ndarray:
+    """Advance series in place and return the first step of each that was not taken.
+
+    Parameters
+    ----------
+    choices : Choices
+        Influence function, scaling, information, grouping, for which the kernel `serves`.
+    zs : ndarray, shape (series, steps, m)
+        Measurements, NaN where missing.
+    model : Model
+        F, Q, H, R, B u.
+    x, P : ndarray, shape (series, n) and (series, n, n)
+        States, advanced in place; C-contiguous.
+    output : Output
+        What is written.
+    memory : ndarray, shape (series, m, 6), optional
+        What the sensors' spreads are learnt from, advanced in place; needed under scaling "learnt".
+    alpha_sq : float
+        Fading memory: P is multiplied by it at each prediction.
+    update_first : bool
+        Whether a step begins with its correction.
+    every : int
+        Which steps are kept: each of so many.
+    start, stop : int
+        First step, and the one after the last.
+    span : tuple of int, optional
+        First series and the one after the last.
+
+    Returns
+    -------
+    ndarray of int, shape (series,)
+    """
+    done = np.full(len(zs), start, dtype=np.intp)
+    low, high = (0, len(zs)) if span is None else span
+    rows = zs.shape[1] // every
+    kept = [a.reshape(len(zs), rows, -1) if a.shape[1] else None for a in output[:5]]
+    width = next((a.shape[2] for a in (kept[1], kept[3]) if a is not None), 0)
+    kept = [None if a is not None and a.shape[2] == 0 else a for a in kept]
+    kernel.extension().filter_series(
+        rule(choices), np.ascontiguousarray(zs), tuple(map(_plain, model)), x, P, memory, tuple(kept),
+        output.log_likelihood, done,
+        (start, zs.shape[1] if stop is None else stop, low, high, float(alpha_sq), bool(update_first), every), width,
+    )  # fmt: skip
+    return done
+
+
+def _plain(array: Array) -> Array:
+    """Return an array as the kernel takes it."""
+    return np.ascontiguousarray(array, dtype=np.float64)

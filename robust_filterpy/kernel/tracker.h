@@ -1,0 +1,289 @@
+/* One sample of the recursive identification: robust_filterpy.identification.recursive.recursion in C.
+
+   Predict theta, predict y from phi, look again at outputs that were replaced, correct theta along the gradient, follow R,
+   restrain an unstable step, remember. What is out of the ordinary (a sample that tells very much, an overflow, a "unit"
+   correction near its limit) is declined, and nothing has changed then. */
+#ifndef ROBUST_FILTERPY_TRACKER_H
+#define ROBUST_FILTERPY_TRACKER_H
+
+#include "correction.h"
+#include "prediction.h"
+
+#define TRACKER_LARGEST REAL_PRODUCT /* size of a signal, whose square must not overflow */
+#define TRACKER_SHARP REAL(1e6)      /* phi'phi tr(P)/R from which on a sample is for the definition */
+#define TRACKER_CLEANED REAL(3.0)    /* standard deviations from which on an output is replaced in phi */
+#define TRACKER_EARLY REAL(20.0)     /* samples up to which P grows with R */
+#define TRACKER_HALVINGS 30          /* 2^-30 of a step is none */
+
+enum guard { GUARD_NONE, GUARD_REJECT, GUARD_HALVE };
+
+/* Where everything stands in phi, and what of the inputs. */
+typedef struct {
+    int na, nc, nd, nf;       /* past outputs, residuals, disturbances, outputs of B/F alone */
+    int a, c, d, f;           /* where their coefficients begin */
+    int inputs, lags, length; /* where those of the inputs begin, how many, and how many inputs are remembered */
+    int starts;               /* how many inputs there are among them */
+    const int *start;         /* (starts) where the newest of each stands among those remembered */
+    const int *used;          /* (starts) which of u that is; -1 the constant */
+    const int *source;        /* (lags) where in memory an input of phi stands; -1 - i: it is the newest of the i-th */
+} tracker_layout;
+
+/* What a recursion depends on besides its signals. */
+typedef struct {
+    correction_rule correction;
+    int filtered, guard, cleans, learns; /* gradient filtered; enum guard; phi holds cleaned outputs; theta moves */
+    const real *F, *Q;                   /* (n, n); F is NULL for I */
+    real alpha_sq, windup;               /* P is multiplied by it, up to this trace */
+} tracker_rule;
+
+/* What moves; past signals newest first. */
+typedef struct {
+    real *theta, *P;
+    real *outputs, *measured; /* (na + nd) -y and -d as phi has them, and as they were measured */
+    real *inputs;             /* (length) */
+    real *residuals;          /* (nc) */
+    real *undisturbed;        /* (nf) -w */
+    real *prefiltered;        /* (max(nf, nd), n) past phi through 1/F */
+    real *gradients;          /* (nc, n) derivatives of past predictions */
+    real *scale;              /* (4) R, samples it stands on, mean of min(e^2, 4), samples to remember; 0: R stays */
+} tracker_state;
+
+typedef struct {
+    real prediction, residual, weight;
+    int guard;
+} tracker_sample;
+
+INLINE size_t tracker_work(const int n) { return (size_t)(3 * n * n + 8 * n); }
+
+/* A signal, at most TRACKER_LARGEST in size; 0 for NaN, which is inf - inf here. */
+INLINE real tracker_bounded(const real value) {
+    if (value != value) return 0;
+    return real_min(real_max(value, -TRACKER_LARGEST), TRACKER_LARGEST);
+}
+
+INLINE real tracker_dot(const int count, const real *RESTRICT a, const real *RESTRICT b) {
+    real total = 0;
+    for (int i = 0; i < count; i++) total += a[i] * b[i];
+    return total;
+}
+
+/* phi' P phi */
+INLINE real tracker_spread(const int n, const real *RESTRICT phi, const real *RESTRICT P) {
+    real total = 0;
+    for (int i = 0; i < n; i++) total += phi[i] * tracker_dot(n, P + i * n, phi);
+    return total;
+}
+
+/* Put a value, or a row of n, in front of past ones; the oldest goes. */
+INLINE void tracker_push(const int count, real *past, const real newest) {
+    for (int i = count - 1; i > 0; i--) past[i] = past[i - 1];
+    if (count) past[0] = newest;
+}
+
+INLINE void tracker_push_row(const int count, const int n, real *past, const real *newest) {
+    for (int i = count * n - 1; i >= n; i--) past[i] = past[i - n];
+    if (count) real_copy(n, newest, past);
+}
+
+/* Whether z^count + c_1 z^(count-1) + .. has all its roots inside the unit circle, by Schur's and Cohn's recursion. */
+INLINE int tracker_is_stable(int count, const real *coefficients, real *c, real *shorter) {
+    for (int i = 0; i < count; i++) c[i] = coefficients[i];
+    while (count--) {
+        const real k = c[count], d = 1 - k * k;
+        if (!(k > -1 && k < 1)) return 0; /* NaN as well */
+        for (int i = 0; i < count; i++) shorter[i] = (c[i] - k * c[count - 1 - i]) / d;
+        for (int i = 0; i < count; i++) c[i] = shorter[i];
+    }
+    return 1;
+}
+
+/* Whether the polynomials of theta that feed back, F and C, are stable; work: 2 n. */
+INLINE int tracker_are_stable(const tracker_layout *const l, const int n, const real *theta, real *work) {
+    return tracker_is_stable(l->nf, theta + l->f, work, work + n) && tracker_is_stable(l->nc, theta + l->c, work, work + n);
+}
+
+/* Bring theta as far towards its new value as stability lets it; return how often its step was halved, -1 for all. */
+INLINE int tracker_restrain(const tracker_layout *const l, const int n, const int guard, const real *old, real *theta,
+                            real *work) {
+    real *const shorter = work + 2 * n;
+    real share = 1;
+    if (guard == GUARD_NONE || tracker_are_stable(l, n, theta, work)) return 0;
+    for (int halvings = 1; guard == GUARD_HALVE && halvings <= TRACKER_HALVINGS; halvings++) {
+        share *= REAL(0.5);
+        for (int i = 0; i < n; i++) shorter[i] = old[i] + share * (theta[i] - old[i]);
+        if (tracker_are_stable(l, n, shorter, work)) {
+            real_copy(n, shorter, theta);
+            return halvings;
+        }
+    }
+    real_copy(n, old, theta);
+    return -1;
+}
+
+/* phi, from what is remembered and the newest inputs u. */
+INLINE real tracker_input(const tracker_layout *const l, const int i, const real *u) {
+    return l->used[i] < 0 ? 1 : u[l->used[i]];
+}
+
+INLINE void tracker_regressor(const tracker_layout *const l, const tracker_state *const s, const real *u, real *phi) {
+    real_copy(l->na, s->outputs, phi + l->a);
+    real_copy(l->nd, s->outputs + l->na, phi + l->d);
+    real_copy(l->nf, s->undisturbed, phi + l->f);
+    real_copy(l->nc, s->residuals, phi + l->c);
+    for (int i = 0; i < l->lags; i++) {
+        const int source = l->source[i];
+        phi[l->inputs + i] = source < 0 ? tracker_input(l, -1 - source, u) : s->inputs[source];
+    }
+}
+
+/* Write the derivative of the prediction into g and what of it goes through F alone into chi: chi = phi/F for what goes
+   through B/F, phi for past outputs; C g = D chi for these, = phi for the others. */
+INLINE void tracker_differentiate(const tracker_layout *const l, const int n, const tracker_state *const s,
+                                  const real *theta, const real *phi, real *RESTRICT g, real *RESTRICT chi) {
+    real_copy(n, phi, g);
+    for (int k = 0; k < l->nf; k++)
+        for (int i = l->na; i < l->c; i++) g[i] -= theta[l->f + k] * s->prefiltered[k * n + i];
+    for (int i = 0; i < n; i++) chi[i] = i < l->c ? g[i] : 0;
+    for (int k = 0; k < l->nd; k++)
+        for (int i = 0; i < l->c; i++) g[i] += theta[l->d + k] * s->prefiltered[k * n + i];
+    for (int k = 0; k < l->nc; k++)
+        for (int i = 0; i < n; i++) g[i] -= theta[l->c + k] * s->gradients[k * n + i];
+}
+
+/* R after one more innovation nu of variance S; scale as in tracker_state. */
+INLINE void tracker_follow(real *const scale, const real nu, const real S) {
+    const real share = scale[0] / S, early = real_min(1, 5 / (scale[1] + 1));
+    const real gain = share * real_max(REAL(1.5) / scale[3], early);
+    const real surprise = real_min(nu * nu / S, 4) / scale[2] - 1;
+    scale[0] = real_max(scale[0] * real_exp(gain * surprise), 1 / REAL_ORDINARY / REAL_ORDINARY);
+    scale[1] += share;
+}
+
+/* Correct x and P by the innovation nu of variance S, r of it noise, C its covariance with x; return whether all was ordinary. */
+INLINE int tracker_correct(const int n, const tracker_rule *const rule, const real nu, const real S, const real r,
+                           real *RESTRICT x, real *RESTRICT P, real *RESTRICT C, real *const weight) {
+    const correction_rule *const choices = &rule->correction;
+    const real t = correction_scale(choices->scaling, S), e = t * nu;
+    real slope, d, check = 0;
+    const real moved = psi_of(&choices->psi, e, &slope);
+    if (!(real_abs(e) < REAL_ORDINARY)) return 0;
+    *weight = moved == e ? 1 : moved / e;
+    d = choices->information == INFORMATION_REALIZED   ? slope
+        : choices->information == INFORMATION_EXPECTED ? choices->expected
+                                                       : *weight;
+    d = real_min(real_max(d, 0), 1);
+    /* Under "unit" P becomes indefinite where its variance along the gradient, times d, is 1 or more. */
+    if (choices->scaling == SCALING_UNIT && !(d * (S - r) < REAL(0.999))) return 0;
+    for (int i = 0; i < n; i++) {
+        C[i] *= t;
+        x[i] += C[i] * moved;
+    }
+    if (d != 0) correction_shrink(n, d, C, P);
+    for (int i = 0; i < n; i++) {
+        if (!(P[i * n + i] >= 0)) return 0;
+        check += real_abs(x[i]) + P[i * n + i];
+    }
+    return real_is_finite(check);
+}
+
+/* Take one sample: y, NaN where missing, and the inputs u; told is its R, NaN for that of the state. work: tracker_work. */
+INLINE int tracker_step(const tracker_layout *const l, const int n, const tracker_rule *const rule,
+                        const tracker_state *const s, const real y, const real *u, const real told,
+                        tracker_sample *const sample, real *work) {
+    real *const x = work, *const P = x + n, *const W = P + n * n, *const phi = W + 2 * n * n, *const g = phi + n;
+    real *const chi = g + n, *const C = chi + n, *const rest = C + n; /* rest: 3 n */
+    const int known = y == y, past = l->na + l->nd, rows = l->nf > l->nd ? l->nf : l->nd, feeds_back = l->nf + l->nc > 0;
+    const int filtered = rule->filtered && l->nf + l->nc + l->nd > 0;
+    const real r = told == told ? told : s->scale[0];
+    real trace = 0, predicted, S = r, before = 0, alone = 0, after, believed, grown = 1, scale[4];
+    int again = 0, outlying = 0;
+    tracker_regressor(l, s, u, phi);
+    for (int i = 0; i < n; i++) trace += s->P[i * n + i];
+    if (rule->learns && (rule->alpha_sq == 1 || trace <= rule->windup)) {
+        if (rule->F) {
+            if (!predict(n, s->theta, s->P, rule->F, rule->Q, NULL, rule->alpha_sq, x, P, W)) return 0;
+        } else {
+            real_copy(n, s->theta, x);
+            for (int i = 0; i < n * n; i++) P[i] = rule->alpha_sq * s->P[i] + rule->Q[i];
+        }
+        trace = 0;
+        for (int i = 0; i < n; i++) trace += P[i * n + i];
+    } else {
+        /* Frozen, or wound up under forgetting. */
+        real_copy(n, s->theta, x);
+        real_copy(n * n, s->P, P);
+    }
+    predicted = tracker_dot(n, phi, x);
+    if (!(trace < REAL_MAX && real_abs(predicted) < REAL_ORDINARY)) return 0;
+    sample->prediction = predicted;
+    sample->residual = y - predicted;
+    sample->weight = (real)NAN;
+    sample->guard = 0;
+    if (rule->cleans && known) {
+        /* Where the outputs as measured explain this one and those put in their place do not, they were right. */
+        real explained = predicted;
+        for (int i = 0; i < l->na; i++) explained += (s->measured[i] - s->outputs[i]) * x[l->a + i];
+        for (int i = l->na; i < past; i++) explained += (s->measured[i] - s->outputs[i]) * x[l->d + i - l->na];
+        if (explained != predicted) {
+            S = real_max(tracker_spread(n, phi, P), 0) + r;
+            again = real_abs(y - predicted) > TRACKER_CLEANED * real_sqrt(S) && real_abs(y - explained) < real_abs(y - predicted);
+        }
+        if (again) {
+            predicted = explained;
+            real_copy(l->na, s->measured, phi + l->a);
+            real_copy(l->nd, s->measured + l->na, phi + l->d);
+        }
+    }
+    if (filtered && (rule->guard != GUARD_NONE || tracker_are_stable(l, n, x, rest))) {
+        tracker_differentiate(l, n, s, x, phi, g, chi);
+    } else {
+        real_copy(n, phi, g);
+        for (int i = 0; i < n; i++) chi[i] = i < l->c ? phi[i] : 0;
+    }
+    {
+        const real size = tracker_dot(n, g, g), prefiltered = l->nf ? tracker_dot(n, chi, chi) : 0;
+        const real limit = TRACKER_LARGEST * TRACKER_LARGEST;
+        if (!(size < limit && prefiltered < limit)) return 0;
+        if (rule->learns && known && !(size * trace <= TRACKER_SHARP * r)) return 0;
+    }
+    for (int i = 0; i < 4; i++) scale[i] = s->scale[i];
+    if (rule->learns && known) {
+        const real nu = y - predicted;
+        for (int i = 0; i < n; i++) C[i] = tracker_dot(n, P + i * n, g);
+        S = tracker_dot(n, g, C);
+        S = real_max(S, 0) + r;
+        if (!(S > 0 && S < REAL_ORDINARY)) return 0;
+        outlying = real_abs(nu) > TRACKER_CLEANED * real_sqrt(S);
+        if (!tracker_correct(n, rule, nu, S, r, x, P, C, &sample->weight)) return 0;
+        if (told != told && scale[3] > 0) {
+            tracker_follow(scale, nu, S);
+            if (s->scale[1] < TRACKER_EARLY && scale[0] > r) grown = scale[0] / r;
+        }
+    }
+    if (rule->learns && feeds_back) sample->guard = tracker_restrain(l, n, rule->guard, s->theta, x, rest);
+    /* All is well: from here on the state changes. */
+    after = tracker_dot(n, phi, x);
+    believed = known && !(rule->cleans && outlying) ? y : tracker_bounded(predicted);
+    for (int i = l->na; i < l->c; i++) alone += phi[i] * x[i];
+    for (int i = 0; i < l->c; i++) before += phi[i] * x[i];
+    before = tracker_bounded(before);
+    tracker_push(l->nf, s->undisturbed, -tracker_bounded(alone));
+    if (again) real_copy(past, s->measured, s->outputs);
+    tracker_push(l->na, s->outputs, -believed);
+    tracker_push(l->nd, s->outputs + l->na, before - believed);
+    tracker_push(l->na, s->measured, known ? -y : -tracker_bounded(predicted));
+    tracker_push(l->nd, s->measured + l->na, before - (known ? y : tracker_bounded(predicted)));
+    tracker_push(l->nc, s->residuals, known ? tracker_bounded(believed - after) : 0);
+    for (int i = l->length - 1; i > 0; i--) s->inputs[i] = s->inputs[i - 1];
+    for (int i = 0; i < l->starts; i++) s->inputs[l->start[i]] = tracker_input(l, i, u);
+    if (filtered) {
+        tracker_push_row(l->nc, n, s->gradients, g);
+        tracker_push_row(rows, n, s->prefiltered, chi);
+    }
+    real_copy(n, x, s->theta);
+    for (int i = 0; i < n * n; i++) s->P[i] = grown == 1 ? P[i] : P[i] * grown;
+    for (int i = 0; i < 2; i++) s->scale[i] = scale[i];
+    return 1;
+}
+
+#endif

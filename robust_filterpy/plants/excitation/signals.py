@@ -1,0 +1,318 @@
+"""Inputs that excite a plant: binary signals with a prescribed autocovariance, and what to prescribe.
+
+A binary signal has the most power that its amplitude allows; its spectrum is shaped by choosing where it switches.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+import scipy.signal
+import scipy.special
+from numpy.typing import ArrayLike
+
+from robust_filterpy._checks import Array, count, finite_vector, numbers, real
+from robust_filterpy.plants.excitation.receding_horizon import search_bits
+
+__all__ = [
+    "bandlimited_pink_autocovariance",
+    "bandlimited_pink_spectrum",
+    "prbs",
+    "receding_horizon_binary",
+    "sample_autocovariance",
+]
+
+MAX_HORIZON = 20
+
+
+def bandlimited_pink_spectrum(w: ArrayLike, w_low: float, w_high: float) -> Array:
+    """Evaluate the spectrum of band-limited 1/f noise of unit variance, eq (56).
+
+    ``spectrum(w) = 1 / (w ln(w_high / w_low))`` for ``w_low <= w <= w_high``, 0 elsewhere.
+
+    Parameters
+    ----------
+    w : array_like, any shape
+        Angular frequency, in rad/sample.
+    w_low, w_high : float
+        Ends of the band, in rad/sample, ``0 < w_low < w_high <= pi``.
+
+    Returns
+    -------
+    ndarray, shape of w
+        Density over positive frequencies, in variance per rad/sample: its integral from 0 to pi is 1.
+
+    Raises
+    ------
+    ValueError
+        If the band is empty or leaves (0, pi].
+    TypeError
+        If an argument is not a real number.
+
+    Notes
+    -----
+    The paper prints ``1 / (ln w_high - w_low)`` for the factor; with that the variance would not be 1.
+
+    Examples
+    --------
+    >>> bandlimited_pink_spectrum([0.1, 1.0, 3.0], 0.5, 2.5).round(4)
+    array([0.    , 0.6213, 0.    ])
+    """
+    w_low, w_high = _band(w_low, w_high)
+    w = numbers("w", w)
+    inside = (w >= w_low) & (w <= w_high)
+    return np.where(inside, 1.0 / (np.where(inside, w, 1.0) * math.log(w_high / w_low)), 0.0)
+
+
+def bandlimited_pink_autocovariance(w_low: float, w_high: float, n_lags: int) -> Array:
+    """Compute the autocovariance of band-limited 1/f noise of unit variance, eq (57).
+
+    ``r_0 = 1`` and ``r_k = (Ci(k w_high) - Ci(k w_low)) / ln(w_high / w_low)``, Ci being the cosine integral.
+
+    Parameters
+    ----------
+    w_low, w_high : float
+        Ends of the band, in rad/sample, ``0 < w_low < w_high <= pi``.
+    n_lags : int
+        Last lag, >= 0.
+
+    Returns
+    -------
+    ndarray, shape (n_lags + 1,)
+        r_0 .. r_n_lags.
+
+    Raises
+    ------
+    ValueError
+        If the band is empty or leaves (0, pi], or n_lags is negative.
+    TypeError
+        If an argument is of the wrong kind.
+
+    Notes
+    -----
+    The paper prints ``1 / (ln w_high - w_low)`` for the factor before the integral.
+
+    Examples
+    --------
+    >>> bandlimited_pink_autocovariance(0.5, 2.5, 3).round(4)
+    array([ 1.    ,  0.2881, -0.3277, -0.2204])
+    """
+    w_low, w_high = _band(w_low, w_high)
+    k = np.arange(1, count("n_lags", n_lags) + 1)
+    _, ci_low = scipy.special.sici(k * w_low)
+    _, ci_high = scipy.special.sici(k * w_high)
+    return np.concatenate(([1.0], (ci_high - ci_low) / math.log(w_high / w_low)))
+
+
+def sample_autocovariance(s: ArrayLike, n_lags: int, *, mean: float | None = None) -> Array:
+    """Estimate the autocovariance of a signal.
+
+    ``r_k = (1/N) sum_{i=k+1..N} (s_i - mean)(s_{i-k} - mean)``: divided by N at every lag, as in eq (54), which
+    keeps the sequence positive semidefinite.
+
+    Parameters
+    ----------
+    s : array_like, shape (N,)
+        The signal.
+    n_lags : int
+        Last lag, 0 <= n_lags < N.
+    mean : float, optional
+        Known mean, in the unit of s. Default: that of the sample. ``mean=0`` gives the non-central autocovariance (54).
+
+    Returns
+    -------
+    ndarray, shape (n_lags + 1,)
+        r_0 .. r_n_lags, in the unit of s squared.
+
+    Raises
+    ------
+    ValueError
+        If s is not one-dimensional, is empty or not finite, or n_lags is not in [0, N - 1].
+    TypeError
+        If an argument is of the wrong kind.
+
+    Examples
+    --------
+    >>> sample_autocovariance([1, -1, 1, -1], 2)
+    array([ 1.  , -0.75,  0.5 ])
+    """
+    s = finite_vector("s", s)
+    n_lags = count("n_lags", n_lags)
+    if n_lags >= s.size:
+        raise ValueError(f"n_lags: expected at most {s.size - 1} for {s.size} samples, got {n_lags}")
+    s = s - (s.mean() if mean is None else real("mean", mean))
+    return np.array([s[k:] @ s[: s.size - k] for k in range(n_lags + 1)]) / s.size
+
+
+def receding_horizon_binary(
+    autocovariance: ArrayLike,
+    length: int,
+    horizon: int = 1,
+    levels: tuple[float, float] = (-1, 1),
+    rng: np.random.Generator | int | None = None,
+) -> Array:
+    """Generate a binary signal whose sampled autocovariance comes close to a prescribed one.
+
+    At every instant the 2^m continuations of m samples are compared; of the one whose sampled autocovariance (54)
+    is nearest to the prescribed one in the Euclidean norm, the first sample is kept: steps 1-7 of section 3.2.
+
+    Parameters
+    ----------
+    autocovariance : array_like, shape (n + 1,)
+        r_0 .. r_n of the wanted signal about its mean, in the unit of the levels squared. For levels a < b it needs
+        ``0 < r_0 <= (b - a)^2 / 4`` and has to be positive semidefinite.
+    length : int
+        Number N of samples, >= 1.
+    horizon : int, default 1
+        Number m of samples looked ahead, 1 to 20. The work grows with 2^m; the result seldom does.
+    levels : (float, float), default (-1, 1)
+        The two values a < b of the signal.
+    rng : numpy.random.Generator or int, optional
+        Chooses at random among continuations that are equally good. Default: the first of them in lexicographic
+        order (a before b), as the paper's enumeration does, so that the signal is the same in every call.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        The signal. Its mean is near ``a + (b - a) mean01`` (see Notes): for r_0 below the greatest variance
+        (b - a)^2 / 4 it is above the middle of the levels.
+
+    Raises
+    ------
+    ValueError
+        If no binary signal of these levels has the autocovariance (r_0 too large, not positive semidefinite), or a
+        number is out of its range.
+    TypeError
+        If an argument is of the wrong kind.
+
+    Notes
+    -----
+    The search runs on {0, 1}. There the non-central target is ``r_k / (b - a)^2 + mean01^2`` with
+    ``mean01 = 1/2 + sqrt(1/4 - r_0 / (b - a)^2)``, which makes its lag 0 equal to mean01, as it must be where
+    s^2 = s; for levels -1, 1 and r_0 = 1 it is ``(r_k + 1) / 4``. Eq (55) leads back to the levels.
+
+    The lag sums of (54) are updated and never recomputed: O(2^m m n N) operations, where the steps as printed take
+    O(2^m n N^2). The tuple of step 4 ends at t+m-1 (printed: t+m+1).
+
+    Positive semidefinite is necessary, not sufficient: a +-1 signal cannot have every autocovariance, and the last
+    per cent of error does not vanish with a longer signal or horizon.
+
+    Examples
+    --------
+    >>> r = bandlimited_pink_autocovariance(0.5, 2.5, 40)
+    >>> s = receding_horizon_binary(r, 10_000)
+    >>> s[:8]
+    array([-1.,  1.,  1., -1.,  1.,  1., -1.,  1.])
+    >>> error = sample_autocovariance(s, 40) - r
+    >>> round(float(np.sqrt(np.mean(error**2))), 4)
+    0.0078
+    """
+    low, high = _levels(levels)
+    target = _binary_target(autocovariance, high - low)
+    length = count("length", length, 1)
+    horizon = count("horizon", horizon, 1)
+    if horizon > MAX_HORIZON:
+        raise ValueError(f"horizon: expected at most {MAX_HORIZON} (2^horizon continuations a sample), got {horizon}")
+    generator = None if rng is None else np.random.default_rng(rng)
+    return np.where(search_bits(target, length, horizon, generator), high, low)
+
+
+def prbs(
+    length: int,
+    levels: tuple[float, float] = (-1, 1),
+    *,
+    n_bits: int | None = None,
+    hold: int = 1,
+    rng: np.random.Generator | int | None = None,
+) -> Array:
+    """Generate a pseudo-random binary sequence of maximal length.
+
+    One period of ``(2^n_bits - 1) * hold`` samples is as good as white (hold = 1): its periodic autocovariance at
+    -1, 1 is 1 at lag 0 and -1/(2^n_bits - 1) elsewhere.
+
+    Parameters
+    ----------
+    length : int
+        Number N of samples, >= 1. Beyond a period the sequence repeats.
+    levels : (float, float), default (-1, 1)
+        The two values a < b of the signal.
+    n_bits : int, optional
+        Bits of the shift register, 2 to 32. Default: the fewest whose period is at least N.
+    hold : int, default 1
+        Samples for which each value is held, >= 1; more of them move the power to low frequencies.
+    rng : numpy.random.Generator or int, optional
+        Draws the register's first state. Default: all ones, so that the signal is the same in every call.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        The signal.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range.
+    TypeError
+        If an argument is of the wrong kind.
+
+    Examples
+    --------
+    >>> prbs(7)
+    array([ 1.,  1.,  1., -1.,  1., -1., -1.])
+    """
+    low, high = _levels(levels)
+    length, hold = count("length", length, 1), count("hold", hold, 1)
+    values = -(-length // hold)
+    n_bits = max(2, values.bit_length()) if n_bits is None else count("n_bits", n_bits, 2)
+    if n_bits > 32:
+        raise ValueError(f"n_bits: expected 2 to 32, got {n_bits}")
+    state = None
+    if rng is not None:
+        # The register never leaves the state zero.
+        word = int(np.random.default_rng(rng).integers(1, 1 << n_bits))
+        state = [word >> i & 1 for i in range(n_bits)]
+    bits, _ = scipy.signal.max_len_seq(n_bits, state=state, length=values)
+    return np.where(np.repeat(bits, hold)[:length], high, low)
+
+
+def _binary_target(autocovariance: ArrayLike, span: float) -> Array:
+    """Convert a central autocovariance at the levels into the non-central one at {0, 1}, or raise."""
+    r = finite_vector("autocovariance", autocovariance) / span**2
+    if r[0] <= 0:
+        raise ValueError(f"autocovariance: expected r_0 > 0, got {r[0] * span**2:.6g}")
+    # Half a unit of the tenth digit: r_0 = 1 may come out of a computation.
+    if r[0] > 0.25 * (1 + 1e-10):
+        raise ValueError(
+            f"autocovariance: a signal with levels {span:g} apart has a variance of at most (b - a)^2/4 = "
+            f"{span**2 / 4:g}, got r_0 = {r[0] * span**2:.6g}; scale the autocovariance or widen the levels"
+        )
+    least = scipy.linalg.eigvalsh(scipy.linalg.toeplitz(r), subset_by_index=[0, 0])[0]
+    if least < -1e-10 * r.size * r[0]:
+        raise ValueError(
+            "autocovariance: expected a positive semidefinite sequence, got one whose Toeplitz matrix has the "
+            f"eigenvalue {least * span**2:.3g}: no signal has it"
+        )
+    mean = 0.5 + math.sqrt(max(0.0, 0.25 - r[0]))
+    return r + mean**2
+
+
+def _band(w_low: Any, w_high: Any) -> tuple[float, float]:
+    """Return the ends of a frequency band or raise."""
+    low, high = real("w_low", w_low), real("w_high", w_high)
+    if not 0 < low < high <= math.pi:
+        raise ValueError(
+            f"w_low, w_high: expected 0 < w_low < w_high <= pi rad/sample, got {w_low!r} and {w_high!r}; "
+            "a frequency in Hz becomes 2 pi f/f_sample"
+        )
+    return low, high
+
+
+def _levels(levels: Any) -> tuple[float, float]:
+    """Return the two levels of a binary signal or raise."""
+    pair = numbers("levels", levels)
+    if pair.shape != (2,) or not np.isfinite(pair).all() or not pair[0] < pair[1]:
+        raise ValueError(f"levels: expected two finite numbers (a, b) with a < b, got {levels!r}")
+    return float(pair[0]), float(pair[1])

@@ -1,0 +1,36 @@
+"""The pneumatic servo of the paper's section 2: its equations, linear models of it, and experiments with it.
+
+* `parameters`, `coefficients`: its constants, its uncertain alpha and beta.
+* `equations`, `system`: equations (1)-(7) as functions of floats, and as a python-control system.
+* `steady_motion`, `linearization`: its steady motions, and linear models about them.
+* `loop_design`, `position_loop`: a position loop, stable by its gains, and the loop simulated.
+* `observer`: estimates the motion in the loop from sensors that err.
+* `inputs`, `recording`: what drives an experiment, and its recording, with files of it for other tools.
+"""
+
+from __future__ import annotations
+
+from robust_filterpy.plants.servo.coefficients import beta_coefficient, random_alpha, random_beta
+from robust_filterpy.plants.servo.equations import valve_opening
+from robust_filterpy.plants.servo.linearization import linearize_servo
+from robust_filterpy.plants.servo.observer import ServoObserver
+from robust_filterpy.plants.servo.parameters import PneumaticParameters
+from robust_filterpy.plants.servo.position_loop import simulate_actuator, simulate_servo
+from robust_filterpy.plants.servo.recording import ServoRecording
+from robust_filterpy.plants.servo.steady_motion import operating_point
+from robust_filterpy.plants.servo.system import pneumatic_servo
+
+__all__ = [
+    "PneumaticParameters",
+    "ServoObserver",
+    "ServoRecording",
+    "beta_coefficient",
+    "linearize_servo",
+    "operating_point",
+    "pneumatic_servo",
+    "random_alpha",
+    "random_beta",
+    "simulate_actuator",
+    "simulate_servo",
+    "valve_opening",
+]

@@ -1,0 +1,279 @@
+"""Does a filter know how wrong it is? Tests with an exact false-alarm probability, explained in words and figures.
+
+Let the model be right, the noise normal and x(0) ~ N(x, P). Then a Kalman filter's innovations are independent,
+y ~ N(0, S), and its errors have x - truth ~ N(0, P), hence
+
+* NIS: the sum of y' S^-1 y over all steps and runs is chi-square, with as many degrees of freedom as numbers measured;
+* NEES: the sum of (x - truth)' P^-1 (x - truth) over independent runs, at one step, is chi-square with n a run;
+* the mean of L^-1 (x - truth), P = L L', over M runs is N(0, I/M).
+
+Several tests share the false-alarm probability (Bonferroni), so that the probability stated is an upper bound.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+from robust_filterpy.diagnostics.statistics import bulk
+from robust_filterpy.testing.assertions.bounds import at_least_one, band, fail, probability, times
+from robust_filterpy.testing.scenarios.runs import FilterRun, Runs, as_runs
+
+__all__ = [
+    "assert_consistent",
+    "assert_covariance_stays_one",
+    "assert_innovations_white",
+    "assert_unbiased",
+]
+
+# NEES is looked at so often along the runs.
+_INSTANTS = 5
+
+
+def assert_consistent(runs: Runs, *, factor: float = 1.0, false_alarm: float = 1e-6) -> None:
+    """Assert that innovations are as large as S says and errors as large as P says (NIS and NEES).
+
+    Parameters
+    ----------
+    runs : FilterRun, filterpy Saver, or list of these
+        Independent runs; without a truth (a Saver) only the innovations are tested.
+    factor : float, default 1
+        S and P may be wrong by this factor, either way, before the test minds: for filters that are no Kalman filters.
+    false_alarm : float, default 1e-6
+        Probability that a right filter fails.
+
+    Raises
+    ------
+    AssertionError
+        If not; it tells the figures, the factor by which S or P is wrong, and what that may come from.
+
+    Examples
+    --------
+    >>> from filterpy.kalman import KalmanFilter
+    >>> from robust_filterpy.testing import draw, run_filter
+    >>> scenario = draw("constant velocity", 500, rng=1)
+    >>> kf = scenario.load(KalmanFilter(4, 2))
+    >>> kf.R = kf.R / 4
+    >>> assert_consistent(run_filter(kf, scenario))  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    ...
+    AssertionError: NIS mean 6.8, expected 2 (1.57 to 2.5) over 500 steps: S is about 3.4 times too small: ...
+    """
+    found, factor = as_runs(runs), at_least_one(factor)
+    instants = _instants(found) if _has_errors(found) else []
+    alpha = probability(false_alarm) / (1 + len(instants))
+    errors = [text for k in instants if (text := _nees(found, k, factor, alpha))]
+    fail([_nis(found, factor, alpha), *errors[-1:]])
+
+
+def assert_unbiased(runs: Runs, *, factor: float = 1.0, false_alarm: float = 1e-6) -> None:
+    """Assert that the errors of independent runs have mean 0.
+
+    Parameters
+    ----------
+    runs : FilterRun or list of FilterRun
+        Independent runs with their truth.
+    factor : float, default 1
+        P may be too small by this factor before the test minds.
+    false_alarm : float, default 1e-6
+        Probability that a right filter fails.
+
+    Raises
+    ------
+    AssertionError
+        If not; it tells which state is off, and by how much.
+    """
+    found, factor = as_runs(runs), at_least_one(factor)
+    instants, failures = _instants(found), []
+    for k in instants:
+        errors = np.array([run.standardized_error(k) for run in found])
+        M, n = errors.shape
+        squared = float(np.sum(errors.sum(axis=0) ** 2) / M)
+        if not squared <= factor * stats.chi2.isf(probability(false_alarm) / len(instants), n):
+            raw = np.array([run.error[k] for run in found])
+            deviation = np.mean([np.sqrt(run.P[k].diagonal()) for run in found if run.P is not None], axis=0)
+            off = raw.mean(axis=0) / deviation
+            i = int(np.argmax(np.abs(off)))
+            failures.append(
+                f"state {i} is off by {off[i]:+.2g} of its standard deviations on average over {M} run(s) at step {k}, "
+                f"expected 0 +- {np.sqrt(1 / M):.2g}: the model moves the state otherwise, or the sensor has a bias"
+            )
+    fail(failures[-1:])
+
+
+def assert_innovations_white(runs: Runs, *, lags: int = 5, tolerance: float = 0.0, false_alarm: float = 1e-6) -> None:
+    """Assert that an innovation tells nothing about the next ones.
+
+    Parameters
+    ----------
+    runs : FilterRun, filterpy Saver, or list of these
+        What to read.
+    lags : int, default 5
+        How far apart, at most, in samples.
+    tolerance : float, default 0
+        A correlation that is nothing to mind: for filters that are no Kalman filters.
+    false_alarm : float, default 1e-6
+        Probability that a right filter fails.
+
+    Raises
+    ------
+    AssertionError
+        If not; it tells lag, correlation, and what that may come from.
+
+    Notes
+    -----
+    At lag j samples fall into two classes, by whether k // j is even, such that neighbours at distance j are of
+    different classes. Given one class, the sum of e(k) e(k+j) is normal in the other, and its ratio to its estimated
+    deviation follows Student's t exactly, whatever the scale of S.
+    """
+    found, lags = as_runs(runs), _checks.count("lags", lags, 1)
+    sensors = found[0].y.shape[1]
+    alpha, failures = probability(false_alarm) / (lags * sensors), []
+    for lag in range(1, lags + 1):
+        for i in range(sensors):
+            t, r, pairs, samples = _correlation([run.whitened[:, i] for run in found], lag)
+            if samples < 3:
+                continue
+            limit = float(stats.t.isf(alpha / 2, samples - 1)) + tolerance * np.sqrt(pairs)
+            if abs(t) > limit and abs(r) > tolerance:
+                failures.append(
+                    f"innovations of sensor {i} at lag {lag} are correlated by {r:+.2f}, expected 0 +- "
+                    f"{limit / np.sqrt(pairs):.2g} over {pairs} pairs: {_colour(r)}"
+                )
+    fail(failures[:1])
+
+
+def assert_covariance_stays_one(P: Any, *, rtol: float = 1e-6) -> None:
+    """Assert that every P is finite, symmetric and without negative eigenvalues.
+
+    Parameters
+    ----------
+    P : array_like, shape (N, n, n) or (n, n), or FilterRun
+        Covariances; of a run, those before and after each correction.
+    rtol : float, default 1e-6
+        Rounding that is allowed, against the variances on the diagonal: units do not matter.
+
+    Raises
+    ------
+    AssertionError
+        If not; it names the first step.
+    """
+    if isinstance(P, FilterRun):
+        if P.P is None or P.P_prior is None:
+            raise ValueError("P: expected a run with P and P_prior; run_filter(kf, scenario) returns one")
+        for name, stack in (("P after the prediction", P.P_prior), ("P after the correction", P.P)):
+            _covariances(name, stack, rtol)
+        return
+    values = _checks.numbers("P", P)
+    if values.ndim not in (2, 3) or values.shape[-1] != values.shape[-2]:
+        raise ValueError(f"P: expected shape (N, n, n) or (n, n), got {values.shape}")
+    _covariances("P", values.reshape(-1, *values.shape[-2:]), rtol)
+
+
+def _covariances(name: str, stack: Array, rtol: float) -> None:
+    """Fail at the first matrix that is no covariance."""
+    for k, P in enumerate(stack):
+        if not np.isfinite(P).all():
+            raise AssertionError(f"{name} holds NaN or infinity at step {k}")
+        scale = np.sqrt(np.abs(P.diagonal()))
+        scale = np.where(scale > 0, scale, 1.0)
+        correlations = P / np.outer(scale, scale)
+        asymmetry = float(np.abs(correlations - correlations.T).max())
+        if asymmetry > rtol:
+            raise AssertionError(f"{name} is not symmetric at step {k}: P - P' is {asymmetry:.2g} of its size")
+        least = float(np.linalg.eigvalsh((correlations + correlations.T) / 2)[0])
+        if least < -rtol:
+            raise AssertionError(
+                f"{name} is no covariance at step {k}: its least eigenvalue is {least:.2g} of its size; a form that "
+                f"stays positive is (I - K H) P (I - K H)' + K R K'"
+            )
+
+
+def _nis(runs: list[FilterRun], factor: float, alpha: float) -> str | None:
+    """Test the innovations of all runs together."""
+    e = np.concatenate([run.whitened for run in runs])
+    total, dof, steps = float(np.nansum(e**2)), int((~np.isnan(e)).sum()), int((~np.isnan(e)).any(axis=1).sum())
+    if dof == 0:
+        raise ValueError("runs: expected at least one measurement, got none")
+    low, high = band(dof, alpha)
+    if low / factor <= total <= high * factor:
+        return None
+    ratio, figures = total / dof, [value / steps for value in (total, dof, low / factor, high * factor)]
+    return (
+        f"NIS mean {figures[0]:.3g}, expected {figures[1]:.3g} ({figures[2]:.3g} to {figures[3]:.3g}) over {steps} "
+        f"steps: S is about {times(ratio)}: {_cause(runs, e, ratio)}"
+    )
+
+
+def _cause(runs: list[FilterRun], e: Array, ratio: float) -> str:
+    """Say what innovations of the wrong size may come from."""
+    if ratio < 1.0:
+        return "R or Q too large"
+    # Outliers are few and far; the ordinary samples then are of the right size.
+    ordinary = max(bulk(column)[0] for column in e.T) ** 2
+    if ordinary < 0.5 * ratio and ordinary < 2.0:
+        return f"outliers (the ordinary samples alone give {ordinary:.2g} times)"
+    r = max((_correlation([run.whitened[:, i] for run in runs], 1)[1] for i in range(e.shape[1])), key=abs)
+    if abs(r) < 0.15:
+        return "R or Q too small"
+    why = "Q too small, or the state moves otherwise" if r > 0 else "R too small"
+    return f"{why} (the innovations are correlated by {r:+.2f})"
+
+
+def _nees(runs: list[FilterRun], k: int, factor: float, alpha: float) -> str | None:
+    """Test the errors of all runs at one step."""
+    errors = np.array([run.standardized_error(k) for run in runs])
+    total, (M, n) = float(np.sum(errors**2)), errors.shape
+    low, high = band(M * n, alpha)
+    if low / factor <= total <= high * factor:
+        return None
+    ratio = total / (M * n)
+    word = "the filter is surer than it may be" if ratio > 1 else "the filter is less sure than it could be"
+    return (
+        f"NEES mean {total / M:.3g}, expected {n} ({low / factor / M:.3g} to {high * factor / M:.3g}) at step {k} over "
+        f"{M} run(s): P is about {times(ratio)}; {word}"
+    )
+
+
+def _correlation(columns: list[Array], lag: int) -> tuple[float, float, int, int]:
+    """Return Student's t and the correlation at a lag, how many pairs made it, and how many samples of one class."""
+    ab = aa = bb = power = 0.0
+    pairs = samples = count = 0
+    for column in columns:
+        seen = ~np.isnan(column)
+        e, k = np.where(seen, column, 0.0), np.arange(len(column))
+        neighbours, beside = np.zeros(len(e)), np.zeros(len(e), dtype=int)
+        neighbours[lag:] += e[:-lag] if lag < len(e) else 0.0
+        neighbours[: len(e) - lag] += e[lag:]
+        beside[lag:] += seen[:-lag] if lag < len(e) else 0
+        beside[: len(e) - lag] += seen[lag:]
+        use = seen & (beside > 0) & ((k // lag) % 2 == 0)
+        ab, aa, bb = ab + neighbours[use] @ e[use], aa + neighbours[use] @ neighbours[use], bb + e[use] @ e[use]
+        pairs, samples = pairs + int(beside[use].sum()), samples + int(use.sum())
+        power, count = power + float(e @ e), count + int(seen.sum())
+    if samples < 2 or aa == 0.0 or power == 0.0:
+        return 0.0, 0.0, max(pairs, 1), 0
+    rest = max(bb - ab * ab / aa, np.finfo(float).tiny) / (samples - 1)
+    return ab / np.sqrt(aa * rest), (ab / pairs) / (power / count), pairs, samples
+
+
+def _colour(r: float) -> str:
+    """Say what a correlation of innovations may come from."""
+    if r > 0:
+        return "the filter follows too slowly (Q too small, R too large), lags a step behind, or lacks a state"
+    return "the filter follows too eagerly (Q too large, R too small)"
+
+
+def _instants(runs: list[FilterRun]) -> list[int]:
+    """Return a few steps that every run has, the last one among them."""
+    shortest = min(len(run) for run in runs)
+    return sorted({round(k) for k in np.linspace(shortest / _INSTANTS, shortest, _INSTANTS) - 1.0})
+
+
+def _has_errors(runs: list[FilterRun]) -> bool:
+    """Tell whether all runs know the truth and P."""
+    return all(run.truth is not None and run.P is not None for run in runs)

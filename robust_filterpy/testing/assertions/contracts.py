@@ -1,0 +1,257 @@
+"""What a program relies on between the lines: refused calls, copies, and two filters that are the same."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from robust_filterpy import _checks
+
+__all__ = [
+    "assert_close",
+    "assert_refused_call_changes_nothing",
+    "assert_same_filter",
+    "assert_state_round_trip",
+    "assert_unchanged",
+    "visible",
+]
+
+#: What a refusal is: an error that names what was wrong, not a failed assert inside the estimator.
+REFUSALS = (ValueError, TypeError, np.linalg.LinAlgError)
+
+
+def visible(estimator: Any, names: Iterable[str] | None = None) -> dict[str, Any]:
+    """Return copies of the numbers and arrays that an estimator shows: public attributes and properties.
+
+    Parameters
+    ----------
+    estimator : object
+        Filter or tracker.
+    names : iterable of str, optional
+        Which. Default: all that do not begin with "_".
+
+    Returns
+    -------
+    dict of str to ndarray
+        A property that raises is left out.
+    """
+    found = {}
+    for name in dir(estimator) if names is None else names:
+        if name.startswith("_") and names is None:
+            continue
+        try:
+            value = getattr(estimator, name)
+            array = None if callable(value) else np.array(value, copy=True)
+        except Exception:
+            continue
+        if array is not None and (array.dtype.kind in "biuf" or _of_none_and_numbers(array)):
+            found[name] = array
+    return found
+
+
+def _of_none_and_numbers(array: np.ndarray) -> bool:
+    """Tell what filterpy makes of a missing measurement from an array of objects."""
+    return array.dtype.kind == "O" and all(isinstance(item, (int, float, type(None))) for item in array.flat)
+
+
+def assert_unchanged(before: dict[str, Any], estimator: Any, what: str = "the call") -> None:
+    """Assert that an estimator shows what it showed before, to the last bit.
+
+    Parameters
+    ----------
+    before : mapping of str to ndarray
+        What `visible` returned.
+    estimator : object
+        The same estimator later, or another one that should be like it.
+    what : str
+        What happened in between, for the message.
+
+    Raises
+    ------
+    AssertionError
+        If not; it names the attributes.
+    """
+    now = visible(estimator, before)
+    changed = [name for name, value in before.items() if name not in now or not _identical(value, now[name])]
+    if changed:
+        raise AssertionError(f"{what} changed {', '.join(changed)}")
+
+
+def _identical(one: np.ndarray, two: np.ndarray) -> bool:
+    """Compare shapes and values, NaN being equal to NaN."""
+    if one.shape != two.shape:
+        return False
+    return bool(np.array_equal(one, two, equal_nan=one.dtype.kind == two.dtype.kind == "f"))
+
+
+def assert_refused_call_changes_nothing(
+    estimator: Any,
+    call: Callable[[Any], Any],
+    *,
+    raises: type[BaseException] | tuple[type[BaseException], ...] = REFUSALS,
+    names: Iterable[str] | None = None,
+) -> str:
+    """Assert that a bad call raises, and leaves everything that can be seen as it was.
+
+    Parameters
+    ----------
+    estimator : object
+        Filter or tracker.
+    call : callable
+        ``call(estimator)`` makes the bad call.
+    raises : exception type or tuple of these, default ValueError, TypeError, LinAlgError
+        What it must raise.
+    names : iterable of str, optional
+        Attributes to compare. Default: all public ones.
+
+    Returns
+    -------
+    str
+        The message of the error, to be looked at.
+
+    Raises
+    ------
+    AssertionError
+        If it does not raise, raises something else, or changes something.
+    """
+    before = visible(estimator, names)
+    try:
+        call(estimator)
+    except raises as error:
+        assert_unchanged(before, estimator, f"the call was refused ({type(error).__name__}: {error}), but")
+        return str(error)
+    except Exception as error:
+        raise AssertionError(f"expected {_names(raises)}, got {type(error).__name__}: {error}") from error
+    raise AssertionError(f"expected {_names(raises)}, the call was accepted")
+
+
+def _names(raises: Any) -> str:
+    """Return the names of exception types."""
+    return " or ".join(kind.__name__ for kind in (raises if isinstance(raises, tuple) else (raises,)))
+
+
+#: Ways to an independent copy.
+WAYS: dict[str, Callable[[Any], Any]] = {
+    "copy": copy.copy,
+    "deepcopy": copy.deepcopy,
+    "pickle": lambda estimator: pickle.loads(pickle.dumps(estimator)),
+}
+
+
+def assert_state_round_trip(
+    estimator: Any, go_on: Callable[[Any], Any], *, ways: Sequence[str] = ("deepcopy", "pickle")
+) -> None:
+    """Assert that a copied or unpickled estimator goes on as the original does, bit for bit, and by itself.
+
+    Parameters
+    ----------
+    estimator : object
+        Filter or tracker in the middle of its work; it is changed.
+    go_on : callable
+        ``go_on(estimator)`` does some more work.
+    ways : sequence of {"copy", "deepcopy", "pickle"}
+        How to copy.
+
+    Raises
+    ------
+    AssertionError
+        If a copy cannot be made, differs, moves with the original, or goes on otherwise.
+    """
+    twins = {}
+    for way in ways:
+        make_copy = WAYS[_checks.option("ways", way, WAYS)]
+        try:
+            twins[way] = make_copy(estimator)
+        except Exception as error:
+            raise AssertionError(f"{way} failed with {type(error).__name__}: {error}") from error
+    before = visible(estimator)
+    for way, twin in twins.items():
+        if type(twin) is not type(estimator):
+            raise AssertionError(f"{way} made a {type(twin).__name__} of a {type(estimator).__name__}")
+        assert_unchanged(before, twin, f"{way}")
+    go_on(estimator)
+    after = visible(estimator)
+    for way, twin in twins.items():
+        assert_unchanged(before, twin, f"the original went on and, through what a {way} shares with it,")
+        go_on(twin)
+        assert_unchanged(after, twin, f"going on after {way} gave other numbers than the original's: it")
+
+
+def assert_same_filter(
+    a: Any,
+    b: Any,
+    zs: Iterable[Any],
+    *,
+    us: Sequence[Any] | None = None,
+    names: Sequence[str] = ("x", "P"),
+    rtol: float = 1e-9,
+    step: Callable[[Any, Any], Any] | None = None,
+) -> None:
+    """Assert that two filters are the same, call by call.
+
+    Parameters
+    ----------
+    a, b : filter objects
+        Loaded alike; both are changed. b is the reference.
+    zs : iterable
+        Measurements.
+    us : sequence, optional
+        Inputs of the predictions.
+    names : sequence of str, default "x", "P"
+        Attributes to compare after each call.
+    rtol : float, default 1e-9
+        Difference that is allowed, in the size of the whole array.
+    step : callable, optional
+        ``step(kf, z)`` in the place of ``predict(u)`` and ``update(z)``.
+
+    Raises
+    ------
+    AssertionError
+        If they part; it names the call, the attribute and the difference.
+    """
+    for k, z in enumerate(zs):
+        calls = (
+            [("step", (z,))] if step is not None else [("predict", () if us is None else (us[k],)), ("update", (z,))]
+        )
+        for name, arguments in calls:
+            for kf in (a, b):
+                if step is not None:
+                    step(kf, z)
+                else:
+                    getattr(kf, name)(*arguments)
+            for attribute in names:
+                assert_close(getattr(a, attribute), getattr(b, attribute), rtol, f"{name} {k}: {attribute}")
+
+
+def assert_close(actual: Any, desired: Any, rtol: float = 1e-10, what: str = "", size: float = 0.0) -> None:
+    """Assert that two arrays differ by little of the size of the whole array.
+
+    Parameters
+    ----------
+    actual, desired : array_like, of one shape (...)
+        To be compared; that is how rounding enters a matrix, not entry by entry.
+    rtol : float, default 1e-10
+        Difference that is allowed, over the largest entry of desired.
+    what : str
+        Name of the array, for the message.
+    size : float, default 0
+        Size to use where that of desired is smaller.
+
+    Raises
+    ------
+    AssertionError
+        If they differ, in shape or in value, or actual is not finite.
+    """
+    actual, desired = np.asarray(actual, dtype=float), np.asarray(desired, dtype=float)
+    if actual.shape != desired.shape:
+        raise AssertionError(f"{what}: shape {actual.shape}, expected {desired.shape}")
+    if not np.isfinite(actual).all():
+        raise AssertionError(f"{what}: NaN or infinity")
+    scale = max(float(np.abs(desired).max(initial=0.0)), size, float(np.finfo(float).tiny))
+    difference = float(np.abs(actual - desired).max(initial=0.0))
+    if not difference <= rtol * scale:
+        raise AssertionError(f"{what}: differs by {difference / scale:.3g} of its size")

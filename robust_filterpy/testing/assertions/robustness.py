@@ -1,0 +1,216 @@
+"""What a robust filter promises: a bounded influence, a way back from a true jump, and little lost on clean data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+from robust_filterpy.testing.assertions.bounds import fail, probability
+from robust_filterpy.testing.scenarios import runs
+from robust_filterpy.testing.scenarios.drawing import Scenario, draw
+from robust_filterpy.testing.scenarios.models import StateModel, random_stable
+from robust_filterpy.testing.scenarios.runs import FilterRun, Runs, as_runs
+
+__all__ = ["assert_bounded_influence", "assert_efficient", "assert_recovers_from_jump"]
+
+Make = Callable[[int, int], Any]
+
+# Innovations in standard deviations; the largest is beyond any sensor and far from overflow.
+_SIZES = (1e2, -1e2, 1e4, -1e4, 1e6, -1e6, 1e9, -1e9, 1e12, -1e12)
+
+
+def assert_bounded_influence(
+    make: Make, model: StateModel | None = None, *, at_most: float = 10.0, rng: np.random.Generator | int | None = 0
+) -> None:
+    """Assert that one measurement, however wrong, moves the state by a bounded amount.
+
+    Parameters
+    ----------
+    make : callable
+        ``make(dim_x, dim_z)`` returns a filter.
+    model : StateModel, optional
+        Its model. Default: a random stable system of four states and two sensors.
+    at_most : float, default 10
+        Bound of the movement, sqrt(d' P^-1 d) with the P before the correction. A psi that is bounded by k moves the
+        state by at most k sqrt(dim_z).
+    rng : numpy.random.Generator or int, optional
+        Draws the recording that goes before.
+
+    Raises
+    ------
+    AssertionError
+        If one of 1e2 .. 1e12 standard deviations, of either sign and any one sensor, moves it further.
+    """
+    model = random_stable(4, 2, rng=rng) if model is None else model
+    n, m, _ = model.dims
+    scenario = draw(model, 20, rng=rng)
+    for sensor in range(m):
+        for size in _SIZES:
+            kf = runs.load(make(n, m), model)
+            for z in scenario.z[:-1]:
+                runs.step(kf, runs.or_none(z), model)
+            runs.predict(kf, None)
+            x, P = runs.state(kf)
+            H = model.jacobian(x)
+            z = model.measured(x)
+            z[sensor] += size * np.sqrt((H @ P @ H.T + model.R)[sensor, sensor])
+            runs.measure(kf, z, model)
+            moved = _movement(np.ravel(kf.x) - x, P)
+            if not moved <= at_most:
+                raise AssertionError(
+                    f"an innovation of {size:.0e} standard deviations of sensor {sensor} moved the state by "
+                    f"{moved:.2g} of its own, expected at most {at_most:g} however wrong a sensor is: the "
+                    f"correction is not bounded"
+                )
+
+
+def _movement(step: Array, P: Array) -> float:
+    """Return the length of a step in standard deviations, infinite if it is not finite."""
+    if not np.isfinite(step).all():
+        return np.inf
+    return math.sqrt(max(float(step @ np.linalg.solve(P, step)), 0.0))
+
+
+def assert_recovers_from_jump(
+    make: Make,
+    *,
+    size: float = 30.0,
+    within: int = 100,
+    deviations: float = 6.0,
+    rng: np.random.Generator | int | None = 0,
+) -> None:
+    """Assert that a filter follows when the state has truly jumped.
+
+    Parameters
+    ----------
+    make : callable
+        ``make(dim_x, dim_z)`` returns a filter.
+    size : float, default 30
+        Jump of a wandering level, in standard deviations of its sensor.
+    within : int, default 100
+        After so many samples the filter is back.
+    deviations : float, default 6
+        Back is: this close to the truth, in standard deviations of the filter that was told of the jump. A normal error
+        is further away with probability 2e-9.
+    rng : numpy.random.Generator or int, optional
+        Draws the recording.
+
+    Raises
+    ------
+    AssertionError
+        If it is not back.
+    """
+    at, within = 50, _checks.count("within", within, 1)
+    scenario: Scenario = draw("level", at + within + 1, jumps={at: [size]}, rng=rng, jump_probability=0.0)
+    run = runs.run_filter(scenario.load(make(1, 1)), scenario)
+    sigma = np.sqrt(_required(scenario.reference.P)[-1, 0, 0])
+    off = np.abs(run.error[at:, 0]) / sigma
+    if not off[-1] <= deviations:
+        P = _required(run.P)[:, 0, 0]
+        # What a filter believes it is sure of: where P is as small as before, it has shrunk by what was not believed.
+        grown = float(P[at:].max() / P[at - 1])
+        why = (
+            f"P has grown {grown:.2g} times, and the correction is cut off all the same"
+            if grown > 2.0
+            else "P stays as small as before, so it shrinks by measurements that are not believed"
+        )
+        raise AssertionError(
+            f"{within} samples after a jump of the state by {size:g} standard deviations of the sensor the estimate is "
+            f"off by {off[-1]:.3g} deviations, expected at most {deviations:g}: the filter takes the new state for an "
+            f"outlier for good; {why}"
+        )
+
+
+def assert_efficient(
+    runs_: Runs,
+    *,
+    at_least: float,
+    relative_to: Sequence[FilterRun] | FilterRun,
+    false_alarm: float = 1e-6,
+) -> None:
+    """Assert that the squared error is not much larger than that of a reference on the same recordings.
+
+    Parameters
+    ----------
+    runs_ : FilterRun or list of FilterRun
+        At least ten independent runs.
+    at_least : float
+        Efficiency, the reference's mean squared error over the filter's, that must not be missed; in (0, 1].
+    relative_to : list of FilterRun
+        The reference, such as ``[scenario.reference for scenario in scenarios]``: it knows every label.
+    false_alarm : float, default 1e-6
+        Probability that a filter of just this efficiency fails.
+
+    Raises
+    ------
+    AssertionError
+        If it is missed.
+
+    Notes
+    -----
+    Errors are squared in units of the reference's P, so that no state outweighs another. The test is Student's, on
+    at_least * error - reference over the runs, which share their noise.
+    """
+    found, reference = as_runs(runs_), as_runs(relative_to)
+    if len(found) != len(reference) or [len(run) for run in found] != [len(run) for run in reference]:
+        raise ValueError(
+            f"relative_to: expected a run of the same length for each of the {len(found)} runs, got {len(reference)}"
+        )
+    scales = [np.einsum("kii->ki", _required(run.P)) for run in reference]
+    errors, best = (
+        [float(np.mean(run.error**2 / np.where(s > 0, s, np.inf))) for run, s in zip(which, scales, strict=True)]
+        for which in (found, reference)
+    )
+    fail([ratio_of_errors(np.array(errors), np.array(best), at_least, false_alarm)])
+
+
+def ratio_of_errors(errors: Array, reference: Array, at_least: float, false_alarm: float) -> str | None:
+    """Return what is wrong if squared errors are too large against those of a reference, run by run.
+
+    Parameters
+    ----------
+    errors, reference : ndarray, shape (M,)
+        Squared errors of the same M runs.
+    at_least : float
+        Efficiency that must not be missed, in (0, 1].
+    false_alarm : float
+        Probability that this efficiency is said to be missed when it is just met.
+
+    Returns
+    -------
+    str or None
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than ten runs.
+    """
+    M = len(errors)
+    if M < 10:
+        raise ValueError(f"runs: expected at least 10 independent runs for a mean and its deviation, got {M}")
+    if not 0.0 < _checks.real("at_least", at_least) <= 1.0:
+        raise ValueError(f"at_least: expected an efficiency in (0, 1], got {at_least!r}")
+    alpha = probability(false_alarm)
+    excess = at_least * errors - reference
+    deviation = float(excess.std(ddof=1) / np.sqrt(M))
+    limit = float(stats.t.isf(alpha, M - 1)) * deviation
+    if np.isfinite(errors).all() and float(excess.mean()) <= limit:
+        return None
+    efficiency = float(reference.mean() / errors.mean())
+    return (
+        f"efficiency {efficiency:.2g} over {M} runs, expected at least {at_least:g}: the mean squared error is "
+        f"{1 / efficiency:.3g} times the reference's"
+    )
+
+
+def _required(P: Array | None) -> Array:
+    """Return P, which every run of a filter has."""
+    if P is None:
+        raise ValueError("P: expected a run with P; run_filter(kf, scenario) returns one")
+    return P

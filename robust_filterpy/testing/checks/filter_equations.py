@@ -1,0 +1,285 @@
+"""Promises of the equations: what prediction and correction do to x and P, one equation at a time."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+import numpy as np
+from filterpy.kalman import KalmanFilter
+
+from robust_filterpy._checks import Array
+from robust_filterpy.testing.assertions.bounds import deviations, furthest
+from robust_filterpy.testing.checks.bench import OLD, Promise, not_applicable, promise
+from robust_filterpy.testing.checks.filter_subject import FilterSubject
+from robust_filterpy.testing.scenarios import runs
+from robust_filterpy.testing.scenarios.models import StateModel, range_bearing
+from robust_filterpy.testing.scenarios.runs import state
+
+_SMALL = 1e-7
+
+PROMISES: list[Promise] = []
+
+
+@promise(PROMISES, "prediction")
+def prediction_moves_the_state_by_F(subject: FilterSubject) -> None:
+    """x_prior = F x, with a full F that is not symmetric, for one step and for several."""
+    model = subject.model()
+    kf = subject.new(model)
+    x = model.x
+    for k in range(3):
+        kf.predict()
+        x = model.F @ x
+        off = furthest(np.ravel(kf.x) - x, model.P)
+        if off > _SMALL:
+            like = _alike(np.ravel(kf.x), model.F.T @ model.x, "F'") if k == 0 else ""
+            raise AssertionError(f"prediction {k + 1}: x is off by {off:.2g} of its standard deviations from F x{like}")
+
+
+@promise(PROMISES, "prediction")
+def prediction_moves_the_covariance_by_F(subject: FilterSubject) -> None:
+    """P_prior of two covariances P_1 and P_2 differ by F (P_1 - P_2) F'."""
+    model = subject.model()
+    found = []
+    for P in (model.P, model.P + np.diag(np.arange(1.0, 5.0))):
+        kf = subject.new(model.with_(P=P))
+        kf.predict()
+        found.append((P, state(kf)[1]))
+    (P1, one), (P2, two) = found
+    wanted, got = model.F @ (P2 - P1) @ model.F.T, two - one
+    _compare(got, wanted, "F P F'", _alike(got, model.F.T @ (P2 - P1) @ model.F, "F' P F"))
+
+
+@promise(PROMISES, "prediction")
+def prediction_adds_Q_once(subject: FilterSubject) -> None:
+    """With F = I a prediction adds Q to P, neither less nor more, however old the filter is."""
+    model = subject.model()
+    for age in (0, OLD):
+        kf = subject.aged(model, age)
+        kf.F = np.eye(4)
+        P = state(kf)[1]
+        kf.predict()
+        got = state(kf)[1] - P
+        ratio = float(np.trace(got) / np.trace(model.Q))
+        _compare(got, model.Q, "Q", f"; the variances added after {age} steps are {ratio:.3g} times those of Q")
+
+
+@promise(PROMISES, "prediction")
+def control_input_moves_the_prediction(subject: FilterSubject) -> None:
+    """x_prior = F x + B u, and P_prior does not depend on u."""
+    model = subject.model(dim_u=2)
+    kf, still = subject.new(model), subject.new(model)
+    if not hasattr(kf, "B") or not _takes(kf.predict, "u"):
+        raise not_applicable("has no B, or predict() takes no u")
+    u = np.array([0.7, -1.3])
+    runs.predict(kf, u)
+    still.predict()
+    off = furthest(np.ravel(kf.x) - model.F @ model.x - model.B @ u, model.P)  # type: ignore[operator]
+    if off > _SMALL:
+        got, wanted = np.ravel(kf.x) - model.F @ model.x, model.B @ u  # type: ignore[operator]
+        raise AssertionError(f"x is off by {off:.2g} of its standard deviations from F x + B u{_ratio(got, wanted)}")
+    _compare(state(kf)[1], state(still)[1], "P_prior without an input", "")
+
+
+@promise(PROMISES)
+def measurement_at_its_prediction_moves_nothing(subject: FilterSubject) -> None:
+    """A measurement z = H x leaves x as it is: the innovation is z - H x."""
+    model = subject.model()
+    kf = subject.new(model.with_(x=3.0 * model.x))
+    kf.predict()
+    x, P = state(kf)
+    runs.measure(kf, model.H @ x, model)
+    moved = furthest(np.ravel(kf.x) - x, P)
+    if moved > _SMALL:
+        raise AssertionError(f"z = H x moved the state by {moved:.2g} of its standard deviations: y is not z - H x")
+
+
+@promise(PROMISES)
+def measurement_counts_at_once(subject: FilterSubject) -> None:
+    """The state after update(z) depends on this z, not only on those before."""
+    model = subject.model()
+    zs = subject.recording(model, 4)
+    after = []
+    for shift in (0.0, 1.0):
+        kf = subject.advance(subject.new(model), zs, model)
+        kf.predict()
+        x, P = state(kf)
+        S = model.innovation_covariance(P)
+        runs.measure(kf, model.H @ x + shift * np.sqrt(S.diagonal()), model)
+        after.append(np.ravel(kf.x).astype(float))
+    if np.allclose(after[0], after[1], rtol=1e-12, atol=0.0):
+        raise AssertionError(
+            "two measurements a standard deviation apart gave the same state: z is used later, or never"
+        )
+
+
+@promise(PROMISES)
+def estimate_moves_towards_the_measurement(subject: FilterSubject) -> None:
+    """After a small innovation the residual z - H x+ is shorter than z - H x and of the same sign."""
+    model = subject.model(2, 1)
+    model = model.with_(R=model.H @ model.P @ model.H.T)
+    kf = subject.at_prior(model)
+    x, _ = state(kf)
+    y = 0.5 * float(np.sqrt(2.0 * model.R[0, 0]))
+    runs.measure(kf, model.H @ x + y, model)
+    covered = float((model.H @ (np.ravel(kf.x) - x))[0]) / y
+    if not 0.0 < covered <= 1.0:
+        word = "away from z" if covered < 0 else "not at all" if covered == 0 else "beyond z"
+        raise AssertionError(f"H x moved by {covered:.3g} of the innovation, expected between 0 and 1: {word}")
+
+
+@promise(PROMISES)
+def measurement_makes_the_state_more_certain(subject: FilterSubject) -> None:
+    """After a small innovation P - P+ is positive semidefinite and not zero."""
+    model = subject.model()
+    kf = subject.at_prior(model)
+    x, P = state(kf)
+    runs.measure(kf, model.H @ x + 0.1, model)
+    gained = (P - state(kf)[1]) / np.outer(deviations(P), deviations(P))
+    if not np.isfinite(gained).all():
+        raise AssertionError("P holds NaN or infinity after an update")
+    values = np.linalg.eigvalsh((gained + gained.T) / 2)
+    if values[-1] <= _SMALL:
+        raise AssertionError("P did not shrink in any direction: the correction leaves it as it was")
+    if values[0] < -_SMALL:
+        raise AssertionError(f"P grew in one direction by {-values[0]:.2g} of its size, expected P+ <= P")
+
+
+@promise(PROMISES, "exact")
+def measurement_noise_is_R(subject: FilterSubject) -> None:
+    """The R that the step of x and the shrinking of P imply is the R that was given, correlations included."""
+    model = subject.model(2, 2).with_(H=np.array([[1.0, 0.4], [-0.3, 1.0]]))
+    got, P = _gain(subject, model)
+    plus = _posterior(subject, model)
+    HPH = model.H @ P @ model.H.T
+    try:
+        # K S = P H' and P+^-1 - P^-1 = H' R^-1 H.
+        by_gain = np.linalg.solve(got, P @ model.H.T) - HPH
+        root = np.linalg.inv(model.H)
+        by_covariance = np.linalg.inv(root.T @ (np.linalg.inv(plus) - np.linalg.inv(P)) @ root)
+    except np.linalg.LinAlgError:
+        raise AssertionError("the correction is singular: no R gives this gain") from None
+    size = np.abs(model.R).max()
+    agree = np.abs(by_gain - by_covariance).max() <= 1e-5 * size
+    if agree and np.abs(by_gain - model.R).max() > 1e-5 * size:
+        ratio = np.diagonal(by_gain) / np.diagonal(model.R)
+        raise AssertionError(
+            f"R acts as {np.round(by_gain, 4).tolist()} where {np.round(model.R, 4).tolist()} was given: variances are "
+            f"{_list(ratio)} times as large"
+        )
+
+
+@promise(PROMISES, "exact")
+def correction_is_the_kalman_gain_times_the_innovation(subject: FilterSubject) -> None:
+    """x+ - x = P H' S^-1 (z - H x) with S = H P H' + R."""
+    model = subject.model()
+    got, P = _gain(subject, model)
+    S = model.innovation_covariance(P)
+    wanted = np.linalg.solve(S, model.H @ P).T
+    _compare(got, wanted, "the gain P H' S^-1", _ratio(got, wanted))
+
+
+@promise(PROMISES, "exact")
+def correction_leaves_P_minus_K_S_K(subject: FilterSubject) -> None:
+    """P+ = P - K S K' with the Kalman gain K."""
+    model = subject.model()
+    P = model.P
+    S = model.innovation_covariance(P)
+    K = np.linalg.solve(S, model.H @ P).T
+    got = _posterior(subject, model)
+    I_KH = np.eye(len(P)) - K @ model.H
+    slips = (P, "P: it was not corrected"), (I_KH @ P @ I_KH.T, "(I - K H) P (I - K H)', without K R K'")
+    _compare(got, P - K @ S @ K.T, "P - K S K'", "".join(_alike(got, slip, name) for slip, name in slips))
+
+
+@promise(PROMISES, "exact")
+def two_sensors_after_one_another_are_both_at_once(subject: FilterSubject) -> None:
+    """With independent noises, updates by one sensor after another are one update by both."""
+    model = subject.model()
+    model = model.with_(R=np.diag(np.diagonal(model.R)))
+    z = subject.recording(model, 1)[0]
+    both = subject.at_prior(model)
+    runs.measure(both, z, model)
+    x, P = model.x, model.P
+    for i in range(2):
+        one = model.of_sensors([i]).with_(x=x, P=P)
+        kf = subject.at_prior(one)
+        runs.measure(kf, z[[i]], one)
+        x, P = state(kf)
+    if furthest(np.ravel(both.x) - x, P) > 1e-6:
+        raise AssertionError(f"x differs by {furthest(np.ravel(both.x) - x, P):.2g} of its standard deviations")
+    _compare(state(both)[1], P, "P after the sensors one by one", "")
+
+
+@promise(PROMISES)
+def nonlinear_sensor_is_linearised_at_the_prediction(subject: FilterSubject) -> None:
+    """An extended filter asks for sensor and Jacobian at x_prior, and is the Kalman filter of that line."""
+    model = range_bearing()
+    kf = subject.new(model)
+    if not runs.is_extended(kf):
+        raise not_applicable("update() takes no HJacobian")
+    z = model.measured(model.F @ model.x) + 0.3 * np.sqrt(model.R.diagonal())
+    runs.step(kf, z, model)
+    line = runs.load(KalmanFilter(4, 2), model)
+    line.predict()
+    x = np.ravel(line.x)
+    line.H = model.jacobian(x)
+    line.update(z - model.measured(x) + line.H @ x)
+    off = furthest(np.ravel(kf.x) - np.ravel(line.x), line.P)
+    # A robust filter's psi is nearly linear for innovations as small as these.
+    if off > (_SMALL if subject.is_exact else 0.2):
+        raise AssertionError(
+            f"x is off by {off:.2g} of its standard deviations from the filter of the linearised sensor"
+        )
+
+
+def _gain(subject: FilterSubject, model: StateModel) -> tuple[Array, Array]:
+    """Return what unit innovations do to x, shape (n, m), and the P before them."""
+    columns = []
+    for direction in np.eye(model.dims[1]):
+        kf = subject.at_prior(model)
+        runs.measure(kf, model.H @ model.x + direction, model)
+        columns.append(np.ravel(kf.x) - model.x)
+    return np.column_stack(columns), model.P
+
+
+def _posterior(subject: FilterSubject, model: StateModel) -> Array:
+    """Return P after one update."""
+    kf = subject.at_prior(model)
+    runs.measure(kf, model.H @ model.x + 0.1, model)
+    return state(kf)[1]
+
+
+def _compare(got: Array, wanted: Array, name: str, more: str) -> None:
+    """Compare matrices in the size of the whole."""
+    size = float(np.abs(wanted).max())
+    difference = float(np.abs(got - wanted).max()) if np.isfinite(got).all() else np.inf
+    if not difference <= 1e-6 * size:
+        raise AssertionError(f"differs from {name} by {difference / size:.2g} of its size{more}")
+
+
+def _alike(got: Array, other: Array, name: str) -> str:
+    """Say so where the result is that of a well-known slip."""
+    same = np.shape(got) == np.shape(other) and np.allclose(got, other, rtol=1e-6, atol=1e-9 * np.abs(other).max())
+    return f"; it is {name}" if same else ""
+
+
+def _ratio(got: Array, wanted: Array) -> str:
+    """Say so where the result is a multiple of what it should be."""
+    ratio = float(np.vdot(got, wanted) / np.vdot(wanted, wanted))
+    if np.allclose(got, ratio * wanted, atol=1e-6 * np.abs(wanted).max()):
+        return f"; it is {ratio:.3g} times that"
+    return ""
+
+
+def _list(values: Array) -> str:
+    """Return numbers in print."""
+    return ", ".join(f"{value:.3g}" for value in values)
+
+
+def _takes(function: Any, name: str) -> bool:
+    """Tell whether a function has a parameter of this name."""
+    try:
+        return name in inspect.signature(function).parameters
+    except (TypeError, ValueError):
+        return False

@@ -1,0 +1,205 @@
+"""Problems with everything known: the model, the recording, the truth, the labels, and what a filter told them gets.
+
+`draw` draws them all: state estimation (`robust_filterpy.testing.scenarios.models` lists the systems), identification
+(`robust_filterpy.testing.scenarios.plants`), spoilt in the ways of `robust_filterpy.testing.scenarios.contamination`.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, cast
+
+import filterpy.kalman
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+from robust_filterpy.testing.scenarios import runs
+from robust_filterpy.testing.scenarios.contamination import Kinds, objects, spoilt
+from robust_filterpy.testing.scenarios.models import MODELS, StateModel
+from robust_filterpy.testing.scenarios.plants import PLANTS, Plant, draw_plant, jump_rows
+from robust_filterpy.testing.scenarios.runs import FilterRun
+
+__all__ = ["Scenario", "draw"]
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """Hold a recording of N steps and everything behind it.
+
+    Attributes
+    ----------
+    model : StateModel
+        What a filter is told.
+    u : ndarray, shape (N, dim_u), or None
+        Inputs.
+    z : ndarray, shape (N, m)
+        Measurements, NaN where missing.
+    x : ndarray, shape (N, n)
+        True states.
+    is_outlier, is_missing : ndarray of bool, shape (N, m)
+        Labels of the samples.
+    is_jump : ndarray of bool, shape (N,)
+        Steps at which the state does what the filter is not told.
+    noise_ratio : ndarray, shape (N, m)
+        Deviation of each sample's noise over the ordinary one; infinite where z tells nothing.
+    Qs : ndarray, shape (N, n, n)
+        Covariance of each step's process noise, jumps included.
+    """
+
+    model: StateModel
+    u: Array | None
+    z: Array
+    x: Array
+    is_outlier: np.ndarray
+    is_missing: np.ndarray
+    is_jump: np.ndarray
+    noise_ratio: Array
+    Qs: Array
+
+    def load(self, kf: Any) -> Any:
+        """Put the model into a filter and return it.
+
+        Parameters
+        ----------
+        kf : filter object
+            See `robust_filterpy.testing.load`.
+
+        Returns
+        -------
+        filter object
+            kf itself.
+        """
+        return runs.load(kf, self.model)
+
+    @cached_property
+    def reference(self) -> FilterRun:
+        """The Kalman filter (extended, for a nonlinear sensor) that is told every label and every jump."""
+        return _label_knowing(self)
+
+
+def draw(
+    problem: str | StateModel | Plant,
+    steps: int = 200,
+    *,
+    contamination: Kinds = "none",
+    jumps: Mapping[int, ArrayLike] | None = None,
+    rng: np.random.Generator | int | None = None,
+    **options: Any,
+) -> Any:
+    """Draw a scenario.
+
+    Parameters
+    ----------
+    problem : str, StateModel or Plant
+        A name out of `robust_filterpy.testing.MODELS` or `robust_filterpy.testing.PLANTS`, or a system of your own.
+    steps : int, default 200
+        Length N of the recording.
+    contamination : str, Contamination or sequence of these, default "none"
+        How the measurements go wrong: "mixture", "one-sided", "bursts", "student", "sentinels", "stuck", "missing", an
+        object such as ``Mixture(0.2)``, or several that act one after another.
+    jumps : mapping of int to array_like of shape (n,) or (n_theta,), optional
+        What is added to the true state, or to the parameters, before which step.
+    rng : numpy.random.Generator or int, optional
+        Draws everything.
+    **options : optional
+        Arguments of the function that makes the problem of that name.
+
+    Returns
+    -------
+    Scenario or PlantScenario
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the problem, an option or a kind of contamination is unknown, or a jump does not fit.
+
+    Examples
+    --------
+    >>> scenario = draw("constant velocity", 100, contamination="mixture", rng=1)
+    >>> scenario.z.shape, bool(scenario.is_outlier.any())
+    ((100, 2), True)
+    """
+    rng = np.random.default_rng(rng)
+    steps = _checks.count("steps", steps, 1)
+    if isinstance(problem, str):
+        name = _checks.option("problem", problem, (*MODELS, *PLANTS))
+        build = {**MODELS, **PLANTS}[name]
+        problem = cast(
+            "StateModel | Plant",
+            build(**options, **({"rng": rng} if "rng" in inspect.signature(build).parameters else {})),
+        )
+    elif options:
+        raise TypeError(f"{', '.join(options)}: expected only beside the name of a problem, not beside a system")
+    if isinstance(problem, Plant):
+        return draw_plant(problem, steps, contamination, dict(jumps or {}), rng)
+    if not isinstance(problem, StateModel):
+        raise TypeError(f"problem: expected a name, a StateModel or a Plant, got {_checks.shown(problem)}")
+    return _draw_states(problem, steps, contamination, dict(jumps or {}), rng)
+
+
+def _draw_states(
+    model: StateModel, N: int, contamination: Kinds, jumps: dict[int, ArrayLike], rng: np.random.Generator
+) -> Scenario:
+    """Draw inputs, noises and states, then spoil what the sensors say."""
+    n, m, p = model.dims
+    shifts = jump_rows(jumps, N, n)
+    ratio = np.where(rng.random(N) < model.jump_probability, model.jump_ratio, 1.0)
+    moves = _normal(rng, N, model.Q) * ratio[:, None] + shifts
+    u = rng.choice([-1.0, 1.0], (N, p)) if p else None
+    if model.B is not None and u is not None:
+        moves = moves + u @ model.B.T
+    states, x = np.empty((N, n)), model.x + _normal(rng, 1, model.P)[0]
+    for k in range(N):
+        x = states[k] = model.F @ x + moves[k]
+    clean = np.array([model.measured(x) for x in states]).reshape(N, m)
+    sigma = np.sqrt(model.R.diagonal())
+    seen = spoilt(clean + _normal(rng, N, model.R), clean, sigma, objects(contamination), rng)
+    z = seen.z.copy()
+    for i, period in enumerate(model.periods or ()):
+        z[np.arange(N) % period != period - 1, i] = np.nan
+    missing = np.isnan(z)
+    is_jump = (ratio > 1.0) | shifts.any(axis=1)
+    Qs = ratio[:, None, None] ** 2 * model.Q + shifts[:, :, None] * shifts[:, None, :]
+    return Scenario(model, u, z, states, seen.is_outlier & ~missing, missing, is_jump, seen.noise_ratio, Qs)
+
+
+def _normal(rng: np.random.Generator, size: int, covariance: Array) -> Array:
+    """Draw normal vectors with a covariance that may be singular."""
+    values, vectors = np.linalg.eigh(covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    return np.asarray(rng.standard_normal((size, len(covariance))) @ root.T)
+
+
+def _label_knowing(scenario: Scenario) -> FilterRun:
+    """Run filterpy's functions with each sample's own R and each step's own Q."""
+    model = scenario.model
+    n, m, _ = model.dims
+    N = len(scenario.z)
+    means, covariances = np.empty((N, n)), np.empty((N, n, n))
+    priors, prior_covariances, y, S = np.empty((N, n)), np.empty((N, n, n)), np.empty((N, m)), np.empty((N, m, m))
+    x, P = model.x, model.P
+    told = np.isfinite(scenario.noise_ratio) & ~scenario.is_missing
+    scale = np.where(np.isfinite(scenario.noise_ratio), scenario.noise_ratio, 1.0)
+    spoilt_sample = (scale != 1.0).any(axis=1)
+    for k, z in enumerate(scenario.z):
+        x, P = filterpy.kalman.predict(x, P, model.F, scenario.Qs[k])
+        if scenario.u is not None and model.B is not None:
+            x = x + model.B @ scenario.u[k]
+        priors[k], prior_covariances[k] = x, P
+        H, R, at = model.jacobian(x), model.R, model.measured(x)
+        if spoilt_sample[k]:
+            R = np.outer(scale[k], scale[k]) * R
+        y[k], S[k] = z - at, H @ P @ H.T + R
+        # Linearised at x: z - h(x) + H x is what a linear sensor would have said.
+        target, use = y[k] + H @ x, np.flatnonzero(told[k])
+        if use.size < m:
+            target, H, R = target[use], H[use], R[np.ix_(use, use)]
+        if use.size:
+            x, P = filterpy.kalman.update(x, P, target, R, H)
+        means[k], covariances[k] = x, P
+    return FilterRun(y, S, means, covariances, priors, prior_covariances, scenario.x)

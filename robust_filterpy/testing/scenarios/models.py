@@ -1,0 +1,347 @@
+"""State-space models with a name: the linear systems, and one nonlinear sensor, that the scenarios are drawn from.
+
+    x(k) = F x(k-1) + B u(k) + w(k),  w ~ N(0, Q)          z(k) = H x(k) + v(k),  v ~ N(0, R)
+
+======================  =============================================================================================
+name                    good for
+======================  =============================================================================================
+constant velocity       the usual tracker in the plane: four states, two sensors, a velocity that nobody measures
+level                   one number that wanders and sometimes jumps: does a filter believe what is true?
+paper                   equations 31-34 of the paper: three of four states are seen through the model alone
+vehicle                 Yang and Boyd's vehicle: outliers in the process as well as in the measurement
+two sensors             rates of 1 and 1/5, metres seen as kilometres and m/s as km/h: units, order, missing samples
+range and bearing       a nonlinear sensor, for extended and sigma-point filters
+random stable           any size, full F, H, Q, R and B: a transposed or forgotten matrix has nowhere to hide
+======================  =============================================================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import ArrayLike
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+
+__all__ = ["MODELS", "StateModel"]
+
+
+@dataclass(frozen=True, eq=False)
+class StateModel:
+    """Hold what a filter is told about a system, and how the system departs from that.
+
+    Attributes
+    ----------
+    x : ndarray, shape (n,)
+        Mean of the state before the first step.
+    P : ndarray, shape (n, n)
+        Its covariance.
+    F, Q : ndarray, shape (n, n)
+        Transition matrix, covariance of the process noise.
+    H : ndarray, shape (m, n)
+        Measurement matrix; of a nonlinear sensor, the Jacobian at x.
+    R : ndarray, shape (m, m)
+        Covariance of the measurement noise.
+    B : ndarray, shape (n, dim_u), optional
+        Control matrix.
+    sensor : callable, optional
+        h(x), shape (m,), of a nonlinear sensor.
+    sensor_jacobian : callable, optional
+        dh/dx at x, shape (m, n).
+    periods : tuple of int, optional
+        Samples from one measurement of a sensor to its next, one for each sensor. Default: 1.
+    jump_probability : float
+        With this probability the process noise of a step is multiplied by `jump_ratio`; no filter is told so.
+    jump_ratio : float
+        See there.
+
+    Raises
+    ------
+    ValueError
+        If a shape does not fit; the message names the matrix.
+    """
+
+    x: Array
+    P: Array
+    F: Array
+    H: Array
+    Q: Array
+    R: Array
+    B: Array | None = None
+    sensor: Callable[[Array], Array] | None = None
+    sensor_jacobian: Callable[[Array], Array] | None = None
+    periods: tuple[int, ...] | None = None
+    jump_probability: float = 0.0
+    jump_ratio: float = 10.0
+
+    def __post_init__(self) -> None:
+        """Check every shape against those of x and R."""
+        x, R = _checks.finite_vector("x", self.x), _checks.numbers("R", self.R)
+        if R.ndim != 2 or R.shape[0] != R.shape[1]:
+            raise ValueError(f"R: expected a square matrix, got {_checks.described(R)}")
+        n, m = x.size, len(R)
+        wanted = {"P": (n, n), "F": (n, n), "H": (m, n), "Q": (n, n), "R": (m, m)}
+        object.__setattr__(self, "x", x)
+        for name, shape in wanted.items():
+            value = _checks.matrix(name, getattr(self, name), shape, f"x of {n} numbers and R of {m} rows")
+            object.__setattr__(self, name, value)
+        if self.B is not None:
+            B = _checks.numbers("B", self.B)
+            if B.ndim != 2 or len(B) != n:
+                raise ValueError(f"B: expected shape ({n}, dim_u) for x of {n} numbers, got {_checks.described(B)}")
+            object.__setattr__(self, "B", B)
+        if (self.sensor is None) != (self.sensor_jacobian is None):
+            raise ValueError("sensor, sensor_jacobian: expected both for a nonlinear sensor, or neither")
+        if self.periods is not None and len(self.periods) != m:
+            raise ValueError(f"periods: expected one for each of the {m} sensors, got {self.periods}")
+
+    @property
+    def dims(self) -> tuple[int, int, int]:
+        """Lengths of the state, the measurement and the input."""
+        return len(self.x), len(self.R), 0 if self.B is None else self.B.shape[1]
+
+    def measured(self, x: Array) -> Array:
+        """Return the measurement that belongs to x, without noise, shape (m,)."""
+        return self.H @ x if self.sensor is None else self.sensor(x)
+
+    def jacobian(self, x: Array) -> Array:
+        """Return its derivative at x, shape (m, n)."""
+        return self.H if self.sensor_jacobian is None else self.sensor_jacobian(x)
+
+    def innovation_covariance(self, P: Array) -> Array:
+        """Return S = H P H' + R of a linear sensor, shape (m, m)."""
+        return self.H @ P @ self.H.T + self.R
+
+    def with_(self, **changes: Any) -> StateModel:
+        """Return the model with some of its fields replaced."""
+        return replace(self, **changes)
+
+    def in_units(self, state: ArrayLike, sensors: ArrayLike) -> StateModel:
+        """Return the same system in other units: every state and every sensor times a factor.
+
+        Parameters
+        ----------
+        state : array_like, shape (n,)
+            Factor of each state.
+        sensors : array_like, shape (m,)
+            Factor of each sensor.
+
+        Returns
+        -------
+        StateModel
+        """
+        a, b = np.asarray(state, dtype=float), np.asarray(sensors, dtype=float)
+        return self.with_(
+            x=a * self.x,
+            P=np.outer(a, a) * self.P,
+            F=np.outer(a, 1 / a) * self.F,
+            H=np.outer(b, 1 / a) * self.H,
+            Q=np.outer(a, a) * self.Q,
+            R=np.outer(b, b) * self.R,
+            B=None if self.B is None else a[:, None] * self.B,
+            sensor=None if self.sensor is None else lambda x: b * self.measured(x / a),
+            sensor_jacobian=None if self.sensor is None else lambda x: np.outer(b, 1 / a) * self.jacobian(x / a),
+        )
+
+    def of_sensors(self, rows: ArrayLike) -> StateModel:
+        """Return the system with some of its sensors, in this order.
+
+        Parameters
+        ----------
+        rows : array_like of int, shape (k,)
+            Which sensors.
+
+        Returns
+        -------
+        StateModel
+        """
+        rows = np.asarray(rows, dtype=int)
+        return self.with_(
+            H=self.H[rows],
+            R=self.R[np.ix_(rows, rows)],
+            sensor=None if self.sensor is None else lambda x: self.measured(x)[rows],
+            sensor_jacobian=None if self.sensor is None else lambda x: self.jacobian(x)[rows],
+            periods=None if self.periods is None else tuple(self.periods[i] for i in rows),
+        )
+
+
+def constant_velocity(dt: float = 1.0) -> StateModel:
+    """Return a point in the plane whose position is measured, state [p_1, v_1, p_2, v_2].
+
+    Parameters
+    ----------
+    dt : float, default 1
+        Time between samples, in s.
+
+    Returns
+    -------
+    StateModel
+    """
+    dt = _checks.positive("dt", dt)
+    Q = 0.02 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+    return StateModel(
+        x=np.array([0.0, 1.0, 0.0, -0.5]),
+        P=_twice(np.diag([1.0, 0.1])),
+        F=_twice([[1.0, dt], [0.0, 1.0]]),
+        H=_twice([[1.0, 0.0]]),
+        Q=_twice(Q),
+        R=np.eye(2),
+    )
+
+
+def _twice(block: ArrayLike) -> Array:
+    """Return the same block for both axes of the plane."""
+    return np.asarray(scipy.linalg.block_diag(block, block), dtype=np.float64)
+
+
+def level(jump_probability: float = 0.005) -> StateModel:
+    """Return a level that wanders by a tenth of the sensor's deviation a step, and now and then jumps.
+
+    Parameters
+    ----------
+    jump_probability : float, default .005
+        Of each step.
+
+    Returns
+    -------
+    StateModel
+        Jumps have a deviation of ten times the sensor's.
+    """
+    one = np.eye(1)
+    probability = _checks.fraction("jump_probability", jump_probability)
+    return StateModel(np.zeros(1), one, one, one, 0.01 * one, one, jump_probability=probability, jump_ratio=100.0)
+
+
+def paper(P0: float = 0.1) -> StateModel:
+    """Return the state-estimation problem of the paper, equations 31-34, from P(0|0) = P0 I.
+
+    Parameters
+    ----------
+    P0 : float, default .1
+        Variance of each state at the start.
+
+    Returns
+    -------
+    StateModel
+    """
+    F = np.array(
+        [
+            [0.99, -0.012, 0.001, -0.001],
+            [-0.005, 0.98, -0.001, 0.005],
+            [-0.001, 0.01, 1.0, -0.001],
+            [0.01, 0.001, -0.002, 1.0],
+        ]
+    )
+    return StateModel(np.zeros(4), P0 * np.eye(4), F, np.eye(1, 4), 0.001 * np.eye(4), np.array([[0.1]]))
+
+
+def vehicle(jump_probability: float = 0.1) -> StateModel:
+    """Return the vehicle of Yang and Boyd (2025): gusts and position fixes, state [p_1, p_2, v_1, v_2].
+
+    Parameters
+    ----------
+    jump_probability : float, default .1
+        Share of gusts that are ten times as strong as the filter is told.
+
+    Returns
+    -------
+    StateModel
+    """
+    dt, drag = 0.05, 0.05
+    one, zero = np.eye(2), np.zeros((2, 2))
+    B = np.sqrt(10) * np.vstack([0.5 * dt * dt * one, dt * one])
+    return StateModel(
+        x=np.array([0.0, 0.0, 5.0, 5.0]),
+        P=1e-9 * np.eye(4),
+        F=np.block([[one, dt * (1 - 0.5 * drag * dt) * one], [zero, (1 - drag * dt) * one]]),
+        H=np.eye(2, 4),
+        Q=B @ B.T,
+        R=5 * one,
+        jump_probability=_checks.fraction("jump_probability", jump_probability),
+    )
+
+
+def two_sensors() -> StateModel:
+    """Return a cart, in m and m/s, whose position comes in km every fifth sample and whose speed in km/h at each."""
+    dt = 0.1
+    return StateModel(
+        x=np.array([0.0, 5.0]),
+        P=np.diag([1.0, 0.25]),
+        F=np.array([[1.0, dt], [0.0, 1.0]]),
+        H=np.diag([1e-3, 3.6]),
+        Q=0.2 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]),
+        R=np.diag([0.002**2, 2.0**2]),
+        periods=(5, 1),
+    )
+
+
+def range_bearing() -> StateModel:
+    """Return a target in the plane that a sensor at the origin sees by distance (m) and angle (rad)."""
+    cart = constant_velocity()
+    x = np.array([1000.0, -2.0, 500.0, 3.0])
+
+    def sensor(x: Array) -> Array:
+        return np.array([np.hypot(x[0], x[2]), np.arctan2(x[2], x[0])])
+
+    def jacobian(x: Array) -> Array:
+        r = np.hypot(x[0], x[2])
+        return np.array([[x[0] / r, 0.0, x[2] / r, 0.0], [-x[2] / r**2, 0.0, x[0] / r**2, 0.0]])
+
+    return cart.with_(
+        x=x, P=25.0 * cart.P, H=jacobian(x), R=np.diag([25.0, 0.004**2]), sensor=sensor, sensor_jacobian=jacobian
+    )
+
+
+def random_stable(
+    dim_x: int = 4, dim_z: int = 2, dim_u: int = 0, *, rng: np.random.Generator | int | None = None
+) -> StateModel:
+    """Draw a stable system whose matrices are full and far from symmetric.
+
+    Parameters
+    ----------
+    dim_x, dim_z : int
+        Lengths of the state and of the measurement, >= 1.
+    dim_u : int, default 0
+        Length of the input.
+    rng : numpy.random.Generator or int, optional
+        Draws it.
+
+    Returns
+    -------
+    StateModel
+        F of spectral radius .95; P >= Q; R with correlations.
+    """
+    n, m = _checks.count("dim_x", dim_x, 1), _checks.count("dim_z", dim_z, 1)
+    p, rng = _checks.count("dim_u", dim_u), np.random.default_rng(rng)
+
+    def covariance(size: int, scale: float) -> Array:
+        root = rng.normal(size=(size, size))
+        return np.asarray(scale * (root @ root.T / size + 0.5 * np.eye(size)))
+
+    F, Q = rng.normal(size=(n, n)), covariance(n, 0.1)
+    return StateModel(
+        x=rng.normal(size=n),
+        P=covariance(n, 1.0) + Q,
+        F=F * 0.95 / np.abs(np.linalg.eigvals(F)).max(),
+        H=rng.normal(size=(m, n)),
+        Q=Q,
+        R=covariance(m, 0.5),
+        B=rng.normal(size=(n, p)) if p else None,
+    )
+
+
+#: What `draw` knows by name.
+MODELS: dict[str, Callable[..., StateModel]] = {
+    "constant velocity": constant_velocity,
+    "level": level,
+    "paper": paper,
+    "vehicle": vehicle,
+    "two sensors": two_sensors,
+    "range and bearing": range_bearing,
+    "random stable": random_stable,
+}

@@ -1,0 +1,379 @@
+"""Plants to identify, with everything known: what `draw` makes of "arx", "output error", "armax", "fir" and "servo".
+
+A plant is a discrete `control.TransferFunction`, or theta itself, with parameters that stand still, drift or jump.
+
+============  ===============================================  ====================================================
+name          plant                                            good for
+============  ===============================================  ====================================================
+arx           A(q) y = B(q) u + v                              exact answers: recursive least squares
+output error  y = B(q)/A(q) u + v                              bias: measured outputs in phi give a wrong a
+armax         A(q) y = B(q) u + C(q) v                         noise with a colour of its own
+fir           y = B(q) u + v                                   robustness alone: no outlier is in phi
+servo         the pneumatic servo in its position loop         a plant that no linear model is equal to
+============  ===============================================  ====================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.signal
+from numpy.typing import ArrayLike
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+from robust_filterpy.identification import ARMAX, ARX, FIR, OutputError, ParameterTracker
+from robust_filterpy.identification.models.structures import Structure
+from robust_filterpy.influence import Linear
+from robust_filterpy.plants import linear_parameters, random_walk, simulate_arx, simulate_output_error, stable
+from robust_filterpy.plants.servo import simulate_servo
+from robust_filterpy.testing.scenarios.contamination import Kinds, Spoilt, objects, of_noise, spoilt
+from robust_filterpy.testing.scenarios.tracker_runs import TrackerRun, run_tracker
+
+if TYPE_CHECKING:
+    import control
+
+__all__ = ["PLANTS", "Plant", "PlantScenario"]
+
+#: Two lightly damped poles, .75 +- .37j.
+DEFAULT = ([1.0, 0.5], [1.0, -1.5, 0.7])
+
+
+@dataclass(frozen=True, eq=False)
+class Plant:
+    """Hold a plant that is linear in its parameters, and how these move.
+
+    Attributes
+    ----------
+    structure : Structure
+        What phi is made of, of one input.
+    theta : ndarray, shape (n_theta,), or None
+        Parameters to start from; None for a plant that has none.
+    sigma : float
+        Deviation of the ordinary noise, in the unit of y.
+    drift : float
+        Variance of each parameter's step from sample to sample (c does not move).
+    jump_probability : float
+        Of each sample, that all parameters jump.
+    jump_size : float
+        Deviation of a jump of one parameter.
+    """
+
+    structure: Structure
+    theta: Array | None
+    sigma: float = 0.5
+    drift: float = 0.0
+    jump_probability: float = 0.0
+    jump_size: float = 0.3
+
+    @property
+    def Q(self) -> Array:
+        """Covariance of a step of theta that a tracker is told, shape (n_theta, n_theta)."""
+        moving = np.ones(self.structure.n_theta)
+        moving[self.structure.n_theta - self.structure.nc :] = 0.0
+        return np.diag((self.drift + self.jump_probability * self.jump_size**2) * moving)
+
+
+@dataclass(frozen=True, eq=False)
+class PlantScenario:
+    """Hold a recording of a plant, N samples, and everything behind it.
+
+    Attributes
+    ----------
+    structure : Structure
+        What phi is made of.
+    u, y : ndarray, shape (N,)
+        Input; measured output, NaN where missing.
+    y_clean : ndarray, shape (N,)
+        Output without noise.
+    theta : ndarray, shape (N, n_theta), or None
+        True parameters, row k those that make y(k).
+    R : float
+        Variance of the ordinary noise.
+    Q : ndarray, shape (n_theta, n_theta)
+        Covariance of a step of theta that a tracker is told.
+    is_outlier, is_missing, is_jump : ndarray of bool, shape (N,)
+        Labels.
+    noise_ratio : ndarray, shape (N,)
+        Deviation of each sample's noise over the ordinary one; infinite where y tells nothing.
+    """
+
+    structure: Structure
+    u: Array
+    y: Array
+    y_clean: Array
+    theta: Array | None
+    R: float
+    Q: Array
+    is_outlier: np.ndarray
+    is_missing: np.ndarray
+    is_jump: np.ndarray
+    noise_ratio: Array
+
+    def load(self, tracker: Any) -> Any:
+        """Tell a tracker R and Q, as far as it has them, and return it.
+
+        Parameters
+        ----------
+        tracker : tracker object
+            With ``update(y, u)`` and ``theta``.
+
+        Returns
+        -------
+        tracker object
+            tracker itself.
+        """
+        if hasattr(tracker, "R"):
+            tracker.R = self.R
+        if hasattr(tracker, "Q"):
+            tracker.Q = self.Q
+        return tracker
+
+    @cached_property
+    def reference(self) -> TrackerRun:
+        """The Kalman tracker that starts at the truth, with P = I, and is told every label and every jump."""
+        start = 0.0 if self.theta is None else self.theta[0]
+        tracker = self.load(ParameterTracker(self.structure, influence=Linear(), theta=start, P=1.0))
+        told = np.isfinite(self.noise_ratio)
+        y = np.where(told, self.y, np.nan)
+        variance = self.R * np.where(told, self.noise_ratio, 1.0) ** 2
+        if self.theta is None or not self.is_jump.any():
+            result = tracker.run(y, self.u, variance)
+            return TrackerRun(result.theta, result.std, tracker.P, self.theta, self)
+        moves = np.diff(self.theta, axis=0, prepend=self.theta[:1])
+        Q = tracker.Q
+
+        def sample(k: int) -> Any:
+            tracker.Q = Q + np.outer(moves[k], moves[k]) if self.is_jump[k] else Q
+            return tracker.update(y[k], self.u[k], variance[k])
+
+        return run_tracker(tracker, self, sample)
+
+
+def _linear(system: control.TransferFunction | None, structure: Callable[..., Structure], **options: Any) -> Plant:
+    """Read orders and parameters from a transfer function."""
+    if system is None:
+        import control
+
+        system = control.tf(*DEFAULT, True)
+    theta, na, nb, nk = linear_parameters(system)
+    return Plant(structure(na, nb, nk), theta, **options)
+
+
+def arx(system: control.TransferFunction | None = None, **options: Any) -> Plant:
+    """Return a plant with its noise inside the loop, A(q) y = B(q) u + v.
+
+    Parameters
+    ----------
+    system : control.TransferFunction, optional
+        Discrete, one input and one output. Default: (q + .5)/(q^2 - 1.5 q + .7).
+    **options : optional
+        sigma, drift, jump_probability and jump_size of `Plant`.
+
+    Returns
+    -------
+    Plant
+    """
+    return _linear(system, lambda na, nb, nk: ARX(na, nb, nk), **options)
+
+
+def output_error(system: control.TransferFunction | None = None, **options: Any) -> Plant:
+    """Return a plant with its noise on the output, y = B(q)/A(q) u + v.
+
+    Parameters
+    ----------
+    system : control.TransferFunction, optional
+        As in `arx`.
+    **options : optional
+        As in `arx`.
+
+    Returns
+    -------
+    Plant
+    """
+    return _linear(system, lambda na, nb, nk: OutputError(na, nb, nk), **options)
+
+
+def armax(system: control.TransferFunction | None = None, c: ArrayLike = (-0.8,), **options: Any) -> Plant:
+    """Return a plant whose noise has a colour, A(q) y = B(q) u + C(q) v.
+
+    Parameters
+    ----------
+    system : control.TransferFunction, optional
+        As in `arx`.
+    **options : optional
+        As in `arx`.
+    c : array_like, shape (nc,), default (-.8,)
+        Coefficients of C after its leading 1.
+
+    Returns
+    -------
+    Plant
+    """
+    c = _checks.finite_vector("c", c)
+    plant = _linear(system, lambda na, nb, nk: ARMAX(na, nb, c.size, nk), **options)
+    return replace(plant, theta=np.concatenate((_required(plant.theta), c)))
+
+
+def fir(b: ArrayLike = (1.0, 0.5, -0.3, 0.2), **options: Any) -> Plant:
+    """Return a finite impulse response, y = B(q) u + v.
+
+    Parameters
+    ----------
+    b : array_like, shape (nb,)
+        Its coefficients.
+    **options : optional
+        As in `arx`.
+
+    Returns
+    -------
+    Plant
+    """
+    b = _checks.finite_vector("b", b)
+    return Plant(FIR(b.size), b, **options)
+
+
+def servo(order: int = 4, sigma: float = 0.05) -> Plant:
+    """Return the pneumatic servo in its position loop, positions in cm, to be fitted by an output-error model.
+
+    Parameters
+    ----------
+    order : int, default 4
+        na and nb of the model.
+    sigma : float, default .05
+        Deviation of the ordinary noise, in cm.
+
+    Returns
+    -------
+    Plant
+    """
+    return Plant(OutputError(order, order), None, sigma)
+
+
+#: What `draw` knows by name.
+PLANTS: dict[str, Callable[..., Plant]] = {
+    "arx": arx,
+    "output error": output_error,
+    "armax": armax,
+    "fir": fir,
+    "servo": servo,
+}
+
+
+def draw_plant(
+    plant: Plant, steps: int, contamination: Kinds, jumps: Mapping[int, ArrayLike], rng: np.random.Generator
+) -> PlantScenario:
+    """Draw a recording of a plant; see `robust_filterpy.testing.draw`.
+
+    Parameters
+    ----------
+    plant : Plant
+        Whose.
+    steps : int
+        Its length N.
+    contamination : str, Contamination or sequence of these
+        How the measurements go wrong.
+    jumps : mapping of int to array_like, shape (n_theta,)
+        What is added to theta before which sample.
+    rng : numpy.random.Generator
+        Draws everything.
+
+    Returns
+    -------
+    PlantScenario
+    """
+    structure, kinds, sigma = plant.structure, objects(contamination), np.array([plant.sigma])
+    v = plant.sigma * rng.standard_normal((steps, 1))
+    theta, is_jump = None, np.zeros(steps, dtype=bool)
+    if plant.theta is None:
+        u = 1.0 * np.repeat(rng.choice([-1.0, 1.0], -(-steps // 10)), 10)[:steps]
+        clean = np.asarray(100.0 * simulate_servo(u / 100.0, 0.01).position, dtype=float)
+    else:
+        theta, is_jump = _path(plant, steps, jumps, rng)
+        u = rng.choice([-1.0, 1.0], steps)
+        clean = _output(structure, theta, u, None)
+    noise = spoilt(v, np.zeros_like(v), sigma, [kind for kind in kinds if of_noise(kind)], rng)
+    y = clean + noise.z[:, 0] if theta is None else _output(structure, theta, u, noise.z[:, 0])
+    seen = spoilt(y[:, None], clean[:, None], sigma, [kind for kind in kinds if not of_noise(kind)], rng)
+    both = Spoilt(seen.z, seen.noise_ratio * noise.noise_ratio, seen.is_outlier | noise.is_outlier)
+    missing = np.isnan(both.z[:, 0])
+    return PlantScenario(
+        structure,
+        u,
+        both.z[:, 0],
+        clean,
+        theta,
+        plant.sigma**2,
+        plant.Q,
+        both.is_outlier[:, 0] & ~missing,
+        missing,
+        is_jump,
+        both.noise_ratio[:, 0],
+    )
+
+
+def jump_rows(jumps: Mapping[int, ArrayLike], steps: int, n: int) -> Array:
+    """Return what is added at each step, shape (steps, n), or raise.
+
+    Parameters
+    ----------
+    jumps : mapping of int to array_like, shape (n,)
+        What is added at which step.
+    steps, n : int
+        Shape of the result.
+
+    Returns
+    -------
+    ndarray, shape (steps, n)
+    """
+    rows = np.zeros((steps, n))
+    for k, shift in jumps.items():
+        if _checks.count("jumps", k) >= steps:
+            raise ValueError(f"jumps: expected steps below {steps}, got {k}")
+        rows[k] = _checks.matrix("jumps", np.atleast_2d(_checks.numbers("jumps", shift)), (1, n), f"{n} numbers")
+    return rows
+
+
+def _path(
+    plant: Plant, steps: int, jumps: Mapping[int, ArrayLike], rng: np.random.Generator
+) -> tuple[Array, np.ndarray]:
+    """Return the parameters of each sample, and at which they jump."""
+    theta, na = _required(plant.theta), plant.structure.na + plant.structure.nf
+    shifts = jump_rows(jumps, steps, theta.size)
+    still = slice(theta.size - plant.structure.nc, None)
+    accept = stable(na)
+    if plant.drift:
+        Q = np.diag(np.full(theta.size, plant.drift))
+        Q[still, still] = 0.0
+        path = random_walk(theta, Q, steps, rng, accept)
+    else:
+        path = np.tile(theta, (steps, 1))
+    is_jump = rng.random(steps) < plant.jump_probability
+    for k in np.flatnonzero(is_jump):
+        drawn = plant.jump_size * rng.standard_normal((1000, theta.size))
+        drawn[:, still] = 0.0
+        # What drifts afterwards is to stay stable too.
+        path[k:] += next(shift for shift in drawn if all(map(accept, path[k:] + shift)))
+    path += np.cumsum(shifts, axis=0)
+    return path, is_jump | shifts.any(axis=1)
+
+
+def _output(structure: Structure, theta: Array, u: Array, v: Array | None) -> Array:
+    """Return the plant's output, without noise if v is None."""
+    (nb, nk), na = structure.inputs[0], structure.na + structure.nf
+    c = theta[0, theta.shape[1] - structure.nc :]
+    if v is not None and structure.nc:
+        v = scipy.signal.lfilter(np.concatenate(([1.0], c)), [1.0], v)
+    simulate = simulate_output_error if structure.nf else simulate_arx
+    return simulate(theta[:, : na + nb], u, noise=v, na=na, nb=nb, nk=nk).y
+
+
+def _required(theta: Array | None) -> Array:
+    """Return theta, which all plants but the servo have."""
+    if theta is None:
+        raise ValueError("theta: expected the plant's parameters, got None")
+    return theta

@@ -1,0 +1,302 @@
+"""What a filter made of a recording, as arrays: the one form that every assertion about estimates reads."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+from robust_filterpy.diagnostics.recording import of_saver
+
+if TYPE_CHECKING:
+    from robust_filterpy.testing.scenarios.drawing import Scenario
+    from robust_filterpy.testing.scenarios.models import StateModel
+
+__all__ = ["FilterRun", "load", "run_filter"]
+
+
+@dataclass(frozen=True, eq=False)
+class FilterRun:
+    """Hold N steps of a filter. What is None was not recorded, and what needs it cannot be asserted.
+
+    Attributes
+    ----------
+    y : ndarray, shape (N, m)
+        Innovations z - h(x_prior), NaN where a sensor was missing.
+    S : ndarray, shape (N, m, m)
+        Their covariances according to the filter.
+    x, x_prior : ndarray, shape (N, n), optional
+        States after and before each correction.
+    P, P_prior : ndarray, shape (N, n, n), optional
+        Their covariances.
+    truth : ndarray, shape (N, n), optional
+        True states.
+
+    Raises
+    ------
+    ValueError
+        If the lengths or shapes do not fit together.
+    """
+
+    y: Array
+    S: Array
+    x: Array | None = None
+    P: Array | None = None
+    x_prior: Array | None = None
+    P_prior: Array | None = None
+    truth: Array | None = None
+
+    def __post_init__(self) -> None:
+        """Check every shape against those of y and x."""
+        shapes: dict[str, tuple[int, ...]] = {"S": (*np.shape(self.y), np.shape(self.y)[-1])}
+        if np.ndim(self.y) != 2:
+            raise ValueError(f"y: expected shape (N, m), got {np.shape(self.y)}")
+        if self.x is not None:
+            n = np.shape(self.x)[-1]
+            rows = (len(self.y), n)
+            shapes |= {"x": rows, "x_prior": rows, "truth": rows, "P": (*rows, n), "P_prior": (*rows, n)}
+        for name, shape in shapes.items():
+            value = getattr(self, name)
+            if value is not None and np.shape(value) != shape:
+                raise ValueError(f"{name}: expected shape {shape} for y of shape {np.shape(self.y)}, got {value.shape}")
+
+    def __len__(self) -> int:
+        """Count the steps."""
+        return len(self.y)
+
+    @property
+    def error(self) -> Array:
+        """Estimate minus truth, shape (N, n)."""
+        if self.x is None or self.truth is None:
+            raise ValueError("truth: expected a run with x and truth; run_filter(kf, scenario) returns one")
+        return self.x - self.truth
+
+    @cached_property
+    def whitened(self) -> Array:
+        """L^-1 y with L the Cholesky factor of the observed part of S, shape (N, m); NaN where missing."""
+        if not np.isnan(self.y).any():
+            # All at once; what fails is named below.
+            with contextlib.suppress(np.linalg.LinAlgError):
+                return np.linalg.solve(np.linalg.cholesky(self.S), self.y[:, :, None])[:, :, 0]
+        e = np.full(self.y.shape, np.nan)
+        for k, (y, S) in enumerate(zip(self.y, self.S, strict=True)):
+            seen = np.flatnonzero(~np.isnan(y))
+            if seen.size:
+                e[k, seen] = _whitened(S[np.ix_(seen, seen)], y[seen], f"S of step {k}")
+        return e
+
+    def standardized_error(self, step: int) -> Array:
+        """Return L^-1 (x - truth) at a step, L the Cholesky factor of P, shape (n,)."""
+        if self.P is None:
+            raise ValueError("P: expected a run with P; run_filter(kf, scenario) returns one")
+        return _whitened(self.P[step], self.error[step], f"P of step {step % len(self)}")
+
+
+#: A run, several, or Savers.
+Runs: TypeAlias = "FilterRun | Sequence[FilterRun] | Any"
+
+
+def _whitened(covariance: Array, values: Array, name: str) -> Array:
+    """Return L^-1 values, or fail: what is no covariance cannot be consistent with anything."""
+    try:
+        return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), values))
+    except np.linalg.LinAlgError:
+        if not np.isfinite(covariance).all():
+            raise AssertionError(f"{name} holds NaN or infinity") from None
+        least = np.linalg.eigvalsh((covariance + covariance.T) / 2)[0]
+        raise AssertionError(f"{name} is no covariance: its least eigenvalue is {least:.3g}") from None
+
+
+def as_runs(runs: Runs) -> list[FilterRun]:
+    """Return a list of runs from a run, a `filterpy.common.Saver`, or several of them.
+
+    Parameters
+    ----------
+    runs : FilterRun, Saver or iterable of these
+        What to read.
+
+    Returns
+    -------
+    list of FilterRun
+
+    Raises
+    ------
+    TypeError
+        If it is none of these.
+    """
+    if isinstance(runs, FilterRun):
+        return [runs]
+    if hasattr(runs, "_kf") and hasattr(runs, "save"):
+        kept = of_saver(runs)
+        return [FilterRun(kept.y, kept.S)]
+    if isinstance(runs, Iterable) and not isinstance(runs, (str, bytes, np.ndarray)):
+        found = [run for part in runs for run in as_runs(part)]
+        if found:
+            return found
+    raise TypeError(f"runs: expected a FilterRun, a Saver or a list of these, got {_checks.shown(runs)}")
+
+
+def load(kf: Any, model: StateModel) -> Any:
+    """Put a model into a filter of filterpy's kind, its x in the shape that the filter has it in.
+
+    Parameters
+    ----------
+    kf : filter object
+        With ``x, P, F, H, Q, R`` that can be set.
+    model : StateModel
+        What to put in.
+
+    Returns
+    -------
+    filter object
+        kf itself.
+
+    Raises
+    ------
+    TypeError
+        If kf is no filter, or what it shows cannot be set.
+    ValueError
+        If it is made for other lengths.
+    """
+    n, m, _ = model.dims
+    for name in ("x", "predict", "update"):
+        if not hasattr(kf, name):
+            raise TypeError(
+                f"kf: expected a filter with x, P, predict() and update(z), {type(kf).__name__} has no {name}"
+            )
+    found = (np.size(kf.x), getattr(kf, "dim_z", m))
+    if found != (n, m):
+        raise ValueError(f"kf: expected dim_x={n}, dim_z={m} for this model, got dim_x={found[0]}, dim_z={found[1]}")
+    values = {name: getattr(model, name).copy() for name in ("P", "F", "H", "Q", "R")}
+    for name, value in (values | {"x": model.x.reshape(np.shape(kf.x)).copy()}).items():
+        try:
+            setattr(kf, name, value)
+        except AttributeError as error:
+            raise TypeError(f"kf: expected a filter whose {name} can be set, {type(kf).__name__}: {error}") from None
+    if model.B is not None:
+        kf.B = model.B.copy()
+    return kf
+
+
+def measure(kf: Any, z: Any, model: StateModel) -> None:
+    """Correct a filter, an extended one with the model's sensor and Jacobian.
+
+    Parameters
+    ----------
+    kf : filter object
+        With ``update(z)``, or ``update(z, HJacobian, Hx)``.
+    z : array_like, shape (m,), or None
+        Measurement.
+    model : StateModel
+        Where the sensor is.
+    """
+    if not is_extended(kf):
+        kf.update(z)
+        return
+
+    def like_x(values: Array) -> Array:
+        return values[:, None] if np.ndim(kf.x) == 2 else values
+
+    # filterpy's extended filter subtracts z as it comes.
+    z = None if z is None else like_x(np.ravel(z))
+    kf.update(z, lambda x: model.jacobian(np.ravel(x)), lambda x: like_x(model.measured(np.ravel(x))))
+
+
+def is_extended(kf: Any) -> bool:
+    """Tell a filter whose update asks for a Jacobian."""
+    code = getattr(getattr(type(kf), "update", None), "__code__", None)
+    return code is not None and "HJacobian" in code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
+
+
+def step(kf: Any, z: Any, model: StateModel, u: Array | None = None) -> None:
+    """Predict and correct once.
+
+    Parameters
+    ----------
+    kf : filter object
+        With ``predict()`` and ``update(z)``.
+    z : array_like, shape (m,), or None
+        Measurement.
+    model : StateModel
+        Where the sensor is.
+    u : ndarray, shape (dim_u,), optional
+        Input.
+    """
+    predict(kf, u)
+    measure(kf, z, model)
+
+
+def predict(kf: Any, u: Array | None) -> None:
+    """Predict, with an input if there is one, in the shape of x."""
+    if u is None:
+        kf.predict()
+    else:
+        kf.predict(u=u[:, None] if np.ndim(kf.x) == 2 else u)
+
+
+def state(kf: Any) -> tuple[Array, Array]:
+    """Return x, shape (n,), and P as copies."""
+    return np.ravel(np.array(kf.x, dtype=float)), np.array(kf.P, dtype=float)
+
+
+def or_none(z: Array) -> Array | None:
+    """Return a copy of a measurement, or None if all of it is missing."""
+    return None if np.isnan(z).all() else z.copy()
+
+
+def run_filter(kf: Any, scenario: Scenario, *, doubt: Callable[[Any], Any] | None = None) -> FilterRun:
+    """Run a filter over a scenario.
+
+    Parameters
+    ----------
+    kf : filter object
+        Loaded with its model (`load`, ``scenario.load(kf)``, or your own code); it is changed.
+    scenario : Scenario
+        Inputs and measurements.
+    doubt : callable, optional
+        Called with the filter after each step.
+
+    Returns
+    -------
+    FilterRun
+        y and S are computed from the filter's x, P, H and R before each correction, so that it need not show them.
+
+    Raises
+    ------
+    ValueError
+        If the filter and the scenario do not fit.
+    """
+    model = scenario.model
+    n, m, _ = model.dims
+    if np.size(kf.x) != n:
+        raise ValueError(f"kf: expected a filter with {n} states for this scenario, got {np.size(kf.x)}")
+    N = len(scenario.z)
+    x, P, x_prior, P_prior = np.empty((N, n)), np.empty((N, n, n)), np.empty((N, n)), np.empty((N, n, n))
+    y, S = np.empty((N, m)), np.empty((N, m, m))
+    extended, missing = is_extended(kf), [bool(row.all()) for row in scenario.is_missing]
+    for k, z in enumerate(scenario.z):
+        predict(kf, None if scenario.u is None else scenario.u[k])
+        prior, P_prior[k] = state(kf)
+        x_prior[k] = prior
+        H, R = model.jacobian(prior), own(kf, "R", model.R)
+        if not extended:
+            H = own(kf, "H", H)
+        y[k] = z - (H @ prior if model.sensor is None else model.sensor(prior))
+        S[k] = H @ P_prior[k] @ H.T + R
+        measure(kf, None if missing[k] else z.copy(), model)
+        x[k], P[k] = state(kf)
+        if doubt is not None:
+            doubt(kf)
+    return FilterRun(y, S, x, P, x_prior, P_prior, scenario.x)
+
+
+def own(kf: Any, name: str, default: Array) -> Array:
+    """Return a filter's own matrix where it has one of the model's shape."""
+    value = getattr(kf, name, None)
+    return default if value is None or np.shape(value) != default.shape else np.asarray(value, dtype=float)

@@ -1,0 +1,51 @@
+"""Build the kernel, where there is a C compiler; everything else is in setup.cfg."""
+
+import os
+import sys
+import sysconfig
+from pathlib import Path
+
+from setuptools import Extension, setup
+from setuptools.command.build_ext import build_ext
+
+ROOM = Path("robust_filterpy/kernel")
+# Never -ffast-math: loading a library built with it makes the whole process flush subnormal numbers.
+# Python itself is compiled with -fwrapv, under which loops over the sizes of small matrices are a third as fast.
+FLAGS = ["-std=c99", "-g0", "-O3", "-fno-wrapv", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"]
+# One binary for all versions of Python, except those without the interpreter's lock.
+STABLE = not sysconfig.get_config_var("Py_GIL_DISABLED") and sys.implementation.name == "cpython"
+
+
+class BuildExtension(build_ext):
+    """Add what depends on the compiler and on numpy, which may be absent."""
+
+    def build_extensions(self):
+        """Set flags and directories, then build."""
+        import numpy
+
+        for extension in self.extensions:
+            extension.include_dirs.append(numpy.get_include())
+            if self.compiler.compiler_type == "msvc":
+                extension.extra_compile_args = ["/O2", "/std:c11", "/fp:precise"]
+            else:
+                # For a build with sanitizers, say.
+                extension.extra_compile_args = FLAGS + os.environ.get("ROBUST_FILTERPY_CFLAGS", "").split()
+        super().build_extensions()
+
+
+macros = [("NPY_TARGET_VERSION", "NPY_1_23_API_VERSION")]
+setup(
+    ext_modules=[
+        Extension(
+            "robust_filterpy.kernel._extension",
+            sources=sorted(path.as_posix() for path in ROOM.glob("*.c")),
+            depends=sorted(path.as_posix() for path in ROOM.glob("*.h")),
+            define_macros=[*macros, ("Py_LIMITED_API", "0x030A0000")] if STABLE else macros,
+            py_limited_api=STABLE,
+            # Without it numpy serves everywhere; releases check that it is there.
+            optional=True,
+        )
+    ],
+    cmdclass={"build_ext": BuildExtension},
+    options={"bdist_wheel": {"py_limited_api": "cp310"}} if STABLE else {},
+)

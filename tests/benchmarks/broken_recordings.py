@@ -1,0 +1,195 @@
+"""Recordings that break assumptions at random: how often is the answer right, warned of, or wrong in silence?
+
+    python tests/benchmarks/broken_recordings.py [--draws 1000] [--first 0] [--only identify]
+
+Each draw takes a random plant, outliers or none, and one break or two at once: which, when and how large is random.
+Right is a simulation of fresh inputs that fits the noise-free plant by at least 90,
+or by 5 less than the same call makes of the recording without the break; warned is a warning, a
+finding or a refusal. What is neither is silent and wrong: the target is 1 % of the draws at most.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import warnings
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.signal import lfilter
+
+from robust_filterpy.identification import ARX, OutputError, ParameterTracker, identify, select_structure, validate
+
+RIGHT, NEAR = 90.0, 5.0
+LENGTH = 1500
+
+
+class Draw(NamedTuple):
+    """A recording with and without its breaks, and the plant at its end."""
+
+    y: Any
+    u: Any
+    whole_y: Any
+    whole_u: Any
+    a: Any
+    b: Any
+    structure: Any
+    breaks: tuple[str, ...]
+
+
+def plant(rng: Any) -> tuple[Any, Any]:
+    """Return a random stable plant of order 2 or 4."""
+    poles = [rng.uniform(0.4, 0.95) * np.exp(1j * rng.uniform(0.2, 2.5)) for _ in range(rng.choice([1, 2]))]
+    return np.real(np.poly([*poles, *np.conj(poles)])), np.concatenate(([0.0], rng.normal(size=2 * len(poles))))
+
+
+def late(rng: Any) -> Any:
+    """Return which samples come after a random time."""
+    return np.arange(LENGTH) >= rng.integers(LENGTH // 5, 4 * LENGTH // 5)
+
+
+def fill_value(rng: Any, y: Any, u: Any, clean: Any) -> tuple[Any, Any]:
+    return np.where(rng.random(LENGTH) < rng.uniform(0.01, 0.2), rng.choice([9999.0, 1e7, -1e8, 9.97e36]), y), u
+
+
+def input_constant(rng: Any, y: Any, u: Any, clean: Any) -> tuple[Any, Any]:
+    return y, u + 10.0 ** rng.uniform(1, 8)
+
+
+def step(rng: Any, y: Any, u: Any, clean: Any) -> tuple[Any, Any]:
+    return y + rng.choice([-1, 1]) * rng.uniform(0.5, 5.0) * np.std(clean) * late(rng), u
+
+
+def ramp(rng: Any, y: Any, u: Any, clean: Any) -> tuple[Any, Any]:
+    return y + rng.choice([-1, 1]) * rng.uniform(1.0, 5.0) * np.std(clean) * np.arange(LENGTH) / LENGTH, u
+
+
+def gross(rng: Any, y: Any, u: Any, clean: Any) -> tuple[Any, Any]:
+    wild = 10.0 ** rng.uniform(2, 8) * rng.normal(size=LENGTH)
+    return np.where(rng.random(LENGTH) < rng.uniform(0.01, 0.1), wild, y), u
+
+
+def stuck(rng: Any, y: Any, u: Any, clean: Any) -> tuple[Any, Any]:
+    y, begin, length = y.copy(), rng.integers(LENGTH // 5, LENGTH // 2), rng.integers(50, LENGTH // 3)
+    y[begin : begin + length] = y[begin]
+    return y, u
+
+
+def input_outliers(rng: Any, y: Any, u: Any, clean: Any) -> tuple[Any, Any]:
+    return y, np.where(rng.random(LENGTH) < rng.uniform(0.01, 0.05), 10.0 * rng.normal(size=LENGTH), u)
+
+
+def gain(rng: Any, y: Any, u: Any, clean: Any) -> tuple[Any, Any]:
+    return y + clean * late(rng) * rng.choice([-2.0, -0.5, 0.3, 1.0]), u
+
+
+BREAKS: tuple[Callable[..., Any], ...] = (fill_value, input_constant, step, ramp, gross, stuck, input_outliers, gain)
+
+
+def drawn(seed: int) -> Draw:
+    """Draw a recording."""
+    rng = np.random.default_rng([2700, seed])
+    a, b = plant(rng)
+    u = rng.choice([-1.0, 1.0], LENGTH).repeat(rng.choice([1, 5]))[:LENGTH]
+    noise = np.where(rng.random(LENGTH) < rng.choice([0.0, 0.1]), 10.0, 1.0) * rng.normal(size=LENGTH)
+    clean = lfilter(b, a, u)
+    noise *= 0.05 * np.std(clean)
+    order = a.size - 1
+    structure = (OutputError if rng.random() < 0.7 else ARX)(order, order)
+    y = clean + noise if isinstance(structure, OutputError) else clean + lfilter([1.0], a, noise)
+    chosen = rng.choice(len(BREAKS), rng.choice([1, 2]), replace=False)
+    broken, signal = y, u
+    for i in chosen:
+        broken, signal = BREAKS[i](rng, broken, signal, clean)
+    names = tuple(BREAKS[i].__name__ for i in chosen)
+    return Draw(broken, signal, y, u, a, b, structure, names)
+
+
+def fit_of(found: Any, draw: Draw, seed: int) -> float:
+    """Return how well what was found simulates fresh inputs of the plant, in percent."""
+    u = np.random.default_rng([2701, seed]).choice([-1.0, 1.0], 500)
+    clean = lfilter(draw.b, draw.a, u)
+    n = draw.a.size - 1 if not hasattr(found.structure, "na") else found.structure.na
+    theta, delay = found.theta, found.structure.inputs[0][1]
+    with np.errstate(all="ignore"):
+        output = lfilter(np.concatenate((np.zeros(delay), theta[n:])), np.concatenate(([1.0], theta[:n])), u)
+        missed = np.linalg.norm(output - clean) / np.linalg.norm(clean - clean.mean())
+    return 100.0 * (1.0 - missed) if np.isfinite(missed) else -np.inf
+
+
+def identified(draw: Draw, y: Any, u: Any) -> Any:
+    return identify(y, u, draw.structure)
+
+
+def validated(draw: Draw, y: Any, u: Any) -> Any:
+    model = identify(y, u, draw.structure)
+    verdict = validate(model, y, u).verdict
+    if verdict != "nothing is left in the residuals":
+        warnings.warn(verdict, stacklevel=1)
+    return model
+
+
+def tracked(draw: Draw, y: Any, u: Any) -> Any:
+    tracker = ParameterTracker(draw.structure)
+    tracker.run(y, u)
+    return tracker
+
+
+def selected(draw: Draw, y: Any, u: Any) -> Any:
+    kind = type(draw.structure)
+    return select_structure(y, u, kind=kind, na=range(1, draw.structure.na + 1), nk=range(1, 3), progress=False).best
+
+
+CALLS: dict[str, Callable[..., Any]] = {
+    "identify": identified, "tracker": tracked, "select_structure": selected, "identify and validate": validated,
+}  # fmt: skip
+
+
+def judged(call: Callable[..., Any], draw: Draw, seed: int) -> str:
+    """Return "right", "warned" or "silent and wrong"."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        try:
+            found = call(draw, draw.y, draw.u)
+        except (ValueError, np.linalg.LinAlgError):
+            return "warned"
+    fit = fit_of(found, draw, seed)
+    if fit >= RIGHT:
+        return "right"
+    if any(issubclass(each.category, UserWarning) for each in said):
+        return "warned"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        reached = fit_of(call(draw, draw.whole_y, draw.whole_u), draw, seed)
+    return "right" if fit >= reached - NEAR else "silent and wrong"
+
+
+def main() -> None:
+    """Print how often each call is right, warned of, or silent and wrong."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--draws", type=int, default=1000)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--only", choices=CALLS)
+    options = parser.parse_args()
+    for name, call in CALLS.items():
+        if options.only not in (None, name):
+            continue
+        counts: Counter[str] = Counter()
+        for seed in range(options.first, options.first + options.draws):
+            draw = drawn(seed)
+            verdict = judged(call, draw, seed)
+            counts[verdict] += 1
+            if verdict == "silent and wrong":
+                print(
+                    f"    {name}, draw {seed}: {' and '.join(draw.breaks)}, {draw.structure}",
+                    file=sys.stderr,
+                    flush=True,
+                )
+        shares = ", ".join(f"{verdict} {count}" for verdict, count in sorted(counts.items()))
+        print(f"{name:<24}{shares} of {options.draws}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,122 @@
+"""The problems of `drop_in_study`: what existing programs do to a filter that is put in the Kalman filter's place."""
+
+from __future__ import annotations
+
+import numpy as np
+from adaptive_problems import NOISES, ROOT, Case
+from peers.recursion import kalman
+
+F, Q = np.array([[1.0, 1.0], [0.0, 1.0]]), np.outer(ROOT, ROOT)
+#: A label that leaves a sensor out.
+BAD = 1e6
+
+
+def moving(g: np.random.Generator, steps: int) -> np.ndarray:
+    """Return the states of a point that moves with a nearly constant velocity from 0, shape (steps, 2)."""
+    x, truth = np.zeros(2), np.empty((steps, 2))
+    for k in range(steps):
+        x = truth[k] = F @ x + ROOT * g.standard_normal()
+    return truth
+
+
+def one(seed: int, kind: str, steps: int = 600, prior: float = 10.0, start: float = 0.0, jump: float = 0.0) -> Case:
+    """Return a point of which the position is measured; a jump is at a third."""
+    g = np.random.default_rng(seed)
+    truth = moving(g, steps)
+    v, label = NOISES[kind](g, steps)
+    truth[steps // 3 :, 0] += jump
+    x0, zs = np.array([start, 0.0]), truth[:, :1] + v[:, None]
+    return Case(F, np.eye(1, 2), Q, np.eye(1), x0, prior * np.eye(2), truth, zs, np.ones(steps), label[:, None])
+
+
+def in_a_row(seed: int, length: int, height: float, share: float, steps: int = 600) -> Case:
+    """Return outliers in runs: of one height, or, with height 0, bursts of ten times the deviation."""
+    g = np.random.default_rng(seed)
+    truth, v, bad = moving(g, steps), g.standard_normal(steps), np.zeros(steps, dtype=bool)
+    for first in np.flatnonzero(g.random(steps) < share / length):
+        bad[first : first + length] = True
+    label = np.where(bad, BAD if height else 10.0, 1.0)
+    v = v + height * bad if height else v * label
+    zs = truth[:, :1] + v[:, None]
+    return Case(F, np.eye(1, 2), Q, np.eye(1), np.zeros(2), 10 * np.eye(2), truth, zs, np.ones(steps), label[:, None])
+
+
+def position_and_velocity(seed: int, share: float = 0.0, steps: int = 600) -> Case:
+    """Return a point of which position and velocity are measured."""
+    g = np.random.default_rng(seed)
+    truth, label = moving(g, steps), np.where(g.random((steps, 2)) < share, 10.0, 1.0)
+    R = np.diag([1.0, 0.09])
+    zs = truth + label * g.standard_normal((steps, 2)) * np.sqrt(R.diagonal())
+    return Case(F, np.eye(2), Q, R, np.zeros(2), 10 * np.eye(2), truth, zs, np.ones(steps), label)
+
+
+def redundant(seed: int, sensors: int, fault: str, steps: int = 600) -> Case:
+    """Return a point that several sensors see, the first of them bad; the labels leave that out."""
+    g = np.random.default_rng(seed)
+    truth, v, k = moving(g, steps), g.standard_normal((steps, sensors)), np.arange(steps)
+    zs, label = truth[:, :1] + v, np.ones((steps, sensors))
+    if fault == "+10":
+        zs[:, 0] += 10.0
+    elif fault == "+10 from the 100th":
+        zs[100:, 0] += 10.0
+    elif fault == "stuck":
+        zs[50:, 0] = zs[50, 0]
+    elif fault == "drifting":
+        zs[:, 0] += 0.1 * k
+    elif fault == "30 times noisier":
+        zs[:, 0] += 29.0 * v[:, 0]
+    elif fault == "silent":
+        zs[50:, 0] = np.nan
+    elif fault == "two lie alike":
+        zs[:, :2] += 10.0
+    if fault not in ("none", "silent"):
+        label[:, : 2 if fault == "two lie alike" else 1] = BAD
+    H = np.tile(np.eye(1, 2), (sensors, 1))
+    return Case(F, H, Q, np.eye(sensors), np.zeros(2), 10 * np.eye(2), truth, zs, np.ones(steps), label)
+
+
+def standing(seed: int, still: int = 300, steps: int = 600) -> Case:
+    """Return a point that stands, measured without any noise, and then moves with noise."""
+    g = np.random.default_rng(seed)
+    truth, v = np.zeros((steps, 2)), g.standard_normal((steps, 1))
+    truth[still:], v[:still] = moving(g, steps - still), 0.0
+    zs, x0 = truth[:, :1] + v, np.array([1.0, 0.0])
+    return Case(F, np.eye(1, 2), Q, np.eye(1), x0, 10 * np.eye(2), truth, zs, np.ones(steps), np.ones((steps, 1)))
+
+
+def boxes(seed: int, bad: float, steps: int = 60) -> Case:
+    """Return a walker's box as trackers hold it: centre, area, aspect ratio, with R told far too small for the area."""
+    g = np.random.default_rng(seed)
+    truth = np.zeros((steps, 7))
+    truth[0] = [*g.uniform(100, 500, 2), g.uniform(60, 100) ** 2 * 2.2, 0.42, *g.normal(0, 2, 2), g.normal(0, 20)]
+    A = np.eye(7)
+    A[:3, 4:] = np.eye(3)
+    for k in range(1, steps):
+        truth[k] = A @ truth[k - 1] + np.array([0, 0, 0, 0, *g.normal(0, 0.3, 2), g.normal(0, 4.0)])
+        truth[k, 2] = max(truth[k, 2], 2000.0)
+    width, height = np.sqrt(truth[:, 2] * truth[:, 3]), np.sqrt(truth[:, 2] / truth[:, 3])
+    is_bad = g.random(steps) < bad
+    # A detector's box is off by a part of its size.
+    off = np.where(is_bad, 10.0, 1.0)[:, None] * 0.02 * g.standard_normal((steps, 4))
+    x, y = truth[:, 0] + off[:, 0] * width, truth[:, 1] + off[:, 1] * height
+    w, h = width * np.exp(off[:, 2]), height * np.exp(off[:, 3])
+    zs, q = np.column_stack([x, y, w * h, w / h]), np.diag([1, 1, 1, 1, 0.01, 0.01, 1e-4])
+    R, P0 = np.diag([1.0, 1.0, 10.0, 10.0]), np.diag([10.0] * 4 + [1e4] * 3)
+    x0 = np.r_[zs[0], np.zeros(3)]
+    label = np.where(is_bad, BAD, 1.0)[:, None] * np.ones(4)
+    return Case(A, np.eye(4, 7), q, R, x0, P0, truth, zs, np.ones(steps), label)
+
+
+def with_labels(case: Case, told: bool = False) -> np.ndarray:
+    """Return the Kalman filter's states, told the size of every noise or, with told, what Q and R say."""
+    x, P, path = case.x0, case.P0, np.empty_like(case.truth)
+    w_scale = np.ones_like(case.w_scale) if told else case.w_scale
+    v_scale = np.ones_like(case.v_scale) if told else case.v_scale
+    for k, z in enumerate(case.zs):
+        x, P = case.F @ x, case.F @ P @ case.F.T + w_scale[k] ** 2 * case.Q
+        here = np.flatnonzero(np.isfinite(z) & (v_scale[k] < BAD))
+        if len(here):
+            H, s = case.H[here], np.diag(v_scale[k][here])
+            x, P = kalman(x, P, z[here] - H @ x, H, s @ case.R[np.ix_(here, here)] @ s)
+        path[k] = x
+    return path

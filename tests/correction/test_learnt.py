@@ -1,0 +1,267 @@
+"""Learnt noise as pure functions: the step is Bayes' rule on small mixtures, the counts are those of a Markov chain."""
+
+import itertools
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.integrate import quad
+from scipy.stats import multivariate_normal
+from support import random_problem, spd
+
+from robust_filterpy.correction import copies as side_by_side
+from robust_filterpy.correction.copies import Copies, Scales, collapse
+from robust_filterpy.correction.learning import NoiseClasses, describe, learn, ordinary_size, parity, predicted, start
+from robust_filterpy.correction.learnt import correct
+
+TRUSTED = Scales((1.0,), jump=0.0)
+
+
+def one(x, P):
+    return side_by_side.start(np.asarray(x, dtype=float), np.asarray(P, dtype=float), TRUSTED)
+
+
+def certain(K, last=0):
+    """What is known before a sample if the last one's class was certain."""
+    known = start(K)
+    known[2 + K : 2 + 2 * K] = np.eye(K)[last]
+    return known
+
+
+@pytest.mark.parametrize("y", [0.0, 0.7, 2.0, 4.0, 8.0])
+def test_one_sensor_under_a_told_mixture_has_the_moments_of_the_posterior(y):
+    """Mean, variance and density by quadrature, and the mean square of the noise of class 0, from which r is learnt."""
+    P, R, share, wide = 0.7, 0.5, 0.1, 100.0
+    noise = NoiseClasses(scales=(1.0, wide), probabilities=(1.0 - share, share))
+
+    def joint(x, k):
+        variance = (1.0, wide)[k] * R
+        prior = np.exp(-0.5 * x * x / P) / np.sqrt(2.0 * np.pi * P)
+        v = y - x
+        return (1.0 - share, share)[k] * prior * np.exp(-0.5 * v * v / variance) / np.sqrt(2.0 * np.pi * variance)
+
+    mass, first, second = (
+        sum(quad(lambda x, k=k, p=p: x**p * joint(x, k), -12, 12, points=[0, y], limit=300)[0] for k in range(2))
+        for p in range(3)
+    )
+    found = correct(one([0.0], [[P]]), noise.start(1), np.array([y]), np.eye(1), R * np.eye(1), noise, TRUSTED)
+    assert found.copies.x.item() == pytest.approx(first / mass, rel=1e-7, abs=1e-10)
+    assert found.copies.P.item() == pytest.approx(second / mass - (first / mass) ** 2, rel=1e-7)
+    assert found.log_density == pytest.approx(np.log(mass), rel=1e-7)
+    np.testing.assert_array_equal(found.memory, noise.start(1))
+    learnt = NoiseClasses(scales=(1.0,))
+    found = correct(one([0.0], [[P]]), learnt.start(1), np.array([y]), np.eye(1), R * np.eye(1), learnt, TRUSTED)
+    mass, square = (
+        quad(lambda x, p=p: (y - x) ** p * joint(x, 0), -12, 12, points=[0, y], epsabs=0.0)[0] for p in (0, 2)
+    )
+    expected = 1.0 + (square / mass / R - 1.0) / found.memory[0, 1]
+    assert found.memory[0, 0] == pytest.approx(expected, rel=1e-8)
+
+
+def test_sensors_with_correlated_noise_tell_of_each_other():
+    """One class each, whose size has been learnt: the Kalman filter with the full R and M, scaled."""
+    rng = np.random.default_rng(3)
+    problem, noise = random_problem(3, 4, 3), NoiseClasses(scales=[1.0])
+    x, P, H, z, memory = problem.x[:, 0], problem.P, problem.H, rng.standard_normal(3), noise.start(3)
+    memory[:, 0] = r = np.array([4.0, 0.3, 1.7])
+    R, M = np.sqrt(np.outer(r, r)) * problem.R, 0.5 * np.sqrt(r) * problem.M
+    found = correct(one(x, P), memory, z, H, problem.R, noise, TRUSTED, 0.5 * problem.M)
+    S, C, y = H @ P @ H.T + R + H @ M + (H @ M).T, P @ H.T + M, z - H @ x
+    assert_allclose(found.copies.x[0], x + C @ np.linalg.solve(S, y), rtol=1e-8)
+    assert_allclose(found.copies.P[0], P - C @ np.linalg.solve(S, C.T), rtol=1e-7, atol=1e-10)
+    assert found.log_density == pytest.approx(multivariate_normal.logpdf(y, cov=S))
+
+
+def test_the_excess_of_an_outlier_is_independent_of_everything_else():
+    """Two sensors whose ordinary noises are correlated, the first of them all but surely an outlier."""
+    rng = np.random.default_rng(1)
+    P, R, H, y = spd(rng, 3), np.array([[1.0, 0.7], [0.7, 2.0]]), rng.normal(size=(2, 3)), np.array([25.0, 0.3])
+    noise = NoiseClasses(scales=(1.0, 100.0), probabilities=(0.9, 0.1))
+    found = correct(one(np.zeros(3), P), noise.start(2), y, H, R, noise, TRUSTED)
+    S = H @ P @ H.T + R + np.diag([99.0, 0.0])
+    assert_allclose(found.outlier_probabilities, [1.0, 0.0], atol=0.1)
+    sure = NoiseClasses(scales=(1.0, 1.0 + 1e-12), probabilities=(0.5, 0.5))
+    exact = correct(one(np.zeros(3), P), sure.start(2), y, H, R + np.diag([99.0, 0.0]), sure, TRUSTED)
+    assert_allclose(exact.copies.x[0], P @ H.T @ np.linalg.solve(S, y), rtol=1e-8)
+    assert_allclose(found.copies.x[0], exact.copies.x[0], rtol=0.15, atol=0.05)
+
+
+def test_sensors_that_fail_together_are_one_vector():
+    """The merged moments of the classes, each a Kalman correction."""
+    rng = np.random.default_rng(2)
+    P, R, H, y = spd(rng, 3), spd(rng, 2), rng.normal(size=(2, 3)), np.array([4.0, -3.0])
+    noise = NoiseClasses(scales=(1.0, 50.0), probabilities=(0.8, 0.2), grouping="joint")
+    found = correct(one(np.zeros(3), P), noise.start(2), y, H, R, noise, TRUSTED)
+    means, covariances, weights = [], [], []
+    for share, scale in ((0.8, 1.0), (0.2, 50.0)):
+        S = H @ P @ H.T + scale * R
+        K = P @ H.T @ np.linalg.inv(S)
+        means.append(K @ y)
+        covariances.append(P - K @ H @ P)
+        weights.append(share * multivariate_normal.pdf(y, cov=S))
+    mean, covariance = collapse(np.array(weights) / sum(weights), np.array(means), np.array(covariances))
+    assert_allclose(found.copies.x[0], mean, rtol=1e-9)
+    assert_allclose(found.copies.P[0], covariance, rtol=1e-8, atol=1e-11)
+    assert found.log_density == pytest.approx(np.log(sum(weights)))
+
+
+def test_a_wild_sensor_is_looked_at_last_wherever_it_stands():
+    H, R, noise = np.ones((3, 1)), np.eye(3), NoiseClasses()
+    args = (one([0.0], [[4.0]]), noise.start(3))
+    found = correct(*args, np.array([25.0, 0.3, -0.2]), H, R, noise, TRUSTED)
+    other = correct(*args, np.array([0.3, -0.2, 25.0]), H, R, noise, TRUSTED)
+    assert_allclose(found.outlier_probabilities, other.outlier_probabilities[[2, 0, 1]])
+    assert found.outlier_probabilities[0] > 0.99 and found.outlier_probabilities[1:].max() < 0.1
+    assert_allclose(found.copies.x, other.copies.x)
+
+
+def test_nothing_that_is_passed_is_changed():
+    rng = np.random.default_rng(4)
+    problem, noise, process = random_problem(4, 3, 2), NoiseClasses(), Scales()
+    copies, memory = side_by_side.start(problem.x[:, 0], problem.P, process), noise.start(2)
+    copies = side_by_side.predict(copies, problem.F, problem.Q, process)
+    before = [np.copy(a) for a in (*copies, memory)]
+    found = correct(copies, memory, rng.normal(size=2) + 40.0, problem.H, problem.R, noise, process)
+    side_by_side.predict(found.copies, problem.F, problem.Q, process), side_by_side.merged(found.copies, process)
+    for was, now in zip(before, (*copies, memory), strict=True):
+        np.testing.assert_array_equal(was, now)
+
+
+def test_the_prior_is_a_stationary_chain():
+    assert_allclose(predicted(start(4), 4), [0.85, 0.05, 0.05, 0.05], rtol=1e-12)
+    assert_allclose(start(1)[2:5], [1.0, 1.0, 10.0])
+
+
+def test_transitions_are_counted_with_a_memory():
+    """Classes that are certain: counts = prior + sum of forgotten ones."""
+    K, memory, rng = 3, 20.0, np.random.default_rng(2)
+    noise = NoiseClasses(scales=(1.0, 10.0, 100.0), memory=memory)
+    labels = np.concatenate([[0], rng.choice(K, 60, p=[0.8, 0.1, 0.1])])
+    known, counts = certain(K), np.zeros((K, K))
+    for before, now in itertools.pairwise(labels):
+        known = learn(known, np.eye(K)[now], 1.0, noise)
+        counts *= 1.0 - 1.0 / memory
+        counts[before, now] += 1.0
+    assert_allclose(known[2 + 2 * K : -4], start(K)[2 + 2 * K : -4] + counts.ravel(), rtol=1e-10)
+
+
+def test_when_ordinary_samples_are_few_r_starts_from_the_class_of_the_median():
+    known, begin = start(4), start(4)
+    known[0] = 0.3
+    for _ in range(200):
+        known = learn(known, np.array([0.05, 0.15, 0.75, 0.05]), 1.0, NoiseClasses())
+        if known[0] > 10.0:
+            break
+    # Class 2 had 100 times the variance; everything else is as before the first sample.
+    assert 10.0 < known[0] < 100.0
+    assert_allclose(known[1:], begin[1:])
+
+
+def test_describe_reads_a_chain_that_is_known():
+    """Outliers a tenth of the time, in runs of five, of class 2."""
+    counts = np.zeros((4, 4))
+    counts[2, 2], counts[2, 0], counts[0, 2], counts[0, 0] = 80.0, 20.0, 20.0, 880.0
+    scales = np.array([1.0, 10.0, 100.0, 1000.0])
+    learnt = np.concatenate([[4.0, 16.0], np.zeros(8), counts.ravel(), np.zeros(4)])[None]
+    noise = describe(learnt, scales)
+    assert noise.contamination[0] == pytest.approx(0.1) and noise.run_length[0] == pytest.approx(5.0)
+    assert noise.scale_ratio[0] == pytest.approx(10.0, rel=0.01)
+    assert noise.r[0] == 4.0 and noise.r_std[0] == pytest.approx(1.0)
+    # The variance of a share of correlated samples: (1 + rho)/(1 - rho) times the independent ones'.
+    rho = 0.8 - 20.0 / 900.0
+    assert noise.contamination_std[0] == pytest.approx(np.sqrt(0.09 / 1001 * (1 + rho) / (1 - rho)))
+    assert describe(learnt, scales, sensors=4).r_std[0] == pytest.approx(0.5)
+
+
+def test_parity_does_not_depend_on_the_state_and_has_the_variance_that_R_gives_it():
+    rng = np.random.default_rng(5)
+    H, r = rng.normal(size=(4, 2)), np.array([1.0, 4.0, 0.3, 2.0])
+    R = np.diag([1.0, 2.0, 3.0, 0.5])
+    zs = rng.normal(size=(4000, 4)) * np.sqrt(R.diagonal())
+    found = np.array([[e for _, e in parity(z, H, R, r)] for z in zs])
+    assert_allclose(found.var(axis=0), 1.0, atol=5.0 * np.sqrt(2.0 / 4000))
+    moved = parity(zs[0] + H @ np.array([30.0, -7.0]), H, R, r)
+    assert_allclose([e for _, e in moved], found[0], atol=1e-10)
+    # Nobody can stand in for a sensor that alone sees a state.
+    assert [i for i, _ in parity(zs[0, :3], np.array([[1.0, 0], [1.0, 0], [0, 1.0]]), R[:3, :3], r[:3])] == [0, 1]
+    assert parity(zs[0, :2], H[:2], R[:2, :2], r[:2]) == []
+
+
+@pytest.mark.parametrize("phi, floor", [(0.0, 1e-3), (0.95, 0.3)])
+def test_r_of_a_sensor_that_others_contradict_with_a_colour_does_not_fall(phi, floor):
+    rng, v, learnt = np.random.default_rng(6), np.zeros(2), np.tile(start(4), (2, 1))
+    learnt[:, 0] = 1e-4
+    for _ in range(400):
+        v = phi * v + np.sqrt(1.0 - phi * phi) * rng.normal(size=2)
+        r, learnt = ordinary_size(learnt, v, np.ones((2, 1)), np.eye(2))
+    assert (r > floor).all() == (phi > 0.0) and (r <= 1.0).all()
+
+
+def test_collapse_has_the_moments_of_a_sample():
+    rng = np.random.default_rng(4)
+    shares, means, roots = np.array([0.2, 0.5, 0.3]), rng.normal(size=(3, 2)), rng.normal(size=(3, 2, 2))
+    covariances = roots @ roots.transpose(0, 2, 1)
+    mean, covariance = collapse(shares, means, covariances)
+    labels = rng.choice(3, 200_000, p=shares)
+    sample = means[labels] + (roots[labels] @ rng.normal(size=(len(labels), 2, 1)))[..., 0]
+    error = 5.0 * np.sqrt(np.diag(covariance) / len(labels))
+    assert (np.abs(sample.mean(axis=0) - mean) < error).all()
+    assert_allclose(np.cov(sample.T), covariance, atol=5 * np.abs(covariance).max() * np.sqrt(4 / len(labels)))
+
+
+def test_copies_mix_as_the_scale_changes():
+    """Two copies, one step, by the law of total probability."""
+    process = Scales((1.0, 9.0), dwell=4.0, jump=0.0)
+    copies = Copies(np.array([[0.0], [2.0]]), np.array([[[1.0]], [[3.0]]]), np.array([0.6, 0.4]), 0.0)
+    found = side_by_side.predict(copies, np.array([[2.0]]), np.eye(1), process)
+    joint = np.array([0.6, 0.4])[:, None] * np.array([[0.75, 0.25], [0.25, 0.75]])
+    assert_allclose(found.probabilities, joint.sum(axis=0))
+    for j, scale in enumerate(process.scales):
+        mean, covariance = collapse(joint[:, j] / joint[:, j].sum(), copies.x, copies.P)
+        assert_allclose(found.x[j], 2.0 * mean)
+        assert_allclose(found.P[j], 4.0 * covariance + scale)
+
+
+def following(zs, jump, x0=0.0):
+    """The state of a random walk's filter after each sample."""
+    noise, process = NoiseClasses(), Scales(jump=jump)
+    copies, memory, path = side_by_side.start(np.array([x0]), np.eye(1), process), noise.start(1), []
+    for z in zs:
+        copies = side_by_side.predict(copies, np.eye(1), 0.01 * np.eye(1), process)
+        found = correct(copies, memory, np.array([z]), np.eye(1), np.eye(1), noise, process)
+        copies, memory = found.copies, found.memory
+        path.append(side_by_side.merged(copies, process)[0].item())
+    return np.array(path)
+
+
+@pytest.mark.parametrize("away", [75.0, 1e6])
+def test_a_start_far_away_costs_two_steps(away):
+    path = following(np.random.default_rng(0).normal(size=20), 1e-9, away)
+    assert np.abs(path[2:]).max() < 3.0
+    assert np.abs(following(np.random.default_rng(0).normal(size=20), 0.0, away)[2]) > 10.0
+
+
+@pytest.mark.parametrize("size", [30.0, 1e3, 1e9])
+def test_a_jump_is_believed_when_samples_agree_however_wild_they_are(size):
+    zs = np.random.default_rng(1).normal(size=140)
+    zs[100:] += size
+    path = following(zs, 1e-9)
+    assert np.abs(path[100:104]).max() < 5.0 and np.abs(path[112:] - size).max() < 3.0
+    # A few that agree are outliers.
+    zs[104:] -= size
+    assert np.abs(following(zs, 1e-9)[100:]).max() < 5.0
+
+
+@pytest.mark.parametrize("options", [
+    {"scales": [1.0, 0.5]}, {"grouping": "each"}, {"memory": 0.5}, {"r_memory": "x"}, {"probabilities": [0.5, 0.5]},
+    {"scales": [1.0, 2.0], "probabilities": [0.5, 0.6]},
+])  # fmt: skip
+def test_bad_classes_are_refused(options):
+    with pytest.raises((ValueError, TypeError), match="expected"):
+        NoiseClasses(**options)
+
+
+@pytest.mark.parametrize("options", [{"scales": []}, {"scales": [-1.0]}, {"dwell": 1.0}, {"jump": 1.0}, {"jump": -0.1}])
+def test_bad_scales_are_refused(options):
+    with pytest.raises((ValueError, TypeError), match="expected"):
+        Scales(**options)

@@ -1,0 +1,156 @@
+"""What a swap promises: gains are kept, readings are judged by their own custom, on every path."""
+
+import numpy as np
+import pytest
+import support
+from numpy.testing import assert_allclose, assert_array_equal
+
+from robust_filterpy import Hampel, Huber, RobustKalmanFilter, StudentT, TukeyBiweight, filter_series
+
+pytestmark = pytest.mark.core
+STEPS = 120
+
+
+@pytest.fixture(params=["kernel", "definition"])
+def path(request, monkeypatch):
+    """The kernel where it serves, and the definition alone."""
+    if request.param == "definition":
+        support.without_kernel(monkeypatch)
+    else:
+        support.needs_kernel()
+    return request.param
+
+
+def problem(m, seed=0):
+    """Position and velocity; m sensors of which the first two see the same."""
+    rng = np.random.default_rng(seed)
+    H = np.vstack([[1.0, 0.0], [1.0, 0.0], rng.normal(size=(max(m - 2, 0), 2))])[:m]
+    return np.array([[1.0, 1.0], [0.0, 1.0]]), H, 0.01 * np.eye(2), np.eye(m)
+
+
+def recording(m, seed=1):
+    """A straight line with outliers, a gap, and a first sensor that goes wrong for good."""
+    rng = np.random.default_rng(seed)
+    F, H, _, _ = problem(m)
+    x, zs = np.array([0.0, 0.1]), np.empty((STEPS, m))
+    for k in range(STEPS):
+        x = F @ x + 0.1 * rng.normal(size=2)
+        zs[k] = H @ x + rng.normal(size=m) * np.where(rng.random(m) < 0.1, 30.0, 1.0)
+    zs[40:43] = np.nan
+    if m > 1:
+        zs[60:, 0] += 25.0
+    return zs
+
+
+def built(m, factor=1.0, order=None, unit=None, **options):
+    F, H, Q, R = problem(m)
+    order, unit = np.arange(m) if order is None else order, np.ones(m) if unit is None else unit
+    kf = RobustKalmanFilter(2, m, **options)
+    kf.x, kf.F = np.zeros(2), F
+    kf.H, kf.R = (unit[:, None] * H)[order], factor * (R * np.outer(unit, unit))[np.ix_(order, order)]
+    kf.P, kf.Q = factor * 10.0 * np.eye(2), factor * Q
+    return kf
+
+
+def online(kf, zs):
+    found = []
+    for z in zs:
+        kf.predict()
+        kf.update(z)
+        found.append((kf.x.copy(), kf.P.copy(), kf.weights.copy()))
+    return [np.array(column) for column in zip(*found, strict=True)]
+
+
+def as_series(kf, zs):
+    found = filter_series(zs[None], kf.F, kf.H, kf.Q, kf.R, kf.x, kf.P, influence=kf.influence)
+    return found.x[0], found.P[0], found.weights[0]
+
+
+def as_recording(kf, zs):
+    means, covariances, _, _ = kf.batch_filter(zs)
+    return means, covariances, None
+
+
+WAYS = [online, as_recording, as_series]
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("m", [1, 2, 3])
+@pytest.mark.parametrize("factor", [1e-12, 1e-4, 100.0, 1e12])
+def test_a_common_factor_of_P_Q_and_R_changes_nothing(path, way, m, factor):
+    zs = recording(m)
+    x, P, _ = way(built(m), zs)
+    scaled_x, scaled_P, _ = way(built(m, factor), zs)
+    assert_allclose(scaled_x, x, rtol=1e-8, atol=1e-8)
+    assert_allclose(scaled_P, factor * P, rtol=1e-7)
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("influence", [Huber(), Hampel(), TukeyBiweight(), StudentT()], ids=repr)
+def test_the_order_and_the_units_of_sensors_change_nothing(path, way, influence):
+    m, zs = 4, recording(4)
+    order, unit = np.array([2, 0, 3, 1]), np.array([1e-3, 1.0, 1e3, 1e6])
+    x, P, weights = way(built(m, influence=influence), zs)
+    other_x, other_P, other = way(built(m, 1.0, order, unit, influence=influence), (zs * unit)[:, order])
+    assert_allclose(other_x, x, rtol=1e-7, atol=1e-7)
+    assert_allclose(other_P, P, rtol=1e-6, atol=1e-9)
+    if weights is not None:
+        assert_allclose(other, weights[:, order], rtol=1e-6)
+
+
+@pytest.mark.parametrize("wild", [1e3, 1e36, 1e150, 1e300])
+def test_a_wild_value_leaves_the_weights_of_uncorrelated_sensors_at_1(path, wild):
+    kf = RobustKalmanFilter(2, 2)
+    kf.x, kf.H, kf.Q = np.zeros(2), np.eye(2), 0.01 * np.eye(2)
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        kf.predict()
+        kf.update(rng.normal(size=2))
+    kf.predict()
+    before = kf.x.copy()
+    kf.update([wild, kf.x[1] + 0.1])
+    assert kf.weights[1] == 1.0 and kf.weights[0] < 1e-2
+    # A step of at most the threshold in units of this sensor's spread.
+    assert abs(kf.x[0] - before[0]) <= 1.345 * kf.spread[0] * np.sqrt(kf.S[0, 0]) * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("m", [2, 3, 4])
+@pytest.mark.parametrize("fault", ["offset", "noisy"])
+def test_one_bad_sensor_among_those_that_see_the_same_costs_little(path, m, fault):
+    """Against the filter without it; the Kalman filter has 4 and more."""
+    ratios = []
+    for seed in range(5):
+        rng = np.random.default_rng([seed, m])
+        level = np.cumsum(0.1 * rng.normal(size=400))
+        zs = level[:, None] + rng.normal(size=(400, m))
+        zs[:, 0] += 10.0 if fault == "offset" else 30.0 * rng.normal(size=400)
+        found = []
+        for used in (zs, zs[:, 1:]):
+            kf = RobustKalmanFilter(1, used.shape[1])
+            kf.x, kf.H, kf.Q, kf.P = np.zeros(1), np.ones((used.shape[1], 1)), 0.01 * np.eye(1), 10.0 * np.eye(1)
+            found.append(np.sqrt(np.mean((kf.batch_filter(used)[0][50:, 0] - level[50:]) ** 2)))
+        ratios.append(found[0] / found[1])
+    assert np.median(ratios) < 1.6
+
+
+def test_sensors_that_take_turns_are_told_apart_by_their_rows(path):
+    """One is fifty times as noisy as the other; each is judged by its own custom."""
+    rng = np.random.default_rng(3)
+    rows, sigma = (np.array([[1.0, 0.0]]), np.array([[1.0, 1e-9]])), (5.0, 0.1)
+    kf = RobustKalmanFilter(2, 1)
+    kf.x, kf.F, kf.Q, kf.H = np.zeros(2), np.eye(2), 1e-6 * np.eye(2), np.array([[0.0, 1.0]])
+    for k in range(400):
+        kf.predict()
+        kf.update(sigma[k % 2] * rng.normal(), H=rows[k % 2])
+    spreads = [kf._known_sensors().of(1, row, kf.H)[0, 1] for row in rows]
+    assert spreads[0] / spreads[1] == pytest.approx(50.0, rel=0.4)
+
+
+def test_a_state_carries_what_is_known_of_the_sensors(path):
+    zs = recording(3)
+    kf, other = built(3), built(3)
+    online(kf, zs[:70])
+    other.restore(kf.state())
+    assert_array_equal(other.spread, kf.spread)
+    for ours, theirs in zip(online(kf, zs[70:]), online(other, zs[70:]), strict=True):
+        assert_array_equal(ours, theirs)

@@ -1,0 +1,224 @@
+"""Whatever messages come, in whatever order, at every entry: nothing raises, and the clean devices do not notice."""
+
+import copy
+import datetime
+import decimal
+import json
+import math
+
+import numpy as np
+import pytest
+from test_engines import Store
+from test_state import FILTERS
+
+from robust_filterpy import ARX
+from robust_filterpy.fleet import FilterModel, TrackerModel, filter_table, pack, step, step_table, unpack
+from robust_filterpy.fleet.stream import StreamStep
+
+pd = pytest.importorskip("pandas")
+
+MODELS = {
+    "filter": FilterModel(FILTERS["linear"](), time="t", measurements=["z"]),
+    "grid": FilterModel(FILTERS["linear"](), time="t", measurements=["z"], dt=1.0),
+    "refusing": FilterModel(FILTERS["two-sided"](), time="t", measurements=["z"], dt=1.0, late="refuse"),
+    "tracker": TrackerModel(ARX(2, 1), {"start": 0}, time="t", measurements=["z"], inputs=["u"]),
+}
+CLEAN, DIRTY = ("c0", "c1", "c2"), ("d0", "d1", "d2")
+
+
+def nothing_like_it():
+    """An object that is like nothing else, and has no repr."""
+
+    class Odd:
+        def __repr__(self):
+            raise RuntimeError("no repr")
+
+    return Odd()
+
+
+# The grammar: an entry is one of these, a message a choice of entries, or no mapping at all.
+ATOMS = (
+    lambda rng: None,
+    lambda rng: float(rng.choice([np.nan, np.inf, -np.inf, 1e308, -1e308, 5e-324, -0.0])),
+    lambda rng: float(rng.normal()),
+    lambda rng: int(rng.integers(-5, 50)),
+    lambda rng: 10 ** int(rng.choice([20, 400, 5000])),
+    lambda rng: bool(rng.random() < 0.5),
+    lambda rng: str(rng.choice(["", "a", "nan", "1.0", "1e5", "\x00", "ü", "2026-01-01", "2026-01-01T00:00:00Z"])),
+    lambda rng: bytes(rng.bytes(3)),
+    lambda rng: complex(rng.normal(), 1.0),
+    lambda rng: decimal.Decimal("1.5"),
+    lambda rng: decimal.Decimal("sNaN"),
+    lambda rng: datetime.datetime(2026, 1, 1),
+    lambda rng: datetime.datetime(1, 1, 1, tzinfo=datetime.timezone(datetime.timedelta(hours=23))),
+    lambda rng: datetime.date(2026, 1, 1),
+    lambda rng: datetime.timedelta(seconds=1),
+    lambda rng: np.datetime64("NaT"),
+    lambda rng: np.datetime64("2026-01-01"),
+    lambda rng: np.float32(rng.normal()),
+    lambda rng: np.array(1.0),
+    lambda rng: np.zeros(0),
+    lambda rng: pd.NaT,
+    lambda rng: pd.NA,
+    lambda rng: np.ma.masked,
+    lambda rng: nothing_like_it(),
+    lambda rng: type,
+)
+DEEP = (
+    lambda rng, atom: [atom],
+    lambda rng, atom: [],
+    lambda rng, atom: (atom, atom),
+    lambda rng, atom: {"z": atom},
+    lambda rng, atom: np.array([atom, 1.0], dtype=object),
+)
+
+
+def entry(rng):
+    """Draw an entry."""
+    atom = ATOMS[rng.integers(len(ATOMS))](rng)
+    return DEEP[rng.integers(len(DEEP))](rng, atom) if rng.random() < 0.2 else atom
+
+
+def clean(rng, k):
+    """Draw a sound message."""
+    return {"t": float(k), "z": rng.normal() * (20.0 if rng.random() < 0.1 else 1.0), "u": rng.choice([-1.0, 1.0])}
+
+
+def dirty(rng, k, like):
+    """Draw a message of a device that sends anything."""
+    kind = rng.random()
+    if kind < 0.1:
+        return entry(rng)
+    message = clean(rng, k)
+    if kind < 0.25:
+        # Redelivered, late, or from another time.
+        message["t"] = float(k + rng.choice([-1e9, -3, -1, -0.5, 0.0, 0.5, 3, 1e3, 1e12]))
+        return message
+    for name in list(message):
+        if rng.random() < 0.4:
+            message[name] = entry(rng)
+        elif rng.random() < 0.1:
+            del message[name]
+    return message
+
+
+def recording(rng, rounds):
+    """Draw (device, message) in the order of arrival, and how many of them are dirty."""
+    found = []
+    for k in range(rounds):
+        now = [(name, clean(rng, k)) for name in CLEAN]
+        now += [(name, dirty(rng, k, now[0][1]) if rng.random() < 0.7 else clean(rng, k)) for name in DIRTY]
+        found += [now[i] for i in rng.permutation(len(now))]
+    return found
+
+
+def through_streams(model, messages):
+    """Return the answers of a stream by device, with its states in bytes."""
+    stores, answers, taken = {}, {}, StreamStep(model)
+    for key, message in messages:
+        answers.setdefault(key, []).append(taken(message, stores.setdefault(key, Store())))
+    return answers, {key: store.get("robust_filterpy") for key, store in stores.items()}
+
+
+def table_of(messages):
+    """Return messages as a table of objects; one that is no mapping is a row without anything."""
+    mappings = [(key, message if isinstance(message, dict) else {}) for key, message in messages]
+    columns = {name: np.full(len(mappings), None, dtype=object) for name in ("device", "t", "z", "u")}
+    for row, (key, message) in enumerate(mappings):
+        columns["device"][row] = key
+        for name in ("t", "z", "u"):
+            columns[name][row] = message.get(name)
+    return pd.DataFrame(columns)
+
+
+def columns_of(model, messages, key):
+    """Return the names of the columns, and the clean numbers of a device by one step."""
+    rows = [[message[name] for name in ("t", "z", *(model.inputs or ()))] for own, message in messages if own == key]
+    return step(model, None, np.array(rows))
+
+
+def equal(one, other):
+    np.testing.assert_array_equal(np.asarray(one, dtype=float), np.asarray(other, dtype=float))
+
+
+@pytest.mark.filterwarnings("ignore:time. gaps of a thousand")
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize(
+    "rounds", [pytest.param(40, id="some"), pytest.param(4800, id="ten thousand", marks=pytest.mark.slow)]
+)
+def test_whatever_comes_nothing_raises_and_clean_devices_do_not_notice(name, rounds):
+    model, rng = MODELS[name], np.random.default_rng(29)
+    messages = recording(rng, rounds)
+    expected = {key: columns_of(model, messages, key) for key in CLEAN}
+    answers, stored = through_streams(model, messages)
+    for key, (state, output) in expected.items():
+        for column in model.columns:
+            equal([math.nan if one[column] is None else one[column] for one in answers[key]], output[column])
+        assert all(one["error"] is None and one["dropped"] == 0 for one in answers[key])
+        assert unpack(stored[key]).keys() == state.keys()
+        for entry_name, value in state.items():
+            equal(unpack(stored[key])[entry_name], value)
+    for key in DIRTY:
+        # Each answer says what was wrong, or is a number; states stay sound, whatever came.
+        for one in answers[key]:
+            assert one is None or one["error"] or one[model.columns[0]] is not None
+            json.dumps({column: one[column] for column in (*model.columns, "error", "dropped")} if one else None)
+        if stored[key] is not None:
+            step(model, unpack(stored[key]), np.zeros((0, 3 if model.inputs else 2)))
+    # The same as a table, in one batch and in many, and as batches of single devices.
+    table = table_of(messages)
+    whole_states, whole = step_table(model, None, table)
+    states, parts = None, []
+    for part in np.array_split(np.arange(len(table)), 7):
+        states, found = step_table(model, states, table.iloc[part])
+        parts.append(found)
+    for found in (whole, pd.concat(parts), filter_table(table, model, sort=False)):
+        for key, (_, output) in expected.items():
+            mine = found[found["device"] == key]
+            assert mine["error"].isna().all()
+            for column in model.columns:
+                equal(mine[column], output[column])
+        other = found[found["device"].isin(DIRTY)]
+        assert (other["error"].notna() | other[model.columns[0]].notna()).all()
+    for key in set(whole_states) & set(states):
+        for entry_name, value in whole_states[key].items():
+            if entry_name != "refused":
+                equal(states[key][entry_name], value)
+    for key in DIRTY:
+        rows = [
+            [message.get(n) if isinstance(message, dict) else None for n in ("t", "z", *(model.inputs or ()))]
+            for own, message in messages if own == key
+        ]  # fmt: skip
+        state, output = step(model, None, rows)
+        mine = whole[whole["device"] == key]
+        for column in model.columns:
+            equal(output[column], mine[column])
+
+
+def test_a_message_before_which_the_stream_failed_for_ever_is_one_message():
+    model = MODELS["filter"]
+    store, taken = Store(), StreamStep(model)
+    rng = np.random.default_rng(0)
+    for k, odd in enumerate([10**400, None, [1.0], "a", np.zeros(3), {}, nothing_like_it()]):
+        assert taken({"t": 2.0 * k, "z": odd}, store) is not None
+        assert taken({"t": 2.0 * k + 1.0, "z": rng.normal()}, store)["x0"] is not None
+    for odd in (None, "tombstone", [1, 2], 3.0, b"bytes"):
+        assert "expected a mapping" in taken(odd, store)["error"]
+    assert taken({"t": 100.0, "z": 0.0}, store)["error"] == "refused before this sample: 5, in the batches before"
+
+
+def test_states_that_are_none_cost_their_keys():
+    model, rng = MODELS["grid"], np.random.default_rng(1)
+    state = step(model, None, [[0.0, 1.0]])[0]
+    spoilt = {name: copy.copy(state) for name in "abcdef"}
+    spoilt["b"], spoilt["c"], spoilt["d"] = 3.0, None, "text"
+    spoilt["e"] = {**state, "x": np.array(["a", "b"])}
+    spoilt["f"] = {**state, "P": 3.0}
+    table = pd.DataFrame({"device": list("abcdefg"), "t": 1.0, "z": rng.normal(size=7)})
+    states, found = step_table(model, spoilt, table)
+    assert found["error"].notna().tolist() == [False, True, True, True, True, True, False]
+    equal(found["x0"][[0]], step(model, state, [[1.0, table["z"][0]]])[1]["x0"])
+    for name in "bcdef":
+        assert states[name] is spoilt[name]
+    store = Store(robust_filterpy=pack(state)[:-1] + b"0")
+    assert "damaged" in StreamStep(model)({"t": 1.0, "z": 1.0}, store)["error"]

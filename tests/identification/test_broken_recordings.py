@@ -1,0 +1,178 @@
+"""Recordings that break an assumption of identify: a right model, or a sentence that says what is wrong."""
+
+import warnings
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from robust_filterpy.identification import ARMAX, ARX, BoxJenkins, OutputError, ParameterTracker, identify, validate
+
+A, B = np.array([1.0, -1.5, 0.7]), np.array([0.0, 1.0, 0.5])
+
+
+def recording(seed, length=1000, share=0.1):
+    rng = np.random.default_rng([27, seed])
+    u = rng.choice([-1.0, 1.0], length)
+    wild = np.where(rng.random(length) < share, 10.0, 1.0)
+    return rng, lfilter(B, A, u) + 0.3 * wild * rng.normal(size=length), u
+
+
+# Fill values.
+
+
+@pytest.mark.parametrize("structure", [OutputError(2, 2), ARX(2, 2), ARMAX(2, 2, 2), BoxJenkins(2, 1, 1, 2)], ids=str)
+def test_fill_values_are_gaps_in_any_structure(structure):
+    rng, y, u = recording(1, 600)
+    places = rng.random(y.size) < 0.1
+    gaps = identify(np.where(places, np.nan, y), u, structure)
+    for fill in (9999.0, 9.97e36):
+        with pytest.warns(UserWarning, match=f"y has {fill:.6g}".replace("+", r"\+")):
+            model = identify(np.where(places, fill, y), u, structure)
+        np.testing.assert_array_equal(model.theta, gaps.theta)
+        assert [finding.kind for finding in model.findings] == ["fill value"]
+        assert f"{fill:.6g}" in repr(model)
+        assert f"{fill:.6g}" in model.summary().to_text()
+
+
+def test_a_tracker_takes_fill_values_for_gaps():
+    rng, y, u = recording(2)
+    places = rng.random(y.size) < 0.1
+    one, other = ParameterTracker(OutputError(2, 2)), ParameterTracker(OutputError(2, 2))
+    one.run(np.where(places, np.nan, y), u)
+    with pytest.warns(UserWarning, match=r"y has 1e\+08"):
+        other.run(np.where(places, 1e8, y), u)
+    np.testing.assert_array_equal(one.theta, other.theta)
+
+
+def test_wild_values_of_any_size_that_do_not_repeat_are_outliers():
+    for seed in range(3):
+        rng, y, u = recording(seed)
+        wild = np.where(rng.random(y.size) < 0.1, 1e7 * rng.normal(size=y.size), y)
+        model = identify(wild, u, OutputError(2, 2))
+        assert model.noise.influence.scale_ratio > 1e5
+        assert np.linalg.norm(lfilter(B, A, u) - model.simulate(u) + model.level) < 0.03 * np.linalg.norm(y)
+
+
+# A constant in u.
+
+
+@pytest.mark.parametrize("structure", [OutputError(2, 2), ARX(2, 2)], ids=str)
+@pytest.mark.parametrize("constant", [1e4, -1e8])
+def test_a_constant_in_u_changes_nothing(structure, constant):
+    _, y, u = recording(3)
+    one, other = identify(y, u, structure), identify(y, u + constant, structure)
+    np.testing.assert_allclose(other.theta, one.theta, atol=1e-3 * one.std.min())
+    np.testing.assert_allclose(other.std, one.std, rtol=1e-3)
+    np.testing.assert_allclose(other.simulate(u + constant)[200:], one.simulate(u)[200:], atol=1e-2)
+    assert other.fit(y, u + constant) == pytest.approx(one.fit(y, u), abs=1e-3)
+    assert validate(other, y, u + constant).verdict == validate(one, y, u).verdict
+
+
+def test_the_offset_is_that_of_the_input_as_measured():
+    _, y, u = recording(4)
+    for structure in (OutputError(2, 2), ARX(2, 2)):
+        model = identify(y, u + 100.0, structure)
+        error = model._equation_error(*model._prepared(y, u + 100.0))
+        assert abs(np.median(error)) < 0.1
+        tracker, expected = ParameterTracker(model), ParameterTracker(identify(y, u, structure))
+        assert tracker.predict() == pytest.approx(expected.predict(), abs=1e-2)
+
+
+def test_an_ordinary_recording_has_no_findings():
+    _, y, u = recording(5)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        model = identify(y, u, OutputError(2, 2))
+    assert model.findings == ()
+    assert "Found" not in model.summary().to_text()
+
+
+# Steps and ramps of the level.
+
+
+def free_error(model, y, u):
+    """Error of the dynamics in percent of the output that they make."""
+    clean = lfilter(B, A, u)
+    return 100.0 * np.linalg.norm(model.simulate(u) - model.level - clean) / np.linalg.norm(clean)
+
+
+@pytest.mark.parametrize("size", [2.0, -4.0])
+def test_a_step_of_the_level_is_found_with_time_and_size(size):
+    _, y, u = recording(6)
+    size *= np.std(y)
+    broken = y + size * (np.arange(y.size) >= 400)
+    with pytest.warns(UserWarning, match="the level of y steps by .* at sample 400"):
+        model = identify(broken, u, OutputError(2, 2))
+    (found,) = model.findings
+    assert (found.kind, found.place) == ("step", (400, 1000))
+    assert model.trend[399] - model.trend[400] == pytest.approx(-size, rel=0.02)
+    assert model.trend[-1] == 0.0
+    assert free_error(model, y, u) < free_error(identify(y, u, OutputError(2, 2)), y, u) + 0.5
+    assert model.level == pytest.approx(size, abs=0.1)
+
+
+def test_a_ramp_and_a_line_are_taken_off():
+    _, y, u = recording(7)
+    broken = y + 3.0 * np.std(y) * np.arange(y.size) / y.size
+    with pytest.warns(UserWarning, match="changes by .* a sample"):
+        model = identify(broken, u, OutputError(2, 2))
+    assert [finding.kind for finding in model.findings] == ["ramp"]
+    asked = identify(broken, u, OutputError(2, 2), trend="line")
+    for each in (model, asked):
+        assert free_error(each, y, u) < 2.0
+        assert each.trend[0] == pytest.approx(-3.0 * np.std(y), rel=0.05)
+    assert asked.findings == ()
+
+
+def test_what_knows_the_recording_takes_its_trend_off_and_puts_it_back():
+    _, y, u = recording(8)
+    broken = y + 8.0 * (np.arange(y.size) >= 300)
+    with pytest.warns(UserWarning, match="steps"):
+        model = identify(broken, u, OutputError(2, 2))
+    assert validate(model, broken, u).verdict == "nothing is left in the residuals"
+    for output in (model.predict(broken, u), model.free_run(broken, u)):
+        assert abs(np.nanmedian((broken - output)[50:300])) < 0.1
+        assert abs(np.nanmedian((broken - output)[300:])) < 0.1
+    # Another recording has the level at the end, and no step.
+    assert abs(np.nanmedian(model.residuals(y + 8.0, u))) < 0.1
+
+
+def test_the_trend_is_as_asked_for():
+    _, y, u = recording(9)
+    broken = y + 8.0 * (np.arange(y.size) >= 300)
+    with pytest.warns(UserWarning, match="follow u"):
+        constant = identify(broken, u, OutputError(2, 2), trend="constant")
+    # Nothing is taken off, and what that leaves is said.
+    assert constant.trend.size == 0 and not any("taken off" in found.text for found in constant.findings)
+    assert constant.findings
+    none = identify(y, u, OutputError(2, 2), trend="none")
+    np.testing.assert_array_equal(none.theta, identify(y, u, OutputError(2, 2), offset=False).theta)
+    with pytest.raises(ValueError, match="trend: expected one of"):
+        identify(y, u, OutputError(2, 2), trend="quadratic")
+    with pytest.raises(ValueError, match='expected "none" with offset=False'):
+        identify(y, u, OutputError(2, 2), trend="line", offset=False)
+
+
+# Another plant in a part.
+
+
+@pytest.mark.parametrize("gain", [-1.0, 0.5, 2.0])
+def test_a_plant_that_changes_in_mid_recording_is_said(gain):
+    for seed in range(3):
+        rng, y, u = recording(10 + seed)
+        at = int(rng.integers(300, 700))
+        changed = y + (gain - 1.0) * lfilter(B, A, u) * (np.arange(y.size) >= at)
+        with pytest.warns(UserWarning, match="follow u: the plant is another one there"):
+            model = identify(changed, u, OutputError(2, 2))
+        assert model.findings[-1].kind == "another plant"
+
+
+def test_outliers_of_the_input_are_said_and_large_inputs_are_not():
+    for seed in range(3):
+        rng, y, u = recording(20 + seed, share=0.0)
+        read = np.where(rng.random(u.size) < 0.03, 10.0 * rng.normal(size=u.size), u)
+        with pytest.warns(UserWarning, match="u has .* values far outside the others"):
+            identify(y, read, OutputError(2, 2))
+        acted = lfilter(B, A, read) + 0.3 * rng.normal(size=u.size)
+        assert identify(acted, read, OutputError(2, 2)).findings == ()

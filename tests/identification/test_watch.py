@@ -1,0 +1,152 @@
+"""A tracker that has lost its plant says so, and starts anew; one that has not stays silent."""
+
+import warnings
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from robust_filterpy.identification import OutputError, ParameterTracker
+from robust_filterpy.identification.models.dependence import dependence
+from robust_filterpy.identification.recursive.watch import LostTrackerWarning
+
+A, B = np.array([1.0, -1.5, 0.7]), np.array([0.0, 1.0, 0.5])
+THETA = np.array([-1.5, 0.7, 1.0, 0.5])
+
+
+def plant(seed, length=400, hold=1, gain=1.0, b=B, a=A, size=1.0):
+    rng = np.random.default_rng([27, seed])
+    u = rng.choice([-1.0, 1.0], length).repeat(hold)[:length]
+    wild = np.where(rng.random(length) < 0.1, 10.0, 1.0)
+    model, true = lfilter(B, A, u), gain * lfilter(b, a, u)
+    return true + 0.3 * size * wild * rng.normal(size=length) - model, model, u
+
+
+def window(residual, model, u):
+    return residual[-120:], np.column_stack((model, u))[-120:]
+
+
+@pytest.mark.parametrize("change", [{"gain": 1.3}, {"gain": 2.0}, {"gain": -1.0}, {"a": np.poly([0.8, 0.6])}], ids=str)
+def test_the_residuals_of_another_plant_follow_the_inputs(change):
+    for seed in range(20):
+        assert dependence(*window(*plant(seed, hold=1 + 7 * (seed % 2), **change))).found
+
+
+def test_the_residuals_of_a_right_model_do_not():
+    for seed in range(100):
+        quiet = plant(seed, hold=1 + 19 * (seed % 2), size=3.0 if seed % 3 else 1.0)
+        assert not dependence(*window(*quiet)).found
+
+
+def test_coloured_noise_and_a_slow_input_look_alike_only_by_chance():
+    found = []
+    for seed in range(100):
+        rng = np.random.default_rng([29, seed])
+        u = rng.choice([-1.0, 1.0], 20).repeat(20)
+        residual = lfilter([1.0], [1.0, -0.8], rng.normal(size=400))
+        found.append(dependence(*window(residual, lfilter(B, A, u), u), whitening=(-0.8,)).found)
+    assert not any(found)
+
+
+def test_windows_are_judged_each_for_itself():
+    windows = [window(*plant(seed, gain=1.0 + seed % 2)) for seed in range(6)]
+    windows[3][0][::7] = np.nan
+    together = dependence(*(np.stack(part) for part in zip(*windows, strict=True)))
+    alone = [dependence(*each) for each in windows]
+    np.testing.assert_allclose(together.share, [one.share for one in alone])
+    np.testing.assert_array_equal(together.found, [False, True] * 3)
+
+
+def test_nothing_known_shows_nothing():
+    residual, signals = window(*plant(1))
+    assert not dependence(np.full_like(residual, np.nan), signals).found
+    assert not dependence(np.zeros_like(residual), signals).found
+    assert not dependence(residual, np.ones_like(signals)).found
+
+
+def broken(seed=1, length=1600, at=900):
+    rng = np.random.default_rng([28, seed])
+    u = rng.choice([-1.0, 1.0], length)
+    wild = np.where(rng.random(length) < 0.1, 10.0, 1.0)
+    y = lfilter(B, A, u) * np.where(np.arange(length) < at, 1.0, 2.0)
+    return y + 0.3 * wild * rng.normal(size=length), u
+
+
+def test_a_tracker_that_has_lost_its_plant_says_so_in_time_and_starts_anew():
+    y, u = broken()
+    tracker = ParameterTracker(OutputError(2, 2), Q=0.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        tracker.run(y[:900], u[:900])
+    with pytest.warns(LostTrackerWarning, match="the plant is no longer the model's.*starts anew, and theta may jump"):
+        tracker.run(y[900:1100], u[900:1100])
+    tracker.run(y[1100:], u[1100:])
+    np.testing.assert_allclose(tracker.theta, THETA * [1.0, 1.0, 2.0, 2.0], atol=0.15)
+
+
+def test_sample_by_sample_is_the_recording():
+    y, u = broken(2)
+    one, other = ParameterTracker(OutputError(2, 2)), ParameterTracker(OutputError(2, 2))
+    with pytest.warns(LostTrackerWarning):
+        one.run(y, u)
+    with pytest.warns(LostTrackerWarning):
+        for output, value in zip(y, u, strict=True):
+            other.update(output, value)
+    np.testing.assert_allclose(one.theta, other.theta, rtol=1e-6)
+
+
+@pytest.mark.parametrize("cut", [890, 933])
+@pytest.mark.parametrize("start", [0, 400])
+def test_an_interrupted_tracker_finds_its_loss_at_the_same_sample_bit_for_bit(cut, start):
+    y, u = broken()
+    tracker = ParameterTracker(OutputError(2, 2), Q=0.0)
+    other = ParameterTracker(OutputError(2, 2), Q=0.0, start=start, offset=True, regressor="cleaned")
+    tracker.run(y[:cut], u[:cut])
+    other.restore(tracker.state())
+    with pytest.warns(LostTrackerWarning):
+        expected = tracker.run(y[cut:], u[cut:])
+    with pytest.warns(LostTrackerWarning):
+        found = other.run(y[cut:], u[cut:])
+    for one, two in zip(expected, found, strict=True):
+        np.testing.assert_array_equal(one, two)
+    assert_same(tracker.state(), other.state())
+
+
+def test_what_was_watched_belongs_to_the_state_and_not_to_the_object():
+    y, u = broken()
+    tracker, fresh = (ParameterTracker(OutputError(2, 2)) for _ in range(2))
+    with pytest.warns(LostTrackerWarning):
+        tracker.run(y, u)
+    tracker.reset()
+    assert_same(tracker.state(), fresh.state())
+    assert not tracker.state()["followed"].size
+    without = {name: value for name, value in tracker.state().items() if name not in ("watch", "followed")}
+    tracker.run(y[:600], u[:600])
+    tracker.restore(without)
+    assert_same(tracker.state(), fresh.state())
+
+
+@pytest.mark.parametrize("place, value", [(0, 0.5), (1, 0.0), (2, -1.0), (2, 1.5), (3, -1.0), (4, np.nan)])
+def test_a_watch_that_cannot_be_is_refused_and_changes_nothing(place, value):
+    tracker = ParameterTracker(OutputError(2, 2))
+    before = tracker.state()
+    damaged = before["watch"].copy()
+    damaged[place] = value
+    changes = ({"watch": damaged}, {"watch": np.array(1.0)}, {"followed": np.zeros((3, 2))})
+    for change in changes:
+        with pytest.raises(ValueError, match=r"watch|followed"):
+            tracker.restore({**before, **change})
+    assert_same(tracker.state(), before)
+
+
+def assert_same(one, other):
+    assert one.keys() == other.keys()
+    for name, value in one.items():
+        np.testing.assert_array_equal(value, other[name], err_msg=name)
+
+
+def test_a_model_that_the_user_gave_is_not_replaced():
+    y, u = broken(3)
+    tracker = ParameterTracker(OutputError(2, 2), theta=THETA, P=1e-6, R=0.09)
+    tracker.run(y, u)
+    assert tracker._start is None

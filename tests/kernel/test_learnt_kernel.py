@@ -1,0 +1,88 @@
+"""The kernel under learnt noise is the definition, step by step, or declines and leaves everything as it was."""
+
+import numpy as np
+import pytest
+from support import random_problem, simulate, with_
+
+from robust_filterpy import kernel
+from robust_filterpy.correction import copies as side_by_side
+from robust_filterpy.correction.copies import Scales
+from robust_filterpy.correction.learning import NoiseClasses
+from robust_filterpy.correction.learnt import correct
+from robust_filterpy.kernel.learnt import Kept, begin, run
+
+pytestmark = pytest.mark.skipif(not hasattr(kernel.extension(), "learnt_steps"), reason="the kernel is not built")
+OPTIONS = [
+    (NoiseClasses(), Scales()),
+    (NoiseClasses(), Scales(jump=0.0)),
+    (NoiseClasses(scales=(1.0,)), Scales((1.0,), jump=0.0)),
+    (NoiseClasses(scales=(1.0, 100.0), probabilities=(0.9, 0.1)), Scales((1.0, 9.0), dwell=5.0, jump=1e-4)),
+]
+
+
+def recording(seed, dims, steps=60, diagonal=False):
+    problem = random_problem(seed, *dims)
+    if diagonal:
+        problem = with_(problem, R=np.diag(problem.R.diagonal()))
+    zs = simulate(problem, steps, seed, contamination=0.2, size=40.0)[0]
+    zs[steps // 2 :] += 200.0
+    zs[np.random.default_rng(seed).random(zs.shape) < 0.1] = np.nan
+    zs[5] = np.nan
+    return problem, zs
+
+
+def alive(copies):
+    """The copies, without what a candidate was that is none."""
+    seen = copies.probabilities > 0.0
+    return copies.x[seen], copies.P[seen], copies.probabilities, copies.unseen
+
+
+@pytest.mark.parametrize("noise, process", OPTIONS)
+@pytest.mark.parametrize("seed, dims", enumerate([(1, 1), (2, 1), (4, 1), (4, 2), (3, 3), (5, 2), (1, 4), (2, 4)]))
+def test_every_step_is_the_definitions(noise, process, seed, dims):
+    problem, zs = recording(seed, dims, diagonal=seed % 2 == 0)
+    F, Q, H, R, m = problem.F, problem.Q, problem.H, problem.R, dims[1]
+    copies, memory = side_by_side.start(problem.x[:, 0], problem.P, process), noise.start(m)
+    state = begin(copies, memory)
+    kept = Kept(weights=np.empty((len(zs), m)), outlying=np.empty((len(zs), 1)), log_likelihood=np.zeros(1))
+    total = 0.0
+    for k, z in enumerate(zs):
+        copies = side_by_side.predict(copies, F, Q, process)
+        found = correct(copies, memory, z, H, R, noise, process)
+        copies, memory, total = found.copies, found.memory, total + found.log_density
+        assert run(state, zs, (F[None], Q[None], H[None], R[None], None), noise, process, kept, first=k, last=k + 1)
+        ours = side_by_side.Copies(*state[:3], float(state.unseen[0]))
+        pairs = [
+            *zip(alive(copies), alive(ours), strict=True), (memory, state.learnt), (total, kept.log_likelihood[0]),
+            (found.weights, kept.weights[k]), *zip(side_by_side.merged(copies, process), state[4:6], strict=True),
+            (1.0 - np.prod(1.0 - found.outlier_probabilities), kept.outlying[k, 0]),
+        ]  # fmt: skip
+        for theirs, mine in pairs:
+            np.testing.assert_allclose(mine, theirs, rtol=1e-6, atol=1e-8)
+
+
+def test_what_is_out_of_the_ordinary_is_declined_with_nothing_changed():
+    problem, zs = recording(3, (3, 2))
+    zs, noise, process = np.nan_to_num(zs, nan=1.0), NoiseClasses(), Scales()
+    for spoilt in (
+        {"zs": np.full_like(zs, 1e200)}, {"R": np.zeros((2, 2)), "H": np.ones((2, 3))}, {"P": 1e20 * np.eye(3)},
+        {"F": np.full((3, 3), np.nan)}, {"zs": np.full_like(zs, np.inf)},
+    ):  # fmt: skip
+        copies = side_by_side.start(problem.x[:, 0], spoilt.get("P", problem.P), process)
+        state = begin(copies, noise.start(2))
+        before = [a.copy() for a in state]
+        model = tuple(spoilt.get(name, getattr(problem, name))[None] for name in "FQHR")
+        assert run(state, spoilt.get("zs", zs), (*model, None), noise, process, Kept()) == 0
+        for was, now in zip(before, state, strict=True):
+            np.testing.assert_array_equal(was, now)
+
+
+def test_arrays_that_do_not_fit_are_refused():
+    problem, zs = recording(3, (3, 2))
+    noise, process = NoiseClasses(), Scales()
+    state = begin(side_by_side.start(problem.x[:, 0], problem.P, process), noise.start(2))
+    model = (problem.F[None], problem.Q[None], problem.H[None], problem.R[None], None)
+    for wrong in (state._replace(learnt=noise.start(1)), state._replace(means=state.means[:-1]),
+                  state._replace(P=state.P[:, ::-1])):  # fmt: skip
+        with pytest.raises(ValueError, match="matching shapes"):
+            run(wrong, zs, model, noise, process, Kept())

@@ -1,0 +1,185 @@
+"""A filter's step by the kernel is the definition's, and what the kernel declines it leaves alone."""
+
+import threading
+
+import numpy as np
+import pytest
+import support
+
+from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy.filters import _step
+
+support.needs_kernel()
+
+INFLUENCES = (Huber(), Linear(), Hampel(), TukeyBiweight(), StudentT())
+EXTENSION = _step._extension
+SHOWN = (
+    *support.STATE, "z", "y", "S", "SI", "K", "T", "e", "weights", "clipped", "y_bounded", "spread", "log_likelihood",
+    "mahalanobis",
+)  # fmt: skip
+
+
+def numbers(kf, name):
+    return np.nan_to_num(np.asarray(getattr(kf, name), dtype=float), nan=-7.0)
+
+
+def assert_same(one, two, rtol):
+    for name in SHOWN:
+        a, b = numbers(one, name), numbers(two, name)
+        assert a.shape == b.shape, name
+        assert np.abs(a - b).max() <= rtol * (1.0 + np.abs(b).max()), f"{name}: {a} instead of {b}"
+
+
+def before_and_after(kf, call):
+    """What a call that the kernel declines has changed."""
+    before = {name: getattr(kf, name) for name in ("x", "P", "x_prior", "P_prior", "x_post", "P_post", "z", "_last")}
+    contents = {name: np.copy(value) for name, value in before.items() if isinstance(value, np.ndarray)}
+    outcome = call()
+    same = all(getattr(kf, name) is value for name, value in before.items())
+    same = same and all(before[name].tobytes() == value.tobytes() for name, value in contents.items())
+    return outcome, same
+
+
+@pytest.mark.parametrize("information", ["realized", "expected", "weight"])
+@pytest.mark.parametrize("scaling", ["learnt", "innovation", "bounded", "unit"])
+@pytest.mark.parametrize("influence", INFLUENCES, ids=lambda f: type(f).__name__)
+def test_a_step_is_the_definition(monkeypatch, influence, scaling, information):
+    taken = 0
+    for seed, (n, m) in enumerate(((1, 1), (2, 1), (4, 2), (3, 4), (7, 3))):
+        problem = support.mild(n, m, seed) if scaling == "unit" else support.random_problem(seed, n, m)
+        options = {"influence": influence, "scaling": scaling, "information": information}
+        one, two = (support.make(RobustKalmanFilter, problem, 1 + seed % 2, **options) for _ in range(2))
+        zs, _ = support.simulate(problem, 25, seed, 0.15, 20.0)
+        zs[np.random.default_rng(seed).random(zs.shape) < 0.1] = np.nan
+        for z in zs:
+            monkeypatch.setattr(_step, "_extension", EXTENSION)
+            one.predict()
+            one.update(z)
+            taken += type(one._last) is np.ndarray
+            monkeypatch.setattr(_step, "_extension", None)
+            two.predict()
+            two.update(z)
+            # After a jump that was believed P is a million times what is left of it.
+            assert_same(one, two, 1e-8 if scaling == "learnt" else 1e-10)
+    assert taken > 60
+
+
+def spoilt():
+    """Ways to spoil one attribute: the name, and what it becomes."""
+
+    class Sub(np.ndarray):
+        pass
+
+    return {
+        "integers": lambda a: np.round(a).astype(int),
+        "single precision": lambda a: a.astype(np.float32),
+        "other byte order": lambda a: a.astype(">f8"),
+        "strides": lambda a: np.repeat(a, 2, axis=0)[::2],
+        "a subclass": lambda a: a.view(Sub),
+        "a list": lambda a: a.tolist(),
+        "one axis more": lambda a: a[None],
+        "one row less": lambda a: a[:-1],
+        "None": lambda a: None,
+        "an object": lambda a: object(),
+        "NaN": lambda a: np.full_like(a, np.nan),
+        "infinity": lambda a: np.full_like(a, np.inf),
+        "objects": lambda a: a.astype(object),
+        "empty": lambda a: np.empty((0, 0)),
+    }
+
+
+@pytest.mark.parametrize("how", spoilt())
+@pytest.mark.parametrize("name", ["x", "P", "F", "Q", "H", "R", "_memory"])
+def test_what_is_out_of_the_ordinary_is_declined_and_nothing_changes(name, how):
+    kf = support.make(RobustKalmanFilter, support.random_problem(1, 3, 2), scaling="learnt")
+    kf.predict()
+    kf.update([1.0, 2.0])
+    setattr(kf, name, spoilt()[how](getattr(kf, name)))
+    for call in (lambda: EXTENSION.predict(kf, None), lambda: EXTENSION.correct(kf, [1.0, 2.0], None, None, None)):
+        outcome, same = before_and_after(kf, call)
+        assert outcome is True or same
+    # One of the two reads each of them.
+    assert not (EXTENSION.predict(kf, None) and EXTENSION.correct(kf, [1.0, 2.0], None, None, None))
+
+
+MEASUREMENTS = (
+    None, "x", [1.0], [1.0, None], [1.0, "2"], [np.inf, 1.0], [np.nan, np.nan], np.ones(3), np.ones((2, 2)), object(),
+    10**400, [10**400, 1.0], [1e200, 1.0], np.ones(2, dtype=np.float32), np.ma.masked_array([1.0, 2.0]),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("z", MEASUREMENTS, ids=range(len(MEASUREMENTS)))
+def test_a_measurement_out_of_the_ordinary_is_declined(z):
+    kf = support.make(RobustKalmanFilter, support.random_problem(1, 3, 2))
+    kf.update([1.0, 2.0])
+    assert before_and_after(kf, lambda: EXTENSION.correct(kf, z, None, None, None)) == (False, True)
+
+
+def test_an_attribute_that_frees_arrays_while_it_is_read_does_no_harm():
+    class Hostile(RobustKalmanFilter):
+        armed = False
+
+        @property
+        def Q(self):
+            if self.armed:
+                self.x.resize(100000, refcheck=False)
+                self.P = np.zeros((1, 1))
+            return np.eye(3)
+
+        @Q.setter
+        def Q(self, value):
+            pass
+
+    kf = Hostile(3, 2)
+    kf.armed = True
+    assert EXTENSION.predict(kf, None) is False
+
+
+def test_what_an_attribute_raises_is_passed_on():
+    class Broken(RobustKalmanFilter):
+        @property
+        def F(self):
+            raise KeyError("not today")
+
+        @F.setter
+        def F(self, value):
+            pass
+
+    kf = Broken(2, 1)
+    with pytest.raises(KeyError, match="not today"):
+        EXTENSION.predict(kf, None)
+
+
+def test_wrong_calls_are_errors():
+    kf = RobustKalmanFilter(2, 1)
+    for call in (lambda: EXTENSION.predict(kf), lambda: EXTENSION.correct(kf, 1.0), lambda: EXTENSION.filter_series()):
+        with pytest.raises(TypeError):
+            call()
+    with pytest.raises(AttributeError):
+        EXTENSION.predict(object(), None)
+
+
+def test_threads_on_one_filter_leave_a_state_that_is_one():
+    kf = support.make(RobustKalmanFilter, support.random_problem(2, 4, 2))
+
+    def work():
+        for _ in range(300):
+            kf.predict()
+            kf.update([1.0, -1.0])
+
+    threads = [threading.Thread(target=work) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    support.assert_positive_definite(kf.P)
+    assert np.isfinite(kf.x).all()
+
+
+def test_a_diffuse_start_that_cancels_is_for_the_definition():
+    """P0/R of 1e16: what is left of P after the step is rounding."""
+    kf = RobustKalmanFilter(2, 2)
+    kf.H = np.array([[1.0, 0.0], [1.0, 1e-9]])
+    kf.P, kf.R = 1e16 * np.eye(2), np.eye(2)
+    kf.scaling = "innovation"
+    assert EXTENSION.correct(kf, [1.0, 2.0], None, None, None) is False

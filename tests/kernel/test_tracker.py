@@ -1,0 +1,265 @@
+"""The kernel of ParameterTracker.run gives the numbers of `update` and hands back what is not ordinary."""
+
+import itertools
+
+import numpy as np
+import pytest
+import support
+
+from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight, kernel
+from robust_filterpy.correction import NotPositiveDefiniteError
+from robust_filterpy.correction.options import INFORMATIONS, SCALINGS
+from robust_filterpy.identification import (
+    ARMAX,
+    ARX,
+    FIR,
+    BoxJenkins,
+    LinearRegression,
+    OutputError,
+    ParameterTracker,
+    Structure,
+)
+from robust_filterpy.identification.models.guard import GUARDS
+from robust_filterpy.identification.recursive import track
+from robust_filterpy.identification.recursive.recursion import GRADIENTS
+from robust_filterpy.noise import EpsilonContaminated
+from robust_filterpy.plants import simulate_output_error
+
+pytestmark = pytest.mark.skipif(not kernel.available(), reason="the kernel was not built")
+
+STRUCTURES = [
+    ARX(2, 2), OutputError(2, 2), ARMAX(2, 2, 2), FIR(6), FIR(2, nk=0), ARX(1, 2, nk=3), ARMAX(0, 1, 1),
+    OutputError(1, 1), ARX(2, 0), BoxJenkins(2, 1, 2, 2), Structure(2, 1, 1, 1, 1),
+]  # fmt: skip
+PLANT = [-1.5, 0.7, 1.0, 0.5]
+
+
+@pytest.fixture(autouse=True)
+def handed_back(monkeypatch):
+    """Keep an account of the samples that the kernel leaves to the definition, but for the last of a run."""
+    samples = []
+    stepwise, by_kernel = ParameterTracker._run_stepwise, ParameterTracker._run_kernel
+
+    def counted(self, y, u, R, out, start, stop):
+        samples.extend(range(start, min(stop, len(y) - 1)))
+        stepwise(self, y, u, R, out, start, stop)
+
+    def run(*args):
+        by_kernel(*args)
+        samples.append("done")
+
+    monkeypatch.setattr(ParameterTracker, "_run_stepwise", counted)
+    monkeypatch.setattr(ParameterTracker, "_run_kernel", run)
+    return samples
+
+
+def recording(length=300, seed=1):
+    """A contaminated recording of the plant with a gap, in full swing."""
+    rng = np.random.default_rng(seed)
+    u = rng.choice([-1.0, 1.0], length)
+    y = simulate_output_error(PLANT, u, noise=EpsilonContaminated(0.1, 0.5, 5.0), rng=rng, na=2, nb=2).y
+    y[[20, 21, 22, 60]] = np.nan
+    return y, u
+
+
+def pair(structure, **options):
+    """Two trackers, the same."""
+    return (support.told_tracker(structure, **{"R": 0.25, "P": 1.0} | options) for _ in range(2))
+
+
+def assert_same_run(one, other, y, u, R=None, rtol=1e-10):
+    """Hold a run and the same by `update` together, in every column and in what is left behind."""
+    result = one.run(y, u, R)
+    u = np.zeros((len(y), 0)) if u is None else u
+    for k in range(len(y)):
+        sample = other.update(y[k], u[k], None if R is None else R[k])
+        scale = max(1.0, np.abs(other.theta).max())
+        np.testing.assert_allclose(result.theta[k], other.theta, rtol=rtol, atol=rtol * scale, err_msg=f"sample {k}")
+        np.testing.assert_allclose(result.std[k], other.std, rtol=rtol, atol=0, err_msg=f"sample {k}")
+        found = [column[k] for column in (result.prediction, result.residual, result.weights)]
+        scale = max(1.0, abs(sample.prediction))
+        np.testing.assert_allclose(found, sample[:3], rtol=rtol, atol=10 * rtol * scale, err_msg=f"sample {k}")
+        assert result.guard[k] == sample.guard
+    for name, value in other.state().items():
+        size = np.abs(value).max(initial=1.0)
+        np.testing.assert_allclose(one.state()[name], value, rtol=rtol, atol=10 * rtol * size, err_msg=name)
+    np.testing.assert_allclose(one.filter.y, other.filter.y, rtol=rtol, atol=10 * rtol)
+    return result
+
+
+CASES = [
+    (structure, gradient, guard)
+    for structure, gradient, guard in itertools.product(STRUCTURES, GRADIENTS, GUARDS)
+    # No difference for the others.
+    if structure.stable_parts or (gradient, guard) == ("filtered", "halve")
+]
+
+
+@pytest.mark.parametrize("options", [{}, {"Q": 1e-4}, {"forgetting": 0.97}, {"influence": Hampel()}], ids=str)
+@pytest.mark.parametrize(("structure", "gradient", "guard"), CASES, ids=str)
+def test_the_kernel_gives_the_numbers_of_update(structure, gradient, guard, options, handed_back):
+    y, u = recording()
+    # What feeds on itself magnifies rounding at first; without a guard for as long as it is unstable.
+    one, other = pair(structure, gradient=gradient, guard=guard, **options)
+    assert_same_run(one, other, y, u if structure.n_inputs else None, rtol=1e-8 if guard == "none" else 1e-9)
+    # A model that has run away has samples that tell very much.
+    assert handed_back == ["done"] or guard == "none"
+
+
+@pytest.mark.parametrize("influence", [Linear(), Huber(), Hampel(), TukeyBiweight(), StudentT()], ids=repr)
+@pytest.mark.parametrize(("scaling", "information"), list(itertools.product(SCALINGS, INFORMATIONS)))
+def test_every_choice_of_the_filter(scaling, information, influence, handed_back):
+    y, u = recording()
+    # Small enough for "unit" to be legal.
+    one, other = pair(ARX(2, 2), P=1e-4, influence=influence, scaling=scaling, information=information)
+    assert_same_run(one, other, y / 50, u / 50)
+    assert handed_back == ["done"] or scaling == "learnt"
+
+
+def test_drift_with_a_transition_matrix_of_its_own(handed_back):
+    y, u = recording()
+    F = np.array([[0.99, 0.01, 0, 0], [0, 0.98, 0, 0], [0, 0, 1, 0], [0.01, 0, 0, 0.97]])
+    for guard in ("none", "halve"):
+        assert_same_run(*pair(OutputError(2, 2), F=F, Q=1e-4, guard=guard), y, u)
+    assert_same_run(*pair(OutputError(2, 2), F=F, forgetting=0.98), y, u)
+    assert handed_back == ["done"] * 3
+
+
+def test_several_inputs_and_a_regressor_of_the_callers(handed_back):
+    y, u = recording()
+    both = np.c_[u, np.roll(u, 5)]
+    assert_same_run(*pair(ARX(2, (2, 1), nk=(1, 0))), y, both)
+    assert_same_run(*pair(OutputError(1, (1, 2), nk=(0, 2))), y, both)
+    assert_same_run(*pair(LinearRegression(2)), y, both)
+    assert handed_back == ["done"] * 3
+
+
+def test_a_variance_for_each_sample(handed_back):
+    y, u = recording()
+    R = np.where(np.arange(len(y)) % 7 == 0, 25.0, 0.25)
+    for structure in STRUCTURES[:3]:
+        result = assert_same_run(*pair(structure), y, u, R)
+        assert np.abs(result.theta - next(pair(structure)).run(y, u).theta).max() > 1e-3
+    assert handed_back == ["done"] * 6
+
+
+def test_growth_under_forgetting_stops(handed_back):
+    y, u = recording()
+    u[50:] = 0.0
+    y[50:] = 0.0
+    one, other = pair(ARX(1, 1), forgetting=0.8)
+    result = assert_same_run(one, other, y, u)
+    # The trace may pass 1e8 times its first value once.
+    assert 1e8 < np.sum(result.std[-1] ** 2) / 2.0 <= 1e8 / 0.8
+
+
+def test_sharp_samples_go_to_the_definition(handed_back):
+    y, u = recording()
+    y[[40, 90, 200]] = 1e9, 1e11, 1e90
+    for structure in (ARX(2, 2), ARX(1, 2, nk=3)):
+        handed_back.clear()
+        # A spike costs P as many digits as it is large, in either way of counting.
+        assert_same_run(*pair(structure), y, u, rtol=1e-3)
+        assert {41, 91, 201} <= set(handed_back) and len(handed_back) < 30
+    for structure in (OutputError(2, 2), FIR(6)):
+        handed_back.clear()
+        assert_same_run(*pair(structure), y, u, rtol=1e-9)
+        assert handed_back == ["done"]
+
+
+def test_a_recording_of_sharp_samples_is_left_to_the_definition_in_long_pieces(handed_back):
+    y, u = recording(3000)
+    one, other = pair(FIR(3), R=1e-9, Q=1.0)
+    result = one.run(y, u)
+    expected = [(other.update(a, b), other.theta)[1] for a, b in zip(y, u, strict=True)]
+    np.testing.assert_allclose(result.theta, expected, rtol=1e-6, atol=1e-9)
+    assert len(handed_back) > 2900
+
+
+@pytest.mark.parametrize("value", [1e99, 1e100, 1e200, 1e308])
+def test_no_overflow(value, handed_back):
+    y, u = recording()
+    for structure, k in itertools.product(STRUCTURES[:3], (30, 31)):
+        spiked = y.copy()
+        spiked[k:] = value
+        result = next(pair(structure)).run(spiked, u)
+        assert np.isfinite(result.theta).all() and np.isfinite(result.prediction).all()
+
+
+def test_a_model_that_was_made_unstable_by_hand(handed_back):
+    y, u = recording(80)
+    for guard, gradient in itertools.product(("none", "reject", "halve"), ("pseudolinear", "filtered")):
+        one, other = pair(OutputError(2, 2), guard=guard, gradient=gradient)
+        for tracker in (one, other):
+            tracker.filter.x = np.array([-2.1, 1.3, 0.5, 0.0])
+        assert_same_run(one, other, y, u, rtol=1e-6)
+
+
+def test_a_refused_sample_is_named_and_changes_nothing(handed_back):
+    y, u = recording()
+    tracker = support.told_tracker(ARX(2, 2), P=1e-4, R=0.25, scaling="unit")
+    u[250:] *= 300.0
+    before = tracker.state()
+    with pytest.raises(NotPositiveDefiniteError, match=r"sample 264: scaling"):
+        tracker.run(y, u)
+    assert handed_back == [264]
+    for name, value in before.items():
+        np.testing.assert_array_equal(tracker.state()[name], value)
+
+
+def test_what_the_loop_is_not_for(handed_back, monkeypatch):
+    y, u = recording(80)
+
+    def assert_not_compiled(tracker):
+        handed_back.clear()
+        tracker.run(y, u)
+        assert handed_back == list(range(len(y) - 1))
+
+    assert_not_compiled(
+        support.told_tracker(ARX(2, 2), filter=RobustKalmanFilter(4, 1, grouping="joint", influence=Odd()))
+    )
+    crooked = support.told_tracker(ARX(2, 2))
+    crooked.filter.P = np.eye(4) + np.triu(np.full((4, 4), 1e-6), 1)
+    assert_not_compiled(crooked)
+    frozen = support.told_tracker(ARX(2, 2))
+    frozen.enabled = False
+    assert_not_compiled(frozen)
+    monkeypatch.setattr(track, "serves", lambda choices: False)
+    assert_not_compiled(support.told_tracker(ARX(2, 2)))
+
+
+class Odd(Huber):
+    """A function that the loops do not know."""
+
+    def psi(self, e):
+        """Return Huber's psi."""
+        return super().psi(e)
+
+
+def test_without_the_kernel_the_numbers_are_the_same(handed_back, monkeypatch):
+    y, u = recording()
+    for structure in STRUCTURES[:3]:
+        fast = next(pair(structure)).run(y, u)
+        with monkeypatch.context() as patch:
+            patch.setattr(track, "serves", lambda choices: False)
+            slow = next(pair(structure)).run(y, u)
+        for found, expected in zip(fast, slow, strict=True):
+            np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-9)
+    assert [k for k in handed_back if k == "done" or k == 0] == ["done", 0] * 3
+
+
+def test_bounded_scaling_on_both_sides_of_one(handed_back):
+    y, u = recording()
+    for R in (0.25, 0.9, 4.0):
+        assert_same_run(*pair(ARX(2, 2), P=0.01, Q=1e-4, R=R, scaling="bounded"), y, u)
+    assert handed_back == ["done"] * 3
+
+
+def test_the_arrays_that_a_filter_held_before_a_run_are_left_alone(handed_back):
+    y, u = recording()
+    tracker = next(pair(OutputError(2, 2)))
+    held = tracker.filter.x, tracker.filter.P
+    copies = [value.copy() for value in held]
+    tracker.run(y, u)
+    for value, copy in zip(held, copies, strict=True):
+        np.testing.assert_array_equal(value, copy)

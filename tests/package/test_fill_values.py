@@ -1,0 +1,81 @@
+"""Fill values: what repeats exactly and lies far outside is missing; nothing else is."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from robust_filterpy import RobustKalmanFilter
+from robust_filterpy._fill_values import fill_values, without_fill_values
+from robust_filterpy.noise import estimate_noise
+from robust_filterpy.smoothing import smooth
+
+
+def recording(seed, length=2000):
+    rng = np.random.default_rng([27, seed])
+    u = rng.choice([-1.0, 1.0], length)
+    wild = np.where(rng.random(length) < 0.1, 10.0, 1.0)
+    return rng, 20.0 + lfilter([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], u) + 0.3 * wild * rng.normal(size=length)
+
+
+@pytest.mark.parametrize("fills", [[9999.0], [1e7], [-1e8], [9.969209968386869e36], [9999.0, -9999.0]], ids=str)
+@pytest.mark.parametrize("digits", [1, 6])
+def test_fill_values_are_recognised_and_named(fills, digits):
+    for seed in range(5):
+        rng, y = recording(seed)
+        y, places = y.round(digits), rng.random(y.size) < rng.choice([0.01, 0.1, 0.3])
+        filled = np.where(places, rng.choice(fills, y.size), y)
+        found = fill_values(filled)
+        assert set(found.values) == set(fills)
+        np.testing.assert_array_equal(found.signal, np.where(places, np.nan, y))
+        assert all(f"{value:.6g}" in found.said for value in fills)
+
+
+def variants(rng, y):
+    yield y
+    yield from (y.round(1), y.round(0), np.clip(y, -np.inf, y.mean() + y.std()))
+    yield np.where(np.arange(y.size) < 500, y[500], y)
+    yield np.where(rng.random(y.size) < 0.3, 20.0, y)
+    yield np.where(y > 20.0, 100.0, 0.0)
+    yield 100.0 * (y > 20.0) + rng.normal(size=y.size).round(1)
+    yield rng.standard_t(2, y.size)
+    yield np.cumsum(rng.choice([-1.0, 0.0, 1.0], y.size))
+    yield np.where(rng.random(y.size) < 0.01, 1e7 * rng.normal(size=y.size), y)
+    yield np.full(y.size, 3.0)
+    yield y[:3]
+    yield np.full(5, np.nan)
+
+
+def test_nothing_else_is_a_fill_value():
+    for seed in range(10):
+        for i, signal in enumerate(variants(*recording(seed))):
+            assert fill_values(signal).signal is signal, i
+
+
+def test_measurements_of_every_form_lose_their_fill_values():
+    _, y = recording(1)
+    y[::50] = 9999.0
+    pairs = np.column_stack((y, -y))
+    gaps = [None if k % 7 == 0 else [[a], [b]] for k, (a, b) in enumerate(pairs)]
+    with pytest.warns(UserWarning, match=r"zs: component 0: 9999 \(34 samples\).*component 1: -9999 \(34"):
+        found, filled = without_fill_values("zs", gaps)
+    assert found.shape == (2000, 2, 1)
+    np.testing.assert_array_equal(np.isnan(found[:, 0, 0]), (np.arange(2000) % 7 == 0) | (y == 9999.0))
+    np.testing.assert_array_equal(filled[:, 1], (np.arange(2000) % 7 != 0) & (y == 9999.0))
+    odd = [1.0, "two", None]
+    assert without_fill_values("zs", odd)[0] is odd
+
+
+def test_smoother_and_noise_estimate_are_those_with_gaps():
+    rng = np.random.default_rng(1)
+    zs = np.cumsum(0.5 * rng.normal(size=300)) + 2.0 * rng.normal(size=300)
+    kf = RobustKalmanFilter(1, 1)
+    kf.H, kf.R, kf.Q = np.eye(1), 4.0 * np.eye(1), 0.25 * np.eye(1)
+    gaps, filled = zs.copy(), zs.copy()
+    gaps[::10], filled[::10] = np.nan, 9.97e36
+    with pytest.warns(UserWarning, match=r"9.97e\+36"):
+        found = smooth(kf, filled)
+    np.testing.assert_array_equal(found.x, smooth(kf, gaps).x)
+    np.testing.assert_array_equal(found.weights[::10], 0.0)
+    with pytest.warns(UserWarning, match=r"9.97e\+36"):
+        noise = estimate_noise(kf, filled)
+    np.testing.assert_array_equal(noise.R, estimate_noise(kf, gaps).R)

@@ -1,0 +1,333 @@
+"""Binary inputs with a prescribed autocovariance: against quadrature, exhaustive search and the steps as printed."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import integrate, signal
+from statsmodels.tsa.stattools import acovf
+
+from robust_filterpy.plants.excitation import (
+    bandlimited_pink_autocovariance,
+    bandlimited_pink_spectrum,
+    prbs,
+    receding_horizon_binary,
+    sample_autocovariance,
+)
+
+BAND = (0.5, 2.5)
+
+
+def zero_one_target(r, a, b):
+    """Write the non-central autocovariance at {0, 1} from s = (b - a) s01 + a and s01^2 = s01."""
+    variance = r[0] / (b - a) ** 2
+    # The larger root of mean (1 - mean) = variance.
+    mean = np.roots([1.0, -1.0, variance]).real.max()
+    return np.asarray(r) / (b - a) ** 2 + mean**2
+
+
+def lag_sums(s, n):
+    """Evaluate the sums of (54) by their definition, with whole numbers."""
+    s = np.asarray(s, dtype=int)
+    return np.array([s[k:] @ s[: max(len(s) - k, 0)] if k < len(s) else 0 for k in range(n + 1)])
+
+
+def steps_as_printed(r, length, m, a=-1, b=1):
+    """Steps 1-7 of section 3.2, every lag sum computed afresh for every tuple."""
+    n = len(r) - 1
+    target = zero_one_target(r, a, b)
+    chosen = []
+    for t in range(1, length + 1):
+        best = np.inf
+        for candidate in product((0, 1), repeat=m):
+            sampled = lag_sums(chosen + list(candidate), n) / (t + m - 1)
+            distance = np.linalg.norm(sampled - target)
+            if distance < best * (1 - 1e-12):
+                best, first = distance, candidate[0]
+        chosen.append(first)
+    return (b - a) * np.array(chosen) + a
+
+
+# --- eqs (56) and (57) ---
+
+
+@pytest.mark.parametrize("band", [BAND, (0.01, np.pi), (1.0, 1.1)])
+def test_equation_57_is_the_cosine_integral_of_equation_56(band):
+    r = bandlimited_pink_autocovariance(*band, 12)
+    for k, found in enumerate(r):
+        integral, error = integrate.quad(
+            lambda w, k=k: float(bandlimited_pink_spectrum(w, *band)) * np.cos(k * w), *band, epsabs=1e-12
+        )
+        assert found == pytest.approx(integral, abs=1e-10 + 10 * error)
+
+
+def test_equation_56_has_unit_variance_and_is_zero_outside_the_band():
+    w = np.linspace(0, np.pi, 200_001)
+    spectrum = bandlimited_pink_spectrum(w, *BAND)
+    assert integrate.trapezoid(spectrum, w) == pytest.approx(1.0, abs=1e-4)
+    outside = (w < BAND[0]) | (w > BAND[1])
+    assert not spectrum[outside].any()
+    assert (spectrum[~outside] > 0).all()
+    assert bandlimited_pink_spectrum([0.0, -1.0], *BAND).tolist() == [0.0, 0.0]
+
+
+def test_equation_56_is_one_over_f():
+    assert bandlimited_pink_spectrum(1.0, *BAND) == pytest.approx(2 * bandlimited_pink_spectrum(2.0, *BAND))
+
+
+@pytest.mark.parametrize("band", [(0, 1), (-1, 1), (2.5, 0.5), (1, 1), (0.5, 3.2), (np.nan, 1), (0.5, np.inf)])
+def test_an_impossible_band_is_refused(band):
+    with pytest.raises(ValueError, match="w_low < w_high"):
+        bandlimited_pink_autocovariance(*band, 3)
+    with pytest.raises(ValueError, match="w_low < w_high"):
+        bandlimited_pink_spectrum(1.0, *band)
+
+
+# --- sample autocovariance ---
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 60), st.data())
+def test_sample_autocovariance_equals_statsmodels(seed, size, data):
+    s = np.random.default_rng(seed).normal(3.0, 2.0, size)
+    lags = data.draw(st.integers(0, size - 1))
+    np.testing.assert_allclose(sample_autocovariance(s, lags), acovf(s, fft=False, nlag=lags), atol=1e-12)
+    np.testing.assert_allclose(
+        sample_autocovariance(s, lags, mean=0), acovf(s, demean=False, fft=False, nlag=lags), atol=1e-12
+    )
+    np.testing.assert_allclose(sample_autocovariance(s, lags, mean=3), sample_autocovariance(s - 3, lags, mean=0))
+
+
+def test_equation_54_is_the_non_central_sample_autocovariance():
+    s = np.random.default_rng(1).integers(0, 2, 30)
+    np.testing.assert_allclose(sample_autocovariance(s, 8, mean=0), lag_sums(s, 8) / 30, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "words"),
+    [
+        (([], 0), ValueError, "at least 1 number"),
+        (([[1.0, 2.0]], 0), ValueError, "one-dimensional"),
+        (([1.0, np.nan], 0), ValueError, "index 1"),
+        (([1.0, 2.0], 2), ValueError, "at most 1"),
+        (([1.0, 2.0], -1), ValueError, "n_lags"),
+        (([1.0, 2.0], 1.0), TypeError, "n_lags"),
+        ((["a"], 0), TypeError, "real numbers"),
+    ],
+)
+def test_sample_autocovariance_refuses(arguments, error, words):
+    with pytest.raises(error, match=words):
+        sample_autocovariance(*arguments)
+
+
+# --- receding horizon, eqs (54)-(55) ---
+
+
+@pytest.mark.parametrize("m", [1, 3])
+def test_identical_to_the_steps_as_printed(m):
+    r = bandlimited_pink_autocovariance(*BAND, 40)
+    np.testing.assert_array_equal(receding_horizon_binary(r, 300, m), steps_as_printed(r, 300, m))
+
+
+@pytest.mark.parametrize("m", [1, 2, 4, 7])
+@pytest.mark.parametrize(
+    ("r", "levels"),
+    [
+        ([0.6, 0.2, -0.1], (-1, 1)),
+        ([1.0], (-1, 1)),
+        ([2.0, 0.7, 0.3, 0.1], (-2, 3)),
+        ([0.25, 0.1, 0.0, -0.1, 0.01], (0, 1)),
+        ([1.0, 0.0, 0.0, 0.0], (-1, 1)),
+    ],
+)
+def test_identical_to_the_steps_as_printed_at_other_levels_and_powers(r, levels, m):
+    np.testing.assert_array_equal(receding_horizon_binary(r, 40, m, levels), steps_as_printed(r, 40, m, *levels))
+
+
+@pytest.mark.parametrize("size", range(1, 13))
+def test_the_first_sample_begins_the_best_signal_of_an_exhaustive_search(size):
+    r = bandlimited_pink_autocovariance(*BAND, 5)
+    target = zero_one_target(r, -1, 1)
+    distance = {s: np.linalg.norm(lag_sums(s, 5) / size - target) for s in product((0, 1), repeat=size)}
+    least = min(distance.values())
+    best = [s for s, d in distance.items() if d <= least + 1e-12]
+    assert receding_horizon_binary(r, 1, size)[0] == 2 * best[0][0] - 1
+    starts = {2 * s[0] - 1 for s in best}
+    drawn = {receding_horizon_binary(r, 1, size, rng=seed)[0] for seed in range(30)}
+    assert drawn <= starts
+    if size == 1:
+        assert drawn == starts == {-1, 1}
+
+
+@pytest.mark.parametrize("size", [4, 6])
+def test_each_sample_begins_the_best_continuation_of_an_exhaustive_search(size):
+    r = bandlimited_pink_autocovariance(*BAND, 3)
+    target = zero_one_target(r, -1, 1)
+    s = (receding_horizon_binary(r, size, size) + 1) / 2
+    for t in range(size):
+        best = min(
+            (np.linalg.norm(lag_sums([*s[:t], *tail], 3) / (t + size) - target), tail)
+            for tail in product((0, 1), repeat=size)
+        )
+        assert s[t] == best[1][0]
+
+
+def test_many_tuples_are_weighed_in_blocks_with_the_result_of_one():
+    # 2^13 tuples take two blocks; the second holds those that begin with a one.
+    r = [0.6, 0.5, 0.4]
+    found = receding_horizon_binary(r, 4, 13)
+    target = zero_one_target(r, -1, 1)
+    s = []
+    for t in range(4):
+        tuples = np.array(list(product((0, 1), repeat=13)))
+        whole = np.hstack((np.tile(np.array(s, dtype=int).reshape(1, -1), (len(tuples), 1)), tuples))
+        sums = np.stack([(whole[:, k:] * whole[:, : whole.shape[1] - k]).sum(1) for k in range(3)], axis=1)
+        distance = np.linalg.norm(sums / (t + 13) - target, axis=1)
+        s.append(int(tuples[np.flatnonzero(distance <= distance.min() + 1e-12)[0], 0]))
+    np.testing.assert_array_equal(found, 2 * np.array(s) - 1)
+
+
+@pytest.mark.parametrize(("m", "expected"), [(1, 0.0078), (3, 0.0090)])
+def test_the_autocovariance_comes_within_a_hundredth(m, expected):
+    r = bandlimited_pink_autocovariance(*BAND, 40)
+    s = receding_horizon_binary(r, 10_000, m)
+    error = sample_autocovariance(s, 40) - r
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(expected, abs=0.0001)
+    # A fair coin misses r by its own size.
+    coin = np.random.default_rng(0).choice((-1.0, 1.0), 10_000)
+    assert np.sqrt(np.mean((sample_autocovariance(coin, 40) - r) ** 2)) > 10 * expected
+
+
+def test_the_spectrum_is_concentrated_in_the_band():
+    s = receding_horizon_binary(bandlimited_pink_autocovariance(*BAND, 40), 10_000)
+    f, power = signal.welch(s, fs=2 * np.pi, nperseg=1024, detrend=False)
+    inside = (f >= BAND[0]) & (f <= BAND[1])
+    # Of white noise the band would hold 64 %.
+    assert power[inside].sum() / power.sum() > 0.9
+    low = power[(f > 0.55) & (f < 0.8)].mean()
+    high = power[(f > 2.0) & (f < 2.4)].mean()
+    assert low / high == pytest.approx(2.2 / 0.675, rel=0.35)
+
+
+def test_less_variance_than_the_greatest_moves_the_mean_up():
+    s = receding_horizon_binary([0.36, 0.0, 0.0], 5000)
+    # mean^2 + variance = 1 at levels -1, 1.
+    assert s.mean() == pytest.approx(0.8, abs=0.01)
+    assert s.var() == pytest.approx(0.36, abs=0.01)
+
+
+def test_equation_55_scales_with_the_levels():
+    r = bandlimited_pink_autocovariance(*BAND, 20)
+    np.testing.assert_array_equal(
+        receding_horizon_binary(25 * r, 500, 2, (-3, 7)), 5 * receding_horizon_binary(r, 500, 2) + 2
+    )
+
+
+def test_without_rng_the_signal_is_always_the_same_and_with_it_the_seed_decides():
+    r = [1.0, 0.0, 0.0, 0.0, 0.0]
+    for m in (1, 2):
+        np.testing.assert_array_equal(receding_horizon_binary(r, 200, m), receding_horizon_binary(r, 200, m))
+        drawn = receding_horizon_binary(r, 200, m, rng=3)
+        np.testing.assert_array_equal(drawn, receding_horizon_binary(r, 200, m, rng=np.random.default_rng(3)))
+        assert (drawn != receding_horizon_binary(r, 200, m, rng=4)).any()
+        assert (drawn != receding_horizon_binary(r, 200, m)).any()
+
+
+def test_drawing_among_ties_costs_no_accuracy():
+    r = bandlimited_pink_autocovariance(*BAND, 40)
+    for m in (1, 3):
+        error = sample_autocovariance(receding_horizon_binary(r, 10_000, m, rng=5), 40) - r
+        assert np.sqrt(np.mean(error**2)) < 0.011
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "words"),
+    [
+        (([1.0, 0.1], 0), ValueError, "length"),
+        (([1.0, 0.1], 5.0), TypeError, "length"),
+        (([1.0, 0.1], 5, 0), ValueError, "horizon"),
+        (([1.0, 0.1], 5, 21), ValueError, r"horizon.*at most 20"),
+        (([1.0, 0.1], 5, True), TypeError, "horizon"),
+        (([1.0, 0.1], 5, 1, (1, -1)), ValueError, "levels.*a < b"),
+        (([1.0, 0.1], 5, 1, (1, 1)), ValueError, "levels"),
+        (([1.0, 0.1], 5, 1, (0, 1, 2)), ValueError, "levels"),
+        (([1.0, 0.1], 5, 1, (0, np.inf)), ValueError, "levels"),
+        (([1.01, 0.1], 5), ValueError, r"\(b - a\)\^2/4 = 1, got r_0 = 1.01"),
+        (([1.0, 0.1], 5, 1, (0, 1)), ValueError, r"\(b - a\)\^2/4 = 0.25"),
+        (([0.0, 0.0], 5), ValueError, "r_0 > 0"),
+        (([-1.0, 0.0], 5), ValueError, "r_0 > 0"),
+        (([1.0, 1.1], 5), ValueError, "positive semidefinite"),
+        (([1.0, 0.9, 0.1], 5), ValueError, "positive semidefinite.*Toeplitz"),
+        (([], 5), ValueError, "autocovariance"),
+        (([[1.0, 0.1]], 5), ValueError, "ravel"),
+        (([1.0, np.nan], 5), ValueError, "finite"),
+        ((["r"], 5), TypeError, "autocovariance"),
+        (([1.0, 0.1j], 5), TypeError, "autocovariance"),
+    ],
+)
+def test_what_no_binary_signal_can_have_is_refused(arguments, error, words):
+    with pytest.raises(error, match=words):
+        receding_horizon_binary(*arguments)
+
+
+def test_the_greatest_horizon_is_allowed():
+    assert receding_horizon_binary([1.0, 0.0], 1, 20).shape == (1,)
+
+
+def test_the_extreme_autocovariances_are_allowed():
+    # The one of the alternating signal is on the edge of the positive semidefinite ones.
+    alternating = receding_horizon_binary([(-1.0) ** k for k in range(9)], 100)
+    assert (alternating[1:] == -alternating[:-1]).all()
+
+
+# --- pseudo-random binary sequence ---
+
+
+@pytest.mark.parametrize("n_bits", range(2, 12))
+def test_one_period_of_prbs_is_as_good_as_white(n_bits):
+    period = 2**n_bits - 1
+    s = prbs(period, n_bits=n_bits)
+    for k in range(1, min(period, 8)):
+        assert s @ np.roll(s, k) == -1
+    assert s.sum() == 1
+    np.testing.assert_array_equal(prbs(2 * period, n_bits=n_bits), np.tile(s, 2))
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(1, 500), st.integers(1, 20), st.integers(0, 10**6))
+def test_prbs_holds_its_levels_and_its_values(length, hold, seed):
+    s = prbs(length, (2, 5), hold=hold, rng=seed)
+    assert s.shape == (length,)
+    assert set(s) <= {2.0, 5.0}
+    assert not np.diff(s)[np.arange(1, length) % hold != 0].any()
+
+
+def test_the_default_register_does_not_repeat():
+    s = prbs(1000)
+    for lag in range(1, 500):
+        assert (s[lag:] != s[:-lag]).any()
+
+
+def test_prbs_from_another_state_is_the_same_cycle_shifted():
+    s, t = prbs(31), prbs(31, rng=2)
+    assert any((np.roll(s, k) == t).all() for k in range(31))
+    assert (s != t).any()
+    np.testing.assert_array_equal(t, prbs(31, rng=2))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "error", "words"),
+    [
+        ((0,), {}, ValueError, "length"),
+        ((2.0,), {}, TypeError, "length"),
+        ((5, (1, 0)), {}, ValueError, "levels"),
+        ((5,), {"n_bits": 1}, ValueError, "n_bits"),
+        ((5,), {"n_bits": 33}, ValueError, "n_bits"),
+        ((5,), {"hold": 0}, ValueError, "hold"),
+    ],
+)
+def test_prbs_refuses(arguments, options, error, words):
+    with pytest.raises(error, match=words):
+        prbs(*arguments, **options)
