@@ -88,16 +88,18 @@ def found_outliers(
     if before is not None:
         wrong |= before.wrong
     deviations = []
-    for start in range(0, residual.size, _BLOCK):
-        # The samples before the first residual belong to the first block.
-        samples = slice(start + (first if start else 0), start + _BLOCK + first)
-        rows = slice(start, start + _BLOCK)
-        offset = first if start == 0 else 0
-        unknowns, d = _judged(residual[rows], h, wrong[samples], missing[samples], counts[rows], offset, threshold, R)
-        deviations.append(d)
-        # What is unknown at the end of a block reaches into the next.
-        tail = residual[start + _BLOCK :][: h.size - 1]
-        tail += unknowns.beyond()[: tail.size]
+    for part, _ in model.pieces:
+        for start in range(part.start, part.stop, _BLOCK):
+            # The samples before the first residual of a recording belong to its first block.
+            offset, stop = (first if start == part.start else 0), min(start + _BLOCK, part.stop)
+            samples, rows = slice(start + first - offset, stop + first), slice(start, stop)
+            unknowns, d = _judged(
+                residual[rows], h, wrong[samples], missing[samples], counts[rows], offset, threshold, R
+            )
+            deviations.append(d)
+            # What is unknown at the end of a block reaches into the next.
+            tail = residual[stop : part.stop][: h.size - 1]
+            tail += unknowns.beyond()[: tail.size]
     return Outliers(wrong, counts, _even(np.concatenate(deviations)))
 
 

@@ -15,8 +15,9 @@ from robust_filterpy.identification.estimation.search import End, ends, known_pa
 from robust_filterpy.identification.estimation.threads import one_thread
 from robust_filterpy.identification.models.fit import ordinary_fit, ordinary_samples
 from robust_filterpy.identification.models.learnt_noise import Noise
-from robust_filterpy.identification.models.model import Ending, Model, filled_memory
+from robust_filterpy.identification.models.model import Ending, Model, filled_memory, fingerprint, resting_level
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
+from robust_filterpy.identification.models.several_recordings import SeveralRecordings, ends_of
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.influence.regression import mad_scale
@@ -53,6 +54,8 @@ class Problem(NamedTuple):
         Sampling period in s.
     moving : bool
         Whether something may have been in motion when the recording began.
+    begins : tuple of int
+        First sample of each recording, for several that follow each other.
     """
 
     structure: Structure
@@ -63,6 +66,34 @@ class Problem(NamedTuple):
     R: float | None
     dt: float | None
     moving: bool = True
+    begins: tuple[int, ...] = (0,)
+
+    @property
+    def spans(self) -> tuple[slice, ...]:
+        """The samples of each recording."""
+        return tuple(slice(b, e) for b, e in zip(self.begins, ends_of(self.begins, len(self.u)), strict=True))
+
+    def alone(self, i: int) -> Problem:
+        """Return the problem of one of several recordings."""
+        return self._replace(u=self.u[self.spans[i]], begins=(0,))
+
+    def residuals_of(self, y: Array, u: Array) -> PolynomialModel:
+        """Return what gives the residuals of these signals.
+
+        Parameters
+        ----------
+        y : ndarray, shape (N,)
+            Output, without gaps.
+        u : ndarray, shape (N, n_inputs)
+            Input.
+
+        Returns
+        -------
+        PolynomialModel
+        """
+        if len(self.begins) == 1:
+            return PolynomialModel(self.structure, y, u, self.offset, self.moving)
+        return SeveralRecordings(self.structure, y, u, self.offset, self.moving, self.begins)
 
 
 def estimated(problem: Problem, y: Array) -> Model:
@@ -86,8 +117,9 @@ def estimated(problem: Problem, y: Array) -> Model:
     """
     structure, offset, known = problem.structure, problem.offset, problem.R
     signal, missing = problem.u - problem.rest, np.isnan(y)
-    units = _Units.of(y, signal, offset)
-    model = PolynomialModel(structure, units.normal_output(y), signal / units.u, offset, problem.moving)
+    units = _Units.of(y, signal, offset, problem.spans)
+    model = problem.residuals_of(units.normal_output(y), signal / units.u)
+    _require_samples(problem, missing, model.first)
     require_informative(model, missing)
     with one_thread():
         ranked = ends(model, missing, problem.influence, None if known is None else known / units.y**2)
@@ -97,31 +129,42 @@ def estimated(problem: Problem, y: Array) -> Model:
     # What the noise makes of the output of any model with so many parameters.
     unsure = 100.0 * np.sqrt(structure.n_theta * best.noise.R / best.rows.sum()) / np.std(output)
     doubt = _doubt(best, endings, max(_APART, 2.0 * unsure))
-    recorded = PolynomialModel(structure, best.y * units.y + units.centre, signal, offset, problem.moving)
+    recorded = problem.residuals_of(best.y * units.y + units.centre, signal)
     # Where an outlier stood in the regressor: what was measured, less what stands there now.
     replaced = np.where(best.outliers.wrong & ~missing, y - recorded.y, 0.0)
     p = units.back(model, best.p)
-    found = _as_model(recorded, p, best, missing, replaced, units.y, known, endings, doubt)
-    return _with_inputs_from_zero(replace(found, dt=problem.dt), recorded, p, problem.rest)
+    found = replace(_as_model(recorded, p, best, missing, replaced, units.y, known, endings, doubt), dt=problem.dt)
+    if not isinstance(recorded, SeveralRecordings):
+        return _with_inputs_from_zero(found, recorded, p, problem.rest)
+    several = range(len(problem.begins))
+    levels = np.array([resting_level(one.parts(q)) for one, q in (recorded.of(i, p) for i in several)])
+    found = _with_inputs_from_zero(found, *recorded.of(-1, p), problem.rest)
+    own = [np.full(y[part].size, level - levels[-1]) for part, level in zip(problem.spans, levels, strict=True)]
+    known_again = tuple((fingerprint(y[part]), trend) for part, trend in zip(problem.spans, own, strict=True))
+    return replace(found, levels=levels + (found.level - levels[-1]), recordings=known_again)
 
 
 class _Units(NamedTuple):
     """Where y has its zero, and how large y and each input are."""
 
-    centre: float
+    centre: Array
     y: float
     u: Array
+    begins: tuple[int, ...]
 
     @classmethod
-    def of(cls, y: Array, u: Array, offset: bool) -> _Units:
-        """Return the units of a recording, 1 for a signal that is always 0."""
-        values = y[~np.isnan(y)]
+    def of(cls, y: Array, u: Array, offset: bool, spans: tuple[slice, ...]) -> _Units:
+        """Return the units of recordings, each with its own zero; 1 for a signal that is always 0."""
+        centre = np.zeros(y.size)
+        for part in spans:
+            own = y[part][~np.isnan(y[part])]
+            centre[part] = np.median(own) if offset and own.size else 0.0
+        values = (y - centre)[~np.isnan(y)]
         if values.size == 0:
             values = np.zeros(1)
-        centre = float(np.median(values)) if offset else 0.0
-        scale = mad_scale(values - centre) or float(np.abs(values - centre).mean())
+        scale = mad_scale(values) or float(np.abs(values).mean())
         size = np.sqrt(np.mean(np.square(u), axis=0))
-        return cls(centre, scale or 1.0, np.where(size > 0.0, size, 1.0))
+        return cls(centre, scale or 1.0, np.where(size > 0.0, size, 1.0), tuple(part.start for part in spans))
 
     def normal_output(self, y: Array) -> Array:
         """Return y from its centre in its scale, 0 where it is missing."""
@@ -135,7 +178,7 @@ class _Units(NamedTuple):
             p[place] *= self.y / size
         p[n:] *= self.y
         if model.offset:
-            p[n] += self.centre * (1.0 + p[places.a].sum())
+            p[n : n + len(self.begins)] += self.centre[list(self.begins)] * (1.0 + p[places.a].sum())
         return p
 
 
@@ -152,7 +195,8 @@ def _as_model(
 ) -> Model:
     """Return what was found, for the recording as it was measured, its outliers and gaps interpolated."""
     structure, n, rows = model.structure, model.structure.n_theta, end.rows
-    residual = model.residuals(p)
+    # Of several recordings the constant is that of the last.
+    at, residual = n + len(model.pieces) - 1, model.residuals(p)
     # One parameter more is one residual less to tell of the noise.
     samples = int(rows.sum())
     found = end.noise.R * unit**2
@@ -162,15 +206,15 @@ def _as_model(
     weights[model.first :] = noise.weights(residual)
     weights[end.outliers.wrong] = 0.0
     weights[missing] = np.nan
-    offset = float(p[n]) if model.offset else 0.0
+    offset = float(p[at]) if model.offset else 0.0
     total = R or found * samples / (samples - model.n)
     return Model(
         structure=structure,
         theta=p[:n],
         offset=offset,
         P=P[:n, :n],
-        offset_std=float(np.sqrt(max(P[n, n], 0.0))) if model.offset else 0.0,
-        offset_covariance=P[:n, n] if model.offset else np.zeros(n),
+        offset_std=float(np.sqrt(max(P[at, at], 0.0))) if model.offset else 0.0,
+        offset_covariance=P[:n, at] if model.offset else np.zeros(n),
         has_offset=model.offset,
         own_fit=_own_fit(model.y[model.first :], residual, rows),
         noise=_as_measured(replace(noise, R=total), residual, replaced[model.first :], ~missing[model.first :]),
@@ -178,8 +222,20 @@ def _as_model(
         log_likelihood=noise.log_likelihood(residual[rows]),
         endings=endings,
         warning=doubt,
-        memory=filled_memory(model, p),
+        memory=filled_memory(*(model.of(-1, p) if isinstance(model, SeveralRecordings) else (model, p))),
     )
+
+
+def _require_samples(problem: Problem, missing: Any, first: int) -> None:
+    """Raise if one of several recordings is too short to tell its own level and start."""
+    least = first + (problem.structure.nf if problem.moving else 0) + problem.offset + 1
+    for i, part in enumerate(problem.spans if len(problem.begins) > 1 else ()):
+        measured = int((~missing[part]).sum())
+        if measured < least:
+            raise ValueError(
+                f"y: expected at least {least} measured samples in each recording for {problem.structure}, got "
+                f"{measured} in recording {i}; leave it out, or take a smaller structure"
+            )
 
 
 def _with_inputs_from_zero(model: Model, recorded: PolynomialModel, p: Array, rest: Array) -> Model:

@@ -17,11 +17,12 @@ from robust_filterpy.identification.estimation.level import (
     unlike_in_parts,
     without_endless_motion,
 )
-from robust_filterpy.identification.models.findings import of_fill_values, said
+from robust_filterpy.identification.estimation.recordings import recordings
+from robust_filterpy.identification.estimation.several import of_several
+from robust_filterpy.identification.models.findings import said
 from robust_filterpy.identification.models.model import Model
-from robust_filterpy.identification.models.signals import filled_output, operating_point, recorded_input
+from robust_filterpy.identification.models.signals import operating_point
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.models.time_axis import recording
 from robust_filterpy.influence.functions import Influence
 
 __all__ = ["identify"]
@@ -36,6 +37,7 @@ def identify(
     offset: bool = True,
     R: float | None = None,
     trend: str | None = None,
+    groups: ArrayLike | None = None,
 ) -> Model:
     """Find the model of a recording with outliers, from nothing but the recording.
 
@@ -46,11 +48,12 @@ def identify(
 
     Parameters
     ----------
-    y : array_like, shape (N,)
+    y : array_like, shape (N,), or list of these
         Measured output; NaN where it is missing. A pandas Series has the index of u, in equal steps, which tell the
-        sampling period.
-    u : array_like, shape (N,) or (N, n_inputs), or None
-        Input; the rows phi(k) for a LinearRegression; None for a structure without input.
+        sampling period. A list: several recordings of one plant, each with a level and a start of its own.
+    u : array_like, shape (N,) or (N, n_inputs), list of these, or None
+        Input; the rows phi(k) for a LinearRegression; None for a structure without input. NaN where it is missing: up
+        to 10 samples in a row are held at the value before, longer gaps make two recordings of one.
     structure : Structure
         Which polynomials there are, and their orders.
     influence : influence function, optional
@@ -63,6 +66,8 @@ def identify(
     trend : {"none", "constant", "line", "breaks"}, optional
         What level y has beside the model: none (as ``offset=False``), a constant, a straight line, or a constant with
         steps and ramps wherever the recording shows them. Default: "breaks", for a structure with inputs.
+    groups : array_like, shape (N,), optional
+        A label for each sample: those with the same one are a recording.
 
     Returns
     -------
@@ -120,21 +125,25 @@ def identify(
         _checks.option("trend", trend, TRENDS)
         if not offset and trend != "none":
             raise ValueError(f'trend: expected "none" with offset=False, got {trend!r}; leave offset out')
-    axis, y, u = recording(structure, y=y, u=u)
-    fills = filled_output(y)
-    signal = recorded_input(structure, u, fills.signal.size)
+    recorded = recordings(structure, y, u, groups)
+    signal = recorded.u
     has_offset = bool(offset) and trend != "none"
     moves = has_offset and not structure.takes_phi
     rest = operating_point(signal) if moves else np.zeros(signal.shape[1])
     known = None if R is None else _checks.positive("R", R)
-    problem = Problem(structure, signal, rest, influence, has_offset, known, axis.dt)
+    dt = recorded.axis.dt
+    problem = Problem(structure, signal, rest, influence, has_offset, known, dt, begins=recorded.begins)
     chosen = trend or ("breaks" if moves else "constant")
-    found, findings = beside_trend(problem, fills.signal, chosen, axis.index)
-    found, more = without_endless_motion(problem, fills.signal, found)
-    found, outliers = beside_input_outliers(problem, fills.signal, found)
-    findings = (*of_fill_values(fills), *findings, *more, *outliers)
-    if not outliers:
-        findings = (*findings, *unlike_in_parts(problem, fills.signal, found))
+    if len(recorded.begins) > 1:
+        found, findings = of_several(problem, recorded.y, chosen)
+    else:
+        found, findings = beside_trend(problem, recorded.y, chosen, recorded.axis.index)
+        found, more = without_endless_motion(problem, recorded.y, found)
+        found, outliers = beside_input_outliers(problem, recorded.y, found)
+        findings = (*findings, *more, *outliers)
+        if not outliers:
+            findings = (*findings, *unlike_in_parts(problem, recorded.y, found))
+    findings = (*recorded.findings, *findings)
     found = replace(found, findings=findings)
     for words in (said(found.findings), found.warning):
         if words:

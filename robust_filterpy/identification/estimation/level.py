@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from typing import Any, Final
-from zlib import crc32
 
 import numpy as np
 
@@ -13,10 +12,17 @@ from robust_filterpy.identification.estimation.estimate import Problem, estimate
 from robust_filterpy.identification.estimation.trend import PRICE, Trend, impulse_output, piecewise_level
 from robust_filterpy.identification.models.dependence import autocovariances, dependence, whitening_of
 from robust_filterpy.identification.models.findings import Finding
-from robust_filterpy.identification.models.model import Model
+from robust_filterpy.identification.models.model import Model, fingerprint
 from robust_filterpy.influence.regression import mad_scale
 
-__all__ = ["TRENDS", "beside_input_outliers", "beside_trend", "unlike_in_parts", "without_endless_motion"]
+__all__ = [
+    "TRENDS",
+    "beside_input_outliers",
+    "beside_trend",
+    "break_finding",
+    "unlike_in_parts",
+    "without_endless_motion",
+]
 
 TRENDS: Final = ("none", "constant", "line", "breaks")
 # In fewer samples a step and the dynamics cannot be told apart.
@@ -71,7 +77,7 @@ def beside_trend(problem: Problem, y: Array, trend: str, index: Any) -> tuple[Mo
         return plain, ()
     gain = 2.0 * (best.log_likelihood - plain.log_likelihood)
     model = replace(best, trend=kept.values, fingerprint=fingerprint(y))
-    return model, () if line else tuple(_finding(one, index, gain, y.size) for one in kept.breaks)
+    return model, () if line else tuple(break_finding(one, index, gain, y.size) for one in kept.breaks)
 
 
 def without_endless_motion(problem: Problem, y: Array, model: Model) -> tuple[Model, tuple[Finding, ...]]:
@@ -192,11 +198,6 @@ def beside_input_outliers(problem: Problem, y: Array, model: Model) -> tuple[Mod
     return replace(other, trend=model.trend, fingerprint=model.fingerprint), (found,)
 
 
-def fingerprint(y: Array) -> int:
-    """Return a number by which a recording is known again."""
-    return crc32(np.ascontiguousarray(y).tobytes())
-
-
 def _trend(model: Model, y: Array) -> Array:
     """Return the trend of a model's recording, 0 if it has none."""
     return model.trend if model.trend.size else np.zeros(y.size)
@@ -240,8 +241,24 @@ def _output_of(model: Model, y: Array, u: Array) -> Array:
     return np.where(known & dies, np.nan_to_num(run), rest)
 
 
-def _finding(found: Any, index: Any, gain: float, samples: int) -> Finding:
-    """Return a break in words."""
+def break_finding(found: Any, index: Any, gain: float, samples: int) -> Finding:
+    """Return a break in words.
+
+    Parameters
+    ----------
+    found : Break
+        The break.
+    index : pandas.Index or None
+        Times of the samples.
+    gain : float
+        Twice the log-likelihood that all breaks explain.
+    samples : int
+        Of the recording.
+
+    Returns
+    -------
+    Finding
+    """
     when = f"sample {found.time}" + ("" if index is None else f" ({index[found.time]})")
     if found.kind == "step":
         text = f"the level of y steps by {found.size:.4g} at {when}"

@@ -119,7 +119,7 @@ class Unknowns:
         return np.asarray((np.tril(K) + np.tril(K, -1).T) * places.size / chosen.size)
 
 
-class CompletedModel(PolynomialModel):
+class CompletedModel:
     """A model with an interpolated output, and what is uncertain about that.
 
     Parameters
@@ -134,7 +134,10 @@ class CompletedModel(PolynomialModel):
 
     def __init__(self, model: PolynomialModel, y: Array, spread: Array) -> None:
         """Take a root of K, and the model of an impulse, whose residuals are h."""
-        super().__init__(model.structure, y, model.u, model.offset, model.moving)
+        full = model.with_output(y)
+        self.y, self.conditioned, self.n = y, full.conditioned, full.n
+        self.residuals, self.jacobian, self.is_stable = full.residuals, full.jacobian, full.is_stable
+        self._structure, self._nf = model.structure, model.nf
         values, vectors = np.linalg.eigh(spread)
         self._root = (vectors * np.sqrt(np.maximum(values, 0.0))).T
         impulse = np.zeros(model.first + len(spread))
@@ -144,8 +147,8 @@ class CompletedModel(PolynomialModel):
 
     def uncertainty(self, p: Array) -> tuple[Array, Array]:
         """Return the further residuals in units of sqrt(R), shape (L,), and their derivatives, shape (L, n)."""
-        n = self.structure.n_theta
-        q = np.concatenate((p[:n], np.zeros(self.nf)))
+        n = self._structure.n_theta
+        q = np.concatenate((p[:n], np.zeros(self._nf)))
         derivatives = np.zeros((len(self._root), self.n))
         derivatives[:, :n] = self._root @ self._impulse.jacobian(q)[:, :n]
         return self._root @ self._impulse.residuals(q), derivatives
@@ -211,10 +214,14 @@ def completed(model: PolynomialModel, p: Array, unknown: Any, weights: Array) ->
     -------
     CompletedModel
     """
-    found = Unknowns(model.residuals(p), response(model, p), unknown, weights, model.first)
-    y = model.y.copy()
-    y[unknown] += found.correction
-    return CompletedModel(model, y, found.spread())
+    residual, h, y = model.residuals(p), response(model, p), model.y.copy()
+    spread = np.zeros((h.size, h.size))
+    for rows, samples in model.pieces:
+        if unknown[samples].any():
+            found = Unknowns(residual[rows], h, unknown[samples], weights[rows], model.first)
+            y[samples][unknown[samples]] += found.correction
+            spread += found.spread()
+    return CompletedModel(model, y, spread)
 
 
 def _delayed(h: Array, places: Any, length: int) -> Any:

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.estimation.cleaning import Outliers, found_outliers
 from robust_filterpy.identification.estimation.excitation_check import require_informative
-from robust_filterpy.identification.estimation.missing import Unknowns, completed, response, touched
+from robust_filterpy.identification.estimation.missing import CompletedModel, Unknowns, completed, response, touched
 from robust_filterpy.identification.estimation.prediction_error import Optimum, minimised
 from robust_filterpy.identification.estimation.starts import (
     Start,
@@ -24,6 +24,7 @@ from robust_filterpy.identification.estimation.starts import (
 )
 from robust_filterpy.identification.models.learnt_noise import ContaminatedNormal, Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
+from robust_filterpy.identification.models.several_recordings import SeveralRecordings
 from robust_filterpy.identification.models.structures import OutputError
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.influence.regression import mad_scale
@@ -110,7 +111,7 @@ def ends(model: PolynomialModel, missing: Any, influence: Influence | None, R: f
     list of Ranked
         Ends that differ, the best first.
     """
-    if model.na and not model.nf and model.y.size > 2 * _MOST_SEARCHED:
+    if model.na and not model.nf and model.y.size > 2 * _MOST_SEARCHED and len(model.pieces) == 1:
         return _ends_of_long(model, missing, influence, R)
     noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, _LEAST)
     turns = _FIRST_CLEANINGS if influence is None else _MOST_CLEANINGS
@@ -164,9 +165,11 @@ def known_part(model: PolynomialModel, end: End) -> tuple[Array, Array]:
     """
     derivatives, residual, h = model.jacobian(end.p), model.residuals(end.p), response(model, end.p)
     if h.size > 1 and end.outliers.wrong.any():
-        unknowns = Unknowns(derivatives, h, end.outliers.wrong, end.noise.weights(end.residual), model.first)
-        derivatives = unknowns.residual
-        residual = residual / np.sqrt(np.maximum(1.0 - unknowns.leverages(), 1e-3))
+        weights = end.noise.weights(end.residual)
+        for rows, samples in model.pieces:
+            unknowns = Unknowns(derivatives[rows], h, end.outliers.wrong[samples], weights[rows], model.first)
+            derivatives[rows] = unknowns.residual
+            residual[rows] /= np.sqrt(np.maximum(1.0 - unknowns.leverages(), 1e-3))
     return derivatives[end.rows], residual[end.rows]
 
 
@@ -190,7 +193,7 @@ def _searched(
 
 def _maximised(
     model: PolynomialModel, p: Array, noise: Noise, outliers: Outliers, turns: int
-) -> tuple[Optimum, PolynomialModel]:
+) -> tuple[Optimum, PolynomialModel | CompletedModel]:
     """Minimise the loss with outliers in the regressor as unknowns, which take turns with the parameters."""
     if not (outliers.wrong.any() and response(model, p).size > 1):
         rows = _counting(model, True, outliers.wrong)
@@ -248,6 +251,11 @@ def _best_first(model: PolynomialModel, missing: Any, found: list[End]) -> list[
 
 def _starts(model: PolynomialModel, missing: Any, noise: Noise) -> Iterator[Start]:
     """Yield the starts that suit the structure."""
+    if isinstance(model, SeveralRecordings):
+        joined, gaps = model.joined(missing)
+        for start in _starts(joined, gaps, noise):
+            yield Start(start.name, model.shared(start.p))
+        return
     order = max(model.na, model.nf)
     known = ~np.convolve(missing, np.ones(model.na + 1))[model.first : missing.size].astype(bool)
     if not model.nf:

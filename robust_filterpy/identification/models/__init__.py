@@ -6,6 +6,8 @@
 * `guard`: keeping a model that feeds back its own output stable.
 * `signals`, `time_axis`: recordings as arrays; pandas objects in, results on the same index.
 * `polynomial_model`: residuals of all structures and their derivatives.
+* `several_recordings`: the same for several recordings of one plant.
+* `beginnings`: how a simulation begins.
 * `prediction`: predictions through outliers.
 * `learnt_noise`: the noise that residuals show.
 * `model`: what `identify` returns.

@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
+from robust_filterpy import _checks
 from robust_filterpy._checks import Array, count
 from robust_filterpy.identification.models import coefficients
+from robust_filterpy.identification.models.beginnings import held_input, motion_after
 from robust_filterpy.identification.models.findings import Finding, said
 from robust_filterpy.identification.models.fit import fit_percent
 from robust_filterpy.identification.models.learnt_noise import ContaminatedNormal, Noise
@@ -99,6 +101,10 @@ class Model(Responses):
         Steps and ramps of the level of the recording, 0 at its end; ``findings`` say when and how large.
     fingerprint : int
         Of y as it was recorded: methods that are given the same y take the trend off it, and put it back.
+    levels : ndarray, shape (n_recordings,) or (0,)
+        `level` of each recording, if there were several; offset, trend and memory are those of the last.
+    recordings : tuple of (int, ndarray)
+        Fingerprint and trend of each of several recordings.
 
     Notes
     -----
@@ -125,6 +131,8 @@ class Model(Responses):
     operating_point: Array = field(default_factory=lambda: np.zeros(0))
     trend: Array = field(default_factory=lambda: np.zeros(0))
     fingerprint: int = 0
+    levels: Array = field(default_factory=lambda: np.zeros(0))
+    recordings: tuple[tuple[int, Array], ...] = ()
 
     def __repr__(self) -> str:
         """Show the parameters with their standard deviations."""
@@ -211,6 +219,8 @@ class Model(Responses):
             facts["Contamination"] = f"{self.noise.influence.contamination:.3f}"
             facts["Scale ratio"] = f"{self.noise.influence.scale_ratio:.3g}"
         facts |= {"Log-likelihood": f"{self.log_likelihood:.1f}", "Fit, 1 step": f"{self.own_fit:.2f} %"}
+        if self.levels.size:
+            facts["Recordings"] = f"{self.levels.size}, each with a level"
         if self.dt is not None:
             facts["Sampling period"] = f"{self.dt:.6g} s"
         return summarized(str(self.structure), facts, names, theta, std, level, self.warning, said(self.findings))
@@ -237,13 +247,16 @@ class Model(Responses):
 
     # Its outputs.
 
-    def simulate(self, u: ArrayLike) -> Array:
-        """Run the model on inputs alone from rest, where its output is `level` and each input at its operating point.
+    def simulate(self, u: ArrayLike, start: str | tuple[Any, Any] = "rest") -> Array:
+        """Run the model on inputs alone.
 
         Parameters
         ----------
         u : array_like, shape (N,) or (N, n_inputs)
-            Input.
+            Input. Where it is NaN it keeps the value before, and a warning says so.
+        start : {"rest", "continued"} or tuple of two recordings (y, u), default "rest"
+            From rest, where the output is `level` and each input at its operating point; "continued": from where the
+            recording of the model ended; (y, u): from where this recording ended.
 
         Returns
         -------
@@ -252,16 +265,33 @@ class Model(Responses):
         Raises
         ------
         ValueError
-            If u does not fit or is not finite, or the output of an unstable model overflows.
+            If u does not fit or is infinite, the output of an unstable model overflows, or start is none of these.
+
+        Warns
+        -----
+        UserWarning
+            If u has gaps.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from robust_filterpy.identification import OutputError, identify
+        >>> u = np.random.default_rng(1).choice([-1.0, 1.0], 300)
+        >>> y = np.zeros(300)
+        >>> for k in range(1, 300):
+        ...     y[k] = 0.9 * y[k - 1] + u[k - 1]
+        >>> model = identify(y[:200], u[:200], OutputError(1, 1))
+        >>> bool(np.allclose(model.simulate(u[200:], start="continued"), y[200:]))
+        True
         """
         axis, _, u = self._recording(None, u)
-        signal = recorded_input(self.structure, u, None)
+        signal = held_input(self.structure, u, self.operating_point)
         layout = Layout(self.structure)
-        if self.operating_point.any():
+        if self.operating_point.any() and isinstance(start, str) and start == "rest":
             # From the start: an input of 1e8 beside which there is motion of 1 is not switched on in the first sample.
             y = coefficients.simulate(self.structure, layout, Memory(layout), self.theta, signal - self.operating_point)
             return axis.series(y + (self.level + float(self._gain @ self.operating_point)), "simulated")
-        y = coefficients.simulate(self.structure, layout, Memory(layout), self.theta, signal)
+        y = coefficients.simulate(self.structure, layout, self._memory_at(start, layout), self.theta, signal)
         integrates = self.level == 0.0 != self.offset
         rest = lfilter([self.offset], self._parts().a, np.ones(y.size)) if integrates else self.level
         return axis.series(y + rest, "simulated")
@@ -382,6 +412,17 @@ class Model(Responses):
 
     # Helpers.
 
+    def _memory_at(self, start: Any, layout: Layout) -> Memory:
+        """Return the past signals with which a simulation begins, or raise."""
+        if isinstance(start, tuple) and len(start) == 2:
+            _, y, u = self._recording(*start)
+            return filled_memory(*motion_after(self, y, u))
+        if _checks.option("start", start, ("rest", "continued")) == "rest":
+            return Memory(layout)
+        if np.isnan(self.weights).all():
+            raise ValueError('start: expected a model that has seen a recording for "continued", got one that has none')
+        return self.memory
+
     def _recording(self, y: Any, u: Any) -> tuple[TimeAxis, Any, Any]:
         """Return the time axis of a recording, and its signals without index; or raise if the axis does not fit."""
         axis, y, u = recording(self.structure, y=y, u=u)
@@ -414,8 +455,8 @@ class Model(Responses):
 
     def _own_trend(self, y: Array) -> Array:
         """Return the trend of a checked output: that of the recording if it is the same one, else 0."""
-        same = bool(self.trend.size) and y.size == self.trend.size and crc32(y.tobytes()) == self.fingerprint
-        return self.trend if same else np.zeros(y.size)
+        known = {(number, trend.size): trend for number, trend in ((self.fingerprint, self.trend), *self.recordings)}
+        return known.get((fingerprint(y), y.size), np.zeros(y.size))
 
     def _equation_error(self, model: PolynomialModel, known: Any) -> Array:
         """Return A y - B/F u - d from the first sample that has a regressor on."""
@@ -437,6 +478,21 @@ class Model(Responses):
             motion = np.asarray(lfilter([1.0], dynamics, impulses)).T
             y[model.first :] += motion @ robust_regression(motion[rows], (model.y - y)[model.first :][rows])
         return y
+
+
+def fingerprint(y: Array) -> int:
+    """Return a number by which a recording is known again.
+
+    Parameters
+    ----------
+    y : ndarray, shape (N,)
+        Output, NaN where it is missing.
+
+    Returns
+    -------
+    int
+    """
+    return crc32(np.ascontiguousarray(y).tobytes())
 
 
 def resting_level(parts: Parts) -> float:

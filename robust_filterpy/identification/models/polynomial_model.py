@@ -92,6 +92,11 @@ class PolynomialModel:
         return PolynomialModel(self.structure, y, self.u, self.offset, self.moving)
 
     @property
+    def pieces(self) -> tuple[tuple[slice, slice], ...]:
+        """Which residuals and which samples belong to each recording: all of them to one."""
+        return ((slice(0, self.y.size - self.first), slice(0, self.y.size)),)
+
+    @property
     def conditioned(self) -> Any:
         """Which residuals need nothing from before the recording, shape (N - first,)."""
         return np.arange(self.y.size - self.first) >= self.nd

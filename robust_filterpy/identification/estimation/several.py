@@ -1,0 +1,93 @@
+"""The model of several recordings: one plant, each recording with its own level, breaks of the level, and start."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+from robust_filterpy.identification.estimation.estimate import Problem, estimated
+from robust_filterpy.identification.estimation.level import beside_input_outliers, break_finding, unlike_in_parts
+from robust_filterpy.identification.estimation.trend import PRICE, Trend, piecewise_level
+from robust_filterpy.identification.models.findings import Finding
+from robust_filterpy.identification.models.model import Model, fingerprint
+
+__all__ = ["of_several"]
+
+# In fewer samples a step and the dynamics cannot be told apart.
+_LEAST_SAMPLES: Final = 200
+# A motion that would outlast the longest recording: (1 - |pole|) N.
+_ENDLESS: Final = 0.1
+
+
+def of_several(problem: Problem, y: Array, trend: str) -> tuple[Model, tuple[Finding, ...]]:
+    """Find the model of several recordings that follow each other.
+
+    Parameters
+    ----------
+    problem : Problem
+        What is to be found; its ``begins`` say where each recording begins.
+    y : ndarray, shape (N,)
+        Output, NaN where it is missing.
+    trend : str
+        As of `identify`; a line or breaks are looked for in each recording.
+
+    Returns
+    -------
+    model : Model
+    findings : tuple of Finding
+        Each names its recording.
+    """
+    model, levels, findings = _beside_levels(problem, y, trend)
+    left = y - levels
+    parts = model._parts()
+    slowest = float(np.abs(np.roots(parts.f)).max(initial=0.0)) if parts.f.size > 1 else 0.0
+    longest = max(part.stop - part.start for part in problem.spans)
+    if model.structure.n_inputs and abs(1.0 - slowest) * longest < _ENDLESS:
+        model = estimated(problem._replace(moving=False), left)
+        text = f"a pole at {slowest:.6g} would keep a motion beyond every recording: each begins at rest"
+        findings = (*findings, Finding("slow start", text, float("nan"), (0, y.size)))
+    model, outliers = beside_input_outliers(problem, left, model)
+    again = zip(problem.spans, model.recordings, strict=True)
+    known_again = tuple((fingerprint(y[part]), own + levels[part]) for part, (_, own) in again)
+    model = replace(model, recordings=known_again)
+    for i, part in enumerate(problem.spans):
+        unlike = () if outliers else unlike_in_parts(problem.alone(i), y[part], model)
+        findings = (*findings, *(_of_recording(i, one) for one in unlike))
+    return model, (*findings, *outliers)
+
+
+def _beside_levels(problem: Problem, y: Array, trend: str) -> tuple[Model, Array, tuple[Finding, ...]]:
+    """Return the model beside the levels that break, these, and what to say of them."""
+    plain, levels = estimated(problem, y), np.zeros(y.size)
+    line = trend == "line"
+    if not plain.structure.n_inputs or trend not in ("breaks", "line"):
+        return plain, levels, ()
+    found: list[Trend] = []
+    for i, part in enumerate(problem.spans):
+        own, u = y[part], problem.alone(i).u
+        enough = np.count_nonzero(~np.isnan(own)) >= _LEAST_SAMPLES
+        left = own - plain.free_run(own, u) if enough or line else np.zeros(0)
+        now = piecewise_level(left, line=line) if left.size else Trend(np.zeros(own.size), ())
+        found.append(now)
+        levels[part] = now.values if now.breaks else 0.0
+    count = sum(len(one.breaks) for one in found)
+    if not count:
+        return plain, np.zeros(y.size), ()
+    other = estimated(problem, y - levels)
+    gain = other.log_likelihood - plain.log_likelihood
+    if not line and gain < 0.5 * PRICE * np.log(y.size) * count:
+        return plain, np.zeros(y.size), ()
+    findings = [
+        _of_recording(i, break_finding(b, None, 2.0 * gain, part.stop - part.start))
+        for i, (part, one) in enumerate(zip(problem.spans, found, strict=True))
+        for b in one.breaks
+    ]
+    return other, levels, () if line else tuple(findings)
+
+
+def _of_recording(i: int, finding: Finding) -> Finding:
+    """Return a finding that names its recording."""
+    return finding._replace(text=f"recording {i}: {finding.text}")
