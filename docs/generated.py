@@ -75,10 +75,10 @@ def own_names(module: str) -> list[str]:
     """Return the public names of a module that are this package's."""
     found = importlib.import_module(module)
     names = sorted(found.__all__)
-    if module != f"{ROOT}.kalman":
+    if module not in (f"{ROOT}.kalman", f"{ROOT}.common"):
         return names
-    # Classes are described in the room they come from.
-    return []
+    # Classes are described in the room they come from, and filterpy's by filterpy.
+    return [name for name in names if (getattr(getattr(found, name), "__module__", None) or "").startswith(module)]
 
 
 def module_page(module: str, names: list[str]) -> str:

@@ -6,7 +6,7 @@ import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from filterpy.common import pretty_str
@@ -21,6 +21,9 @@ from robust_filterpy.filters._outlier_share import Share
 from robust_filterpy.filters._sensors import Customs, nothing_known
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.kernel.record import correction_of
+
+if TYPE_CHECKING:
+    from robust_filterpy._filterpy import Assigned
 
 _DEFAULT_INVERSE = np.linalg.inv
 Inverse = Callable[[Array], Array]
@@ -40,7 +43,7 @@ class RobustFilterMixin(StateMixin):
     #: Whether an expected share of clipped innovations is known, and nobody else watches it.
     _counts_clipped: bool
 
-    x: Array
+    x: Assigned
     dim_z: int
     _K: Any
     _y: Any

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from filterpy.kalman import EnsembleKalmanFilter
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise
 from robust_filterpy._checks import Array
+from robust_filterpy._filterpy import EnsembleKalmanFilter
 from robust_filterpy._state import Shape, read, spelt
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
@@ -19,6 +18,7 @@ from robust_filterpy._arrays import (
     state_of,
 )
 from robust_filterpy._checks import Array
+from robust_filterpy._filterpy import ExtendedKalmanFilter
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.filters._mixin import unchanged_if_refused
 from robust_filterpy.filters._nonlinear_mixin import (

@@ -10,7 +10,6 @@ import math
 from typing import Any
 
 import numpy as np
-from filterpy.kalman import KalmanFilter
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
@@ -24,6 +23,7 @@ from robust_filterpy._arrays import (
     state_of,
 )
 from robust_filterpy._checks import FLOAT, Array
+from robust_filterpy._filterpy import KalmanFilter
 from robust_filterpy.correction.definition import embed_block, innovation_moments
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction

@@ -6,13 +6,14 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from filterpy.kalman import CubatureKalmanFilter, UnscentedKalmanFilter, unscented_transform
+from filterpy.kalman import unscented_transform
 from filterpy.kalman.CubatureKalmanFilter import ckf_transform
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array
+from robust_filterpy._filterpy import CubatureKalmanFilter, UnscentedKalmanFilter
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.filters._mixin import unchanged_if_refused
 from robust_filterpy.filters._nonlinear_mixin import (

@@ -5,11 +5,10 @@ from __future__ import annotations
 import copy
 from typing import Any, NamedTuple
 
-import filterpy.kalman
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robust_filterpy import _checks, _state
+from robust_filterpy import _checks, _filterpy, _state
 from robust_filterpy._arrays import control_term, measured, noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import GROUPINGS, Grouping
@@ -45,7 +44,7 @@ class _Step(NamedTuple):
     process_scale: float
 
 
-class FixedLagSmoother(filterpy.kalman.FixedLagSmoother):
+class FixedLagSmoother(_filterpy.FixedLagSmoother):
     """Smooth live like `filterpy.kalman.FixedLagSmoother`, without believing outliers.
 
     After each measurement ``xSmooth[k - i]`` for i = 0..N is the estimate of step k - i from everything up to step k,

@@ -1,12 +1,18 @@
 """robust_filterpy.kalman: every name of filterpy.kalman, and with Linear() its numbers."""
 
+import importlib
+import math
+import pkgutil
+from types import ModuleType
+
+import filterpy.common
 import filterpy.kalman as theirs
 import numpy as np
 import pytest
 import support
 
 import robust_filterpy.kalman as ours
-from robust_filterpy import Huber, Linear, RobustKalmanFilter
+from robust_filterpy import Huber, Linear, RobustKalmanFilter, common
 from robust_filterpy.filters.ensemble import RobustEnsembleKalmanFilter
 
 pytestmark = pytest.mark.core
@@ -14,15 +20,77 @@ OURS = {
     "CubatureKalmanFilter", "EnsembleKalmanFilter", "ExtendedKalmanFilter", "FixedLagSmoother", "KalmanFilter",
     "UnscentedKalmanFilter", "batch_filter", "predict", "rts_smoother", "update",
 }  # fmt: skip
+MODULES = {info.name for info in pkgutil.iter_modules(theirs.__path__)} - {"tests"}
+COMMON = {info.name for info in pkgutil.iter_modules(filterpy.common.__path__)} - {"tests"}
 
 
 def test_every_name_is_there_and_ours_are_ours():
     names = [name for name in dir(theirs) if not name.startswith("_")]
     for name in names:
-        assert (getattr(ours, name) is getattr(theirs, name)) == (name not in OURS), name
+        is_ours = name in OURS or (isinstance(getattr(theirs, name), ModuleType) and name in MODULES)
+        assert (getattr(ours, name) is getattr(theirs, name)) == (not is_ours), name
     assert set(names) == set(ours.__all__) and set(names) >= OURS
     for name in OURS:
         assert getattr(ours, name).__module__.startswith("robust_filterpy.")
+
+
+@pytest.mark.parametrize(
+    "room, module",
+    [(room, name) for room, names in (("kalman", MODULES), ("common", COMMON)) for name in sorted(names)],
+)
+def test_every_module_is_there_and_gives_ours(room, module):
+    """Also as ``from robust_filterpy.kalman import kalman_filter``, which gave filterpy's module."""
+    own = importlib.import_module(f"robust_filterpy.{room}.{module}")
+    other = importlib.import_module(f"filterpy.{room}.{module}")
+    around = importlib.import_module(f"robust_filterpy.{room}")
+    assert getattr(around, module) is (own if module not in OURS | {"unscented_transform"} else getattr(own, module))
+    defined = [name for name, thing in vars(other).items() if getattr(thing, "__module__", "") == other.__name__]
+    assert defined
+    for name in defined:
+        assert getattr(own, name) is getattr(around, name), name
+        assert getattr(own, name).__module__.startswith("robust_") == (name in OURS | {"kinematic_kf"}), name
+
+
+def test_common_has_every_name():
+    names = {name for name in dir(filterpy.common) if not name.startswith("_")}
+    assert names == set(common.__all__)
+
+
+@pytest.mark.parametrize("order_by_dim", [True, False])
+@pytest.mark.parametrize("dim, order", [(1, 0), (1, 2), (2, 1), (3, 3)])
+def test_kinematic_kf_sees_the_position_of_each_dimension(dim, order, order_by_dim):
+    """H follows from what it is to measure: filterpy 2.0.0's is that of the sum of positions."""
+    dt = 0.3
+    kf = common.kinematic_kf(dim, order, dt, order_by_dim=order_by_dim)
+    assert type(kf) is RobustKalmanFilter and kf.dim_z == dim
+    derivatives = np.random.default_rng(0).normal(size=(dim, order + 1))
+    at = derivatives @ [dt**k / math.factorial(k) for k in range(order + 1)]
+    x = derivatives.ravel() if order_by_dim else derivatives.T.ravel()
+    np.testing.assert_allclose(kf.H @ x, derivatives[:, 0])
+    np.testing.assert_allclose(kf.H @ kf.F @ x, at)
+    given = theirs.KalmanFilter(dim * (order + 1), dim)
+    assert common.kinematic_kf(dim, order, dt, dim, order_by_dim, given) is given
+    np.testing.assert_array_equal(given.H, kf.H)
+
+
+def test_kinematic_kf_refuses_what_it_cannot_mean():
+    for arguments, match in (((0, 1), "dim"), ((2, -1), "order"), ((3, 1, 1.0, 2), "dim_z"), ((2, 1, 1.0, 0), "dim_z")):
+        with pytest.raises(ValueError, match=match):
+            common.kinematic_kf(*arguments)
+    with pytest.raises(ValueError, match="kf: expected dim_x=6 and dim_z=3"):
+        common.kinematic_kf(3, 1, kf=RobustKalmanFilter(6, 1))
+    assert common.kinematic_kf(1, 1, dim_z=2).H.tolist() == [[1.0, 0.0], [1.0, 0.0]]
+
+
+def test_saver_takes_our_filters():
+    kf = common.kinematic_kf(2, 1)
+    saver = common.Saver(kf, save_current=True)
+    for z in ([1.0, 2.0], [np.nan, 3.0], None, [1e9, 4.0]):
+        kf.predict()
+        kf.update(z)
+        saver.save()
+    saver.to_array()
+    assert saver.x.shape == (5, 4, 1) and saver.weights.shape == (5, 2, 1) and saver.P.shape == (5, 4, 4)
 
 
 def test_one_word_changes_in_a_program_with_filterpys_other_classes():

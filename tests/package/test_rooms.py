@@ -15,6 +15,7 @@ ROOMS = (
     "_fill_values",
     "_arrays",
     "_documentation",
+    "_filterpy",
     "_lazy",
     "_state",
     "_pictures",
@@ -36,6 +37,7 @@ ROOMS = (
     "fleet",
     "plotting",
     "kalman",
+    "common",
     "__init__",
     "__main__",
 )

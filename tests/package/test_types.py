@@ -12,7 +12,12 @@ RIGHT = """
 import numpy as np
 
 import robust_filterpy as rf
+from filterpy.common import Q_discrete_white_noise
+
 from robust_filterpy import ARX, FilterBank, Huber, OutputError, ParameterTracker, RobustKalmanFilter, filter_series
+from robust_filterpy.common import Saver, kinematic_kf
+from robust_filterpy.kalman import IMMEstimator, KalmanFilter, MerweScaledSigmaPoints
+from robust_filterpy.kalman.kalman_filter import KalmanFilter as SameFilter
 
 kf = RobustKalmanFilter(dim_x=2, dim_z=1, influence=Huber(1.5), scaling="bounded", information="weight")
 kf.predict()
@@ -25,6 +30,17 @@ interval = tracker.confidence_intervals(0.9).lower
 bank = FilterBank(10, dim_x=2, dim_z=1, grouping="joint")
 series = filter_series(np.zeros((1, 2, 1)), np.eye(1), np.eye(1), np.eye(1), np.eye(1), np.zeros(1), np.eye(1))
 series.x.sum()
+kf.x = [0.0, 1.0]
+kf.R = 5
+kf.Q = Q_discrete_white_noise(2, dt=0.1, var=0.5)
+kf.P *= 10.0
+kf.F[0, 1] = 0.1
+kf.B = None
+position: float = float(kf.x[0, 0])
+imm: IMMEstimator = IMMEstimator([kf, KalmanFilter(2, 1)], [0.5, 0.5], np.eye(2))
+imm.update(1.0)
+MerweScaledSigmaPoints(2, 0.1, 2.0, 1.0)
+Saver(kinematic_kf(2, 1)).save()
 rf.diagnose(tracker, np.zeros(10), us=np.zeros(10))
 kf.scaling = "unit"
 """
@@ -34,6 +50,10 @@ WRONG = {
     'RobustKalmanFilter(2, 1, scaling="foo")': "scaling",
     'ParameterTracker(ARX(1, 1), guard="maybe")': "guard",
     'FilterBank(10, 2, 1, grouping="together")': "grouping",
+    "kf.updat(1.0)": "updat",
+    "SameFilter(2, 1).RR": '"RR"',
+    "kf.R = object()": "R|expression has type|[Ii]ncompatible",
+    "kf.predict(v=1.0)": '"v"',
     "rf.no_such_name": "no_such_name",
     "series.y": '"y"',
     'kf.scaling = "foo"': "scaling|foo|expression has type",

@@ -1,0 +1,3 @@
+"""`filterpy.kalman.information_filter`, as it is."""
+
+from filterpy.kalman.information_filter import InformationFilter as InformationFilter

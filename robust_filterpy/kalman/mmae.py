@@ -1,0 +1,3 @@
+"""`filterpy.kalman.mmae`, as it is."""
+
+from filterpy.kalman.mmae import MMAEFilterBank as MMAEFilterBank
