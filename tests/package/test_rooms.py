@@ -27,6 +27,7 @@ ROOMS = (
     "filters",
     "batch",
     "smoothing",
+    "fusion",
     "noise",
     "diagnostics",
     "identification",

@@ -1,0 +1,47 @@
+"""Sensors that are named, stamped, late and failing: one state from all of them.
+
+* `fusion`: `Fusion`, which takes readings in any order within a window.
+* `motion`: how the state moves during any length of time.
+* `sensors`: what a sensor measures, and the one vector in which all of them stand.
+* `_times`: stamps, numbers or instants.
+* `_timeline`: what was read when; late readings make the rest be judged anew.
+* `_stepping`: one step, from stamp to stamp, as a pure function.
+* `_first_readings`: how noisy a sensor is whose R nobody told.
+* `_policies`: the other rooms' recursions as pure functions from state to state.
+* `recording`: a whole table at once, by the kernel; smoothed on request.
+* `_keeping`: a fusion as plain arrays, and back.
+
+Imports from below: `influence`, `correction`, `kernel`, `filters`, `smoothing`.
+"""
+
+from __future__ import annotations
+
+from robust_filterpy.correction.copies import Scales
+from robust_filterpy.correction.learning import NoiseClasses
+from robust_filterpy.fusion.fusion import Estimate, Fusion, FusionWarning, SensorNoise
+from robust_filterpy.fusion.motion import (
+    Motion,
+    constant_acceleration,
+    constant_velocity,
+    from_continuous,
+    from_function,
+)
+from robust_filterpy.fusion.recording import Recording
+from robust_filterpy.fusion.sensors import Sensor, angle
+
+__all__ = [
+    "Estimate",
+    "Fusion",
+    "FusionWarning",
+    "Motion",
+    "NoiseClasses",
+    "Recording",
+    "Scales",
+    "Sensor",
+    "SensorNoise",
+    "angle",
+    "constant_acceleration",
+    "constant_velocity",
+    "from_continuous",
+    "from_function",
+]

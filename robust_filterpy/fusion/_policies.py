@@ -1,0 +1,250 @@
+"""How a filter of many sensors predicts and corrects: pure functions from state to state, the other rooms' recursions.
+
+`LearntNoise` is what `AdaptiveKalmanFilter` does, `BoundedInfluence` what `RobustKalmanFilter` does, on one vector of
+all sensors' measurements in which whoever has not spoken is missing: what is learnt has a row for each component, so
+every sensor has a noise, or a custom, of its own.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from robust_filterpy._arrays import require_finite_prediction
+from robust_filterpy._checks import Array
+from robust_filterpy.correction import copies as side_by_side
+from robust_filterpy.correction import learnt as learnt_step
+from robust_filterpy.correction import spread
+from robust_filterpy.correction.copies import Copies, Scales
+from robust_filterpy.correction.definition import correct, correct_by_custom, innovation_moments
+from robust_filterpy.correction.learning import NoiseClasses, describe
+from robust_filterpy.correction.options import Choices
+from robust_filterpy.fusion._first_readings import none_yet
+from robust_filterpy.kernel import learnt as learnt_kernel
+from robust_filterpy.kernel import series as series_kernel
+from robust_filterpy.kernel.records import Model, Output
+
+__all__ = ["BoundedInfluence", "LearntNoise", "Policy", "State"]
+
+
+class State(NamedTuple):
+    """A filter between two moments; nothing in here is ever written to."""
+
+    means: Array
+    """Of the copies that differ in what they take the process for, (q, n)."""
+    covariances: Array
+    """(q, n, n)"""
+    probabilities: Array
+    """(q,)"""
+    memory: Array
+    """What is known of each component's noise, (M, ..)."""
+    x: Array
+    """Mean of all, (n,)."""
+    P: Array
+    """Its covariance, (n, n)."""
+    unseen: float
+    """Chance that the state has jumped since the last measurement."""
+    sizes: Array
+    """Variance that stands for R where nobody told it, NaN until it is known, 1 elsewhere, (M,)."""
+    u: Array
+    """Control input in force, (dim_u,)."""
+    trial: Array
+    """First readings where nobody told R, (M, ..)."""
+
+
+class Policy(Protocol):
+    """What a fusion asks of a filter."""
+
+    def start(self, x: Array, P: Array, sizes: Array, u: Array) -> State:
+        """Return the state before anything has happened."""
+
+    def predicted(self, state: State, F: Array, Q: Array, drift: Array) -> State:
+        """Return the state after a stretch of time."""
+
+    def corrected(self, state: State, z: Array, H: Array, R: Array, learns: Any) -> State:
+        """Return the state after the readings of one moment; learns: which components' noise is learnt from them."""
+
+    def factors(self, state: State) -> Array:
+        """Return what a component's ordinary noise is over R, in variance, as learnt, (M,)."""
+
+    def contamination(self, state: State) -> Array:
+        """Return the share of outliers of each component, (M,); NaN where none is learnt."""
+
+    def series(self, state: State, zs: Array, F: Array, Q: Array, drift: Array, H: Array, R: Array) -> tuple[Any, ...]:
+        """Return x (N, n), P (N, n, n) and weights (N, M) of many steps, and the last state."""
+
+
+class LearntNoise:
+    """Copies side by side under noise that is a mixture of classes, learnt or told (`correction.learnt`).
+
+    Parameters
+    ----------
+    noise : NoiseClasses
+        Classes of measurement noise.
+    process : Scales
+        What the process may be.
+    """
+
+    def __init__(self, noise: NoiseClasses, process: Scales) -> None:
+        """Keep the choices."""
+        self.noise, self.process = noise, process
+
+    def start(self, x: Array, P: Array, sizes: Array, u: Array) -> State:
+        """Return the state before anything has happened."""
+        begun = side_by_side.start(x, P, self.process)
+        return State(
+            begun.x,
+            begun.P,
+            begun.probabilities,
+            self.noise.start(len(sizes)),
+            x,
+            P,
+            begun.unseen,
+            sizes,
+            u,
+            none_yet(len(sizes)),
+        )
+
+    def predicted(self, state: State, F: Array, Q: Array, drift: Array) -> State:
+        """Return the state after a stretch of time."""
+        found = self._by_kernel(state, np.full((1, len(state.memory)), np.nan), (F, Q, None, None, drift), 1)
+        if found is None:
+            moved = side_by_side.predict(Copies(*state[:3], state.unseen), F, Q, self.process, drift)
+            found = self._of(moved, state)
+        require_finite_prediction(found.x, found.P)
+        return found
+
+    def corrected(self, state: State, z: Array, H: Array, R: Array, learns: Any) -> State:
+        """Return the state after the readings of one moment."""
+        found = self._by_kernel(state, z[None], (None, None, H, R, None), 2)
+        if found is None:
+            copies = Copies(*state[:3], state.unseen)
+            one = learnt_step.correct(copies, state.memory, z, H, R, self.noise, self.process)
+            found = self._of(one.copies, state)._replace(memory=one.memory)
+        if not np.all(learns):
+            found = found._replace(memory=np.where(np.asarray(learns)[:, None], found.memory, state.memory))
+        return found
+
+    def _by_kernel(self, state: State, z: Array, model: tuple[Any, ...], which: int) -> State | None:
+        """Return half a step by the kernel, None where it declines."""
+        n, m = len(state.x), z.shape[1]
+        empty = (np.eye(n), np.zeros((n, n)), np.zeros((m, n)), np.eye(m), np.zeros(n))
+        stacks = tuple((e if a is None else a)[None] for a, e in zip(model, empty, strict=True))
+        stands = learnt_kernel.begin(Copies(*state[:3], state.unseen), state.memory)
+        if not learnt_kernel.run(stands, z, stacks, self.noise, self.process, learnt_kernel.Kept(), which=which):
+            return None
+        return self._taken(stands, state)
+
+    def _taken(self, stands: learnt_kernel.State, state: State) -> State:
+        """Return where the kernel stands as a state."""
+        return self._of(Copies(*stands[:3], float(stands.unseen[0])), state)._replace(memory=stands.learnt)
+
+    def _of(self, copies: Copies, state: State) -> State:
+        """Return copies as a state, with what they merge to."""
+        x, P = side_by_side.merged(copies, self.process)
+        return State(*copies[:3], state.memory, x, P, copies.unseen, state.sizes, state.u, state.trial)
+
+    def factors(self, state: State) -> Array:
+        """Return what a component's ordinary noise is over R, in variance, as learnt."""
+        return np.asarray(state.memory[:, 0])
+
+    def contamination(self, state: State) -> Array:
+        """Return the share of outliers of each component, as learnt."""
+        return describe(state.memory, np.array(self.noise.scales)).contamination
+
+    def series(self, state: State, zs: Array, F: Array, Q: Array, drift: Array, H: Array, R: Array) -> tuple[Any, ...]:
+        """Return x, P, weights of many steps, and the last state; by the kernel, else step by step."""
+        steps, (n, m) = len(zs), (len(state.x), zs.shape[1])
+        x, P, weights = np.empty((steps, n)), np.empty((steps, n * n)), np.empty((steps, m))
+        kept, first = learnt_kernel.Kept(x, P, weights=weights), 0
+        while first < steps:
+            stands = learnt_kernel.begin(Copies(*state[:3], state.unseen), state.memory)
+            reached = learnt_kernel.run(stands, zs, (F, Q, H, R, drift), self.noise, self.process, kept, first=first)
+            if reached > first:
+                state, first = self._taken(stands, state), reached
+                continue
+            i, h = (first if len(F) > 1 else 0), (first if len(H) > 1 else 0)
+            moved = self.predicted(state, F[i], Q[i], drift[first if len(drift) > 1 else 0])
+            copies = Copies(*moved[:3], moved.unseen)
+            one = learnt_step.correct(copies, moved.memory, zs[first], H[h], R[0], self.noise, self.process)
+            state = self._of(one.copies, moved)._replace(memory=one.memory)
+            x[first], P[first], weights[first], first = state.x, state.P.ravel(), one.weights, first + 1
+        return x, P.reshape(steps, n, n), weights, state
+
+
+class BoundedInfluence:
+    """One state and a bounded influence function, by custom or as told (`correction.definition`).
+
+    Parameters
+    ----------
+    choices : Choices
+        Influence function, scaling, information, grouping.
+    """
+
+    def __init__(self, choices: Choices) -> None:
+        """Keep the choices."""
+        self.choices = choices
+        self.by_custom = choices.scaling == "learnt" and not choices.is_linear
+
+    def start(self, x: Array, P: Array, sizes: Array, u: Array) -> State:
+        """Return the state before anything has happened."""
+        return State(x[None], P[None], np.ones(1), spread.begin(len(sizes)), x, P, 0.0, sizes, u, none_yet(len(sizes)))
+
+    def predicted(self, state: State, F: Array, Q: Array, drift: Array) -> State:
+        """Return the state after a stretch of time."""
+        x, P = F @ state.x + drift, F @ state.P @ F.T + Q
+        P = 0.5 * (P + P.T)
+        require_finite_prediction(x, P)
+        return state._replace(x=x, P=P, means=x[None], covariances=P[None])
+
+    def corrected(self, state: State, z: Array, H: Array, R: Array, learns: Any) -> State:
+        """Return the state after the readings of one moment."""
+        part = np.flatnonzero(~np.isnan(z))
+        H, R, memory = H[part], R[np.ix_(part, part)], state.memory
+        y = z[part] - H @ state.x
+        C, S = innovation_moments(state.P, H, R)
+        if self.by_custom:
+            found = correct_by_custom(memory[part], state.x, state.P, y, C, S, R, self.choices, H, False)
+            memory = memory.copy()
+            memory[part] = np.where(np.broadcast_to(learns, len(z))[part, None], found.memory, memory[part])
+        else:
+            found = correct(state.x, state.P, y, C, S, self.choices)
+        return state._replace(x=found.x, P=found.P, means=found.x[None], covariances=found.P[None], memory=memory)
+
+    def factors(self, state: State) -> Array:
+        """Return what a component's innovations are over what was told, in variance, as learnt."""
+        known = state.memory[:, spread.WEIGHT] > 0
+        return np.where(known & self.by_custom, state.memory[:, spread.SPREAD] ** 2, 1.0)
+
+    def contamination(self, state: State) -> Array:
+        """Return the share of far innovations of each component, NaN where none is learnt."""
+        known = state.memory[:, spread.WEIGHT] > 0
+        return np.where(known & self.by_custom, state.memory[:, spread.SHARE], np.nan)
+
+    def series(self, state: State, zs: Array, F: Array, Q: Array, drift: Array, H: Array, R: Array) -> tuple[Any, ...]:
+        """Return x, P, weights of many steps, and the last state; by the kernel, else step by step."""
+        steps, (n, m) = len(zs), (len(state.x), zs.shape[1])
+        x, P, weights = np.empty((1, steps, n)), np.empty((1, steps, n, n)), np.empty((1, steps, m))
+        kept = Output(x, P, np.empty((1, 0, n)), np.empty((1, 0, n, n)), weights, np.zeros(1))
+        first = 0
+        while first < steps:
+            reached = first
+            if series_kernel.serves(self.choices):
+                at, cov, memory = state.x[None].copy(), state.P[None].copy(), state.memory[None].copy()
+                model = Model(F[None], Q[None], H[None], R[None], drift[None])
+                reached = int(
+                    series_kernel.filter_series(
+                        self.choices, zs[None], model, at, cov, kept, memory=memory, start=first
+                    )[0]
+                )
+                state = state._replace(x=at[0], P=cov[0], means=at, covariances=cov, memory=memory[0])
+            if reached == first:
+                i, h = (first if len(F) > 1 else 0), (first if len(H) > 1 else 0)
+                state = self.predicted(state, F[i], Q[i], drift[first if len(drift) > 1 else 0])
+                y = zs[first] - H[h] @ state.x
+                state = self.corrected(state, zs[first], H[h], R[0], True)
+                x[0, first], P[0, first], weights[0, first] = state.x, state.P, np.where(np.isnan(y), np.nan, 1.0)
+                reached = first + 1
+            first = reached
+        return x[0], P[0], weights[0], state

@@ -1,0 +1,164 @@
+"""One step of a fusion as a pure function: what happens between two stamps, and at the second of them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+from robust_filterpy.fusion._first_readings import compared
+from robust_filterpy.fusion._policies import Policy, State
+from robust_filterpy.fusion.motion import Motion
+from robust_filterpy.fusion.sensors import Layout
+
+__all__ = ["Moment", "Setup", "advanced", "aged", "begun", "covariance", "moved"]
+
+# What the first readings tell of a noise that nobody told is worth so many samples.
+_UNTOLD = 2.0
+
+
+class Setup(NamedTuple):
+    """What does not change while a fusion runs."""
+
+    motion: Motion
+    layout: Layout
+    policy: Policy
+
+
+class Moment(NamedTuple):
+    """What there is after everything of one stamp has been judged; nothing in here is ever written to."""
+
+    state: State
+    innovation: Array
+    """z - h(x) before the correction, NaN where missing, (M,)."""
+    deviation: Array
+    """Its standard deviation if the noise is ordinary, as learnt before, (M,)."""
+
+
+def begun(setup: Setup, x: Array, P: Array) -> Moment:
+    """Return the moment before the first stamp.
+
+    Parameters
+    ----------
+    setup : Setup
+        What does not change.
+    x, P : ndarray, shape (n,), (n, n)
+        Where the state starts.
+
+    Returns
+    -------
+    Moment
+    """
+    layout = setup.layout
+    sizes, none = np.where(layout.untold, np.nan, 1.0), np.full(layout.size, np.nan)
+    return Moment(setup.policy.start(x, P, sizes, np.zeros(setup.motion.dim_u)), none, none)
+
+
+def moved(setup: Setup, state: State, seconds: float) -> State:
+    """Return the state some seconds later, with nothing read.
+
+    Parameters
+    ----------
+    setup : Setup
+        What does not change.
+    state : State
+        Before.
+    seconds : float
+        >= 0; nothing happens in 0 seconds.
+
+    Returns
+    -------
+    State
+    """
+    if seconds == 0.0:
+        return state
+    return setup.policy.predicted(state, *setup.motion.over(seconds, state.x, state.u))
+
+
+def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Array | None) -> Moment:
+    """Return the moment some seconds later, when something was read or a control input changed.
+
+    Parameters
+    ----------
+    setup : Setup
+        What does not change.
+    before : Moment
+        Where it stood.
+    seconds : float
+        Since then, >= 0.
+    z : ndarray, shape (M,)
+        Readings of all sensors, NaN where there is none.
+    control : ndarray, shape (dim_u,), or None
+        Control input from now on.
+
+    Returns
+    -------
+    Moment
+    """
+    layout, policy = setup.layout, setup.policy
+    state = policy.predicted(before.state, *setup.motion.over(seconds, before.state.x, before.state.u))
+    none = np.full(layout.size, np.nan)
+    if control is not None:
+        state = state._replace(u=control)
+    if np.isnan(z).all():
+        return Moment(aged(state, seconds, none), none, none)
+    seen = layout.seen_from(state.x, z)
+    y = seen.z - seen.H @ state.x
+    # What goes round in circles is compared as the difference to what was expected.
+    state = aged(state, seconds, np.where(layout.is_curved, y, z))
+    y = np.where(np.isnan(state.sizes), np.nan, y)
+    if np.isnan(y).all():
+        return Moment(state, none, none)
+    spread = ((seen.H @ state.P) * seen.H).sum(axis=1)
+    R = covariance(layout, state.sizes)
+    deviation = np.sqrt(spread + policy.factors(state) * R.diagonal())
+    used = np.where(np.isnan(y), np.nan, seen.z)
+    return Moment(policy.corrected(state, used, seen.H, R, True), y, np.where(np.isnan(y), np.nan, deviation))
+
+
+def aged(state: State, seconds: float, values: Array) -> State:
+    """Return the state that knows the first readings of sensors that nobody told.
+
+    Parameters
+    ----------
+    state : State
+        Before.
+    seconds : float
+        Since the moment before.
+    values : ndarray, shape (M,)
+        Readings, NaN where missing.
+
+    Returns
+    -------
+    State
+    """
+    trial, sizes = compared(state.trial, state.sizes, seconds, values)
+    if trial is state.trial:
+        return state
+    known = np.isnan(state.sizes) & ~np.isnan(sizes)
+    memory = state.memory
+    if known.any():
+        memory = memory.copy()
+        memory[known, 1] = _UNTOLD
+    return state._replace(trial=trial, sizes=sizes, memory=memory)
+
+
+def covariance(layout: Layout, sizes: Array) -> Array:
+    """Return R of all sensors, where nobody told it as the first readings suggested.
+
+    Parameters
+    ----------
+    layout : Layout
+        Sensors.
+    sizes : ndarray, shape (M,)
+        Of a `State`.
+
+    Returns
+    -------
+    ndarray, shape (M, M)
+    """
+    if not layout.untold.any():
+        return layout.R
+    root = np.sqrt(np.where(np.isnan(sizes), 1.0, sizes))
+    return np.asarray(layout.R * np.multiply.outer(root, root))

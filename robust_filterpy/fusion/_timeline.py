@@ -1,0 +1,135 @@
+"""What was read when, in the order of stamps, and what follows from it: late readings make the rest be judged anew.
+
+Each stamp has one entry, with what all sensors read then. What follows from an entry is kept beside it until
+something earlier arrives; then it is dirty, and judged anew when somebody asks. So the order of arrival plays no part,
+to the last bit. Entries older than the window take nothing more; some of them are kept as history.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from typing import Any
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+from robust_filterpy.fusion._stepping import Moment, Setup, advanced
+from robust_filterpy.fusion._times import Clock
+
+__all__ = ["Entry", "Timeline"]
+
+
+class Entry:
+    """What was read at one stamp.
+
+    Parameters
+    ----------
+    key : float or int
+        Of the stamp.
+    size : int
+        Length of all sensors' measurements.
+    """
+
+    __slots__ = ("control", "key", "moment", "spoke", "z")
+
+    def __init__(self, key: float | int, size: int) -> None:
+        """Start with nothing read."""
+        self.key, self.z, self.control = key, np.full(size, np.nan), None
+        #: Names of the sensors that have said something, if only NaN.
+        self.spoke: set[str] = set()
+        self.moment: Moment | None = None
+
+
+class Timeline:
+    """Keep entries in the order of their stamps, and judge them when asked.
+
+    Parameters
+    ----------
+    setup : Setup
+        What does not change.
+    base : Moment
+        What there is before the first entry.
+    window : float
+        Seconds behind the newest stamp within which an entry may still change.
+    history : int
+        Entries that are kept behind the window.
+    """
+
+    def __init__(self, setup: Setup, base: Moment, window: float, history: int) -> None:
+        """Start empty."""
+        self.setup, self.base, self.window, self.history = setup, base, window, history
+        self.entries: list[Entry] = []
+        self.keys: list[Any] = []
+        #: Key of the moment that `base` is of; None before the first stamp, when no time has passed yet.
+        self.base_key: float | int | None = None
+        #: Entries before this one have their moments.
+        self.clean = 0
+        #: When each sensor has spoken last, of entries that are no longer kept.
+        self.earlier: dict[str, float | int] = {}
+
+    @property
+    def horizon(self) -> float | int | None:
+        """Key before which nothing is taken any more; None while everything is."""
+        if not self.keys:
+            return self.base_key
+        closed = Clock.moved(self.keys[-1], -self.window)
+        return closed if self.base_key is None else max(closed, self.base_key)
+
+    def at(self, key: float | int) -> Entry:
+        """Return the entry of a stamp, a new one if there is none; from it on everything is dirty."""
+        i = bisect_left(self.keys, key)
+        if i == len(self.keys) or self.keys[i] != key:
+            self.entries.insert(i, Entry(key, self.setup.layout.size))
+            self.keys.insert(i, key)
+        self.clean = min(self.clean, i)
+        return self.entries[i]
+
+    def find(self, key: float | int) -> Entry | None:
+        """Return the entry of a stamp, if there is one."""
+        i = bisect_left(self.keys, key)
+        return self.entries[i] if i < len(self.keys) and self.keys[i] == key else None
+
+    def until(self, key: float | int | None = None) -> tuple[Moment, float | int | None, int]:
+        """Return what there is after all entries up to a stamp, the last of their keys, and their number."""
+        last = len(self.keys) if key is None else bisect_right(self.keys, key)
+        while self.clean < last:
+            self._judge(self.clean)
+            self.clean += 1
+        if not last:
+            return self.base, self.base_key, 0
+        return self.entries[last - 1].moment, self.keys[last - 1], last  # type: ignore[return-value]
+
+    def _judge(self, i: int) -> None:
+        """Judge an entry by those before it."""
+        entry = self.entries[i]
+        before, key = (self.entries[i - 1].moment, self.keys[i - 1]) if i else (self.base, self.base_key)
+        seconds = 0.0 if key is None else Clock.between(key, entry.key)
+        entry.moment = advanced(self.setup, before, seconds, entry.z, entry.control)  # type: ignore[arg-type]
+
+    def forget(self) -> None:
+        """Let go of entries that are neither in the window nor wanted as history; they have been judged for good."""
+        if self.horizon is None:
+            return
+        beyond = bisect_left(self.keys, self.horizon) - self.history
+        # A few hundred at a time: to shorten a list costs as much as it has left.
+        if beyond < max(64, self.history // 4):
+            return
+        self.base, self.base_key, _ = self.until(self.keys[beyond - 1])
+        for entry in self.entries[:beyond]:
+            self.earlier.update(dict.fromkeys(entry.spoke, entry.key))
+        del self.entries[:beyond], self.keys[:beyond]
+        self.clean -= beyond
+
+    def last_words(self, entries: int) -> dict[str, float | int]:
+        """Return when each sensor has spoken last, in the first entries; who never has is left out."""
+        found: dict[str, float | int] = {}
+        for entry in reversed(self.entries[:entries]):
+            for name in entry.spoke - found.keys():
+                found[name] = entry.key
+            if len(found) == len(self.setup.layout.names):
+                return found
+        return {**self.earlier, **found}
+
+    def readings(self) -> Array:
+        """Return what was read at every entry that is kept, (entries, M)."""
+        return np.array([entry.z for entry in self.entries]).reshape(len(self.entries), self.setup.layout.size)

@@ -1,0 +1,409 @@
+"""Fusion: one state from sensors that are named, stamped, late and failing."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+from robust_filterpy.correction.copies import Scales
+from robust_filterpy.correction.learning import NoiseClasses
+from robust_filterpy.correction.options import Choices
+from robust_filterpy.fusion import _keeping
+from robust_filterpy.fusion._policies import BoundedInfluence, LearntNoise, Policy
+from robust_filterpy.fusion._stepping import Setup, begun, moved
+from robust_filterpy.fusion._timeline import Timeline
+from robust_filterpy.fusion._times import Clock
+from robust_filterpy.fusion.motion import Motion
+from robust_filterpy.fusion.recording import Recording, fused, read
+from robust_filterpy.fusion.sensors import Layout, Sensor
+from robust_filterpy.influence.functions import Influence
+
+__all__ = ["Estimate", "Fusion", "FusionWarning", "SensorNoise"]
+
+# Standard deviation of every state where nobody tells where it starts.
+_UNKNOWN = 1e4
+# Entries that are kept behind the window.
+_HISTORY = 400
+
+#: What has become of a reading, as `Fusion.observe` says it and `Fusion.counts` counts it.
+OUTCOMES = ("taken", "late", "replaced", "duplicate", "refused")
+
+
+class FusionWarning(UserWarning):
+    """Say what a fusion cannot use, or whom it does not believe."""
+
+
+class Estimate(NamedTuple):
+    """What is known of the state at a moment."""
+
+    time: Any
+    """The moment, as a stamp."""
+    x: Array
+    """Mean, (n,)."""
+    P: Array
+    """Its covariance, (n, n)."""
+    ages: dict[str, float]
+    """Seconds since each sensor has spoken last; infinite if it never has."""
+
+
+class SensorNoise(NamedTuple):
+    """What has been learnt about a sensor's noise."""
+
+    deviation: Array
+    """Standard deviation of its ordinary noise, in the unit of z, (m,); NaN before its first reading if nobody told."""
+    contamination: Array
+    """Share of outliers, (m,); NaN where it is not learnt."""
+
+
+class Fusion:
+    """Estimate a state from sensors that speak at their own times, in any order within a window.
+
+    Parameters
+    ----------
+    motion : Motion
+        How the state moves: `constant_velocity`, `constant_acceleration`, `from_continuous`, `from_function`.
+    sensors : mapping of str to Sensor
+        By name. At equal stamps they are judged together, the most plausible first, as one measurement.
+    window : float
+        Seconds behind the newest stamp within which a reading is still used.
+    x0 : array_like, shape (n,), optional
+        State at the first stamp, by default 0.
+    P0 : array_like, shape (n, n), optional
+        Its covariance; by default 1e8 I, a standard deviation of ten thousand units.
+    t0 : stamp, optional
+        When the state was x0; by default at the earliest reading.
+    noise : NoiseClasses, optional
+        Classes of measurement noise: learnt by default, for each component of each sensor.
+    process : Scales, optional
+        Factors of Q side by side and the chance that the state jumps; by default `Scales`'s own. Its dwell and jump
+        are in stamps. ``Scales((1.0,), jump=0.0)`` trusts Q and the start.
+    influence : Influence, optional
+        Instead of noise and process: a bounded influence function as in `RobustKalmanFilter`, or ``Linear()`` for the
+        Kalman filter. R is then to be told.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument does not fit; the message names it.
+
+    Notes
+    -----
+    Any order of arrival within the window gives the same numbers to the last bit, as long as no reading is refused;
+    which are refused depends on the order, since the newest stamp moves the window. A late reading makes what follows
+    it be judged anew when somebody asks, never before.
+
+    An error in a user's h, f or their Jacobians appears when somebody asks for an estimate; the reading stays.
+
+    Examples
+    --------
+    >>> from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
+    >>> fusion = Fusion(constant_velocity(1, q=0.1), {"gps": Sensor([1.0, 0.0], R=1.0)}, window=5.0)
+    >>> for t in (0.0, 2.0, 1.0, 3.0):
+    ...     outcome = fusion.observe("gps", t, 2.0 * t)
+    >>> estimate = fusion.estimate(4.0)
+    >>> bool(abs(estimate.x[0] - 8.0) < 1.0), estimate.ages
+    (True, {'gps': 1.0})
+    """
+
+    def __init__(
+        self,
+        motion: Motion,
+        sensors: Mapping[str, Sensor],
+        window: float,
+        *,
+        x0: ArrayLike | None = None,
+        P0: ArrayLike | None = None,
+        t0: Any = None,
+        noise: NoiseClasses | None = None,
+        process: Scales | None = None,
+        influence: Influence | None = None,
+    ) -> None:
+        """Check everything and start with nothing read."""
+        if not isinstance(motion, Motion):
+            raise TypeError(f"motion: expected one of constant_velocity(..), .., got {_checks.shown(motion)}")
+        n = motion.dim_x
+        layout = Layout(sensors, n)
+        seconds = _checks.real("window", window)
+        if not 0.0 <= seconds < math.inf:
+            raise ValueError(f"window: expected finite seconds >= 0, got {window!r}")
+        x = np.zeros(n) if x0 is None else _checks.finite_vector("x0", np.ravel(_checks.numbers("x0", x0))).copy()
+        if len(x) != n:
+            raise ValueError(f"x0: expected {n} numbers, as the motion has states, got {len(x)}")
+        P = np.eye(n) * _UNKNOWN**2 if P0 is None else _checks.matrix("P0", P0, (n, n), f"{n} states").copy()
+        _checks.covariance("P0", P)
+        self._clock = Clock()
+        self._setup = Setup(motion, layout, _policy(layout, noise, process, influence))
+        self._begin = begun(self._setup, x, P)
+        self._timeline = Timeline(self._setup, self._begin, seconds, _HISTORY)
+        self._started = None if t0 is None else self._clock.key(t0, "t0")
+        self._timeline.base_key = self._started
+        if t0 is not None:
+            self._clock.decide(t0)
+        self._counts = {name: dict.fromkeys(OUTCOMES, 0) for name in layout.names}
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the sensors, as declared."""
+        return self._setup.layout.names
+
+    @property
+    def window(self) -> float:
+        """Seconds behind the newest stamp within which a reading is still used."""
+        return self._timeline.window
+
+    @property
+    def counts(self) -> dict[str, dict[str, int]]:
+        """How many readings of each sensor were taken, late (and taken), replaced, duplicate, refused; a copy."""
+        return {name: dict(counts) for name, counts in self._counts.items()}
+
+    def observe(self, sensor: str, t: Any, z: Any, *, replace: bool = False) -> str:
+        """Take a reading.
+
+        Parameters
+        ----------
+        sensor : str
+            Who speaks.
+        t : float, numpy.datetime64, pandas.Timestamp or datetime with a time zone
+            Its stamp; a sensor's known delay is taken off.
+        z : array_like, shape (m,), or float, or None
+            What it says; NaN marks a missing component, None a reading without any.
+        replace : bool, default False
+            Whether this corrects what the sensor has said with the same stamp.
+
+        Returns
+        -------
+        str
+            "taken"; "late", taken though something newer was there; "replaced"; "duplicate", the same again, which is
+            ignored; or "refused", older than the window, which is dropped and counted.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the sensor is unknown, t is no time or of another kind than those before, z does not fit, or the sensor
+            has said something else with this stamp and replace is False; nothing has changed then.
+
+        Warns
+        -----
+        FusionWarning
+            The first time that a reading of this sensor is refused.
+        """
+        layout, line = self._setup.layout, self._timeline
+        z = layout.reading(sensor, z)
+        key = self._clock.moved(self._clock.key(t), -layout.sensors[sensor].delay)
+        horizon, place = line.horizon, layout.places[sensor]
+        if horizon is not None and key < horizon:
+            return self._refused(sensor, key, horizon)
+        found = line.find(key)
+        again = found is not None and sensor in found.spoke
+        if again and not replace:
+            assert found is not None
+            if not np.array_equal(found.z[place], z, equal_nan=True):
+                raise ValueError(
+                    f"sensor {sensor!r}: expected one reading for each stamp, got {z} at {self._clock.stamp(key)} "
+                    f"after {found.z[place]}; pass replace=True if it is a correction"
+                )
+            self._counts[sensor]["duplicate"] += 1
+            return "duplicate"
+        late = bool(line.keys) and key < line.keys[-1]
+        entry = line.at(key)
+        entry.z[place] = z
+        entry.spoke.add(sensor)
+        self._clock.decide(t)
+        outcome = "replaced" if again else "late" if late else "taken"
+        self._counts[sensor][outcome] += 1
+        if not late:
+            line.forget()
+        return outcome
+
+    def _refused(self, sensor: str, key: float | int, horizon: float | int) -> str:
+        """Count a reading that is too old, and say so the first time."""
+        self._counts[sensor]["refused"] += 1
+        if self._counts[sensor]["refused"] == 1:
+            last = max(
+                self._timeline.last_words(len(self._timeline.keys)).items(), key=lambda one: one[1], default=None
+            )
+            newest = "t0" if last is None else f"the newest reading, {last[0]!r} at {self._clock.stamp(last[1])}"
+            warnings.warn(
+                f"sensor {sensor!r}: a reading of {self._clock.stamp(key)} was dropped: it is "
+                f"{self._clock.between(key, horizon):.6g} s older than the window allows, by {newest}; a longer window "
+                "takes it; counts has how many there are",
+                FusionWarning,
+                stacklevel=3,
+            )
+        return "refused"
+
+    def control(self, t: Any, u: ArrayLike) -> str:
+        """Say which control input acts from a moment on, until the next one.
+
+        Parameters
+        ----------
+        t : stamp
+            When it begins.
+        u : array_like, shape (dim_u,), or float
+            The input, as the motion takes it. Another one for the same stamp replaces it.
+
+        Returns
+        -------
+        str
+            "taken", "late", or "refused" if it is older than the window.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the motion takes no input, or u or t does not fit.
+        """
+        p, line = self._setup.motion.dim_u, self._timeline
+        value = _checks.numbers("u", u).ravel()
+        if len(value) != p or not np.isfinite(value).all():
+            raise ValueError(f"u: expected {p} finite number(s), as the motion takes them, got {_checks.shown(u)}")
+        key = self._clock.key(t)
+        if line.horizon is not None and key < line.horizon:
+            return "refused"
+        late = bool(line.keys) and key < line.keys[-1]
+        line.at(key).control = value.copy()
+        self._clock.decide(t)
+        if not late:
+            line.forget()
+        return "late" if late else "taken"
+
+    def estimate(self, t: Any = None) -> Estimate:
+        """Return what is known of the state at a moment by what was read up to it; nothing is written.
+
+        Parameters
+        ----------
+        t : stamp, optional
+            When; by default at the newest stamp. In the future the state is predicted.
+
+        Returns
+        -------
+        Estimate
+            time, x, P, ages.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If t is before anything that is kept, or no time; or if nothing was read and t is not given.
+        """
+        line, key = self._timeline, None if t is None else self._clock.key(t)
+        if key is None and not line.keys and line.base_key is None:
+            raise ValueError("estimate: expected a reading first, got none; or pass t")
+        first = line.base_key if line.base_key is not None else line.keys[0] if line.keys else None
+        if key is not None and first is not None and key < first:
+            raise ValueError(f"t: expected a time from {self._clock.stamp(first)} on, which is kept, got {t}")
+        moment, at, entries = line.until(key)
+        when = at if key is None else key
+        assert when is not None
+        state = moved(self._setup, moment.state, 0.0 if at is None else self._clock.between(at, when))
+        said = line.last_words(entries)
+        ages = {name: self._clock.between(said[name], when) if name in said else math.inf for name in self.sensors}
+        return Estimate(self._clock.stamp(when), state.x.copy(), state.P.copy(), ages)
+
+    def noise(self) -> dict[str, SensorNoise]:
+        """Return what has been learnt about each sensor's noise.
+
+        Returns
+        -------
+        dict of str to SensorNoise
+        """
+        layout, policy = self._setup.layout, self._setup.policy
+        state = self._timeline.until()[0].state
+        deviation = np.sqrt(state.sizes * layout.R.diagonal() * policy.factors(state))
+        shares = policy.contamination(state)
+        return {name: SensorNoise(deviation[place], shares[place]) for name, place in layout.places.items()}
+
+    def run(
+        self,
+        table: Any,
+        *,
+        time: str = "time",
+        sensor: str = "sensor",
+        value: Any = "value",
+        controls: tuple[Any, Any] | None = None,
+        smoothed: bool = False,
+    ) -> Recording:
+        """Return the states of a whole recording, from the start that this fusion was made with; it stays as it is.
+
+        Parameters
+        ----------
+        table : data frame
+            Of any kind that narwhals knows (pandas, polars, pyarrow), or a dict of columns; a row for each reading, in
+            any order.
+        time, sensor : str
+            Names of the columns with stamps and names.
+        value : str or sequence of str
+            Name of the column with what was read; of several, of which a sensor takes as many as it has components.
+        controls : tuple of array_like, shape (K,) and (K, dim_u), optional
+            Stamps and control inputs from then on.
+        smoothed : bool, default False
+            Whether each state is to be estimated from the whole recording (`robust_filterpy.smoothing.smooth`).
+
+        Returns
+        -------
+        Recording
+            times, x, P, weights, duplicates; a row for each stamp.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If a column is missing, a row's time, name or value is none, or a sensor has said two things with one stamp.
+        """
+        rows = read(self._setup, self._clock, table, time, sensor, value, controls)
+        return fused(self._setup, self._begin, self._started, rows, smoothed)
+
+    def state(self) -> dict[str, Array]:
+        """Return everything that the fusion needs to go on, as plain arrays: `robust_filterpy.fleet.pack` makes bytes.
+
+        Returns
+        -------
+        dict of str to ndarray
+            The state before the oldest entry that is kept, and all entries after it; motion and sensors are not in it.
+        """
+        return _keeping.state(self._timeline, self._clock, self._counts, OUTCOMES)
+
+    def restore(self, state: Any) -> None:
+        """Go back to a state of this fusion, or of another one made like it, and go on the same to the last bit.
+
+        Parameters
+        ----------
+        state : mapping of str to ndarray
+            From `state`.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If an array is missing, does not fit or is not finite; nothing has changed then.
+        """
+        self._timeline, self._clock, self._counts = _keeping.restored(self._timeline, state, OUTCOMES)
+
+
+def _policy(layout: Layout, noise: NoiseClasses | None, process: Scales | None, influence: Influence | None) -> Policy:
+    """Return what predicts and corrects: the one place where a kind of filter is chosen."""
+    if influence is None:
+        if noise is not None and not isinstance(noise, NoiseClasses):
+            raise TypeError(f"noise: expected NoiseClasses(..), got {_checks.shown(noise)}")
+        if process is not None and not isinstance(process, Scales):
+            raise TypeError(f"process: expected Scales(..), got {_checks.shown(process)}")
+        noise = NoiseClasses() if noise is None else noise
+        if noise.grouping == "joint":
+            raise ValueError('noise: expected grouping "component": all sensors stand in one vector')
+        if not noise.learns:
+            _require_told(layout, "noise that is told")
+        return LearntNoise(noise, Scales() if process is None else process)
+    if noise is not None or process is not None:
+        raise ValueError("influence: expected neither noise nor process beside it")
+    _require_told(layout, "influence")
+    return BoundedInfluence(Choices(influence))
+
+
+def _require_told(layout: Layout, why: str) -> None:
+    """Raise if the size of a noise is neither told nor learnt."""
+    for name, sensor in layout.sensors.items():
+        if sensor.R is None:
+            raise ValueError(f"sensor {name!r}: expected R, since with {why} nobody learns it")

@@ -1,0 +1,350 @@
+"""How the state moves during any length of time: F(dt), Q(dt) and B(dt), or a function of the state.
+
+Between two stamps that are dt apart x goes to F(dt) x + B(dt) u and P to F P F' + Q(dt). For a continuous model
+x' = A x + B u + L w, with w white of spectral density Qc,
+
+    F = exp(A dt),   Q = integral over 0..dt of exp(A s) L Qc L' exp(A' s) ds,   B(dt) = integral of exp(A s) B ds
+
+(van Loan 1978). u is what `Fusion.control` was told last, held until it is told another.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import expm
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+
+__all__ = ["Motion", "constant_acceleration", "constant_velocity", "from_continuous", "from_function"]
+
+# What a stretch of time is halved to before van Loan's exponential: exp(-A dt) of a stable A overflows.
+_SHORT = 0.5
+
+
+class Moved(NamedTuple):
+    """A stretch of time: x goes to F x + drift."""
+
+    F: Array
+    """(n, n)"""
+    Q: Array
+    """(n, n)"""
+    drift: Array
+    """(n,)"""
+
+
+class Motion:
+    """Hold a motion model; made by one of the functions of this module.
+
+    Parameters
+    ----------
+    dim_x : int
+        Length of the state.
+    matrices : callable
+        ``matrices(dt)`` returns F (n, n), Q (n, n) and B (n, dim_u) for a stretch of time.
+    dim_u : int, default 0
+        Length of the control input.
+    function : callable, optional
+        ``function(x, dt)``, or ``function(x, dt, u)`` if dim_u > 0: where x goes; F is then its Jacobian at x.
+    jacobian : callable, optional
+        ``jacobian(x, dt)`` or ``jacobian(x, dt, u)``, shape (n, n).
+    names : sequence of str, optional
+        Of the state's components.
+    together : callable, optional
+        `matrices` of many stretches at once, (N,) to (N, n, n), (N, n, n), (N, n, dim_u), where that is faster.
+    """
+
+    def __init__(
+        self,
+        dim_x: int,
+        matrices: Callable[[float], tuple[Array, Array, Array]],
+        dim_u: int = 0,
+        function: Callable[..., Any] | None = None,
+        jacobian: Callable[..., Any] | None = None,
+        names: tuple[str, ...] | None = None,
+        together: Callable[[Array], tuple[Array, Array, Array]] | None = None,
+    ) -> None:
+        """Keep what it is told."""
+        self.dim_x, self.dim_u = _checks.count("dim_x", dim_x, 1), _checks.count("dim_u", dim_u)
+        self.names = tuple(f"x{i}" for i in range(dim_x)) if names is None else tuple(names)
+        # The same stretch comes again and again.
+        self.matrices = lru_cache(maxsize=512)(matrices)
+        self.function, self.jacobian, self.together = function, jacobian, together
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether F does not depend on the state."""
+        return self.function is None
+
+    def stacks(self, dts: Array) -> tuple[Array, Array, Array]:
+        """Return F, Q and B of many stretches of time.
+
+        Parameters
+        ----------
+        dts : ndarray, shape (N,)
+            Seconds.
+
+        Returns
+        -------
+        F, Q, B : ndarray, shape (N, n, n), (N, n, n), (N, n, dim_u)
+        """
+        if self.together is not None:
+            return self.together(dts)
+        lengths, which = np.unique(dts, return_inverse=True)
+        found = [self.matrices(dt) for dt in lengths.tolist()]
+        F, Q, B = (np.array([one[i] for one in found])[which] for i in range(3))
+        return F, Q, B
+
+    def over(self, dt: float, x: Array, u: Array) -> Moved:
+        """Return what happens to a state during a stretch of time.
+
+        Parameters
+        ----------
+        dt : float
+            Seconds, >= 0.
+        x : ndarray, shape (n,)
+            State at its beginning.
+        u : ndarray, shape (dim_u,)
+            Control input during it.
+
+        Returns
+        -------
+        Moved
+
+        Raises
+        ------
+        ValueError
+            If a function returns something of another shape or that is not finite.
+        """
+        F, Q, B = self.matrices(dt)
+        if self.function is None or self.jacobian is None:
+            return Moved(F, Q, B @ u)
+        given = (x.copy(), dt, u.copy()) if self.dim_u else (x.copy(), dt)
+        n = self.dim_x
+        to = _finite("f(x, dt)", self.function(*given), (n,))
+        F = _finite("jacobian(x, dt)", self.jacobian(*given), (n, n))
+        return Moved(F, Q, to - F @ x)
+
+
+def constant_velocity(dim: int = 1, q: ArrayLike = 1.0) -> Motion:
+    """Return the motion of a point whose velocity is driven by white noise.
+
+    Parameters
+    ----------
+    dim : int, default 1
+        Number of axes; the state is position and velocity of the first axis, then of the second, ..
+    q : float or array_like, shape (dim,)
+        Spectral density of the acceleration, unit^2/s^3: after a second the velocity's variance has grown by q.
+
+    Returns
+    -------
+    Motion
+        Its control input, if one is told, is the acceleration, shape (dim,).
+
+    Raises
+    ------
+    ValueError, TypeError
+        If dim < 1 or q is not > 0.
+
+    Examples
+    --------
+    >>> F, Q, B = constant_velocity(1, q=3.0).matrices(2.0)
+    >>> F.tolist(), Q.tolist(), B.tolist()
+    ([[1.0, 2.0], [0.0, 1.0]], [[8.0, 6.0], [6.0, 6.0]], [[2.0], [2.0]])
+    """
+    return _integrators(dim, q, ("p", "v"), controlled=True)
+
+
+def constant_acceleration(dim: int = 1, q: ArrayLike = 1.0) -> Motion:
+    """Return the motion of a point whose acceleration is driven by white noise.
+
+    Parameters
+    ----------
+    dim : int, default 1
+        Number of axes; the state is position, velocity and acceleration of the first axis, then of the second, ..
+    q : float or array_like, shape (dim,)
+        Spectral density of the jerk, unit^2/s^5.
+
+    Returns
+    -------
+    Motion
+
+    Raises
+    ------
+    ValueError, TypeError
+        If dim < 1 or q is not > 0.
+    """
+    return _integrators(dim, q, ("p", "v", "a"), controlled=False)
+
+
+def from_continuous(A: Any, L: ArrayLike | None = None, Qc: ArrayLike = 1.0, B: Any = None) -> Motion:
+    """Return the motion x' = A x + B u + L w of a continuous model, w white of spectral density Qc (van Loan).
+
+    Parameters
+    ----------
+    A : array_like, shape (n, n)
+        Also a ``control.StateSpace`` in continuous time, whose A and B are taken.
+    L : array_like, shape (n, k), optional
+        Where the noise enters; by default at every state.
+    Qc : array_like, shape (k, k), or float
+        Spectral density of the noise; a float means times I.
+    B : array_like, shape (n, dim_u), optional
+        Where the control input enters.
+
+    Returns
+    -------
+    Motion
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a shape does not fit, a number is not finite, Qc is no covariance, or the model is in discrete time.
+
+    Examples
+    --------
+    >>> motion = from_continuous([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], 3.0)
+    >>> motion.matrices(2.0)[1].round(12).tolist()
+    [[8.0, 6.0], [6.0, 6.0]]
+    """
+    if hasattr(A, "A") and hasattr(A, "B") and hasattr(A, "dt"):
+        if A.dt not in (0, None):
+            raise ValueError(f"A: expected a model in continuous time, got one with dt={A.dt}")
+        A, B = A.A, A.B if B is None else B
+    A = _checks.numbers("A", A)
+    if A.ndim != 2 or A.shape[0] != A.shape[1] or not len(A):
+        raise ValueError(f"A: expected a square matrix, got {_checks.described(A)}")
+    n = len(A)
+    L = np.eye(n) if L is None else _columns("L", L, n)
+    k = L.shape[1]
+    Qc = _checks.numbers("Qc", Qc)
+    Qc = _checks.matrix("Qc", Qc * np.eye(k) if Qc.ndim == 0 else Qc, (k, k), f"L with {k} columns")
+    _checks.covariance("Qc", Qc)
+    B = np.zeros((n, 0)) if B is None else _columns("B", B, n)
+    for name, value in (("A", A), ("L", L), ("B", B)):
+        if not np.isfinite(value).all():
+            raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
+    A, driven, B = A.copy(), L @ Qc @ L.T, B.copy()
+    return Motion(n, lambda dt: _van_loan(A, driven, B, dt), B.shape[1])
+
+
+def from_function(f: Callable[..., Any], jacobian: Callable[..., Any], Q: Any, dim_x: int, dim_u: int = 0) -> Motion:
+    """Return the motion x -> f(x, dt) of a nonlinear model; the state's covariance goes by its Jacobian.
+
+    Parameters
+    ----------
+    f : callable
+        ``f(x, dt)``, or ``f(x, dt, u)`` if dim_u > 0, for x of shape (dim_x,); f(x, 0) is x.
+    jacobian : callable
+        Of the same arguments: df/dx, shape (dim_x, dim_x).
+    Q : callable or array_like, shape (dim_x, dim_x)
+        ``Q(dt)``, the covariance that a stretch of time adds, or a matrix that is multiplied by dt.
+    dim_x : int
+        Length of the state.
+    dim_u : int, default 0
+        Length of the control input.
+
+    Returns
+    -------
+    Motion
+
+    Raises
+    ------
+    ValueError, TypeError
+        If f or jacobian cannot be called or Q is no covariance.
+    """
+    n = _checks.count("dim_x", dim_x, 1)
+    for name, value in (("f", f), ("jacobian", jacobian)):
+        if not callable(value):
+            raise TypeError(f"{name}: expected a function, got {_checks.shown(value)}")
+    if not callable(Q):
+        density = _checks.matrix("Q", Q, (n, n), f"dim_x={n}").copy()
+        _checks.covariance("Q", density)
+
+    def matrices(dt: float) -> tuple[Array, Array, Array]:
+        """Return no F, Q and no B."""
+        grown = _checks.matrix("Q(dt)", Q(dt), (n, n), f"dim_x={n}") if callable(Q) else density * dt
+        _checks.covariance("Q(dt)", grown, math.inf)
+        return np.eye(n), grown, np.zeros((n, dim_u))
+
+    return Motion(n, matrices, dim_u, f, jacobian)
+
+
+def _integrators(dim: int, q: ArrayLike, names: tuple[str, ...], controlled: bool) -> Motion:
+    """Return chains of integrators, one for each axis, whose last member is driven by white noise, in closed form."""
+    dim = _checks.count("dim", dim, 1)
+    density = _checks.numbers("q", q)
+    if density.ndim > 1 or (density.ndim == 1 and len(density) != dim):
+        raise ValueError(f"q: expected a number or {dim} of them, got {_checks.described(density)}")
+    if not ((density > 0.0) & np.isfinite(density)).all():
+        raise ValueError(f"q: expected a finite number > 0, got {_checks.shown(q)}")
+    scale, k = np.diag(np.broadcast_to(density, dim).copy()), len(names)
+    ahead = np.subtract.outer(range(k), range(k)).T
+    rest = np.arange(k)[::-1]
+    factorial = np.array([math.factorial(i) for i in range(k + 1)], dtype=float)
+    upper = np.where(ahead >= 0, 1.0 / factorial[np.maximum(ahead, 0)], 0.0)
+    powers = np.add.outer(rest, rest) + 1
+    grown = 1.0 / (powers * np.multiply.outer(factorial[rest], factorial[rest]))
+    pushed = 1.0 / factorial[rest + 1]
+
+    def together(dts: Array) -> tuple[Array, Array, Array]:
+        """Return F, Q and B of all axes, for each stretch."""
+        dt = dts[:, None, None]
+        F = np.einsum("ab,tij->taibj", np.eye(dim), upper * dt ** np.maximum(ahead, 0))
+        Q = np.einsum("ab,tij->taibj", scale, grown * dt**powers)
+        B = np.einsum("ab,tij->taibj", np.eye(dim), pushed[:, None] * dt ** (rest + 1)[:, None])
+        N, n = len(dts), dim * k
+        return F.reshape(N, n, n), Q.reshape(N, n, n), B.reshape(N, n, dim)[:, :, : dim if controlled else 0]
+
+    def matrices(dt: float) -> tuple[Array, Array, Array]:
+        """Return F, Q and B of all axes."""
+        F, Q, B = together(np.array([dt]))
+        return F[0], Q[0], B[0]
+
+    axes = "xyz"[:dim] if dim <= 3 else [str(i) for i in range(dim)]
+    spelt = tuple(f"{axis}.{name}" for axis in axes for name in names)
+    return Motion(dim * k, matrices, dim if controlled else 0, names=spelt, together=together)
+
+
+def _van_loan(A: Array, driven: Array, B: Array, dt: float) -> tuple[Array, Array, Array]:
+    """Return F, Q and B(dt): by the exponential for a short stretch, which is then doubled."""
+    n, p = len(A), B.shape[1]
+    doublings = max(0, math.ceil(math.log2(max(float(np.abs(A).sum(axis=1).max()) * dt / _SHORT, 1e-300))))
+    h = dt / 2.0**doublings
+    block = np.zeros((2 * n, 2 * n))
+    block[:n, :n], block[:n, n:], block[n:, n:] = -A * h, driven * h, A.T * h
+    found = expm(block)
+    F = found[n:, n:].T
+    Q = F @ found[:n, n:]
+    inputs = np.zeros((n + p, n + p))
+    inputs[:n, :n], inputs[:n, n:] = A * h, B * h
+    G = expm(inputs)[:n, n:]
+    for _ in range(doublings):
+        Q, G = Q + F @ Q @ F.T, G + F @ G
+        F = F @ F
+    return F, 0.5 * (Q + Q.T), G
+
+
+def _columns(name: str, value: ArrayLike, n: int) -> Array:
+    """Return a matrix of n rows, or raise."""
+    found = _checks.numbers(name, value)
+    if found.ndim == 1 and len(found) == n:
+        found = found[:, None]
+    if found.ndim != 2 or len(found) != n:
+        raise ValueError(f"{name}: expected {n} rows, as A has, got {_checks.described(found)}")
+    return found
+
+
+def _finite(name: str, value: Any, shape: tuple[int, ...]) -> Array:
+    """Return what a user's function returned, or raise."""
+    found = _checks.numbers(name, value)
+    if found.shape != shape:
+        raise ValueError(f"{name}: expected shape {shape}, got {_checks.described(found)}")
+    if not np.isfinite(found).all():
+        raise ValueError(f"{name}: expected finite numbers, got {found}")
+    return found

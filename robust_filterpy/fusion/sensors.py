@@ -1,0 +1,248 @@
+"""Sensors by name, and how the measurements of all of them stand in one vector."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+
+__all__ = ["Layout", "Sensor", "angle"]
+
+
+def angle(z: ArrayLike, predicted: ArrayLike) -> Array:
+    """Return the difference of two angles in radians, between -pi and pi: a ``residual`` for a compass.
+
+    Parameters
+    ----------
+    z, predicted : array_like, shape (m,)
+        Angles.
+
+    Returns
+    -------
+    ndarray, shape (m,)
+
+    Examples
+    --------
+    >>> angle([3.1], [-3.1]).round(4)
+    array([-0.0832])
+    """
+    apart = np.subtract(z, predicted)
+    return np.asarray((apart + math.pi) % (2.0 * math.pi) - math.pi)
+
+
+@dataclass(frozen=True, eq=False)
+class Sensor:
+    """Say what a sensor measures: z = H x + noise, or z = h(x) + noise.
+
+    Parameters
+    ----------
+    H : array_like, shape (m, n) or (n,), optional
+        Measurement matrix.
+    R : array_like, shape (m, m), or float, optional
+        Covariance of its ordinary noise; a float means times I. Where the noise is learnt it is where learning starts,
+        and without it
+        the sensor's first readings say how large it is; six of them serve for nothing else.
+    h : callable, optional
+        Instead of H: ``h(x)``, shape (m,), for x of shape (n,).
+    jacobian : callable, optional
+        With h: ``jacobian(x)``, shape (m, n).
+    residual : callable, optional
+        With h: ``residual(z, h(x))``, shape (m,), for what does not subtract; `angle` for angles. By default z - h(x).
+    dim_z : int, default 1
+        With h: m.
+    delay : float, default 0
+        Seconds between the moment that is measured and the stamp, known and constant: the reading counts as of
+        stamp - delay.
+    every : float, optional
+        Seconds between two readings when all is well. Without it, it is learnt; a sensor that has said nothing for
+        several of them is silent.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If neither or both of H and h are given, h comes without its Jacobian, or a number is out of range.
+
+    Examples
+    --------
+    >>> gps = Sensor([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]], R=4.0)
+    >>> gps.dim_z
+    2
+    """
+
+    H: Any = None
+    R: Any = None
+    h: Callable[[Array], Any] | None = None
+    jacobian: Callable[[Array], Any] | None = None
+    residual: Callable[[Array, Array], Any] | None = None
+    dim_z: int = 1
+    delay: float = 0.0
+    every: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check what does not depend on the state."""
+        if (self.H is None) == (self.h is None):
+            raise ValueError("Sensor: expected H or h, one of them")
+        if self.H is not None:
+            H = _checks.numbers("H", self.H)
+            H = H[None] if H.ndim == 1 else H
+            if H.ndim != 2 or not H.size or not np.isfinite(H).all():
+                raise ValueError(
+                    f"H: expected a finite matrix, a row for each number of z, got {_checks.shown(self.H)}"
+                )
+            if self.jacobian is not None or self.residual is not None:
+                raise ValueError("Sensor: expected jacobian and residual with h only; H is its own Jacobian")
+            object.__setattr__(self, "H", H.copy())
+            object.__setattr__(self, "dim_z", len(H))
+        elif not callable(self.h) or not callable(self.jacobian):
+            raise TypeError("Sensor: expected functions h(x) and jacobian(x), got h without jacobian or no function")
+        _checks.count("dim_z", self.dim_z, 1)
+        if self.R is not None:
+            R = _checks.numbers("R", self.R)
+            R = R * np.eye(self.dim_z) if R.ndim == 0 else R
+            R = _checks.matrix("R", R, (self.dim_z, self.dim_z), f"dim_z={self.dim_z}").copy()
+            _checks.covariance("R", R)
+            if not (R.diagonal() > 0.0).all():
+                raise ValueError(f"R: expected variances > 0, got {R.diagonal()}")
+            object.__setattr__(self, "R", R)
+        if not (math.isfinite(_checks.real("delay", self.delay)) and self.delay >= 0.0):
+            raise ValueError(f"delay: expected finite seconds >= 0, got {self.delay!r}")
+        if self.every is not None:
+            _checks.positive("every", self.every)
+
+
+class Seen(NamedTuple):
+    """What a state says that some sensors should read, and how that depends on the state."""
+
+    z: Array
+    """Readings as if every sensor were linear, z - h(x) + H x; NaN where missing, (M,)."""
+    H: Array
+    """(M, n)"""
+
+
+class Layout:
+    """Place the measurements of all sensors in one vector of length M, in the order of declaration.
+
+    Parameters
+    ----------
+    sensors : mapping of str to Sensor
+        By name.
+    n : int
+        Length of the state.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If there is none, one is no `Sensor`, a name is no text, or H does not fit the state.
+    """
+
+    def __init__(self, sensors: Mapping[str, Sensor], n: int) -> None:
+        """Check and keep them."""
+        if not isinstance(sensors, Mapping) or not sensors:
+            raise TypeError(f"sensors: expected a dict from names to Sensor, got {_checks.shown(sensors)}")
+        self.sensors, self.places, at = dict(sensors), {}, 0
+        for name, sensor in self.sensors.items():
+            if not isinstance(name, str) or not isinstance(sensor, Sensor):
+                raise TypeError(f"sensors: expected Sensor by name, got {name!r}: {_checks.shown(sensor)}")
+            if sensor.H is not None and sensor.H.shape[1] != n:
+                raise ValueError(
+                    f"sensor {name!r}: expected H with {n} columns, as the state has, got {sensor.H.shape}"
+                )
+            self.places[name] = slice(at, at + sensor.dim_z)
+            at += sensor.dim_z
+        self.size, self.n = at, n
+        #: Which sensor each component belongs to, (M,).
+        self.owner = np.repeat(np.arange(len(sensors)), [s.dim_z for s in self.sensors.values()])
+        self.names = tuple(self.sensors)
+        self.H, self.R = np.zeros((at, n)), np.eye(at)
+        #: Components whose R nobody told, (M,).
+        self.untold = np.zeros(at, dtype=bool)
+        for name, place in self.places.items():
+            sensor = self.sensors[name]
+            if sensor.H is not None:
+                self.H[place] = sensor.H
+            if sensor.R is None:
+                self.untold[place] = True
+            else:
+                self.R[place, place] = sensor.R
+        self.is_curved = np.repeat(
+            [s.h is not None for s in self.sensors.values()], [s.dim_z for s in self.sensors.values()]
+        )
+        self.curved = tuple(name for name, sensor in self.sensors.items() if sensor.h is not None)
+
+    def reading(self, name: str, z: Any) -> Array:
+        """Return a sensor's reading, NaN where a component is missing, or raise.
+
+        Parameters
+        ----------
+        name : str
+            Of the sensor.
+        z : array_like, shape (m,), or float, or None
+            What it says.
+
+        Returns
+        -------
+        ndarray, shape (m,)
+        """
+        if name not in self.places:
+            raise ValueError(f"sensor: expected one of {list(self.sensors)}, got {name!r}")
+        m = self.sensors[name].dim_z
+        found = np.full(m, np.nan) if z is None else _checks.numbers(f"z of {name!r}", z).ravel()
+        if len(found) != m:
+            raise ValueError(f"z of {name!r}: expected {m} number(s), got {_checks.shown(z)}")
+        if np.isinf(found).any():
+            raise ValueError(f"z of {name!r}: expected finite numbers or NaN (missing), got {found}")
+        return found.copy()
+
+    def seen_from(self, x: Array, z: Array) -> Seen:
+        """Return readings and H as they are about a state; sensors without a reading are not asked.
+
+        Parameters
+        ----------
+        x : ndarray, shape (n,)
+            State that h is made linear about.
+        z : ndarray, shape (M,)
+            Readings, NaN where missing.
+
+        Returns
+        -------
+        Seen
+
+        Raises
+        ------
+        ValueError
+            If a user's function returns another shape, or what is not finite.
+        """
+        curved = [name for name in self.curved if not np.isnan(z[self.places[name]]).all()]
+        if not curved:
+            return Seen(z, self.H)
+        z, H = z.copy(), self.H.copy()
+        for name in curved:
+            sensor, place = self.sensors[name], self.places[name]
+            m = sensor.dim_z
+            at = _returned(f"h of {name!r}", sensor.h(x.copy()), (m,))  # type: ignore[misc]
+            H[place] = _returned(f"jacobian of {name!r}", sensor.jacobian(x.copy()), (m, self.n))  # type: ignore[misc]
+            here = z[place].copy()
+            missing = np.isnan(here)
+            # A residual is asked about whole readings: what is missing agrees.
+            here[missing] = at[missing]
+            apart = here - at if sensor.residual is None else sensor.residual(here, at)
+            apart = _returned(f"residual of {name!r}", apart, (m,))
+            z[place] = np.where(missing, np.nan, apart + H[place] @ x)
+        return Seen(z, H)
+
+
+def _returned(name: str, value: Any, shape: tuple[int, ...]) -> Array:
+    """Return what a user's function returned, or raise."""
+    found = _checks.numbers(name, value)
+    if found.size == int(np.prod(shape)) and found.shape != shape:
+        found = found.reshape(shape)
+    if found.shape != shape or not np.isfinite(found).all():
+        raise ValueError(f"{name}: expected finite numbers of shape {shape}, got {_checks.shown(value)}")
+    return found

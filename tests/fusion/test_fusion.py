@@ -1,0 +1,266 @@
+"""What a fusion says of the state, against filterpy's loop and against the truth."""
+
+import math
+from datetime import datetime, timedelta, timezone
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from fusion.worlds import GPS, POLICIES, WHEEL, plane, sensors, table
+
+from robust_filterpy.fusion import Fusion, Sensor, angle, constant_velocity, from_function
+from robust_filterpy.influence import Linear
+
+
+def loop(readings, motion, x, P):
+    """The loop that everybody writes, with filterpy's own filter."""
+    kf = KalmanFilter(4, 2)
+    kf.x, kf.P, before = x, P, readings[0][1]
+    for who, t, z in readings:
+        if t > before:
+            kf.predict(F=motion.matrices(t - before)[0], Q=motion.matrices(t - before)[1])
+        H, R = (GPS, 4.0) if who == "gps" else (WHEEL, 0.01)
+        kf.update(z, R=R * np.eye(2), H=np.array(H))
+        before = t
+    return kf
+
+
+@pytest.mark.parametrize("policy", ["linear", "told by classes"])
+def test_told_everything_and_in_order_it_is_the_loop_of_filterpy(policy):
+    stamps = np.cumsum(np.random.default_rng(0).uniform(0.01, 1.0, 200))
+    readings, _ = plane(stamps)
+    motion = constant_velocity(2, 0.5)
+    options = {"influence": Linear()}
+    if policy != "linear":
+        from robust_filterpy.fusion import NoiseClasses, Scales
+
+        options = {"noise": NoiseClasses((1.0,), probabilities=(1.0,)), "process": Scales((1.0,), jump=0.0)}
+    fusion = Fusion(motion, sensors(), 5.0, x0=np.zeros(4), P0=100.0 * np.eye(4), **options)
+    for one in readings:
+        fusion.observe(*one)
+    kf, found = loop(readings, motion, np.zeros(4), 100.0 * np.eye(4)), fusion.estimate()
+    np.testing.assert_allclose(found.x, kf.x, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(found.P, kf.P, rtol=1e-7, atol=1e-10)
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+@pytest.mark.parametrize("kind", ["dict", "pandas", "pyarrow"])
+def test_a_table_in_any_order_is_the_same_as_reading_by_reading(policy, kind):
+    readings, _ = plane(np.cumsum(np.random.default_rng(0).uniform(0.01, 1.0, 60)), outliers=0.1)
+    fusion = Fusion(constant_velocity(2, 0.5), sensors(), 1e3, **POLICIES[policy])
+    columns = {name: np.array(column)[::-1] for name, column in table(readings).items()}
+    if kind != "dict":
+        module = pytest.importorskip(kind)
+        columns = module.DataFrame(columns) if kind == "pandas" else module.table(columns)
+    found = fusion.run(columns, value=["v0", "v1"])
+    for one in readings:
+        fusion.observe(*one)
+    for i in (0, 10, -1):
+        np.testing.assert_allclose(found.x[i], fusion.estimate(found.times[i]).x, rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(found.P[i], fusion.estimate(found.times[i]).P, rtol=1e-6, atol=1e-6)
+    assert list(found.columns())[:3] == ["time", "x.p", "x.p_std"]
+
+
+def test_smoothed_states_are_nearer_to_the_truth():
+    readings, truth = plane(np.arange(400) * 0.3, outliers=0.1)
+    fusion = Fusion(constant_velocity(2, 0.5), sensors(), 1.0)
+    error = [
+        np.abs(fusion.run(table(readings), value=["v0", "v1"], smoothed=smoothed).x - truth)[:, [0, 2]].mean()
+        for smoothed in (False, True)
+    ]
+    assert error[1] < 0.8 * error[0]
+
+
+def test_noise_is_learnt_for_each_sensor_whoever_told_what():
+    readings, _ = plane(np.arange(3000) * 0.1)
+    fusion = Fusion(constant_velocity(2, 0.5), {"gps": Sensor(GPS), "wheel": Sensor(WHEEL, R=1.0)}, 1.0)
+    for one in readings:
+        fusion.observe(*one)
+    found = fusion.noise()
+    np.testing.assert_allclose(found["gps"].deviation, 2.0, rtol=0.35)
+    np.testing.assert_allclose(found["wheel"].deviation, 0.1, rtol=0.6)
+    assert (found["gps"].contamination < 0.1).all()
+
+
+def test_a_sensor_that_nobody_told_does_not_depend_on_units():
+    readings, _ = plane(np.arange(90) * 0.3)
+    scaled = {}
+    for unit in (1.0, 1e-4, 1e5):
+        fusion = Fusion(
+            constant_velocity(2, 0.5),
+            {"gps": Sensor(GPS, R=4.0), "wheel": Sensor(unit * np.array(WHEEL))}, 1.0, P0=100.0 * np.eye(4),
+        )  # fmt: skip
+        for who, t, z in readings:
+            fusion.observe(who, t, unit * z if who == "wheel" else z)
+        scaled[unit] = fusion.estimate().x
+    np.testing.assert_allclose(scaled[1e-4], scaled[1.0], rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(scaled[1e5], scaled[1.0], rtol=1e-5, atol=1e-6)
+
+
+def test_a_missing_component_leaves_the_others():
+    fusion = Fusion(constant_velocity(2, 0.5), sensors(), 1.0, P0=1e4 * np.eye(4))
+    fusion.observe("gps", 0.0, [3.0, np.nan])
+    found = fusion.estimate()
+    assert abs(found.x[0] - 3.0) < 0.2 and found.x[2] == 0.0 and round(found.P[2, 2]) == 1e4
+    fusion.observe("gps", 1.0, None)
+    assert fusion.estimate().ages == {"gps": 0.0, "wheel": math.inf}
+
+
+def test_a_known_delay_is_taken_off():
+    prompt = Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0], R=1.0)}, 5.0)
+    slow = Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0], R=1.0, delay=0.5)}, 5.0)
+    for k in range(20):
+        prompt.observe("a", 1.0 * k, 2.0 * k)
+        slow.observe("a", 1.0 * k + 0.5, 2.0 * k)
+    assert slow.estimate(25.0).x.tobytes() == prompt.estimate(25.0).x.tobytes()
+
+
+def test_instants_of_every_kind_count_the_same_seconds():
+    pd = pytest.importorskip("pandas")
+    numbers = Fusion(constant_velocity(2, 0.5), sensors(), 5.0)
+    times = Fusion(constant_velocity(2, 0.5), sensors(), 5.0)
+    start = datetime(2026, 1, 2, 3, 4, 5, tzinfo=timezone.utc)
+    makers = [
+        lambda s: start + timedelta(seconds=s),
+        lambda s: np.datetime64("2026-01-02T03:04:05") + np.timedelta64(round(s * 1e6), "us"),
+        lambda s: pd.Timestamp("2026-01-02T03:04:05Z") + pd.Timedelta(seconds=s),
+        lambda s: pd.Timestamp("2026-01-02T04:04:05", tz="Europe/Paris") + pd.Timedelta(seconds=s),
+    ]
+    for i, (who, t, z) in enumerate(plane(np.arange(30) * 0.25)[0]):
+        numbers.observe(who, t, z)
+        times.observe(who, makers[i % 4](t), z)
+    np.testing.assert_array_equal(times.estimate().x, numbers.estimate().x)
+    assert times.estimate().time == np.datetime64("2026-01-02T03:04:12.25")
+    columns = table(plane(np.arange(30) * 0.25)[0])
+    columns["time"] = pd.to_datetime([start + timedelta(seconds=t) for t in columns["time"]])
+    found = times.run(pd.DataFrame(columns), value=["v0", "v1"])
+    assert found.times[-1] == times.estimate().time
+    np.testing.assert_allclose(found.x[-1], times.estimate().x, rtol=1e-9)
+
+
+def test_a_microsecond_at_an_instant_is_a_microsecond():
+    fusion = Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0], R=1.0)}, 5.0)
+    fusion.observe("a", np.datetime64("2026-01-01T00:00:00.000000100"), 0.0)
+    fusion.observe("a", np.datetime64("2026-01-01T00:00:00.000000200"), 0.0)
+    ages = fusion.estimate(np.datetime64("2026-01-01T00:00:01.000000200")).ages
+    assert ages == {"a": 1.0} and len(fusion.state()["keys"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("t", "error", "says"),
+    [
+        (datetime(2026, 1, 1), ValueError, "time zone.*timezone.utc"),
+        (timedelta(seconds=1), TypeError, "duration.*total_seconds"),
+        ("2026-01-01", TypeError, "expected a number"),
+        (math.nan, ValueError, "finite time"),
+        (np.datetime64("NaT"), ValueError, "NaT"),
+        (np.datetime64("2026-01-01"), TypeError, "number of seconds, as the stamps before"),
+    ],
+)
+def test_what_is_no_stamp_is_refused_with_the_cure(t, error, says):
+    fusion = Fusion(constant_velocity(2, 0.5), sensors(), 5.0)
+    fusion.observe("gps", 0.0, [0.0, 0.0])
+    with pytest.raises(error, match=says):
+        fusion.observe("gps", t, [0.0, 0.0])
+    assert fusion.counts["gps"]["taken"] == 1
+
+
+def test_a_compass_that_goes_round_and_a_motion_that_is_a_function():
+    """A heading that turns once in 6 s, seen by a compass with an angle and by the place it leads to."""
+
+    def f(x, dt):
+        return np.array([x[0] + dt * math.cos(x[2]), x[1] + dt * math.sin(x[2]), x[2] + dt * x[3], x[3]])
+
+    def jacobian(x, dt):
+        F = np.eye(4)
+        F[0, 2], F[1, 2], F[2, 3] = -dt * math.sin(x[2]), dt * math.cos(x[2]), dt
+        return F
+
+    def wrapped(x):
+        return np.array([(x[2] + math.pi) % (2 * math.pi) - math.pi])
+
+    compass = Sensor(h=wrapped, jacobian=lambda x: np.array([[0.0, 0.0, 1.0, 0.0]]), residual=angle, R=0.01)
+    place = Sensor(np.eye(4)[:2], R=0.04)
+    motion = from_function(f, jacobian, np.diag([1e-4, 1e-4, 1e-4, 1e-3]), 4)
+    fusion = Fusion(motion, {"compass": compass, "place": place}, 1.0, x0=[0, 0, 0, 1.0], P0=np.eye(4))
+    rng, x, rows = np.random.default_rng(0), np.array([0.0, 0.0, 0.0, 1.0]), []
+    for k in range(300):
+        for _ in range(10):
+            x = f(x, 0.01)
+        t = 0.1 * (k + 1)
+        rows += [("compass", t, wrapped(x + 0.1 * rng.normal())[0]), ("place", t, x[:2] + 0.2 * rng.normal(size=2))]
+    for who, t, z in rows:
+        fusion.observe(who, t, z)
+    found = fusion.estimate()
+    assert np.abs(found.x - x)[[0, 1]].max() < 0.5 and abs(found.x[2] - x[2]) < 0.2
+    columns = {
+        "time": [t for _, t, _ in rows],
+        "sensor": [who for who, *_ in rows],
+        "a": [np.ravel(z)[0] for *_, z in rows],
+        "b": [np.ravel(z)[-1] for *_, z in rows],
+    }
+    np.testing.assert_allclose(fusion.run(columns, value=["a", "b"]).x[-1], found.x, rtol=1e-9)
+    with pytest.raises(ValueError, match="smoothed: expected a linear"):
+        fusion.run(columns, value=["a", "b"], smoothed=True)
+
+
+def test_a_table_takes_control_inputs():
+    readings, _ = plane(np.arange(40) * 0.3)
+    fusion = Fusion(constant_velocity(2, 0.5), sensors(), 1e3)
+    stamps, us = [0.1, 3.0, 7.7], [[1.0, 0.0], [0.0, 2.0], [0.0, 0.0]]
+    found = fusion.run(table(readings), value=["v0", "v1"], controls=(stamps, us))
+    for t, u in zip(stamps, us, strict=True):
+        fusion.control(t, u)
+    for one in readings:
+        fusion.observe(*one)
+    np.testing.assert_allclose(found.x[-1], fusion.estimate().x, rtol=1e-6, atol=1e-7)
+    assert np.abs(found.x[-1] - fusion.run(table(readings), value=["v0", "v1"]).x[-1]).max() > 1e-4
+
+
+def test_far_from_where_it_was_told_to_start():
+    """Coordinates of a map are millions of metres; nobody told where."""
+    readings, truth = plane(np.arange(60) * 0.3)
+    fusion = Fusion(constant_velocity(2, 0.5), sensors(), 1.0)
+    for who, t, z in readings:
+        fusion.observe(who, t, z + 5e6 if who == "gps" else z)
+    assert np.abs(fusion.estimate().x - truth[-1] - [5e6, 0, 5e6, 0]).max() < 5.0
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"time": [0.0, math.nan]}, "finite time"),
+        ({"sensor": ["gps", "sonar"]}, "sonar"),
+        ({"v0": [0.0, math.inf]}, "row 1"),
+        ({"time": [1.0, 1.0]}, "two that differ"),
+        ({"v0": [0.0, 1.0, 2.0]}, "one length"),
+    ],
+)
+def test_a_row_that_cannot_be_is_named(change, says):
+    columns = {"time": [0.0, 1.0], "sensor": ["gps", "gps"], "v0": [0.0, 1.0], "v1": [0.0, 1.0]} | change
+    with pytest.raises(ValueError, match=says):
+        Fusion(constant_velocity(2, 0.5), sensors(), 1.0).run(columns, value=["v0", "v1"])
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: Sensor(), "H or h"),
+        (lambda: Sensor(h=lambda x: x), "jacobian"),
+        (lambda: Sensor([1.0, 0.0], R=-1.0), "R"),
+        (lambda: Sensor([1.0, 0.0], delay=-1.0), "delay"),
+        (lambda: Fusion(constant_velocity(1), {"a": Sensor([1.0])}, 1.0), "'a'.*2 columns"),
+        (lambda: Fusion(constant_velocity(1), {}, 1.0), "dict"),
+        (lambda: Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0])}, -1.0), "window"),
+        (lambda: Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0])}, 1.0, influence=Linear()), "R"),
+        (lambda: Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0])}, 1.0).observe("b", 0.0, 0.0), "'a'.*'b'"),
+        (
+            lambda: Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0])}, 1.0).observe("a", 0.0, [0.0, 1.0]),
+            "1 number",
+        ),
+        (lambda: Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0])}, 1.0).estimate(), "reading first"),
+    ],
+)
+def test_what_does_not_fit_is_refused_by_name(make, says):
+    with pytest.raises((ValueError, TypeError), match=says):
+        make()
