@@ -31,6 +31,7 @@ from robust_filterpy.identification import LinearRegression as LinearRegression
 from robust_filterpy.identification import Model as Model
 from robust_filterpy.identification import OutputError as OutputError
 from robust_filterpy.identification import ParameterTracker as ParameterTracker
+from robust_filterpy.identification import StateSpace as StateSpace
 from robust_filterpy.identification import TrackerBank as TrackerBank
 from robust_filterpy.identification import compare as compare
 from robust_filterpy.identification import select_structure as select_structure

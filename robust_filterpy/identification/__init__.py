@@ -17,6 +17,7 @@ from robust_filterpy.identification.judging.validate import Validation, validate
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.responses import FrequencyResponse, NoiseSpectrum, Regions, StepResponse
 from robust_filterpy.identification.models.results import Coefficients, Intervals, Sample, TrackingResult
+from robust_filterpy.identification.models.state_space import StateSpace, StateSpaceModel
 from robust_filterpy.identification.models.structures import (
     AR,
     ARMA,
@@ -56,6 +57,8 @@ __all__ = [
     "Regions",
     "Sample",
     "Selection",
+    "StateSpace",
+    "StateSpaceModel",
     "StepResponse",
     "Structure",
     "Summary",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,15 +20,18 @@ from robust_filterpy.identification.estimation.level import (
 )
 from robust_filterpy.identification.estimation.recordings import recordings
 from robust_filterpy.identification.estimation.several import of_several
+from robust_filterpy.identification.estimation.state_space import identified_state_space
 from robust_filterpy.identification.models.findings import said
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.signals import operating_point
+from robust_filterpy.identification.models.state_space import StateSpace, StateSpaceModel
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.influence.functions import Influence
 
 __all__ = ["identify"]
 
 
+@overload
 def identify(
     y: ArrayLike,
     u: ArrayLike | None,
@@ -38,7 +42,31 @@ def identify(
     R: float | None = None,
     trend: str | None = None,
     groups: ArrayLike | None = None,
-) -> Model:
+) -> Model: ...
+
+
+@overload
+def identify(
+    y: ArrayLike,
+    u: ArrayLike | None,
+    structure: StateSpace,
+    *,
+    influence: Influence | None = None,
+    groups: ArrayLike | None = None,
+) -> StateSpaceModel: ...
+
+
+def identify(
+    y: Any,
+    u: Any,
+    structure: Structure | StateSpace,
+    *,
+    influence: Influence | None = None,
+    offset: bool = True,
+    R: float | None = None,
+    trend: str | None = None,
+    groups: ArrayLike | None = None,
+) -> Model | StateSpaceModel:
     """Find the model of a recording with outliers, from nothing but the recording.
 
     Minimises the robust loss of the prediction errors from several starts that need no guess, the noise learnt on the
@@ -115,6 +143,8 @@ def identify(
     >>> model.theta.round(1), round(model.offset)
     (array([-1.5,  0.7,  1. ,  0.5]), 20)
     """
+    if isinstance(structure, StateSpace):
+        return _of_outputs(y, u, structure, influence, groups, offset, R, trend)
     if not isinstance(structure, Structure):
         raise TypeError(f"structure: expected ARX(..), OutputError(..) or another structure, got {structure!r}")
     if influence is not None and not isinstance(influence, Influence):
@@ -148,4 +178,18 @@ def identify(
     for words in (said(found.findings), found.warning):
         if words:
             warnings.warn(f"identify: {words}", stacklevel=2)
+    return found
+
+
+def _of_outputs(y: Any, u: Any, structure: StateSpace, influence: Any, groups: Any, *others: Any) -> StateSpaceModel:
+    """Return a state-space model, or raise if it is asked for what it does not take."""
+    for name, value, only in zip(("offset", "R", "trend"), others, (True, None, None), strict=True):
+        if value is not only:
+            raise ValueError(f"{name}: expected {only} for {structure}, whose outputs have a level each, got {value!r}")
+    if influence is not None and not isinstance(influence, Influence):
+        raise TypeError(f"influence: expected an influence function such as Huber(), got {influence!r}")
+    found = identified_state_space(y, u, structure, influence, groups)
+    for words in (said(found.findings), found.warning):
+        if words:
+            warnings.warn(f"identify: {words}", stacklevel=3)
     return found

@@ -7,12 +7,13 @@ optimisation for each scale.
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.learnt_noise import Noise
+from robust_filterpy.identification.models.noise_of_outputs import Noises
 
 __all__ = ["Optimum", "minimised", "sandwich"]
 
@@ -22,6 +23,9 @@ _MOST_STEPS: Final = 100
 _MOST_SHORTENINGS: Final = 12
 
 
+_Noise: TypeAlias = Noise | Noises
+
+
 class Optimum(NamedTuple):
     """Where the search ended.
 
@@ -29,7 +33,7 @@ class Optimum(NamedTuple):
     ----------
     p : ndarray, shape (n,)
         Free parameters.
-    noise : Noise
+    noise : Noise or Noises
         Noise of the residuals there.
     residual : ndarray, shape (N - first,)
         Residuals there.
@@ -38,12 +42,12 @@ class Optimum(NamedTuple):
     """
 
     p: Array
-    noise: Noise
+    noise: Any
     residual: Array
     converged: bool
 
 
-def minimised(model: Any, p: Array, noise: Noise, rows: Array, clear: Array, most_steps: int = _MOST_STEPS) -> Optimum:
+def minimised(model: Any, p: Array, noise: _Noise, rows: Array, clear: Array, most_steps: int = _MOST_STEPS) -> Optimum:
     """Minimise the loss of the residuals from p on.
 
     Parameters
@@ -52,7 +56,7 @@ def minimised(model: Any, p: Array, noise: Noise, rows: Array, clear: Array, mos
         Gives ``residuals(p)``, ``jacobian(p)``, ``uncertainty(p)`` and ``is_stable(p)``.
     p : ndarray, shape (n,)
         Where to begin, stable.
-    noise : Noise
+    noise : Noise or Noises
         Noise to begin with.
     rows : ndarray of bool, shape (N - first,)
         Which residuals count.
@@ -68,12 +72,12 @@ def minimised(model: Any, p: Array, noise: Noise, rows: Array, clear: Array, mos
     residual, damping = model.residuals(p), 1e-3
     for _ in range(most_steps):
         noise = noise.refitted(residual[clear])
-        root, unit = np.sqrt(noise.weights(residual[rows])), np.sqrt(noise.R)
+        root = np.sqrt(noise.weights(residual[rows]) / noise.variance)
         further, derivatives = model.uncertainty(p)
-        jacobian = np.concatenate((model.jacobian(p)[rows] * root[:, None], unit * derivatives))
+        jacobian = np.concatenate((model.jacobian(p)[rows] * root[:, None], derivatives))
         size = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
         size[size == 0.0] = 1.0
-        target = np.concatenate((root * residual[rows], unit * further))
+        target = np.concatenate((root * residual[rows], further))
         cost = noise.cost(residual[rows]) + 0.5 * further @ further
         triangle = np.asarray(np.linalg.qr(np.column_stack((jacobian / size, target)), mode="r"))
         taken = None
@@ -105,11 +109,12 @@ def _step(triangle: Array, damping: float) -> tuple[Array, float]:
     return step, float(np.linalg.norm(R @ step))
 
 
-def sandwich(jacobian: Array, residual: Array, noise: Noise) -> Array:
+def sandwich(jacobian: Array, residual: Array, noise: _Noise) -> Array:
     """Return the covariance of the free parameters at an optimum.
 
     ``(N/(N - n)) R (J'J)^-1 J' diag(psi^2) J (J'J)^-1 / mean(psi')^2`` (Huber, Robust Statistics, 1981, section 7.6),
-    which holds whatever the distribution of the residuals is, as long as one does not tell of another.
+    which holds whatever the distribution of the residuals is, as long as one does not tell of another. With a noise for
+    each output, J and psi are weighted by mean(psi')/R of it; directions that nothing depends on have no variance.
 
     Parameters
     ----------
@@ -117,19 +122,19 @@ def sandwich(jacobian: Array, residual: Array, noise: Noise) -> Array:
         Derivatives of the residuals that count.
     residual : ndarray, shape (N,)
         These residuals.
-    noise : Noise
+    noise : Noise or Noises
         Their noise.
 
     Returns
     -------
     ndarray, shape (n, n)
     """
-    samples, n = jacobian.shape
-    e = residual / np.sqrt(noise.R)
-    psi = np.asarray(noise.influence.psi(e))
-    slope = max(float(np.mean(noise.influence.psi_deriv(e))), 1e-3)
-    size = np.linalg.norm(jacobian, axis=0)
+    psi, slope = noise.psi(residual), noise.slope(residual)
+    weighted = jacobian * np.broadcast_to(np.sqrt(slope / noise.variance), residual.shape)[:, None]
+    size = np.linalg.norm(weighted, axis=0)
     size[size == 0.0] = 1.0
     # Derivatives of theta by the residuals, (J'J)^-1 J', without forming J'J.
-    effect = np.linalg.pinv(jacobian / size, rcond=1e-10) / size[:, None] * psi
-    return np.asarray(noise.R / slope**2 * samples / (samples - n) * (effect @ effect.T))
+    left, values, right = np.linalg.svd(weighted / size, full_matrices=False)
+    kept = values > 1e-10 * values[0]
+    effect = (right[kept].T / values[kept]) @ left[:, kept].T / size[:, None] * (psi / np.sqrt(slope))
+    return np.asarray(residual.size / (residual.size - int(kept.sum())) * (effect @ effect.T))

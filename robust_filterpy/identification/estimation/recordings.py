@@ -15,7 +15,8 @@ import numpy as np
 from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import fill_values
 from robust_filterpy.identification.models.findings import Finding, of_fill_values
-from robust_filterpy.identification.models.signals import measured_output, recorded_input
+from robust_filterpy.identification.models.signals import measured_output, measured_outputs, recorded_input
+from robust_filterpy.identification.models.state_space import Signals
 from robust_filterpy.identification.models.structures import Structure, input_columns
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording
 
@@ -31,7 +32,7 @@ class Recordings(NamedTuple):
 
     Attributes
     ----------
-    y : ndarray, shape (N,)
+    y : ndarray, shape (N,) or (N, n_outputs)
         Output, NaN where it is missing or has a fill value.
     u : ndarray, shape (N, n_inputs)
         Input, without gaps.
@@ -50,13 +51,13 @@ class Recordings(NamedTuple):
     findings: tuple[Finding, ...]
 
 
-def recordings(structure: Structure, y: Any, u: Any, groups: Any = None) -> Recordings:
+def recordings(structure: Structure | Signals, y: Any, u: Any, groups: Any = None) -> Recordings:
     """Return what was recorded, checked.
 
     Parameters
     ----------
-    structure : Structure
-        Which inputs there are.
+    structure : Structure or Signals
+        Which inputs there are; of Signals also how many outputs.
     y, u, groups
         As of `identify`.
 
@@ -79,25 +80,27 @@ def recordings(structure: Structure, y: Any, u: Any, groups: Any = None) -> Reco
         if axes:
             axis.require_period(axes[0].dt)
         axes.append(axis)
-        output = measured_output(one)
-        signal = _inputs(structure, other, output.size)
+        output = measured_outputs(one, structure.n_outputs) if isinstance(structure, Signals) else measured_output(one)
+        signal = _inputs(structure, other, len(output))
         kept, found = _without_gaps(structure, output, signal, "" if len(told) == 1 else f"recording {i}: ")
         parts += kept
         findings += found
     if not parts:
         raise ValueError("u: expected some samples with an input, got none")
-    fills = fill_values(np.concatenate([one for one, _ in parts]))
+    measured = np.concatenate([one for one, _ in parts])
+    fills = [fill_values(column) for column in (measured.T if measured.ndim == 2 else [measured])]
     if len(told) < len(parts):
         text = f"gaps of more than {LONG_GAP} samples in u: {len(parts)} recordings, each with a level and a start"
-        findings.append(Finding("gap", text, float("nan"), (0, fills.signal.size)))
+        findings.append(Finding("gap", text, float("nan"), (0, len(measured))))
     elif len(told) > 1 and groups is None and not _several(y):
         text = f"{len(told) - 1} jumps of the time axis: {len(parts)} recordings, each with a level and a start"
-        findings.append(Finding("gap", text, float("nan"), (0, fills.signal.size)))
-    ends = np.cumsum([one.size for one, _ in parts])
+        findings.append(Finding("gap", text, float("nan"), (0, len(measured))))
+    ends = np.cumsum([len(one) for one, _ in parts])
     axis = axes[0] if len(told) == len(parts) == 1 else TimeAxis(None, axes[0].dt)
     return Recordings(
-        fills.signal, np.concatenate([signal for _, signal in parts]), (0, *(int(e) for e in ends[:-1])), axis,
-        (*of_fill_values(fills), *findings),
+        np.column_stack([fill.signal for fill in fills]) if measured.ndim == 2 else fills[0].signal,
+        np.concatenate([signal for _, signal in parts]), (0, *(int(e) for e in ends[:-1])), axis,
+        (*(one for fill in fills for one in of_fill_values(fill)), *findings),
     )  # fmt: skip
 
 
@@ -139,7 +142,7 @@ def _rows(signal: Any, where: Any) -> Any:
     return signal.iloc[where] if hasattr(signal, "iloc") else np.asarray(signal)[where]
 
 
-def _split_in_time(structure: Structure, y: Any, u: Any) -> list[tuple[Any, Any]]:
+def _split_in_time(structure: Structure | Signals, y: Any, u: Any) -> list[tuple[Any, Any]]:
     """Return the recordings between long jumps of a time axis."""
     pd = sys.modules.get("pandas")
     index = getattr(y, "index", None)
@@ -160,7 +163,7 @@ def _split_in_time(structure: Structure, y: Any, u: Any) -> list[tuple[Any, Any]
     return [(y.iloc[part], None if u is None else u.iloc[part]) for part in spans]
 
 
-def _inputs(structure: Structure, u: Any, length: int) -> Array:
+def _inputs(structure: Structure | Signals, u: Any, length: int) -> Array:
     """Return inputs that may have gaps, shape (N, n_inputs), or raise."""
     if u is None or not structure.n_inputs:
         return recorded_input(structure, u, length)
@@ -170,7 +173,7 @@ def _inputs(structure: Structure, u: Any, length: int) -> Array:
 
 
 def _without_gaps(
-    structure: Structure, y: Array, u: Array, where: str
+    structure: Structure | Signals, y: Array, u: Array, where: str
 ) -> tuple[list[tuple[Array, Array]], list[Finding]]:
     """Return the recordings between long gaps in the inputs, with short ones filled, and what is to be said."""
     gaps: Any = np.isnan(u).any(axis=1)

@@ -210,7 +210,7 @@ def _maximised(
     return found._replace(converged=True), full
 
 
-def _counting(model: PolynomialModel, measured: bool, unknown: Any) -> Any:
+def _counting(model: Any, measured: bool, unknown: Any) -> Any:
     """Return which residuals count: all of an interpolated output, else those of samples that are measured."""
     return model.conditioned & ~unknown[model.first :] if measured else model.conditioned
 

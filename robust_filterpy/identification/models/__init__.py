@@ -8,6 +8,8 @@
 * `polynomial_model`: residuals of all structures and their derivatives.
 * `several_recordings`: the same for several recordings of one plant.
 * `beginnings`: how a simulation begins.
+* `state_space`, `state_space_residuals`: several outputs.
+* `noise_of_outputs`: noise of each of them.
 * `prediction`: predictions through outliers.
 * `learnt_noise`: the noise that residuals show.
 * `model`: what `identify` returns.

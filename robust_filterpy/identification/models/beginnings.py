@@ -11,7 +11,7 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.prediction import cleaned_residuals
 from robust_filterpy.identification.models.signals import recorded_input
-from robust_filterpy.identification.models.structures import Structure, input_columns
+from robust_filterpy.identification.models.structures import input_columns
 from robust_filterpy.influence.regression import robust_regression
 
 if TYPE_CHECKING:
@@ -52,12 +52,12 @@ def motion_after(model: Model, y: Any, u: Any) -> tuple[Any, Array]:
     return recorded, p
 
 
-def held_input(structure: Structure, u: Any, rest: Array) -> Array:
+def held_input(structure: Any, u: Any, rest: Array) -> Array:
     """Return an input whose missing samples have the value before them, with a warning if there are any.
 
     Parameters
     ----------
-    structure : Structure
+    structure : Structure or Signals
         Which inputs there are.
     u : array_like, shape (N,) or (N, n_inputs)
         NaN where it is missing.

@@ -189,6 +189,19 @@ class Noise:
         """Return psi(e)/e of each residual."""
         return np.asarray(self.influence.weights(residual / math.sqrt(self.R)), dtype=float)
 
+    @property
+    def variance(self) -> float:
+        """R, as what each residual has of it."""
+        return self.R
+
+    def psi(self, residual: Array) -> Array:
+        """Return psi of each residual in units of its standard deviation."""
+        return np.asarray(self.influence.psi(residual / math.sqrt(self.R)), dtype=float)
+
+    def slope(self, residual: Array) -> float:
+        """Return the mean of psi', at least 1e-3."""
+        return max(float(np.mean(self.influence.psi_deriv(residual / math.sqrt(self.R)))), 1e-3)
+
     def log_likelihood(self, residual: Array) -> float:
         """Return the log-likelihood of the residuals under the density that psi is made for."""
         normalizer = getattr(self.influence, "log_normalizer", lambda dim: 0.5 * dim * math.log(2.0 * math.pi))

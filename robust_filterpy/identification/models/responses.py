@@ -27,7 +27,7 @@ from robust_filterpy.identification.models.structures import Structure
 if TYPE_CHECKING:
     import control
 
-__all__ = ["FrequencyResponse", "NoiseSpectrum", "Regions", "Responses", "StepResponse"]
+__all__ = ["FrequencyResponse", "NoiseSpectrum", "Regions", "Responses", "StepResponse", "bands", "regions"]
 
 # Curvature of more than this share of a standard deviation is sampled.
 _CURVED: Final = 0.2
@@ -260,6 +260,11 @@ class Responses:
         """How many samples R stands on."""
         return np.inf
 
+    def _stable(self, theta: Array) -> bool:
+        """Tell whether the way from the inputs to y is stable for other parameters."""
+        places = self.structure.polynomials
+        return all(is_stable(theta[part].tolist()) for part in (places.a, places.f))
+
     def frequency_response(
         self, omega: ArrayLike, level: float = 0.95, dt: float | None = None, rng: Any = None
     ) -> FrequencyResponse:
@@ -307,7 +312,7 @@ class Responses:
             return np.stack((np.log(np.abs(ratio)), np.angle(ratio)), axis=1)
 
         with np.errstate(divide="ignore", invalid="ignore"):
-            band = _bands(self.structure, self.theta, self.P, logarithm, level, rng)
+            band = bands(self._stable, self.theta, self.P, logarithm, level, rng)
         (small, left), (large, right) = band[0], band[1]
         phase = np.unwrap(np.angle(center), axis=-1)
         size = np.abs(center)
@@ -351,7 +356,7 @@ class Responses:
         def steps_of(thetas: Array) -> Array:
             return np.array([_steps(self.structure, theta, length) for theta in thetas])
 
-        lower, upper, sampled = _bands(self.structure, self.theta, self.P, steps_of, level, rng)
+        lower, upper, sampled = bands(self._stable, self.theta, self.P, steps_of, level, rng)
         center = _steps(self.structure, np.asarray(self.theta), length)
         values = (_squeezed(value) for value in (center, center + lower, center + upper))
         response, lowest, highest = values
@@ -397,7 +402,7 @@ class Responses:
 
         whole = np.append(self.theta, 0.0)
         center = self.R * period * np.exp(logarithm(whole[None])[0])
-        lower, upper, sampled = _bands(self.structure, whole, joint, logarithm, level, rng)
+        lower, upper, sampled = bands(self._stable, whole, joint, logarithm, level, rng)
         return NoiseSpectrum(w, center, center * np.exp(lower), center * np.exp(upper), float(level), period, sampled)
 
     def poles(self, level: float = 0.95, rng: Any = None) -> Regions:
@@ -425,7 +430,7 @@ class Responses:
         def poles(theta: Array) -> Array:
             return np.concatenate([np.roots([1.0, *theta[part]]) for part in (places.a, places.f)])
 
-        return _regions(np.asarray(self.theta), np.asarray(self.P), poles, level, rng)
+        return regions(np.asarray(self.theta), np.asarray(self.P), poles, level, rng)
 
     def zeros(self, level: float = 0.95, rng: Any = None, input: int = 0) -> Regions:
         """Return the zeros of the way from one input to y, the roots of its B, with regions.
@@ -452,7 +457,7 @@ class Responses:
         if _checks.count("input", input, 0) >= self.structure.n_inputs:
             raise ValueError(f"input: expected 0 to {self.structure.n_inputs - 1} for {self.structure}, got {input}")
         part = self.structure.polynomials.b[input]
-        return _regions(np.asarray(self.theta), np.asarray(self.P), lambda t: np.roots(t[part]), level, rng)
+        return regions(np.asarray(self.theta), np.asarray(self.P), lambda t: np.roots(t[part]), level, rng)
 
 
 # Properties of theta.
@@ -495,10 +500,32 @@ def _squeezed(rows: Any) -> Any:
 # Bands and regions.
 
 
-def _bands(
-    structure: Structure, theta: Any, P: Any, h: Callable[[Array], Array], level: float, rng: Any
+def bands(
+    is_inside: Callable[[Array], bool], theta: Any, P: Any, h: Callable[[Array], Array], level: float, rng: Any
 ) -> tuple[Array, Array, Any]:
-    """Return the band of h(theta) about its value, and where it is sampled; h takes rows of theta."""
+    """Return the band of h(theta) about its value.
+
+    Parameters
+    ----------
+    is_inside : function
+        Whether a theta is one that can be, such as a stable one.
+    theta : ndarray, shape (n,)
+        Parameters.
+    P : ndarray, shape (n, n)
+        Their covariance.
+    h : function
+        Of rows of theta.
+    level : float
+        Probability of the band.
+    rng : numpy.random.Generator, int or None
+        Where it is sampled.
+
+    Returns
+    -------
+    lower, upper : ndarray, shape of h(theta)
+        From its value on.
+    sampled : ndarray of bool, shape of h(theta)
+    """
     theta, z = np.asarray(theta), float(norm.ppf(0.5 + 0.5 * _probability(level)))
     center = h(theta[None])[0]
     steps = _axes(np.asarray(P))
@@ -507,13 +534,13 @@ def _bands(
     curvature = np.abs(0.5 * (ahead + behind) - center).sum(axis=0)
     lower, upper = -z * std, z * std
     # Where a step has left the stable models, or is infinite, curvature is no number.
-    stable = all(_is_stable(structure, row) for row in (*(theta + steps), *(theta - steps)))
+    stable = all(is_inside(row) for row in (*(theta + steps), *(theta - steps)))
     # What is known for sure has no more than rounding.
     rounding = 1e-12 * np.abs(center) + 1e-9 * std.max(initial=0.0)
     curved = ~(curvature <= _CURVED * std + rounding) if stable else np.ones(center.shape, dtype=bool)
     if curved.any():
         drawn = _drawn(theta, steps, rng)
-        inside = np.array([_is_stable(structure, row) for row in drawn])
+        inside = np.array([is_inside(row) for row in drawn])
         # Of a model that is itself unstable all are.
         values = h(drawn[inside] if inside.any() else drawn) - center
         ends = np.nanquantile(values, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0)
@@ -521,8 +548,26 @@ def _bands(
     return lower, upper, curved
 
 
-def _regions(theta: Array, P: Array, roots: Callable[[Array], Any], level: float, rng: Any) -> Regions:
-    """Return the roots of a polynomial in theta with their regions."""
+def regions(theta: Array, P: Array, roots: Callable[[Array], Any], level: float, rng: Any) -> Regions:
+    """Return roots that theta determines, with their regions.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (n,)
+        Parameters.
+    P : ndarray, shape (n, n)
+        Their covariance.
+    roots : function
+        The roots, of a theta.
+    level : float
+        Probability of each region.
+    rng : numpy.random.Generator, int or None
+        Where a region is sampled.
+
+    Returns
+    -------
+    Regions
+    """
     level = _probability(level)
     values, steps = roots(theta), _axes(P)
     ahead, behind = (np.array([_matched(values, roots(row)) for row in theta + sign * steps]) for sign in (1.0, -1.0))
@@ -581,12 +626,6 @@ def _distance(difference: complex, covariance: Array, size: float) -> float:
     if (np.abs(along[thin]) > 10.0 * _THIN * max(size, 1.0)).any():
         return float("inf")
     return float(np.sqrt(np.sum(along[~thin] ** 2 / sizes[~thin])))
-
-
-def _is_stable(structure: Structure, theta: Array) -> bool:
-    """Tell whether the way from the inputs to y is stable."""
-    places = structure.polynomials
-    return all(is_stable(theta[part].tolist()) for part in (places.a, places.f))
 
 
 # Checks.

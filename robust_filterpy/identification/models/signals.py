@@ -60,6 +60,20 @@ def measured_output(y: Any) -> Array:
     return np.clip(output, -LARGEST, LARGEST)
 
 
+def measured_outputs(y: Any, n_outputs: int) -> Array:
+    """Return outputs as they were measured, shape (N, n_outputs), or raise."""
+    output = _checks.numbers("y", y)
+    output = output[:, None] if output.ndim == 1 and n_outputs == 1 else output
+    if output.ndim != 2 or output.shape[1] != n_outputs or len(output) == 0:
+        mend = "; use y.T" if output.ndim == 2 and output.shape[0] == n_outputs else ""
+        raise ValueError(f"y: expected shape (N, {n_outputs}), N >= 1, got shape {output.shape}{mend}")
+    if np.isinf(output).any():
+        raise ValueError(
+            f"y: expected finite numbers or NaN (missing), got inf in sample {np.isinf(output).any(axis=1).argmax()}"
+        )
+    return np.clip(output, -LARGEST, LARGEST)
+
+
 def operating_point(u: Array) -> Array:
     """Return where each input rests, shape (n_inputs,): 0, unless all of it is far from 0, and then its mean."""
     if not u.size:
@@ -71,7 +85,7 @@ def operating_point(u: Array) -> Array:
     )
 
 
-def recorded_input(structure: Structure, u: Any, length: int | None) -> Array:
+def recorded_input(structure: Any, u: Any, length: int | None) -> Array:
     """Return a recorded input, shape (N, n_inputs), of the given length, or raise."""
     n_inputs = structure.n_inputs
     if u is None:

@@ -1,0 +1,342 @@
+"""identify for `StateSpace`: starts, the least robust loss with a noise for each output, and the order by evidence."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from scipy.linalg import cholesky, solve_discrete_lyapunov, svd
+
+from robust_filterpy._checks import Array
+from robust_filterpy.identification.estimation.prediction_error import minimised, sandwich
+from robust_filterpy.identification.estimation.recordings import Recordings, recordings
+from robust_filterpy.identification.estimation.subspace import Start, impulse_start, predictor_start
+from robust_filterpy.identification.estimation.threads import one_thread
+from robust_filterpy.identification.models.learnt_noise import Noise
+from robust_filterpy.identification.models.noise_of_outputs import Noises
+from robust_filterpy.identification.models.several_recordings import ends_of
+from robust_filterpy.identification.models.signals import operating_point
+from robust_filterpy.identification.models.state_space import Signals, StateSpace, StateSpaceModel
+from robust_filterpy.identification.models.state_space_residuals import Matrices, StateSpaceResiduals
+from robust_filterpy.influence.functions import Huber, Influence
+from robust_filterpy.influence.regression import mad_scale
+
+__all__ = ["identified_state_space"]
+
+_LENGTHS: Final = (25, 60, 150)
+_REACHES: Final = (6, 15)
+_FIRST_STEPS: Final = 12
+_TURNS: Final = 4
+_MOST_ORDER: Final = 10
+# Orders tried after the best one.
+_PATIENCE: Final = 2
+_LEAST: Final = 1e-24
+_BELIEVED: Final = 0.5
+_RANK: Final = 1e-9
+
+
+class _Found(NamedTuple):
+    """Where the search for one order ended, in units of the recordings' scales."""
+
+    model: StateSpaceResiduals
+    q: Array
+    noise: Noises
+    rows: Any
+    converged: bool
+
+    @property
+    def log_likelihood(self) -> float:
+        """Of the outputs that are measured."""
+        return self.noise.log_likelihood(self.model.residuals(self.q)[self.rows])
+
+    @property
+    def free(self) -> int:
+        """Parameters that a change of basis leaves, without the starts."""
+        return self.model.shared - self.model.order**2 + len(self.model.recordings) * self.model.outputs
+
+    @property
+    def criterion(self) -> float:
+        """Its information criterion."""
+        return -2.0 * self.log_likelihood + np.log(self.rows.sum()) * self.free
+
+
+def identified_state_space(
+    y: Any, u: Any, structure: StateSpace, influence: Influence | None = None, groups: Any = None
+) -> StateSpaceModel:
+    """Find a state-space model of recordings of several outputs.
+
+    Parameters
+    ----------
+    y : array_like, shape (N, p), or list of these
+        Outputs, NaN where one is missing.
+    u : array_like, shape (N, m), or list of these
+        Inputs.
+    structure : StateSpace
+        Its order, or that it is to be found.
+    influence : Influence, optional
+        Loss; default: learnt, for each output.
+    groups : array_like, shape (N,), optional
+        Labels of recordings.
+
+    Returns
+    -------
+    StateSpaceModel
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the recordings do not fit, are too short, an output is constant or the inputs do not excite.
+    """
+    signals = Signals.of(y, u)
+    told = recordings(signals, y, u, groups)
+    ends = ends_of(told.begins, len(told.y))
+    spans = [slice(b, e) for b, e in zip(told.begins, ends, strict=True)]
+    rest = operating_point(told.u)
+    units = _Units.of(told, spans, told.u - rest)
+    parts = [(units.outputs(told.y, part), (told.u[part] - rest) / units.u) for part in spans]
+    known = [~np.isnan(told.y[part]) for part in spans]
+    orders = structure.orders
+    _require_informative(structure, parts, known, min(orders))
+    table, best, worse = [], None, 0
+    with one_thread():
+        for n in orders:
+            if len(orders) > 1 and not _enough(structure, parts, known, n):
+                break
+            found = _searched(structure, n, parts, known, influence)
+            table.append((n, found.criterion))
+            if best is None or found.criterion < best.criterion:
+                best, worse = found, 0
+            elif (worse := worse + 1) == _PATIENCE:
+                break
+        assert best is not None
+        model = _in_units(best, units, told, spans, known, rest, structure)
+    return replace(model, orders=tuple(table))
+
+
+class _Units(NamedTuple):
+    """Zero of each output in each recording, the size of each output and input."""
+
+    centres: Array
+    y: Array
+    u: Array
+    begins: tuple[int, ...]
+
+    @classmethod
+    def of(cls, told: Recordings, spans: Any, u: Array) -> _Units:
+        """Return the units; an output must be measured and vary."""
+        centres = np.zeros((len(spans), told.y.shape[1]))
+        for i, part in enumerate(spans):
+            for j, column in enumerate(told.y[part].T):
+                own = column[~np.isnan(column)]
+                if not own.size:
+                    raise ValueError(f"y: expected some measured samples of output {j} in recording {i}, got none")
+                centres[i, j] = np.median(own)
+        sizes = []
+        for j in range(told.y.shape[1]):
+            values = np.concatenate([told.y[part, j] - centres[i, j] for i, part in enumerate(spans)])
+            values = values[~np.isnan(values)]
+            size = mad_scale(values) or float(np.abs(values).mean())
+            if size <= 1e-12 * float(np.abs(centres[:, j]).max()):
+                raise ValueError(f"y: expected outputs that vary, got the same value throughout in output {j}")
+            sizes.append(size)
+        rms = np.sqrt(np.mean(np.square(u), axis=0))
+        return cls(centres, np.array(sizes), np.where(rms > 0.0, rms, 1.0), told.begins)
+
+    def outputs(self, y: Array, part: slice) -> Array:
+        """Return the outputs of a recording from their centre in their scale, 0 where they are missing."""
+        centre = self.centres[self.begins.index(part.start)]
+        return np.clip(np.nan_to_num((y[part] - centre) / self.y), -1e10, 1e10)
+
+
+def _enough(structure: StateSpace, parts: Any, known: Any, n: int) -> bool:
+    """Tell whether there are twice as many measured outputs as free parameters."""
+    p, m = parts[0][0].shape[1], parts[0][1].shape[1]
+    free = n * (m + p + p * structure.disturbance) + p * m * structure.feedthrough + len(parts) * (p + n)
+    return min(sum(int(good[:, j].sum()) for good in known) for j in range(p)) * p >= 2 * free
+
+
+def _require_informative(structure: StateSpace, parts: Any, known: Any, n: int) -> None:
+    """Raise unless the recordings are long enough and the inputs excite them."""
+    samples = sum(len(y) for y, _ in parts)
+    if not _enough(structure, parts, known, n):
+        raise ValueError(
+            f"y: expected more samples for {structure} with {parts[0][0].shape[1]} outputs and {parts[0][1].shape[1]} "
+            f"inputs, got {samples}; record more, or take a smaller order"
+        )
+    for i, (y, _) in enumerate(parts):
+        if len(y) <= n + 1:
+            raise ValueError(f"y: expected more than {n + 1} samples in each recording, got {len(y)} in recording {i}")
+    lags = n + 1
+    rows = [np.hstack([u[lags - 1 - j : len(u) - j] for j in range(lags)]) for _, u in parts if len(u) > lags]
+    X = np.concatenate(rows)
+    for i, column in enumerate(parts[0][1].T):
+        if not any(part[1][:, i].any() for part in parts) or all(np.ptp(part[1][:, i]) == 0.0 for part in parts):
+            raise ValueError(f"u: expected inputs that move the outputs, got input {i} constant: {column[0]:.6g}")
+    X = X - X.mean(axis=0)
+    values = np.linalg.svd(X / np.maximum(np.linalg.norm(X, axis=0), np.finfo(float).tiny), compute_uv=False)
+    if values[-1] <= _RANK * values[0] or values.size < X.shape[1]:
+        raise ValueError(
+            f"u: expected inputs that together excite {structure} with order {lags}, got some that others explain; "
+            "leave out an input that is a combination of others, vary them more, or take a smaller order"
+        )
+
+
+def _searched(structure: StateSpace, n: int, parts: Any, known: Any, influence: Influence | None) -> _Found:
+    """Search from every start."""
+    model = StateSpaceResiduals(n, parts, structure.feedthrough, False)
+    rows = np.concatenate([good.ravel() for good in known])
+    which = np.concatenate([np.tile(np.arange(model.outputs), len(y)) for y, _ in parts])[rows]
+    first = Noises(tuple(Noise(influence or Huber(), 1.0, False, _LEAST) for _ in range(model.outputs)), which)
+    starts = [start for lags in _LENGTHS if (start := impulse_start(model, known, lags)) is not None]
+    ends = [_descended(model, start, first, rows) for start in starts]
+    best = min(ends, key=lambda end: -end.log_likelihood) if ends else None
+    cleaned = [y for y, _ in parts] if best is None else _cleaned(best, known)
+    for reach in _REACHES:
+        start = predictor_start(model, known, cleaned, reach)
+        if start is not None:
+            ends.append(_descended(model, start, first, rows))
+    if not ends:
+        raise ValueError(f"y: expected a recording long enough for a start of order {n}; record more")
+    best = max(ends, key=lambda end: end.log_likelihood)
+    found = _settled(best, influence)
+    if not structure.disturbance:
+        return found
+    return _with_disturbance(structure, found, known, influence)
+
+
+def _descended(model: StateSpaceResiduals, start: Start, noise: Noises, rows: Any) -> _Found:
+    """Return where a few steps from a start lead."""
+    end = minimised(model, start.q, noise, rows, rows, _FIRST_STEPS)
+    return _Found(model, end.p, end.noise.learnt().refitted(end.residual[rows], 30), rows, end.converged)
+
+
+def _settled(found: _Found, influence: Influence | None) -> _Found:
+    """Return where the search ends with the noise learnt, or with the loss that was asked for."""
+    noise = found.noise
+    if influence is not None:
+        noise = noise._replace(parts=tuple(replace(one, influence=influence) for one in noise.parts))
+    end = minimised(found.model, found.q, noise, found.rows, found.rows)
+    return found._replace(q=end.p, noise=end.noise, converged=end.converged)
+
+
+def _cleaned(found: _Found, known: Any) -> list[Array]:
+    """Return outputs with what the model says in the place of outliers and gaps."""
+    residual, outputs, begin = found.model.residuals(found.q), [], 0
+    weights = np.zeros(residual.size)
+    weights[found.rows] = found.noise.weights(residual[found.rows])
+    for y, _ in found.model.recordings:
+        part = slice(begin, begin + y.size)
+        begin += y.size
+        own = residual[part].reshape(y.shape)
+        outputs.append(np.where(weights[part].reshape(y.shape) > _BELIEVED, y, y - own))
+    return outputs
+
+
+def _with_disturbance(structure: StateSpace, found: _Found, known: Any, influence: Influence | None) -> _Found:
+    """Return the end of the search with a K, the weights of the innovations in turns with the parameters."""
+    n, parts = found.model.order, found.model.recordings
+    model = StateSpaceResiduals(n, parts, structure.feedthrough, True)
+    one = found.model.matrices(found.q)
+    own = found.q[found.model.shared :].reshape(len(parts), -1)
+    zero = Start("without disturbance", model.packed(one, own[:, : model.outputs], own[:, model.outputs :]))
+    cleaned = _cleaned(found, known)
+    starts = [zero] + [s for reach in _REACHES if (s := predictor_start(model, known, cleaned, reach)) is not None]
+    ends = []
+    for start in starts:
+        model = StateSpaceResiduals(n, parts, structure.feedthrough, True)
+        model.weights = [good.astype(float) for good in known]
+        end = found._replace(model=model, q=start.q)
+        for _ in range(_TURNS):
+            _weigh(end, known)
+            done = minimised(model, end.q, end.noise, end.rows, end.rows, _FIRST_STEPS)
+            end = end._replace(q=done.p, noise=done.noise, converged=done.converged)
+        ends.append(end)
+    best = max(ends, key=lambda end: end.log_likelihood)
+    for _ in range(2 * _TURNS):
+        _weigh(best, known)
+        before = best.log_likelihood
+        done = minimised(best.model, best.q, best.noise, best.rows, best.rows)
+        best = best._replace(q=done.p, noise=done.noise, converged=done.converged)
+        if abs(best.log_likelihood - before) < 1e-3:
+            break
+    return best
+
+
+def _weigh(found: _Found, known: Any) -> None:
+    """Let outliers and gaps not enter the states."""
+    for _ in range(2):
+        residual = found.model.residuals(found.q)
+        weights = np.zeros(residual.size)
+        weights[found.rows] = found.noise.weights(residual[found.rows])
+        ends = np.cumsum([good.size for good in known])[:-1]
+        found.model.weights = [w.reshape(good.shape) for w, good in zip(np.split(weights, ends), known, strict=True)]
+
+
+def _in_units(
+    found: _Found, units: _Units, told: Recordings, spans: Any, known: Any, rest: Array, structure: StateSpace
+) -> StateSpaceModel:
+    """Return the model in a balanced basis, for the recordings as they were measured."""
+    one, n, p = found.model.matrices(found.q), found.model.order, found.model.outputs
+    T = _balancing(one)
+    inverse = np.linalg.inv(T)
+    own = found.q[found.model.shared :].reshape(len(spans), -1)
+    Sy, Su = units.y, 1.0 / units.u
+    matrices = Matrices(
+        inverse @ one.A @ T, inverse @ one.B * Su, Sy[:, None] * (one.C @ T), Sy[:, None] * one.D * Su,
+        inverse @ one.K / Sy, one.start, one.level,
+    )  # fmt: skip
+    levels = own[:, :p] * Sy + units.centres
+    starts = own[:, p:] @ inverse.T
+    parts = [(np.nan_to_num(told.y[part]), told.u[part] - rest) for part in spans]
+    model = StateSpaceResiduals(n, parts, structure.feedthrough, structure.disturbance)
+    model.weights = found.model.weights
+    q, rows = model.packed(matrices, levels, starts), found.rows
+    residual = model.residuals(q)
+    scaled = tuple(replace(one, R=one.R * Sy[j] ** 2) for j, one in enumerate(found.noise.parts))
+    noise = found.noise._replace(parts=scaled)
+    P = sandwich(model.jacobian(q)[rows], residual[rows], noise)
+    weights = np.full(residual.size, np.nan)
+    weights[rows] = noise.weights(residual[rows])
+    total = rows.sum() / max(rows.sum() - found.free, 1)
+    s, last = model.shared, slice(model.n - n - p, model.n - n)
+    final = model.matrices(q)
+    return StateSpaceModel(
+        structure=replace(structure, n=n), A=final.A, B=final.B, C=final.C, D=final.D, K=final.K, level=final.level,
+        P=P[:s, :s], level_std=np.sqrt(np.maximum(P.diagonal()[last], 0.0)),
+        noise=tuple(replace(one, R=one.R * total) for one in scaled), weights=weights.reshape(-1, p),
+        log_likelihood=noise.log_likelihood(residual[rows]), warning=_doubt(found), end=model.states(q, -1)[-1],
+        operating_point=rest, dt=told.axis.dt, findings=told.findings, levels=levels,
+    )  # fmt: skip
+
+
+def _balancing(one: Matrices) -> Array:
+    """Return the basis in which each state is as easy to reach as to see; the identity where there is none."""
+    try:
+        reached = solve_discrete_lyapunov(one.A, one.B @ one.B.T)
+        seen = solve_discrete_lyapunov(one.A.T, one.C.T @ one.C)
+        jitter = 1e-13 * np.eye(len(one.A))
+        L = cholesky(reached + jitter * np.trace(reached), lower=True)
+        M = cholesky(seen + jitter * np.trace(seen), lower=True)
+        _, values, right = svd(M.T @ L)
+        return np.asarray(L @ right.T / np.sqrt(values))
+    except (np.linalg.LinAlgError, ValueError):
+        return np.eye(len(one.A))
+
+
+def _doubt(found: _Found) -> str:
+    """Say what makes the estimate doubtful, or nothing."""
+    root = np.sqrt(found.noise.weights(found.model.residuals(found.q)[found.rows]) / found.noise.variance)
+    J = found.model.jacobian(found.q)[found.rows] * root[:, None]
+    size = np.linalg.norm(J, axis=0)
+    values = np.linalg.svd(J / np.where(size > 0.0, size, 1.0), compute_uv=False)
+    told = int((values > 1e-6 * values[0]).sum())
+    expected = found.model.n - found.model.order**2
+    if told < expected:
+        return (
+            f"the recording tells {told} of {expected} parameters: the order {found.model.order} may be more than it "
+            'shows, StateSpace("auto") finds one'
+        )
+    if not found.converged:
+        return "the search did not settle; the order may be more than the recording tells of"
+    return ""
