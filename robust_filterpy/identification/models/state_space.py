@@ -420,12 +420,11 @@ class StateSpaceModel:
         with np.errstate(divide="ignore", invalid="ignore"):
             low, high, sampled = bands(self._stable, self.theta, self.P, logarithm, level, rng)
         size, phase = np.abs(center), np.unwrap(np.angle(center), axis=-1)
-        values = (
-            center, size, size * np.exp(low[0]), size * np.exp(high[0]), phase, phase + low[1], phase + high[1]
+        one = _squeezed
+        return FrequencyResponse(
+            w, one(center), one(size), one(size * np.exp(low[0])), one(size * np.exp(high[0])), one(phase),
+            one(phase + low[1]), one(phase + high[1]), float(level), period, one(sampled.any(axis=0)),
         )  # fmt: skip
-        one: Any = (value[0] if len(value) == 1 else value for value in values)
-        curved = sampled.any(axis=0)
-        return FrequencyResponse(w, *one, float(level), period, curved[0] if len(curved) == 1 else curved)
 
     def step_response(
         self, steps: int = 50, output: int = 0, level: float = 0.95, dt: float | None = None, rng: Any = None
@@ -469,10 +468,8 @@ class StateSpaceModel:
 
         center = steps_of(self.theta[None])[0]
         low, high, sampled = bands(self._stable, self.theta, self.P, steps_of, level, rng)
-        one: Any = (value[0] if len(value) == 1 else value for value in (center, center + low, center + high))
-        return StepResponse(
-            period * np.arange(length, dtype=float), *one, float(level), sampled[0] if len(sampled) == 1 else sampled
-        )
+        one, time = _squeezed, period * np.arange(length, dtype=float)
+        return StepResponse(time, one(center), one(center + low), one(center + high), float(level), one(sampled))
 
     # Helpers.
 
@@ -538,3 +535,8 @@ class StateSpaceModel:
             if not alone and self.structure.disturbance:
                 model.weights = [noise.weights(model.residuals(q)).reshape(y.shape) * known]
         return model.residuals(q).reshape(y.shape), model.states(q, 0)
+
+
+def _squeezed(rows: Any) -> Any:
+    """Return the only row, where there is one input."""
+    return rows[0] if len(rows) == 1 else rows
