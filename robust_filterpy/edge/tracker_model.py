@@ -28,9 +28,9 @@ def described_tracker(tracker: ParameterTracker, name: str) -> Described:
             f"influence=Linear() makes the same tracker with the plain Kalman filter"
         )
     require_plain(kf, "model.filter")
-    if tracker._layout.na and tracker._layout.nf + tracker._layout.nd:
+    if tracker.form.layout.na and tracker.form.layout.nf + tracker.form.layout.nd:
         raise TypeError(f"model.structure: expected no A beside an F or D, got {tracker.structure}")
-    if tracker._start is not None:
+    if tracker.now.starts:
         raise ValueError(
             "model: expected a tracker whose start is over, got one that still looks for a model of its first samples; "
             "take them with run(y, u) before the export, or make it with start=0"
@@ -49,7 +49,7 @@ def described_tracker(tracker: ParameterTracker, name: str) -> Described:
     guard = ""
     if {"guarded", "unguarded"} & sections:
         guard = rendered("guard.c", sections, {name: values[name] for name in ("longest", "stable_calls")})
-    several = tracker._layout.n > 1
+    several = tracker.form.layout.n > 1
     still = "random_walk" in sections
     return Described(
         f"{name}: ParameterTracker({tracker.structure}), {shown(kf._choices)}",
@@ -66,7 +66,7 @@ def described_tracker(tracker: ParameterTracker, name: str) -> Described:
 
 def _model(tracker: ParameterTracker, state: dict[str, Any]) -> tuple[dict[str, Any], set[str]]:
     """Return the table of what stays, and the sections that belong to it."""
-    kf, layout = tracker.filter, tracker._layout
+    kf, layout = tracker.filter, tracker.form.layout
     sections = {"tracker"} | ({"several"} if layout.n > 1 else set())
     model: dict[str, Any] = {}
     if np.array_equal(kf.F, np.eye(layout.n)):
@@ -76,29 +76,30 @@ def _model(tracker: ParameterTracker, state: dict[str, Any]) -> tuple[dict[str, 
     model["Q"] = symmetric("Q", process_noise(kf.Q, None, layout.n))
     if kf._alpha_sq != 1.0:
         sections.add("fading")
-        model |= {"alpha_sq": kf._alpha_sq, "windup": tracker._windup}
-    if tracker._scale.memory:
+        model |= {"alpha_sq": kf._alpha_sq, "windup": float(tracker.now.windup[0])}
+    _, _, mean, memory = tracker.now.scale[0].tolist()
+    if memory:
         sections.add("followed")
-        model |= {"R_memory": tracker._scale.memory, "R_mean": tracker._scale.mean}
+        model |= {"R_memory": memory, "R_mean": mean}
     else:
         sections.add("told")
         model["R"] = tracker.R
-    if tracker._has_offset:
+    if tracker.form.has_offset:
         sections.add("offset")
-        model["centre"] = tracker._centre
+        model["centre"] = float(tracker.now.centre[0])
     return model | influence_fields(kf._choices), sections
 
 
 def _start(tracker: ParameterTracker, state: dict[str, Any], sections: set[str]) -> dict[str, Any]:
     """Return the table of what moves, and add the sections that belong to it."""
-    layout, structure = tracker._layout, tracker.structure
+    layout, structure = tracker.form.layout, tracker.structure
     start: dict[str, Any] = {"theta": state["theta"], "P": symmetric("P", state["P"])}
     if "followed" in sections:
-        start |= {"R": tracker.R, "R_samples": tracker._scale.samples}
+        start |= {"R": tracker.R, "R_samples": float(tracker.now.scale[0, 1])}
     if layout.na + layout.nd:
         sections |= {"outputs"} | ({"whitened"} if layout.nd else set())
         start["outputs"] = state["outputs"]
-    if tracker._cleans:
+    if tracker.form.cleans:
         sections.add("cleaned")
         start["measured"] = state["measured"]
     if layout.length:
@@ -127,9 +128,9 @@ def _start(tracker: ParameterTracker, state: dict[str, Any], sections: set[str])
 
 def _values(tracker: ParameterTracker) -> dict[str, str]:
     """Return the sizes and places that the templates name."""
-    layout, structure = tracker._layout, tracker.structure
+    layout, structure = tracker.form.layout, tracker.structure
     names = list(structure.names)
-    if tracker._has_offset:
+    if tracker.form.has_offset:
         names.insert(structure.constant_place, "constant")
     outputs = layout.d if layout.nd else layout.a
     calls = [f"(is_stable(&theta[{part.start}], {part.stop - part.start}) != 0)" for part in layout.stable]

@@ -11,7 +11,6 @@ from robust_filterpy._checks import Array
 from robust_filterpy.fleet._filters import REFUSED, Work
 from robust_filterpy.identification.models.results import Columns
 from robust_filterpy.identification.models.signals import measured_output, recorded_input
-from robust_filterpy.identification.recursive import track
 from robust_filterpy.identification.recursive.tracker import ParameterTracker
 
 # What the model says, not the state.
@@ -21,12 +20,12 @@ _SETTINGS = ("Q", "F", "alpha_sq", _state.LABEL)
 class EvenTracker(ParameterTracker):
     """A tracker whose numbers do not depend, to the last bit, on how a recording is cut into batches."""
 
-    def _run_through(self, y: Array, u: Array, R: Array | None, out: Columns, start: int, stop: int) -> None:
-        """Advance by the kernel wherever it can, by single steps of the definition elsewhere."""
-        if self._is_plain and track.serves((self.filter._choices,)):
-            self._run_kernel(y, u, R, out, start, stop, most_odd=1)
-        else:
-            self._run_stepwise(y, u, R, out, start, stop)
+    # The kernel wherever it can, single steps of the definition elsewhere.
+    _shows_last, _most_odd = False, 1
+
+    def through(self, z: Array, u: Array | None) -> Columns:
+        """Take samples as they were measured, or raise."""
+        return self._advance(measured_output(z), recorded_input(self.structure, u, len(z)), None)
 
 
 def start(tracker: EvenTracker) -> dict[str, Array]:
@@ -63,13 +62,11 @@ def advance(tracker: EvenTracker, work: Work) -> None:
 
 def _through(tracker: EvenTracker, work: Work, first: int, stop: int) -> None:
     """Take the samples from first to stop, or raise."""
-    steps, own = stop - first, tracker._own
+    own = tracker.form.own
     d = len(own)
-    if not steps:
+    if first == stop:
         return
-    out = Columns.empty(steps, tracker._layout.n)
-    u = None if work.u is None else work.u[first:stop]
-    tracker._advance(measured_output(work.z[first:stop]), recorded_input(tracker.structure, u, steps), None, out)
+    out = tracker.through(work.z[first:stop], None if work.u is None else work.u[first:stop])
     columns: Any = work.columns[first:stop]
     columns[:, :d], columns[:, d : 2 * d] = out.theta[:, own], np.sqrt(np.maximum(out.variance[:, own], 0.0))
     columns[:, 2 * d :] = np.column_stack((out.prediction, out.residual, out.weights, out.guard))

@@ -395,7 +395,7 @@ class TrackerModel(Model):
     @property
     def kind(self) -> str:
         """What its states belong to."""
-        return self._tracker._kind
+        return self._tracker.kind
 
     @property
     def gaps(self) -> tuple[str, ...]:

@@ -95,9 +95,7 @@ def placed(times: Array | None, starts: np.ndarray, clocks: Clocks, dt: float | 
     return Placed(step, steps, Clocks(last, origin, at), late, off, milliseconds)
 
 
-def _each_a_step(
-    times: Array, starts: np.ndarray, clocks: Clocks, dt: float | None
-) -> tuple[np.ndarray, Array]:
+def _each_a_step(times: Array, starts: np.ndarray, clocks: Clocks, dt: float | None) -> tuple[np.ndarray, Array]:
     """Return for which keys every sample is the next step, and which the last one is; all keys at once."""
     counts, first = np.diff(starts), starts[:-1]
     filled = counts > 0

@@ -98,7 +98,7 @@ def drawn(seed: int) -> Draw:
     noise *= 0.05 * np.std(clean)
     order = a.size - 1
     structure = (OutputError if rng.random() < 0.7 else ARX)(order, order)
-    y = clean + noise if isinstance(structure, OutputError) else clean + lfilter([1.0], a, noise)
+    y = clean + noise if structure.nf else clean + lfilter([1.0], a, noise)
     chosen = rng.choice(len(BREAKS), rng.choice([1, 2]), replace=False)
     broken, signal = y, u
     for i in chosen:
@@ -111,7 +111,7 @@ def fit_of(found: Any, draw: Draw, seed: int) -> float:
     """Return how well what was found simulates fresh inputs of the plant, in percent."""
     u = np.random.default_rng([2701, seed]).choice([-1.0, 1.0], 500)
     clean = lfilter(draw.b, draw.a, u)
-    n = draw.a.size - 1 if not hasattr(found.structure, "na") else found.structure.na
+    n = found.structure.na + found.structure.nf
     theta, delay = found.theta, found.structure.inputs[0][1]
     with np.errstate(all="ignore"):
         output = lfilter(np.concatenate((np.zeros(delay), theta[n:])), np.concatenate(([1.0], theta[:n])), u)
@@ -138,8 +138,8 @@ def tracked(draw: Draw, y: Any, u: Any) -> Any:
 
 
 def selected(draw: Draw, y: Any, u: Any) -> Any:
-    kind = type(draw.structure)
-    return select_structure(y, u, kind=kind, na=range(1, draw.structure.na + 1), nk=range(1, 3), progress=False).best
+    kind, order = (OutputError, draw.structure.nf) if draw.structure.nf else (ARX, draw.structure.na)
+    return select_structure(y, u, kind=kind, na=range(1, order + 1), nk=range(1, 3), progress=False).best
 
 
 CALLS: dict[str, Callable[..., Any]] = {

@@ -385,7 +385,8 @@ def noise_scale(arguments):
             for name, factor in (("from 1e-4 R", 1e-4), ("from 1e4 R", 1e4)):
                 # As if nothing had been seen of the noise before.
                 trackers[name].filter.R = np.array([[factor * SIGMA**2]])
-                trackers[name]._scale = trackers[name]._scale._replace(samples=0.0)
+                now = trackers[name]._now
+                trackers[name]._now = now._replace(scale=now.scale * [1.0, 0.0, 1.0, 1.0])
             for name, one in trackers.items():
                 one.run(y[400:], u[400:])
                 errors[name].append(np.linalg.norm(one.theta - truth))

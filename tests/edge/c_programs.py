@@ -291,12 +291,12 @@ def tracker_case(name, seed, steps=60, start=0):
     y, u = y[3 * start :], u[3 * start :]
     y[5], u[9] = np.inf, np.nan
     tracker.enabled = rng.random() < 0.95
-    if tracker._has_offset and not start:
+    if tracker.form.has_offset and not start:
         # As a start would have found it.
-        tracker._centre = 0.2
+        tracker._now = tracker._now._replace(centre=np.array([0.2]))
     if rng.random() < 0.3:
         # As if it had been forgetting for long.
-        tracker._windup = 0.3 * float(np.trace(tracker.filter.P))
+        tracker._now = tracker._now._replace(windup=np.array([0.3 * float(np.trace(tracker.filter.P))]))
     return case(name, tracker, np.column_stack((u, y)), inputs)
 
 

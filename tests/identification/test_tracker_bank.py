@@ -11,6 +11,7 @@ from robust_filterpy import Hampel, Huber, Linear, StudentT, TukeyBiweight
 from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError
 from robust_filterpy.identification.models.guard import GUARDS
 from robust_filterpy.identification.recursive import bank as bank_module
+from robust_filterpy.identification.recursive import track
 from robust_filterpy.identification.recursive.recursion import GRADIENTS
 from robust_filterpy.noise import EpsilonContaminated
 from robust_filterpy.plants import simulate_output_error
@@ -716,7 +717,7 @@ def test_an_interrupted_run_changes_nothing(monkeypatch):
     bank = support.told_bank(N, ARX(2, 2))
     bank.run(y[:20], u[:20])
     monkeypatch.setattr(bank_module, "_CHUNK", 7 * N * 4)
-    before, advance, calls = bank.state(), bank._advance, []
+    before, advance, calls = bank.state(), track.advance, []
 
     def interrupted(*args):
         calls.append(args)
@@ -724,7 +725,7 @@ def test_an_interrupted_run_changes_nothing(monkeypatch):
             raise KeyboardInterrupt
         return advance(*args)
 
-    monkeypatch.setattr(bank, "_advance", interrupted)
+    monkeypatch.setattr(track, "advance", interrupted)
     with pytest.raises(KeyboardInterrupt):
         bank.run(y[20:], u[20:])
     same(before.values(), bank.state().values())

@@ -149,4 +149,4 @@ def test_a_model_that_the_user_gave_is_not_replaced():
     y, u = broken(3)
     tracker = ParameterTracker(OutputError(2, 2), theta=THETA, P=1e-6, R=0.09)
     tracker.run(y, u)
-    assert tracker._start is None
+    assert not tracker.now.starts

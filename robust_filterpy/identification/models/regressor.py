@@ -99,8 +99,8 @@ class Memory:
 
     __slots__ = ("gradients", "inputs", "measured", "outputs", "prefiltered", "residuals", "undisturbed")
 
-    def __init__(self, layout: Layout) -> None:
-        """Start at rest."""
+    def __init__(self, layout: Layout, past: dict[str, Array] | None = None) -> None:
+        """Start at rest, or from the past signals."""
         self.outputs: Array
         self.inputs: Array
         self.residuals: Array
@@ -108,8 +108,10 @@ class Memory:
         self.measured: Array
         self.undisturbed: Array
         self.prefiltered: Array
-        for name, shape in layout.shapes().items():
-            setattr(self, name, np.zeros(shape))
+        if past is None:
+            past = {name: np.zeros(shape) for name, shape in layout.shapes().items()}
+        for name, value in past.items():
+            setattr(self, name, value)
 
     def with_input(self, layout: Layout, u: Array) -> Array:
         """Return what ``inputs`` becomes with the next input."""

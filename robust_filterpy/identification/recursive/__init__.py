@@ -1,12 +1,12 @@
 """Parameters sample by sample, by any filter of filterpy's kind.
 
-* `tracker`: theta in y = phi' theta + v; made of `setup` and `recursion`.
-* `start`: a model from the first samples; `noise_scale`: an R that is followed; `watch`: whether the tracker is lost.
-* `conditioning`: P repaired where it has lost digits.
-* `tuned`: how fast the parameters drift, from a recording.
-* `bank`: the same for many actuators at once, with `bank_setup`.
-* `track`: the same recursion by the kernel.
-* `river_adapter`: a tracker as a regressor of river.
+* `tracker`: theta in y = phi' theta + v. `bank`: many actuators at once. Both hold a `State`, advanced by `track`.
+* `state`: what moves, immutable, for n actuators. `track`: the driver, by the kernel, else by `recursion`, the
+  definition.
+* `start`: samples that a model is made of. `handover`: from a model to a recursion. `watch`: whether an actuator is
+  lost. `noise_scale`: an R that is followed. `conditioning`: P repaired where it has lost digits.
+* `setup`, `bank_setup`: from arguments to filters and arrays, and what is refused.
+* `tuned`: how fast the parameters drift, from a recording. `river_adapter`: a tracker as a regressor of river.
 
 Imports from below: `models`, `estimation`.
 """

@@ -11,19 +11,18 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks, _state
 from robust_filterpy._checks import Array, numbers
+from robust_filterpy._documentation import STOPPED, pointer
 from robust_filterpy.correction.options import Information, Scaling
 from robust_filterpy.identification.models import coefficients
 from robust_filterpy.identification.models.guard import GUARDS, Guard
-from robust_filterpy.identification.models.regressor import LARGEST, Layout
 from robust_filterpy.identification.models.results import Columns, Intervals, TrackingResult, intervals
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.time_axis import recording, table
-from robust_filterpy.identification.recursive import bank_setup
-from robust_filterpy.identification.recursive.noise_scale import NoiseScale, ordinary_mean
+from robust_filterpy.identification.recursive import bank_setup, setup, track
 from robust_filterpy.identification.recursive.recursion import GRADIENTS, Gradient, Regressor
-from robust_filterpy.identification.recursive.track import Memories, Recursion, advance, serves
-from robust_filterpy.identification.recursive.tracker import _START, _WINDUP, ParameterTracker
-from robust_filterpy.identification.recursive.watch import LostTrackerWarning
+from robust_filterpy.identification.recursive.state import at_rest
+from robust_filterpy.identification.recursive.tracker import START, ParameterTracker, continued
+from robust_filterpy.identification.recursive.watch import LostTrackerWarning, News
 from robust_filterpy.influence.functions import Influence
 
 __all__ = ["BankResult", "BankSample", "TrackerBank"]
@@ -144,23 +143,6 @@ class BankResult(_Recorded):
         return intervals(self.theta, self.std, level)
 
 
-class _Now(NamedTuple):
-    """Parameters, covariances and past signals at one moment; no array in it is ever written into."""
-
-    theta: Array
-    """With the constant, where there is one."""
-    P: Array
-    past: Memories
-    scale: Array
-    """R and the fields of `NoiseScale`, (n, 4)."""
-    others: Array
-    """Centre of y, limit of tr P, whether a model was found, (n, 3)."""
-    start: Array
-    """y and u of the samples so far, (L, n, 1 + n_inputs), until the start is over."""
-    waits: int
-    """Samples until the start is over; -1 once it is."""
-
-
 class TrackerBank:
     """Follow the parameters of n actuators of one structure; equal to a loop over n `ParameterTracker`.
 
@@ -184,8 +166,8 @@ class TrackerBank:
     forgetting : float, or array_like, shape (n,), optional
         Forgetting factor in (0, 1].
     start : int, optional
-        How many samples are kept before `identify` makes a model of each actuator. Default: 400, or 0 if theta or P is
-        given. An actuator of which none can be made starts from nothing.
+        How many samples may be looked at for a model of each actuator, as in `ParameterTracker`. Default: 400, or 0 if
+        theta or P is given.
     offset : bool, optional
         Whether there is a constant; default as in `ParameterTracker`.
     regressor, R_memory
@@ -210,6 +192,11 @@ class TrackerBank:
     ------
     ValueError, TypeError
         As by `ParameterTracker`; the message names the actuators.
+
+    Warns
+    -----
+    LostTrackerWarning
+        As `ParameterTracker`; the message names the actuators.
 
     Notes
     -----
@@ -260,36 +247,35 @@ class TrackerBank:
         if not isinstance(structure, Structure):
             raise TypeError(f"structure: expected ARX(..), OutputError(..) or another structure, got {structure!r}")
         self.structure, d = structure, structure.n_theta
-        self._gradient = bank_setup.options("gradient", gradient, n, GRADIENTS)
-        self._guard = bank_setup.options("guard", guard, n, GUARDS)
         choices = {"influence": influence, "scaling": scaling, "information": information}
         self._choices = bank_setup.choices(n, choices)
         # One tracker checks the rest, and shows what all of them have in common.
         told = theta is not None or P is not None
-        samples = (0 if told else _START) if start is None else start
-        self._one = ParameterTracker(
+        samples = (0 if told else START) if start is None else start
+        one = ParameterTracker(
             structure, theta=0.0 if told else None, start=samples, offset=offset, regressor=regressor, R_memory=R_memory
         )
-        self._layout, self._own = self._one._layout, self._one._own
+        self._regressor, own = one.regressor, one.form.own
+        self.form = one.form._replace(
+            gradient=bank_setup.options("gradient", gradient, n, GRADIENTS),
+            guard=bank_setup.options("guard", guard, n, GUARDS),
+        )
         values = bank_setup.parameters(structure, 0.0 if theta is None else theta, n)
         spread = bank_setup.covariances("P", 100.0 if P is None else P, n, d)
-        size = self._layout.n
+        size = self.form.layout.n
         first, covariance = np.zeros((n, size)), np.tile(100.0 * np.eye(size), (n, 1, 1))
-        first[:, self._own], covariance[:, self._own[:, None], self._own] = values, spread
+        first[:, own], covariance[:, own[:, None], own] = values, spread
         self.Q = bank_setup.covariances("Q", Q, n, d)
         self.F = bank_setup.transitions(F, n, d)
         self._forgetting = bank_setup.factors(forgetting, n)
         self._alpha_sq = (1.0 / np.sqrt(self._forgetting)) ** 2
-        past = Memories(**{name: np.zeros((n, *shape)) for name, shape in self._layout.shapes().items()})
-        scale = np.empty((n, 4))
+        scale = np.tile(one.now.scale, (n, 1))
         scale[:, 0] = bank_setup.variances(1.0 if R is None else R, n)
-        scale[:, 1:] = NoiseScale(0.0, ordinary_mean(None), 0.0 if R is not None else self._one._scale.memory)
-        windup = _WINDUP * np.maximum(np.trace(covariance, axis1=1, axis2=2), 1e-300)
-        others = np.column_stack((np.zeros(n), windup, np.full(n, samples == 0)))
-        kept = np.zeros((0, n, 1 + structure.n_inputs))
-        self._now = _Now(first, covariance, past, scale, others, kept, samples or -1)
+        if R is not None:
+            scale[:, 3] = 0.0
+        self._now = at_rest(self.form, first, covariance, scale, int(one.now.samples[0]), samples == 0)
         self.enabled = True
-        self._initial = self.state()
+        self._first, self._initial = self._now, self.state()
 
     def __repr__(self) -> str:
         """Show the size and the structure."""
@@ -300,18 +286,18 @@ class TrackerBank:
     @property
     def theta(self) -> Array:
         """Parameters, shape (n, n_theta)."""
-        return self._now.theta[:, self._own]
+        return self._now.theta[:, self.form.own]
 
     @property
     def P(self) -> Array:
         """Covariances of the parameters, shape (n, n_theta, n_theta)."""
-        return self._now.P[:, self._own[:, None], self._own]
+        return self._now.P[:, self.form.own[:, None], self.form.own]
 
     @property
     def std(self) -> Array:
         """Standard deviations of the parameters, shape (n, n_theta); infinite until the start has found a model."""
-        std = np.sqrt(np.maximum(np.einsum("ijj->ij", self._now.P), 0.0))[:, self._own]
-        return np.where(self._now.others[:, 2:] > 0.0, std, np.inf)
+        std = np.sqrt(np.maximum(np.einsum("ijj->ij", self._now.P), 0.0))[:, self.form.own]
+        return np.where(self._now.begun[:, None], std, np.inf)
 
     @property
     def R(self) -> Array:
@@ -367,18 +353,11 @@ class TrackerBank:
         ValueError
             If the next input is needed and not given, or F or Q would make theta or P infinite.
         """
-        layout, past = self._layout, self._now.past
         if u is None and any(nb and not nk for nb, nk in self.structure.inputs):
             raise ValueError(f"u: expected the next input, which acts at once in {self.structure}, got None")
         width = self.structure.n_inputs
         values = np.zeros((self.n, width)) if u is None else bank_setup.inputs(self.structure, u, self.n)
-        phi = _regressors(layout, past, _with_inputs(layout, past.inputs, self._with_constant(values)))
-        with np.errstate(over="ignore", invalid="ignore"):
-            moved = (self._matrices("F") @ self._now.theta[:, :, None])[:, :, 0]
-            theta = np.where(self._drifting()[:, None], moved, self._now.theta)
-            predicted = np.nan_to_num(np.einsum("ij,ij->i", phi, theta), posinf=LARGEST, neginf=-LARGEST)
-        predicted = np.clip(predicted, -LARGEST, LARGEST) + self._now.others[:, 0]
-        return np.where(self._now.others[:, 2] > 0.0, predicted, _levels(self._now.start))
+        return track.predicted(self.form, self._using(None), self._now, values)
 
     def tracker(self, i: int) -> ParameterTracker:
         """Return a tracker of one actuator that goes on where the bank is, and resets to where the bank began.
@@ -408,20 +387,16 @@ class TrackerBank:
         tracker = ParameterTracker(
             self.structure,
             start=0,
-            offset=self._one._has_offset,
-            regressor=self._one.regressor,
+            offset=self.form.has_offset,
+            regressor=self._regressor,
             forgetting=float(self._forgetting[i]),
-            gradient=cast(Gradient, str(self._gradient[i])),
-            guard=cast(Guard, str(self._guard[i])),
+            gradient=cast(Gradient, str(self.form.gradient[i])),
+            guard=cast(Guard, str(self.form.guard[i])),
             influence=choices.influence,
             scaling=choices.scaling,
             information=choices.information,
         )
-        tracker._samples = self._one._samples
-        # States of this bank: what `restore` of a tracker refuses has been refused before.
-        tracker._set_state(self._row(self._initial, i))
-        tracker._initial = tracker.state()
-        tracker._set_state(self._row(self._arrays(self._now), i))
+        continued(tracker, self._settings(i), self._first.row(i), self._now.row(i), bool(self._enabled[i]))
         return tracker
 
     # The recursion.
@@ -453,10 +428,11 @@ class TrackerBank:
         outputs = bank_setup.outputs(y, self.n, False)
         inputs = bank_setup.inputs(self.structure, u, self.n)
         variances = None if R is None else bank_setup.variances(R, self.n)[None]
-        now, out = self._advance(self._now, outputs[None], inputs[None], variances, None)
-        sample = BankSample(*(column[:, 0] for column in out[2:]))
+        signals = outputs[:, None], inputs[:, None], None if variances is None else variances.T
+        now, out, news = track.advance(self.form, self._using(None), self._now, *signals)
+        self._say(news)
         self._now = now
-        return sample
+        return BankSample(*(column[:, 0] for column in out[2:]))
 
     def run(
         self, y: ArrayLike, u: ArrayLike | None = None, R: ArrayLike | None = None, *, keep: str | int = "all"
@@ -495,134 +471,74 @@ class TrackerBank:
         noise = None if R is None else bank_setup.recorded_variances(R, self.n, length)
         every = _every(keep, length)
         kept = np.arange(every - 1, length, every)
-        columns = Columns.empty(kept.size, self.n, self._layout.n)
-        now, k = self._now, 0
+        columns = Columns.empty(kept.size, self.n, self.form.layout.n)
+        now, k, said = self._now, 0, []
         while k < length:
-            step = max(1, _CHUNK // (self.n * self._layout.n)) if now.waits < 0 else now.waits
-            chunk = slice(k, min(k + step, length))
-            now, out = self._advance(now, outputs[chunk], signal[chunk], None if noise is None else noise[chunk], k)
+            chunk = slice(k, min(k + max(1, _CHUNK // (self.n * self.form.layout.n)), length))
+            R = None if noise is None else noise[chunk].T
+            now, out, news = track.advance(
+                self.form, self._using(k), now, outputs[chunk].T, signal[chunk].swapaxes(0, 1), R
+            )
+            said += news
             due = np.flatnonzero((kept >= k) & (kept < chunk.stop))
             for column, part in zip(columns, out, strict=True):
                 column[due] = part[:, kept[due] - k].swapaxes(0, 1)
             k = chunk.stop
         theta, variance, prediction, residual, weights, guard = columns
-        std = np.sqrt(np.maximum(variance[..., self._own], 0.0))
-        result = BankResult(theta[..., self._own], std, prediction, residual, weights, guard, kept)
+        std = np.sqrt(np.maximum(variance[..., self.form.own], 0.0))
+        result = BankResult(theta[..., self.form.own], std, prediction, residual, weights, guard, kept)
         result.names, result.index = self.structure.names, None if axis.index is None else axis.index[kept]
         result.actuators = tuple(range(self.n) if columns_of_y is None else columns_of_y)
+        self._say(said)
         self._now = now
         return result
 
-    def _with_constant(self, u: Array) -> Array:
-        """Return inputs (.., n, n_inputs) with the constant, where phi has one."""
-        return np.concatenate((u, np.ones((*u.shape[:-1], 1))), axis=-1) if self._one._has_offset else u
+    def _using(self, first: int | None) -> track.Settings:
+        """Return what may have been changed since the last call; first: number of its first sample, None for one."""
+        choices = self._choices if track.serves(self._choices) else None
 
-    def _advance(
-        self, now: _Now, y: Array, u: Array, R: Array | None, first: int | None
-    ) -> tuple[_Now, Columns]:  # fmt: skip
-        """Return what N checked samples make of now, and columns with the axes (n, N); changes nothing.
+        def place(k: int, i: int) -> str:
+            return f"actuator {i}: " if first is None else f"sample {first + k}: actuator {i}: "
 
-        y and R have shape (N, n), u (N, n, n_inputs). first: number of the first sample, for messages that name it.
-        """
-        layout, length = self._layout, len(y)
-        out = Columns.empty(self.n, length, layout.n)
-        if now.waits >= 0:
-            return self._look_on(now, y, u, out), out
-        theta, P, scale = now.theta.copy(), now.P.copy(), now.scale.copy()
-        past = Memories(*(np.array(a, order="C") for a in now.past))
-        after = now._replace(theta=theta, P=P, past=past, scale=scale)
-        left = np.zeros(self.n, dtype=np.intp)
-        if serves(self._choices):
-            recursion = Recursion(
-                self._choices, self._one._cleans, self._gradient == "filtered", self._guard, self._enabled,
-                self._matrices("F"), self._matrices("Q"), self._alpha_sq, now.others[:, 1], now.others[:, 0],
-            )  # fmt: skip
-            noise = None if R is None else R.T
-            left = advance(layout, recursion, y.T, u.swapaxes(0, 1), noise, theta, P, past, scale, out)
-        for i in np.flatnonzero(left < length).tolist():
-            self._advance_alone(i, after, slice(left[i], length), (y, u, R), out, first)
-        return after, out
+        return track.Settings(
+            choices, self._matrices("F"), self._matrices("Q"), self._alpha_sq, self._enabled, self._filter, place
+        )
 
-    def _look_on(self, now: _Now, y: Array, u: Array, out: Columns) -> _Now:
-        """Return what so many samples of the start make of now; at its end, a model of each actuator."""
-        start = np.concatenate((now.start, np.concatenate((y[:, :, None], u), axis=2)))
-        out.theta[:], out.variance[:] = now.theta[:, None], np.inf
-        for k in range(len(y)):
-            out.prediction[:, k] = _levels(start[: len(now.start) + k])
-        out.residual[:] = y.T - out.prediction
-        if now.waits > len(y):
-            return now._replace(start=start, waits=now.waits - len(y))
-        found = self._arrays(now._replace(start=start[:0], waits=-1))
-        state = {name: np.array(value) for name, value in found.items()}
-        failures: dict[str, list[int]] = {}
-        for i in range(self.n):
-            tracker = self.tracker(i)
-            tracker._set_state(self._row(state, i))
-            failure = tracker._started(start[:, i, 0], start[:, i, 1:])
-            if failure:
-                failures.setdefault(failure, []).append(i)
-            tracker._begun = True
-            for name, value in tracker.state().items():
-                if name in state and name not in ("start", "Q", "F", "R", "alpha_sq", "enabled"):
-                    state[name][i] = value
-            state["R"][i] = tracker.R
-        for failure, some in failures.items():
-            mask = np.isin(np.arange(self.n), some)
+    def _filter(self, i: int) -> Any:
+        """Return a filter of one actuator, for the definition."""
+        kf = setup.make_filter(self.form.layout.n, None, {})
+        setup.choose(kf, self._choices[i if len(self._choices) > 1 else 0])
+        setup.apply_settings(kf, self._settings(i))
+        return kf
+
+    def _settings(self, i: int) -> dict[str, Array]:
+        """Return Q, F and alpha_sq of one actuator's filter."""
+        found = {name: self._matrices(name) for name in "QF"}
+        whole = {name: value[i if len(value) > 1 else 0] for name, value in found.items()}
+        return {**whole, "alpha_sq": np.array(self._alpha_sq[i])}
+
+    def _say(self, news: News) -> None:
+        """Warn of what is wrong, once for all actuators of which it is the same."""
+        for trouble in dict.fromkeys(trouble for _, trouble in news):
+            some = np.isin(np.arange(self.n), [i for i, each in news if each == trouble])
             warnings.warn(
-                f"TrackerBank: no model can be made of the first {len(start)} samples of "
-                f"{bank_setup.actuators(mask)}, which start from nothing: {failure}",
+                f"TrackerBank: {bank_setup.actuators(some)}: {trouble}; {pointer(STOPPED)}",
                 LostTrackerWarning,
-                stacklevel=4,
+                stacklevel=3,
             )
-        return self._from_arrays(state)
-
-    def _advance_alone(
-        self,
-        i: int,
-        now: _Now,
-        samples: slice,
-        signals: tuple[Array, Array, Array | None],
-        out: Columns,
-        first: int | None,
-    ) -> None:
-        """Advance one actuator through some of the samples, by its `ParameterTracker`, in the arrays of now."""
-        tracker = self.tracker(i)
-        tracker._set_state(self._row(self._arrays(now), i))
-        y, u, R = signals[0][samples, i], signals[1][samples, i], signals[2]
-        R = None if R is None else R[samples, i]
-        try:
-            result = Columns.empty(len(y), self._layout.n)
-            tracker._advance(y, u, R, result)
-        except (ValueError, TypeError, np.linalg.LinAlgError) as error:
-            head, _, rest = str(error).partition(": ")
-            place = "" if first is None else f"sample {int(head.removeprefix('sample ')) + samples.start + first}: "
-            error.args = (f"{place}actuator {i}: {rest}", *error.args[1:])
-            raise
-        state = tracker.state()
-        now.theta[i], now.P[i] = state["theta"], state["P"]
-        now.scale[i, 0], now.scale[i, 1:] = tracker.R, tracker._scale
-        for name, array in now.past._asdict().items():
-            array[i] = state[name]
-        for name, column in zip(Columns._fields, out, strict=True):
-            column[i, samples] = getattr(result, name)
-
-    def _drifting(self) -> np.ndarray:
-        """Tell for which actuators the next sample begins with a step of theta."""
-        wound_up = (self._alpha_sq != 1.0) & (np.einsum("ijj->i", self._now.P) > self._now.others[:, 1])
-        return np.asarray(self._enabled & ~wound_up)
 
     def _matrices(self, name: str) -> Array:
         """Return F or Q, which the user may have changed, with the axis (1 or n) in front."""
-        found = bank_setup.matrices(name, getattr(self, name), self.n, len(self._own))
+        own, size = self.form.own, self.form.layout.n
+        found = bank_setup.matrices(name, getattr(self, name), self.n, len(own))
         if not np.isfinite(found).all():
             raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
         found = found[None] if found.ndim == 2 else found
-        size = self._layout.n
-        if size == len(self._own):
+        if size == len(own):
             return found
         # The constant stays.
         whole = np.tile(np.eye(size) if name == "F" else np.zeros((size, size)), (len(found), 1, 1))
-        whole[:, self._own[:, None], self._own] = found
+        whole[:, own[:, None], own] = found
         return whole
 
     # Interruption.
@@ -637,10 +553,13 @@ class TrackerBank:
             they are shared.
             ``numpy.savez(file, **state)`` stores it.
         """
-        return _state.labelled(self._kind, self._arrays(self._now))
+        # What a user sets may be a list.
+        settings = {name: numbers(name, getattr(self, name)) for name in "QF"}
+        settings |= {"enabled": self._enabled, "R": self._now.scale[:, 0], "alpha_sq": self._alpha_sq}
+        return _state.labelled(self.kind, {**self._now.arrays(), **settings})
 
     @property
-    def _kind(self) -> str:
+    def kind(self) -> str:
         """What a state belongs to."""
         return f"TrackerBank of {self.structure}"
 
@@ -665,55 +584,15 @@ class TrackerBank:
         -----
         The continuation is the same to the last bit.
         """
-        _state.require_kind(state, self._kind)
-        found = bank_setup.checked_state(state, self._layout, len(self._own), self.n, self._guard != "none")
-        self._now = self._from_arrays(found)
+        _state.require_kind(state, self.kind)
+        found = bank_setup.checked_state(state, self.form, self.n)
+        self._now = self._now.restored(found, found["R"])
         self._enabled, self._alpha_sq = found["enabled"], found["alpha_sq"]
         self.Q, self.F = found["Q"], found["F"]
-
-    def _from_arrays(self, found: dict[str, Array]) -> _Now:
-        """Return what `_arrays` was made of."""
-        recursion = found["recursion"]
-        scale, others = np.column_stack((found["R"], recursion[:, 2:5])), recursion[:, [0, 1, 5]]
-        past = Memories(*(found[name] for name in Memories._fields))
-        start = np.ascontiguousarray(found["start"].swapaxes(0, 1))
-        return _Now(found["theta"], found["P"], past, scale, others, start, int(recursion[0, 6]))
 
     def reset(self) -> None:
         """Go back to the start: theta, P, Q, R, F and the memory as they were when the bank was made."""
         self.restore(self._initial)
-
-    def _arrays(self, now: _Now) -> dict[str, Array]:
-        """Return the arrays of `state`, not copied."""
-        theta, P, past, scale, others, start, waits = now
-        waiting = np.full((self.n, 1), float(waits))
-        recursion = np.concatenate((others[:, :2], scale[:, 1:], others[:, 2:], waiting), axis=1)
-        arrays = {"theta": theta, "P": P, **past._asdict(), "enabled": self._enabled, "recursion": recursion}
-        # What a user sets may be a list.
-        arrays |= {name: numbers(name, getattr(self, name)) for name in "QF"}
-        return arrays | {"start": start.swapaxes(0, 1), "R": scale[:, 0], "alpha_sq": self._alpha_sq}
-
-    def _row(self, state: dict[str, Array], i: int) -> dict[str, Array]:
-        """Return the state of one actuator's tracker."""
-        row = {
-            name: value if name in ("Q", "F") and value.ndim == 2 else value[i]
-            for name, value in state.items()
-            if name != _state.LABEL
-        }
-        whole = {name: np.eye(self._layout.n) if name == "F" else np.zeros((self._layout.n,) * 2) for name in "QF"}
-        for name, matrix in whole.items():
-            matrix[np.ix_(self._own, self._own)] = row[name]
-        return {**row, **whole, "R": np.reshape(row["R"], (1, 1))}
-
-
-def _levels(start: Array) -> Array:
-    """Return the median of the outputs so far of each actuator, (n,), 0 where there are none."""
-    y = start[:, :, 0]
-    known = ~np.isnan(y)
-    levels = np.zeros(y.shape[1])
-    for i in np.flatnonzero(known.any(axis=0)):
-        levels[i] = np.median(y[known[:, i], i])
-    return levels
 
 
 def _every(keep: Any, length: int) -> int:
@@ -721,21 +600,3 @@ def _every(keep: Any, length: int) -> int:
     if isinstance(keep, str):
         return 1 if _checks.option("keep", keep, ("all", "last")) == "all" else length
     return _checks.count("keep", keep, 1)
-
-
-def _with_inputs(layout: Layout, inputs: Array, u: Array) -> Array:
-    """Return what the past inputs (n, length) become with the next ones, u of shape (n, n_inputs)."""
-    moved = np.empty_like(inputs)
-    moved[:, 1:] = inputs[:, :-1]
-    moved[:, layout.starts] = u[:, layout.used]
-    return moved
-
-
-def _regressors(layout: Layout, past: Memories, inputs: Array) -> Array:
-    """Return phi of every actuator, shape (n, n_theta)."""
-    phi = np.empty((len(inputs), layout.n))
-    phi[:, layout.outputs] = past.outputs
-    phi[:, layout.inputs_in_phi] = inputs[:, layout.picks]
-    phi[:, layout.f] = past.undisturbed
-    phi[:, layout.c] = past.residuals
-    return phi

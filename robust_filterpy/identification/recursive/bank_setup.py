@@ -10,9 +10,10 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array, described, numbers
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.identification.models.guard import are_stable
-from robust_filterpy.identification.models.regressor import LARGEST, Layout
+from robust_filterpy.identification.models.regressor import LARGEST
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive import setup
+from robust_filterpy.identification.recursive.state import Form, require_plausible
 
 _ABSENT = "NaN in y is for a sample that is missing"
 
@@ -85,12 +86,12 @@ def covariances(name: str, value: Any, n: int, d: int) -> Array:
     """Return a covariance of the parameters, shape (d, d), or (n, d, d) for one of each actuator; or raise."""
     found = given(name, value)
     if found.ndim in (0, 2):
-        return setup._covariance(name, found[()], d)
+        return setup.covariance(name, found[()], d)
     if found.shape not in ((n,), (n, d, d)):
         raise ValueError(
             f"{name}: expected a number, shape ({d}, {d}), ({n},) or ({n}, {d}, {d}), got {described(found)}"
         )
-    return np.stack([setup._covariance(f"{name}[{i}]", entry, d) for i, entry in enumerate(found)])
+    return np.stack([setup.covariance(f"{name}[{i}]", entry, d) for i, entry in enumerate(found)])
 
 
 def transitions(value: Any, n: int, d: int) -> Array:
@@ -98,7 +99,7 @@ def transitions(value: Any, n: int, d: int) -> Array:
     if value is None:
         return np.eye(d)
     found = matrices("F", value, n, d)
-    return setup._finite("F", found).copy()
+    return setup.finite("F", found).copy()
 
 
 def matrices(name: str, value: Any, n: int, d: int) -> Array:
@@ -135,36 +136,38 @@ def require(sentence: str, good: Any) -> None:
         raise ValueError(f"{sentence}: {actuators(~good)}")
 
 
-def checked_state(state: Any, layout: Layout, own: int, n: int, guarded: np.ndarray) -> dict[str, Array]:
+def checked_state(state: Any, form: Form, n: int) -> dict[str, Array]:
     """Return the arrays of a bank's state, copied, or raise."""
-    d, found = own, {}
+    layout, d, found = form.layout, len(form.own), {}
     shapes = {name: (n, *shape) for name, shape in layout.shapes().items()}
     shapes |= {"theta": (n, layout.n), "P": (n, layout.n, layout.n), "enabled": (n,), "R": (n,), "alpha_sq": (n,)}
     shapes |= {"Q": (d, d), "F": (d, d), "recursion": (n, 7)}
-    for name, shape in shapes.items():
+    ragged = {"start": (n, None, form.n_signals), "followed": (n, None, 1 + form.n_signals)}
+    optional = {"watch": (n, 6), "kept": (n,), **ragged}
+    for name, shape in (shapes | {key: shape for key, shape in optional.items() if key in state}).items():
         if name not in state:
             raise ValueError(f"state: expected {name}, of shape {shape}, got none")
         value = np.array(state[name], dtype=bool) if name == "enabled" else numbers(name, state[name]).copy()
-        if value.shape != shape and not (name in ("Q", "F") and value.shape == (n, d, d)):
+        wanted = tuple(size if size is not None else value.shape[k] for k, size in enumerate(shape[: value.ndim]))
+        if value.shape != wanted + shape[value.ndim :] and not (name in ("Q", "F") and value.shape == (n, d, d)):
             raise ValueError(f"state: expected {name} of shape {shape}, got {value.shape}")
         sentence, finite = f"state: expected finite numbers in {name}, got NaN or infinity", np.isfinite(value)
+        if name in ragged:
+            finite |= np.isnan(value)
         if value.shape != (d, d) or name not in ("Q", "F"):
             require(sentence, finite.reshape(n, -1).all(axis=1))
         elif not finite.all():
             raise ValueError(sentence)
         found[name] = value
-    start = numbers("start", state["start"]).copy() if "start" in state else np.zeros(0)
-    if start.ndim != 3 or len(start) != n:
-        raise ValueError(f"state: expected start of shape ({n}, L, 1 + n_inputs), got {start.shape}")
-    found["start"] = start
+    found.setdefault("start", np.zeros((n, 0, form.n_signals)))
     for name in ("R", "alpha_sq"):
         require(f"state: expected {name} > 0", found[name] > 0.0)
     good = _checks.are_covariances(found["P"], _checks.GATHERED, _checks.ROUNDING)
     require("state: expected a symmetric positive semidefinite P", good)
-    setup.require_recursion(found["recursion"])
+    require_plausible(found)
     require(
         "state: expected theta of a stable model, got coefficients that feed back with roots outside the unit circle",
-        ~guarded | np.array([are_stable(row, layout.stable) for row in found["theta"]]),
+        (form.guard == "none") | np.array([are_stable(row, layout.stable) for row in found["theta"]]),
     )
     return found
 

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import warnings
 from typing import Any
 
 import numpy as np
+from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import _checks, _state
 from robust_filterpy._checks import FLOAT, Array
+from robust_filterpy.correction.options import Choices
 from robust_filterpy.filters._interruption import StateMixin
-from robust_filterpy.filters._mixin import RobustFilterMixin
+from robust_filterpy.filters._mixin import RobustFilterMixin, Snapshot
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.identification.models.guard import are_stable
+from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.structures import Structure
+from robust_filterpy.identification.recursive.state import require_plausible
 
 # Before the data have spoken the parameters may be anything of moderate size.
 _VAGUE = 100.0
+
+# What a sample moves in a filter, besides what only shows its last correction.
+_MOVING = ("x", "P", "H", "R", "x_prior", "P_prior")
 
 # What a filter's behaviour depends on besides x and P: name in a state, attribute.
 _SETTINGS = {"Q": "Q", "R": "R", "F": "F", "alpha_sq": "_alpha_sq"}
@@ -26,6 +34,25 @@ _SETTINGS = {"Q": "Q", "R": "R", "F": "F", "alpha_sq": "_alpha_sq"}
 def is_array(value: Any, shape: tuple[int, ...]) -> bool:
     """Tell whether value is a float array of this shape."""
     return type(value) is np.ndarray and value.dtype == FLOAT and value.shape == shape
+
+
+def structure_of(given: Any) -> Structure:
+    """Return a structure, or that of a model, or raise."""
+    if isinstance(given, Model):
+        return given.structure
+    if not isinstance(given, Structure):
+        raise TypeError(f"structure: expected ARX(..), OutputError(..) or another structure, or a Model, got {given!r}")
+    return given
+
+
+def has_offset(offset: Any, structure: Structure, model: Model | None, starts: bool) -> bool:
+    """Return whether there is a constant beside theta, or raise."""
+    if offset is not None and not isinstance(offset, (bool, np.bool_)):
+        raise TypeError(f"offset: expected True or False, got {offset!r}")
+    if model is not None and offset is not None and offset != model.has_offset:
+        raise ValueError(f"offset: expected {model.has_offset} as the model has it, got {offset}; leave it out")
+    usual = starts and not structure.takes_phi if model is None else model.has_offset
+    return usual if offset is None else bool(offset)
 
 
 def make_filter(n: int, given: Any, choices: dict[str, Any]) -> Any:
@@ -127,14 +154,14 @@ def warn_of_default_noise(kf: Any) -> None:
 
 def checked_values(n: int, P: Any = None, Q: Any = None, R: Any = None, F: Any = None) -> dict[str, Array]:
     """Return those matrices that are given, as a filter of n parameters wants them, or raise."""
-    values = {name: _covariance(name, value, n) for name, value in (("P", P), ("Q", Q)) if value is not None}
+    values = {name: covariance(name, value, n) for name, value in (("P", P), ("Q", Q)) if value is not None}
     if R is not None:
         variance = _checks.numbers("R", R)
         if variance.size != 1:
             raise ValueError(f"R: expected one variance for the one output, got {_checks.described(variance)}")
         values["R"] = np.array([[_checks.positive("R", variance.item())]])
     if F is not None:
-        values["F"] = _finite("F", _checks.matrix("F", F, (n, n), f"{n} parameters")).copy()
+        values["F"] = finite("F", _checks.matrix("F", F, (n, n), f"{n} parameters")).copy()
     return values
 
 
@@ -154,21 +181,21 @@ def _start(theta: Any, n: int) -> Array:
         values = np.full(n, values.item())
     if values.ndim > 2 or values.size != n:
         raise ValueError(f"theta: expected {n} parameters, got {_checks.described(values)}")
-    return _finite("theta", values.ravel()).copy()
+    return finite("theta", values.ravel()).copy()
 
 
-def _finite(name: str, values: Array) -> Array:
+def finite(name: str, values: Array) -> Array:
     """Return values or raise unless all of them are finite."""
     if not np.isfinite(values).all():
         raise ValueError(f"{name}: expected finite numbers, got NaN or infinity among them")
     return values
 
 
-def _covariance(name: str, value: Any, n: int) -> Array:
+def covariance(name: str, value: Any, n: int) -> Array:
     """Return a covariance of the parameters; a number stands for a multiple of I."""
     scalar = np.ndim(value) == 0 and value is not None
     matrix = _checks.real(name, value) * np.eye(n) if scalar else _checks.matrix(name, value, (n, n), f"{n} parameters")
-    _finite(name, matrix)
+    finite(name, matrix)
     _checks.covariance(name, matrix)
     return matrix.copy()
 
@@ -176,6 +203,8 @@ def _covariance(name: str, value: Any, n: int) -> Array:
 def noise_variance(kf: Any) -> float:
     """Return a filter's R as a number, 1 if it has none, or raise."""
     R = getattr(kf, "R", 1.0)
+    if type(R) is np.ndarray and R.size == 1 and R.dtype == FLOAT and 0.0 < (r := R.item()) < math.inf:
+        return float(r)
     try:
         r = float(np.ravel(R)[0])
     except (TypeError, ValueError, IndexError):
@@ -183,6 +212,102 @@ def noise_variance(kf: Any) -> float:
     if not 0.0 < r < math.inf:
         raise ValueError(f"R: expected a variance > 0, got {R!r}; NaN in y is for a sample that is missing")
     return r
+
+
+def told_variance(kf: Any) -> float:
+    """Return that, NaN where it would raise: the next sample that needs it does."""
+    try:
+        return noise_variance(kf)
+    except ValueError:
+        return math.nan
+
+
+def load(kf: Any, theta: Array, P: Array, R: float) -> None:
+    """Let a filter go on from these, where it does not: one that keeps a factor of P would lose digits."""
+    x = kf.x
+    if not (np.ravel(x) == theta).all():
+        kf.x = theta.reshape(np.shape(x)).copy()
+    if not (kf.P == P).all():
+        kf.P = P.copy()
+    if hasattr(kf, "R") and R == R and told_variance(kf) != R:
+        kf.R = np.array([[R]])
+
+
+def is_plain(kf: Any, n: int) -> bool:
+    """Tell whether a filter of n parameters is our own as it comes: the kernel then gives the numbers of `update`."""
+    return bool(
+        type(kf) is RobustKalmanFilter
+        # Not one whose methods somebody has wrapped.
+        and not {"predict", "update"} & vars(kf).keys()
+        and kf._choices.pointwise is not None
+        and kf._inverse is None
+        and all(is_array(value, (n, n)) and np.isfinite(value).all() for value in (kf.F, kf.Q, kf.P))
+        and is_array(kf.R, (1, 1))
+        and (is_array(kf.x, (n,)) or is_array(kf.x, (n, 1)))
+        and np.isfinite(kf.x).all()
+        and 0.0 < kf.R.item() < math.inf
+        and all(np.abs(a - a.T).max() <= 1e-13 * np.abs(a).max() for a in (kf.P, kf.Q))
+    )
+
+
+def choose(kf: RobustKalmanFilter, choices: Choices) -> None:
+    """Give a filter the options of its correction."""
+    kf._choices = choices
+
+
+def choices_of(kf: Any) -> Any:
+    """Return the options of a robust filter's correction."""
+    return kf._choices
+
+
+def matrix_of(kf: Any, name: str, default: Array) -> Array:
+    """Return F or Q of a filter, a default where it has none of this shape."""
+    value = getattr(kf, name, None)
+    try:
+        found = np.asarray(default if value is None else value, dtype=float)
+    except (TypeError, ValueError):
+        return default
+    return found if found.shape == default.shape else default
+
+
+# So that a refused call changes nothing.
+
+
+class Kept:
+    """What a filter holds, to put it back."""
+
+    def __init__(self, kf: Any) -> None:
+        """Keep what a sample moves: arrays are replaced, never written into; all else that a filter may keep, too."""
+        self._moving = {name: getattr(kf, name) for name in _MOVING if hasattr(kf, name)}
+        self._other = None
+        if type(kf) not in (RobustKalmanFilter, KalmanFilter):
+            self._other = Snapshot(kf) if isinstance(kf, RobustFilterMixin) else _Contents(kf)
+
+    def put_back(self, kf: Any) -> None:
+        """Put the filter back as it was."""
+        for name, value in self._moving.items():
+            setattr(kf, name, value)
+        if self._other is not None:
+            self._other.put_back(kf)
+
+
+class _Contents:
+    """Everything that a filter of the user's holds, to the depth of the filters that it may be made of."""
+
+    def __init__(self, kf: Any) -> None:
+        """Copy it; of a filter that cannot be copied, with a lock in it, the attributes alone."""
+        attributes = getattr(kf, "__dict__", {})
+        try:
+            self._attributes = copy.deepcopy(attributes)
+        except TypeError:
+            self._attributes = dict(attributes)
+
+    def put_back(self, kf: Any) -> None:
+        """Put the filter back as it was."""
+        vars(kf).update(self._attributes)
+
+
+# States.
 
 
 def settings(kf: Any) -> dict[str, Array]:
@@ -223,36 +348,8 @@ def checked_state(state: Any, shapes: dict[str, tuple[int, ...]], present: dict[
     for name in ("R", "alpha_sq"):
         if name in found and not (found[name] > 0.0).all():
             raise _state.StateError(f"state: expected {name} > 0, got {found[name]}")
-    require_recursion(found["recursion"])
-    if "watch" in found:
-        _require_watch(found["watch"])
+    require_plausible(found)
     return {**found, "enabled": found["enabled"].astype(bool)}
-
-
-def require_recursion(recursion: Array) -> None:
-    """Raise unless what the recursions of trackers keep, shape (.., 7), can be what `state` gave."""
-    _, limit, samples, mean, memory, begun, waits = np.moveaxis(recursion, -1, 0)
-    for what, good in (
-        ("a limit of tr P > 0", limit > 0.0),
-        ("counts of samples >= 0", (samples >= 0.0) & (memory >= 0.0)),
-        ("a mean of min(e^2, 4) in [0, 4]", (mean >= 0.0) & (mean <= 4.0)),
-        ("begun to be 0 or 1", (begun == 0.0) | (begun == 1.0)),
-        ("a whole number of samples until the next look, or -1", (waits >= -1.0) & (waits % 1.0 == 0.0)),
-    ):
-        if not good.all():
-            raise _state.StateError(f"state: expected {what} in recursion, got {_checks.shown(recursion)}")
-
-
-def _require_watch(watch: Array) -> None:
-    """Raise unless what decides about another start can be what `state` gave."""
-    restarts, samples, seen, variance = watch[:4]
-    for what, good in (
-        ("whether it may start anew to be 0 or 1", restarts in (0.0, 1.0)),
-        ("whole numbers of samples >= 0", samples >= 1.0 and seen >= 0.0 and samples % 1.0 == seen % 1.0 == 0.0),
-        ("a variance >= 0", variance >= 0.0),
-    ):
-        if not good:
-            raise _state.StateError(f"state: expected {what} in watch, got {_checks.shown(watch)}")
 
 
 def require_consistent(state: dict[str, Array], parts: tuple[slice, ...]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import warnings
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal
@@ -13,12 +14,11 @@ from robust_filterpy import _checks, _state
 from robust_filterpy._checks import Array
 from robust_filterpy._documentation import STOPPED, pointer
 from robust_filterpy.correction.options import Information, Scaling
-from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.models import coefficients
 from robust_filterpy.identification.models.fit import fit_percent
 from robust_filterpy.identification.models.guard import GUARDS, Guard
 from robust_filterpy.identification.models.model import Model
-from robust_filterpy.identification.models.regressor import Layout, Memory, bounded
+from robust_filterpy.identification.models.regressor import Layout, Memory
 from robust_filterpy.identification.models.responses import Responses
 from robust_filterpy.identification.models.results import Columns, Intervals, Sample, TrackingResult, intervals
 from robust_filterpy.identification.models.signals import (
@@ -31,12 +31,13 @@ from robust_filterpy.identification.models.signals import (
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.summary import Summary, summarized
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording
-from robust_filterpy.identification.recursive import setup
-from robust_filterpy.identification.recursive.noise_scale import NoiseScale, ordinary_mean
-from robust_filterpy.identification.recursive.recursion import GRADIENTS, REGRESSORS, Gradient, Recursion, Regressor
-from robust_filterpy.identification.recursive.start import ColdStart
+from robust_filterpy.identification.recursive import setup, track
+from robust_filterpy.identification.recursive.handover import gone_on
+from robust_filterpy.identification.recursive.noise_scale import ordinary_mean
+from robust_filterpy.identification.recursive.recursion import GRADIENTS, REGRESSORS, Gradient, Regressor
+from robust_filterpy.identification.recursive.state import Form, State, at_rest
 from robust_filterpy.identification.recursive.tuned import TunedTracker, tuned
-from robust_filterpy.identification.recursive.watch import LostTrackerWarning, Watch
+from robust_filterpy.identification.recursive.watch import LostTrackerWarning
 from robust_filterpy.influence.functions import Influence
 
 if TYPE_CHECKING:
@@ -44,14 +45,11 @@ if TYPE_CHECKING:
 
 __all__ = ["ParameterTracker"]
 
-# Samples that a tracker looks at before it takes a stand: OutputError(4, 4) with 10 % outliers needs about as many.
-_START = 400
-
-# With forgetting and no excitation P grows without end; at so many times its first trace it has forgotten everything.
-_WINDUP = 1e8
+#: Samples that a tracker looks at before it takes a stand: OutputError(4, 4) with 10 % outliers needs about as many.
+START = 400
 
 
-class ParameterTracker(Responses, Recursion):
+class ParameterTracker(Responses):
     """Follow the parameters of a linear model, sample by sample, through outliers.
 
     A filter with the parameters as its state, F = I and H = phi'(k) (paper 53 and Table 1)::
@@ -115,6 +113,8 @@ class ParameterTracker(Responses, Recursion):
         As given.
     filter : filter object
         The filter; Q, R, F and forgetting are read from it and written to it.
+    form : Form
+        What its recursion is, for what takes the recursion elsewhere (C, a fleet).
     enabled : bool
         False freezes theta and P, while predictions go on.
     offset : float
@@ -227,55 +227,38 @@ class ParameterTracker(Responses, Recursion):
         """Set up the filter and a memory at rest."""
         self._given = {name: value for name, value in locals().items() if name != "self"}
         model = structure if isinstance(structure, Model) else None
-        if model is not None:
-            structure = model.structure
-        elif not isinstance(structure, Structure):
-            raise TypeError(
-                f"structure: expected ARX(..), OutputError(..) or another structure, or a Model, got {structure!r}"
-            )
-        self._gradient = _checks.option("gradient", gradient, GRADIENTS)
-        self._guard = _checks.option("guard", guard, GUARDS)
+        structure = setup.structure_of(structure)
+        _checks.option("gradient", gradient, GRADIENTS)
+        _checks.option("guard", guard, GUARDS)
         ready = filter is not None and not isinstance(filter, type)
         told = theta is not None or P is not None or ready or model is not None
-        samples = (0 if told else _START) if start is None else _checks.count("start", start)
+        samples = (0 if told else START) if start is None else _checks.count("start", start)
         if samples and told:
             raise ValueError(f"start: expected 0 with theta, P or a filter object or model to begin with, got {start}")
         default: Regressor = "cleaned" if samples or model is not None else "measured"
         self._regressor = default if regressor is None else _checks.option("regressor", regressor, REGRESSORS)
-        if offset is not None and not isinstance(offset, (bool, np.bool_)):
-            raise TypeError(f"offset: expected True or False, got {offset!r}")
-        if model is not None and offset is not None and offset != model.has_offset:
-            raise ValueError(f"offset: expected {model.has_offset} as the model has it, got {offset}; leave it out")
-        usual = bool(samples) and not structure.takes_phi if model is None else model.has_offset
-        self._has_offset = usual if offset is None else bool(offset)
-        self._cleans = self._regressor == "cleaned" and structure.na + structure.nd > 0
-        choices = {"influence": influence, "scaling": scaling, "information": information}
+        has_offset = setup.has_offset(offset, structure, model, bool(samples))
+        layout = Layout(structure.with_constant(), structure.n_inputs) if has_offset else Layout(structure)
+        places = np.arange(layout.n)
+        own = np.delete(places, structure.constant_place) if has_offset else places
+        cleans = self._regressor == "cleaned" and structure.na + structure.nd > 0
         self.structure = structure
-        extended = (structure.with_constant(), structure.n_inputs) if self._has_offset else (structure, -1)
-        self._layout = Layout(*extended)
-        places = np.arange(self._layout.n)
-        self._own = np.delete(places, structure.constant_place) if self._has_offset else places
-        self.filter = setup.make_filter(self._layout.n, filter, choices)
-        setup.configure(
-            self.filter, structure, self._own, theta=theta, P=P, Q=Q, R=R, F=F, forgetting=forgetting
-        )  # fmt: skip
+        self.form = Form(structure, layout, own, has_offset, cleans, np.array([gradient]), np.array([guard]))
+        choices = {"influence": influence, "scaling": scaling, "information": information}
+        self.filter = kf = setup.make_filter(layout.n, filter, choices)
+        setup.configure(kf, structure, own, theta=theta, P=P, Q=Q, R=R, F=F, forgetting=forgetting)
         if ready and Q is None:
-            setup.warn_of_default_noise(self.filter)
+            setup.warn_of_default_noise(kf)
         self.enabled = True
-        self._memory = Memory(self._layout)
-        self._windup = _WINDUP * max(float(np.trace(self.filter.P)), 1e-300)
-        self._centre, self._watch = 0.0, Watch()
         memory = 0.0 if R is not None or ready else float(_checks.count("R_memory", R_memory, 2))
-        self._scale = NoiseScale(0.0, ordinary_mean(None), memory)
-        self._samples = samples or _START
-        self._start = ColdStart(structure, samples) if samples else None
-        self._begun = not samples
-        # Whether it may make another model by itself when this one is no longer the plant's.
-        self._restarts = bool(samples)
+        scale = np.array([[setup.told_variance(kf), 0.0, ordinary_mean(None), memory]])
+        x, covariance = np.array(kf.x, dtype=float).reshape(1, -1), np.array(kf.P, dtype=float)[None]
+        self._now = at_rest(self.form, x, covariance, scale, samples or START, not samples)
         self.dt: float | None = None
         if model is not None:
-            self._begin(model)
-            self._set(theta, P)
+            self._take_over(gone_on(self.form, self._now, 0, model))
+            # What is given goes before what was found.
+            setup.configure(kf, structure, own, theta=theta, P=P, Q=None, R=None, F=None, forgetting=None)
             self.dt = model.dt
         self._initial = self.state()
         # The last time that a recording told, and how many samples came after it.
@@ -307,36 +290,42 @@ class ParameterTracker(Responses, Recursion):
     @property
     def gradient(self) -> Gradient:
         """What the gain is computed from: "filtered" or "pseudolinear"."""
-        return self._gradient
+        return str(self.form.gradient[0])  # type: ignore[return-value]
 
     @property
     def guard(self) -> Guard:
         """What happens to an unstable step: "halve", "reject" or "none"."""
-        return self._guard
+        return str(self.form.guard[0])  # type: ignore[return-value]
 
     @property
     def theta(self) -> Array:
         """Parameters, shape (n,)."""
-        return np.array(self.filter.x, dtype=float).ravel()[self._own]
+        return np.array(self.filter.x, dtype=float).ravel()[self.form.own]
+
+    @property
+    def now(self) -> State:
+        """Everything that the recursion goes on from, as `TrackerBank` has it for many; theta, P and R the filter's."""
+        kf, scale = self.filter, self._now.scale.copy()
+        scale[0, 0] = setup.told_variance(kf)
+        x, P = np.array(kf.x, dtype=float).reshape(1, -1), np.array(kf.P, dtype=float)[None]
+        return self._now._replace(theta=x, P=P, scale=scale)
 
     @property
     def offset(self) -> float:
         """Constant of the equation: what an OutputError, FIR or LinearRegression adds to the output; 0 without one."""
         a, f = self._rest_gains
-        return self._centre * a + (self._constant / f if abs(f) > 1e-9 else 0.0)
+        return float(self._now.centre[0]) * a + (self._constant / f if abs(f) > 1e-9 else 0.0)
 
     @property
     def level(self) -> float:
         """What the output is at rest; the centre that was taken off y if the model integrates."""
         a, f = self._rest_gains
-        return self._centre + (self._constant / (a * f) if abs(a * f) > 1e-9 else 0.0)
+        return float(self._now.centre[0]) + (self._constant / (a * f) if abs(a * f) > 1e-9 else 0.0)
 
     @property
     def _constant(self) -> float:
         """Constant in phi' theta, for outputs from the centre."""
-        if not self._has_offset:
-            return 0.0
-        return float(np.ravel(self.filter.x)[self.structure.constant_place])
+        return float(np.ravel(self.filter.x)[self.structure.constant_place]) if self.form.has_offset else 0.0
 
     @property
     def _rest_gains(self) -> tuple[float, float]:
@@ -352,16 +341,17 @@ class ParameterTracker(Responses, Recursion):
     @property
     def P(self) -> Array:
         """Covariance of the parameters, shape (n, n)."""
-        return np.array(self.filter.P, dtype=float)[np.ix_(self._own, self._own)]
+        return np.array(self.filter.P, dtype=float)[np.ix_(self.form.own, self.form.own)]
 
     @property
     def Q(self) -> Array:
         """Covariance of a step of theta (paper 8), shape (n, n); may be set, to a number q for q I."""
-        return np.array(self.filter.Q, dtype=float)[np.ix_(self._own, self._own)]
+        return np.array(self.filter.Q, dtype=float)[np.ix_(self.form.own, self.form.own)]
 
     @Q.setter
     def Q(self, value: ArrayLike) -> None:
-        self.filter.Q = setup.embedded(self.filter.Q, self._own, setup.checked_values(len(self._own), Q=value)["Q"])
+        own = self.form.own
+        self.filter.Q = setup.embedded(self.filter.Q, own, setup.checked_values(len(own), Q=value)["Q"])
 
     @property
     def R(self) -> float:
@@ -370,22 +360,23 @@ class ParameterTracker(Responses, Recursion):
 
     @R.setter
     def R(self, value: float) -> None:
-        self.filter.R = setup.checked_values(self._layout.n, R=value)["R"]
-        self._scale = self._scale._replace(memory=0.0)
+        self.filter.R = setup.checked_values(self.form.layout.n, R=value)["R"]
+        self._now = self._now._replace(scale=self._now.scale * [1.0, 1.0, 1.0, 0.0])
 
     @property
     def _noise_samples(self) -> float:
         """How many samples R stands on; one that is told is known."""
-        return self._scale.memory or np.inf
+        return float(self._now.scale[0, 3]) or np.inf
 
     @property
     def F(self) -> Array:
         """Transition matrix C of (9), shape (n, n); may be set."""
-        return np.array(self.filter.F, dtype=float)[np.ix_(self._own, self._own)]
+        return np.array(self.filter.F, dtype=float)[np.ix_(self.form.own, self.form.own)]
 
     @F.setter
     def F(self, value: ArrayLike) -> None:
-        self.filter.F = setup.embedded(self.filter.F, self._own, setup.checked_values(len(self._own), F=value)["F"])
+        own = self.form.own
+        self.filter.F = setup.embedded(self.filter.F, own, setup.checked_values(len(own), F=value)["F"])
 
     @property
     def forgetting(self) -> float:
@@ -399,7 +390,8 @@ class ParameterTracker(Responses, Recursion):
     @property
     def std(self) -> Array:
         """Standard deviations of the parameters, shape (n,); infinite until the start has found a model."""
-        return np.sqrt(np.maximum(self.P.diagonal(), 0.0)) if self._begun else np.full(len(self._own), np.inf)
+        std = np.sqrt(np.maximum(self.P.diagonal(), 0.0))
+        return std if self._now.begun[0] else np.full(std.shape, np.inf)
 
     @property
     def coefficients(self) -> Any:
@@ -451,7 +443,7 @@ class ParameterTracker(Responses, Recursion):
         facts = {"R": f"{self.R:.4g}", "Level": f"{self.level:.4g}", "Forgetting": f"{self.forgetting:.4g}"}
         if self.dt is not None:
             facts["Sampling period"] = f"{self.dt:.6g} s"
-        waiting = "" if self._begun else "the start has not found a model yet"
+        waiting = "" if self._now.begun[0] else "the start has not found a model yet"
         return summarized(str(self.structure), facts, self.structure.names, self.theta, self.std, level, waiting)
 
     def transfer_function(self, dt: float | bool | Literal["recorded"] = "recorded") -> control.TransferFunction:
@@ -501,13 +493,8 @@ class ParameterTracker(Responses, Recursion):
         if u is None and any(nb and not nk for nb, nk in self.structure.inputs):
             raise ValueError(f"u: expected the next input, which acts at once in {self.structure}, got None")
         values = np.zeros(self.structure.n_inputs) if u is None else one_input(self.structure, u)
-        if not self._begun and self._start is not None:
-            return self._start.level()
-        inputs = self._memory.with_input(self._layout, self._with_constant(values))
-        x = np.array(self.filter.x, dtype=float).ravel()
-        if self.enabled and hasattr(self.filter, "F") and self._drifts:
-            x = np.asarray(self.filter.F, dtype=float).dot(x)
-        return bounded(self._memory.regressor(self._layout, inputs).dot(x).item()) + self._centre
+        using = self._using(False)._replace(F=setup.matrix_of(self.filter, "F", np.eye(self.form.layout.n))[None])
+        return float(track.predicted(self.form, using, self.now, values[None])[0])
 
     def simulate(self, u: ArrayLike, *, continued: bool = False) -> Array:
         """Run the model as it stands on inputs alone, without measurements: y = B/A u.
@@ -534,11 +521,12 @@ class ParameterTracker(Responses, Recursion):
         signal = recorded_input(self.structure, u, None)
         x = np.array(self.filter.x, dtype=float).ravel()
         if continued:
-            with_constant = self._with_constant(signal)
-            y = coefficients.simulate(self.structure, self._layout, self._memory, x, with_constant) + self._centre
+            layout, with_constant = self.form.layout, self.form.with_constant(signal)
+            memory = self._now.past.memory(layout, 0)
+            y = coefficients.simulate(self.structure, layout, memory, x, with_constant) + self._now.centre[0]
         else:
             layout = Layout(self.structure)
-            y = coefficients.simulate(self.structure, layout, Memory(layout), x[self._own], signal) + self.level
+            y = coefficients.simulate(self.structure, layout, Memory(layout), x[self.form.own], signal) + self.level
         return axis.series(y, "simulated")
 
     @staticmethod
@@ -592,22 +580,13 @@ class ParameterTracker(Responses, Recursion):
         """
         variance = None if R is None else np.array([_checks.positive("R", R)])
         output, values = np.array([one_output(y)]), one_input(self.structure, u)[None]
-        held = self._held()
+        before = self._held()
         try:
-            if self._start is None:
-                sample = self._stepped(output.item(), values[0], None if variance is None else variance.item())
-                self._restart_if_lost(values, np.array([sample.prediction]), np.array([sample.residual]))
-            else:
-                out = Columns.empty(1, self._layout.n)
-                self._advance(output, values, variance, out)
-                sample = Sample(*(column[0].item() for column in out[2:]))
-            if self._is_watched:
-                weight, guard, residual = (np.array([v]) for v in (sample.weight, sample.guard, sample.residual))
-                self._say(self._watch.see(weight, guard, residual, self.R, self._has_offset))
-            self._time = None if self._time is None else (self._time[0], self._time[1] + 1)
-            return sample
+            out, time = self._advance(output, values, variance, False), self._time
+            self._time = None if time is None else (time[0], time[1] + 1)
+            return Sample(*(column[0].item() for column in out[2:]))
         except BaseException:
-            self._put_back(held)
+            self._put_back(before)
             raise
 
     def run(self, y: ArrayLike, u: ArrayLike | None = None, R: ArrayLike | None = None) -> TrackingResult:
@@ -656,23 +635,18 @@ class ParameterTracker(Responses, Recursion):
         output = fills.signal
         signal = recorded_input(self.structure, u, output.size)
         variances = None if R is None else recorded_variance(R, output.size)
-        out = Columns.empty(output.size, self._layout.n)
-        time = self._time_after(axis, output.size)
-        before, held = self.state(), self._held()
+        time, own = self._time_after(axis, output.size), self.form.own
+        before = self._held()
         try:
-            self._advance(output, signal, variances, out)
-            if self._is_watched:
-                self._say(self._watch.see(out.weights, out.guard, out.residual, self.R, self._has_offset))
-            std = np.sqrt(np.maximum(out.variance[:, self._own], 0.0))
-            rest = out.prediction, out.residual, out.weights, out.guard
-            result = TrackingResult(out.theta[:, self._own], std, *rest).labelled(self.structure.names, axis.index)
+            out = self._advance(output, signal, variances)
+            std = np.sqrt(np.maximum(out.variance[:, own], 0.0))
+            result = TrackingResult(out.theta[:, own], std, *out[2:]).labelled(self.structure.names, axis.index)
             self.dt, self._time = axis.dt if self.dt is None else self.dt, time
             if fills.values:
                 warnings.warn(f"ParameterTracker: y has {fills.said}", UserWarning, stacklevel=2)
             return result
         except BaseException:
-            self._set_state(before)
-            self._put_back(held)
+            self._put_back(before)
             raise
 
     def tuned(
@@ -744,152 +718,49 @@ class ParameterTracker(Responses, Recursion):
             )
         return last, 0
 
-    def _advance(self, y: Array, u: Array, R: Array | None, out: Columns) -> None:
-        """Take a checked recording; the caller undoes what is refused or interrupted."""
-        k = 0
-        while k < y.size:
-            if self._start is not None:
-                part = slice(k, min(k + max(self._start.waits, 1), y.size))
-                self._look_on(y, u, R, out, part)
-            else:
-                last = min(k + self._watch.waits, y.size) if self._restarts and self.enabled else y.size
-                part = slice(k, last)
-                self._run_through(y, u, R, out, part.start, part.stop)
-                self._restart_if_lost(u[part], out.prediction[part], out.residual[part])
-            k = part.stop
+    #: Whether the filter shows its last samples; how many samples the definition takes at most before the kernel tries.
+    _shows_last, _most_odd = True, 1024
+
+    def _using(self, recorded: bool) -> track.Settings:
+        """Return what may have been changed since the last call; recorded: whether the kernel may serve."""
+        kf, n = self.filter, self.form.layout.n
+        choices = (setup.choices_of(kf),) if recorded and setup.is_plain(kf, n) else None
+        if choices is not None and not track.serves(choices):
+            choices = None
+        F, Q = (kf.F[None], kf.Q[None]) if choices else (np.empty(0), np.empty(0))
+        alpha_sq = np.array([float(getattr(kf, "alpha", 1.0)) ** 2])
+        return track.Settings(
+            choices, F, Q, alpha_sq, np.array([bool(self.enabled)]), lambda i: kf,
+            lambda k, i: f"sample {k}: " if recorded else "", self._most_odd, self._shows_last,
+        )  # fmt: skip
+
+    def _advance(self, y: Array, u: Array, R: Array | None, recorded: bool = True) -> Columns:
+        """Take checked samples; the caller undoes what is refused or interrupted."""
+        R = None if R is None else R[None]
+        now, out, news = track.advance(self.form, self._using(recorded), self.now, y[None], u[None], R)
+        self._take_over(now)
+        for _, trouble in news:
+            warnings.warn(f"ParameterTracker: {trouble}; {pointer(STOPPED)}", LostTrackerWarning, stacklevel=3)
+        return Columns(*(column[0] for column in out))
+
+    def _take_over(self, now: State) -> None:
+        """Go on from another state."""
+        setup.load(self.filter, now.theta[0], now.P[0], float(now.scale[0, 0]))
+        self._now = now
 
     def _held(self) -> tuple[Any, ...]:
-        """Return what a sample changes: arrays are replaced, never written into."""
-        start, watch = self._start, self._watch
-        kept = None if start is None else (start.y, start.u, start.waits)
-        names = ("_centre", "_windup", "_begun", "_restarts", "_memory", "_time", "dt")
-        own = {name: getattr(self, name) for name in names}
-        return *super()._held(), own, start, kept, dict(vars(watch))
+        """Return what a call changes."""
+        return setup.Kept(self.filter), self._now, self._time, self.dt
 
     def _put_back(self, held: tuple[Any, ...]) -> None:
         """Undo what was refused, or interrupted."""
-        *recursion, own, start, kept, watch = held
-        vars(self).update(own)
-        self._start = start
-        if start is not None:
-            start.y, start.u, start.waits = kept
-        vars(self._watch).update(watch)
-        super()._put_back(tuple(recursion))
-
-    # The start.
-
-    def _look_on(self, y: Array, u: Array, R: Array | None, out: Columns, part: slice) -> None:
-        """Take samples up to the next look at them, and then look."""
-        start = self._start
-        if start is None:
-            return
-        if self._begun:
-            self._run_through(y, u, R, out, part.start, part.stop)
-            start.add(y[part], u[part])
-        else:
-            out.theta[part], out.variance[part] = np.ravel(self.filter.x), np.inf
-            for k in range(part.start, part.stop):
-                out.prediction[k] = start.level()
-                start.add(y[k : k + 1], u[k : k + 1])
-            out.residual[part] = y[part] - out.prediction[part]
-        if self.enabled and start.waits <= 0:
-            self._look()
-
-    def _look(self) -> None:
-        """Make a model of the samples so far and go on from there."""
-        start = self._start
-        if start is None:
-            return
-        last, failure = start.is_last_look, self._started(start.y, start.u)
-        if last and not failure:
-            self._start = None
-            return
-        start.wait()
-        if last:
-            self._say(
-                self._watch.without_model(
-                    f"no model can be made of {start.y.size} samples, it goes on looking: {failure}"
-                )
-            )
-
-    def _restart_if_lost(self, u: Array, prediction: Array, residual: Array) -> None:
-        """Look for another model from here on if the residuals follow the inputs; this one serves until then."""
-        if not (self._restarts and self.enabled and u.shape[1]):
-            return
-        trouble = self._watch.lost(residual, np.column_stack((prediction, u)))
-        if trouble:
-            self._watch.forget()
-            self._start = ColdStart(self.structure, self._samples)
-            self._say(f"{trouble}; it starts anew, and theta may jump when a model of the next samples is found")
-
-    def _started(self, y: Array, u: Array) -> str:
-        """Go on from the model of some samples, or say why there is none."""
-        R = None if self._scale.memory else self.R
-        try:
-            with warnings.catch_warnings():
-                # A short recording leaves several models open, and those to come decide.
-                warnings.simplefilter("ignore", UserWarning)
-                model = identify(
-                    y,
-                    u if self.structure.n_inputs else None,
-                    self.structure,
-                    offset=self._has_offset,
-                    R=R,
-                    trend="constant" if self._has_offset else "none",
-                )
-        except ValueError as error:
-            return str(error)
-        self._begin(model)
-        return ""
-
-    def _begin(self, model: Model) -> None:
-        """Go on from a model at the end of its recording."""
-        structure, layout, kf = self.structure, self._layout, self.filter
-        n, places, place = structure.n_theta, structure.polynomials, structure.constant_place
-        x, P, memory = model.theta, model.P, model.memory
-        if self._has_offset:
-            # The constant is one more input of B/F, and drives the output from its centre.
-            self._centre = model.level
-            a, f = (1.0 + float(model.theta[part].sum()) for part in (places.a, places.f))
-            constant, J = (model.offset - self._centre * a) * f, np.eye(n + 1)
-            J[n, places.a], J[n, n] = -self._centre * f, f
-            cross, square = model.offset_covariance[:, None], np.array([[model.offset_std**2]])
-            joint = np.block([[P, cross], [cross.T, square]])
-            order = np.insert(np.arange(n), place, n)
-            x, P = np.append(x, constant)[order], (J @ joint @ J.T)[np.ix_(order, order)]
-        kf.x, kf.P = x.reshape(np.shape(kf.x)).copy(), 0.5 * (P + P.T)
-        self._windup = _WINDUP * max(float(np.trace(kf.P)), 1e-300)
-        if self._scale.memory:
-            kf.R = np.array([[model.R]])
-            mean = ordinary_mean(model.noise.influence)
-            self._scale = NoiseScale(float(model.weights.size), mean, self._scale.memory)
-        found = Memory(layout)
-        found.outputs, found.measured, found.residuals = memory.outputs, memory.outputs, memory.residuals
-        found.inputs, found.gradients = memory.inputs, memory.gradients
-        found.undisturbed, found.prefiltered = memory.undisturbed, memory.prefiltered
-        if self._has_offset:
-            found.inputs = np.append(memory.inputs, 1.0)
-            f, c, d = (1.0 + float(x[part].sum()) for part in (layout.f, layout.c, layout.d))
-            prefiltered = 1.0 / max(abs(f), 1e-6)
-            response = prefiltered * d / max(abs(c), 1e-6)
-            found.gradients = np.insert(memory.gradients, place, response, axis=1)
-            found.prefiltered = np.insert(memory.prefiltered, place, prefiltered, axis=1)
-        self._memory, self._begun, self._restarts = found, True, True
-
-    @property
-    def _is_watched(self) -> bool:
-        """Whether the samples are those of a model that is meant to follow."""
-        return self._begun and bool(self.enabled)
-
-    def _say(self, trouble: str) -> None:
-        """Warn of what is wrong, if anything."""
-        if trouble:
-            warnings.warn(f"ParameterTracker: {trouble}; {pointer(STOPPED)}", LostTrackerWarning, stacklevel=3)
+        kept, self._now, self._time, self.dt = held
+        kept.put_back(self.filter)
 
     # Interruption.
 
     @property
-    def _kind(self) -> str:
+    def kind(self) -> str:
         """What a state belongs to."""
         return f"ParameterTracker of {self.structure}"
 
@@ -908,24 +779,9 @@ class ParameterTracker(Responses, Recursion):
             ``format``: version, and name of tracker and structure as character codes. All of float64.
             ``numpy.savez(file, **state)`` stores it.
         """
-        memory = {name: getattr(self._memory, name).copy() for name in self._layout.shapes()}
-        start = self._start
-        kept = np.zeros((0, 1 + self.structure.n_inputs)) if start is None else np.column_stack((start.y, start.u))
-        waits = -1 if start is None else start.waits
-        watch, followed = self._watch.window(1 + self.structure.n_inputs)
-        arrays = {
-            "theta": np.array(self.filter.x, dtype=float).ravel(),
-            "P": np.array(self.filter.P, dtype=float),
-            **memory,
-            "enabled": bool(self.enabled),
-            "recursion": [self._centre, self._windup, *self._scale, self._begun, waits],
-            "start": kept,
-            "watch": [self._restarts, self._samples, *watch],
-            "followed": followed,
-            **setup.settings(self.filter),
-            **setup.kept_by(self.filter),
-        }
-        return _state.labelled(self._kind, arrays)
+        arrays = {name: value[0] for name, value in self.now.arrays().items() if name != "kept"}
+        arrays |= {"enabled": np.array(bool(self.enabled)), **setup.settings(self.filter), **setup.kept_by(self.filter)}
+        return _state.labelled(self.kind, arrays)
 
     def restore(self, state: Any) -> None:
         """Go back to a state of this tracker, or of another one with the same structure and kind of filter.
@@ -948,42 +804,50 @@ class ParameterTracker(Responses, Recursion):
         The continuation is the same to the last bit, for filters that hold x and P themselves. What it has warned of is
         not in a state; one from before there was a watch in it is watched from here on.
         """
-        n = self._layout.n
-        shapes = {"theta": (n,), "P": (n, n), **self._layout.shapes(), "enabled": (), "recursion": (7,)}
-        shapes["start"] = (-1, 1 + self.structure.n_inputs)
-        _state.require_kind(state, self._kind)
-        watched = {"watch": (6,), "followed": (-1, 2 + self.structure.n_inputs)}
+        n, structure = self.form.layout.n, self.structure
+        shapes = {"theta": (n,), "P": (n, n), **self.form.layout.shapes(), "enabled": (), "recursion": (7,)}
+        shapes["start"] = (-1, 1 + structure.n_inputs)
+        _state.require_kind(state, self.kind)
+        watched = {"watch": (6,), "followed": (-1, 2 + structure.n_inputs)}
         shapes |= watched if any(name in state for name in watched) else {}
         found = setup.checked_state(state, shapes, setup.settings(self.filter))
-        setup.require_consistent(found, () if self._guard == "none" else self._layout.stable)
+        setup.require_consistent(found, () if self.guard == "none" else self.form.layout.stable)
         setup.take_over(self.filter, state)
-        self._set_state(found)
-        self._time = None
-
-    def _set_state(self, found: dict[str, Array]) -> None:
-        """Take over a checked state."""
-        self.filter.x = found["theta"].reshape(np.shape(self.filter.x))
         setup.apply_settings(self.filter, found)
-        self.filter.P = found["P"]
-        for name in self._layout.shapes():
-            setattr(self._memory, name, found[name])
-        self.enabled = bool(found["enabled"])
-        self._centre, self._windup, *scale, begun, waits = found["recursion"].tolist()
-        self._scale, self._begun, self._start = NoiseScale(*scale), bool(begun), None
-        watch = found.get("watch", np.array([self._restarts, self._samples, 0.0, 0.0, 0.0, 0.0]))
-        self._restarts, self._samples = bool(watch[0]), int(watch[1])
-        self._watch.go_on(watch[2:], found.get("followed", np.zeros((0, 1))))
-        if waits >= 0:
-            self._start = ColdStart(self.structure, self._samples)
-            self._start.y, self._start.u = found["start"][:, 0].copy(), found["start"][:, 1:].copy()
-            self._start.waits = int(waits)
-
-    def _set(self, theta: ArrayLike | None = None, P: ArrayLike | None = None) -> None:
-        """Put other parameters, or another covariance, in the place of those that were found."""
-        setup.configure(
-            self.filter, self.structure, self._own, theta=theta, P=P, Q=None, R=None, F=None, forgetting=None
-        )  # fmt: skip
+        arrays = {name: value[None] for name, value in found.items() if name in shapes}
+        self._take_over(self._now.restored(arrays, np.array([setup.told_variance(self.filter)])))
+        self.enabled, self._time = bool(found["enabled"]), None
 
     def reset(self) -> None:
         """Go back to the start: theta, P, Q, R, F and the memory as they were when the tracker was made."""
         self.restore(self._initial)
+
+    def replaced(self, **values: Any) -> ParameterTracker:
+        """Return a copy with other Q or forgetting, which it has after a reset, too.
+
+        Parameters
+        ----------
+        **values
+            Q, forgetting.
+
+        Returns
+        -------
+        ParameterTracker
+            Independent of this one.
+        """
+        found = copy.deepcopy(self)
+        for name, value in values.items():
+            setattr(found, name, value)
+        settings = setup.settings(found.filter)
+        kept = {name: settings[name] for name in ("Q", "alpha_sq") if name in settings}
+        found._initial, found._given = found._initial | kept, found._given | values
+        return found
+
+
+def continued(tracker: ParameterTracker, settings: dict[str, Array], initial: State, now: State, enabled: bool) -> None:
+    """Let a tracker go on from now, and go back to initial when it is reset, both with these settings of its filter."""
+    setup.apply_settings(tracker.filter, settings)
+    for state in (initial, now):
+        tracker._take_over(state)
+        tracker._initial = tracker._initial if state is now else tracker.state()
+    tracker.enabled = enabled

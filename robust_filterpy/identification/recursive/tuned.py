@@ -22,7 +22,6 @@ from robust_filterpy._pictures import drawn
 from robust_filterpy.identification.models.learnt_noise import likelihood_of_mixture
 from robust_filterpy.identification.models.signals import recorded_input, recorded_output
 from robust_filterpy.identification.models.time_axis import recording, table
-from robust_filterpy.identification.recursive import setup
 from robust_filterpy.influence.regression import mad_scale
 
 if TYPE_CHECKING:
@@ -187,7 +186,7 @@ def tuned(tracker: ParameterTracker, y: Any, u: Any, over: Any, leave_out: int |
     doubt = _doubt(chosen, candidates)
     if doubt:
         warnings.warn(f"tuned: {doubt}", stacklevel=3)
-    return TunedTracker(_with_values(tracker, chosen.values), rows, samples, doubt)
+    return TunedTracker(tracker.replaced(**chosen.values), rows, samples, doubt)
 
 
 def _candidates(tracker: ParameterTracker, over: Any) -> list[dict[str, Any]]:
@@ -212,8 +211,8 @@ def _candidates(tracker: ParameterTracker, over: Any) -> list[dict[str, Any]]:
 def _through_the_start(tracker: ParameterTracker, y: Array, u: Array) -> int:
     """Take the samples of which the tracker makes its first model, which no value changes; return how many."""
     k = 0
-    while tracker._start is not None and k < y.size:
-        part = slice(k, min(k + max(tracker._start.waits, 1), y.size))
+    while tracker.now.starts and k < y.size:
+        part = slice(k, min(k + max(tracker.now.starts[0].waits, 1), y.size))
         tracker.run(y[part], u[part])
         k = part.stop
     return k
@@ -221,24 +220,13 @@ def _through_the_start(tracker: ParameterTracker, y: Array, u: Array) -> int:
 
 def _residual(tracker: ParameterTracker, values: Any, y: Array, u: Array, first: int, counts: Any) -> Array | None:
     """Return the prediction errors that count with these values, None if the filter breaks down."""
-    trial = _with_values(tracker, values)
+    trial = tracker.replaced(**values)
     try:
         residual = trial.run(y[first:], u[first:]).residual
     except (np.linalg.LinAlgError, ValueError):
         return None
     residual = residual[counts[first:]]
     return np.asarray(residual[~np.isnan(residual)])
-
-
-def _with_values(tracker: ParameterTracker, values: dict[str, Any]) -> ParameterTracker:
-    """Return a copy with these values, also after a reset."""
-    found = copy.deepcopy(tracker)
-    for name, value in values.items():
-        setattr(found, name, value)
-    settings = setup.settings(found.filter)
-    kept = {name: settings[name] for name in ("Q", "alpha_sq") if name in settings}
-    found._initial, found._given = found._initial | kept, found._given | values
-    return found
 
 
 def _doubt(chosen: Tried, candidates: list[dict[str, Any]]) -> str:

@@ -1,8 +1,9 @@
-"""Whether a tracker has lost its plant, judged by what its samples have in common."""
+"""Whether n actuators have lost their plants, judged by what their samples have in common."""
 
 from __future__ import annotations
 
-from typing import Final
+import sys
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.dependence import SHARE, autocovariances, dependence, whitening_of
 from robust_filterpy.influence.regression import mad_scale
 
-__all__ = ["LostTrackerWarning", "Watch"]
+__all__ = ["Followed", "LostTrackerWarning", "News", "Windows"]
 
 # Samples that are judged together.
 _WINDOW: Final = 200
@@ -23,176 +24,161 @@ _OFFSET: Final = 2.0
 # Residuals are held against the past inputs in windows of so many samples, this many apart: a plant that changes is
 # in the whole of one after their sum.
 _SPAN: Final = 120
-#: How often the tracker must let the watch judge.
-PERIOD: Final = 40
+_PERIOD: Final = 40
 # Of the autocovariances of ordinary residuals, how much each look renews.
 _PACE: Final = 0.15
 # R may follow noise that changes, not over this factor.
 _WANDERING: Final = 1e4
+
+#: What is to be said of which actuator.
+News = list[tuple[int, str]]
 
 
 class LostTrackerWarning(UserWarning):
     """A tracker that has stopped following its plant."""
 
 
-class Watch:
-    """Look at a tracker's samples, and find words for what is wrong with them, once."""
+class Followed(NamedTuple):
+    """The residuals by which another plant is seen, of n actuators."""
 
-    def __init__(self) -> None:
-        """Start with no samples."""
-        self._weights, self._guard, self._residuals = np.zeros(0), np.zeros(0, dtype=int), np.zeros(0)
-        self._followed: tuple[Array, Array] = np.zeros(0), np.zeros((0, 0))
-        self._seen, self._covariances = 0, np.zeros(3)
-        self._R: float | None = None
-        self._spoken = self._spoken_of_start = False
+    seen: np.ndarray
+    """How many samples, (n,)."""
+    covariances: Array
+    """Autocovariances of ordinary residuals, (n, 3)."""
+    rows: Array
+    """The last residuals, and the predictions and inputs of the same samples, (n, _SPAN, 1 + n_signals)."""
 
-    def see(self, weights: Array, guard: np.ndarray, residuals: Array, R: float, has_offset: bool) -> str:
-        """Take in samples and return what is wrong, in words; empty if nothing is, or it has been said.
+    @classmethod
+    def none(cls, n: int, n_signals: int) -> Followed:
+        """Return it before the first sample."""
+        return cls(np.zeros(n, dtype=int), np.zeros((n, 3)), np.zeros((n, _SPAN, 1 + n_signals)))
 
-        Parameters
-        ----------
-        weights, guard, residuals : ndarray, shape (N,)
-            Columns of a `TrackingResult`.
-        R : float
-            Variance of the ordinary noise after them.
-        has_offset : bool
-            Whether the model has a constant.
+    @classmethod
+    def restored(cls, numbers: Array, rows: Array) -> Followed:
+        """Return it from samples seen and autocovariances, (n, 4), and rows of the last samples, (n, L, ..)."""
+        whole = np.zeros((len(rows), _SPAN, rows.shape[2]))
+        last = rows[:, -_SPAN:]
+        whole[:, _SPAN - last.shape[1] :] = last
+        return cls(numbers[:, 0].astype(int), numbers[:, 1:].copy(), whole)
 
-        Returns
-        -------
-        str
+    def waits(self, which: np.ndarray) -> int:
+        """Return after how many samples one of some actuators is to be looked at."""
+        return int((_PERIOD - self.seen[which] % _PERIOD).min()) if which.size else sys.maxsize
+
+    def forgotten(self, i: int) -> Followed:
+        """Return it with nothing seen of an actuator."""
+        seen, covariances, rows = (a.copy() for a in self)
+        seen[i], covariances[i], rows[i] = 0, 0.0, 0.0
+        return Followed(seen, covariances, rows)
+
+    def looked(self, which: np.ndarray, residuals: Array, signals: Array) -> tuple[Followed, News]:
+        """Return it with samples of some actuators, at most `waits`, and of which the model is another plant's.
+
+        residuals (len(which), N), NaN where y is missing; signals (len(which), N, n_signals): what a residual follows
+        that does not come from noise.
         """
-        if self._spoken:
-            return ""
-        self._weights = np.append(self._weights, weights)
-        self._guard = np.append(self._guard, guard)
-        self._residuals = np.append(self._residuals, residuals)
-        while self._weights.size >= _WINDOW:
-            weights, guard, residuals = (a[:_WINDOW] for a in (self._weights, self._guard, self._residuals))
-            said = self._judged(weights, guard, residuals, R, has_offset)
-            self._weights, self._guard = self._weights[_WINDOW:], self._guard[_WINDOW:]
-            self._residuals = self._residuals[_WINDOW:]
-            if said:
-                self._spoken = True
-                return said
-        return ""
+        seen, covariances, rows = self.seen.copy(), self.covariances.copy(), self.rows.copy()
+        new = np.concatenate((residuals[..., None], signals), axis=2)[:, -_SPAN:]
+        rows[which] = np.concatenate((self.rows[which, new.shape[1] :], new), axis=1)
+        seen[which] += residuals.shape[1]
+        news: News = []
+        for i in which[(seen[which] % _PERIOD == 0) & (seen[which] >= _SPAN)].tolist():
+            share, covariances[i] = _followed_share(rows[i, :, 0], rows[i, :, 1:], covariances[i])
+            if share:
+                news.append((i, _ANOTHER.format(_SPAN, 100 * share)))
+        return Followed(seen, covariances, rows), news
 
-    @property
-    def waits(self) -> int:
-        """After how many samples it looks whether residuals follow the inputs."""
-        return PERIOD - self._seen % PERIOD
 
-    def lost(self, residuals: Array, signals: Array) -> str:
-        """Take in samples, at most `waits`, and return why the model is another plant's, in words; empty if it is not.
+_ANOTHER: Final = (
+    "the plant is no longer the model's: over the last {} samples {:.0f} % of the residuals' variance follow the "
+    "inputs (a gain, sign or pole has changed, or the sensor is stuck)"
+)
 
-        Parameters
-        ----------
-        residuals : ndarray, shape (N,)
-            Measured less predicted output, NaN where it is missing.
-        signals : ndarray, shape (N, n_signals)
-            Predictions and inputs: what a residual follows that does not come from noise.
 
-        Returns
-        -------
-        str
-        """
-        before, columns = self._followed
-        kept = np.concatenate((before, residuals))[-_SPAN:]
-        rows = np.concatenate((columns.reshape(before.size, -1), signals)) if before.size else signals
-        self._followed, self._seen = (kept, rows[-_SPAN:]), self._seen + residuals.size
-        if self._seen % PERIOD or kept.size < _SPAN:
-            return ""
-        now = autocovariances(kept)
-        usual = self._covariances if self._covariances[0] > 0.0 else now
-        found = dependence(kept, rows[-_SPAN:], whitening=whitening_of(usual))
-        if not found.found:
-            # What is ordinary follows slowly, and not what is half suspicious already.
-            if found.share < 0.5 * SHARE or not self._covariances[0]:
-                self._covariances = usual + _PACE * (now - usual)
-            return ""
+def _followed_share(residuals: Array, signals: Array, usual: Array) -> tuple[float, Array]:
+    """Return how much of residuals follows the signals, 0 if it may be chance, and what is ordinary from here on."""
+    now = autocovariances(residuals)
+    usual = usual if usual[0] > 0.0 else now
+    found = dependence(residuals, signals, whitening=whitening_of(usual))
+    if found.found:
+        return float(found.share), usual
+    # What is ordinary follows slowly, and not what is half suspicious already.
+    return 0.0, usual + _PACE * (now - usual) if found.share < 0.5 * SHARE or usual is now else usual
+
+
+class Windows(NamedTuple):
+    """The last samples, until there are enough to judge them, and what has been said, of n actuators."""
+
+    recent: Array
+    """Weight, guard and residual of each sample, (n, L, 3)."""
+    R: Array
+    """R when it was first judged, NaN before, (n,)."""
+    spoken: np.ndarray
+    spoken_of_start: np.ndarray
+
+    @classmethod
+    def none(cls, n: int) -> Windows:
+        """Return them before the first sample."""
+        return cls(np.zeros((n, 0, 3)), np.full(n, np.nan), np.zeros(n, dtype=bool), np.zeros(n, dtype=bool))
+
+    def emptied(self) -> Windows:
+        """Return them with no samples; what has been said stays said."""
+        fresh = Windows.none(len(self.R))
+        return fresh._replace(spoken=self.spoken, spoken_of_start=self.spoken_of_start)
+
+    def forgotten(self, i: int) -> Windows:
+        """Return them with nothing seen of an actuator, for another model."""
+        recent, R, spoken = self.recent.copy(), self.R.copy(), self.spoken.copy()
+        recent[i], R[i], spoken[i] = np.nan, np.nan, False
+        return Windows(recent, R, spoken, self.spoken_of_start)
+
+    def without_model(self, i: int, trouble: str) -> tuple[Windows, News]:
+        """Return them and why the start has found no model, unless that has been said."""
+        spoken = self.spoken_of_start.copy()
+        spoken[i] = True
+        return self._replace(spoken_of_start=spoken), [] if self.spoken_of_start[i] else [(i, trouble)]
+
+    def seen(
+        self, weights: Array, guard: np.ndarray, residuals: Array, R: Array, has_offset: bool
+    ) -> tuple[Windows, News]:
+        """Return them with samples (n, N), R (n,) after these, and what is wrong, in words, once for each actuator."""
+        if self.spoken.all():
+            return self, []
+        news: News = []
+        recent = np.concatenate((self.recent, np.array([weights, guard, residuals]).transpose(1, 2, 0)), axis=1)
+        if recent.shape[1] < _WINDOW:
+            return Windows(recent, self.R, self.spoken, self.spoken_of_start), news
+        first, spoken, rest = self.R.copy(), self.spoken.copy(), recent.shape[1] % _WINDOW
+        for window in np.split(recent[:, : recent.shape[1] - rest], recent.shape[1] // _WINDOW, axis=1):
+            known = (~np.isnan(window[..., 0])).sum(axis=1)
+            for i in np.flatnonzero(~spoken & (known >= _WINDOW // 2)).tolist():
+                first[i] = R[i] if np.isnan(first[i]) else first[i]
+                said = _judged(window[i], R[i], first[i], has_offset)
+                spoken[i] = bool(said)
+                news += [(i, said)] if said else []
+        return Windows(recent[:, recent.shape[1] - rest :], first, spoken, self.spoken_of_start), news
+
+
+def _judged(window: Array, R: float, first: float, has_offset: bool) -> str:
+    """Say what is wrong with a window; empty if nothing is."""
+    weights, _, residuals = window[~np.isnan(window[:, 0])].T
+    level = float(np.median(residuals))
+    scatter = mad_scale(residuals - level)
+    if not has_offset and abs(level) > _OFFSET * scatter:
+        return f"the residuals lie {level:.3g} off zero with a scatter of {scatter:.2g}: use offset=True"
+    weight = float(weights.mean())
+    if weight < _LEAST_WEIGHT:
         return (
-            f"the plant is no longer the model's: over the last {_SPAN} samples {100 * float(found.share):.0f} % of "
-            "the residuals' variance follow the inputs (a gain, sign or pole has changed, or the sensor is stuck)"
+            f"of {_WINDOW} samples in a row the mean weight was {weight:.2f}: the filter takes ordinary samples "
+            f"for outliers, since R={R:.3g} is too small or theta has not followed the plant; leave R out, let "
+            "theta move (Q, forgetting), or start anew"
         )
-
-    def window(self, n_signals: int) -> tuple[Array, Array]:
-        """Return what `lost` stands on, for a state.
-
-        Parameters
-        ----------
-        n_signals : int
-            Number of signals.
-
-        Returns
-        -------
-        numbers : ndarray, shape (4,)
-            Samples seen, and the autocovariances of ordinary residuals.
-        rows : ndarray, shape (L, 1 + n_signals)
-            The last residuals, and the signals of the same samples.
-        """
-        residuals, signals = self._followed
-        rows = np.column_stack((residuals, signals)) if residuals.size else np.zeros((0, 1 + n_signals))
-        return np.array([self._seen, *self._covariances]), rows
-
-    def go_on(self, numbers: Array, rows: Array) -> None:
-        """Take over what `window` returned; samples of before are forgotten, not what was said of them.
-
-        Parameters
-        ----------
-        numbers : ndarray, shape (1 or more,)
-            As returned: how many samples were seen, and what was kept beside.
-        rows : ndarray, shape (N, 1 or more)
-            As returned: residuals and inputs of the window.
-        """
-        said = self._spoken, self._spoken_of_start
-        self.__init__()  # type: ignore[misc]
-        self._spoken, self._spoken_of_start = said
-        self._seen, self._covariances = int(numbers[0]), numbers[1:].copy()
-        self._followed = rows[:, 0].copy(), rows[:, 1:].copy()
-
-    def forget(self) -> None:
-        """Begin anew with no samples, for another model."""
-        spoken = self._spoken_of_start
-        self.__init__()  # type: ignore[misc]
-        self._spoken_of_start = spoken
-
-    def without_model(self, trouble: str) -> str:
-        """Return why the start has found no model; empty if that has been said.
-
-        Parameters
-        ----------
-        trouble : str
-            The reason.
-
-        Returns
-        -------
-        str
-        """
-        said, self._spoken_of_start = "" if self._spoken_of_start else trouble, True
-        return said
-
-    def _judged(self, weights: Array, guard: np.ndarray, residuals: Array, R: float, has_offset: bool) -> str:
-        """Say what is wrong with a window."""
-        known = ~np.isnan(weights)
-        if known.sum() < _WINDOW // 2:
-            return ""
-        self._R = R if self._R is None else self._R
-        level = float(np.median(residuals[known]))
-        scatter = mad_scale(residuals[known] - level)
-        if not has_offset and abs(level) > _OFFSET * scatter:
-            return f"the residuals lie {level:.3g} off zero with a scatter of {scatter:.2g}: use offset=True"
-        weight = float(weights[known].mean())
-        if weight < _LEAST_WEIGHT:
-            return (
-                f"of {_WINDOW} samples in a row the mean weight was {weight:.2f}: the filter takes ordinary samples "
-                f"for outliers, since R={R:.3g} is too small or theta has not followed the plant; leave R out, let "
-                "theta move (Q, forgetting), or start anew"
-            )
-        if (guard != 0).mean() > _MOST_GUARDED:
-            return (
-                f"{100 * (guard != 0).mean():.0f} % of {_WINDOW} steps would have made the model unstable: the "
-                "structure does not fit, or P and Q allow steps that are too large"
-            )
-        if not 1.0 / _WANDERING < R / self._R < _WANDERING:
-            return f"R went from {self._R:.3g} to {R:.3g}: theta does not follow the plant, or the sensor has changed"
-        return ""
+    unstable = float((np.nan_to_num(window[:, 1]) != 0).mean())
+    if unstable > _MOST_GUARDED:
+        return (
+            f"{100 * unstable:.0f} % of {_WINDOW} steps would have made the model unstable: the "
+            "structure does not fit, or P and Q allow steps that are too large"
+        )
+    if not 1.0 / _WANDERING < R / first < _WANDERING:
+        return f"R went from {first:.3g} to {R:.3g}: theta does not follow the plant, or the sensor has changed"
+    return ""

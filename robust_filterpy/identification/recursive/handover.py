@@ -1,0 +1,48 @@
+"""From a model of a recording to a recursion that goes on at its end."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from robust_filterpy.identification.models.model import Model
+from robust_filterpy.identification.models.regressor import Memory
+from robust_filterpy.identification.recursive.noise_scale import ordinary_mean
+from robust_filterpy.identification.recursive.state import WINDUP, Form, Past, State
+
+__all__ = ["gone_on"]
+
+
+def gone_on(form: Form, now: State, i: int, model: Model) -> State:
+    """Return what becomes of actuator i by a model: it goes on at the end of the model's recording."""
+    structure, layout, row = form.structure, form.layout, now.row(i)
+    n, places, place = structure.n_theta, structure.polynomials, structure.constant_place
+    x, P, memory, centre = model.theta, model.P, model.memory, float(row.centre[0])
+    if form.has_offset:
+        # The constant is one more input of B/F, and drives the output from its centre.
+        centre = model.level
+        a, f = (1.0 + float(model.theta[part].sum()) for part in (places.a, places.f))
+        constant, J = (model.offset - centre * a) * f, np.eye(n + 1)
+        J[n, places.a], J[n, n] = -centre * f, f
+        cross, square = model.offset_covariance[:, None], np.array([[model.offset_std**2]])
+        joint = np.block([[P, cross], [cross.T, square]])
+        order = np.insert(np.arange(n), place, n)
+        x, P = np.append(x, constant)[order], (J @ joint @ J.T)[np.ix_(order, order)]
+    P, scale = 0.5 * (P + P.T), row.scale[0].copy()
+    if scale[3]:
+        scale[:3] = model.R, float(model.weights.size), ordinary_mean(model.noise.influence)
+    found = Memory(layout)
+    found.outputs, found.measured, found.residuals = memory.outputs, memory.outputs, memory.residuals
+    found.inputs, found.gradients = memory.inputs, memory.gradients
+    found.undisturbed, found.prefiltered = memory.undisturbed, memory.prefiltered
+    if form.has_offset:
+        found.inputs = np.append(memory.inputs, 1.0)
+        f, c, d = (1.0 + float(x[part].sum()) for part in (layout.f, layout.c, layout.d))
+        prefiltered = 1.0 / max(abs(f), 1e-6)
+        response = prefiltered * d / max(abs(c), 1e-6)
+        found.gradients = np.insert(memory.gradients, place, response, axis=1)
+        found.prefiltered = np.insert(memory.prefiltered, place, prefiltered, axis=1)
+    new = row._replace(
+        theta=x[None], P=P[None], past=Past.of(found), scale=scale[None], centre=np.array([centre]),
+        windup=np.array([WINDUP * max(float(np.trace(P)), 1e-300)]), begun=np.array([True]), restarts=np.array([True]),
+    )  # fmt: skip
+    return now.with_row(i, new)

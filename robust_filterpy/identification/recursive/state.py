@@ -1,0 +1,194 @@
+"""Everything that moves while parameters are followed: one immutable value for n actuators, a tracker's with n = 1.
+
+No array in it is ever written into: a call that is refused leaves it as it was because it made another one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from robust_filterpy import _checks, _state
+from robust_filterpy._checks import Array
+from robust_filterpy.identification.models.regressor import Layout, Memory
+from robust_filterpy.identification.models.structures import Structure
+from robust_filterpy.identification.recursive.start import ColdStart
+from robust_filterpy.identification.recursive.watch import Followed, Windows
+
+__all__ = ["WINDUP", "Form", "Past", "State", "at_rest", "require_plausible"]
+
+#: With forgetting and no excitation P grows without end; at so many times its first trace it stops.
+WINDUP = 1e8
+
+
+class Form(NamedTuple):
+    """What the recursion of n actuators is, fixed when it is made."""
+
+    structure: Structure
+    layout: Layout
+    own: np.ndarray
+    """Where theta stands in what is estimated: beside it there may be a constant."""
+    has_offset: bool
+    cleans: bool
+    """Whether the regressor holds cleaned outputs."""
+    gradient: np.ndarray
+    """"filtered" or "pseudolinear", (n,)."""
+    guard: np.ndarray
+    """One of `GUARDS`, (n,)."""
+
+    @property
+    def n_signals(self) -> int:
+        """What residuals are held against: the prediction and the inputs."""
+        return 1 + self.structure.n_inputs
+
+    def with_constant(self, u: Array) -> Array:
+        """Return inputs (.., n_inputs) with the constant, where phi has one."""
+        return np.concatenate((u, np.ones((*u.shape[:-1], 1))), axis=-1) if self.has_offset else u
+
+
+class Past(NamedTuple):
+    """Past signals of n actuators, newest first: the arrays of a `Memory` with a leading axis."""
+
+    outputs: Array
+    measured: Array
+    inputs: Array
+    residuals: Array
+    undisturbed: Array
+    prefiltered: Array
+    gradients: Array
+
+    def memory(self, layout: Layout, i: int) -> Memory:
+        """Return the memory of one actuator."""
+        return Memory(layout, {name: value[i] for name, value in zip(self._fields, self, strict=True)})
+
+    @classmethod
+    def of(cls, memory: Memory) -> Past:
+        """Return the past of one actuator."""
+        return cls(*(getattr(memory, name)[None] for name in cls._fields))
+
+
+class State(NamedTuple):
+    """Parameters, covariances, past signals and what decides about another start, of n actuators."""
+
+    theta: Array
+    """With the constant, where there is one, (n, d)."""
+    P: Array
+    past: Past
+    scale: Array
+    """R and the fields of `NoiseScale`, (n, 4)."""
+    centre: Array
+    """What is taken off the outputs, so that the constant is small, (n,)."""
+    windup: Array
+    """Trace of P beyond which it stops growing, (n,)."""
+    begun: np.ndarray
+    """Whether there is a model, (n,)."""
+    restarts: np.ndarray
+    """Whether another model may be made when this one is no longer the plant's, (n,)."""
+    samples: np.ndarray
+    """How many samples a start may look at, (n,)."""
+    starts: Mapping[int, ColdStart]
+    """The actuators that look for a model."""
+    followed: Followed
+    windows: Windows
+
+    def with_row(self, i: int, row: State) -> State:
+        """Return this with actuator i as row, a state of one, has it; starts and windows stay."""
+        arrays: dict[str, Any] = {name: _replaced(getattr(self, name), i, getattr(row, name)[0]) for name in _ARRAYS}
+        past = Past(*(_replaced(a, i, b[0]) for a, b in zip(self.past, row.past, strict=True)))
+        return self._replace(**arrays, past=past)
+
+    def row(self, i: int) -> State:
+        """Return the state of one actuator."""
+        one = slice(i, i + 1)
+        theta, P, *rest = (getattr(self, name)[one] for name in _ARRAYS)
+        past, followed = Past(*(a[one] for a in self.past)), Followed(*(a[one] for a in self.followed))
+        starts = {0: self.starts[i]} if i in self.starts else {}
+        return State(theta, P, past, *rest, starts, followed, Windows(*(a[one] for a in self.windows)))  # type: ignore[call-arg]
+
+    def arrays(self) -> dict[str, Array]:
+        """Return it as plain arrays with a leading axis, R and what was warned of not among them."""
+        n, width = len(self.theta), self.followed.rows.shape[2]
+        waits = np.full(n, -1.0)
+        kept = np.zeros(n)
+        for i, start in self.starts.items():
+            waits[i], kept[i] = start.waits, start.y.size
+        recorded = np.full((n, int(kept.max(initial=0)), width - 1), np.nan)
+        for i, start in self.starts.items():
+            recorded[i, recorded.shape[1] - start.y.size :] = np.column_stack((start.y, start.u))
+        rule = np.column_stack((self.centre, self.windup, self.scale[:, 1:], self.begun, waits))
+        watch = np.column_stack((self.restarts, self.samples, self.followed.seen, self.followed.covariances))
+        shown = min(int(self.followed.seen.max(initial=0)), self.followed.rows.shape[1])
+        rows = self.followed.rows[:, self.followed.rows.shape[1] - shown :]
+        past = {name: getattr(self.past, name) for name in Past._fields}
+        return {
+            "theta": self.theta, "P": self.P, **past, "recursion": rule, "start": recorded, "kept": kept,
+            "watch": watch, "followed": rows,
+        }  # fmt: skip
+
+    def restored(self, found: Mapping[str, Array], R: Array) -> State:
+        """Return what `arrays` was made of, checked, with the R that belongs to it; what has been said stays said.
+
+        A state from before there was a watch in it is watched from here on.
+        """
+        n = len(self.theta)
+        rule = found["recursion"]
+        watch = found.get("watch", np.column_stack((self.restarts, self.samples, np.zeros((n, 4)))))
+        recorded, kept = found["start"], found.get("kept", np.full(n, found["start"].shape[1]))
+        samples = watch[:, 1].astype(int)
+        starts = {}
+        for i in np.flatnonzero(rule[:, 6] >= 0).tolist():
+            part = recorded[i, recorded.shape[1] - int(kept[i]) :]
+            starts[i] = ColdStart.kept(int(samples[i]), part[:, 0], part[:, 1:], int(rule[i, 6]))
+        followed = Followed.restored(watch[:, 2:], found.get("followed", np.zeros((n, 0, self.followed.rows.shape[2]))))
+        return State(
+            found["theta"], found["P"], Past(*(found[name] for name in Past._fields)),
+            np.column_stack((R, rule[:, 2:5])), rule[:, 0].copy(), rule[:, 1].copy(), rule[:, 5] > 0.0,
+            watch[:, 0] > 0.0, samples, starts, followed, self.windows.emptied(),
+        )  # fmt: skip
+
+
+_ARRAYS = ("theta", "P", "scale", "centre", "windup", "begun", "restarts", "samples")
+
+
+def _replaced(stack: Array, i: int, value: Any) -> Array:
+    """Return a stack with another entry."""
+    found = stack.copy()
+    found[i] = value
+    return found
+
+
+def at_rest(form: Form, theta: Array, P: Array, scale: Array, samples: int, told: bool) -> State:
+    """Return the state of n actuators that have seen nothing; told: whether they are to begin without a start."""
+    n, structure = len(theta), form.structure
+    past = Past(**{name: np.zeros((n, *shape)) for name, shape in form.layout.shapes().items()})
+    starts = {} if told else {i: ColdStart.of(structure.n_theta, structure.n_inputs, samples) for i in range(n)}
+    windup = WINDUP * np.maximum(np.trace(P, axis1=1, axis2=2), 1e-300)
+    return State(
+        theta, P, past, scale, np.zeros(n), windup, np.full(n, told), np.full(n, not told), np.full(n, samples), starts,
+        Followed.none(n, form.n_signals), Windows.none(n),
+    )  # fmt: skip
+
+
+def require_plausible(found: Mapping[str, Array]) -> None:
+    """Raise unless what recursions of actuators keep, (.., 7), and their watch, (.., 6), can be what `arrays` gave."""
+    _, limit, samples, mean, memory, begun, waits = np.moveaxis(found["recursion"], -1, 0)
+    conditions = [
+        ("recursion", "a limit of tr P > 0", limit > 0.0),
+        ("recursion", "counts of samples >= 0", (samples >= 0.0) & (memory >= 0.0)),
+        ("recursion", "a mean of min(e^2, 4) in [0, 4]", (mean >= 0.0) & (mean <= 4.0)),
+        ("recursion", "begun to be 0 or 1", (begun == 0.0) | (begun == 1.0)),
+        ("recursion", "a whole number of samples until the next look, or -1", (waits >= -1.0) & (waits % 1.0 == 0.0)),
+    ]
+    if "watch" in found:
+        restarts, looks, seen, variance = np.moveaxis(found["watch"], -1, 0)[:4]
+        whole = (looks >= 1.0) & (seen >= 0.0) & (looks % 1.0 == 0.0) & (seen % 1.0 == 0.0)
+        conditions += [
+            ("watch", "whether it may start anew to be 0 or 1", (restarts == 0.0) | (restarts == 1.0)),
+            ("watch", "whole numbers of samples >= 0", whole),
+            ("watch", "a variance >= 0", variance >= 0.0),
+        ]
+    for name, what, good in conditions:
+        if not good.all():
+            raise _state.StateError(f"state: expected {what} in {name}, got {_checks.shown(found[name])}")
