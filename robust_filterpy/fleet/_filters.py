@@ -133,8 +133,8 @@ def _sensors(kf: Any) -> dict[str, Shape]:
 
 def advance(kf: Any, update: Mapping[str, Any], series: Plain | None, work: Work) -> None:
     """Take the steps of all keys; kf stays as it is."""
-    worker = copy.deepcopy(kf)
     if series is None:
+        worker = copy.deepcopy(kf)
         settings = {name: value for name, value in kf.state().items() if name in kf._settings}
         for i in range(len(work.bounds) - 1):
             _alone(worker, update, settings, work, i)
@@ -146,10 +146,10 @@ def advance(kf: Any, update: Mapping[str, Any], series: Plain | None, work: Work
     if memory is not None:
         good &= np.isfinite(memory).all(axis=(1, 2))
     for i in np.flatnonzero(~good).tolist():
-        _explain(worker, work, i)
+        _explain(copy.deepcopy(kf), work, i)
     for rows in _groups(good, np.diff(work.bounds), kf):
         own = Moving(x[rows], P[rows], None if memory is None else memory[rows])
-        _together(series, worker, update, work, own, rows)
+        _together(series, kf, update, work, own, rows)
         x[rows], P[rows] = own.x, own.P
         if memory is not None:
             memory[rows] = own.memory
@@ -217,7 +217,7 @@ def _groups(good: np.ndarray, steps: np.ndarray, kf: Any) -> Iterator[np.ndarray
 
 
 def _together(
-    series: Plain, worker: Any, update: Mapping[str, Any], work: Work, moving: Moving, rows: np.ndarray
+    series: Plain, kf: Any, update: Mapping[str, Any], work: Work, moving: Moving, rows: np.ndarray
 ) -> None:
     """Advance keys with equally many steps."""
     n, m = len(series.F), len(series.H)
@@ -233,8 +233,11 @@ def _together(
         np.empty((len(rows), 0, n, n)), np.empty((len(rows), steps, m)), np.zeros(len(rows)),
     )  # fmt: skip
     model = Model(series.F[None, None], series.Q[None, None], series.H[None, None], series.R[None, None], Bu)
-    done = _by_kernel(worker, z, model, moving, kept, 0)
-    for s in np.flatnonzero(done < steps).tolist():
+    done = _by_kernel(kf, z, model, moving, kept, 0)
+    declined = np.flatnonzero(done < steps).tolist()
+    # A copy takes a third of a single step.
+    worker = copy.deepcopy(kf) if declined else kf
+    for s in declined:
         _mixed(worker, update, work, model, moving, kept, s, int(rows[s]), int(done[s]))
     # A name for each, since what is assigned to a part of a fancy index is lost.
     found = np.concatenate((kept.means, np.sqrt(np.maximum(kept.covariances[:, :, 0], 0.0)), kept.weights), axis=2)

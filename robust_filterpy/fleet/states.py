@@ -123,6 +123,22 @@ class States(Mapping[Any, dict[str, Array]]):
         places = self._rows if self._rows is not None else self._places()
         return np.fromiter((places.get(name, -1) for name in names), int, len(names))
 
+    def newer(self, time: float) -> States:
+        """Return the states of keys that have been heard of since, for a fleet whose devices come and go.
+
+        Parameters
+        ----------
+        time : float
+            In seconds, as the samples' times are read. Of keys without times all are kept, and so is what is no state.
+
+        Returns
+        -------
+        States
+        """
+        kept = np.flatnonzero(~(self.columns["time"][:, 0] < time))
+        keys = [self.name(i) for i in kept.tolist()]
+        return States(self.label, keys, {name: column[kept] for name, column in self.columns.items()}, self.odd)
+
     def _places(self) -> dict[Any, int]:
         """Return the row of each key."""
         names = self.keys_of_rows.tolist() if isinstance(self.keys_of_rows, np.ndarray) else self.keys_of_rows

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from filterpy.kalman import MerweScaledSigmaPoints
+from filterpy.kalman import KalmanFilter, MerweScaledSigmaPoints
 
 from robust_filterpy import (
     ARX,
@@ -128,13 +128,13 @@ def one_process(keys, steps):
     zs = table["z"].to_numpy().reshape(steps, keys).T[:, :, None].copy()
     series = least(lambda: filter_series(zs, F, H, Q, R, np.zeros(2), np.eye(2), covariance="diagonal", n_threads=1))
     whole = least(lambda: filter_table(table, described))
-    jobs = [job(zs[i]) for i in range(keys)]
-    inner = least(lambda: described.advance(jobs))
     shuffled = table.sample(frac=1.0, random_state=0)
     sorting = least(lambda: filter_table(shuffled, described, sort=True))
     print(f"filter_series                        {series / count * 1e6:8.3f} us a sample")
-    print(f"filter_table, {inner / count * 1e6:.3f} of it the step  {whole / count * 1e6:8.3f}")
+    print(f"filter_table                         {whole / count * 1e6:8.3f}, {count / whole:,.0f} rows a second")
     print(f"filter_table of a shuffled table     {sorting / count * 1e6:8.3f}")
+    loop = least(lambda: plain(table[table["device"] < 100]), 2) / (100 * steps)
+    print(f"filterpy, a loop over groupby        {loop * 1e6:8.3f}, {1.0 / loop:,.0f} rows a second")
     state, _ = step(described, None, np.zeros((1, 2)))
     now = np.array([[1.0, 0.5]])
     online = each(lambda: step(described, state, now))
@@ -147,8 +147,22 @@ def one_process(keys, steps):
     another = table[2 * keys : 3 * keys]
     batch = least(lambda: step_table(described, states, another)) / keys
     print(f"step_table, a sample of each device  {batch * 1e6:8.3f} us a device")
+    columns = states.to_arrow()
+    there = least(states.to_arrow) / keys
+    back = least(lambda: step_table(described, columns, another)) / keys
+    print(f"states to an Arrow table and back    {(there + back - batch) * 1e6:8.3f} us a device")
     packing = bytes_and_files(state)
     return Costs(series / count, whole / count, online + packing, batch * 1e6 + packing, len(pack(state)))
+
+
+def plain(table):
+    """Filter each device by filterpy, as a first program does."""
+    for _, one in table.groupby("device"):
+        kf = KalmanFilter(2, 1)
+        kf.F, kf.H, kf.Q, kf.R = F, H, Q, R
+        for z in one["z"].to_numpy():
+            kf.predict()
+            kf.update(z)
 
 
 class Costs(NamedTuple):
@@ -164,13 +178,6 @@ class Costs(NamedTuple):
     """Microseconds of a batch and key among many, with its packing."""
     state: int
     """Bytes of a packed state."""
-
-
-def job(z):
-    """Return a key's samples for the model alone."""
-    from robust_filterpy.fleet.models import Job
-
-    return Job(None, z, None)
 
 
 def part(first, keys, steps):

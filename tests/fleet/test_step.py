@@ -516,6 +516,21 @@ def test_a_table_that_was_shuffled_can_be_sorted():
     pd.testing.assert_frame_equal(found.sort_index(), filter_table(table, model))
 
 
+def test_states_of_devices_that_are_gone_can_be_left_out():
+    """And what goes on from the others is the same; of keys without times all stay."""
+    described = FilterModel(FILTERS["linear"](), measurements=["z"], time="t")
+    table = pd.DataFrame({"device": ["a", "b", "a", "c"], "t": [0.0, 1.0, 2.0, 5.0], "z": [0.1, 0.2, 0.3, 0.4]})
+    states, _ = step_table(described, None, table)
+    kept = states.newer(2.0)
+    assert list(kept) == ["a", "c"] and list(states) == ["a", "b", "c"] and list(states.newer(6.0)) == []
+    later = table.assign(t=table["t"] + 10.0)
+    one, other = (step_table(described, before, later)[1].set_index("device") for before in (kept, states))
+    pd.testing.assert_frame_equal(one.loc[["a", "c"]], other.loc[["a", "c"]], check_exact=True)
+    assert not one.loc["b"].equals(other.loc["b"])
+    untimed = FilterModel(FILTERS["linear"](), measurements=["z"])
+    assert len(step_table(untimed, None, table)[0].newer(1e9)) == 3
+
+
 def test_an_empty_table_and_missing_columns():
     model = FilterModel(FILTERS["linear"](), measurements=["z"], time="t")
     assert filter_table(fleet()[:0], model).shape == (0, 8)
