@@ -822,13 +822,15 @@ class ParameterTracker(Responses):
         """Go back to the start: theta, P, Q, R, F and the memory as they were when the tracker was made."""
         self.restore(self._initial)
 
-    def replaced(self, **values: Any) -> ParameterTracker:
-        """Return a copy with other Q or forgetting, which it has after a reset, too.
+    def replaced(self, *, Q: ArrayLike | None = None, forgetting: float | None = None) -> ParameterTracker:
+        """Return a copy with another Q or forgetting, which it has after a reset, too.
 
         Parameters
         ----------
-        **values
-            Q, forgetting.
+        Q : array_like, shape (n_theta, n_theta), or scalar, optional
+            Covariance by which theta moves in a step; by default as it is.
+        forgetting : float, optional
+            Forgetting factor in (0, 1]; by default as it is.
 
         Returns
         -------
@@ -836,6 +838,7 @@ class ParameterTracker(Responses):
             Independent of this one.
         """
         found = copy.deepcopy(self)
+        values = {name: value for name, value in {"Q": Q, "forgetting": forgetting}.items() if value is not None}
         for name, value in values.items():
             setattr(found, name, value)
         settings = setup.settings(found.filter)
