@@ -122,9 +122,10 @@ def without_fill_values(name: str, rows: Any) -> tuple[Any, Any]:
         If there are fill values.
     """
     try:
-        present = [np.asarray(row, dtype=float) for row in rows if row is not None]
-        gap = np.full(present[0].shape, np.nan)
-        found = np.array([gap if row is None else np.asarray(row, dtype=float) for row in rows])
+        if isinstance(rows, np.ndarray) and rows.dtype != object:
+            found = np.array(rows, dtype=float)
+        else:
+            found = _table(rows)
     except (TypeError, ValueError, IndexError):
         return rows, np.zeros((0, 0), dtype=bool)
     said, known = [], ~np.isnan(found)
@@ -139,6 +140,13 @@ def without_fill_values(name: str, rows: Any) -> tuple[Any, Any]:
         return rows, filled
     warnings.warn(f"{name}: {'; '.join(said)}", stacklevel=3)
     return found, filled
+
+
+def _table(rows: Any) -> Array:
+    """Return rows of one shape as one array, NaN where a row is None."""
+    present = [np.asarray(row, dtype=float) for row in rows if row is not None]
+    gap = np.full(present[0].shape, np.nan)
+    return np.array([gap if row is None else np.asarray(row, dtype=float) for row in rows])
 
 
 def _is_far(value: float, others: Array, counts: Array) -> bool:

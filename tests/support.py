@@ -15,7 +15,6 @@ import scipy.stats
 from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import kernel
-from robust_filterpy.compiled import dispatch
 from robust_filterpy.filters import _step
 from robust_filterpy.identification import ParameterTracker, TrackerBank
 from robust_filterpy.testing import assert_close, assert_same_filter, visible
@@ -343,8 +342,6 @@ def assert_corrected(kf, reference, rtol=1e-9):
 
 def without_kernel(monkeypatch):
     """Let the definition serve, as where there is no extension."""
-    monkeypatch.setattr(dispatch, "_cached", frozenset)
-    monkeypatch.setattr(dispatch, "COMPILATION", np.inf)
     monkeypatch.setattr(kernel, "extension", lambda: None)
     monkeypatch.setattr(_step, "_extension", None)
 

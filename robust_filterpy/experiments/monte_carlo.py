@@ -148,7 +148,7 @@ def monte_carlo(
     n_jobs : int or None
         How many runs at a time, as in joblib: -1 is one per processor; None is 1, or what an enclosing
         `joblib.parallel_config` says. joblib's own worker processes share the processors' cores: each gets
-        cpu_count // n_jobs threads for BLAS, OpenMP and numba.
+        cpu_count // n_jobs threads for BLAS and OpenMP.
     progress : bool or None
         Show a progress bar (tqdm) on standard error: True always, False never, None if that is a terminal.
 

@@ -10,7 +10,7 @@
 * `functions`: filterpy's functions update, predict, batch_filter, rts_smoother.
 * `conversion`: a robust filter made of an existing one.
 
-Each is imported when it is first used. Imports from below: `influence`, `correction`, `compiled`.
+Each is imported when it is first used. Imports from below: `influence`, `correction`, `kernel`.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """psi, psi' and rho of one number, in plain floats.
 
 A filter with one or two sensors spends most of its time in numpy's call overhead; these forms have none.
-They are also what numba compiles. `robust_filterpy.influence` is the vectorised definition; the tests hold
-the two together. Every function takes the same four arguments, unused parameters included, so that a
-compiled loop can call any of them.
+`robust_filterpy.influence` is the vectorised definition; the tests hold the two together. Every function takes the same
+four arguments, unused parameters included, so that a caller need not know which it is.
 """
 
 from __future__ import annotations

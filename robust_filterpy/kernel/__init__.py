@@ -10,7 +10,7 @@ for microcontrollers: C99, sizes as arguments, workspaces from the caller, no al
 * `records`, `series`: series and recordings, from Python. `record`: what one correction left.
 * `learnt`: steps under learnt noise (``learnt.h``).
 * ``real.h``: the number type. ``psi.h``: psi, psi', rho.
-* ``prediction.h``, ``correction.h``: one step. ``series.h``: many of many.
+* ``prediction.h``, ``correction.h``: one step. ``series.h``: many of many. ``smoother.h``: a smoother's pass.
 
 The extension is written by hand against Python's stable interface and numpy's. ``glue.h`` has what all its functions
 need: arrays that are checked when taken, attributes read and set, references held during a call. The functions are in

@@ -51,6 +51,21 @@ double *writable(PyObject *object, int ndim, const npy_intp *shape) {
     return numbers_of(object);
 }
 
+int take_matrices(series_matrices *found, PyObject *object, npy_intp series, npy_intp steps, npy_intp rows,
+                  npy_intp columns) {
+    PyArrayObject *const array = (PyArrayObject *)object;
+    const int ndim = columns ? 4 : 3;
+    if (!PyArray_CheckExact(object) || PyArray_TYPE(array) != NPY_DOUBLE || !PyArray_ISCARRAY_RO(array)) return 0;
+    if (PyArray_NDIM(array) != ndim || PyArray_DIM(array, 2) != rows) return 0;
+    if (columns && PyArray_DIM(array, 3) != columns) return 0;
+    const npy_intp own = PyArray_DIM(array, 0), each = PyArray_DIM(array, 1), size = rows * (columns ? columns : 1);
+    if ((own != series && own != 1) || (each < steps && each != 1)) return 0;
+    found->data = numbers_of(object);
+    found->by_series = own > 1 ? each * size : 0;
+    found->by_step = each > 1 ? size : 0;
+    return 1;
+}
+
 PyObject *new_array(int ndim, npy_intp first, npy_intp second) {
     npy_intp shape[2] = {first, second};
     return PyArray_SimpleNew(ndim, shape, NPY_DOUBLE);

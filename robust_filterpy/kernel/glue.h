@@ -15,7 +15,7 @@
 #endif
 #include <numpy/arrayobject.h>
 
-#include "correction.h"
+#include "series.h"
 
 /* Attributes by name; the same list makes the enumeration and the interned strings. */
 #define ATTRIBUTES(X) \
@@ -46,6 +46,9 @@ int set_attribute(PyObject *owner, enum attribute which, PyObject *value);
 const double *matrix_of(PyObject *object, npy_intp rows, npy_intp columns);
 const double *vector_of(PyObject *object, npy_intp length);          /* also (length, 1) */
 double *writable(PyObject *object, int ndim, const npy_intp *shape); /* for what is written into */
+/* Matrices of shape (series or 1, steps or 1, rows, columns), columns 0 for vectors; whether they are that. */
+int take_matrices(series_matrices *found, PyObject *object, npy_intp series, npy_intp steps, npy_intp rows,
+                  npy_intp columns);
 PyObject *new_array(int ndim, npy_intp first, npy_intp second);      /* not initialized */
 double *numbers_of(PyObject *array);
 

@@ -5,6 +5,7 @@
 #include "glue.h"
 
 extern PyMethodDef series_functions[];
+extern PyMethodDef smoother_functions[];
 extern PyMethodDef online_functions[];
 extern PyMethodDef tracker_functions[];
 extern PyMethodDef learnt_functions[];

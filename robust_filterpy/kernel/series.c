@@ -24,22 +24,6 @@ static span_function *const spans[] = {span_any,
 #undef SPAN
 };
 
-/* Take matrices of shape (series or 1, steps or 1, rows, columns), columns 0 for vectors; return whether they are that. */
-static int take(series_matrices *found, PyObject *object, npy_intp series, npy_intp steps, npy_intp rows,
-                npy_intp columns) {
-    PyArrayObject *const array = (PyArrayObject *)object;
-    const int ndim = columns ? 4 : 3;
-    if (!PyArray_CheckExact(object) || PyArray_TYPE(array) != NPY_DOUBLE || !PyArray_ISCARRAY_RO(array)) return 0;
-    if (PyArray_NDIM(array) != ndim || PyArray_DIM(array, 2) != rows) return 0;
-    if (columns && PyArray_DIM(array, 3) != columns) return 0;
-    const npy_intp own = PyArray_DIM(array, 0), each = PyArray_DIM(array, 1), size = rows * (columns ? columns : 1);
-    if ((own != series && own != 1) || (each < steps && each != 1)) return 0;
-    found->data = numbers_of(object);
-    found->by_series = own > 1 ? each * size : 0;
-    found->by_step = each > 1 ? size : 0;
-    return 1;
-}
-
 /* Take room for results, shape (series, rows, width), or None; return whether it is that. */
 static int take_room(double **found, PyObject *object, npy_intp series, npy_intp rows, npy_intp width) {
     const npy_intp shape[3] = {series, rows, width};
@@ -68,9 +52,9 @@ static PyObject *filter_series(PyObject *self, PyObject *arguments) {
             low < 0 || high < low || high > series || (width != 0 && width != n && width != n * n))
             goto refused;
         const npy_intp rows = all / every;
-        if (!rule_of(rule, &job.rule) || !take(&job.z, z, series, all, m, 0) || !take(&job.F, F, series, all, n, n) ||
-            !take(&job.Q, Q, series, all, n, n) || !take(&job.H, H, series, all, m, n) ||
-            !take(&job.R, R, series, all, m, m) || (u != Py_None && !take(&job.control, u, series, all, n, 0)))
+        if (!rule_of(rule, &job.rule) || !take_matrices(&job.z, z, series, all, m, 0) || !take_matrices(&job.F, F, series, all, n, n) ||
+            !take_matrices(&job.Q, Q, series, all, n, n) || !take_matrices(&job.H, H, series, all, m, n) ||
+            !take_matrices(&job.R, R, series, all, m, m) || (u != Py_None && !take_matrices(&job.control, u, series, all, n, 0)))
             goto refused;
         /* Of z no axis may be shared. */
         job.z.by_series = all * m, job.z.by_step = m;

@@ -1,8 +1,10 @@
 """The optimum of a convex problem: sum of rho(residuals) + squares of the process noise, for a psi that never falls.
 
 Newton's method. The second-order model of rho at the present residuals is itself a linear smoothing problem, in which
-a clipped residual has no precision but pushes with psi; its solution is the Newton step. The derivative of the cost
-along the step is known from residuals and pushes alone, and never falls, so that a step is cut short exactly.
+a clipped residual has no precision but pushes with psi; its solution is the Newton step. Where several in a row are
+clipped nothing holds that step back, and one such place would cut the step of a whole recording short: so the first
+sweeps are reweighted least squares, or between both. The derivative of the cost along the step is known from residuals
+and pushes alone, and never falls, so that a step that goes too far is found out and cut short.
 """
 
 from __future__ import annotations
@@ -19,7 +21,10 @@ from robust_filterpy.smoothing.sweeps import Fit, first
 
 # Largest difference of a push from psi, in units of the noise: far from what shows in the state, near to rounding.
 _TOLERANCE = 1e-9
-_HALVINGS = 40
+# Curvature of the first steps: at least so much of that of reweighted least squares, psi(e)/e. It halves the sweeps.
+_HELD = (1.0, 0.3)
+# A step is cut where the cost falls so much less steeply than at its beginning, found in so many trials.
+_FLAT, _TRIALS = 0.1, 40
 
 
 def is_convex(influence: Any) -> bool:
@@ -32,7 +37,7 @@ def minimised(model: Model, observed: Array, influence: Any, joint: bool, limit:
     """Return the optimum of every series, after at most ``limit`` sweeps."""
     ones = np.ones(observed.shape[:2])
     weighting = first(model, observed)
-    smooth = smoothing_pass(model, weighting)
+    smooth = smoothing_pass(model, weighting, spread=False)
     e = np.where(observed, model.z - smooth.fitted, 0.0)
     push = weighting.precision * e
     for sweep in range(1, limit + 1):
@@ -41,9 +46,10 @@ def minimised(model: Model, observed: Array, influence: Any, joint: bool, limit:
         converged = apart <= _TOLERANCE * np.maximum(1.0, np.abs(psi).max(axis=(1, 2), initial=0.0))
         if converged.all() or sweep == limit:
             break
-        there, (d, o), unrotated = _second_order(model, influence, e, psi, joint, observed)
+        held = _HELD[sweep - 1] if sweep <= len(_HELD) else 0.0
+        there, (d, o), unrotated = _second_order(model, influence, e, psi, joint, observed, held)
         weighting = Weighting(d, o, ones)
-        smooth = smoothing_pass(there, weighting)
+        smooth = smoothing_pass(there, weighting, spread=False, into=smooth)
         turned = np.where(observed, there.z - smooth.fitted, 0.0)
         e_new, push_new = unrotated(turned), unrotated(d * turned + o)
         part = _part(influence, joint, (e, push), (e_new, push_new))
@@ -65,19 +71,19 @@ def _ratio(psi: Array, e: Array) -> Array:
 
 
 def _second_order(
-    model: Model, influence: Any, e: Array, psi: Array, joint: bool, observed: Array
+    model: Model, influence: Any, e: Array, psi: Array, joint: bool, observed: Array, held: float
 ) -> tuple[Model, tuple[Array, Array], Callable[[Array], Array]]:
     """Return the linear problem of a Newton step: model, factors d and o, and the way back from its components.
 
     The second derivative of rho(\\|e\\|) is psi' along e and psi/\\|e\\| across it, so clipped measurements are
-    reflected until e points along one component.
+    reflected until e points along one component. held: what psi' is at least, in units of psi/e.
     """
     if not joint or e.shape[-1] == 1:
-        d = np.where(observed, np.maximum(influence.psi_deriv(e), 0.0), 0.0)
+        d = np.where(observed, np.maximum(influence.psi_deriv(e), held * _ratio(psi, e)), 0.0)
         return model, (d, psi - d * e), lambda values: values
     length = np.linalg.norm(e, axis=-1, keepdims=True)
     across = psi_weights(influence, e, True)[..., :1]
-    along = np.maximum(influence.psi_deriv(length), 0.0)
+    along = np.maximum(influence.psi_deriv(length), held * across)
     turned = across - along > 1e-12
     largest = np.abs(e).argmax(axis=-1)[..., None]
     sign = np.where(np.take_along_axis(e, largest, -1) < 0.0, -1.0, 1.0)
@@ -102,18 +108,23 @@ def _part(influence: Any, joint: bool, old: tuple[Array, Array], new: tuple[Arra
     (e, push), (e_new, push_new) = old, new
     change, change_push = e_new - e, push_new - push
 
-    def falls(part: Array) -> np.ndarray:
+    def slope(part: Array) -> Array:
         at = e + part * change
-        slope = (change * (_psi(influence, at, joint) - push - part * change_push)).sum(axis=(1, 2), keepdims=True)
-        return slope <= 0.0
+        return (change * (_psi(influence, at, joint) - push - part * change_push)).sum(axis=(1, 2), keepdims=True)
 
-    part = np.ones((len(e), 1, 1))
-    too_far = ~falls(part)
-    if too_far.any():
-        low, high = np.zeros_like(part), part.copy()
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (low + high)
-            down = falls(middle)
-            low, high = np.where(down, middle, low), np.where(down, high, middle)
-        part = np.where(too_far, low, part)
-    return part
+    low, high = np.zeros((len(e), 1, 1)), np.ones((len(e), 1, 1))
+    at_low, at_high = slope(low), slope(high)
+    flat = _FLAT * at_low
+    low, at_low = np.where(at_high <= 0.0, high, low), np.where(at_high <= 0.0, at_high, at_low)
+    for trial in range(_TRIALS):
+        wrong = (low < 1.0) & (at_low < flat)
+        if not wrong.any():
+            break
+        # Where a straight line would be flat, and at times the middle, since the slope bends.
+        line = np.divide(at_low, at_low - at_high, out=np.full_like(low, 0.5), where=at_high > at_low)
+        part = low + (0.5 if trial % 3 == 2 else line) * (high - low)
+        found = slope(part)
+        down, up = wrong & (found <= 0.0), wrong & (found > 0.0)
+        low, at_low = np.where(down, part, low), np.where(down, found, at_low)
+        high, at_high = np.where(up, part, high), np.where(up, found, at_high)
+    return low

@@ -24,16 +24,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from robust_filterpy import kernel
 from robust_filterpy._checks import Array
-from robust_filterpy.compiled import dispatch
 
 __all__ = ["Model", "Smooth", "Weighting", "smoothing_pass"]
-
-
-#: Numbers of states and sensors that the compiler knows, 0 for any.
-SIZES = ((0, 0), (2, 1), (4, 2))
-# Seconds that a step of a smoother takes by the definition: some ten passes.
-_DEFINITION = 1e-3
 
 
 class Model(NamedTuple):
@@ -88,9 +82,15 @@ class Smooth(NamedTuple):
 
 
 def smoothing_pass(
-    model: Model, weighting: Weighting, *, states: bool = False, process: bool = False, into: Smooth | None = None
+    model: Model,
+    weighting: Weighting,
+    *,
+    spread: bool = True,
+    states: bool = False,
+    process: bool = False,
+    into: Smooth | None = None,
 ) -> Smooth:
-    """Smooth all series once: by the compiled form where it serves (`compiled.dispatch`), else by the definition.
+    """Smooth all series once: by the kernel (``kernel/smoother.h``), else by the definition.
 
     Parameters
     ----------
@@ -98,6 +98,8 @@ def smoothing_pass(
         Matrices.
     weighting : Weighting
         What each measurement and each step weighs.
+    spread : bool
+        Whether H P_s H' is wanted; without it a pass takes half of the time, and neither of the following is to be had.
     states, process : bool
         Whether x and P, and score and information, are wanted.
     into : Smooth, optional
@@ -107,58 +109,29 @@ def smoothing_pass(
     -------
     Smooth
     """
-    out = _room(model, weighting, states, process) if into is None else into
-    series, steps, m = weighting.precision.shape
-    size = serving(model.F.shape[-1], m, series * steps)
-    if size is None:
+    out = _room(model, weighting, spread, states, process) if into is None else into
+    extension = kernel.extension()
+    if extension is None:
         _by_definition(model, weighting, out)
     else:
-        by_kernel(size, model, weighting, out)
+        given = model._replace(x0=model.x0[:, None], P0=model.P0[:, None])
+        weights = weighting._replace(process_scale=weighting.process_scale[..., None])
+        extension.smooth(tuple(map(_plain, given)), tuple(map(_plain, weights)), tuple(out))
     return out
 
 
-def serving(n: int, m: int, steps: int) -> tuple[int, int] | None:
-    """Return which compiled form serves n states, m sensors and so many steps of all series, None if none does."""
-    size = (n, m) if (n, m) in SIZES else (0, 0)
-    for one in (size, (0, 0)):
-        if dispatch.ready(kernel_name(one), 0.0):
-            return one
-    return size if dispatch.ready(kernel_name(size), steps * _DEFINITION) else None
+def _plain(array: Array) -> Array:
+    """Return an array as the kernel takes it."""
+    return np.ascontiguousarray(array, dtype=np.float64)
 
 
-def kernel_name(size: tuple[int, int]) -> str:
-    """Return the name of a compiled form in the list of those that are cached."""
-    n, m = (str(k) if k else "any" for k in size)
-    return f"smoothing of {n} states and {m} sensors"
-
-
-def by_kernel(size: tuple[int, int], model: Model, weighting: Weighting, out: Smooth) -> None:
-    """Smooth all series by the compiled form."""
-    with dispatch.announced(kernel_name(size)):
-        from robust_filterpy.smoothing._compiled_pass import compiled_for
-
-        compiled_for(*size)(*map(dispatch.usable, model), *map(dispatch.usable, weighting), *out)
-
-
-def compile_kernel(size: tuple[int, int]) -> None:
-    """Smooth one step, so that numba compiles the pass."""
-    n, m = size[0] or 1, size[1] or 1
-    eye, four = np.eye(n), (1, 1)
-    model = Model(
-        eye.reshape(*four, n, n), eye.reshape(*four, n, n), np.zeros((*four, n)), np.ones((*four, m, n)),
-        np.zeros((*four, m)), np.zeros((1, n)), eye[None],
-    )  # fmt: skip
-    weighting = Weighting(np.ones((*four, m)), np.zeros((*four, m)), np.ones(four))
-    by_kernel(size, model, weighting, _room(model, weighting, True, True))
-
-
-def _room(model: Model, weighting: Weighting, states: bool, process: bool) -> Smooth:
+def _room(model: Model, weighting: Weighting, spread: bool, states: bool, process: bool) -> Smooth:
     """Return empty arrays for what a pass returns."""
     series, steps, m = weighting.precision.shape
     n, r = model.G.shape[2:]
-    kept, driven = steps if states else 0, steps if process else 0
+    wide, kept, driven = (steps if wanted else 0 for wanted in (spread, states, process))
     return Smooth(
-        np.empty((series, steps, m)), np.empty((series, steps, m, m)),
+        np.empty((series, steps, m)), np.empty((series, wide, m, m)),
         np.empty((series, driven, r)), np.empty((series, driven, r, r)),
         np.empty((series, kept, n)), np.empty((series, kept, n, n)), np.empty((series, n)), np.empty((series, n, n)),
     )  # fmt: skip
@@ -191,7 +164,8 @@ def _by_definition(model: Model, weighting: Weighting, out: Smooth) -> None:
         fitted = _times(H, x) + _times(_t(PH), s)
         V = H @ PH - _t(PH) @ B
         out.fitted[:, k] = fitted
-        out.spread[:, k] = V
+        if out.spread.shape[1]:
+            out.spread[:, k] = V
         dH = d[:, k, :, None] * H
         s = s + _times(_t(H), d[:, k] * (model.z[:, k] - fitted) + o[:, k])
         L = L + _t(H) @ dH - _t(dH) @ V @ dH - _t(dH) @ _t(B) - B @ dH

@@ -20,9 +20,9 @@ def arguments(problem):
     return problem.F, problem.H, problem.Q, problem.R, problem.x[:, 0], problem.P
 
 
-@pytest.fixture(params=["compiled", "numpy"])
+@pytest.fixture(params=["kernel", "definition"])
 def path(request, monkeypatch):
-    if request.param == "numpy":
+    if request.param == "definition":
         support.without_kernel(monkeypatch)
     else:
         support.needs_kernel()
@@ -191,7 +191,7 @@ def test_a_series_of_numbers_that_are_not_finite_leaves_the_others_alone(path, s
 
 
 def test_an_error_names_the_series_alone():
-    pytest.importorskip("numba")
+    support.needs_kernel()
     P0 = np.tile(0.1 * np.eye(2), (3, 1, 1))
     P0[2] *= 1e4
     with pytest.raises(NotPositiveDefiniteError, match=r"^series 2, step 0: scaling"):

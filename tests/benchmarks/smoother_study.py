@@ -288,7 +288,7 @@ def least_time(call: Callable[[], Any], turns: int) -> float:
 
 
 def speed_table(runs: int, seed: int, jobs: int) -> None:
-    """Print how long smoothing takes, in passes of the compiled filter."""
+    """Print how long smoothing takes, in passes of the filter."""
     steps, rng = 100_000, np.random.default_rng(seed)
     F, g = np.kron([[1.0, 1.0], [0.0, 1.0]], np.eye(2)), 0.1 * np.kron([[0.5], [1.0]], np.eye(2))
     kf = RobustKalmanFilter(4, 2)
@@ -297,7 +297,7 @@ def speed_table(runs: int, seed: int, jobs: int) -> None:
     for k in range(steps):
         x = truth[k] = F @ x + g @ rng.normal(size=2)
     noise = rng.normal(size=(steps, 2))
-    print(f"\nSmoothing {steps} steps, 4 states and 2 sensors, in passes of the compiled filter, least of many turns\n")
+    print(f"\nSmoothing {steps} steps, 4 states and 2 sensors, in passes of the filter, least of many turns\n")
     print("| contamination | smoother | passes | sweeps | ms |\n|---|---|---|---|---|")
     for contamination in (0.0, 0.1, 0.3):
         zs = truth[:, :2] + noise * np.where(rng.random((steps, 2)) < contamination, 10.0, 1.0)

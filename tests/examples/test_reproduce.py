@@ -57,10 +57,10 @@ def paper(monkeypatch):
     return importlib.import_module
 
 
-@pytest.fixture(params=["compiled", "numpy"])
+@pytest.fixture(params=["kernel", "definition"])
 def engine(request, monkeypatch):
-    """With numba and as if it were not installed."""
-    if request.param == "numpy":
+    """With the kernel and without."""
+    if request.param == "definition":
         support.without_kernel(monkeypatch)
     else:
         support.needs_kernel()

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[2]
 def test_import_loads_nothing_heavy():
     code = "import robust_filterpy, sys; print(sorted({m.split('.')[0] for m in sys.modules}))"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    for heavy in ("control", "matplotlib", "numba", "statsmodels", "joblib", "pandas", "dask"):
+    for heavy in ("control", "matplotlib", "statsmodels", "joblib", "pandas", "dask"):
         assert f"'{heavy}'" not in loaded
 
 

@@ -23,7 +23,6 @@ ROOMS = (
     "influence",
     "correction",
     "kernel",
-    "compiled",
     "filters",
     "batch",
     "smoothing",

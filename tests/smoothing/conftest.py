@@ -4,7 +4,7 @@ import pytest
 import support
 
 
-@pytest.fixture(params=["compiled", "definition"])
+@pytest.fixture(params=["kernel", "definition"])
 def form(request, monkeypatch):
     if request.param == "definition":
         support.without_kernel(monkeypatch)

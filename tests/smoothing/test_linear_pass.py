@@ -73,14 +73,35 @@ def test_score_and_information_are_those_of_the_process_noise(form):
     np.testing.assert_allclose(q - q**2 * found.information[0, :, 0, 0], P[1:, 2, 2], rtol=1e-8, atol=1e-10)
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_compiled_is_the_definition(monkeypatch, seed):
+WANTED = ({}, {"spread": False}, {"states": True}, {"process": True}, {"states": True, "process": True})
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_kernel_is_the_definition(monkeypatch, seed):
     support.needs_kernel()
-    model, weighting = problem(seed, r=1 + seed % 3, steps=30, series=3, moving=seed % 2 == 0)
-    compiled = smoothing_pass(model, weighting, states=True, process=True)
+    rng = np.random.default_rng(seed)
+    sizes = {"n": rng.integers(1, 10), "m": rng.integers(1, 5), "r": rng.integers(1, 4), "series": rng.integers(1, 4)}
+    model, weighting = problem(seed, **sizes, steps=30, moving=seed % 2 == 0)
+    if seed % 4 == 1:
+        # States that are known next to nothing of, so that the longer way is taken.
+        model = model._replace(P0=1e4 * model.P0)
+    ours = [smoothing_pass(model, weighting, **wanted) for wanted in WANTED]
     support.without_kernel(monkeypatch)
-    for ours, theirs in zip(compiled, smoothing_pass(model, weighting, states=True, process=True), strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-8, atol=1e-9)
+    for wanted, by_kernel in zip(WANTED, ours, strict=True):
+        theirs = smoothing_pass(model, weighting, **wanted)
+        for name, a, b in zip(theirs._fields, by_kernel, theirs, strict=True):
+            assert a.shape == b.shape
+            if wanted.get("states") or name not in ("x0", "P0"):
+                size = np.abs(b).max(initial=0.0)
+                # Next to a diffuse P the residuals' variance is a difference of large numbers, in both.
+                far = 1e-2 if seed % 4 == 1 and name in ("fitted", "spread") else 1e-7
+                np.testing.assert_allclose(a, b, rtol=0.0, atol=far * (1e-9 + size), err_msg=name)
+
+
+def test_results_that_were_not_wanted_take_no_room(form):
+    model, weighting = problem(5)
+    assert smoothing_pass(model, weighting, spread=False).spread.shape == (1, 0, 2, 2)
+    assert smoothing_pass(model, weighting).x.shape == (1, 0, 3)
 
 
 def test_writing_over_an_earlier_result_changes_no_number(form):

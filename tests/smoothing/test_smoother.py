@@ -153,14 +153,14 @@ def test_each_of_many_series_has_the_numbers_it_has_alone(form):
             np.testing.assert_allclose(together.contamination[s], kf.contamination, rtol=1e-9)
 
 
-def test_compiled_and_definition_agree(monkeypatch):
+def test_kernel_and_definition_agree(monkeypatch):
     support.needs_kernel()
 
     _, zs, _ = drive(4, 0.2, 10.0, 80)
     options = [{}, {"process": None}, {"influence": Huber()}, {"influence": TukeyBiweight(), "process": StudentT()}]
-    compiled = [smooth(filter_of(), zs, **one) for one in options]
+    by_kernel = [smooth(filter_of(), zs, **one) for one in options]
     support.without_kernel(monkeypatch)
-    for one, ours in zip(options, compiled, strict=True):
+    for one, ours in zip(options, by_kernel, strict=True):
         theirs = smooth(filter_of(), zs, **one)
         np.testing.assert_allclose(ours.x, theirs.x, rtol=1e-7, atol=1e-8)
         np.testing.assert_allclose(ours.P, theirs.P, rtol=1e-7, atol=1e-9)

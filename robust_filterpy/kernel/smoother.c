@@ -1,0 +1,88 @@
+/* A smoother's pass: the loops of smoother.h, without the interpreter's lock. */
+#include "groups.h"
+#include "smoother.h"
+
+/* Sizes of the state that the compiler knows, each with one sensor, two, and any number. */
+#define SIZES(X) X(1) X(2) X(3) X(4) X(6)
+typedef void span_function(const smoother_job *, ptrdiff_t, double *);
+
+#define SPAN(size) \
+    static void span_##size(const smoother_job *job, ptrdiff_t series, double *work) { \
+        if (job->m == 1) smoother_span(size, 1, job, 0, series, work); \
+        else smoother_span(size, job->m, job, 0, series, work); \
+    }
+SIZES(SPAN)
+#undef SPAN
+
+static void span_any(const smoother_job *job, ptrdiff_t series, double *work) {
+    smoother_span(job->n, job->m, job, 0, series, work);
+}
+
+static span_function *span_for(int n) {
+    switch (n) {
+#define SPAN(size) \
+    case size: \
+        return span_##size;
+        SIZES(SPAN)
+#undef SPAN
+    default:
+        return span_any;
+    }
+}
+
+/* Room for a result of so many numbers in front of the last axes; of length 0 along its steps where it is not wanted.
+   Return whether it is either. */
+static int take_result(double **found, PyObject *object, int ndim, npy_intp series, npy_intp steps, npy_intp rows,
+                       npy_intp columns) {
+    const npy_intp shape[4] = {series, steps, rows, columns}, none[4] = {series, 0, rows, columns};
+    *found = writable(object, ndim, shape);
+    return *found != NULL || writable(object, ndim, none) != NULL;
+}
+
+static PyObject *smooth(PyObject *self, PyObject *arguments) {
+    PyObject *F, *G, *c, *H, *z, *x0, *P0, *d, *o, *q, *fitted, *spread, *score, *information, *x, *P, *x_first, *P_first;
+    smoother_job job = {0};
+    (void)self;
+    if (!PyArg_ParseTuple(arguments, "(OOOOOOO)(OOO)(OOOOOOOO)", &F, &G, &c, &H, &z, &x0, &P0, &d, &o, &q, &fitted,
+                          &spread, &score, &information, &x, &P, &x_first, &P_first))
+        return NULL;
+    if (!PyArray_CheckExact(z) || PyArray_NDIM((PyArrayObject *)z) != 3 || !PyArray_CheckExact(G) ||
+        PyArray_NDIM((PyArrayObject *)G) != 4)
+        goto refused;
+    {
+        const npy_intp series = PyArray_DIM((PyArrayObject *)z, 0), steps = PyArray_DIM((PyArrayObject *)z, 1);
+        const npy_intp m = PyArray_DIM((PyArrayObject *)z, 2), n = PyArray_DIM((PyArrayObject *)G, 2);
+        const npy_intp r = PyArray_DIM((PyArrayObject *)G, 3), states[3] = {series, n, n};
+        if (n < 1 || m < 1 || r < 0 || n > 10000 || m > 10000 || r > 10000) goto refused;
+        if (!take_matrices(&job.F, F, series, steps, n, n) || !take_matrices(&job.G, G, series, steps, n, r) ||
+            !take_matrices(&job.c, c, series, steps, n, 0) || !take_matrices(&job.H, H, series, steps, m, n) ||
+            !take_matrices(&job.z, z, series, steps, m, 0) || !take_matrices(&job.x0, x0, series, 1, n, 0) ||
+            !take_matrices(&job.P0, P0, series, 1, n, n) || !take_matrices(&job.d, d, series, steps, m, 0) ||
+            !take_matrices(&job.o, o, series, steps, m, 0) || !take_matrices(&job.q, q, series, steps, 1, 0))
+            goto refused;
+        if (!(job.fitted = writable(fitted, 3, (npy_intp[]){series, steps, m})) ||
+            !take_result(&job.spread, spread, 4, series, steps, m, m) ||
+            !take_result(&job.score, score, 3, series, steps, r, 0) ||
+            !take_result(&job.information, information, 4, series, steps, r, r) ||
+            !take_result(&job.x, x, 3, series, steps, n, 0) || !take_result(&job.P, P, 4, series, steps, n, n) ||
+            !(job.x_first = writable(x_first, 2, states)) || !(job.P_first = writable(P_first, 3, states)))
+            goto refused;
+        if (!job.x != !job.P || !job.score != !job.information || ((job.x || job.score) && !job.spread)) goto refused;
+        job.steps = steps, job.n = (int)n, job.m = (int)m, job.r = (int)r;
+        double *const work = PyMem_Malloc(smoother_work(steps, job.n, job.m, job.r) * sizeof(double));
+        if (!work) return PyErr_NoMemory();
+        Py_BEGIN_ALLOW_THREADS;
+        span_for(job.n)(&job, series, work);
+        Py_END_ALLOW_THREADS;
+        PyMem_Free(work);
+    }
+    Py_RETURN_NONE;
+refused:
+    PyErr_SetString(PyExc_ValueError, "smooth: expected C-contiguous arrays of float64 of matching shapes, as "
+                                      "robust_filterpy.smoothing.linear_pass makes them");
+    return NULL;
+}
+
+PyMethodDef smoother_functions[] = {
+    {"smooth", smooth, METH_VARARGS, "Smooth some series once: (model, weighting, results), as linear_pass has them."},
+    {NULL, NULL, 0, NULL}};
