@@ -27,6 +27,7 @@ from robust_filterpy.identification import ARMAX as ARMAX
 from robust_filterpy.identification import ARX as ARX
 from robust_filterpy.identification import FIR as FIR
 from robust_filterpy.identification import BoxJenkins as BoxJenkins
+from robust_filterpy.identification import GreyBox as GreyBox
 from robust_filterpy.identification import LinearRegression as LinearRegression
 from robust_filterpy.identification import Model as Model
 from robust_filterpy.identification import OutputError as OutputError

@@ -14,6 +14,8 @@ from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.judging.compare import Comparison, compare
 from robust_filterpy.identification.judging.select import Selection, select_structure
 from robust_filterpy.identification.judging.validate import Validation, validate
+from robust_filterpy.identification.models.continuous import ContinuousModel
+from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.responses import FrequencyResponse, NoiseSpectrum, Regions, StepResponse
 from robust_filterpy.identification.models.results import Coefficients, Intervals, Sample, TrackingResult
@@ -46,7 +48,10 @@ __all__ = [
     "BoxJenkins",
     "Coefficients",
     "Comparison",
+    "ContinuousModel",
     "FrequencyResponse",
+    "GreyBox",
+    "GreyBoxModel",
     "Intervals",
     "LinearRegression",
     "LostTrackerWarning",

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy.identification.estimation.estimate import Problem
+from robust_filterpy.identification.estimation.grey_box import identified_grey_box
 from robust_filterpy.identification.estimation.level import (
     TRENDS,
     beside_input_outliers,
@@ -22,6 +23,7 @@ from robust_filterpy.identification.estimation.recordings import recordings
 from robust_filterpy.identification.estimation.several import of_several
 from robust_filterpy.identification.estimation.state_space import identified_state_space
 from robust_filterpy.identification.models.findings import said
+from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.signals import operating_point
 from robust_filterpy.identification.models.state_space import StateSpace, StateSpaceModel
@@ -56,17 +58,29 @@ def identify(
 ) -> StateSpaceModel: ...
 
 
+@overload
+def identify(
+    y: ArrayLike,
+    u: ArrayLike | None,
+    structure: GreyBox,
+    *,
+    influence: Influence | None = None,
+    t: ArrayLike | None = None,
+) -> GreyBoxModel: ...
+
+
 def identify(
     y: Any,
     u: Any,
-    structure: Structure | StateSpace,
+    structure: Structure | StateSpace | GreyBox,
     *,
     influence: Influence | None = None,
     offset: bool = True,
     R: float | None = None,
     trend: str | None = None,
     groups: ArrayLike | None = None,
-) -> Model | StateSpaceModel:
+    t: ArrayLike | None = None,
+) -> Model | StateSpaceModel | GreyBoxModel:
     """Find the model of a recording with outliers, from nothing but the recording.
 
     Minimises the robust loss of the prediction errors from several starts that need no guess, the noise learnt on the
@@ -82,8 +96,8 @@ def identify(
     u : array_like, shape (N,) or (N, n_inputs), list of these, or None
         Input; the rows phi(k) for a LinearRegression; None for a structure without input. NaN where it is missing: up
         to 10 samples in a row are held at the value before, longer gaps make two recordings of one.
-    structure : Structure
-        Which polynomials there are, and their orders.
+    structure : Structure, StateSpace or GreyBox
+        Which polynomials there are, and their orders; states for y of shape (N, p); equations of physics.
     influence : influence function, optional
         Loss of the prediction errors, in units of their robust scale. Default: the noise is learnt, as a mixture of two
         normal distributions whose share, ratio and R are fitted with the model.
@@ -96,10 +110,12 @@ def identify(
         steps and ramps wherever the recording shows them. Default: "breaks", for a structure with inputs.
     groups : array_like, shape (N,), optional
         A label for each sample: those with the same one are a recording.
+    t : array_like, shape (N,), optional
+        Times in s, at any distance, of the samples for a GreyBox; else those of the index.
 
     Returns
     -------
-    Model
+    Model, StateSpaceModel or GreyBoxModel
 
     Raises
     ------
@@ -143,8 +159,10 @@ def identify(
     >>> model.theta.round(1), round(model.offset)
     (array([-1.5,  0.7,  1. ,  0.5]), 20)
     """
-    if isinstance(structure, StateSpace):
-        return _of_outputs(y, u, structure, influence, groups, offset, R, trend)
+    if isinstance(structure, (StateSpace, GreyBox)):
+        return _of_outputs(y, u, structure, influence, groups, t, offset, R, trend)
+    if t is not None:
+        raise ValueError(f"t: expected None for {structure}, whose samples are equally far apart; take a GreyBox")
     if not isinstance(structure, Structure):
         raise TypeError(f"structure: expected ARX(..), OutputError(..) or another structure, got {structure!r}")
     if influence is not None and not isinstance(influence, Influence):
@@ -181,14 +199,25 @@ def identify(
     return found
 
 
-def _of_outputs(y: Any, u: Any, structure: StateSpace, influence: Any, groups: Any, *others: Any) -> StateSpaceModel:
-    """Return a state-space model, or raise if it is asked for what it does not take."""
+def _of_outputs(
+    y: Any, u: Any, structure: StateSpace | GreyBox, influence: Any, groups: Any, t: Any, *others: Any
+) -> StateSpaceModel | GreyBoxModel:
+    """Return a state-space or physical model, or raise if it is asked for what it does not take."""
     for name, value, only in zip(("offset", "R", "trend"), others, (True, None, None), strict=True):
         if value is not only:
-            raise ValueError(f"{name}: expected {only} for {structure}, whose outputs have a level each, got {value!r}")
+            kind = type(structure).__name__
+            raise ValueError(f"{name}: expected {only} for a {kind}, which says itself what y has, got {value!r}")
     if influence is not None and not isinstance(influence, Influence):
         raise TypeError(f"influence: expected an influence function such as Huber(), got {influence!r}")
-    found = identified_state_space(y, u, structure, influence, groups)
+    found: StateSpaceModel | GreyBoxModel
+    if isinstance(structure, GreyBox):
+        if groups is not None:
+            raise ValueError("groups: expected None for a GreyBox; give lists of y, u and t")
+        found = identified_grey_box(y, u, structure, t, influence)
+    else:
+        if t is not None:
+            raise ValueError("t: expected None for a StateSpace, whose samples are equally far apart; take a GreyBox")
+        found = identified_state_space(y, u, structure, influence, groups)
     for words in (said(found.findings), found.warning):
         if words:
             warnings.warn(f"identify: {words}", stacklevel=3)

@@ -14,6 +14,7 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array, count
 from robust_filterpy.identification.models import coefficients
 from robust_filterpy.identification.models.beginnings import held_input, motion_after
+from robust_filterpy.identification.models.continuous import ContinuousModel, continuous, realized
 from robust_filterpy.identification.models.findings import Finding, said
 from robust_filterpy.identification.models.fit import fit_percent
 from robust_filterpy.identification.models.learnt_noise import ContaminatedNormal, Noise
@@ -244,6 +245,34 @@ class Model(Responses):
             If the structure has no input, or a regressor of the caller's.
         """
         return coefficients.transfer_function(self.structure, self.theta, coefficients.period(dt, self.dt))
+
+    def to_continuous(self, dt: float | None = None, level: float = 0.95) -> ContinuousModel:
+        """Return the system in continuous time whose samples this model gives, with inputs held between them.
+
+        Parameters
+        ----------
+        dt : float, optional
+            Sampling period in s. Default: as the index told it.
+        level : float, default 0.95
+            Probability of the region of each pole.
+
+        Returns
+        -------
+        ContinuousModel
+
+        Raises
+        ------
+        ValueError
+            If there is no input or no dt, or a pole is at 0 or on the negative real axis, where nothing in continuous
+            time has its samples.
+        """
+        matrices, delays = realized(self.structure, self.theta)
+        places = self.structure.polynomials
+
+        def roots(theta: Array) -> Any:
+            return np.concatenate([np.roots([1.0, *theta[part]]) for part in (places.a, places.f)])
+
+        return continuous(matrices, delays, self.dt if dt is None else dt, self.theta, self.P, roots, level)
 
     # Its outputs.
 

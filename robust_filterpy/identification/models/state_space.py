@@ -12,6 +12,7 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.models import coefficients
 from robust_filterpy.identification.models.beginnings import held_input
+from robust_filterpy.identification.models.continuous import ContinuousModel, continuous
 from robust_filterpy.identification.models.findings import Finding, said
 from robust_filterpy.identification.models.fit import fit_percent
 from robust_filterpy.identification.models.learnt_noise import Noise
@@ -222,6 +223,32 @@ class StateSpaceModel:
         import control
 
         return control.ss(self.A, self.B, self.C, self.D, coefficients.period(dt, self.dt))
+
+    def to_continuous(self, dt: float | None = None, level: float = 0.95) -> ContinuousModel:
+        """Return the system in continuous time whose samples this model gives, with inputs held between them.
+
+        Parameters
+        ----------
+        dt : float, optional
+            Sampling period in s. Default: as the index told it.
+        level : float, default 0.95
+            Probability of the region of each pole.
+
+        Returns
+        -------
+        ContinuousModel
+
+        Raises
+        ------
+        ValueError
+            If there is no dt, or a pole is at 0 or on the negative real axis.
+        """
+        n = len(self.A)
+        part = slice(0, n * n)
+        return continuous(
+            (self.A, self.B, self.C, self.D), [0] * self.B.shape[1], self.dt if dt is None else dt, self.theta[part],
+            self.P[part, part], lambda theta: np.linalg.eigvals(theta.reshape(n, n)), level,
+        )  # fmt: skip
 
     def to_frame(self) -> Any:
         """Return poles, their sizes and standard deviations as a pandas DataFrame.

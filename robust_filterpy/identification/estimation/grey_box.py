@@ -1,0 +1,205 @@
+"""identify for `GreyBox`: the least robust loss from first guesses, and which parameters the recording cannot tell."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+from robust_filterpy._fill_values import fill_values
+from robust_filterpy.identification.estimation.prediction_error import minimised, sandwich
+from robust_filterpy.identification.models.findings import Finding, of_fill_values
+from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
+from robust_filterpy.identification.models.grey_box_residuals import GreyRecording, GreyResiduals
+from robust_filterpy.identification.models.learnt_noise import Noise
+from robust_filterpy.identification.models.noise_of_outputs import Noises
+from robust_filterpy.influence.functions import Huber, Influence
+
+__all__ = ["identified_grey_box"]
+
+_FIRST_STEPS: Final = 30
+# A direction along which a standard deviation is this share of the parameters is one that the recording cannot tell.
+_UNTOLD: Final = 0.5
+# What a parameter has of such a direction to be named.
+_PART: Final = 0.3
+
+
+def identified_grey_box(
+    y: Any, u: Any, structure: GreyBox, t: Any = None, influence: Influence | None = None
+) -> GreyBoxModel:
+    """Find the parameters of a physical model.
+
+    Parameters
+    ----------
+    y : array_like, shape (N,) or (N, p), or list of these
+        Outputs, NaN where one is missing.
+    u : array_like, shape (N,) or (N, m), list of these, or None
+        Inputs.
+    structure : GreyBox
+        The equations.
+    t : array_like, shape (N,), or list of these, optional
+        Times in s. Default: those of the index.
+    influence : Influence, optional
+        Loss; default: learnt, for each output.
+
+    Returns
+    -------
+    GreyBoxModel
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the recordings or what f and h return do not fit, or the equations overflow with the first guesses.
+    """
+    told, known, findings = _recordings(y, u, t)
+    starts = np.repeat(structure.x0[None], len(told), axis=0)
+    _require_functions(structure, told[0])
+    model = structure.residuals_of(told, starts, structure.start == "free")
+    z = np.concatenate((model.p.free(model.p.centre), np.zeros(model.n - model.k)))
+    if not model.settled(z):
+        raise ValueError(
+            "p0: expected first guesses with which f has finite outputs; the equations are unstable there, or too "
+            "stiff for 128 steps between samples"
+        )
+    rows = np.concatenate([good.ravel() for good in known])
+    if rows.sum() < 2 * model.n:
+        raise ValueError(f"y: expected at least {2 * model.n} measured samples, got {int(rows.sum())}")
+    p = told[0].y.shape[1]
+    which = np.concatenate([np.tile(np.arange(p), len(one.y)) for one in told])[rows]
+    noise = Noises(tuple(Noise(influence or Huber(), 1.0, False, 1e-300) for _ in range(p)), which)
+    end = minimised(model, z, noise, rows, rows, _FIRST_STEPS)
+    model.steps = 1
+    model.settled(end.p)
+    learnt = end.noise if influence is not None else end.noise.learnt()
+    end = minimised(model, end.p, learnt, rows, rows)
+    return _as_model(structure, model, end, rows, findings)
+
+
+def _recordings(y: Any, u: Any, t: Any) -> tuple[list[GreyRecording], list[Any], tuple[Finding, ...]]:
+    """Return what was recorded, checked, and which outputs are measured."""
+    several = isinstance(y, (list, tuple)) and all(np.ndim(one) > 0 and np.shape(one)[0] > 1 for one in y)
+    ys, us, ts = (part if several else [part] for part in (y, u, t))
+    us, ts = ([None] * len(ys) if part is None else part for part in (us, ts))
+    if len(us) != len(ys) or len(ts) != len(ys):
+        raise ValueError(f"u, t: expected {len(ys)} recordings like y, got {len(us)} and {len(ts)}")
+    told, known, findings = [], [], []
+    for i, (one, acting, times) in enumerate(zip(ys, us, ts, strict=True)):
+        output = _columns("y", one)
+        if np.isinf(output).any():
+            raise ValueError("y: expected finite numbers or NaN (missing), got inf")
+        fills = [fill_values(column) for column in output.T]
+        findings += [found for fill in fills for found in of_fill_values(fill)]
+        output = np.column_stack([fill.signal for fill in fills])
+        for j, column in enumerate(output.T):
+            seen = column[~np.isnan(column)]
+            if not seen.size:
+                raise ValueError(f"y: expected some measured samples of output {j} in recording {i}, got none")
+        signal = np.zeros((len(output), 0)) if acting is None else _columns("u", acting)
+        if len(signal) != len(output):
+            raise ValueError(f"u: expected {len(output)} samples like y, got {len(signal)}")
+        if np.isinf(signal).any() or np.isnan(signal[:1]).any():
+            raise ValueError("u: expected finite numbers, the first of them measured")
+        gaps = np.isnan(signal)
+        if gaps.any():
+            last = np.maximum.accumulate(np.where(gaps, 0, np.arange(len(signal))[:, None]), axis=0)
+            signal = np.take_along_axis(signal, last, axis=0)
+            text = f"u is missing in {int(gaps.any(axis=1).sum())} samples of recording {i}: held at the value before"
+            findings.append(Finding("gap", text, float("nan"), (0, len(signal))))
+        told.append(GreyRecording(_times(one, times, len(output)), np.nan_to_num(output), signal))
+        known.append(~np.isnan(output))
+    return told, known, tuple(findings)
+
+
+def _columns(name: str, signal: Any) -> Array:
+    """Return a signal as columns or raise."""
+    found = _checks.numbers(name, signal)
+    found = found[:, None] if found.ndim == 1 else found
+    if found.ndim != 2 or not len(found):
+        raise ValueError(f"{name}: expected shape (N,) or (N, n), N >= 1, got {np.shape(signal)}")
+    return found
+
+
+def _times(y: Any, t: Any, length: int) -> Array:
+    """Return the times of a recording in s, from 0 on."""
+    if t is None:
+        index, pd = getattr(y, "index", None), sys.modules.get("pandas")
+        if pd is None or index is None or callable(index):
+            raise ValueError("t: expected the times of the samples in s, or a pandas index that has them, got None")
+        is_time = isinstance(index, (pd.DatetimeIndex, pd.TimedeltaIndex))
+        t = (index - index[0]).total_seconds() if is_time else index
+    times = _checks.numbers("t", np.asarray(t))
+    if times.shape != (length,) or not np.isfinite(times).all():
+        raise ValueError(f"t: expected {length} finite times like y, got shape {times.shape}")
+    if (np.diff(times) <= 0.0).any():
+        k = int(np.argmax(np.diff(times) <= 0.0))
+        raise ValueError(
+            f"t: expected times that increase, got {times[k]:.6g} and {times[k + 1]:.6g} in sample {k + 1}"
+        )
+    return times - times[0]
+
+
+def _require_functions(structure: GreyBox, one: GreyRecording) -> None:
+    """Raise unless f and h return what they should."""
+    p = np.array([*structure.p0.values()])
+    for name, function, size in (("f", structure.f, structure.x0.size), ("h", structure.h, one.y.shape[1])):
+        found = structure.x0 if function is None else np.asarray(function(structure.x0, one.u[0], p), dtype=float)
+        if np.size(found) != size:
+            what = "one derivative for each state" if name == "f" else "one number for each output"
+            raise ValueError(f"{name}: expected {what}, {size} of them, got {np.size(found)}")
+        if not np.isfinite(found).all():
+            raise ValueError(f"{name}: expected finite numbers with p0 and x0, got {found}")
+
+
+def _as_model(
+    structure: GreyBox, model: GreyResiduals, end: Any, rows: Any, findings: tuple[Finding, ...]
+) -> GreyBoxModel:
+    """Return what was found, with what the recording cannot tell."""
+    z, noise, k = end.p, end.noise, model.k
+    residual, J = model.residuals(z)[rows], model.jacobian(z)[rows]
+    slope = model.p.slope(z[:k])
+    P = sandwich(J, residual, noise)[:k, :k] * np.outer(slope, slope)
+    theta = model.p.parameters(z[:k])
+    weights = np.full(rows.size, np.nan)
+    weights[rows] = noise.weights(residual)
+    untold = _untold(structure, model, J, noise, residual, theta, slope)
+    total = rows.sum() / max(rows.sum() - model.n, 1)
+    values = structure.p0 | dict(zip(structure.free_names, theta.tolist(), strict=True))
+    starts = np.array([model.start(z, i) for i in range(len(model.recordings))])
+    doubt = [
+        f"the recording cannot tell {' and '.join(names)}" + (" apart" if len(names) > 1 else "") for names in untold
+    ]
+    if not end.converged:
+        doubt.append("the search did not settle")
+    for name, (low, high) in structure.limits.items():
+        near = 1e-3 * (high - low if np.isfinite(high - low) else abs(structure.p0[name]) or 1.0)
+        if name in structure.free_names and not low + near < values[name] < high - near:
+            doubt.append(f"{name} is at its bound, {values[name]:.4g}")
+    return GreyBoxModel(
+        structure, values, theta, P, starts, tuple(replace(one, R=one.R * total) for one in noise.parts),
+        weights.reshape(-1, len(noise.parts)), noise.log_likelihood(residual), untold, "; ".join(doubt), findings,
+    )  # fmt: skip
+
+
+def _untold(
+    structure: GreyBox, model: GreyResiduals, J: Array, noise: Noises, residual: Array, theta: Array, slope: Array
+) -> tuple[tuple[str, ...], ...]:
+    """Return the parameters along whose directions a standard deviation is a large share of them."""
+    size = np.where(theta == 0.0, model.p.size, np.abs(theta))
+    weighted = J * np.sqrt(noise.slope(residual) / noise.variance)[:, None]
+    k = theta.size
+    if model.n > k:
+        # What the starts explain tells nothing of the parameters.
+        basis = np.linalg.qr(weighted[:, k:])[0]
+        weighted = weighted[:, :k] - basis @ (basis.T @ weighted[:, :k])
+    _, values, right = np.linalg.svd(
+        weighted[:, :k] * size / np.where(slope == 0.0, np.inf, slope), full_matrices=False
+    )
+    found = []
+    for value, direction in zip(values, right, strict=True):
+        if value * _UNTOLD < 1.0:
+            found.append(tuple(np.array(structure.free_names)[np.abs(direction) > _PART].tolist()))
+    return tuple(found)

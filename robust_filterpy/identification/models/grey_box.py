@@ -1,0 +1,309 @@
+"""Physical models in continuous time: x' = f(x, u, p), y = h(x, u, p) + noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+from robust_filterpy.identification.models.findings import Finding, said
+from robust_filterpy.identification.models.grey_box_residuals import GreyRecording, GreyResiduals, Scale
+from robust_filterpy.identification.models.learnt_noise import Noise
+from robust_filterpy.identification.models.results import Intervals, intervals
+from robust_filterpy.identification.models.summary import Summary, summarized
+
+__all__ = ["GreyBox", "GreyBoxModel"]
+
+
+@dataclass(frozen=True, eq=False)
+class GreyBox:
+    """Equations of a plant whose parameters are to be found by `identify`.
+
+    Parameters
+    ----------
+    f : function
+        f(x, u, p) gives x', the derivatives of the states in 1/s: x of shape (n,), u of shape (m,), p of shape (k,) in
+        the order of p0. Where it also takes columns, x of shape (n, j) and p of shape (k, j), it is many times as fast.
+    p0 : dict of str to float, or array_like, shape (k,)
+        Names and first guesses of the parameters.
+    x0 : array_like, shape (n,)
+        First guess of the states in the first sample.
+    h : function, optional
+        h(x, u, p) gives the outputs. Default: the states themselves.
+    fixed : iterable of str, optional
+        Parameters that stay as they are.
+    bounds : dict of str to (float, float), optional
+        Least and largest value of some parameters; None or infinity for no bound.
+    start : {"free", "fixed"}, default "free"
+        Whether the states in the first sample are estimated too.
+    between : {"held", "lines"}, default "held"
+        What inputs do between samples.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a name is unknown, a guess is outside its bounds, or an argument is of the wrong kind.
+
+    Examples
+    --------
+    >>> box = GreyBox(lambda x, u, p: [(p[0] * u[0] - x[0]) / p[1]], {"gain": 1.0, "T": 2.0}, x0=[0.0])
+    >>> box.names
+    ('gain', 'T')
+    """
+
+    f: Callable[..., Any]
+    p0: Any
+    x0: Any
+    h: Callable[..., Any] | None = None
+    fixed: Iterable[str] = ()
+    bounds: Mapping[str, Any] = field(default_factory=dict)
+    start: str = "free"
+    between: str = "held"
+
+    def __post_init__(self) -> None:
+        """Check everything but the functions, which only data can."""
+        for name, function in (("f", self.f), ("h", self.h)):
+            if function is not None and not callable(function):
+                raise TypeError(f"{name}: expected a function {name}(x, u, p), got {_checks.shown(function)}")
+        named = self.p0 if isinstance(self.p0, Mapping) else {
+            f"p{j + 1}": value for j, value in enumerate(np.atleast_1d(_checks.numbers("p0", self.p0)))
+        }  # fmt: skip
+        object.__setattr__(
+            self, "p0", {str(name): _checks.real(f"p0[{name!r}]", value) for name, value in named.items()}
+        )
+        object.__setattr__(self, "x0", np.atleast_1d(_checks.numbers("x0", self.x0)))
+        object.__setattr__(self, "fixed", tuple(self.fixed))
+        _checks.option("start", self.start, ("free", "fixed"))
+        _checks.option("between", self.between, ("held", "lines"))
+        for name in (*self.fixed, *self.bounds):
+            if name not in self.p0:
+                raise ValueError(f"p0: expected a parameter {name!r}, got {', '.join(self.p0)}")
+        if not self.free_names:
+            raise ValueError("fixed: expected at least one parameter that is free, got all of them")
+        values = np.array([*self.p0.values(), *self.x0])
+        if not np.isfinite(values).all():
+            raise ValueError("p0: expected finite first guesses, got NaN or inf")
+        for name, (low, high) in self.limits.items():
+            if not low < self.p0[name] < high:
+                raise ValueError(f"p0: expected {name} between {low:.6g} and {high:.6g}, got {self.p0[name]:.6g}")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all parameters."""
+        return tuple(self.p0)
+
+    @property
+    def free_names(self) -> tuple[str, ...]:
+        """Names of those that are estimated."""
+        return tuple(name for name in self.p0 if name not in self.fixed)
+
+    @property
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """Bounds of the parameters that have some, as numbers."""
+        found = {}
+        for name, (low, high) in self.bounds.items():
+            found[name] = (-np.inf if low is None else float(low), np.inf if high is None else float(high))
+        return found
+
+    @property
+    def scales(self) -> tuple[Scale, Scale]:
+        """Free numbers of the parameters that are estimated, and of the states."""
+        p = np.array([self.p0[name] for name in self.free_names])
+        bounds = np.array([self.limits.get(name, (-np.inf, np.inf)) for name in self.free_names])
+        size, wide = np.where(p == 0.0, 1.0, np.abs(p)), np.full(self.x0.size, np.inf)
+        states = Scale(self.x0, np.where(self.x0 == 0.0, 1.0, np.abs(self.x0)), -wide, wide)
+        return Scale(p, size, bounds[:, 0], bounds[:, 1]), states
+
+    def residuals_of(self, recordings: list[GreyRecording], starts: Array, free_start: bool) -> GreyResiduals:
+        """Return what gives the residuals of recordings.
+
+        Parameters
+        ----------
+        recordings : list of GreyRecording
+            What was recorded.
+        starts : ndarray, shape (n_recordings, n)
+            States in the first samples.
+        free_start : bool
+            Whether these are free.
+
+        Returns
+        -------
+        GreyResiduals
+        """
+        at = [self.names.index(name) for name in self.free_names]
+        values = np.array([*self.p0.values()])
+        h = self.h
+
+        def whole(p: Array) -> Array:
+            found = np.repeat(values[:, None], p.shape[1], axis=1) if p.ndim == 2 else values.copy()
+            found[at] = p
+            return found
+
+        def f(x: Array, u: Array, p: Array) -> Any:
+            return self.f(x, u, whole(p))
+
+        def outputs(x: Array, u: Array, p: Array) -> Any:
+            return x if h is None else h(x, u, whole(p))
+
+        return GreyResiduals(f, outputs, recordings, *self.scales, starts, free_start, self.between == "lines")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class GreyBoxModel:
+    """A physical model as `identify` found it.
+
+    Attributes
+    ----------
+    structure : GreyBox
+        The equations.
+    p : dict of str to float
+        All parameters, those that were fixed too.
+    theta, std : ndarray, shape (k,)
+        The estimated ones, in the order of ``structure.free_names``, and their standard deviations.
+    P : ndarray, shape (k, k)
+        Their covariance.
+    starts : ndarray, shape (n_recordings, n)
+        States in the first samples.
+    noise : tuple of Noise
+        Of each output.
+    weights : ndarray, shape (N, n_outputs)
+        How much each sample was believed; NaN where it is missing.
+    log_likelihood : float
+        Of what is measured.
+    untold : tuple of tuple of str
+        Parameters that the recording cannot tell, or cannot tell from one another.
+    warning : str
+        What makes the estimate doubtful; empty if nothing does.
+    findings : tuple of Finding
+        What the recording has beside the model.
+    """
+
+    structure: GreyBox
+    p: dict[str, float]
+    theta: Array
+    P: Array
+    starts: Array
+    noise: tuple[Noise, ...]
+    weights: Array
+    log_likelihood: float
+    untold: tuple[tuple[str, ...], ...]
+    warning: str
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations of the estimated parameters, shape (k,)."""
+        return np.sqrt(np.maximum(self.P.diagonal(), 0.0))
+
+    @property
+    def R(self) -> Array:
+        """Variance of the ordinary noise of each output."""
+        return np.array([one.R for one in self.noise])
+
+    def __repr__(self) -> str:
+        """Show the estimated parameters with their standard deviations."""
+        values = zip(self.structure.free_names, self.theta, self.std, strict=True)
+        text = ", ".join(f"{name}={value:.4g}+-{std:.2g}" for name, value, std in values)
+        return f"GreyBoxModel({text})" + (f"; doubtful: {self.warning}" if self.warning else "")
+
+    def confidence_intervals(self, level: float = 0.95) -> Intervals:
+        """Return theta -+ z std.
+
+        Parameters
+        ----------
+        level : float, default 0.95
+            Probability of each interval.
+
+        Returns
+        -------
+        Intervals
+
+        Raises
+        ------
+        ValueError
+            If level is no probability.
+        """
+        return intervals(self.theta, self.std, level)
+
+    def summary(self, level: float = 0.95) -> Summary:
+        """Return a table of the estimated parameters.
+
+        Parameters
+        ----------
+        level : float, default 0.95
+            Probability of each interval.
+
+        Returns
+        -------
+        Summary
+
+        Raises
+        ------
+        ValueError
+            If level is no probability.
+        """
+        known = int((~np.isnan(self.weights)).sum())
+        facts = {"Samples": f"{known} of {self.weights.size}", "Log-likelihood": f"{self.log_likelihood:.1f}"}
+        for j, one in enumerate(self.noise):
+            share = getattr(one.influence, "contamination", None)
+            beside = "" if share is None else f", {100 * share:.1f} % wild"
+            facts[f"Noise, output {j}"] = f"{np.sqrt(one.R):.4g}{beside}"
+        names = self.structure.free_names
+        return summarized("GreyBox", facts, names, self.theta, self.std, level, self.warning, said(self.findings))
+
+    def to_frame(self) -> Any:
+        """Return the estimated parameters as a pandas DataFrame.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each: estimate, std, z, lower, upper.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        return self.summary().to_frame()
+
+    def simulate(self, u: ArrayLike | None, t: ArrayLike, x0: ArrayLike | None = None) -> Array:
+        """Run the model on inputs alone.
+
+        Parameters
+        ----------
+        u : array_like, shape (N,) or (N, m), or None
+            Inputs.
+        t : array_like, shape (N,)
+            Times in s.
+        x0 : array_like, shape (n,), optional
+            States at the first of them. Default: those of the first recording.
+
+        Returns
+        -------
+        ndarray, shape (N, n_outputs)
+
+        Raises
+        ------
+        ValueError
+            If they do not fit, or the equations overflow.
+        """
+        times = np.atleast_1d(_checks.numbers("t", t))
+        if times.ndim != 1 or (np.diff(times) <= 0.0).any() or not np.isfinite(times).all():
+            raise ValueError("t: expected times that increase, of shape (N,)")
+        signal = np.zeros((times.size, 0)) if u is None else _checks.numbers("u", u).reshape(len(np.asarray(u)), -1)
+        if len(signal) != times.size or not np.isfinite(signal).all():
+            raise ValueError(f"u: expected {times.size} finite samples like t, got {len(signal)}")
+        start = self.starts[0] if x0 is None else _checks.numbers("x0", x0)
+        told = GreyRecording(times, np.zeros((times.size, len(self.noise))), signal)
+        model = self.structure.residuals_of([told], start[None], False)
+        z = model.p.free(self.theta)
+        if not model.settled(z):
+            raise ValueError(
+                "f: expected outputs that are finite; the equations are unstable or too stiff between samples"
+            )
+        return -model.residuals(z).reshape(times.size, -1)

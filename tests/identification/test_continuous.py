@@ -1,0 +1,155 @@
+"""Continuous time: from a model in discrete time, and parameters of physics from samples at any times."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from robust_filterpy import OutputError, identify
+from robust_filterpy.identification import GreyBox, StateSpace
+
+
+def tank(x, u, p):
+    """Outflow by Torricelli's law."""
+    return [p[0] * u[0] - p[1] * np.sqrt(np.maximum(x[0], 1e-9))]
+
+
+def recorded(seed, outliers=0.1):
+    """A tank with samples at irregular times, one reading in ten ten times as bad."""
+    rng = np.random.default_rng(seed)
+    t = np.cumsum(rng.uniform(0.2, 2.0, 300))
+    u = np.repeat(rng.uniform(0.5, 2.0, 30), 10)
+    x, y = 1.0, np.empty(300)
+    for k in range(300):
+        y[k] = x
+        fine = (t[k + 1] - t[k] if k < 299 else 0.0) / 50
+        for _ in range(50):
+            x += fine * (0.4 * u[k] - 0.3 * np.sqrt(max(x, 0.0)))
+    wrong = rng.random(300) < outliers
+    return y + 0.05 * np.where(wrong, 10.0, 1.0) * rng.normal(size=300), u, t
+
+
+def test_physical_parameters_from_irregular_samples_through_outliers():
+    inside = []
+    for seed in range(4):
+        y, u, t = recorded(seed)
+        model = identify(y, u, GreyBox(tank, {"inflow": 1.0, "outflow": 1.0}, x0=[0.5]), t=t)
+        assert np.abs(model.theta - [0.4, 0.3]).max() < 0.02
+        inside.append(np.abs(model.theta - [0.4, 0.3]) < 4.0 * model.std)
+    assert np.mean(inside) > 0.9
+    assert not model.untold
+    assert model.p["inflow"] == model.theta[0]
+    assert "inflow" in str(model.summary())
+    assert len(model.to_frame()) == 2
+    assert model.simulate(u, t).shape == (300, 1)
+
+
+def test_a_function_that_takes_no_columns_gives_the_same():
+    def scalar(x, u, p):
+        return [float(p[0]) * float(u[0]) - float(p[1]) * float(x[0]) ** 0.5 if x[0] > 0 else 0.0]
+
+    y, u, t = recorded(5)
+    guess = {"inflow": 0.5, "outflow": 0.4}
+    models = [identify(y[:80], u[:80], GreyBox(f, guess, x0=[0.8]), t=t[:80]) for f in (tank, scalar)]
+    assert np.allclose(models[0].theta, models[1].theta, rtol=1e-4)
+
+
+def test_parameters_that_the_recording_cannot_tell_apart_are_named():
+    def twice(x, u, p):
+        return [p[0] * p[1] * u[0] - p[2] * x[0]]
+
+    rng = np.random.default_rng(6)
+    t, u, y = np.arange(200.0), rng.choice([0.0, 1.0], 200), np.zeros(200)
+    for k in range(199):
+        y[k + 1] = np.exp(-0.5) * y[k] + (1 - np.exp(-0.5)) / 0.5 * u[k]
+    box = GreyBox(twice, {"area": 2.0, "speed": 0.3, "rate": 0.3}, x0=[0.0])
+    with pytest.warns(UserWarning, match="cannot tell area and speed apart"):
+        model = identify(y + 0.02 * rng.normal(size=200), u, box, t=t)
+    assert model.untold == (("area", "speed"),)
+    fixed = identify(y + 0.02 * rng.normal(size=200), u, GreyBox(twice, box.p0, x0=[0.0], fixed=["area"]), t=t)
+    assert not fixed.untold
+    assert fixed.p["area"] == 2.0
+    assert fixed.p["speed"] == pytest.approx(0.5, rel=0.05)
+
+
+def test_bounds_are_kept_and_said():
+    y, u, t = recorded(7)
+    box = GreyBox(
+        tank, {"inflow": 0.45, "outflow": 0.4}, x0=[1.0], bounds={"outflow": (0.35, 1.0), "inflow": (0, None)}
+    )
+    with pytest.warns(UserWarning, match="outflow is at its bound"):
+        model = identify(y, u, box, t=t)
+    assert 0.35 <= model.p["outflow"] < 0.352
+
+
+def test_several_recordings_and_times_of_an_index():
+    y, u, t = recorded(8)
+    index = pd.to_datetime("2024-01-01") + pd.to_timedelta(t, unit="s")
+    frame = pd.Series(y, index)
+    box = GreyBox(tank, {"inflow": 1.0, "outflow": 1.0}, x0=[1.0])
+    one = identify(frame, u, box)
+    assert np.allclose(one.theta, identify(y, u, box, t=t).theta, rtol=1e-5)
+    two = identify([frame[:150], frame[150:]], [u[:150], u[150:]], box)
+    assert np.abs(two.theta - [0.4, 0.3]).max() < 0.02
+    assert two.starts.shape == (2, 1)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda y, u, t: (y, u, None), "expected the times"),
+        (lambda y, u, t: (y, u, t[::-1]), "times that increase"),
+        (lambda y, u, t: (y, u[:-1], t), "300 samples like y"),
+        (lambda y, u, t: (np.full(300, np.nan), u, t), "output 0 in recording 0"),
+        (lambda y, u, t: (np.column_stack((y, y)), u, t), "h: expected one number for each output, 2"),
+        (lambda y, u, t: (y[:3], u[:3], t[:3]), "at least 6 measured"),
+    ],
+)
+def test_what_does_not_fit_is_refused(change, says):
+    y, u, t = change(*recorded(9))
+    with pytest.raises(ValueError, match=says):
+        identify(y, u, GreyBox(tank, {"inflow": 1.0, "outflow": 1.0}, x0=[1.0]), t=t)
+
+
+def test_a_grey_box_is_checked_before_there_are_data():
+    with pytest.raises(ValueError, match="between 2 and 3"):
+        GreyBox(tank, {"a": 1.0}, [0.0], bounds={"a": (2.0, 3.0)})
+    with pytest.raises(ValueError, match="a parameter 'b'"):
+        GreyBox(tank, {"a": 1.0}, [0.0], fixed=["b"])
+    with pytest.raises(TypeError, match="a function"):
+        GreyBox("f", {"a": 1.0}, [0.0])
+    with pytest.raises(ValueError, match="unstable there"):
+        identify(np.zeros(9), None, GreyBox(lambda x, u, p: [p[0] * x[0] ** 3], {"a": 9.0}, [9.0]), t=np.arange(9.0))
+
+
+@pytest.mark.parametrize("structure", [OutputError(2, 2, 3), StateSpace(4)], ids=["polynomials", "states"])
+def test_continuous_time_gives_the_same_samples(structure):
+    import control
+
+    system = control.ss(control.tf([2.0], [1.0, 1.2, 4.0]))
+    rng = np.random.default_rng(1)
+    u = rng.choice([-1.0, 1.0], 600)
+    sampled = control.sample_system(system, 0.1)
+    delay = 2 if not isinstance(structure, StateSpace) else 0
+    y = control.forced_response(sampled, inputs=u).outputs + 0.002 * rng.normal(size=600)
+    structure = structure if delay else StateSpace(2)
+    model = identify(np.concatenate((np.zeros(delay), y))[:600], u, structure)
+    found = model.to_continuous(0.1)
+    assert np.allclose(np.sort_complex(found.poles.values), np.sort_complex(system.poles()), atol=0.1)
+    assert found.dead_time[0] == pytest.approx(0.1 * delay)
+    again = control.sample_system(found.to_control(), 0.1)
+    assert np.allclose(again.dcgain(), system.dcgain(), rtol=0.02)
+    assert np.allclose(np.sort_complex(again.poles()), np.sort_complex(model.poles().values))
+    assert found.time_constants == pytest.approx([0.5, 0.5], rel=0.05)
+    with pytest.raises(ValueError, match="sampling period"):
+        model.to_continuous()
+
+
+def test_what_has_no_continuous_time_is_refused():
+    rng = np.random.default_rng(2)
+    u, y = rng.normal(size=200), np.zeros(200)
+    for k in range(199):
+        y[k + 1] = -0.8 * y[k] + u[k]
+    with pytest.raises(ValueError, match="negative real axis"):
+        identify(y, u, OutputError(1, 1)).to_continuous(1.0)
+    with pytest.raises(ValueError, match="at most 1 b's beside 1 poles"):
+        identify(y, u, OutputError(1, 2)).to_continuous(1.0)
