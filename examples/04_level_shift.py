@@ -79,7 +79,7 @@ def main(argv=None):
         f"outliers in a row all the way: {worst[DEFAULT]:.1f} sigma (KalmanFilter: {worst['KalmanFilter']:.1f}). "
         f"Against runs take scaling='innovation': Huber, realized, is then wrong by {worst['Huber, realized']:.1f} "
         f"sigma, and back after {back['Huber, realized']} samples. If the longest run of outliers is known, "
-        f"RecoveringKalmanFilter(patience=...) has both."
+        f"patience= has both."
     )
 
 

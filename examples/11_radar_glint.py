@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
-from robust_filterpy import AdaptiveExtendedKalmanFilter, RobustExtendedKalmanFilter
+from robust_filterpy import RobustExtendedKalmanFilter
 from robust_filterpy.experiments import bootstrap_interval
 from robust_filterpy.plotting import LOOKS
 
@@ -73,9 +73,9 @@ WRONG = 10.0
 FILTERS = {
     "EKF, filterpy": lambda: extended(ExtendedKalmanFilter),
     "EKF, robust": lambda: extended(RobustExtendedKalmanFilter, grouping="joint"),
-    "EKF, adaptive": lambda: extended(AdaptiveExtendedKalmanFilter, grouping="joint"),
+    "EKF, adaptive": lambda: extended(RobustExtendedKalmanFilter, noise="learnt", grouping="joint"),
     "EKF, robust, R x 10": lambda: extended(RobustExtendedKalmanFilter, WRONG, grouping="joint"),
-    "EKF, adaptive, R x 10": lambda: extended(AdaptiveExtendedKalmanFilter, WRONG, grouping="joint"),
+    "EKF, adaptive, R x 10": lambda: extended(RobustExtendedKalmanFilter, WRONG, noise="learnt", grouping="joint"),
 }
 
 

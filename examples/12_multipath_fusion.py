@@ -14,7 +14,6 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import RobustKalmanFilter, TukeyBiweight
-from robust_filterpy.filters.recovering import RecoveringKalmanFilter
 from robust_filterpy.plotting import LOOKS
 
 DT, STEPS = 1.0, 600
@@ -52,7 +51,7 @@ CANDIDATES = {
     "Kalman (filterpy)": lambda: KalmanFilter(4, 2, 2),
     "Huber": lambda: RobustKalmanFilter(4, 2, 2, grouping="joint"),
     "Tukey": lambda: RobustKalmanFilter(4, 2, 2, influence=TukeyBiweight(), grouping="joint"),
-    "Tukey, recovering": lambda: RecoveringKalmanFilter(4, 2, 2, patience=12, grouping="joint"),
+    "Tukey, recovering": lambda: RobustKalmanFilter(4, 2, 2, influence=TukeyBiweight(), patience=12, grouping="joint"),
 }
 
 

@@ -90,7 +90,7 @@ def follow(make, zs):
             kf.predict()
             kf.update(z)
             path.append(kf.R_learnt[0, 0])
-            error.append(factor * kf.noise.r_std[0])
+            error.append(factor * kf.noise_learnt.r_std[0])
         learnt[factor], errors[factor] = np.array(path), np.array(error)
     return learnt, errors
 

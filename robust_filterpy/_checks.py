@@ -51,6 +51,14 @@ def fraction(name: str, value: Any) -> float:
     return number
 
 
+def probabilities(name: str, value: Any, count: int) -> Array:
+    """Return value as so many numbers > 0 with sum 1 or raise."""
+    found = numbers(name, value)
+    if found.shape != (count,) or not (found > 0.0).all() or not np.isclose(found.sum(), 1.0):
+        raise ValueError(f"{name}: expected {count} numbers > 0 that sum to 1, one for each scale, got {shown(value)}")
+    return found
+
+
 def real(name: str, value: Any) -> float:
     """Return value as a float or raise."""
     if isinstance(value, (*_NO_NUMBER, bool)) or np.ndim(value) != 0:

@@ -7,6 +7,7 @@ takes; of the package nothing is used but comparisons out of its room for testin
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ import scipy.linalg
 import scipy.stats
 from filterpy.kalman import KalmanFilter
 
-from robust_filterpy import kernel
+from robust_filterpy import Contaminated, RobustKalmanFilter, Scales, TukeyBiweight, kernel
 from robust_filterpy.filters import _step
 from robust_filterpy.identification import ParameterTracker, TrackerBank
 from robust_filterpy.testing import assert_close, assert_same_filter, visible
@@ -22,6 +23,14 @@ from robust_filterpy.testing import assert_unchanged as assert_unchanged
 
 # What 1.4.5 lacks, the tests compare with the definition.
 FILTERPY_2 = hasattr(KalmanFilter, "update_sequential")
+
+# What makes a filter come back, and one that is told the noise, and one that doubts the process as well.
+RECOVERING = {"influence": TukeyBiweight(), "patience": 12}
+TOLD = {"noise": Contaminated()}
+TWO_SIDED = {"noise": Contaminated(), "process": Scales((1.0, 10.0, 100.0), jump=0.0)}
+recovering = partial(RobustKalmanFilter, **RECOVERING)
+told = partial(RobustKalmanFilter, **TOLD)
+two_sided = partial(RobustKalmanFilter, **TWO_SIDED)
 
 STATE = ("x", "P", "x_prior", "P_prior", "x_post", "P_post")
 CORRECTION = ("y", "K", "S", "SI", "z")
@@ -86,14 +95,14 @@ def load(kf, problem, ndim=2):
 
 def make(cls, problem, ndim=2, **choices):
     """Build a filter of class `cls` for the problem, a robust one with thresholds as they are."""
-    if hasattr(cls, "scaling") and not hasattr(cls, "noise"):
-        choices.setdefault("scaling", "innovation")
-    try:
-        return load(cls(*problem.dims, **choices), problem, ndim)
-    except TypeError:
-        # A class whose scaling follows from something else.
-        del choices["scaling"]
-        return load(cls(*problem.dims, **choices), problem, ndim)
+    kind = getattr(cls, "func", cls)
+    if hasattr(kind, "scaling") and "scaling" not in choices:
+        try:
+            return load(cls(*problem.dims, scaling="innovation", **choices), problem, ndim)
+        except (TypeError, ValueError):
+            # Its scaling follows from something else, or a choice is wrong, which then is said again.
+            pass
+    return load(cls(*problem.dims, **choices), problem, ndim)
 
 
 def simulate(problem, n, seed, contamination=0.0, size=100.0):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from robust_filterpy import RobustKalmanFilter, TwoSidedKalmanFilter
+from robust_filterpy import Contaminated, RobustKalmanFilter, Scales
 from robust_filterpy.noise import EpsilonContaminated
 from robust_filterpy.plants.excitation import bandlimited_pink_autocovariance, receding_horizon_binary
 from robust_filterpy.plants.servo import (
@@ -78,7 +79,12 @@ def conditions(
 
 def drive(given: Conditions, loop: str) -> ServoRecording:
     """Run the servo, its controller on one filter's estimate of position and acceleration."""
-    filters = {ROBUST: RobustKalmanFilter, TWO_SIDED: TwoSidedKalmanFilter}
+    filters = {
+        ROBUST: RobustKalmanFilter,
+        TWO_SIDED: partial(
+            RobustKalmanFilter, noise=Contaminated(0.1, 5.0), process=Scales((1.0, 10.0, 100.0), jump=0.0)
+        ),
+    }
     std = np.sqrt(given.variance.mean(axis=0)) if loop == TOTAL else STD
     observer = ServoObserver(filters.get(loop, KalmanFilter)(6, 3, 6), DT, std, SERVO)
     variance = iter(given.variance)

@@ -13,6 +13,7 @@ from robust_filterpy.batch._arguments import SeriesArguments, series_arguments, 
 from robust_filterpy.correction import copies as side_by_side
 from robust_filterpy.correction.learning import SCALES
 from robust_filterpy.correction.options import Grouping
+from robust_filterpy.correction.policies import Learnt, Scales
 from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter
 from robust_filterpy.kernel import learnt as learnt_kernel
 
@@ -151,8 +152,8 @@ def adaptive_series(
     given = series_arguments(zs, F, H, Q, R, x0, P0, keep, covariance, refused)
     series, _, m = given.z.shape
     kf = AdaptiveKalmanFilter(
-        given.x.shape[1], m, process_scales=process_scales, dwell=dwell, jump=jump,
-        measurement_scales=measurement_scales, grouping=grouping, memory=memory, r_memory=r_memory,
+        given.x.shape[1], m, noise=Learnt(measurement_scales, memory, r_memory),
+        process=Scales(process_scales, dwell, jump), grouping=grouping,
     )  # fmt: skip
     threads(n_threads)
     kept = given.kept
@@ -170,8 +171,8 @@ def adaptive_series(
 
 def _started(kf: AdaptiveKalmanFilter, learnt: ArrayLike | None, given: SeriesArguments) -> Copies:
     """Return where series stand that begin, or raise."""
-    (series, n), q = given.x.shape, kf._process.count
-    begin = side_by_side.start(np.zeros(n), np.zeros((n, n)), kf._process)
+    (series, n), q = given.x.shape, kf._policy.scales.count
+    begin = side_by_side.start(np.zeros(n), np.zeros((n, n)), kf._policy.scales)
     return Copies(
         np.repeat(given.x[:, None], q, axis=1), np.repeat(given.P[:, None], q, axis=1),
         np.tile(begin.probabilities, (series, 1)), _learnt(kf, learnt, series, given.z.shape[2]), given.x, given.P,
@@ -185,15 +186,15 @@ def _learnt(kf: AdaptiveKalmanFilter, learnt: ArrayLike | None, series: int, m: 
         return np.tile(kf.learnt, (series, 1, 1))
     values = numbers("learnt", learnt)
     if values.ndim != 3:
-        return np.tile(kf._classes.checked(values, m), (series, 1, 1))
+        return np.tile(kf._policy.classes.checked(values, m), (series, 1, 1))
     if len(values) != series:
         raise ValueError(f"learnt: expected an entry for each of the {series} series, got {len(values)}")
-    return np.array([kf._classes.checked(one, m) for one in values]).reshape(values.shape)
+    return np.array([kf._policy.classes.checked(one, m) for one in values]).reshape(values.shape)
 
 
 def _continued(kf: AdaptiveKalmanFilter, state: Copies, given: SeriesArguments) -> Copies:
     """Return a copy of a state, or raise."""
-    (series, n), q = given.x.shape, kf._process.count
+    (series, n), q = given.x.shape, kf._policy.scales.count
     shapes = {
         "means": (series, q, n), "covariances": (series, q, n, n), "probabilities": (series, q), "unseen": (series,),
     }  # fmt: skip
@@ -225,7 +226,7 @@ def _run_kernel(
     )  # fmt: skip
     stands = learnt_kernel.State._make([*(array[s] for array in state[:-1]), state.unseen[s : s + 1]])
     model = (*(array[s % len(array)] for array in given.model), None)
-    return learnt_kernel.run(stands, given.z[s], model, kf._classes, kf._process, into, every=given.every)
+    return learnt_kernel.run(stands, given.z[s], model, kf._policy.classes, kf._policy.scales, into, every=given.every)
 
 
 def _run_filter(
@@ -258,19 +259,13 @@ def _run_filter(
         kept.log_likelihood[s] += kf.log_likelihood
         if (k + 1) % every == 0:
             row = (k + 1) // every - 1
-            kept.means[s, row], kept.weights[s, row] = kf.x, _weights(kf, len(H))
+            kept.means[s, row], kept.weights[s, row] = kf.x, kf.weights
             outlying[s, row], scale[s, row] = kf.outlier_probability, kf.process_scale
             if kept.covariances.shape[2] == 1:
                 kept.covariances[s, row, 0] = np.diagonal(kf.P)
             elif kept.covariances.shape[2]:
                 kept.covariances[s, row] = kf.P
-    bank = kf._current()
-    values: tuple[Any, ...] = (*bank[:3], kf.learnt, *bank[3:])
+    now = kf._policy.current(kf._kept, np.ravel(kf.x), kf.P)
+    values: tuple[Any, ...] = (*now[:3], kf.learnt, *now[3:])
     for array, value in zip(state, values, strict=True):
         array[s] = value
-
-
-def _weights(kf: Any, m: int) -> Array:
-    """Return the weights of the last correction, NaN where a component told nothing."""
-    found = getattr(kf._last, "learnt", None)
-    return np.full(m, np.nan) if found is None else found.weights

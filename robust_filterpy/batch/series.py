@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 from robust_filterpy._checks import Array
 from robust_filterpy.batch._arguments import series_arguments, spread, threads
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
-from robust_filterpy.filters._sensors import nothing_known
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.kernel import series as kernel
@@ -153,7 +152,7 @@ def _run_filter(
         information=choices.information, grouping=choices.grouping,
     )  # fmt: skip
     kf.x, kf.P, memory = state
-    kf._keep_sensors(nothing_known(0).updated(memory))
+    kf._learn(memory, len(memory))
     F, Q, H, R = (matrix[s if len(matrix) > 1 else 0] for matrix in model)
     for k in range(start, z.shape[1]):
         try:

@@ -7,8 +7,7 @@
 * `spread`: how large a sensor's innovations usually are, learnt.
 * `whitening`: T of correlated noise, for the smoothers.
 * `likelihood`: log-density of an innovation.
-* `mixture`: noise that is a known mixture of normal distributions, and the score of its innovation.
-* `merging`: a correction for each hypothesis about the noise, merged by moments.
+* `policies`: what a filter is told of noise: `Contaminated`, `Learnt`, `Scales`.
 * `learning`: what is learnt of a sensor's noise, a mixture of classes, while a filter runs.
 * `copies`: copies of a filter that differ in what they take the process for.
 * `learnt`: the correction of copies under such noise, learnt or told.

@@ -43,7 +43,11 @@ class Scales:
     dwell : float, default 1000
         Mean number of steps that the process keeps a scale, > 1.
     jump : float, default 1e-9
-        Chance that the state jumps in a step, in [0, 1); 0 means never, and then the start is trusted too.
+        Chance that the state jumps in a step, in [0, 1). Samples have to agree before a jump is believed, about eight
+        with 1e-9, six with 1e-6; outliers that agree for longer are believed too. 0 means never, and then the start is
+        trusted as P says.
+    probabilities : sequence of float, optional
+        Probabilities of the scales where each step draws its own; `dwell` means nothing then.
 
     Raises
     ------
@@ -54,6 +58,7 @@ class Scales:
     scales: Sequence[float] = (1.0, 0.01, 0.1, 10.0, 100.0)
     dwell: float = 1000.0
     jump: float = 1e-9
+    probabilities: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
         """Check the parameters."""
@@ -65,6 +70,9 @@ class Scales:
         object.__setattr__(self, "scales", tuple(scales.tolist()))
         object.__setattr__(self, "dwell", float(self.dwell))
         object.__setattr__(self, "jump", _checks.fraction("jump", self.jump))
+        if self.probabilities is not None:
+            told = _checks.probabilities("probabilities", self.probabilities, scales.size)
+            object.__setattr__(self, "probabilities", tuple(told.tolist()))
 
     @property
     def count(self) -> int:
@@ -75,6 +83,16 @@ class Scales:
     def stay(self) -> float:
         """Probability that the scale stays."""
         return 1.0 - 1.0 / self.dwell if len(self.scales) > 1 else 1.0
+
+    @property
+    def moves(self) -> Array:
+        """Probabilities of the next scale, a row for each scale, shape (q, q)."""
+        q = len(self.scales)
+        if self.probabilities is not None:
+            return np.tile(self.probabilities, (q, 1))
+        moves = np.full((q, q), (1.0 - self.stay) / max(q - 1, 1))
+        np.fill_diagonal(moves, self.stay)
+        return moves
 
 
 class Copies(NamedTuple):
@@ -111,6 +129,8 @@ def start(x: Array, P: Array, process: Scales) -> Copies:
     probabilities = np.zeros(count)
     probabilities[:q] = 1.0 / process.dwell
     probabilities[0] = 1.0
+    if process.probabilities is not None:
+        probabilities[:q] = process.probabilities
     probabilities /= probabilities.sum()
     return Copies(np.tile(x, (count, 1)), np.tile(P, (count, 1, 1)), probabilities, _START if count > q else 0.0)
 
@@ -142,10 +162,8 @@ def predict(
     x, P, probabilities, unseen = copies
     q, scales = len(process.scales), np.array(process.scales)
     slow = probabilities[:q]
-    moves = np.full((q, q), (1.0 - process.stay) / max(q - 1, 1))
-    np.fill_diagonal(moves, process.stay)
     # Row j: where copy j comes from.
-    origin = (slow[:, None] * moves).T
+    origin = (slow[:, None] * process.moves).T
     shares = origin.sum(axis=1)
     mixed_x, mixed_P = collapse(origin / shares[:, None], x[None, :q], P[None, :q])
     if process.jump > 0.0:

@@ -92,12 +92,7 @@ class NoiseClasses:
                 raise ValueError(f"{name}: expected a number of samples > 1, got {getattr(self, name)!r}")
             object.__setattr__(self, name, float(getattr(self, name)))
         if self.probabilities is not None:
-            told = _checks.numbers("probabilities", self.probabilities)
-            if told.shape != scales.shape or not (told > 0.0).all() or not np.isclose(told.sum(), 1.0):
-                raise ValueError(
-                    f"probabilities: expected {scales.size} numbers > 0 that sum to 1, one for each scale, "
-                    f"got {self.probabilities!r}"
-                )
+            told = _checks.probabilities("probabilities", self.probabilities, scales.size)
             object.__setattr__(self, "probabilities", tuple(told.tolist()))
 
     @property

@@ -22,11 +22,14 @@ from robust_filterpy.correction import copies as side_by_side
 from robust_filterpy.correction import learning
 from robust_filterpy.correction.copies import Copies, Scales
 from robust_filterpy.correction.learning import NoiseClasses
-from robust_filterpy.correction.merging import _LOG_2PI, _inverted, _shortened, normalized
-from robust_filterpy.correction.whitening import Inverse, _singular
+from robust_filterpy.correction.whitening import Inverse, _singular, standardize
 
-__all__ = ["Learnt", "correct"]
+__all__ = ["Corrected", "correct"]
 
+_LOG_2PI = math.log(2.0 * math.pi)
+# Standard deviations of the widest class up to which an innovation counts as what it is. Beyond, no part of the noise
+# model says anything, and the score of a normal distribution would grow without bound.
+_REACH = 8.0
 # A state that is so much less certain than a sensor's noise, in variance, is not known at all.
 _WIDEST = 1e12
 # What a sample is worth for a jump at most, 100 to 1: so many have to agree, however wild they are.
@@ -35,7 +38,7 @@ _LOG_EVIDENCE = math.log(100.0)
 _CANCELLED = 1e-13
 
 
-class Learnt(NamedTuple):
+class Corrected(NamedTuple):
     """The copies and the noise after a correction, and what has become of each component."""
 
     copies: Copies
@@ -92,7 +95,7 @@ def correct(
     process: Scales,
     M: Array | None = None,
     inv: Inverse | None = None,
-) -> Learnt:
+) -> Corrected:
     """Correct copies of a filter by one measurement and learn the noise from it.
 
     Parameters
@@ -118,7 +121,7 @@ def correct(
 
     Returns
     -------
-    Learnt
+    Corrected
         Nothing of what was passed is changed.
 
     Raises
@@ -136,7 +139,7 @@ def correct(
     weights, outlying = np.full(m, np.nan), np.zeros(m)
     part = np.flatnonzero(~np.isnan(z) & H.any(axis=1))
     if part.size == 0:
-        return Learnt(copies, memory, 0.0, weights, outlying)
+        return Corrected(copies, memory, 0.0, weights, outlying)
     z, H, R, M = z[part], H[part], R[np.ix_(part, part)], None if M is None else M[:, part]
     memory, rows = memory.copy(), np.zeros(len(part), dtype=int) if joint else part
     r = memory[rows, 0]
@@ -166,7 +169,7 @@ def correct(
         weights[part[group]], outlying[part[group]] = posterior @ (1.0 / np.array(noise.scales)), 1.0 - posterior[0]
         now = _taken(now, group, found, shares)
     corrected = Copies(now.x, 0.5 * (now.P + np.swapaxes(now.P, 1, 2)), now.probabilities, 0.0)
-    return Learnt(side_by_side.settled(corrected, process), memory, log_density, weights, outlying)
+    return Corrected(side_by_side.settled(corrected, process), memory, log_density, weights, outlying)
 
 
 def _begin(copies: Copies, z: Array, H: Array, R: Array, r: Array, M: Array | None) -> tuple[_Part, Array]:
@@ -233,7 +236,7 @@ def _scores(y: Array, S: Array, N: Array, before: Array, scales: Array, inv: Inv
 
 def _weighed(probabilities: Array, log_densities: Array, q: int, fresh: bool) -> tuple[Array, float]:
     """Return the probabilities of the copies given a group, and log p(y); q of them are for scales of Q."""
-    shares, log_total = normalized(np.log(np.maximum(probabilities[:q], 1e-300)) + log_densities[:q])
+    shares, log_total = _normalized(np.log(np.maximum(probabilities[:q], 1e-300)) + log_densities[:q])
     if len(probabilities) == q:
         return shares, log_total
     log_total -= math.log(max(float(probabilities[:q].sum()), 1e-300))
@@ -241,7 +244,7 @@ def _weighed(probabilities: Array, log_densities: Array, q: int, fresh: bool) ->
     own = log_total if fresh else min(float(log_densities[q]), log_total + _LOG_EVIDENCE)
     candidate = float(probabilities[q])
     parts = np.array([math.log(max(1.0 - candidate, 1e-300)) + log_total, math.log(max(candidate, 1e-300)) + own])
-    (slow, jumped), log_total = normalized(parts)
+    (slow, jumped), log_total = _normalized(parts)
     return np.append(slow * shares, jumped if candidate > 0.0 else 0.0), log_total
 
 
@@ -257,3 +260,44 @@ def _taken(now: _Part, group: np.ndarray, found: _Scores, shares: Array) -> _Par
         now.S - S @ bS,
         shares,
     )
+
+
+def _normalized(logs: Array) -> tuple[Array, float]:
+    """Return exp(logs) divided by its sum, and the log of the sum."""
+    peak = logs.max()
+    weights = np.exp(logs - peak)
+    total = weights.sum()
+    return weights / total, float(peak) + math.log(total)
+
+
+def _inverted(S: Array, inv: Inverse | None) -> tuple[Array, Array]:
+    """Return the inverses and log determinants of S, shapes (..., m, m) and (...)."""
+    m = S.shape[-1]
+    if inv is None:
+        try:
+            factors = np.linalg.cholesky(S)
+        except np.linalg.LinAlgError:
+            # It names the eigenvalue that is at fault, or finds that rounding alone was.
+            T = np.array([standardize(one, "innovation")[0] for one in S.reshape(-1, m, m)]).reshape(S.shape)
+            return np.swapaxes(T, -1, -2) @ T, -2.0 * np.linalg.slogdet(T)[1]
+        diagonals = np.diagonal(factors, axis1=-2, axis2=-1)
+        return np.asarray(np.linalg.inv(S), dtype=float), 2.0 * np.log(diagonals).sum(axis=-1)
+    # Through `standardize`, which refuses what is no inverse of a covariance.
+    inverses = np.array([standardize(one, "innovation", inv)[1] for one in S.reshape(-1, m, m)]).reshape(S.shape)
+    values = np.linalg.eigvalsh(0.5 * (inverses + np.swapaxes(inverses, -1, -2)))
+    # Directions that inv leaves out have no density.
+    kept = values > m * np.finfo(float).eps * values[..., -1:]
+    return inverses, -np.where(kept, np.log(np.where(kept, values, 1.0)), 0.0).sum(axis=-1)
+
+
+def _shortened(y: Array, inverses: Array) -> Array:
+    """Return y, shape (..., h, m), or the multiple that is 8 standard deviations of the widest hypothesis long."""
+    peak = np.abs(y).max(axis=-1, keepdims=True)
+    direction = y / np.where(peak > 0.0, peak, 1.0)
+    squares = np.einsum("...i,...ij,...j->...", direction, inverses, direction)
+    with np.errstate(over="ignore"):
+        lengths = peak[..., 0] * np.sqrt(np.maximum(squares, 0.0))
+    least = lengths.min(axis=-1)[..., None, None]
+    if not (least > _REACH).any():
+        return y
+    return np.where(least > _REACH, y / peak * (peak / least) * _REACH, y)

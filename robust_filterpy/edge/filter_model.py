@@ -127,6 +127,11 @@ def require_plain(kf: Any, name: str) -> None:
     wrapped = {"predict", "update"} & vars(kf).keys()
     if wrapped:
         raise ValueError(f"{name}: expected the filter's own {sorted(wrapped)[0]}(), got one that was put in its place")
+    if not kf._policy.by_kernel:
+        raise ValueError(
+            f"{name}: expected bounded influence without patience, of which there is C, got noise={kf.noise!r}, "
+            f"patience={kf.patience!r}"
+        )
     if kf._choices.pointwise is None or _kind(kf._choices) not in _FIELDS:
         raise ValueError(
             f"influence: expected Huber, Hampel, TukeyBiweight, StudentT or Linear, got {kf.influence!r}, of which "

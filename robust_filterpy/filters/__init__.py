@@ -2,10 +2,9 @@
 
 * `kalman`: `RobustKalmanFilter`.
 * `extended`, `sigma_point`: nonlinear filters.
-* `recovering`, `recovering_nonlinear`: a redescending psi that comes back after a jump.
-* `gaussian_sum`: noise that is a known mixture.
-* `multiple_model`: outliers in the process as well as in the measurement.
-* `adaptive`, `adaptive_nonlinear`: noises that are learnt.
+* `adaptive`: `AdaptiveKalmanFilter`, the linear one with noises that are learnt.
+* `policy`: the contract of what judges measurements; `_bounded` (psi, and the patience of `_insistence`) and `_mixture`
+  (noise told or learnt, copies of the state) are the two that there are.
 * `ensemble`: the ensemble Kalman filter.
 * `functions`: filterpy's functions update, predict, batch_filter, rts_smoother.
 * `conversion`: a robust filter made of an existing one.

@@ -1,23 +1,8 @@
 from robust_filterpy.filters._outlier_share import OutlierShareWarning as OutlierShareWarning
 from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter as AdaptiveKalmanFilter
-from robust_filterpy.filters.adaptive_nonlinear import AdaptiveCubatureKalmanFilter as AdaptiveCubatureKalmanFilter
-from robust_filterpy.filters.adaptive_nonlinear import AdaptiveExtendedKalmanFilter as AdaptiveExtendedKalmanFilter
-from robust_filterpy.filters.adaptive_nonlinear import AdaptiveUnscentedKalmanFilter as AdaptiveUnscentedKalmanFilter
 from robust_filterpy.filters.conversion import robust as robust
 from robust_filterpy.filters.ensemble import RobustEnsembleKalmanFilter as RobustEnsembleKalmanFilter
 from robust_filterpy.filters.extended import RobustExtendedKalmanFilter as RobustExtendedKalmanFilter
-from robust_filterpy.filters.gaussian_sum import NoiseMatchedKalmanFilter as NoiseMatchedKalmanFilter
 from robust_filterpy.filters.kalman import RobustKalmanFilter as RobustKalmanFilter
-from robust_filterpy.filters.multiple_model import TwoSidedKalmanFilter as TwoSidedKalmanFilter
-from robust_filterpy.filters.recovering import RecoveringKalmanFilter as RecoveringKalmanFilter
-from robust_filterpy.filters.recovering_nonlinear import (
-    RecoveringCubatureKalmanFilter as RecoveringCubatureKalmanFilter,
-)
-from robust_filterpy.filters.recovering_nonlinear import (
-    RecoveringExtendedKalmanFilter as RecoveringExtendedKalmanFilter,
-)
-from robust_filterpy.filters.recovering_nonlinear import (
-    RecoveringUnscentedKalmanFilter as RecoveringUnscentedKalmanFilter,
-)
 from robust_filterpy.filters.sigma_point import RobustCubatureKalmanFilter as RobustCubatureKalmanFilter
 from robust_filterpy.filters.sigma_point import RobustUnscentedKalmanFilter as RobustUnscentedKalmanFilter

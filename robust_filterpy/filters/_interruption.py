@@ -9,14 +9,14 @@ import numpy as np
 from robust_filterpy import _state
 from robust_filterpy._arrays import state_of
 from robust_filterpy._checks import Array
-from robust_filterpy.correction import spread
 from robust_filterpy.filters._sensors import Customs
 
 
 class StateMixin:
     """Give a filter's state as plain arrays, and go on from one.
 
-    A subclass adds to `_moving` and `_needed` what a step moves besides x and P, and takes it over in `_go_on`.
+    A subclass adds to `_moving` and `_needed` what a step moves besides x, P and what its policy knows, and takes it
+    over in `_go_on`.
     """
 
     __slots__ = ()
@@ -24,7 +24,7 @@ class StateMixin:
     #: What else the filter's behaviour depends on: name in a state, attribute. A state without it leaves it as it is.
     _settings: ClassVar[dict[str, str]] = {"Q": "Q", "R": "R"}
     #: Which arrays may hold NaN.
-    _gaps: ClassVar[tuple[str, ...]] = ()
+    _gaps: ClassVar[tuple[str, ...]] = ("insisting",)
 
     def state(self) -> dict[str, Array]:
         """Return everything that the filter needs to go on, as plain arrays.
@@ -88,50 +88,65 @@ class StateMixin:
         optional = {name: shapes[name] for name in self._settings}
         optional |= self._sensor_shapes()
         found = _state.checked(state, type(self).__name__, self._needed(), optional, self._gaps)
+        foreign = sorted({"means", "counts", "learnt", "spread"} & set(state) - set(found))
+        if foreign:
+            raise _state.StateError(
+                f"state: expected one of a filter with the same noise=, process= and patience=, got {foreign[0]} in it"
+            )
         if found.get("alpha_sq", 1.0) < 1.0:
             raise ValueError(f"state: expected alpha_sq >= 1, got {found['alpha_sq']}")
         self._go_on(found)
 
+    @property
+    def _sensors_name(self) -> str:
+        """What the memory of the sensors is called in a state."""
+        kf: Any = self
+        return "spread" if kf.noise is None else "learnt"
+
     def _sensor_shapes(self) -> dict[str, _state.Shape]:
         """Return the shapes of what is known of the sensors: at each place of z, and by the rows of an H passed."""
         kf: Any = self
-        return {"spread": (None, 6), "sensors": (None, kf.dim_x), "sensors_spread": (None, 6)}
+        name, width = self._sensors_name, kf._memory.shape[1]
+        by_row: dict[str, _state.Shape] = {"sensors": (None, kf.dim_x), f"sensors_{name}": (None, width)}
+        return by_row if name == "learnt" else {name: (None, width), **by_row}
 
     def _sensors_in_state(self) -> dict[str, Array]:
         """Return what is known of the sensors, if anything is."""
         kf: Any = self
-        if not hasattr(self, "_known_sensors"):
-            return {}
-        customs = kf._known_sensors()
-        if not (customs.places.any() or customs.rows):
-            return {}
-        rows = {key: one for key, one in customs.rows.items()}
-        known = {"spread": customs.places}
-        if rows:
-            known["sensors"] = np.array([np.frombuffer(key) for key in rows])
-            known["sensors_spread"] = np.array(list(rows.values()))
+        customs, name = kf._known_sensors(), self._sensors_name
+        known = {name: customs.places} if name == "spread" and (customs.places.any() or customs.rows) else {}
+        if customs.rows:
+            known["sensors"] = np.array([np.frombuffer(key) for key in customs.rows])
+            known[f"sensors_{name}"] = np.array(list(customs.rows.values()))
         return known
 
     def _moving(self) -> dict[str, Any]:
         """Return what a step moves."""
+        kf: Any = self
         x, P = state_of(self)
-        return {"x": x, "P": P}
+        learnt = {"learnt": kf._memory} if kf._learns_noise else {}
+        return {"x": x, "P": P, **kf._policy.entries(kf._kept, np.ravel(x), P), **learnt}
 
     def _needed(self) -> dict[str, _state.Shape]:
         """Return the shapes of what a step moves."""
         kf: Any = self
-        return {"x": (kf.dim_x,), "P": (kf.dim_x, kf.dim_x)}
+        learnt: dict[str, _state.Shape] = {"learnt": (None, kf._memory.shape[1])} if kf._learns_noise else {}
+        return {"x": (kf.dim_x,), "P": (kf.dim_x, kf.dim_x), **kf._policy.shapes(kf.dim_x), **learnt}
 
     def _go_on(self, found: dict[str, Array]) -> None:
         """Take over a checked state."""
         kf: Any = self
-        kf.x, kf.P = found["x"], found["P"]
-        self._show_nothing()
+        name = self._sensors_name
         rows = found.get("sensors", np.zeros((0, 1)))
-        memories = found.get("sensors_spread", np.zeros((len(rows), 6)))
-        if hasattr(kf, "_keep_sensors"):
-            others = {row.tobytes(): one for row, one in zip(rows, memories, strict=True)}
-            kf._keep_sensors(Customs(found.get("spread", spread.begin(0)), others))
+        memories = found.get(f"sensors_{name}", np.tile(kf._policy.begin(1), (len(rows), 1)))
+        places = found.get(name, kf._policy.begin(kf.dim_z))
+        if name == "learnt":
+            # Sensors may have joined since.
+            places = kf._policy.classes.checked(places, min(kf.dim_z, len(places)))
+        kept = kf._policy.resumed(found, np.ravel(found["x"]), found["P"])
+        kf.x, kf.P, kf._kept = found["x"], found["P"], kept
+        self._show_nothing()
+        kf._keep_sensors(Customs(places, {row.tobytes(): one for row, one in zip(rows, memories, strict=True)}))
         for key, name in self._settings.items():
             if key in found:
                 value = found[key]
@@ -142,7 +157,7 @@ class StateMixin:
         kf: Any = self
         n, m = kf.dim_x, kf.dim_z
         shape = (m, 1) if np.ndim(kf.x) == 2 else (m,)
-        kf._last, kf.z, kf.y = None, np.full(shape, None), np.zeros(shape)
+        kf._last, kf.z, kf.y, kf._outlier_probability = None, np.full(shape, None), np.zeros(shape), 0.0
         kf.S, kf.SI, kf.K = np.zeros((m, m)), np.zeros((m, m)), np.zeros((n, m))
         kf.x_prior, kf.x_post, kf.P_prior, kf.P_post = kf.x.copy(), kf.x.copy(), kf.P.copy(), kf.P.copy()
         kf._log_likelihood = kf._likelihood = kf._mahalanobis = None

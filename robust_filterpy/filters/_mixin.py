@@ -11,14 +11,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from filterpy.common import pretty_str
 
+from robust_filterpy._arrays import state_of
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.definition import correct, correct_by_custom
+from robust_filterpy.correction.definition import correct
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.spread import settled
+from robust_filterpy.filters._bounded import Bounded
 from robust_filterpy.filters._interruption import StateMixin
-from robust_filterpy.filters._outlier_share import Share
-from robust_filterpy.filters._sensors import Customs, nothing_known
+from robust_filterpy.filters._learning import LearningMixin
+from robust_filterpy.filters._options import OptionsMixin
+from robust_filterpy.filters._outlier_share import EVERY, Share
+from robust_filterpy.filters._sensors import Customs
+from robust_filterpy.filters.policy import policy_of
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.kernel.record import correction_of
 
@@ -29,7 +34,7 @@ _DEFAULT_INVERSE = np.linalg.inv
 Inverse = Callable[[Array], Array]
 
 
-class RobustFilterMixin(StateMixin):
+class RobustFilterMixin(OptionsMixin, LearningMixin, StateMixin):
     """Add to a filter of filterpy's the choices of a robust correction and the attributes that show what it did.
 
     Comes before filterpy's class among the bases. The filter stores its `Correction` in ``_last`` and sets
@@ -38,12 +43,17 @@ class RobustFilterMixin(StateMixin):
 
     # Outside __dict__, which filterpy's Saver copies at every epoch and turns into arrays.
     # (Not a literal: a type checker would then believe that there is no __dict__ at all.)
-    __slots__ = tuple("_K _S _SI _last _memory _other_sensors _share _updates _y".split())
+    __slots__ = tuple(
+        "_K _S _SI _kept _last _memory _other_sensors _outlier_probability _policy _process_scales _share _updates _y"
+        .split()
+    )
 
-    #: Whether an expected share of clipped innovations is known, and nobody else watches it.
-    _counts_clipped: bool
+    #: Whether nobody else watches how often the filter clips.
+    _counts_clipped = True
 
     x: Assigned
+    P: Array
+    R: Any
     dim_z: int
     _K: Any
     _y: Any
@@ -53,8 +63,13 @@ class RobustFilterMixin(StateMixin):
     _share: Share
     x_post: Array
     P_post: Array
+    _kept: Any
     _memory: Array
     _other_sensors: dict[bytes, Array]
+    _outlier_probability: float
+    _policy: Any
+    #: One number for each step of the last recording, None before one.
+    _process_scales: Array | None
     _updates: int
     inv: Inverse
     _choices: Choices
@@ -62,55 +77,34 @@ class RobustFilterMixin(StateMixin):
     _likelihood: float | None
     _mahalanobis: float | None
 
-    def _set_choices(
-        self, influence: Influence, scaling: Scaling, information: Information, grouping: Grouping
+    def _set_policy(
+        self,
+        dim_z: int,
+        influence: Influence,
+        scaling: Scaling | None,
+        information: Information,
+        grouping: Grouping,
+        noise: Any = None,
+        process: Any = None,
+        patience: int | None = None,
     ) -> None:
-        """Check and keep the choices; called before filterpy's constructor."""
-        self._choices = Choices(influence, scaling, information, grouping)
-        self._last = None
-        self._share, self._updates = Share(), 0
-        self._keep_sensors(nothing_known(0))
+        """Check and keep what was chosen; called before filterpy's constructor."""
+        self._policy = policy_of(influence, scaling, information, grouping, noise, process, patience)
+        self._require_possible(self._policy)
+        self._choices, self._last, self._outlier_probability = self._policy.choices, None, 0.0
+        self._share, self._updates, self._process_scales = Share(), 0, None
+        # The kernel takes arrays of the right shape, from the first measurement on.
+        self._keep_sensors(Customs(self._policy.begin(dim_z), {}))
+
+    def _start(self) -> None:
+        """Let what is kept beside x and P begin at them; called at the end of a constructor."""
+        x, P = state_of(self)
+        self._kept = self._policy.start(np.ravel(x), P, self.dim_z)
 
     @property
     def _inverse(self) -> Inverse | None:
         """What the user wants S inverted by, None if that is what filterpy does by default."""
         return None if self.inv is _DEFAULT_INVERSE else self.inv
-
-    @property
-    def influence(self) -> Any:
-        """The influence function psi."""
-        return self._choices.influence
-
-    @influence.setter
-    def influence(self, value: Influence) -> None:
-        self._choices = self._choices.changed(influence=value)
-
-    @property
-    def scaling(self) -> Scaling:
-        """Which T: "learnt", "innovation", "unit" or "bounded"."""
-        return self._choices.scaling
-
-    @scaling.setter
-    def scaling(self, value: Scaling) -> None:
-        self._choices = self._choices.changed(scaling=value)
-
-    @property
-    def information(self) -> Information:
-        """Which D: "realized", "expected" or "weight"."""
-        return self._choices.information
-
-    @information.setter
-    def information(self, value: Information) -> None:
-        self._choices = self._choices.changed(information=value)
-
-    @property
-    def grouping(self) -> Grouping:
-        """Which sensors fail together: none ("component"), all ("joint"), or groups of them."""
-        return self._choices.grouping
-
-    @grouping.setter
-    def grouping(self, value: Grouping) -> None:
-        self._choices = self._choices.changed(grouping=value)
 
     @property
     def weights(self) -> Array:
@@ -138,31 +132,17 @@ class RobustFilterMixin(StateMixin):
         last = self._arrays()
         return np.eye(self.dim_z) if last is None or not last.order else last.T
 
-    def _known_sensors(self) -> Customs:
-        """Return what is known of the sensors; the array alone is what the kernel reads and replaces."""
-        return Customs(self._memory, self._other_sensors)
-
-    def _keep_sensors(self, value: Customs) -> None:
-        """Keep what is known of the sensors."""
-        self._memory, self._other_sensors = value
+    def _look(self, last: Any) -> None:
+        """Count a correction, and look now and then whether most of them clip."""
+        self._updates += 1
+        # Under a mixture psi follows from probabilities, and no share of clipped innovations is expected of it.
+        if self._updates % EVERY == 0 and self._counts_clipped and type(self._policy) is Bounded:
+            self._share.look(self, last)
 
     @property
     def _learns_spread(self) -> bool:
         """Whether thresholds are in units of the spread; the Kalman filter has none."""
-        return self.scaling == "learnt" and not self._choices.is_linear
-
-    def _corrected_by(
-        self, x: Array, P: Array, y: Array, C: Array, S: Array, R: Array, H: Array | None = None, memory: Any = None
-    ) -> Correction:
-        """Return the correction by an innovation y with C = cov(x, y), S = cov(y), R of it noise; changes nothing.
-
-        memory is what is known of the sensors, by default of those at the first places of z.
-        """
-        skip = self._inverse is not None
-        if not self._learns_spread:
-            return correct(x, P, y, C, S, self._choices, skip_singular=skip)
-        memory = self._known_sensors().of(len(y)) if memory is None else memory
-        return correct_by_custom(memory, x, P, y, C, S, R, self._choices, H, skip)
+        return type(self._policy) is Bounded and self._policy.learns
 
     def _emptied(self) -> Correction | None:
         """Return the last correction with nothing observed: the scaling stays, the innovation is forgotten."""
@@ -175,18 +155,8 @@ class RobustFilterMixin(StateMixin):
     def _log_density(self, y: Array, S: Array) -> float:
         """Return the log-likelihood of an innovation: the correction of a state without components."""
         nothing, none, skip = np.zeros((0, 0)), np.zeros((0, len(y))), self._inverse is not None
-        widths = settled(self._known_sensors().of(len(y))) if self._learns_spread else None
+        widths = settled(self._known(len(y)).memory) if self._learns_spread else None
         return correct(nothing.ravel(), nothing, y, none, S, self._choices, widths, skip).log_density
-
-    @property
-    def spread(self) -> Array:
-        """How large each sensor's standardized innovations usually are, shape (dim_z,); NaN before the first.
-
-        Under scaling "learnt" thresholds are in units of this: 1 where P, Q and R are right, 10 where they are told 100
-        times too small.
-        """
-        memory = self._known_sensors().of(self.dim_z)
-        return np.where(memory[:, 0] > 0.0, memory[:, 1], np.nan)
 
     def _arrays(self) -> Correction | None:
         """Return the last correction, as arrays."""
@@ -256,7 +226,7 @@ class RobustFilterMixin(StateMixin):
     def log_likelihood(self) -> float:
         """Log-likelihood of the last measurement under the density of psi; 0 if it was missing altogether."""
         if self._log_likelihood is None:
-            last = self._arrays()
+            last = self._arrays() if type(self._last) is np.ndarray else self._last
             self._log_likelihood = 0.0 if last is None else last.log_density
         return self._log_likelihood
 
@@ -282,7 +252,12 @@ class RobustFilterMixin(StateMixin):
     def __repr__(self) -> str:
         """Show the choices and everything that filterpy shows."""
         lines = super().__repr__().split("\n")
-        names = ("influence", "scaling", "information", "grouping", "spread", "weights", "clipped", "e", "T")
+        names = ["influence", "scaling", "information", "grouping", "spread", "weights", "clipped", "e", "T"]
+        if self.noise is not None:
+            names[:3] = "noise", "process"
+            names[3:4] = "R_learnt", "noise_learnt", "process_scale", "outlier_probability"
+        elif self.patience is not None:
+            names[4:4] = "patience", "refused", "recoveries"
         return "\n".join(
             [f"{type(self).__name__} object", *lines[1:], *(pretty_str(name, getattr(self, name)) for name in names)]
         )

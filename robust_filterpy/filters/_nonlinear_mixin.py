@@ -9,22 +9,19 @@ import numpy as np
 
 from robust_filterpy._arrays import measured
 from robust_filterpy._checks import Array, described, numbers
-from robust_filterpy.correction.definition import innovation_moments
-from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters._mixin import RobustFilterMixin, unchanged_if_refused
-from robust_filterpy.filters._outlier_share import EVERY
 
 
 class NonlinearFilterMixin(RobustFilterMixin):
     """Keep a correction in filterpy's attributes."""
 
-    # Whether an expected share of clipped innovations is known.
-    _counts_clipped = True
+    # A model of the process as a function has no scale of Q to doubt.
+    _takes_process = False
 
     inv: Any
     dim_x: int
     P: Array
-    K: Array
+    _K: Any
     z: Any
     x_post: Array
     P_post: Array
@@ -32,30 +29,38 @@ class NonlinearFilterMixin(RobustFilterMixin):
     _S: Any
     _SI: Any
 
-    def _keep(self, last: Correction, z: Array) -> None:
+    def _corrected(
+        self, P: Array, y: Array, C: Array, S: Array, R: Array, H: Array | None, residual: Callable[[Any, Any], Any],
+        shape: tuple[int, ...],
+    ) -> tuple[Any, Any]:  # fmt: skip
+        """Return the correction of a state at 0 by an innovation, and what the policy keeps; changes nothing.
+
+        shape is that of a measurement as residual is handed it.
+        """
+
+        def difference(y: Array, before: Array) -> Array:
+            """Return the difference of two innovations, as the user's measurements differ."""
+            # A copy: a residual function may write into what it is given.
+            apart = np.ravel(np.asarray(residual(y.reshape(shape).copy(), before.reshape(shape)), dtype=float))
+            if apart.size != y.size:
+                raise ValueError(f"residual: expected {y.size} number(s), got {apart}")
+            return apart
+
+        return self._policy.corrected_by_moments(  # type: ignore[no-any-return]
+            self._known(len(y)), np.zeros(len(P)), P, y, C, S, R, H, self._inverse, difference
+        )
+
+    def _keep(self, last: Any, kept: Any, z: Array) -> None:
         """Write a correction and the measurement it came from, z of shape (m,), into the attributes."""
         column = np.ndim(self.x) == 2
+        self._learn(last.memory, len(z))
+        self._look(last)
         self.x = last.x[:, None] if column else last.x
-        self.P, self.K, self._last = last.P, last.K, last
-        memory = getattr(last, "memory", None)
-        if memory is not None:
-            self._keep_sensors(self._known_sensors().updated(memory))
-        self._updates += 1
-        if self._updates % EVERY == 0 and self._counts_clipped:
-            self._share.look(self, last)
+        self.P, self._last, self._kept = last.P, last, kept
+        self._outlier_probability = getattr(last, "outlier_probability", 0.0)
+        self._K = None
         self.z = z[:, None] if column else z
         self._forget()
-
-    def _corrected(self, x: Array, P: Array, y: Array, H: Array, R: Array) -> Any:
-        """Return the correction by an innovation, x of shape (n,), H the derivative of the measurement."""
-        return self._corrected_by(x, P, y, *innovation_moments(P, H, R), R, H)
-
-    def _corrected_by_moments(
-        self, x: Array, P: Array, y: Array, C: Array, S: Array, R: Array, add: Callable[..., Any]
-    ) -> Any:
-        """Return the correction by an innovation, C = cov(x, z), S = cov(z) with R in it."""
-        last = self._corrected_by(x, P, y, C, S, R)
-        return last._replace(x=np.asarray(add(x, last.C @ last.score), dtype=float))
 
     def _filtered(self, zs: Any, columns: dict[str, Any], step: Callable[..., None], saver: Any) -> tuple[Array, Array]:
         """Do a step for each measurement, with what each of the columns has for it; all of them or none."""
@@ -91,7 +96,7 @@ class NonlinearFilterMixin(RobustFilterMixin):
         self.z = np.array([[None] * m]).T
         self.y = np.zeros((m, 1) if np.ndim(self.x) == 2 else m)
         S, SI = self.S, self.SI
-        self._last = self._emptied()
+        self._last, self._outlier_probability = self._emptied(), 0.0
         self._forget()
         self.S, self.SI = S, SI
 

@@ -95,6 +95,21 @@ def filter_recording(
         return means, covariances, means_p, covariances_p
 
 
+class ProcessScales:
+    """A saver that notes the process scale of each step, before another saver's turn."""
+
+    def __init__(self, kf: Any, saver: Any) -> None:
+        """Keep the filter and the other saver."""
+        self.kf, self.saver = kf, saver
+        self.scales: list[float] = []
+
+    def save(self) -> None:
+        """Note the scale."""
+        self.scales.append(self.kf.process_scale)
+        if self.saver is not None:
+            self.saver.save()
+
+
 def _columns(zs: Any, **per_step: Any) -> list[Any]:
     """Return zs, F, Q, H, R, B, u, each with an entry for every step, or None."""
     try:
@@ -140,7 +155,7 @@ class CompiledLoop:
         kf = self._kf
         x, P = state_of(kf)
         state, covariance = x.reshape(1, -1).copy(), P[None].copy()
-        memory = kf._known_sensors().of(self._zs.shape[2])[None] if kf._learns_spread else None
+        memory = kf._known(self._zs.shape[2]).memory[None].copy() if kf._learns_spread else None
         taken = series.filter_series(
             kf._choices, self._zs, self._model, state, covariance, self._kept, memory=memory, start=k, stop=last,
             **self._options,
@@ -149,7 +164,7 @@ class CompiledLoop:
             # What else a step leaves in the filter, the filter's own next step sets anew.
             kf.x, kf.P = state[0].reshape(x.shape), covariance[0]
             if memory is not None:
-                kf._keep_sensors(kf._known_sensors().updated(memory[0]))
+                kf._learn(memory[0], len(memory[0]))
         return int(taken[0])
 
     def advance(self, k: int) -> int:

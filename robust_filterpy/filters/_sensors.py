@@ -7,40 +7,41 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robust_filterpy._checks import Array
-from robust_filterpy.correction import spread
 
-__all__ = ["Customs", "nothing_known"]
+__all__ = ["Customs"]
 
 # So many sensors that take turns through `update(z, R, H)` are told apart; the one that was met longest ago gives way.
 _MOST = 32
 
 
 class Customs(NamedTuple):
-    """Memories of sensors; nothing in here is ever written to.
+    """Memories of sensors, w numbers each; nothing in here is ever written to.
 
     A row of an H that was passed tells the sensor. One that is met for the first time begins with what is known of its
     place in z, so that an H that varies from step to step goes by places.
     """
 
     places: Array
-    """Of the sensors in z, shape (m, 6)."""
+    """Of the sensors in z, shape (m, w)."""
     rows: dict[bytes, Array]
-    """Of those that were met in an H that was passed, by its row, each of shape (6,)."""
+    """Of those that were met in an H that was passed, by its row, each of shape (w,)."""
 
-    def of(self, m: int, passed: Array | None = None, own: Any = None) -> Array:
-        """Return the memories of m sensors, shape (m, 6).
+    def of(self, begin: Array, passed: Array | None = None, own: Any = None) -> Array:
+        """Return the memories of m sensors, shape (m, w).
 
         Parameters
         ----------
-        m : int
-            How many.
+        begin : ndarray, shape (m, w)
+            Memories of sensors of which nothing is known.
         passed : ndarray, shape (m, n), optional
             An H that was passed to `update`; its rows tell the sensors.
         own : array_like, optional
             The filter's H, whose rows belong to places.
         """
-        found = spread.begin(m)
-        for i, key in enumerate(_keys(m, passed, own)):
+        if passed is None and len(self.places) == len(begin):
+            return self.places
+        found = begin.copy()
+        for i, key in enumerate(_keys(len(begin), passed, own)):
             if isinstance(key, bytes) and key in self.rows:
                 found[i] = self.rows[key]
             else:
@@ -49,7 +50,7 @@ class Customs(NamedTuple):
                     found[i] = self.places[place]
         return found
 
-    def updated(self, memory: Array, passed: Array | None = None, own: Any = None) -> Customs:
+    def updated(self, memory: Array, begin: Array, passed: Array | None = None, own: Any = None) -> Customs:
         """Return these with the memories of some sensors replaced, named as in `of`."""
         m = len(memory)
         keys = _keys(m, passed, own)
@@ -59,7 +60,7 @@ class Customs(NamedTuple):
         for i, (key, one) in enumerate(zip(keys, memory, strict=True)):
             place = i if isinstance(key, bytes) else key
             if place >= len(places):
-                places = np.vstack((places, spread.begin(place + 1 - len(places))))
+                places = np.vstack((places, np.tile(begin[:1], (place + 1 - len(places), 1))))
             places[place] = one
             if isinstance(key, bytes):
                 rows.pop(key, None)
@@ -79,8 +80,3 @@ def _keys(m: int, passed: Array | None, own: Any) -> list[Any]:
     keys = [known.get(row.tobytes(), row.tobytes()) for row in passed]
     # Sensors that see exactly the same are told apart by their places.
     return keys if len(set(keys)) == m else list(range(m))
-
-
-def nothing_known(m: int) -> Customs:
-    """Return the memories of m sensors before the first measurement."""
-    return Customs(spread.begin(m), {})

@@ -10,7 +10,7 @@ from robust_filterpy.filters._outlier_share import EVERY
 
 _extension = kernel.extension()
 # What a subclass may do in its own way; then the kernel's is not that filter's.
-_METHODS = ("_predicted", "_transition", "_update", "_measurement", "_corrected", "_corrected_by", "_inverse")
+_METHODS = ("_predicted", "_transition", "_update", "_measurement", "_corrected", "_inverse")
 
 
 def is_own(cls: type, base: type) -> bool:
@@ -20,12 +20,12 @@ def is_own(cls: type, base: type) -> bool:
 
 def predict(kf: Any, u: Any) -> bool:
     """Predict if that is ordinary, return whether it was; nothing has changed if not."""
-    return _extension is not None and kf._by_kernel and _extension.predict(kf, u)
+    return _extension is not None and kf._by_kernel and kf._policy.by_kernel and _extension.predict(kf, u)
 
 
 def correct(kf: Any, z: Any, R: Any, H: Any, M: Any) -> bool:
     """Correct if that is ordinary, return whether it was; nothing has changed if not."""
-    if _extension is None or not kf._by_kernel:
+    if _extension is None or not kf._by_kernel or not kf._policy.by_kernel:
         return False
     counts = kf._choices.scaling == "innovation" and kf._counts_clipped
     looks = counts and (kf._updates + 1) % EVERY == 0

@@ -10,6 +10,7 @@ import numpy as np
 from filterpy.kalman import CubatureKalmanFilter, ExtendedKalmanFilter, KalmanFilter, UnscentedKalmanFilter
 
 from robust_filterpy.correction.options import Grouping, Information, Scaling
+from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.filters._mixin import RobustFilterMixin
 from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
 from robust_filterpy.filters.kalman import RobustKalmanFilter
@@ -30,9 +31,12 @@ def robust(
     kf: Any,
     *,
     influence: Influence = Huber(),
-    scaling: Scaling = "learnt",
+    scaling: Scaling | None = None,
     information: Information = "realized",
     grouping: Grouping = "component",
+    noise: Contaminated | Learnt | str | None = None,
+    process: Contaminated | Scales | str | None = None,
+    patience: int | None = None,
 ) -> Any:
     """Return a robust filter with the state and the matrices of an existing one, which stays as it is.
 
@@ -40,8 +44,8 @@ def robust(
     ----------
     kf : KalmanFilter, ExtendedKalmanFilter, UnscentedKalmanFilter or CubatureKalmanFilter
         Of filterpy. Of a subclass the methods are kept; those that call ``super()`` get the robust ones.
-    influence, scaling, information, grouping
-        As in `RobustKalmanFilter`.
+    influence, scaling, information, grouping, noise, process, patience
+        As in `RobustKalmanFilter`; process for a linear filter alone.
 
     Returns
     -------
@@ -53,7 +57,7 @@ def robust(
     TypeError
         If kf is none of these, or is robust already.
     ValueError
-        If an option is unknown.
+        If an option is unknown, or options stand against each other.
 
     Examples
     --------
@@ -76,7 +80,10 @@ def robust(
     user: Any = type(kf)
     cls = _OURS[theirs] if user is theirs else _subclass(user, _OURS[theirs])
     ours = cls.__new__(cls)
-    choices: dict[str, Any] = dict(influence=influence, scaling=scaling, information=information, grouping=grouping)
+    choices: dict[str, Any] = dict(
+        influence=influence, scaling=scaling, information=information, grouping=grouping, noise=noise, process=process,
+        patience=patience,
+    )  # fmt: skip
     if theirs in (KalmanFilter, ExtendedKalmanFilter):
         _OURS[theirs].__init__(ours, kf.dim_x, kf.dim_z, kf.dim_u, **choices)
     elif theirs is UnscentedKalmanFilter:

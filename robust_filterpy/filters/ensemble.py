@@ -52,12 +52,14 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
         ``fx(x, dt)`` returns the next state, shape (dim_x,).
     influence : Influence, default Huber(1.345)
         psi, as in `RobustKalmanFilter`.
-    scaling : {"learnt", "innovation", "unit", "bounded"}
+    scaling : {"learnt", "innovation", "unit", "bounded"}, optional
         T, as in `RobustKalmanFilter`.
     information : {"realized", "expected", "weight"}
         D, as in `RobustKalmanFilter`.
     grouping : {"component", "joint"} or tuple of tuple of int
         psi of each component of e, or of the length of e.
+    noise, process, patience : None
+        What other filters take; refused here, where members move by a bounded innovation.
     rng : numpy.random.Generator, optional
         Where random numbers come from, a new generator by default; filterpy takes them from numpy's global state.
 
@@ -90,6 +92,8 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
     True
     """
 
+    _takes_process = _takes_mixtures = False
+
     def __init__(
         self,
         x: ArrayLike,
@@ -101,20 +105,24 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
         fx: Callable[..., ArrayLike],
         *,
         influence: Influence = Huber(),
-        scaling: Scaling = "learnt",
+        scaling: Scaling | None = None,
         information: Information = "realized",
         grouping: Grouping = "component",
+        noise: None = None,
+        process: None = None,
+        patience: None = None,
         rng: np.random.Generator | None = None,
     ) -> None:
         """Draw the ensemble and set up filterpy's attributes and the choices."""
         _checks.count("dim_z", dim_z, 1)
         _checks.count("N", N, 2)
-        self._set_choices(influence, scaling, information, grouping)
+        self._set_policy(dim_z, influence, scaling, information, grouping, noise, process, patience)
         self.rng = np.random.default_rng() if rng is None else rng
         self.dim_z, self.inv = dim_z, np.linalg.inv
         x = _checks.finite_vector("x", x)
         super().__init__(x, _checks.matrix("P", P, (x.size, x.size), f"dim_x={x.size}"), dim_z, dt, N, hx, fx)
         self.y = np.zeros(dim_z)
+        self._start()
 
     def initialize(self, x: ArrayLike, P: ArrayLike) -> None:
         """Draw the members anew.
@@ -182,11 +190,11 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
             return
         apart, seen = self.sigmas - self.x, predicted - mean
         C, S = apart.T @ seen / (self.N - 1), seen.T @ seen / (self.N - 1) + R
-        last = self._corrected_by(self.x, self.P, y, C, S, R)
-        require_finite(x=last.x)
+        last, kept = self._corrected(self.P, y, C, S, R, None, np.subtract, (m,))
+        require_finite(x=self.x + last.x)
         noise = self.rng.multivariate_normal(np.zeros(m), R, self.N)
-        self.sigmas = self.sigmas + (last.x - self.x) + (noise - seen) @ self._shrinking(last, C).T
-        self._keep(last._replace(x=np.mean(self.sigmas, axis=0)), values)
+        self.sigmas = self.sigmas + last.x + (noise - seen) @ self._shrinking(last, C).T
+        self._keep(last._replace(x=np.mean(self.sigmas, axis=0)), kept, values)
 
     def _moving(self) -> dict[str, Any]:
         """Return x, P, the members and where the random numbers are."""

@@ -20,6 +20,7 @@ from robust_filterpy._arrays import (
 from robust_filterpy._checks import Array
 from robust_filterpy._filterpy import ExtendedKalmanFilter
 from robust_filterpy.correction.options import Grouping, Information, Scaling
+from robust_filterpy.correction.policies import Contaminated, Learnt
 from robust_filterpy.filters._mixin import unchanged_if_refused
 from robust_filterpy.filters._nonlinear_mixin import (
     NonlinearFilterMixin,
@@ -50,12 +51,16 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
     influence : Influence, default Huber(1.345)
         psi: `Huber`, `Linear` (the extended Kalman filter), `Hampel`, `TukeyBiweight`, `StudentT`, or any norm of
         `statsmodels.robust.norms`. Thresholds are in standard deviations of the innovation.
-    scaling : {"learnt", "innovation", "unit", "bounded"}
+    scaling : {"learnt", "innovation", "unit", "bounded"}, optional
         T, as in `RobustKalmanFilter`.
     information : {"realized", "expected", "weight"}
         D, as in `RobustKalmanFilter`.
     grouping : {"component", "joint"} or tuple of tuple of int
         psi of each component of e, or of the length of e.
+    noise, patience : optional
+        As in `RobustKalmanFilter`; Q has to be told.
+    process : None
+        What a linear filter takes; refused here.
 
     Attributes
     ----------
@@ -73,6 +78,10 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
     NaN (or None, or a masked entry) in z is a missing component. The residual function never sees it: it is called
     with the predicted value in its place. z may be a row or a column, whatever Hx returns. HJacobian and Hx are given
     copies of x, which they may write into.
+
+    Under ``noise=`` the measurement is linear around the predicted state, and nothing else of it is believed. Two
+    refused innovations agree by their ``residual``, which is called with both of them: it may wrap angles, and must
+    subtract otherwise. A jump so far that the line is wrong there can take more than one recovery.
 
     ``x_prior`` after `predict_update` is the predicted state; filterpy leaves the state before the prediction there.
 
@@ -96,16 +105,20 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         dim_u: int = 0,
         *,
         influence: Influence = Huber(),
-        scaling: Scaling = "learnt",
+        scaling: Scaling | None = None,
         information: Information = "realized",
         grouping: Grouping = "component",
+        noise: Contaminated | Learnt | str | None = None,
+        process: None = None,
+        patience: int | None = None,
     ) -> None:
         """Set up filterpy's attributes and the choices."""
         for name, value, least in (("dim_x", dim_x, 1), ("dim_z", dim_z, 1), ("dim_u", dim_u, 0)):
             _checks.count(name, value, least)
-        self._set_choices(influence, scaling, information, grouping)
+        self._set_policy(dim_z, influence, scaling, information, grouping, noise, process, patience)
         super().__init__(dim_x, dim_z, dim_u)
         self.inv = np.linalg.inv
+        self._start()
 
     _settings = {name: name for name in ("F", "Q", "R", "B")}
 
@@ -293,4 +306,6 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         if values is None:
             self._skip()
             return
-        self._keep(self._corrected(x.ravel(), P, y, H, R), values)
+        C = P @ H.T
+        last, kept = self._corrected(P, y, C, H @ C + R, R, H, residual, np.shape(at) or (1,))
+        self._keep(last._replace(x=x.ravel() + last.x), kept, values)

@@ -24,14 +24,14 @@ from robust_filterpy._arrays import (
 )
 from robust_filterpy._checks import FLOAT, Array
 from robust_filterpy._filterpy import KalmanFilter
-from robust_filterpy.correction.definition import embed_block, innovation_moments
+from robust_filterpy.correction.definition import embed_block
 from robust_filterpy.correction.options import Grouping, Information, Scaling
+from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters import _step
+from robust_filterpy.filters._bounded import Bounded, finite_product
 from robust_filterpy.filters._mixin import RobustFilterMixin, Snapshot
-from robust_filterpy.filters._outlier_share import EVERY
-from robust_filterpy.filters._recording import CompiledLoop, filter_recording, is_own
-from robust_filterpy.filters._sensors import Customs, nothing_known
+from robust_filterpy.filters._recording import CompiledLoop, ProcessScales, filter_recording, is_own
 from robust_filterpy.influence.functions import Huber, Influence
 
 __all__ = ["RobustKalmanFilter"]
@@ -59,12 +59,12 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
     influence : Influence, default Huber(1.345)
         psi: `Huber`, `Linear` (the Kalman filter), `Hampel`, `TukeyBiweight`, `StudentT`, or any norm of
         `statsmodels.robust.norms`.
-    scaling : {"learnt", "innovation", "unit", "bounded"}
+    scaling : {"learnt", "innovation", "unit", "bounded"}, optional
         How an innovation is measured. "learnt": in its standard deviation, and thresholds in units of what that
         usually is, which is learnt; x does not depend on a common factor of P, Q and R, as the Kalman filter's does
         not. "innovation": in its standard deviation, thresholds as they are, for an S that is right (36). "unit": in
         the unit of z, the paper's modification (42)-(49), a filter only while H P H' < 1. "bounded": "unit" wherever
-        that is a valid filter, "innovation" elsewhere.
+        that is a valid filter, "innovation" elsewhere. Default: "learnt"; with `patience` "innovation".
     information : {"realized", "expected", "weight"}
         What an innovation takes off P. "realized": psi'(e) (46), so that P stays while innovations are clipped and a
         filter that is wrong, not its sensor, comes back. "expected": E[psi'] (40, 45), which can lock out after a true
@@ -72,6 +72,18 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
     grouping : {"component", "joint"} or tuple of tuple of int
         Which sensors fail together: each on its own; all, as for one sensor that reports a vector and fails as a whole;
         or those named, such as ``((0, 1), (2,))``.
+    noise : Contaminated, Learnt or "learnt", optional
+        How measurements fail, instead of a bound: psi is then the score of what is told, or learnt while filtering, and
+        influence, scaling and information follow from it. R is the covariance of ordinary noise, told or, under
+        `Learnt`, a guess that may be wrong by a factor of 1000 either way. Default: psi bounds what an innovation does.
+    process : Scales, Contaminated or "scales", optional
+        What the process noise may be, with `noise`: copies of the filter that take it for s Q run side by side and are
+        weighed by their likelihood. `Scales` keep their scale for long and know jumps, `Contaminated` draws anew in
+        each step. Default: Q as told.
+    patience : int, optional
+        How many refused measurements in a row that agree are believed, >= 2: a redescending psi such as
+        `TukeyBiweight` leaves out a run of outliers that is shorter, and comes back after a true jump in so many steps
+        and a few. Default: none, and a psi that returns to zero may hold on to a wrong state for good.
 
     Attributes
     ----------
@@ -87,12 +99,22 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         Scaling: the inverse Cholesky factor of S in the order in which the sensors were taken, T S T' = I.
     y_bounded : ndarray, shape of y
         What psi leaves of y, in the unit of z, so that x_post == x_prior + K @ y_bounded.
+    refused, recoveries : int
+        Under `patience`, how many refused measurements agree so far, and how often P was widened.
+    R_learnt, noise_learnt, learnt : ndarray, LearntNoise, ndarray
+        Under ``noise=Learnt(..)``, what has been learnt: the covariance of ordinary noise, contamination and scale of
+        outliers and length of their runs with standard errors, and all of it as an array that another filter can begin
+        with. None without.
+    outlier_probability : float
+        Under `noise`, the probability that a component of the last measurement was an outlier.
+    process_probabilities, process_scale : ndarray, float
+        Under `process`, the probability of each scale of Q, and the mean scale.
 
     Raises
     ------
     ValueError
-        If a dimension or an option is out of range. Every call checks its arrays first and raises ValueError or
-        TypeError before it changes anything.
+        If a dimension or an option is out of range, or options stand against each other. Every call checks its arrays
+        first and raises ValueError or TypeError before it changes anything.
 
     See Also
     --------
@@ -114,6 +136,16 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
 
     "unit" raises `NotPositiveDefiniteError` where it would make P indefinite and leaves the filter as it was.
 
+    Under `noise` an innovation moves the state by the score of its mixture, and P by the exact second moment (Masreliez
+    1975); ``S``, ``SI``, ``K``, ``e`` and ``mahalanobis`` are those of ordinary noise, as learnt before the
+    measurement, and x_post is not x_prior + K y_bounded. ``log_likelihood`` is that of the mixture;
+    `update_steadystate` clips. Under `Learnt` an outlier is what exceeds most samples: if ordinary samples are no
+    longer the majority, the noise itself has grown. A program that assigns x or P assigns it to every copy. The larger
+    the scale_ratio that is told, the farther an outlier may lie, and the longer a jump of the state by less is taken
+    for outliers. Under `patience` only `update` and `update_correlated` count, and what agrees for longer is a jump: a
+    sensor that fails for good is believed in turn. Innovations agree only while H stays about the same, so patience is
+    nothing for a `ParameterTracker`: give that `noise` and `process`.
+
     Examples
     --------
     >>> import numpy as np
@@ -128,7 +160,6 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
     True
     """
 
-    _counts_clipped = True
     _by_kernel = True
     # K, S and SI are what `update_steadystate` goes on with.
     _settings = {name: name for name in ("F", "H", "Q", "R", "B", "M", "K", "S", "SI")} | {"alpha_sq": "_alpha_sq"}
@@ -145,19 +176,21 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         dim_u: int = 0,
         *,
         influence: Influence = Huber(),
-        scaling: Scaling = "learnt",
+        scaling: Scaling | None = None,
         information: Information = "realized",
         grouping: Grouping = "component",
+        noise: Contaminated | Learnt | str | None = None,
+        process: Contaminated | Scales | str | None = None,
+        patience: int | None = None,
     ) -> None:
         """Set up filterpy's attributes and the choices."""
         for name, value, least in (("dim_x", dim_x, 1), ("dim_z", dim_z, 1), ("dim_u", dim_u, 0)):
             _checks.count(name, value, least)
-        self._set_choices(influence, scaling, information, grouping)
+        self._set_policy(dim_z, influence, scaling, information, grouping, noise, process, patience)
         super().__init__(dim_x, dim_z, dim_u)
-        # The kernel takes arrays of the right shape, from the first measurement on.
-        self._keep_sensors(nothing_known(dim_z))
         # filterpy 1.4.5 has it as (dim_z, dim_z), with which update_correlated cannot work.
         self.M = np.zeros((dim_x, dim_z))
+        self._start()
 
     def predict(
         self, u: ArrayLike | None = None, B: ArrayLike | None = None, F: ArrayLike | None = None, Q: Any = None
@@ -182,8 +215,8 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         """
         if B is None and F is None and Q is None and _step.predict(self, u):
             return
-        x, P = regardless(self._predicted, u, B, F, Q)
-        self.x, self.P = x, P
+        x, P, kept = regardless(self._predicted, u, B, F, Q)
+        self.x, self.P, self._kept = x, P, kept
         self.x_prior, self.P_prior = x.copy(), P.copy()
 
     def get_prediction(
@@ -203,23 +236,16 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         P : ndarray, shape (dim_x, dim_x)
             Its covariance.
         """
-        found: tuple[Array, Array] = regardless(self._predicted, u, B, F, Q)
-        return found
+        found: tuple[Array, Array, Any] = regardless(self._predicted, u, B, F, Q)
+        return found[:2]
 
-    def _predicted(self, u: Any, B: Any, F: Any, Q: Any) -> tuple[Array, Array]:
-        """Return the predicted mean, in the shape of x, and covariance."""
+    def _predicted(self, u: Any, B: Any, F: Any, Q: Any) -> tuple[Array, Array, Any]:
+        """Return the predicted mean, in the shape of x, the covariance and what the policy keeps beside them."""
         x, P = state_of(self)
         F, noise, Bu = self._transition(x.shape, u, B, F, Q)
-        x = F.dot(x)
-        if Bu is not None:
-            x = x + Bu
-        P = F.dot(P).dot(F.T)
-        if self._alpha_sq != 1.0:
-            P *= self._alpha_sq
-        P += noise
-        P = 0.5 * (P + P.T)
+        x, P, kept = self._policy.predicted(self._kept, x, P, F, noise, Bu, self._alpha_sq)
         require_finite_prediction(x, P)
-        return x, P
+        return x, P, kept
 
     def _transition(self, shape: tuple[int, ...], u: Any, B: Any, F: Any, Q: Any) -> tuple[Array, Array, Any]:
         """Return checked F, Q, and B u in the shape of x, None if there is none."""
@@ -309,16 +335,15 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         if _step.correct(self, z, R, H, M):
             return
         x, P = state_of(self)
+        own = self.H
         H, R, values, M = self._measurement(z, R, H, M, len(x))
         if values is None:
             self._skip()
             return
-        last = regardless(self._corrected, x, P, values, H, R, M)
-        if getattr(last, "memory", None) is not None:
-            self._keep_sensors(self._known_sensors().updated(last.memory, None if H is self.H else H, self.H))
-        self._updates += 1
-        if self._updates % EVERY == 0 and self._counts_clipped:
-            self._share.look(self, last)
+        passed = None if H is own else H
+        last, kept = regardless(self._corrected, x, P, values, H, R, M, self._known(len(H), passed))
+        self._learn(last.memory, len(H), passed)
+        self._look(last)
         x_post, P_post = last.x, last.P
         if x.ndim == 1:
             values = np.atleast_1d(values)
@@ -326,7 +351,8 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
             values = np.array([[values]]) if len(H) == 1 else values[:, None]
             if x_post.ndim == 1:
                 x_post = x_post[:, None]
-        self.x, self.P, self.z, self._last = x_post, P_post, values, last
+        self.x, self.P, self.z, self._last, self._kept = x_post, P_post, values, last, kept
+        self._outlier_probability = getattr(last, "outlier_probability", 0.0)
         self._y = self._S = self._SI = self._K = None
         self.x_post, self.P_post = x_post.copy(), P_post.copy()
         self._log_likelihood = self._likelihood = self._mahalanobis = None
@@ -351,17 +377,11 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
                 raise ValueError("M: expected finite numbers, got NaN or infinity")
         return H, R, values, M
 
-    def _corrected(self, x: Array, P: Array, values: Any, H: Array, R: Array, M: Any) -> Any:
-        """Return the correction of x by checked values; changes nothing."""
-        x, values = x.ravel(), np.atleast_1d(values)
-        predicted = H.dot(x)
-        if not np.isfinite(predicted).all():
-            raise _not_finite(H, predicted)
-        C, S = innovation_moments(P, H, R, M)
-        memory = None
-        if self._learns_spread:
-            memory = self._known_sensors().of(len(H), None if H is self.H else H, self.H)
-        return self._corrected_by(x, P, values - predicted, C, S, R, H, memory)
+    def _corrected(self, x: Array, P: Array, values: Any, H: Array, R: Array, M: Any, known: Any) -> tuple[Any, Any]:
+        """Return the correction of x by checked values, and what the policy keeps beside it; changes nothing."""
+        return self._policy.corrected(  # type: ignore[no-any-return]
+            known, x.ravel(), P, np.atleast_1d(values), H, R, M, self._inverse
+        )
 
     def _skip(self) -> None:
         """Do what filterpy does for update(None), and forget the last innovation."""
@@ -371,7 +391,7 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         self.y = np.zeros((m, 1) if np.ndim(self.x) != 1 else m)
         S, SI, K = self.S, self.SI, self.K
         self._last = self._emptied()
-        self.S, self.SI, self.K = S, SI, K
+        self.S, self.SI, self.K, self._outlier_probability = S, SI, K, 0.0
         self._log_likelihood = self._likelihood = self._mahalanobis = None
 
     def get_update(self, z: ArrayLike | None = None) -> tuple[Array, Array]:
@@ -427,14 +447,13 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         m = H.shape[0]
         K = _checks.matrix("K", self.K, (n, m), f"dim_x={n}, dim_z={m}")
         S = self.S if np.shape(self.S) == (m, m) and np.any(self.S) else H.dot(P).dot(H.T) + R
-        values, predicted = np.atleast_1d(values), H.dot(x).ravel()
-        if not np.isfinite(predicted).all():
-            raise _not_finite(H, predicted)
-        y = values - predicted
-        # Of the correction by this S only what psi leaves of y is used: the gain is K.
-        last = self._corrected_by(x.ravel(), P, y, P @ H.T, S, R, H)
-        if last.memory is not None:
-            self._keep_sensors(self._known_sensors().updated(last.memory))
+        values = np.atleast_1d(values)
+        y = values - finite_product(H, x.ravel())
+        # Of the correction by this S only what psi leaves of y is used: the gain is K. Nothing insists.
+        clipping = Bounded(self._choices)
+        known = self._known(m)._replace(kept=None)
+        last, _ = clipping.corrected_by_moments(known, x.ravel(), P, y, P @ H.T, S, R, H, self._inverse)
+        self._learn(last.memory, m)
         SI = self.SI
         self.x = (x.ravel() + K @ last.y_bounded).reshape(x.shape)
         shape = (m, 1) if x.ndim == 2 else (m,)
@@ -480,7 +499,8 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         Notes
         -----
         y, K, T, e and weights keep what earlier blocks left in their places; S and SI stay as they were, as filterpy's.
-        ``log_likelihood`` is that of all blocks, so that after the last one it is that of the whole measurement.
+        ``log_likelihood`` is that of all blocks, so that after the last one it is that of the whole measurement; under
+        ``noise=`` that of the last block.
         """
         x, P = state_of(self)
         n, m, k = len(x), self.dim_z, int(np.size(z_i))
@@ -494,34 +514,27 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
             _checks.matrix("R", self.R, (m, m), f"dim_z={m}")[part, part] if R_i is None else R_i, R_i, k
         )
         values = measured(z_i, k, missing=True)
-        some = regardless(self._corrected_part, x, P, values, H, np.ascontiguousarray(R), start)
-        some = some if isinstance(some, Correction) else some.as_arrays()
+        # A part tells nothing of how long the whole has been refused.
+        known = self._known(k, first=start)
+        known = known._replace(kept=None) if self.noise is None else known
+        found, kept = regardless(self._corrected, x, P, values, H, np.ascontiguousarray(R), None, known)
+        some = found if isinstance(found, Correction) else found.as_arrays()
         last = embed_block(self._arrays(), some, start, m)
         seen = np.where(np.isnan(last.weights), np.nan, last.y)
-        last = last._replace(log_density=self._log_density(seen, last.S))
+        if self.noise is None:
+            last = last._replace(log_density=self._log_density(seen, last.S))
+        self._learn(found.memory, k, first=start)
         z = np.array([None] * m) if np.size(self.z) != m else np.ravel(self.z).copy()
         z[part] = values
         # S and SI stay what they were, as in filterpy.
         S, SI = self.S, self.SI
         self.x, self.P, self.K, self._last = some.x.reshape(x.shape), some.P, last.K, last
+        if self.noise is not None:
+            self._kept, self._outlier_probability = kept, getattr(found, "outlier_probability", 0.0)
         self.z = (z if None in z.tolist() else z.astype(float)).reshape((m, 1) if x.ndim == 2 else m)
         self._y, self.S, self.SI = None, S, SI
         self.x_post, self.P_post = self.x.copy(), self.P.copy()
         self._log_likelihood = self._likelihood = self._mahalanobis = None
-
-    def _corrected_part(self, x: Array, P: Array, values: Any, H: Array, R: Array, start: int) -> Any:
-        """Return the correction by the sensors from place start on; changes nothing but what is known of them."""
-        customs, k = self._known_sensors(), len(H)
-        try:
-            self._keep_sensors(Customs(customs.of(start + k)[start:], {}))
-            some = self._corrected(x, P, values, H, R, None)
-        finally:
-            self._keep_sensors(customs)
-        if getattr(some, "memory", None) is not None:
-            places = customs.of(max(len(customs.places), start + k))
-            places[start : start + k] = some.memory
-            self._keep_sensors(Customs(places, customs.rows))
-        return some
 
     def batch_filter(
         self,
@@ -565,11 +578,18 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
             As in `predict` and `update`, with the step named. After these, an interrupt, or an error of the saver or
             of psi, the filter is as it was before the call; what the saver has kept by then it keeps.
         """
-        return filter_recording(self, zs, Fs, Qs, Hs, Rs, Bs, us, update_first, saver, self._compiled_loop(saver))
+        usable = saver is None or callable(getattr(saver, "save", None))
+        notes = ProcessScales(self, saver) if usable and self.process is not None else None
+        loop = self._compiled_loop(saver)
+        found = filter_recording(
+            self, zs, Fs, Qs, Hs, Rs, Bs, us, update_first, saver if notes is None else notes, loop
+        )
+        self._process_scales = None if notes is None else np.array(notes.scales)
+        return found
 
     def _compiled_loop(self, saver: Any) -> CompiledLoop | None:
         """Return what takes steps of a recording by the kernel, None if all are for the filter's own methods."""
-        own = saver is None and self._inverse is None and type(self)._by_kernel
+        own = saver is None and self._inverse is None and type(self)._by_kernel and self._policy.by_kernel
         own = own and is_own(self, RobustKalmanFilter, ("predict", "update"))
         return CompiledLoop(self) if own else None
 
@@ -604,6 +624,13 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         ------
         ValueError, TypeError
             If the lengths or shapes do not fit.
+
+        Notes
+        -----
+        Under ``process=`` Q of step k is `process_scale` times the ordinary Q where Xs ends with the filter's state
+        after the last `batch_filter` of that length. A loop over `predict` and `update` hands over ``Qs`` itself: the
+        ordinary Q times `process_scale` after each update. A jump would otherwise be smoothed away, before and after
+        it.
         """
         n = self.dim_x
         Xs, Ps = _checks.numbers("Xs", Xs), _checks.numbers("Ps", Ps)
@@ -618,6 +645,10 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
                 raise TypeError(f"{name}: expected a sequence of {len(Xs)} matrices, got {type(values).__name__}")
             if len(values) < len(Xs):
                 raise ValueError(f"{name}: expected an entry for each of the {len(Xs)} states in Xs, got {len(values)}")
+        scales = self._process_scales
+        if scales is not None and len(scales) == len(Xs) > 0 and np.array_equal(np.ravel(Xs[-1]), np.ravel(self.x)):
+            nominal = [self.Q] * len(scales) if Qs is None else Qs
+            Qs = [s * (process_noise(Q, None, n) + np.zeros((n, n))) for s, Q in zip(scales, nominal, strict=False)]
         smoothed: tuple[Array, Array, Array, Array] = super().rts_smoother(Xs, Ps, Fs, Qs, inv)
         return smoothed
 
@@ -634,19 +665,11 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         float
             0 if z is missing altogether.
         """
-        x, _ = state_of(self)
-        H, _, values, _ = self._measurement(z, None, None, None, len(x))
+        x, P = state_of(self)
+        H, R, values, _ = self._measurement(z, None, None, None, len(x))
         if values is None:
             return 0.0
+        if self.noise is not None:
+            return float(self._corrected(x, P, values, H, R, None, self._known(len(H)))[0].log_density)
         y = np.atleast_1d(values) - H.dot(x).ravel()
         return self._log_density(y, self.S)
-
-
-def _not_finite(H: Array, predicted: Array) -> ValueError:
-    """Return what to raise for a predicted measurement that is NaN or infinite."""
-    if not np.isfinite(H).all():
-        return ValueError("H: expected finite numbers, got NaN or infinity")
-    return ValueError(f"x: expected finite numbers, got H x = {predicted}")
-
-
-_METHODS = ("predict", "update", "_predicted", "_transition", "_update", "_measurement", "_corrected")

@@ -15,6 +15,7 @@ from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy._filterpy import CubatureKalmanFilter, UnscentedKalmanFilter
 from robust_filterpy.correction.options import Grouping, Information, Scaling
+from robust_filterpy.correction.policies import Contaminated, Learnt
 from robust_filterpy.filters._mixin import unchanged_if_refused
 from robust_filterpy.filters._nonlinear_mixin import (
     NonlinearFilterMixin,
@@ -42,9 +43,10 @@ class _SigmaPoint(NonlinearFilterMixin):
             self._skip()
             return
         add = getattr(self, "state_add", np.add)
-        last = self._corrected_by_moments(x.ravel(), P, y, C, S, R, add)
+        last, kept = self._corrected(P, y, C, S, R, None, residual, np.shape(zp))
+        last = last._replace(x=np.asarray(add(x.ravel(), last.x), dtype=float))
         require_finite(x=last.x)
-        self._keep(last, values)
+        self._keep(last, kept, values)
         self.sigmas_h = sigmas_h
 
 
@@ -76,12 +78,16 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
         ``state_add(x, dx)`` moves a state (angles); with filterpy 1.4.5 too.
     influence : Influence, default Huber(1.345)
         psi, as in `RobustKalmanFilter`.
-    scaling : {"learnt", "innovation", "unit", "bounded"}
+    scaling : {"learnt", "innovation", "unit", "bounded"}, optional
         T, as in `RobustKalmanFilter`.
     information : {"realized", "expected", "weight"}
         D, as in `RobustKalmanFilter`.
     grouping : {"component", "joint"} or tuple of tuple of int
         psi of each component of e, or of the length of e.
+    noise, patience : optional
+        As in `RobustKalmanFilter`; Q has to be told.
+    process : None
+        What a linear filter takes; refused here.
 
     Attributes
     ----------
@@ -96,6 +102,11 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
     Notes
     -----
     NaN in z is a missing component; residual_z never sees it.
+
+    Under ``noise=`` the part of S that no line explains (the measurement is curved) counts as uncertainty of the state
+    and not as noise, of which R knows nothing. Under ``patience=`` P is widened along C (S - R)^-1 y. The sigma points
+    of a widened P lie several times as far out as the jump: where the measurement is an angle that turns right round
+    over such a distance, choose points that lie closer (a small alpha).
 
     `predict` is that of the installed filterpy: 2.0.0 draws new sigma points from the predicted covariance for the
     correction, 1.4.5 uses the propagated ones, without Q.
@@ -133,18 +144,22 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
         state_add: Any = None,
         *,
         influence: Influence = Huber(),
-        scaling: Scaling = "learnt",
+        scaling: Scaling | None = None,
         information: Information = "realized",
         grouping: Grouping = "component",
+        noise: Contaminated | Learnt | str | None = None,
+        process: None = None,
+        patience: int | None = None,
     ) -> None:
         """Set up filterpy's attributes and the choices."""
         for name, value in (("dim_x", dim_x), ("dim_z", dim_z)):
             _checks.count(name, value, 1)
-        self._set_choices(influence, scaling, information, grouping)
+        self._set_policy(dim_z, influence, scaling, information, grouping, noise, process, patience)
         # Robust's attributes ask for dim_z before filterpy's constructor has run.
         self._dim_x, self._dim_z = dim_x, dim_z
         super().__init__(dim_x, dim_z, dt, hx, fx, points, sqrt_fn, x_mean_fn, z_mean_fn, residual_x, residual_z)
         self.state_add = np.add if state_add is None else state_add
+        self._start()
 
     @property
     def dim_x(self) -> int:  # type: ignore[override]
@@ -286,12 +301,16 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
         As in filterpy.
     influence : Influence, default Huber(1.345)
         psi, as in `RobustKalmanFilter`.
-    scaling : {"learnt", "innovation", "unit", "bounded"}
+    scaling : {"learnt", "innovation", "unit", "bounded"}, optional
         T, as in `RobustKalmanFilter`.
     information : {"realized", "expected", "weight"}
         D, as in `RobustKalmanFilter`.
     grouping : {"component", "joint"} or tuple of tuple of int
         psi of each component of e, or of the length of e.
+    noise, patience : optional
+        As in `RobustKalmanFilter`; Q has to be told.
+    process : None
+        What a linear filter takes; refused here.
 
     Raises
     ------
@@ -316,18 +335,22 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
         residual_z: Any = None,
         *,
         influence: Influence = Huber(),
-        scaling: Scaling = "learnt",
+        scaling: Scaling | None = None,
         information: Information = "realized",
         grouping: Grouping = "component",
+        noise: Contaminated | Learnt | str | None = None,
+        process: None = None,
+        patience: int | None = None,
     ) -> None:
         """Set up filterpy's attributes and the choices."""
         for name, value in (("dim_x", dim_x), ("dim_z", dim_z)):
             _checks.count(name, value, 1)
-        self._set_choices(influence, scaling, information, grouping)
+        self._set_policy(dim_z, influence, scaling, information, grouping, noise, process, patience)
         super().__init__(dim_x, dim_z, dt, hx, fx, x_mean_fn, z_mean_fn, residual_x, residual_z)
         self.inv = np.linalg.inv
         # filterpy starts with y = 0 and K = 0, scalars that change their shape at the first update.
         self.y, self.K = np.zeros(dim_z), np.zeros((dim_x, dim_z))
+        self._start()
 
     def predict(self, dt: float | None = None, fx_args: Any = ()) -> None:
         """Predict the next state, as filterpy does.

@@ -16,7 +16,6 @@ from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy._state import Shape
-from robust_filterpy.filters._sensors import Customs
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.kernel import series as kernel
 from robust_filterpy.kernel.records import Model, Output
@@ -91,13 +90,13 @@ class Moving(NamedTuple):
         """Let a filter stand where a key stands."""
         kf.x, kf.P = self.x[s].reshape(np.shape(kf.x)).copy(), self.P[s].copy()
         if self.memory is not None:
-            kf._keep_sensors(Customs(self.memory[s].copy(), {}))
+            kf._learn(self.memory[s].copy(), kf.dim_z)
 
     def take(self, s: int, kf: Any) -> None:
         """Let a key stand where a filter stands."""
         self.x[s], self.P[s] = np.ravel(kf.x), kf.P
         if self.memory is not None:
-            self.memory[s] = kf._known_sensors().of(kf.dim_z)
+            self.memory[s] = kf._known(kf.dim_z).memory
 
 
 def require_consistent(kf: Any, update: Mapping[str, Any]) -> None:

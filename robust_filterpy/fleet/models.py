@@ -368,7 +368,7 @@ class TrackerModel(Model):
         """Check the arguments by making a tracker."""
         super().__post_init__()
         object.__setattr__(self, "options", MappingProxyType(dict(self.options)))
-        if not isinstance(self.options.get("filter", type), type):
+        if hasattr(self.options.get("filter", type), "update") and not isinstance(self.options["filter"], type):
             raise TypeError("options: expected the class of a filter, got an object, which trackers would share")
         self.template()
 

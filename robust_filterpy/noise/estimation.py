@@ -12,7 +12,7 @@ from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise
 from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import without_fill_values
-from robust_filterpy.correction.mixture import ContaminatedScore
+from robust_filterpy.correction.policies import Contaminated
 from robust_filterpy.noise._likelihood import log_likelihoods, of_filter, of_tracker, scaled
 
 __all__ = ["NoiseEstimate", "estimate_noise"]
@@ -73,7 +73,7 @@ class NoiseEstimate:
         Parameters
         ----------
         filter : KalmanFilter or ParameterTracker
-            Any filter with attributes R and Q of these shapes. A `NoiseMatchedKalmanFilter` also takes the
+            Any filter with attributes R and Q of these shapes. One with ``noise=Contaminated(..)`` also takes the
             contamination and the scale ratio; the others have no place for them.
 
         Returns
@@ -83,8 +83,8 @@ class NoiseEstimate:
         """
         inner = getattr(filter, "filter", filter)
         inner.R, inner.Q = self.R.copy(), self.Q.copy()
-        if isinstance(getattr(inner, "measurement", None), ContaminatedScore):
-            inner.measurement = ContaminatedScore(self.contamination, self.scale_ratio)
+        if isinstance(getattr(inner, "noise", None), Contaminated):
+            inner.noise = Contaminated(self.contamination, self.scale_ratio)
         return filter
 
 

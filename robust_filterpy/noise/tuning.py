@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,12 +10,9 @@ import numpy as np
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Grouping
-from robust_filterpy.filters import (
-    AdaptiveKalmanFilter,
-    NoiseMatchedKalmanFilter,
-    RecoveringKalmanFilter,
-    TwoSidedKalmanFilter,
-)
+from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
+from robust_filterpy.filters.kalman import RobustKalmanFilter
+from robust_filterpy.influence.functions import TukeyBiweight
 from robust_filterpy.noise.estimation import Groups, NoiseEstimate, estimate_noise
 
 __all__ = ["Tuned", "tune"]
@@ -29,6 +25,13 @@ _FAR = 100.0
 _GAIN = 0.003
 # Below this score a kind has shown what it is for.
 _CLEARLY = 0.99
+#: What makes each kind of filter, the simplest first; told noise is what was fitted.
+_KINDS: dict[str, dict[str, Any]] = {
+    "one-sided": {"noise": Contaminated()},
+    "adaptive": {"noise": Learnt(), "process": Scales()},
+    "two-sided": {"noise": Contaminated(), "process": Scales((1.0, 10.0, 100.0), jump=0.0)},
+    "recovering": {"influence": TukeyBiweight(), "patience": 12},
+}
 _REASONS = {
     "one-sided": "measurement outliers come one by one and the process is ordinary",
     "adaptive": "the noises change, or outliers come in runs, or the process is not ordinary all the time",
@@ -114,11 +117,13 @@ def tune(
 
     Notes
     -----
-    The kinds: "one-sided" is `NoiseMatchedKalmanFilter` with the fitted numbers; "adaptive" `AdaptiveKalmanFilter`,
-    which starts with what it has learnt from this recording; "two-sided" `TwoSidedKalmanFilter`; "recovering"
-    `RecoveringKalmanFilter`. Two kinds that score within a percent are equally good, and chance chooses. A run of
-    outliers that is longer than a filter resists draws its predictions too, which the innovations do not tell from a
-    state that moved: where such runs are known to happen, look at the report before you use the filter.
+    The kinds, all of them `RobustKalmanFilter`: "one-sided" with ``noise=Contaminated(..)``, the fitted numbers;
+    "adaptive" with ``noise=Learnt()`` and ``process=Scales()``, which starts with what it has learnt from this
+    recording; "two-sided" as one-sided, with ``process=Scales((1, 10, 100), jump=0)``; "recovering" with
+    ``influence=TukeyBiweight()`` and ``patience=12``. Two kinds that score within a percent are equally good, and
+    chance chooses. A run of outliers that is longer than a filter resists draws its predictions too, which the
+    innovations do not tell from a state that moved: where such runs are known to happen, look at the report before you
+    use the filter.
 
     On recordings with `Qs` or `Rs` the filter that is returned has its own Q and R scaled; scale the matrices of each
     step by ``noise.Q_scale`` and ``noise.R_scale`` when it runs.
@@ -146,31 +151,19 @@ def tune(
         "Qs": None if Qs is None else [_by_factors(Q_k, noise.Q_scale) for Q_k in Qs],
         "Rs": None if Rs is None else [_by_factors(R_k, noise.R_scale) for R_k in Rs],
     }  # fmt: skip
-    kinds = _kinds(grouping)
-    tried = {name: _with_model(build, kf, noise) for name, build in kinds.items()}
+    tried = {kind: _with_model(options, grouping, kf, noise) for kind, options in _KINDS.items()}
     runs = {name: _innovations(filter, zs, steps) for name, filter in tried.items()}
     scores = {name: _score(y, runs["one-sided"]) for name, y in runs.items()}
     kind = min(scores, key=lambda name: scores[name] + _GAIN * (name != "one-sided"))
-    chosen = _with_model(kinds[kind], kf, noise)
+    chosen = _with_model(_KINDS[kind], grouping, kf, noise)
     if kind == "adaptive":
         chosen.learnt = tried[kind].learnt.copy()
     return Tuned(chosen, kind, noise, scores, _report(kind, noise, scores, tried["adaptive"]))
 
 
-def _kinds(grouping: Any) -> dict[str, Callable[[int, int, int], Any]]:
-    """Return what builds each kind of filter, the simplest first."""
-    # Every combination of failing sensors is a hypothesis there; more than eight have to fail together.
-    return {
-        "one-sided": lambda n, m, l: NoiseMatchedKalmanFilter(n, m, l, grouping=grouping if m <= 8 else "joint"),
-        "adaptive": lambda n, m, l: AdaptiveKalmanFilter(n, m, l, grouping=grouping),
-        "two-sided": lambda n, m, l: TwoSidedKalmanFilter(n, m, l, grouping=grouping),
-        "recovering": lambda n, m, l: RecoveringKalmanFilter(n, m, l, grouping=grouping),
-    }
-
-
-def _with_model(build: Callable[[int, int, int], Any], kf: Any, noise: NoiseEstimate) -> Any:
+def _with_model(options: dict[str, Any], grouping: Any, kf: Any, noise: NoiseEstimate) -> Any:
     """Return a filter with the model of another and the noise that was fitted."""
-    filter = build(kf.dim_x, kf.dim_z, getattr(kf, "dim_u", 0))
+    filter: Any = RobustKalmanFilter(kf.dim_x, kf.dim_z, getattr(kf, "dim_u", 0), grouping=grouping, **options)
     for name in ("x", "P", "F", "H", "B", "M"):
         value = getattr(kf, name, None)
         if value is not None and not (name == "M" and np.shape(value) != (kf.dim_x, kf.dim_z)):
@@ -209,7 +202,7 @@ def _by_factors(covariance: Any, factors: Array) -> Array:
     return np.asarray(root[:, None] * (np.asarray(covariance, dtype=float) * np.ones((len(root),) * 2)) * root)
 
 
-def _report(kind: str, noise: NoiseEstimate, scores: dict[str, float], adaptive: AdaptiveKalmanFilter) -> str:
+def _report(kind: str, noise: NoiseEstimate, scores: dict[str, float], adaptive: Any) -> str:
     """Return the choice in words."""
     factor = ", ".join(f"{v:.3g}" for v in noise.R_scale)
     lines = [
@@ -221,7 +214,7 @@ def _report(kind: str, noise: NoiseEstimate, scores: dict[str, float], adaptive:
         f"{kind}: {_REASONS[kind]}." if kind == "one-sided" or scores[kind] < _CLEARLY
         else f"{kind}: {100 * (1 - scores[kind]):.1f} % better than one-sided, which would do as well.",
     ]  # fmt: skip
-    run = float(adaptive.noise.run_length.max())
+    run = float(adaptive.noise_learnt.run_length.max())
     if noise.contamination > _LEAST_CONTAMINATION and run > 3.0:
         lines.insert(2, f"Outliers come in runs of about {run:.0f}.")
     if not noise.converged:

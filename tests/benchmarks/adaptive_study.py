@@ -23,8 +23,7 @@ from peers import adaptive as adaptive_peers
 from peers import iskf, student_t, wolf
 from peers.recursion import filtered
 
-from robust_filterpy import NoiseMatchedKalmanFilter, RobustKalmanFilter, TwoSidedKalmanFilter
-from robust_filterpy.correction.mixture import ContaminatedScore
+from robust_filterpy import Contaminated, RobustKalmanFilter, Scales
 from robust_filterpy.experiments import bootstrap_interval
 from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter
 
@@ -59,13 +58,15 @@ def of_filter(build: Callable[[int, int], Any], q_scale: float = 1.0) -> Estimat
 
 def ours() -> dict[str, Estimator]:
     """Return the filters of this package, and filterpy's."""
-    told = ContaminatedScore(0.1, 10.0)
+    told = Contaminated(0.1, 10.0)
     return {
         KALMAN: of_filter(KalmanFilter),
         "Huber": of_filter(partial(RobustKalmanFilter, grouping="joint")),
-        "told mixture .1, 10": of_filter(partial(NoiseMatchedKalmanFilter, measurement=told)),
-        "two-sided": of_filter(partial(TwoSidedKalmanFilter, grouping="joint")),
-        "adaptive, process trusted": of_filter(partial(AdaptiveKalmanFilter, process_scales=(1.0,), grouping="joint")),
+        "told mixture .1, 10": of_filter(partial(RobustKalmanFilter, noise=told, grouping="joint")),
+        "two-sided": of_filter(
+            partial(RobustKalmanFilter, noise=told, process=Scales((1, 10, 100), jump=0), grouping="joint")
+        ),
+        "adaptive, process trusted": of_filter(partial(AdaptiveKalmanFilter, process=Scales((1.0,)), grouping="joint")),
         ADAPTIVE: of_filter(partial(AdaptiveKalmanFilter, grouping="joint")),
     }
 

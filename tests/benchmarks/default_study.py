@@ -19,10 +19,15 @@ from filterpy.kalman import IMMEstimator, KalmanFilter
 from joblib import Parallel, delayed
 from outlier_problems import gate
 
-from robust_filterpy import Huber, NoiseMatchedKalmanFilter, RobustKalmanFilter, StudentT, TukeyBiweight
-from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter
-from robust_filterpy.filters.multiple_model import TwoSidedKalmanFilter
-from robust_filterpy.filters.recovering import RecoveringKalmanFilter
+from robust_filterpy import (
+    AdaptiveKalmanFilter,
+    Contaminated,
+    Huber,
+    RobustKalmanFilter,
+    Scales,
+    StudentT,
+    TukeyBiweight,
+)
 
 STEPS = 800
 FILTERS: dict[str, Callable[[int, int], Any]] = {
@@ -34,9 +39,9 @@ FILTERS: dict[str, Callable[[int, int], Any]] = {
     "Tukey, joint": partial(RobustKalmanFilter, influence=TukeyBiweight(), grouping="joint"),
     "Student t": partial(RobustKalmanFilter, influence=StudentT()),
     "Student t, joint": partial(RobustKalmanFilter, influence=StudentT(), grouping="joint"),
-    "noise-matched": NoiseMatchedKalmanFilter,
-    "recovering": RecoveringKalmanFilter,
-    "two-sided": TwoSidedKalmanFilter,
+    "told (.1, 10)": partial(RobustKalmanFilter, noise=Contaminated()),
+    "recovering": partial(RobustKalmanFilter, influence=TukeyBiweight(), patience=12),
+    "two-sided": partial(RobustKalmanFilter, noise=Contaminated(), process=Scales((1, 10, 100), jump=0)),
     "adaptive": AdaptiveKalmanFilter,
     "adaptive, joint": partial(AdaptiveKalmanFilter, grouping="joint"),
 }

@@ -17,7 +17,15 @@ from functools import partial
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from robust_filterpy import AdaptiveKalmanFilter, Linear, RobustKalmanFilter, adaptive_series, filter_series, kernel
+from robust_filterpy import (
+    AdaptiveKalmanFilter,
+    Linear,
+    RobustKalmanFilter,
+    Scales,
+    adaptive_series,
+    filter_series,
+    kernel,
+)
 
 SIZES = ((2, 1), (4, 1), (8, 1), (4, 2), (7, 4), (20, 5))
 #: Greatest ratio of the robust filter, by the kernel and by the definition.
@@ -75,7 +83,7 @@ def measured(dim_x, dim_z):
 
 def learning():
     """Print how long a step of the filter that learns the noise takes, of the robust filter's time."""
-    variants = {"3 process scales": {}, "1": {"process_scales": (1.0,)}}
+    variants = {"3 process scales": {}, "1": {"process": Scales((1.0,))}}
     ways = ("predict + update", "batch_filter", "series")
     print("a step that learns the noise, of a robust one: " + ", ".join(ways))
     for n, m in ((2, 1), (4, 1), (4, 2)):

@@ -21,13 +21,11 @@ from filterpy.kalman import KalmanFilter, MerweScaledSigmaPoints
 from robust_filterpy import (
     ARX,
     AdaptiveKalmanFilter,
-    NoiseMatchedKalmanFilter,
+    Contaminated,
     OutputError,
     ParameterTracker,
-    RecoveringKalmanFilter,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
-    TwoSidedKalmanFilter,
     filter_series,
 )
 from robust_filterpy.fleet import FilterModel, TrackerModel, filter_table, pack, step, step_table, unpack
@@ -80,9 +78,8 @@ def sizes():
     for n, m in ((2, 1), (4, 2), (6, 3)):
         filters = {
             f"RobustKalmanFilter({n}, {m})": RobustKalmanFilter(n, m),
-            f"RecoveringKalmanFilter({n}, {m})": RecoveringKalmanFilter(n, m),
-            f"NoiseMatchedKalmanFilter({n}, {m})": NoiseMatchedKalmanFilter(n, m),
-            f"TwoSidedKalmanFilter({n}, {m})": TwoSidedKalmanFilter(n, m),
+            f"RobustKalmanFilter({n}, {m}, patience=12)": RobustKalmanFilter(n, m, patience=12),
+            f"RobustKalmanFilter({n}, {m}, noise=Contaminated())": RobustKalmanFilter(n, m, noise=Contaminated()),
             f"AdaptiveKalmanFilter({n}, {m})": AdaptiveKalmanFilter(n, m),
         }
         if (n, m) == (2, 1):

@@ -26,15 +26,12 @@ from outlier_problems import (
     vehicle,
 )
 
-from robust_filterpy import Hampel, Huber, RobustKalmanFilter, StudentT, TukeyBiweight
-from robust_filterpy.correction.mixture import ContaminatedScore
+from robust_filterpy import Contaminated, Hampel, Huber, RobustKalmanFilter, Scales, StudentT, TukeyBiweight
 from robust_filterpy.experiments import bootstrap_interval, monte_carlo
-from robust_filterpy.filters.gaussian_sum import NoiseMatchedKalmanFilter
-from robust_filterpy.filters.multiple_model import TwoSidedKalmanFilter
-from robust_filterpy.filters.recovering import RecoveringKalmanFilter
 from robust_filterpy.identification import ParameterTracker
 
 LABELS = "Kalman, told the labels"
+TWO_SIDED = {"noise": Contaminated(), "process": Scales((1, 10, 100), jump=0)}
 
 
 def one_sided(dim_x: int, dim_z: int) -> dict[str, Callable[[], Any]]:
@@ -52,11 +49,11 @@ def one_sided(dim_x: int, dim_z: int) -> dict[str, Callable[[], Any]]:
 def score_trial(rng: np.random.Generator, contamination: float, steps: int = 900) -> dict[str, float]:
     """Return each filter's mean square error of the observed state."""
     data = paper(rng, contamination, steps)
-    noise = ContaminatedScore(contamination, 10.0)
+    noise = Contaminated(contamination, 10.0)
     filters = {
         **one_sided(4, 1),
-        "noise-matched": lambda: NoiseMatchedKalmanFilter(4, 1, measurement=noise),
-        "two-sided": lambda: TwoSidedKalmanFilter(4, 1),
+        "noise-matched": lambda: RobustKalmanFilter(4, 1, noise=noise, grouping="joint"),
+        "two-sided": lambda: RobustKalmanFilter(4, 1, **TWO_SIDED),
     }
     found = {name: float(np.mean(errors(build(), data)[:, 0] ** 2)) for name, build in filters.items()}
     return {**found, LABELS: float(np.mean(errors_with_labels(data)[:, 0] ** 2))}
@@ -65,11 +62,11 @@ def score_trial(rng: np.random.Generator, contamination: float, steps: int = 900
 def vehicle_trial(rng: np.random.Generator, process: float, measurement: float, steps: int = 1000) -> dict[str, float]:
     """Return each filter's root mean square error of the whole state."""
     data = vehicle(rng, process, measurement, steps)
-    noise = {"measurement": ContaminatedScore(measurement, 10.0), "process": ContaminatedScore(process, 10.0)}
+    noise = {"noise": Contaminated(measurement, 10.0), "process": Contaminated(process, 10.0)}
     filters = {
         **one_sided(4, 2),
-        "(a) noise-matched": lambda: NoiseMatchedKalmanFilter(4, 2, **noise),
-        "(b) two-sided": lambda: TwoSidedKalmanFilter(4, 2, grouping="joint"),
+        "(a) noise-matched": lambda: RobustKalmanFilter(4, 2, grouping="joint", **noise),
+        "(b) two-sided": lambda: RobustKalmanFilter(4, 2, grouping="joint", **TWO_SIDED),
     }
     found = {name: _rms(errors(build(), data)) for name, build in filters.items()}
     return {**found, LABELS: _rms(errors_with_labels(data))}
@@ -127,8 +124,8 @@ def locking_filters() -> dict[str, Callable[[], Any]]:
     for name in ("gate", "Hampel", "Tukey"):
         for information in INFORMATIONS:
             choice = {"influence": kinds[name], "information": information}
-            filters[f"{name}, {information}, recovering"] = partial(RecoveringKalmanFilter, 1, 1, **choice)
-    return {**filters, "two-sided": lambda: TwoSidedKalmanFilter(1, 1)}
+            filters[f"{name}, {information}, recovering"] = partial(RobustKalmanFilter, 1, 1, patience=12, **choice)
+    return {**filters, "two-sided": lambda: RobustKalmanFilter(1, 1, **TWO_SIDED)}
 
 
 def recovery_trial(rng: np.random.Generator) -> dict[str, list[list[float]]]:
@@ -178,14 +175,18 @@ def parameters_trial(rng: np.random.Generator, kind: str, contamination: float, 
     # A random walk of the same variance; and for those that know of jumps, what makes the widest scale, 100, a jump.
     walk, still = JUMP_RATE * JUMP_SIZE**2, (JUMP_SIZE / 100.0) ** 2
     mixture = 0.25 * (1.0 + 99.0 * contamination)
-    noise = {"measurement": ContaminatedScore(contamination, 10.0), "process": ContaminatedScore(JUMP_RATE, 100.0)}
+    noise = {"noise": Contaminated(contamination, 10.0), "process": Contaminated(JUMP_RATE, 100.0)}
     trackers: dict[str, dict[str, Any]] = {
         "Kalman (filterpy), random walk": {"filter": KalmanFilter(4, 1), "Q": walk, "R": mixture},
         "Huber 1.345, random walk": {"Q": walk, "R": 0.25},
         "Student t, 4, random walk": {"influence": StudentT(), "Q": walk, "R": 0.25},
-        "(a) noise-matched": {"filter": NoiseMatchedKalmanFilter(4, 1, **noise), "Q": still, "R": 0.25},
-        "(b) two-sided": {"filter": TwoSidedKalmanFilter(4, 1), "Q": still, "R": 0.25},
-        "Tukey 4.685, recovering": {"filter": RecoveringKalmanFilter(4, 1), "Q": still, "R": 0.25},
+        "(a) noise-matched": {"filter": RobustKalmanFilter(4, 1, **noise), "Q": still, "R": 0.25},
+        "(b) two-sided": {"filter": RobustKalmanFilter(4, 1, **TWO_SIDED), "Q": still, "R": 0.25},
+        "Tukey 4.685, recovering": {
+            "filter": RobustKalmanFilter(4, 1, influence=TukeyBiweight(), patience=12),
+            "Q": still,
+            "R": 0.25,
+        },
     }
     return {
         name: float(np.linalg.norm(_tracked(data, **choices) - data.theta, axis=1)[200:].mean())

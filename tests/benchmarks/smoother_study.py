@@ -20,18 +20,17 @@ from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter, MerweScaledSigma
 from outlier_problems import Recording, prepared, vehicle
 
 from robust_filterpy import (
+    Contaminated,
     Huber,
     Linear,
-    NoiseMatchedKalmanFilter,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
+    Scales,
     StudentT,
     TukeyBiweight,
-    TwoSidedKalmanFilter,
     smooth,
     smooth_series,
 )
-from robust_filterpy.correction.mixture import ContaminatedScore
 from robust_filterpy.experiments import bootstrap_interval, monte_carlo
 from robust_filterpy.smoothing import FixedLagSmoother
 
@@ -97,13 +96,17 @@ def cart_trial(rng: np.random.Generator, contamination: float, scale: float) -> 
 def vehicle_trial(rng: np.random.Generator, process: float, measurement: float) -> dict[str, float]:
     """Return each smoother's root mean square error of the state."""
     data = vehicle(rng, process, measurement, 1000)
-    noise = {"measurement": ContaminatedScore(measurement, 10.0), "process": ContaminatedScore(process, 10.0)}
+    noise = {"noise": Contaminated(measurement, 10.0), "process": Contaminated(process, 10.0)}
     kf = exactly(RobustKalmanFilter(4, 2, grouping="joint"), data)
     states = {
         "Kalman + RTS": passed_and_smoothed(KalmanFilter(4, 2), data),
         "Huber filter + RTS": passed_and_smoothed(RobustKalmanFilter(4, 2, grouping="joint"), data),
-        "noise-matched filter (told) + RTS": passed_and_smoothed(NoiseMatchedKalmanFilter(4, 2, **noise), data),
-        "two-sided filter + RTS": passed_and_smoothed(TwoSidedKalmanFilter(4, 2, grouping="joint"), data),
+        "noise-matched filter (told) + RTS": passed_and_smoothed(
+            RobustKalmanFilter(4, 2, grouping="joint", **noise), data
+        ),
+        "two-sided filter + RTS": passed_and_smoothed(
+            RobustKalmanFilter(4, 2, noise=Contaminated(), process=Scales((1, 10, 100), jump=0), grouping="joint"), data
+        ),
         "smooth, Student t(4), both noises": smooth(kf, data.zs, influence=StudentT(), process=StudentT()).x,
         "smooth, learnt (default)": smooth(kf, data.zs).x,
         "smooth, learnt, both noises": smooth(kf, data.zs, process=None).x,

@@ -22,8 +22,7 @@ from filterpy.kalman import KalmanFilter
 from joblib import Parallel, delayed
 from outlier_problems import gate
 
-from robust_filterpy import NoiseMatchedKalmanFilter, RobustKalmanFilter
-from robust_filterpy.correction.mixture import ContaminatedScore
+from robust_filterpy import Contaminated, RobustKalmanFilter
 from robust_filterpy.experiments import bootstrap_interval
 from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter
 from robust_filterpy.noise import tune
@@ -70,13 +69,13 @@ def trial(seed: int, name: str) -> tuple[str, dict[str, float]]:
     draw, contamination = PROBLEMS[name]
     practice, case = draw(500_000 + seed), draw(seed)
     kind, ours = by_tune(practice)
-    noise = ContaminatedScore(max(contamination, 0.002), 10.0)
+    noise = Contaminated(max(contamination, 0.002), 10.0)
     filters: dict[str, Any] = {
         LABELS: with_labels,
         TUNED: ours,
         "Kalman": of_filter(KalmanFilter),
         "Huber": of_filter(partial(RobustKalmanFilter, grouping="joint")),
-        "noise-matched, told": of_filter(partial(NoiseMatchedKalmanFilter, measurement=noise)),
+        "noise-matched, told": of_filter(partial(RobustKalmanFilter, noise=noise, grouping="joint")),
         "adaptive, told nothing": of_filter(partial(AdaptiveKalmanFilter, grouping="joint")),
         "gate, 99.73 %": of_filter(gate),
     }

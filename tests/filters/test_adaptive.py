@@ -2,6 +2,7 @@
 
 import copy
 import itertools
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,15 +11,13 @@ from filterpy.kalman import KalmanFilter
 from scipy.integrate import quad
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
-from support import cart, load, make, random_problem, simulate, with_, without_kernel
+from support import TOLD, cart, load, make, random_problem, simulate, with_, without_kernel
 
-from robust_filterpy import ARX, NoiseMatchedKalmanFilter, ParameterTracker
-from robust_filterpy.correction.mixture import ContaminatedScore
-from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter
+from robust_filterpy import ARX, AdaptiveKalmanFilter, Learnt, ParameterTracker, RobustKalmanFilter, Scales
 
 # How probable the classes are before anything has been seen.
 SHARES = np.array([0.85, 0.05, 0.05, 0.05])
-ORDINARY = {"process_scales": (1.0,)}
+ORDINARY = {"process": Scales((1.0,))}
 
 
 def advance(kf, zs):
@@ -51,7 +50,7 @@ def test_with_one_class_and_a_trusted_process_it_is_the_kalman_filter_with_r_lea
     problem = random_problem(1, 4, 2)
     if grouping == "component":
         problem = with_(problem, R=np.diag(problem.R.diagonal()))
-    ours = make(AdaptiveKalmanFilter, problem, ndim, measurement_scales=[1.0], grouping=grouping, **ORDINARY)
+    ours = make(AdaptiveKalmanFilter, problem, ndim, noise=Learnt([1.0]), grouping=grouping, **ORDINARY)
     theirs = make(KalmanFilter, problem, ndim)
     for z in simulate(problem, 100, 1)[0]:
         ours.predict(), theirs.predict()
@@ -67,7 +66,7 @@ def test_with_one_class_and_a_trusted_process_it_is_the_kalman_filter_with_r_lea
 def test_one_step_is_the_exact_posterior_over_all_scales(grouping, dim_z):
     problem = random_problem(3, 4, dim_z)
     scales, dwell = (1.0, 10.0, 100.0), 50.0
-    kf = make(AdaptiveKalmanFilter, problem, 1, grouping=grouping, process_scales=scales, dwell=dwell)
+    kf = make(AdaptiveKalmanFilter, problem, 1, grouping=grouping, process=Scales(scales, dwell))
     z = simulate(problem, 1, 3)[0][0] + 6.0
     prior = np.array([1.0, 1 / dwell, 1 / dwell])
     prior /= prior.sum()
@@ -129,7 +128,7 @@ def test_r_comes_back_from_far_off(share, factor):
         kf = make(AdaptiveKalmanFilter, problem, 1)
         kf.batch_filter(zs)
         found.append(kf.R_learnt[0, 0])
-        assert kf.noise.r[0] == pytest.approx(found[-1] / factor)
+        assert kf.noise_learnt.r[0] == pytest.approx(found[-1] / factor)
     # The memory is 30 ordinary samples: 26 % for each, 13 % for the mean of four.
     assert np.mean(found) == pytest.approx(1.0, abs=0.5)
 
@@ -149,7 +148,7 @@ def test_contamination_and_ratio_are_found_with_their_uncertainty():
         problem, _, zs, _ = moving(seed, 1000, contaminated(seed, 1000, 0.1))
         kf = make(AdaptiveKalmanFilter, problem, 1)
         kf.batch_filter(zs)
-        noises.append(kf.noise)
+        noises.append(kf.noise_learnt)
     share, std = (np.array([getattr(n, name)[0] for n in noises]) for name in ("contamination", "contamination_std"))
     assert share.mean() == pytest.approx(0.1, abs=0.04)
     assert (np.abs(share - 0.1) < 3.0 * std).all() and (std < 0.06).all()
@@ -166,7 +165,7 @@ def test_each_sensor_has_a_noise_of_its_own():
     kf.H, kf.Q = np.ones((2, 1)), 0.09 * np.eye(1)
     kf.batch_filter(level[:, None] + v)
     assert kf.R_learnt.diagonal() == pytest.approx([1.0, 9.0], rel=0.5)
-    assert kf.noise.contamination[0] < 0.06 < 0.1 < kf.noise.contamination[1] < 0.3
+    assert kf.noise_learnt.contamination[0] < 0.06 < 0.1 < kf.noise_learnt.contamination[1] < 0.3
 
 
 def test_bursts_are_learnt_and_cost_less_than_to_a_filter_told_the_share():
@@ -178,9 +177,9 @@ def test_bursts_are_learnt_and_cost_less_than_to_a_filter_told_the_share():
             bad[first : first + 5] = True
         problem, truth, zs, _ = moving(seed, 1500, np.where(bad, 10.0, 1.0))
         adaptive = make(AdaptiveKalmanFilter, problem, 1, **ORDINARY)
-        told = make(NoiseMatchedKalmanFilter, problem, 1, measurement=ContaminatedScore(0.1, 10.0))
+        told = make(RobustKalmanFilter, problem, 1, **TOLD)
         errors.append([((kf.batch_filter(zs)[0] - truth)[300:, 0] ** 2).mean() for kf in (adaptive, told)])
-        lengths.append(adaptive.noise.run_length[0])
+        lengths.append(adaptive.noise_learnt.run_length[0])
     ours, theirs = np.mean(errors, axis=0)
     assert ours < 0.8 * theirs
     assert 2.5 < np.mean(lengths) < 8.0
@@ -193,7 +192,7 @@ def test_a_noise_that_grows_is_followed():
     assert kf.R_learnt[0, 0] == pytest.approx(1.0, rel=0.6)
     kf.batch_filter(zs[450:])
     assert kf.R_learnt[0, 0] == pytest.approx(9.0, rel=0.6)
-    assert kf.noise.contamination[0] < 0.2
+    assert kf.noise_learnt.contamination[0] < 0.2
 
 
 @pytest.mark.parametrize("scale", [1.0, 100.0])
@@ -234,8 +233,8 @@ def test_r_does_not_depend_on_how_wild_an_outlier_is(kind, size, monkeypatch):
     without_kernel(monkeypatch)
     R = np.array([[1.0, 0.5], [0.5, 2.0]]) if kind == "correlated" else np.diag([1.0, 2.0])
     kf = make(
-        AdaptiveKalmanFilter, with_(random_problem(6, 3, 2), R=R), 1, measurement_scales=(1.0, 1.1), jump=0.0,
-        grouping="joint" if kind == "joint" else "component",
+        AdaptiveKalmanFilter, with_(random_problem(6, 3, 2), R=R), 1, noise=Learnt((1.0, 1.1)),
+        process=Scales(jump=0.0), grouping="joint" if kind == "joint" else "component",
     )  # fmt: skip
     twin = copy.deepcopy(kf)
     for one, wild in ((kf, 1e9), (twin, size)):
@@ -350,8 +349,8 @@ def test_what_was_learnt_can_be_handed_on(grouping):
     advance(old, zs[:300])
     new.learnt = old.learnt
     np.testing.assert_array_equal(new.R_learnt, old.R_learnt)
-    for name, value in old.noise._asdict().items():
-        np.testing.assert_array_equal(getattr(new.noise, name), value)
+    for name, value in old.noise_learnt._asdict().items():
+        np.testing.assert_array_equal(getattr(new.noise_learnt, name), value)
     # It is a copy: what the one learns now is not the other's.
     before = old.learnt.copy()
     new.predict()
@@ -427,30 +426,32 @@ def test_another_grouping_starts_to_learn_anew():
     kf.grouping = "component"
     np.testing.assert_array_equal(kf.learnt, learnt)
     kf.grouping = "joint"
-    assert kf.learnt.shape[0] == 1 and kf.noise.r == pytest.approx([1.0])
+    assert kf.learnt.shape[0] == 1 and kf.noise_learnt.r == pytest.approx([1.0])
     advance(kf, simulate(problem, 20, 15)[0])
 
 
-@pytest.mark.parametrize("options, match", [
-    ({"process_scales": []}, "process_scales"),
-    ({"process_scales": [1.0, np.nan]}, "process_scales"),
-    ({"process_scales": [0.0, 1.0]}, "process_scales"),
-    ({"dwell": 1.0}, "dwell"),
-    ({"dwell": "long"}, "dwell"),
-    ({"measurement_scales": []}, "measurement_scales"),
-    ({"measurement_scales": [2.0, 3.0]}, "measurement_scales"),
-    ({"measurement_scales": [1.0, 1.0]}, "measurement_scales"),
-    ({"measurement_scales": [1.0, np.inf]}, "measurement_scales"),
-    ({"measurement_scales": 10.0}, "measurement_scales"),
-    ({"memory": 1.0}, "memory"),
-    ({"memory": np.inf}, "memory"),
-    ({"r_memory": np.nan}, "r_memory"),
-    ({"r_memory": None}, "r_memory"),
-    ({"grouping": "all"}, "grouping"),
+@pytest.mark.parametrize("kind, options, match", [
+    (Scales, {"scales": []}, "process_scales"),
+    (Scales, {"scales": [1.0, np.nan]}, "process_scales"),
+    (Scales, {"scales": [0.0, 1.0]}, "process_scales"),
+    (Scales, {"dwell": 1.0}, "dwell"),
+    (Scales, {"dwell": "long"}, "dwell"),
+    (Scales, {"jump": 1.0}, "jump"),
+    (Scales, {"scales": [1.0, 2.0], "probabilities": [0.5, 0.6]}, "probabilities"),
+    (Learnt, {"scales": []}, "measurement_scales"),
+    (Learnt, {"scales": [2.0, 3.0]}, "measurement_scales"),
+    (Learnt, {"scales": [1.0, 1.0]}, "measurement_scales"),
+    (Learnt, {"scales": [1.0, np.inf]}, "measurement_scales"),
+    (Learnt, {"scales": 10.0}, "measurement_scales"),
+    (Learnt, {"memory": 1.0}, "memory"),
+    (Learnt, {"memory": np.inf}, "memory"),
+    (Learnt, {"r_memory": np.nan}, "r_memory"),
+    (Learnt, {"r_memory": None}, "r_memory"),
+    (partial(AdaptiveKalmanFilter, 2, 1), {"grouping": "all"}, "grouping"),
 ])  # fmt: skip
-def test_bad_options_are_named(options, match):
+def test_bad_options_are_named(kind, options, match):
     with pytest.raises((ValueError, TypeError), match=f"^{match}: expected"):
-        AdaptiveKalmanFilter(2, 1, **options)
+        kind(**options)
 
 
 @pytest.mark.parametrize("name, value", [("influence", 1.0), ("scaling", "unit"), ("information", "weight")])
@@ -478,7 +479,7 @@ def test_in_a_tracker_r_need_not_be_known(R):
     for k in range(2, n):
         y[k] = -theta[:2] @ y[[k - 1, k - 2]] + theta[2:] @ u[[k - 1, k - 2]] + v[k]
     errors = []
-    kinds = [AdaptiveKalmanFilter, AdaptiveKalmanFilter(4, 1), NoiseMatchedKalmanFilter, NoiseMatchedKalmanFilter]
+    kinds = [AdaptiveKalmanFilter, AdaptiveKalmanFilter(4, 1), *(RobustKalmanFilter(4, 1, **TOLD) for _ in range(2))]
     for kind, told in zip(kinds, [R, R, R, 0.01], strict=True):
         tracker = ParameterTracker(ARX(2, 2), filter=kind, P=1.0, Q=1e-6 * np.eye(4), R=told)
         errors.append(np.linalg.norm(tracker.run(y, u).theta[600:] - theta, axis=1).mean())

@@ -6,21 +6,19 @@ import numpy as np
 import pytest
 import support
 from filterpy.kalman import MerweScaledSigmaPoints
+from support import recovering, told, two_sided
 
 from robust_filterpy import (
     AdaptiveKalmanFilter,
-    NoiseMatchedKalmanFilter,
-    RecoveringKalmanFilter,
     RobustCubatureKalmanFilter,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
-    TwoSidedKalmanFilter,
 )
 from robust_filterpy.influence import Huber
 
 LINEAR = [
-    RobustKalmanFilter, RecoveringKalmanFilter, NoiseMatchedKalmanFilter, TwoSidedKalmanFilter, AdaptiveKalmanFilter,
+    RobustKalmanFilter, recovering, told, two_sided, AdaptiveKalmanFilter,
 ]  # fmt: skip
 ERRORS = [KeyboardInterrupt, OSError, ZeroDivisionError, MemoryError, SystemExit, ValueError]
 

@@ -307,7 +307,6 @@ def test_alpha(alpha):
 
 BAD_CHOICES = [
     ("scaling", "inovation"),
-    ("scaling", None),
     ("scaling", 1),
     ("information", "realised"),
     ("information", ["realized"]),

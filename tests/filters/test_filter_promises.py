@@ -6,23 +6,18 @@ import numpy as np
 import pytest
 import support
 from filterpy.kalman import MerweScaledSigmaPoints
+from support import RECOVERING, recovering, told, two_sided
 
 from robust_filterpy import (
     Hampel,
     Huber,
     Linear,
-    NoiseMatchedKalmanFilter,
-    RecoveringCubatureKalmanFilter,
-    RecoveringExtendedKalmanFilter,
-    RecoveringKalmanFilter,
-    RecoveringUnscentedKalmanFilter,
     RobustCubatureKalmanFilter,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
     StudentT,
     TukeyBiweight,
-    TwoSidedKalmanFilter,
 )
 from robust_filterpy.testing import draw, filter_checks, run_filter
 from robust_filterpy.testing.assertions.robustness import assert_efficient, assert_recovers_from_jump
@@ -30,14 +25,14 @@ from robust_filterpy.testing.assertions.robustness import assert_efficient, asse
 pytestmark = pytest.mark.core
 
 
-def of_a_linear_model(cls):
+def of_a_linear_model(cls, **options):
     """Make a sigma-point filter whose functions are its own F and H."""
 
     def make(dim_x, dim_z):
         functions = {"hx": lambda x: kf.H @ x, "fx": lambda x, dt: kf.F @ x}
         if issubclass(cls, RobustUnscentedKalmanFilter):
             functions["points"] = MerweScaledSigmaPoints(dim_x, 1.0, 2.0, 3.0 - dim_x)
-        kf = cls(dim_x=dim_x, dim_z=dim_z, dt=1.0, **functions)
+        kf = cls(dim_x=dim_x, dim_z=dim_z, dt=1.0, **functions, **options)
         kf.F, kf.H = np.eye(dim_x), np.zeros((dim_z, dim_x))
         return kf
 
@@ -66,12 +61,13 @@ FILTERS = {
     "extended by S": (partial(RobustExtendedKalmanFilter, scaling="innovation"), ()),
     "unscented": (of_a_linear_model(RobustUnscentedKalmanFilter), SIGMA),
     "cubature": (of_a_linear_model(RobustCubatureKalmanFilter), SIGMA),
-    "recovering": (RecoveringKalmanFilter, ("likelihood", "memoryless")),
-    "recovering extended": (RecoveringExtendedKalmanFilter, ("likelihood", "memoryless")),
-    "recovering unscented": (of_a_linear_model(RecoveringUnscentedKalmanFilter), ("likelihood", *SIGMA)),
-    "recovering cubature": (of_a_linear_model(RecoveringCubatureKalmanFilter), ("likelihood", *SIGMA)),
-    "noise-matched": (NoiseMatchedKalmanFilter, ("recovers",)),
-    "two-sided": (TwoSidedKalmanFilter, ("linear", "prediction", "memoryless")),
+    "recovering": (recovering, ("likelihood", "memoryless")),
+    "recovering extended": (partial(RobustExtendedKalmanFilter, **RECOVERING), ("likelihood", "memoryless")),
+    "recovering unscented": (of_a_linear_model(RobustUnscentedKalmanFilter, **RECOVERING), ("likelihood", *SIGMA)),
+    "recovering cubature": (of_a_linear_model(RobustCubatureKalmanFilter, **RECOVERING), ("likelihood", *SIGMA)),
+    "noise-matched": (partial(told, grouping="joint"), ("recovers",)),
+    "noise-matched, each sensor": (told, ("recovers", "linear")),
+    "two-sided": (two_sided, ("linear", "prediction", "memoryless")),
 }
 ROUNDING = "filterpy's P - K S K' loses its sign in rounding"
 SIGMA_POINTS = dict.fromkeys(

@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 import pytest
 import support
+from support import recovering
 
 from robust_filterpy import (
     ARX,
@@ -14,7 +15,6 @@ from robust_filterpy import (
     Linear,
     OutlierShareWarning,
     ParameterTracker,
-    RecoveringKalmanFilter,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
     TukeyBiweight,
@@ -138,8 +138,8 @@ def walker(cls, factor, steps=800):
 # Sensor by sensor the one that fits best comes first, and R a hundred times too small loses less than it did.
 @pytest.mark.parametrize(("factor", "share"), [(100.0, 0.2), (1e4, 0.1)])
 def test_a_recovering_filter_that_is_told_a_tiny_R_says_that_it_is_lost_and_an_adaptive_one_is_not(factor, share):
-    with pytest.warns(OutlierShareWarning, match="RecoveringKalmanFilter"):
-        lost = walker(RecoveringKalmanFilter, factor)
+    with pytest.warns(OutlierShareWarning, match="RobustKalmanFilter"):
+        lost = walker(recovering, factor)
     with warnings.catch_warnings():
         warnings.simplefilter("error", OutlierShareWarning)
         learnt = walker(AdaptiveKalmanFilter, factor)

@@ -8,15 +8,14 @@ import pytest
 from filterpy.common import Saver
 from filterpy.kalman import KalmanFilter
 from statsmodels.robust.norms import TrimmedMean
-from support import make, random_problem, simulate, with_, without_kernel
+from support import make, random_problem, recovering, simulate, with_, without_kernel
 
 from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, TukeyBiweight
-from robust_filterpy.filters.recovering import RecoveringKalmanFilter
 
 pytestmark = pytest.mark.core
 
 
-def level(cls=RecoveringKalmanFilter, **options):
+def level(cls=recovering, **options):
     kf = cls(1, 1, **options)
     kf.x, kf.P, kf.F, kf.H, kf.Q, kf.R = np.zeros(1), 0.1 * np.eye(1), np.eye(1), np.eye(1), 0.01 * np.eye(1), np.eye(1)
     return kf
@@ -109,7 +108,7 @@ def test_patience_is_the_number_of_refused_measurements():
 def test_a_vector_jump_and_missing_components():
     problem = with_(random_problem(4, 3, 2), F=np.eye(3), H=np.eye(2, 3), Q=0.01 * np.eye(3), R=np.eye(2))
     for grouping in ("component", "joint"):
-        kf = make(RecoveringKalmanFilter, problem, grouping=grouping)
+        kf = make(recovering, problem, grouping=grouping)
         zs = np.random.default_rng(0).normal(size=(100, 2))
         zs[50:] += [0.0, 60.0]
         zs[55, 1], zs[60] = np.nan, np.nan
@@ -119,7 +118,7 @@ def test_a_vector_jump_and_missing_components():
 
 def test_equals_kalman_while_nothing_is_refused():
     problem = random_problem(5, 4, 2)
-    ours, theirs = make(RecoveringKalmanFilter, problem, influence=Linear()), make(KalmanFilter, problem)
+    ours, theirs = make(recovering, problem, influence=Linear()), make(KalmanFilter, problem)
     for z in simulate(problem, 200, 5)[0]:
         for kf in (ours, theirs):
             kf.predict()
@@ -170,12 +169,12 @@ def test_a_long_recording_recovers_too():
 @pytest.mark.parametrize("patience", [1, 0, 2.5, True, "a"])
 def test_bad_patience_is_refused(patience):
     with pytest.raises((ValueError, TypeError), match="patience"):
-        RecoveringKalmanFilter(1, 1, patience=patience)
+        recovering(1, 1, patience=patience)
 
 
 @pytest.mark.parametrize("weight", [1e-3, 1e-6, 0.0])
 def test_what_the_sensor_barely_sees_stays_as_certain_as_it_was(weight):
-    kf = RecoveringKalmanFilter(3, 1)
+    kf = recovering(3, 1)
     kf.F, kf.H = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), np.array([[1.0, 0.0, weight]])
     kf.Q = 0.01 * np.diag([1.0, 1.0, 0.0])
     rng = np.random.default_rng(10001)
@@ -188,7 +187,7 @@ def test_what_the_sensor_barely_sees_stays_as_certain_as_it_was(weight):
 
 def test_a_jump_is_believed_in_units_of_any_size():
     def final(units):
-        kf = make(RecoveringKalmanFilter, random_problem(3, 3, 3))
+        kf = make(recovering, random_problem(3, 3, 3))
         kf.H, kf.R = kf.H * units[:, None], kf.R * np.outer(units, units)
         zs, _ = simulate(random_problem(3, 3, 3), 120, seed=3)
         zs[40:] += random_problem(3, 3, 3).H @ [60.0, -40.0, 80.0]
@@ -223,7 +222,7 @@ def test_where_numpy_raises_wild_measurements_stop_no_filter(size):
 
 @pytest.mark.parametrize("scaling", ["innovation", "unit", "bounded"])
 def test_a_direction_that_inv_leaves_out_does_not_count(scaling):
-    kf = RecoveringKalmanFilter(2, 2, patience=3, scaling=scaling)
+    kf = recovering(2, 2, patience=3, scaling=scaling)
     kf.H, kf.P, kf.Q, kf.R, kf.inv = np.eye(2), np.diag([0.01, 0.0]), 0.0, np.diag([0.01, 0.0]), np.linalg.pinv
     with np.errstate(all="raise"):
         for z in ([0.0, 50.0], [0.0, 50.0], [0.0, 50.0], [5.0, 50.0]):

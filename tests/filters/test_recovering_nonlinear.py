@@ -6,17 +6,9 @@ import pickle
 import numpy as np
 import pytest
 from filterpy.kalman import MerweScaledSigmaPoints
-from support import FILTERPY_2, load, random_problem, simulate, with_
+from support import FILTERPY_2, RECOVERING, load, random_problem, recovering, simulate, with_
 
-from robust_filterpy import RecoveringKalmanFilter, TukeyBiweight
-from robust_filterpy.filters import (
-    RecoveringCubatureKalmanFilter,
-    RecoveringExtendedKalmanFilter,
-    RecoveringUnscentedKalmanFilter,
-    RobustCubatureKalmanFilter,
-    RobustExtendedKalmanFilter,
-    RobustUnscentedKalmanFilter,
-)
+from robust_filterpy.filters import RobustCubatureKalmanFilter, RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter
 
 DT = 0.1
 F = np.kron(np.eye(2), [[1.0, DT], [0.0, 1.0]])
@@ -24,11 +16,8 @@ Q = 0.1 * np.kron(np.eye(2), [[DT**3 / 3, DT**2 / 2], [DT**2 / 2, DT]])
 R = np.diag([0.25, 1e-4])
 # West of the radar bearings go round from pi to -pi, which filterpy's cubature filter cannot average; east they do not.
 WEST = np.array([-40.0, 0.0, -6.0, 1.2])
-CLASSES = {
-    RecoveringExtendedKalmanFilter: RobustExtendedKalmanFilter,
-    RecoveringUnscentedKalmanFilter: RobustUnscentedKalmanFilter,
-    RecoveringCubatureKalmanFilter: RobustCubatureKalmanFilter,
-}
+CLASSES = [RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter, RobustCubatureKalmanFilter]
+PLAIN = {**RECOVERING, "patience": None, "scaling": "innovation"}
 
 
 def straight(x, dt):
@@ -59,7 +48,8 @@ def mean_of_polar(sigmas, weights):
 
 
 def made(cls, n, m, fx, hx, **options):
-    """Return a filter of any of the kinds."""
+    """Return a filter of any of the kinds, by default one that comes back."""
+    options = {**RECOVERING, **options}
     if issubclass(cls, RobustExtendedKalmanFilter):
         return cls(n, m, **options)
     if issubclass(cls, RobustUnscentedKalmanFilter):
@@ -125,7 +115,7 @@ def test_on_a_linear_model_they_are_the_linear_filter(cls, dims, options):
     zs, _ = simulate(problem, 80, seed=7, contamination=0.1)
     zs[30:] += problem.H @ np.full(dims[0], 40.0)
     zs[5, 0] = zs[9] = zs[33, 0] = np.nan
-    linear = load(RecoveringKalmanFilter(*dims, patience=4, **options), problem)
+    linear = load(recovering(*dims, patience=4, **options), problem)
     kf = made(cls, *dims, lambda x, dt: problem.F @ x, lambda x: problem.H @ x, patience=4, **options)
     kf.x, kf.P, kf.Q, kf.R = np.ravel(problem.x).astype(float), problem.P.copy(), problem.Q.copy(), problem.R.copy()
     if isinstance(kf, RobustExtendedKalmanFilter):
@@ -141,8 +131,9 @@ def test_on_a_linear_model_they_are_the_linear_filter(cls, dims, options):
         else:
             kf.update(z)
         assert (kf.refused, kf.recoveries) == (linear.refused, linear.recoveries)
-        for name in ("x", "P", "weights", "_insisting"):
-            ours, theirs = np.ravel(getattr(kf, name)), np.ravel(getattr(linear, name))
+        states = [{**one.state(), "weights": one.weights} for one in (kf, linear)]
+        for name in ("x", "P", "weights", "insisting"):
+            ours, theirs = (np.ravel(state[name]) for state in states)
             scale = np.nanmax(np.abs(theirs), initial=1.0)
             np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-9 * scale, err_msg=name)
     assert linear.recoveries > 0
@@ -154,7 +145,7 @@ def test_a_track_that_jumps_is_followed(cls, jump):
     lost = []
     for seed in range(5):
         truth, zs = recording(cls, seed, jump)
-        kf, plain = radar(cls), radar(CLASSES[cls], influence=TukeyBiweight(), scaling="innovation")
+        kf, plain = radar(cls), radar(cls, **PLAIN)
         # A jump that bends the line takes a second recovery, or a third.
         assert errors(kf, truth, zs)[50 + 3 * kf.patience + 10 :].max() < 2.0, seed
         assert 0 < kf.recoveries <= 3
@@ -167,7 +158,7 @@ def test_a_track_that_jumps_is_followed(cls, jump):
 def test_a_run_of_outliers_shorter_than_the_patience_is_left_out(cls, run, size):
     for seed in range(4):
         truth, zs = recording(cls, seed, run=run, size=size)
-        kf, plain = radar(cls), radar(CLASSES[cls], influence=TukeyBiweight(), scaling="innovation")
+        kf, plain = radar(cls), radar(cls, **PLAIN)
         found = errors(kf, truth, zs)
         assert found[50:].max() < 3.0 and kf.recoveries == 0
         # Until it recovers it is the same filter.
@@ -189,7 +180,7 @@ def test_refused_angles_agree_by_their_residual(cls, column):
     # Points of a widened P have to lie within a turn.
     points = (MerweScaledSigmaPoints(1, 0.1, 2.0, 2.0),) if issubclass(cls, RobustUnscentedKalmanFilter) else ()
     functions = () if issubclass(cls, RobustExtendedKalmanFilter) else (DT, predicted, lambda x, dt: x)
-    kf = cls(1, 1, *functions, *points)
+    kf = cls(1, 1, *functions, *points, **RECOVERING)
     kf.residual_z = turned
     if issubclass(cls, RobustCubatureKalmanFilter):
         # Its predicted measurement is a column.
@@ -236,7 +227,7 @@ def test_copies_state_batch_and_refused_calls(cls):
 
 
 def test_a_residual_that_fails_while_innovations_are_compared_changes_nothing():
-    kf, calls = radar(RecoveringExtendedKalmanFilter), []
+    kf, calls = radar(RobustExtendedKalmanFilter), []
 
     def failing(a, b):
         calls.append(a)
@@ -270,7 +261,7 @@ def test_bad_patience_is_refused(cls):
 
 def test_a_residual_function_may_write_into_what_it_is_given():
     for residual in (np.subtract, lambda a, b: np.subtract(a, b, out=a)):
-        kf = RecoveringExtendedKalmanFilter(1, 1, patience=3)
+        kf = RobustExtendedKalmanFilter(1, 1, **{**RECOVERING, "patience": 3})
         kf.x, kf.Q = np.zeros(1), 0.01 * np.eye(1)
         for _ in range(5):
             kf.predict()
@@ -279,7 +270,7 @@ def test_a_residual_function_may_write_into_what_it_is_given():
 
 
 def test_a_difference_of_another_length_is_named_and_changes_nothing():
-    kf, calls = radar(RecoveringExtendedKalmanFilter), []
+    kf, calls = radar(RobustExtendedKalmanFilter), []
 
     def shrinking(z, predicted):
         calls.append(z)

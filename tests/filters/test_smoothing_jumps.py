@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import support
 from filterpy.common import Saver
+from filterpy.kalman import KalmanFilter
+from support import told, two_sided
 
-from robust_filterpy import NoiseMatchedKalmanFilter, RobustKalmanFilter, TwoSidedKalmanFilter
-from robust_filterpy.correction.mixture import ContaminatedScore
+from robust_filterpy import Contaminated
 
 LEVEL = support.with_(support.cart(), F=np.eye(2), Q=np.diag([0.01, 0.0]))
 STEPS, JUMP = 60, 30
@@ -18,13 +19,13 @@ def recording():
 
 
 def doubting(kind):
-    if kind is NoiseMatchedKalmanFilter:
-        noise = ContaminatedScore(0.05, 100.0)
-        return support.make(kind, LEVEL, measurement=ContaminatedScore(0.0), process=noise)
-    return support.make(kind, LEVEL)
+    if kind is told:
+        noise = Contaminated(0.05, 100.0)
+        return support.make(kind, LEVEL, noise=Contaminated(0.0), process=noise)
+    return support.make(kind, LEVEL, noise=Contaminated(0.1, 5.0))
 
 
-KINDS = [NoiseMatchedKalmanFilter, TwoSidedKalmanFilter]
+KINDS = [told, two_sided]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -33,7 +34,7 @@ def test_a_jump_is_not_smoothed_away(kind):
     kf = doubting(kind)
     means, covariances, _, _ = kf.batch_filter(list(zs))
     x, _, _, _ = kf.rts_smoother(means, covariances)
-    nominal, _, _, _ = RobustKalmanFilter.rts_smoother(kf, means, covariances)
+    nominal, _, _, _ = KalmanFilter.rts_smoother(kf, means, covariances)
     # The nominal Q carries the new level back to before the jump.
     assert np.mean((x[:, 0, 0] - truth) ** 2) < 0.75 * np.mean((nominal[:, 0, 0] - truth) ** 2)
 
@@ -54,7 +55,7 @@ def test_it_is_filterpys_smoother_with_Q_times_the_scale_of_each_step(kind):
         states.append(loop.x)
         spreads.append(loop.P)
     assert min(scales) >= 0.9 and max(scales) > 10.0
-    by_hand = RobustKalmanFilter.rts_smoother(
+    by_hand = KalmanFilter.rts_smoother(
         loop, np.array(states), np.array(spreads), Qs=[scale * LEVEL.Q for scale in scales]
     )
     for one, other in zip(kf.rts_smoother(means, covariances), by_hand, strict=True):
@@ -71,7 +72,7 @@ def test_states_of_another_recording_are_smoothed_with_the_Q_that_is_given(kind)
     kf.batch_filter(list(zs))
     other = doubting(kind)
     means, covariances, _, _ = other.batch_filter(list(zs[::-1]))
-    expected = RobustKalmanFilter.rts_smoother(kf, means, covariances)
+    expected = KalmanFilter.rts_smoother(kf, means, covariances)
     np.testing.assert_array_equal(kf.rts_smoother(means, covariances)[0], expected[0])
     with pytest.raises(TypeError, match="saver: expected"):
         kf.batch_filter(list(zs), saver=3)

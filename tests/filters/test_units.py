@@ -5,18 +5,16 @@ import pytest
 import support
 from filterpy.common import kinematic_kf
 from filterpy.kalman import MerweScaledSigmaPoints
+from support import recovering, told, two_sided
 
 from robust_filterpy import (
     AdaptiveKalmanFilter,
-    ContaminatedScore,
+    Contaminated,
     FilterBank,
-    NoiseMatchedKalmanFilter,
-    RecoveringKalmanFilter,
     RobustCubatureKalmanFilter,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
-    TwoSidedKalmanFilter,
     filter_series,
 )
 
@@ -26,11 +24,11 @@ LINEAR = {
     "robust": (RobustKalmanFilter, {}),
     "robust, joint": (RobustKalmanFilter, {"grouping": "joint"}),
     "robust, expected": (RobustKalmanFilter, {"information": "expected"}),
-    "recovering": (RecoveringKalmanFilter, {"patience": 4}),
-    "noise matched": (NoiseMatchedKalmanFilter, {}),
-    "noise matched, each sensor": (NoiseMatchedKalmanFilter, {"grouping": "component"}),
-    "noise matched, jumps": (NoiseMatchedKalmanFilter, {"process": ContaminatedScore(0.05, 10.0)}),
-    "two-sided": (TwoSidedKalmanFilter, {}),
+    "recovering": (recovering, {"patience": 4}),
+    "noise matched": (told, {}),
+    "noise matched, each sensor": (told, {"grouping": "component"}),
+    "noise matched, jumps": (told, {"process": Contaminated(0.05, 10.0)}),
+    "two-sided": (two_sided, {}),
     "adaptive": (AdaptiveKalmanFilter, {}),
 }
 

@@ -6,6 +6,7 @@ import io
 import numpy as np
 import pytest
 from filterpy.kalman import MerweScaledSigmaPoints
+from support import RECOVERING, recovering, told, two_sided
 
 from robust_filterpy import (
     ARMA,
@@ -14,28 +15,17 @@ from robust_filterpy import (
     FIR,
     AdaptiveKalmanFilter,
     BoxJenkins,
-    ContaminatedScore,
+    Contaminated,
     FilterBank,
-    NoiseMatchedKalmanFilter,
     OutputError,
     ParameterTracker,
-    RecoveringCubatureKalmanFilter,
-    RecoveringExtendedKalmanFilter,
-    RecoveringKalmanFilter,
-    RecoveringUnscentedKalmanFilter,
     RobustCubatureKalmanFilter,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
     TrackerBank,
-    TwoSidedKalmanFilter,
 )
-from robust_filterpy.filters import (
-    AdaptiveCubatureKalmanFilter,
-    AdaptiveExtendedKalmanFilter,
-    AdaptiveUnscentedKalmanFilter,
-    RobustEnsembleKalmanFilter,
-)
+from robust_filterpy.filters import RobustEnsembleKalmanFilter
 from robust_filterpy.fleet import pack, unpack
 from robust_filterpy.smoothing import FixedLagSmoother
 
@@ -96,22 +86,23 @@ def bank():
     return kf
 
 
+COMES_BACK = {**RECOVERING, "patience": 3}
 FILTERS = {
     "linear": linear(RobustKalmanFilter),
     "column": lambda: RobustKalmanFilter(2, 1),
-    "recovering": linear(RecoveringKalmanFilter, patience=3),
-    "two-sided": linear(TwoSidedKalmanFilter),
-    "noise-matched": linear(NoiseMatchedKalmanFilter, process=ContaminatedScore(0.1, 10.0)),
+    "recovering": linear(recovering, patience=3),
+    "two-sided": linear(two_sided),
+    "noise-matched": linear(told, process=Contaminated(0.1, 10.0)),
     "adaptive": linear(AdaptiveKalmanFilter),
     "extended": extended,
     "unscented": sigma_points(RobustUnscentedKalmanFilter),
     "cubature": sigma_points(RobustCubatureKalmanFilter),
-    "adaptive extended": lambda: extended(AdaptiveExtendedKalmanFilter),
-    "adaptive unscented": sigma_points(AdaptiveUnscentedKalmanFilter),
-    "adaptive cubature": sigma_points(AdaptiveCubatureKalmanFilter),
-    "recovering extended": lambda: extended(RecoveringExtendedKalmanFilter, patience=3),
-    "recovering unscented": sigma_points(RecoveringUnscentedKalmanFilter, patience=3),
-    "recovering cubature": sigma_points(RecoveringCubatureKalmanFilter, patience=3),
+    "adaptive extended": lambda: extended(noise="learnt"),
+    "adaptive unscented": sigma_points(RobustUnscentedKalmanFilter, noise="learnt"),
+    "adaptive cubature": sigma_points(RobustCubatureKalmanFilter, noise="learnt"),
+    "recovering extended": lambda: extended(**COMES_BACK),
+    "recovering unscented": sigma_points(RobustUnscentedKalmanFilter, **COMES_BACK),
+    "recovering cubature": sigma_points(RobustCubatureKalmanFilter, **COMES_BACK),
     "ensemble": ensemble,
     "fixed lag": lagged(),
     "fixed lag, Kalman measurement": lagged(process=None),
@@ -205,7 +196,7 @@ TRACKERS = {
     "starting": tracker(ARX(2, 1), start=100),
     "ARMA": tracker(ARMA(2, 1), start=0),
     "Box and Jenkins": tracker(BoxJenkins(1, 1, 1, 1), start=0, R=0.04),
-    "two-sided inside": tracker(ARX(2, 1), filter=TwoSidedKalmanFilter, start=0, Q=1e-6),
+    "two-sided inside": tracker(ARX(2, 1), filter=two_sided, start=0, Q=1e-6),
     "adaptive inside": tracker(ARX(2, 1), filter=AdaptiveKalmanFilter, start=0, Q=1e-6),
     "bank": lambda: TrackerBank(2, ARX(2, 1), start=0),
 }

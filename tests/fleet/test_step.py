@@ -9,18 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support import two_sided
 from test_state import FILTERS, F, extended, observe, recording, signals
 
-from robust_filterpy import (
-    ARMA,
-    ARX,
-    FIR,
-    OutputError,
-    ParameterTracker,
-    RobustKalmanFilter,
-    TwoSidedKalmanFilter,
-    robust,
-)
+from robust_filterpy import ARMA, ARX, FIR, OutputError, ParameterTracker, RobustKalmanFilter, robust
 from robust_filterpy._state import StateError
 from robust_filterpy.fleet import FilterModel, TrackerModel, filter_table, pack, step, step_table, unpack
 
@@ -255,9 +247,7 @@ def test_late_samples_and_duplicates_are_refused_or_dropped():
 def test_times_off_the_grid_and_long_silences_are_refused():
     _, output = step(timed(dt=2.0), None, [[0.0, 1.0], [3.0, 1.0], [4.0, 1.0]])
     assert "0.50 of it away" in output["error"][1] and output["error"][2] is None
-    same(
-        {k: v[[0, 2]] for k, v in output.items()}, step(timed(dt=2.0), None, [[0.0, 1.0], [4.0, 1.0]])[1]
-    )
+    same({k: v[[0, 2]] for k, v in output.items()}, step(timed(dt=2.0), None, [[0.0, 1.0], [4.0, 1.0]])[1])
     _, output = step(timed(dt=1.0), None, [[0.0, 1.0], [1e6, 1.0], [1.0, 1.0]])
     assert "at most 100000 steps" in output["error"][1] and output["error"][2] is None
     _, output = step(timed(), None, [[0.0, 1.0], [np.nan, 1.0]])
@@ -345,7 +335,7 @@ def test_a_batch_that_does_not_fit_is_named(batch, message):
 
 def test_a_state_of_another_model_is_refused_by_name():
     state, _ = step(MODELS["two-sided"](), None, [[1.0]])
-    with pytest.raises(ValueError, match="expected one of a RobustKalmanFilter, got one of a TwoSidedKalmanFilter"):
+    with pytest.raises(ValueError, match="expected one of a RobustKalmanFilter, got one of a AdaptiveKalmanFilter"):
         step(MODELS["linear"](), state, [[1.0]])
     with pytest.raises(ValueError, match="ARX"):
         step(MODELS["ARX"](), state, [[1.0, 1.0]])
@@ -432,7 +422,7 @@ def test_a_model_that_does_not_fit_together_is_refused():
     with pytest.raises(TypeError, match=r"use \['z'\]"):
         FilterModel(FILTERS["linear"](), measurements="z")
     with pytest.raises(TypeError, match="class of a filter"):
-        TrackerModel(ARX(1, 1), {"filter": TwoSidedKalmanFilter(2, 1)})
+        TrackerModel(ARX(1, 1), {"filter": two_sided(2, 1)})
     with pytest.raises(TypeError, match="model: expected"):
         step(kf, None, [[1.0]])
 

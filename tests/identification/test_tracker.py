@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 import support
 from filterpy.kalman import FadingKalmanFilter, InformationFilter, KalmanFilter, SquareRootKalmanFilter
+from support import two_sided
 
-from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, TwoSidedKalmanFilter
+from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter
 from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError, ParameterTracker
 from robust_filterpy.noise import EpsilonContaminated
 from robust_filterpy.plants import simulate_arx, simulate_output_error
@@ -470,7 +471,7 @@ class Mixed:
         self.x = 0.5 * sum(kf.x for kf in self.filters)
 
 
-class Failing(TwoSidedKalmanFilter):
+class Failing(two_sided):
     """A filter with copies that refuses a sample after they have moved."""
 
     fails = False

@@ -8,9 +8,9 @@ import scipy.signal
 import support
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support import two_sided
 
 from robust_filterpy import Huber, Linear, TukeyBiweight
-from robust_filterpy.filters.multiple_model import TwoSidedKalmanFilter
 from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError
 from robust_filterpy.noise import EpsilonContaminated
 from robust_filterpy.plants import random_walk, simulate_arx, simulate_output_error, stable
@@ -318,9 +318,7 @@ def test_two_sided_filter_follows_jumping_parameters_better_than_a_random_walk()
         noise = EpsilonContaminated(0.1, 0.5, 5.0).rvs(size=1200, random_state=rng)
         y = np.einsum("ij,ij->i", structure.regressors(u), theta) + noise
         walk = support.told_tracker(structure, P=1.0, Q=jump**2 / 300, R=0.25)
-        doubting = support.told_tracker(
-            structure, filter=TwoSidedKalmanFilter(4, 1), P=1.0, Q=(jump / 100) ** 2, R=0.25
-        )
+        doubting = support.told_tracker(structure, filter=two_sided(4, 1), P=1.0, Q=(jump / 100) ** 2, R=0.25)
         errors.append([np.linalg.norm(t.run(y, u).theta - theta, axis=1)[200:].mean() for t in (walk, doubting)])
     walks, doubts = np.transpose(errors)
     # .80 was measured, standard error .01; a random walk with the same small Q is at 1.5.

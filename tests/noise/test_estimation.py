@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
+from support import told
 
-from robust_filterpy import ARX, ParameterTracker, RobustKalmanFilter
-from robust_filterpy.correction.mixture import ContaminatedScore
-from robust_filterpy.filters.gaussian_sum import NoiseMatchedKalmanFilter
+from robust_filterpy import ARX, Contaminated, ParameterTracker, RobustKalmanFilter
 from robust_filterpy.noise._likelihood import log_likelihoods, of_filter
 from robust_filterpy.noise.estimation import estimate_noise
 
@@ -54,8 +53,8 @@ def test_a_normal_likelihood_overestimates_r_several_times():
 def test_likelihood_is_that_of_the_noise_matched_filter():
     zs = recording(2, 0.1, 60)
     zs[7] = np.nan
-    kf = guess(NoiseMatchedKalmanFilter)
-    kf.measurement = ContaminatedScore(0.1, 10.0)
+    kf = guess(told)
+    kf.noise = Contaminated(0.1, 10.0)
     total = 0.0
     for z in zs:
         kf.predict()
@@ -214,8 +213,8 @@ def test_matrices_of_each_step_and_inputs_are_those_of_batch_filter():
     kf.B = B
     steps = {"Fs": Fs, "Hs": Hs, "us": us}
     found = estimate_noise(kf, zs, Qs=Qs, Rs=Rs, **steps, contamination=0.05, scale_ratio=8.0)
-    matched = guess(NoiseMatchedKalmanFilter)
-    matched.B, matched.measurement = B, ContaminatedScore(0.05, 8.0)
+    matched = guess(told)
+    matched.B, matched.noise = B, Contaminated(0.05, 8.0)
     matched.x = matched.x[:, 0]
 
     class Total:
@@ -265,6 +264,6 @@ def test_a_trackers_noise_is_estimated_with_its_regressors():
 
 def test_apply_passes_the_mixture_to_a_filter_that_has_a_place_for_it():
     found = estimate_noise(guess(), recording(6, 0.1, 500))
-    kf = found.apply(guess(NoiseMatchedKalmanFilter))
-    assert kf.measurement.contamination == found.contamination
-    assert kf.measurement.scale_ratio == found.scale_ratio
+    kf = found.apply(guess(told))
+    assert kf.noise.contamination == found.contamination
+    assert kf.noise.scale_ratio == found.scale_ratio

@@ -6,17 +6,9 @@ import pytest
 import support
 from filterpy.kalman import KalmanFilter
 from statsmodels.robust.norms import HuberT
+from support import told
 
-from robust_filterpy import (
-    Huber,
-    Linear,
-    NoiseMatchedKalmanFilter,
-    RobustKalmanFilter,
-    StudentT,
-    TukeyBiweight,
-    smooth,
-    smooth_series,
-)
+from robust_filterpy import Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight, smooth, smooth_series
 
 CART = support.with_(support.cart(), Q=0.01 * np.array([[0.25, 0.5], [0.5, 1.0]]), P=10.0 * np.eye(2))
 
@@ -239,7 +231,7 @@ def test_any_filter_will_do_and_grouping_is_the_filters():
     ours = smooth(support.make(RobustKalmanFilter, problem, grouping="joint"), pairs)
     theirs = smooth(support.make(KalmanFilter, problem), pairs, grouping="joint")
     np.testing.assert_array_equal(ours.x, theirs.x)
-    smooth(support.make(NoiseMatchedKalmanFilter, problem), pairs)
+    smooth(support.make(told, problem), pairs)
 
 
 BAD = [

@@ -66,7 +66,7 @@ def make_filter(n: int, given: Any, choices: dict[str, Any]) -> Any:
     if chosen:
         raise ValueError(f"{', '.join(chosen)}: expected only without filter=; set them on the filter that you pass")
     kf = given
-    if isinstance(given, type):
+    if isinstance(given, type) or (callable(given) and not hasattr(given, "update")):
         kf = given(dim_x=n, dim_z=1)
     for name in ("x", "P", "H", "predict", "update"):
         if not hasattr(kf, name):
@@ -239,6 +239,7 @@ def is_plain(kf: Any, n: int) -> bool:
         type(kf) is RobustKalmanFilter
         # Not one whose methods somebody has wrapped.
         and not {"predict", "update"} & vars(kf).keys()
+        and kf._policy.by_kernel
         and kf._choices.pointwise is not None
         and kf._inverse is None
         and all(is_array(value, (n, n)) and np.isfinite(value).all() for value in (kf.F, kf.Q, kf.P))

@@ -1,0 +1,140 @@
+"""What a filter is told of noise: how measurements fail, and how the process does.
+
+`Contaminated` and `Learnt` are for ``noise=``, `Contaminated` and `Scales` for ``process=``. They say what there is;
+`robust_filterpy.correction.learnt` corrects under it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from robust_filterpy import _checks
+from robust_filterpy.correction.copies import Scales
+from robust_filterpy.correction.learning import SCALES, NoiseClasses
+from robust_filterpy.correction.options import Grouping
+
+__all__ = ["Contaminated", "Learnt", "Scales", "noise_classes", "noise_policy", "process_policy", "process_scales"]
+
+
+@dataclass(frozen=True)
+class Contaminated:
+    """Say that noise is a mixture of two normal distributions, (1 - share) N(0, V) + share N(0, ratio^2 V).
+
+    V is the covariance that the filter has for it: R as ``noise=``, Q as ``process=``.
+
+    Parameters
+    ----------
+    contamination : float, default 0.1
+        Share of outliers, in [0, 1). With 0 there are none, and a filter with this noise is the Kalman filter.
+    scale_ratio : float, default 10
+        Standard deviation of the outliers over that of the ordinary samples, >= 1.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If contamination is outside [0, 1) or scale_ratio below 1 or infinite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from robust_filterpy import RobustKalmanFilter
+    >>> kf = RobustKalmanFilter(1, 1, noise=Contaminated(0.1, 10.0))
+    >>> kf.H = np.eye(1)
+    >>> kf.update(8.0)
+    >>> round(kf.outlier_probability, 3), bool(abs(kf.x[0, 0]) < 0.1)
+    (1.0, True)
+    """
+
+    contamination: float = 0.1
+    scale_ratio: float = 10.0
+
+    def __post_init__(self) -> None:
+        """Check the parameters."""
+        object.__setattr__(self, "contamination", _checks.fraction("contamination", self.contamination))
+        ratio = _checks.positive("scale_ratio", self.scale_ratio)
+        if ratio < 1.0:
+            raise ValueError(f"scale_ratio: expected a number >= 1, got {self.scale_ratio!r}")
+        object.__setattr__(self, "scale_ratio", ratio)
+
+    @property
+    def is_ordinary(self) -> bool:
+        """Whether there are no outliers."""
+        return self.contamination == 0.0 or self.scale_ratio == 1.0
+
+    @property
+    def _classes(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Factors of the variance and their probabilities."""
+        if self.is_ordinary:
+            return (1.0,), (1.0,)
+        return (1.0, self.scale_ratio**2), (1.0 - self.contamination, self.contamination)
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """Say that the measurement noise is to be learnt: how large it is, how often, how far and how long it is exceeded.
+
+    Parameters
+    ----------
+    scales : sequence of float, default (1, 10, 100, 1000)
+        Factors of the covariance R that noise may have, ascending from 1.
+    memory : float, default 300
+        Samples for which it is remembered how often each scale occurs, > 1.
+    r_memory : float, default 30
+        Ordinary samples for which the size of the noise is remembered, > 1: a longer memory is quieter, a shorter one
+        follows a noise that changes.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If one is out of range.
+    """
+
+    scales: Sequence[float] = SCALES
+    memory: float = 300.0
+    r_memory: float = 30.0
+
+    def __post_init__(self) -> None:
+        """Check the parameters."""
+        checked = NoiseClasses(self.scales, "component", self.memory, self.r_memory)
+        for name in ("scales", "memory", "r_memory"):
+            object.__setattr__(self, name, getattr(checked, name))
+
+
+def noise_policy(value: Any) -> Contaminated | Learnt | None:
+    """Return what ``noise=`` says, "learnt" for `Learnt` with its defaults, or raise."""
+    if isinstance(value, str) and _checks.option("noise", value, ("learnt",)):
+        return Learnt()
+    if value is not None and not isinstance(value, (Contaminated, Learnt)):
+        raise TypeError(
+            f"noise: expected None (bounded by psi), Contaminated(..), Learnt(..) or 'learnt', got {value!r}"
+        )
+    return value
+
+
+def process_policy(value: Any) -> Contaminated | Scales | None:
+    """Return what ``process=`` says, "scales" for `Scales` with its defaults, or raise."""
+    if isinstance(value, str) and _checks.option("process", value, ("scales",)):
+        return Scales()
+    if value is not None and not isinstance(value, (Contaminated, Scales)):
+        raise TypeError(f"process: expected None (as told), Contaminated(..), Scales(..) or 'scales', got {value!r}")
+    return value
+
+
+def noise_classes(noise: Contaminated | Learnt, grouping: Grouping) -> NoiseClasses:
+    """Return the classes of measurement noise that a policy speaks of."""
+    if isinstance(noise, Learnt):
+        return NoiseClasses(noise.scales, grouping, noise.memory, noise.r_memory)
+    scales, probabilities = noise._classes
+    return NoiseClasses(scales, grouping, probabilities=probabilities)
+
+
+def process_scales(process: Contaminated | Scales | None) -> Scales:
+    """Return the copies of a filter that a policy speaks of; one that trusts its process is a copy of itself."""
+    if isinstance(process, Scales):
+        return process
+    if process is None or process.is_ordinary:
+        return Scales((1.0,), jump=0.0)
+    scales, probabilities = process._classes
+    return Scales(scales, jump=0.0, probabilities=probabilities)

@@ -1,0 +1,145 @@
+"""What a filter has learnt of its sensors: the memory that its policy works with, and how it is shown."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robust_filterpy._arrays import noise_covariance
+from robust_filterpy._checks import Array
+from robust_filterpy.correction.learning import LearntNoise, describe
+from robust_filterpy.correction.spread import SPREAD, WEIGHT
+from robust_filterpy.filters._bounded import Bounded
+from robust_filterpy.filters._insistence import Insistence
+from robust_filterpy.filters._mixture import Mixture, ordinary_noise
+from robust_filterpy.filters._sensors import Customs
+from robust_filterpy.filters.policy import Known
+
+
+class LearningMixin:
+    """Hold the memory of the sensors, hand it to a policy and take it back."""
+
+    __slots__ = ()
+
+    R: Any
+    dim_z: int
+    _policy: Any
+    _kept: Any
+    _memory: Array
+    _other_sensors: dict[bytes, Array]
+    _outlier_probability: float
+
+    def _known_sensors(self) -> Customs:
+        """Return what is known of the sensors; the array alone is what the kernel reads and replaces."""
+        return Customs(self._memory, self._other_sensors)
+
+    def _keep_sensors(self, value: Customs) -> None:
+        """Keep what is known of the sensors."""
+        self._memory, self._other_sensors = value
+
+    def _known(self, m: int, passed: Array | None = None, first: int = 0) -> Known:
+        """Return what is known before a correction by m sensors, from place `first` in z on or by their rows of H."""
+        begin = self._policy.begin(first + m)
+        if not self._policy.learns:
+            return Known(begin[first:], self._kept)
+        named = (passed, getattr(self, "H", None)) if passed is not None and len(begin) == m else ()
+        return Known(self._known_sensors().of(begin, *named)[first if len(begin) > 1 else 0 :], self._kept)
+
+    def _learn(self, memory: Array | None, m: int, passed: Array | None = None, first: int = 0) -> None:
+        """Keep what a correction by m sensors has taught, named as in `_known`."""
+        if memory is None or not self._policy.learns:
+            return
+        begin, customs = self._policy.begin(first + m), self._known_sensors()
+        if first:
+            places = customs.of(self._policy.begin(max(len(customs.places), first + m))).copy()
+            places[first if len(places) > 1 else 0 :][: len(memory)] = memory
+            customs = Customs(places, customs.rows)
+        else:
+            named = (passed, getattr(self, "H", None)) if passed is not None and len(begin) == m else ()
+            customs = customs.updated(memory, begin, *named)
+        self._keep_sensors(customs)
+
+    @property
+    def _learns_spread(self) -> bool:
+        """Whether thresholds are in units of the spread; the Kalman filter has none."""
+        return type(self._policy) is Bounded and self._policy.learns
+
+    @property
+    def spread(self) -> Array:
+        """How large each sensor's standardized innovations usually are, shape (dim_z,); NaN before the first.
+
+        Under scaling "learnt" thresholds are in units of this: 1 where P, Q and R are right, 10 where they are told 100
+        times too small.
+        """
+        if not self._learns_spread:
+            return np.full(self.dim_z, np.nan)
+        memory = self._known(self.dim_z).memory
+        return np.where(memory[:, WEIGHT] > 0.0, memory[:, SPREAD], np.nan)
+
+    @property
+    def refused(self) -> int:
+        """Under ``patience=``, how many refused measurements agree so far."""
+        return self._kept.refused if isinstance(self._kept, Insistence) else 0
+
+    @property
+    def recoveries(self) -> int:
+        """Under ``patience=``, how often that many were refused and P was widened."""
+        return self._kept.recoveries if isinstance(self._kept, Insistence) else 0
+
+    @property
+    def outlier_probability(self) -> float:
+        """Under ``noise=``, the probability that a component of the last measurement was an outlier."""
+        return self._outlier_probability
+
+    @property
+    def learnt(self) -> Array | None:
+        """Under ``noise=Learnt(..)``, what is known of the noise: a small array, r (a factor of R) first.
+
+        Keep it, or assign it to another filter with the same R, grouping and scales of noise, which then starts with
+        it. Shape (1 or sensors, 6 + 2 K + K^2); a copy. None where no noise is learnt.
+        """
+        return self._memory.copy() if self._learns_noise else None
+
+    @learnt.setter
+    def learnt(self, value: ArrayLike) -> None:
+        if not self._learns_noise:
+            raise AttributeError(f"learnt: expected a filter with noise=Learnt(..), got noise={self._policy.noise!r}")
+        self._memory, self._other_sensors = self._policy.classes.checked(value, self.dim_z), {}
+
+    @property
+    def noise_learnt(self) -> LearntNoise | None:
+        """Under ``noise=Learnt(..)``, what has been learnt of the noise: r, contamination, scale ratio, run length."""
+        if not self._learns_noise:
+            return None
+        classes = self._policy.classes
+        return describe(self._memory, np.array(classes.scales), self.dim_z if classes.grouping == "joint" else 1)
+
+    @property
+    def R_learnt(self) -> Array | None:
+        """Under ``noise=``, the covariance of ordinary noise as learnt, shape (dim_z, dim_z); None without."""
+        if type(self._policy) is not Mixture:
+            return None
+        return ordinary_noise(noise_covariance(self.R, None, self.dim_z), self._known(self.dim_z).memory)
+
+    @property
+    def _learns_noise(self) -> bool:
+        """Whether the measurement noise is learnt."""
+        return type(self._policy) is Mixture and self._policy.learns
+
+    @property
+    def process_probabilities(self) -> Array | None:
+        """Under ``noise=``, the probability of each scale of the process, shape (q,); None without."""
+        if type(self._policy) is not Mixture:
+            return None
+        if self._kept is None:
+            return np.ones(1)
+        shares = self._kept.probabilities[: len(self._policy.scales.scales)]
+        return np.asarray(shares / shares.sum())
+
+    @property
+    def process_scale(self) -> float:
+        """Mean factor of Q in the step before the last measurement, given that measurement; 1 if Q is taken as told."""
+        probabilities = self.process_probabilities
+        return 1.0 if probabilities is None else float(probabilities @ self._policy.scales.scales)

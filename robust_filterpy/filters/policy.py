@@ -1,0 +1,159 @@
+"""The contract between a filter and what judges its measurements, and which of the two ways to judge was asked for.
+
+`Bounded` lets psi bound what an innovation does; `Mixture` weighs what noise may have been, told or learnt. A policy
+never changes. What it knows is the filter's, arrays and tuples that are never written to: a memory, one row for each
+sensor, and what it keeps besides (copies of the state, a count). It is handed to every call, and what comes back takes
+its place when the whole call has gone well: so a refused call changes nothing, and a filter is copied, stored and put
+back without asking the policy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+from robust_filterpy._state import Shape
+from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
+from robust_filterpy.correction.policies import noise_policy, process_policy
+from robust_filterpy.correction.result import Correction
+from robust_filterpy.correction.whitening import Inverse
+from robust_filterpy.filters._bounded import Bounded
+from robust_filterpy.filters._mixture import Mixture
+from robust_filterpy.influence.functions import Huber, Influence
+
+__all__ = ["Known", "Policy", "Record", "policy_of"]
+
+
+class Known(NamedTuple):
+    """What a policy knows before a correction."""
+
+    memory: Array
+    """Of the sensors of this measurement, a row each (one for all that fail together)."""
+    kept: Any
+    """What it keeps besides."""
+
+
+class Record(Protocol):
+    """What a correction left; what few programs look at is made when asked for."""
+
+    x: Array
+    """Posterior mean, shape (n,)."""
+    P: Array
+    """Posterior covariance, shape (n, n)."""
+    memory: Array | None
+    """Of the sensors, None where nothing has been learnt."""
+
+    def as_arrays(self) -> Correction:
+        """Return everything that a correction shows."""
+        ...
+
+
+class Policy(Protocol):
+    """How a filter predicts its state and corrects it."""
+
+    choices: Choices
+    """Influence, scaling, information, grouping; under a mixture those by which `update_steadystate` clips."""
+    by_kernel: bool
+    """Whether the kernel's steps are this policy's."""
+
+    def begin(self, sensors: int) -> Array:
+        """Return the memory of sensors of which nothing is known."""
+        ...
+
+    def start(self, x: Array, P: Array, sensors: int) -> Any:
+        """Return what is kept besides before the first step, x of shape (n,)."""
+        ...
+
+    def predicted(
+        self, kept: Any, x: Array, P: Array, F: Array, Q: Array, Bu: Array | None, alpha_sq: float
+    ) -> tuple[Array, Array, Any]:
+        """Return x, P and what is kept after a prediction."""
+        ...
+
+    def corrected(
+        self, known: Known, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None, inv: Inverse | None
+    ) -> tuple[Record, Any]:
+        """Return the correction by a linear sensor, z of shape (m,) with NaN where missing, and what is kept."""
+        ...
+
+    def corrected_by_moments(
+        self, known: Known, x: Array, P: Array, y: Array, C: Array, S: Array, R: Array, H: Array | None,
+        inv: Inverse | None, difference: Callable[[Array, Array], Array] = np.subtract,
+    ) -> tuple[Record, Any]:  # fmt: skip
+        """Return the correction by an innovation y with C = cov(x, y), S = cov(y), R of it noise, and what is kept.
+
+        H is the derivative of the measurement, None where only moments are known; `difference` that of two innovations.
+        """
+        ...
+
+    def entries(self, kept: Any, x: Array, P: Array) -> dict[str, Array]:
+        """Return what is kept as arrays of a state."""
+        ...
+
+    def shapes(self, n: int) -> dict[str, Shape]:
+        """Return the shapes of these."""
+        ...
+
+    def resumed(self, found: dict[str, Array], x: Array, P: Array) -> Any:
+        """Return what a state has kept, or raise if it cannot have been this policy's."""
+        ...
+
+
+def policy_of(
+    influence: Influence = Huber(),
+    scaling: Scaling | None = None,
+    information: Information = "realized",
+    grouping: Grouping = "component",
+    noise: Any = None,
+    process: Any = None,
+    patience: int | None = None,
+) -> Policy:
+    """Return the policy that a filter's arguments ask for, or raise where they make no sense together.
+
+    Parameters
+    ----------
+    influence, scaling, information, grouping, noise, process, patience
+        As in `robust_filterpy.RobustKalmanFilter`.
+
+    Returns
+    -------
+    Policy
+
+    Raises
+    ------
+    ValueError, TypeError
+        If one is out of range or stands against another one.
+    """
+    noise, process = noise_policy(noise), process_policy(process)
+    if noise is None:
+        if process is not None:
+            raise ValueError(
+                f"process: expected None without noise=, got {process!r}; how likely a measurement is under each "
+                "process follows from its noise: say noise='learnt' or noise=Contaminated(..), Contaminated(0) for "
+                "noise without outliers"
+            )
+        usual: Scaling = "learnt" if patience is None else "innovation"
+        return Bounded(Choices(influence, usual if scaling is None else scaling, information, grouping), patience)
+    if patience is not None:
+        raise ValueError(
+            f"patience: expected None with noise=, got {patience!r}; there a jump is believed by its probability: say "
+            "process=Scales(jump=..)"
+        )
+    for name, value, usual_ones in (
+        ("influence", influence, (Huber(),)),
+        ("scaling", scaling, (None, "innovation")),
+        ("information", information, ("realized",)),
+    ):
+        if value not in usual_ones:
+            raise ValueError(f"{name}: expected none with noise=, got {value!r}; psi follows from the noise there")
+    _checks.option("grouping", grouping, ("component", "joint")) if isinstance(grouping, str) else _refuse(grouping)
+    return Mixture(noise, process, grouping)
+
+
+def _refuse(grouping: Any) -> None:
+    """Raise for groups of sensors by name, which noise= has not."""
+    raise ValueError(f"grouping: expected 'component' or 'joint' with noise=, got {grouping!r}")
