@@ -122,7 +122,8 @@ def run(
     """
     kernel = extension()
     last = len(zs) if last is None else last
-    if kernel is None or not hasattr(kernel, "learnt_steps") or noise.grouping == "joint":
+    told = noise.grouping == "joint" or process.probabilities is not None
+    if kernel is None or told or not hasattr(kernel, "learnt_steps"):
         return first
     width = 0 if kept.covariances is None else kept.covariances.shape[1]
     likelihood = np.zeros(1) if kept.log_likelihood is None else kept.log_likelihood
