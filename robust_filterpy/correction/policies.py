@@ -123,7 +123,19 @@ def process_policy(value: Any) -> Contaminated | Scales | None:
 
 
 def noise_classes(noise: Contaminated | Learnt, grouping: Grouping) -> NoiseClasses:
-    """Return the classes of measurement noise that a policy speaks of."""
+    """Return the classes of measurement noise that a policy speaks of.
+
+    Parameters
+    ----------
+    noise : Contaminated or Learnt
+        The policy.
+    grouping : {"component", "joint"}
+        Whether each sensor fails on its own, or all together.
+
+    Returns
+    -------
+    NoiseClasses
+    """
     if isinstance(noise, Learnt):
         return NoiseClasses(noise.scales, grouping, noise.memory, noise.r_memory)
     scales, probabilities = noise._classes

@@ -3,8 +3,8 @@
 * `kalman`: `RobustKalmanFilter`.
 * `extended`, `sigma_point`: nonlinear filters.
 * `adaptive`: `AdaptiveKalmanFilter`, the linear one with noises that are learnt.
-* `policy`: the contract of what judges measurements; `_bounded` (psi, and the patience of `_insistence`) and `_mixture`
-  (noise told or learnt, copies of the state) are the two that there are.
+* `_policy`: the contract of what judges measurements; the two that there are: `_bounded` (psi, and the patience of
+  `_insistence`) and `_mixture` (noise told or learnt, copies of the state).
 * `ensemble`: the ensemble Kalman filter.
 * `functions`: filterpy's functions update, predict, batch_filter, rts_smoother.
 * `conversion`: a robust filter made of an existing one.

@@ -23,7 +23,7 @@ __all__ = ["Bounded", "finite_product"]
 
 @dataclass(frozen=True)
 class Bounded:
-    """Correct by psi; the contract is `robust_filterpy.filters.policy.Policy`."""
+    """Correct by psi; the contract is `robust_filterpy.filters._policy.Policy`."""
 
     choices: Choices
     patience: int | None = None

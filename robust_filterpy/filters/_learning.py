@@ -14,8 +14,8 @@ from robust_filterpy.correction.spread import SPREAD, WEIGHT
 from robust_filterpy.filters._bounded import Bounded
 from robust_filterpy.filters._insistence import Insistence
 from robust_filterpy.filters._mixture import Mixture, ordinary_noise
+from robust_filterpy.filters._policy import Known
 from robust_filterpy.filters._sensors import Customs
-from robust_filterpy.filters.policy import Known
 
 
 class LearningMixin:
@@ -23,7 +23,6 @@ class LearningMixin:
 
     __slots__ = ()
 
-    R: Any
     dim_z: int
     _policy: Any
     _kept: Any
@@ -121,7 +120,8 @@ class LearningMixin:
         """Under ``noise=``, the covariance of ordinary noise as learnt, shape (dim_z, dim_z); None without."""
         if type(self._policy) is not Mixture:
             return None
-        return ordinary_noise(noise_covariance(self.R, None, self.dim_z), self._known(self.dim_z).memory)
+        kf: Any = self
+        return ordinary_noise(noise_covariance(kf.R, None, self.dim_z), self._known(self.dim_z).memory)
 
     @property
     def _learns_noise(self) -> bool:

@@ -22,8 +22,8 @@ from robust_filterpy.filters._interruption import StateMixin
 from robust_filterpy.filters._learning import LearningMixin
 from robust_filterpy.filters._options import OptionsMixin
 from robust_filterpy.filters._outlier_share import EVERY, Share
+from robust_filterpy.filters._policy import policy_of
 from robust_filterpy.filters._sensors import Customs
-from robust_filterpy.filters.policy import policy_of
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.kernel.record import correction_of
 
@@ -43,17 +43,15 @@ class RobustFilterMixin(OptionsMixin, LearningMixin, StateMixin):
 
     # Outside __dict__, which filterpy's Saver copies at every epoch and turns into arrays.
     # (Not a literal: a type checker would then believe that there is no __dict__ at all.)
-    __slots__ = tuple(
-        "_K _S _SI _kept _last _memory _other_sensors _outlier_probability _policy _process_scales _share _updates _y"
-        .split()
+    __slots__ = (
+        *"_K _S _SI _last _share _updates _y".split(),
+        *"_kept _memory _other_sensors _outlier_probability _policy _process_scales".split(),
     )
 
     #: Whether nobody else watches how often the filter clips.
     _counts_clipped = True
 
     x: Assigned
-    P: Array
-    R: Any
     dim_z: int
     _K: Any
     _y: Any

@@ -56,7 +56,7 @@ class Kept(NamedTuple):
 
 @dataclass(frozen=True)
 class Mixture:
-    """Correct by the score of the innovation; the contract is `robust_filterpy.filters.policy.Policy`."""
+    """Correct by the score of the innovation; the contract is `robust_filterpy.filters._policy.Policy`."""
 
     noise: Contaminated | Learnt
     process: Contaminated | Scales | None = None

@@ -6,8 +6,8 @@ from typing import Any
 
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.filters._mixture import Mixture
+from robust_filterpy.filters._policy import policy_of
 from robust_filterpy.filters._sensors import Customs
-from robust_filterpy.filters.policy import policy_of
 from robust_filterpy.influence.functions import Influence
 
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import support
 
-from robust_filterpy import AdaptiveKalmanFilter, adaptive_series
+from robust_filterpy import AdaptiveKalmanFilter, Learnt, Scales, adaptive_series
 from robust_filterpy.correction import SingularInnovationError
+from robust_filterpy.correction.learning import SCALES
 
 SERIES, N = 3, 25
 
@@ -23,12 +24,18 @@ def arguments(problem):
     return problem.F, problem.H, problem.Q, problem.R, problem.x[:, 0], problem.P
 
 
+def policies(*, grouping="component", measurement_scales=SCALES, memory=300.0, r_memory=30.0, **process):
+    """The arguments of a filter that belong to those of `adaptive_series`."""
+    scales = {{"process_scales": "scales"}.get(name, name): value for name, value in process.items()}
+    return {"noise": Learnt(measurement_scales, memory, r_memory), "process": Scales(**scales), "grouping": grouping}
+
+
 def by_filters(problem, zs, learnt=None, model=lambda s, k: {}, **options):
     """A loop over filters: what each shows at each step, by name."""
     rows = {name: [] for name in ("x", "P", "weights", "outlier_probability", "process_scale", "log_likelihood")}
     known = []
     for s, z in enumerate(zs):
-        kf = support.make(AdaptiveKalmanFilter, problem, 1, **options)
+        kf = support.make(AdaptiveKalmanFilter, problem, 1, **policies(**options))
         if learnt is not None:
             kf.learnt = learnt[s]
         for k, z_k in enumerate(z):

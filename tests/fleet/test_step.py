@@ -335,7 +335,7 @@ def test_a_batch_that_does_not_fit_is_named(batch, message):
 
 def test_a_state_of_another_model_is_refused_by_name():
     state, _ = step(MODELS["two-sided"](), None, [[1.0]])
-    with pytest.raises(ValueError, match="expected one of a RobustKalmanFilter, got one of a AdaptiveKalmanFilter"):
+    with pytest.raises(ValueError, match="expected one of this model, got one of a model with other"):
         step(MODELS["linear"](), state, [[1.0]])
     with pytest.raises(ValueError, match="ARX"):
         step(MODELS["ARX"](), state, [[1.0, 1.0]])

@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 import support
 from filterpy.kalman import FadingKalmanFilter, InformationFilter, KalmanFilter, SquareRootKalmanFilter
-from support import two_sided
 
-from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter
+from robust_filterpy import AdaptiveKalmanFilter, Hampel, Huber, Linear, RobustKalmanFilter
 from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError, ParameterTracker
 from robust_filterpy.noise import EpsilonContaminated
 from robust_filterpy.plants import simulate_arx, simulate_output_error
@@ -471,7 +470,7 @@ class Mixed:
         self.x = 0.5 * sum(kf.x for kf in self.filters)
 
 
-class Failing(two_sided):
+class Failing(AdaptiveKalmanFilter):
     """A filter with copies that refuses a sample after they have moved."""
 
     fails = False
