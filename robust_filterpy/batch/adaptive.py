@@ -183,7 +183,7 @@ def _started(kf: AdaptiveKalmanFilter, learnt: ArrayLike | None, given: SeriesAr
 def _learnt(kf: AdaptiveKalmanFilter, learnt: ArrayLike | None, series: int, m: int) -> Array:
     """Return what is known of each series' noise before its first step, or raise."""
     if learnt is None:
-        return np.tile(kf.learnt, (series, 1, 1))
+        return np.tile(kf._memory, (series, 1, 1))
     values = numbers("learnt", learnt)
     if values.ndim != 3:
         return np.tile(kf._policy.classes.checked(values, m), (series, 1, 1))

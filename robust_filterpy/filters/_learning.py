@@ -36,7 +36,8 @@ class LearningMixin:
 
     def _keep_sensors(self, value: Customs) -> None:
         """Keep what is known of the sensors."""
-        self._memory, self._other_sensors = value
+        kf: Any = self
+        kf._memory, kf._other_sensors = value
 
     def _known(self, m: int, passed: Array | None = None, first: int = 0) -> Known:
         """Return what is known before a correction by m sensors, from place `first` in z on or by their rows of H."""
@@ -105,7 +106,8 @@ class LearningMixin:
     def learnt(self, value: ArrayLike) -> None:
         if not self._learns_noise:
             raise AttributeError(f"learnt: expected a filter with noise=Learnt(..), got noise={self._policy.noise!r}")
-        self._memory, self._other_sensors = self._policy.classes.checked(value, self.dim_z), {}
+        kf: Any = self
+        kf._memory, kf._other_sensors = self._policy.classes.checked(value, self.dim_z), {}
 
     @property
     def noise_learnt(self) -> LearntNoise | None:

@@ -114,9 +114,8 @@ class Mixture:
     ) -> tuple[Array, Array, Kept | None]:
         """Return x and P of all copies after a prediction: mixed as the scale may have changed, then moved."""
         control = None if Bu is None else Bu.ravel()
-        after = self._merged(
-            side_by_side.predict(self.current(kept, x.ravel(), P).copies, F, Q, self.scales, control, alpha_sq)
-        )
+        now = self.current(kept, x.ravel(), P).copies
+        after = self._merged(side_by_side.predict(now, F, Q, self.scales, control, alpha_sq))
         return after.x.reshape(x.shape).copy(), after.P.copy(), None if kept is None else after
 
     def corrected(

@@ -31,10 +31,10 @@ class OptionsMixin:
         chosen = {"grouping": old.choices.grouping, "noise": old.noise, "process": old.process}
         if old.noise is None and changes.get("noise") is None:
             chosen |= {name: getattr(old.choices, name) for name in ("influence", "scaling", "information")}
-        policy = policy_of(**{**chosen, "patience": old.patience, **changes})
+        policy: Any = policy_of(**{**chosen, "patience": old.patience, **changes})
         self._require_possible(policy)
         anew = type(policy) is not type(old) or (isinstance(policy, Mixture) and policy.classes != old.classes)
-        self._policy, self._choices = policy, policy.choices
+        kf._policy, kf._choices = policy, policy.choices
         if anew:
             kf._keep_sensors(Customs(policy.begin(self.dim_z), {}))
         if anew or policy.process != old.process or policy.patience != old.patience:

@@ -19,7 +19,6 @@ from robust_filterpy._checks import Array
 from robust_filterpy._state import Shape
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.policies import noise_policy, process_policy
-from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.whitening import Inverse
 from robust_filterpy.filters._bounded import Bounded
 from robust_filterpy.filters._mixture import Mixture
@@ -38,27 +37,61 @@ class Known(NamedTuple):
 
 
 class Record(Protocol):
-    """What a correction left; what few programs look at is made when asked for."""
+    """What a correction left: a `Correction`, or what makes one by ``as_arrays`` when it is asked for."""
 
-    x: Array
-    """Posterior mean, shape (n,)."""
-    P: Array
-    """Posterior covariance, shape (n, n)."""
-    memory: Array | None
-    """Of the sensors, None where nothing has been learnt."""
+    @property
+    def x(self) -> Array:
+        """Posterior mean, shape (n,)."""
+        ...
 
-    def as_arrays(self) -> Correction:
-        """Return everything that a correction shows."""
+    @property
+    def P(self) -> Array:
+        """Posterior covariance, shape (n, n)."""
+        ...
+
+    @property
+    def memory(self) -> Array | None:
+        """Of the sensors, None where nothing has been learnt."""
+        ...
+
+    @property
+    def log_density(self) -> float:
+        """log p(z)."""
         ...
 
 
 class Policy(Protocol):
     """How a filter predicts its state and corrects it."""
 
-    choices: Choices
-    """Influence, scaling, information, grouping; under a mixture those by which `update_steadystate` clips."""
-    by_kernel: bool
-    """Whether the kernel's steps are this policy's."""
+    @property
+    def choices(self) -> Choices:
+        """Influence, scaling, information, grouping; under a mixture those by which `update_steadystate` clips."""
+        ...
+
+    @property
+    def noise(self) -> Any:
+        """What was told of the measurement noise."""
+        ...
+
+    @property
+    def process(self) -> Any:
+        """What was told of the process noise."""
+        ...
+
+    @property
+    def patience(self) -> int | None:
+        """How many refused measurements that agree are believed."""
+        ...
+
+    @property
+    def by_kernel(self) -> bool:
+        """Whether the kernel's steps of one filter are this policy's."""
+        ...
+
+    @property
+    def learns(self) -> bool:
+        """Whether anything is learnt of the sensors."""
+        ...
 
     def begin(self, sensors: int) -> Array:
         """Return the memory of sensors of which nothing is known."""
@@ -75,15 +108,15 @@ class Policy(Protocol):
         ...
 
     def corrected(
-        self, known: Known, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None, inv: Inverse | None
-    ) -> tuple[Record, Any]:
+        self, known: Any, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None, inv: Inverse | None
+    ) -> tuple[Any, Any]:
         """Return the correction by a linear sensor, z of shape (m,) with NaN where missing, and what is kept."""
         ...
 
     def corrected_by_moments(
-        self, known: Known, x: Array, P: Array, y: Array, C: Array, S: Array, R: Array, H: Array | None,
+        self, known: Any, x: Array, P: Array, y: Array, C: Array, S: Array, R: Array, H: Array | None,
         inv: Inverse | None, difference: Callable[[Array, Array], Array] = np.subtract,
-    ) -> tuple[Record, Any]:  # fmt: skip
+    ) -> tuple[Any, Any]:  # fmt: skip
         """Return the correction by an innovation y with C = cov(x, y), S = cov(y), R of it noise, and what is kept.
 
         H is the derivative of the measurement, None where only moments are known; `difference` that of two innovations.
