@@ -21,6 +21,8 @@ myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 exclude_patterns = ["_build"]
 
+# Equations are no Python; programs name their language.
+highlight_language = "none"
 # A word in single backticks is code; what can be linked is linked by the tables of each page.
 default_role = "code"
 # Docstrings write the length of e as |e|, which reStructuredText takes for a substitution.

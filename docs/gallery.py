@@ -48,8 +48,6 @@ STORY = {
         "pneumatic_servo": "A pneumatic servo",
     },
 }
-# What makes a long one short enough to be run whenever the site is built.
-OPTIONS = {"pneumatic_servo": ["--seeds", "2"]}
 # Beside the outputs: what they were made from.
 STAMP = "made_from"
 SPECIAL = re.compile(r"([\\*`|_])")
@@ -74,19 +72,17 @@ def pages(examples: Path, docs: Path) -> dict[str, str]:
 
 
 def outputs(paths: list[Path], folder: Path) -> dict[str, str]:
-    """Run the examples whose source or package has changed, and return what each printed, by name."""
-    shared, folders = hashlib.sha256(), (paths[0].parent / "servo", paths[0].parents[1] / "robust_filterpy")
-    for path in sorted(path for top in folders for path in top.rglob("*") if path.suffix in {".py", ".c", ".h"}):
-        shared.update(path.read_bytes())
+    """Run the examples that have changed, or the modules that they import, and return what each printed, by name."""
 
     def one(path: Path) -> str:
         out = folder / path.stem
         stamp, log = out / STAMP, out / "printed.txt"
-        made_from = hashlib.sha256(shared.digest() + path.read_bytes()).hexdigest()
-        if not stamp.exists() or stamp.read_text(encoding="utf-8") != made_from:
+        if not stamp.exists() or stamp.read_text(encoding="utf-8") != made_from(stamp, path.parents[1]):
             out.mkdir(parents=True, exist_ok=True)
-            log.write_text(run(path, out), encoding="utf-8")
-            stamp.write_text(made_from, encoding="utf-8")
+            printed, modules = run(path, out)
+            log.write_text(printed, encoding="utf-8")
+            sources = [path, *sources_of(modules, path.parents[1])]
+            stamp.write_text(fingerprints(sources, path.parents[1]), encoding="utf-8")
         return log.read_text(encoding="utf-8")
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -94,16 +90,42 @@ def outputs(paths: list[Path], folder: Path) -> dict[str, str]:
         return dict(zip((path.stem for path in paths), printed, strict=True))
 
 
-def run(path: Path, out: Path) -> str:
-    """Return what an example prints."""
+def made_from(stamp: Path, root: Path) -> str:
+    """Return what a stamp would be now."""
+    names = [line.split("  ", 1)[1] for line in stamp.read_text(encoding="utf-8").splitlines()]
+    return fingerprints([root / name for name in names], root)
+
+
+def fingerprints(paths: list[Path], root: Path) -> str:
+    """Return a line for each file: the hash of its content, its name."""
+    found = {path: path.read_bytes() if path.exists() else b"" for path in sorted(set(paths))}
+    return "\n".join(f"{hashlib.sha256(b).hexdigest()}  {path.relative_to(root)}" for path, b in found.items())
+
+
+def sources_of(modules: set[str], root: Path) -> list[Path]:
+    """Return the files of those modules that are the package's or the examples', the kernel's in C with them."""
+    found = [root / "setup.py", *(root / "robust_filterpy" / "kernel").glob("*.[ch]")]
+    for name in modules:
+        for top in (root, root / "examples"):
+            path = top.joinpath(*name.split("."))
+            found += [file for file in (path.with_suffix(".py"), path / "__init__.py") if file.exists()]
+    return found
+
+
+def run(path: Path, out: Path) -> tuple[str, set[str]]:
+    """Return what an example prints, and the modules that it imports."""
     here = path.parents[1]
     search = os.pathsep.join(filter(None, (str(here), os.environ.get("PYTHONPATH"))))
     environment = {**os.environ, "MPLBACKEND": "Agg", "PYTHONPATH": search, "PYTHONIOENCODING": "utf-8"}
-    command = [sys.executable, path, "--out", out, *OPTIONS.get(path.stem, [])]
+    # The interpreter itself writes every import to stderr, its last column is the module.
+    command = [sys.executable, "-X", "importtime", path, "--out", out]
     done = subprocess.run(command, cwd=here, env=environment, capture_output=True, encoding="utf-8")
+    lines = done.stderr.splitlines()
+    imports = [line for line in lines if line.startswith("import time:")]
     if done.returncode:
-        raise ExtensionError(f"{path.name} fails:\n{done.stderr}")
-    return done.stdout.replace(str(out), "examples/output")
+        raise ExtensionError(f"{path.name} fails:\n" + "\n".join(line for line in lines if line not in set(imports)))
+    modules = {line.rpartition("|")[2].strip() for line in imports}
+    return done.stdout.replace(str(out), "examples/output"), modules
 
 
 def page(name: str, title: str, question: str, rest: str, figures: list[str], printed: str) -> str:
@@ -112,7 +134,6 @@ def page(name: str, title: str, question: str, rest: str, figures: list[str], pr
     # The figures are on the page.
     table, conclusion = (re.sub(r"(?m)^(Figure|Data): .*\n?", "", text) for text in (table, conclusion))
     stem = Path(name).stem
-    run_as = " ".join([f"python examples/{name}", *OPTIONS.get(stem, [])])
     lines = [heading(title), question + "\n", rest + "\n"]
     lines += [f".. image:: {figure}\n   :alt: {title}\n   :class: figure\n" for figure in figures]
     lines += [f"**Conclusion**{escaped(' '.join(conclusion.split()))}\n"]
@@ -122,7 +143,8 @@ def page(name: str, title: str, question: str, rest: str, figures: list[str], pr
         [
             *lines,
             heading("The program", "-"),
-            f"Run ``{run_as}``, as this page did, or take the file, :download:`{name} <../../examples/{name}>`, or the "
+            f"Run ``python examples/{name}``, as this page did, or take the file, "
+            f":download:`{name} <../../examples/{name}>`, or the "
             f"notebook, :download:`{stem}.ipynb <notebooks/{stem}.ipynb>`.\n",
             f".. literalinclude:: ../../examples/{name}\n   :language: python\n",
         ]

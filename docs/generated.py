@@ -13,6 +13,8 @@ FOREIGN = (
     "KalmanFilter, ExtendedKalmanFilter, UnscentedKalmanFilter, CubatureKalmanFilter, EnsembleKalmanFilter, "
     "FixedLagSmoother, rv_continuous, tuple, dict, Mapping, Exception, object"
 )
+#: A class with so many methods has a page of its own.
+MANY = 5
 
 
 def write(docs: Path, pages: dict[str, str]) -> None:
@@ -67,8 +69,23 @@ def api_pages() -> dict[str, str]:
         *first,
         "",
     ]
-    pages = {f"api/{module}.rst": module_page(module, names) for module, names in described.items()}
-    return {"api/index.rst": "\n".join(index), **pages}
+    pages = {"api/index.rst": "\n".join(index)}
+    for module, names in described.items():
+        found = importlib.import_module(module)
+        apart = [name for name in names if is_long(getattr(found, name))]
+        pages[f"api/{module}.rst"] = module_page(module, names, apart)
+        for name in apart:
+            lines = [heading(name), directive(module, name, getattr(found, name))]
+            pages[f"api/{module}.{name}.rst"] = "\n".join(lines)
+    return pages
+
+
+def is_long(thing: object) -> bool:
+    """Tell whether a class has so many methods that it needs a page of its own."""
+    if not inspect.isclass(thing):
+        return False
+    own = {name for base in thing.__mro__ if base.__module__.startswith(ROOT) for name in vars(base)}
+    return sum(callable(getattr(thing, name, None)) and not name.startswith("_") for name in own) >= MANY
 
 
 def own_names(module: str) -> list[str]:
@@ -81,15 +98,19 @@ def own_names(module: str) -> list[str]:
     return [name for name in names if (getattr(getattr(found, name), "__module__", None) or "").startswith(module)]
 
 
-def module_page(module: str, names: list[str]) -> str:
-    """Return the page of a module: its docstring, a table, and every name in full."""
+def module_page(module: str, names: list[str], apart: list[str]) -> str:
+    """Return the page of a module: its docstring, a table, and in full every name that has no page of its own."""
     found = importlib.import_module(module)
     lines = [heading(module), f".. automodule:: {module}\n   :no-members:\n"]
     if names:
         lines += [heading("Names", "-"), f".. currentmodule:: {module}\n", ".. autosummary::\n"]
         # A constant has no first line of its own.
-        lines += [*[f"   {name}" for name in names if callable(getattr(found, name))], "", heading("In full", "-")]
-        lines += [directive(module, name, getattr(found, name)) for name in names]
+        lines += [*[f"   {name}" for name in names if callable(getattr(found, name))], ""]
+        if apart:
+            lines += [".. toctree::\n   :hidden:\n", *[f"   {module}.{name}" for name in apart], ""]
+        if len(apart) < len(names):
+            lines += [heading("In full", "-")]
+        lines += [directive(module, name, getattr(found, name)) for name in names if name not in apart]
     return "\n".join(lines) + "\n"
 
 

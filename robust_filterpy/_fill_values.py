@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from robust_filterpy._checks import Array
+from robust_filterpy._warning import warn
 
 __all__ = ["FillValues", "fill_values", "without_fill_values"]
 
@@ -138,7 +138,7 @@ def without_fill_values(name: str, rows: Any) -> tuple[Any, Any]:
     filled = (known & np.isnan(found)).reshape(len(found), -1)
     if not said:
         return rows, filled
-    warnings.warn(f"{name}: {'; '.join(said)}", stacklevel=3)
+    warn(f"{name}: {'; '.join(said)}")
     return found, filled
 
 

@@ -1,45 +1,63 @@
-"""Write docs/_static/live_filter.js: the exported C of one filter as WebAssembly, and a recording for it.
+"""Write docs/_static/live_filter.js: the kernel with the numbers of one problem as WebAssembly, and a recording for it.
 
-Needs clang and lld for wasm32: ``python docs/_live/build.py`` after a change of what `export_c` writes for this filter.
+Needs clang and lld for wasm32: ``python docs/_live/build.py`` after a change of the kernel.
 """
 
 import base64
 import hashlib
 import json
+import re
 import subprocess
 import tempfile
 from pathlib import Path
 
 import numpy as np
 
-from robust_filterpy import Huber, RobustKalmanFilter, __version__, export_c
+import robust_filterpy
+from robust_filterpy.correction import copies, learning
+from robust_filterpy.correction.copies import Scales
+from robust_filterpy.correction.learning import NoiseClasses
 
-TARGET = Path(__file__).parents[1] / "_static" / "live_filter.js"
-# sqrt and fabs are instructions of the machine, so that no library is needed.
+HERE = Path(__file__).parent
+TARGET = HERE.parent / "_static" / "live_filter.js"
+KERNEL = Path(robust_filterpy.__file__).parent / "kernel"
+# sqrt and fabs are instructions of the machine; the others the page has in Math.
 MATH = """
 #define INFINITY __builtin_inff()
 #define NAN __builtin_nanf("")
-#define isnan(x) __builtin_isnan(x)
-#define isinf(x) __builtin_isinf(x)
-#define isfinite(x) __builtin_isfinite(x)
-double sqrt(double);
-double fabs(double);
-double exp(double), log(double), hypot(double, double), copysign(double, double);
+double sqrt(double), fabs(double), exp(double), log(double), hypot(double, double), copysign(double, double);
 """
+EXPORTS = ("kalman", "default", "learnt", "z", "position")
 FLAGS = (
-    "--target=wasm32 -std=c99 -O2 -fno-math-errno -mbulk-memory -nostdlib -Wl,--no-entry -Wl,--strip-all "
-    "-Wl,--export=live_predict,--export=live_update,--export=live_default,--export=live_start,--export=__heap_base"
+    "--target=wasm32 -std=c99 -Os -fno-math-errno -mbulk-memory -nostdlib -Wl,--no-entry -Wl,--strip-all "
+    "-Wl,--allow-undefined " + " ".join(f"-Wl,--export=live_{name}" for name in EXPORTS)
 )
 
 
-def live_filter() -> RobustKalmanFilter:
-    """Return the filter of the page: position and velocity of a vehicle, its position measured each second."""
-    kf = RobustKalmanFilter(2, 1, influence=Huber(), scaling="innovation")
+def live_filter(cls, **options):
+    """Return a filter of the page: position and velocity of a vehicle, its position measured each second."""
+    kf = cls(2, 1, **options)
     kf.F = np.array([[1.0, 1.0], [0.0, 1.0]])
     kf.H = np.array([[1.0, 0.0]])
     kf.Q = 0.02 * np.array([[1.0 / 3.0, 0.5], [0.5, 1.0]])
     kf.R, kf.P = np.array([[1.0]]), np.diag([4.0, 1.0])
     return kf
+
+
+def numbers() -> str:
+    """Return numbers.h: the problem, and what the filter that learns begins with."""
+    kf, noise, process = live_filter(robust_filterpy.RobustKalmanFilter), NoiseClasses(), Scales()
+    begun = copies.start(kf.x.ravel(), kf.P, process)
+    arrays = {"F": kf.F, "Q": kf.Q, "H": kf.H, "START": kf.P, "PROCESS": process.scales}
+    arrays |= {"SCALES": noise.scales, "PROBABILITIES": begun.probabilities}
+    arrays["BEGIN"] = learning.start(len(noise.scales), noise.probabilities)
+    defined = {"Q": len(process.scales), "K": len(noise.scales), "STAY": process.stay, "JUMP": process.jump}
+    defined |= {"MEMORY": noise.memory, "R_MEMORY": noise.r_memory, "UNSEEN": begun.unseen}
+    lines = [f"#define LEARNT_{name} {value!r}" for name, value in defined.items()]
+    for name, array in arrays.items():
+        values = ", ".join(repr(float(value)) for value in np.ravel(array))
+        lines.append(f"static const double {name}[] = {{{values}}};")
+    return "\n".join([*lines, ""])
 
 
 def recording() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -54,24 +72,33 @@ def recording() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return truth.round(3), clean.round(3), measured.round(3)
 
 
-def exported(folder: Path) -> tuple[Path, str]:
-    """Write the C of the filter and return it with its fingerprint, which is the same in every version."""
-    source, header = export_c(live_filter(), folder / "live.c")
-    text = (source.read_text() + header.read_text()).replace(__version__, "")
-    return source, hashlib.sha256(text.encode()).hexdigest()
+def sources(path: Path, found: dict[str, str]) -> dict[str, str]:
+    """Return the text of a file and of the kernel's headers that it includes, by name."""
+    found[path.name] = path.read_text(encoding="utf-8")
+    for name in re.findall(r'#include "(\w+\.h)"', found[path.name]):
+        if name not in found and name != "numbers.h":
+            sources(KERNEL / name, found)
+    return found
+
+
+def fingerprint() -> str:
+    """Return the hash of what is compiled."""
+    return hashlib.sha256(("".join(sources(HERE / "live.c", {}).values()) + numbers()).encode()).hexdigest()
 
 
 def main() -> None:
     """Compile, and write the script."""
     with tempfile.TemporaryDirectory() as name:
-        source, fingerprint = exported(Path(name))
-        (Path(name) / "math.h").write_text(MATH)
-        subprocess.run(["clang", *FLAGS.split(), f"-I{name}", "-o", f"{name}/live.wasm", str(source)], check=True)
-        wasm = base64.b64encode((Path(name) / "live.wasm").read_bytes()).decode()
+        folder = Path(name)
+        (folder / "math.h").write_text(MATH)
+        (folder / "numbers.h").write_text(numbers())
+        command = ["clang", *FLAGS.split(), f"-I{folder}", f"-I{KERNEL}", "-o", folder / "live.wasm", HERE / "live.c"]
+        subprocess.run(command, check=True)
+        wasm = base64.b64encode((folder / "live.wasm").read_bytes()).decode()
     signals = dict(zip(("truth", "clean", "measured"), (signal.tolist() for signal in recording()), strict=True))
-    values = {"c": fingerprint, "wasm": wasm, **signals}
+    values = {"made_from": fingerprint(), "wasm": wasm, **signals}
     lines = ",\n".join(f"  {key}: {json.dumps(value)}" for key, value in values.items())
-    TARGET.write_text(f"// Written by docs/_live/build.py from what export_c writes.\nconst LIVE = {{\n{lines}\n}};\n")
+    TARGET.write_text(f"// Written by docs/_live/build.py from the kernel in C.\nconst LIVE = {{\n{lines}\n}};\n")
 
 
 if __name__ == "__main__":

@@ -3,31 +3,21 @@
   "use strict";
   const TOP = 20, MARGIN = { left: 34, bottom: 34 };
   const bytes = Uint8Array.from(atob(LIVE.wasm), (letter) => letter.charCodeAt(0));
-  const c = (await WebAssembly.instantiate(bytes)).instance.exports;
-
-  // The structures of live.h: F, Q, H, R and the threshold; x and P. Ours begin where C's own data end.
-  const heap = new Float64Array(c.memory.buffer), MODEL = 12, THRESHOLD = 11, STATE = 6;
-  const model = c.__heap_base.value, state = model + 8 * MODEL, z = state + 8 * STATE;
-  const copy = (to, from, count) => heap.copyWithin(to / 8, from / 8, from / 8 + count);
-
-  // Position after each measurement. With an infinite threshold the filter is the Kalman filter.
-  function positions(measured, threshold) {
-    copy(model, c.live_default.value, MODEL);
-    copy(state, c.live_start.value, STATE);
-    heap[model / 8 + THRESHOLD] = threshold;
-    return measured.map((value) => {
-      heap[z / 8] = value;
-      if (c.live_predict(model, state) !== 0 || c.live_update(model, state, z, 0) !== 0) {
-        throw new Error("the filter refused a sample");
-      }
-      return heap[state / 8];
-    });
-  }
+  const math = { log: Math.log, exp: Math.exp, hypot: Math.hypot };
+  const c = (await WebAssembly.instantiate(bytes, { env: math })).instance.exports;
+  const heap = new Float64Array(c.memory.buffer), Z = c.live_z.value / 8, POSITION = c.live_position.value / 8;
 
   const root = document.getElementById("live"), canvas = root.querySelector("canvas"), pen = canvas.getContext("2d");
-  const slider = root.querySelector("input"), said = root.querySelector("output");
+  const sliders = [...root.querySelectorAll("input")], [told, slider] = sliders, said = root.querySelector("output");
   const steps = LIVE.truth.length;
   let measured = [...LIVE.measured];
+
+  // Position after each measurement.
+  function positions(filter, ...options) {
+    heap.set(measured, Z);
+    if (filter(steps, ...options) !== steps) throw new Error("the filter refused a sample");
+    return [...heap.slice(POSITION, POSITION + steps)];
+  }
 
   const error = (found) => Math.sqrt(found.reduce((sum, x, k) => sum + (x - LIVE.truth[k]) ** 2, 0) / steps);
   const width = () => canvas.clientWidth - MARGIN.left - 8, height = () => canvas.clientHeight - MARGIN.bottom - 8;
@@ -59,9 +49,11 @@
 
   function draw() {
     const style = getComputedStyle(root);
-    const [ink, muted, red, blue] = ["ink", "muted", "kalman", "robust"].map((name) => style.getPropertyValue(`--${name}`));
-    const threshold = Number(slider.value);
-    const kalman = positions(measured, Infinity), robust = positions(measured, threshold);
+    const names = ["ink", "muted", "kalman", "robust", "learnt"];
+    const [ink, muted, red, blue, green] = names.map((name) => style.getPropertyValue(`--${name}`));
+    const threshold = Number(slider.value), R = 10 ** Number(told.value);
+    const kalman = positions(c.live_kalman, R), robust = positions(c.live_default, R, threshold);
+    const learnt = positions(c.live_learnt, R);
     const sharp = window.devicePixelRatio || 1;
     canvas.width = canvas.clientWidth * sharp;
     canvas.height = canvas.clientHeight * sharp;
@@ -70,6 +62,7 @@
     line(LIVE.truth, muted + "70", 6, []);
     line(kalman, red, 2, [6, 4]);
     line(robust, blue, 2, []);
+    line(learnt, green, 2, [2, 2]);
     measured.forEach((x, k) => {
       const [a, b] = [across(k), down(x)], thrown = x !== LIVE.clean[k];
       pen.strokeStyle = thrown ? ink : muted;
@@ -84,15 +77,21 @@
       pen.stroke();
     });
     root.querySelector("#live-threshold").textContent = threshold.toFixed(2);
-    said.textContent = `Root-mean-square error: Kalman ${error(kalman).toFixed(2)} m, robust ${error(robust).toFixed(2)} m`;
+    root.querySelector("#live-told").textContent = R < 1 ? R.toFixed(2) : R.toFixed(R < 10 ? 1 : 0);
+    const errors = [kalman, robust, learnt].map((found) => error(found).toFixed(2));
+    said.textContent = `Root-mean-square error: Kalman ${errors[0]} m, default ${errors[1]} m, learnt noise ${errors[2]} m`;
   }
 
-  canvas.addEventListener("pointerdown", (event) => {
+  // A reading goes where the pointer is, and each that it is dragged across.
+  function spoil(event) {
     const box = canvas.getBoundingClientRect();
     const k = Math.round(((event.clientX - box.left - MARGIN.left) * (steps - 1)) / width());
-    measured[Math.min(Math.max(k, 0), steps - 1)] = TOP - ((event.clientY - box.top - 8) * 2 * TOP) / height();
+    const x = TOP - ((event.clientY - box.top - 8) * 2 * TOP) / height();
+    measured[Math.min(Math.max(k, 0), steps - 1)] = Math.min(Math.max(x, -TOP), TOP);
     draw();
-  });
+  }
+  canvas.addEventListener("pointerdown", spoil);
+  canvas.addEventListener("pointermove", (event) => { if (event.buttons) spoil(event); });
   root.querySelector("#live-more").addEventListener("click", () => {
     for (let i = 0; i < 10; i++) {
       measured[Math.floor(Math.random() * steps)] = TOP * (2 * Math.random() - 1);
@@ -100,8 +99,12 @@
     draw();
   });
   root.querySelector("#live-none").addEventListener("click", () => { measured = [...LIVE.clean]; draw(); });
-  root.querySelector("#live-first").addEventListener("click", () => { measured = [...LIVE.measured]; draw(); });
-  slider.addEventListener("input", draw);
+  root.querySelector("#live-first").addEventListener("click", () => {
+    measured = [...LIVE.measured];
+    sliders.forEach((one) => { one.value = one.defaultValue; });
+    draw();
+  });
+  sliders.forEach((one) => one.addEventListener("input", draw));
   new ResizeObserver(draw).observe(canvas);
   new MutationObserver(draw).observe(document.body, { attributes: true, attributeFilter: ["data-theme"] });
 })();

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import matplotlib.pyplot as plt
 import numpy as np
-from servo.experiment import DT, NOMINAL, NONE, ROBUST, SERVO, Conditions
+from servo.experiment import DT, NOMINAL, NONE, ROBUST, SERVO, Conditions, motion
 from servo.models import CONSTANT, EVERY, ORDER, Model, frozen_gain, gain_of, sliding_gain
 from servo.study import INSTANTS, at
 
@@ -32,14 +32,16 @@ def draw_recording(given: Conditions, recordings: dict[str, ServoRecording], pat
     axes[0].plot(t[bad], 100 * robust.position_measured[bad], "x", color="black", markersize=5, label="outlier")
     axes[0].plot(t[part], 100 * robust.position[part], color="black", linewidth=1.3, label="true position")
     axes[0].step(t[part], 100 * given.reference[part], color="tab:green", ls=":", where="post", label="reference")
-    axes[0].set(ylabel="position / cm", title="The loop on the robust filter, one reading in ten wrong (last 4 s)")
+    axes[0].set(ylabel="position / cm", title="The encoder and the loop on the robust filter (last 4 s)")
     for loop in (NOMINAL, ROBUST):
         recording, style = recordings[loop], STYLE[loop]
         axes[1].plot(t, 1e3 * (recording.position - without.position), label=f"loop on {loop}", **style)
         axes[2].plot(t[part], 100 * recording.valve[part], label=f"loop on {loop}", **style)
-    axes[1].set(ylabel="moved by outliers / mm", title="What outliers do to the piston: less on the robust filter")
+    moved = (f"{motion(recordings[loop], without).deviation:.2f} mm on {loop}" for loop in (NOMINAL, ROBUST))
+    title = f"Outliers move the piston, root mean square: {', '.join(moved)}"
+    axes[1].set(ylabel="moved by outliers / mm", title=title)
     axes[2].plot(t[part], 100 * without.valve[part], color="black", linewidth=0.8, label="loop without outliers")
-    axes[2].set(ylabel="valve / % of stroke", title="The Kalman filter passes outliers on to the valve (last 4 s)")
+    axes[2].set(ylabel="valve / % of stroke", title="What the controller does about them (last 4 s)")
     physics = given.physics
     axes[3].plot(t, physics["beta"], color="black", label="beta (discharge, heat, temperature)")
     axes[3].plot(t, physics["alpha"] - 1, color="0.5", linestyle="--", label="alpha - 1 (heat)")
@@ -66,12 +68,12 @@ def draw_gain(given: Conditions, recording: ServoRecording, models: dict[str, Mo
     axis.axhline(constant, color="0.6", linestyle="--", linewidth=1, label="one constant model")
     sliding = [sliding_gain(recording, k) for k in ends]
     axis.plot(t, sliding, color="black", linewidth=1.4, label="physics, steady sliding")
-    instants = [at(share, recording.t.size) for share in np.linspace(0.1, 1.0, 7)]
+    instants = [at(share, recording.t.size) for share in (0.1, *INSTANTS)]
     frozen = [frozen_gain(given, k) for k in instants]
     axis.plot(recording.t[instants], frozen, "o", color="black", markerfacecolor="none",
               label="physics, frozen: its best linear model")  # fmt: skip
-    axis.set(xlabel="time / s", ylabel="gain / (cm/s per % of opening)", ylim=(2.5, 9.5))
-    axis.set_title("The tracked gain follows the physics; a constant model cannot")
+    axis.set(xlabel="time / s", ylabel="gain / (cm/s per % of opening)", ylim=(2, 9))
+    axis.set_title("The gain doubles: the tracked models follow, a constant one cannot")
     axis.legend(loc="upper left", ncols=2, fontsize=8)
     figure.savefig(path, dpi=80)
     plt.close(figure)
@@ -146,7 +148,7 @@ def draw_bode(recording: ServoRecording, found: list[Response], path: Path) -> N
         bottom.set(xlabel="frequency / Hz", xscale="log")
     axes[0, 0].set(ylabel="gain / dB (cm/s per % of opening)", ylim=(-25, 42))
     axes[1, 0].set(ylabel="phase / degrees", ylim=(-420, 40))
-    figure.suptitle("The model found from data is the linearized physics, up to the resonance")
+    figure.suptitle("The robust model, and the physics linearized about sliding without dry friction")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
     figure.savefig(path, dpi=80)
     plt.close(figure)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -30,15 +31,15 @@ class Run(NamedTuple):
     """What one seed gave."""
 
     motion: np.ndarray  # (loops, 3), see Motion
-    fits: np.ndarray  # (2, trackers), percent: valve to velocity, reference to position
+    fits: np.ndarray  # (1 or 2, trackers), percent: valve to velocity, reference to position
     gain: np.ndarray  # (instants, 3): frozen physics, robust model, its standard deviation
     drift: float  # variance of a step of theta that the data chose for the robust model
 
 
-def models_of(data: Signals) -> dict[str, Model]:
-    """Identify the same recording in every way."""
+def models_of(data: Signals, names: Sequence[str] = TRACKERS) -> dict[str, Model]:
+    """Identify the same recording in every way that is named."""
     variance = ordinary_variance(data)
-    return {name: tracked(data, name, variance) for name in TRACKERS}
+    return {name: tracked(data, name, variance) for name in names}
 
 
 def at(share: float, steps: int) -> int:
@@ -46,15 +47,23 @@ def at(share: float, steps: int) -> int:
     return max(round(share * steps) // EVERY, 1) * EVERY - 1
 
 
-def trial(rng: np.random.Generator, steps: int, contamination: float, encoder_outliers: float) -> Run:
+def trial(
+    rng: np.random.Generator,
+    steps: int,
+    contamination: float,
+    encoder_outliers: float,
+    loops: Sequence[str] = LOOPS,
+    trackers: Sequence[str] = TRACKERS,
+    closed: bool = True,
+) -> Run:
     """Drive the servo on every filter's estimate, and identify it from the recording of the robust loop."""
     given = conditions(steps, contamination, rng, encoder_outliers)
-    recordings = {loop: drive(given, loop) for loop in LOOPS}
-    moved = [motion(recordings[loop], recordings[NONE]) for loop in LOOPS]
+    recordings = {loop: drive(given, loop) for loop in loops}
+    moved = [motion(recordings[loop], recordings[NONE]) for loop in loops]
     fits, gain, drift = [], [], 0.0
-    for signals in (valve_to_velocity, reference_to_position):
+    for signals in (valve_to_velocity, reference_to_position) if closed else (valve_to_velocity,):
         data = signals(recordings[ROBUST], given)
-        models = models_of(data)
+        models = models_of(data, trackers)
         fits.append([fit(data, model) for model in models.values()])
         if signals is valve_to_velocity:
             robust = models[ROBUST]

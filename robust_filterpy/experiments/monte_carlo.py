@@ -23,6 +23,7 @@ from numpy.random import SeedSequence, default_rng
 from numpy.typing import NDArray
 
 from robust_filterpy._progress import progress_bar
+from robust_filterpy._warning import warn
 from robust_filterpy.experiments._runs import (
     Raised,
     Seed,
@@ -277,11 +278,10 @@ def _warn_of(failures: Sequence[Failure], stopped: str | None, done: int, runs: 
     """Tell the caller of monte_carlo what is missing from its result."""
     if failures:
         first = failures[0]
-        warnings.warn(
+        warn(
             f"{len(failures)} of {done} runs failed, first run {first.index}: {first.error}; "
             f"rerun(trial, result.seed, {first.index}) repeats it",
             RuntimeWarning,
-            stacklevel=3,
         )
     if stopped:
-        warnings.warn(f"ended after {done} of {runs} runs: {stopped}", RuntimeWarning, stacklevel=3)
+        warn(f"ended after {done} of {runs} runs: {stopped}", RuntimeWarning)

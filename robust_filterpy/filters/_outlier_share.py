@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import numpy as np
 
 from robust_filterpy._documentation import SMALL, STOPPED, pointer
+from robust_filterpy._warning import warn
 
 __all__ = ["EVERY", "OutlierShareWarning", "Share"]
 
 #: Only every so many updates are looked at, so that it costs nothing.
-EVERY = 4
-# Innovations, and updates, that a window needs at least.
+EVERY = 3
+# Innovations, and updates, that a window needs at least; half of it tells when nearly all of them are clipped.
 _NUMBERS, _UPDATES = 64, 16
+_NEARLY_ALL = 0.8
 _warned: set[str] = set()
 
 
@@ -36,7 +37,11 @@ class Share:
 
     def fills(self, m: int) -> bool:
         """Return whether one more correction, by m sensors at most, can fill the window."""
-        return self.numbers + m >= _NUMBERS and self.updates + 1 >= _UPDATES
+        return self.updates + 1 >= _UPDATES and (self.numbers + m >= _NUMBERS or self._tells_early(m))
+
+    def _tells_early(self, m: int = 0) -> bool:
+        """Return whether nearly all of half a window are clipped, were m more to be."""
+        return self.numbers + m >= _NUMBERS // 2 and self.clipped + m > _NEARLY_ALL * (self.numbers + m)
 
     def look(self, kf: Any, last: Any) -> None:
         """Count one correction, and judge the window when it is full."""
@@ -48,7 +53,7 @@ class Share:
         self.clipped += sum(d <= 0.0 for d in observed)
         self.kept += sign * self.sign > 0.0
         self.sign = sign
-        if self.numbers >= _NUMBERS and self.updates >= _UPDATES:
+        if self.updates >= _UPDATES and (self.numbers >= _NUMBERS or self._tells_early()):
             share, numbers, keeps = self.clipped / self.numbers, self.numbers, self.kept > 0.75 * self.updates
             self.__init__()  # type: ignore[misc]
             # More than half of what psi expects unclipped is clipped; one jump or run of outliers does not reach that.
@@ -65,13 +70,12 @@ class Share:
             else "R is too small, or most measurements hold an outlier"
         )
         _warned.add(name)
-        warnings.warn(
+        warn(
             f"{name}: clipped {share:.0%} of the last {numbers} innovations looked at, where its psi expects "
             f"{expected:.0%}; most likely {cause}: robust_filterpy.diagnose tells, and "
             f"{pointer(STOPPED if keeps else SMALL)}. Switch this off with "
             f'warnings.simplefilter("ignore", robust_filterpy.OutlierShareWarning)',
             OutlierShareWarning,
-            stacklevel=6,
         )
 
 

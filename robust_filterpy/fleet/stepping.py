@@ -5,7 +5,6 @@ A step of one key, a table of many, and a message are the same call with another
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -13,6 +12,7 @@ import numpy as np
 
 from robust_filterpy import _state
 from robust_filterpy._checks import Array
+from robust_filterpy._warning import warn
 from robust_filterpy.fleet._filters import Work
 from robust_filterpy.fleet.models import Late, Model
 from robust_filterpy.fleet.reading import Reasons, Rows, read_array, read_table
@@ -187,10 +187,9 @@ def advance(
         clocks = Clocks(time, np.where(new, time, grid[:, 0]), np.where(new, 0.0, grid[:, 1]))
     line = placed(times, starts, clocks, model.dt)
     if line.milliseconds:
-        warnings.warn(
+        warn(
             f"time: gaps of a thousand steps of dt={model.dt:g} s; times as large as these are milliseconds since 1970 "
             f"as a rule, divide them by 1000",
-            stacklevel=3,
         )
     work, at, held = _steps(model, entries, known, line, starts, of, z, u)
     model.advance(work)

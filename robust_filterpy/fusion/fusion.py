@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -12,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
+from robust_filterpy._warning import warn
 from robust_filterpy.correction.copies import Scales
 from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.options import Choices
@@ -230,12 +230,11 @@ class Fusion:
                 self._timeline.last_words(len(self._timeline.keys)).items(), key=lambda one: one[1], default=None
             )
             newest = "t0" if last is None else f"the newest reading, {last[0]!r} at {self._clock.stamp(last[1])}"
-            warnings.warn(
+            warn(
                 f"sensor {sensor!r}: a reading of {self._clock.stamp(key)} was dropped: it is "
                 f"{self._clock.between(key, horizon):.6g} s older than the window allows, by {newest}; a longer window "
                 "takes it; counts has how many there are",
                 FusionWarning,
-                stacklevel=3,
             )
         return "refused"
 

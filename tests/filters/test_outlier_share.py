@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 import pytest
 import support
+from filterpy.kalman import IMMEstimator
 from support import recovering
 
 from robust_filterpy import (
@@ -68,6 +69,29 @@ def test_a_learnt_spread_needs_no_telling():
 def test_outliers_are_not(dims, contamination):
     assert not run(*recordings(dims, 1.0, contamination))
     assert not run(*recordings(dims, 1e-4, contamination), influence=Linear())
+
+
+@pytest.mark.parametrize("q", [1e-6, 1e-4])
+@pytest.mark.parametrize("seed", range(10_010, 10_015))
+def test_R_a_thousand_times_too_small_is_told_within_200_samples_at_the_line_of_the_user(seed, q):
+    kf = ByS(2, 1)
+    kf.F, kf.H, kf.Q, kf.R = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]]), q * np.eye(2), 1e-3 * np.eye(1)
+    with pytest.warns(OutlierShareWarning) as caught:
+        for z in np.random.default_rng(seed).normal(size=200):
+            kf.predict()
+            kf.update(z)
+    assert [one.filename for one in caught] == [__file__]
+
+
+def test_filterpy_s_own_loop_is_not_the_line_of_the_user():
+    problem, zs = recordings((2, 1), 1e-4)
+    models = [support.make(ByS, problem) for _ in range(2)]
+    imm = IMMEstimator(models, [0.5, 0.5], 0.5 * np.ones((2, 2)))
+    with pytest.warns(OutlierShareWarning) as caught:
+        for z in zs:
+            imm.predict()
+            imm.update(z)
+    assert [one.filename for one in caught] == [__file__]
 
 
 def test_it_can_be_switched_off_and_made_an_error_that_changes_nothing():

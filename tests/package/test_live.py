@@ -1,4 +1,4 @@
-"""The live page of the site computes what Python computes, by the C that `export_c` writes today."""
+"""The live page of the site computes what Python computes, by the kernel in C as it is today."""
 
 import importlib.util
 import json
@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from filterpy.kalman import KalmanFilter
 
-from robust_filterpy import Linear
+from robust_filterpy import AdaptiveKalmanFilter, Huber, RobustKalmanFilter
 
 DOCS = Path(__file__).parents[2] / "docs"
 SCRIPT = DOCS / "_static" / "live_filter.js"
@@ -29,10 +30,10 @@ def embedded(name):
     return json.loads(re.search(rf"^  {name}: (.*?),?$", SCRIPT.read_text(), flags=re.M).group(1))
 
 
-def test_the_compiled_c_is_todays(build, tmp_path):
-    message = "export_c writes other C for the live page by now: run `python docs/_live/build.py` (needs clang and lld)"
-    assert build.exported(tmp_path)[1] == embedded("c"), message
-    assert SCRIPT.stat().st_size < 20_000
+def test_the_compiled_kernel_is_todays(build):
+    message = "the kernel is another one by now: run `python docs/_live/build.py` (needs clang and lld)"
+    assert build.fingerprint() == embedded("made_from"), message
+    assert SCRIPT.stat().st_size < 30_000
 
 
 def test_the_recording_is_the_scripts(build):
@@ -50,6 +51,20 @@ def root_mean_square(kf, truth, measured):
     return np.sqrt(np.mean((np.array(found) - truth) ** 2))
 
 
+def errors(build, measured):
+    """Errors of the three filters, to two digits."""
+    classes = {KalmanFilter: {}, RobustKalmanFilter: {"influence": Huber(1.35)}, AdaptiveKalmanFilter: {}}
+    truth = build.recording()[0]
+    filters = [build.live_filter(cls, **options) for cls, options in classes.items()]
+    return [f"{root_mean_square(kf, truth, measured):.2f}" for kf in filters]
+
+
+def test_the_text_has_the_errors_without_outliers(build):
+    kalman, default, learnt = errors(build, build.recording()[1])
+    said = f"the Kalman filter's error is {kalman} m then, the default's {default} m, that of learnt noise {learnt} m"
+    assert said in " ".join((DOCS / "live.md").read_text().split())
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(BROWSER is None, reason="no browser")
 def test_the_page_shows_the_errors_that_python_finds(build, tmp_path):
@@ -58,9 +73,6 @@ def test_the_page_shows_the_errors_that_python_finds(build, tmp_path):
     (tmp_path / "live.html").write_text(f'<!doctype html><meta charset="utf-8"><body>{html}</body>')
     command = [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=3000", "--dump-dom"]
     shown = subprocess.run([*command, f"file://{tmp_path}/live.html"], capture_output=True, text=True, timeout=120)
-    truth, _, measured = build.recording()
-    robust, kalman = build.live_filter(), build.live_filter()
-    robust.influence, kalman.influence = type(robust.influence)(1.35), Linear()
-    errors = [root_mean_square(kf, truth, measured) for kf in (kalman, robust)]
-    expected = f"Root-mean-square error: Kalman {errors[0]:.2f} m, robust {errors[1]:.2f} m"
+    kalman, default, learnt = errors(build, build.recording()[2])
+    expected = f"Root-mean-square error: Kalman {kalman} m, default {default} m, learnt noise {learnt} m"
     assert expected in shown.stdout

@@ -11,6 +11,7 @@ PACKAGE = Path(robust_filterpy.__file__).parent
 #: From the bottom of the house to its top: a room imports from those before it, and from itself.
 ROOMS = (
     "_version",
+    "_warning",
     "_checks",
     "_fill_values",
     "_arrays",

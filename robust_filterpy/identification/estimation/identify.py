@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from typing import Any, overload
 
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
+from robust_filterpy._warning import warn
 from robust_filterpy.identification.estimation.estimate import Problem
 from robust_filterpy.identification.estimation.grey_box import identified_grey_box
 from robust_filterpy.identification.estimation.level import (
@@ -195,7 +195,7 @@ def identify(
     found = replace(found, findings=findings)
     for words in (said(found.findings), found.warning):
         if words:
-            warnings.warn(f"identify: {words}", stacklevel=2)
+            warn(f"identify: {words}")
     return found
 
 
@@ -220,5 +220,5 @@ def _of_outputs(
         found = identified_state_space(y, u, structure, influence, groups)
     for words in (said(found.findings), found.warning):
         if words:
-            warnings.warn(f"identify: {words}", stacklevel=3)
+            warn(f"identify: {words}")
     return found

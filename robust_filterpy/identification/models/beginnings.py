@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
+from robust_filterpy._warning import warn
 from robust_filterpy.identification.models.prediction import cleaned_residuals
 from robust_filterpy.identification.models.signals import recorded_input
 from robust_filterpy.identification.models.structures import input_columns
@@ -82,9 +82,8 @@ def held_input(structure: Any, u: Any, rest: Array) -> Array:
     last = np.maximum.accumulate(np.where(gaps, -1, np.arange(len(signal))[:, None]), axis=0)
     before = rest if rest.size else np.zeros(structure.n_inputs)
     held = np.where(last < 0, before, np.take_along_axis(np.nan_to_num(signal), np.maximum(last, 0), axis=0))
-    warnings.warn(
+    warn(
         f"u: missing in {int(gaps.any(axis=1).sum())} of {_checks.count('u', len(signal))} samples, held at the value "
         "before; fill u with what acted, for a valve that stayed where it was u.ffill(), else u.interpolate()",
-        stacklevel=4,
     )
     return recorded_input(structure, held, None)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from typing import Any, NamedTuple, cast
 
@@ -12,6 +11,7 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks, _state
 from robust_filterpy._checks import Array, numbers
 from robust_filterpy._documentation import STOPPED, pointer
+from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Information, Scaling
 from robust_filterpy.identification.models import coefficients
 from robust_filterpy.identification.models.guard import GUARDS, Guard
@@ -521,10 +521,9 @@ class TrackerBank:
         """Warn of what is wrong, once for all actuators of which it is the same."""
         for trouble in dict.fromkeys(trouble for _, trouble in news):
             some = np.isin(np.arange(self.n), [i for i, each in news if each == trouble])
-            warnings.warn(
+            warn(
                 f"TrackerBank: {bank_setup.actuators(some)}: {trouble}; {pointer(STOPPED)}",
                 LostTrackerWarning,
-                stacklevel=3,
             )
 
     def _matrices(self, name: str) -> Array:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import math
-import warnings
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import _checks, _state
 from robust_filterpy._checks import FLOAT, Array
+from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.filters._interruption import StateMixin
 from robust_filterpy.filters._mixin import RobustFilterMixin, Snapshot
@@ -144,11 +144,10 @@ def warn_of_default_noise(kf: Any) -> None:
     """Warn if parameters would move by 1 a sample only because filterpy's filters begin with Q = I."""
     n = np.size(kf.x)
     if np.array_equal(getattr(kf, "Q", np.zeros(0)), np.eye(n)):
-        warnings.warn(
+        warn(
             "filter: its Q is I, as filterpy's filters begin, so that every parameter is expected to move by 1 a "
             "sample; pass Q=0 for parameters that stand still, or Q=1 if that is meant",
             UserWarning,
-            stacklevel=3,
         )
 
 

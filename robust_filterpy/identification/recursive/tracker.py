@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import warnings
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -13,6 +12,7 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks, _state
 from robust_filterpy._checks import Array
 from robust_filterpy._documentation import STOPPED, pointer
+from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Information, Scaling
 from robust_filterpy.identification.models import coefficients
 from robust_filterpy.identification.models.fit import fit_percent
@@ -643,7 +643,7 @@ class ParameterTracker(Responses):
             result = TrackingResult(out.theta[:, own], std, *out[2:]).labelled(self.structure.names, axis.index)
             self.dt, self._time = axis.dt if self.dt is None else self.dt, time
             if fills.values:
-                warnings.warn(f"ParameterTracker: y has {fills.said}", UserWarning, stacklevel=2)
+                warn(f"ParameterTracker: y has {fills.said}", UserWarning)
             return result
         except BaseException:
             self._put_back(before)
@@ -709,12 +709,11 @@ class ParameterTracker(Responses):
         dt = axis.dt if self.dt is None else self.dt
         missing = 0 if before is None else axis.missing_after(before, dt)
         if missing > 0:
-            warnings.warn(
+            warn(
                 f"y: {missing} missing sample(s) between {before[0]} and {axis.index[0]}, which "  # type: ignore[index]
                 f"the tracker takes for neighbours; give it the gap first, tracker.run(numpy.full({missing}, "
                 "numpy.nan), u) with the u of the gap",
                 UserWarning,
-                stacklevel=3,
             )
         return last, 0
 
@@ -740,7 +739,7 @@ class ParameterTracker(Responses):
         now, out, news = track.advance(self.form, self._using(recorded), self.now, y[None], u[None], R)
         self._take_over(now)
         for _, trouble in news:
-            warnings.warn(f"ParameterTracker: {trouble}; {pointer(STOPPED)}", LostTrackerWarning, stacklevel=3)
+            warn(f"ParameterTracker: {trouble}; {pointer(STOPPED)}", LostTrackerWarning)
         return Columns(*(column[0] for column in out))
 
     def _take_over(self, now: State) -> None:

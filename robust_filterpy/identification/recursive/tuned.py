@@ -19,6 +19,7 @@ import numpy as np
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._pictures import drawn
+from robust_filterpy._warning import warn
 from robust_filterpy.identification.models.learnt_noise import likelihood_of_mixture
 from robust_filterpy.identification.models.signals import recorded_input, recorded_output
 from robust_filterpy.identification.models.time_axis import recording, table
@@ -185,7 +186,7 @@ def tuned(tracker: ParameterTracker, y: Any, u: Any, over: Any, leave_out: int |
     chosen = max(rows, key=lambda row: row.log_likelihood)
     doubt = _doubt(chosen, candidates)
     if doubt:
-        warnings.warn(f"tuned: {doubt}", stacklevel=3)
+        warn(f"tuned: {doubt}")
     return TunedTracker(tracker.replaced(**chosen.values), rows, samples, doubt)
 
 

@@ -1,0 +1,99 @@
+"""Nothing of the site is wider than the window, measured in a browser."""
+
+import functools
+import http.server
+import json
+import re
+import shutil
+import subprocess
+import threading
+from html import unescape
+from pathlib import Path
+
+import pytest
+
+BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
+HTML = Path(__file__).parents[2] / "docs" / "_build" / "html"
+WIDTHS = (400, 1100, 1440)
+
+# Each page in a frame of each width: what reaches beyond it, and is not inside something that scrolls by itself.
+MEASURE = """<!doctype html><body><pre id="found"></pre><script>
+function clipped(element) {
+  for (let up = element.parentElement; up && up.tagName !== "ARTICLE"; up = up.parentElement) {
+    if (getComputedStyle(up).overflowX !== "visible") return true;
+  }
+  return false;
+}
+function beyond(frame, width) {
+  const elements = frame.contentDocument.querySelectorAll("article, article *");
+  const reaches = (e) => e.getBoundingClientRect().right > width + 1 && e.offsetWidth > 0;
+  const found = [...elements].filter((e) => reaches(e) && !clipped(e));
+  return found.slice(0, 3).map((e) => `${e.tagName}.${e.className} ${Math.round(e.getBoundingClientRect().right)}`);
+}
+(async () => {
+  const wide = [], loaded = [];
+  for (const page of PAGES) for (const width of WIDTHS) {
+    const frame = document.createElement("iframe");
+    frame.style.cssText = `border: 0; width: ${width}px; height: 800px`;
+    await new Promise((done) => { frame.onload = done; frame.src = page; document.body.append(frame); });
+    const found = beyond(frame, width);
+    loaded.push(frame.contentDocument.querySelectorAll("article").length);
+    if (found.length) wide.push(`${page} at ${width}: ${found.join(", ")}`);
+    frame.remove();
+  }
+  document.getElementById("found").textContent = JSON.stringify({ wide, loaded });
+})();
+</script>"""
+
+
+class Handler(http.server.SimpleHTTPRequestHandler):
+    """Serve a folder and one more page."""
+
+    def __init__(self, *arguments, measure, **options):
+        self.measure = measure
+        super().__init__(*arguments, **options)
+
+    def do_GET(self):
+        if self.path != "/measure":
+            return super().do_GET()
+        self.send_response(200)
+        self.send_header("Content-Type", "text/html; charset=utf-8")
+        self.end_headers()
+        self.wfile.write(self.measure.encode())
+
+    def log_message(self, *_):
+        """Say nothing."""
+
+
+def measured(folder, pages, widths=WIDTHS):
+    """What is wider than the window, and how many articles each frame had."""
+    text = MEASURE.replace("PAGES", json.dumps(pages)).replace("WIDTHS", json.dumps(widths))
+    handler = functools.partial(Handler, directory=str(folder), measure=text)
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        address = f"http://127.0.0.1:{server.server_address[1]}/measure"
+        command = [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=600000", "--dump-dom"]
+        shown = subprocess.run([*command, address], capture_output=True, text=True, timeout=500).stdout
+        server.shutdown()
+    found = json.loads(unescape(re.search(r'<pre id="found">(.*?)</pre>', shown, flags=re.S).group(1)))
+    return found["wide"], found["loaded"]
+
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(BROWSER is None, reason="no browser")]
+
+
+def test_the_measure_sees_what_is_too_wide(tmp_path):
+    wide = '<div style="width: 900px">wide</div>'
+    (tmp_path / "wide.html").write_text(f"<article>{wide}</article>")
+    (tmp_path / "fine.html").write_text(f'<article><div style="overflow: auto">{wide}</div></article>')
+    wide, loaded = measured(tmp_path, ["wide.html", "fine.html"], (400, 1100))
+    assert len(wide) == 1 and wide[0].startswith("wide.html at 400") and loaded == [1] * 4
+
+
+@pytest.mark.skipif(not HTML.exists(), reason="the site is not built: python -m sphinx docs docs/_build/html")
+def test_no_page_is_wider_than_the_window():
+    pages = [path.relative_to(HTML).as_posix() for path in sorted(HTML.rglob("*.html"))]
+    pages = [page for page in pages if "<article" in (HTML / page).read_text(encoding="utf-8")]
+    wide, loaded = measured(HTML, pages)
+    assert len(loaded) == len(pages) * len(WIDTHS) and all(loaded)
+    assert not wide, "\n".join(wide)
