@@ -184,8 +184,10 @@ class FilterBank:
                 raise
             x[i], P[i], log_likelihood[i] = found.x, found.P, found.log_density
             y[i], e[i], weights[i], S[i] = found.y, found.e, found.weights, found.S
-        self.x, self.P, self.y, self.e, self.S, self.weights = x, P, y, e, S, weights
-        self.log_likelihood, self._memory = log_likelihood, memory
+        # All at once: Ctrl-C does not come in between.
+        self.__dict__.update(
+            x=x, P=P, y=y, e=e, S=S, weights=weights, log_likelihood=log_likelihood, _memory=memory
+        )
 
     @property
     def spread(self) -> Array:
@@ -239,11 +241,11 @@ class FilterBank:
         optional = {name: shape if name in shared else (n, *shape) for name, shape in sizes.items()}
         optional["spread"] = (n, m, 6)
         found = _state.checked(state, "FilterBank", {"x": (n, d), "P": (n, d, d)}, optional)
-        self._memory = found.pop("spread", np.tile(spread.begin(m), (n, 1, 1)))
-        for name, value in found.items():
-            setattr(self, name, value)
-        self.y, self.e = np.zeros((n, m)), np.zeros((n, m))
-        self.S, self.weights, self.log_likelihood = np.zeros((n, m, m)), np.full((n, m), np.nan), np.zeros(n)
+        found["_memory"] = found.pop("spread", np.tile(spread.begin(m), (n, 1, 1)))
+        self.__dict__.update(
+            **found, y=np.zeros((n, m)), e=np.zeros((n, m)), S=np.zeros((n, m, m)), weights=np.full((n, m), np.nan),
+            log_likelihood=np.zeros(n),
+        )  # fmt: skip
 
     _checked: Array | None = None
 

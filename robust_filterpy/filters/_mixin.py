@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 from filterpy.common import pretty_str
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
 _DEFAULT_INVERSE = np.linalg.inv
 Inverse = Callable[[Array], Array]
+_Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
 class RobustFilterMixin(OptionsMixin, LearningMixin, StateMixin):
@@ -270,6 +272,10 @@ class Snapshot:
         self._slots = {name: getattr(kf, name) for name in RobustFilterMixin.__slots__ if hasattr(kf, name)}
         arrays = (v for v in self._attributes.values() if type(v) is np.ndarray and v.flags.writeable)
         self._contents = [(array, array.copy()) for array in arrays]
+        # An ensemble's random numbers; numpy's older generator hides where they come from.
+        rng = self._attributes.get("rng")
+        self._source = getattr(rng, "bit_generator", getattr(rng, "_bit_generator", None))
+        self._drawn = None if self._source is None else self._source.state
 
     def put_back(self, kf: Any) -> None:
         """Put the filter back as it was."""
@@ -279,6 +285,8 @@ class Snapshot:
             setattr(kf, name, value)
         for array, content in self._contents:
             array[...] = content
+        if self._source is not None:
+            self._source.state = self._drawn
 
 
 @contextmanager
@@ -290,3 +298,19 @@ def unchanged_if_refused(kf: Any) -> Iterator[None]:
     except BaseException:
         before.put_back(kf)
         raise
+
+
+def whole(method: _Method) -> _Method:
+    """Make a call that is refused or interrupted one that has not happened."""
+
+    @functools.wraps(method)
+    def called(self: Any, *arguments: Any, **named: Any) -> Any:
+        """Call, and put the filter back if that raises."""
+        with unchanged_if_refused(self):
+            return method(self, *arguments, **named)
+
+    return cast(_Method, called)
+
+
+# Here, since what it needs stands below.
+RobustFilterMixin.restore = whole(StateMixin.restore)  # type: ignore[method-assign]

@@ -9,7 +9,7 @@ import numpy as np
 
 from robust_filterpy._arrays import measured
 from robust_filterpy._checks import Array, described, numbers
-from robust_filterpy.filters._mixin import RobustFilterMixin, unchanged_if_refused
+from robust_filterpy.filters._mixin import RobustFilterMixin, unchanged_if_refused, whole
 
 
 class NonlinearFilterMixin(RobustFilterMixin):
@@ -90,6 +90,7 @@ class NonlinearFilterMixin(RobustFilterMixin):
                 raise
         return means, covariances
 
+    @whole
     def _skip(self) -> None:
         """Do what filterpy does for update(None), and forget the last innovation."""
         m = self.dim_z

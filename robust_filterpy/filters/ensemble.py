@@ -15,7 +15,7 @@ from robust_filterpy._filterpy import EnsembleKalmanFilter
 from robust_filterpy._state import Shape, read, spelt
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.filters._mixin import unchanged_if_refused
+from robust_filterpy.filters._mixin import whole
 from robust_filterpy.filters._nonlinear_mixin import (
     NonlinearFilterMixin,
     innovation_of,
@@ -124,6 +124,7 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
         self.y = np.zeros(dim_z)
         self._start()
 
+    @whole
     def initialize(self, x: ArrayLike, P: ArrayLike) -> None:
         """Draw the members anew.
 
@@ -140,6 +141,7 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
         self.x_prior, self.P_prior = self.x.copy(), self.P.copy()
         self.x_post, self.P_post = self.x.copy(), self.P.copy()
 
+    @whole
     def predict(self) -> None:
         """Predict the next state: every member by fx and a noise of its own.
 
@@ -148,17 +150,17 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
         ValueError
             If the prediction is not finite; nothing has changed then.
         """
-        with unchanged_if_refused(self):
-            n = self.dim_x
-            moved = np.array([np.ravel(self.fx(s, self.dt)) for s in self.sigmas], dtype=float)
-            Q = process_noise(self.Q, None, n) * np.ones((n, n))
-            self.sigmas = moved + self.rng.multivariate_normal(np.zeros(n), Q, self.N)
-            require_finite(fx=self.sigmas)
-            self.x = np.mean(self.sigmas, axis=0)
-            apart = self.sigmas - self.x
-            self.P = apart.T @ apart / (self.N - 1)
+        n = self.dim_x
+        moved = np.array([np.ravel(self.fx(s, self.dt)) for s in self.sigmas], dtype=float)
+        Q = process_noise(self.Q, None, n) * np.ones((n, n))
+        self.sigmas = moved + self.rng.multivariate_normal(np.zeros(n), Q, self.N)
+        require_finite(fx=self.sigmas)
+        self.x = np.mean(self.sigmas, axis=0)
+        apart = self.sigmas - self.x
+        self.P = apart.T @ apart / (self.N - 1)
         self.x_prior, self.P_prior = self.x.copy(), self.P.copy()
 
+    @whole
     def update(self, z: ArrayLike | None, R: Any = None) -> None:
         """Correct the members by a measurement whose influence is bounded.
 

@@ -21,7 +21,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._filterpy import ExtendedKalmanFilter
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.policies import Contaminated, Learnt
-from robust_filterpy.filters._mixin import unchanged_if_refused
+from robust_filterpy.filters._mixin import whole
 from robust_filterpy.filters._nonlinear_mixin import (
     NonlinearFilterMixin,
     innovation_of,
@@ -134,6 +134,7 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         F = _checks.matrix("F", self.F, (len(x), len(x)), "dim_x")
         self.x = F.dot(x) + (0.0 if u is None else control_term(self.B, u, x.shape))
 
+    @whole
     def predict(self, u: ArrayLike = 0) -> None:
         """Predict the next state: `predict_x`, and P = F P F' + Q.
 
@@ -148,15 +149,15 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
             If a shape does not fit, Q is negative or not symmetric, or the prediction not finite; nothing has changed
             then.
         """
-        with unchanged_if_refused(self):
-            _, P = state_of(self)
-            n = len(P)
-            F, Q = _checks.matrix("F", self.F, (n, n), "dim_x"), process_noise(self.Q, None, n)
-            self.predict_x(u)
-            self.P = F.dot(P).dot(F.T) + Q
-            require_finite_prediction(*state_of(self))
+        _, P = state_of(self)
+        n = len(P)
+        F, Q = _checks.matrix("F", self.F, (n, n), "dim_x"), process_noise(self.Q, None, n)
+        self.predict_x(u)
+        self.P = F.dot(P).dot(F.T) + Q
+        require_finite_prediction(*state_of(self))
         self.x_prior, self.P_prior = np.copy(self.x), np.copy(self.P)
 
+    @whole
     def update(
         self,
         z: ArrayLike | None,
@@ -197,6 +198,7 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
             return
         self._correct(z, x, P, self._jacobian(HJacobian, x, args), Hx, R, hx_args, residual)
 
+    @whole
     def predict_update(
         self,
         z: ArrayLike | None,
@@ -224,15 +226,14 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         ValueError, SingularInnovationError, NotPositiveDefiniteError
             As in `predict` and `update`; nothing has changed then.
         """
-        with unchanged_if_refused(self):
-            x, _ = state_of(self)
-            H = None if z is None else self._jacobian(HJacobian, x, args)
-            self.predict(u)
-            if H is None:
-                self._skip()
-                return
-            x, P = state_of(self)
-            self._correct(z, x, P, H, Hx, None, hx_args, np.subtract)
+        x, _ = state_of(self)
+        H = None if z is None else self._jacobian(HJacobian, x, args)
+        self.predict(u)
+        if H is None:
+            self._skip()
+            return
+        x, P = state_of(self)
+        self._correct(z, x, P, H, Hx, None, hx_args, np.subtract)
 
     def batch_filter(
         self,

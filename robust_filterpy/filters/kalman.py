@@ -6,6 +6,7 @@ the equations stand.
 
 from __future__ import annotations
 
+import copy
 import math
 from typing import Any
 
@@ -30,7 +31,7 @@ from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters import _step
 from robust_filterpy.filters._bounded import Bounded, finite_product
-from robust_filterpy.filters._mixin import RobustFilterMixin, Snapshot
+from robust_filterpy.filters._mixin import RobustFilterMixin, whole
 from robust_filterpy.filters._recording import CompiledLoop, ProcessScales, filter_recording, is_own
 from robust_filterpy.influence.functions import Huber, Influence
 
@@ -213,8 +214,12 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         ValueError
             If a shape does not fit or Q is negative or not symmetric; nothing has changed then.
         """
-        if B is None and F is None and Q is None and _step.predict(self, u):
-            return
+        if not (B is None and F is None and Q is None and _step.predict(self, u)):
+            self._predict(u, B, F, Q)
+
+    @whole
+    def _predict(self, u: Any, B: Any, F: Any, Q: Any) -> None:
+        """Predict by the definition."""
         x, P, kept = regardless(self._predicted, u, B, F, Q)
         self.x, self.P, self._kept = x, P, kept
         self.x_prior, self.P_prior = x.copy(), P.copy()
@@ -255,6 +260,7 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         B = self.B if B is None else B
         return F, noise, None if B is None or u is None else control_term(B, u, shape)
 
+    @whole
     def predict_steadystate(self, u: ArrayLike | None = 0, B: ArrayLike | None = None) -> None:
         """Predict the next state and leave P as it is.
 
@@ -332,8 +338,12 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
 
     def _update(self, z: Any, R: Any, H: Any, M: Any) -> None:
         """Correct by a whole measurement; every check comes before the first assignment."""
-        if _step.correct(self, z, R, H, M):
-            return
+        if not _step.correct(self, z, R, H, M):
+            self._correct(z, R, H, M)
+
+    @whole
+    def _correct(self, z: Any, R: Any, H: Any, M: Any) -> None:
+        """Correct by the definition."""
         x, P = state_of(self)
         own = self.H
         H, R, values, M = self._measurement(z, R, H, M, len(x))
@@ -409,15 +419,12 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         P : ndarray, shape (dim_x, dim_x)
             Its covariance.
         """
-        # By the step that `update` takes, to the last bit, and undone.
-        before = Snapshot(self)
-        try:
-            self._update(z, None, None, None)
-            x, P = state_of(self)
-            return x.copy(), P.copy()
-        finally:
-            before.put_back(self)
+        # By the step that `update` takes, to the last bit, of a twin: what is interrupted has then changed nothing.
+        twin = copy.deepcopy(self)
+        twin._update(z, None, None, None)
+        return state_of(twin)
 
+    @whole
     def update_steadystate(self, z: ArrayLike | None) -> None:
         """Correct the state with the gain K as it stands, and leave P and K as they are.
 
@@ -477,6 +484,7 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         predicted = np.dot(self.H, self.x_prior)
         return np.reshape(measured(z, len(predicted), missing=True), predicted.shape) - predicted
 
+    @whole
     def update_sequential(self, start: int, z_i: ArrayLike, R_i: Any = None, H_i: ArrayLike | None = None) -> None:
         """Correct the state by a part of the measurement: one robust correction by z[start:start + len(z_i)].
 

@@ -1,0 +1,151 @@
+"""Ctrl-C at any line inside any call of any filter: the call has happened, or it has not."""
+
+import copy
+
+import numpy as np
+import pytest
+from filterpy.kalman import MerweScaledSigmaPoints
+from interruption import half_steps
+
+from robust_filterpy import (
+    Contaminated,
+    FilterBank,
+    Learnt,
+    RobustCubatureKalmanFilter,
+    RobustExtendedKalmanFilter,
+    RobustKalmanFilter,
+    RobustUnscentedKalmanFilter,
+    Scales,
+    TukeyBiweight,
+)
+from robust_filterpy.filters.ensemble import RobustEnsembleKalmanFilter
+
+F, H = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[1.0, 0.0]])
+
+
+def linear(**options):
+    kf = RobustKalmanFilter(2, 1, **options)
+    kf.F, kf.H, kf.Q = F.copy(), H.copy(), 0.01 * np.eye(2)
+    return kf
+
+
+def move(x, dt):
+    return F @ x
+
+
+def observe(x):
+    return x[:1]
+
+
+def jacobian(x):
+    return H
+
+
+def extended(**options):
+    kf = RobustExtendedKalmanFilter(2, 1, **options)
+    kf.F = F.copy()
+    return kf
+
+
+def ensemble():
+    rng = np.random.default_rng(0)
+    return RobustEnsembleKalmanFilter(np.zeros(2), np.eye(2), 1, 0.1, 10, observe, move, rng=rng)
+
+
+FILTERS = {
+    "linear": linear,
+    "by the definition": lambda: linear(influence=TukeyBiweight()),
+    "patient": lambda: linear(influence=TukeyBiweight(), patience=2),
+    "contaminated": lambda: linear(noise=Contaminated()),
+    "learnt": lambda: linear(noise=Learnt(), process=Scales()),
+    "extended": extended,
+    "extended, learnt": lambda: extended(noise=Learnt()),
+    "unscented": lambda: RobustUnscentedKalmanFilter(
+        2, 1, 0.1, observe, move, MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0)
+    ),
+    "cubature": lambda: RobustCubatureKalmanFilter(2, 1, 0.1, observe, move, patience=2),
+    "ensemble": ensemble,
+}
+
+
+def update(kf, z):
+    arguments = (jacobian, observe) if isinstance(kf, RobustExtendedKalmanFilter) else ()
+    kf.update(None if z is None else np.array([z]), *arguments)
+
+
+CALLS = {
+    "predict": lambda kf: kf.predict(),
+    "update": lambda kf: update(kf, 0.5),
+    "outlier": lambda kf: update(kf, 60.0),
+    "missing": lambda kf: update(kf, None),
+    "restore": None,
+}
+#: What the linear filter has besides.
+LINEAR = {
+    "predict with matrices": lambda kf: kf.predict(F=F, Q=np.eye(2)),
+    "update with matrices": lambda kf: kf.update(0.5, R=2.0, H=2.0 * H),
+    "sequential": lambda kf: kf.update_sequential(0, 0.5),
+    "steady state": lambda kf: kf.update_steadystate(0.5),
+    "predict, steady state": lambda kf: kf.predict_steadystate(),
+    "get_update": lambda kf: kf.get_update(60.0),
+    "correlated": lambda kf: kf.update_correlated(0.5),
+    "recording": lambda kf: kf.batch_filter([0.1, 60.0, None]),
+}
+
+
+def linear_state(kf):
+    """Another state of the same filter, later."""
+    later = copy.deepcopy(kf)
+    later.predict()
+    update(later, 0.3)
+    return later.state()
+
+
+def seen(kf):
+    """All that a call moves, and all that it shows."""
+    found = {name: value for name, value in kf.state().items() if name != "format"}
+    for name in ("x_prior", "P_prior", "x_post", "P_post", "y", "weights", "log_likelihood", "K", "S"):
+        found[name] = np.asarray(getattr(kf, name), dtype=float)
+    return found
+
+
+CASES = [(name, call) for name in FILTERS for call in CALLS] + [("by the definition", call) for call in LINEAR]
+
+
+@pytest.mark.parametrize("name, call", CASES)
+def test_an_interrupt_leaves_no_half_step(name, call):
+    kf = FILTERS[name]()
+    for z in (0.1, 0.2, 5.0, 0.1):
+        kf.predict()
+        update(kf, z)
+    if call not in ("predict", "predict with matrices"):
+        kf.predict()
+    make = {**CALLS, **LINEAR}[call]
+    if call == "restore":
+        later = linear_state(kf)
+        make = lambda one: one.restore(later)  # noqa: E731
+    half, lines = half_steps(kf, make, seen)
+    assert half == [] and lines > 1
+
+
+@pytest.mark.parametrize(
+    "call",
+    [lambda bank: bank.predict(), lambda bank: bank.update([[0.5], [60.0]]), lambda bank: bank.restore(EARLIER)],
+    ids=["predict", "update", "restore"],
+)
+def test_an_interrupt_leaves_no_half_step_of_a_bank(call):
+    half, lines = half_steps(bank_at(4), call, lambda one: {**one.state(), "y": one.y, "S": one.S, "e": one.e})
+    assert half == [] and lines > 3
+
+
+def bank_at(steps):
+    """A bank after some steps."""
+    bank = FilterBank(2, dim_x=2, dim_z=1)
+    bank.F, bank.H, bank.Q = F.copy(), H.copy(), 0.01 * np.eye(2)
+    for _ in range(steps):
+        bank.predict()
+        bank.update([[0.1], [0.3]])
+    return bank
+
+
+EARLIER = bank_at(2).state()
