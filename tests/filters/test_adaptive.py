@@ -493,3 +493,21 @@ def test_load_order_does_not_matter():
     problem = random_problem(0, 3, 1)
     kf = load(AdaptiveKalmanFilter(3, 1), problem, 1)
     np.testing.assert_allclose(kf.get_prediction()[0], problem.F @ problem.x[:, 0])
+
+
+def test_the_probability_of_an_outlier_is_that_of_any_sensor():
+    """Two sensors that have nothing to do with each other are two filters: 1 - (1 - p_1)(1 - p_2)."""
+    both = RobustKalmanFilter(2, 2, noise=Learnt())
+    each = [RobustKalmanFilter(1, 1, noise=Learnt()) for _ in range(2)]
+    both.H, both.Q = np.eye(2), 0.01 * np.eye(2)
+    for kf in each:
+        kf.H, kf.Q = np.eye(1), 0.01 * np.eye(1)
+    found = []
+    for z in np.random.default_rng(1).normal(size=(40, 2)) * 2.0:
+        for kf, value in ((both, z), (each[0], z[:1]), (each[1], z[1:])):
+            kf.predict()
+            kf.update(value)
+        p, q = (kf.outlier_probability for kf in each)
+        assert both.outlier_probability == pytest.approx(1.0 - (1.0 - p) * (1.0 - q), rel=1e-6, abs=1e-12)
+        found.append(both.outlier_probability - max(p, q))
+    assert max(found) > 0.01

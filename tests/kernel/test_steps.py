@@ -183,3 +183,15 @@ def test_a_diffuse_start_that_cancels_is_for_the_definition():
     kf.P, kf.R = 1e16 * np.eye(2), np.eye(2)
     kf.scaling = "innovation"
     assert EXTENSION.correct(kf, [1.0, 2.0], None, None, None) is False
+
+
+@pytest.mark.parametrize("R, served", [(1e-6, True), (1e-9, True), (1e-11, True), (1e-15, False)])
+def test_a_sensor_that_repeats_another_is_taken_until_what_is_left_of_it_is_rounding(R, served):
+    """After the first of two sensors of the same the other's variance is 2 R of 1 + R: served down to 1e-13 of it."""
+    kf = RobustKalmanFilter(1, 2, scaling="innovation")
+    kf.H, kf.R = np.ones((2, 1)), R * np.eye(2)
+    (taken, same) = before_and_after(kf, lambda: _step.correct(kf, np.array([0.5, 0.5]), None, None, None))
+    assert taken == served and same == (not served)
+    if served:
+        np.testing.assert_allclose(kf.x, 1.0 / (2.0 + R), rtol=1e-4)
+        np.testing.assert_allclose(kf.P, R / (2.0 + R), rtol=1e-4)
