@@ -65,6 +65,7 @@ def test_parameters_that_the_recording_cannot_tell_apart_are_named():
     with pytest.warns(UserWarning, match="cannot tell area and speed apart"):
         model = identify(y + 0.02 * rng.normal(size=200), u, box, t=t)
     assert model.untold == (("area", "speed"),)
+    assert np.isinf(model.std[:2]).all() and model.std[2] < 0.05
     fixed = identify(y + 0.02 * rng.normal(size=200), u, GreyBox(twice, box.p0, x0=[0.0], fixed=["area"]), t=t)
     assert not fixed.untold
     assert fixed.p["area"] == 2.0

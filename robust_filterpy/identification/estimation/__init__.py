@@ -4,6 +4,7 @@
 * `recordings`: what was recorded as arrays: one recording or several, gaps in u, times that jump,
 * `several`: one model of several recordings,
 * `state_space`, `subspace`: a state-space model of several outputs, and where its search begins,
+* `feedback`: whether the inputs follow the output,
 * `grey_box`: parameters of physics,
 * `level`, `trend`: steps and ramps of y by evidence, and a motion that never dies,
 * `estimate`: one model of one output, in the units of the recording,

@@ -24,6 +24,8 @@ __all__ = ["identified_grey_box"]
 _FIRST_STEPS: Final = 30
 # A direction along which a standard deviation is this share of the parameters is one that the recording cannot tell.
 _UNTOLD: Final = 0.5
+# Of a direction that nothing depends on, by this share of the best one, nothing is known at all.
+_NOTHING: Final = 1e-8
 # What a parameter has of such a direction to be named.
 _PART: Final = 0.3
 
@@ -165,7 +167,8 @@ def _as_model(
     theta = model.p.parameters(z[:k])
     weights = np.full(rows.size, np.nan)
     weights[rows] = noise.weights(residual)
-    untold = _untold(structure, model, J, noise, residual, theta, slope)
+    untold, unseen = _untold(structure, model, J, noise, residual, theta, slope)
+    P[unseen, unseen] = np.inf
     total = rows.sum() / max(rows.sum() - model.n, 1)
     values = structure.p0 | dict(zip(structure.free_names, theta.tolist(), strict=True))
     starts = np.array([model.start(z, i) for i in range(len(model.recordings))])
@@ -186,8 +189,8 @@ def _as_model(
 
 def _untold(
     structure: GreyBox, model: GreyResiduals, J: Array, noise: Noises, residual: Array, theta: Array, slope: Array
-) -> tuple[tuple[str, ...], ...]:
-    """Return the parameters along whose directions a standard deviation is a large share of them."""
+) -> tuple[tuple[tuple[str, ...], ...], Any]:
+    """Return the parameters along whose directions a standard deviation is large, and where there is nothing."""
     size = np.where(theta == 0.0, model.p.size, np.abs(theta))
     weighted = J * np.sqrt(noise.slope(residual) / noise.variance)[:, None]
     k = theta.size
@@ -198,8 +201,10 @@ def _untold(
     _, values, right = np.linalg.svd(
         weighted[:, :k] * size / np.where(slope == 0.0, np.inf, slope), full_matrices=False
     )
-    found = []
+    found, unseen = [], np.zeros(k, dtype=bool)
     for value, direction in zip(values, right, strict=True):
         if value * _UNTOLD < 1.0:
-            found.append(tuple(np.array(structure.free_names)[np.abs(direction) > _PART].tolist()))
-    return tuple(found)
+            part = np.abs(direction) > _PART
+            found.append(tuple(np.array(structure.free_names)[part].tolist()))
+            unseen |= part & (value <= _NOTHING * values[0])
+    return tuple(found), unseen

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._warning import warn
 from robust_filterpy.identification.estimation.estimate import Problem
+from robust_filterpy.identification.estimation.feedback import with_feedback
 from robust_filterpy.identification.estimation.grey_box import identified_grey_box
 from robust_filterpy.identification.estimation.level import (
     TRENDS,
@@ -191,7 +192,7 @@ def identify(
         findings = (*findings, *more, *outliers)
         if not outliers:
             findings = (*findings, *unlike_in_parts(problem, recorded.y, found))
-    findings = (*recorded.findings, *findings)
+    findings = (*recorded.findings, *findings, *with_feedback(problem, recorded.y, found))
     found = replace(found, findings=findings)
     for words in (said(found.findings), found.warning):
         if words:

@@ -15,7 +15,8 @@ class Finding(NamedTuple):
     Attributes
     ----------
     kind : str
-        "fill value", "step", "ramp", "slow start", "another plant", "input outliers".
+        "fill value", "step", "ramp", "slow start", "another plant", "input outliers", "gap", "closed
+        loop".
     text : str
         In words, with time and size.
     evidence : float
