@@ -21,7 +21,7 @@ from robust_filterpy.plotting.figures import (
     plot_states,
     plot_weights,
 )
-from robust_filterpy.plotting.responses import plot_bode, plot_poles
+from robust_filterpy.plotting.responses import plot_bode, plot_poles, plot_step
 from robust_filterpy.plotting.workbench import (
     plot_comparison,
     plot_structure_selection,
@@ -38,6 +38,7 @@ __all__ = [
     "plot_parameters",
     "plot_poles",
     "plot_states",
+    "plot_step",
     "plot_structure_selection",
     "plot_tuning",
     "plot_validation",

@@ -1,4 +1,4 @@
-"""Pictures of a model's dynamics: frequency response, poles and zeros, with how sure they are.
+"""Pictures of a model's dynamics: frequency and step response, poles and zeros, with how sure they are.
 
 matplotlib is imported when something is drawn.
 """
@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
-from robust_filterpy.identification import FrequencyResponse, Model, ParameterTracker
+from robust_filterpy.identification import FrequencyResponse, Model, ParameterTracker, StepResponse
 from robust_filterpy.plotting._style import COLOURS, STYLES, legend_outside, line_of, one_axes, several_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_bode", "plot_poles"]
+__all__ = ["plot_bode", "plot_poles", "plot_step"]
 
 _POINTS: Final = 400
 # A zero further from the origin than this is left outside the picture.
@@ -142,6 +142,41 @@ def plot_poles(models: Any, *, level: float = 0.95, which: int = 0, ax: Axes | N
             reach = max(reach, 1.15 * float(near.max(initial=0.0)))
     ax.plot([], [], color="0.4", linewidth=1.4, label=f"{100 * level:.4g} % regions")
     ax.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal", xlabel="real part", ylabel="imaginary part")
+    legend_outside(ax)
+    return ax
+
+
+def plot_step(response: StepResponse, *, ax: Axes | None = None) -> Axes:
+    """Draw what the output does after a unit step of each input, with bands.
+
+    Parameters
+    ----------
+    response : StepResponse
+        What `step_response` returned.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    TypeError
+        If response is no `StepResponse`.
+    """
+    if not isinstance(response, StepResponse):
+        raise TypeError(f"response: expected what step_response() returned, got {_checks.shown(response)}")
+    ax = one_axes(ax)
+    rows = [np.atleast_2d(values) for values in (response.response, response.lower, response.upper)]
+    for place, (line, low, high) in enumerate(zip(*rows, strict=True)):
+        look = line_of(place)
+        label = f"{100 * response.level:.4g} % band" if place == 0 else "_nolegend_"
+        ax.fill_between(response.time, low, high, step="post", color=look["color"], alpha=0.2, linewidth=0, label=label)
+        name = "response" if len(rows[0]) == 1 else f"input {place}"
+        ax.step(response.time, line, where="post", linewidth=1.4, label=name, **look)
+    ax.axhline(0.0, color="0.8", linewidth=0.6, zorder=0)
+    ax.set(xlabel="time [s]", ylabel="output after a unit step")
     legend_outside(ax)
     return ax
 

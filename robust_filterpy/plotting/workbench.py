@@ -87,7 +87,7 @@ def plot_structure_selection(selection: Selection, *, axes: Any = None) -> Any:
     selection : Selection
         What `select_structure` returned.
     axes : sequence of matplotlib.axes.Axes, optional
-        Where to draw: fit, criterion, and the impulse response if there is one.
+        Where to draw: fit, criterion, and the impulse response to each input if there are any.
 
     Returns
     -------
@@ -105,8 +105,8 @@ def plot_structure_selection(selection: Selection, *, axes: Any = None) -> Any:
     Fits more than 30 points below the best one's are left below the picture.
     """
     _require(selection, "selection", Selection, "select_structure(..)")
-    response, rows = selection.impulse_response, selection.rows
-    axes = several_axes(axes, 2 + (response is not None), 1, (7.5, 4.6 + 2.2 * (response is not None)))
+    responses, rows = selection.impulse_responses, selection.rows
+    axes = several_axes(axes, 2 + len(responses), 1, (7.5, 4.6 + 2.2 * len(responses)))
     size = np.array([row.structure.n_theta for row in rows])
     fit, criterion = (np.array([getattr(row, name) for row in rows]) for name in ("fit", "criterion"))
     shows = np.array([row.shows_delay for row in rows])
@@ -128,13 +128,14 @@ def plot_structure_selection(selection: Selection, *, axes: Any = None) -> Any:
     axes[1].set_yscale("symlog", linthresh=10.0)
     axes[1].set(ylabel=f"{selection.criterion} above the best", xlabel="parameters")
     legend_outside(axes[0])
-    if response is not None:
-        ax = axes[2]
+    for i, (ax, response) in enumerate(zip(axes[2:], responses, strict=True)):
         zero_band(ax, response.lags, response.band, "95 % band of 0", step="mid")
         stems(ax, response.lags, response.values, COLOURS[0], "o", "impulse response")
-        delay = selection.best.structure.inputs[0][1]
+        delay = selection.best.structure.inputs[i][1]
         ax.axvline(delay, color=MARK, linestyle="--", linewidth=1.2, label=f"chosen delay, {delay}")
-        ax.set(xlabel="lag [samples]", ylabel="response [y per u]")
+        ax.set(
+            xlabel="lag [samples]", ylabel="response [y per u]" if len(responses) == 1 else f"response [y per u {i}]"
+        )
         legend_outside(ax)
     return axes
 

@@ -171,9 +171,21 @@ def test_bad_options_are_refused_by_name(options, error, message):
 
 def test_bad_inputs_are_refused_by_name():
     y, u = recorded(length=200)
-    with pytest.raises(ValueError, match="u: expected one input"):
+    with pytest.raises(ValueError, match="u: expected inputs that together excite"):
         select_structure(y, np.column_stack((u, u)))
     with pytest.raises(ValueError, match="u: expected an input for OutputError"):
         select_structure(y, None)
     with pytest.raises(ValueError, match="u: expected 200 samples"):
         select_structure(y, u[:-1])
+
+
+def test_each_of_several_inputs_has_orders_and_a_delay_of_its_own():
+    rng = np.random.default_rng(3)
+    u = rng.choice([-1.0, 1.0], (400, 2))
+    y = lfilter([0.0, 1.0, 0.5], [1.0, -0.7], u[:, 0]) + lfilter([0.0, 0.0, 0.0, 0.7], [1.0, -0.7], u[:, 1])
+    y += np.where(rng.random(400) < 0.1, 2.0, 0.2) * rng.normal(size=400)
+    found = select_structure(y, u, na=[1], nb=range(1, 3), nk=range(1, 4))
+    assert found.best.structure == OutputError(1, (2, 1), nk=(1, 3))
+    assert [one.delay for one in found.impulse_responses] == [1, 3]
+    assert "(2, 1)" in str(found)
+    assert len(found.plot()) == 4

@@ -155,3 +155,19 @@ def test_arguments_of_other_structures_are_refused():
         identify(y, u, StateSpace(2), R=1.0)
     with pytest.raises(ValueError, match="'auto'"):
         StateSpace("most")
+
+
+def test_responses_are_drawn_and_tabled_and_the_model_reduced():
+    import matplotlib
+
+    matplotlib.use("Agg")
+    y, u = recorded(14)
+    model = identify(y, u, StateSpace(3))
+    step = model.step_response(10)
+    assert len(step.plot().lines) == 3
+    assert list(step.to_frame().columns[:2]) == ["response[0]", "response[1]"]
+    assert model.frequency_response([0.1, 1.0]).to_frame().shape == (2, 12)
+    assert model.poles().to_frame().shape == (3, 4)
+    assert model.reduced(2).nstates == 2
+    with pytest.raises(ValueError, match="1 to 3 states"):
+        model.reduced(4)

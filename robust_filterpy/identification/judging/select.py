@@ -145,15 +145,20 @@ class Selection:
         "bic" or "aic".
     samples : int
         How many samples the structures were compared on.
-    impulse_response : ImpulseResponse or None
-        What the search for the delay began with; None without input, or where the input excites too little for it.
+    impulse_responses : tuple of ImpulseResponse
+        What the search for the delay of each input began with; empty without input, or where it excites too little.
     """
 
     rows: tuple[Candidate, ...]
     best: Model
     criterion: str
     samples: int
-    impulse_response: ImpulseResponse | None
+    impulse_responses: tuple[ImpulseResponse, ...]
+
+    @property
+    def impulse_response(self) -> ImpulseResponse | None:
+        """That of the first input, None if there is none."""
+        return self.impulse_responses[0] if self.impulse_responses else None
 
     def plot(self, **options: Any) -> Any:
         """Draw fit and criterion against complexity.
@@ -235,15 +240,15 @@ def select_structure(
     ----------
     y : array_like, shape (N,)
         Measured output; NaN where it is missing.
-    u : array_like, shape (N,) or (N, 1), or None
-        Input; None for an AR or ARMA, or an ARX or ARMAX without input.
+    u : array_like, shape (N,) or (N, n_inputs), or None
+        Inputs, each with orders and a delay of its own; None for an AR or ARMA, or an ARX or ARMAX without input.
     kind : function, default OutputError
         OutputError, ARX, ARMAX, FIR, BoxJenkins, ARMA or AR.
     na, nf : iterable of int, optional
         Numbers of a's, of a BoxJenkins of f's, to try. Default: range(1, 5).
     nb, nc : iterable of int, optional
         Numbers of b's and c's to try. Default: as many as a's; of a BoxJenkins as many b's as f's, and range(3) for nc,
-        of a FIR range(1, 5).
+        of a FIR range(1, 5). Of several inputs each has a number of b's of its own, from this range.
     nd : iterable of int, optional
         Numbers of d's of a BoxJenkins to try. Default: range(3).
     nk : iterable of int, optional
@@ -265,7 +270,7 @@ def select_structure(
     ------
     ValueError
         If a range is empty or of an order that the kind has not, kind or criterion is unknown, held_out is out of
-        range, u has several inputs or is missing, or the recording is too short for the largest structure.
+        range, u is missing, or the recording is too short for the largest structure.
     TypeError
         If an order is no integer.
     ImportError
@@ -300,15 +305,15 @@ def select_structure(
     grid = _Grid.of(kind, {"na": na, "nb": nb, "nc": nc, "nd": nd, "nf": nf, "nk": nk}, u is not None)
     axis, y, u = recording(None, y=y, u=u)
     measured = recorded_output(y)
-    signal = np.zeros((measured.size, 0)) if u is None else _one_input(u, measured.size)
+    signal = np.zeros((measured.size, 0)) if u is None else _inputs(u, measured.size)
+    grid = grid.of_inputs(signal.shape[1])
     if not 0.0 <= _checks.real("held_out", held_out) <= 0.5:
         raise ValueError(f"held_out: expected a share in [0, 0.5], got {held_out!r}")
     kept = measured.size - round(held_out * measured.size)
     bar = progress_bar(None, progress, " structures")
     comparison = _Comparison(grid, measured, signal, criterion, kept, bar)
-    response = None if u is None else _impulse_response(measured[:kept], signal[:kept], grid)
-    delays = set() if response is None else {response.delay, response.sure_delay} - {None}
-    for orders in grid.beginning(delays):
+    responses = () if u is None else _impulse_responses(measured[:kept], signal[:kept], grid)
+    for orders in grid.beginning([{one.delay, one.sure_delay} - {None} for one in responses]):
         comparison.try_out(orders)
     best = None
     while best != comparison.best:
@@ -317,7 +322,7 @@ def select_structure(
             comparison.try_out(orders)
     bar.close()
     model = replace(identify(measured, None if u is None else signal, grid.structure(best)), dt=axis.dt)
-    return Selection(comparison.rows(), model, criterion, comparison.samples, response)
+    return Selection(comparison.rows(), model, criterion, comparison.samples, responses)
 
 
 _Orders = tuple[int, ...]
@@ -361,27 +366,64 @@ class _Grid(NamedTuple):
             )
         return cls(kind, ranges)
 
-    def named(self, orders: _Orders) -> dict[str, int]:
-        """Return orders by their names."""
-        return dict(zip(self.ranges, orders, strict=True))
+    def of_inputs(self, count: int) -> _Grid:
+        """Return the grid with a number of b's and a delay for each of several inputs."""
+        if count < 2:
+            return self
+        ranges: dict[str, tuple[int, ...] | None] = {}
+        for name, values in self.ranges.items():
+            if name not in ("nb", "nk"):
+                ranges[name] = values
+                continue
+            if values is None:
+                values = tuple(value for value in next(iter(self.ranges.values())) or () if value)
+            ranges |= {f"{name}[{i}]": values for i in range(count)}
+        return self._replace(ranges=ranges)
+
+    def named(self, orders: _Orders) -> dict[str, Any]:
+        """Return orders by their names; those of several inputs as a tuple."""
+        found: dict[str, Any] = {}
+        for name, order in zip(self.ranges, orders, strict=True):
+            whole, _, each = name.partition("[")
+            found[whole] = (*found.get(whole, ()), order) if each else order
+        return found
 
     def structure(self, orders: _Orders) -> Structure:
         """Return the structure of these orders."""
         return self.kind(**self.named(orders))
 
-    def beginning(self, found: set[int | None]) -> Iterator[_Orders]:
-        """Yield all orders with the delays that were found, or with all delays."""
+    def beginning(self, found: list[set[int | None]]) -> Iterator[_Orders]:
+        """Yield all orders with the delays that were found for each input, or with all delays."""
         (_, first), *others = self.ranges.items()
-        lags = self.ranges.get("nk") or (0,)
-        delays = sorted({min(lags, key=lambda lag: abs(lag - delay)) for delay in found if delay is not None})
+        lags = self.lags
+        sets = [
+            sorted({min(lags, key=lambda lag: abs(lag - delay)) for delay in one if delay is not None}) for one in found
+        ]
+        single = "nk" in self.ranges or not any(name.startswith("nk") for name in self.ranges)
+        # All delays of one input where none was found; of several inputs the least.
+        tried = [(lag,) for lag in ((sets[0] if sets else []) or lags)] if single else self._together(sets)
         for n in first or ():
-            for lag in delays or lags:
-                wanted = {"nk": lag, "nb": n}
-                chosen = (
-                    n if values is None else min(values, key=lambda value: abs(value - wanted.get(name, 0)))
-                    for name, values in others
-                )
-                yield (n, *chosen)
+            for delays in tried:
+                yield (n, *(self._nearest(name, values, n, delays) for name, values in others))
+
+    @property
+    def lags(self) -> tuple[int, ...]:
+        """The delays of the first input that may be tried."""
+        return self.ranges.get("nk") or self.ranges.get("nk[0]") or (0,)
+
+    def _together(self, sets: list[list[int]]) -> list[tuple[int, ...]]:
+        """Return the first delays of all inputs, and the last ones."""
+        count = sum(name.startswith("nk[") for name in self.ranges)
+        known = [one or [self.lags[0]] for one in (sets or [[]] * count)]
+        return sorted({tuple(one[0] for one in known), tuple(one[-1] for one in known)})
+
+    def _nearest(self, name: str, values: tuple[int, ...] | None, n: int, delays: tuple[int, ...]) -> int:
+        """Return the value of an order that is next to the one that is wanted to begin with."""
+        if values is None:
+            return n
+        whole, _, each = name.partition("[")
+        wanted = {"nk": delays[int(each[:-1]) if each else 0], "nb": n}.get(whole, 0)
+        return min(values, key=lambda value: abs(value - wanted))
 
     def neighbours(self, orders: _Orders) -> Iterator[_Orders]:
         """Yield the orders of which one is the next one up or down."""
@@ -398,7 +440,8 @@ class _Grid(NamedTuple):
     def first(self) -> int:
         """The first sample that every structure can predict."""
         most = {name: (values or next(iter(self.ranges.values())) or (0,))[-1] for name, values in self.ranges.items()}
-        return max(most.get("na", 0), most.get("nk", 0) + most.get("nb", 1) - 1, 0)
+        delayed = [lag + most.get(name.replace("nk", "nb"), 1) - 1 for name, lag in most.items() if name[:2] == "nk"]
+        return max(most.get("na", 0), most.get("nb", 1) - 1 if not delayed else 0, *delayed, 0)
 
 
 def _or(values: Any, default: range) -> Any:
@@ -440,9 +483,9 @@ class _Comparison:
         if orders in self.tried:
             return
         structure, first = self.grid.structure(orders), self.grid.first
-        nb, nk = structure.inputs[0] if structure.inputs else (0, 0)
-        before = max(structure.na, nk + nb - 1)
-        y, u = self.y[first - before :], self.u[first - before :] if nb else None
+        acting = [(i, nb, nk) for i, (nb, nk) in enumerate(structure.inputs) if nb]
+        before = max([structure.na, *(nk + nb - 1 for _, nb, nk in acting)])
+        y, u = self.y[first - before :], self.u[first - before :] if acting else None
         with warnings.catch_warnings():
             # A structure with too many parameters leaves the model open; the best one warns again.
             warnings.simplefilter("ignore", UserWarning)
@@ -451,10 +494,10 @@ class _Comparison:
         likelihood = self._cleaned_likelihood(model) if structure.na + structure.nd else self._log_likelihood(residual)
         price = _CRITERIA[self.criterion](self.samples)
         value = -2.0 * likelihood + price * (structure.n_theta + 1)
-        b = structure.polynomials.b[0].start if nb else 0
-        shows_delay = not nb or bool(model.theta[b] ** 2 > price * model.P[b, b])
+        b = [structure.polynomials.b[i].start for i, _, _ in acting]
+        shows_delay = bool((model.theta[b] ** 2 > price * model.P.diagonal()[b]).all())
         row = Candidate(structure, value, float("nan"), likelihood, shows_delay)
-        held_out = None if self.rest is None else _signals(model, self.rest[0], self.rest[1] if nb else None)
+        held_out = None if self.rest is None else _signals(model, self.rest[0], self.rest[1] if acting else None)
         self.tried[orders] = _Tried(row, residual, output, held_out)
         self.bar.update()
 
@@ -498,29 +541,26 @@ def _range(name: str, values: Any, least: int) -> tuple[int, ...]:
     return tuple(orders)
 
 
-def _one_input(u: Any, length: int) -> Array:
-    """Return a recorded input, shape (N, 1), or raise."""
+def _inputs(u: Any, length: int) -> Array:
+    """Return recorded inputs, shape (N, n_inputs), or raise."""
     signal = np.asarray(u)
-    if signal.ndim == 2 and min(signal.shape) > 1:
-        raise ValueError(
-            f"u: expected one input, got shape {signal.shape}; select_structure does not search the orders of several "
-            "inputs: compare the log-likelihoods of models that identify finds"
-        )
-    return recorded_input(FIR(1), u, length)
+    count = signal.shape[1] if signal.ndim == 2 and 1 not in signal.shape else 1
+    return recorded_input(FIR((1,) * count), u, length)
 
 
-def _impulse_response(y: Array, u: Array, grid: _Grid) -> ImpulseResponse | None:
-    """Return the robust impulse response, None where the recording does not tell it."""
-    present = int(np.isfinite(y).sum())
-    lags = grid.ranges["nk"] or (0,)
-    start, last = lags[0], lags[-1]
-    length = min(last - start + _TAIL, present // _SAMPLES_EACH)
+def _impulse_responses(y: Array, u: Array, grid: _Grid) -> tuple[ImpulseResponse, ...]:
+    """Return the robust impulse response to each input, none where the recording does not tell them."""
+    present, count = int(np.isfinite(y).sum()), u.shape[1]
+    start, last = grid.lags[0], grid.lags[-1]
+    length = min(last - start + _TAIL, present // (_SAMPLES_EACH * count))
     if length < last - start + 1:
-        return None
+        return ()
     try:
-        model = identify(y, u, FIR(length, start))
+        model = identify(y, u, FIR((length,) * count if count > 1 else length, start))
     except ValueError:
         # The input does not excite so many samples, or y is not good for any model, which the first of them will say.
-        return None
+        return ()
     level = norm.ppf(1.0 - 0.5 * _FALSE_DELAY / length)
-    return ImpulseResponse(np.arange(start, start + length), model.theta, level * model.std)
+    lags = np.arange(start, start + length)
+    parts = model.structure.polynomials.b
+    return tuple(ImpulseResponse(lags, model.theta[part], level * model.std[part]) for part in parts)

@@ -23,6 +23,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._pictures import drawn
 from robust_filterpy.identification.models.guard import is_stable
 from robust_filterpy.identification.models.structures import Structure
+from robust_filterpy.identification.models.time_axis import table
 
 if TYPE_CHECKING:
     import control
@@ -94,6 +95,22 @@ class FrequencyResponse:
         """
         return drawn("plot_bode", self, options)
 
+    def to_frame(self) -> Any:
+        """Return the response and its bands as a pandas DataFrame.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each frequency: magnitude and phase with their bands; of several inputs each by its number.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        names = ("magnitude", "magnitude_lower", "magnitude_upper", "phase", "phase_lower", "phase_upper")
+        return _frame(self, names, self.omega, "omega")
+
     def to_control(self) -> control.FrequencyResponseData:
         """Return the response for python-control.
 
@@ -136,6 +153,35 @@ class StepResponse:
         text = ", ".join(f"{value:.3g} ({low:.3g} .. {high:.3g})" for value, low, high in zip(*ends, strict=True))
         return f"StepResponse({self.time.size} samples, {_percent(self.level)} bands: {text} at {self.time[-1]:.3g} s)"
 
+    def plot(self, **options: Any) -> Any:
+        """Draw the response with its band.
+
+        Parameters
+        ----------
+        **options : dict, optional
+            Of `robust_filterpy.plotting.plot_step`.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        return drawn("plot_step", self, options)
+
+    def to_frame(self) -> Any:
+        """Return the response and its band as a pandas DataFrame.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each time: response, lower, upper; of several inputs each by its number.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        return _frame(self, ("response", "lower", "upper"), self.time, "time")
+
 
 @dataclass(frozen=True, eq=False)
 class NoiseSpectrum:
@@ -162,6 +208,21 @@ class NoiseSpectrum:
     level: float
     dt: float
     sampled: Any
+
+    def to_frame(self) -> Any:
+        """Return the density and its band as a pandas DataFrame.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each frequency: density, lower, upper.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        return _frame(self, ("density", "lower", "upper"), self.omega, "omega")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -196,6 +257,23 @@ class Regions:
             for value, s in zip(self.values, std, strict=True)
         ]
         return f"Regions({', '.join(parts)})"
+
+    def to_frame(self) -> Any:
+        """Return the values and how sure they are as a pandas DataFrame.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each value: real, imag, std_real, std_imag.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        std = np.sqrt(np.maximum(np.diagonal(self.covariance, axis1=1, axis2=2), 0.0))
+        columns = {"real": self.values.real, "imag": self.values.imag, "std_real": std[:, 0], "std_imag": std[:, 1]}
+        return table(columns)
 
     def ellipses(self, points: int = 73) -> Any:
         """Return the boundaries of the regions.
@@ -235,6 +313,15 @@ class Regions:
         for k, covariance in enumerate(self.covariance):
             inside[k] = _distance(difference[k], covariance, abs(self.values[k])) <= self.radius[k]
         return inside
+
+
+def _frame(response: Any, names: tuple[str, ...], index: Array, label: str) -> Any:
+    """Return fields of a response as a table; those of several inputs with the number of each."""
+    columns: dict[str, Array] = {}
+    for name in names:
+        rows = np.atleast_2d(getattr(response, name))
+        columns |= {name if len(rows) == 1 else f"{name}[{i}]": row for i, row in enumerate(rows)}
+    return table(columns, index, label)
 
 
 def _percent(level: float) -> str:

@@ -224,6 +224,30 @@ class StateSpaceModel:
 
         return control.ss(self.A, self.B, self.C, self.D, coefficients.period(dt, self.dt))
 
+    def reduced(self, n: int) -> control.StateSpace:
+        """Return a system with fewer states: the basis is balanced, and those that do least are left out.
+
+        Parameters
+        ----------
+        n : int
+            How many states are left, 1 to those that there are.
+
+        Returns
+        -------
+        control.StateSpace
+
+        Raises
+        ------
+        ValueError
+            If there are not so many.
+        """
+        import control
+
+        if _checks.count("n", n, 1) > len(self.A):
+            raise ValueError(f"n: expected 1 to {len(self.A)} states, got {n}")
+        A, B, C = self.A[:n, :n], self.B[:n], self.C[:, :n]
+        return control.ss(A, B, C, self.D, coefficients.period("recorded", self.dt))
+
     def to_continuous(self, dt: float | None = None, level: float = 0.95) -> ContinuousModel:
         """Return the system in continuous time whose samples this model gives, with inputs held between them.
 
