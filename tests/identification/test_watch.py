@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from robust_filterpy.identification import OutputError, ParameterTracker
+from robust_filterpy.identification import ARX, FIR, OutputError, ParameterTracker
 from robust_filterpy.identification.models.dependence import dependence
 from robust_filterpy.identification.recursive.watch import LostTrackerWarning
 
@@ -150,3 +150,50 @@ def test_a_model_that_the_user_gave_is_not_replaced():
     tracker = ParameterTracker(OutputError(2, 2), theta=THETA, P=1e-6, R=0.09)
     tracker.run(y, u)
     assert not tracker.now.starts
+
+
+# What a model leaves from the beginning is usual.
+
+
+def arx_on_an_output_error(seed, length=1200, change=1.0):
+    rng = np.random.default_rng([30, seed])
+    u = rng.choice([-1.0, 1.0], length)
+    y = lfilter(B, A, u) * np.where(np.arange(length) < 800, 1.0, change)
+    return y + 0.3 * np.where(rng.random(length) < 0.1, 10.0, 1.0) * rng.normal(size=length), u
+
+
+def restarts(structure, y, u):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        ParameterTracker(structure).run(y, u)
+    return sum("starts anew" in str(w.message) for w in caught)
+
+
+@pytest.mark.parametrize("structure", [ARX(2, 2), FIR(6)], ids=str)
+def test_a_structure_that_does_not_fit_is_no_other_plant(structure):
+    assert sum(restarts(structure, *arx_on_an_output_error(seed)) for seed in range(2)) == 0
+
+
+def test_another_plant_is_still_seen_by_a_structure_that_does_not_fit():
+    assert all(restarts(ARX(2, 2), *arx_on_an_output_error(seed, change=-1.0)) for seed in range(1))
+
+
+def test_a_structure_that_is_too_small_is_said_once_and_by_its_name():
+    y, u = arx_on_an_output_error(0)
+    tracker = ParameterTracker(FIR(2))
+    with pytest.warns(
+        LostTrackerWarning, match=r"leaves follow the inputs: the structure is too small.*FIR\(nb=2"
+    ) as caught:
+        tracker.run(y, u)
+    assert len(caught) == 1
+
+
+def test_a_state_from_before_the_usual_share_was_kept_is_taken():
+    y, u = broken()
+    tracker = ParameterTracker(OutputError(2, 2))
+    tracker.run(y[:600], u[:600])
+    state = tracker.state()
+    tracker.restore({**state, "watch": state["watch"][:6]})
+    assert tracker.state()["watch"].shape == (7,)
+    with pytest.raises(ValueError, match="watch of 7 numbers"):
+        tracker.restore({**state, "watch": state["watch"][:3]})

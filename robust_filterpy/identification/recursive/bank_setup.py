@@ -143,7 +143,7 @@ def checked_state(state: Any, form: Form, n: int) -> dict[str, Array]:
     shapes |= {"theta": (n, layout.n), "P": (n, layout.n, layout.n), "enabled": (n,), "R": (n,), "alpha_sq": (n,)}
     shapes |= {"Q": (d, d), "F": (d, d), "recursion": (n, 7)}
     ragged = {"start": (n, None, form.n_signals), "followed": (n, None, 1 + form.n_signals)}
-    optional = {"watch": (n, 6), "kept": (n,), **ragged}
+    optional = {"watch": (n, None), "kept": (n,), **ragged}
     for name, shape in (shapes | {key: shape for key, shape in optional.items() if key in state}).items():
         if name not in state:
             raise ValueError(f"state: expected {name}, of shape {shape}, got none")

@@ -18,6 +18,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.models.guard import GUARDS
+from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.regressor import LARGEST
 from robust_filterpy.identification.models.results import Columns
 from robust_filterpy.identification.recursive import setup
@@ -174,11 +175,29 @@ def _with_model(form: Form, now: State, i: int, start: ColdStart) -> tuple[State
         failure, now = "", gone_on(form, now, i, model)
     others = {j: other for j, other in now.starts.items() if j != i}
     if start.is_last_look and not failure:
-        return now._replace(starts=others), []
+        now = now._replace(starts=others)
+        return _usual(form, now, i, start, model) if structure.n_inputs else (now, [])
     now = now._replace(starts={**others, i: start.waiting(structure.n_theta)})
     if not start.is_last_look:
         return now, []
     sentence = f"no model can be made of {start.y.size} samples, it goes on looking: {failure}"
+    windows, news = now.windows.without_model(i, sentence)
+    return now._replace(windows=windows), news
+
+
+def _usual(form: Form, now: State, i: int, start: ColdStart, model: Model) -> tuple[State, News]:
+    """Learn from a model's own recording what is usual; say so if what it leaves follows the inputs there already."""
+    prediction = model.predict(start.y, start.u)
+    signals = np.column_stack((np.nan_to_num(prediction), start.u))
+    followed, share = now.followed.begun(i, start.y - prediction, signals)
+    now = now._replace(followed=followed)
+    if not share:
+        return now, []
+    sentence = (
+        f"{100 * share:.0f} % of what the model of the first {start.y.size} samples leaves follow the inputs: the "
+        f"structure is too small, or the noise is another than that of {form.structure}; compare by validate and "
+        "select_structure"
+    )
     windows, news = now.windows.without_model(i, sentence)
     return now._replace(windows=windows), news
 

@@ -132,9 +132,10 @@ class ParameterTracker(Responses):
     Warns
     -----
     LostTrackerWarning
-        Once, if the start found no model, most samples look like outliers, the guard acts all the time, R wanders, or
-        an offset is not modelled. Whenever residuals follow the inputs, since the plant has become another one or the
-        sensor is stuck: a tracker that found its model itself, or has it from `identify`, then starts anew.
+        Once, if the start found no model or one that leaves what follows the inputs (the structure does not fit), most
+        samples look like outliers, the guard acts all the time, R wanders, or an offset is not modelled. Whenever
+        residuals follow the inputs otherwise than at the start, since the plant has become another one or the sensor is
+        stuck: a tracker that found its model itself, or has it from `identify`, then starts anew.
 
     Notes
     -----
@@ -772,8 +773,9 @@ class ParameterTracker(Responses):
             theta and P, with the constant where there is one; the signals in memory: outputs (na,), inputs, residuals
             (nc,), gradients, measured (na,); enabled; recursion: centre of y, limit of tr P, samples, mean and memory
             of R, whether a model was found, samples until the next look; start: y and u kept for it, (L, 1 + n_inputs);
-            watch: whether it may start anew and of how many samples, samples seen and autocovariances of ordinary
-            residuals; followed: the residuals, predictions and inputs it judges that by, (L, 2 + n_inputs);
+            watch: whether it may start anew and of how many samples, samples seen, and of ordinary residuals the
+            autocovariances and how much of them follows the inputs anyway; followed: the residuals, predictions and
+            inputs it judges that by, (L, 2 + n_inputs);
             and the filter's Q, R, F and alpha_sq where it has them, and what else it keeps, as ``filter_..``.
             ``format``: version, and name of tracker and structure as character codes. All of float64.
             ``numpy.savez(file, **state)`` stores it.
@@ -807,7 +809,7 @@ class ParameterTracker(Responses):
         shapes = {"theta": (n,), "P": (n, n), **self.form.layout.shapes(), "enabled": (), "recursion": (7,)}
         shapes["start"] = (-1, 1 + structure.n_inputs)
         _state.require_kind(state, self.kind)
-        watched = {"watch": (6,), "followed": (-1, 2 + structure.n_inputs)}
+        watched = {"watch": (-1,), "followed": (-1, 2 + structure.n_inputs)}
         shapes |= watched if any(name in state for name in watched) else {}
         found = setup.checked_state(state, shapes, setup.settings(self.filter))
         setup.require_consistent(found, () if self.guard == "none" else self.form.layout.stable)

@@ -43,23 +43,25 @@ class Followed(NamedTuple):
 
     seen: np.ndarray
     """How many samples, (n,)."""
-    covariances: Array
-    """Autocovariances of ordinary residuals, (n, 3)."""
+    usual: Array
+    """Of ordinary residuals the autocovariances and how much of them follows the inputs anyway, (n, 4)."""
     rows: Array
     """The last residuals, and the predictions and inputs of the same samples, (n, _SPAN, 1 + n_signals)."""
 
     @classmethod
     def none(cls, n: int, n_signals: int) -> Followed:
         """Return it before the first sample."""
-        return cls(np.zeros(n, dtype=int), np.zeros((n, 3)), np.zeros((n, _SPAN, 1 + n_signals)))
+        return cls(np.zeros(n, dtype=int), np.zeros((n, 4)), np.zeros((n, _SPAN, 1 + n_signals)))
 
     @classmethod
     def restored(cls, numbers: Array, rows: Array) -> Followed:
-        """Return it from samples seen and autocovariances, (n, 4), and rows of the last samples, (n, L, ..)."""
+        """Return it from samples seen and what is usual, (n, 4 or 5), and rows of the last samples, (n, L, ..)."""
         whole = np.zeros((len(rows), _SPAN, rows.shape[2]))
         last = rows[:, -_SPAN:]
         whole[:, _SPAN - last.shape[1] :] = last
-        return cls(numbers[:, 0].astype(int), numbers[:, 1:].copy(), whole)
+        usual = np.zeros((len(rows), 4))
+        usual[:, : numbers.shape[1] - 1] = numbers[:, 1:]
+        return cls(numbers[:, 0].astype(int), usual, whole)
 
     def waits(self, which: np.ndarray) -> int:
         """Return after how many samples one of some actuators is to be looked at."""
@@ -67,9 +69,24 @@ class Followed(NamedTuple):
 
     def forgotten(self, i: int) -> Followed:
         """Return it with nothing seen of an actuator."""
-        seen, covariances, rows = (a.copy() for a in self)
-        seen[i], covariances[i], rows[i] = 0, 0.0, 0.0
-        return Followed(seen, covariances, rows)
+        seen, usual, rows = (a.copy() for a in self)
+        seen[i], usual[i], rows[i] = 0, 0.0, 0.0
+        return Followed(seen, usual, rows)
+
+    def begun(self, i: int, residuals: Array, signals: Array) -> tuple[Followed, float]:
+        """Return it with what is usual of an actuator: what its model leaves of its own recording.
+
+        Also how much of that follows the inputs, 0 if not in most of the windows beyond chance.
+        """
+        windows = [slice(k - _SPAN, k) for k in range(len(residuals), _SPAN - 1, -_SPAN)]
+        after = self.forgotten(i)
+        if not windows or np.isnan(residuals).all():
+            return after, 0.0
+        kept = np.mean([autocovariances(residuals[window]) for window in windows], axis=0)
+        found = [dependence(residuals[w], signals[w], whitening=whitening_of(kept)) for w in windows]
+        shares = [max(float(one.share), 0.0) for one in found]
+        after.usual[i] = *kept, max(shares)
+        return after, float(np.mean(shares)) if np.mean([one.found for one in found]) > 0.5 else 0.0
 
     def looked(self, which: np.ndarray, residuals: Array, signals: Array) -> tuple[Followed, News]:
         """Return it with samples of some actuators, at most `waits`, and of which the model is another plant's.
@@ -77,16 +94,16 @@ class Followed(NamedTuple):
         residuals (len(which), N), NaN where y is missing; signals (len(which), N, n_signals): what a residual follows
         that does not come from noise.
         """
-        seen, covariances, rows = self.seen.copy(), self.covariances.copy(), self.rows.copy()
+        seen, usual, rows = self.seen.copy(), self.usual.copy(), self.rows.copy()
         new = np.concatenate((residuals[..., None], signals), axis=2)[:, -_SPAN:]
         rows[which] = np.concatenate((self.rows[which, new.shape[1] :], new), axis=1)
         seen[which] += residuals.shape[1]
         news: News = []
         for i in which[(seen[which] % _PERIOD == 0) & (seen[which] >= _SPAN)].tolist():
-            share, covariances[i] = _followed_share(rows[i, :, 0], rows[i, :, 1:], covariances[i])
+            share, usual[i] = _followed_share(rows[i, :, 0], rows[i, :, 1:], usual[i])
             if share:
                 news.append((i, _ANOTHER.format(_SPAN, 100 * share)))
-        return Followed(seen, covariances, rows), news
+        return Followed(seen, usual, rows), news
 
 
 _ANOTHER: Final = (
@@ -96,14 +113,19 @@ _ANOTHER: Final = (
 
 
 def _followed_share(residuals: Array, signals: Array, usual: Array) -> tuple[float, Array]:
-    """Return how much of residuals follows the signals, 0 if it may be chance, and what is ordinary from here on."""
+    """Return how much of residuals follows the signals, 0 if that is usual or chance, and what is usual then."""
+    covariances, anyway = usual[:3], usual[3]
     now = autocovariances(residuals)
-    usual = usual if usual[0] > 0.0 else now
-    found = dependence(residuals, signals, whitening=whitening_of(usual))
-    if found.found:
+    covariances = covariances if covariances[0] > 0.0 else now
+    found = dependence(residuals, signals, whitening=whitening_of(covariances))
+    if found.found and found.share > SHARE + anyway:
         return float(found.share), usual
-    # What is ordinary follows slowly, and not what is half suspicious already.
-    return 0.0, usual + _PACE * (now - usual) if found.share < 0.5 * SHARE or usual is now else usual
+    if found.share > 0.5 * SHARE + anyway and usual[0]:
+        return 0.0, usual
+    # What is usual follows slowly, and not what is half suspicious already.
+    now = np.array([*now, max(float(found.share), 0.0)])
+    before = np.array([*covariances, anyway])
+    return 0.0, before + _PACE * (now - before)
 
 
 class Windows(NamedTuple):
