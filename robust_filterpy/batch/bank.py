@@ -205,7 +205,7 @@ class FilterBank:
         Returns
         -------
         dict of str to ndarray
-            ``format``, as in `RobustKalmanFilter.state`; x, P, F, Q, H and R; and ``spread``, shape (n, dim_z, 6),
+            ``format``, as in `RobustKalmanFilter.state`; x, P, F, Q, H and R; and ``spread``, shape (n, dim_z, 7),
             what is known of the sensors, if anything is.
         """
         x, P = self._state()
@@ -239,7 +239,7 @@ class FilterBank:
         sizes = {"F": (d, d), "Q": (d, d), "H": (m, d), "R": (m, m)}
         shared = [name for name in sizes if name in state and np.ndim(state[name]) == 2]
         optional = {name: shape if name in shared else (n, *shape) for name, shape in sizes.items()}
-        optional["spread"] = (n, m, 6)
+        optional["spread"] = (n, m, spread.NUMBERS)
         found = _state.checked(state, "FilterBank", {"x": (n, d), "P": (n, d, d)}, optional)
         found["_memory"] = found.pop("spread", np.tile(spread.begin(m), (n, 1, 1)))
         self.__dict__.update(

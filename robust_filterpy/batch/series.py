@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from robust_filterpy._checks import Array
 from robust_filterpy.batch._arguments import series_arguments, spread, threads
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
+from robust_filterpy.correction.spread import NUMBERS
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.kernel import series as kernel
@@ -118,7 +119,7 @@ def filter_series(
     z, model, x, P, kept, every, skips = given
     series, steps, m = z.shape
     n_threads = threads(n_threads)
-    memory, starts = np.zeros((series, m, 6)), [0] * series
+    memory, starts = np.zeros((series, m, NUMBERS)), [0] * series
     if series and steps and kernel.serves(choices):
         starts = _run_kernel(choices, z, model, x, P, memory, kept, every, n_threads).tolist()
     for s, start in enumerate(starts):

@@ -172,7 +172,7 @@ def correct_by_custom(
 
     Parameters
     ----------
-    memory : ndarray, shape (m, 6)
+    memory : ndarray, shape (m, 7)
         What is known of the sensors, from `robust_filterpy.correction.spread.begin` or the correction before.
     x, P, y, C, S, choices, skip_singular
         As in `correct`.
@@ -242,16 +242,16 @@ def _judge(group: list[int], joint: _Joint, S: Array, choices: Choices, widths: 
             told_apart = choices.scaling == "unit" and (block.diagonal() < 0.0).any() and (S.diagonal() > 0.0).all()
             raise _indefinite() if told_apart else singular(S, block)
         nothing = np.zeros(len(group))
-        return _Step((math.inf, math.inf), None, nothing, nothing, nothing, nothing, nothing)
+        return _Step((math.inf, math.inf, 0.0), None, nothing, nothing, nothing, nothing, nothing)
     T, s = group_scaling(block, choices.scaling), float(widths[group].max())
     e = np.clip(T @ joint.y[group], -_LARGEST, _LARGEST)
     psi, D, weights, psi_deriv, length = choices.influence_on(e, s)
-    return _Step(_key(length / s, length), T, e, psi, D, weights, psi_deriv)
+    return _Step(_key(length / s, length, float(e[0]) if len(group) == 1 else 0.0), T, e, psi, D, weights, psi_deriv)
 
 
 def _key(*sizes: float) -> tuple[float, ...]:
     """Return what is compared between sensors: rounding must not choose the order of those that are equal."""
-    return tuple(float(np.float32(min(size, 1e38))) for size in sizes)
+    return tuple(float(np.float32(max(min(size, 1e38), -1e38))) for size in sizes)
 
 
 class _Joint(NamedTuple):

@@ -1,7 +1,7 @@
 """How large a sensor's innovations usually are, learnt: the unit of its thresholds under scaling="learnt".
 
-Nothing is an outlier before there is a custom. A memory has six numbers a sensor; what they do to a correction does not
-depend on a common factor of P, Q and R, on units, on the order of the sensors or on psi. `prepared` comes before a
+Nothing is an outlier before there is a custom. A memory has seven numbers a sensor; what they do to a correction does
+not depend on a common factor of P, Q and R, on units, on the order of the sensors or on psi. `prepared` comes before a
 correction and `after` behind it::
 
     s_i   the median of |e_i| over .6745, of those that are not far     e_i = y_i / sqrt(S_ii), S as told
@@ -10,7 +10,8 @@ correction and `after` behind it::
 
 A sensor that is wider than those which see the same, or contradicted by them, is charged the rest as noise of its own.
 Four clipped innovations in a row, of one sign and height, which the majority of those who see them does not
-contradict, are a jump of the state: P grows until it explains them.
+contradict, are a jump of the state: P grows until it explains them, for the states that this sensor tells much of. One
+innovation that undoes a jump is a return, where few others are far out.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-#: Columns of a memory, shape (m, 6).
-WEIGHT, SPREAD, SHARE, STRANGE, RUN, REST = range(6)
+#: Columns of a memory, shape (m, 7).
+WEIGHT, SPREAD, SHARE, STRANGE, RUN, REST, JUMP = range(7)
+NUMBERS = 7
 
 QUARTILE = 0.6744897501960817  #: median of |e| for a normal e of deviation 1
 BEND = 1.345  #: beyond so many spreads an innovation counts as clipped, whatever psi is
@@ -31,6 +33,8 @@ MOST, YIELD = 0.4, 1.5  #: the largest share of outliers; threshold times 1 - 1.
 PRIOR = 10.0  #: the share starts from so many innovations without an outlier
 LOST = 10  #: so many far ones in a row, and the custom is another one
 RUN_LENGTH, AGREE = 4, 2.5  #: a jump: so many clipped in a row, each within 2.5 spreads of where the last left x
+RARE, RETURN = 0.05, 0.2  #: a share of outliers with which one innovation is a return, if within a fifth of the jump
+SPARED = 0.1  #: states that tell a tenth as much of the prediction as the one that tells most do not jump with it
 LARGEST_GROWTH = 1e6  #: of S at one jump; makes the gain 1 - 1e-6
 WITNESS, APART, CONTRADICTED = 0.47, 1.5, 2.0  #: see `_charges`
 
@@ -39,7 +43,7 @@ class Prepared(NamedTuple):
     """What a correction begins with under scaling "learnt"; C and S are as told unless P has grown."""
 
     memory: np.ndarray
-    """Memory after the innovation, shape (m, 6)."""
+    """Memory after the innovation, shape (m, 7)."""
     width: np.ndarray
     """Unit of each sensor's threshold, in that of its measurement, shape (m,)."""
     charge: np.ndarray
@@ -63,11 +67,12 @@ def begin(m: int) -> np.ndarray:
 
     Returns
     -------
-    ndarray, shape (m, 6)
+    ndarray, shape (m, 7)
         Information that the spread rests on, spread s, share p of far innovations, far ones in a row, clipped ones in
-        a row that agree, and what the last correction left of z - H x (the only one with a unit).
+        a row that agree, what the last correction left of z - H x, and how far the last jump went, 0 if there was none
+        to return from (the only two with a unit).
     """
-    return np.zeros((m, 6))
+    return np.zeros((m, NUMBERS))
 
 
 def prepared(memory: np.ndarray, y: np.ndarray, S: np.ndarray, R: np.ndarray, C: np.ndarray, P: np.ndarray) -> Prepared:
@@ -75,7 +80,7 @@ def prepared(memory: np.ndarray, y: np.ndarray, S: np.ndarray, R: np.ndarray, C:
 
     Parameters
     ----------
-    memory : ndarray, shape (m, 6)
+    memory : ndarray, shape (m, 7)
         Memory before; not changed.
     y : ndarray, shape (m,)
         Innovation, NaN where missing.
@@ -102,16 +107,19 @@ def prepared(memory: np.ndarray, y: np.ndarray, S: np.ndarray, R: np.ndarray, C:
     seen = _seen_by(B, here)
     charge = _charges(y, s, told, B, seen, here) if here.sum() > 1 else np.zeros(len(y))
     narrowed = s * (1 - YIELD * memory[:, SHARE])
-    out = here & (size > BEND * narrowed)
-    _count_runs(memory, y, AGREE * s * told, out, here)
-    jumped = _jumps(memory, y, B, seen, out, charge, here)
+    out, near = here & (size > BEND * narrowed), AGREE * s * told
+    _count_runs(memory, y, near, out, here)
+    # Back where the state was before a jump.
+    back = out & (np.abs(y + memory[:, JUMP]) < np.maximum(near, RETURN * np.abs(memory[:, JUMP])))
+    back &= memory[:, JUMP] != 0
+    jumped = _jumps(memory, y, B, seen, out, back, charge, here)
     growth, width = np.ones(len(C)), narrowed * told
     for i in np.flatnonzero(jumped):
         wanted = min((size[i] / (BEND * narrowed[i])) ** 2 - 1, LARGEST_GROWTH) * S[i, i] / B[i, i]
-        concerned = C[:, i] ** 2 > 1e-9 * np.diag(P) * B[i, i]
-        growth = np.maximum(growth, np.sqrt(1 + wanted * concerned))
+        growth = np.maximum(growth, np.sqrt(1 + wanted * _moved(C[:, i], np.diag(P))))
         # Believed: as large as is usual.
-        width[i], memory[i, RUN] = abs(y[i]), 0
+        width[i] = abs(y[i])
+        _forgive(memory[i], 0.0 if back[i] else y[i])
     return Prepared(memory, width, charge, growth)
 
 
@@ -120,14 +128,14 @@ def after(memory: np.ndarray, rest: np.ndarray) -> np.ndarray:
 
     Parameters
     ----------
-    memory : ndarray, shape (m, 6)
+    memory : ndarray, shape (m, 7)
         From `prepared`.
     rest : ndarray, shape (m,)
         z - H x after the correction, NaN where missing.
 
     Returns
     -------
-    ndarray, shape (m, 6)
+    ndarray, shape (m, 7)
     """
     memory, here = memory.copy(), np.isfinite(rest)
     memory[here, REST] = rest[here]
@@ -154,12 +162,20 @@ def _learn(own: np.ndarray, size: float, weight: float) -> None:
     own[SHARE] = min(own[SHARE] + (far - own[SHARE]) * max(weight / (own[WEIGHT] + PRIOR), 1 / MEMORY), MOST)
 
 
+def _forgive(own: np.ndarray, jump: float) -> None:
+    """Note a jump: the far ones in a row were no outliers, and where others are rare it may be undone at once."""
+    step = max(1 / (own[WEIGHT] + PRIOR), 1 / MEMORY)
+    own[SHARE] = max(own[SHARE] - own[STRANGE] * step, 0.0)
+    own[[STRANGE, RUN]] = 0.0
+    own[JUMP] = jump if own[SHARE] < RARE else 0.0
+
+
 def settled(memory: np.ndarray) -> np.ndarray:
     """Return the spread of each sensor as a threshold's unit, 1 where there is no custom yet.
 
     Parameters
     ----------
-    memory : ndarray, shape (m, 6)
+    memory : ndarray, shape (m, 7)
 
     Returns
     -------
@@ -209,12 +225,18 @@ def _count_runs(memory: np.ndarray, y: np.ndarray, near: np.ndarray, out: np.nda
 
 
 def _jumps(
-    memory: np.ndarray, y: np.ndarray, B: np.ndarray, seen: np.ndarray, out: np.ndarray, charge: np.ndarray,
-    here: np.ndarray,
+    memory: np.ndarray, y: np.ndarray, B: np.ndarray, seen: np.ndarray, out: np.ndarray, back: np.ndarray,
+    charge: np.ndarray, here: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    """Return who has seen a jump: a run that those who see the same do not contradict."""
-    jumped = np.zeros(len(y), dtype=bool)
-    for i in np.flatnonzero(here & (memory[:, RUN] >= RUN_LENGTH) & (charge == 0) & (np.diag(B) > 0)):
+    """Return who has seen a jump: a run, or a return, that those who see the same do not contradict."""
+    jumped, enough = np.zeros(len(y), dtype=bool), back | (memory[:, RUN] >= RUN_LENGTH)
+    for i in np.flatnonzero(here & enough & (charge == 0) & (np.diag(B) > 0)):
         agree = out & (y * y[i] * B[i] > 0)
         jumped[i] = (seen[i] * agree).sum() > (seen[i] * (here & ~agree)).sum() * (1 + 1e-9)
     return jumped
+
+
+def _moved(c: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Return which states have jumped, given their covariances c with a prediction and their variances p."""
+    told = np.where(p > 0, c**2 / np.where(p > 0, p, 1.0), 0.0)
+    return np.asarray((told > SPARED * told.max()) & (p > 0))

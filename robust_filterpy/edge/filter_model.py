@@ -10,7 +10,7 @@ from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Choices
-from robust_filterpy.correction.spread import begin
+from robust_filterpy.correction.spread import NUMBERS, begin
 from robust_filterpy.edge.template import Described
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 
@@ -55,7 +55,7 @@ def described_filter(kf: RobustKalmanFilter, name: str) -> Described:
     # Linear, which cannot become anything else at run time, has no thresholds to learn for.
     if choices.scaling == "learnt" and _kind(choices) != "linear":
         # Before its first correction a filter remembers no sensor.
-        start["memory"] = finite("memory", kf._memory if len(kf._memory) == m else begin(m), (m, 6))
+        start["memory"] = finite("memory", kf._memory if len(kf._memory) == m else begin(m), (m, NUMBERS))
     return Described(
         f"{name}: RobustKalmanFilter(dim_x={n}, dim_z={m}), {shown(choices)}",
         ("filter.c",), frozenset(),
@@ -66,7 +66,7 @@ def described_filter(kf: RobustKalmanFilter, name: str) -> Described:
             "alpha_field": ""
             if kf._alpha_sq == 1.0
             else f"    {name}_real alpha_sq; /* P is multiplied by it at each prediction */",
-            "memory_field": f"    {name}_real memory[{m} * 6]; /* what is usual of each sensor's innovations */"
+            "memory_field": f"    {name}_real memory[{m} * {NUMBERS}]; /* what is usual of each sensor's innovations */"
             if "memory" in start
             else "",
         },

@@ -16,6 +16,7 @@ from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy._state import Shape
+from robust_filterpy.correction.spread import NUMBERS
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.kernel import series as kernel
 from robust_filterpy.kernel.records import Model, Output
@@ -80,7 +81,7 @@ class Moving(NamedTuple):
     P: Array
     """(keys, n, n)"""
     memory: Array | None
-    """What is known of the sensors, (keys, m, 6); None if nothing is learnt of them."""
+    """What is known of the sensors, (keys, m, 7); None if nothing is learnt of them."""
 
     def of(self, s: int) -> Moving:
         """Return that of one key, the same numbers."""
@@ -127,7 +128,7 @@ def _sensors(kf: Any) -> dict[str, Shape]:
     """Return the shapes of what a filter knows of its sensors, if it learns anything of them."""
     if not getattr(kf, "_learns_spread", False):
         return {}
-    return {**kf._sensor_shapes(), "spread": (kf.dim_z, 6)}
+    return {**kf._sensor_shapes(), "spread": (kf.dim_z, NUMBERS)}
 
 
 def advance(kf: Any, update: Mapping[str, Any], series: Plain | None, work: Work) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from robust_filterpy import _state
 from robust_filterpy._checks import Array
+from robust_filterpy.correction import spread
 from robust_filterpy.fleet._filters import REFUSED, Work
 from robust_filterpy.identification.models.results import Columns
 from robust_filterpy.identification.models.signals import measured_output, recorded_input
@@ -30,7 +31,7 @@ class EvenTracker(ParameterTracker):
 
 def start(tracker: EvenTracker) -> dict[str, Array]:
     """Return what a tracker's steps move, as it is; of a sensor of which nothing is known yet, zeros."""
-    unknown = {"filter_spread": np.zeros((1, 6))} if getattr(tracker.filter, "_learns_spread", False) else {}
+    unknown = {"filter_spread": spread.begin(1)} if getattr(tracker.filter, "_learns_spread", False) else {}
     return {**unknown, **{name: value for name, value in tracker.state().items() if name not in _SETTINGS}}
 
 

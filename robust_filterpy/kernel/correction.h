@@ -109,21 +109,23 @@ INLINE real correction_scale(const int scaling, const real variance) {
     return 1 / real_sqrt(variance);
 }
 
-/* Return the most plausible of the sensors left: least |e|/s, then least |e|, then the first; compared in single
-   precision, since rounding must not choose the order of those that are equal. */
+/* Return the most plausible of the sensors left: least |e|/s, then least |e|, then least e, then the first; compared
+   in single precision, since rounding must not choose the order of those that are equal. */
 INLINE int correction_next(const int m, const int scaling, const real *spread, correction *const c) {
     int best = -1;
-    float least = 0, least_e = 0;
+    float least = 0, least_e = 0, signed_e = 0;
     for (int i = 0; i < m; i++) {
         if (c->left[i] == 0) continue;
         c->t[i] = correction_scale(scaling, c->S[i * m + i]);
-        const real e = real_abs(c->t[i] * c->y[i]);
+        const real own = c->t[i] * c->y[i], e = real_abs(own);
         const float relative = (float)real_min(spread ? e / spread[i] : e, REAL(1e38));
         const float size = (float)real_min(e, REAL(1e38));
-        if (best < 0 || relative < least || (relative == least && size < least_e)) {
+        if (best < 0 || relative < least || (relative == least && size < least_e) ||
+            (relative == least && size == least_e && own < 0 && signed_e > 0)) {
             best = i;
             least = relative;
             least_e = size;
+            signed_e = own < 0 ? -size : size;
         }
     }
     return best;

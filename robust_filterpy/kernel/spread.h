@@ -2,7 +2,7 @@
 
    The spread is a median by recursion of |e|, e = y / sqrt(S_ii), without the far ones. What a sensor is noisier than
    those that see the same is charged to its R; a run of clipped innovations that those who see the same do not
-   contradict is a jump of the state, and P grows until it is plausible. */
+   contradict is a jump of the state, and P grows until it is plausible, where the sensor tells much of a state. */
 #ifndef ROBUST_FILTERPY_SPREAD_H
 #define ROBUST_FILTERPY_SPREAD_H
 
@@ -16,8 +16,9 @@ typedef struct {
     real strange; /* far ones in a row */
     real run;     /* clipped ones in a row, of one sign, each where the last one left x */
     real rest;    /* z - H x after the last correction */
+    real jump;    /* how far the last jump went, 0 if there was none to return from */
 } spread_memory;
-#define SPREAD_NUMBERS 6
+#define SPREAD_NUMBERS 7
 
 #define SPREAD_QUARTILE REAL(0.6744897501960817) /* median of |e| for a normal e of deviation 1 */
 #define SPREAD_BEND REAL(1.345)                  /* beyond so many spreads an innovation counts as clipped */
@@ -30,6 +31,9 @@ typedef struct {
 #define SPREAD_LOST 10                           /* so many far ones in a row, and the custom is another one */
 #define SPREAD_RUN 4                             /* a jump: so many clipped in a row, */
 #define SPREAD_AGREE REAL(2.5)                   /* each within so many spreads of where the last one left x */
+#define SPREAD_RARE REAL(0.05)                   /* a share of outliers with which one innovation is a return, */
+#define SPREAD_RETURN REAL(0.2)                  /* if it is within a fifth of the jump */
+#define SPREAD_SPARED REAL(0.1)                  /* states that tell a tenth as much as another do not jump with it */
 #define SPREAD_GROWTH REAL(1e6)                  /* the most that S grows by at one jump */
 #define SPREAD_WITNESS REAL(0.47)                /* of the weight of those who see the same */
 #define SPREAD_APART REAL(1.5)                   /* so much wider than they are is a sensor's own noise, */
@@ -129,6 +133,25 @@ CALLED int spread_agreed(const int m, const int i, const correction *const c, co
     return agree > against * SPREAD_ROUNDING;
 }
 
+/* Let the states grow that have jumped with sensor i, whose covariances with its prediction are c (n). */
+INLINE void spread_grow(const int n, const real *RESTRICT P, const real *RESTRICT c, const real wanted,
+                        real *RESTRICT growth) {
+    real most = 0;
+    for (int k = 0; k < n; k++)
+        if (P[k * n + k] > 0) most = real_max(most, c[k] * c[k] / P[k * n + k]);
+    for (int k = 0; k < n; k++)
+        if (P[k * n + k] > 0 && c[k] * c[k] / P[k * n + k] > SPREAD_SPARED * most)
+            growth[k] = real_max(growth[k], real_sqrt(1 + wanted));
+}
+
+/* Note a jump: the far ones in a row were no outliers, and where others are rare it may be undone at once. */
+INLINE void spread_forgive(spread_memory *const own, const real jump) {
+    const real step = real_max(1 / (own->weight + SPREAD_PRIOR), SPREAD_FADING);
+    own->share = real_max(own->share - own->strange * step, 0);
+    own->strange = own->run = 0;
+    own->jump = own->share < SPREAD_RARE ? jump : 0;
+}
+
 /* Learn from the innovations of c, before the correction; P and R are those that it was made from. */
 CALLED void spread_before(const int n, const int m, const real *P, const real *R, const correction *const c,
                           spread_memory *const memory, spread_change *const change, real *work) {
@@ -172,23 +195,24 @@ CALLED void spread_before(const int n, const int m, const real *P, const real *R
             own->run += 1;
         else
             own->run = 1;
+        /* Back where the state was before a jump. */
+        if (out[i] != 0 && own->jump != 0 &&
+            real_abs(y + own->jump) < real_max(near, SPREAD_RETURN * real_abs(own->jump)))
+            out[i] = 2;
     }
     for (int i = 0; i < m; i++) {
         const real variance = c->S[i * m + i], b = variance - R[i * m + i];
         real bent, wanted;
-        if (c->left[i] == 0 || memory[i].run < SPREAD_RUN || change->charge[i] > 0 || !(b > 0)) continue;
+        if (c->left[i] == 0 || (memory[i].run < SPREAD_RUN && out[i] < 2)) continue;
+        if (change->charge[i] > 0 || !(b > 0)) continue;
         if (!spread_agreed(m, i, c, R, out, seen)) continue;
         bent = size[i] / (SPREAD_BEND * s[i]);
         wanted = real_min(bent * bent - 1, SPREAD_GROWTH) * variance / b;
-        for (int k = 0; k < n; k++) {
-            const real g = c->C[i * n + k];
-            if (g * g > REAL(1e-9) * P[k * n + k] * b)
-                change->growth[k] = real_max(change->growth[k], real_sqrt(1 + wanted));
-        }
+        spread_grow(n, P, c->C + i * n, wanted, change->growth);
         change->grows = 1;
         /* Believed: as large as is usual. Nobody else asks for its width or its run any more. */
         change->width[i] = real_abs(c->y[i]);
-        memory[i].run = 0;
+        spread_forgive(&memory[i], out[i] < 2 ? c->y[i] : 0);
     }
 }
 

@@ -14,6 +14,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import without_fill_values
 from robust_filterpy.correction.policies import Contaminated
 from robust_filterpy.noise._likelihood import log_likelihoods, of_filter, of_tracker, scaled
+from robust_filterpy.noise._search import lowest, valleys
 
 __all__ = ["NoiseEstimate", "estimate_noise"]
 
@@ -23,7 +24,9 @@ Groups = bool | str | Sequence[int]
 _SCALE_LIMIT = 16.0
 _LOGIT_LIMITS = (-9.0, float(np.log(0.45 / 0.55)))
 _RATIO_LIMITS = (np.log(3.0), np.log(1e4))
-_STEP = 1e-3
+# Where the search begins: decades of both factors, few and many outliers, and what is left of the best places.
+_DECADES, _SHARES, _STARTS = np.log(10.0) * np.arange(-5.0, 6.0), np.array([-7.0, -2.2]), 4
+_FIRST_LOOK = 400
 # The prior: ten ordinary samples, and outliers of ten times the size within a factor of e.
 _PRIOR_ORDINARY, _PRIOR_LOG_RATIO = 10.0, np.log(10.0)
 # A factor of variance that can be divided by 20 at the cost of half a nat is not determined.
@@ -151,6 +154,10 @@ def estimate_noise(
     contamination that runs to its limit of .45, are named in ``message``; ``converged`` is then False. The sampling
     error of a variance is about sqrt(2/N) at best.
 
+    The likelihood may have several maxima (R nearly 0 beside a large Q, many outliers instead of a larger R). A grid of
+    ten decades of both factors, with few and with many outliers, says where to start; all starts advance together, and
+    the highest end wins.
+
     A weak prior, worth ten samples, keeps the contamination and the ratio where there are no outliers. What lies
     beyond 8 standard deviations of outliers counts as 8.
 
@@ -168,8 +175,6 @@ def estimate_noise(
     >>> bool(2.8 < found.R[0, 0] < 5.2), bool(0.1 < found.Q[0, 0] < 0.5)
     (True, True)
     """
-    from scipy.optimize import minimize
-
     per_step = (Fs, Qs, Hs, Rs)
     zs, _ = without_fill_values("zs", _checks.entries("zs", zs))
     if hasattr(filter, "structure") and hasattr(filter, "filter"):
@@ -194,20 +199,16 @@ def estimate_noise(
         prior = -0.5 * (np.log(ratio) - _PRIOR_LOG_RATIO) ** 2
         if known[0] is None:
             prior = prior + _PRIOR_ORDINARY * np.log1p(-share)
-        likelihood = log_likelihoods(data.first(steps), logs_R, logs_Q, share, ratio)
-        return -(likelihood + prior) / steps
+        return -(log_likelihoods(data.first(steps), logs_R, logs_Q, share, ratio) + prior)
 
-    def cost_and_gradient(point: Array) -> tuple[float, Array]:
-        # All neighbours advance together, so the gradient costs little more than the value.
-        offsets = _STEP * np.eye(point.size)
-        values = cost(np.concatenate([point[None], point + offsets, point - offsets]), len(data.zs))
-        return values[0], (values[1 : 1 + point.size] - values[1 + point.size :]) / (2 * _STEP)
+    def whole(points: Array) -> Array:
+        return cost(points, len(data.zs))
 
     limits = [(-_SCALE_LIMIT, _SCALE_LIMIT)] * (count_R + count_Q) + [_LOGIT_LIMITS, _RATIO_LIMITS]
-    start = _start(count_R, count_Q, lambda points: cost(points, min(400, len(data.zs))))
-    found = minimize(cost_and_gradient, start, jac=True, method="L-BFGS-B", bounds=limits)
-    logs_R, logs_Q, share, ratio = (part[0] for part in unpacked(found.x[None]))
-    doubt = _doubt(found.x, count_R, count_Q, known, lambda points: cost(points, len(data.zs)) * len(data.zs))
+    starts = _starts(count_R, count_Q, lambda points: cost(points, min(_FIRST_LOOK, len(data.zs))))
+    found = lowest(whole, starts, *np.transpose(limits))
+    logs_R, logs_Q, share, ratio = (part[0] for part in unpacked(found.point[None]))
+    doubt = _doubt(found.point, count_R, count_Q, known, whole)
     likelihood = log_likelihoods(data, *(part[None] for part in (logs_R, logs_Q, share, ratio)))[0]
     base = getattr(filter, "filter", filter)
     return NoiseEstimate(
@@ -220,8 +221,8 @@ def estimate_noise(
         contamination=float(share),
         scale_ratio=float(ratio),
         log_likelihood=float(likelihood),
-        converged=bool(found.success) and not doubt,
-        message=doubt or str(found.message),
+        converged=found.converged and not doubt,
+        message=doubt or ("the likelihood is greatest here" if found.converged else "the search did not end"),
     )
 
 
@@ -244,13 +245,22 @@ def _doubt(point: Array, count_R: int, count_Q: int, known: tuple[float | None, 
     return ""
 
 
-def _start(count_R: int, count_Q: int, cost: Any) -> Array:
-    """Return the best point of a grid over one factor for R and one for Q."""
-    steps = np.log(10.0) * np.arange(-5.0, 6.0)
-    log_R, log_Q = (steps if count else np.zeros(1) for count in (count_R, count_Q))
-    grid = [[*[r] * count_R, *[q] * count_Q, -3.0, np.log(6.0)] for r in log_R for q in log_Q]
-    points = np.array(grid)
-    return np.asarray(points[np.argmin(cost(points))])
+def _starts(count_R: int, count_Q: int, cost: Any) -> Array:
+    """Return the lowest places of a grid over one factor for R and one for Q, each sensor and state then on its own."""
+    log_R, log_Q = (_DECADES if count else np.zeros(1) for count in (count_R, count_Q))
+    places, factors = [], count_R + count_Q
+    for share in _SHARES:
+        grid = np.array([[*[r] * count_R, *[q] * count_Q, share, _PRIOR_LOG_RATIO] for r in log_R for q in log_Q])
+        values = cost(grid).reshape(len(log_R), len(log_Q))
+        places += [grid[i * len(log_Q) + j] for i, j in valleys(values, _STARTS)]
+    starts = np.array(places)
+    if max(count_R, count_Q) > 1:
+        for i in range(factors):
+            tried = np.repeat(starts[:, None, :], len(_DECADES), axis=1)
+            tried[:, :, i] = _DECADES
+            values = cost(tried.reshape(-1, starts.shape[1])).reshape(len(starts), -1)
+            starts = tried[range(len(starts)), values.argmin(axis=1)]
+    return np.asarray(starts)
 
 
 def _known_outliers(contamination: float | None, scale_ratio: float | None) -> tuple[float | None, float | None]:

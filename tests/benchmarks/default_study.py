@@ -33,7 +33,8 @@ STEPS = 800
 FILTERS: dict[str, Callable[[int, int], Any]] = {
     "Kalman": KalmanFilter,
     "gate": gate,
-    "Huber": partial(RobustKalmanFilter, influence=Huber()),
+    "Huber": RobustKalmanFilter,
+    "Huber, told S": partial(RobustKalmanFilter, scaling="innovation"),
     "Huber, joint": partial(RobustKalmanFilter, influence=Huber(), grouping="joint"),
     "Tukey": partial(RobustKalmanFilter, influence=TukeyBiweight()),
     "Tukey, joint": partial(RobustKalmanFilter, influence=TukeyBiweight(), grouping="joint"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from adaptive_problems import NOISES, ROOT, Case
 from peers.recursion import kalman
+from scipy.linalg import expm
 
 F, Q = np.array([[1.0, 1.0], [0.0, 1.0]]), np.outer(ROOT, ROOT)
 #: A label that leaves a sensor out.
@@ -82,6 +83,50 @@ def standing(seed: int, still: int = 300, steps: int = 600) -> Case:
     truth[still:], v[:still] = moving(g, steps - still), 0.0
     zs, x0 = truth[:, :1] + v, np.array([1.0, 0.0])
     return Case(F, np.eye(1, 2), Q, np.eye(1), x0, 10 * np.eye(2), truth, zs, np.ones(steps), np.ones((steps, 1)))
+
+
+def daily(seed: int, height: float, stops: int = 4, dummies: bool = False, steps: int = 1200) -> Case:
+    """Return a level that wanders with a slow daily cycle, and stops, 8 to 24 hours read wrongly by one height.
+
+    The cycle is two harmonics, or, with dummies, one state for each hour of a day but one.
+    """
+    g = np.random.default_rng(seed)
+    hours = np.arange(24)
+    if dummies:
+        A, H = np.zeros((24, 24)), np.eye(1, 24) + np.eye(1, 24, 1)
+        A[0, 0], A[1, 1:], A[2:, 1:-1] = 1.0, -1.0, np.eye(22)
+        cycle = 8 * np.sin(2 * np.pi * hours / 24) + 4 * np.cos(4 * np.pi * hours / 24) + g.standard_normal(24)
+        x, q, p = np.r_[100.0, (cycle - cycle.mean())[:23]], np.r_[0.25, 0.01, np.zeros(22)], np.r_[5.0, [10.0] * 23]
+    else:
+        A, H = np.eye(5), np.array([[1.0, 1.0, 0.0, 1.0, 0.0]])
+        for harmonic, i in ((1, 1), (2, 3)):
+            c, s = np.cos(2 * np.pi * harmonic / 24), np.sin(2 * np.pi * harmonic / 24)
+            A[i : i + 2, i : i + 2] = [[c, s], [-s, c]]
+        x, q, p = np.array([100.0, 5.0, -3.0, 2.0, 2.0]), np.r_[0.25, np.full(4, 1e-4)], np.r_[5.0, np.ones(4)]
+    truth, bad = np.empty((steps, len(x))), np.zeros(steps, dtype=bool)
+    for k in range(steps):
+        x = truth[k] = A @ x + q * g.standard_normal(len(x))
+    for first in g.integers(60, steps - 60, stops):
+        bad[first : first + g.integers(8, 24)] = True
+    zs = truth @ H.T + 0.5 * g.standard_normal((steps, 1)) + height * bad[:, None]
+    x0, label = 100.0 * np.eye(len(q))[0], np.where(bad, BAD, 1.0)[:, None]
+    return Case(A, H, np.diag(q**2), np.array([[0.25]]), x0, np.diag(p**2), truth, zs, np.ones(steps), label)
+
+
+def reactors(seed: int, share: float = 0.1, scale: float = 10.0, steps: int = 1000) -> Case:
+    """Return three stirred tanks in a row (Yang and Boyd 2025), temperatures measured, outliers in both noises."""
+    g, dt = np.random.default_rng(seed), 0.05
+    tank, flow = np.array([[-5.0, -0.3427], [47.68, 2.785]]), np.diag([1.0, 0.3])
+    rates = np.kron(np.eye(3), tank) + np.kron(np.eye(3, k=-1), flow)
+    # A zero-order hold by the exponential of both at once.
+    both = expm(dt * np.block([[rates, np.kron(np.eye(3), flow)], [np.zeros((6, 12))]]))
+    A, B, H = both[:6, :6], both[:6, 6:], np.kron(np.eye(3), [[0.0, 1.0]])
+    w, v = (np.where(g.random(steps) < share, scale, 1.0) for _ in range(2))
+    x, truth = np.zeros(6), np.empty((steps, 6))
+    for k in range(steps):
+        x = truth[k] = A @ x + w[k] * B @ (np.sqrt(0.1) * g.standard_normal(6))
+    zs = truth @ H.T + v[:, None] * g.standard_normal((steps, 3))
+    return Case(A, H, 0.1 * B @ B.T, np.eye(3), np.zeros(6), np.eye(6), truth, zs, w, v)
 
 
 def boxes(seed: int, bad: float, steps: int = 60) -> Case:

@@ -4,8 +4,9 @@ Run ``python tests/benchmarks/drop_in_study.py [--runs N] [--seed S] [--jobs J] 
 row is a problem, its figure a mean square error of what is measured (of redundant sensors: the median over the
 recordings of the root mean square error), over filterpy's filter and over the Kalman filter that is told the size of
 every noise and leaves out sensors that are bad. The start 75 away counts steps until the error stays below 3, beyond
-filterpy's. Box trackers: one minus the overlap with the true box, over filterpy's. ``--frontier`` draws what the length
-of a run that is taken for a jump costs: a jump of 30 deviations against bursts and runs at one height.
+filterpy's. Box trackers: one minus the overlap with the true box, over filterpy's. Reactors: root mean square error of
+all states. Daily cycles: hours read rightly. ``--frontier`` draws what the length of a run that is taken for a
+jump costs: a jump of 30 deviations against bursts and runs at one height.
 """
 
 from __future__ import annotations
@@ -19,7 +20,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from adaptive_problems import Case, vehicle
-from drop_in_problems import boxes, in_a_row, one, position_and_velocity, redundant, standing, with_labels
+from drop_in_problems import (
+    BAD,
+    boxes,
+    daily,
+    in_a_row,
+    one,
+    position_and_velocity,
+    reactors,
+    redundant,
+    standing,
+    with_labels,
+)
 from filterpy.kalman import (
     CubatureKalmanFilter,
     ExtendedKalmanFilter,
@@ -39,7 +51,7 @@ from robust_filterpy import (
 )
 from robust_filterpy.correction import spread
 
-FIGURE = Path(__file__).parents[2] / "examples" / "output" / "drop_in_frontier.png"
+FIGURE = Path(__file__).parents[2] / "examples" / "figures" / "drop_in_frontier.png"
 OURS: dict[str, Callable[[int, int], Any]] = {
     "innovation": partial(RobustKalmanFilter, scaling="innovation"),
     "learnt": RobustKalmanFilter,
@@ -96,6 +108,11 @@ def rows() -> dict[str, Row]:
         "a jump of 30, .1": Row(partial(mixed, jump=30.0)),
         "standing without noise, then moving": Row(standing),
         "vehicle, both noises": Row(partial(vehicle, process=0.1, measurement=0.1, scale=10.0, steps=600)),
+        "reactors, both noises": Row(reactors, figure="states"),
+        "daily cycle": Row(partial(daily, height=-80.0, stops=0), figure="ordinary"),
+        "daily cycle, four stops": Row(partial(daily, height=-80.0), figure="ordinary"),
+        "daily cycle, four small stops": Row(partial(daily, height=-20.0), figure="ordinary"),
+        "daily cycle of 24 states, four stops": Row(partial(daily, height=-80.0, dummies=True), figure="ordinary"),
         "boxes": Row(partial(boxes, bad=0.0), figure="overlap"),
         "boxes, 3 % bad": Row(partial(boxes, bad=0.03), figure="overlap"),
     }
@@ -162,7 +179,10 @@ def figure(row: Row, case: Case, path: np.ndarray) -> float:
         return float(far[-1] + 1) if len(far) else 0.0
     if row.figure == "overlap":
         return float(np.mean([1.0 - _overlap(a, b) for a, b in zip(path[1:], case.truth[1:], strict=True)]))
-    return float(np.mean(error**2))
+    if row.figure == "states":
+        return float(np.sqrt(np.mean((path - case.truth) ** 2)))
+    ordinary = case.v_scale[:, 0] < BAD if row.figure == "ordinary" else np.ones(len(error), dtype=bool)
+    return float(np.mean(error[ordinary] ** 2))
 
 
 def _overlap(a: np.ndarray, b: np.ndarray) -> float:

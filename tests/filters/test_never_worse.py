@@ -154,3 +154,73 @@ def test_a_state_carries_what_is_known_of_the_sensors(path):
     assert_array_equal(other.spread, kf.spread)
     for ours, theirs in zip(online(kf, zs[70:]), online(other, zs[70:]), strict=True):
         assert_array_equal(ours, theirs)
+
+
+def level_and_cycle(**options):
+    """A level that wanders, and a slow daily cycle."""
+    kf = RobustKalmanFilter(3, 1, **options)
+    c, s = np.cos(2 * np.pi / 24), np.sin(2 * np.pi / 24)
+    kf.F = np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]])
+    kf.x, kf.H, kf.P = np.array([100.0, 0.0, 0.0]), np.array([[1.0, 1.0, 0.0]]), np.diag([25.0, 25.0, 25.0])
+    kf.Q, kf.R = np.diag([0.06, 1e-8, 1e-8]), 0.25 * np.eye(1)
+    return kf
+
+
+def hours(steps, first, after, seed=4):
+    """The cycle's truth, and readings that are 80 too low from `first` on, for a while."""
+    rng = np.random.default_rng(seed)
+    k = np.arange(steps)
+    truth = 100.0 + np.cumsum(0.25 * rng.normal(size=steps)) + 5.0 * np.sin(2 * np.pi * k / 24)
+    return truth, truth + 0.5 * rng.normal(size=steps) - 80.0 * ((k >= first) & (k < after))
+
+
+def test_a_jump_spares_what_the_sensor_hardly_tells(path):
+    """Four low readings are a jump of the level; the cycle, known for weeks, stays as certain as it was."""
+    truth, zs = hours(504, 500, 504)
+    kf = level_and_cycle()
+    for k, z in enumerate(zs):
+        kf.predict()
+        if k == 503:
+            cycle, level = kf.P[1:, 1:].copy(), kf.P[0, 0]
+        kf.update(z)
+    assert abs(kf.x[0] + kf.x[1] - truth[503] + 80.0) < 3.0
+    assert_allclose(np.trace(kf.P[1:, 1:]), np.trace(cycle), rtol=0.2)
+    assert kf.S[0, 0] > 100.0 * level
+
+
+@pytest.mark.parametrize("length", [6, 12, 30])
+def test_the_first_reading_that_undoes_a_jump_is_believed(path, length):
+    truth, zs = hours(600, 500, 500 + length)
+    kf = level_and_cycle()
+    error = np.array([kf.predict() or kf.update(z) or (kf.H @ kf.x)[0] for z in zs]) - truth
+    assert np.abs(error[503 : 500 + length] + 80.0).max() < 5.0
+    assert np.abs(error[500 + length :]).max() < 3.0
+
+
+def test_where_outliers_are_usual_one_reading_undoes_nothing(path):
+    """A tenth of the readings is wild: the one that happens to lie where the level was before a jump is one of them."""
+    rng = np.random.default_rng(5)
+    zs = 100.0 + 0.5 * rng.normal(size=400) + np.where(np.arange(400) % 10 == 5, 40.0, 0.0)
+    zs[300:] -= 80.0
+    kf = level_and_cycle()
+    for z in zs:
+        kf.predict()
+        kf.update(z)
+    before = kf.x[0]
+    kf.predict()
+    kf.update(100.0)
+    assert abs(kf.x[0] - before) < 5.0
+
+
+def test_sensors_that_are_equal_but_for_a_sign_may_stand_in_any_order(path):
+    """Their customs are the same; whoever stands first must not win when both are clipped."""
+    found, rng = [], np.random.default_rng(6)
+    size = np.r_[rng.normal(size=20), 30.0]
+    for order in ([0, 1], [1, 0]):
+        kf = RobustKalmanFilter(1, 2)
+        kf.x, kf.H = np.zeros(1), np.array([[1.0], [1.0]])
+        for z in np.column_stack([size, -size]):
+            kf.predict()
+            kf.update(z[order])
+        found.append(kf.x[0])
+    assert found[0] == found[1] != 0.0

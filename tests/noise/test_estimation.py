@@ -7,6 +7,7 @@ from support import told
 
 from robust_filterpy import ARX, Contaminated, ParameterTracker, RobustKalmanFilter
 from robust_filterpy.noise._likelihood import log_likelihoods, of_filter
+from robust_filterpy.noise._search import lowest, valleys
 from robust_filterpy.noise.estimation import estimate_noise
 
 F = np.array([[1.0, 1.0], [0.0, 0.95]])
@@ -36,6 +37,38 @@ def test_scales_come_back_within_ten_percent(contamination):
     assert np.mean([f.Q[0, 0] for f in found]) / Q[0, 0] == pytest.approx(1.0, abs=0.1)
     assert np.mean([f.contamination for f in found]) == pytest.approx(contamination, abs=0.02)
     assert all(f.converged for f in found)
+
+
+@pytest.mark.parametrize("told", [(0.4, 0.33), (3.0, 3.0), (1e4, 1e-4), (1e-4, 1e4)], ids=repr)
+def test_where_the_search_begins_does_not_matter(told):
+    """An AR(1) state: R = 0 with many outliers is a maximum too, 5 to 60 nats below."""
+    rng, x, zs = np.random.default_rng(0), 0.0, np.empty(400)
+    for k in range(len(zs)):
+        x = 0.9 * x + rng.standard_normal()
+        zs[k] = x + rng.standard_normal()
+    found = []
+    for r, q in ((1.0, 1.0), told):
+        kf = RobustKalmanFilter(1, 1)
+        kf.F, kf.H, kf.R, kf.Q, kf.P = 0.9 * np.eye(1), np.eye(1), r * np.eye(1), q * np.eye(1), 5.0 * np.eye(1)
+        found.append(estimate_noise(kf, zs))
+    assert found[1].log_likelihood == pytest.approx(found[0].log_likelihood, abs=0.01)
+    assert found[1].R[0, 0] == pytest.approx(found[0].R[0, 0], rel=0.01) and found[1].converged
+    assert 0.5 < found[1].R[0, 0] < 2.0
+
+
+def test_the_lowest_of_several_valleys_is_found_within_limits():
+    def cost(points):
+        x, y = points.T
+        return (x**2 - 4.0) ** 2 + x + (y - 0.5 * x) ** 4 + 0.01 * y**2
+
+    lower, upper = np.array([-5.0, -0.5]), np.array([5.0, 5.0])
+    starts = np.array([[3.0, 3.0], [-3.0, 2.0], [0.0, 0.0]])
+    found = lowest(cost, starts, lower, upper)
+    grid = np.stack(np.meshgrid(np.linspace(-5, 5, 1001), np.linspace(-0.5, 5, 551)), axis=-1).reshape(-1, 2)
+    assert found.converged and found.point[0] < 0.0
+    assert found.cost <= cost(grid).min() + 1e-3
+    assert (found.point >= lower).all() and (found.point <= upper).all()
+    assert valleys(np.array([[3.0, 1.0, 2.0], [4.0, 5.0, 0.5]]), 2) == [(1, 2), (0, 1)]
 
 
 @pytest.mark.slow
