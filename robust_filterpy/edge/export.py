@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 from robust_filterpy import _checks, kernel
 from robust_filterpy._version import __version__
 from robust_filterpy.edge.filter_model import described_filter, influence_declarations
-from robust_filterpy.edge.template import REALS, Described, comment, rendered, table
+from robust_filterpy.edge.text import REALS, Described, comment, rendered, table
 from robust_filterpy.edge.tracker_model import described_tracker
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.identification import Model, ParameterTracker
@@ -18,8 +18,6 @@ from robust_filterpy.identification import Model, ParameterTracker
 __all__ = ["Exported", "Precision", "export_c"]
 
 Precision: TypeAlias = Literal["double", "single"]
-
-_HEADERS = ("real", "psi", "prediction", "correction", "spread", "update")
 
 
 class Exported(NamedTuple):
@@ -84,9 +82,9 @@ def export_c(
     source = _source(path)
     name = source.stem
     if type(model) is RobustKalmanFilter:
-        found, header, choices = described_filter(model, name), "filter.h", model._choices
+        found, choices = described_filter(model, name), model._choices
     elif type(model) is ParameterTracker:
-        found, header, choices = described_tracker(model, name), "tracker.h", model.filter._choices
+        found, choices = described_tracker(model, name), model.filter._choices
     else:
         raise TypeError(
             f"model: expected a RobustKalmanFilter or a ParameterTracker, got {_checks.shown(type(model).__name__)}; "
@@ -98,7 +96,7 @@ def export_c(
         "influence_fields": influence_declarations(choices, name),
     }  # fmt: skip
     exported = Exported(source, source.with_suffix(".h"))
-    texts = (_code(found, values, name, precision), _tidy(rendered(header, found.sections, values)))
+    texts = (_code(found, values, name, precision), _tidy(rendered(f"{found.text}.h", values)))
     for file, text in zip(exported, texts, strict=True):
         file.write_text(text, encoding="ascii")
     return exported
@@ -106,27 +104,24 @@ def export_c(
 
 def _code(found: Described, values: dict[str, str], name: str, precision: str) -> str:
     """Return the C file."""
-    sections = found.sections | {precision}
     tables = (
         table(f"const {name}_model {name}_default", found.model, precision),
         table(f"const {name}_state {name}_start", found.start, precision),
     )
-    preamble, *rest = (rendered(part, sections, values) for part in ("preamble.c", *found.parts))
-    if found.parts == ("filter.c",):
-        define = "#define ROBUST_FILTERPY_FLOAT\n" if precision == "single" else ""
-        preamble = f'/*\n * {values["title"]}\n *\n * See {name}.h.\n */\n#include "{name}.h"\n\n{define}\n{_kernel()}'
-    return _tidy("\n".join([preamble, *tables, *rest]))
+    define = "#define ROBUST_FILTERPY_FLOAT\n" if precision == "single" else ""
+    start = f'/*\n * {values["title"]}\n *\n * See {name}.h.\n */\n#include "{name}.h"\n\n{define}'
+    return _tidy("\n".join([start, _kernel(found.headers), *tables, rendered(f"{found.text}.c", values)]))
 
 
-def _kernel() -> str:
-    """Return the kernel's headers, each as it is but for its includes of the others."""
+def _kernel(headers: tuple[str, ...]) -> str:
+    """Return headers of the kernel, each as it is but for its includes of the others."""
     room = Path(kernel.__file__).parent
-    texts = ((room / f"{header}.h").read_text(encoding="ascii") for header in _HEADERS)
+    texts = ((room / f"{header}.h").read_text(encoding="ascii") for header in headers)
     return "\n".join(re.sub(r'^#include "\w+\.h"\n', "", text, flags=re.M) for text in texts)
 
 
 def _tidy(text: str) -> str:
-    """Return C without the empty lines that sections left behind."""
+    """Return C without the empty lines that empty names left behind."""
     return re.sub(r"\n{3,}", "\n\n", text)
 
 

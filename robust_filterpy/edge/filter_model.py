@@ -11,7 +11,7 @@ from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.spread import NUMBERS, begin
-from robust_filterpy.edge.template import Described
+from robust_filterpy.edge.text import Described
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 
 # Parameters of each psi, by the name of its scalar form.
@@ -58,8 +58,8 @@ def described_filter(kf: RobustKalmanFilter, name: str) -> Described:
         start["memory"] = finite("memory", kf._memory if len(kf._memory) == m else begin(m), (m, NUMBERS))
     return Described(
         f"{name}: RobustKalmanFilter(dim_x={n}, dim_z={m}), {shown(choices)}",
-        ("filter.c",), frozenset(),
-        {"n": str(n), "m": str(m), **_choice_values(choices, name)}
+        ("real", "psi", "prediction", "correction", "spread", "update"), "filter",
+        {"n": str(n), "m": str(m), **choice_values(choices, name)}
         | _control_values(0 if B is None else B.shape[1], name)
         | {
             "alpha_sq": "REAL(1.0)" if kf._alpha_sq == 1.0 else "model->alpha_sq",
@@ -74,7 +74,7 @@ def described_filter(kf: RobustKalmanFilter, name: str) -> Described:
     )  # fmt: skip
 
 
-def _choice_values(choices: Choices, name: str) -> dict[str, str]:
+def choice_values(choices: Choices, name: str) -> dict[str, str]:
     """Return the choices of a filter as the kernel names them."""
     kind = _kind(choices)
     learns = choices.scaling == "learnt" and kind != "linear"

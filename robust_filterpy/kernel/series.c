@@ -52,9 +52,11 @@ static PyObject *filter_series(PyObject *self, PyObject *arguments) {
             low < 0 || high < low || high > series || (width != 0 && width != n && width != n * n))
             goto refused;
         const npy_intp rows = all / every;
-        if (!rule_of(rule, &job.rule) || !take_matrices(&job.z, z, series, all, m, 0) || !take_matrices(&job.F, F, series, all, n, n) ||
+        if (!rule_of(rule, &job.rule) || !take_matrices(&job.z, z, series, all, m, 0) ||
+            !take_matrices(&job.F, F, series, all, n, n) ||
             !take_matrices(&job.Q, Q, series, all, n, n) || !take_matrices(&job.H, H, series, all, m, n) ||
-            !take_matrices(&job.R, R, series, all, m, m) || (u != Py_None && !take_matrices(&job.control, u, series, all, n, 0)))
+            !take_matrices(&job.R, R, series, all, m, m) ||
+            (u != Py_None && !take_matrices(&job.control, u, series, all, n, 0)))
             goto refused;
         /* Of z no axis may be shared. */
         job.z.by_series = all * m, job.z.by_step = m;

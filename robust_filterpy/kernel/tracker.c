@@ -35,7 +35,7 @@ INLINE void one_actuator(const job *const j, const int n, const npy_intp i, doub
     const double *const options = j->options + i * j->by_option, *const F = j->F + i * j->by_F;
     const tracker_rule rule = {{{(int)options[0], options[1], options[2], options[3]}, (int)options[4], (int)options[5],
                                 options[6], options[7]},
-                               (int)flags[0], (int)flags[1], (int)flags[2], (int)flags[3],
+                               (int)flags[0], (int)flags[1], (int)flags[2], (int)flags[3], 0,
                                is_identity(n, F) ? NULL : F, j->Q + i * j->by_Q, j->alpha_sq[i], j->windup[i]};
     double *at[10];
     for (int a = 0; a < 10; a++) at[a] = j->state[a] + i * j->sizes[a];

@@ -1,20 +1,29 @@
 /* One sample of the recursive identification: robust_filterpy.identification.recursive.recursion in C.
 
-   Predict theta, predict y from phi, look again at outputs that were replaced, correct theta along the gradient, follow R,
-   restrain an unstable step, remember. What is out of the ordinary (a sample that tells very much, an overflow, a "unit"
-   correction near its limit) is declined, and nothing has changed then. */
+   Predict theta, predict y from phi, look again at outputs that were replaced, correct theta along the gradient, follow
+   R, restrain an unstable step, remember. What is out of the ordinary (an overflow, a "unit" correction that takes off
+   more than there is, a sample that tells very much unless P may be mended) is declined, and nothing has changed. */
 #ifndef ROBUST_FILTERPY_TRACKER_H
 #define ROBUST_FILTERPY_TRACKER_H
 
 #include "correction.h"
+#include "mend.h"
 #include "prediction.h"
 
 #define TRACKER_LARGEST REAL_PRODUCT /* size of a signal, whose square must not overflow */
-#define TRACKER_SHARP REAL(1e6)      /* phi'phi tr(P)/R from which on a sample is for the definition */
+#ifdef ROBUST_FILTERPY_FLOAT
+#define TRACKER_SHARP REAL(1e2)    /* phi'phi tr(P)/R from which on rounding is to be mended, */
+#define TRACKER_SHARPEST REAL(1e6) /* and from which on a sample is down-weighted */
+#else
+#define TRACKER_SHARP REAL(1e6)
+#define TRACKER_SHARPEST REAL(1e13)
+#endif
 #define TRACKER_CLEANED REAL(3.0)    /* standard deviations from which on an output is replaced in phi */
 #define TRACKER_EARLY REAL(20.0)     /* samples up to which P grows with R */
 #define TRACKER_HALVINGS 30          /* 2^-30 of a step is none */
 
+/* Why a sample was declined. */
+enum tracker_refusal { TRACKER_NOT_FINITE, TRACKER_SINGULAR, TRACKER_INDEFINITE, TRACKER_TOO_SHARP };
 enum guard { GUARD_NONE, GUARD_REJECT, GUARD_HALVE };
 
 /* Where everything stands in phi, and what of the inputs. */
@@ -32,6 +41,7 @@ typedef struct {
 typedef struct {
     correction_rule correction;
     int filtered, guard, cleans, learns; /* gradient filtered; enum guard; phi holds cleaned outputs; theta moves */
+    int mends;                           /* a sample that tells very much is taken, and P mended */
     const real *F, *Q;                   /* (n, n); F is NULL for I */
     real alpha_sq, windup;               /* P is multiplied by it, up to this trace */
 } tracker_rule;
@@ -51,9 +61,10 @@ typedef struct {
 typedef struct {
     real prediction, residual, weight;
     int guard;
+    int refused; /* enum tracker_refusal, of a sample that was declined */
 } tracker_sample;
 
-INLINE size_t tracker_work(const int n) { return (size_t)(3 * n * n + 8 * n); }
+#define tracker_work(n) ((size_t)(n) * (size_t)(3 * (n) + 8))
 
 /* A signal, at most TRACKER_LARGEST in size; 0 for NaN, which is inf - inf here. */
 INLINE real tracker_bounded(const real value) {
@@ -99,7 +110,8 @@ INLINE int tracker_is_stable(int count, const real *coefficients, real *c, real 
 
 /* Whether the polynomials of theta that feed back, F and C, are stable; work: 2 n. */
 INLINE int tracker_are_stable(const tracker_layout *const l, const int n, const real *theta, real *work) {
-    return tracker_is_stable(l->nf, theta + l->f, work, work + n) && tracker_is_stable(l->nc, theta + l->c, work, work + n);
+    return tracker_is_stable(l->nf, theta + l->f, work, work + n) &&
+           tracker_is_stable(l->nc, theta + l->c, work, work + n);
 }
 
 /* Bring theta as far towards its new value as stability lets it; return how often its step was halved, -1 for all. */
@@ -159,26 +171,52 @@ INLINE void tracker_follow(real *const scale, const real nu, const real S) {
     scale[1] += share;
 }
 
-/* Correct x and P by the innovation nu of variance S, r of it noise, C its covariance with x; return whether all was ordinary. */
+/* What a correction by a sharp sample left of P in the direction h is the difference of large numbers: write there what
+   it is, C left, C being P h before; v = h'C. Then mend the rest. work: mend_work. */
+CALLED void tracker_mend(const int n, const real *h, const real *C, const real v, const real left, real *P,
+                         real *work) {
+    real *const delta = work, along = 0;
+    for (int i = 0; i < n; i++) {
+        delta[i] = C[i] * left - tracker_dot(n, P + i * n, h);
+        along += delta[i] * h[i];
+    }
+    for (int i = 0; i < n && v > 0; i++)
+        for (int j = 0; j <= i; j++)
+            P[i * n + j] = P[j * n + i] =
+                P[i * n + j] + ((delta[i] * C[j] + C[i] * delta[j]) - C[i] * C[j] * (along / v)) / v;
+    mend(n, P, work);
+}
+
+/* Correct x and P by the innovation nu of variance S, r of it noise, C its covariance with x; return whether all was
+   ordinary. g: NULL, or the row that is measured where it tells so much that P is to be mended; work: mend_work. */
 INLINE int tracker_correct(const int n, const tracker_rule *const rule, const real nu, const real S, const real r,
-                           real *RESTRICT x, real *RESTRICT P, real *RESTRICT C, real *const weight) {
+                           real *RESTRICT x, real *RESTRICT P, real *RESTRICT C, const real *g,
+                            tracker_sample *const sample, real *work) {
     const correction_rule *const choices = &rule->correction;
     const real t = correction_scale(choices->scaling, S), e = t * nu;
     real slope, d, check = 0;
     const real moved = psi_of(&choices->psi, e, &slope);
     if (!(real_abs(e) < REAL_ORDINARY)) return 0;
-    *weight = moved == e ? 1 : moved / e;
+    sample->weight = moved == e ? 1 : moved / e;
     d = choices->information == INFORMATION_REALIZED   ? slope
         : choices->information == INFORMATION_EXPECTED ? choices->expected
-                                                       : *weight;
+                                                       : sample->weight;
     d = real_min(real_max(d, 0), 1);
     /* Under "unit" P becomes indefinite where its variance along the gradient, times d, is 1 or more. */
-    if (choices->scaling == SCALING_UNIT && !(d * (S - r) < REAL(0.999))) return 0;
+    if (choices->scaling == SCALING_UNIT && !(d * (S - r) < REAL(0.999))) {
+        sample->refused = TRACKER_INDEFINITE;
+        return 0;
+    }
     for (int i = 0; i < n; i++) {
         C[i] *= t;
         x[i] += C[i] * moved;
     }
     if (d != 0) correction_shrink(n, d, C, P);
+    if (g) {
+        const real own = S - r, left = t == 1 ? 1 - d * own : (r + (1 - d) * own) / S;
+        for (int i = 0; i < n; i++) C[i] /= t;
+        tracker_mend(n, g, C, own, left, P, work);
+    }
     for (int i = 0; i < n; i++) {
         if (!(P[i * n + i] >= 0)) return 0;
         check += real_abs(x[i]) + P[i * n + i];
@@ -186,17 +224,20 @@ INLINE int tracker_correct(const int n, const tracker_rule *const rule, const re
     return real_is_finite(check);
 }
 
-/* Take one sample: y, NaN where missing, and the inputs u; told is its R, NaN for that of the state. work: tracker_work. */
+/* Take one sample: y, NaN where missing, and the inputs u; told is its R, NaN for the state's. work: tracker_work. */
 INLINE int tracker_step(const tracker_layout *const l, const int n, const tracker_rule *const rule,
                         const tracker_state *const s, const real y, const real *u, const real told,
                         tracker_sample *const sample, real *work) {
     real *const x = work, *const P = x + n, *const W = P + n * n, *const phi = W + 2 * n * n, *const g = phi + n;
     real *const chi = g + n, *const C = chi + n, *const rest = C + n; /* rest: 3 n */
-    const int known = y == y, past = l->na + l->nd, rows = l->nf > l->nd ? l->nf : l->nd, feeds_back = l->nf + l->nc > 0;
+    const int known = y == y, past = l->na + l->nd, rows = l->nf > l->nd ? l->nf : l->nd;
+    const int feeds_back = l->nf + l->nc > 0;
     const int filtered = rule->filtered && l->nf + l->nc + l->nd > 0;
     const real r = told == told ? told : s->scale[0];
-    real trace = 0, predicted, S = r, before = 0, alone = 0, after, believed, grown = 1, scale[4];
-    int again = 0, outlying = 0;
+    real trace = 0, predicted, S = r, before = 0, alone = 0, after, believed;
+    real grown = 1, tempered = 1, scale[4];
+    int again = 0, outlying = 0, sharp = 0;
+    sample->refused = TRACKER_NOT_FINITE;
     tracker_regressor(l, s, u, phi);
     for (int i = 0; i < n; i++) trace += s->P[i * n + i];
     if (rule->learns && (rule->alpha_sq == 1 || trace <= rule->windup)) {
@@ -226,7 +267,8 @@ INLINE int tracker_step(const tracker_layout *const l, const int n, const tracke
         for (int i = l->na; i < past; i++) explained += (s->measured[i] - s->outputs[i]) * x[l->d + i - l->na];
         if (explained != predicted) {
             S = real_max(tracker_spread(n, phi, P), 0) + r;
-            again = real_abs(y - predicted) > TRACKER_CLEANED * real_sqrt(S) && real_abs(y - explained) < real_abs(y - predicted);
+            again = real_abs(y - predicted) > TRACKER_CLEANED * real_sqrt(S) &&
+                    real_abs(y - explained) < real_abs(y - predicted);
         }
         if (again) {
             predicted = explained;
@@ -244,17 +286,30 @@ INLINE int tracker_step(const tracker_layout *const l, const int n, const tracke
         const real size = tracker_dot(n, g, g), prefiltered = l->nf ? tracker_dot(n, chi, chi) : 0;
         const real limit = TRACKER_LARGEST * TRACKER_LARGEST;
         if (!(size < limit && prefiltered < limit)) return 0;
-        if (rule->learns && known && !(size * trace <= TRACKER_SHARP * r)) return 0;
+        sharp = rule->learns && known && !(size * trace <= TRACKER_SHARP * r);
+        if (sharp && !rule->mends) {
+            sample->refused = TRACKER_TOO_SHARP;
+            return 0;
+        }
+        if (sharp && size * trace > TRACKER_SHARPEST * r)
+            tempered = real_sqrt(TRACKER_SHARPEST / size) * real_sqrt(r / trace);
     }
     for (int i = 0; i < 4; i++) scale[i] = s->scale[i];
     if (rule->learns && known) {
         const real nu = y - predicted;
+        real own;
         for (int i = 0; i < n; i++) C[i] = tracker_dot(n, P + i * n, g);
         S = tracker_dot(n, g, C);
-        S = real_max(S, 0) + r;
+        own = real_max(S, 0);
+        S = own + r;
+        if (!(S > 0)) sample->refused = TRACKER_SINGULAR;
         if (!(S > 0 && S < REAL_ORDINARY)) return 0;
         outlying = real_abs(nu) > TRACKER_CLEANED * real_sqrt(S);
-        if (!tracker_correct(n, rule, nu, S, r, x, P, C, &sample->weight)) return 0;
+        /* g and nu times a factor: a sample that tells less. */
+        for (int i = 0; i < n && tempered < 1; i++) C[i] *= tempered, rest[i] = tempered * g[i];
+        if (!tracker_correct(n, rule, tempered * nu, tempered * tempered * own + r, r, x, P, C,
+                             sharp ? (tempered < 1 ? rest : g) : NULL, sample, W))
+            return 0;
         if (told != told && scale[3] > 0) {
             tracker_follow(scale, nu, S);
             if (s->scale[1] < TRACKER_EARLY && scale[0] > r) grown = scale[0] / r;

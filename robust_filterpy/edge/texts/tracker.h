@@ -35,64 +35,19 @@ typedef enum {
     ${NAME}_BAD_ARGUMENT = 1, /* a null pointer, an infinite output, an input that is not finite or too large */
     ${NAME}_SINGULAR = 2,     /* the variance of the innovation is not positive */
     ${NAME}_INDEFINITE = 3,   /* scaling "unit" would make P indefinite */
-    ${NAME}_NOT_FINITE = 4    /* theta or P would overflow */
+    ${NAME}_NOT_FINITE = 4    /* theta, P or the regressor would overflow */
 } ${name}_status;
 
 /* The model; matrices are flat, row by row. */
 typedef struct {
-//? !random_walk
-    ${name}_real F[$n * $n]; /* theta(k+1) = F theta(k) + w(k) */
-//.
-    ${name}_real Q[$n * $n]; /* covariance of a step of theta */
-//? fading
-    ${name}_real alpha_sq;     /* 1/forgetting: P is multiplied by it at each sample */
-    ${name}_real windup; /* trace from which on P grows no more */
-//.
-//? told
-    ${name}_real R; /* variance of the ordinary noise */
-//.
-//? followed
-    ${name}_real R_memory; /* number of samples that R remembers */
-    ${name}_real R_mean;   /* mean of min(e^2, 4) where R is right */
-//.
-//? offset
-    ${name}_real centre; /* taken off y, so that the constant is small */
-//.
+$model_fields
 $influence_fields
-//? expected
-    ${name}_real expected; /* E[psi'], which belongs to the psi above */
-//.
+$expected_field
 } ${name}_model;
 
 /* What moves; past signals newest first. */
 typedef struct {
-    ${name}_real theta[$n];
-    ${name}_real P[$n * $n]; /* covariance of theta, symmetric */
-//? followed
-    ${name}_real R;         /* variance of the ordinary noise, as it is followed */
-    ${name}_real R_samples; /* how many samples it stands on */
-//.
-//? outputs
-    ${name}_real outputs[$na]; /* outputs or disturbances as they stand in phi, with their minus sign */
-//.
-//? cleaned
-    ${name}_real measured[$na]; /* the same, as they were measured */
-//.
-//? inputs
-    ${name}_real inputs[$length];
-//.
-//? residuals
-    ${name}_real residuals[$nc];
-//.
-//? undisturbed
-    ${name}_real undisturbed[$nf]; /* what the inputs alone did, with its minus sign */
-//.
-//? prefiltered
-    ${name}_real prefiltered[$rows * $n]; /* past phi through 1/F */
-//.
-//? gradients
-    ${name}_real gradients[$nc * $n]; /* derivatives of past predictions */
-//.
+$state_fields
     int32_t enabled; /* 0 freezes theta and P, while predictions go on */
 } ${name}_state;
 

@@ -1,14 +1,9 @@
-"""Readable C with two things to fill in: sections that only some filters need, and $names.
-
-A line ``//? this !that`` begins a section that is kept for descriptions with "this" and without "that" (``a|b``:
-either), ``//.`` ends it; both lines go. Sections may stand within each other. What a filter does not need is not in its
-file, so that a reader, a compiler's warnings and a coverage tool find nothing superfluous there.
-"""
+"""Numbers, tables and comments as C writes them, and the texts around a kernel, with $names to fill in."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from string import Template
@@ -18,7 +13,7 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 
-_TEMPLATES: Final = Path(__file__).parent / "templates"
+_TEXTS: Final = Path(__file__).parent / "texts"
 _WIDTH: Final = 110
 _INDENT: Final = " " * 4
 
@@ -31,9 +26,9 @@ class Described:
     """What the C of a filter or tracker is made of."""
 
     title: str
-    #: Templates in their order, and sections of theirs that are kept.
-    parts: tuple[str, ...]
-    sections: frozenset[str]
+    #: Headers of the kernel in their order, and the text that steps by them.
+    headers: tuple[str, ...]
+    text: str
     #: What $names stand for.
     values: Mapping[str, str]
     #: Entries of the two tables, in the order of their fields.
@@ -41,22 +36,9 @@ class Described:
     start: Mapping[str, Any] = field(default_factory=dict)
 
 
-def rendered(part: str, sections: Collection[str], values: Mapping[str, str]) -> str:
-    """Return a template with its sections chosen and its names filled in."""
-    kept, open_sections = [], []
-    for line in (_TEMPLATES / part).read_text(encoding="ascii").splitlines():
-        if line.startswith("//?"):
-            open_sections.append(all(_holds(condition, sections) for condition in line[3:].split()))
-        elif line == "//.":
-            open_sections.pop()
-        elif all(open_sections):
-            kept.append(line)
-    return Template("\n".join(kept) + "\n").substitute(values)
-
-
-def _holds(condition: str, sections: Collection[str]) -> bool:
-    """Tell whether one of some alternatives is, or with ! is not, among the sections."""
-    return any((name.lstrip("!") in sections) != name.startswith("!") for name in condition.split("|"))
+def rendered(name: str, values: Mapping[str, str]) -> str:
+    """Return a text with its names filled in."""
+    return Template((_TEXTS / name).read_text(encoding="ascii")).substitute(values)
 
 
 def table(declaration: str, entries: Mapping[str, Any], precision: str) -> str:

@@ -1,0 +1,44 @@
+
+#define N ${NAME}_PARAMETERS
+
+/* Where everything stands in phi. */
+$places
+static const tracker_layout layout = {$layout};
+
+/* What the kernel says of a sample that it declines. */
+static const ${name}_status refusals[] = {${NAME}_NOT_FINITE, ${NAME}_SINGULAR, ${NAME}_INDEFINITE};
+
+${name}_status ${name}_update(const ${name}_model *model, ${name}_state *state, ${name}_real y,
+                              const ${name}_real u[$inputs_or_one], ${name}_sample *sample)
+{
+    correction_rule rule = {{$kind, 0, 0, 0}, $scaling, $information, 1, 0};
+    tracker_rule how = {{{0, 0, 0, 0}, 0, 0, 1, 0}, $filtered, $guard, $cleans, 0, 1, NULL, NULL, 1, 0};
+    tracker_state next = {0};
+    tracker_sample found = {0};
+    real work[tracker_work(N)];
+    real scale[4];
+    if ((model == NULL) || (state == NULL) || ($inputs > 0 && u == NULL) || (real_abs(y) > REAL_MAX)) {
+        return ${NAME}_BAD_ARGUMENT;
+    }
+    for (int i = 0; i < $inputs; i++) {
+        if (!(real_abs(u[i]) <= TRACKER_LARGEST)) {
+            return ${NAME}_BAD_ARGUMENT;
+        }
+    }
+$rule
+    how.correction = rule;
+$own_rule
+$fields
+    y = ((y == y) ? tracker_bounded(y) : y)$minus_centre;
+    if (!tracker_step(&layout, N, &how, &next, y, u, (real)NAN, &found, work)) {
+        return refusals[found.refused];
+    }
+$followed
+    if (sample != NULL) {
+        sample->prediction = found.prediction$plus_centre;
+        sample->residual = found.residual;
+        sample->weight = found.weight;
+        sample->guard = found.guard;
+    }
+    return ${NAME}_OK;
+}
