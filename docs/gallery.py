@@ -25,6 +25,7 @@ STORY = {
         "05_imm": "An IMM that keeps its models apart",
         "06_smoothing": "Smoothing",
         "14_noise_unknown": "Noise that nobody told",
+        "20_sensors_in_time": "Sensors in time",
         "13_test_your_own_filter": "Test your own filter",
     },
     "Identification": {

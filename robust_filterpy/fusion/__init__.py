@@ -9,6 +9,9 @@
 * `_first_readings`: how noisy a sensor is whose R nobody told.
 * `_policies`: the other rooms' recursions as pure functions from state to state.
 * `recording`: a whole table at once, by the kernel; smoothed on request.
+* `verdicts`: what is the matter with a sensor, since when, and what helps.
+* `_watch`: cheap tests of every reading, which raise an alarm.
+* `_faults`: the recent past, judged anew under every fault of every sensor.
 * `_keeping`: a fusion as plain arrays, and back.
 
 Imports from below: `influence`, `correction`, `kernel`, `filters`, `smoothing`.
@@ -28,6 +31,7 @@ from robust_filterpy.fusion.motion import (
 )
 from robust_filterpy.fusion.recording import Recording
 from robust_filterpy.fusion.sensors import Sensor, angle
+from robust_filterpy.fusion.verdicts import Verdict
 
 __all__ = [
     "Estimate",
@@ -39,6 +43,7 @@ __all__ = [
     "Scales",
     "Sensor",
     "SensorNoise",
+    "Verdict",
     "angle",
     "constant_acceleration",
     "constant_velocity",

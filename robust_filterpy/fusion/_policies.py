@@ -18,7 +18,7 @@ from robust_filterpy.correction import learnt as learnt_step
 from robust_filterpy.correction import spread
 from robust_filterpy.correction.copies import Copies, Scales
 from robust_filterpy.correction.definition import correct, correct_by_custom, innovation_moments
-from robust_filterpy.correction.learning import NoiseClasses, describe
+from robust_filterpy.correction.learning import NoiseClasses, describe, usual
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.fusion._first_readings import none_yet
 from robust_filterpy.kernel import learnt as learnt_kernel
@@ -71,6 +71,12 @@ class Policy(Protocol):
     def contamination(self, state: State) -> Array:
         """Return the share of outliers of each component, (M,); NaN where none is learnt."""
 
+    def classes(self, state: State) -> tuple[Array, Array]:
+        """Return the factors of ordinary noise's variance that outliers may have, (C,), and their shares, (M, C)."""
+
+    def process(self, state: State) -> float:
+        """Return the factor of Q that is thought likely."""
+
     def series(self, state: State, zs: Array, F: Array, Q: Array, drift: Array, H: Array, R: Array) -> tuple[Any, ...]:
         """Return x (N, n), P (N, n, n) and weights (N, M) of many steps, and the last state."""
 
@@ -88,11 +94,11 @@ class LearntNoise:
 
     def __init__(self, noise: NoiseClasses, process: Scales) -> None:
         """Keep the choices."""
-        self.noise, self.process = noise, process
+        self.noise, self.doubt = noise, process
 
     def start(self, x: Array, P: Array, sizes: Array, u: Array) -> State:
         """Return the state before anything has happened."""
-        begun = side_by_side.start(x, P, self.process)
+        begun = side_by_side.start(x, P, self.doubt)
         return State(
             begun.x,
             begun.P,
@@ -110,7 +116,7 @@ class LearntNoise:
         """Return the state after a stretch of time."""
         found = self._by_kernel(state, np.full((1, len(state.memory)), np.nan), (F, Q, None, None, drift), 1)
         if found is None:
-            moved = side_by_side.predict(Copies(*state[:3], state.unseen), F, Q, self.process, drift)
+            moved = side_by_side.predict(Copies(*state[:3], state.unseen), F, Q, self.doubt, drift)
             found = self._of(moved, state)
         require_finite_prediction(found.x, found.P)
         return found
@@ -120,7 +126,7 @@ class LearntNoise:
         found = self._by_kernel(state, z[None], (None, None, H, R, None), 2)
         if found is None:
             copies = Copies(*state[:3], state.unseen)
-            one = learnt_step.correct(copies, state.memory, z, H, R, self.noise, self.process)
+            one = learnt_step.correct(copies, state.memory, z, H, R, self.noise, self.doubt)
             found = self._of(one.copies, state)._replace(memory=one.memory)
         if not np.all(learns):
             found = found._replace(memory=np.where(np.asarray(learns)[:, None], found.memory, state.memory))
@@ -132,7 +138,7 @@ class LearntNoise:
         empty = (np.eye(n), np.zeros((n, n)), np.zeros((m, n)), np.eye(m), np.zeros(n))
         stacks = tuple((e if a is None else a)[None] for a, e in zip(model, empty, strict=True))
         stands = learnt_kernel.begin(Copies(*state[:3], state.unseen), state.memory)
-        if not learnt_kernel.run(stands, z, stacks, self.noise, self.process, learnt_kernel.Kept(), which=which):
+        if not learnt_kernel.run(stands, z, stacks, self.noise, self.doubt, learnt_kernel.Kept(), which=which):
             return None
         return self._taken(stands, state)
 
@@ -142,7 +148,7 @@ class LearntNoise:
 
     def _of(self, copies: Copies, state: State) -> State:
         """Return copies as a state, with what they merge to."""
-        x, P = side_by_side.merged(copies, self.process)
+        x, P = side_by_side.merged(copies, self.doubt)
         return State(*copies[:3], state.memory, x, P, copies.unseen, state.sizes, state.u, state.trial)
 
     def factors(self, state: State) -> Array:
@@ -153,6 +159,16 @@ class LearntNoise:
         """Return the share of outliers of each component, as learnt."""
         return describe(state.memory, np.array(self.noise.scales)).contamination
 
+    def classes(self, state: State) -> tuple[Array, Array]:
+        """Return the factors of ordinary noise's variance that outliers may have, and their shares."""
+        scales = np.array(self.noise.scales)
+        return scales, np.array([usual(row, len(scales)) for row in state.memory])
+
+    def process(self, state: State) -> float:
+        """Return the factor of Q that is thought likely."""
+        shares = state.probabilities[: len(self.doubt.scales)]
+        return float(np.exp(shares @ np.log(self.doubt.scales) / shares.sum()))
+
     def series(self, state: State, zs: Array, F: Array, Q: Array, drift: Array, H: Array, R: Array) -> tuple[Any, ...]:
         """Return x, P, weights of many steps, and the last state; by the kernel, else step by step."""
         steps, (n, m) = len(zs), (len(state.x), zs.shape[1])
@@ -160,14 +176,14 @@ class LearntNoise:
         kept, first = learnt_kernel.Kept(x, P, weights=weights), 0
         while first < steps:
             stands = learnt_kernel.begin(Copies(*state[:3], state.unseen), state.memory)
-            reached = learnt_kernel.run(stands, zs, (F, Q, H, R, drift), self.noise, self.process, kept, first=first)
+            reached = learnt_kernel.run(stands, zs, (F, Q, H, R, drift), self.noise, self.doubt, kept, first=first)
             if reached > first:
                 state, first = self._taken(stands, state), reached
                 continue
             i, h = (first if len(F) > 1 else 0), (first if len(H) > 1 else 0)
             moved = self.predicted(state, F[i], Q[i], drift[first if len(drift) > 1 else 0])
             copies = Copies(*moved[:3], moved.unseen)
-            one = learnt_step.correct(copies, moved.memory, zs[first], H[h], R[0], self.noise, self.process)
+            one = learnt_step.correct(copies, moved.memory, zs[first], H[h], R[0], self.noise, self.doubt)
             state = self._of(one.copies, moved)._replace(memory=one.memory)
             x[first], P[first], weights[first], first = state.x, state.P.ravel(), one.weights, first + 1
         return x, P.reshape(steps, n, n), weights, state
@@ -221,6 +237,15 @@ class BoundedInfluence:
         """Return the share of far innovations of each component, NaN where none is learnt."""
         known = state.memory[:, spread.WEIGHT] > 0
         return np.where(known & self.by_custom, state.memory[:, spread.SHARE], np.nan)
+
+    def classes(self, state: State) -> tuple[Array, Array]:
+        """Return the factors of ordinary noise's variance that outliers may have, and their shares."""
+        share = np.clip(np.nan_to_num(self.contamination(state)), 0.01, 0.4)[:, None]
+        return np.array([1.0, 100.0]), np.concatenate([1.0 - share, share], axis=1)
+
+    def process(self, state: State) -> float:
+        """Return the factor of Q that is thought likely."""
+        return 1.0
 
     def series(self, state: State, zs: Array, F: Array, Q: Array, drift: Array, H: Array, R: Array) -> tuple[Any, ...]:
         """Return x, P, weights of many steps, and the last state; by the kernel, else step by step."""

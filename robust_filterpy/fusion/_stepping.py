@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy.fusion._first_readings import compared
 from robust_filterpy.fusion._policies import Policy, State
+from robust_filterpy.fusion._watch import fresh, looked_at
 from robust_filterpy.fusion.motion import Motion
 from robust_filterpy.fusion.sensors import Layout
 
@@ -24,6 +25,8 @@ class Setup(NamedTuple):
     motion: Motion
     layout: Layout
     policy: Policy
+    watches: bool = False
+    """Whether there are verdicts about the sensors."""
 
 
 class Moment(NamedTuple):
@@ -34,6 +37,8 @@ class Moment(NamedTuple):
     """z - h(x) before the correction, NaN where missing, (M,)."""
     deviation: Array
     """Its standard deviation if the noise is ordinary, as learnt before, (M,)."""
+    watch: Any = None
+    """What is known of the sensors' health (`_watch.Watch`); None if nobody looks."""
 
 
 def begun(setup: Setup, x: Array, P: Array) -> Moment:
@@ -52,7 +57,8 @@ def begun(setup: Setup, x: Array, P: Array) -> Moment:
     """
     layout = setup.layout
     sizes, none = np.where(layout.untold, np.nan, 1.0), np.full(layout.size, np.nan)
-    return Moment(setup.policy.start(x, P, sizes, np.zeros(setup.motion.dim_u)), none, none)
+    watch = fresh(layout.size, len(layout.names)) if setup.watches else None
+    return Moment(setup.policy.start(x, P, sizes, np.zeros(setup.motion.dim_u)), none, none, watch)
 
 
 def moved(setup: Setup, state: State, seconds: float) -> State:
@@ -102,19 +108,28 @@ def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Ar
     if control is not None:
         state = state._replace(u=control)
     if np.isnan(z).all():
-        return Moment(aged(state, seconds, none), none, none)
+        return Moment(aged(state, seconds, none), none, none, before.watch)
     seen = layout.seen_from(state.x, z)
     y = seen.z - seen.H @ state.x
     # What goes round in circles is compared as the difference to what was expected.
     state = aged(state, seconds, np.where(layout.is_curved, y, z))
     y = np.where(np.isnan(state.sizes), np.nan, y)
     if np.isnan(y).all():
-        return Moment(state, none, none)
+        return Moment(state, none, none, before.watch)
     spread = ((seen.H @ state.P) * seen.H).sum(axis=1)
     R = covariance(layout, state.sizes)
     deviation = np.sqrt(spread + policy.factors(state) * R.diagonal())
-    used = np.where(np.isnan(y), np.nan, seen.z)
-    return Moment(policy.corrected(state, used, seen.H, R, True), y, np.where(np.isnan(y), np.nan, deviation))
+    here, watch, learns = ~np.isnan(y), before.watch, np.ones(layout.size, dtype=bool)
+    used = np.where(here, seen.z, np.nan)
+    if watch is not None:
+        known = policy.factors(state), policy.contamination(state)
+        watch = looked_at(watch, z, y, spread, R.diagonal(), known, layout.owner)
+        # Nothing is learnt of a sensor on alarm, and nothing taken from one that lies.
+        learns = (watch.fault != 1.0)[layout.owner]
+        used = np.where(watch.out[layout.owner], np.nan, used)
+    if not np.isnan(used).all():
+        state = policy.corrected(state, used, seen.H, R, learns)
+    return Moment(state, y, np.where(here, deviation, np.nan), watch)
 
 
 def aged(state: State, seconds: float, values: Array) -> State:

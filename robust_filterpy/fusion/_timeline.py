@@ -8,6 +8,7 @@ to the last bit. Entries older than the window take nothing more; some of them a
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ import numpy as np
 from robust_filterpy._checks import Array
 from robust_filterpy.fusion._stepping import Moment, Setup, advanced
 from robust_filterpy.fusion._times import Clock
+from robust_filterpy.fusion.verdicts import watched
 
 __all__ = ["Entry", "Timeline"]
 
@@ -102,18 +104,30 @@ class Timeline:
     def _judge(self, i: int) -> None:
         """Judge an entry by those before it."""
         entry = self.entries[i]
-        before, key = (self.entries[i - 1].moment, self.keys[i - 1]) if i else (self.base, self.base_key)
+        before, key = self.stands(i)
         seconds = 0.0 if key is None else Clock.between(key, entry.key)
-        entry.moment = advanced(self.setup, before, seconds, entry.z, entry.control)  # type: ignore[arg-type]
+        moment = advanced(self.setup, before, seconds, entry.z, entry.control)
+        entry.moment = moment if moment.watch is None else watched(self, i, moment)
+
+    def stands(self, i: int) -> tuple[Moment, float | int | None]:
+        """Return what there is before an entry, and of when it is."""
+        if not i:
+            return self.base, self.base_key
+        moment = self.entries[i - 1].moment
+        assert moment is not None
+        return moment, self.keys[i - 1]
 
     def forget(self) -> None:
         """Let go of entries that are neither in the window nor wanted as history; they have been judged for good."""
         if self.horizon is None:
             return
-        beyond = bisect_left(self.keys, self.horizon) - self.history
+        closed = bisect_left(self.keys, self.horizon)
+        beyond = closed - self.history
         # A few hundred at a time: to shorten a list costs as much as it has left.
         if beyond < max(64, self.history // 4):
             return
+        # All that is final is judged while its past is there.
+        self.until(self.keys[closed - 1])
         self.base, self.base_key, _ = self.until(self.keys[beyond - 1])
         for entry in self.entries[:beyond]:
             self.earlier.update(dict.fromkeys(entry.spoke, entry.key))
@@ -129,6 +143,18 @@ class Timeline:
             if len(found) == len(self.setup.layout.names):
                 return found
         return {**self.earlier, **found}
+
+    def intervals(self, entries: int) -> dict[str, float]:
+        """Return the median seconds between two readings of each sensor, in the first entries; of two at least."""
+        keys: dict[str, list[Any]] = {}
+        for entry in self.entries[:entries]:
+            for name in entry.spoke:
+                keys.setdefault(name, []).append(entry.key)
+        return {
+            name: float(np.median([Clock.between(a, b) for a, b in pairwise(at)]))
+            for name, at in keys.items()
+            if len(at) > 2
+        }
 
     def readings(self) -> Array:
         """Return what was read at every entry that is kept, (entries, M)."""

@@ -23,6 +23,7 @@ from robust_filterpy.fusion._times import Clock
 from robust_filterpy.fusion.motion import Motion
 from robust_filterpy.fusion.recording import Recording, fused, read
 from robust_filterpy.fusion.sensors import Layout, Sensor
+from robust_filterpy.fusion.verdicts import STRETCH, Verdict, described, of_sensors, words
 from robust_filterpy.influence.functions import Influence
 
 __all__ = ["Estimate", "Fusion", "FusionWarning", "SensorNoise"]
@@ -30,7 +31,7 @@ __all__ = ["Estimate", "Fusion", "FusionWarning", "SensorNoise"]
 # Standard deviation of every state where nobody tells where it starts.
 _UNKNOWN = 1e4
 # Entries that are kept behind the window.
-_HISTORY = 400
+_HISTORY = STRETCH + 100
 
 #: What has become of a reading, as `Fusion.observe` says it and `Fusion.counts` counts it.
 OUTCOMES = ("taken", "late", "replaced", "duplicate", "refused")
@@ -87,6 +88,8 @@ class Fusion:
     influence : Influence, optional
         Instead of noise and process: a bounded influence function as in `RobustKalmanFilter`, or ``Linear()`` for the
         Kalman filter. R is then to be told.
+    watch : bool, default False
+        Whether there are verdicts about the sensors, and one that lies is left out.
 
     Raises
     ------
@@ -124,6 +127,7 @@ class Fusion:
         noise: NoiseClasses | None = None,
         process: Scales | None = None,
         influence: Influence | None = None,
+        watch: bool = False,
     ) -> None:
         """Check everything and start with nothing read."""
         if not isinstance(motion, Motion):
@@ -139,7 +143,7 @@ class Fusion:
         P = np.eye(n) * _UNKNOWN**2 if P0 is None else _checks.matrix("P0", P0, (n, n), f"{n} states").copy()
         _checks.covariance("P0", P)
         self._clock = Clock()
-        self._setup = Setup(motion, layout, _policy(layout, noise, process, influence))
+        self._setup = Setup(motion, layout, _policy(layout, noise, process, influence), bool(watch))
         self._begin = begun(self._setup, x, P)
         self._timeline = Timeline(self._setup, self._begin, seconds, _HISTORY)
         self._started = None if t0 is None else self._clock.key(t0, "t0")
@@ -356,6 +360,57 @@ class Fusion:
         rows = read(self._setup, self._clock, table, time, sensor, value, controls)
         return fused(self._setup, self._begin, self._started, rows, smoothed)
 
+    def verdicts(self, t: Any = None) -> dict[str, Verdict]:
+        """Return what is the matter with each sensor, and with the model of the motion under "motion".
+
+        Parameters
+        ----------
+        t : stamp, optional
+            When; by default at the newest stamp. A sensor is silent if it has said nothing for five of its usual
+            intervals and the window, within which it may only be late; three intervals if ``Sensor(every=..)`` tells
+            them.
+
+        Returns
+        -------
+        dict of str to Verdict
+
+        Raises
+        ------
+        ValueError
+            If the fusion was not made with ``watch=True``, or nothing was read.
+        """
+        if not self._setup.watches:
+            raise ValueError("verdicts: expected a fusion that watches its sensors; make it with watch=True")
+        ages = self.estimate(t).ages
+        moment, _, entries = self._timeline.until(None if t is None else self._clock.key(t))
+        found = dict(zip(self.sensors, of_sensors(moment.watch), strict=True))
+        said = self._timeline.last_words(entries)
+        for name, usual in self._timeline.intervals(entries).items():
+            every = self._setup.layout.sensors[name].every
+            limit = 5.0 * usual + self.window if every is None else 3.0 * every
+            if name in said and ages[name] > limit:
+                found[name] = described("silent", self._clock.stamp(said[name]))
+        watch = moment.watch
+        since = None if watch.model_since is None else self._clock.stamp(watch.model_since)
+        found["motion"] = described("healthy") if since is None else described("model is wrong", since, watch.model)
+        return found
+
+    def report(self, t: Any = None) -> str:
+        """Return the verdicts in words, a line for each sensor, and one for the motion if its model was found wrong.
+
+        Parameters
+        ----------
+        t : stamp, optional
+            As in `verdicts`.
+
+        Returns
+        -------
+        str
+        """
+        found = self.verdicts(t)
+        lines = [words(name, verdict) for name, verdict in found.items() if name != "motion"]
+        return "\n".join(lines + ([] if found["motion"].since is None else [words("motion:", found["motion"])]))
+
     def state(self) -> dict[str, Array]:
         """Return everything that the fusion needs to go on, as plain arrays: `robust_filterpy.fleet.pack` makes bytes.
 
@@ -363,7 +418,14 @@ class Fusion:
         -------
         dict of str to ndarray
             The state before the oldest entry that is kept, and all entries after it; motion and sensors are not in it.
+
+        Raises
+        ------
+        ValueError
+            If the fusion watches its sensors: what it thinks of them is not in a state yet; ``copy.deepcopy`` keeps it.
         """
+        if self._setup.watches:
+            raise ValueError("state: expected a fusion without watch=True, whose verdicts no state holds; use deepcopy")
         return _keeping.state(self._timeline, self._clock, self._counts, OUTCOMES)
 
     def restore(self, state: Any) -> None:
@@ -379,6 +441,8 @@ class Fusion:
         ValueError, TypeError
             If an array is missing, does not fit or is not finite; nothing has changed then.
         """
+        if self._setup.watches:
+            raise ValueError("restore: expected a fusion without watch=True, whose verdicts no state holds")
         self._timeline, self._clock, self._counts = _keeping.restored(self._timeline, state, OUTCOMES)
 
 

@@ -61,8 +61,8 @@ class Sensor:
         Seconds between the moment that is measured and the stamp, known and constant: the reading counts as of
         stamp - delay.
     every : float, optional
-        Seconds between two readings when all is well. Without it, it is learnt; a sensor that has said nothing for
-        several of them is silent.
+        Seconds between two readings when all is well: a sensor that has said nothing for three of them is silent.
+        Without it, it is learnt, and the window is waited for besides.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""Tables of sensors in time: what late data cost and gain, and how fast a recording is read.
+"""Tables of sensors in time: late data, faults and false alarms, speed.
 
-python tests/benchmarks/fusion_study.py [speed] [late] [--runs 5] [--readings 200000]
+python tests/benchmarks/fusion_study.py [speed] [late] [verdicts] [false] [--runs 5] [--readings 200000]
 """
 
 import argparse
@@ -112,7 +112,99 @@ def late(args):
         )
 
 
-TABLES = {"speed": speed, "late": late}
+SEEN = {"a": 10.0, "b": 5.0, "c": 20.0}
+
+
+def redundant(seed, length, fault=None, size=0.0, onset=30.0, who="b"):
+    """Three sensors of one place, sigma 1, of which one fails."""
+    rng, motion = np.random.default_rng(seed), constant_velocity(1, 0.5)
+    events = sorted(
+        (float(t), name) for name, f in SEEN.items() for t in (np.arange(int(length * f)) + rng.uniform(0.2, 0.8)) / f
+    )
+    x, before, last, readings, colour = np.array([0.0, 1.0]), 0.0, 0.0, [], dict.fromkeys(SEEN, 0.0)
+    for t, name in events:
+        F, Q, _ = motion.matrices(t - before)
+        more = 300.0 if fault == "manoeuvre" and t % 30.0 < 2.0 else 1.0
+        x, before, v = rng.multivariate_normal(F @ x, more * Q), t, rng.normal()
+        if fault == "coloured":
+            colour[name] = v = 0.6 * colour[name] + 0.8 * v
+        if fault == "true spikes" and rng.random() < 0.1:
+            v *= 10.0
+        z = x[0] + v
+        if name == who and t > onset:
+            if fault == "biased":
+                z += size
+            elif fault == "drifting":
+                z += size * (t - onset)
+            elif fault == "noisier":
+                z = x[0] + size * v
+            elif fault == "stuck":
+                z = last
+            elif fault == "spikes" and rng.random() < 0.3:
+                z += rng.choice([-1.0, 1.0]) * size
+        if name == who:
+            last = z
+        readings.append((name, t, z))
+    return motion, readings
+
+
+def watching(motion):
+    """A fusion of these that is told everything and looks for faults."""
+    sensors = {name: Sensor([1.0, 0.0], R=1.0) for name in SEEN}
+    return Fusion(motion, sensors, 1.0, P0=100.0 * np.eye(2), watch=True)
+
+
+def verdicts(args):
+    """How long until an alarm, and what is said five seconds later; the slowest of three sensors fails."""
+    print(f"one of three sensors of one place (10, 5, 20 Hz; that of 5 Hz) fails after 30 s, {args.runs} runs:")
+    print("  fault              alarm [s], seen   right sensor, right fault 5 s after it")
+    cases = [("biased", s) for s in (1.0, 2.0, 4.0, 8.0)] + [("drifting", s) for s in (0.1, 0.2, 0.4, 0.8)]
+    cases += [("noisier", s) for s in (2.0, 3.0, 5.0, 9.0)] + [("stuck", 0.0), ("spikes", 4.0), ("spikes", 10.0)]
+    for fault, size in cases:
+        delays, sensor, right = [], 0, 0
+        for seed in range(args.runs):
+            motion, readings = redundant(seed, 65.0, fault, size)
+            fusion, alarm = watching(motion), None
+            for name, t, z in readings:
+                fusion.observe(name, t, z)
+                if t > 30.0:
+                    found = {n: v.fault for n, v in fusion.verdicts().items() if v.fault not in ("healthy", "silent")}
+                    found.pop("motion", None)
+                    if alarm is None and found:
+                        alarm = t
+                    if alarm is not None and t > alarm + 5.0:
+                        break
+            if alarm is not None:
+                delays.append(alarm - 30.0)
+                sensor += set(found) == {"b"}
+                right += found.get("b") == fault
+        n = max(len(delays), 1)
+        seen = f"{np.median(delays) if delays else np.nan:8.2f}   {len(delays):2d}/{args.runs}"
+        print(f"  {fault:10s} {size:4.1f}   {seen}      {sensor / n:.2f}   {right / n:.2f}", flush=True)
+
+
+def false(args):
+    """False alarms for 10^5 readings: of a sensor, and that the model is wrong."""
+    print(f"false alarms for 1e5 readings, {args.runs} runs of 100 s (3,500 readings each):")
+    for kind in (None, "coloured", "manoeuvre", "true spikes"):
+        sensors, models, total = 0, 0, 0
+        for seed in range(100, 100 + args.runs):
+            motion, readings = redundant(seed, 100.0, kind)
+            fusion, before = watching(motion), {}
+            for name, t, z in readings:
+                fusion.observe(name, t, z)
+                found = {n: (v.fault != "healthy") for n, v in fusion.verdicts().items() if v.fault != "silent"}
+                sensors += sum(found[n] and not before.get(n, False) for n in found if n != "motion")
+                models += found["motion"] and not before.get("motion", False)
+                before = found
+            total += len(readings)
+        print(
+            f"  {kind or 'as learnt':12s} sensors {1e5 * sensors / total:6.1f}   model {1e5 * models / total:6.1f}",
+            flush=True,
+        )
+
+
+TABLES = {"speed": speed, "late": late, "verdicts": verdicts, "false": false}
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)

@@ -1,0 +1,212 @@
+"""The recent past, judged anew under every fault of every sensor from every onset: which of them explains it best.
+
+Beside each other run filters of the state and of one number more, b::
+
+    biased, drifting   z = h x + f b + v,   f = 1, or seconds since the onset; b unknown from the onset on
+    stuck              z = b + v,           v as noisy as ever, or ten times less
+    noisier            v 2, 3, 5 or 9 times as large from the onset on
+    spikes             three of ten readings are outliers from the onset on
+    model is wrong     Q 10, 100 or 1000 times as large from the onset on
+    healthy            none of this
+
+Noise and its outliers are those learnt before the stretch that is judged. What a hypothesis is worth is the density of
+all readings of the stretch under it, the size of b integrated out, times how often such a thing happens.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+
+__all__ = ["Found", "Stretch", "judged", "stacked"]
+
+# Chance of a fault at one reading, and of a manoeuvre that Q does not know at one stamp.
+_FAULT, _MANOEUVRE = 1e-5, 1e-4
+# Standard deviation of b in the sensor's own; of a drift: of what it has come to at the end.
+_SIZE = 4.0
+_NOISIER, _WORSE, _SPIKES = (2.0, 3.0, 5.0, 9.0), (10.0, 100.0, 1000.0), 0.3
+_STILL = 0.01
+# Onsets: every reading of so many, then each third.
+_FINE, _COARSE = 24, 3
+# As `_watch.FAULTS` numbers them; 0 is healthy, -1 the model.
+_BIASED, _DRIFTING, _STUCK, _NOISY, _SPIKY, _MODEL = 2, 3, 4, 5, 6, -1
+
+
+class Stretch(NamedTuple):
+    """What is judged anew: K moments."""
+
+    x: Array
+    """State before the first, (n,)."""
+    P: Array
+    """(n, n)"""
+    F: Array
+    """To each moment, (K, n, n)."""
+    Q: Array
+    drift: Array
+    seconds: Array
+    """Since the first moment, (K,)."""
+    z: Array
+    """(K, M), NaN where missing."""
+    H: Array
+    """(K, M, n)"""
+    r: Array
+    """Variance of ordinary noise, (M,)."""
+    scales: Array
+    """Of the classes of noise, (C,)."""
+    shares: Array
+    """(M, C)"""
+
+
+class Found(NamedTuple):
+    """What explains a stretch."""
+
+    component: int
+    """-1 for the model, and if nothing is wrong."""
+    fault: int
+    """Place in `FAULTS`; 0 if nothing is wrong, -1 if the model is."""
+    probability: float
+    onset: int
+    """The most probable moment."""
+    size: float
+    """b at the end, or the factor, or the share."""
+
+
+class _Bank(NamedTuple):
+    """Hypotheses, each an entry of every array."""
+
+    component: Array
+    fault: Array
+    onset: Array
+    factor: Array
+    """Of the variance of the noise, or of Q."""
+    prior: Array
+    """Logarithm."""
+
+
+def judged(stretch: Stretch, left_out: np.ndarray) -> list[Found]:
+    """Return what may explain a stretch, each fault of each component once, the most probable first.
+
+    Parameters
+    ----------
+    stretch : Stretch
+        Model and readings.
+    left_out : ndarray of bool, shape (M,)
+        Components that are not asked.
+
+    Returns
+    -------
+    list of Found
+    """
+    bank = _hypotheses(stretch, left_out)
+    logs, b = _run(stretch, bank, left_out)
+    logs = logs + bank.prior
+    p = np.exp(logs - logs.max())
+    p /= p.sum()
+    found = []
+    for c, fault in sorted({(int(c), int(f)) for c, f in zip(bank.component, bank.fault, strict=True)}):
+        group = np.flatnonzero((bank.component == c) & (bank.fault == fault))
+        best = int(group[np.argmax(p[group])])
+        size = float(b[best] if fault in (_BIASED, _DRIFTING) else math.sqrt(bank.factor[best]))
+        found.append(Found(c, fault, float(p[group].sum()), int(bank.onset[best]), size))
+    return sorted(found, key=lambda one: -one.probability)
+
+
+def _hypotheses(stretch: Stretch, left_out: np.ndarray) -> _Bank:
+    """Return healthy, the model, and every fault of every component from every onset."""
+    rows = [(-1, 0, 0, 1.0, 0.0)]
+    spoken = np.flatnonzero((~np.isnan(stretch.z)).any(axis=1))
+    for k, width in _onsets(spoken):
+        rows += [(-1, _MODEL, k, w, math.log(_MANOEUVRE * width / len(_WORSE))) for w in _WORSE]
+    for c in np.flatnonzero(~left_out).tolist():
+        kinds = [(_BIASED, 1.0), (_DRIFTING, 1.0), (_STUCK, 1.0), (_STUCK, _STILL), (_SPIKY, 1.0)]
+        kinds += [(_NOISY, f * f) for f in _NOISIER]
+        for k, width in _onsets(np.flatnonzero(~np.isnan(stretch.z[:, c]))):
+            rows += [(c, fault, k, factor, math.log(_FAULT * width / 5.0)) for fault, factor in kinds]
+    rows[1:] = sorted(rows[1:], key=lambda row: row[2])
+    return _Bank(*(np.array(column, dtype=float) for column in zip(*rows, strict=True)))
+
+
+def _onsets(moments: np.ndarray) -> list[tuple[int, int]]:
+    """Return moments at which something may have begun, and how many each stands for; not the very first ones."""
+    fine, coarse = moments[-_FINE:], moments[5 : max(len(moments) - _FINE, 5) : _COARSE]
+    return [(int(k), 1) for k in fine[5 * (len(moments) <= _FINE) :]] + [(int(k), _COARSE) for k in coarse]
+
+
+def _run(stretch: Stretch, bank: _Bank, left_out: np.ndarray) -> tuple[Array, Array]:
+    """Return the log-density of all readings under each hypothesis, in the order of onsets, and b at the end."""
+    (n,), N = stretch.x.shape, len(bank.fault)
+    x, P, logs = np.zeros((N, n + 1)), np.zeros((N, n + 1, n + 1)), np.zeros(N)
+    x[0, :n], P[0, :n, :n] = stretch.x, stretch.P
+    owner, onset, ahead = bank.component.astype(int), bank.onset.astype(int), np.eye(n + 1)
+    root, began = np.sqrt(stretch.r)[np.maximum(owner, 0)], stretch.seconds[onset]
+    carries, drifts, stuck = (
+        np.isin(bank.fault, [_BIASED, _DRIFTING, _STUCK]),
+        bank.fault == _DRIFTING,
+        bank.fault == _STUCK,
+    )
+    noisy, slack = np.isin(bank.fault, [_STUCK, _NOISY]), np.where(bank.fault == _MODEL, bank.factor, 1.0)
+    # A drift is as large as a bias would be when it has come to the end.
+    length = stretch.seconds[-1] - began
+    spread = _SIZE * root / np.where(drifts & (length > 0.0), length, 1.0)
+    starts = np.searchsorted(onset[1:], np.arange(len(stretch.z) + 1)) + 1
+    starts[0] = 1
+    for k in range(len(stretch.z)):
+        # Before its onset a hypothesis is the healthy one, which comes first.
+        low, high = int(starts[k]), int(starts[k + 1])
+        x[low:high], P[low:high], logs[low:high] = x[0], P[0], logs[0]
+        now = slice(0, high)
+        ahead[:n, :n] = stretch.F[k]
+        x[now] = x[now] @ ahead.T
+        x[now, :n] += stretch.drift[k]
+        for _ in range(2):
+            P[now] = np.swapaxes((P[now].reshape(-1, n + 1) @ ahead.T).reshape(-1, n + 1, n + 1), 1, 2)
+        P[now, :n, :n] += slack[now, None, None] * stretch.Q[k]
+        new = np.arange(low, high)[carries[low:high]]
+        P[new, n, n] = spread[new] ** 2
+        new = new[stuck[new]]
+        # It got stuck where it was: what the sensor should read there, give or take.
+        x[new, n] = (stretch.H[k, owner[new]] * x[new, :n]).sum(axis=1)
+        for c in np.flatnonzero(~np.isnan(stretch.z[k]) & ~left_out).tolist():
+            mine = owner[now] == c
+            h = np.zeros((high, n + 1))
+            h[:, :n] = np.where((mine & stuck[now])[:, None], 0.0, stretch.H[k, c])
+            h[:, n] = np.where(mine & carries[now], np.where(drifts[now], stretch.seconds[k] - began[now], 1.0), 0.0)
+            r = stretch.r[c] * np.where(mine & noisy[now], bank.factor[now], 1.0)
+            shares = _shares(stretch.shares[c], mine & (bank.fault[now] == _SPIKY))
+            logs[now] += _corrected(x[now], P[now], stretch.z[k, c], h, r, stretch.scales, shares)
+    return logs, x[:, n] / np.where(carries, root, 1.0)
+
+
+def _shares(usual: Array, spiky: np.ndarray) -> Array:
+    """Return the shares of the classes under each hypothesis, (N, C)."""
+    if len(usual) == 1 or not spiky.any():
+        return np.broadcast_to(usual, (len(spiky), len(usual)))
+    outlying = usual[1:] / usual[1:].sum() * max(_SPIKES, min(2.0 * (1.0 - usual[0]), 0.9))
+    return np.where(spiky[:, None], np.concatenate([[1.0 - outlying.sum()], outlying]), usual)
+
+
+def _corrected(x: Array, P: Array, z: float, h: Array, r: Array, scales: Array, shares: Array) -> Array:
+    """Correct every hypothesis by one number, in place, under noise that is a mixture (`correction.learnt`'s step)."""
+    y = z - (h * x).sum(axis=1)
+    C = np.einsum("nij,nj->ni", P, h)
+    S = (h * C).sum(axis=1)[:, None] + scales * r[:, None]
+    pulls = y[:, None] / S
+    logs = np.log(shares) - 0.5 * (pulls * y[:, None] + np.log(2.0 * math.pi * S))
+    peak = logs.max(axis=1)
+    given = np.exp(logs - peak[:, None])
+    total = given.sum(axis=1)
+    given /= total[:, None]
+    a = (given * pulls).sum(axis=1)
+    b = (given * (1.0 / S - pulls**2)).sum(axis=1) + a * a
+    x += a[:, None] * C
+    P -= b[:, None, None] * C[:, :, None] * C[:, None, :]
+    return np.asarray(peak + np.log(total))
+
+
+def stacked(rows: list[tuple[Any, ...]]) -> tuple[Array, ...]:
+    """Return what is known of each moment as stacks."""
+    return tuple(np.array(column) for column in zip(*rows, strict=True))

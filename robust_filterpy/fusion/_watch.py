@@ -1,0 +1,164 @@
+"""Cheap tests of every reading: they raise an alarm, on which `_faults` looks at the recent past.
+
+e is an innovation over its standard deviation with ordinary noise as it usually is: what was learnt, averaged over 300
+readings, but not while something is suspected. It is clipped to 3 for the first two::
+
+    level   up, down = max(0, . +- e - k)                      a mean that has moved (Page 1954)
+    width   max(0, . + e^2 3/8 - log 2)                        twice as wide against as wide as learnt
+    far     max(0, . + log of the odds of |e| > 3)             a share of spikes larger by .2 than the one learnt
+    repeats readings in a row that say exactly the same, where the sensor does not usually do that
+
+No test speaks in the first 60 readings of a sensor, from which its noise is learnt. Each limit is for one alarm in 10^5
+readings or fewer of a sensor that is as it was learnt to be.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+
+__all__ = ["FAULTS", "SLOW", "Watch", "alarmed", "calm", "fresh", "looked_at", "recovered"]
+
+#: What can be the matter with a sensor, by number: 0 is nothing, 1 something that is not known yet.
+FAULTS = ("healthy", "departs", "biased", "drifting", "stuck", "noisier", "spikes")
+
+# Columns of the tests, and their limits.
+_UP, _DOWN, _WIDE, _FAR, _REPEATS, _USUAL, _LAST, SLOW, _COUNT = range(9)
+_SLACK = 0.35
+_LIMITS = np.array([14.3, 14.3, 12.0, 12.0])
+_CLIP, _MORE = 3.0, 0.2
+# A run of exact repetitions that has so small a chance, by the share of repetitions learnt, is no accident.
+_ACCIDENT = math.log(1e5)
+# Readings from which noise is learnt before a test speaks, and over which what was learnt is averaged.
+_FIRST, _AVERAGED = 60.0, 300.0
+# Readings over which recovery is judged.
+_RECENT, _ENOUGH = 20.0, 30.0
+
+
+class Watch(NamedTuple):
+    """What is known of the health of each component and sensor; nothing in here is ever written to."""
+
+    tests: Array
+    """(M, 9)"""
+    recent: Array
+    """Of clipped e as noise was before the fault: mean, mean square, share beyond 3, how many; (M, 4)."""
+    before: Array
+    """Variance factors of the noise when the fault was seen, (M,)."""
+    fault: Array
+    """Place in `FAULTS`, (S,)."""
+    odds: Array
+    """Probability of it, (S,)."""
+    size: Array
+    """How large it is, in the sensor's standard deviations, or per second, or as a factor or a share; (S,)."""
+    since: tuple[Any, ...]
+    """Key of its onset, None where there is none."""
+    due: Array
+    """Readings of the sensor until the next look, (S,)."""
+    model: float
+    """Probability that the model of the motion was wrong at the last look."""
+    model_since: Any
+    """Key of the onset."""
+    mended: Any
+    """Key of the moment when what a sensor had said was last taken out of x."""
+
+    @property
+    def out(self) -> np.ndarray:
+        """Which sensors are left out of x: whose lie is no noise."""
+        return np.isin(self.fault, [2.0, 3.0, 4.0])
+
+
+def fresh(components: int, sensors: int) -> Watch:
+    """Return that nothing is the matter."""
+    tests = np.zeros((components, 9))
+    tests[:, _LAST], tests[:, SLOW] = np.nan, 1.0
+    return Watch(
+        tests, np.zeros((components, 4)), np.ones(components), np.zeros(sensors), np.ones(sensors),
+        np.zeros(sensors), (None,) * sensors, np.zeros(sensors), 0.0, None, None,
+    )  # fmt: skip
+
+
+def looked_at(
+    watch: Watch, z: Array, y: Array, spread: Array, R: Array, known: tuple[Array, Array], owner: np.ndarray
+) -> Watch:
+    """Return what is known after the readings of one moment.
+
+    Parameters
+    ----------
+    watch : Watch
+        Before.
+    z, y : ndarray, shape (M,)
+        Readings and innovations; NaN where missing.
+    spread, R : ndarray, shape (M,)
+        Variances of what was expected, and of ordinary noise before anything was learnt.
+    known : tuple of ndarray, shape (M,)
+        Factor of R and share of outliers, as learnt.
+    owner : ndarray, shape (M,)
+        Place of each component's sensor.
+
+    Returns
+    -------
+    Watch
+    """
+    here = ~np.isnan(y)
+    tests = watch.tests.copy()
+    factors, shares = known
+    young, ill = tests[:, _COUNT] < _FIRST, here & (watch.fault[owner] > 0.0)
+    quiet = here & ~ill & (tests[:, :4] < 0.5 * _LIMITS).all(axis=1)
+    pace = np.where(young, 1.0, 1.0 / _AVERAGED)
+    tests[quiet, SLOW] += (pace * (factors - tests[:, SLOW]))[quiet]
+    tests[here, _COUNT] += 1.0
+    e = np.where(here, y / np.sqrt(spread + tests[:, SLOW] * R), 0.0)
+    clipped = np.clip(e, -_CLIP, _CLIP)
+    usual = np.clip(shares, 0.01, 0.5)
+    far = np.where(np.abs(e) > _CLIP, np.log((usual + _MORE) / usual), np.log((1.0 - usual - _MORE) / (1.0 - usual)))
+    steps = np.column_stack([clipped - _SLACK, -clipped - _SLACK, 0.375 * clipped**2 - math.log(2.0), far])
+    old = here & ~young
+    tests[old, :4] = np.maximum(0.0, tests[old, :4] + steps[old])
+    same = here & (z == tests[:, _LAST])
+    tests[here, _REPEATS] = np.where(same, tests[:, _REPEATS] + 1.0, 0.0)[here]
+    # How often it repeats itself when nothing is the matter; a long run counts little.
+    rate = np.where(tests[:, _REPEATS] <= 2.0, 0.01, 0.0)
+    tests[here, _USUAL] += (rate * (same - tests[:, _USUAL]))[here]
+    tests[here, _LAST] = z[here]
+    recent = watch.recent
+    if ill.any():
+        recent = recent.copy()
+        was = np.clip(np.where(ill, y / np.sqrt(spread + watch.before * R), 0.0), -_CLIP, _CLIP)
+        recent[ill, 3] += 1.0
+        share = 1.0 / np.minimum(np.maximum(recent[:, 3], 1.0), _RECENT)
+        now = np.column_stack([was, was**2, np.abs(was) >= _CLIP])
+        recent[ill, :3] += (share[:, None] * (now - recent[:, :3]))[ill]
+    due = watch.due.copy()
+    due[np.unique(owner[here])] -= 1.0
+    return watch._replace(tests=tests, recent=recent, due=due)
+
+
+def alarmed(watch: Watch, owner: np.ndarray) -> np.ndarray:
+    """Return which sensors a test speaks against, (S,)."""
+    over = (watch.tests[:, :4] > _LIMITS).any(axis=1) | repeating(watch)
+    return np.isin(np.arange(len(watch.fault)), owner[over])
+
+
+def repeating(watch: Watch) -> np.ndarray:
+    """Return which components say the same again and again, though that is not their way, (M,)."""
+    usual = np.clip(watch.tests[:, _USUAL], 0.02, 0.98)
+    return np.asarray((watch.tests[:, _REPEATS] >= 4.0) & (-watch.tests[:, _REPEATS] * np.log(usual) > _ACCIDENT))
+
+
+def recovered(watch: Watch, owner: np.ndarray) -> np.ndarray:
+    """Return which sensors are again as they were before their fault, (S,)."""
+    mean, square, far, count = watch.recent.T
+    well = (count >= _ENOUGH) & (np.abs(mean) < 0.5) & (square < 1.5) & (far < 0.08) & (watch.tests[:, _REPEATS] < 2.0)
+    ill = watch.fault > 0.0
+    return np.array([bool(ill[s] and well[owner == s].all()) for s in range(len(watch.fault))])
+
+
+def calm(watch: Watch, sensors: np.ndarray, owner: np.ndarray) -> Watch:
+    """Return that the tests of some sensors begin anew."""
+    tests = watch.tests.copy()
+    tests[sensors[owner], :4] = 0.0
+    return watch._replace(tests=tests)

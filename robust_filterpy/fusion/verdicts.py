@@ -1,0 +1,279 @@
+"""Verdicts: what is the matter with a sensor, since when, how surely, and what helps.
+
+A cheap test of every reading raises an alarm (`_watch`), and then the last stamps are judged anew under every fault of
+every sensor (`_faults`). What is all but certain is a verdict; what is more likely than not "departs", and is looked at
+again. A sensor whose lie is no noise (biased, drifting, stuck) is left out of x, from the onset on, until its readings
+are again as they were.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+from robust_filterpy.fusion import _faults
+from robust_filterpy.fusion._faults import Found, Stretch
+from robust_filterpy.fusion._stepping import Moment, advanced, covariance
+from robust_filterpy.fusion._times import Clock
+from robust_filterpy.fusion._watch import FAULTS, SLOW, Watch, alarmed, calm, recovered
+
+__all__ = ["STRETCH", "Verdict", "described", "of_sensors", "watched", "words"]
+
+#: Stamps that are judged anew after an alarm.
+STRETCH = 300
+# A verdict is wrong once in twenty times at most; and what is said before that.
+_SURE, _LIKELY = 0.95, 0.5
+# Readings until a sensor that departs, or one that has a verdict, is looked at again.
+_SOON, _LATER = 5, 20
+_HEALTHY, _DEPARTS = 0, 1
+
+_REMEDIES = {
+    "healthy": "",
+    "departs": "wait: what it is will be said when more readings have come",
+    "biased": "left out of the state; calibrate it, or add its offset to the state",
+    "drifting": "left out of the state; check its reference and temperature, or add its offset to the state",
+    "stuck": "left out of the state; check power, cable and driver",
+    "noisier": "its learnt noise has grown with it; check mounting, cable and interference",
+    "spikes": "its outliers are learnt and bounded; check for reflections and lost bits",
+    "silent": "check power and cable",
+    "model is wrong": "a manoeuvre that q does not allow; raise q",
+}
+
+
+class Verdict(NamedTuple):
+    """What is the matter with a sensor, or with the model of the motion."""
+
+    fault: str
+    """"healthy", "departs", "biased", "drifting", "stuck", "noisier", "spikes", "silent" or "model is wrong"."""
+    since: Any
+    """Stamp of the onset, or of its last word if it is silent; None if it is healthy."""
+    probability: float
+    """That it is this, given that a fault comes once in 10^5 readings and a manoeuvre once in 10^4 stamps."""
+    size: float
+    """Of the fault, in standard deviations (biased), per second (drifting), or as a factor (noisier); else NaN."""
+    remedy: str
+    """What helps, in words."""
+
+
+def described(fault: str, since: Any = None, probability: float = 1.0, size: float = float("nan")) -> Verdict:
+    """Return a verdict with its remedy.
+
+    Parameters
+    ----------
+    fault : str
+        Its name.
+    since : stamp, optional
+        Onset.
+    probability : float, default 1
+        Of it.
+    size : float, optional
+        How large it is.
+
+    Returns
+    -------
+    Verdict
+    """
+    return Verdict(fault, since, probability, size, _REMEDIES[fault])
+
+
+def watched(line: Any, i: int, moment: Moment) -> Moment:
+    """Return the moment of an entry with what its readings say about the sensors.
+
+    Parameters
+    ----------
+    line : Timeline
+        Of which all entries before this one have been judged.
+    i : int
+        Its place.
+    moment : Moment
+        As it follows from the one before.
+
+    Returns
+    -------
+    Moment
+    """
+    owner, before = line.setup.layout.owner, moment.watch
+    watch = _readmitted(before, owner)
+    alarm = alarmed(watch, owner)
+    followed = (watch.fault > _HEALTHY) & (watch.due <= 0.0)
+    fresh = alarm & (watch.fault == _HEALTHY)
+    if fresh.any() or followed.any():
+        watch = _after_a_look(line, i, calm(watch, alarm, owner), fresh, followed)
+    left, was = watch.out, before.out
+    if (left & ~was).any() or (left & was & _moved(watch, before)).any():
+        state = _mended(line, i, watch)
+        return moment._replace(watch=watch._replace(mended=line.keys[i]), state=state)
+    return moment._replace(watch=watch)
+
+
+def _readmitted(watch: Watch, owner: np.ndarray) -> Watch:
+    """Return that sensors that are again as they were are healthy."""
+    well = recovered(watch, owner)
+    return _set_free(watch, well, owner) if well.any() else watch
+
+
+def _set_free(watch: Watch, sensors: np.ndarray, owner: np.ndarray) -> Watch:
+    """Return that nothing is the matter with some sensors."""
+    recent = np.where(sensors[owner][:, None], 0.0, watch.recent)
+    since = tuple(None if free else at for free, at in zip(sensors, watch.since, strict=True))
+    fault, odds = np.where(sensors, 0.0, watch.fault), np.where(sensors, 1.0, watch.odds)
+    return calm(watch._replace(fault=fault, odds=odds, since=since, recent=recent), sensors, owner)
+
+
+def _after_a_look(line: Any, i: int, watch: Watch, fresh: np.ndarray, followed: np.ndarray) -> Watch:
+    """Return what is known when the last stamps have been judged anew."""
+    layout = line.setup.layout
+    first = max(i + 1 - STRETCH, 0)
+    # Who has left before the stretch begins says nothing about it, and stays where he is. It begins with a state that
+    # took nothing of him.
+    early = line.keys[min(first + (first > 0) * STRETCH // 3, i)]
+    gone = np.array([at is not None and at < early for at in watch.since])
+    if (gone & watch.out).any():
+        first = max(first, bisect_right(line.keys, watch.mended))
+    watch = watch._replace(due=np.where(followed, np.where(gone, np.inf, float(_LATER)), watch.due))
+    if (gone & (watch.fault == _DEPARTS)).any():
+        watch = _set_free(watch, gone & (watch.fault == _DEPARTS), layout.owner)
+    if first >= i or not (fresh | (followed & ~gone)).any():
+        return watch
+    stretch = _stretch(line, first, i)
+    found = _faults.judged(stretch, gone[layout.owner])
+    best = _by_sensor(found, layout.owner)
+    (who, fault), probability = max(best.items(), key=lambda one: one[1])
+    # What is sure stays until the sensor has recovered; what was only likely does not.
+    sick = watch.fault == _DEPARTS
+    if who < 0:
+        watch = _set_free(watch, sick, layout.owner)
+        if fault < 0:
+            onset = next(one.onset for one in found if one.fault == fault)
+            watch = watch._replace(model=probability, model_since=line.keys[first + onset])
+        return watch
+    share = sum(p for (s, _), p in best.items() if s == who)
+    if share <= _LIKELY:
+        return watch
+    others = sick.copy()
+    others[who] = False
+    watch = _set_free(watch, others, layout.owner)
+    top = next(one for one in found if one.component >= 0 and layout.owner[one.component] == who and one.fault == fault)
+    sure = probability >= _SURE
+    if watch.fault[who] > _DEPARTS and not sure:
+        return watch
+    shown = (fault, probability) if sure else (_DEPARTS, share)
+    return _with(watch, who, *shown, top, line.keys[first + top.onset],
+                 line.stands(first)[0].watch.tests[:, SLOW], layout.owner)  # fmt: skip
+
+
+def _with(
+    watch: Watch, who: int, fault: int, probability: float, top: Found, since: Any, before: Array, owner: np.ndarray
+) -> Watch:
+    """Return that a sensor has a fault."""
+    new = watch.fault[who] == _HEALTHY
+    mine = owner == who
+    faults, odds, sizes, due = (a.copy() for a in (watch.fault, watch.odds, watch.size, watch.due))
+    faults[who], odds[who], sizes[who] = fault, probability, top.size
+    due[who] = _SOON if fault == _DEPARTS else _LATER
+    return watch._replace(
+        fault=faults, odds=odds, size=sizes, due=due,
+        since=(*watch.since[:who], since, *watch.since[who + 1 :]),
+        recent=np.where((mine & new)[:, None], 0.0, watch.recent),
+        before=np.where(mine & new, before, watch.before),
+    )  # fmt: skip
+
+
+def _by_sensor(found: list[Found], owner: np.ndarray) -> dict[tuple[int, int], float]:
+    """Return the probability of each fault of each sensor; -1 is no sensor."""
+    sums: dict[tuple[int, int], float] = {}
+    for one in found:
+        key = (-1 if one.component < 0 else int(owner[one.component]), one.fault)
+        sums[key] = sums.get(key, 0.0) + one.probability
+    return sums
+
+
+def _stretch(line: Any, first: int, last: int) -> Stretch:
+    """Return the readings of some entries, with the model as it was about the states then."""
+    setup, rows = line.setup, []
+    before, key = line.stands(first)
+    start = line.keys[first]
+    for entry in line.entries[first : last + 1]:
+        seconds = 0.0 if key is None else Clock.between(key, entry.key)
+        moved = setup.motion.over(seconds, before.state.x, before.state.u)
+        seen = setup.layout.seen_from(moved.F @ before.state.x + moved.drift, entry.z)
+        rows.append((*moved, Clock.between(start, entry.key), seen.z, seen.H))
+        before, key = entry.moment or before, entry.key
+    F, Q, drift, seconds_, z, H = _faults.stacked(rows)
+    state = line.stands(first)[0].state
+    R = covariance(setup.layout, state.sizes).diagonal()
+    scales, shares = setup.policy.classes(state)
+    return Stretch(
+        state.x, state.P, F, Q * setup.policy.process(state), drift, seconds_,
+        np.where(np.isnan(state.sizes), np.nan, z), H, line.stands(first)[0].watch.tests[:, SLOW] * R, scales, shares,
+    )  # fmt: skip
+
+
+def _moved(watch: Watch, before: Watch) -> np.ndarray:
+    """Return whose onset is another one than before."""
+    return np.array([a != b for a, b in zip(watch.since, before.since, strict=True)])
+
+
+def _mended(line: Any, i: int, watch: Watch) -> Any:
+    """Return the state that never took what sensors have said since they lie."""
+    owner, out = line.setup.layout.owner, watch.out
+    onsets = [at for at, left in zip(watch.since, out, strict=True) if left]
+    first = next((k for k in range(i + 1) if line.keys[k] >= min(onsets)), i)
+    first = max(first, i + 1 - STRETCH)
+    moment, key = line.stands(first)
+    for entry in line.entries[first : i + 1]:
+        lies = np.array([left and at <= entry.key for at, left in zip(watch.since, out, strict=True)])
+        seconds = 0.0 if key is None else Clock.between(key, entry.key)
+        z = np.where(lies[owner], np.nan, entry.z)
+        moment, key = advanced(line.setup, moment._replace(watch=None), seconds, z, entry.control), entry.key
+    return moment.state
+
+
+def words(name: str, verdict: Verdict) -> str:
+    """Return a verdict as a line.
+
+    Parameters
+    ----------
+    name : str
+        Whose.
+    verdict : Verdict
+        What.
+
+    Returns
+    -------
+    str
+    """
+    if verdict.fault == "healthy":
+        return f"{name} healthy"
+    much = {
+        "biased": f" by {verdict.size:.1f} standard deviations",
+        "drifting": f" by {verdict.size:.2g} standard deviations a second",
+        "noisier": f" {verdict.size:.0f} times",
+    }.get(verdict.fault, "")
+    odds = "" if verdict.fault == "silent" else f" (probability {verdict.probability:.3f})"
+    return f"{name} {verdict.fault}{much} since {verdict.since}{odds}: {verdict.remedy}"
+
+
+def of_sensors(watch: Watch) -> list[Verdict]:
+    """Return the verdict about each sensor.
+
+    Parameters
+    ----------
+    watch : Watch
+        What is known.
+
+    Returns
+    -------
+    list of Verdict
+    """
+    found = []
+    for s, fault in enumerate(watch.fault.astype(int)):
+        sized = FAULTS[fault] in ("biased", "drifting", "noisier")
+        since = None if watch.since[s] is None else Clock.stamp(watch.since[s])
+        found.append(
+            described(FAULTS[fault], since, float(watch.odds[s]), float(watch.size[s]) if sized else float("nan"))
+        )
+    return found

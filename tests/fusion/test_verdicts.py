@@ -1,0 +1,129 @@
+"""What is said of a sensor that fails, and what becomes of the state meanwhile."""
+
+import copy
+
+import numpy as np
+import pytest
+
+from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
+
+RATES = {"a": 10.0, "b": 5.0, "c": 20.0}
+
+
+def recording(seed, spoil, length=50.0):
+    """Three sensors of one place, sigma 1; spoil(t, place, noise, last) is what b says from 30 s on."""
+    rng, motion = np.random.default_rng(seed), constant_velocity(1, 0.5)
+    stamps = sorted(
+        (float(t), n) for n, f in RATES.items() for t in (np.arange(int(length * f)) + rng.uniform(0.2, 0.8)) / f
+    )
+    x, before, last, found, places = np.array([0.0, 1.0]), 0.0, 0.0, [], []
+    for t, name in stamps:
+        F, Q, _ = motion.matrices(t - before)
+        x, before = rng.multivariate_normal(F @ x, Q), t
+        v = rng.normal()
+        z = spoil(t, x[0], v, last) if name == "b" and t > 30.0 else x[0] + v
+        last = z if name == "b" else last
+        found.append((name, t, z))
+        places.append(x[0])
+    return found, np.array(places)
+
+
+def made(watch=True, window=1.0):
+    sensors = {name: Sensor([1.0, 0.0], R=1.0) for name in RATES}
+    return Fusion(constant_velocity(1, 0.5), sensors, window, P0=100.0 * np.eye(2), watch=watch)
+
+
+FAULTS = {
+    "biased": lambda t, x, v, last: x + v + 5.0,
+    "stuck": lambda t, x, v, last: last,
+    "noisier": lambda t, x, v, last: x + 6.0 * v,
+    "spikes": lambda t, x, v, last: x + v + (12.0 if int(5 * t) % 3 == 0 else 0.0) * (1 if int(t) % 2 else -1),
+}
+
+
+@pytest.fixture(scope="module", params=FAULTS)
+def told(request):
+    readings, places = recording(3, FAULTS[request.param])
+    fusion = made()
+    for one in readings:
+        fusion.observe(*one)
+    return request.param, fusion, readings, places
+
+
+def test_the_right_sensor_is_named_with_the_right_fault_and_its_onset(told):
+    fault, fusion, *_ = told
+    found = fusion.verdicts()
+    assert {name: v.fault for name, v in found.items() if name in RATES} == {"a": "healthy", "b": fault, "c": "healthy"}
+    assert abs(found["b"].since - 30.0) < 1.5 and found["b"].probability > 0.95 and found["b"].remedy
+    assert fusion.report().splitlines()[1].startswith(f"b {fault}")
+
+
+def test_a_sensor_that_lies_is_left_out_of_the_state(told):
+    fault, fusion, readings, _ = told
+    if fault not in ("biased", "stuck"):
+        pytest.skip("its noise is learnt instead")
+    alone = made(watch=False)
+    for one in readings:
+        if one[0] != "b" or one[1] <= fusion.verdicts()["b"].since - 1e-9:
+            alone.observe(*one)
+    # As if it had said nothing since the onset.
+    np.testing.assert_allclose(fusion.estimate().x, alone.estimate().x, rtol=0.05, atol=0.1)
+
+
+def test_a_healthy_recording_has_no_verdicts():
+    fusion = made()
+    for one in recording(5, lambda t, x, v, last: x + v)[0]:
+        fusion.observe(*one)
+    assert {v.fault for v in fusion.verdicts().values()} == {"healthy"}
+    assert fusion.report().splitlines() == ["a healthy", "b healthy", "c healthy"]
+
+
+def test_a_sensor_that_has_recovered_is_let_in_again():
+    readings, _ = recording(3, lambda t, x, v, last: x + v + (6.0 if t < 40.0 else 0.0), 60.0)
+    fusion = made()
+    seen = []
+    for k, one in enumerate(readings):
+        fusion.observe(*one)
+        if k % 35 == 34:
+            seen.append(fusion.verdicts()["b"].fault)
+    assert "biased" in seen and seen[-1] == "healthy"
+
+
+def test_a_silent_sensor_is_named():
+    fusion = made()
+    for name, t, z in recording(5, lambda t, x, v, last: x + v)[0]:
+        if name != "c" or t < 40.0:
+            fusion.observe(name, t, z)
+    verdict = fusion.verdicts()["c"]
+    assert verdict.fault == "silent" and 39.9 < verdict.since < 40.0
+    assert "c silent since" in fusion.report()
+
+
+def test_any_order_of_arrival_gives_the_same_verdicts_and_bits():
+    readings, _ = recording(3, FAULTS["biased"], 40.0)
+    rng = np.random.default_rng(0)
+    in_order, late = made(window=1.0), made(window=1.0)
+    for one in readings:
+        in_order.observe(*one)
+    delayed = [t + (rng.uniform(0.0, 0.9) if rng.random() < 0.1 else 0.0) for _, t, _ in readings]
+    for place in np.argsort(delayed, kind="stable"):
+        late.observe(*readings[place])
+    assert str(in_order.verdicts()) == str(late.verdicts())
+    assert in_order.verdicts()["b"].fault == "biased"
+    assert in_order.estimate().x.tobytes() == late.estimate().x.tobytes()
+
+
+def test_a_copy_goes_on_the_same_and_a_state_is_refused():
+    readings, _ = recording(3, FAULTS["biased"], 40.0)
+    fusion = made()
+    for one in readings[:1100]:
+        fusion.observe(*one)
+    other = copy.deepcopy(fusion)
+    for one in readings[1100:]:
+        fusion.observe(*one)
+        other.observe(*one)
+    assert fusion.estimate().P.tobytes() == other.estimate().P.tobytes()
+    with pytest.raises(ValueError, match="deepcopy"):
+        fusion.state()
+    with pytest.raises(ValueError, match="watch=True"):
+        made(watch=False).verdicts()
