@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array, numbers
 from robust_filterpy.batch._arguments import SeriesArguments, series_arguments, threads
 from robust_filterpy.correction import copies as side_by_side
@@ -73,6 +74,10 @@ class AdaptiveSeries(NamedTuple):
     process_scale: Array
     learnt: Array
     state: Copies
+
+    def __str__(self) -> str:
+        """Return what fits a screen."""
+        return brief(self)
 
 
 def adaptive_series(

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array
 from robust_filterpy.batch._arguments import series_arguments, spread, threads
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
@@ -38,6 +39,10 @@ class FilteredSeries(NamedTuple):
     P: Array | None
     log_likelihood: Array
     weights: Array
+
+    def __str__(self) -> str:
+        """Return what fits a screen."""
+        return brief(self)
 
 
 def filter_series(

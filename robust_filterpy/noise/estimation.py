@@ -10,6 +10,7 @@ import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise
+from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import without_fill_values
 from robust_filterpy.correction.policies import Contaminated
@@ -69,6 +70,10 @@ class NoiseEstimate:
     log_likelihood: float
     converged: bool
     message: str
+
+    def __str__(self) -> str:
+        """Return what fits a screen."""
+        return brief(self)
 
     def apply(self, filter: Any) -> Any:
         """Give a filter this R and Q, and the contamination and ratio if it can use them.

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
+from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array, numbers
 from robust_filterpy._fill_values import without_fill_values
 from robust_filterpy.batch._arguments import leading
@@ -62,6 +63,10 @@ class Smoothed:
     converged: Any
     sweeps: int
     message: str
+
+    def __str__(self) -> str:
+        """Return what fits a screen."""
+        return brief(self)
 
 
 def smooth(

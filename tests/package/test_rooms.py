@@ -12,6 +12,7 @@ PACKAGE = Path(robust_filterpy.__file__).parent
 ROOMS = (
     "_version",
     "_warning",
+    "_brief",
     "_checks",
     "_fill_values",
     "_arrays",

@@ -54,7 +54,7 @@ class ContinuousModel:
 
     @property
     def time_constants(self) -> Array:
-        """1/|pole| in s, shape (n,): of a real pole the time constant, of a pair one over its natural frequency."""
+        """1 over the size of each pole, s, shape (n,): the time constant, of a pair one over its natural frequency."""
         with np.errstate(divide="ignore"):
             return np.asarray(1.0 / np.abs(self.poles.values))
 

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
+from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array, real
 from robust_filterpy._pictures import drawn
 from robust_filterpy.identification.models.time_axis import table
@@ -167,6 +168,10 @@ class TrackingResult(_Recorded):
 
     names: tuple[str, ...] = ()
     index: Any = None
+
+    def __str__(self) -> str:
+        """Return what fits a screen."""
+        return brief(self)
 
     def labelled(self, names: tuple[str, ...], index: Any = None) -> TrackingResult:
         """Return the same columns with names of the parameters and an index.

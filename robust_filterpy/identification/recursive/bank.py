@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks, _state
+from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array, numbers
 from robust_filterpy._documentation import STOPPED, pointer
 from robust_filterpy._warning import warn
@@ -90,6 +91,10 @@ class BankResult(_Recorded):
     names: tuple[str, ...] = ()
     actuators: tuple[Any, ...] = ()
     index: Any = None
+
+    def __str__(self) -> str:
+        """Return what fits a screen."""
+        return brief(self)
 
     def to_frame(self) -> Any:
         """Return all columns as a pandas DataFrame, a row for each sample that was kept.

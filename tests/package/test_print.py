@@ -1,0 +1,47 @@
+"""`print` of a result fits a screen, however long the recording was."""
+
+import numpy as np
+import pytest
+
+from robust_filterpy import (
+    ARX,
+    ParameterTracker,
+    RobustKalmanFilter,
+    TrackerBank,
+    adaptive_series,
+    estimate_noise,
+    filter_series,
+    smooth,
+)
+
+Y = np.cumsum(np.random.default_rng(10_001).normal(size=300))
+Y[7] = np.nan
+U = np.sign(np.random.default_rng(10_002).normal(size=300))
+MODEL = (np.eye(1), np.eye(1), np.eye(1), np.eye(1), np.zeros(1), np.eye(1))
+
+
+def walk():
+    kf = RobustKalmanFilter(1, 1)
+    kf.H = np.eye(1)
+    return kf
+
+
+RESULTS = {
+    "filter_series": lambda: filter_series(Y[None, :, None], *MODEL),
+    "adaptive_series": lambda: adaptive_series(Y[None, :, None], *MODEL),
+    "smooth": lambda: smooth(walk(), Y),
+    "estimate_noise": lambda: estimate_noise(walk(), Y),
+    "tracker": lambda: ParameterTracker(ARX(1, 1), start=0).run(Y, U),
+    "bank": lambda: TrackerBank(3, ARX(1, 1), start=0).run(np.tile(Y[:, None], 3), np.tile(U[:, None], 3)),
+}
+
+
+@pytest.mark.parametrize("name", RESULTS)
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_it_fits_a_screen_and_names_its_parts(name):
+    result = RESULTS[name]()
+    lines = str(result).splitlines()
+    assert 3 < len(lines) <= 25 and max(map(len, lines)) <= 130
+    assert lines[0] == type(result).__name__
+    first = next(iter(getattr(result, "_fields", None) or result.__dataclass_fields__))
+    assert lines[1].split()[0] == first
