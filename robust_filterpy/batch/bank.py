@@ -185,9 +185,7 @@ class FilterBank:
             x[i], P[i], log_likelihood[i] = found.x, found.P, found.log_density
             y[i], e[i], weights[i], S[i] = found.y, found.e, found.weights, found.S
         # All at once: Ctrl-C does not come in between.
-        self.__dict__.update(
-            x=x, P=P, y=y, e=e, S=S, weights=weights, log_likelihood=log_likelihood, _memory=memory
-        )
+        self.__dict__.update(x=x, P=P, y=y, e=e, S=S, weights=weights, log_likelihood=log_likelihood, _memory=memory)
 
     @property
     def spread(self) -> Array:

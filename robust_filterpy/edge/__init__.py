@@ -2,7 +2,7 @@
 
 * `export`: what a user calls.
 * `filter_model`, `tracker_model`: from a filter, or a tracker, to what the file holds, or why it cannot.
-* `template`: the C of ``templates``; a filter's is the headers of `robust_filterpy.kernel` and a few lines beside them.
+* `text`: the headers of `robust_filterpy.kernel` and, from ``texts``, a few lines beside them.
 
 Imports from below: `correction`, `kernel`, `filters`, `identification`.
 """

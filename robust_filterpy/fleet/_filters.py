@@ -216,9 +216,7 @@ def _groups(good: np.ndarray, steps: np.ndarray, kf: Any) -> Iterator[np.ndarray
             yield from (members[first : first + share] for first in range(0, len(members), share))
 
 
-def _together(
-    series: Plain, kf: Any, update: Mapping[str, Any], work: Work, moving: Moving, rows: np.ndarray
-) -> None:
+def _together(series: Plain, kf: Any, update: Mapping[str, Any], work: Work, moving: Moving, rows: np.ndarray) -> None:
     """Advance keys with equally many steps."""
     n, m = len(series.F), len(series.H)
     first, steps = work.bounds[rows], int(work.bounds[rows[0] + 1] - work.bounds[rows[0]])

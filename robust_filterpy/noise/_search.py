@@ -48,15 +48,15 @@ def lowest(cost: Cost, starts: Array, lower: Array, upper: Array) -> Valley:
             trials.append(np.clip(points[k] + steps, lower, upper))
         tried = cost(np.concatenate(trials)).reshape(len(left), -1)
         best = tried.argmin(axis=1)
-        for k, row, trial, b in zip(left, tried, trials, best, strict=True):
+        for k, row, trial, b in zip(left, tried, trials, best.tolist(), strict=True):
             if not row[b] < values[k]:
                 done[k] = True
                 continue
             # A valley that is all but flat is walked no farther than pays.
             done[k] = done[k] or values[k] - row[b] < 0.01 * _ENOUGH
             points[k], values[k] = trial[b], row[b]
-    k = int(values.argmin())
-    return Valley(points[k], float(values[k]), bool(done[k]))
+    lowest = int(values.argmin())
+    return Valley(points[lowest], float(values[lowest]), bool(done[lowest]))
 
 
 def valleys(values: Array, most: int) -> list[tuple[int, ...]]:

@@ -13,7 +13,23 @@ __all__ = ["gone_on"]
 
 
 def gone_on(form: Form, now: State, i: int, model: Model) -> State:
-    """Return what becomes of actuator i by a model: it goes on at the end of the model's recording."""
+    """Return what becomes of actuator i by a model: it goes on at the end of the model's recording.
+
+    Parameters
+    ----------
+    form : Form
+        What the recursion is.
+    now : State
+        All actuators as they stand.
+    i : int
+        Which of them.
+    model : Model
+        Of this actuator's last samples.
+
+    Returns
+    -------
+    State
+    """
     structure, layout, row = form.structure, form.layout, now.row(i)
     n, places, place = structure.n_theta, structure.polynomials, structure.constant_place
     x, P, memory, centre = model.theta, model.P, model.memory, float(row.centre[0])

@@ -26,16 +26,58 @@ class ColdStart(NamedTuple):
 
     @classmethod
     def of(cls, n_theta: int, n_inputs: int, samples: int) -> ColdStart:
-        """Keep nothing yet."""
+        """Keep nothing yet.
+
+        Parameters
+        ----------
+        n_theta : int
+            Number of parameters.
+        n_inputs : int
+            Number of inputs.
+        samples : int
+            How many samples it may look at.
+
+        Returns
+        -------
+        ColdStart
+        """
         return cls(samples, np.zeros(0), np.zeros((0, n_inputs)), _until_next(samples, 0, n_theta))
 
     @classmethod
     def kept(cls, samples: int, y: Array, u: Array, waits: int) -> ColdStart:
-        """Go on from samples that were kept."""
+        """Go on from samples that were kept.
+
+        Parameters
+        ----------
+        samples : int
+            How many samples it may look at.
+        y : ndarray, shape (N,)
+            Outputs kept.
+        u : ndarray, shape (N, n_inputs)
+            Inputs kept.
+        waits : int
+            Samples until the next look.
+
+        Returns
+        -------
+        ColdStart
+        """
         return cls(samples, y.copy(), u.copy(), waits)
 
     def added(self, y: Array, u: Array) -> ColdStart:
-        """Return it with more samples, at most as many as it waits for."""
+        """Return it with more samples, at most as many as it waits for.
+
+        Parameters
+        ----------
+        y : ndarray, shape (N,)
+            Outputs.
+        u : ndarray, shape (N, n_inputs)
+            Inputs.
+
+        Returns
+        -------
+        ColdStart
+        """
         # A frozen tracker does not look: it stays due, and a count below 0 would say in a state that there is no start.
         waits, keep = max(self.waits - len(y), 0), max(0, _LONGEST * self.samples - len(y))
         return ColdStart(self.samples, np.append(self.y[-keep:], y), np.concatenate((self.u[-keep:], u)), waits)

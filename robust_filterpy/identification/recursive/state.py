@@ -60,7 +60,19 @@ class Past(NamedTuple):
     gradients: Array
 
     def memory(self, layout: Layout, i: int) -> Memory:
-        """Return the memory of one actuator."""
+        """Return the memory of one actuator.
+
+        Parameters
+        ----------
+        layout : Layout
+            Where the signals stand in phi.
+        i : int
+            Which actuator.
+
+        Returns
+        -------
+        Memory
+        """
         return Memory(layout, {name: value[i] for name, value in zip(self._fields, self, strict=True)})
 
     @classmethod
@@ -94,7 +106,19 @@ class State(NamedTuple):
     windows: Windows
 
     def with_row(self, i: int, row: State) -> State:
-        """Return this with actuator i as row, a state of one, has it; starts and windows stay."""
+        """Return this with actuator i as row, a state of one, has it; starts and windows stay.
+
+        Parameters
+        ----------
+        i : int
+            Which actuator.
+        row : State
+            Of one actuator.
+
+        Returns
+        -------
+        State
+        """
         arrays: dict[str, Any] = {name: _replaced(getattr(self, name), i, getattr(row, name)[0]) for name in _ARRAYS}
         past = Past(*(_replaced(a, i, b[0]) for a, b in zip(self.past, row.past, strict=True)))
         return self._replace(**arrays, past=past)
@@ -131,6 +155,17 @@ class State(NamedTuple):
         """Return what `arrays` was made of, checked, with the R that belongs to it; what has been said stays said.
 
         A state from before there was a watch in it is watched from here on.
+
+        Parameters
+        ----------
+        found : mapping of str to ndarray
+            What `arrays` returned.
+        R : ndarray, shape (n,)
+            Noise variances.
+
+        Returns
+        -------
+        State
         """
         n = len(self.theta)
         rule = found["recursion"]
@@ -160,7 +195,27 @@ def _replaced(stack: Array, i: int, value: Any) -> Array:
 
 
 def at_rest(form: Form, theta: Array, P: Array, scale: Array, samples: int, told: bool) -> State:
-    """Return the state of n actuators that have seen nothing; told: whether they are to begin without a start."""
+    """Return the state of n actuators that have seen nothing; told: whether they are to begin without a start.
+
+    Parameters
+    ----------
+    form : Form
+        What the recursion is.
+    theta : ndarray, shape (n, d)
+        Parameters to begin with.
+    P : ndarray, shape (n, d, d)
+        Their covariances.
+    scale : ndarray, shape (n, 4)
+        R and the fields of `NoiseScale`.
+    samples : int
+        How many samples a start may look at.
+    told : bool
+        Whether theta is to be begun with, instead of looking for a model.
+
+    Returns
+    -------
+    State
+    """
     n, structure = len(theta), form.structure
     past = Past(**{name: np.zeros((n, *shape)) for name, shape in form.layout.shapes().items()})
     starts = {} if told else {i: ColdStart.of(structure.n_theta, structure.n_inputs, samples) for i in range(n)}

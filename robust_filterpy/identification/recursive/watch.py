@@ -50,12 +50,36 @@ class Followed(NamedTuple):
 
     @classmethod
     def none(cls, n: int, n_signals: int) -> Followed:
-        """Return it before the first sample."""
+        """Return it before the first sample.
+
+        Parameters
+        ----------
+        n : int
+            Number of actuators.
+        n_signals : int
+            What residuals are held against: the prediction and the inputs.
+
+        Returns
+        -------
+        Followed
+        """
         return cls(np.zeros(n, dtype=int), np.zeros((n, 4)), np.zeros((n, _SPAN, 1 + n_signals)))
 
     @classmethod
     def restored(cls, numbers: Array, rows: Array) -> Followed:
-        """Return it from samples seen and what is usual, (n, 4 or 5), and rows of the last samples, (n, L, ..)."""
+        """Return it from samples seen and what is usual, (n, 4 or 5), and rows of the last samples, (n, L, ..).
+
+        Parameters
+        ----------
+        numbers : ndarray, shape (n, 4) or (n, 5)
+            Samples seen, and what is usual.
+        rows : ndarray, shape (n, L, 1 + n_signals)
+            The last samples.
+
+        Returns
+        -------
+        Followed
+        """
         whole = np.zeros((len(rows), _SPAN, rows.shape[2]))
         last = rows[:, -_SPAN:]
         whole[:, _SPAN - last.shape[1] :] = last
@@ -76,7 +100,20 @@ class Followed(NamedTuple):
     def begun(self, i: int, residuals: Array, signals: Array) -> tuple[Followed, float]:
         """Return it with what is usual of an actuator: what its model leaves of its own recording.
 
-        Also how much of that follows the inputs, 0 if not in most of the windows beyond chance.
+        Parameters
+        ----------
+        i : int
+            Which actuator.
+        residuals : ndarray, shape (N,)
+            Of the model's recording.
+        signals : ndarray, shape (N, n_signals)
+            Predictions and inputs of these samples.
+
+        Returns
+        -------
+        after : Followed
+        share : float
+            How much of the residuals follows the inputs, 0 if not in most of the windows beyond chance.
         """
         windows = [slice(k - _SPAN, k) for k in range(len(residuals), _SPAN - 1, -_SPAN)]
         after = self.forgotten(i)
@@ -91,8 +128,20 @@ class Followed(NamedTuple):
     def looked(self, which: np.ndarray, residuals: Array, signals: Array) -> tuple[Followed, News]:
         """Return it with samples of some actuators, at most `waits`, and of which the model is another plant's.
 
-        residuals (len(which), N), NaN where y is missing; signals (len(which), N, n_signals): what a residual follows
-        that does not come from noise.
+        Parameters
+        ----------
+        which : ndarray of int, shape (k,)
+            These actuators.
+        residuals : ndarray, shape (k, N)
+            NaN where y is missing.
+        signals : ndarray, shape (k, N, n_signals)
+            What a residual follows that does not come from noise.
+
+        Returns
+        -------
+        after : Followed
+        news : list of tuple of int and str
+            Which actuators have lost their plants, in words.
         """
         seen, usual, rows = self.seen.copy(), self.usual.copy(), self.rows.copy()
         new = np.concatenate((residuals[..., None], signals), axis=2)[:, -_SPAN:]
@@ -155,7 +204,20 @@ class Windows(NamedTuple):
         return Windows(recent, R, spoken, self.spoken_of_start)
 
     def without_model(self, i: int, trouble: str) -> tuple[Windows, News]:
-        """Return them and why the start has found no model, unless that has been said."""
+        """Return them and why the start has found no model, unless that has been said.
+
+        Parameters
+        ----------
+        i : int
+            Which actuator.
+        trouble : str
+            Why.
+
+        Returns
+        -------
+        after : Windows
+        news : list of tuple of int and str
+        """
         spoken = self.spoken_of_start.copy()
         spoken[i] = True
         return self._replace(spoken_of_start=spoken), [] if self.spoken_of_start[i] else [(i, trouble)]
@@ -163,7 +225,27 @@ class Windows(NamedTuple):
     def seen(
         self, weights: Array, guard: np.ndarray, residuals: Array, R: Array, has_offset: bool
     ) -> tuple[Windows, News]:
-        """Return them with samples (n, N), R (n,) after these, and what is wrong, in words, once for each actuator."""
+        """Return them with samples (n, N), R (n,) after these, and what is wrong, in words, once for each actuator.
+
+        Parameters
+        ----------
+        weights : ndarray, shape (n, N)
+            Weights of the samples, NaN where y is missing.
+        guard : ndarray, shape (n, N)
+            Whether the guard held a step back.
+        residuals : ndarray, shape (n, N)
+            Of the samples.
+        R : ndarray, shape (n,)
+            Noise variances after them.
+        has_offset : bool
+            Whether the model has a constant.
+
+        Returns
+        -------
+        after : Windows
+        news : list of tuple of int and str
+            What is wrong, once for each actuator.
+        """
         if self.spoken.all():
             return self, []
         news: News = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import inspect
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -210,7 +211,8 @@ def measure(kf: Any, z: Any, model: StateModel) -> None:
 
 def is_extended(kf: Any) -> bool:
     """Tell a filter whose update asks for a Jacobian."""
-    code = getattr(getattr(type(kf), "update", None), "__code__", None)
+    # Behind decorators, whose own arguments are anything.
+    code = getattr(inspect.unwrap(getattr(type(kf), "update", is_extended)), "__code__", None)
     return code is not None and "HJacobian" in code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
 
 
