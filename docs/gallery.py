@@ -32,7 +32,7 @@ STORY = {
         "17_from_recording_to_model": "From a recording to a model",
         "18_choosing_the_order": "Choosing the order",
         "19_is_the_model_good": "Is the model good?",
-        "20_physics_from_a_recording": "Physics from a recording",
+        "21_physics_from_a_recording": "Physics from a recording",
         "07_tracking_parameters": "Parameters that drift",
         "08_input_design": "Which input tells most",
         "10_a_fleet_of_actuators": "Which actuators leak?",

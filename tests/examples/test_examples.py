@@ -17,7 +17,7 @@ SMALL = {
     "state_estimation_study.py": ["--runs", "3", "--steps", "30", "--jobs", "1"],
     "first_screen.py": ["--seeds", "3"],
     "06_smoothing.py": ["--runs", "2"],
-    "20_physics_from_a_recording.py": ["--steps", "60"],
+    "21_physics_from_a_recording.py": ["--steps", "60"],
 }
 
 

@@ -94,7 +94,7 @@ def draw(model, truth, out):
     ax.set_title("One recording with outliers tells friction and volumes; the end stops it never met")
     ax.legend()
     out.mkdir(parents=True, exist_ok=True)
-    path = out.resolve() / "20_physics_from_a_recording.png"
+    path = out.resolve() / "21_physics_from_a_recording.png"
     figure.savefig(path, dpi=110)
     plt.close(figure)
     print(f"Figure: {path}")
