@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -157,7 +158,12 @@ def start(classes: int, probabilities: Sequence[float] | None = None) -> Array:
     ndarray, shape (6 + 2 K + K^2,)
         As the head of this module orders it.
     """
-    K = classes
+    return _start(classes, None if probabilities is None else tuple(probabilities)).copy()
+
+
+@lru_cache(maxsize=64)
+def _start(K: int, probabilities: tuple[float, ...] | None) -> Array:
+    """Return what `start` hands out copies of."""
     share, stay = np.full(K, _PRIOR_OUTLIERS / max(K - 1, 1)), _PRIOR_STAY
     share[0] = 1.0 - _PRIOR_OUTLIERS if K > 1 else 1.0
     if probabilities is not None:
