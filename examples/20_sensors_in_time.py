@@ -92,6 +92,8 @@ def main(arguments=None):
     believed, watched = (np.sqrt(((one - where)[late] ** 2).sum(axis=1).mean()) for one in (other, track))
     print(report)
     print(f"Error from 30 s on: {believed:.2f} m if every sensor is believed, {watched:.2f} m if they are watched.")
+    gain = 100.0 * (1.0 - watched / believed)
+    print(f"Conclusion: leaving out the sensor that lies takes {gain:.0f} % off the error of the position.")
     print(f"Figure: {path}")
 
 

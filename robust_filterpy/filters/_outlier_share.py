@@ -55,11 +55,13 @@ class Share:
         self.sign = sign
         if self.updates >= _UPDATES and (self.numbers >= _NUMBERS or self._tells_early()):
             share, numbers, keeps = self.clipped / self.numbers, self.numbers, self.kept > 0.75 * self.updates
+            # Half a window is only sure of more.
+            least = 0.5 if numbers >= _NUMBERS else 0.7
             self.__init__()  # type: ignore[misc]
-            # More than half of what psi expects unclipped is clipped; one jump or run of outliers does not reach that.
-            if share > 0.5 and kf.scaling == "innovation" and type(kf).__name__ not in _warned:
+            # So much of what psi expects unclipped is clipped; one jump or run of outliers does not reach a half.
+            if share > least and kf.scaling == "innovation" and type(kf).__name__ not in _warned:
                 expected = _expected(kf.influence, kf.grouping, len(e))
-                if share > 0.5 * (1.0 + expected):
+                if share > expected + least * (1.0 - expected):
                     self._warn(type(kf).__name__, share, expected, numbers, keeps)
 
     def _warn(self, name: str, share: float, expected: float, numbers: int, keeps: bool) -> None:

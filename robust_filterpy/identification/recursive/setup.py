@@ -252,7 +252,7 @@ def is_plain(kf: Any, n: int) -> bool:
 
 def choose(kf: RobustKalmanFilter, choices: Choices) -> None:
     """Give a filter the options of its correction."""
-    kf._choices = choices
+    kf._choose(influence=choices.influence, scaling=choices.scaling, information=choices.information)
 
 
 def choices_of(kf: Any) -> Any:
