@@ -83,7 +83,7 @@ def measured(dim_x, dim_z):
 
 def learning():
     """Print how long a step of the filter that learns the noise takes, of the robust filter's time."""
-    variants = {"3 process scales": {}, "1": {"process": Scales((1.0,))}}
+    variants = {"5 process scales": {}, "1": {"process": Scales((1.0,))}}
     ways = ("predict + update", "batch_filter", "series")
     print("a step that learns the noise, of a robust one: " + ", ".join(ways))
     for n, m in ((2, 1), (4, 1), (4, 2)):
@@ -103,7 +103,8 @@ def learning():
         filters = {"robust": calls(built(RobustKalmanFilter, n, m), filter_series)}
         for name, options in variants.items():
             kf = built(AdaptiveKalmanFilter, n, m, **options)
-            filters[name] = calls(kf, partial(adaptive_series, **options))
+            scales = kf.process.scales
+            filters[name] = calls(kf, partial(adaptive_series, process_scales=scales))
         least = {name: np.full(len(ways), np.inf) for name in filters}
         for _ in range(TURNS // 5):
             for name, each in filters.items():
