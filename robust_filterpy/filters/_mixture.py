@@ -28,7 +28,7 @@ from robust_filterpy.correction.standardization import ordered_scaling
 from robust_filterpy.correction.whitening import Inverse
 from robust_filterpy.filters._bounded import finite_product
 from robust_filterpy.influence.functions import Huber
-from robust_filterpy.kernel import learnt as kernel
+from robust_filterpy.kernel import learnt as half_step
 
 __all__ = ["Kept", "Mixture", "ordinary_noise"]
 
@@ -116,11 +116,7 @@ class Mixture:
         """Return x and P of all copies after a prediction: mixed as the scale may have changed, then moved."""
         control = None if Bu is None else Bu.ravel()
         now = self.current(kept, x.ravel(), P).copies
-        moved = self._by_kernel(now, self.begin(1), np.full((1, 1), np.nan), (F, Q, None, None, control), alpha_sq)
-        if moved is None:
-            after = self._merged(side_by_side.predict(now, F, Q, self.scales, control, alpha_sq))
-        else:
-            after = moved[0]
+        after = _kept(*half_step.predict(now, F, Q, self.scales, control, alpha_sq))
         return after.x.reshape(x.shape).copy(), after.P.copy(), None if kept is None else after
 
     def corrected(
@@ -130,17 +126,12 @@ class Mixture:
         kept = self.current(known.kept, x, P)
         # Raises where H x is not finite.
         finite_product(H, x)
-        ordinary_call = M is None and inv is None and self.learns
-        taken = self._by_kernel(kept.copies, known.memory, z[None], (None, None, H, R, None)) if ordinary_call else None
-        if taken is None:
-            found = learnt.correct(kept.copies, known.memory, z, H, R, self.classes, self.scales, M, inv)
-            after = self._merged(found.copies)
-        else:
-            after, found = taken
+        found, *merged_to = half_step.correct(kept.copies, known.memory, z, H, R, self.classes, self.scales, M, inv)
         if np.isnan(found.weights).all():
             ordinary = ordinary_noise(R, known.memory)
             return nothing_observed(x, P, H.dot(P).dot(H.T) + ordinary, len(H)), known.kept
         told = (kept.x.copy(), kept.P.copy(), H.copy(), R.copy(), M, z, known.memory)
+        after = _kept(found.copies, *merged_to)
         record = Mixed(after.x.copy(), after.P.copy(), found.memory, found, *told)
         return record, None if known.kept is None else after
 
@@ -204,35 +195,14 @@ class Mixture:
             raise ValueError(f"state: expected unseen in [0, 1], got {unseen}")
         return Kept(found["means"], found["covariances"], shares, x.copy(), P.copy(), unseen)
 
-    def _by_kernel(
-        self, copies: Copies, memory: Array, z: Array, model: tuple[Any, ...], alpha_sq: float = 1.0
-    ) -> tuple[Kept, learnt.Corrected] | None:
-        """Take half a step by the kernel, a prediction by F and Q or a correction by H and R; None if it declines."""
-        n, m = copies.x.shape[1], z.shape[1]
-        F, Q, H, R, control = (None if a is None else a[None] for a in model)
-        predicts, state = F is not None, kernel.begin(copies, memory)
-        if predicts:
-            H, R = np.zeros((1, m, n)), np.ones((1, m, m))
-        else:
-            F = Q = np.zeros((1, n, n))
-        weights, likelihood = np.full((1, m), np.nan), np.zeros(1)
-        into = kernel.Kept(weights=None if predicts else weights, log_likelihood=likelihood)
-        half = kernel.PREDICTION if predicts else kernel.CORRECTION
-        steps = (F, Q, H, R, control)
-        if not kernel.run(state, z, steps, self.classes, self.scales, into, alpha_sq=alpha_sq, which=half):
-            return None
-        means, covariances, probabilities, known, x, P, unseen = state
-        # The last thing that is known of a sensor are the probabilities of its sample's classes.
-        first = 2 + len(self.classes.scales)
-        outlying = np.where(np.isnan(weights[0]), 0.0, 1.0 - known[:, first])
-        moved = Copies(means, covariances, probabilities, float(unseen[0]))
-        return Kept(*moved[:3], x, P, moved.unseen), learnt.Corrected(
-            moved, known, float(likelihood[0]), weights[0], outlying
-        )
-
     def _merged(self, copies: Copies) -> Kept:
         """Return copies together with what they merge to."""
-        return Kept(*copies[:3], *merged(copies, self.scales), copies.unseen)
+        return _kept(copies, *merged(copies, self.scales))
+
+
+def _kept(copies: Copies, x: Array, P: Array) -> Kept:
+    """Return copies together with what they merge to."""
+    return Kept(*copies[:3], x, P, copies.unseen)
 
 
 class Mixed(NamedTuple):

@@ -19,8 +19,7 @@ Imports from below: `influence`, `correction`, `kernel`, `filters`, `smoothing`.
 
 from __future__ import annotations
 
-from robust_filterpy.correction.copies import Scales
-from robust_filterpy.correction.learning import NoiseClasses
+from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.fusion.fusion import Estimate, Fusion, FusionWarning, SensorNoise
 from robust_filterpy.fusion.motion import (
     Motion,
@@ -34,11 +33,12 @@ from robust_filterpy.fusion.sensors import Sensor, angle
 from robust_filterpy.fusion.verdicts import Verdict
 
 __all__ = [
+    "Contaminated",
     "Estimate",
     "Fusion",
     "FusionWarning",
+    "Learnt",
     "Motion",
-    "NoiseClasses",
     "Recording",
     "Scales",
     "Sensor",

@@ -14,7 +14,6 @@ import numpy as np
 from robust_filterpy._arrays import require_finite_prediction
 from robust_filterpy._checks import Array
 from robust_filterpy.correction import copies as side_by_side
-from robust_filterpy.correction import learnt as learnt_step
 from robust_filterpy.correction import spread
 from robust_filterpy.correction.copies import Copies, Scales
 from robust_filterpy.correction.definition import correct, correct_by_custom, innovation_moments
@@ -81,6 +80,11 @@ class Policy(Protocol):
         """Return x (N, n), P (N, n, n) and weights (N, M) of many steps, and the last state."""
 
 
+def _copies(state: State) -> Copies:
+    """Return the copies of a state."""
+    return Copies(*state[:3], state.unseen)
+
+
 class LearntNoise:
     """Copies side by side under noise that is a mixture of classes, learnt or told (`correction.learnt`).
 
@@ -114,41 +118,25 @@ class LearntNoise:
 
     def predicted(self, state: State, F: Array, Q: Array, drift: Array) -> State:
         """Return the state after a stretch of time."""
-        found = self._by_kernel(state, np.full((1, len(state.memory)), np.nan), (F, Q, None, None, drift), 1)
-        if found is None:
-            moved = side_by_side.predict(Copies(*state[:3], state.unseen), F, Q, self.doubt, drift)
-            found = self._of(moved, state)
+        found = self._of(*learnt_kernel.predict(_copies(state), F, Q, self.doubt, drift), state)
         require_finite_prediction(found.x, found.P)
         return found
 
     def corrected(self, state: State, z: Array, H: Array, R: Array, learns: Any) -> State:
         """Return the state after the readings of one moment."""
-        found = self._by_kernel(state, z[None], (None, None, H, R, None), 2)
-        if found is None:
-            copies = Copies(*state[:3], state.unseen)
-            one = learnt_step.correct(copies, state.memory, z, H, R, self.noise, self.doubt)
-            found = self._of(one.copies, state)._replace(memory=one.memory)
+        one, x, P = learnt_kernel.correct(_copies(state), state.memory, z, H, R, self.noise, self.doubt)
+        memory = one.memory
         if not np.all(learns):
-            found = found._replace(memory=np.where(np.asarray(learns)[:, None], found.memory, state.memory))
-        return found
-
-    def _by_kernel(self, state: State, z: Array, model: tuple[Any, ...], which: int) -> State | None:
-        """Return half a step by the kernel, None where it declines."""
-        n, m = len(state.x), z.shape[1]
-        empty = (np.eye(n), np.zeros((n, n)), np.zeros((m, n)), np.eye(m), np.zeros(n))
-        stacks = tuple((e if a is None else a)[None] for a, e in zip(model, empty, strict=True))
-        stands = learnt_kernel.begin(Copies(*state[:3], state.unseen), state.memory)
-        if not learnt_kernel.run(stands, z, stacks, self.noise, self.doubt, learnt_kernel.Kept(), which=which):
-            return None
-        return self._taken(stands, state)
+            memory = np.where(np.asarray(learns)[:, None], memory, state.memory)
+        return self._of(one.copies, x, P, state)._replace(memory=memory)
 
     def _taken(self, stands: learnt_kernel.State, state: State) -> State:
         """Return where the kernel stands as a state."""
-        return self._of(Copies(*stands[:3], float(stands.unseen[0])), state)._replace(memory=stands.learnt)
+        copies = Copies(*stands[:3], float(stands.unseen[0]))
+        return self._of(copies, stands.x, stands.P, state)._replace(memory=stands.learnt)
 
-    def _of(self, copies: Copies, state: State) -> State:
-        """Return copies as a state, with what they merge to."""
-        x, P = side_by_side.merged(copies, self.doubt)
+    def _of(self, copies: Copies, x: Array, P: Array, state: State) -> State:
+        """Return copies, and x and P that they merge to, as a state."""
         return State(*copies[:3], state.memory, x, P, copies.unseen, state.sizes, state.u, state.trial)
 
     def factors(self, state: State) -> Array:
@@ -175,16 +163,16 @@ class LearntNoise:
         x, P, weights = np.empty((steps, n)), np.empty((steps, n * n)), np.empty((steps, m))
         kept, first = learnt_kernel.Kept(x, P, weights=weights), 0
         while first < steps:
-            stands = learnt_kernel.begin(Copies(*state[:3], state.unseen), state.memory)
+            stands = learnt_kernel.begin(_copies(state), state.memory)
             reached = learnt_kernel.run(stands, zs, (F, Q, H, R, drift), self.noise, self.doubt, kept, first=first)
             if reached > first:
                 state, first = self._taken(stands, state), reached
                 continue
             i, h = (first if len(F) > 1 else 0), (first if len(H) > 1 else 0)
             moved = self.predicted(state, F[i], Q[i], drift[first if len(drift) > 1 else 0])
-            copies = Copies(*moved[:3], moved.unseen)
-            one = learnt_step.correct(copies, moved.memory, zs[first], H[h], R[0], self.noise, self.doubt)
-            state = self._of(one.copies, moved)._replace(memory=one.memory)
+            told = (zs[first], H[h], R[0], self.noise, self.doubt)
+            one, mean, covariance = learnt_kernel.correct(_copies(moved), moved.memory, *told)
+            state = self._of(one.copies, mean, covariance, moved)._replace(memory=one.memory)
             x[first], P[first], weights[first], first = state.x, state.P.ravel(), one.weights, first + 1
         return x, P.reshape(steps, n, n), weights, state
 

@@ -113,9 +113,8 @@ class Timeline:
         """Return what there is before an entry, and of when it is."""
         if not i:
             return self.base, self.base_key
-        moment = self.entries[i - 1].moment
-        assert moment is not None
-        return moment, self.keys[i - 1]
+        # An entry before this one has been judged.
+        return self.entries[i - 1].moment, self.keys[i - 1]  # type: ignore[return-value]
 
     def forget(self) -> None:
         """Let go of entries that are neither in the window nor wanted as history; they have been judged for good."""

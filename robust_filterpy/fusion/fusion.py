@@ -12,9 +12,16 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._warning import warn
-from robust_filterpy.correction.copies import Scales
-from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.options import Choices
+from robust_filterpy.correction.policies import (
+    Contaminated,
+    Learnt,
+    Scales,
+    noise_classes,
+    noise_policy,
+    process_policy,
+    process_scales,
+)
 from robust_filterpy.fusion import _keeping
 from robust_filterpy.fusion._policies import BoundedInfluence, LearntNoise, Policy
 from robust_filterpy.fusion._stepping import Setup, begun, moved
@@ -80,11 +87,11 @@ class Fusion:
         Its covariance; by default 1e8 I, a standard deviation of ten thousand units.
     t0 : stamp, optional
         When the state was x0; by default at the earliest reading.
-    noise : NoiseClasses, optional
-        Classes of measurement noise: learnt by default, for each component of each sensor.
-    process : Scales, optional
-        Factors of Q side by side and the chance that the state jumps; by default `Scales`'s own. Its dwell and jump
-        are in stamps. ``Scales((1.0,), jump=0.0)`` trusts Q and the start.
+    noise : Contaminated, Learnt or "learnt", default "learnt"
+        How measurements fail, as in `RobustKalmanFilter`: told, or learnt for each component of each sensor.
+    process : Scales, Contaminated or "scales", default "scales"
+        What the process may be, as there. Dwell and jump of `Scales` are in stamps. ``Scales((1.0,), jump=0.0)`` trusts
+        Q and the start.
     influence : Influence, optional
         Instead of noise and process: a bounded influence function as in `RobustKalmanFilter`, or ``Linear()`` for the
         Kalman filter. R is then to be told.
@@ -124,8 +131,8 @@ class Fusion:
         x0: ArrayLike | None = None,
         P0: ArrayLike | None = None,
         t0: Any = None,
-        noise: NoiseClasses | None = None,
-        process: Scales | None = None,
+        noise: Contaminated | Learnt | str | None = None,
+        process: Scales | Contaminated | str | None = None,
         influence: Influence | None = None,
         watch: bool = False,
     ) -> None:
@@ -206,8 +213,7 @@ class Fusion:
             return self._refused(sensor, key, horizon)
         found = line.find(key)
         again = found is not None and sensor in found.spoke
-        if again and not replace:
-            assert found is not None
+        if found is not None and again and not replace:
             if not np.array_equal(found.z[place], z, equal_nan=True):
                 raise ValueError(
                     f"sensor {sensor!r}: expected one reading for each stamp, got {z} at {self._clock.stamp(key)} "
@@ -295,14 +301,13 @@ class Fusion:
             If t is before anything that is kept, or no time; or if nothing was read and t is not given.
         """
         line, key = self._timeline, None if t is None else self._clock.key(t)
-        if key is None and not line.keys and line.base_key is None:
-            raise ValueError("estimate: expected a reading first, got none; or pass t")
         first = line.base_key if line.base_key is not None else line.keys[0] if line.keys else None
         if key is not None and first is not None and key < first:
             raise ValueError(f"t: expected a time from {self._clock.stamp(first)} on, which is kept, got {t}")
         moment, at, entries = line.until(key)
         when = at if key is None else key
-        assert when is not None
+        if when is None:
+            raise ValueError("estimate: expected a reading first, got none; or pass t")
         state = moved(self._setup, moment.state, 0.0 if at is None else self._clock.between(at, when))
         said = line.last_words(entries)
         ages = {name: self._clock.between(said[name], when) if name in said else math.inf for name in self.sensors}
@@ -446,19 +451,15 @@ class Fusion:
         self._timeline, self._clock, self._counts = _keeping.restored(self._timeline, state, OUTCOMES)
 
 
-def _policy(layout: Layout, noise: NoiseClasses | None, process: Scales | None, influence: Influence | None) -> Policy:
+def _policy(layout: Layout, noise: Any, process: Any, influence: Influence | None) -> Policy:
     """Return what predicts and corrects: the one place where a kind of filter is chosen."""
+    noise, process = noise_policy(noise), process_policy(process)
     if influence is None:
-        if noise is not None and not isinstance(noise, NoiseClasses):
-            raise TypeError(f"noise: expected NoiseClasses(..), got {_checks.shown(noise)}")
-        if process is not None and not isinstance(process, Scales):
-            raise TypeError(f"process: expected Scales(..), got {_checks.shown(process)}")
-        noise = NoiseClasses() if noise is None else noise
-        if noise.grouping == "joint":
-            raise ValueError('noise: expected grouping "component": all sensors stand in one vector')
-        if not noise.learns:
+        if isinstance(noise, Contaminated):
             _require_told(layout, "noise that is told")
-        return LearntNoise(noise, Scales() if process is None else process)
+        # All sensors stand in one vector, in which each fails on its own.
+        classes = noise_classes(Learnt() if noise is None else noise, "component")
+        return LearntNoise(classes, process_scales(Scales() if process is None else process))
     if noise is not None or process is not None:
         raise ValueError("influence: expected neither noise nor process beside it")
     _require_told(layout, "influence")

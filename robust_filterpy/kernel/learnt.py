@@ -1,4 +1,4 @@
-"""Learnt noise by the kernel: a prediction, a correction, a recording; None or fewer steps where it declines."""
+"""Learnt noise by the kernel: a recording as far as it serves; half a step, by the definition where it declines."""
 
 from __future__ import annotations
 
@@ -8,12 +8,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robust_filterpy._checks import Array
-from robust_filterpy.correction import learning
+from robust_filterpy.correction import copies as side_by_side
+from robust_filterpy.correction import learning, learnt
 from robust_filterpy.correction.copies import Copies, Scales
 from robust_filterpy.correction.learning import NoiseClasses
+from robust_filterpy.correction.learnt import Corrected
+from robust_filterpy.correction.whitening import Inverse
 from robust_filterpy.kernel import extension
 
-__all__ = ["Kept", "State", "begin", "run"]
+__all__ = ["Kept", "State", "begin", "correct", "predict", "run"]
 
 #: Which half of a step is taken.
 PREDICTION, CORRECTION, BOTH = 1, 2, 3
@@ -133,3 +136,97 @@ def run(
         (*kept[:-1], likelihood), (first, last, every, alpha_sq, bool(update_first), width, which),
     )  # fmt: skip
     return int(taken)
+
+
+def predict(
+    copies: Copies, F: Array, Q: Array, process: Scales, Bu: Array | None = None, alpha_sq: float = 1.0
+) -> tuple[Copies, Array, Array]:
+    """Predict copies of a filter: `robust_filterpy.correction.copies.predict`.
+
+    Parameters
+    ----------
+    copies : Copies
+        Before.
+    F : ndarray, shape (n, n)
+        Transition matrix.
+    Q : ndarray, shape (n, n)
+        Process noise covariance.
+    process : Scales
+        Copies of the filter.
+    Bu : ndarray, shape (n,), optional
+        What the control input adds.
+    alpha_sq : float, default 1
+        Fading memory factor.
+
+    Returns
+    -------
+    copies : Copies
+    x : ndarray, shape (n,)
+        Mean of all.
+    P : ndarray, shape (n, n)
+        Its covariance.
+    """
+    n = len(F)
+    state = begin(copies, _SENSOR)
+    model = (F[None], Q[None], np.zeros((1, 1, n)), np.ones((1, 1, 1)), None if Bu is None else Bu[None])
+    if run(state, np.full((1, 1), np.nan), model, _NOISE, process, Kept(), alpha_sq=alpha_sq, which=PREDICTION):
+        return Copies(*state[:3], float(state.unseen[0])), state.x, state.P
+    moved = side_by_side.predict(copies, F, Q, process, Bu, alpha_sq)
+    return moved, *side_by_side.merged(moved, process)
+
+
+def correct(
+    copies: Copies,
+    memory: Array,
+    z: Array,
+    H: Array,
+    R: Array,
+    noise: NoiseClasses,
+    process: Scales,
+    M: Array | None = None,
+    inv: Inverse | None = None,
+) -> tuple[Corrected, Array, Array]:
+    """Correct copies of a filter by one measurement: `robust_filterpy.correction.learnt.correct`.
+
+    Parameters
+    ----------
+    copies, memory, z, H, R, noise, process, M, inv
+        As there.
+
+    Returns
+    -------
+    corrected : Corrected
+    x : ndarray, shape (n,)
+        Mean of all copies.
+    P : ndarray, shape (n, n)
+        Its covariance.
+
+    Raises
+    ------
+    SingularInnovationError
+        As there.
+    """
+    if M is None and inv is None and noise.learns:
+        (m, n), state = H.shape, begin(copies, memory)
+        weights, likelihood = np.full((1, m), np.nan), np.zeros(1)
+        model = (_nothing(n), _nothing(n), H[None], R[None], None)
+        into = Kept(weights=weights, log_likelihood=likelihood)
+        if run(state, z[None], model, noise, process, into, which=CORRECTION):
+            # The last thing that is known of a sensor are the probabilities of its sample's classes.
+            ordinary = state.learnt[:, 2 + len(noise.scales)]
+            outlying = np.where(np.isnan(weights[0]), 0.0, 1.0 - ordinary)
+            moved = Copies(*state[:3], float(state.unseen[0]))
+            return Corrected(moved, state.learnt, float(likelihood[0]), weights[0], outlying), state.x, state.P
+    found = learnt.correct(copies, memory, z, H, R, noise, process, M, inv)
+    return found, *side_by_side.merged(found.copies, process)
+
+
+#: A prediction tells nothing of noise.
+_NOISE = NoiseClasses((1.0,))
+_SENSOR = _NOISE.start(1)
+
+
+@lru_cache(maxsize=64)
+def _nothing(n: int) -> Array:
+    """Return F and Q of a half step that has none."""
+    return np.zeros((1, n, n))

@@ -32,9 +32,9 @@ def test_told_everything_and_in_order_it_is_the_loop_of_filterpy(policy):
     motion = constant_velocity(2, 0.5)
     options = {"influence": Linear()}
     if policy != "linear":
-        from robust_filterpy.fusion import NoiseClasses, Scales
+        from robust_filterpy.fusion import Contaminated, Scales
 
-        options = {"noise": NoiseClasses((1.0,), probabilities=(1.0,)), "process": Scales((1.0,), jump=0.0)}
+        options = {"noise": Contaminated(0.0), "process": Scales((1.0,), jump=0.0)}
     fusion = Fusion(motion, sensors(), 5.0, x0=np.zeros(4), P0=100.0 * np.eye(4), **options)
     for one in readings:
         fusion.observe(*one)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from robust_filterpy.fusion import NoiseClasses, Scales, Sensor, constant_velocity
+from robust_filterpy.fusion import Contaminated, Scales, Sensor, constant_velocity
 from robust_filterpy.influence import Huber, Linear
 
 GPS = [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]
@@ -10,7 +10,7 @@ WHEEL = [[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 POLICIES = {
     "learnt": {},
     "trusting Q": {"process": Scales((1.0,), jump=0.0)},
-    "told": {"noise": NoiseClasses(scales=(1.0, 100.0), probabilities=(0.9, 0.1))},
+    "told": {"noise": Contaminated(0.1, 10.0)},
     "linear": {"influence": Linear()},
     "huber": {"influence": Huber()},
 }

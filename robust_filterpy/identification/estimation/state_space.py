@@ -98,20 +98,17 @@ def identified_state_space(
     known = [~np.isnan(told.y[part]) for part in spans]
     orders = structure.orders
     _require_informative(structure, parts, known, min(orders))
-    table, best, worse = [], None, 0
+    tried: list[_Found] = []
     with one_thread():
         for n in orders:
-            if len(orders) > 1 and not _enough(structure, parts, known, n):
+            if tried and not _enough(structure, parts, known, n):
                 break
-            found = _searched(structure, n, parts, known, influence)
-            table.append((n, found.criterion))
-            if best is None or found.criterion < best.criterion:
-                best, worse = found, 0
-            elif (worse := worse + 1) == _PATIENCE:
+            tried.append(_searched(structure, n, parts, known, influence))
+            best = int(np.argmin([found.criterion for found in tried]))
+            if len(tried) - 1 - best == _PATIENCE:
                 break
-        assert best is not None
-        model = _in_units(best, units, told, spans, known, rest, structure)
-    return replace(model, orders=tuple(table))
+        model = _in_units(tried[best], units, told, spans, known, rest, structure)
+    return replace(model, orders=tuple((n, found.criterion) for n, found in zip(orders, tried, strict=False)))
 
 
 class _Units(NamedTuple):
