@@ -14,7 +14,8 @@ import numpy as np
 from filterpy.common import Q_discrete_white_noise
 from scipy.linalg import block_diag
 
-from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy import Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy.influence import Hampel
 
 DEFAULT = "Huber, the default"
 CHOICES = {

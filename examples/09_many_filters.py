@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from robust_filterpy import FilterBank, RobustKalmanFilter, filter_series
+from robust_filterpy import RobustKalmanFilter, filter_series
+from robust_filterpy.batch import FilterBank
 from robust_filterpy.experiments import bootstrap_interval, monte_carlo
 
 F = np.array([[1.0, 1.0], [0.0, 0.95]])

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from robust_filterpy import ParameterTracker, select_structure, validate
-from robust_filterpy.identification import compare
+from robust_filterpy import ParameterTracker
+from robust_filterpy.identification import compare, select_structure, validate
 from robust_filterpy.plotting import plot_comparison
 
 STEPS, SECONDS = 1600, 10

@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import lfilter
 
-from robust_filterpy import ARX, select_structure
+from robust_filterpy import ARX
 from robust_filterpy.experiments import fit_percent
+from robust_filterpy.identification import select_structure
 from robust_filterpy.plotting import plot_structure_selection
 
 A, B = [1.0, -1.5, 0.7], [0.0, 0.0, 0.0, 0.0, 1.0, 0.5]

@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import lfilter
 
-from robust_filterpy import OutputError, identify, validate
+from robust_filterpy import OutputError, identify
+from robust_filterpy.identification import validate
 
 A, B = np.convolve([1.0, -0.95], [1.0, 0.4, 0.45]), [0.0, 0.05, 0.25, 0.25]
 STEPS = 1500

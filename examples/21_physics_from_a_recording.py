@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from robust_filterpy import GreyBox, identify
+from robust_filterpy import identify
+from robust_filterpy.identification import GreyBox
 from robust_filterpy.plants.servo import PneumaticParameters, simulate_servo
 from robust_filterpy.plants.servo.equations import servo_derivatives
 

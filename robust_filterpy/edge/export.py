@@ -70,7 +70,8 @@ def export_c(
     Examples
     --------
     >>> import tempfile
-    >>> from robust_filterpy import RobustKalmanFilter, export_c
+    >>> from robust_filterpy import RobustKalmanFilter
+    >>> from robust_filterpy.edge import export_c
     >>> kf = RobustKalmanFilter(dim_x=2, dim_z=1)
     >>> kf.F[0, 1], kf.H[0, 0] = 0.1, 1.0
     >>> with tempfile.TemporaryDirectory() as folder:

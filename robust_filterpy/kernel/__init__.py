@@ -4,8 +4,8 @@ What is written in numpy (`robust_filterpy.correction` above all) is the definit
 faster and is held to it by tests. Where it declines, the definition serves; where it could not be built, that serves
 everywhere. ``ROBUST_FILTERPY_KERNEL=off`` in the environment makes that so, for tests.
 
-The headers (``real.h`` says how they are written) know nothing of Python and are what `robust_filterpy.export_c` writes
-for microcontrollers: C99, sizes as arguments, workspaces from the caller, no allocation, no state of their own.
+The headers (``real.h`` says how they are written) know nothing of Python and are what `robust_filterpy.edge.export_c`
+writes for microcontrollers: C99, sizes as arguments, workspaces from the caller, no allocation, no state of their own.
 
 * `records`, `series`: series and recordings, from Python. `record`: what one correction left.
 * `learnt`: steps under learnt noise (``learnt.h``).

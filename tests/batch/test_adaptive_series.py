@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import support
 
-from robust_filterpy import AdaptiveKalmanFilter, Learnt, Scales, adaptive_series
+from robust_filterpy import AdaptiveKalmanFilter, Learnt, Scales
+from robust_filterpy.batch import adaptive_series
 from robust_filterpy.correction import SingularInnovationError
 from robust_filterpy.correction.learning import SCALES
 

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import support
 
-from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy import Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.batch.bank import FilterBank
 from robust_filterpy.correction import NotPositiveDefiniteError, SingularInnovationError
+from robust_filterpy.influence import Hampel
 
 INFLUENCES = [Huber(), Linear(), Hampel(), TukeyBiweight(), StudentT()]
 

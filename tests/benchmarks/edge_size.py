@@ -16,7 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from robust_filterpy import RobustKalmanFilter, export_c
+from robust_filterpy import RobustKalmanFilter
+from robust_filterpy.edge import export_c
 from robust_filterpy.identification import ARX, OutputError, ParameterTracker
 
 MATH = """

@@ -17,15 +17,8 @@ from functools import partial
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from robust_filterpy import (
-    AdaptiveKalmanFilter,
-    Linear,
-    RobustKalmanFilter,
-    Scales,
-    adaptive_series,
-    filter_series,
-    kernel,
-)
+from robust_filterpy import AdaptiveKalmanFilter, Linear, RobustKalmanFilter, Scales, filter_series, kernel
+from robust_filterpy.batch import adaptive_series
 
 SIZES = ((2, 1), (4, 1), (8, 1), (4, 2), (7, 4), (20, 5))
 #: Greatest ratio of the robust filter, by the kernel and by the definition.

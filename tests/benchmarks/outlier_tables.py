@@ -26,9 +26,10 @@ from outlier_problems import (
     vehicle,
 )
 
-from robust_filterpy import Contaminated, Hampel, Huber, RobustKalmanFilter, Scales, StudentT, TukeyBiweight
+from robust_filterpy import Contaminated, Huber, RobustKalmanFilter, Scales, StudentT, TukeyBiweight
 from robust_filterpy.experiments import bootstrap_interval, monte_carlo
 from robust_filterpy.identification import ParameterTracker
+from robust_filterpy.influence import Hampel
 
 LABELS = "Kalman, told the labels"
 TWO_SIDED = {"noise": Contaminated(), "process": Scales((1, 10, 100), jump=0)}

@@ -29,10 +29,9 @@ from robust_filterpy import (
     StudentT,
     TukeyBiweight,
     smooth,
-    smooth_series,
 )
 from robust_filterpy.experiments import bootstrap_interval, monte_carlo
-from robust_filterpy.smoothing import FixedLagSmoother
+from robust_filterpy.smoothing import FixedLagSmoother, smooth_series
 
 LABELS = "told the labels, RTS"
 

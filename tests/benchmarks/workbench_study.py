@@ -23,7 +23,8 @@ from scipy.signal import lfilter
 from statsmodels.stats.diagnostic import acorr_ljungbox
 from statsmodels.tsa.arima.model import ARIMA
 
-from robust_filterpy import ARMA, ARX, BoxJenkins, OutputError, ParameterTracker, identify, select_structure, validate
+from robust_filterpy import ARX, OutputError, ParameterTracker, identify
+from robust_filterpy.identification import ARMA, BoxJenkins, select_structure, validate
 from robust_filterpy.plants import random_walk, simulate_output_error, stable
 
 ORDERS, DELAYS = (1, 2, 3, 4), range(1, 9)

@@ -5,9 +5,10 @@ import pytest
 import support
 from numpy.testing import assert_allclose, assert_array_equal
 
-from robust_filterpy import Hampel, Huber, Linear, StudentT, TukeyBiweight
+from robust_filterpy import Huber, Linear, StudentT, TukeyBiweight
 from robust_filterpy.correction import Choices, NotPositiveDefiniteError, SingularInnovationError, correct
 from robust_filterpy.correction.definition import embed_block, innovation_moments
+from robust_filterpy.influence import Hampel
 
 pytestmark = pytest.mark.core
 

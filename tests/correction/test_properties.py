@@ -7,8 +7,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from robust_filterpy import Hampel, Huber, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.correction import NotPositiveDefiniteError
+from robust_filterpy.influence import Hampel
 
 pytestmark = pytest.mark.core
 

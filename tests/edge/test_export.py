@@ -26,8 +26,9 @@ from c_programs import (
 from support import needs_kernel, without_kernel
 
 import robust_filterpy
-from robust_filterpy import Huber, Linear, RobustKalmanFilter, StudentT, export_c
-from robust_filterpy.identification import ARX, OutputError, ParameterTracker, Structure
+from robust_filterpy import Huber, Linear, RobustKalmanFilter, StudentT
+from robust_filterpy.edge import export_c
+from robust_filterpy.identification import ARX, OutputError, ParameterTracker, Structure, TrackerBank
 from robust_filterpy.identification.recursive.conditioning import repaired
 
 needs_cc = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
@@ -288,7 +289,7 @@ def tracker(**options):
 
 
 REFUSED = {
-    "bank": (lambda: robust_filterpy.TrackerBank(2, robust_filterpy.ARX(1, 1)), TypeError, r"model\.tracker\(\.\.\)"),
+    "bank": (lambda: TrackerBank(2, ARX(1, 1)), TypeError, r"model\.tracker\(\.\.\)"),
     "filterpy's filter": (lambda: filterpy.kalman.KalmanFilter(2, 1), TypeError, "influence=Linear"),
     "extended": (lambda: robust_filterpy.RobustExtendedKalmanFilter(2, 1), TypeError, "working point"),
     "several": (

@@ -8,7 +8,6 @@ import support
 from filterpy.kalman import MerweScaledSigmaPoints
 
 from robust_filterpy import (
-    Hampel,
     Huber,
     Linear,
     RobustCubatureKalmanFilter,
@@ -18,6 +17,7 @@ from robust_filterpy import (
     StudentT,
     TukeyBiweight,
 )
+from robust_filterpy.influence import Hampel
 from robust_filterpy.testing import assert_refused_call_changes_nothing
 
 pytestmark = pytest.mark.core

@@ -10,7 +10,8 @@ import support
 from filterpy.common import Q_discrete_white_noise, Saver, kinematic_kf
 from filterpy.kalman import IMMEstimator, KalmanFilter, MMAEFilterBank
 
-from robust_filterpy import Hampel, Linear, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy import Linear, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy.influence import Hampel
 from robust_filterpy.testing import assert_state_round_trip
 
 pytestmark = pytest.mark.core

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import support
 
-from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy import Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.correction import NotPositiveDefiniteError
+from robust_filterpy.influence import Hampel
 
 pytestmark = pytest.mark.core
 

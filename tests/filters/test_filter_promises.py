@@ -9,7 +9,6 @@ from filterpy.kalman import MerweScaledSigmaPoints
 from support import RECOVERING, recovering, told, two_sided
 
 from robust_filterpy import (
-    Hampel,
     Huber,
     Linear,
     RobustCubatureKalmanFilter,
@@ -19,6 +18,7 @@ from robust_filterpy import (
     StudentT,
     TukeyBiweight,
 )
+from robust_filterpy.influence import Hampel
 from robust_filterpy.testing import draw, filter_checks, run_filter
 from robust_filterpy.testing.assertions.robustness import assert_efficient, assert_recovers_from_jump
 

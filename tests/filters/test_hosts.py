@@ -7,8 +7,6 @@ from support import recovering, told, two_sided
 
 from robust_filterpy import (
     AdaptiveKalmanFilter,
-    FilterBank,
-    Hampel,
     Huber,
     Linear,
     RobustExtendedKalmanFilter,
@@ -17,6 +15,8 @@ from robust_filterpy import (
     TukeyBiweight,
     filter_series,
 )
+from robust_filterpy.batch import FilterBank
+from robust_filterpy.influence import Hampel
 
 SIZES = [1e-300, 1e-160, 1.0, 1e20, 1e160, 1e300]
 READ = ("x", "P", "log_likelihood", "likelihood", "mahalanobis", "y_bounded", "weights")

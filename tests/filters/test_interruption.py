@@ -9,7 +9,6 @@ from interruption import half_steps
 
 from robust_filterpy import (
     Contaminated,
-    FilterBank,
     Learnt,
     RobustCubatureKalmanFilter,
     RobustExtendedKalmanFilter,
@@ -18,6 +17,7 @@ from robust_filterpy import (
     Scales,
     TukeyBiweight,
 )
+from robust_filterpy.batch import FilterBank
 from robust_filterpy.filters.ensemble import RobustEnsembleKalmanFilter
 
 F, H = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[1.0, 0.0]])

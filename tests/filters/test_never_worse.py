@@ -5,7 +5,8 @@ import pytest
 import support
 from numpy.testing import assert_allclose, assert_array_equal
 
-from robust_filterpy import Hampel, Huber, RobustKalmanFilter, StudentT, TukeyBiweight, filter_series
+from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight, filter_series
+from robust_filterpy.influence import Hampel
 
 pytestmark = pytest.mark.core
 STEPS = 120

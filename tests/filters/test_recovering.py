@@ -10,7 +10,8 @@ from filterpy.kalman import KalmanFilter
 from statsmodels.robust.norms import TrimmedMean
 from support import make, random_problem, recovering, simulate, with_, without_kernel
 
-from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, TukeyBiweight
+from robust_filterpy import Huber, Linear, RobustKalmanFilter, TukeyBiweight
+from robust_filterpy.influence import Hampel
 
 pytestmark = pytest.mark.core
 

@@ -10,13 +10,13 @@ from support import recovering, told, two_sided
 from robust_filterpy import (
     AdaptiveKalmanFilter,
     Contaminated,
-    FilterBank,
     RobustCubatureKalmanFilter,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
     filter_series,
 )
+from robust_filterpy.batch import FilterBank
 
 STEPS = 40
 SIZES = [(2, 1), (3, 2), (4, 3), (5, 5)]

@@ -10,8 +10,9 @@ import time
 import numpy as np
 import pytest
 
-from robust_filterpy import ARX, FIR, RobustKalmanFilter, identify
+from robust_filterpy import ARX, RobustKalmanFilter, identify
 from robust_filterpy.fleet import FilterModel, TrackerModel, filter_table, step
+from robust_filterpy.identification import FIR
 
 pd = pytest.importorskip("pandas")
 pytestmark = pytest.mark.engines

@@ -9,24 +9,20 @@ from filterpy.kalman import MerweScaledSigmaPoints
 from support import RECOVERING, recovering, told, two_sided
 
 from robust_filterpy import (
-    ARMA,
-    ARMAX,
     ARX,
-    FIR,
     AdaptiveKalmanFilter,
-    BoxJenkins,
     Contaminated,
-    FilterBank,
     OutputError,
     ParameterTracker,
     RobustCubatureKalmanFilter,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
-    TrackerBank,
 )
+from robust_filterpy.batch import FilterBank
 from robust_filterpy.filters import RobustEnsembleKalmanFilter
 from robust_filterpy.fleet import pack, unpack
+from robust_filterpy.identification import ARMA, ARMAX, FIR, BoxJenkins, TrackerBank
 from robust_filterpy.smoothing import FixedLagSmoother
 
 F = np.array([[1.0, 0.1], [-0.1, 0.97]])

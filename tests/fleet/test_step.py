@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from support import two_sided
 from test_state import FILTERS, F, extended, observe, recording, signals
 
-from robust_filterpy import ARMA, ARX, FIR, OutputError, ParameterTracker, RobustKalmanFilter, robust
+from robust_filterpy import ARX, OutputError, ParameterTracker, RobustKalmanFilter, robust
 from robust_filterpy._state import StateError
 from robust_filterpy.fleet import FilterModel, TrackerModel, filter_table, pack, step, step_table, unpack
+from robust_filterpy.identification import ARMA, FIR
 
 pd = pytest.importorskip("pandas")
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from robust_filterpy import Hampel, Huber
+from robust_filterpy import Huber
 from robust_filterpy.identification import (
     ARMAX,
     ARX,
@@ -18,6 +18,7 @@ from robust_filterpy.identification import (
     ParameterTracker,
     TrackerBank,
 )
+from robust_filterpy.influence import Hampel
 
 N, LENGTH = 3, 620
 STRUCTURES = [OutputError(2, 2), ARX(2, 2), ARMAX(2, 2, 1), FIR(4), BoxJenkins(1, 1, 1, 1), ARX(2, (1, 2)), ARX(2, 0)]

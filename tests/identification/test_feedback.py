@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from robust_filterpy import ARX, BoxJenkins, OutputError, identify
+from robust_filterpy import ARX, OutputError, identify
+from robust_filterpy.identification import BoxJenkins
 
 
 def closed(seed, gain=0.5, outliers=0.0, samples=800):

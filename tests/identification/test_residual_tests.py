@@ -8,7 +8,8 @@ import pytest
 from scipy.signal import lfilter
 from statsmodels.stats.diagnostic import acorr_ljungbox
 
-from robust_filterpy import ARX, FIR, Linear, OutputError, compare, identify, validate
+from robust_filterpy import ARX, Linear, OutputError, identify
+from robust_filterpy.identification import FIR, compare, validate
 
 A, B = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5]
 THETA = np.array([-1.5, 0.7, 1.0, 0.5])

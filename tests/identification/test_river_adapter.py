@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from robust_filterpy import ARX, FIR, ParameterTracker
+from robust_filterpy import ARX, ParameterTracker
+from robust_filterpy.identification import FIR
 
 pytest.importorskip("river")
 from river import base, compose, evaluate, metrics

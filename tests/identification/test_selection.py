@@ -5,8 +5,7 @@ import pytest
 from scipy.signal import lfilter
 from statsmodels.tsa.ar_model import AutoReg
 
-from robust_filterpy import select_structure
-from robust_filterpy.identification import ARMAX, ARX, OutputError, identify
+from robust_filterpy.identification import ARMAX, ARX, OutputError, identify, select_structure
 
 A, B = [1.0, -1.5, 0.7], [1.0, 0.5]
 

@@ -5,7 +5,8 @@ import pandas as pd
 import pytest
 from scipy.signal import lfilter
 
-from robust_filterpy import AR, ARMAX, ARX, BoxJenkins, OutputError, identify
+from robust_filterpy import ARX, OutputError, identify
+from robust_filterpy.identification import AR, ARMAX, BoxJenkins
 
 A, B = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5]
 TRUE = np.array([-1.5, 0.7, 1.0, 0.5])

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from robust_filterpy import ARX, FIR, OutputError, ParameterTracker, identify
+from robust_filterpy import ARX, OutputError, ParameterTracker, identify
+from robust_filterpy.identification import FIR
 
 
 @pytest.fixture(scope="module")

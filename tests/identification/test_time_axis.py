@@ -8,18 +8,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from robust_filterpy import (
-    ARX,
-    FIR,
-    LinearRegression,
-    OutputError,
-    ParameterTracker,
-    TrackerBank,
-    compare,
-    identify,
-    select_structure,
-    validate,
-)
+from robust_filterpy import ARX, OutputError, ParameterTracker, identify
+from robust_filterpy.identification import FIR, LinearRegression, TrackerBank, compare, select_structure, validate
 
 pd = pytest.importorskip("pandas")
 

@@ -13,8 +13,9 @@ import pytest
 import support
 from filterpy.kalman import FadingKalmanFilter, InformationFilter, KalmanFilter, SquareRootKalmanFilter
 
-from robust_filterpy import AdaptiveKalmanFilter, Hampel, Huber, Linear, RobustKalmanFilter
+from robust_filterpy import AdaptiveKalmanFilter, Huber, Linear, RobustKalmanFilter
 from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError, ParameterTracker
+from robust_filterpy.influence import Hampel
 from robust_filterpy.noise import EpsilonContaminated
 from robust_filterpy.plants import simulate_arx, simulate_output_error
 

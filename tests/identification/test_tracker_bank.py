@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 import support
 
-from robust_filterpy import Hampel, Huber, Linear, StudentT, TukeyBiweight
+from robust_filterpy import Huber, Linear, StudentT, TukeyBiweight
 from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError
 from robust_filterpy.identification.models.guard import GUARDS
 from robust_filterpy.identification.recursive import bank as bank_module
 from robust_filterpy.identification.recursive import track
 from robust_filterpy.identification.recursive.recursion import GRADIENTS
+from robust_filterpy.influence import Hampel
 from robust_filterpy.noise import EpsilonContaminated
 from robust_filterpy.plants import simulate_output_error
 

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from robust_filterpy import OutputError, compare, identify, validate
+from robust_filterpy import OutputError, identify
+from robust_filterpy.identification import compare, validate
 
 A, B = [1.0, -1.5, 0.7], [0.0, 0.0, 1.0, 0.5]
 

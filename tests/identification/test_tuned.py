@@ -5,7 +5,8 @@ import pytest
 from numpy.testing import assert_array_equal
 from scipy.stats import norm
 
-from robust_filterpy import ARX, FIR, OutputError, ParameterTracker
+from robust_filterpy import ARX, OutputError, ParameterTracker
+from robust_filterpy.identification import FIR
 from robust_filterpy.identification.models.learnt_noise import ContaminatedNormal, Noise
 from robust_filterpy.identification.recursive.tuned import Tried, TunedTracker
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import support
 
-from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy import Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.filters import _step
+from robust_filterpy.influence import Hampel
 
 support.needs_kernel()
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import support
 
-from robust_filterpy import Hampel, Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight, kernel
+from robust_filterpy import Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight, kernel
 from robust_filterpy.correction import NotPositiveDefiniteError
 from robust_filterpy.correction.options import INFORMATIONS, SCALINGS
 from robust_filterpy.identification import (
@@ -21,6 +21,7 @@ from robust_filterpy.identification import (
 from robust_filterpy.identification.models.guard import GUARDS
 from robust_filterpy.identification.recursive import track
 from robust_filterpy.identification.recursive.recursion import GRADIENTS
+from robust_filterpy.influence import Hampel
 from robust_filterpy.noise import EpsilonContaminated
 from robust_filterpy.plants import simulate_output_error
 

@@ -39,6 +39,31 @@ def test_every_name_of_the_list_is_the_one_that_type_checkers_see(room):
         assert getattr(module, name) is getattr(importlib.import_module(home), name)
 
 
+def test_the_root_has_25_names_at_most():
+    assert len(dir(robust_filterpy)) <= 25
+
+
+def test_every_name_of_a_room_is_found_where_the_root_says_it_is():
+    rooms = [path.parent.name for path in Path(robust_filterpy.__file__).parent.glob("[a-z]*/__init__.py")]
+    assert len(rooms) > 15
+    for room in set(rooms) - {"kalman", "common", "kernel", "testing"}:
+        for name in set(importlib.import_module(f"robust_filterpy.{room}").__all__) - set(robust_filterpy.__all__):
+            with pytest.raises(AttributeError, match=rf"no `{name}`; it is in .*robust_filterpy\.{room}\b"):
+                getattr(robust_filterpy, name)
+
+
+def test_an_import_of_a_name_that_lives_in_a_room_says_so():
+    with pytest.raises(ImportError, match=r"no `TrackerBank`; it is in robust_filterpy\.identification$"):
+        from robust_filterpy import TrackerBank  # noqa: F401
+    assert not hasattr(robust_filterpy, "TrackerBank")
+
+
+def test_a_room_needs_no_import_of_its_own():
+    code = "import robust_filterpy; print(robust_filterpy.edge.export_c.__name__)"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout == "export_c\n"
+
+
 def test_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no_such_name"):
         robust_filterpy.no_such_name  # noqa: B018

@@ -3,16 +3,9 @@
 import numpy as np
 import pytest
 
-from robust_filterpy import (
-    ARX,
-    ParameterTracker,
-    RobustKalmanFilter,
-    TrackerBank,
-    adaptive_series,
-    estimate_noise,
-    filter_series,
-    smooth,
-)
+from robust_filterpy import ARX, ParameterTracker, RobustKalmanFilter, estimate_noise, filter_series, smooth
+from robust_filterpy.batch import adaptive_series
+from robust_filterpy.identification import TrackerBank
 
 Y = np.cumsum(np.random.default_rng(10_001).normal(size=300))
 Y[7] = np.nan

@@ -14,7 +14,8 @@ import numpy as np
 import robust_filterpy as rf
 from filterpy.common import Q_discrete_white_noise
 
-from robust_filterpy import ARX, FilterBank, Huber, OutputError, ParameterTracker, RobustKalmanFilter, filter_series
+from robust_filterpy import ARX, Huber, OutputError, ParameterTracker, RobustKalmanFilter, filter_series
+from robust_filterpy.batch import FilterBank
 from robust_filterpy.common import Saver, kinematic_kf
 from robust_filterpy.kalman import IMMEstimator, KalmanFilter, MerweScaledSigmaPoints
 from robust_filterpy.kalman.kalman_filter import KalmanFilter as SameFilter

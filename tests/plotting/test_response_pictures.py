@@ -7,17 +7,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from robust_filterpy import (
-    ARMAX,
-    ARX,
-    FIR,
-    BoxJenkins,
-    LinearRegression,
-    OutputError,
-    ParameterTracker,
-    identify,
-    plotting,
-)
+from robust_filterpy import ARX, OutputError, ParameterTracker, identify, plotting
+from robust_filterpy.identification import ARMAX, FIR, BoxJenkins, LinearRegression
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt

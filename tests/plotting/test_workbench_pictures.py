@@ -5,17 +5,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from robust_filterpy import (
-    ARX,
-    FIR,
-    OutputError,
-    ParameterTracker,
-    compare,
-    identify,
-    plotting,
-    select_structure,
-    validate,
-)
+from robust_filterpy import ARX, OutputError, ParameterTracker, identify, plotting
+from robust_filterpy.identification import FIR, compare, select_structure, validate
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt

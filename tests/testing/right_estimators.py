@@ -10,15 +10,8 @@ from wrong_filters import PLAIN, ROBUST, EigenvalueRoots, Textbook, TextbookRobu
 from wrong_trackers import PLAIN as PLAIN_TRACKER
 from wrong_trackers import LeastSquares, RobustLeastSquares
 
-from robust_filterpy import (
-    Hampel,
-    Huber,
-    Linear,
-    RobustExtendedKalmanFilter,
-    RobustKalmanFilter,
-    StudentT,
-    TukeyBiweight,
-)
+from robust_filterpy import Huber, Linear, RobustExtendedKalmanFilter, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy.influence import Hampel
 
 #: The spread of the innovations is learnt, and remembered.
 SPREAD = ("memoryless",)
