@@ -1,6 +1,7 @@
 """Sphinx configuration: MyST pages, numpydoc reference, a theme that needs no network."""
 
 import sys
+import tempfile
 from pathlib import Path
 
 HERE = Path(__file__).parent
@@ -17,6 +18,13 @@ copyright = author
 version = release = __version__
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc"]
+# The pages of situations draw their figures when the site is built; a page that has not changed keeps them.
+extensions += ["matplotlib.sphinxext.plot_directive"]
+plot_formats = [("png", 110)]
+plot_html_show_formats = plot_html_show_source_link = False
+plot_rcparams = {"figure.figsize": (7.5, 4), "figure.constrained_layout.use": True}
+plot_apply_rcparams = True
+plot_working_directory = tempfile.mkdtemp()
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 exclude_patterns = ["_build"]

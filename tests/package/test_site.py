@@ -26,6 +26,12 @@ SNIPPETS = {
     if path.name not in ("testing.md", "fleet.md")
     for i, text in enumerate(re.findall(r"```python\n(.*?)```", path.read_text(encoding="utf-8"), flags=re.S))
 }
+# A page that draws has one program, in one or several parts.
+DRAWN = {
+    str(path.relative_to(DOCS)): "\n".join(re.sub(r"(?m)^:.*\n", "", part) for part in parts)
+    for path in sorted(DOCS.rglob("*.md"))
+    if (parts := re.findall(r"```{plot}\n(.*?)```", path.read_text(encoding="utf-8"), flags=re.S))
+}
 
 
 class Page(HTMLParser):
@@ -104,6 +110,20 @@ def test_every_example_has_its_place_in_the_gallery(monkeypatch):
 def test_program_runs(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     exec(compile(SNIPPETS[name], name, "exec"), {"__name__": "page"})
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_a_page_of_a_situation_draws_what_it_promises(name, tmp_path, monkeypatch):
+    if "main.c" in DRAWN[name] and not shutil.which("cc"):
+        pytest.skip("needs a C compiler")
+    monkeypatch.chdir(tmp_path)
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    pyplot.switch_backend("Agg")
+    pyplot.close("all")
+    exec(compile(DRAWN[name], name, "exec"), {"__name__": "page"})
+    axes = pyplot.gca()
+    assert axes.get_ylabel() or axes.get_legend()
+    pyplot.close("all")
 
 
 @pytest.mark.slow
