@@ -1,4 +1,4 @@
-"""What `print` shows of a result: a line for each part, small arrays in full, of large ones shape, median and range."""
+"""What `print` shows of an object: a line for each part; of large arrays shape, range and median."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["brief"]
+__all__ = ["brief", "lines_of"]
 
 _SMALL, _WIDE = 9, 100
 
@@ -14,9 +14,13 @@ _SMALL, _WIDE = 9, 100
 def brief(record: Any) -> str:
     """Return a named tuple or dataclass as text that fits a screen."""
     names = getattr(record, "_fields", None) or record.__dataclass_fields__
-    width = max(map(len, names))
-    lines = [f"  {name:{width}}  {_part(getattr(record, name))}" for name in names]
-    return "\n".join([type(record).__name__, *lines])
+    return "\n".join([type(record).__name__, *lines_of({name: getattr(record, name) for name in names})])
+
+
+def lines_of(parts: dict[str, Any]) -> list[str]:
+    """Return a line for each part, names and values in columns."""
+    width = max(map(len, parts))
+    return [f"  {name:{width}}  {_part(value)}" for name, value in parts.items()]
 
 
 def _part(value: Any) -> str:

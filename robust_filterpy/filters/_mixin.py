@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
-from filterpy.common import pretty_str
 
 from robust_filterpy._arrays import state_of
 from robust_filterpy._checks import Array
@@ -24,6 +23,7 @@ from robust_filterpy.filters._learning import LearningMixin
 from robust_filterpy.filters._options import OptionsMixin
 from robust_filterpy.filters._outlier_share import EVERY, Share
 from robust_filterpy.filters._policy import policy_of
+from robust_filterpy.filters._printing import PrintingMixin
 from robust_filterpy.filters._sensors import Customs
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.kernel.record import correction_of
@@ -36,7 +36,7 @@ Inverse = Callable[[Array], Array]
 _Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
-class RobustFilterMixin(OptionsMixin, LearningMixin, StateMixin):
+class RobustFilterMixin(OptionsMixin, LearningMixin, PrintingMixin, StateMixin):
     """Add to a filter of filterpy's the choices of a robust correction and the attributes that show what it did.
 
     Comes before filterpy's class among the bases. The filter stores its `Correction` in ``_last`` and sets
@@ -248,19 +248,6 @@ class RobustFilterMixin(OptionsMixin, LearningMixin, StateMixin):
             length = math.sqrt(max(float(y / peak @ SI @ (y / peak)), 0.0))
             self._mahalanobis = min(peak * length, sys.float_info.max)
         return self._mahalanobis
-
-    def __repr__(self) -> str:
-        """Show the choices and everything that filterpy shows."""
-        lines = super().__repr__().split("\n")
-        names = ["influence", "scaling", "information", "grouping", "spread", "weights", "clipped", "e", "T"]
-        if self.noise is not None:
-            names[:3] = "noise", "process"
-            names[3:4] = "R_learnt", "noise_learnt", "process_scale", "outlier_probability"
-        elif self.patience is not None:
-            names[4:4] = "patience", "refused", "recoveries"
-        return "\n".join(
-            [f"{type(self).__name__} object", *lines[1:], *(pretty_str(name, getattr(self, name)) for name in names)]
-        )
 
 
 class Snapshot:

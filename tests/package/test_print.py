@@ -1,9 +1,9 @@
-"""`print` of a result fits a screen, however long the recording was."""
+"""`print` of a result fits a screen, however long the recording was; that of a filter, however many states it has."""
 
 import numpy as np
 import pytest
 
-from robust_filterpy import ARX, ParameterTracker, RobustKalmanFilter, estimate_noise, filter_series, smooth
+from robust_filterpy import ARX, Contaminated, ParameterTracker, RobustKalmanFilter, estimate_noise, filter_series, smooth
 from robust_filterpy.batch import adaptive_series
 from robust_filterpy.identification import TrackerBank
 
@@ -38,3 +38,27 @@ def test_it_fits_a_screen_and_names_its_parts(name):
     assert lines[0] == type(result).__name__
     first = next(iter(getattr(result, "_fields", None) or result.__dataclass_fields__))
     assert lines[1].split()[0] == first
+
+
+FILTERS = {
+    "default": {},
+    "patience": {"patience": 12, "scaling": "innovation"},
+    "told": {"noise": Contaminated()},
+    "learnt": {"noise": "learnt", "process": "scales"},
+}
+
+
+@pytest.mark.parametrize("policy", FILTERS)
+@pytest.mark.parametrize("n", [2, 40])
+def test_a_filter_fits_a_screen_and_says_what_it_has_learnt(policy, n):
+    kf = RobustKalmanFilter(n, 2, **FILTERS[policy])
+    kf.H = np.eye(2, n)
+    assert "weights" not in str(kf)
+    for z in 3.0 * np.random.default_rng(10_003).normal(size=(50, 2)):
+        kf.predict()
+        kf.update(z)
+    lines = str(kf).splitlines()
+    assert len(lines) <= 15 and max(map(len, lines)) <= 150
+    assert f"{n} states, 2 measured" in lines[0] and "its weights" in str(kf)
+    assert ("learnt" in str(kf)) == (policy in ("default", "learnt"))
+    assert "SI = " in repr(kf)
