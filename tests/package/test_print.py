@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from robust_filterpy import ARX, Contaminated, ParameterTracker, RobustKalmanFilter, estimate_noise, filter_series, smooth
+from robust_filterpy import (
+    ARX,
+    Contaminated,
+    ParameterTracker,
+    RobustKalmanFilter,
+    estimate_noise,
+    filter_series,
+    smooth,
+)
 from robust_filterpy.batch import adaptive_series
 from robust_filterpy.identification import TrackerBank
 

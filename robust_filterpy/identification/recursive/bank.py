@@ -557,9 +557,7 @@ class TrackerBank:
             they are shared.
             ``numpy.savez(file, **state)`` stores it.
         """
-        # What a user sets may be a list.
-        settings = {name: numbers(name, getattr(self, name)) for name in "QF"}
-        settings |= {"enabled": self._enabled, "R": self._now.scale[:, 0], "alpha_sq": self._alpha_sq}
+        settings = {**self._set_by_hand(), "enabled": self._enabled, "R": self._now.scale[:, 0]}
         return _state.labelled(self.kind, {**self._now.arrays(), **settings})
 
     @property
@@ -586,8 +584,19 @@ class TrackerBank:
 
         Notes
         -----
-        The continuation is the same to the last bit.
+        The continuation is the same to the last bit. Q, F and forgetting are the state's; a warning says so where the
+        bank was made with others.
         """
+        before = self._set_by_hand()
+        self._go_back(state)
+        setup.say_replaced("TrackerBank", before, self._set_by_hand())
+
+    def _set_by_hand(self) -> dict[str, Any]:
+        """Return what the user may have set; a list as well."""
+        return {"alpha_sq": self._alpha_sq, **{name: numbers(name, getattr(self, name)) for name in "QF"}}
+
+    def _go_back(self, state: Any) -> None:
+        """Take over a state, or raise; nothing has changed then."""
         _state.require_kind(state, self.kind)
         found = bank_setup.checked_state(state, self.form, self.n)
         self._now = self._now.restored(found, found["R"])
@@ -596,7 +605,7 @@ class TrackerBank:
 
     def reset(self) -> None:
         """Go back to the start: theta, P, Q, R, F and the memory as they were when the bank was made."""
-        self.restore(self._initial)
+        self._go_back(self._initial)
 
 
 def _every(keep: Any, length: int) -> int:

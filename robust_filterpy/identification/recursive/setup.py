@@ -340,6 +340,15 @@ def apply_settings(kf: Any, state: dict[str, Array]) -> None:
             setattr(kf, _SETTINGS[key], state[key].item() if state[key].ndim == 0 else state[key])
 
 
+def say_replaced(owner: str, before: dict[str, Any], after: dict[str, Any]) -> None:
+    """Warn of each setting that a state replaces by another one."""
+    words = {"Q": "Q", "F": "F", "alpha_sq": "forgetting"}
+    other = [word for key, word in words.items() if key in before and not np.array_equal(before[key], after[key])]
+    if other:
+        names = " and ".join(other)
+        warn(f"{owner}.restore: {names} of the state took the place of what was set; set it again after restore")
+
+
 def checked_state(state: Any, shapes: dict[str, tuple[int, ...]], present: dict[str, Array]) -> dict[str, Array]:
     """Return a state's arrays, copied, or raise if one is missing or does not fit."""
     needed = {name: tuple(None if size == -1 else size for size in shape) for name, shape in shapes.items()}

@@ -803,8 +803,15 @@ class ParameterTracker(Responses):
         Notes
         -----
         The continuation is the same to the last bit, for filters that hold x and P themselves. What it has warned of is
-        not in a state; one from before there was a watch in it is watched from here on.
+        not in a state; one from before there was a watch in it is watched from here on. Q, F and forgetting are the
+        state's; a warning says so where the tracker was made with others.
         """
+        before = setup.settings(self.filter)
+        self._go_back(state)
+        setup.say_replaced("ParameterTracker", before, setup.settings(self.filter))
+
+    def _go_back(self, state: Any) -> None:
+        """Take over a state, or raise; nothing has changed then."""
         n, structure = self.form.layout.n, self.structure
         shapes = {"theta": (n,), "P": (n, n), **self.form.layout.shapes(), "enabled": (), "recursion": (7,)}
         shapes["start"] = (-1, 1 + structure.n_inputs)
@@ -821,7 +828,7 @@ class ParameterTracker(Responses):
 
     def reset(self) -> None:
         """Go back to the start: theta, P, Q, R, F and the memory as they were when the tracker was made."""
-        self.restore(self._initial)
+        self._go_back(self._initial)
 
     def replaced(self, *, Q: ArrayLike | None = None, forgetting: float | None = None) -> ParameterTracker:
         """Return a copy with another Q or forgetting, which it has after a reset, too.
