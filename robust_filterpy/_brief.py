@@ -27,6 +27,8 @@ def _part(value: Any) -> str:
     """Return one part as a line."""
     if isinstance(value, np.ndarray):
         return _array(value)
+    if isinstance(value, dict):
+        return ", ".join(map(str, value))
     text = f"{value:.6g}" if isinstance(value, float) else " ".join(str(value).split())
     return text if len(text) <= _WIDE else f"{text[: _WIDE - 3]}..."
 

@@ -101,7 +101,7 @@ def spread(part: Callable[[int, int], np.ndarray], series: int, n_threads: int) 
     edges = np.unique(np.linspace(0, series, 4 * n_threads + 1).astype(int)).tolist() if n_threads > 1 else [0, series]
     spans = list(itertools.pairwise(edges))
     if len(spans) < 2:
-        done = [part(*span) for span in spans]
+        done = [part(*span) for span in spans or [(0, 0)]]
     else:
         # Compile, or load from the cache, in one thread, before two do the same work.
         part(0, 0)

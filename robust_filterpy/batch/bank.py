@@ -174,7 +174,7 @@ class FilterBank:
                 if not np.isfinite(innovation[z[i] == z[i]]).all():
                     raise ValueError("update: expected finite innovations, got NaN or infinity; check x and H")
                 C, S_i = innovation_moments(P[i], H_i, R_i)
-                if self._learns_spread and not np.isnan(innovation).all():
+                if choices.by_custom and not np.isnan(innovation).all():
                     found = correct_by_custom(memory[i], x[i], P[i], innovation, C, S_i, R_i, choices, H_i)
                     memory[i] = found.memory
                 else:
@@ -191,11 +191,6 @@ class FilterBank:
     def spread(self) -> Array:
         """How large each sensor's standardized innovations usually are, shape (n, dim_z); NaN before the first."""
         return np.where(self._memory[..., spread.WEIGHT] > 0.0, self._memory[..., spread.SPREAD], np.nan)
-
-    @property
-    def _learns_spread(self) -> bool:
-        """Whether thresholds are in units of the spread; the Kalman filter has none."""
-        return self._choices.scaling == "learnt" and not self._choices.is_linear
 
     def state(self) -> dict[str, Array]:
         """Return everything that the filters need to go on, as plain arrays.

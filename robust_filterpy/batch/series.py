@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,13 +10,15 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array
-from robust_filterpy.batch._arguments import series_arguments, spread, threads
-from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
-from robust_filterpy.correction.spread import NUMBERS
+from robust_filterpy.batch._arguments import SeriesArguments, series_arguments, spread, threads
+from robust_filterpy.batch._standing import Rules, began, continued, refuse, rules_of
+from robust_filterpy.correction.options import Grouping, Information, Scaling
+from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.influence.functions import Huber, Influence
+from robust_filterpy.kernel import learnt as learnt_kernel
 from robust_filterpy.kernel import series as kernel
-from robust_filterpy.kernel.records import Model, Output
+from robust_filterpy.kernel.records import Model
 
 __all__ = ["FilteredSeries", "filter_series"]
 
@@ -32,13 +35,25 @@ class FilteredSeries(NamedTuple):
     log_likelihood : ndarray, shape (S,)
         Log-likelihood of each whole series.
     weights : ndarray, shape (S, K, dim_z)
-        psi(e)/e, NaN where a component was missing.
+        psi(e)/e; under ``noise=`` the expected precision over that of ordinary noise, in (0, 1]; NaN where a component
+        was missing.
+    outlier_probability : ndarray, shape (S, K), or None
+        Under ``noise=``, the probability that a component of the measurement was an outlier.
+    process_scale : ndarray, shape (S, K), or None
+        Under ``noise=``, the mean factor of Q in the step before the measurement.
+    state : dict of str to ndarray
+        Where each series stands after its last step, what `RobustKalmanFilter.state` calls so with the series in front:
+        x, P, what is known of its sensors (``spread`` or ``learnt``), and the copies under ``process=``. x and P are
+        NaN where a series was refused.
     """
 
     x: Array
     P: Array | None
     log_likelihood: Array
     weights: Array
+    outlier_probability: Array | None
+    process_scale: Array | None
+    state: dict[str, Array]
 
     def __str__(self) -> str:
         """Return what fits a screen."""
@@ -51,13 +66,17 @@ def filter_series(
     H: ArrayLike,
     Q: ArrayLike,
     R: ArrayLike,
-    x0: ArrayLike,
-    P0: ArrayLike,
+    x0: ArrayLike | None = None,
+    P0: ArrayLike | None = None,
     *,
     influence: Influence = Huber(),
-    scaling: Scaling = "learnt",
+    scaling: Scaling | None = None,
     information: Information = "realized",
     grouping: Grouping = "component",
+    noise: Contaminated | Learnt | str | None = None,
+    process: Contaminated | Scales | str | None = None,
+    learnt: ArrayLike | None = None,
+    state: Mapping[str, Any] | None = None,
     keep: str | int = "all",
     covariance: str = "full",
     refused: str = "raise",
@@ -79,8 +98,14 @@ def filter_series(
         Mean before the first prediction.
     P0 : array_like, shape (dim_x, dim_x) or (S, dim_x, dim_x)
         Its covariance.
-    influence, scaling, information, grouping
-        As in `RobustKalmanFilter`.
+    influence, scaling, information, grouping, noise, process
+        As in `RobustKalmanFilter`; with ``noise=Learnt()`` what is learnt is each series' own.
+    learnt : array_like, shape (1 or dim_z, w), or (S, ..) for each series its own, optional
+        What is known of the noise before the first step: the ``learnt`` of a filter, or of a state, with the same
+        ``noise=``.
+    state : mapping of str to ndarray, optional
+        Where an earlier part of the same series, with the same options, has ended, instead of x0, P0 and learnt: many
+        filters go on together, a sample at a time if need be, and the numbers are those of one call.
     keep : {"all", "last"} or int, default "all"
         Which steps to return: all, the last, or every keep-th (steps keep - 1, 2 keep - 1, ..), so that memory is
         bounded.
@@ -95,7 +120,7 @@ def filter_series(
     Returns
     -------
     FilteredSeries
-        x, P, log_likelihood, weights.
+        x, P, log_likelihood, weights, outlier_probability, process_scale, state.
 
     Raises
     ------
@@ -107,9 +132,10 @@ def filter_series(
     Notes
     -----
     Same numbers, to rounding, as a loop over `RobustKalmanFilter`; by the kernel, where that is there, many times
-    faster. A function of arrays alone, so an engine
-    for data that do not fit one machine can call it block by block over the series: with Dask
-    ``dask.array.map_blocks(lambda z: filter_series(z, F, H, Q, R, x0, P0).x, zs, dtype=float, chunks=..)``.
+    faster. A function of arrays alone, so an engine for data that do not fit one machine can call it block by block
+    over the series: with Dask
+    ``dask.array.map_blocks(lambda z: filter_series(z, F, H, Q, R, x0, P0).x, zs, dtype=float, chunks=..)``. A series
+    that is refused keeps what it had learnt.
 
     Examples
     --------
@@ -118,66 +144,135 @@ def filter_series(
     >>> result = filter_series(zs, F, [[1.0, 0.0]], 0.01 * np.eye(2), np.eye(1), np.zeros(2), np.eye(2))
     >>> result.x.shape, result.weights[1, :, 0]
     ((2, 3, 2), array([ 1., nan,  1.]))
+
+    Where R is a guess, it is learnt, for each series; and later samples go on from there:
+
+    >>> rng, scales = np.random.default_rng(0), np.array([1.0, 5.0])
+    >>> zs = (scales * np.where(rng.random((400, 2)) < 0.1, 10.0, 1.0) * rng.normal(size=(400, 2))).T[:, :, None]
+    >>> model = [[1.0]], [[1.0]], [[1e-4]], [[1.0]]
+    >>> found = filter_series(zs, *model, [0.0], [[1.0]], noise="learnt", process="scales")
+    >>> bool(np.abs(np.log(found.state["learnt"][:, 0, 0] ** 0.5 / scales)).max() < 0.4)
+    True
+    >>> more = rng.normal(size=(2, 1, 1))
+    >>> filter_series(more, *model, noise="learnt", process="scales", state=found.state).x.shape
+    (2, 1, 1)
     """
-    choices = Choices(influence, scaling, information, grouping)
+    if state is not None:
+        if not (x0 is None and P0 is None and learnt is None):
+            raise ValueError("state: expected none of x0, P0, learnt beside it; it holds them")
+        if not (isinstance(state, Mapping) and {"x", "P"} <= set(state)):
+            raise TypeError(f"state: expected what filter_series returned as state, got {type(state).__name__}")
+        x0, P0 = state["x"], state["P"]
     given = series_arguments(zs, F, H, Q, R, x0, P0, keep, covariance, refused)
-    z, model, x, P, kept, every, skips = given
-    series, steps, m = z.shape
+    (_, steps, m), kept = given.z.shape, given.kept
+    kf = RobustKalmanFilter(
+        given.x.shape[1], m, influence=influence, scaling=scaling, information=information, grouping=grouping,
+        noise=noise, process=process,
+    )  # fmt: skip
+    rules = rules_of(kf)
+    stands = began(rules, given, learnt) if state is None else continued(rules, given, state)
+    shown = Shown(*(np.empty(kept.means.shape[:2]) for _ in range(2))) if rules.classes else Shown(None, None)
+    by_kernel = _by_psi if rules.classes is None else _by_classes
     n_threads = threads(n_threads)
-    memory, starts = np.zeros((series, m, NUMBERS)), [0] * series
-    if series and steps and kernel.serves(choices):
-        starts = _run_kernel(choices, z, model, x, P, memory, kept, every, n_threads).tolist()
-    for s, start in enumerate(starts):
+    for s, start in enumerate(by_kernel(rules, given, stands, shown, n_threads).tolist()):
         if start < steps:
-            _run_filter(choices, z, model, (x[s], P[s], memory[s]), kept, every, s, start, skips)
-    return FilteredSeries(kept.means, given.covariances(covariance), kept.log_likelihood, kept.weights)
+            _by_filter(kf, given, stands, shown, s, start)
+    return FilteredSeries(
+        kept.means, given.covariances(covariance), kept.log_likelihood, kept.weights, *shown, stands
+    )  # fmt: skip
 
 
-def _run_kernel(
-    choices: Choices, z: Array, model: Any, x: Array, P: Array, memory: Array, kept: Output, every: int, n_threads: int
-) -> np.ndarray:
+class Shown(NamedTuple):
+    """What a filter under noise= shows besides, (series, kept step) each."""
+
+    outlier_probability: Array | None
+    process_scale: Array | None
+
+
+def _by_psi(rules: Rules, given: SeriesArguments, stands: dict[str, Array], shown: Shown, n_threads: int) -> np.ndarray:
     """Run the kernel, which lets go of the interpreter, on threads; return how many steps of each were taken."""
-    F, Q, H, R = model
-    full = Model(F, Q, H, R, np.zeros((1, 1, x.shape[1])))
+    choices, (F, Q, H, R) = rules.choices, given.model
+    if choices is None or not kernel.serves(choices) or not given.z.size:
+        return np.zeros(len(given.z), dtype=int)
+    model = Model(F, Q, H, R, np.zeros((1, 1, given.x.shape[1])))
 
     def part(low: int, high: int) -> np.ndarray:
         return kernel.filter_series(
-            choices, z, full, x, P, kept, memory=memory, every=every, span=(low, high)
+            choices, given.z, model, stands["x"], stands["P"], given.kept, memory=stands.get("spread"),
+            every=given.every, span=(low, high),
         )[low:high]  # fmt: skip
 
-    return spread(part, len(z), n_threads)
+    return spread(part, len(given.z), n_threads)
 
 
-def _run_filter(
-    choices: Choices, z: Array, model: Any, state: tuple[Array, ...], kept: Output, every: int, s: int, start: int,
-    skips: bool,
-) -> None:  # fmt: skip
-    """Run one series by a filter's own steps from a step on; skips: whether one that is refused becomes NaN."""
-    kf = RobustKalmanFilter(
-        len(state[0]), z.shape[2], influence=choices.influence, scaling=choices.scaling,
-        information=choices.information, grouping=choices.grouping,
-    )  # fmt: skip
-    kf.x, kf.P, memory = state
-    kf._learn(memory, len(memory))
-    F, Q, H, R = (matrix[s if len(matrix) > 1 else 0] for matrix in model)
-    for k in range(start, z.shape[1]):
+def _by_classes(
+    rules: Rules, given: SeriesArguments, stands: dict[str, Array], shown: Shown, n_threads: int
+) -> np.ndarray:
+    """Do the same under classes of noise."""
+    classes, kept = rules.classes, given.kept
+    if classes is None:
+        return np.zeros(len(given.z), dtype=int)
+
+    def one(s: int) -> int:
+        x, P = stands["x"][s], stands["P"][s]
+        at = {name: array[s : s + 1] if name == "unseen" else array[s] for name, array in stands.items()}
+        start = learnt_kernel.State(
+            at.get("means", x[None].copy()), at.get("covariances", P[None].copy()), at.get("shares", np.ones(1)),
+            at.get("learnt", classes.start(given.z.shape[2])), x, P, at.get("unseen", np.zeros(1)),
+        )  # fmt: skip
+        outlying, scale = (None if column is None else column[s][:, None] for column in shown)
+        width = kept.covariances[s].size and (len(kept.covariances[s]), -1)
+        into = learnt_kernel.Kept(
+            kept.means[s], kept.covariances[s].reshape(width) if width else None, None, None, kept.weights[s],
+            outlying, scale, kept.log_likelihood[s : s + 1],
+        )  # fmt: skip
+        model = (*(array[s % len(array)] for array in given.model), None)
+        return learnt_kernel.run(start, given.z[s], model, classes, rules.process, into, every=given.every)
+
+    return spread(lambda low, high: np.array([one(s) for s in range(low, high)], dtype=int), len(given.z), n_threads)
+
+
+def _by_filter(
+    kf: RobustKalmanFilter, given: SeriesArguments, stands: dict[str, Array], shown: Shown, s: int, start: int
+) -> None:
+    """Run one series by a filter's own steps from a step on."""
+    kept, every = given.kept, given.every
+    columns = [a for a in (kept.means, kept.covariances, kept.weights, *shown) if a is not None]
+    model = [matrix[s % len(matrix)] for matrix in given.model]
+    for k in range(start, given.z.shape[1]):
         try:
-            kf.F, kf.Q, kf.H, kf.R = (a[k if len(a) > 1 else 0] for a in (F, Q, H, R))
+            if k == start:
+                kf.restore({name: array[s] for name, array in stands.items()})
+            kf.F, kf.Q, kf.H, kf.R = (a[k % len(a)] for a in model)
             kf.predict()
-            kf.update(z[s, k])
+            kf.update(given.z[s, k])
         except (ValueError, np.linalg.LinAlgError) as error:
-            if not skips:
+            if not given.skips:
                 error.args = (f"series {s}, step {k}: {error}", *error.args[1:])
                 raise
-            for column in (kept.means, kept.covariances, kept.weights):
+            for column in columns:
                 column[s, k // every :] = np.nan
             kept.log_likelihood[s] = np.nan
+            if k > start:
+                _take(kf, stands, s)
+            refuse(stands, s)
             return
         kept.log_likelihood[s] += kf.log_likelihood
         if (k + 1) % every == 0:
             row = (k + 1) // every - 1
             kept.means[s, row], kept.weights[s, row] = kf.x, kf.weights
-            if kept.covariances.shape[2] == 1:
-                kept.covariances[s, row, 0] = np.diagonal(kf.P)
-            elif kept.covariances.shape[2]:
-                kept.covariances[s, row] = kf.P
+            if kept.covariances.shape[2]:
+                kept.covariances[s, row] = np.diagonal(kf.P) if kept.covariances.shape[2] == 1 else kf.P
+            if shown.outlier_probability is not None and shown.process_scale is not None:
+                shown.outlier_probability[s, row], shown.process_scale[s, row] = (
+                    kf.outlier_probability,
+                    kf.process_scale,
+                )
+    _take(kf, stands, s)
+
+
+def _take(kf: RobustKalmanFilter, stands: dict[str, Array], s: int) -> None:
+    """Let a series stand where a filter stands."""
+    found = kf.state()
+    for name, array in stands.items():
+        array[s] = found.get(name, array[s])

@@ -109,6 +109,11 @@ class Choices:
         return unbounded and self.pointwise is not None
 
     @cached_property
+    def by_custom(self) -> bool:
+        """Whether thresholds are in units of a spread that is learnt; the Kalman filter has none."""
+        return self.scaling == "learnt" and not self.is_linear
+
+    @cached_property
     def expected(self) -> float:
         """E[psi'] clipped to [0, 1] (paper 40, 45)."""
         return min(max(expected_information(self.influence), 0.0), 1.0)

@@ -53,7 +53,7 @@ class Bounded:
     @property
     def learns(self) -> bool:
         """Whether thresholds are in units of the spread; the Kalman filter has none."""
-        return self.choices.scaling == "learnt" and not self.choices.is_linear
+        return self.choices.by_custom
 
     def begin(self, sensors: int) -> Array:
         """Return the memory of sensors of which nothing is known."""

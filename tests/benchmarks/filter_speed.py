@@ -18,7 +18,6 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import AdaptiveKalmanFilter, Linear, RobustKalmanFilter, Scales, filter_series, kernel
-from robust_filterpy.batch import adaptive_series
 
 SIZES = ((2, 1), (4, 1), (8, 1), (4, 2), (7, 4), (20, 5))
 #: Greatest ratio of the robust filter, by the kernel and by the definition.
@@ -96,8 +95,7 @@ def learning():
         filters = {"robust": calls(built(RobustKalmanFilter, n, m), filter_series)}
         for name, options in variants.items():
             kf = built(AdaptiveKalmanFilter, n, m, **options)
-            scales = kf.process.scales
-            filters[name] = calls(kf, partial(adaptive_series, process_scales=scales))
+            filters[name] = calls(kf, partial(filter_series, noise="learnt", process=kf.process))
         least = {name: np.full(len(ways), np.inf) for name in filters}
         for _ in range(TURNS // 5):
             for name, each in filters.items():

@@ -12,7 +12,6 @@ from robust_filterpy import (
     filter_series,
     smooth,
 )
-from robust_filterpy.batch import adaptive_series
 from robust_filterpy.identification import TrackerBank
 
 Y = np.cumsum(np.random.default_rng(10_001).normal(size=300))
@@ -29,7 +28,7 @@ def walk():
 
 RESULTS = {
     "filter_series": lambda: filter_series(Y[None, :, None], *MODEL),
-    "adaptive_series": lambda: adaptive_series(Y[None, :, None], *MODEL),
+    "learning series": lambda: filter_series(Y[None, :, None], *MODEL, noise="learnt", process="scales"),
     "smooth": lambda: smooth(walk(), Y),
     "estimate_noise": lambda: estimate_noise(walk(), Y),
     "tracker": lambda: ParameterTracker(ARX(1, 1), start=0).run(Y, U),

@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+import textwrap
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
@@ -28,9 +29,9 @@ SNIPPETS = {
 }
 # A page that draws has one program, in one or several parts.
 DRAWN = {
-    str(path.relative_to(DOCS)): "\n".join(re.sub(r"(?m)^:.*\n", "", part) for part in parts)
+    str(path.relative_to(DOCS)): "\n".join(re.sub(r"(?m)^:.*\n", "", textwrap.dedent(part)) for part in parts)
     for path in sorted(DOCS.rglob("*.md"))
-    if (parts := re.findall(r"```{plot}\n(.*?)```", path.read_text(encoding="utf-8"), flags=re.S))
+    if (parts := re.findall(r"\.\. plot::\n(.*?)```", path.read_text(encoding="utf-8"), flags=re.S))
 }
 
 

@@ -1,0 +1,126 @@
+"""Where series stand: arrays of a filter's state with the axis of the series in front."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robust_filterpy._checks import Array, numbers
+from robust_filterpy.batch._arguments import SeriesArguments
+from robust_filterpy.correction import copies, spread
+from robust_filterpy.correction.copies import Scales
+from robust_filterpy.correction.learning import NoiseClasses
+from robust_filterpy.correction.options import Choices
+from robust_filterpy.correction.policies import noise_classes, process_scales
+from robust_filterpy.filters.kalman import RobustKalmanFilter
+
+__all__ = ["Rules", "began", "continued", "refuse", "rules_of"]
+
+# What becomes NaN where a series is refused; what was learnt of its noise stays.
+_LOST = ("x", "P", "means", "covariances")
+
+
+class Rules(NamedTuple):
+    """What judges the measurements of all series: psi, or classes of noise and copies of the state."""
+
+    choices: Choices | None
+    classes: NoiseClasses | None
+    process: Scales
+
+
+def rules_of(kf: RobustKalmanFilter) -> Rules:
+    """Return the rules that a filter follows."""
+    if kf.noise is None:
+        return Rules(Choices(kf.influence, kf.scaling, kf.information, kf.grouping), None, process_scales(None))
+    return Rules(None, noise_classes(kf.noise, kf.grouping), process_scales(kf.process))
+
+
+def began(rules: Rules, given: SeriesArguments, learnt: ArrayLike | None) -> dict[str, Array]:
+    """Return where series stand that begin, or raise.
+
+    Parameters
+    ----------
+    rules : Rules
+        What judges their measurements.
+    given : SeriesArguments
+        x and P of each series.
+    learnt : array_like, shape (g, w) or (series, g, w), optional
+        What is known of the noise.
+    """
+    (series, n), m = given.x.shape, given.z.shape[2]
+    stands = {"x": given.x, "P": given.P}
+    if learnt is not None and (rules.classes is None or not rules.classes.learns):
+        raise ValueError("learnt: expected none without noise=Learnt(..), got some")
+    if rules.choices is not None and rules.choices.by_custom:
+        stands["spread"] = np.tile(spread.begin(m), (series, 1, 1))
+    process = rules.process
+    if process.count > 1:
+        begin = copies.start(np.zeros(n), np.zeros((n, n)), process)
+        stands |= {
+            "means": np.repeat(given.x[:, None], process.count, axis=1),
+            "covariances": np.repeat(given.P[:, None], process.count, axis=1),
+            "shares": np.tile(begin.probabilities, (series, 1)), "unseen": np.full(series, begin.unseen),
+        }  # fmt: skip
+    if rules.classes is not None and rules.classes.learns:
+        stands["learnt"] = _learnt(rules.classes, learnt, series, m)
+    return stands
+
+
+def continued(rules: Rules, given: SeriesArguments, state: Mapping[str, Any]) -> dict[str, Array]:
+    """Return a copy of where an earlier part of the same series has ended, or raise.
+
+    Parameters
+    ----------
+    rules : Rules
+        What judges their measurements.
+    given : SeriesArguments
+        x and P of each series.
+    state : mapping of str to ndarray
+        What `filter_series` returned as state.
+    """
+    stands = began(rules, given, None)
+    if set(state) != set(stands):
+        raise ValueError(
+            f"state: expected {', '.join(stands)} in it, got {', '.join(state)}; it goes on with the same noise=, "
+            "process= and scaling="
+        )
+    for name in [name for name in stands if name not in ("x", "P")]:
+        value = np.array(numbers(f"state[{name!r}]", state[name]), order="C")
+        if value.shape != stands[name].shape:
+            raise ValueError(
+                f"state[{name!r}]: expected shape {stands[name].shape}, got {value.shape}; it goes on with the same "
+                "series, noise= and process="
+            )
+        stands[name] = value
+    shares, unseen = stands.get("shares", np.ones((1, 1))), stands.get("unseen", np.zeros(1))
+    if not ((shares >= 0.0).all() and np.allclose(shares.sum(axis=1), 1.0)):
+        raise ValueError("state['shares']: expected numbers >= 0 that sum to 1 for each series")
+    if not ((unseen >= 0.0) & (unseen <= 1.0)).all():
+        raise ValueError("state['unseen']: expected a number between 0 and 1 for each series")
+    if rules.classes is not None and "learnt" in stands:
+        stands["learnt"] = _learnt(rules.classes, stands["learnt"], len(given.x), given.z.shape[2])
+    if not np.isfinite(stands.get("spread", unseen)).all():
+        raise ValueError("state['spread']: expected finite numbers, got NaN or infinity")
+    return stands
+
+
+def refuse(stands: dict[str, Array], s: int) -> None:
+    """Say that a series stands nowhere."""
+    for name in _LOST:
+        if name in stands:
+            stands[name][s] = np.nan
+
+
+def _learnt(classes: NoiseClasses, learnt: ArrayLike | None, series: int, m: int) -> Array:
+    """Return what is known of each series' noise before its first step, or raise."""
+    if learnt is None:
+        return np.tile(classes.start(m), (series, 1, 1))
+    values = numbers("learnt", learnt)
+    if values.ndim != 3:
+        return np.tile(classes.checked(values, m), (series, 1, 1))
+    if len(values) != series:
+        raise ValueError(f"learnt: expected an entry for each of the {series} series, got {len(values)}")
+    return np.array([classes.checked(one, m) for one in values]).reshape(values.shape)
