@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,7 +16,7 @@ from scipy.linalg.blas import dtbsv
 from robust_filterpy import Huber, Linear
 from robust_filterpy.correction import NotPositiveDefiniteError
 from robust_filterpy.experiments import fit_percent
-from robust_filterpy.identification import OutputError, ParameterTracker
+from robust_filterpy.identification import LostTrackerWarning, OutputError, ParameterTracker
 from robust_filterpy.noise import EpsilonContaminated, fisher_information
 from robust_filterpy.plants import THETA_BAR, Simulation, random_walk, simulate_output_error, stable
 
@@ -159,6 +160,7 @@ class Run(NamedTuple):
     output_fit: np.ndarray  # (trackers,) one-step prediction of the noise-free output, percent, second half
     response_error: np.ndarray  # (trackers,) relative error of the frequency response at the end
     information: np.ndarray  # (steps, n, n) of each sample about theta, for noise without outliers
+    lost: np.ndarray  # (trackers,) whether a tracker warned that it no longer follows
 
 
 def trial(
@@ -167,17 +169,20 @@ def trial(
     """Draw the data of a run, run every tracker on them, and compare what it says with the truth."""
     (u, y, y_clean, theta), is_outlier = drawn(rng, plant)
     estimates, fits = np.full((len(trackers), *theta.shape), np.nan), np.full(len(trackers), np.nan)
-    half = slice(STEPS // 2, None)
+    half, lost = slice(STEPS // 2, None), np.zeros(len(trackers), dtype=bool)
     for i, name in enumerate(trackers):
-        try:
-            estimates[i], prediction = tracking(name, plant, y, u, is_outlier)
-        except NotPositiveDefiniteError:
-            continue
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            try:
+                estimates[i], prediction = tracking(name, plant, y, u, is_outlier)
+            except NotPositiveDefiniteError:
+                continue
+        lost[i] = any(issubclass(one.category, LostTrackerWarning) for one in said)
         fits[i] = fit_percent(y_clean[half], prediction[half])
     response = _response_error(estimates[:, -1], theta[-1], plant.order)
     start = _tracker(KALMAN, plant, {}).theta
     information = _information(theta, u, y_clean, plant.order, plant.variance)
-    return Run(y, y_clean, theta, start, estimates, fits, response, information)
+    return Run(y, y_clean, theta, start, estimates, fits, response, information, lost)
 
 
 def squared(run: Run) -> np.ndarray:

@@ -92,7 +92,8 @@ def table(level: float, found: dict[str, Found], well: Run) -> str:
                 row += ["refused: P indefinite", ""]
                 continue
             over = np.exp(np.nanmean(np.log(errors_of(run, name) / errors_of(run, STAY))))
-            note = f" ({refused} refused)" if refused else ""
+            lost = 0 if name == STAY else int(run.lost[:, TRACKERS.index(name)].sum())
+            note = f" ({refused} refused)" if refused else f" ({lost} lost)" if lost else ""
             fit = "" if name == STAY else f"{np.nanmedian(run.output_fit[:, TRACKERS.index(name)]):.1f} %"
             row += [f"{over:.3g}{note}", fit]
         rows.append(row)
@@ -100,7 +101,8 @@ def table(level: float, found: dict[str, Found], well: Run) -> str:
     return (
         f"**Contamination {level:g}**, {len(well.y)} runs, samples 500-1000: squared error of theta over that of an "
         "estimate that stays at its start (geometric mean; below 1, something is learnt), and the median fit of the "
-        f"one-step prediction to the noise-free output.\n\n{markdown_table(head, rows)}"
+        f"one-step prediction to the noise-free output. Lost: runs in which the tracker says that it is."
+        f"\n\n{markdown_table(head, rows)}"
     )
 
 
