@@ -86,6 +86,13 @@ def test_nothing_is_loaded_from_the_network(site):
 
 
 @pytest.mark.slow
+def test_every_page_has_a_title_of_its_own(site):
+    titles = [re.search(r"<title>([^<]*)", path.read_text(encoding="utf-8")) for path in site]
+    named = [title.group(1) for title in titles if title]
+    assert len(named) > 50 and sorted(named) == sorted(set(named))
+
+
+@pytest.mark.slow
 def test_every_public_name_is_described(site):
     anchors = set().union(*(page.anchors for page in site.values()))
     described = {anchor.rpartition(".")[2] for anchor in anchors if anchor and anchor.startswith("robust_filterpy.")}
