@@ -1,10 +1,9 @@
 """Microseconds per step of every Kalman filter in Python, and the ratio to filterpy's in the same run.
 
-    python tests/benchmarks/compare_peers.py [--steps 2000] [--series 1000] [--growth] [--write-page]
+    python tests/benchmarks/compare_peers.py [--steps 2000] [--series 1000] [--growth]
 
 Before anything is timed, the plain Kalman answers are checked to agree. After the table, each target says whether it is
-met. --growth prints how the cost grows with steps, series and dim_x; --write-page puts the table between the two
-markers of docs/benchmarks.md. Each number is the least of many turns, so that other work on the machine matters little.
+met. --growth prints how the cost grows with steps, series and dim_x. Each number is the least of many turns, so that other work on the machine matters little.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ import argparse
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
@@ -35,7 +33,6 @@ TARGETS = [
     ("ours, bank", "filterpy", [(4, 1)], 0.05),
 ]
 LINEAR, SECONDS, BYTES = 1.5, 1.0, 2e9
-MARKERS = "<!-- speed table -->", "<!-- end speed table -->"
 
 
 class Problem:
@@ -250,7 +247,6 @@ def main() -> None:
     parser.add_argument("--series", type=int, default=1000)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--growth", action="store_true")
-    parser.add_argument("--write-page", action="store_true")
     args = parser.parse_args()
     if args.growth:
         print("Microseconds per step of a series\n" + growth())
@@ -260,13 +256,6 @@ def main() -> None:
         costs, args.steps, args.series, args.repeats
     )
     print(found + "\n\n" + verdicts(costs))
-    if args.write_page:
-        page = Path(__file__).parents[2] / "docs" / "benchmarks.md"
-        text = page.read_text(encoding="utf-8")
-        if not all(marker in text for marker in MARKERS):
-            raise SystemExit(f"docs/benchmarks.md: expected the markers {MARKERS[0]} and {MARKERS[1]}")
-        head, rest = text.split(MARKERS[0], 1)
-        page.write_text(f"{head}{MARKERS[0]}\n{found}\n{MARKERS[1]}{rest.split(MARKERS[1], 1)[1]}", encoding="utf-8")
 
 
 if __name__ == "__main__":
