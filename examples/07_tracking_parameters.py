@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from robust_filterpy import ARX, OutputError, ParameterTracker
+from robust_filterpy import ARX, Contaminated, OutputError, ParameterTracker
 from robust_filterpy.experiments import fit_percent
-from robust_filterpy.noise import EpsilonContaminated
 from robust_filterpy.plants import random_walk, simulate_output_error, stable
 from robust_filterpy.plotting import LOOKS
 
@@ -27,7 +26,7 @@ def write_recording(path, steps=2000, seed=3):
     rng = np.random.default_rng(seed)
     u = rng.choice([-1.0, 1.0], steps)
     theta = random_walk([-1.5, 0.7, 1.0, 0.5], np.diag([2e-6, 2e-6, 2e-4, 2e-4]), steps, rng, accept=stable(2, 0.97))
-    noise = EpsilonContaminated(CONTAMINATION, SIGMA, 10 * SIGMA)
+    noise = Contaminated(CONTAMINATION, 10.0, SIGMA)
     plant = simulate_output_error(theta, u, noise=noise, rng=rng, na=2, nb=2, nk=1)
     path.parent.mkdir(parents=True, exist_ok=True)
     table = np.column_stack([plant.u, plant.y, plant.y_clean, theta[:, 2]])

@@ -18,8 +18,7 @@ from pathlib import Path
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from robust_filterpy import RobustKalmanFilter
-from robust_filterpy.noise import EpsilonContaminated
+from robust_filterpy import Contaminated, RobustKalmanFilter
 from robust_filterpy.plotting import LOOKS
 
 STEPS, R, Q = 100, 0.5, 0.01
@@ -31,7 +30,7 @@ def simulate(seed: int = 4):
     rng = np.random.default_rng(seed)
     velocity = 0.4 + np.cumsum(0.1 * rng.standard_normal(STEPS))
     position = np.cumsum(velocity)
-    noise, is_outlier = EpsilonContaminated(1 / 8, R**0.5, 20.0).rvs_labelled(STEPS, rng)
+    noise, is_outlier = Contaminated(1 / 8, 20.0 / R**0.5, R**0.5).rvs_labelled(STEPS, rng)
     return position, position + noise, is_outlier
 
 

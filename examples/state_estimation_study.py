@@ -27,10 +27,9 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from robust_filterpy import Huber, Linear, RobustKalmanFilter, filter_series
+from robust_filterpy import Contaminated, Huber, Linear, RobustKalmanFilter, filter_series
 from robust_filterpy.correction import NotPositiveDefiniteError
 from robust_filterpy.experiments import bootstrap_interval, mean_square_error, monte_carlo
-from robust_filterpy.noise import EpsilonContaminated
 from robust_filterpy.plotting import LOOKS
 
 # %% The problem, equations (31)-(34)
@@ -69,9 +68,9 @@ class Setting:
     unit: float = 1.0  # every number is multiplied by this, every variance by its square
 
     @cached_property
-    def noise(self) -> EpsilonContaminated:
+    def noise(self) -> Contaminated:
         """The noise of eq (34); scipy takes longer to set a distribution up than to draw a run from it."""
-        return EpsilonContaminated(self.contamination, VARIANCE**0.5, OUTLIER_VARIANCE**0.5)
+        return Contaminated(self.contamination, OUTLIER_VARIANCE**0.5 / VARIANCE**0.5, VARIANCE**0.5)
 
 
 SETTINGS = (

@@ -13,11 +13,11 @@ from excitation import binary_input
 from filterpy.kalman import KalmanFilter
 from scipy.linalg.blas import dtbsv
 
-from robust_filterpy import Huber, Linear
+from robust_filterpy import Contaminated, Huber, Linear
 from robust_filterpy.correction import NotPositiveDefiniteError
 from robust_filterpy.experiments import fit_percent
 from robust_filterpy.identification import LostTrackerWarning, OutputError, ParameterTracker
-from robust_filterpy.noise import EpsilonContaminated, fisher_information
+from robust_filterpy.noise import fisher_information
 from robust_filterpy.plants import THETA_BAR, Simulation, random_walk, simulate_output_error, stable
 
 STEPS = 1000
@@ -59,9 +59,9 @@ class Plant:
         return len(self.theta) // 2
 
     @cached_property
-    def noise(self) -> EpsilonContaminated:
+    def noise(self) -> Contaminated:
         """The noise of Table 1; scipy takes longer to set a distribution up than to draw a run from it."""
-        return EpsilonContaminated(self.contamination, self.variance**0.5, 10 * self.variance**0.5)
+        return Contaminated(self.contamination, 10.0, self.variance**0.5)
 
     @cached_property
     def fisher(self) -> float:

@@ -9,7 +9,6 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import Contaminated, RobustKalmanFilter, Scales
-from robust_filterpy.noise import EpsilonContaminated
 from robust_filterpy.plants.excitation import bandlimited_pink_autocovariance, receding_horizon_binary
 from robust_filterpy.plants.servo import (
     PneumaticParameters,
@@ -71,7 +70,7 @@ def conditions(
     supply = SERVO.supply_pressure - 1.5e4 * (1 - np.cos(2 * np.pi * t / 10))
     physics = dict(alpha=alpha, beta=beta, load=load, supply=supply)
     outlier_std = np.array([encoder_outliers, *OUTLIERS[1:]])
-    laws = (EpsilonContaminated(contamination, *both) for both in zip(STD, outlier_std, strict=True))
+    laws = (Contaminated(contamination, wide / std, std) for std, wide in zip(STD, outlier_std, strict=True))
     drawn = [law.rvs_labelled(steps, rng) for law in laws]
     noise, is_outlier = (np.column_stack(part) for part in zip(*drawn, strict=True))
     return Conditions(reference, physics, noise, is_outlier, outlier_std)

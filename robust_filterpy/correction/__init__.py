@@ -7,6 +7,7 @@
 * `spread`: how large a sensor's innovations usually are, learnt.
 * `whitening`: T of correlated noise, for the smoothers.
 * `likelihood`: log-density of an innovation.
+* `contaminated`: `Contaminated`, the mixture of two normal distributions: drawn, told, learnt, and as a psi.
 * `policies`: what a filter is told of noise: `Contaminated`, `Learnt`, `Scales`.
 * `learning`: what is learnt of a sensor's noise, a mixture of classes, while a filter runs.
 * `copies`: copies of a filter that differ in what they take the process for.
@@ -17,6 +18,7 @@ Imports from below: `robust_filterpy.influence`.
 
 from __future__ import annotations
 
+from robust_filterpy.correction.contaminated import Contaminated, LabelledSample
 from robust_filterpy.correction.definition import (
     NotPositiveDefiniteError,
     correct,
@@ -24,13 +26,18 @@ from robust_filterpy.correction.definition import (
     innovation_moments,
 )
 from robust_filterpy.correction.options import Choices
+from robust_filterpy.correction.policies import Learnt, Scales
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.standardization import SingularInnovationError
 
 __all__ = [
     "Choices",
+    "Contaminated",
     "Correction",
+    "LabelledSample",
+    "Learnt",
     "NotPositiveDefiniteError",
+    "Scales",
     "SingularInnovationError",
     "correct",
     "correct_by_custom",

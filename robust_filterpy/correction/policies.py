@@ -11,64 +11,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from robust_filterpy import _checks
+from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.correction.copies import Scales
 from robust_filterpy.correction.learning import SCALES, NoiseClasses
 from robust_filterpy.correction.options import Grouping
 
 __all__ = ["Contaminated", "Learnt", "Scales", "noise_classes", "noise_policy", "process_policy", "process_scales"]
-
-
-@dataclass(frozen=True)
-class Contaminated:
-    """Say that noise is a mixture of two normal distributions, (1 - share) N(0, V) + share N(0, ratio^2 V).
-
-    V is the covariance that the filter has for it: R as ``noise=``, Q as ``process=``.
-
-    Parameters
-    ----------
-    contamination : float, default 0.1
-        Share of outliers, in [0, 1). With 0 there are none, and a filter with this noise is the Kalman filter.
-    scale_ratio : float, default 10
-        Standard deviation of the outliers over that of the ordinary samples, >= 1.
-
-    Raises
-    ------
-    ValueError, TypeError
-        If contamination is outside [0, 1) or scale_ratio below 1 or infinite.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from robust_filterpy import RobustKalmanFilter
-    >>> kf = RobustKalmanFilter(1, 1, noise=Contaminated(0.1, 10.0))
-    >>> kf.H = np.eye(1)
-    >>> kf.update(8.0)
-    >>> round(kf.outlier_probability, 3), bool(abs(kf.x[0, 0]) < 0.1)
-    (1.0, True)
-    """
-
-    contamination: float = 0.1
-    scale_ratio: float = 10.0
-
-    def __post_init__(self) -> None:
-        """Check the parameters."""
-        object.__setattr__(self, "contamination", _checks.fraction("contamination", self.contamination))
-        ratio = _checks.positive("scale_ratio", self.scale_ratio)
-        if ratio < 1.0:
-            raise ValueError(f"scale_ratio: expected a number >= 1, got {self.scale_ratio!r}")
-        object.__setattr__(self, "scale_ratio", ratio)
-
-    @property
-    def is_ordinary(self) -> bool:
-        """Whether there are no outliers."""
-        return self.contamination == 0.0 or self.scale_ratio == 1.0
-
-    @property
-    def _classes(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Factors of the variance and their probabilities."""
-        if self.is_ordinary:
-            return (1.0,), (1.0,)
-        return (1.0, self.scale_ratio**2), (1.0 - self.contamination, self.contamination)
 
 
 @dataclass(frozen=True)
@@ -110,6 +58,7 @@ def noise_policy(value: Any) -> Contaminated | Learnt | None:
         raise TypeError(
             f"noise: expected None (bounded by psi), Contaminated(..), Learnt(..) or 'learnt', got {value!r}"
         )
+    _require_unit("noise", "R", value)
     return value
 
 
@@ -119,7 +68,17 @@ def process_policy(value: Any) -> Contaminated | Scales | None:
         return Scales()
     if value is not None and not isinstance(value, (Contaminated, Scales)):
         raise TypeError(f"process: expected None (as told), Contaminated(..), Scales(..) or 'scales', got {value!r}")
+    _require_unit("process", "Q", value)
     return value
+
+
+def _require_unit(name: str, matrix: str, value: Any) -> None:
+    """Raise for a noise with a size of its own, which a filter has a matrix for."""
+    if getattr(value, "scale", 1.0) != 1.0:
+        raise ValueError(
+            f"{name}: expected scale=1, got {value!r}; set {matrix} to scale**2 and say "
+            f"Contaminated({value.contamination}, {value.scale_ratio})"
+        )
 
 
 def noise_classes(noise: Contaminated | Learnt, grouping: Grouping) -> NoiseClasses:
@@ -138,7 +97,7 @@ def noise_classes(noise: Contaminated | Learnt, grouping: Grouping) -> NoiseClas
     """
     if isinstance(noise, Learnt):
         return NoiseClasses(noise.scales, grouping, noise.memory, noise.r_memory)
-    scales, probabilities = noise._classes
+    scales, probabilities = noise.classes
     return NoiseClasses(scales, grouping, probabilities=probabilities)
 
 
@@ -148,5 +107,5 @@ def process_scales(process: Contaminated | Scales | None) -> Scales:
         return process
     if process is None or process.is_ordinary:
         return Scales((1.0,), jump=0.0)
-    scales, probabilities = process._classes
+    scales, probabilities = process.classes
     return Scales(scales, jump=0.0, probabilities=probabilities)

@@ -1,6 +1,6 @@
 """Noise with outliers: as distributions, and estimated from a recording.
 
-* `distributions`: contaminated normal and least favourable densities in the manner of scipy.stats.
+* `distributions`: the least favourable density in the manner of scipy.stats; `Contaminated` is in `correction`.
 * `estimation`: R, Q, contamination and scale ratio by maximum likelihood.
 * `tuning`: from a recording to a filter of the kind that its noises ask for.
 
@@ -9,18 +9,11 @@ Imports from below: `influence`, `correction`, `filters`.
 
 from __future__ import annotations
 
-from robust_filterpy.noise.distributions import (
-    EpsilonContaminated,
-    LabelledSample,
-    LeastFavorable,
-    fisher_information,
-)
+from robust_filterpy.noise.distributions import LeastFavorable, fisher_information
 from robust_filterpy.noise.estimation import NoiseEstimate, estimate_noise
 from robust_filterpy.noise.tuning import Tuned, tune
 
 __all__ = [
-    "EpsilonContaminated",
-    "LabelledSample",
     "LeastFavorable",
     "NoiseEstimate",
     "Tuned",

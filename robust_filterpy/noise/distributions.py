@@ -1,10 +1,10 @@
-"""Noise with outliers as scipy.stats distributions, and the Fisher information of any density."""
+"""The least favourable noise as a scipy.stats distribution, and the Fisher information of any density."""
 
 from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy import special, stats
@@ -12,132 +12,7 @@ from scipy import special, stats
 from robust_filterpy._checks import Array, fraction, positive
 from robust_filterpy.influence.huber_tuning import minimax_threshold
 
-__all__ = ["EpsilonContaminated", "LabelledSample", "LeastFavorable", "fisher_information"]
-
-
-class LabelledSample(NamedTuple):
-    """Noise together with what no filter knows: which samples are outliers."""
-
-    values: Array
-    is_outlier: np.ndarray
-
-
-class EpsilonContaminated(stats.rv_continuous):
-    """Mix two normal distributions: (1 - contamination) N(0, scale^2) + contamination N(0, outlier_scale^2).
-
-    The contaminated normal noise of the paper, (15)-(17); an instance has every method of a
-    `scipy.stats` distribution.
-
-    Parameters
-    ----------
-    contamination : float
-        Share of outliers, in [0, 1).
-    scale : float, default 1
-        Standard deviation of the ordinary samples, in the unit of the measurement. The paper gives
-        variances: its N(0; 0.1) is scale = sqrt(0.1).
-    outlier_scale : float, default 10
-        Standard deviation of the outliers, in the unit of the measurement.
-
-    Raises
-    ------
-    ValueError
-        If contamination is outside [0, 1) or a scale is not > 0.
-
-    Notes
-    -----
-    In print (17) and Table 1 of the paper exchange the roles of sigma_N and sigma_N1; here scale belongs to
-    the ordinary samples and outlier_scale to the outliers.
-
-    Examples
-    --------
-    >>> noise = EpsilonContaminated(0.1, scale=0.1**0.5, outlier_scale=10**0.5)
-    >>> round(float(noise.var()), 3)
-    1.09
-    >>> noise.rvs(size=3, random_state=1).shape
-    (3,)
-    """
-
-    def __init__(self, contamination: float, scale: float = 1.0, outlier_scale: float = 10.0) -> None:
-        """Check the parameters and hand an unparametrised distribution to scipy."""
-        self.contamination = fraction("contamination", contamination)
-        self.scale = positive("scale", scale)
-        self.outlier_scale = positive("outlier_scale", outlier_scale)
-        super().__init__(name="epsilon_contaminated")
-
-    def __repr__(self) -> str:
-        """Show the parameters."""
-        return (
-            f"EpsilonContaminated(contamination={self.contamination}, scale={self.scale}, "
-            f"outlier_scale={self.outlier_scale})"
-        )
-
-    def rvs_labelled(self, size: Any = 1, random_state: Any = None) -> LabelledSample:
-        """Draw noise and tell which samples are outliers, for the filter that knows the labels.
-
-        Parameters
-        ----------
-        size : int or tuple of int, default 1
-            Shape of the sample.
-        random_state : int or numpy.random.Generator, optional
-            Source of randomness; the same state gives the values of ``rvs``.
-
-        Returns
-        -------
-        LabelledSample
-            values (float) and is_outlier (bool), both of shape size.
-        """
-        rng = np.random.default_rng(random_state)
-        is_outlier = rng.random(size) < self.contamination
-        scale = np.where(is_outlier, self.outlier_scale, self.scale)
-        return LabelledSample(scale * rng.standard_normal(size), is_outlier)
-
-    def score(self, x: Any) -> Array:
-        """Return -d log p/dx, the shape of x: the influence function that wastes nothing of this noise."""
-        x = np.asarray(x, dtype=float)
-        ordinary, outlier = self._log_parts(x)
-        share = special.expit(outlier - ordinary)
-        return x * ((1.0 - share) / self.scale**2 + share / self.outlier_scale**2)
-
-    def _log_parts(self, x: Array) -> tuple[Array, Array]:
-        """Return the logarithms of the two terms of (17)."""
-        with np.errstate(divide="ignore", over="ignore"):
-            return (
-                np.log1p(-self.contamination) + stats.norm.logpdf(x, scale=self.scale),
-                np.log(self.contamination) + stats.norm.logpdf(x, scale=self.outlier_scale),
-            )
-
-    def _logpdf(self, x: Array) -> Array:
-        return np.logaddexp(*self._log_parts(x))
-
-    def _pdf(self, x: Array) -> Array:
-        return np.exp(self._logpdf(x))
-
-    def _cdf(self, x: Array) -> Array:
-        tail = self.contamination * special.ndtr(x / self.outlier_scale)
-        return (1.0 - self.contamination) * special.ndtr(x / self.scale) + tail
-
-    def _sf(self, x: Array) -> Array:
-        return self._cdf(-x)
-
-    def _rvs(self, size: Any = None, random_state: Any = None) -> Array:
-        if isinstance(random_state, np.random.Generator):
-            return self.rvs_labelled(size, random_state).values
-        # scipy hands out the legacy RandomState for integer seeds: draw from it, without touching its global twin.
-        is_outlier = random_state.uniform(size=size) < self.contamination
-        scale = np.where(is_outlier, self.outlier_scale, self.scale)
-        return scale * random_state.standard_normal(size=size)
-
-    def _stats(self) -> tuple[float, float, float, float]:
-        variance = (1 - self.contamination) * self.scale**2 + self.contamination * self.outlier_scale**2
-        fourth = 3 * ((1 - self.contamination) * self.scale**4 + self.contamination * self.outlier_scale**4)
-        return 0.0, variance, 0.0, fourth / variance**2 - 3.0
-
-    def _updated_ctor_param(self) -> dict[str, Any]:
-        return dict(contamination=self.contamination, scale=self.scale, outlier_scale=self.outlier_scale)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Rebuild from the parameters: scipy's own way looks for shape parameters."""
-        return type(self), tuple(self._updated_ctor_param().values())
+__all__ = ["LeastFavorable", "fisher_information"]
 
 
 class LeastFavorable(stats.rv_continuous):

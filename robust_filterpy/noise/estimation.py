@@ -75,6 +75,11 @@ class NoiseEstimate:
         """Return what fits a screen."""
         return brief(self)
 
+    @property
+    def noise(self) -> Contaminated:
+        """What a filter with this R and Q takes as ``noise=``."""
+        return Contaminated(self.contamination, self.scale_ratio)
+
     def apply(self, filter: Any) -> Any:
         """Give a filter this R and Q, and the contamination and ratio if it can use them.
 
@@ -92,7 +97,7 @@ class NoiseEstimate:
         inner = getattr(filter, "filter", filter)
         inner.R, inner.Q = self.R.copy(), self.Q.copy()
         if isinstance(getattr(inner, "noise", None), Contaminated):
-            inner.noise = Contaminated(self.contamination, self.scale_ratio)
+            inner.noise = self.noise
         return filter
 
 

@@ -14,6 +14,7 @@ from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array, numbers
 from robust_filterpy._fill_values import without_fill_values
 from robust_filterpy.batch._arguments import leading
+from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.correction.options import GROUPINGS, Choices, Grouping
 from robust_filterpy.influence.functions import Influence, Linear
 from robust_filterpy.smoothing.convex import is_convex, minimised
@@ -63,6 +64,16 @@ class Smoothed:
     converged: Any
     sweeps: int
     message: str
+
+    @property
+    def noise(self) -> Contaminated | None:
+        """What a filter takes as ``noise=``, of several sensors or series together; None if none was learnt."""
+        return _together(self.contamination, self.scale_ratio)
+
+    @property
+    def process(self) -> Contaminated | None:
+        """The same of the process, for ``process=``."""
+        return _together(self.process_contamination, self.process_scale_ratio)
 
     def __str__(self) -> str:
         """Return what fits a screen."""
@@ -326,3 +337,13 @@ def _message(fit: Fit, measurement: Rule, process: Rule) -> str:
         if rule.mixture is not None and (rule.mixture.contamination >= CONTAMINATION_LIMITS[1]).any():
             parts.append(f"half of the {what} look like outliers, so {name} is probably too small: see estimate_noise")
     return "; ".join(parts)
+
+
+def _together(contamination: Any, ratio: Any) -> Contaminated | None:
+    """Return one noise with the mean share of outliers, and their mean square."""
+    shares, ratios = np.ravel(contamination), np.ravel(ratio)
+    learnt = ~np.isnan(shares)
+    if not learnt.any():
+        return None
+    shares, ratios = shares[learnt], ratios[learnt]
+    return Contaminated(float(shares.mean()), float(np.sqrt(shares @ ratios**2 / shares.sum())))

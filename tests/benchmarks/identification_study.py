@@ -24,8 +24,9 @@ from filterpy.kalman import KalmanFilter
 from padasip.filters import FilterRLS
 
 from robust_filterpy import ARX, Huber, Linear, OutputError, ParameterTracker, identify
+from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.identification.estimation.prediction_error import minimised
-from robust_filterpy.identification.models.learnt_noise import ContaminatedNormal, Noise
+from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.plants import simulate_output_error
 
@@ -81,10 +82,10 @@ def from_truth(truth, y, u, influence=HUBER):
 
 
 class KnownNoise:
-    """The score of the noise as it is: no `ContaminatedNormal`, which would be learnt."""
+    """The score of the noise as it is: no `Contaminated`, which would be learnt."""
 
     def __init__(self, contamination):
-        mixture = ContaminatedNormal(contamination, 10.0) if contamination else Linear()
+        mixture = Contaminated(contamination, 10.0) if contamination else Linear()
         self.rho, self.psi, self.psi_deriv, self.weights = mixture.rho, mixture.psi, mixture.psi_deriv, mixture.weights
 
 

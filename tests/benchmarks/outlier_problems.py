@@ -9,10 +9,9 @@ from filterpy.kalman import KalmanFilter
 from scipy import stats
 from statsmodels.robust.norms import TrimmedMean
 
-from robust_filterpy import RobustKalmanFilter
+from robust_filterpy import Contaminated, RobustKalmanFilter
 from robust_filterpy.identification import ARX, FIR, OutputError
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.noise import EpsilonContaminated
 from robust_filterpy.plants import simulate_arx, simulate_output_error, stable
 
 
@@ -143,7 +142,7 @@ def jumping_parameters(rng: np.random.Generator, kind: str, contamination: float
             now = next(new for new in drawn if inside(new))
         theta[k] = now
     u = rng.choice([-1.0, 1.0], steps)
-    noise = EpsilonContaminated(contamination, 0.5, 5.0).rvs_labelled(steps, rng)
+    noise = Contaminated(contamination, 10.0, 0.5).rvs_labelled(steps, rng)
     if kind == "FIR":
         y = np.einsum("ij,ij->i", FIR(4).regressors(u), theta) + noise.values
         return Identification(FIR(4), theta, u, y, noise.is_outlier)

@@ -13,12 +13,12 @@ from functools import partial
 import numpy as np
 import scipy.signal
 
-from robust_filterpy import Huber, Linear, StudentT
+from robust_filterpy import Contaminated, Huber, Linear, StudentT
 from robust_filterpy.experiments import monte_carlo
 from robust_filterpy.identification import ARMAX, OutputError, ParameterTracker
 from robust_filterpy.identification.models.guard import GUARDS
 from robust_filterpy.identification.recursive.tracker import GRADIENTS
-from robust_filterpy.noise import EpsilonContaminated, fisher_information
+from robust_filterpy.noise import fisher_information
 from robust_filterpy.plants import THETA_BAR, random_walk, simulate_output_error, stable
 from robust_filterpy.plants.excitation import bandlimited_pink_autocovariance, receding_horizon_binary
 
@@ -48,7 +48,7 @@ def late_error(path, theta):
 
 def gradient_trial(rng, contamination, walks, gradients=GRADIENTS, trackers=TRACKERS, **options):
     """Track the well-conditioned plant from theta = 0 in every way."""
-    noise = EpsilonContaminated(contamination, SIGMA, 10 * SIGMA).rvs_labelled(SAMPLES, rng)
+    noise = Contaminated(contamination, 10.0, SIGMA).rvs_labelled(SAMPLES, rng)
     u = rng.choice([-1.0, 1.0], SAMPLES)
     y = simulate_output_error(PLANT, u, noise=noise.values, na=2, nb=2).y
     return {
@@ -109,7 +109,7 @@ def print_gradients(study):
 def guard_trial(rng, W, theta0, order, sigma, contamination):
     """Track a drifting plant with every guard and gradient."""
     path = random_walk(theta0, W, SAMPLES, rng, accept=stable(order))
-    noise = EpsilonContaminated(contamination, sigma, 10 * sigma)
+    noise = Contaminated(contamination, 10.0, sigma)
     u = rng.choice([-1.0, 1.0], SAMPLES)
     data = simulate_output_error(path, u, noise=noise, rng=rng, na=order, nb=order)
     result = {}
@@ -149,7 +149,7 @@ def paper_trial(rng, contamination, pink):
     """Track theta-bar of section 4, W = 1e-6 I, with the noise of the paper."""
     sigma, W = 0.1**0.5, 1e-6
     path = random_walk(THETA_BAR, W, SAMPLES, rng, accept=stable(4))
-    noise = EpsilonContaminated(contamination, sigma, 10 * sigma)
+    noise = Contaminated(contamination, 10.0, sigma)
     labelled = noise.rvs_labelled(SAMPLES, rng)
     if pink:
         u = receding_horizon_binary(bandlimited_pink_autocovariance(0.5, 2.5, 40), SAMPLES, rng=rng)
@@ -203,7 +203,7 @@ def print_paper(study):
 def armax_trial(rng, contamination, Q):
     """Track A = [-1.5, .7], B = [1, .5], C = [-1, .2] from 0."""
     true = np.array([-1.5, 0.7, 1.0, 0.5, -1.0, 0.2])
-    v = EpsilonContaminated(contamination, SIGMA, 10 * SIGMA).rvs(size=SAMPLES, random_state=rng)
+    v = Contaminated(contamination, 10.0, SIGMA).rvs(size=SAMPLES, random_state=rng)
     u = rng.choice([-1.0, 1.0], SAMPLES)
     a = np.concatenate(([1.0], true[:2]))
     y = scipy.signal.lfilter([0.0, 1.0, 0.5], a, u) + scipy.signal.lfilter([1.0, -1.0, 0.2], a, v)

@@ -10,9 +10,9 @@ import scipy.stats
 import support
 from scipy.integrate import quad
 
-from robust_filterpy import Huber, Linear, RobustKalmanFilter
+from robust_filterpy import Contaminated, Huber, Linear, RobustKalmanFilter
 from robust_filterpy.influence import expected_information
-from robust_filterpy.noise import EpsilonContaminated, LeastFavorable, fisher_information
+from robust_filterpy.noise import LeastFavorable, fisher_information
 
 pytestmark = pytest.mark.core
 
@@ -135,7 +135,7 @@ def test_equation_33():
 
 def test_equation_34():
     """The noise 0.9 N(0, 0.1) + 0.1 N(0, 10), the second arguments being variances."""
-    noise = EpsilonContaminated(0.1, scale=np.sqrt(0.1), outlier_scale=np.sqrt(10.0))
+    noise = Contaminated(0.1, 10.0, np.sqrt(0.1))
     v = np.linspace(-12, 12, 49)
     by_hand = 0.9 * np.exp(-(v**2) / 0.2) / np.sqrt(2 * np.pi * 0.1) + 0.1 * np.exp(-(v**2) / 20) / np.sqrt(20 * np.pi)
     np.testing.assert_allclose(noise.pdf(v), by_hand, rtol=1e-12)

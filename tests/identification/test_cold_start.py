@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 from scipy.stats import norm
 
 from robust_filterpy import RobustKalmanFilter, identify
+from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.identification import (
     ARMAX,
     ARX,
@@ -22,7 +23,6 @@ from robust_filterpy.identification import (
     ParameterTracker,
     TrackerBank,
 )
-from robust_filterpy.identification.models.learnt_noise import ContaminatedNormal
 from robust_filterpy.identification.recursive.noise_scale import ordinary_mean
 from robust_filterpy.identification.recursive.start import ColdStart
 from robust_filterpy.influence import Huber
@@ -222,7 +222,7 @@ def test_the_mean_that_R_is_followed_by_is_that_of_the_noise():
     e = np.linspace(-60.0, 60.0, 400001)
     for influence, density in (
         (None, norm.pdf(e)),
-        (ContaminatedNormal(0.2, 5.0), 0.8 * norm.pdf(e) + 0.2 * norm.pdf(e, scale=5.0)),
+        (Contaminated(0.2, 5.0), 0.8 * norm.pdf(e) + 0.2 * norm.pdf(e, scale=5.0)),
     ):
         assert ordinary_mean(influence) == pytest.approx(trapezoid(np.minimum(e * e, 4.0) * density, e), abs=1e-6)
 

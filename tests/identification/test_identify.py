@@ -12,10 +12,11 @@ from scipy.signal import lfilter
 from statsmodels.tsa.statespace.sarimax import SARIMAX
 
 from robust_filterpy import Huber, Linear, TukeyBiweight
+from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError, identify
 from robust_filterpy.identification.estimation import prediction_error
 from robust_filterpy.identification.estimation.cleaning import THRESHOLDS, _even
-from robust_filterpy.identification.models.learnt_noise import ContaminatedNormal, Noise
+from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 
 A, B = np.array([1.0, -1.5, 0.7]), np.array([0.0, 1.0, 0.5])
@@ -219,7 +220,7 @@ def test_the_noise_of_a_model_is_that_of_the_outputs_it_will_predict():
     assert pytest.approx(0.09, rel=0.15) == model.R
     # The outputs that stand in the regressor show nearly no outliers; who goes by them believes what is measured.
     y, u, wild = recorded(4)
-    cleaned = replace(model, noise=replace(model.noise, influence=ContaminatedNormal(0.001, 8.0)))
+    cleaned = replace(model, noise=replace(model.noise, influence=Contaminated(0.001, 8.0)))
     errors = [np.std((one.predict(y, u) - y)[10:][~wild[10:]]) for one in (model, cleaned)]
     assert errors[0] < 0.8 * errors[1]
 

@@ -5,12 +5,13 @@ import pytest
 from scipy.integrate import quad
 
 from robust_filterpy import Huber
-from robust_filterpy.identification.models.learnt_noise import ContaminatedNormal, Noise
+from robust_filterpy.correction.contaminated import START, Contaminated
+from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.influence.regression import mad_scale
 
 E = np.linspace(-30.0, 30.0, 601)
-MIXTURE = ContaminatedNormal(0.1, 7.0)
+MIXTURE = Contaminated(0.1, 7.0)
 
 
 def density(e, share=0.1, ratio=7.0):
@@ -50,7 +51,7 @@ def test_huge_residuals_stay_finite(e):
 def test_expectation_maximisation_finds_the_mixture(share, ratio):
     rng = np.random.default_rng(3)
     r = 0.4 * np.where(rng.random(20_000) < share, ratio, 1.0) * rng.normal(size=20_000)
-    found = Noise(ContaminatedNormal(), mad_scale(r) ** 2).refitted(r, steps=300)
+    found = Noise(START, mad_scale(r) ** 2).refitted(r, steps=300)
     # Five standard errors of a share, and of variances with a few hundredths more for what the labels would tell.
     assert found.influence.contamination == pytest.approx(share, abs=5 * np.sqrt(share / r.size) + 0.005)
     assert found.influence.scale_ratio == pytest.approx(ratio, rel=5 * np.sqrt(0.5 / (share * r.size)) + 0.03)
@@ -60,7 +61,7 @@ def test_expectation_maximisation_finds_the_mixture(share, ratio):
 def test_each_step_raises_the_likelihood_of_many_residuals():
     rng = np.random.default_rng(4)
     r = np.where(rng.random(5000) < 0.2, 8.0, 1.0) * rng.normal(size=5000)
-    noise, likelihoods = Noise(ContaminatedNormal(), 4.0), []
+    noise, likelihoods = Noise(START, 4.0), []
     for _ in range(30):
         noise = noise.refitted(r, steps=1)
         likelihoods.append(noise.log_likelihood(r))
@@ -70,13 +71,13 @@ def test_each_step_raises_the_likelihood_of_many_residuals():
 
 def test_clean_residuals_have_hardly_any_outliers():
     r = np.random.default_rng(5).normal(size=2000)
-    found = Noise(ContaminatedNormal(), 1.0).refitted(r, steps=200)
+    found = Noise(START, 1.0).refitted(r, steps=200)
     assert found.influence.contamination < 0.01 and found.R == pytest.approx(1.0, rel=5 * np.sqrt(2 / 2000))
 
 
 def test_a_known_variance_stays():
     r = np.random.default_rng(6).normal(size=500)
-    for influence in (Huber(), ContaminatedNormal()):
+    for influence in (Huber(), START):
         assert Noise(influence, 9.0, known=True).refitted(r).R == 9.0
 
 
@@ -85,7 +86,13 @@ def test_another_influence_function_gets_the_median_absolute_deviation():
     assert Noise(Huber(), 1.0).refitted(r).R == (1.482602218505602 * np.median(np.abs(r))) ** 2
 
 
-@pytest.mark.parametrize("arguments", [(0.0, 8.0), (1.0, 8.0), (-0.1, 8.0), (0.1, 1.0), (0.1, np.inf)])
+@pytest.mark.parametrize("arguments", [(1.0, 8.0), (-0.1, 8.0), (0.1, 0.9), (0.1, np.inf), (0.1, 8.0, 0.0)])
 def test_bad_mixtures_are_refused(arguments):
-    with pytest.raises(ValueError, match=r"contamination|scale_ratio"):
-        ContaminatedNormal(*arguments)
+    with pytest.raises(ValueError, match=r"contamination|scale"):
+        Contaminated(*arguments)
+
+
+def test_without_outliers_psi_is_the_kalman_filters():
+    np.testing.assert_array_equal(Contaminated(0.0, 8.0).psi(E), E)
+    np.testing.assert_array_equal(Contaminated(0.0, 8.0).rho(E), 0.5 * E**2)
+    np.testing.assert_array_equal(Contaminated(0.0, 8.0).psi_deriv(E), np.ones(E.shape))

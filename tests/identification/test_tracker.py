@@ -13,10 +13,9 @@ import pytest
 import support
 from filterpy.kalman import FadingKalmanFilter, InformationFilter, KalmanFilter, SquareRootKalmanFilter
 
-from robust_filterpy import AdaptiveKalmanFilter, Huber, Linear, RobustKalmanFilter
+from robust_filterpy import AdaptiveKalmanFilter, Contaminated, Huber, Linear, RobustKalmanFilter
 from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError, ParameterTracker
 from robust_filterpy.influence import Hampel
-from robust_filterpy.noise import EpsilonContaminated
 from robust_filterpy.plants import simulate_arx, simulate_output_error
 
 PLANT = np.array([-1.5, 0.7, 1.0, 0.5])
@@ -34,7 +33,7 @@ def recording(length=150, contamination=0.1, missing=True, seed=1):
     """A contaminated recording of the plant with a gap."""
     rng = np.random.default_rng(seed)
     u = rng.choice([-1.0, 1.0], length)
-    y = simulate_output_error(PLANT, u, noise=EpsilonContaminated(contamination, 0.5, 5.0), rng=rng, na=2, nb=2).y
+    y = simulate_output_error(PLANT, u, noise=Contaminated(contamination, 10.0, 0.5), rng=rng, na=2, nb=2).y
     if missing:
         y[[20, 21, 22, 60]] = np.nan
     return y, u

@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 import support
 
-from robust_filterpy import Huber, Linear, StudentT, TukeyBiweight
+from robust_filterpy import Contaminated, Huber, Linear, StudentT, TukeyBiweight
 from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError
 from robust_filterpy.identification.models.guard import GUARDS
 from robust_filterpy.identification.recursive import bank as bank_module
 from robust_filterpy.identification.recursive import track
 from robust_filterpy.identification.recursive.recursion import GRADIENTS
 from robust_filterpy.influence import Hampel
-from robust_filterpy.noise import EpsilonContaminated
 from robust_filterpy.plants import simulate_output_error
 
 N, LENGTH = 5, 90
@@ -42,7 +41,7 @@ def recording(structure, seed=1, missing=True):
     """Contaminated recordings of N plants, with gaps: y (LENGTH, N) and u (LENGTH, N, n_inputs)."""
     rng = np.random.default_rng(seed)
     u = rng.choice([-1.0, 1.0], (LENGTH, N, max(structure.n_inputs, 1)))
-    noise = EpsilonContaminated(0.1, 0.5, 5.0)
+    noise = Contaminated(0.1, 10.0, 0.5)
     plants = [simulate_output_error(PLANTS[i], u[:, i, 0], noise=noise, rng=rng, na=2, nb=2) for i in range(N)]
     y = np.column_stack([plant.y for plant in plants])
     if missing:

@@ -10,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support import two_sided
 
-from robust_filterpy import Huber, Linear, TukeyBiweight
+from robust_filterpy import Contaminated, Huber, Linear, TukeyBiweight
 from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError
-from robust_filterpy.noise import EpsilonContaminated
 from robust_filterpy.plants import random_walk, simulate_arx, simulate_output_error, stable
 
 PLANT = np.array([-1.5, 0.7, 1.0, 0.5])
@@ -131,7 +130,7 @@ def test_equations_15_to_17_outliers_cost_little():
     rng, errors = np.random.default_rng(5), []
     for _ in range(40):
         phi = rng.normal(size=(200, 2))
-        y = phi @ [1.0, 2.0] + EpsilonContaminated(0.1, 1.0, 10.0).rvs(size=200, random_state=rng)
+        y = phi @ [1.0, 2.0] + Contaminated(0.1, 10.0).rvs(size=200, random_state=rng)
         robust, kalman = (
             support.told_tracker(LinearRegression(2)),
             support.told_tracker(LinearRegression(2), influence=Linear()),
@@ -147,7 +146,7 @@ def test_equations_15_to_17_outliers_cost_little():
 @pytest.mark.parametrize("gradient", ["filtered", "pseudolinear"])
 def test_equations_18_to_23_the_regressor_holds_the_models_own_outputs(gradient):
     u = white(60)
-    y = simulate_output_error(PLANT, u, noise=EpsilonContaminated(0.1, 0.5, 5.0), rng=2, na=2, nb=2).y
+    y = simulate_output_error(PLANT, u, noise=Contaminated(0.1, 10.0, 0.5), rng=2, na=2, nb=2).y
     tracker = support.told_tracker(OutputError(2, 2), R=0.25, gradient=gradient)
     result = tracker.run(y, u)
     yhat, before = np.zeros(62), np.zeros(4)
@@ -163,7 +162,7 @@ def test_equations_18_to_23_the_regressor_holds_the_models_own_outputs(gradient)
 def test_equation_53_and_table_1_in_the_papers_own_letters():
     k_eps, W = 1.5, 1e-4 * np.eye(4)
     u = white(120)
-    y = simulate_output_error(PLANT, u, noise=EpsilonContaminated(0.1, 0.5, 5.0), rng=2, na=2, nb=2).y
+    y = simulate_output_error(PLANT, u, noise=Contaminated(0.1, 10.0, 0.5), rng=2, na=2, nb=2).y
     theta, P, yhat = np.zeros(4), 0.01 * np.eye(4), np.zeros(122)
     past = np.concatenate((np.zeros(2), u))
     tracker = support.told_tracker(
@@ -204,7 +203,7 @@ def test_filtered_gradient_is_the_derivative_of_the_free_run():
 
 def test_innovation_of_the_filtered_gradient_is_the_prediction_error():
     u = white(100)
-    y = simulate_output_error(PLANT, u, noise=EpsilonContaminated(0.1, 0.5, 5.0), rng=2, na=2, nb=2).y
+    y = simulate_output_error(PLANT, u, noise=Contaminated(0.1, 10.0, 0.5), rng=2, na=2, nb=2).y
     tracker = support.told_tracker(OutputError(2, 2), R=0.25)
     result = tracker.run(y, u)
     np.testing.assert_allclose(tracker.filter.y, result.residual[-1], rtol=1e-9)
@@ -263,7 +262,7 @@ def test_spike_in_the_regressor_does_not_end_the_tracking():
 def test_tracker_follows_a_drifting_plant_through_outliers():
     rng = np.random.default_rng(4)
     path = random_walk(PLANT, 1e-5, 1500, rng, accept=stable(2))
-    noise = EpsilonContaminated(0.1, 0.5, 5.0).rvs_labelled(1500, rng)
+    noise = Contaminated(0.1, 10.0, 0.5).rvs_labelled(1500, rng)
     data = simulate_output_error(path, white(1500), noise=noise.values, na=2, nb=2)
     robust = support.told_tracker(OutputError(2, 2), P=1.0, Q=1e-5, R=0.25).run(data.y, data.u)
     kalman = support.told_tracker(OutputError(2, 2), P=1.0, Q=1e-5, R=0.25 * 10.9, influence=Linear()).run(
@@ -281,7 +280,7 @@ def test_model_of_a_contaminated_half_predicts_the_clean_half(structure):
     simulate = simulate_output_error if structure.nf else simulate_arx
     fits = []
     for contamination in (0.0, 0.1):
-        noise = EpsilonContaminated(contamination, 0.5, 5.0).rvs(size=2000, random_state=3)
+        noise = Contaminated(contamination, 10.0, 0.5).rvs(size=2000, random_state=3)
         noise[half:] = 0.0
         data = simulate(PLANT, u, noise=noise, na=2, nb=2)
         tracker = support.told_tracker(structure, P=1.0, R=0.25)
@@ -315,7 +314,7 @@ def test_two_sided_filter_follows_jumping_parameters_better_than_a_random_walk()
         for k in at:
             theta[k:] += jump * rng.standard_normal(4)
         u = rng.choice([-1.0, 1.0], 1200)
-        noise = EpsilonContaminated(0.1, 0.5, 5.0).rvs(size=1200, random_state=rng)
+        noise = Contaminated(0.1, 10.0, 0.5).rvs(size=1200, random_state=rng)
         y = np.einsum("ij,ij->i", structure.regressors(u), theta) + noise
         walk = support.told_tracker(structure, P=1.0, Q=jump**2 / 300, R=0.25)
         doubting = support.told_tracker(structure, filter=two_sided(4, 1), P=1.0, Q=(jump / 100) ** 2, R=0.25)

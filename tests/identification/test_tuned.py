@@ -6,8 +6,9 @@ from numpy.testing import assert_array_equal
 from scipy.stats import norm
 
 from robust_filterpy import ARX, OutputError, ParameterTracker
+from robust_filterpy.correction.contaminated import START
 from robust_filterpy.identification import FIR
-from robust_filterpy.identification.models.learnt_noise import ContaminatedNormal, Noise
+from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.recursive.tuned import Tried, TunedTracker
 
 Q_TRUE = 1e-3
@@ -78,7 +79,7 @@ def test_the_start_is_the_same_for_every_value_and_does_not_count():
     for row in found.rows:
         residual = ParameterTracker(FIR(1, nk=0), Q=row.values["Q"]).run(y, u).residual[420:]
         scale = 1.4826 * np.median(np.abs(residual))
-        noise = Noise(ContaminatedNormal(), scale**2).refitted(residual, 50)
+        noise = Noise(START, scale**2).refitted(residual, 50)
         assert row.log_likelihood == pytest.approx(noise.log_likelihood(residual), abs=1e-3)
 
 

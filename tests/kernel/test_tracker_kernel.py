@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import support
 
-from robust_filterpy import Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight, kernel
+from robust_filterpy import Contaminated, Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight, kernel
 from robust_filterpy.correction import NotPositiveDefiniteError
 from robust_filterpy.correction.options import INFORMATIONS, SCALINGS
 from robust_filterpy.identification import (
@@ -22,7 +22,6 @@ from robust_filterpy.identification.models.guard import GUARDS
 from robust_filterpy.identification.recursive import track
 from robust_filterpy.identification.recursive.recursion import GRADIENTS
 from robust_filterpy.influence import Hampel
-from robust_filterpy.noise import EpsilonContaminated
 from robust_filterpy.plants import simulate_output_error
 
 pytestmark = pytest.mark.skipif(not kernel.available(), reason="the kernel was not built")
@@ -60,7 +59,7 @@ def recording(length=300, seed=1):
     """A contaminated recording of the plant with a gap, in full swing."""
     rng = np.random.default_rng(seed)
     u = rng.choice([-1.0, 1.0], length)
-    y = simulate_output_error(PLANT, u, noise=EpsilonContaminated(0.1, 0.5, 5.0), rng=rng, na=2, nb=2).y
+    y = simulate_output_error(PLANT, u, noise=Contaminated(0.1, 10.0, 0.5), rng=rng, na=2, nb=2).y
     y[[20, 21, 22, 60]] = np.nan
     return y, u
 

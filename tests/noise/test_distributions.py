@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from robust_filterpy import Huber
-from robust_filterpy.noise import EpsilonContaminated, LeastFavorable, fisher_information
+from robust_filterpy import Contaminated, Huber
+from robust_filterpy.noise import LeastFavorable, fisher_information
 
-CONTAMINATED = [EpsilonContaminated(0.1), EpsilonContaminated(0.3, 0.5, 4.0), EpsilonContaminated(0.0, 2.0)]
+CONTAMINATED = [Contaminated(0.1), Contaminated(0.3, 8.0, 0.5), Contaminated(0.0, 5.0, 2.0)]
 LEAST = [LeastFavorable(0.05), LeastFavorable(0.1, 3.0), LeastFavorable(0.4, 0.2)]
 ALL = CONTAMINATED + LEAST
 GRID = np.linspace(-9.0, 9.0, 61)
@@ -37,7 +37,7 @@ def integrate(function, noise):
 
 @pytest.mark.parametrize("noise", ALL, ids=name)
 def test_is_a_scipy_distribution(noise):
-    assert isinstance(noise, scipy.stats.rv_continuous)
+    assert isinstance(noise, (Contaminated, scipy.stats.rv_continuous))
     for method in ("pdf", "logpdf", "cdf", "sf"):
         assert getattr(noise, method)(GRID).shape == GRID.shape
 
@@ -54,10 +54,10 @@ def test_contaminated_density_is_the_mixture(noise):
 
 
 def test_contaminated_logpdf_does_not_underflow():
-    noise = EpsilonContaminated(0.1, 1.0, 10.0)
+    noise = Contaminated(0.1, 10.0)
     far = scipy.stats.norm(scale=10.0).logpdf(1e4) + np.log(0.1)
     assert noise.logpdf(1e4) == pytest.approx(far, rel=1e-12)
-    assert EpsilonContaminated(0.0).logpdf(60.0) == pytest.approx(scipy.stats.norm.logpdf(60.0))
+    assert Contaminated(0.0).logpdf(60.0) == pytest.approx(scipy.stats.norm.logpdf(60.0))
 
 
 @pytest.mark.parametrize("noise", CONTAMINATED, ids=name)
@@ -135,7 +135,7 @@ def test_sampling_is_reproducible_and_leaves_the_global_state_alone(noise):
 
 
 def test_labelled_sample_has_the_two_populations():
-    noise, n = EpsilonContaminated(0.2, 1.5, 30.0), 50_000
+    noise, n = Contaminated(0.2, 20.0, 1.5), 50_000
     values, labels = noise.rvs_labelled(size=n, random_state=np.random.default_rng(3))
     assert values.shape == labels.shape == (n,)
     assert labels.dtype == bool
@@ -146,7 +146,7 @@ def test_labelled_sample_has_the_two_populations():
 
 
 def test_labelled_sample_is_reproducible():
-    noise = EpsilonContaminated(0.2)
+    noise = Contaminated(0.2)
     draws = [noise.rvs_labelled(size=(4, 3), random_state=np.random.default_rng(5)) for _ in range(2)]
     np.testing.assert_array_equal(draws[0][0], draws[1][0])
     np.testing.assert_array_equal(draws[0][1], draws[1][1])
@@ -196,7 +196,7 @@ def test_fisher_information_of_the_least_favourable_density(contamination, scale
 
 
 def test_fisher_information_of_the_contaminated_density():
-    noise, (s, t, c) = EpsilonContaminated(0.1, 0.5, 6.0), (0.5, 6.0, 0.1)
+    noise, (s, t, c) = Contaminated(0.1, 12.0, 0.5), (0.5, 6.0, 0.1)
     good, bad = scipy.stats.norm(scale=s), scipy.stats.norm(scale=t)
 
     def integrand(e):
@@ -211,10 +211,10 @@ def test_fisher_information_of_the_contaminated_density():
 @pytest.mark.parametrize("outlier_scale", [1.5, 3.0, 10.0])
 def test_no_contaminated_density_carries_less_information_than_the_least_favourable(contamination, outlier_scale):
     least = fisher_information(LeastFavorable(contamination))
-    assert least <= fisher_information(EpsilonContaminated(contamination, 1.0, outlier_scale)) + 1e-9
+    assert least <= fisher_information(Contaminated(contamination, outlier_scale)) + 1e-9
 
 
-@pytest.mark.parametrize("kind", [EpsilonContaminated, LeastFavorable])
+@pytest.mark.parametrize("kind", [Contaminated, LeastFavorable])
 @pytest.mark.parametrize("arguments", [(1.0,), (-0.1,), (np.nan,), ("a",), (0.1, 0.0), (0.1, -1.0), (0.1, np.nan)])
 def test_refuses(kind, arguments):
     with pytest.raises((ValueError, TypeError), match="expected"):
@@ -224,4 +224,4 @@ def test_refuses(kind, arguments):
 def test_refuses_a_bad_outlier_scale():
     for scale in (0.0, -1.0, np.nan):
         with pytest.raises((ValueError, TypeError), match="expected"):
-            EpsilonContaminated(0.1, 1.0, scale)
+            Contaminated(0.1, scale)

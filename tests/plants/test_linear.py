@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from robust_filterpy.noise import EpsilonContaminated
+from robust_filterpy import Contaminated
 from robust_filterpy.plants import (
     THETA_BAR,
     linear_parameters,
@@ -148,7 +148,7 @@ def test_noise_goes_round_the_loop_of_arx_and_not_of_output_error():
 @pytest.mark.parametrize("simulate", SIMULATORS)
 @pytest.mark.parametrize(
     "noise",
-    [stats.norm(scale=0.3), stats.t(3), stats.norm, EpsilonContaminated(0.1, 0.1**0.5, 10**0.5)],
+    [stats.norm(scale=0.3), stats.t(3), stats.norm, Contaminated(0.1, 10.0, 0.1**0.5)],
     ids=["frozen", "heavy", "generic", "contaminated"],
 )
 def test_any_distribution_serves_as_noise(simulate, noise):
@@ -202,7 +202,7 @@ def test_the_result_shares_no_memory_with_the_arguments(simulate):
         (G, [1.0], {"nk": 1}, ValueError, "with a transfer function"),
         (G, [1.0, 2.0], {"noise": [1.0]}, ValueError, "noise: expected 2 samples"),
         (G, [1.0, 2.0], {"noise": [1.0, np.inf]}, ValueError, "noise: expected finite"),
-        (G, [1.0], {"noise": EpsilonContaminated}, TypeError, "got the class"),
+        (G, [1.0], {"noise": Contaminated}, TypeError, "got the class"),
         (control.tf([1.0], [1.0, 1.0]), [1.0], {}, ValueError, "sample_system"),
         (control.tf([1.0], [1.0, 1.0], dt=None), [1.0], {}, ValueError, "discrete"),
         (control.tf([1.0, 0.0, 0.0], [1.0, 1.0], dt=1), [1.0], {}, ValueError, "degree 2 over 1"),

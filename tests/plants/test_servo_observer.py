@@ -11,8 +11,7 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from scipy.io import loadmat
 
-from robust_filterpy import RobustKalmanFilter
-from robust_filterpy.noise import EpsilonContaminated
+from robust_filterpy import Contaminated, RobustKalmanFilter
 from robust_filterpy.plants.servo import (
     PneumaticParameters,
     ServoObserver,
@@ -28,9 +27,7 @@ P = PneumaticParameters()
 
 def sensor_noise(n, contamination, seed, factor=40.0):
     rng = np.random.default_rng(seed)
-    return np.column_stack(
-        [EpsilonContaminated(contamination, s, factor * s).rvs(size=n, random_state=rng) for s in STD]
-    )
+    return np.column_stack([Contaminated(contamination, factor, s).rvs(size=n, random_state=rng) for s in STD])
 
 
 def reference(n, seed=0):

@@ -15,8 +15,9 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from robust_filterpy._checks import Array
+from robust_filterpy.correction.contaminated import START
 from robust_filterpy.identification.estimation.missing import Unknowns, response, touched
-from robust_filterpy.identification.models.learnt_noise import ContaminatedNormal, Noise
+from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.influence.regression import mad_scale
 
@@ -113,7 +114,7 @@ def _even(deviations: Array) -> float:
 
     Otherwise these look as if the measurement had less noise of its own than it has, or more, and C takes that up.
     """
-    found: Any = Noise(ContaminatedNormal(), 1.0, known=True).settled(deviations).influence
+    found: Any = Noise(START, 1.0, known=True).settled(deviations).influence
     odds = (1.0 - found.contamination) / found.contamination * found.scale_ratio
     return float(np.interp(odds, _EVEN_ODDS, _EVEN_THRESHOLDS))
 

@@ -151,10 +151,10 @@ def identify(
     --------
     >>> import numpy as np
     >>> from robust_filterpy.identification import OutputError
-    >>> from robust_filterpy.noise import EpsilonContaminated
+    >>> from robust_filterpy import Contaminated
     >>> from robust_filterpy.plants import simulate_output_error
     >>> u = np.random.default_rng(1).choice([-1.0, 1.0], 1000)
-    >>> noise = EpsilonContaminated(0.1, 0.3, 3.0)
+    >>> noise = Contaminated(0.1, 10.0, 0.3)
     >>> y = 20.0 + simulate_output_error([-1.5, 0.7, 1.0, 0.5], u, noise=noise, rng=2, na=2, nb=2).y
     >>> model = identify(y, u, OutputError(2, 2))
     >>> model.theta.round(1), round(model.offset)

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from robust_filterpy._checks import Array
+from robust_filterpy.correction.contaminated import START, Contaminated
 from robust_filterpy.identification.estimation.cleaning import Outliers, found_outliers
 from robust_filterpy.identification.estimation.excitation_check import require_informative
 from robust_filterpy.identification.estimation.missing import CompletedModel, Unknowns, completed, response, touched
@@ -22,7 +23,7 @@ from robust_filterpy.identification.estimation.starts import (
     regression_start,
     whitened,
 )
-from robust_filterpy.identification.models.learnt_noise import ContaminatedNormal, Noise
+from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.identification.models.several_recordings import SeveralRecordings
 from robust_filterpy.identification.models.structures import OutputError
@@ -119,7 +120,7 @@ def ends(model: PolynomialModel, missing: Any, influence: Influence | None, R: f
     ranked = _best_first(model, missing, found)
     if influence is not None:
         return ranked
-    mixed = [(end, replace(end.noise, influence=ContaminatedNormal())) for end, _ in ranked]
+    mixed = [(end, replace(end.noise, influence=START)) for end, _ in ranked]
     found = [_searched(model, end.p, noise, missing, end.starts, _MOST_CLEANINGS) for end, noise in mixed]
     return _best_first(model, missing, found)
 
@@ -139,7 +140,7 @@ def _ends_of_long(model: PolynomialModel, missing: Any, influence: Influence | N
         starts = list(_starts(model, missing, noise))
         ranked = [Ranked(_searched(model, s.p, noise, missing, (s.name,), 1), 0.0) for s in starts]
         if influence is None:
-            mixed = ContaminatedNormal()
+            mixed = START
             ranked = [Ranked(end._replace(noise=replace(end.noise, influence=mixed)), e) for end, e in ranked]
     chosen = [end for end, excess in ranked if excess < _HOPELESS]
     found = [_searched(model, end.p, end.noise, missing, end.starts, _FIRST_CLEANINGS) for end in chosen]
@@ -224,9 +225,9 @@ def _best_first(model: PolynomialModel, missing: Any, found: list[End]) -> list[
     """
     likeliest = min(found, key=lambda end: end.noise.R)
     noise = likeliest.noise
-    if noise.has_outliers and not isinstance(noise.influence, ContaminatedNormal):
+    if noise.has_outliers and not isinstance(noise.influence, Contaminated):
         shown = likeliest.residual[likeliest.rows]
-        noise = replace(noise, influence=ContaminatedNormal()).settled(shown)
+        noise = replace(noise, influence=START).settled(shown)
     threshold = min(end.outliers.threshold for end in found)
     losses = []
     for end in found:

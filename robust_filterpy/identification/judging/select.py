@@ -292,10 +292,10 @@ def select_structure(
     Examples
     --------
     >>> import numpy as np
-    >>> from robust_filterpy.noise import EpsilonContaminated
+    >>> from robust_filterpy import Contaminated
     >>> from robust_filterpy.plants import simulate_output_error
     >>> u = np.random.default_rng(1).choice([-1.0, 1.0], 1000)
-    >>> noise = EpsilonContaminated(0.1, 0.3, 3.0)
+    >>> noise = Contaminated(0.1, 10.0, 0.3)
     >>> y = simulate_output_error([-1.5, 0.7, 1.0, 0.5], u, noise=noise, rng=3, na=2, nb=2).y
     >>> y = np.concatenate((np.zeros(3), y[:-3]))
     >>> select_structure(y, u, na=range(1, 4)).best.structure

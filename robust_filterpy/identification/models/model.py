@@ -12,12 +12,13 @@ from scipy.signal import lfilter
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array, count
+from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.identification.models import coefficients
 from robust_filterpy.identification.models.beginnings import held_input, motion_after
 from robust_filterpy.identification.models.continuous import ContinuousModel, continuous, realized
 from robust_filterpy.identification.models.findings import Finding, said
 from robust_filterpy.identification.models.fit import fit_percent
-from robust_filterpy.identification.models.learnt_noise import ContaminatedNormal, Noise
+from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.polynomial_model import Parts, PolynomialModel
 from robust_filterpy.identification.models.prediction import cleaned_residuals, predicted
 from robust_filterpy.identification.models.regressor import Layout, Memory
@@ -216,7 +217,7 @@ class Model(Responses):
             names = (*names, "offset")
         known = int((~np.isnan(self.weights)).sum())
         facts = {"Samples": f"{known} of {self.weights.size}", "R": f"{self.R:.4g}"}
-        if isinstance(self.noise.influence, ContaminatedNormal):
+        if isinstance(self.noise.influence, Contaminated):
             facts["Contamination"] = f"{self.noise.influence.contamination:.3f}"
             facts["Scale ratio"] = f"{self.noise.influence.scale_ratio:.3g}"
         facts |= {"Log-likelihood": f"{self.log_likelihood:.1f}", "Fit, 1 step": f"{self.own_fit:.2f} %"}

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.models.learnt_noise import ContaminatedNormal, Noise
+from robust_filterpy.correction.contaminated import START
+from robust_filterpy.identification.models.learnt_noise import Noise
 
 __all__ = ["Noises"]
 
@@ -51,9 +52,7 @@ class Noises(NamedTuple):
 
     def learnt(self) -> Noises:
         """Return the same with the mixture in the place of each influence function."""
-        return self._replace(
-            parts=tuple(Noise(ContaminatedNormal(), one.R, one.known, one.least) for one in self.parts)
-        )
+        return self._replace(parts=tuple(Noise(START, one.R, one.known, one.least) for one in self.parts))
 
     def weights(self, residual: Array) -> Array:
         """Return psi(e)/e of each residual."""

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 
 from scipy.special import ndtr
 
-from robust_filterpy.identification.models.learnt_noise import ContaminatedNormal
+from robust_filterpy.correction.contaminated import Contaminated
 
 __all__ = ["NoiseScale", "followed", "ordinary_mean"]
 
@@ -74,13 +74,13 @@ def ordinary_mean(influence: Any) -> float:
     Parameters
     ----------
     influence : Influence
-        A `ContaminatedNormal`, or anything else for normal noise.
+        A `Contaminated`, or anything else for normal noise.
 
     Returns
     -------
     float
     """
-    if not isinstance(influence, ContaminatedNormal):
+    if not isinstance(influence, Contaminated):
         return _mean(1.0)
     c = influence.contamination
     return (1.0 - c) * _mean(1.0) + c * _mean(influence.scale_ratio)
