@@ -2,8 +2,9 @@
 
     python tests/benchmarks/compare_peers.py [--steps 2000] [--series 1000] [--growth]
 
-Before anything is timed, the plain Kalman answers are checked to agree. After the table, each target says whether it is
-met. --growth prints how the cost grows with steps, series and dim_x. Each number is the least of many turns, so that other work on the machine matters little.
+Before anything is timed, the plain Kalman answers are checked to agree. After the table, each target says whether it
+is met. --growth prints how the cost grows with steps, series and dim_x. Each number is the least of many turns, so that
+other work on the machine matters little.
 """
 
 from __future__ import annotations
