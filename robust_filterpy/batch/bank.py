@@ -170,7 +170,7 @@ class FilterBank:
         told = _Told(x, P, z, H, R, self._memory)
         x, P, memory = x.copy(), P.copy(), self._memory.copy()
         weights, log_likelihood = np.full((self.n, m), np.nan), np.zeros(self.n)
-        left = range(self.n)
+        left: Any = range(self.n)
         if serves(choices):
             # A prediction that follows and changes nothing: a correction alone.
             model = Model(np.eye(d)[None, None], np.zeros((1, 1, d, d)), H[:, None], R[:, None], np.zeros((1, 1, d)))
@@ -206,9 +206,9 @@ class FilterBank:
     def _part(self, name: str, shape: tuple[int, ...]) -> Array:
         """Return what few programs look at after every update, made when it is asked for."""
         if name not in self._shown:
-            found = np.zeros((self.n, *shape))
-            for i in range(self.n if self._told is not None else 0):
-                found[i] = getattr(self._told.corrected(i, self._choices), name)
+            found, told = np.zeros((self.n, *shape)), self._told
+            if told is not None:
+                found[:] = [getattr(told.corrected(i, self._choices), name) for i in range(self.n)]
             self._shown[name] = found
         return self._shown[name]
 

@@ -138,9 +138,11 @@ class Mixture:
         if np.isnan(found.weights).all():
             ordinary = ordinary_noise(R, known.memory)
             return nothing_observed(x, P, H.dot(P).dot(H.T) + ordinary, len(H)), known.kept
-        told = (kept.x.copy(), kept.P.copy(), H.copy(), R.copy(), M, z, known.memory)
         after = _kept(found.copies, *merged_to)
-        record = Mixed(after.x.copy(), after.P.copy(), *found[1:], *told)
+        record = Mixed(
+            after.x.copy(), after.P.copy(), *found[1:], kept.x.copy(), kept.P.copy(), H.copy(), R.copy(), M, z,
+            known.memory,
+        )  # fmt: skip
         return record, None if known.kept is None else after
 
     def corrected_by_moments(
@@ -174,8 +176,9 @@ class Mixture:
             ordinary = ordinary_noise(R, known.memory) + unexplained
             return nothing_observed(x, P, H @ P @ H.T + ordinary, m), known.kept
         mean, covariance = x + found.copies.x[0, :n], found.copies.P[0, :n, :n].copy()
-        told = (np.zeros(n), P.copy(), H, R.copy(), None, y, known.memory, unexplained)
-        return Mixed(mean, covariance, *found[1:], *told), known.kept
+        return Mixed(
+            mean, covariance, *found[1:], np.zeros(n), P.copy(), H, R.copy(), None, y, known.memory, unexplained
+        ), known.kept
 
     def entries(self, kept: Kept | None, x: Array, P: Array) -> dict[str, Array]:
         """Return the copies as arrays of a state."""
