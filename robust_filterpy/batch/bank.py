@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +13,10 @@ from robust_filterpy._checks import Array, numbers
 from robust_filterpy.correction import spread
 from robust_filterpy.correction.definition import correct, correct_by_custom, innovation_moments
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
+from robust_filterpy.correction.result import Correction
 from robust_filterpy.influence.functions import Huber, Influence
+from robust_filterpy.kernel.records import Model, Output
+from robust_filterpy.kernel.series import filter_series, serves
 
 __all__ = ["FilterBank"]
 
@@ -89,9 +92,9 @@ class FilterBank:
         self.P = np.tile(np.eye(dim_x), (n, 1, 1))
         self.F, self.Q = np.eye(dim_x), np.eye(dim_x)
         self.H, self.R = np.zeros((dim_z, dim_x)), np.eye(dim_z)
-        self.y, self.e = np.zeros((n, dim_z)), np.zeros((n, dim_z))
-        self.S, self.weights = np.zeros((n, dim_z, dim_z)), np.full((n, dim_z), np.nan)
-        self.log_likelihood = np.zeros(n)
+        self.weights, self.log_likelihood = np.full((n, dim_z), np.nan), np.zeros(n)
+        self._told: _Told | None = None
+        self._shown: dict[str, Array] = {}
         self._memory = np.tile(spread.begin(dim_z), (n, 1, 1))
 
     def __repr__(self) -> str:
@@ -164,28 +167,50 @@ class FilterBank:
         if m == 1 or self._checked is None or not np.array_equal(R, self._checked):
             _require_covariances(R)
             self._checked = R.copy() if m > 1 else None
+        told = _Told(x, P, z, H, R, self._memory)
         x, P, memory = x.copy(), P.copy(), self._memory.copy()
-        y, e, weights = np.zeros((self.n, m)), np.zeros((self.n, m)), np.full((self.n, m), np.nan)
-        S, log_likelihood = np.zeros((self.n, m, m)), np.zeros(self.n)
-        for i in range(self.n):
-            H_i, R_i = H[i % len(H)], R[i % len(R)]
-            try:
-                innovation = z[i] - H_i @ x[i]
-                if not np.isfinite(innovation[z[i] == z[i]]).all():
-                    raise ValueError("update: expected finite innovations, got NaN or infinity; check x and H")
-                C, S_i = innovation_moments(P[i], H_i, R_i)
-                if choices.by_custom and not np.isnan(innovation).all():
-                    found = correct_by_custom(memory[i], x[i], P[i], innovation, C, S_i, R_i, choices, H_i)
-                    memory[i] = found.memory
-                else:
-                    found = correct(x[i], P[i], innovation, C, S_i, choices)
-            except (ValueError, np.linalg.LinAlgError) as error:
-                error.args = (f"filter {i}: {error}", *error.args[1:])
-                raise
-            x[i], P[i], log_likelihood[i] = found.x, found.P, found.log_density
-            y[i], e[i], weights[i], S[i] = found.y, found.e, found.weights, found.S
+        weights, log_likelihood = np.full((self.n, m), np.nan), np.zeros(self.n)
+        left: Any = range(self.n)
+        if serves(choices):
+            # A prediction that follows and changes nothing: a correction alone.
+            model = Model(np.eye(d)[None, None], np.zeros((1, 1, d, d)), H[:, None], R[:, None], np.zeros((1, 1, d)))
+            none = np.empty((self.n, 0, 0))
+            out = Output(none, none, none, none, weights[:, None], log_likelihood)
+            done = filter_series(choices, z[:, None], model, x, P, out, memory=memory, update_first=True)
+            left = np.flatnonzero(done == 0)
+        for i in left:
+            found = told.corrected(i, choices)
+            x[i], P[i], weights[i], log_likelihood[i] = found.x, found.P, found.weights, found.log_density
+            if found.memory is not None:
+                memory[i] = found.memory
         # All at once: Ctrl-C does not come in between.
-        self.__dict__.update(x=x, P=P, y=y, e=e, S=S, weights=weights, log_likelihood=log_likelihood, _memory=memory)
+        self.__dict__.update(
+            x=x, P=P, weights=weights, log_likelihood=log_likelihood, _memory=memory, _told=told, _shown={}
+        )
+
+    @property
+    def y(self) -> Array:
+        """Innovation of the last update, shape (n, dim_z), 0 where missing."""
+        return self._part("y", (self.dim_z,))
+
+    @property
+    def e(self) -> Array:
+        """Standardized innovation of the last update, shape (n, dim_z), 0 where missing (paper 29)."""
+        return self._part("e", (self.dim_z,))
+
+    @property
+    def S(self) -> Array:
+        """Innovation covariance of the last update, shape (n, dim_z, dim_z)."""
+        return self._part("S", (self.dim_z, self.dim_z))
+
+    def _part(self, name: str, shape: tuple[int, ...]) -> Array:
+        """Return what few programs look at after every update, made when it is asked for."""
+        if name not in self._shown:
+            found, told = np.zeros((self.n, *shape)), self._told
+            if told is not None:
+                found[:] = [getattr(told.corrected(i, self._choices), name) for i in range(self.n)]
+            self._shown[name] = found
+        return self._shown[name]
 
     @property
     def spread(self) -> Array:
@@ -236,8 +261,7 @@ class FilterBank:
         found = _state.checked(state, "FilterBank", {"x": (n, d), "P": (n, d, d)}, optional)
         found["_memory"] = found.pop("spread", np.tile(spread.begin(m), (n, 1, 1)))
         self.__dict__.update(
-            **found, y=np.zeros((n, m)), e=np.zeros((n, m)), S=np.zeros((n, m, m)), weights=np.full((n, m), np.nan),
-            log_likelihood=np.zeros(n),
+            **found, weights=np.full((n, m), np.nan), log_likelihood=np.zeros(n), _told=None, _shown={}
         )  # fmt: skip
 
     _checked: Array | None = None
@@ -267,6 +291,32 @@ class FilterBank:
         if value.ndim != 3 or value.shape[1:] != shape or len(value) not in (1, self.n):
             raise ValueError(f"{name}: expected shape {shape} or {(self.n, *shape)}, got {value.shape}")
         return value
+
+
+class _Told(NamedTuple):
+    """What an update was told, a row for each filter or one for all."""
+
+    x: Array
+    P: Array
+    z: Array
+    H: Array
+    R: Array
+    memory: Array
+
+    def corrected(self, i: int, choices: Choices) -> Correction:
+        """Return the correction of one filter by the definition, or raise with its number."""
+        H, R, memory = self.H[i % len(self.H)], self.R[i % len(self.R)], self.memory[i]
+        try:
+            innovation = self.z[i] - H @ self.x[i]
+            if not np.isfinite(innovation[self.z[i] == self.z[i]]).all():
+                raise ValueError("update: expected finite innovations, got NaN or infinity; check x and H")
+            C, S = innovation_moments(self.P[i], H, R)
+            if choices.by_custom and not np.isnan(innovation).all():
+                return correct_by_custom(memory, self.x[i], self.P[i], innovation, C, S, R, choices, H)
+            return correct(self.x[i], self.P[i], innovation, C, S, choices)
+        except (ValueError, np.linalg.LinAlgError) as error:
+            error.args = (f"filter {i}: {error}", *error.args[1:])
+            raise
 
 
 @np.errstate(invalid="ignore")

@@ -29,6 +29,7 @@ class Bounded:
     patience: int | None = None
     noise: ClassVar[None] = None
     process: ClassVar[None] = None
+    rule: ClassVar[None] = None
 
     def __post_init__(self) -> None:
         """Check what stands against what."""

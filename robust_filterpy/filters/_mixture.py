@@ -66,6 +66,8 @@ class Mixture:
     scales: Scales = field(init=False, repr=False, compare=False)
     choices: Choices = field(init=False, repr=False, compare=False)
     patience: None = field(init=False, repr=False, default=None)
+    #: What the kernel takes, None if it is not for that.
+    rule: Array | None = field(init=False, repr=False, compare=False)
     by_kernel = False
 
     def __post_init__(self) -> None:
@@ -78,6 +80,12 @@ class Mixture:
             ("choices", Choices(steady, "innovation", "realized", self.grouping)),
         ):
             object.__setattr__(self, name, value)
+        object.__setattr__(self, "rule", half_step.rule(self.classes, self.scales))
+
+    @property
+    def record(self) -> type[Mixed]:
+        """What the kernel puts a correction into."""
+        return Mixed
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Mixture:
         """Return self: nothing in here changes."""
@@ -130,9 +138,11 @@ class Mixture:
         if np.isnan(found.weights).all():
             ordinary = ordinary_noise(R, known.memory)
             return nothing_observed(x, P, H.dot(P).dot(H.T) + ordinary, len(H)), known.kept
-        told = (kept.x.copy(), kept.P.copy(), H.copy(), R.copy(), M, z, known.memory)
         after = _kept(found.copies, *merged_to)
-        record = Mixed(after.x.copy(), after.P.copy(), found.memory, found, *told)
+        record = Mixed(
+            after.x.copy(), after.P.copy(), *found[1:], kept.x.copy(), kept.P.copy(), H.copy(), R.copy(), M, z,
+            known.memory,
+        )  # fmt: skip
         return record, None if known.kept is None else after
 
     def corrected_by_moments(
@@ -166,8 +176,9 @@ class Mixture:
             ordinary = ordinary_noise(R, known.memory) + unexplained
             return nothing_observed(x, P, H @ P @ H.T + ordinary, m), known.kept
         mean, covariance = x + found.copies.x[0, :n], found.copies.P[0, :n, :n].copy()
-        told = (np.zeros(n), P.copy(), H, R.copy(), None, y, known.memory, unexplained)
-        return Mixed(mean, covariance, found.memory, found, *told), known.kept
+        return Mixed(
+            mean, covariance, *found[1:], np.zeros(n), P.copy(), H, R.copy(), None, y, known.memory, unexplained
+        ), known.kept
 
     def entries(self, kept: Kept | None, x: Array, P: Array) -> dict[str, Array]:
         """Return the copies as arrays of a state."""
@@ -214,7 +225,12 @@ class Mixed(NamedTuple):
     """Posterior covariance, shape (n, n)."""
     memory: Array
     """Of the noise after it."""
-    found: learnt.Corrected
+    log_density: float
+    """log p(z)."""
+    weights: Array
+    """Shape (m,), NaN where missing."""
+    outlier_probabilities: Array
+    """Shape (m,), or (1,) where all sensors fail together."""
     prior_x: Array
     """Prior mean, shape (n,), or 0 where z is an innovation."""
     prior_P: Array
@@ -230,14 +246,9 @@ class Mixed(NamedTuple):
     """Covariance of what a line does not explain of z."""
 
     @property
-    def log_density(self) -> float:
-        """log p(z)."""
-        return self.found.log_density
-
-    @property
     def outlier_probability(self) -> float:
         """Probability that a component was an outlier; sensors that fail together have one."""
-        outlying: list[float] = self.found.outlier_probabilities.tolist()
+        outlying: list[float] = self.outlier_probabilities.tolist()
         return max(outlying) if len(self.memory) == 1 else 1.0 - math.prod(1.0 - p for p in outlying)
 
     def as_arrays(self) -> Correction:
@@ -248,19 +259,19 @@ class Mixed(NamedTuple):
             R = R + self.curvature
         # A noise that is larger by a factor keeps its correlation with the state.
         C, S = innovation_moments(self.prior_P, self.H, R, None if M is None else M * np.sqrt(self.before[:, 0]))
-        y = np.where(np.isnan(self.found.weights), np.nan, self.z - self.H.dot(self.prior_x))
+        y = np.where(np.isnan(self.weights), np.nan, self.z - self.H.dot(self.prior_x))
         part = np.flatnonzero(y == y)
         y = np.where(np.isnan(y), 0.0, y)
         order = tuple((int(i),) for i in part[np.argsort(np.abs(y[part]) / np.sqrt(S.diagonal()[part]))])
         T = ordered_scaling(S, order, "innovation")
         e, weights, psi_deriv, score = T.dot(y), np.full(m, np.nan), np.full(m, np.nan), np.zeros(m)
-        weights[part] = self.found.weights[part]
+        weights[part] = self.weights[part]
         # The more likely an outlier than not, the more it counts as clipped.
-        psi_deriv[part] = np.where(self.found.outlier_probabilities[part] > 0.5, 0.0, weights[part])
+        psi_deriv[part] = np.where(self.outlier_probabilities[part] > 0.5, 0.0, weights[part])
         score[part] = T[np.ix_(part, part)].T.dot(weights[part] * e[part])
         return Correction(
             self.x, self.P, C, y, S, score, T.T.dot(T), e, weights, psi_deriv, order, "innovation",
-            self.found.log_density,
+            self.log_density,
         )  # fmt: skip
 
 

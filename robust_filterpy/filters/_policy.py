@@ -89,6 +89,11 @@ class Policy(Protocol):
         ...
 
     @property
+    def rule(self) -> Array | None:
+        """What the kernel's steps under a mixture take, None where they are not this policy's."""
+        ...
+
+    @property
     def learns(self) -> bool:
         """Whether anything is learnt of the sensors."""
         ...

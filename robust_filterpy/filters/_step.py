@@ -20,13 +20,20 @@ def is_own(cls: type, base: type) -> bool:
 
 def predict(kf: Any, u: Any) -> bool:
     """Predict if that is ordinary, return whether it was; nothing has changed if not."""
-    return _extension is not None and kf._by_kernel and kf._policy.by_kernel and _extension.predict(kf, u)
+    if _extension is None or not kf._by_kernel:
+        return False
+    if kf._policy.by_kernel:
+        return bool(_extension.predict(kf, u))
+    return kf._policy.rule is not None and _extension.predict_mixture(kf, u)
 
 
 def correct(kf: Any, z: Any, R: Any, H: Any, M: Any) -> bool:
     """Correct if that is ordinary, return whether it was; nothing has changed if not."""
-    if _extension is None or not kf._by_kernel or not kf._policy.by_kernel:
+    if _extension is None or not kf._by_kernel:
         return False
+    if not kf._policy.by_kernel:
+        own = R is None and H is None and M is None and kf._policy.rule is not None
+        return own and _extension.correct_mixture(kf, z)
     counts = kf._choices.scaling == "innovation" and kf._counts_clipped
     looks = counts and (kf._updates + 1) % EVERY == 0
     # A warning that is made an error refuses the call: nothing may have changed then.

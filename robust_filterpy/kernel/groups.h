@@ -9,5 +9,6 @@ extern PyMethodDef smoother_functions[];
 extern PyMethodDef online_functions[];
 extern PyMethodDef tracker_functions[];
 extern PyMethodDef learnt_functions[];
+extern PyMethodDef mixture_functions[];
 
 #endif

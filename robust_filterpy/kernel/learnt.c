@@ -1,9 +1,11 @@
 /* Learnt noise: a prediction, a correction, and a recording of many steps, on arrays that are changed in place. */
-#include "groups.h"
 #include "learnt.h"
 
+#include "groups.h"
+#include "online.h"
+
 /* The rule from the array that robust_filterpy.kernel.learnt makes of it; return whether it is that. */
-static int take_rule(learnt_rule *rule, PyObject *object) {
+int take_rule(learnt_rule *rule, PyObject *object) {
     enum { HEAD = 7 };
     PyArrayObject *const array = (PyArrayObject *)object;
     if (!PyArray_CheckExact(object) || PyArray_NDIM(array) != 1 || PyArray_DIM(array, 0) < HEAD) return 0;
@@ -19,7 +21,7 @@ static int take_rule(learnt_rule *rule, PyObject *object) {
 }
 
 /* The copies and what is known of m sensors; m < 0: of none. Return whether the arrays are that. */
-static int take_state(learnt_state *s, const learnt_rule *rule, npy_intp n, npy_intp m, PyObject *x, PyObject *P,
+static int take_copies(learnt_state *s, const learnt_rule *rule, npy_intp n, npy_intp m, PyObject *x, PyObject *P,
                       PyObject *p, PyObject *unseen, PyObject *memory) {
     const npy_intp copies = learnt_copies(rule), means[2] = {copies, n}, covariances[3] = {copies, n, n};
     const npy_intp one[1] = {1}, known[2] = {m, learnt_width(rule->K)};
@@ -169,7 +171,7 @@ static PyObject *learnt_steps(PyObject *self, PyObject *arguments) {
     if (n < 1 || m < 1 || n > 1000 || m > 1000 || every < 1 || first < 0 || last < first || last > all) return wrong();
     if (width != 0 && width != n && width != n * n) return wrong();
     const npy_intp rows = all / every;
-    if (!take_state(&job.state, &job.rule, n, m, x, P, p, unseen, memory) || !take_steps(&job.z, z, all, m, 0) ||
+    if (!take_copies(&job.state, &job.rule, n, m, x, P, p, unseen, memory) || !take_steps(&job.z, z, all, m, 0) ||
         !take_steps(&job.F, F, all, n, n) || !take_steps(&job.Q, Q, all, n, n) || !take_steps(&job.H, H, all, m, n) ||
         !take_steps(&job.R, R, all, m, m) || (u != Py_None && !take_steps(&job.control, u, all, n, 0)))
         return wrong();

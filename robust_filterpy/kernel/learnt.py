@@ -16,7 +16,7 @@ from robust_filterpy.correction.learnt import Corrected
 from robust_filterpy.correction.whitening import Inverse
 from robust_filterpy.kernel import extension
 
-__all__ = ["Kept", "State", "begin", "correct", "predict", "run"]
+__all__ = ["Kept", "State", "begin", "correct", "predict", "rule", "run"]
 
 #: Which half of a step is taken.
 PREDICTION, CORRECTION, BOTH = 1, 2, 3
@@ -58,8 +58,23 @@ class Kept(NamedTuple):
 
 
 @lru_cache(maxsize=64)
-def _rule(noise: NoiseClasses, process: Scales) -> Array:
-    """Return what learnt.c takes: sizes and options, scales of Q, scales of R, what is known at first."""
+def rule(noise: NoiseClasses, process: Scales) -> Array | None:
+    """Return what learnt.c takes: sizes and options, scales of Q, scales of R, what is known at first.
+
+    Parameters
+    ----------
+    noise : NoiseClasses
+        Classes of measurement noise.
+    process : Scales
+        Copies of the filter.
+
+    Returns
+    -------
+    ndarray or None
+        None for what the kernel has not: sensors that fail together, probabilities of the process that are told.
+    """
+    if noise.grouping == "joint" or process.probabilities is not None:
+        return None
     head = [
         len(process.scales), len(noise.scales), process.stay, process.jump, noise.memory, noise.r_memory, noise.learns,
     ]  # fmt: skip
@@ -125,14 +140,14 @@ def run(
     """
     kernel = extension()
     last = len(zs) if last is None else last
-    told = noise.grouping == "joint" or process.probabilities is not None
-    if kernel is None or told or not hasattr(kernel, "learnt_steps"):
+    what = rule(noise, process)
+    if kernel is None or what is None:
         return first
     width = 0 if kept.covariances is None else kept.covariances.shape[1]
     likelihood = np.zeros(1) if kept.log_likelihood is None else kept.log_likelihood
     F, Q, H, R, u = (a if a is None else np.ascontiguousarray(a, dtype=float) for a in model)
     taken = kernel.learnt_steps(
-        _rule(noise, process), tuple(state), np.ascontiguousarray(zs, dtype=float), (F, Q, H, R, u),
+        what, tuple(state), np.ascontiguousarray(zs, dtype=float), (F, Q, H, R, u),
         (*kept[:-1], likelihood), (first, last, every, alpha_sq, bool(update_first), width, which),
     )  # fmt: skip
     return int(taken)

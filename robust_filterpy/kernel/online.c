@@ -1,18 +1,20 @@
 /* One step of one filter as one call: attributes read, the step taken, attributes set. */
+#include "online.h"
+
 #include "groups.h"
 #include "prediction.h"
 #include "update.h"
 
 /* Python code may run where an attribute is read (a property of a subclass), and may do anything to arrays. So all that a
    step needs is read first, and looked into only then. */
-static int hold_all(held *h, PyObject *filter, const enum attribute *which, int count) {
+int hold_all(held *h, PyObject *filter, const enum attribute *which, int count) {
     for (int i = 0; i < count; i++)
         if (!hold_attribute(h, filter, which[i])) return -1;
     return 1;
 }
 
 /* A whole number > 0, or 0. */
-static npy_intp whole_number(PyObject *object) {
+npy_intp whole_number(PyObject *object) {
     npy_intp found;
     if (!PyLong_CheckExact(object)) return 0;
     found = PyLong_AsSsize_t(object);
@@ -20,14 +22,8 @@ static npy_intp whole_number(PyObject *object) {
     return found > 0 ? found : 0;
 }
 
-typedef struct {
-    const double *x, *P;
-    npy_intp n;
-    int ndim; /* of x */
-} state;
-
 /* Whether x is (n,) or (n, 1) and P a symmetric (n, n). */
-static int take_state(PyObject *dim_x, PyObject *x, PyObject *P, state *s) {
+int take_filter(PyObject *dim_x, PyObject *x, PyObject *P, filter_state *s) {
     s->n = whole_number(dim_x);
     s->x = vector_of(x, s->n);
     s->P = matrix_of(P, s->n, s->n);
@@ -37,7 +33,7 @@ static int take_state(PyObject *dim_x, PyObject *x, PyObject *P, state *s) {
 }
 
 /* Set x and P and their copies; return whether that went well. */
-static int set_state(held *h, PyObject *filter, PyObject *x, PyObject *P, enum attribute x_too, enum attribute P_too) {
+int set_state(held *h, PyObject *filter, PyObject *x, PyObject *P, enum attribute x_too, enum attribute P_too) {
     PyObject *const x_copy = hold(h, PyArray_NewCopy((PyArrayObject *)x, NPY_CORDER));
     PyObject *const P_copy = x_copy ? hold(h, PyArray_NewCopy((PyArrayObject *)P, NPY_CORDER)) : NULL;
     return P_copy && set_attribute(filter, AT_x, x) == 0 && set_attribute(filter, AT_P, P) == 0 &&
@@ -45,7 +41,7 @@ static int set_state(held *h, PyObject *filter, PyObject *x, PyObject *P, enum a
 }
 
 /* A number that no code of the user's has a part in. */
-static int number_of(PyObject *object, double *found) {
+int number_of(PyObject *object, double *found) {
     if (PyFloat_Check(object)) {
         *found = PyFloat_AsDouble(object);
         return 1;
@@ -59,7 +55,7 @@ static int number_of(PyObject *object, double *found) {
 }
 
 /* Write B u into control, and let the pointer to it be NULL if there is none; return whether that is all ordinary. */
-static int take_control(PyObject *B, PyObject *u, npy_intp n, double **control) {
+int take_control(PyObject *B, PyObject *u, npy_intp n, double **control) {
     npy_intp width;
     double number;
     const double *values = &number, *matrix;
@@ -82,13 +78,13 @@ static int take_control(PyObject *B, PyObject *u, npy_intp n, double **control) 
 static int take_prediction(held *h, PyObject *filter, PyObject *u) {
     static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT_F, AT_Q, AT__alpha_sq, AT_B};
     PyObject *const *const given = h->objects;
-    state now;
+    filter_state now;
     const double *F, *Q;
     PyObject *x_next, *P_next;
     double stack[STACK_WORK], *work, *control, alpha_sq;
     int fine = 1;
     if (hold_all(h, filter, names, sizeof names / sizeof *names) < 0) return -1;
-    if (!take_state(given[0], given[1], given[2], &now)) return 0;
+    if (!take_filter(given[0], given[1], given[2], &now)) return 0;
     F = matrix_of(given[3], now.n, now.n);
     Q = matrix_of(given[4], now.n, now.n);
     if (!F || !Q || !number_of(given[5], &alpha_sq) || !is_symmetric(Q, now.n)) return 0;
@@ -117,7 +113,7 @@ static PyObject *predict_step(PyObject *self, PyObject *const *arguments, Py_ssi
 }
 
 /* Write a measurement into z, NaN where missing; return whether it is an ordinary one with something in it. */
-static int take_measurement(PyObject *object, npy_intp m, double *z) {
+int take_measurement(PyObject *object, npy_intp m, double *z) {
     PyArrayObject *const array = (PyArrayObject *)object;
     int seen = 0;
     if (m == 1 && number_of(object, z)) {
@@ -188,7 +184,7 @@ static void write_record(double *values, npy_intp n, npy_intp m, const correctio
 #define RECORD(n, m) (4 + 7 * (m) + (m) * (m) + (m) * (n))
 
 static int take_correction(held *h, PyObject *filter, PyObject *z, PyObject *const given[3]) {
-    state now;
+    filter_state now;
     sensors s;
     correction c;
     npy_intp n, m;
@@ -201,7 +197,7 @@ static int take_correction(held *h, PyObject *filter, PyObject *z, PyObject *con
     own = h->objects + h->count;
     /* The last is for scaling "learnt" alone. */
     if (hold_all(h, filter, names, s.rule.scaling == SCALING_LEARNT ? 8 : 7) < 0) return -1;
-    if (!take_state(own[0], own[1], own[2], &now) || !take_sensors(given, own + 3, now.n, &s)) return 0;
+    if (!take_filter(own[0], own[1], own[2], &now) || !take_sensors(given, own + 3, now.n, &s)) return 0;
     n = now.n;
     m = s.m;
     x_next = hold(h, new_array(now.ndim, n, 1));

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import support
 
-from robust_filterpy import Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy import Huber, Linear, RobustKalmanFilter, Scales, StudentT, TukeyBiweight
 from robust_filterpy.filters import _step
 from robust_filterpy.influence import Hampel
 
@@ -65,6 +65,64 @@ def test_a_step_is_the_definition(monkeypatch, influence, scaling, information):
     assert taken > 60
 
 
+MIXTURES = {
+    "scales and jumps": {"noise": "learnt", "process": "scales"},
+    "one copy": {"noise": "learnt"},
+    "no jumps": {"noise": "learnt", "process": Scales((1.0, 10.0), jump=0.0)},
+}
+
+
+@pytest.mark.parametrize("how", MIXTURES)
+def test_a_step_under_learnt_noise_is_the_definition(monkeypatch, how):
+    for seed, (n, m) in enumerate(((1, 1), (2, 1), (4, 2), (3, 4), (7, 3))):
+        problem = support.random_problem(seed, n, m)
+        one, two = (support.make(RobustKalmanFilter, problem, 1 + seed % 2, **MIXTURES[how]) for _ in range(2))
+        for kf in (one, two):
+            kf.B = np.ones((n, 1))
+        zs, _ = support.simulate(problem, 25, seed, 0.15, 20.0)
+        zs[np.random.default_rng(seed).random(zs.shape) < 0.1] = np.nan
+        for k, z in enumerate(zs):
+            if k == 10:
+                # From outside: the copies begin there, by the definition.
+                one.x, two.x = one.x + 1.0, two.x + 1.0
+            for kf, extension in ((one, EXTENSION), (two, None)):
+                monkeypatch.setattr(_step, "_extension", extension)
+                kf.predict(0.1)
+                kf.update(z)
+            # Kernel and definition order sums differently, and a mixture of classes doubts at its border.
+            assert_same(one, two, 1e-7)
+            for name in ("R_learnt", "process_scale", "outlier_probability", "learnt"):
+                np.testing.assert_allclose(getattr(one, name), getattr(two, name), rtol=1e-6, atol=1e-9, err_msg=name)
+
+
+@pytest.mark.parametrize("how", MIXTURES)
+def test_the_kernel_takes_ordinary_steps_under_learnt_noise(how):
+    kf = support.make(RobustKalmanFilter, support.random_problem(1, 3, 2), **MIXTURES[how])
+    # The first step begins at an x from outside.
+    kf.predict()
+    assert EXTENSION.correct_mixture(kf, [1.0, 2.0])
+    assert EXTENSION.predict_mixture(kf, None) and EXTENSION.correct_mixture(kf, [np.nan, 2.0])
+    assert before_and_after(kf, lambda: EXTENSION.correct_mixture(kf, [np.nan, np.nan])) == (False, True)
+    kf.x = kf.x + 1.0
+    if how != "one copy":
+        assert before_and_after(kf, lambda: EXTENSION.correct_mixture(kf, [1.0, 2.0])) == (False, True)
+        kf._kept = (1.0,) * 6
+        assert before_and_after(kf, lambda: EXTENSION.predict_mixture(kf, None)) == (False, True)
+
+
+@pytest.mark.parametrize("how", MIXTURES)
+def test_what_a_correction_under_learnt_noise_leaves_cannot_be_changed_from_outside(how):
+    one, two = (support.make(RobustKalmanFilter, support.random_problem(1, 3, 2), **MIXTURES[how]) for _ in range(2))
+    for kf in (one, two):
+        kf.predict()
+        kf.update([1.0, 2.0])
+    y = two.y.copy()
+    for name in ("x", "P", "x_prior", "P_prior", "x_post", "P_post", "z", "H", "R"):
+        getattr(one, name)[...] = 7.0
+    np.testing.assert_array_equal(one.y, y)
+    np.testing.assert_array_equal(one.process_probabilities, two.process_probabilities)
+
+
 def spoilt():
     """Ways to spoil one attribute: the name, and what it becomes."""
 
@@ -101,6 +159,23 @@ def test_what_is_out_of_the_ordinary_is_declined_and_nothing_changes(name, how):
         assert outcome is True or same
     # One of the two reads each of them.
     assert not (EXTENSION.predict(kf, None) and EXTENSION.correct(kf, [1.0, 2.0], None, None, None))
+
+
+@pytest.mark.parametrize("how", spoilt())
+@pytest.mark.parametrize("name", ["x", "P", "F", "Q", "H", "R", "_memory", "_kept"])
+def test_the_same_under_learnt_noise(name, how):
+    kf = support.make(RobustKalmanFilter, support.random_problem(1, 3, 2), noise="learnt", process="scales")
+    kf.predict()
+    kf.update([1.0, 2.0])
+    value = getattr(kf, name)
+    if name == "_kept":
+        kf._kept = value._replace(means=spoilt()[how](value.means))
+    else:
+        setattr(kf, name, spoilt()[how](value))
+    for call in (lambda: EXTENSION.predict_mixture(kf, None), lambda: EXTENSION.correct_mixture(kf, [1.0, 2.0])):
+        outcome, same = before_and_after(kf, call)
+        assert outcome is True or same
+    assert not (EXTENSION.predict_mixture(kf, None) and EXTENSION.correct_mixture(kf, [1.0, 2.0])) or name == "_kept"
 
 
 MEASUREMENTS = (
