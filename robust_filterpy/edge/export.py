@@ -83,9 +83,9 @@ def export_c(
     source = _source(path)
     name = source.stem
     if type(model) is RobustKalmanFilter:
-        found, choices = described_filter(model, name), model._choices
+        found, choices = described_filter(model, name), model.choices
     elif type(model) is ParameterTracker:
-        found, choices = described_tracker(model, name), model.filter._choices
+        found, choices = described_tracker(model, name), model.filter.choices
     else:
         raise TypeError(
             f"model: expected a RobustKalmanFilter or a ParameterTracker, got {_checks.shown(type(model).__name__)}; "

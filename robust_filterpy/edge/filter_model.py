@@ -30,7 +30,7 @@ _SLACK: Final = 1e-12
 def described_filter(kf: RobustKalmanFilter, name: str) -> Described:
     """Return what the C of a filter is made of, or raise."""
     require_plain(kf, "model")
-    choices = kf._choices
+    choices = kf.choices
     x, P = state_of(kf)
     n, m = len(x), kf.dim_z
     if m > 1 and choices.grouping != "component":
@@ -132,7 +132,7 @@ def require_plain(kf: Any, name: str) -> None:
             f"{name}: expected bounded influence without patience, of which there is C, got noise={kf.noise!r}, "
             f"patience={kf.patience!r}"
         )
-    if kf._choices.pointwise is None or _kind(kf._choices) not in _FIELDS:
+    if kf.choices.pointwise is None or _kind(kf.choices) not in _FIELDS:
         raise ValueError(
             f"influence: expected Huber, Hampel, TukeyBiweight, StudentT or Linear, got {kf.influence!r}, of which "
             f"there is no C; set the nearest of these, such as StudentT(4), before the export"

@@ -56,7 +56,7 @@ def described_tracker(tracker: ParameterTracker, name: str) -> Described:
             "model: expected a tracker whose start is over, got one that still looks for a model of its first samples; "
             "take them with run(y, u) before the export, or make it with start=0"
         )
-    choices = kf._choices
+    choices = kf.choices
     if choices.scaling == "learnt":
         raise ValueError(
             "scaling: expected 'innovation', 'unit' or 'bounded' of a tracker, got 'learnt': R follows the noise; "

@@ -9,17 +9,27 @@ import numpy as np
 from robust_filterpy import _state
 from robust_filterpy._arrays import state_of
 from robust_filterpy._checks import Array
+from robust_filterpy.filters._learning import LearningMixin
 from robust_filterpy.filters._sensors import Customs
 
 
-class StateMixin:
+class StateMixin(LearningMixin):
     """Give a filter's state as plain arrays, and go on from one.
 
     A subclass adds to `_moving` and `_needed` what a step moves besides x, P and what its policy knows, and takes it
     over in `_go_on`.
     """
 
-    __slots__ = ()
+    # Not a literal: a type checker would then believe that there is no __dict__ at all.
+    __slots__ = tuple(())
+
+    dim_x: int
+    x: Any
+    P: Any
+    noise: Any
+    _log_likelihood: float | None
+    _likelihood: float | None
+    _mahalanobis: float | None
 
     #: What else the filter's behaviour depends on: name in a state, attribute. A state without it leaves it as it is.
     _settings: ClassVar[dict[str, str]] = {"Q": "Q", "R": "R"}
@@ -79,8 +89,7 @@ class StateMixin:
         The continuation is the same to the last bit. What the last correction showed (y, e, weights, ..) is as if there
         had been none.
         """
-        kf: Any = self
-        n = kf.dim_x
+        n = self.dim_x
         shapes: dict[str, _state.Shape] = {
             "F": (n, n), "Q": (n, n), "H": (None, n), "R": (None, None), "B": (n, None), "M": (n, None),
             "K": (n, None), "S": (None, None), "SI": (None, None), "alpha_sq": (), "sigmas_f": (None, n),
@@ -100,20 +109,17 @@ class StateMixin:
     @property
     def _sensors_name(self) -> str:
         """What the memory of the sensors is called in a state."""
-        kf: Any = self
-        return "spread" if kf.noise is None else "learnt"
+        return "spread" if self.noise is None else "learnt"
 
     def _sensor_shapes(self) -> dict[str, _state.Shape]:
         """Return the shapes of what is known of the sensors: at each place of z, and by the rows of an H passed."""
-        kf: Any = self
-        name, width = self._sensors_name, kf._memory.shape[1]
-        by_row: dict[str, _state.Shape] = {"sensors": (None, kf.dim_x), f"sensors_{name}": (None, width)}
+        name, width = self._sensors_name, self._memory.shape[1]
+        by_row: dict[str, _state.Shape] = {"sensors": (None, self.dim_x), f"sensors_{name}": (None, width)}
         return by_row if name == "learnt" else {name: (None, width), **by_row}
 
     def _sensors_in_state(self) -> dict[str, Array]:
         """Return what is known of the sensors, if anything is."""
-        kf: Any = self
-        customs, name = kf._known_sensors(), self._sensors_name
+        customs, name = self._known_sensors(), self._sensors_name
         known = {name: customs.places} if name == "spread" and (customs.places.any() or customs.rows) else {}
         if customs.rows:
             known["sensors"] = np.array([np.frombuffer(key) for key in customs.rows])
@@ -122,31 +128,28 @@ class StateMixin:
 
     def _moving(self) -> dict[str, Any]:
         """Return what a step moves."""
-        kf: Any = self
         x, P = state_of(self)
-        learnt = {"learnt": kf._memory} if kf._learns_noise else {}
-        return {"x": x, "P": P, **kf._policy.entries(kf._kept, np.ravel(x), P), **learnt}
+        learnt = {"learnt": self._memory} if self._learns_noise else {}
+        return {"x": x, "P": P, **self._policy.entries(self._kept, np.ravel(x), P), **learnt}
 
     def _needed(self) -> dict[str, _state.Shape]:
         """Return the shapes of what a step moves."""
-        kf: Any = self
-        learnt: dict[str, _state.Shape] = {"learnt": (None, kf._memory.shape[1])} if kf._learns_noise else {}
-        return {"x": (kf.dim_x,), "P": (kf.dim_x, kf.dim_x), **kf._policy.shapes(kf.dim_x), **learnt}
+        learnt: dict[str, _state.Shape] = {"learnt": (None, self._memory.shape[1])} if self._learns_noise else {}
+        return {"x": (self.dim_x,), "P": (self.dim_x, self.dim_x), **self._policy.shapes(self.dim_x), **learnt}
 
     def _go_on(self, found: dict[str, Array]) -> None:
         """Take over a checked state."""
-        kf: Any = self
         name = self._sensors_name
         rows = found.get("sensors", np.zeros((0, 1)))
-        memories = found.get(f"sensors_{name}", np.tile(kf._policy.begin(1), (len(rows), 1)))
-        places = found.get(name, kf._policy.begin(kf.dim_z))
+        memories = found.get(f"sensors_{name}", np.tile(self._policy.begin(1), (len(rows), 1)))
+        places = found.get(name, self._policy.begin(self.dim_z))
         if name == "learnt":
             # Sensors may have joined since.
-            places = kf._policy.classes.checked(places, min(kf.dim_z, len(places)))
-        kept = kf._policy.resumed(found, np.ravel(found["x"]), found["P"])
-        kf.x, kf.P, kf._kept = found["x"], found["P"], kept
+            places = self._policy.classes.checked(places, min(self.dim_z, len(places)))
+        kept = self._policy.resumed(found, np.ravel(found["x"]), found["P"])
+        self.x, self.P, self._kept = found["x"], found["P"], kept
         self._show_nothing()
-        kf._keep_sensors(Customs(places, {row.tobytes(): one for row, one in zip(rows, memories, strict=True)}))
+        self._keep_sensors(Customs(places, {row.tobytes(): one for row, one in zip(rows, memories, strict=True)}))
         for key, name in self._settings.items():
             if key in found:
                 value = found[key]
@@ -154,10 +157,10 @@ class StateMixin:
 
     def _show_nothing(self) -> None:
         """Show what a filter shows that has corrected nothing."""
-        kf: Any = self
-        n, m = kf.dim_x, kf.dim_z
-        shape = (m, 1) if np.ndim(kf.x) == 2 else (m,)
-        kf._last, kf.z, kf.y, kf._outlier_probability = None, np.full(shape, None), np.zeros(shape), 0.0
-        kf.S, kf.SI, kf.K = np.zeros((m, m)), np.zeros((m, m)), np.zeros((n, m))
-        kf.x_prior, kf.x_post, kf.P_prior, kf.P_post = kf.x.copy(), kf.x.copy(), kf.P.copy(), kf.P.copy()
-        kf._log_likelihood = kf._likelihood = kf._mahalanobis = None
+        n, m = self.dim_x, self.dim_z
+        shape = (m, 1) if np.ndim(self.x) == 2 else (m,)
+        self._last, self.z, self.y, self._outlier_probability = None, np.full(shape, None), np.zeros(shape), 0.0
+        self.S, self.SI, self.K = np.zeros((m, m)), np.zeros((m, m)), np.zeros((n, m))
+        self.x_prior, self.x_post = self.x.copy(), self.x.copy()
+        self.P_prior, self.P_post = self.P.copy(), self.P.copy()
+        self._log_likelihood = self._likelihood = self._mahalanobis = None

@@ -21,7 +21,8 @@ from robust_filterpy.filters._sensors import Customs
 class LearningMixin:
     """Hold the memory of the sensors, hand it to a policy and take it back."""
 
-    __slots__ = ()
+    # Not a literal: a type checker would then believe that there is no __dict__ at all.
+    __slots__ = tuple(())
 
     dim_z: int
     _policy: Any
@@ -36,8 +37,7 @@ class LearningMixin:
 
     def _keep_sensors(self, value: Customs) -> None:
         """Keep what is known of the sensors."""
-        kf: Any = self
-        kf._memory, kf._other_sensors = value
+        self._memory, self._other_sensors = value
 
     def _known(self, m: int, passed: Array | None = None, first: int = 0) -> Known:
         """Return what is known before a correction by m sensors, from place `first` in z on or by their rows of H."""
@@ -106,8 +106,7 @@ class LearningMixin:
     def learnt(self, value: ArrayLike) -> None:
         if not self._learns_noise:
             raise AttributeError(f"learnt: expected a filter with noise=Learnt(..), got noise={self._policy.noise!r}")
-        kf: Any = self
-        kf._memory, kf._other_sensors = self._policy.classes.checked(value, self.dim_z), {}
+        self._memory, self._other_sensors = self._policy.classes.checked(value, self.dim_z), {}
 
     @property
     def noise_learnt(self) -> LearntNoise | None:

@@ -19,7 +19,6 @@ from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.spread import settled
 from robust_filterpy.filters._bounded import Bounded
 from robust_filterpy.filters._interruption import StateMixin
-from robust_filterpy.filters._learning import LearningMixin
 from robust_filterpy.filters._options import OptionsMixin
 from robust_filterpy.filters._outlier_share import EVERY, Share
 from robust_filterpy.filters._policy import policy_of
@@ -36,7 +35,7 @@ Inverse = Callable[[Array], Array]
 _Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
-class RobustFilterMixin(OptionsMixin, LearningMixin, PrintingMixin, StateMixin):
+class RobustFilterMixin(OptionsMixin, PrintingMixin, StateMixin):
     """Add to a filter of filterpy's the choices of a robust correction and the attributes that show what it did.
 
     Comes before filterpy's class among the bases. The filter stores its `Correction` in ``_last`` and sets

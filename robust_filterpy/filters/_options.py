@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
@@ -14,7 +15,8 @@ from robust_filterpy.influence.functions import Influence
 class OptionsMixin:
     """Show the choices that a policy was made of, and make another policy where one is set."""
 
-    __slots__ = ()
+    # Not a literal: a type checker would then believe that there is no __dict__ at all.
+    __slots__ = tuple(())
 
     #: Whether a kind of filter takes ``process=``; only bounded influence is there for members of an ensemble.
     _takes_process, _takes_mixtures = True, True
@@ -23,10 +25,16 @@ class OptionsMixin:
     _policy: Any
     _choices: Choices
     _kept: Any
+    _keep_sensors: Callable[[Customs], None]
+    _start: Callable[[], None]
+
+    @property
+    def choices(self) -> Choices:
+        """What an innovation is judged by: influence, scaling, information, grouping, checked."""
+        return self._choices
 
     def _choose(self, **changes: Any) -> None:
         """Go on with other choices; a mixture that becomes another one starts to learn anew."""
-        kf: Any = self
         old = self._policy
         chosen = {"grouping": old.choices.grouping, "noise": old.noise, "process": old.process}
         if old.noise is None and changes.get("noise") is None:
@@ -34,11 +42,11 @@ class OptionsMixin:
         policy: Any = policy_of(**{**chosen, "patience": old.patience, **changes})
         self._require_possible(policy)
         anew = type(policy) is not type(old) or (isinstance(policy, Mixture) and policy.classes != old.classes)
-        kf._policy, kf._choices = policy, policy.choices
+        self._policy, self._choices = policy, policy.choices
         if anew:
-            kf._keep_sensors(Customs(policy.begin(self.dim_z), {}))
+            self._keep_sensors(Customs(policy.begin(self.dim_z), {}))
         if anew or policy.process != old.process or policy.patience != old.patience:
-            kf._start()
+            self._start()
 
     def _require_possible(self, policy: Any) -> None:
         """Raise for a policy that this kind of filter cannot follow."""

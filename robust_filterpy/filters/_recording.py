@@ -148,7 +148,7 @@ class CompiledLoop:
 
     def _serves(self, n: int, m: int, steps: int) -> bool:
         """Return whether the kernel serves so many states, sensors and steps."""
-        return series.serves(self._kf._choices)
+        return series.serves(self._kf.choices)
 
     def _run(self, k: int, last: int) -> int:
         """Take steps from k to last - 1 as far as the kernel can, and return the next."""
@@ -157,7 +157,7 @@ class CompiledLoop:
         state, covariance = x.reshape(1, -1).copy(), P[None].copy()
         memory = kf._known(self._zs.shape[2]).memory[None].copy() if kf._learns_spread else None
         taken = series.filter_series(
-            kf._choices, self._zs, self._model, state, covariance, self._kept, memory=memory, start=k, stop=last,
+            kf.choices, self._zs, self._model, state, covariance, self._kept, memory=memory, start=k, stop=last,
             **self._options,
         )  # fmt: skip
         if taken[0] > k:

@@ -61,7 +61,7 @@ def plain(kf: Any, update: Mapping[str, Any]) -> Plain | None:
     # An R or H of the user's own is for `update` to look at.
     if update or type(kf) is not RobustKalmanFilter or kf._compiled_loop(None) is None:
         return None
-    if not kernel.serves(kf._choices):
+    if not kernel.serves(kf.choices):
         return None
     _, P = state_of(kf)
     n, m = kf.dim_x, kf.dim_z
@@ -245,7 +245,7 @@ def _together(series: Plain, kf: Any, update: Mapping[str, Any], work: Work, mov
 def _by_kernel(kf: Any, z: Array, model: Model, moving: Moving, kept: Output, start: int) -> np.ndarray:
     """Advance in place and return the first step of each key that was not taken."""
     return kernel.filter_series(
-        kf._choices, z, model, moving.x, moving.P, kept, memory=moving.memory, alpha_sq=kf._alpha_sq, start=start
+        kf.choices, z, model, moving.x, moving.P, kept, memory=moving.memory, alpha_sq=kf._alpha_sq, start=start
     )
 
 

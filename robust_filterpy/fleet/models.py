@@ -308,7 +308,7 @@ class FilterModel(Model):
         yield from ((name, getattr(kf, own, None)) for name, own in sorted(kf._settings.items()) if name not in _MOVED)
         choices = ("influence", "scaling", "information", "grouping", "process", "noise", "patience", "hx", "fx", "dt")
         yield from ((name, getattr(kf, name)) for name in choices if name in vars(kf))
-        yield "choices", repr(kf._choices)
+        yield "choices", repr(kf.choices)
         yield "update", self.update
 
     def advance(self, work: Work) -> None:

@@ -142,6 +142,24 @@ def started(model: Model, count: int) -> dict[str, np.ndarray]:
     return entries
 
 
+class Batch(NamedTuple):
+    """Samples of many keys, in the order of the keys and in that of time."""
+
+    rows: Rows
+    """As they came."""
+    order: np.ndarray
+    """The rows in the order of the keys."""
+    starts: np.ndarray
+    """Where each key's rows begin, and the end, shape (K + 1,)."""
+    of: np.ndarray
+    """The key of each."""
+    late: Late
+    named: Any
+    clocks: Clocks
+    """Of the keys before."""
+    line: Placed
+
+
 class Advanced(NamedTuple):
     """An outcome, and the keys whose states were refused."""
 
@@ -191,17 +209,17 @@ def advance(
             f"time: gaps of a thousand steps of dt={model.dt:g} s; times as large as these are milliseconds since 1970 "
             f"as a rule, divide them by 1000",
         )
-    work, at, held = _steps(model, entries, known, line, starts, of, z, u)
+    batch = Batch(rows, order, starts, of, late, named, clocks, line)
+    work, at, held = _steps(model, entries, batch, z, u)
     model.advance(work)
-    return _gathered(model, known, line, rows, order, starts, of, late, named, work, at, held, clocks)
+    return _gathered(model, known, batch, work, at, held)
 
 
 def _steps(
-    model: Model, entries: dict[str, np.ndarray], known: np.ndarray, line: Placed, starts: np.ndarray, of: np.ndarray,
-    z: Array, u: Array | None,
-) -> tuple[Work, np.ndarray, Array | None]:  # fmt: skip
+    model: Model, entries: dict[str, np.ndarray], batch: Batch, z: Array, u: Array | None
+) -> tuple[Work, np.ndarray, Array | None]:
     """Return the steps that the samples make, which of them each sample is (-1: none), and the last inputs."""
-    step, steps = line.step, line.steps
+    step, steps, of = batch.line.step, batch.line.steps, batch.of
     if u is not None:
         # Before there is an input nothing has begun.
         step, steps = _from_first_input(step, steps, u, of, entries["input"])
@@ -256,11 +274,11 @@ def _held(u: Array, at: np.ndarray, bounds: np.ndarray, before: Array) -> Array:
 
 
 def _gathered(
-    model: Model, known: np.ndarray, line: Placed, rows: Rows, order: np.ndarray, starts: np.ndarray, of: np.ndarray,
-    late: Late, named: Any, work: Work, at: np.ndarray, held: Array | None, clocks: Clocks,
-) -> Advanced:  # fmt: skip
+    model: Model, known: np.ndarray, batch: Batch, work: Work, at: np.ndarray, held: Array | None
+) -> Advanced:
     """Return what became of the rows, and write times, inputs and counts into the states."""
     entries, bounds = work.entries, work.bounds
+    rows, order, starts, line = batch.rows, batch.order, batch.starts, batch.line
     said: Reasons = {}
     refused = {i: text for i, (k, text) in work.stopped.items() if k < 0}
     ends = np.diff(bounds)
@@ -271,7 +289,7 @@ def _gathered(
             if k < 0 or at[place] >= bounds[i] + k:
                 at[place] = -1
                 said[place] = text
-    for place, text in {**line.off, **(line.late if late == "refuse" else {})}.items():
+    for place, text in {**line.off, **(line.late if batch.late == "refuse" else {})}.items():
         said.setdefault(place, text)
     if work.missed:
         where = {int(one): place for place, one in enumerate(at.tolist()) if one in work.missed}
@@ -280,9 +298,9 @@ def _gathered(
     columns = np.full((len(rows.z), len(model.columns)), np.nan)
     columns[order[taken]] = work.columns[at[taken]]
     kept = np.ones(len(rows.z), dtype=bool)
-    if late == "drop":
+    if batch.late == "drop":
         kept[order[list(line.late)]] = False
-    _count(entries, line, starts, of, taken, said, refused, late)
+    _count(entries, batch, taken, said, refused)
     errors = np.full(len(rows.z), None, dtype=object)
     for row, text in rows.said.items():
         errors[row] = text
@@ -290,24 +308,23 @@ def _gathered(
         row = int(order[place])
         errors[row] = text if errors[row] is None else f"{errors[row]}; {text}"
     for row in np.flatnonzero(errors != None).tolist() if (rows.said or said) else ():  # noqa: E711
-        errors[row] = named(row, errors[row])
-    _keep(entries, line, work, starts, at, held, clocks, None if rows.times is None else rows.times[order])
-    moved = known | (np.bincount(of[taken], minlength=len(known)) > 0)
+        errors[row] = batch.named(row, errors[row])
+    _keep(batch, work, at, held)
+    moved = known | (np.bincount(batch.of[taken], minlength=len(known)) > 0)
     return Advanced(Outcome(entries, moved, columns, np.flatnonzero(kept), errors), refused)
 
 
 def _count(
-    entries: dict[str, np.ndarray], line: Placed, starts: np.ndarray, of: np.ndarray, taken: np.ndarray,
-    said: Reasons, refused: Mapping[int, str], late: Late,
-) -> None:  # fmt: skip
+    entries: dict[str, np.ndarray], batch: Batch, taken: np.ndarray, said: Reasons, refused: Mapping[int, str]
+) -> None:
     """Count refused and dropped samples, and have the first one after refused ones of a batch before say so."""
-    counts = entries["refused"]
+    counts, starts, of = entries["refused"], batch.starts, batch.of
     if taken.all() and not (counts[:, 0] > 0.0).any():
         return
     so_far = np.nan_to_num(counts)
     dropped = np.zeros(len(taken), dtype=bool)
-    if late == "drop":
-        dropped[list(line.late)] = True
+    if batch.late == "drop":
+        dropped[list(batch.line.late)] = True
     for i in np.unique(np.concatenate((of[~taken], np.flatnonzero(so_far[:, 0] > 0)))).tolist():
         if i in refused or starts[i] == starts[i + 1]:
             continue
@@ -323,13 +340,12 @@ def _count(
         counts[i] = now if any(now) else np.nan
 
 
-def _keep(
-    entries: dict[str, np.ndarray], line: Placed, work: Work, starts: np.ndarray, at: np.ndarray, held: Array | None,
-    clocks: Clocks, times: Array | None,
-) -> None:  # fmt: skip
+def _keep(batch: Batch, work: Work, at: np.ndarray, held: Array | None) -> None:
     """Write the times and inputs of the last samples into the states."""
-    steps = np.diff(work.bounds)
+    entries, line, clocks, starts = work.entries, batch.line, batch.clocks, batch.starts
+    steps, times = np.diff(work.bounds), batch.rows.times
     if times is not None:
+        times = times[batch.order]
         entries["time"][:, 0], entries["grid"][:] = line.clocks.last, np.column_stack(line.clocks[1:])
     if held is not None:
         some = steps > 0

@@ -239,7 +239,7 @@ def is_plain(kf: Any, n: int) -> bool:
         # Not one whose methods somebody has wrapped.
         and not {"predict", "update"} & vars(kf).keys()
         and kf._policy.by_kernel
-        and kf._choices.pointwise is not None
+        and kf.choices.pointwise is not None
         and kf._inverse is None
         and all(is_array(value, (n, n)) and np.isfinite(value).all() for value in (kf.F, kf.Q, kf.P))
         and is_array(kf.R, (1, 1))
@@ -253,11 +253,6 @@ def is_plain(kf: Any, n: int) -> bool:
 def choose(kf: RobustKalmanFilter, choices: Choices) -> None:
     """Give a filter the options of its correction."""
     kf._choose(influence=choices.influence, scaling=choices.scaling, information=choices.information)
-
-
-def choices_of(kf: Any) -> Any:
-    """Return the options of a robust filter's correction."""
-    return kf._choices
 
 
 def matrix_of(kf: Any, name: str, default: Array) -> Array:

@@ -724,7 +724,7 @@ class ParameterTracker(Responses):
     def _using(self, recorded: bool) -> track.Settings:
         """Return what may have been changed since the last call; recorded: whether the kernel may serve."""
         kf, n = self.filter, self.form.layout.n
-        choices = (setup.choices_of(kf),) if recorded and setup.is_plain(kf, n) else None
+        choices = (kf.choices,) if recorded and setup.is_plain(kf, n) else None
         if choices is not None and not track.serves(choices):
             choices = None
         F, Q = (kf.F[None], kf.Q[None]) if choices else (np.empty(0), np.empty(0))
