@@ -51,7 +51,7 @@ def state(timeline: Timeline, clock: Clock, counts: Any, outcomes: tuple[str, ..
         "spoke": np.array([[n in e.spoke for n in names] for e in timeline.entries]).reshape(-1, len(names)),
         "earlier_known": [n in timeline.earlier for n in names],
         "earlier": _split([timeline.earlier.get(n, 0) for n in names]),
-        "counts": [[counts[n][o] for o in outcomes] for n in names],
+        "counts": [[counts[n][o] + (o == "refused") * timeline.unusable.get(n, 0) for o in outcomes] for n in names],
     })  # fmt: skip
 
 

@@ -39,6 +39,8 @@ class Moment(NamedTuple):
     """Its standard deviation if the noise is ordinary, as learnt before, (M,)."""
     watch: Any = None
     """What is known of the sensors' health (`_watch.Watch`); None if nobody looks."""
+    failed: tuple[tuple[str, str], ...] = ()
+    """Sensors whose reading could not be used, since a function of theirs has no answer for this state, and why."""
 
 
 def begun(setup: Setup, x: Array, P: Array) -> Moment:
@@ -112,10 +114,10 @@ def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Ar
     seen = layout.seen_from(state.x, z)
     y = seen.z - seen.H @ state.x
     # What goes round in circles is compared as the difference to what was expected.
-    state = aged(state, seconds, np.where(layout.is_curved, y, z))
+    state = aged(state, seconds, np.where(layout.is_curved, y, seen.z))
     y = np.where(np.isnan(state.sizes), np.nan, y)
     if np.isnan(y).all():
-        return Moment(state, none, none, before.watch)
+        return Moment(state, none, none, before.watch, seen.failed)
     spread = ((seen.H @ state.P) * seen.H).sum(axis=1)
     R = covariance(layout, state.sizes)
     deviation = np.sqrt(spread + policy.factors(state) * R.diagonal())
@@ -129,7 +131,7 @@ def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Ar
         used = np.where(watch.out[layout.owner], np.nan, used)
     if not np.isnan(used).all():
         state = policy.corrected(state, used, seen.H, R, learns)
-    return Moment(state, y, np.where(here, deviation, np.nan), watch)
+    return Moment(state, y, np.where(here, deviation, np.nan), watch, seen.failed)
 
 
 def aged(state: State, seconds: float, values: Array) -> State:

@@ -68,6 +68,10 @@ class Timeline:
         self.clean = 0
         #: When each sensor has spoken last, of entries that are no longer kept.
         self.earlier: dict[str, float | int] = {}
+        #: How many readings of each sensor could not be used, of entries that are no longer kept.
+        self.unusable: dict[str, int] = {}
+        #: First reading of each sensor that could not be used: its stamp's key, and why.
+        self.reasons: dict[str, tuple[float | int, str]] = {}
 
     @property
     def horizon(self) -> float | int | None:
@@ -108,6 +112,8 @@ class Timeline:
         seconds = 0.0 if key is None else Clock.between(key, entry.key)
         moment = advanced(self.setup, before, seconds, entry.z, entry.control)
         entry.moment = moment if moment.watch is None else watched(self, i, moment)
+        for name, why in moment.failed:
+            self.reasons.setdefault(name, (entry.key, why))
 
     def stands(self, i: int) -> tuple[Moment, float | int | None]:
         """Return what there is before an entry, and of when it is."""
@@ -130,8 +136,17 @@ class Timeline:
         self.base, self.base_key, _ = self.until(self.keys[beyond - 1])
         for entry in self.entries[:beyond]:
             self.earlier.update(dict.fromkeys(entry.spoke, entry.key))
+        self.unusable = self.failures(self.entries[:beyond])
         del self.entries[:beyond], self.keys[:beyond]
         self.clean -= beyond
+
+    def failures(self, entries: list[Entry]) -> dict[str, int]:
+        """Return how many readings of each sensor could not be used, in these entries and those no longer kept."""
+        found = dict(self.unusable)
+        for entry in entries:
+            for name, _ in entry.moment.failed if entry.moment is not None else ():
+                found[name] = found.get(name, 0) + 1
+        return found
 
     def last_words(self, entries: int) -> dict[str, float | int]:
         """Return when each sensor has spoken last, in the first entries; who never has is left out."""

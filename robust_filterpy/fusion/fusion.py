@@ -24,7 +24,7 @@ from robust_filterpy.correction.policies import (
 )
 from robust_filterpy.fusion import _keeping
 from robust_filterpy.fusion._policies import BoundedInfluence, LearntNoise, Policy
-from robust_filterpy.fusion._stepping import Setup, begun, moved
+from robust_filterpy.fusion._stepping import Moment, Setup, begun, moved
 from robust_filterpy.fusion._timeline import Timeline
 from robust_filterpy.fusion._times import Clock
 from robust_filterpy.fusion.motion import Motion
@@ -109,7 +109,9 @@ class Fusion:
     which are refused depends on the order, since the newest stamp moves the window. A late reading makes what follows
     it be judged anew when somebody asks, never before.
 
-    An error in a user's h, f or their Jacobians appears when somebody asks for an estimate; the reading stays.
+    A reading for which a sensor's h, Jacobian or residual raises, or returns what is not finite, counts as refused and
+    changes nothing; the first of each sensor is a `FusionWarning` with the reason. A motion that raises has no way
+    on: that error appears when somebody asks for an estimate after it.
 
     Examples
     --------
@@ -158,6 +160,8 @@ class Fusion:
         if t0 is not None:
             self._clock.decide(t0)
         self._counts = {name: dict.fromkeys(OUTCOMES, 0) for name in layout.names}
+        #: Sensors of whose functions it was said that they fail.
+        self._said: set[str] = set()
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -171,8 +175,46 @@ class Fusion:
 
     @property
     def counts(self) -> dict[str, dict[str, int]]:
-        """How many readings of each sensor were taken, late (and taken), replaced, duplicate, refused; a copy."""
-        return {name: dict(counts) for name, counts in self._counts.items()}
+        """How many readings of each sensor were taken, late (and taken), replaced, duplicate, refused; a copy.
+
+        One that was taken, and for which the sensor's function then had no answer, is refused besides.
+        """
+        line = self._timeline
+        if self._setup.layout.curved:
+            self._until()
+        failed = line.failures(line.entries)
+        return {name: {**had, "refused": had["refused"] + failed.get(name, 0)} for name, had in self._counts.items()}
+
+    def _until(self, key: float | int | None = None) -> tuple[Moment, float | int | None, int]:
+        """Return what there is after all entries up to a stamp; say which sensor's readings cannot be used."""
+        found = self._timeline.until(key)
+        self._say_failures()
+        return found
+
+    def _say_failures(self) -> None:
+        """Warn of each sensor's first reading for which its function had no answer."""
+        for name, (key, why) in self._timeline.reasons.items():
+            if name not in self._said:
+                self._said.add(name)
+                warn(
+                    f"sensor {name!r}: a reading of {self._clock.stamp(key)} was refused, since its function failed at "
+                    f"the state then: {why}; mend the function, or start nearer (x0); counts has how many there are",
+                    FusionWarning,
+                )
+
+    def _forget(self) -> None:
+        """Let go of what is too old."""
+        try:
+            self._timeline.forget()
+        except Exception as error:
+            # The reading stands; only a motion that raises comes here, and who asks for an estimate is told.
+            if "" not in self._said:
+                self._said.add("")
+                warn(
+                    f"motion: it has failed, and no estimate goes beyond: {type(error).__name__}: {error}",
+                    FusionWarning,
+                )
+        self._say_failures()
 
     def observe(self, sensor: str, t: Any, z: Any, *, replace: bool = False) -> str:
         """Take a reading.
@@ -229,7 +271,7 @@ class Fusion:
         outcome = "replaced" if again else "late" if late else "taken"
         self._counts[sensor][outcome] += 1
         if not late:
-            line.forget()
+            self._forget()
         return outcome
 
     def _refused(self, sensor: str, key: float | int, horizon: float | int) -> str:
@@ -279,7 +321,7 @@ class Fusion:
         line.at(key).control = value.copy()
         self._clock.decide(t)
         if not late:
-            line.forget()
+            self._forget()
         return "late" if late else "taken"
 
     def estimate(self, t: Any = None) -> Estimate:
@@ -304,7 +346,7 @@ class Fusion:
         first = line.base_key if line.base_key is not None else line.keys[0] if line.keys else None
         if key is not None and first is not None and key < first:
             raise ValueError(f"t: expected a time from {self._clock.stamp(first)} on, which is kept, got {t}")
-        moment, at, entries = line.until(key)
+        moment, at, entries = self._until(key)
         when = at if key is None else key
         if when is None:
             raise ValueError("estimate: expected a reading first, got none; or pass t")
@@ -321,7 +363,7 @@ class Fusion:
         dict of str to SensorNoise
         """
         layout, policy = self._setup.layout, self._setup.policy
-        state = self._timeline.until()[0].state
+        state = self._until()[0].state
         deviation = np.sqrt(state.sizes * layout.R.diagonal() * policy.factors(state))
         shares = policy.contamination(state)
         return {name: SensorNoise(deviation[place], shares[place]) for name, place in layout.places.items()}

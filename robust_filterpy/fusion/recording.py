@@ -10,6 +10,7 @@ import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
+from robust_filterpy._warning import warn
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.fusion._stepping import Moment, Setup, advanced, aged, covariance
 from robust_filterpy.fusion._times import Clock
@@ -166,11 +167,13 @@ def fused(setup: Setup, begin: Moment, start: Any, rows: Rows, smoothed: bool) -
     x, P = np.empty((K, motion.dim_x)), np.empty((K, motion.dim_x, motion.dim_x))
     weights, moment, done = np.full((K, layout.size), np.nan), begin, 0
     straight = motion.is_linear and not layout.curved
+    failed: list[tuple[str, int, str]] = []
     while done < K:
         # Step by step goes what the kernel cannot: what is not linear, first readings of sensors that nobody told.
         stop = _next_first(moment, rows.zs, done) if straight else done
         if stop == done:
             moment = advanced(setup, moment, dts[done].item(), rows.zs[done], rows.inputs[done])
+            failed.extend((who, done, why) for who, why in moment.failed)
             x[done], P[done], done = moment.state.x, moment.state.P, done + 1
             continue
         to = min(done + _TOGETHER, stop)
@@ -181,6 +184,13 @@ def fused(setup: Setup, begin: Moment, start: Any, rows: Rows, smoothed: bool) -
         )
         state = aged(state, float(dts[done:to].sum()), np.full(layout.size, np.nan))
         moment, done = moment._replace(state=state._replace(u=rows.inputs[to - 1])), to
+    if failed:
+        who, at, why = failed[0]
+        warn(
+            f"{len(failed)} reading(s) left out, since a sensor's function failed at the state then; the first is of "
+            f"{who!r} at {Clock.stamp(rows.keys[at].item())}: {why}",
+            RuntimeWarning,
+        )
     if smoothed:
         x, P, weights = _smoothed(setup, begin, moment, dts, rows, (x, P))
     times = rows.keys.astype("M8[ns]") if rows.keys.dtype == np.int64 else rows.keys

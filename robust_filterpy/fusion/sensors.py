@@ -124,6 +124,8 @@ class Seen(NamedTuple):
     """Readings as if every sensor were linear, z - h(x) + H x; NaN where missing, (M,)."""
     H: Array
     """(M, n)"""
+    failed: tuple[tuple[str, str], ...] = ()
+    """Sensors whose functions have no answer for this state, and why; their readings are missing."""
 
 
 class Layout:
@@ -213,29 +215,35 @@ class Layout:
         Returns
         -------
         Seen
-
-        Raises
-        ------
-        ValueError
-            If a user's function returns another shape, or what is not finite.
+            A reading for which a user's function raises, or returns another shape or what is not finite, is missing.
         """
         curved = [name for name in self.curved if not np.isnan(z[self.places[name]]).all()]
         if not curved:
             return Seen(z, self.H)
-        z, H = z.copy(), self.H.copy()
+        z, H, failed = z.copy(), self.H.copy(), []
         for name in curved:
-            sensor, place = self.sensors[name], self.places[name]
-            m = sensor.dim_z
-            at = _returned(f"h of {name!r}", sensor.h(x.copy()), (m,))  # type: ignore[misc]
-            H[place] = _returned(f"jacobian of {name!r}", sensor.jacobian(x.copy()), (m, self.n))  # type: ignore[misc]
-            here = z[place].copy()
-            missing = np.isnan(here)
-            # A residual is asked about whole readings: what is missing agrees.
-            here[missing] = at[missing]
-            apart = here - at if sensor.residual is None else sensor.residual(here, at)
-            apart = _returned(f"residual of {name!r}", apart, (m,))
-            z[place] = np.where(missing, np.nan, apart + H[place] @ x)
-        return Seen(z, H)
+            place = self.places[name]
+            try:
+                apart, slope = _compared(self.sensors[name], x, z[place])
+            except Exception as error:
+                # A user's function may know no answer far from the truth: that is no reason to stop.
+                failed.append((name, f"{type(error).__name__}: {error}"))
+                z[place] = np.nan
+            else:
+                H[place] = slope
+                z[place] = apart + slope @ x
+        return Seen(z, H, tuple(failed))
+
+
+def _compared(sensor: Sensor, x: Array, z: Array) -> tuple[Array, Array]:
+    """Return z - h(x), NaN where z is missing, and the Jacobian of a sensor that is no matrix."""
+    m, missing, z = sensor.dim_z, np.isnan(z), z.copy()
+    at = _returned("h", sensor.h(x.copy()), (m,))  # type: ignore[misc]
+    slope = _returned("jacobian", sensor.jacobian(x.copy()), (m, len(x)))  # type: ignore[misc]
+    # A residual is asked about whole readings: what is missing agrees.
+    z[missing] = at[missing]
+    apart = z - at if sensor.residual is None else _returned("residual", sensor.residual(z, at.copy()), (m,))
+    return np.where(missing, np.nan, apart), slope
 
 
 def _returned(name: str, value: Any, shape: tuple[int, ...]) -> Array:

@@ -8,7 +8,7 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from fusion.worlds import GPS, POLICIES, WHEEL, plane, sensors, table
 
-from robust_filterpy.fusion import Fusion, Sensor, angle, constant_velocity, from_function
+from robust_filterpy.fusion import Fusion, FusionWarning, Sensor, angle, constant_velocity, from_function
 from robust_filterpy.influence import Linear
 
 
@@ -264,3 +264,71 @@ def test_a_row_that_cannot_be_is_named(change, says):
 def test_what_does_not_fit_is_refused_by_name(make, says):
     with pytest.raises((ValueError, TypeError), match=says):
         make()
+
+
+def square_root(limit):
+    """A sensor whose h has no answer left of a place."""
+
+    def h(x):
+        if x[0] < limit:
+            raise ArithmeticError("left of the wall")
+        return [np.sqrt(x[0] - limit)]
+
+    return Sensor(h=h, jacobian=lambda x: [[0.5 / np.sqrt(x[0] - limit), 0.0]], R=0.01)
+
+
+@pytest.mark.parametrize("watch", [False, True])
+def test_a_reading_whose_h_raises_is_refused_with_the_reason_and_the_rest_goes_on(watch):
+    def made():
+        sensors = {"root": square_root(0.0), "place": Sensor([1.0, 0.0], R=1.0)}
+        return Fusion(constant_velocity(1, 0.1), sensors, 0.5, x0=[50.0, -1.0], P0=np.eye(2), watch=watch)
+
+    fusion, without, rng = made(), made(), np.random.default_rng(0)
+    rows = [("place", 0.1 * k, 50.0 - 0.1 * k + rng.normal()) for k in range(1200)]
+    with pytest.warns(FusionWarning, match=r"'root'.*refused.*left of the wall.*counts") as said:
+        for k, row in enumerate(rows):
+            for one in (fusion, without):
+                one.observe(*row)
+            # As it runs out of window and history, what raises is behind what is kept.
+            if row[1] > 60.0 and k % 2:
+                assert fusion.observe("root", row[1], 1.0) == "taken"
+    counts = fusion.counts["root"]
+    assert len([w for w in said if "'root'" in str(w.message)]) == 1
+    assert counts["refused"] == counts["taken"] == 300 and fusion.counts["place"]["refused"] == 0
+    assert fusion.estimate().x.tobytes() == without.estimate().x.tobytes()
+    table = {"time": [t for _, t, _ in rows] + [100.0], "sensor": ["place"] * 1200 + ["root"],
+             "value": [z for *_, z in rows] + [1.0]}  # fmt: skip
+    with pytest.warns(RuntimeWarning, match=r"1 reading\(s\) left out.*'root'"):
+        assert np.isfinite(fusion.run(table).x).all()
+
+
+def test_a_late_reading_may_bring_back_one_whose_h_raised():
+    sensors = {"root": square_root(0.0), "place": Sensor([1.0, 0.0], R=1.0)}
+    rows = [("root", 1.0, 3.0), ("place", 0.5, 9.0), ("place", 0.7, 9.0)]
+    found = []
+    for order in ((0, 1, 2), (1, 0, 2), (2, 1, 0)):
+        fusion = Fusion(constant_velocity(1, 0.1), sensors, 5.0, x0=[-3.0, 0.0], t0=0.0, P0=100.0 * np.eye(2))
+        for i in order:
+            fusion.observe(*rows[i])
+            if i == order[0] == 0:
+                with pytest.warns(FusionWarning, match="left of the wall"):
+                    fusion.estimate()
+        found.append(fusion.estimate().x.tobytes())
+        assert fusion.counts["root"]["refused"] == 0
+    assert len(set(found)) == 1
+
+
+def test_a_motion_that_raises_says_so_once_and_takes_readings_all_the_same():
+    def f(x, dt):
+        if x[0] > 5.0:
+            raise ArithmeticError("beyond the map")
+        return np.array([x[0] + dt])
+
+    fusion = Fusion(from_function(f, lambda x, dt: np.eye(1), np.eye(1), 1), {"a": Sensor([1.0], R=1.0)}, 0.5)
+    with pytest.warns(FusionWarning, match="motion.*beyond the map") as said:
+        for k in range(1000):
+            fusion.observe("a", 0.1 * k, 0.1 * k)
+    assert len(said) == 1
+    with pytest.raises(ArithmeticError):
+        fusion.estimate()
+    assert fusion.estimate(3.0).x[0] < 4.0
