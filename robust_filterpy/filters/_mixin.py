@@ -134,9 +134,10 @@ class RobustFilterMixin(OptionsMixin, PrintingMixin, StateMixin):
     def _look(self, last: Any) -> None:
         """Count a correction, and look now and then whether most of them clip."""
         self._updates += 1
-        # Under a mixture psi follows from probabilities, and no share of clipped innovations is expected of it.
-        if self._updates % EVERY == 0 and self._counts_clipped and type(self._policy) is Bounded:
-            self._share.look(self, last)
+        # Under a mixture psi follows from probabilities, and by custom from what is usual: no share is expected there.
+        expected = self._policy.noise is None and self._choices.scaling == "innovation"
+        if expected and self._counts_clipped and self._updates % EVERY == 0:
+            self._share.look(self, last if isinstance(last, Correction) else last.as_arrays())
 
     @property
     def _learns_spread(self) -> bool:

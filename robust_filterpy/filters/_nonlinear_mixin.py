@@ -10,6 +10,7 @@ import numpy as np
 from robust_filterpy._arrays import measured
 from robust_filterpy._checks import Array, described, numbers
 from robust_filterpy.filters._mixin import RobustFilterMixin, unchanged_if_refused, whole
+from robust_filterpy.kernel import moments
 
 
 class NonlinearFilterMixin(RobustFilterMixin):
@@ -17,6 +18,8 @@ class NonlinearFilterMixin(RobustFilterMixin):
 
     # A model of the process as a function has no scale of Q to doubt.
     _takes_process = False
+    # An ensemble asks how much each sensor has told, which a record of the kernel does not keep.
+    _by_moments = True
 
     inv: Any
     dim_x: int
@@ -46,8 +49,13 @@ class NonlinearFilterMixin(RobustFilterMixin):
                 raise ValueError(f"residual: expected {y.size} number(s), got {apart}")
             return apart
 
+        known = self._known(len(y))
+        if self._by_moments and self._policy.by_kernel and self._inverse is None:
+            taken = moments.correct(self._choices, known.memory, P, y, C, S, R)
+            if taken is not None:
+                return taken, known.kept
         return self._policy.corrected_by_moments(  # type: ignore[no-any-return]
-            self._known(len(y)), np.zeros(len(P)), P, y, C, S, R, H, self._inverse, difference
+            known, np.zeros(len(P)), P, y, C, S, R, H, self._inverse, difference
         )
 
     def _keep(self, last: Any, kept: Any, z: Array) -> None:

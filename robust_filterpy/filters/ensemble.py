@@ -94,6 +94,8 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
 
     _takes_process = _takes_mixtures = False
 
+    _by_moments = False
+
     def __init__(
         self,
         x: ArrayLike,

@@ -165,21 +165,23 @@ static int take_sensors(PyObject *const given[3], PyObject *const own[5], npy_in
     return 1;
 }
 
-/* What a correction leaves: see robust_filterpy.kernel.record, which reads it. */
-static void write_record(double *values, npy_intp n, npy_intp m, const correction_rule *rule, const double *z,
-                         const double *H, const double *x, const correction *c) {
+/* What a correction leaves: see robust_filterpy.kernel.record, which reads it. Not the innovations, S and C. */
+static void begin_record(double *values, npy_intp n, npy_intp m, const correction_rule *rule, const correction *c) {
     double *const vectors = values + 4;
     values[0] = (double)n;
     values[1] = (double)m;
     values[2] = (double)rule->scaling;
     values[3] = correction_log_likelihood(rule, c);
+    real_copy((int)(4 * m), c->e, vectors + m);     /* e, weights, slopes, d */
+    real_copy((int)(2 * m), c->v, vectors + 5 * m); /* v, order */
+}
+
+static void write_innovations(double *y, npy_intp n, npy_intp m, const double *z, const double *H, const double *x) {
     for (npy_intp i = 0; i < m; i++) {
         double predicted = 0;
         for (npy_intp k = 0; k < n; k++) predicted += H[i * n + k] * x[k];
-        vectors[i] = z[i] == z[i] ? z[i] - predicted : 0;
+        y[i] = z[i] == z[i] ? z[i] - predicted : 0;
     }
-    real_copy((int)(4 * m), c->e, vectors + m);     /* e, weights, slopes, d */
-    real_copy((int)(2 * m), c->v, vectors + 5 * m); /* v, order */
 }
 #define RECORD(n, m) (4 + 7 * (m) + (m) * (m) + (m) * (n))
 
@@ -217,7 +219,8 @@ static int take_correction(held *h, PyObject *filter, PyObject *z, PyObject *con
         outcome = update((int)n, (int)m, &s.rule, numbers_of(kept), s.H, s.R, s.M,
                          learnt ? (spread_memory *)numbers_of(learnt) : NULL, numbers_of(x_next), numbers_of(P_next), &c,
                          values + 4 + 7 * m, work);
-        write_record(values, n, m, &s.rule, numbers_of(kept), s.H, now.x, &c);
+        begin_record(values, n, m, &s.rule, &c);
+        write_innovations(values + 4, n, m, numbers_of(kept), s.H, now.x);
     }
     work_done(stack, work);
     if (!outcome) return 0;
@@ -239,8 +242,74 @@ static PyObject *correct_step(PyObject *self, PyObject *const *arguments, Py_ssi
     return answer(&h, take_correction(&h, arguments[0], arguments[1], arguments + 2));
 }
 
+/* Correct a state at 0 by an innovation of which the moments are known: (rule, P, y, C, S, R, memory or None); the answer
+   is (x, P, record, memory), or None where that is for the definition. */
+static PyObject *correct_moments(PyObject *self, PyObject *const *given, Py_ssize_t count) {
+    held h = {.count = 0};
+    correction_rule rule;
+    correction c;
+    PyObject *x, *P_next, *record, *learnt = Py_None, *found = NULL;
+    const double *P, *y, *C, *S, *R, *memory = NULL;
+    double stack[STACK_WORK], *work, *values, check = 0;
+    int fine = 1;
+    (void)self;
+    if (count != 7) {
+        PyErr_SetString(PyExc_TypeError, "correct_moments: expected rule, P, y, C, S, R and memory");
+        return NULL;
+    }
+    if (!rule_of(given[0], &rule) || !PyArray_CheckExact(given[3]) || PyArray_NDIM((PyArrayObject *)given[3]) != 2)
+        Py_RETURN_NONE;
+    const npy_intp n = PyArray_DIM((PyArrayObject *)given[3], 0), m = PyArray_DIM((PyArrayObject *)given[3], 1);
+    P = matrix_of(given[1], n, n), y = vector_of(given[2], m), C = matrix_of(given[3], n, m);
+    S = matrix_of(given[4], m, m), R = matrix_of(given[5], m, m);
+    if (n < 1 || m < 1 || n > 10000 || m > 10000 || !P || !y || !C || !S || !R) Py_RETURN_NONE;
+    if (rule.scaling == SCALING_LEARNT) {
+        memory = matrix_of(given[6], m, SPREAD_NUMBERS);
+        if (!memory || !all_finite(memory, m * SPREAD_NUMBERS)) Py_RETURN_NONE;
+    }
+    if (!is_symmetric(P, n) || !is_symmetric(S, m) || !all_finite(C, n * m)) Py_RETURN_NONE;
+    x = hold(&h, new_array(1, n, 0));
+    P_next = x ? hold(&h, new_array(2, n, n)) : NULL;
+    record = P_next ? hold(&h, new_array(1, RECORD(n, m), 0)) : NULL;
+    if (record && memory) learnt = hold(&h, new_array(2, m, SPREAD_NUMBERS));
+    work = record && learnt ? work_of(stack, update_work((int)n, (int)m) + (size_t)(m * m + m * n + m)) : NULL;
+    if (!work) {
+        Py_XDECREF(answer(&h, 0));
+        return NULL;
+    }
+    values = numbers_of(record);
+    correction_begin((int)n, (int)m, 1, &c, work);
+    c.observed = 0;
+    for (npy_intp i = 0; i < m; i++) {
+        const int seen = y[i] == y[i];
+        c.y[i] = seen ? y[i] : 0, c.left[i] = seen, c.observed += seen;
+        check += fabs(c.y[i]);
+        for (npy_intp k = 0; k < n; k++) c.C[i * n + k] = C[k * m + i];
+    }
+    real_copy((int)(m * m), S, c.S);
+    real_copy((int)(n * n), P, numbers_of(P_next));
+    for (npy_intp k = 0; k < n; k++) numbers_of(x)[k] = 0;
+    if (memory) real_copy((int)(SPREAD_NUMBERS * m), memory, numbers_of(learnt));
+    fine = c.observed > 0 && check < REAL_ORDINARY;
+    if (fine) {
+        double *const shown = work + update_work((int)n, (int)m);
+        fine = update_moments((int)n, (int)m, &rule, R, memory ? (spread_memory *)numbers_of(learnt) : NULL, numbers_of(x),
+                              numbers_of(P_next), &c, shown, work);
+        begin_record(values, n, m, &rule, &c);
+        real_copy((int)m, shown + m * m + m * n, values + 4);
+        real_copy((int)(m * m + m * n), shown, values + 4 + 7 * m);
+    }
+    work_done(stack, work);
+    if (fine) found = PyTuple_Pack(4, x, P_next, record, learnt);
+    Py_XDECREF(answer(&h, 0));
+    if (fine || PyErr_Occurred()) return found;
+    Py_RETURN_NONE;
+}
+
 PyMethodDef online_functions[] = {
     {"predict", (PyCFunction)(void (*)(void))predict_step, METH_FASTCALL, "Predict a filter's next state: (filter, u)."},
     {"correct", (PyCFunction)(void (*)(void))correct_step, METH_FASTCALL,
      "Correct a filter's state: (filter, z, R, H, M), None for its own R and H and for no M."},
+    {"correct_moments", (PyCFunction)(void (*)(void))correct_moments, METH_FASTCALL,
+     "Correct a state at 0 by an innovation of known moments; see robust_filterpy.kernel.moments."},
     {NULL, NULL, 0, NULL}};

@@ -161,8 +161,8 @@ def test_a_run_of_outliers_shorter_than_the_patience_is_left_out(cls, run, size)
         kf, plain = radar(cls), radar(cls, **PLAIN)
         found = errors(kf, truth, zs)
         assert found[50:].max() < 3.0 and kf.recoveries == 0
-        # Until it recovers it is the same filter.
-        np.testing.assert_array_equal(found, errors(plain, truth, zs))
+        # Until it recovers it is the same filter; the other one is stepped by the kernel.
+        np.testing.assert_allclose(found, errors(plain, truth, zs), rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("column", [False, True])

@@ -1,0 +1,87 @@
+"""A correction by moments, as nonlinear filters make it, is the definition's by the kernel."""
+
+import numpy as np
+import pytest
+import support
+
+from robust_filterpy import Huber, Linear, RobustExtendedKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy.correction import definition, spread
+from robust_filterpy.correction.options import Choices
+from robust_filterpy.influence import Hampel
+from robust_filterpy.kernel import moments
+
+support.needs_kernel()
+
+
+def problem(seed):
+    """P, y, C, S and R of a random sensor that is bent a little; now and then a component is missing."""
+    g = np.random.default_rng(seed)
+    n, m = int(g.integers(1, 7)), int(g.integers(1, 5))
+    root, H = g.normal(size=(n, n)), g.normal(size=(m, n))
+    P, R = root @ root.T, np.diag(g.uniform(0.1, 2.0, m))
+    bend = 0.1 * np.diag(g.uniform(size=m))
+    y = 3.0 * g.standard_t(2, size=m)
+    y[g.random(m) < 0.1] = np.nan
+    return P, y, P @ H.T, H @ P @ H.T + bend + R, R
+
+
+def defined(choices, memory, P, y, C, S, R):
+    x = np.zeros(len(P))
+    if choices.by_custom:
+        return definition.correct_by_custom(memory, x, P, y, C, S, R, choices)
+    return definition.correct(x, P, y, C, S, choices)
+
+
+@pytest.mark.parametrize("scaling", ["learnt", "innovation", "bounded"])
+@pytest.mark.parametrize("influence", [Huber(), Linear(), Hampel(), TukeyBiweight(), StudentT()], ids=str)
+def test_it_is_the_definition(influence, scaling):
+    choices, taken = Choices(influence, scaling), 0
+    for seed in range(60):
+        P, y, C, S, R = problem(seed)
+        memory = spread.begin(len(y))
+        for again in range(3):
+            found = moments.correct(choices, memory, P, y * (1.0 + 0.1 * again), C, S, R)
+            if found is None:
+                continue
+            taken += 1
+            expected = defined(choices, memory, P, y * (1.0 + 0.1 * again), C, S, R)
+            shown = found.as_arrays()
+            for name in ("x", "P", "y", "C", "S", "e", "weights", "psi_deriv", "score", "T"):
+                a, b = getattr(shown, name), getattr(expected, name)
+                np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9 * (1.0 + np.nanmax(np.abs(b), initial=0.0)))
+            assert found.log_density == pytest.approx(expected.log_density, rel=1e-9, abs=1e-9)
+            if expected.memory is not None:
+                np.testing.assert_allclose(found.memory, expected.memory, rtol=1e-9, atol=1e-9)
+                memory = expected.memory
+    assert taken > 150
+
+
+def test_what_is_out_of_the_ordinary_is_declined():
+    P, y, C, S, R = problem(3)
+    choices, memory = Choices(Huber(), "learnt"), spread.begin(len(y))
+    assert moments.correct(choices, memory, P, np.full_like(y, np.nan), C, S, R) is None
+    assert moments.correct(choices, memory, P, np.full_like(y, np.inf), C, S, R) is None
+    assert moments.correct(choices, memory, P, y, C, np.zeros_like(S), R) is None
+    assert moments.correct(choices, memory, P, y, np.full_like(C, np.nan), S, R) is None
+    assert moments.correct(choices, memory[:0], P, y, C, S, R) is None
+    assert moments.correct(choices, memory, P + np.triu(np.ones_like(P), 1), y, C, S, R) is None or len(P) == 1
+    assert moments.correct(Choices(Huber(), "learnt", grouping="joint"), memory, P, y, C, S, R) is None
+
+
+@pytest.mark.parametrize("arguments", [(), (1,), (None,) * 7, ("a",) * 7, (np.zeros(8), *(np.zeros((0, 0)),) * 6)])
+def test_nothing_that_is_passed_crashes(arguments):
+    extension = moments.kernel.extension()
+    if len(arguments) == 7:
+        assert extension.correct_moments(*arguments) is None
+    else:
+        with pytest.raises(TypeError):
+            extension.correct_moments(*arguments)
+
+
+def test_an_extended_filter_is_stepped_by_it():
+    kf = RobustExtendedKalmanFilter(2, 1)
+    for z in (1.0, 1.2, 50.0):
+        kf.predict()
+        kf.update(np.array([[z]]), lambda x: np.array([[1.0, 0.0]]), lambda x: x[:1])
+    assert isinstance(kf._last, moments.Taken)
+    assert kf.weights[0, 0] < 0.1 and kf.S.shape == (1, 1)
