@@ -17,7 +17,7 @@ from robust_filterpy.identification.judging.validate import Validation, validate
 from robust_filterpy.identification.models.continuous import ContinuousModel
 from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
 from robust_filterpy.identification.models.model import Model
-from robust_filterpy.identification.models.responses import FrequencyResponse, NoiseSpectrum, Regions, StepResponse
+from robust_filterpy.identification.models.response_records import FrequencyResponse, NoiseSpectrum, StepResponse
 from robust_filterpy.identification.models.results import Coefficients, Intervals, Sample, TrackingResult
 from robust_filterpy.identification.models.state_space import StateSpace, StateSpaceModel
 from robust_filterpy.identification.models.structures import (
@@ -32,6 +32,7 @@ from robust_filterpy.identification.models.structures import (
     Structure,
 )
 from robust_filterpy.identification.models.summary import Summary
+from robust_filterpy.identification.models.uncertainty import Regions
 from robust_filterpy.identification.recursive.bank import BankResult, BankSample, TrackerBank
 from robust_filterpy.identification.recursive.tracker import ParameterTracker
 from robust_filterpy.identification.recursive.tuned import TunedTracker

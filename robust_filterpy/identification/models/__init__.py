@@ -19,7 +19,9 @@
 * `findings`: what a recording has beside a model: fill values, level steps, ..
 * `dependence`: what is left of a model that follows its inputs.
 * `fit`: how well a model agrees with a recording.
-* `responses`: how sure a model or tracker is of its responses, poles and zeros.
+* `responses`: responses, poles and zeros of a model or tracker, as `response_records`, and how sure it is of them, by
+  `uncertainty`.
+* `estimated`: what anything with parameters tells of them: intervals, a table, a transfer function.
 * `results`, `summary`: what trackers return, and parameters as a table.
 
 Imports from below: `influence`, `correction`, `filters`, `batch`.

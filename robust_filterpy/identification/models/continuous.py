@@ -10,9 +10,9 @@ from scipy.linalg import logm
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.models.responses import Regions, regions
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.time_axis import table
+from robust_filterpy.identification.models.uncertainty import Regions, regions
 
 if TYPE_CHECKING:
     import control

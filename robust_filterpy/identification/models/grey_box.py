@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
+from robust_filterpy.identification.models.estimated import Estimated
 from robust_filterpy.identification.models.findings import Finding, said
 from robust_filterpy.identification.models.grey_box_residuals import GreyRecording, GreyResiduals, Scale
 from robust_filterpy.identification.models.learnt_noise import Noise
-from robust_filterpy.identification.models.results import Intervals, intervals
 from robust_filterpy.identification.models.summary import Summary, summarized
 
 __all__ = ["GreyBox", "GreyBoxModel"]
@@ -154,7 +154,7 @@ class GreyBox:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class GreyBoxModel:
+class GreyBoxModel(Estimated):
     """A physical model as `identify` found it.
 
     Attributes
@@ -211,42 +211,8 @@ class GreyBoxModel:
         text = ", ".join(f"{name}={value:.4g}+-{std:.2g}" for name, value, std in values)
         return f"GreyBoxModel({text})" + (f"; doubtful: {self.warning}" if self.warning else "")
 
-    def confidence_intervals(self, level: float = 0.95) -> Intervals:
-        """Return theta -+ z std.
-
-        Parameters
-        ----------
-        level : float, default 0.95
-            Probability of each interval.
-
-        Returns
-        -------
-        Intervals
-
-        Raises
-        ------
-        ValueError
-            If level is no probability.
-        """
-        return intervals(self.theta, self.std, level)
-
-    def summary(self, level: float = 0.95) -> Summary:
-        """Return a table of the estimated parameters.
-
-        Parameters
-        ----------
-        level : float, default 0.95
-            Probability of each interval.
-
-        Returns
-        -------
-        Summary
-
-        Raises
-        ------
-        ValueError
-            If level is no probability.
-        """
+    def _summarized(self, level: float) -> Summary:
+        """Return the table, with what was found beside the parameters."""
         known = int((~np.isnan(self.weights)).sum())
         facts = {"Samples": f"{known} of {self.weights.size}", "Log-likelihood": f"{self.log_likelihood:.1f}"}
         for j, one in enumerate(self.noise):

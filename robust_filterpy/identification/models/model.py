@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -16,6 +16,7 @@ from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.identification.models import coefficients
 from robust_filterpy.identification.models.beginnings import held_input, motion_after
 from robust_filterpy.identification.models.continuous import ContinuousModel, continuous, realized
+from robust_filterpy.identification.models.estimated import EstimatedPolynomials
 from robust_filterpy.identification.models.findings import Finding, said
 from robust_filterpy.identification.models.fit import fit_percent
 from robust_filterpy.identification.models.learnt_noise import Noise
@@ -23,7 +24,6 @@ from robust_filterpy.identification.models.polynomial_model import Parts, Polyno
 from robust_filterpy.identification.models.prediction import cleaned_residuals, predicted
 from robust_filterpy.identification.models.regressor import Layout, Memory
 from robust_filterpy.identification.models.responses import Responses
-from robust_filterpy.identification.models.results import Intervals, intervals
 from robust_filterpy.identification.models.signals import recorded_input, recorded_output
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.summary import Summary, summarized
@@ -31,7 +31,7 @@ from robust_filterpy.identification.models.time_axis import TimeAxis, recording
 from robust_filterpy.influence.regression import robust_regression
 
 if TYPE_CHECKING:
-    import control
+    pass
 
 __all__ = ["Ending", "Model"]
 
@@ -58,7 +58,7 @@ class Ending(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Model(Responses):
+class Model(EstimatedPolynomials, Responses):
     """A(q) y = B(q)/F(q) u + offset + C(q)/D(q) v, as `identify` found it.
 
     Attributes
@@ -156,11 +156,6 @@ class Model(Responses):
         return np.sqrt(np.maximum(self.P.diagonal(), 0.0))
 
     @property
-    def coefficients(self) -> Any:
-        """a, b and c as `Coefficients`, or of a BoxJenkins b, f, c and d as `BoxJenkinsCoefficients`."""
-        return coefficients.coefficients(self.structure, self.theta)
-
-    @property
     def level(self) -> float:
         """What the output is at rest with no input, offset/A(1); 0 if the model integrates, which has no rest."""
         return resting_level(self._parts())
@@ -173,44 +168,8 @@ class Model(Responses):
         found[acting] = [b.sum() / (parts.f.sum() * parts.a.sum()) for b in parts.b]
         return found
 
-    def confidence_intervals(self, level: float = 0.95) -> Intervals:
-        """Return theta -+ z std, z the normal quantile of the level.
-
-        Parameters
-        ----------
-        level : float, default 0.95
-            Probability of each interval, in (0, 1).
-
-        Returns
-        -------
-        Intervals
-            lower, upper, each of shape (n,).
-
-        Raises
-        ------
-        ValueError
-            If level is no probability.
-        """
-        return intervals(self.theta, self.std, level)
-
-    def summary(self, level: float = 0.95) -> Summary:
-        """Return a table of the parameters with their uncertainty, and what was found beside them.
-
-        Parameters
-        ----------
-        level : float, default 0.95
-            Probability of each interval, in (0, 1).
-
-        Returns
-        -------
-        Summary
-            It prints as a table.
-
-        Raises
-        ------
-        ValueError
-            If level is no probability.
-        """
+    def _summarized(self, level: float) -> Summary:
+        """Return the table, with what was found beside the parameters."""
         theta, std, names = self.theta, self.std, self.structure.names
         if self.has_offset:
             theta, std = np.append(theta, self.offset), np.append(std, self.offset_std)
@@ -226,26 +185,6 @@ class Model(Responses):
         if self.dt is not None:
             facts["Sampling period"] = f"{self.dt:.6g} s"
         return summarized(str(self.structure), facts, names, theta, std, level, self.warning, said(self.findings))
-
-    def transfer_function(self, dt: float | bool | Literal["recorded"] = "recorded") -> control.TransferFunction:
-        """Return the way from u to y.
-
-        Parameters
-        ----------
-        dt : float, True or "recorded", default "recorded"
-            Sampling period in s; True leaves it open. "recorded": as the index told it, True if it did not.
-
-        Returns
-        -------
-        control.TransferFunction
-            One output and as many inputs as the structure has.
-
-        Raises
-        ------
-        ValueError
-            If the structure has no input, or a regressor of the caller's.
-        """
-        return coefficients.transfer_function(self.structure, self.theta, coefficients.period(dt, self.dt))
 
     def to_continuous(self, dt: float | None = None, level: float = 0.95) -> ContinuousModel:
         """Return the system in continuous time whose samples this model gives, with inputs held between them.

@@ -17,16 +17,11 @@ from robust_filterpy.identification.models.findings import Finding, said
 from robust_filterpy.identification.models.fit import fit_percent
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.noise_of_outputs import Noises
-from robust_filterpy.identification.models.responses import (
-    FrequencyResponse,
-    Regions,
-    StepResponse,
-    bands,
-    regions,
-)
+from robust_filterpy.identification.models.response_records import FrequencyResponse, StepResponse
 from robust_filterpy.identification.models.signals import measured_outputs, recorded_input
 from robust_filterpy.identification.models.state_space_residuals import StateSpaceResiduals
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording, table
+from robust_filterpy.identification.models.uncertainty import Regions, bands, regions
 from robust_filterpy.influence.regression import robust_regression
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,12 +15,13 @@ from robust_filterpy._documentation import STOPPED, pointer
 from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Information, Scaling
 from robust_filterpy.identification.models import coefficients
+from robust_filterpy.identification.models.estimated import EstimatedPolynomials
 from robust_filterpy.identification.models.fit import fit_percent
 from robust_filterpy.identification.models.guard import GUARDS, Guard
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.regressor import Layout, Memory
 from robust_filterpy.identification.models.responses import Responses
-from robust_filterpy.identification.models.results import Columns, Intervals, Sample, TrackingResult, intervals
+from robust_filterpy.identification.models.results import Columns, Sample, TrackingResult
 from robust_filterpy.identification.models.signals import (
     filled_output,
     one_input,
@@ -41,7 +42,7 @@ from robust_filterpy.identification.recursive.watch import LostTrackerWarning
 from robust_filterpy.influence.functions import Influence
 
 if TYPE_CHECKING:
-    import control
+    pass
 
 __all__ = ["ParameterTracker"]
 
@@ -49,7 +50,7 @@ __all__ = ["ParameterTracker"]
 START = 400
 
 
-class ParameterTracker(Responses):
+class ParameterTracker(EstimatedPolynomials, Responses):
     """Follow the parameters of a linear model, sample by sample, through outliers.
 
     A filter with the parameters as its state, F = I and H = phi'(k) (paper 53 and Table 1)::
@@ -394,85 +395,13 @@ class ParameterTracker(Responses):
         std = np.sqrt(np.maximum(self.P.diagonal(), 0.0))
         return std if self._now.begun[0] else np.full(std.shape, np.inf)
 
-    @property
-    def coefficients(self) -> Any:
-        """a, b and c as `Coefficients`, or of a BoxJenkins b, f, c and d as `BoxJenkinsCoefficients`."""
-        return coefficients.coefficients(self.structure, self.theta)
-
-    def confidence_intervals(self, level: float = 0.95) -> Intervals:
-        """Return theta -+ z std, z the normal quantile of the level.
-
-        Parameters
-        ----------
-        level : float, default 0.95
-            Probability of each interval, in (0, 1).
-
-        Returns
-        -------
-        Intervals
-            lower, upper, each of shape (n,).
-
-        Raises
-        ------
-        ValueError
-            If level is no probability.
-
-        Notes
-        -----
-        As honest as Q and R: P is the covariance for noise of variance R.
-        """
-        return intervals(self.theta, self.std, level)
-
-    def summary(self, level: float = 0.95) -> Summary:
-        """Return a table of the parameters as they stand, with their uncertainty.
-
-        Parameters
-        ----------
-        level : float, default 0.95
-            Probability of each interval, in (0, 1).
-
-        Returns
-        -------
-        Summary
-            It prints as a table.
-
-        Raises
-        ------
-        ValueError
-            If level is no probability.
-        """
+    def _summarized(self, level: float) -> Summary:
+        """Return the table, with what was found beside the parameters."""
         facts = {"R": f"{self.R:.4g}", "Level": f"{self.level:.4g}", "Forgetting": f"{self.forgetting:.4g}"}
         if self.dt is not None:
             facts["Sampling period"] = f"{self.dt:.6g} s"
         waiting = "" if self._now.begun[0] else "the start has not found a model yet"
         return summarized(str(self.structure), facts, self.structure.names, self.theta, self.std, level, waiting)
-
-    def transfer_function(self, dt: float | bool | Literal["recorded"] = "recorded") -> control.TransferFunction:
-        """Return the model B(q)/A(q) as it stands.
-
-        Parameters
-        ----------
-        dt : float, True or "recorded", default "recorded"
-            Sampling period in s; True leaves it open. "recorded": as an index told it, True if none did.
-
-        Returns
-        -------
-        control.TransferFunction
-            One output and as many inputs as the structure has.
-
-        Raises
-        ------
-        ValueError
-            If the structure has no input, or a regressor of the caller's.
-
-        Examples
-        --------
-        >>> from robust_filterpy.identification import ARX
-        >>> tf = ParameterTracker(ARX(1, 1), theta=[-0.5, 2.0]).transfer_function(dt=0.1)
-        >>> tf.poles().real, float(tf.dcgain())
-        (array([0.5]), 4.0)
-        """
-        return coefficients.transfer_function(self.structure, self.theta, coefficients.period(dt, self.dt))
 
     def predict(self, u: ArrayLike | None = None) -> float:
         """Predict the next output, phi(k+1)' theta (paper 22), and change nothing.

@@ -1,0 +1,256 @@
+"""Bands and regions of what follows from parameters, from their covariance.
+
+A property h(theta) is looked at in theta and one standard deviation s_i to both sides along each principal axis of P.
+Half the differences are the delta method's standard deviation, sigma^2 = sum ((h(theta + s_i) - h(theta - s_i)) / 2)^2.
+Where the curvature (h(theta + s_i) + h(theta - s_i)) / 2 - h(theta) adds up to more than a share of sigma (next to the
+unit circle, at a resonance, at a double pole), the distribution of theta is sampled instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import linear_sum_assignment
+from scipy.stats import chi2, norm
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+from robust_filterpy.identification.models.time_axis import table
+
+__all__ = ["Regions", "bands", "regions"]
+
+# Curvature of more than this share of a standard deviation is sampled.
+_CURVED: Final = 0.2
+_SAMPLES: Final = 2000
+# An axis of an ellipse as thin as this, beside the size of its centre, has no width.
+_THIN: Final = 1e-7
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Regions:
+    """Poles or zeros with elliptic regions; those of a real one are intervals.
+
+    Attributes
+    ----------
+    values : ndarray of complex, shape (k,)
+        Poles or zeros.
+    covariance : ndarray, shape (k, 2, 2)
+        Shape of each region: of the real and the imaginary part.
+    radius : ndarray, shape (k,)
+        Distance of the boundary from the centre in units of the covariance, by Mahalanobis.
+    level : float
+        Probability of each region.
+    sampled : ndarray of bool, shape (k,)
+        Which regions are those of sampled parameters.
+    """
+
+    values: Any
+    covariance: Array
+    radius: Array
+    level: float
+    sampled: Any
+
+    def __repr__(self) -> str:
+        """Show each value with the standard deviation of its real part, and of its imaginary part if it has one."""
+        std = np.sqrt(np.maximum(np.diagonal(self.covariance, axis1=1, axis2=2), 0.0))
+        parts = [
+            f"{value.real:.4g}+-{s[0]:.2g}" + (f" {value.imag:+.4g}i+-{s[1]:.2g}" if value.imag else "")
+            for value, s in zip(self.values, std, strict=True)
+        ]
+        return f"Regions({', '.join(parts)})"
+
+    def to_frame(self) -> Any:
+        """Return the values and how sure they are as a pandas DataFrame.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each value: real, imag, std_real, std_imag.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        std = np.sqrt(np.maximum(np.diagonal(self.covariance, axis1=1, axis2=2), 0.0))
+        columns = {"real": self.values.real, "imag": self.values.imag, "std_real": std[:, 0], "std_imag": std[:, 1]}
+        return table(columns)
+
+    def ellipses(self, points: int = 73) -> Any:
+        """Return the boundaries of the regions.
+
+        Parameters
+        ----------
+        points : int, default 73
+            How many points each has.
+
+        Returns
+        -------
+        ndarray of complex, shape (k, points)
+        """
+        angles = np.linspace(0.0, 2.0 * np.pi, _checks.count("points", points, 3))
+        circle = np.stack((np.cos(angles), np.sin(angles)))
+        found = np.empty((self.values.size, angles.size), dtype=complex)
+        for k, covariance in enumerate(self.covariance):
+            sizes, axes = np.linalg.eigh(covariance)
+            x, y = self.radius[k] * (axes * np.sqrt(np.maximum(sizes, 0.0))) @ circle
+            found[k] = self.values[k] + x + 1j * y
+        return found
+
+    def contains(self, others: ArrayLike) -> Any:
+        """Tell which of other poles or zeros, in the order of these, lie in the regions.
+
+        Parameters
+        ----------
+        others : array_like of complex, shape (k,)
+            Such as those of the true plant.
+
+        Returns
+        -------
+        ndarray of bool, shape (k,)
+        """
+        difference = np.asarray(others, dtype=complex) - self.values
+        inside = np.empty(self.values.size, dtype=bool)
+        for k, covariance in enumerate(self.covariance):
+            inside[k] = _distance(difference[k], covariance, abs(self.values[k])) <= self.radius[k]
+        return inside
+
+
+def bands(
+    is_inside: Callable[[Array], bool], theta: Any, P: Any, h: Callable[[Array], Array], level: float, rng: Any
+) -> tuple[Array, Array, Any]:
+    """Return the band of h(theta) about its value.
+
+    Parameters
+    ----------
+    is_inside : function
+        Whether a theta is one that can be, such as a stable one.
+    theta : ndarray, shape (n,)
+        Parameters.
+    P : ndarray, shape (n, n)
+        Their covariance.
+    h : function
+        Of rows of theta.
+    level : float
+        Probability of the band.
+    rng : numpy.random.Generator, int or None
+        Where it is sampled.
+
+    Returns
+    -------
+    lower, upper : ndarray, shape of h(theta)
+        From its value on.
+    sampled : ndarray of bool, shape of h(theta)
+    """
+    theta, z = np.asarray(theta), float(norm.ppf(0.5 + 0.5 * _probability(level)))
+    center = h(theta[None])[0]
+    steps = _axes(np.asarray(P))
+    ahead, behind = h(theta + steps), h(theta - steps)
+    std = np.sqrt(np.sum((0.5 * (ahead - behind)) ** 2, axis=0))
+    curvature = np.abs(0.5 * (ahead + behind) - center).sum(axis=0)
+    lower, upper = -z * std, z * std
+    # Where a step has left the stable models, or is infinite, curvature is no number.
+    stable = all(is_inside(row) for row in (*(theta + steps), *(theta - steps)))
+    # What is known for sure has no more than rounding.
+    rounding = 1e-12 * np.abs(center) + 1e-9 * std.max(initial=0.0)
+    curved = ~(curvature <= _CURVED * std + rounding) if stable else np.ones(center.shape, dtype=bool)
+    if curved.any():
+        drawn = _drawn(theta, steps, rng)
+        inside = np.array([is_inside(row) for row in drawn])
+        # Of a model that is itself unstable all are.
+        values = h(drawn[inside] if inside.any() else drawn) - center
+        ends = np.nanquantile(values, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0)
+        lower, upper = np.where(curved, ends[0], lower), np.where(curved, ends[1], upper)
+    return lower, upper, curved
+
+
+def regions(theta: Array, P: Array, roots: Callable[[Array], Any], level: float, rng: Any) -> Regions:
+    """Return roots that theta determines, with their regions.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (n,)
+        Parameters.
+    P : ndarray, shape (n, n)
+        Their covariance.
+    roots : function
+        The roots, of a theta.
+    level : float
+        Probability of each region.
+    rng : numpy.random.Generator, int or None
+        Where a region is sampled.
+
+    Returns
+    -------
+    Regions
+    """
+    level = _probability(level)
+    values, steps = roots(theta), _axes(P)
+    ahead, behind = (np.array([_matched(values, roots(row)) for row in theta + sign * steps]) for sign in (1.0, -1.0))
+    if not values.size:
+        return Regions(values, np.zeros((0, 2, 2)), np.zeros(0), level, np.zeros(0, dtype=bool))
+    half = _plane(0.5 * (ahead - behind))
+    covariance = np.einsum("ika,ikb->kab", half, half)
+    curvature = np.abs(0.5 * (ahead + behind) - values).sum(axis=0)
+    curved = ~(curvature <= _CURVED * np.sqrt(np.trace(covariance, axis1=1, axis2=2)) + 1e-12 * np.abs(values))
+    flat = np.array(
+        [np.linalg.eigvalsh(c)[0] <= (_THIN * abs(v)) ** 2 for c, v in zip(covariance, values, strict=True)]
+    )
+    radius = np.sqrt(np.where(flat, chi2.ppf(level, 1), chi2.ppf(level, 2)))
+    if curved.any():
+        drawn = np.array([_matched(values, roots(row)) for row in _drawn(theta, steps, rng)]) - values
+        for k in np.flatnonzero(curved):
+            cloud = _plane(drawn[:, k])
+            covariance[k] = cloud.T @ cloud / len(cloud)
+            distances = [_distance(d, covariance[k], abs(values[k])) for d in drawn[:, k]]
+            radius[k] = np.quantile(distances, level)
+    return Regions(values, covariance, radius, level, curved)
+
+
+def _axes(P: Array) -> Array:
+    """Return a standard deviation along each principal axis of P in units of its diagonal, as rows."""
+    size = np.sqrt(np.maximum(P.diagonal(), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(P / np.outer(size, size))
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))).T * size)
+
+
+def _drawn(theta: Array, steps: Array, rng: Any) -> Array:
+    """Return parameters drawn from N(theta, P), as rows."""
+    # Without a generator always the same, so that a model gives the same bands twice.
+    generator = np.random.default_rng(0 if rng is None else rng)
+    return np.asarray(theta + generator.normal(size=(_SAMPLES, len(steps))) @ steps)
+
+
+def _matched(values: Any, others: Any) -> Any:
+    """Return other roots in the order of those that they are closest to."""
+    if others.size != values.size:
+        return np.full(values.size, np.nan + 0j)
+    _, order = linear_sum_assignment(np.abs(values[:, None] - others))
+    return others[order]
+
+
+def _plane(values: Any) -> Array:
+    """Return complex numbers as pairs, with one axis more."""
+    return np.stack((values.real, values.imag), axis=-1)
+
+
+def _distance(difference: complex, covariance: Array, size: float) -> float:
+    """Return the distance by Mahalanobis, infinite off an axis without width."""
+    sizes, axes = np.linalg.eigh(covariance)
+    along = axes.T @ np.array([difference.real, difference.imag])
+    thin = sizes <= (_THIN * size) ** 2
+    if (np.abs(along[thin]) > 10.0 * _THIN * max(size, 1.0)).any():
+        return float("inf")
+    return float(np.sqrt(np.sum(along[~thin] ** 2 / sizes[~thin])))
+
+
+def _probability(level: Any) -> float:
+    """Return a number in (0, 1) or raise."""
+    value = _checks.real("level", level)
+    if not 0.0 < value < 1.0:
+        raise ValueError(f"level: expected a probability in (0, 1), got {level!r}")
+    return value
