@@ -10,14 +10,17 @@ from robust_filterpy import _state
 from robust_filterpy._checks import Array
 from robust_filterpy.fusion._first_readings import TRIAL
 from robust_filterpy.fusion._policies import State
-from robust_filterpy.fusion._stepping import Moment
+from robust_filterpy.fusion._stepping import Moment, begun
 from robust_filterpy.fusion._timeline import Timeline
 from robust_filterpy.fusion._times import Clock
+from robust_filterpy.fusion._watch import Watch
 
 __all__ = ["restored", "state"]
 
 _KINDS = ("", "numbers", "instants")
 _NANO = 1_000_000_000
+# Fields of a `Watch` that are stamps.
+_STAMPS = ("since", "model_since", "mended")
 
 
 def state(timeline: Timeline, clock: Clock, counts: Any, outcomes: tuple[str, ...]) -> dict[str, Array]:
@@ -41,6 +44,7 @@ def state(timeline: Timeline, clock: Clock, counts: Any, outcomes: tuple[str, ..
     base, names = timeline.base.state, timeline.setup.layout.names
     p = timeline.setup.motion.dim_u
     controls = [np.full(p, np.nan) if e.control is None else e.control for e in timeline.entries]
+    watched = _watched(timeline) if timeline.setup.watches else {}
     return _state.labelled("Fusion", {
         "x": base.x, "P": base.P, "means": base.means, "covariances": base.covariances, "shares": base.probabilities,
         "memory": base.memory, "unseen": base.unseen, "sizes": base.sizes, "u": base.u, "trial": base.trial,
@@ -52,6 +56,7 @@ def state(timeline: Timeline, clock: Clock, counts: Any, outcomes: tuple[str, ..
         "earlier_known": [n in timeline.earlier for n in names],
         "earlier": _split([timeline.earlier.get(n, 0) for n in names]),
         "counts": [[counts[n][o] + (o == "refused") * timeline.unusable.get(n, 0) for o in outcomes] for n in names],
+        **watched,
     })  # fmt: skip
 
 
@@ -83,8 +88,15 @@ def restored(like: Timeline, found: Any, outcomes: tuple[str, ...]) -> tuple[Tim
         "controls": (None, p), "controlled": (None,), "spoke": (None, len(names)), "earlier_known": (len(names),),
         "earlier": (len(names), 2), "counts": (len(names), len(outcomes)),
     }  # fmt: skip
-    got = _state.checked(found, "Fusion", needed, {}, ("z", "controls", "sizes"))
+    length = _flat(like.base, names).size if like.setup.watches else 0
+    if like.setup.watches:
+        needed["moments"] = (None, length)
+    elif "moments" in found:
+        raise _state.StateError("state: expected one of a fusion that does not watch, got one of watch=True")
+    got = _state.checked(found, "Fusion", needed, {}, ("z", "controls", "sizes", "moments"))
     entries = len(got["keys"])
+    if like.setup.watches and not 1 <= len(got["moments"]) <= entries + 1:
+        raise _state.StateError(f"state: expected at most {entries + 1} moments and one, got {len(got['moments'])}")
     if any(len(got[name]) != entries for name in ("z", "controls", "controlled", "spoke")) or len(got["base"]) > 1:
         raise _state.StateError("state: expected as many z, controls and spoke as keys, and at most one base")
     if got["kind"] not in range(3):
@@ -109,6 +121,11 @@ def restored(like: Timeline, found: Any, outcomes: tuple[str, ...]) -> tuple[Tim
         entry.z[:] = got["z"][i]
         entry.spoke = {name for name, spoke in zip(names, got["spoke"][i], strict=True) if spoke}
         entry.control = got["controls"][i] if got["controlled"][i] else None
+    if like.setup.watches:
+        first, *moments = [_unflat(row, like, clock.kind) for row in got["moments"]]
+        line.base, line.clean = first, len(moments)
+        for entry, moment in zip(line.entries, moments, strict=False):
+            entry.moment = moment
     known = zip(names, got["earlier_known"], _joined(got["earlier"], clock.kind), strict=True)
     line.earlier = {name: key for name, there, key in known if there}
     counts = {
@@ -116,6 +133,46 @@ def restored(like: Timeline, found: Any, outcomes: tuple[str, ...]) -> tuple[Tim
         for name, row in zip(names, got["counts"], strict=True)
     }
     return line, clock, counts
+
+
+def _watched(timeline: Timeline) -> dict[str, Any]:
+    """Return what a fusion that watches has besides: all moments, since a verdict looks back further than is kept."""
+    moments = [timeline.base, *(entry.moment for entry in timeline.entries[: timeline.clean])]
+    return {"moments": np.array([_flat(moment, timeline.setup.layout.names) for moment in moments])}
+
+
+def _flat(moment: Any, names: tuple[str, ...] = ()) -> Array:
+    """Return a moment that is watched as one vector; what a function of a sensor said when it failed is not in it."""
+    watch, failed = moment.watch, {name for name, _ in moment.failed}
+    stamps = [*watch.since, watch.model_since, watch.mended]
+    numbers = [value for name, value in zip(Watch._fields, watch, strict=True) if name not in _STAMPS]
+    known = [[at is not None, *_split([0 if at is None else at])[0]] for at in stamps]
+    parts = [*moment.state, moment.innovation, moment.deviation, *numbers, known, [name in failed for name in names]]
+    return np.concatenate([np.ravel(np.asarray(part, dtype=float)) for part in parts])
+
+
+def _unflat(row: Array, like: Timeline, kind: str) -> Moment:
+    """Return the moment of a vector, shaped as those of the fusion that takes it over."""
+    at, base, names = 0, begun(like.setup, like.base.state.x, like.base.state.P), like.setup.layout.names
+
+    def taken(pattern: Any) -> Any:
+        nonlocal at
+        shape = np.shape(pattern)
+        part = row[at : at + int(np.prod(shape))].reshape(shape).copy()
+        at += part.size
+        return part if shape else float(part)
+
+    state = State(*map(taken, base.state))
+    innovation, deviation = taken(base.innovation), taken(base.deviation)
+    numbers = {name: taken(value) for name, value in zip(Watch._fields, base.watch, strict=True) if name not in _STAMPS}
+    known = taken(np.zeros((len(names) + 2, 3)))
+    stamps = [
+        _joined(pair[None], kind)[0] if there else None for there, pair in zip(known[:, 0], known[:, 1:], strict=True)
+    ]
+    failed = taken(np.zeros(len(names)))
+    why = tuple((name, "as it was when the state was kept") for name, bad in zip(names, failed, strict=True) if bad)
+    watch = Watch(**numbers, since=tuple(stamps[:-2]), model_since=stamps[-2], mended=stamps[-1])
+    return Moment(state, innovation, deviation, watch, why)
 
 
 def _split(keys: Any) -> Array:

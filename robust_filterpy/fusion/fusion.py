@@ -30,7 +30,7 @@ from robust_filterpy.fusion._times import Clock
 from robust_filterpy.fusion.motion import Motion
 from robust_filterpy.fusion.recording import Recording, fused, read
 from robust_filterpy.fusion.sensors import Layout, Sensor
-from robust_filterpy.fusion.verdicts import STRETCH, Verdict, described, of_sensors, words
+from robust_filterpy.fusion.verdicts import STRETCH, Verdict, described, of_motion, of_sensors, words
 from robust_filterpy.influence.functions import Influence
 
 __all__ = ["Estimate", "Fusion", "FusionWarning", "SensorNoise"]
@@ -397,7 +397,8 @@ class Fusion:
         Returns
         -------
         Recording
-            times, x, P, weights, duplicates; a row for each stamp.
+            times, x, P, weights, duplicates; a row for each stamp. And verdicts, if the fusion watches: then it goes
+            stamp by stamp, as readings in order do.
 
         Raises
         ------
@@ -437,9 +438,7 @@ class Fusion:
             limit = 5.0 * usual + self.window if every is None else 3.0 * every
             if name in said and ages[name] > limit:
                 found[name] = described("silent", self._clock.stamp(said[name]))
-        watch = moment.watch
-        since = None if watch.model_since is None else self._clock.stamp(watch.model_since)
-        found["motion"] = described("healthy") if since is None else described("model is wrong", since, watch.model)
+        found["motion"] = of_motion(moment.watch)
         return found
 
     def report(self, t: Any = None) -> str:
@@ -464,15 +463,9 @@ class Fusion:
         Returns
         -------
         dict of str to ndarray
-            The state before the oldest entry that is kept, and all entries after it; motion and sensors are not in it.
-
-        Raises
-        ------
-        ValueError
-            If the fusion watches its sensors: what it thinks of them is not in a state yet; ``copy.deepcopy`` keeps it.
+            The state before the oldest entry that is kept, and all entries after it; with ``watch=True`` what is
+            thought of the sensors after each, too. Motion and sensors are not in it.
         """
-        if self._setup.watches:
-            raise ValueError("state: expected a fusion without watch=True, whose verdicts no state holds; use deepcopy")
         return _keeping.state(self._timeline, self._clock, self._counts, OUTCOMES)
 
     def restore(self, state: Any) -> None:
@@ -488,8 +481,6 @@ class Fusion:
         ValueError, TypeError
             If an array is missing, does not fit or is not finite; nothing has changed then.
         """
-        if self._setup.watches:
-            raise ValueError("restore: expected a fusion without watch=True, whose verdicts no state holds")
         self._timeline, self._clock, self._counts = _keeping.restored(self._timeline, state, OUTCOMES)
 
 

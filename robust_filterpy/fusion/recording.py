@@ -13,7 +13,10 @@ from robust_filterpy._checks import Array
 from robust_filterpy._warning import warn
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.fusion._stepping import Moment, Setup, advanced, aged, covariance
+from robust_filterpy.fusion._timeline import Timeline
 from robust_filterpy.fusion._times import Clock
+from robust_filterpy.fusion.sensors import Layout
+from robust_filterpy.fusion.verdicts import STRETCH, Verdict, described, of_motion, of_sensors
 from robust_filterpy.smoothing.smoother import smooth
 
 __all__ = ["Recording", "Rows", "fused", "read"]
@@ -37,11 +40,14 @@ class Recording:
     P : ndarray, shape (K, n, n)
         Their covariances.
     weights : ndarray, shape (K, M)
-        How much each component of the sensors, in the order of declaration, was believed; NaN where it was missing.
+        How much each component of the sensors, in the order of declaration, was believed; NaN where it was missing,
+        and where stamps were taken one by one: sensors by function, ``watch=True``.
     duplicates : int
         Rows that said again what had been said.
     names : tuple of str
         Of the states.
+    verdicts : tuple of (stamp, str, Verdict)
+        Of a fusion that watches: whenever something else was said of a sensor, or of the "motion", in order.
     """
 
     times: np.ndarray
@@ -50,6 +56,7 @@ class Recording:
     weights: Array
     duplicates: int
     names: tuple[str, ...]
+    verdicts: tuple[tuple[Any, str, Verdict], ...] = ()
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return the stamps, the states and their standard deviations by name, as a data frame takes them.
@@ -168,6 +175,10 @@ def fused(setup: Setup, begin: Moment, start: Any, rows: Rows, smoothed: bool) -
     weights, moment, done = np.full((K, layout.size), np.nan), begin, 0
     straight = motion.is_linear and not layout.curved
     failed: list[tuple[str, int, str]] = []
+    said: list[tuple[int, str, Verdict]] = []
+    if setup.watches:
+        moment, failed, said = _watched(setup, (begin, start), rows, (x, P))
+        done = K
     while done < K:
         # Step by step goes what the kernel cannot: what is not linear, first readings of sensors that nobody told.
         stop = _next_first(moment, rows.zs, done) if straight else done
@@ -192,9 +203,73 @@ def fused(setup: Setup, begin: Moment, start: Any, rows: Rows, smoothed: bool) -
             RuntimeWarning,
         )
     if smoothed:
-        x, P, weights = _smoothed(setup, begin, moment, dts, rows, (x, P))
+        believed = rows._replace(zs=_without_lies(layout, rows, said))
+        x, P, weights = _smoothed(setup, begin, moment, dts, believed, (x, P))
     times = rows.keys.astype("M8[ns]") if rows.keys.dtype == np.int64 else rows.keys
-    return Recording(times, x, P, weights, rows.duplicates, motion.names)
+    verdicts = tuple((Clock.stamp(rows.keys[k].item()), name, verdict) for k, name, verdict in said)
+    return Recording(times, x, P, weights, rows.duplicates, motion.names, verdicts)
+
+
+def _watched(
+    setup: Setup, began: tuple[Moment, Any], rows: Rows, into: tuple[Array, Array]
+) -> tuple[Moment, list[tuple[str, int, str]], list[tuple[int, str, Verdict]]]:
+    """Write the states of stamps that are taken one by one; return the last moment, who failed, and what was said."""
+    layout, line = setup.layout, Timeline(setup, began[0], 0.0, STRETCH + 100)
+    line.base_key, moment = began[1], began[0]
+    failed: list[tuple[str, int, str]] = []
+    said: list[tuple[int, str, Verdict]] = []
+    before = _of_all(layout, moment)
+    for k, key in enumerate(rows.keys.tolist()):
+        entry = line.at(key)
+        entry.z[:], entry.control = rows.zs[k], rows.inputs[k]
+        moment = line.until()[0]
+        into[0][k], into[1][k] = moment.state.x, moment.state.P
+        failed.extend((who, k, why) for who, why in moment.failed)
+        now = _of_all(layout, moment)
+        said.extend((k, name, one) for name, one in now.items() if one[:2] != before[name][:2])
+        before = now
+        line.forget()
+    return moment, failed, sorted(said + _silences(layout, rows), key=lambda one: one[0])
+
+
+def _of_all(layout: Layout, moment: Moment) -> dict[str, Verdict]:
+    """Return what is said of each sensor, and of the motion."""
+    return {**dict(zip(layout.names, of_sensors(moment.watch), strict=True)), "motion": of_motion(moment.watch)}
+
+
+def _silences(layout: Layout, rows: Rows) -> list[tuple[int, str, Verdict]]:
+    """Return which sensors have been silent, from the first stamp on that tells it, and who has spoken again."""
+    found, keys = [], rows.keys
+    for name, place in layout.places.items():
+        spoke = np.flatnonzero((~np.isnan(rows.zs[:, place])).any(axis=1))
+        gaps = np.diff(keys[spoke]) / (1e9 if keys.dtype == np.int64 else 1.0)
+        every = layout.sensors[name].every
+        for i in range(len(spoke)):
+            usual = np.median(gaps[max(i - STRETCH, 0) : i]) if i > 1 else np.inf
+            limit = 5.0 * usual if every is None else 3.0 * every
+            if not np.isfinite(limit):
+                continue
+            told = int(np.searchsorted(keys, Clock.moved(keys[spoke[i]].item(), float(limit)), side="right"))
+            if told < (spoke[i + 1] if i + 1 < len(spoke) else len(keys)):
+                found.append((told, name, described("silent", Clock.stamp(keys[spoke[i]].item()))))
+                if i + 1 < len(spoke):
+                    found.append((int(spoke[i + 1]), name, described("healthy")))
+    return found
+
+
+def _without_lies(layout: Layout, rows: Rows, said: list[tuple[int, str, Verdict]]) -> Array:
+    """Return the readings without those of sensors that were left out, each from the onset on."""
+    if not said:
+        return rows.zs
+    zs = rows.zs.copy()
+    for name, place in layout.places.items():
+        mine = [(k, one) for k, who, one in said if who == name and one.fault != "silent"]
+        for i, (_, one) in enumerate(mine):
+            if one.fault in ("biased", "drifting", "stuck"):
+                since = one.since.astype("M8[ns]").astype(np.int64) if rows.keys.dtype == np.int64 else one.since
+                until = mine[i + 1][0] if i + 1 < len(mine) else len(zs)
+                zs[int(np.searchsorted(rows.keys, since)) : until, place] = np.nan
+    return zs
 
 
 def _next_first(moment: Moment, zs: Array, done: int) -> int:

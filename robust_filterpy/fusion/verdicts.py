@@ -20,7 +20,7 @@ from robust_filterpy.fusion._stepping import Moment, advanced, covariance
 from robust_filterpy.fusion._times import Clock
 from robust_filterpy.fusion._watch import FAULTS, SLOW, Watch, alarmed, calm, recovered
 
-__all__ = ["STRETCH", "Verdict", "described", "of_sensors", "watched", "words"]
+__all__ = ["STRETCH", "Verdict", "described", "of_motion", "of_sensors", "watched", "words"]
 
 #: Stamps that are judged anew after an alarm.
 STRETCH = 300
@@ -277,3 +277,20 @@ def of_sensors(watch: Watch) -> list[Verdict]:
             described(FAULTS[fault], since, float(watch.odds[s]), float(watch.size[s]) if sized else float("nan"))
         )
     return found
+
+
+def of_motion(watch: Watch) -> Verdict:
+    """Return the verdict about the model of the motion.
+
+    Parameters
+    ----------
+    watch : Watch
+        What is known.
+
+    Returns
+    -------
+    Verdict
+    """
+    if watch.model_since is None:
+        return described("healthy")
+    return described("model is wrong", Clock.stamp(watch.model_since), watch.model)

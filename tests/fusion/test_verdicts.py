@@ -5,6 +5,7 @@ import copy
 import numpy as np
 import pytest
 
+from robust_filterpy.fleet import pack, unpack
 from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
 
 RATES = {"a": 10.0, "b": 5.0, "c": 20.0}
@@ -113,17 +114,58 @@ def test_any_order_of_arrival_gives_the_same_verdicts_and_bits():
     assert in_order.estimate().x.tobytes() == late.estimate().x.tobytes()
 
 
-def test_a_copy_goes_on_the_same_and_a_state_is_refused():
+def later(fusion, readings):
+    for one in readings:
+        fusion.observe(*one)
+    return str(fusion.verdicts()), fusion.estimate().P.tobytes(), fusion.counts
+
+
+@pytest.mark.parametrize("epoch", [None, np.datetime64("2026-01-01", "ns")])
+def test_a_copy_and_a_state_go_on_to_the_last_bit_verdicts_included(epoch):
     readings, _ = recording(3, FAULTS["biased"], 40.0)
+    if epoch is not None:
+        readings = [(n, epoch + np.timedelta64(round(1e9 * t), "ns"), z) for n, t, z in readings]
+    # Before the fault, amid it, and when the window holds what has come late.
+    for cut in (100, 1060, 1100):
+        fusion, other = made(), made()
+        for one in readings[:cut]:
+            fusion.observe(*one)
+        fusion.observe(readings[cut + 8][0], *readings[cut + 8][1:])
+        other.restore(unpack(pack(fusion.state())))
+        copied = copy.deepcopy(fusion)
+        gone = later(fusion, readings[cut:])
+        assert later(other, readings[cut:]) == gone == later(copied, readings[cut:])
+
+
+def test_a_state_is_not_taken_by_a_fusion_that_watches_otherwise():
     fusion = made()
-    for one in readings[:1100]:
-        fusion.observe(*one)
-    other = copy.deepcopy(fusion)
-    for one in readings[1100:]:
-        fusion.observe(*one)
-        other.observe(*one)
-    assert fusion.estimate().P.tobytes() == other.estimate().P.tobytes()
-    with pytest.raises(ValueError, match="deepcopy"):
-        fusion.state()
+    fusion.observe("a", 0.0, 1.0)
+    with pytest.raises(ValueError, match="watch=True"):
+        made(watch=False).restore(fusion.state())
+    with pytest.raises(ValueError, match="moments"):
+        made().restore(made(watch=False).state())
     with pytest.raises(ValueError, match="watch=True"):
         made(watch=False).verdicts()
+
+
+def test_a_recording_has_the_states_and_the_verdicts_of_its_readings(told):
+    fault, fusion, readings, places = told
+    table = {"time": [t for _, t, _ in readings], "sensor": [n for n, *_ in readings],
+             "value": [z for *_, z in readings]}  # fmt: skip
+    found = made().run(table)
+    assert found.x[-1].tobytes() == fusion.estimate().x.tobytes()
+    last = {name: verdict for _, name, verdict in found.verdicts}
+    assert last["b"].fault == fault and last["b"].since == fusion.verdicts()["b"].since
+    assert all(t >= v.since for t, _, v in found.verdicts if v.since is not None)
+    if fault == "biased":
+        smooth = made().run(table, smoothed=True).x[:, 0] - places
+        assert np.abs(smooth[1100:]).mean() < 0.3
+
+
+def test_a_recording_says_who_was_silent_and_when_he_spoke_again():
+    rng = np.random.default_rng(0)
+    rows = [(n, 0.1 * k, rng.normal()) for k in range(400) for n in "abc" if n != "b" or not 200 <= k < 300]
+    table = {"time": [t for _, t, _ in rows], "sensor": [n for n, *_ in rows], "value": [z for *_, z in rows]}
+    said = [(round(t, 3), v.fault) for t, name, v in made().run(table).verdicts if name == "b"]
+    assert [fault for _, fault in said] == ["silent", "healthy"]
+    assert said[0][0] == pytest.approx(20.5, abs=0.15) and said[1][0] == 30.0
