@@ -8,7 +8,8 @@ The headers (``real.h`` says how they are written) know nothing of Python and ar
 writes for microcontrollers: C99, sizes as arguments, workspaces from the caller, no allocation, no state of their own.
 
 * `records`, `series`: series and recordings, from Python. `record`: what one correction left.
-* `learnt`: steps under learnt noise (``learnt.h``).
+* `learnt`: steps under learnt noise (``learnt.h``); of one filter as one call, ``mixture.c``.
+* `moments`: a correction by an innovation of which only moments are known, for nonlinear filters.
 * ``real.h``: the number type. ``psi.h``: psi, psi', rho.
 * ``prediction.h``, ``correction.h``: one step. ``series.h``: many of many. ``smoother.h``: a smoother's pass.
 
