@@ -3,7 +3,7 @@
 Run ``python tests/benchmarks/filter_speed.py``, and again with ROBUST_FILTERPY_KERNEL=off in the environment for the
 definition; with ``--check`` the exit code is 1 if a target is not met. Each number is the least of many short turns, so
 that other work on the machine does not matter. ``--learning`` compares the filter that learns the noise with the
-robust one, online and over recordings and series.
+robust one, online and over recordings and series, ``--nonlinear`` extended and unscented filters with filterpy's.
 """
 
 from __future__ import annotations
@@ -15,9 +15,18 @@ import time
 from functools import partial
 
 import numpy as np
-from filterpy.kalman import KalmanFilter
+from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-from robust_filterpy import AdaptiveKalmanFilter, Linear, RobustKalmanFilter, Scales, filter_series, kernel
+from robust_filterpy import (
+    AdaptiveKalmanFilter,
+    Linear,
+    RobustExtendedKalmanFilter,
+    RobustKalmanFilter,
+    RobustUnscentedKalmanFilter,
+    Scales,
+    filter_series,
+    kernel,
+)
 
 SIZES = ((2, 1), (4, 1), (8, 1), (4, 2), (7, 4), (20, 5))
 #: Greatest ratio of the robust filter, by the kernel and by the definition.
@@ -114,14 +123,67 @@ def learning():
             )
 
 
+def nonlinear() -> None:
+    """Print a step of extended and unscented filters, and what is left of it without the user's own functions."""
+    F, x0 = np.eye(4) + 0.1 * np.eye(4, k=2), np.array([7.0, 7.0, 0.0, 0.0])
+    zs = 10.0 + np.random.default_rng(0).normal(size=STEPS)
+    points = MerweScaledSigmaPoints(4, 0.1, 2.0, -1.0)
+
+    def h(x):
+        return np.hypot(x[:1], x[1:2])
+
+    def jacobian(x):
+        return np.array([[x[0, 0], x[1, 0], 0.0, 0.0]]) / np.hypot(x[0, 0], x[1, 0])
+
+    def move(x, dt):
+        return F @ x
+
+    def extended(cls):
+        kf = cls(4, 1)
+        kf.F, kf.Q, kf.x = F, 0.01 * np.eye(4), x0[:, None]
+        for z in zs:
+            kf.predict()
+            kf.update(np.array([[z]]), jacobian, h)
+
+    def unscented(cls):
+        kf = cls(4, 1, 0.1, h, move, points)
+        kf.Q, kf.x = 0.01 * np.eye(4), x0
+        for z in zs:
+            kf.predict()
+            kf.update(z)
+
+    def own_extended(_):
+        for _ in zs:
+            jacobian(x0[:, None]), h(x0[:, None])
+
+    def own_unscented(_):
+        for _ in range(9 * len(zs)):
+            move(x0, 0.1), h(x0)
+
+    print(f"\n{'':>10}{'filterpy':>12}{'ours':>10}{'without the functions':>24}")
+    for name, run, own, theirs, ours in (
+        ("extended", extended, own_extended, ExtendedKalmanFilter, RobustExtendedKalmanFilter),
+        ("unscented", unscented, own_unscented, UnscentedKalmanFilter, RobustUnscentedKalmanFilter),
+    ):
+        best = [np.inf] * 3
+        for _ in range(TURNS // 5):
+            for k, (call, cls) in enumerate(((run, theirs), (run, ours), (own, None))):
+                begin = time.perf_counter()
+                call(cls)
+                best[k] = min(best[k], (time.perf_counter() - begin) / STEPS)
+        ratio, rest = best[1] / best[0], (best[1] - best[2]) / (best[0] - best[2])
+        print(f"{name:>10}{1e6 * best[0]:9.1f} us{ratio:10.2f}{rest:24.2f}")
+
+
 def main():
     """Print the ratios to filterpy, and say whether the targets are met."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--check", action="store_true", help="exit with 1 if a target is not met")
     parser.add_argument("--learning", action="store_true", help="compare the filter that learns with the robust one")
+    parser.add_argument("--nonlinear", action="store_true", help="compare extended and unscented filters")
     arguments = parser.parse_args()
-    if arguments.learning:
-        learning()
+    if arguments.learning or arguments.nonlinear:
+        (learning if arguments.learning else nonlinear)()
         return
     serves, targets = ("the kernel", KERNEL) if kernel.available() else ("the definition", DEFINITION)
     missed = False
