@@ -1,15 +1,16 @@
-"""Tables of sensors in time: late data, faults and false alarms, speed.
+"""Tables of sensors in time: late data, faults and false alarms, forecasts, speed.
 
-python tests/benchmarks/fusion_study.py [speed] [late] [verdicts] [false] [--runs 5] [--readings 200000]
+python tests/benchmarks/fusion_study.py [speed] [late] [verdicts] [false] [forecasts] [--runs 5] [--readings 200000]
 """
 
 import argparse
+import math
 import time
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from robust_filterpy.fusion import Fusion, Scales, Sensor, constant_acceleration, constant_velocity
+from robust_filterpy.fusion import Contaminated, Fusion, Scales, Sensor, constant_acceleration, constant_velocity
 from robust_filterpy.influence import Huber, Linear
 
 POLICIES = {
@@ -204,7 +205,63 @@ def false(args):
         )
 
 
-TABLES = {"speed": speed, "late": late, "verdicts": verdicts, "false": false}
+MODELS = {"clean": (0.1, 1.0, 0.0), "10 % outliers": (0.1, 1.0, 0.1), "Q / 10, R * 10": (0.01, 10.0, 0.0)}
+AHEAD, LEVELS, ORIGINS = np.array([1, 10, 50]), (0.5, 0.8, 0.95), np.arange(3000, 3960, 80)
+
+
+def oracle(spread, share, level):
+    """Half the width of the band of a reading whose noise, of sd 1, and ten for a share, is told."""
+    sd, low, high = np.sqrt([spread + 1.0, spread + 100.0]), 0.0, 40.0 * np.sqrt(spread + 1.0)
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        held = np.dot([1.0 - share, share], [math.erf(middle / (s * math.sqrt(2.0))) for s in sd])
+        low, high = (middle, high) if held < level else (low, middle)
+    return high
+
+
+def forecasts(args):
+    """How often bands hold after 3,000 readings, for readings and for the signal, and how wide they are."""
+    print(f"a point seen once a second, {args.runs} runs of {len(ORIGINS)} forecasts after 3,000 readings: share of")
+    print("readings and of the signal inside, width of the readings' band over that of a filter told everything")
+    print("  model            ahead   " + "   ".join(f"{level:4.2f} (signal) width" for level in LEVELS))
+    F, Q, _ = constant_velocity(1, 0.1).matrices(1.0)
+    for model, (q, R, share) in MODELS.items():
+        inside, widths = np.zeros((2, 3, 3)), np.zeros((2, 3, 3))
+        for seed in range(300, 300 + args.runs):
+            rng, x, places = np.random.default_rng(seed), np.zeros(2), []
+            for w in rng.multivariate_normal(np.zeros(2), Q, 4020):
+                x = F @ x + w
+                places.append(x[0])
+            places = np.array(places)
+            z = places + rng.normal(size=4020) * np.where(rng.random(4020) < share, 10.0, 1.0)
+            sensors = {"gps": Sensor([1.0, 0.0], R=R)}
+            fusion = Fusion(constant_velocity(1, q), sensors, 1.0, P0=100.0 * np.eye(2))
+            told = {"noise": Contaminated(share, 10.0), "process": Scales((1.0,), jump=0.0)}
+            told = Fusion(constant_velocity(1, 0.1), {"gps": Sensor([1.0, 0.0], R=1.0)}, 1.0, **told)
+            for t in range(ORIGINS[-1] + 1):
+                for one in (fusion, told):
+                    one.observe("gps", float(t), z[t])
+                if t not in ORIGINS:
+                    continue
+                spread = [told.estimate(float(t + h)).P[0, 0] for h in AHEAD]
+                for k, level in enumerate(LEVELS):
+                    found = fusion.forecast((t + AHEAD).astype(float), level)
+                    for i, (band, values) in enumerate(((found.readings, z), (found.signal, places))):
+                        low, high = band["gps"][:, 0].T
+                        inside[i, :, k] += (low <= values[t + AHEAD]) & (values[t + AHEAD] <= high)
+                        if not i:
+                            widths[0, :, k] += high - low
+                            widths[1, :, k] += [2.0 * oracle(one, share, level) for one in spread]
+        inside /= args.runs * len(ORIGINS)
+        for j, ahead in enumerate(AHEAD):
+            cells = [
+                f"{inside[0, j, k]:4.2f} ({inside[1, j, k]:4.2f})   {widths[0, j, k] / widths[1, j, k]:4.2f}"
+                for k in range(len(LEVELS))
+            ]
+            print(f"  {model:16s} {ahead:4d}    " + "     ".join(cells), flush=True)
+
+
+TABLES = {"speed": speed, "late": late, "verdicts": verdicts, "false": false, "forecasts": forecasts}
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
