@@ -123,7 +123,7 @@ def _looked_back(line: Any, seconds: float) -> tuple[Array, _Ahead, list[Any]]:
         at.append(keys[j])
     if not found:
         size = setup.layout.size
-        return np.zeros((0, size)), _Ahead(*np.zeros((3, 0, size)), np.zeros((0, size, 1))), at
+        return np.zeros((0, size)), _Ahead(*[np.zeros((0, size))] * 3, shares=np.zeros((0, size, 1))), at
     return np.array(apart), _Ahead(*(np.array(part) for part in zip(*found, strict=True))), at
 
 
