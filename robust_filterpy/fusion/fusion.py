@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -30,7 +31,7 @@ from robust_filterpy.fusion._stepping import Moment, Setup, begun, moved
 from robust_filterpy.fusion._timeline import Timeline
 from robust_filterpy.fusion._times import Clock
 from robust_filterpy.fusion.motion import Motion
-from robust_filterpy.fusion.recording import Recording, fused, read
+from robust_filterpy.fusion.recording import Recording, fused, read, table_columns
 from robust_filterpy.fusion.sensors import Layout, Sensor
 from robust_filterpy.fusion.verdicts import STRETCH, Verdict, described, of_motion, of_sensors, words
 from robust_filterpy.influence.functions import Influence
@@ -571,6 +572,59 @@ class Fusion:
         found = self.verdicts(t)
         lines = [words(name, verdict) for name, verdict in found.items() if name != "motion"]
         return "\n".join(lines + ([] if found["motion"].since is None else [words("motion:", found["motion"])]))
+
+    def step(
+        self,
+        state: Any,
+        table: Any,
+        *,
+        time: str = "time",
+        sensor: str = "sensor",
+        value: Any = "value",
+    ) -> tuple[dict[str, Array], dict[str, np.ndarray]]:
+        """Take what came of one key and change nothing: what `robust_filterpy.fleet.step` asks of a fusion.
+
+        Parameters
+        ----------
+        state : mapping of str to ndarray, or None
+            What the step before returned, or ``fleet.unpack`` made of it; None to begin where this fusion stands.
+        table : data frame or dict
+            Columns as in `run`, rows in the order of arrival; late ones are as late as they are.
+        time, sensor, value : str
+            Columns, as in `run`.
+
+        Returns
+        -------
+        state : dict of str to ndarray
+            What the next step goes on from.
+        output : dict of str to ndarray
+            For each row ``outcome``, as `observe` returns it, None of a row that is none; ``error``, None or what is
+            wrong with the row, which costs that row alone; and by the names of the states what is known at the newest
+            stamp by then, and standard deviations, NaN before the first reading.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If a column is missing, or the state is damaged or of a fusion made otherwise.
+        """
+        moving, names = copy.deepcopy(self), self._setup.motion.names
+        if state is not None:
+            moving.restore(state)
+        chosen = [value] if isinstance(value, str) else list(value)
+        stamps, who, *columns = table_columns(table, [time, sensor, *chosen])
+        known = np.full((len(stamps), 2, len(names)), np.nan)
+        outcomes, errors = np.full((2, len(stamps)), None, dtype=object)
+        for k, (t, name, *z) in enumerate(zip(stamps, who.tolist(), *columns, strict=True)):
+            try:
+                m = self._setup.layout.sensors[name].dim_z if name in self.sensors else len(z)
+                outcomes[k] = moving.observe(name, t.item() if isinstance(t, np.number) else t, z[:m])
+                found = moving.estimate()
+                known[k] = found.x, np.sqrt(found.P.diagonal())
+            except (ValueError, TypeError, ArithmeticError, np.linalg.LinAlgError) as error:
+                errors[k] = str(error)
+        by_name = {name: known[:, 0, i] for i, name in enumerate(names)}
+        by_name.update({f"{name}_std": known[:, 1, i] for i, name in enumerate(names)})
+        return moving.state(), {"outcome": outcomes, "error": errors, **by_name}
 
     def state(self) -> dict[str, Array]:
         """Return everything that the fusion needs to go on, as plain arrays: `robust_filterpy.fleet.pack` makes bytes.
