@@ -122,8 +122,8 @@ def _looked_back(line: Any, seconds: float) -> tuple[Array, _Ahead, list[Any]]:
         found.append(_ahead(setup, state))
         at.append(keys[j])
     if not found:
-        size = setup.layout.size
-        return np.zeros((0, size)), _Ahead(*[np.zeros((0, size))] * 3, shares=np.zeros((0, size, 1))), at
+        none = np.zeros((0, setup.layout.size))
+        return none, _Ahead(none, none, none, none[:, :, None]), at
     return np.array(apart), _Ahead(*(np.array(part) for part in zip(*found, strict=True))), at
 
 

@@ -428,6 +428,8 @@ class Fusion:
             raise ValueError("forecast: expected a reading first, got none")
         # A string and a single stamp are one time.
         wanted = tuple(times) if np.ndim(times) == 1 else (times,)
+        if not wanted:
+            raise ValueError("times: expected a time, got none")
         ahead = [self._clock.between(at, self._clock.key(t, "times")) for t in wanted]
         if any(seconds < 0.0 for seconds in ahead):
             raise ValueError(

@@ -87,6 +87,7 @@ def test_angles_untold_noise_and_instants():
         (3.0, 0.95, "from the newest stamp on"),
         (9.0, 95, "between 0 and 1"),
         (np.nan, 0.9, "times"),
+        ([], 0.9, "times"),
         ("x", 0.9, "times"),
     ],
 )
