@@ -18,6 +18,7 @@ from robust_filterpy.fleet.models import Late, Model
 from robust_filterpy.fleet.reading import Reasons, Rows, read_array, read_table
 from robust_filterpy.fleet.states import States, checked
 from robust_filterpy.fleet.timeline import Clocks, Placed, grouped, placed
+from robust_filterpy.fusion import Fusion
 
 __all__ = ["step"]
 
@@ -37,13 +38,14 @@ class Outcome(NamedTuple):
     """What is wrong with each row, or None, shape (N,)."""
 
 
-def step(model: Model, state: Mapping[str, Any] | None, batch: Any) -> tuple[dict[str, Array] | None, Any]:
+def step(model: Model | Fusion, state: Mapping[str, Any] | None, batch: Any) -> tuple[dict[str, Array] | None, Any]:
     """Take one key's next samples and change nothing: the signature of stateful maps everywhere.
 
     Parameters
     ----------
-    model : FilterModel or TrackerModel
-        What all keys have in common.
+    model : FilterModel, TrackerModel or Fusion
+        What all keys have in common. Of a `robust_filterpy.fusion.Fusion` it is `Fusion.step`, whose batch has a row
+        for each reading.
     state : mapping of str to ndarray, or None
         What the step before returned, or `unpack` made of it, or JSON of its lists; None at the start. A filter's or
         tracker's own ``state()`` serves too, its matrices being the model's.
@@ -90,6 +92,8 @@ def step(model: Model, state: Mapping[str, Any] | None, batch: Any) -> tuple[dic
     >>> output["error"][2]
     "z: expected a finite number or NaN (missing), got 'text'"
     """
+    if isinstance(model, Fusion):
+        return model.step(state, batch)
     if not isinstance(model, Model):
         raise TypeError(f"model: expected a FilterModel or a TrackerModel, got {type(model).__name__}")
     before = None if state is None else owned(model, state)

@@ -9,9 +9,11 @@
 * `_first_readings`: how noisy a sensor is whose R nobody told.
 * `_policies`: the other rooms' recursions as pure functions from state to state.
 * `recording`: a whole table at once, by the kernel; smoothed on request.
+* `_delays`: how late each sensor's stamps are, from a recording.
 * `verdicts`: what is the matter with a sensor, since when, and what helps.
 * `_watch`: cheap tests of every reading, which raise an alarm.
 * `_faults`: the recent past, judged anew under every fault of every sensor.
+* `_forecasting`: bands for what is to come.
 * `_keeping`: a fusion as plain arrays, and back.
 
 Imports from below: `influence`, `correction`, `kernel`, `filters`, `smoothing`.
@@ -20,7 +22,7 @@ Imports from below: `influence`, `correction`, `kernel`, `filters`, `smoothing`.
 from __future__ import annotations
 
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
-from robust_filterpy.fusion.fusion import Estimate, Fusion, FusionWarning, SensorNoise
+from robust_filterpy.fusion.fusion import Estimate, Forecast, Fusion, FusionWarning, SensorNoise
 from robust_filterpy.fusion.motion import (
     Motion,
     constant_acceleration,
@@ -35,6 +37,7 @@ from robust_filterpy.fusion.verdicts import Verdict
 __all__ = [
     "Contaminated",
     "Estimate",
+    "Forecast",
     "Fusion",
     "FusionWarning",
     "Learnt",

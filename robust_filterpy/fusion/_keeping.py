@@ -148,7 +148,8 @@ def _flat(moment: Any, names: tuple[str, ...] = ()) -> Array:
     numbers = [value for name, value in zip(Watch._fields, watch, strict=True) if name not in _STAMPS]
     known = [[at is not None, *_split([0 if at is None else at])[0]] for at in stamps]
     parts = [*moment.state, moment.innovation, moment.deviation, *numbers, known, [name in failed for name in names]]
-    return np.concatenate([np.ravel(np.asarray(part, dtype=float)) for part in parts])
+    # A look that is never due again is at infinity, which no state holds.
+    return np.nan_to_num(np.concatenate([np.ravel(np.asarray(part, dtype=float)) for part in parts]), nan=np.nan)
 
 
 def _unflat(row: Array, like: Timeline, kind: str) -> Moment:
@@ -166,6 +167,11 @@ def _unflat(row: Array, like: Timeline, kind: str) -> Moment:
     innovation, deviation = taken(base.innovation), taken(base.deviation)
     numbers = {name: taken(value) for name, value in zip(Watch._fields, base.watch, strict=True) if name not in _STAMPS}
     known = taken(np.zeros((len(names) + 2, 3)))
+    whole = [state.means, state.covariances, state.probabilities, state.memory, state.x, state.P, state.unseen, known]
+    whole += [value for name, value in numbers.items() if name != "tests"]
+    if not all(np.isfinite(part).all() for part in whole):
+        raise _state.StateError("state: expected finite numbers in moments, got NaN")
+    numbers["due"][numbers["due"] == np.finfo(float).max] = np.inf
     stamps = [
         _joined(pair[None], kind)[0] if there else None for there, pair in zip(known[:, 0], known[:, 1:], strict=True)
     ]

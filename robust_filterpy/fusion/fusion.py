@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -23,17 +24,19 @@ from robust_filterpy.correction.policies import (
     process_scales,
 )
 from robust_filterpy.fusion import _keeping
+from robust_filterpy.fusion._delays import found_delays
+from robust_filterpy.fusion._forecasting import bands
 from robust_filterpy.fusion._policies import BoundedInfluence, LearntNoise, Policy
 from robust_filterpy.fusion._stepping import Moment, Setup, begun, moved
 from robust_filterpy.fusion._timeline import Timeline
 from robust_filterpy.fusion._times import Clock
 from robust_filterpy.fusion.motion import Motion
-from robust_filterpy.fusion.recording import Recording, fused, read
+from robust_filterpy.fusion.recording import Recording, fused, read, table_columns
 from robust_filterpy.fusion.sensors import Layout, Sensor
 from robust_filterpy.fusion.verdicts import STRETCH, Verdict, described, of_motion, of_sensors, words
 from robust_filterpy.influence.functions import Influence
 
-__all__ = ["Estimate", "Fusion", "FusionWarning", "SensorNoise"]
+__all__ = ["Estimate", "Forecast", "Fusion", "FusionWarning", "SensorNoise"]
 
 # Standard deviation of every state where nobody tells where it starts.
 _UNKNOWN = 1e4
@@ -59,6 +62,19 @@ class Estimate(NamedTuple):
     """Its covariance, (n, n)."""
     ages: dict[str, float]
     """Seconds since each sensor has spoken last; infinite if it never has."""
+
+
+class Forecast(NamedTuple):
+    """What is to come at K times: two bands for each sensor, of its readings and of the signal without their noise."""
+
+    times: tuple[Any, ...]
+    """Stamps, as given."""
+    middle: dict[str, Array]
+    """What each sensor should read, (K, m)."""
+    readings: dict[str, Array]
+    """Lower and upper end of the band of readings, (K, m, 2); NaN while a sensor's noise is not known."""
+    signal: dict[str, Array]
+    """Lower and upper end of the band of what is measured, noise apart, (K, m, 2)."""
 
 
 class SensorNoise(NamedTuple):
@@ -368,6 +384,69 @@ class Fusion:
         shares = policy.contamination(state)
         return {name: SensorNoise(deviation[place], shares[place]) for name, place in layout.places.items()}
 
+    def forecast(self, times: Any, level: float = 0.95) -> Forecast:
+        """Return what each sensor should read at times to come, and two bands: of readings, and of the signal.
+
+        Parameters
+        ----------
+        times : stamp or sequence of stamps, length K
+            From the newest stamp on. Control inputs stay as they are.
+        level : float, default 0.95
+            Probability that each band should hold, at each time.
+
+        Returns
+        -------
+        Forecast
+            times, middle, readings, signal.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If nothing was read, a time is before the newest stamp or none, or level is not between 0 and 1.
+
+        Notes
+        -----
+        The band of readings is that of the learnt mixture, times the quantile of the scores of the readings that are
+        kept, about 400 stamps, each looked at from as long before. That of the signal, which nobody sees, is corrected
+        as far as its spread exceeds the noise.
+
+        Examples
+        --------
+        >>> from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
+        >>> fusion = Fusion(constant_velocity(1, q=0.1), {"gps": Sensor([1.0, 0.0], R=1.0)}, window=5.0)
+        >>> for t in range(100):
+        ...     outcome = fusion.observe("gps", t, 2.0 * t + (-1.0) ** t)
+        >>> found = fusion.forecast([100.0, 110.0])
+        >>> found.middle["gps"].round(-1).ravel().tolist(), found.readings["gps"].shape
+        ([200.0, 220.0], (2, 1, 2))
+        """
+        level = _checks.real("level", level)
+        if not 0.0 < level < 1.0:
+            raise ValueError(f"level: expected a probability between 0 and 1, got {level}")
+        moment, at, entries = self._until()
+        if at is None or not entries:
+            raise ValueError("forecast: expected a reading first, got none")
+        # A string and a single stamp are one time.
+        wanted = tuple(times) if np.ndim(times) == 1 else (times,)
+        if not wanted:
+            raise ValueError("times: expected a time, got none")
+        ahead = [self._clock.between(at, self._clock.key(t, "times")) for t in wanted]
+        if any(seconds < 0.0 for seconds in ahead):
+            raise ValueError(
+                f"times: expected times from the newest stamp on, {self._clock.stamp(at)}, got "
+                f"{wanted[int(np.argmin(ahead))]}; estimate(t) tells the past"
+            )
+        found = [bands(self._timeline, moment.state, seconds, level) for seconds in ahead]
+        size = self._setup.layout.size
+        middle, signal, readings = (np.array(part).reshape(-1, size) for part in zip(*found, strict=True))
+        ends = {
+            name: np.stack([middle - wide, middle + wide], axis=-1)
+            for name, wide in (("signal", signal), ("readings", readings))
+        }
+        places = self._setup.layout.places
+        by_sensor = {key: {name: part[:, place] for name, place in places.items()} for key, part in ends.items()}
+        return Forecast(wanted, {name: middle[:, place] for name, place in places.items()}, **by_sensor)
+
     def run(
         self,
         table: Any,
@@ -407,6 +486,45 @@ class Fusion:
         """
         rows = read(self._setup, self._clock, table, time, sensor, value, controls)
         return fused(self._setup, self._begin, self._started, rows, smoothed)
+
+    def delays(
+        self, table: Any, longest: float = 1.0, *, time: str = "time", sensor: str = "sensor", value: Any = "value"
+    ) -> dict[str, float]:
+        """Return how late each sensor's stamps are in a recording: a constant that `Sensor` takes as ``delay``.
+
+        Parameters
+        ----------
+        table : data frame or dict
+            As in `run`. What is measured has to change unevenly: a delay in an even motion looks like an offset.
+        longest : float, default 1
+            Seconds; the longest difference of delays that is looked for.
+        time, sensor, value : str
+            Columns, as in `run`.
+
+        Returns
+        -------
+        dict of str to float
+            Seconds, what `Sensor` was already told included; NaN where the recording does not tell it. Only
+            differences can be seen: the sensor that is least late counts as on time, or as late as it was told.
+
+        Raises
+        ------
+        ValueError, TypeError
+            As in `run`; or longest is not > 0.
+
+        Warns
+        -----
+        FusionWarning
+            If a delay cannot be told, and why.
+        """
+        _checks.positive("longest", longest)
+        rows = read(self._setup, self._clock, table, time, sensor, value, None)
+        if not len(rows.keys):
+            raise ValueError("table: expected a row for each reading, got none")
+        found, reasons = found_delays(self._setup, self._begin, rows, float(longest))
+        for name, why in reasons.items():
+            warn(f"sensor {name!r}: its delay cannot be told from this recording: {why}", FusionWarning)
+        return {name: found[name] + one.delay for name, one in self._setup.layout.sensors.items()}
 
     def verdicts(self, t: Any = None) -> dict[str, Verdict]:
         """Return what is the matter with each sensor, and with the model of the motion under "motion".
@@ -456,6 +574,59 @@ class Fusion:
         found = self.verdicts(t)
         lines = [words(name, verdict) for name, verdict in found.items() if name != "motion"]
         return "\n".join(lines + ([] if found["motion"].since is None else [words("motion:", found["motion"])]))
+
+    def step(
+        self,
+        state: Any,
+        table: Any,
+        *,
+        time: str = "time",
+        sensor: str = "sensor",
+        value: Any = "value",
+    ) -> tuple[dict[str, Array], dict[str, np.ndarray]]:
+        """Take what came of one key and change nothing: what `robust_filterpy.fleet.step` asks of a fusion.
+
+        Parameters
+        ----------
+        state : mapping of str to ndarray, or None
+            What the step before returned, or ``fleet.unpack`` made of it; None to begin where this fusion stands.
+        table : data frame or dict
+            Columns as in `run`, rows in the order of arrival; late ones are as late as they are.
+        time, sensor, value : str
+            Columns, as in `run`.
+
+        Returns
+        -------
+        state : dict of str to ndarray
+            What the next step goes on from.
+        output : dict of str to ndarray
+            For each row ``outcome``, as `observe` returns it, None of a row that is none; ``error``, None or what is
+            wrong with the row, which costs that row alone; and by the names of the states what is known at the newest
+            stamp by then, and standard deviations, NaN before the first reading.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If a column is missing, or the state is damaged or of a fusion made otherwise.
+        """
+        moving, names = copy.deepcopy(self), self._setup.motion.names
+        if state is not None:
+            moving.restore(state)
+        chosen = [value] if isinstance(value, str) else list(value)
+        stamps, who, *columns = table_columns(table, [time, sensor, *chosen])
+        known = np.full((len(stamps), 2, len(names)), np.nan)
+        outcomes, errors = np.full((2, len(stamps)), None, dtype=object)
+        for k, (t, name, *z) in enumerate(zip(stamps, who.tolist(), *columns, strict=True)):
+            try:
+                m = self._setup.layout.sensors[name].dim_z if name in self.sensors else len(z)
+                outcomes[k] = moving.observe(name, t.item() if isinstance(t, np.number) else t, z[:m])
+                found = moving.estimate()
+                known[k] = found.x, np.sqrt(found.P.diagonal())
+            except (ValueError, TypeError, ArithmeticError, np.linalg.LinAlgError) as error:
+                errors[k] = str(error)
+        by_name = {name: known[:, 0, i] for i, name in enumerate(names)}
+        by_name.update({f"{name}_std": known[:, 1, i] for i, name in enumerate(names)})
+        return moving.state(), {"outcome": outcomes, "error": errors, **by_name}
 
     def state(self) -> dict[str, Array]:
         """Return everything that the fusion needs to go on, as plain arrays: `robust_filterpy.fleet.pack` makes bytes.

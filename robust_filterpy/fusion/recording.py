@@ -19,7 +19,7 @@ from robust_filterpy.fusion.sensors import Layout
 from robust_filterpy.fusion.verdicts import STRETCH, Verdict, described, of_motion, of_sensors
 from robust_filterpy.smoothing.smoother import smooth
 
-__all__ = ["Recording", "Rows", "fused", "read"]
+__all__ = ["Recording", "Rows", "fused", "read", "table_columns"]
 
 # Stamps that are taken together: so many F and Q fit a cache, and need no room to speak of.
 _TOGETHER = 20_000
@@ -110,7 +110,7 @@ def read(
     """
     layout = setup.layout
     chosen = [value] if isinstance(value, str) else list(value)
-    stamps, who, *columns = _columns(table, [time, sensor, *chosen])
+    stamps, who, *columns = table_columns(table, [time, sensor, *chosen])
     keys = clock.keys(stamps)
     values = np.column_stack([_checks.numbers(name, column) for name, column in zip(chosen, columns, strict=True)])
     if np.isinf(values).any():
@@ -331,8 +331,20 @@ def _narrowed(begin: Moment, filtered: tuple[Array, Array], F: Array, Q: Array, 
     return start + share.T @ (at - start), 0.5 * (narrow + narrow.T)
 
 
-def _columns(table: Any, names: list[str]) -> list[np.ndarray]:
-    """Return columns by name, or raise."""
+def table_columns(table: Any, names: list[str]) -> list[np.ndarray]:
+    """Return columns of a data frame or a dict by name, or raise.
+
+    Parameters
+    ----------
+    table : data frame or dict
+        Where they are.
+    names : list of str
+        Which.
+
+    Returns
+    -------
+    list of ndarray
+    """
     if isinstance(table, Mapping):
         there, column = list(table), lambda name: np.asarray(table[name])
     else:

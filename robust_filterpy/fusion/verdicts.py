@@ -127,15 +127,13 @@ def _after_a_look(line: Any, i: int, watch: Watch, fresh: np.ndarray, followed: 
     """Return what is known when the last stamps have been judged anew."""
     layout = line.setup.layout
     first = max(i + 1 - STRETCH, 0)
-    # Who has left before the stretch begins says nothing about it, and stays where he is. It begins with a state that
-    # took nothing of him.
+    # Who has had a verdict since before the stretch begins says nothing about it, and stays where he is. It begins with
+    # a state that took nothing of him. Who departs is looked at again, however long it has been.
     early = line.keys[min(first + (first > 0) * STRETCH // 3, i)]
-    gone = np.array([at is not None and at < early for at in watch.since])
+    gone = np.array([at is not None and at < early for at in watch.since]) & (watch.fault > _DEPARTS)
     if (gone & watch.out).any():
         first = max(first, bisect_right(line.keys, watch.mended))
     watch = watch._replace(due=np.where(followed, np.where(gone, np.inf, float(_LATER)), watch.due))
-    if (gone & (watch.fault == _DEPARTS)).any():
-        watch = _set_free(watch, gone & (watch.fault == _DEPARTS), layout.owner)
     if first >= i or not (fresh | (followed & ~gone)).any():
         return watch
     stretch = _stretch(line, first, i)

@@ -1,15 +1,16 @@
-"""Tables of sensors in time: late data, faults and false alarms, speed.
+"""Tables of sensors in time: late data, faults and false alarms, forecasts, speed.
 
-python tests/benchmarks/fusion_study.py [speed] [late] [verdicts] [false] [--runs 5] [--readings 200000]
+python tests/benchmarks/fusion_study.py [speed] [late] [verdicts] [false] [forecasts] [--runs 5] [--readings 200000]
 """
 
 import argparse
+import math
 import time
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from robust_filterpy.fusion import Fusion, Scales, Sensor, constant_acceleration, constant_velocity
+from robust_filterpy.fusion import Contaminated, Fusion, Scales, Sensor, constant_acceleration, constant_velocity
 from robust_filterpy.influence import Huber, Linear
 
 POLICIES = {
@@ -154,33 +155,67 @@ def watching(motion):
     return Fusion(motion, sensors, 1.0, P0=100.0 * np.eye(2), watch=True)
 
 
+# One false alarm in 10^5 readings: of a gate by chi-square with 1 degree, and of two sums (Siegmund's approximation).
+GATE, SLACK, LIMIT = 4.417, 0.5, 10.35
+
+
+def baselines(motion, readings):
+    """When a gate and a CUSUM of each sensor's innovations, of a Kalman filter, first speak after 30 s, and of whom."""
+    sensors = {name: Sensor([1.0, 0.0], R=1.0) for name in SEEN}
+    fusion = Fusion(motion, sensors, 0.0, P0=100.0 * np.eye(2), influence=Linear())
+    sums, first = {name: np.zeros(2) for name in SEEN}, {}
+    for name, t, z in readings:
+        fusion.observe(name, t, z)
+        fusion.estimate()
+        moment = fusion._timeline.entries[-1].moment
+        e = (moment.innovation / moment.deviation)[list(SEEN).index(name)]
+        sums[name] = np.maximum(0.0, sums[name] + np.array([e, -e]) - SLACK)
+        over = {"gate": abs(e) > GATE, "CUSUM": sums[name].max() > LIMIT}
+        if sums[name].max() > LIMIT:
+            sums[name] = np.zeros(2)
+        for rule in [rule for rule in over if over[rule] and t > 30.0]:
+            first.setdefault(rule, (t - 30.0, name))
+    return first
+
+
 def verdicts(args):
     """How long until an alarm, and what is said five seconds later; the slowest of three sensors fails."""
-    print(f"one of three sensors of one place (10, 5, 20 Hz; that of 5 Hz) fails after 30 s, {args.runs} runs:")
-    print("  fault              alarm [s], seen   right sensor, right fault 5 s after it")
+    print(
+        f"one of three sensors of one place (10, 5, 20 Hz; that of 5 Hz) fails after 30 s, {args.runs} runs: seconds to"
+    )
+    print(
+        "the alarm, how many had one, right sensor and right fault 5 s after it; gate and CUSUM: seconds, right sensor"
+    )
     cases = [("biased", s) for s in (1.0, 2.0, 4.0, 8.0)] + [("drifting", s) for s in (0.1, 0.2, 0.4, 0.8)]
     cases += [("noisier", s) for s in (2.0, 3.0, 5.0, 9.0)] + [("stuck", 0.0), ("spikes", 4.0), ("spikes", 10.0)]
+    sure, wrong = 0, 0
     for fault, size in cases:
-        delays, sensor, right = [], 0, 0
+        delays, sensor, right, beside = [], 0, 0, {"gate": [], "CUSUM": []}
         for seed in range(args.runs):
             motion, readings = redundant(seed, 65.0, fault, size)
-            fusion, alarm = watching(motion), None
-            for name, t, z in readings:
-                fusion.observe(name, t, z)
-                if t > 30.0:
-                    found = {n: v.fault for n, v in fusion.verdicts().items() if v.fault not in ("healthy", "silent")}
-                    found.pop("motion", None)
-                    if alarm is None and found:
-                        alarm = t
-                    if alarm is not None and t > alarm + 5.0:
-                        break
+            for rule, one in baselines(motion, readings).items():
+                beside[rule].append(one)
+            table = dict(zip(("sensor", "time", "value"), zip(*readings, strict=True), strict=True))
+            said = [
+                one for one in watching(motion).run(table).verdicts if one[1] != "motion" and one[2].fault != "silent"
+            ]
+            # What is said to be sure, the first time that it is said.
+            firm = {(n, v.fault) for t, n, v in said if v.fault not in ("healthy", "departs")}
+            sure, wrong = sure + len(firm), wrong + len(firm - {("b", fault)})
+            alarm = next((t for t, _, v in said if t > 30.0 and v.fault != "healthy"), None)
             if alarm is not None:
                 delays.append(alarm - 30.0)
-                sensor += set(found) == {"b"}
-                right += found.get("b") == fault
+                then = {name: v.fault for t, name, v in said if t <= alarm + 5.0}
+                sensor += [name for name, what in then.items() if what != "healthy"] == ["b"]
+                right += then.get("b") == fault
         n = max(len(delays), 1)
-        seen = f"{np.median(delays) if delays else np.nan:8.2f}   {len(delays):2d}/{args.runs}"
-        print(f"  {fault:10s} {size:4.1f}   {seen}      {sensor / n:.2f}   {right / n:.2f}", flush=True)
+        seen = f"{np.median(delays or [np.nan]):6.2f} {len(delays):2d}/{args.runs}"
+        rules = "   ".join(
+            f"{rule} {np.median([t for t, _ in got] or [np.nan]):6.2f} {np.mean([w == 'b' for _, w in got] or [0]):.2f}"
+            for rule, got in beside.items()
+        )
+        print(f"  {fault:9s} {size:4.1f}  {seen}   {sensor / n:.2f} {right / n:.2f}   {rules}", flush=True)
+    print(f"  of {sure} verdicts with a probability of .95 or more {wrong} were wrong")
 
 
 def false(args):
@@ -204,7 +239,63 @@ def false(args):
         )
 
 
-TABLES = {"speed": speed, "late": late, "verdicts": verdicts, "false": false}
+MODELS = {"clean": (0.1, 1.0, 0.0), "10 % outliers": (0.1, 1.0, 0.1), "Q / 10, R * 10": (0.01, 10.0, 0.0)}
+AHEAD, LEVELS, ORIGINS = np.array([1, 10, 50]), (0.5, 0.8, 0.95), np.arange(3000, 3960, 80)
+
+
+def oracle(spread, share, level):
+    """Half the width of the band of a reading whose noise, of sd 1, and ten for a share, is told."""
+    sd, low, high = np.sqrt([spread + 1.0, spread + 100.0]), 0.0, 40.0 * np.sqrt(spread + 1.0)
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        held = np.dot([1.0 - share, share], [math.erf(middle / (s * math.sqrt(2.0))) for s in sd])
+        low, high = (middle, high) if held < level else (low, middle)
+    return high
+
+
+def forecasts(args):
+    """How often bands hold after 3,000 readings, for readings and for the signal, and how wide they are."""
+    print(f"a point seen once a second, {args.runs} runs of {len(ORIGINS)} forecasts after 3,000 readings: share of")
+    print("readings and of the signal inside, width of the readings' band over that of a filter told everything")
+    print("  model            ahead   " + "   ".join(f"{level:4.2f} (signal) width" for level in LEVELS))
+    F, Q, _ = constant_velocity(1, 0.1).matrices(1.0)
+    for model, (q, R, share) in MODELS.items():
+        inside, widths = np.zeros((2, 3, 3)), np.zeros((2, 3, 3))
+        for seed in range(300, 300 + args.runs):
+            rng, x, places = np.random.default_rng(seed), np.zeros(2), []
+            for w in rng.multivariate_normal(np.zeros(2), Q, 4020):
+                x = F @ x + w
+                places.append(x[0])
+            places = np.array(places)
+            z = places + rng.normal(size=4020) * np.where(rng.random(4020) < share, 10.0, 1.0)
+            sensors = {"gps": Sensor([1.0, 0.0], R=R)}
+            fusion = Fusion(constant_velocity(1, q), sensors, 1.0, P0=100.0 * np.eye(2))
+            told = {"noise": Contaminated(share, 10.0), "process": Scales((1.0,), jump=0.0)}
+            told = Fusion(constant_velocity(1, 0.1), {"gps": Sensor([1.0, 0.0], R=1.0)}, 1.0, **told)
+            for t in range(ORIGINS[-1] + 1):
+                for one in (fusion, told):
+                    one.observe("gps", float(t), z[t])
+                if t not in ORIGINS:
+                    continue
+                spread = [told.estimate(float(t + h)).P[0, 0] for h in AHEAD]
+                for k, level in enumerate(LEVELS):
+                    found = fusion.forecast((t + AHEAD).astype(float), level)
+                    for i, (band, values) in enumerate(((found.readings, z), (found.signal, places))):
+                        low, high = band["gps"][:, 0].T
+                        inside[i, :, k] += (low <= values[t + AHEAD]) & (values[t + AHEAD] <= high)
+                        if not i:
+                            widths[0, :, k] += high - low
+                            widths[1, :, k] += [2.0 * oracle(one, share, level) for one in spread]
+        inside /= args.runs * len(ORIGINS)
+        for j, ahead in enumerate(AHEAD):
+            cells = [
+                f"{inside[0, j, k]:4.2f} ({inside[1, j, k]:4.2f})   {widths[0, j, k] / widths[1, j, k]:4.2f}"
+                for k in range(len(LEVELS))
+            ]
+            print(f"  {model:16s} {ahead:4d}    " + "     ".join(cells), flush=True)
+
+
+TABLES = {"speed": speed, "late": late, "verdicts": verdicts, "false": false, "forecasts": forecasts}
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)

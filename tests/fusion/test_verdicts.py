@@ -122,11 +122,11 @@ def later(fusion, readings):
 
 @pytest.mark.parametrize("epoch", [None, np.datetime64("2026-01-01", "ns")])
 def test_a_copy_and_a_state_go_on_to_the_last_bit_verdicts_included(epoch):
-    readings, _ = recording(3, FAULTS["biased"], 40.0)
+    readings, _ = recording(3, FAULTS["biased"])
     if epoch is not None:
         readings = [(n, epoch + np.timedelta64(round(1e9 * t), "ns"), z) for n, t, z in readings]
-    # Before the fault, amid it, and when the window holds what has come late.
-    for cut in (100, 1060, 1100):
+    # Before the fault, amid it, and long after, when nobody looks any more; each with something that came early.
+    for cut in (100, 1060, 1700):
         fusion, other = made(), made()
         for one in readings[:cut]:
             fusion.observe(*one)
@@ -144,6 +144,8 @@ def test_a_state_is_not_taken_by_a_fusion_that_watches_otherwise():
         made(watch=False).restore(fusion.state())
     with pytest.raises(ValueError, match="moments"):
         made().restore(made(watch=False).state())
+    with pytest.raises(ValueError, match="moments"):
+        made().restore({**fusion.state(), "moments": np.full_like(fusion.state()["moments"], np.nan)})
     with pytest.raises(ValueError, match="watch=True"):
         made(watch=False).verdicts()
 
