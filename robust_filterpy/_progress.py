@@ -1,4 +1,4 @@
-"""What a long call is at: a bar where somebody looks at a terminal, else a line a stage; nothing in the first 2 s."""
+"""What a long call is at: a bar at a terminal, else a line now and then; nothing in the first 2 s."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, Final
 
 # What takes less is not waited for.
 _SHORT: Final = 2.0
-# A count is told again once the time has grown by this share: a call of an hour tells some 20.
+# What comes next is told once the time has grown by this share: a call of an hour tells some 20 lines.
 _GROWN: Final = 0.5
 
 
@@ -56,20 +56,14 @@ class _Lines(_NoBar):
     def update(self) -> None:
         """Count, and say so if it is time."""
         self.count += 1
-        elapsed = time.monotonic() - self.start
-        if elapsed >= self.next:
-            self.next = (1.0 + _GROWN) * elapsed
-            self.say(f"{self.count}{self.of} {self.unit}")
+        self.stage(f"{self.count}{self.of} {self.unit}")
 
     def stage(self, text: str) -> None:
-        """Say what begins now, unless the whole is short so far."""
-        if time.monotonic() - self.start >= self.next:
-            self.say(text)
-
-    def say(self, text: str) -> None:
-        """Write a line; standard error may have been closed."""
-        if sys.stderr is not None:
-            print(f"{self.name}: {time.monotonic() - self.start:.0f} s, {text}", file=sys.stderr, flush=True)
+        """Write a line if it is time for one; standard error may have been closed."""
+        elapsed = time.monotonic() - self.start
+        if elapsed >= self.next and sys.stderr is not None:
+            self.next = (1.0 + _GROWN) * elapsed
+            print(f"{self.name}: {elapsed:.0f} s, {text}", file=sys.stderr, flush=True)
 
 
 _running: ContextVar[_Lines | None] = ContextVar("stages", default=None)
@@ -77,7 +71,7 @@ _running: ContextVar[_Lines | None] = ContextVar("stages", default=None)
 
 @contextmanager
 def stages(name: str, progress: bool | None) -> Iterator[None]:
-    """Let `stage` tell, one line each, what the call is at: from 2 s on, with True from the beginning, not with False.
+    """Let `stage` tell what the call is at: from 2 s on, with True from the beginning, not with False.
 
     A call inside another one has nothing to tell: what it is for is what the outer one says.
     """

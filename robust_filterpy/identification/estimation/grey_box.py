@@ -10,8 +10,8 @@ import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy._progress import stage
 from robust_filterpy._fill_values import fill_values
+from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.prediction_error import minimised, sandwich
 from robust_filterpy.identification.models.findings import Finding, of_fill_values
 from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel

@@ -119,7 +119,8 @@ def identify(
     t : array_like, shape (N,), optional
         Times in s, at any distance, of the samples for a GreyBox; else those of the index.
     progress : bool, optional
-        Write on standard error, a line each, what the search is at: True always, False never, None from 2 s on.
+        Write on standard error, less and less often, what the search is at: True from the beginning, False never, None
+        from 2 s on.
 
     Returns
     -------

@@ -208,7 +208,7 @@ def _odd(u: Array) -> Any:
     """Return which values of an input are unlike the others: far outside, or off the levels that it has otherwise."""
     low, middle, high = np.quantile(u, [0.1, 0.5, 0.9])
     odd = np.abs(u - middle) > _FAR_INPUT * max(high - middle, middle - low)
-    values, which, counts = np.unique(u, return_inverse=True, return_counts=True)
+    _, which, counts = np.unique(u, return_inverse=True, return_counts=True)
     common = counts > max(_FEWEST, u.size // 200)
     if common.sum() <= _MOST_LEVELS and counts[common].sum() >= 0.9 * u.size:
         odd |= ~common[which]

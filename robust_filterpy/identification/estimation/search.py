@@ -179,7 +179,7 @@ def _searched(
     model: PolynomialModel, p: Array, noise: Noise, missing: Any, starts: tuple[str, ...], cleanings: int
 ) -> End:
     """Minimise the loss from p on, looking for outliers again as often as the parameters change what is one."""
-    stage(f"search from: {', '.join(starts)}")
+    stage(f"search from: {starts[0]}")
     outliers = found_outliers(model, p, missing, noise)
     for turn in range(cleanings):
         if turn:

@@ -352,8 +352,8 @@ def _ranked(rows: tuple[Candidate, ...], late: dict[Structure, float]) -> tuple[
     if chosen is not rows[0]:
         warn(
             f"select_structure: the criterion would take {rows[0].structure}, which fits the samples held out by "
-            f"{rows[0].held_out_fit:.0f} %; {chosen.structure} fits them by {chosen.held_out_fit:.0f} % and is taken: the "
-            "plant is not linear, or changes, or has a noise that these structures have not; see validate"
+            f"{rows[0].held_out_fit:.0f} %; {chosen.structure} fits them by {chosen.held_out_fit:.0f} % and is taken: "
+            "the plant is not linear, or changes, or has a noise that these structures have not; see validate"
         )
     return (chosen, *(row for row in rows if row is not chosen))
 
