@@ -407,9 +407,9 @@ def _derivatives(model: Model, residual: Array, y: Any, u: Any, cleaned: _Cleane
         prepared = cleaned.prepared
     elif prepared.na or parts.c.size + parts.d.size > 2:
         found = cleaned_residuals(parts, model._equation_error(prepared, known), known[first:], model.noise)
-        cleaned = prepared.y.copy()
-        cleaned[first:] += (found.weights - 1.0) * found.residual
-        prepared = prepared.with_output(cleaned)
+        output = prepared.y.copy()
+        output[first:] += (found.weights - 1.0) * found.residual
+        prepared = prepared.with_output(output)
     J = np.zeros((residual.size, n + model.has_offset))
     J[first:] = -prepared.jacobian(p)[:, : n + model.has_offset]
     return J
