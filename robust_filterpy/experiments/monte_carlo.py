@@ -151,7 +151,8 @@ def monte_carlo(
         `joblib.parallel_config` says. joblib's own worker processes share the processors' cores: each gets
         cpu_count // n_jobs threads for BLAS and OpenMP.
     progress : bool or None
-        Show a progress bar (tqdm) on standard error: True always, False never, None if that is a terminal.
+        Show a progress bar (tqdm) on standard error: True always, False never, None from 2 s on; where that is no
+        terminal, None writes a line now and then instead.
 
     Returns
     -------
@@ -203,7 +204,7 @@ def monte_carlo(
         if n_jobs == 0:
             raise ValueError("n_jobs: expected a positive number, -1 for all processors, or None, got 0")
     outcomes = outcomes_of(trial, root, indices, n_jobs)
-    bar = progress_bar(len(indices), progress, "run")
+    bar = progress_bar(len(indices), progress, "run", "monte_carlo")
 
     done: list[int] = []
     results: list[Any] = []

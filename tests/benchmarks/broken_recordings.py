@@ -1,6 +1,6 @@
 """Recordings that break assumptions at random: how often is the answer right, warned of, or wrong in silence?
 
-    python tests/benchmarks/broken_recordings.py [--draws 1000] [--first 0] [--only identify]
+    python tests/benchmarks/broken_recordings.py [--draws 1000] [--first 0] [--only identify] [--minutes 3]
 
 Each draw takes a random plant, outliers or none, and one break or two at once: which, when and how large is random.
 Right is a simulation of fresh inputs that fits the noise-free plant by at least 90,
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
 import warnings
 from collections import Counter
 from collections.abc import Callable
@@ -120,11 +121,11 @@ def fit_of(found: Any, draw: Draw, seed: int) -> float:
 
 
 def identified(draw: Draw, y: Any, u: Any) -> Any:
-    return identify(y, u, draw.structure)
+    return identify(y, u, draw.structure, progress=False)
 
 
 def validated(draw: Draw, y: Any, u: Any) -> Any:
-    model = identify(y, u, draw.structure)
+    model = identify(y, u, draw.structure, progress=False)
     verdict = validate(model, y, u).verdict
     if verdict != "nothing is left in the residuals":
         warnings.warn(verdict, stacklevel=1)
@@ -172,12 +173,16 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=1000)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--only", choices=CALLS)
+    parser.add_argument("--minutes", type=float, default=np.inf, help="of processor time for each call")
     options = parser.parse_args()
     for name, call in CALLS.items():
         if options.only not in (None, name):
             continue
         counts: Counter[str] = Counter()
+        end = time.process_time() + 60.0 * options.minutes
         for seed in range(options.first, options.first + options.draws):
+            if time.process_time() > end:
+                break
             draw = drawn(seed)
             verdict = judged(call, draw, seed)
             counts[verdict] += 1
@@ -188,7 +193,7 @@ def main() -> None:
                     flush=True,
                 )
         shares = ", ".join(f"{verdict} {count}" for verdict, count in sorted(counts.items()))
-        print(f"{name:<24}{shares} of {options.draws}", flush=True)
+        print(f"{name:<24}{shares} of {counts.total()}", flush=True)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from robust_filterpy.identification import ARMAX, ARX, BoxJenkins, OutputError, ParameterTracker, identify, validate
+from robust_filterpy.identification import (
+    ARMAX,
+    ARX,
+    BoxJenkins,
+    LostTrackerWarning,
+    OutputError,
+    ParameterTracker,
+    identify,
+    validate,
+)
 
 A, B = np.array([1.0, -1.5, 0.7]), np.array([0.0, 1.0, 0.5])
 
@@ -172,7 +181,23 @@ def test_outliers_of_the_input_are_said_and_large_inputs_are_not():
     for seed in range(3):
         rng, y, u = recording(20 + seed, share=0.0)
         read = np.where(rng.random(u.size) < 0.03, 10.0 * rng.normal(size=u.size), u)
-        with pytest.warns(UserWarning, match="u has .* values far outside the others"):
+        with pytest.warns(UserWarning, match="u has .* values unlike the others"):
             identify(y, read, OutputError(2, 2))
         acted = lfilter(B, A, read) + 0.3 * rng.normal(size=u.size)
         assert identify(acted, read, OutputError(2, 2)).findings == ()
+
+
+def test_outliers_of_an_input_far_from_zero_do_not_move_its_operating_point():
+    rng, y, u = recording(24, share=0.0)
+    read = np.where(rng.random(u.size) < 0.03, 10.0 * rng.normal(size=u.size), u + 2e5)
+    with pytest.warns(UserWarning, match="u has .* values unlike the others"):
+        model = identify(y, read, OutputError(2, 2))
+    np.testing.assert_allclose(model.theta, [*A[1:], *B[1:]], atol=0.1)
+    assert model.operating_point == pytest.approx([2e5], abs=2.0)
+
+
+def test_a_tracker_says_that_its_input_has_outliers():
+    rng, y, u = recording(25, share=0.0)
+    read = np.where(rng.random(u.size) < 0.03, 10.0 * rng.normal(size=u.size), u)
+    with pytest.warns(LostTrackerWarning, match="u has .* values unlike the others"):
+        ParameterTracker(OutputError(2, 2), start=400).run(y, read)

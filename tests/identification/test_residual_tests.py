@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from statsmodels.stats.diagnostic import acorr_ljungbox
 
 from robust_filterpy import ARX, Linear, OutputError, identify
-from robust_filterpy.identification import FIR, compare, validate
+from robust_filterpy.identification import ARMAX, FIR, compare, validate
 
 A, B = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5]
 THETA = np.array([-1.5, 0.7, 1.0, 0.5])
@@ -220,3 +220,26 @@ def test_what_is_no_model_is_refused_by_name(model):
         compare({}, y, u)
     with pytest.raises(ValueError, match="u: expected 400 samples"):
         validate(model, y, u[:-1])
+
+
+@pytest.mark.parametrize("whose", ["process", "measurement"])
+def test_a_right_armax_is_not_condemned_for_outliers(whose):
+    a, b, c = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5], [1.0, 0.7, 0.3]
+    condemned = 0
+    for seed in range(5):
+        rng = np.random.default_rng([77, seed])
+        u, e = rng.choice([-1.0, 1.0], 1000), 0.3 * rng.normal(size=1000)
+        wild = np.where(rng.random(1000) < 0.1, 3.0 * rng.normal(size=1000), 0.0)
+        y = lfilter(b, a, u) + lfilter(c, a, e + wild * (whose == "process")) + wild * (whose == "measurement")
+        model = identify(y, u, ARMAX(2, 2, 2))
+        condemned += validate(model, y, u).verdict != "nothing is left in the residuals"
+    assert condemned <= 1
+
+
+def test_a_wrong_armax_is_condemned_through_outliers():
+    rng = np.random.default_rng(3)
+    u, e = rng.choice([-1.0, 1.0], 1000), 0.3 * rng.normal(size=1000)
+    wild = np.where(rng.random(1000) < 0.1, 3.0 * rng.normal(size=1000), 0.0)
+    y = lfilter([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], u) + lfilter([1.0, 0.7, 0.3], [1.0, -1.5, 0.7], e + wild)
+    for structure in (ARX(2, 2), ARMAX(1, 2, 1)):
+        assert validate(identify(y, u, structure), y, u).verdict != "nothing is left in the residuals"

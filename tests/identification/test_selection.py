@@ -1,5 +1,7 @@
 """select_structure: the delay and the orders that made the recording, through outliers, on the same samples for all."""
 
+import warnings
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -76,7 +78,7 @@ def test_a_first_b_of_zero_comes_last_however_likely():
 def test_the_held_out_part_is_fitted_by_the_model_of_the_part_before():
     y, u = recorded(length=800)
     selection = select_structure(y, u, na=range(1, 4), nk=[3, 4, 5], held_out=0.25, progress=False)
-    before = select_structure(y[:600], u[:600], na=range(1, 4), nk=[3, 4, 5])
+    before = select_structure(y[:600], u[:600], na=range(1, 4), nk=[3, 4, 5], held_out=0.0)
     assert [row[:4] for row in selection.rows] == [row[:4] for row in before.rows]
     # The best is identified from the whole recording.
     assert selection.best.weights.size == 800
@@ -188,3 +190,35 @@ def test_each_of_several_inputs_has_orders_and_a_delay_of_its_own():
     assert [one.delay for one in found.impulse_responses] == [1, 3]
     assert "(2, 1)" in str(found)
     assert len(found.plot()) == 4
+
+
+def with_dead_zone(seed, length=504):
+    """Return a plant whose input has a dead zone and whose noise is slow: what no linear structure has."""
+    rng = np.random.default_rng([31, seed])
+    u = np.repeat(rng.uniform(-1.0, 1.0, length // 8), 8)
+    acting = np.sign(u) * np.maximum(np.abs(u) - 0.4, 0.0)
+    drift = lfilter([0.3], [1.0, -0.98], rng.normal(size=length))
+    return lfilter([0.0, 0.3], [1.0, -0.9], acting) + 0.1 * drift + 0.02 * rng.normal(size=length), u
+
+
+def test_what_is_taken_is_not_below_the_best_on_samples_held_out():
+    said = 0
+    for seed in range(2):
+        y, u = with_dead_zone(seed)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            found = select_structure(y, u, na=range(1, 4), nk=[1])
+        said += any("the criterion would take" in str(each.message) for each in caught)
+        late = [row.held_out_fit for row in found.rows if not np.isnan(row.held_out_fit)]
+        assert len(late) > 1
+        assert found.rows[0].held_out_fit >= max(late) - 1.0
+        assert found.best.structure == found.rows[0].structure
+    assert said
+
+
+def test_the_criterion_decides_among_structures_that_the_samples_held_out_do_not_tell_apart():
+    y, u = recorded()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = select_structure(y, u, na=[1, 2], nk=[3, 4])
+    assert found.rows[0].criterion == min(row.criterion for row in found.rows if row.shows_delay)

@@ -11,6 +11,7 @@ import numpy as np
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import fill_values
+from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.prediction_error import minimised, sandwich
 from robust_filterpy.identification.models.findings import Finding, of_fill_values
 from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
@@ -73,9 +74,11 @@ def identified_grey_box(
     p = told[0].y.shape[1]
     which = np.concatenate([np.tile(np.arange(p), len(one.y)) for one in told])[rows]
     noise = Noises(tuple(Noise(influence or Huber(), 1.0, False, 1e-300) for _ in range(p)), which)
+    stage("search from the first guesses")
     end = minimised(model, z, noise, rows, rows, _FIRST_STEPS)
     model.steps = 1
     model.settled(end.p)
+    stage("noise learnt, search again")
     learnt = end.noise if influence is not None else end.noise.learnt()
     end = minimised(model, end.p, learnt, rows, rows)
     return _as_model(structure, model, end, rows, findings)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
+from robust_filterpy._progress import stages
 from robust_filterpy._warning import warn
 from robust_filterpy.identification.estimation.estimate import Problem
 from robust_filterpy.identification.estimation.feedback import with_feedback
@@ -45,6 +46,7 @@ def identify(
     R: float | None = None,
     trend: str | None = None,
     groups: ArrayLike | None = None,
+    progress: bool | None = None,
 ) -> Model: ...
 
 
@@ -56,6 +58,7 @@ def identify(
     *,
     influence: Influence | None = None,
     groups: ArrayLike | None = None,
+    progress: bool | None = None,
 ) -> StateSpaceModel: ...
 
 
@@ -67,6 +70,7 @@ def identify(
     *,
     influence: Influence | None = None,
     t: ArrayLike | None = None,
+    progress: bool | None = None,
 ) -> GreyBoxModel: ...
 
 
@@ -81,6 +85,7 @@ def identify(
     trend: str | None = None,
     groups: ArrayLike | None = None,
     t: ArrayLike | None = None,
+    progress: bool | None = None,
 ) -> Model | StateSpaceModel | GreyBoxModel:
     """Find the model of a recording with outliers, from nothing but the recording.
 
@@ -113,6 +118,9 @@ def identify(
         A label for each sample: those with the same one are a recording.
     t : array_like, shape (N,), optional
         Times in s, at any distance, of the samples for a GreyBox; else those of the index.
+    progress : bool, optional
+        Write on standard error, less and less often, what the search is at: True from the beginning, False never, None
+        from 2 s on.
 
     Returns
     -------
@@ -160,8 +168,22 @@ def identify(
     >>> model.theta.round(1), round(model.offset)
     (array([-1.5,  0.7,  1. ,  0.5]), 20)
     """
-    if isinstance(structure, (StateSpace, GreyBox)):
-        return _of_outputs(y, u, structure, influence, groups, t, offset, R, trend)
+    found: Model | StateSpaceModel | GreyBoxModel
+    with stages("identify", progress):
+        if isinstance(structure, (StateSpace, GreyBox)):
+            found = _of_outputs(y, u, structure, influence, groups, t, offset, R, trend)
+        else:
+            found = _of_polynomials(y, u, structure, influence, offset, R, trend, groups, t)
+    for words in (said(found.findings), found.warning):
+        if words:
+            warn(f"identify: {words}")
+    return found
+
+
+def _of_polynomials(
+    y: Any, u: Any, structure: Any, influence: Any, offset: Any, R: Any, trend: Any, groups: Any, t: Any
+) -> Model:
+    """Return a model of one output, or raise if it is asked for what it does not take."""
     if t is not None:
         raise ValueError(f"t: expected None for {structure}, whose samples are equally far apart; take a GreyBox")
     if not isinstance(structure, Structure):
@@ -193,11 +215,7 @@ def identify(
         if not outliers:
             findings = (*findings, *unlike_in_parts(problem, recorded.y, found))
     findings = (*recorded.findings, *findings, *with_feedback(problem, recorded.y, found))
-    found = replace(found, findings=findings)
-    for words in (said(found.findings), found.warning):
-        if words:
-            warn(f"identify: {words}")
-    return found
+    return replace(found, findings=findings)
 
 
 def _of_outputs(
@@ -210,16 +228,10 @@ def _of_outputs(
             raise ValueError(f"{name}: expected {only} for a {kind}, which says itself what y has, got {value!r}")
     if influence is not None and not isinstance(influence, Influence):
         raise TypeError(f"influence: expected an influence function such as Huber(), got {influence!r}")
-    found: StateSpaceModel | GreyBoxModel
     if isinstance(structure, GreyBox):
         if groups is not None:
             raise ValueError("groups: expected None for a GreyBox; give lists of y, u and t")
-        found = identified_grey_box(y, u, structure, t, influence)
-    else:
-        if t is not None:
-            raise ValueError("t: expected None for a StateSpace, whose samples are equally far apart; take a GreyBox")
-        found = identified_state_space(y, u, structure, influence, groups)
-    for words in (said(found.findings), found.warning):
-        if words:
-            warn(f"identify: {words}")
-    return found
+        return identified_grey_box(y, u, structure, t, influence)
+    if t is not None:
+        raise ValueError("t: expected None for a StateSpace, whose samples are equally far apart; take a GreyBox")
+    return identified_state_space(y, u, structure, influence, groups)

@@ -8,11 +8,13 @@ from typing import Any, Final
 import numpy as np
 
 from robust_filterpy._checks import Array
+from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.estimate import Problem, estimated
 from robust_filterpy.identification.estimation.trend import PRICE, Trend, impulse_output, piecewise_level
 from robust_filterpy.identification.models.dependence import autocovariances, dependence, whitening_of
 from robust_filterpy.identification.models.findings import Finding
 from robust_filterpy.identification.models.model import Model, fingerprint
+from robust_filterpy.identification.models.signals import operating_point
 from robust_filterpy.influence.regression import mad_scale
 
 __all__ = [
@@ -33,8 +35,10 @@ _SLOW: Final = 0.995
 # Motion counts if its size in the second half is this share of y's; it never dies if (1 - |pole|) N is below the other.
 _SMALL: Final = 0.05
 _ENDLESS: Final = 0.1
-# An input is far outside beyond so many half widths of nine tenths of its values; so many are no accident.
-_FAR_INPUT: Final = 2.5
+# An input is far outside beyond so many half widths of four fifths of its values, or off the levels that nine tenths of
+# them have, of which there are at most so many; so many are no accident.
+_FAR_INPUT: Final = 3.2
+_MOST_LEVELS: Final = 20
 _FEWEST: Final = 4
 # Parts of a recording that are held against its inputs, and how long one may be.
 _PARTS: Final = 8
@@ -67,6 +71,7 @@ def beside_trend(problem: Problem, y: Array, trend: str, index: Any) -> tuple[Mo
     searched = line or (trend == "breaks" and np.count_nonzero(~np.isnan(y)) >= _LEAST_SAMPLES)
     if not searched or not plain.structure.n_inputs:
         return plain, ()
+    stage("steps and ramps of the level of y")
     best, kept, least = plain, None, plain.log_likelihood
     for output in _starts(problem, y, plain):
         found, level = _alternated(problem, y, output, line)
@@ -105,6 +110,7 @@ def without_endless_motion(problem: Problem, y: Array, model: Model) -> tuple[Mo
     motion = model.free_run(y, problem.u)[late] - model.simulate(problem.u)[late] - _trend(model, y)[late]
     if np.sqrt(np.mean(np.square(motion))) < _SMALL * np.nanstd(y):
         return model, ()
+    stage("the model from rest")
     still = estimated(problem._replace(moving=False), y - _trend(model, y))
     still = replace(still, trend=model.trend, fingerprint=model.fingerprint)
     text = (
@@ -173,17 +179,17 @@ def beside_input_outliers(problem: Problem, y: Array, model: Model) -> tuple[Mod
     u = problem.u.copy()
     if not u.shape[1] or model.structure.takes_phi:
         return model, ()
-    low, middle, high = np.quantile(u, [0.05, 0.5, 0.95], axis=0)
-    far = np.abs(u - middle) > _FAR_INPUT * np.maximum(high - middle, middle - low)
-    far &= far.sum(axis=0) >= _FEWEST
-    if not far.any() or not (high > low).all():
+    far = np.column_stack([_odd(column) for column in u.T])
+    if not far.any():
         return model, ()
     for column, odd in zip(u.T, far.T, strict=True):
         # The last ordinary value before each; at the beginning the first one.
         last = np.maximum.accumulate(np.where(odd, -1, np.arange(odd.size)))
         column[:] = column[np.where(last < 0, int(np.argmin(odd)), last)]
+    stage("the model without outliers of u")
     try:
-        other = estimated(problem._replace(u=u), y - _trend(model, y))
+        rest = operating_point(u) if problem.offset else problem.rest
+        other = estimated(problem._replace(u=u, rest=rest), y - _trend(model, y))
     except ValueError:
         return model, ()
     gain = 2.0 * (other.log_likelihood - model.log_likelihood)
@@ -191,11 +197,22 @@ def beside_input_outliers(problem: Problem, y: Array, model: Model) -> tuple[Mod
         return model, ()
     places = np.flatnonzero(far.any(axis=1))
     text = (
-        f"u has {places.size} values far outside the others that y does not follow: the model is of the values before "
+        f"u has {places.size} values unlike the others that y does not follow: the model is of the values before "
         "them, held; give u as it acted"
     )
     found = Finding("input outliers", text, gain, (int(places[0]), int(places[-1]) + 1))
     return replace(other, trend=model.trend, fingerprint=model.fingerprint), (found,)
+
+
+def _odd(u: Array) -> Any:
+    """Return which values of an input are unlike the others: far outside, or off the levels that it has otherwise."""
+    low, middle, high = np.quantile(u, [0.1, 0.5, 0.9])
+    odd = np.abs(u - middle) > _FAR_INPUT * max(high - middle, middle - low)
+    _, which, counts = np.unique(u, return_inverse=True, return_counts=True)
+    common = counts > max(_FEWEST, u.size // 200)
+    if common.sum() <= _MOST_LEVELS and counts[common].sum() >= 0.9 * u.size:
+        odd |= ~common[which]
+    return odd & (odd.sum() >= _FEWEST and high > low)
 
 
 def _trend(model: Model, y: Array) -> Array:

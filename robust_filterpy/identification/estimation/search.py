@@ -10,6 +10,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from robust_filterpy._checks import Array
+from robust_filterpy._progress import stage
 from robust_filterpy.correction.contaminated import START, Contaminated
 from robust_filterpy.identification.estimation.cleaning import Outliers, found_outliers
 from robust_filterpy.identification.estimation.excitation_check import require_informative
@@ -178,8 +179,11 @@ def _searched(
     model: PolynomialModel, p: Array, noise: Noise, missing: Any, starts: tuple[str, ...], cleanings: int
 ) -> End:
     """Minimise the loss from p on, looking for outliers again as often as the parameters change what is one."""
+    stage(f"search from: {starts[0]}")
     outliers = found_outliers(model, p, missing, noise)
-    for _ in range(cleanings):
+    for turn in range(cleanings):
+        if turn:
+            stage(f"{int((outliers.wrong & ~missing).sum())} outliers taken for missing, search again")
         found, _ = _maximised(model, p, noise, outliers, _FEW_MAXIMISATIONS)
         p, noise = found.p, found.noise
         again = found_outliers(model, p, missing, noise, outliers)

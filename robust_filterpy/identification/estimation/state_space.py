@@ -9,6 +9,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_discrete_lyapunov, svd
 
 from robust_filterpy._checks import Array
+from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.prediction_error import minimised, sandwich
 from robust_filterpy.identification.estimation.recordings import Recordings, recordings
 from robust_filterpy.identification.estimation.subspace import Start, impulse_start, predictor_start
@@ -185,10 +186,12 @@ def _searched(structure: StateSpace, n: int, parts: Any, known: Any, influence: 
     rows = np.concatenate([good.ravel() for good in known])
     which = np.concatenate([np.tile(np.arange(model.outputs), len(y)) for y, _ in parts])[rows]
     first = Noises(tuple(Noise(influence or Huber(), 1.0, False, _LEAST) for _ in range(model.outputs)), which)
+    stage(f"{n} states, search from impulse responses")
     starts = [start for lags in _LENGTHS if (start := impulse_start(model, known, lags)) is not None]
     ends = [_descended(model, start, first, rows) for start in starts]
     best = min(ends, key=lambda end: -end.log_likelihood) if ends else None
     cleaned = [y for y, _ in parts] if best is None else _cleaned(best, known)
+    stage(f"{n} states, search from long autoregressions")
     for reach in _REACHES:
         start = predictor_start(model, known, cleaned, reach)
         if start is not None:

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
@@ -26,6 +27,7 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._pictures import drawn
 from robust_filterpy._progress import progress_bar
+from robust_filterpy._warning import warn
 from robust_filterpy.identification.estimation.cleaning import THRESHOLDS
 from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.models.fit import ordinary_fit, ordinary_samples
@@ -59,6 +61,10 @@ _SAMPLES_EACH: Final = 5
 _FALSE_DELAY: Final = 0.05
 # What lies so many times outside the band is no accident.
 _SURE: Final = 2.0
+# Share that is held out, of so many samples at least; and what a fit of these must not fall behind, in percent.
+_HELD: Final = 0.25
+_LEAST_HELD: Final = 400
+_BEHIND: Final = 1.0
 # A larger residual, in standard deviations of y, is as wild as this one.
 _WILD: Final = 10.0
 
@@ -82,7 +88,8 @@ class Candidate(NamedTuple):
         Whether the first b is as many standard deviations from 0 as the criterion asks of a further parameter. Without
         it the delay of the structure is shorter than the recording shows.
     held_out_fit : float
-        Fit on the ordinary samples of the part that was held out, by the model of the part before; NaN if none was.
+        Fit on the ordinary samples of the part that was held out, by the model of the part before, of the best
+        structure of its size or, with ``held_out``, of each; NaN else.
     """
 
     structure: Structure
@@ -138,7 +145,7 @@ class Selection:
     Attributes
     ----------
     rows : tuple of Candidate
-        The structures that were tried, sorted by their criterion.
+        The structures that were tried: the one that was taken, then all others sorted by their criterion.
     best : Model
         The model of the first, identified from the whole recording.
     criterion : str
@@ -205,7 +212,7 @@ class Selection:
         -------
         str
         """
-        held_out = not math.isnan(self.rows[0].held_out_fit)
+        held_out = any(not math.isnan(row.held_out_fit) for row in self.rows)
         lines = [f"{'structure':<38}{self.criterion:>12}{'above best':>12}{'fit, %':>9}{'log-likelihood':>16}"]
         lines[0] += f"{'held out, %':>13}" if held_out else ""
         for row in self.rows[: _checks.count("rows", rows, 1)]:
@@ -231,7 +238,7 @@ def select_structure(
     nf: Iterable[int] | None = None,
     nk: Iterable[int] | None = None,
     criterion: str = "bic",
-    held_out: float = 0.0,
+    held_out: float | None = None,
     progress: bool | None = None,
 ) -> Selection:
     """Find the orders and the delay of a recording with outliers.
@@ -255,11 +262,14 @@ def select_structure(
         Delays to try. Default: range(9).
     criterion : {"bic", "aic"}, default "bic"
         "bic" finds the true structure of a long recording, "aic" prefers predictions to parsimony.
-    held_out : float, default 0
-        Share of the recording, at its end, that the structures are compared without, in [0, 0.5]: how well each model
-        of the part before fits it stands in the table beside the criterion, which decides.
+    held_out : float, optional
+        Share of the recording, at its end, in [0, 0.5], that the structures are compared without: what fits it worse by
+        more than 1 than another, by models of the part before, is not taken, whatever its criterion. Default: the
+        criterion is of the whole recording, and the best of each size are tried again on the last quarter without it;
+        of fewer than 400 samples, or with 0, the criterion alone decides.
     progress : bool, optional
-        Show a progress bar (tqdm) on standard error: True always, False never, None if that is a terminal.
+        Show a progress bar (tqdm) on standard error: True always, False never, None from 2 s on; where that is no
+        terminal, None writes a line now and then instead.
 
     Returns
     -------
@@ -284,6 +294,9 @@ def select_structure(
     whose first b is 0 within the noise comes after all others: it has a longer delay. Where the input does not
     excite a long impulse response, all delays are tried with all orders.
 
+    The criterion takes the plant for linear and the noise for one that the structure can have. Where they are not, it
+    buys parameters that other samples do not confirm; so the part held out has the last word.
+
     References
     ----------
     .. [1] Ronchetti, E. Robust model selection in regression. Statistics & Probability Letters 3 (1985) 21-23.
@@ -307,12 +320,13 @@ def select_structure(
     measured = recorded_output(y)
     signal = np.zeros((measured.size, 0)) if u is None else _inputs(u, measured.size)
     grid = grid.of_inputs(signal.shape[1])
-    if not 0.0 <= _checks.real("held_out", held_out) <= 0.5:
+    share = (0.0 if measured.size < _LEAST_HELD else _HELD) if held_out is None else _checks.real("held_out", held_out)
+    if not 0.0 <= share <= 0.5:
         raise ValueError(f"held_out: expected a share in [0, 0.5], got {held_out!r}")
-    kept = measured.size - round(held_out * measured.size)
-    bar = progress_bar(None, progress, " structures")
-    comparison = _Comparison(grid, measured, signal, criterion, kept, bar)
-    responses = () if u is None else _impulse_responses(measured[:kept], signal[:kept], grid)
+    kept = measured.size - round(share * measured.size)
+    bar = progress_bar(None, progress, " structures", "select_structure")
+    comparison = _Comparison(grid, measured, signal, criterion, kept if held_out else measured.size, bar)
+    responses = () if u is None else _impulse_responses(measured, signal, grid)
     for orders in grid.beginning([{one.delay, one.sure_delay} - {None} for one in responses]):
         comparison.try_out(orders)
     best = None
@@ -320,9 +334,28 @@ def select_structure(
         best = comparison.best
         for orders in grid.neighbours(best):
             comparison.try_out(orders)
+    late = comparison.tried_on_rest(kept) if share and held_out is None else {}
     bar.close()
-    model = replace(identify(measured, None if u is None else signal, grid.structure(best)), dt=axis.dt)
-    return Selection(comparison.rows(), model, criterion, comparison.samples, responses)
+    rows = _ranked(comparison.rows(), late)
+    structure = rows[0].structure
+    model = replace(identify(measured, None if u is None else signal, structure, progress=False), dt=axis.dt)
+    return Selection(rows, model, criterion, comparison.samples, responses)
+
+
+def _ranked(rows: tuple[Candidate, ...], late: dict[Structure, float]) -> tuple[Candidate, ...]:
+    """Return the table with the fits of what was held out, first the best row that these do not speak against."""
+    rows = tuple(row._replace(held_out_fit=late.get(row.structure, row.held_out_fit)) for row in rows)
+    fits = [row.held_out_fit for row in rows if math.isfinite(row.held_out_fit)]
+    if not fits:
+        return rows
+    chosen = next(row for row in rows if row.held_out_fit >= max(fits) - _BEHIND)
+    if chosen is not rows[0]:
+        warn(
+            f"select_structure: the criterion would take {rows[0].structure}, which fits the samples held out by "
+            f"{rows[0].held_out_fit:.0f} %; {chosen.structure} fits them by {chosen.held_out_fit:.0f} % and is taken: "
+            "the plant is not linear, or changes, or has a noise that these structures have not; see validate"
+        )
+    return (chosen, *(row for row in rows if row is not chosen))
 
 
 _Orders = tuple[int, ...]
@@ -489,7 +522,7 @@ class _Comparison:
         with warnings.catch_warnings():
             # A structure with too many parameters leaves the model open; the best one warns again.
             warnings.simplefilter("ignore", UserWarning)
-            model = identify(y, u, structure)
+            model = identify(y, u, structure, progress=False)
         residual, output = (signal[before:] for signal in _signals(model, y, u))
         likelihood = self._cleaned_likelihood(model) if structure.na + structure.nd else self._log_likelihood(residual)
         price = _CRITERIA[self.criterion](self.samples)
@@ -508,6 +541,20 @@ class _Comparison:
     def _cleaned_likelihood(self, model: Model) -> float:
         """Return the log-likelihood of residuals of the cleaned output, less what the outliers cost."""
         return model.log_likelihood - 0.5 * THRESHOLDS[1] ** 2 * int((model.weights == 0.0).sum())
+
+    def tried_on_rest(self, kept: int) -> dict[Structure, float]:
+        """Return how models of the first samples fit the others: the best structure of each number of parameters."""
+        part = _Comparison(self.grid, self.y, self.u, self.criterion, kept, self.bar)
+        sizes: set[int] = set()
+        for orders in sorted(self.tried, key=lambda orders: self.tried[orders].row.rank):
+            size = self.tried[orders].row.structure.n_theta
+            if size not in sizes:
+                sizes.add(size)
+                # A part may tell too little of a structure that the whole tells of.
+                with suppress(ValueError):
+                    part.try_out(orders)
+        rows = part.rows() if part.tried else ()
+        return {row.structure: row.held_out_fit for row in rows if math.isfinite(row.held_out_fit)}
 
     def rows(self) -> tuple[Candidate, ...]:
         """Return the table; the ordinary samples are those of the best model."""
@@ -556,7 +603,7 @@ def _impulse_responses(y: Array, u: Array, grid: _Grid) -> tuple[ImpulseResponse
     if length < last - start + 1:
         return ()
     try:
-        model = identify(y, u, FIR((length,) * count if count > 1 else length, start))
+        model = identify(y, u, FIR((length,) * count if count > 1 else length, start), progress=False)
     except ValueError:
         # The input does not excite so many samples, or y is not good for any model, which the first of them will say.
         return ()

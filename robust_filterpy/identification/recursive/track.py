@@ -191,12 +191,17 @@ def _usual(form: Form, now: State, i: int, start: ColdStart, model: Model) -> tu
     signals = np.column_stack((np.nan_to_num(prediction), start.u))
     followed, share = now.followed.begun(i, start.y - prediction, signals)
     now = now._replace(followed=followed)
-    if not share:
+    taken = [one.text for one in model.findings if one.kind == "input outliers"]
+    if not (share or taken):
         return now, []
     sentence = (
-        f"{100 * share:.0f} % of what the model of the first {start.y.size} samples leaves follow the inputs: the "
-        f"structure is too small, or the noise is another than that of {form.structure}; compare by validate and "
-        "select_structure"
+        f"of its first {start.y.size} samples {taken[0]}"
+        if taken
+        else (
+            f"{100 * share:.0f} % of what the model of the first {start.y.size} samples leaves follow the inputs: the "
+            f"structure is too small, or the noise is another than that of {form.structure}; compare by validate and "
+            "select_structure"
+        )
     )
     windows, news = now.windows.without_model(i, sentence)
     return now._replace(windows=windows), news

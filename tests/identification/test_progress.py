@@ -1,0 +1,77 @@
+"""A long call says what it is at, off a terminal too; a short one, and one inside another, say nothing."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from robust_filterpy import OutputError, _progress, identify
+from robust_filterpy._progress import progress_bar, stage, stages
+from robust_filterpy.identification import ARMAX, StateSpace, select_structure
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """Let time go on by a second with every look at it."""
+    times = iter(range(1_000_000))
+    monkeypatch.setattr(_progress.time, "monotonic", lambda: float(next(times)))
+
+
+def recorded(length=300):
+    rng = np.random.default_rng(1)
+    u = rng.choice([-1.0, 1.0], length)
+    return lfilter([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], u) + 0.3 * rng.normal(size=length), u
+
+
+@pytest.mark.parametrize("structure", [OutputError(2, 2), ARMAX(2, 2, 2), StateSpace(2)], ids=str)
+def test_identify_says_what_it_is_at_once_it_takes_more_than_two_seconds(structure, clock, capsys):
+    y, u = recorded()
+    identify(y, u, structure)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines
+    assert all(line.startswith("identify: ") and " s, " in line for line in lines)
+
+
+@pytest.mark.parametrize("progress", [None, False])
+def test_a_short_call_says_nothing(progress, capsys):
+    identify(*recorded(), OutputError(2, 2), progress=progress)
+    assert capsys.readouterr().err == ""
+
+
+def test_a_long_call_can_be_told_to_be_silent(clock, capsys):
+    identify(*recorded(), OutputError(2, 2), progress=False)
+    select_structure(*recorded(), na=[1, 2], nk=[1], progress=False)
+    assert capsys.readouterr().err == ""
+
+
+def test_progress_asked_for_is_shown_from_the_beginning(capsys):
+    identify(*recorded(), OutputError(2, 2), progress=True)
+    assert "identify: 0 s, search from" in capsys.readouterr().err
+
+
+def test_only_the_outer_call_speaks(clock, capsys):
+    select_structure(*recorded(), na=[1, 2], nk=[1])
+    lines = capsys.readouterr().err.splitlines()
+    assert lines and all(line.startswith("select_structure: ") for line in lines)
+
+
+def test_an_error_ends_the_stages(clock, capsys):
+    with pytest.raises(ZeroDivisionError), stages("one", None):
+        raise ZeroDivisionError
+    stage("of no call")
+    assert capsys.readouterr().err == ""
+
+
+def test_a_count_is_told_less_and_less_often(clock, capsys):
+    bar = progress_bar(1000, None, "run", "study")
+    for _ in range(1000):
+        bar.update()
+    bar.close()
+    lines = capsys.readouterr().err.splitlines()
+    assert 10 < len(lines) < 30
+    assert lines[-1].startswith("study: ") and lines[-1].endswith(" of 1000 run")
+
+
+def test_without_a_standard_error_nothing_is_said(clock, monkeypatch):
+    monkeypatch.setattr("sys.stderr", None)
+    identify(*recorded(), OutputError(2, 2))
+    progress_bar(3, None, "run", "study").update()
