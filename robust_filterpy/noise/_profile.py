@@ -15,7 +15,7 @@ from robust_filterpy.noise._search import Ends, descend
 _FIRST, _LONGER, _FITS, _MOST = 0.2, 2.0, 0.02, 30
 
 
-def held(problem: Problem, points: Array, factors: Array, at: Array) -> Ends:
+def held(problem: Problem, points: Array, factors: np.ndarray, at: Array) -> Ends:
     """Return the lowest costs when in each point one factor stands at a value."""
     rows, (low, high) = np.arange(len(points)), problem.limits
     low, high = np.tile(low, (len(points), 1)), np.tile(high, (len(points), 1))

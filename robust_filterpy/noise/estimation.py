@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -15,6 +14,7 @@ from robust_filterpy._arrays import noise_covariance, process_noise
 from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import without_fill_values
+from robust_filterpy._warning import warn
 from robust_filterpy.correction.policies import Contaminated
 from robust_filterpy.noise._likelihood import log_likelihoods, of_filter, of_tracker, scaled
 from robust_filterpy.noise._problem import LOGIT_LIMITS, SCALE_LIMIT, Problem
@@ -73,7 +73,7 @@ class NoiseEstimate:
     log_likelihood: float
     converged: bool
     message: str
-    _search: tuple[Problem, Ends] = field(repr=False, compare=False)
+    _search: Any = field(default=None, init=False, repr=False, compare=False)
 
     def __str__(self) -> str:
         """Return what fits a screen."""
@@ -240,10 +240,10 @@ def estimate_noise(
     logs_R, logs_Q, share, ratio = (part[0] for part in problem.unpacked(ends.points[:1]))
     loose, doubt = _doubt(problem, ends)
     if loose:
-        warnings.warn(f"estimate_noise: {doubt}; see intervals() of the result", UserWarning, stacklevel=2)
+        warn(f"estimate_noise: {doubt}; see intervals() of the result")
     likelihood = log_likelihoods(data, *(part[None] for part in (logs_R, logs_Q, share, ratio)))[0]
     base, converged = getattr(filter, "filter", filter), bool(ends.converged[0])
-    return NoiseEstimate(
+    found = NoiseEstimate(
         R=scaled(data.R[0] if Rs is None else noise_covariance(base.R, None, len(logs_R)), logs_R),
         Q=scaled(
             data.Q[0] if Qs is None else process_noise(base.Q, None, len(logs_Q)) * np.ones((len(logs_Q),) * 2), logs_Q
@@ -255,8 +255,9 @@ def estimate_noise(
         log_likelihood=float(likelihood),
         converged=converged and not doubt,
         message=doubt or ("the likelihood is greatest here" if converged else "the search did not end"),
-        _search=(problem, ends),
     )
+    object.__setattr__(found, "_search", (problem, ends))
+    return found
 
 
 def _doubt(problem: Problem, ends: Ends) -> tuple[list[str], str]:
