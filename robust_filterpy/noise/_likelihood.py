@@ -16,6 +16,8 @@ LEAST = 10
 # As in `robust_filterpy.correction.merging`: beyond so many standard deviations of the widest hypothesis no part of the
 # noise model says anything, and a sentinel value weighs no more than any other outlier.
 _REACH = 8.0
+# The density falls again where an innovation was shortened to less than a tenth: a state that jumps stays believable.
+_TAIL = 10.0
 
 
 class Recording(NamedTuple):
@@ -152,8 +154,9 @@ def log_likelihoods(data: Recording, logs_R: Array, logs_Q: Array, share: Array,
         top = logs.max(axis=0)
         weights = np.exp(logs - top)
         norm = weights.sum(axis=0)
-        # What is shortened has the tail of a density, or noise a million times too small would cost nothing.
-        total += top + np.log(norm) - 0.5 * part.size * np.log(2.0 * np.pi) + (part.size + 1.0) * np.log(shorter / unit)
+        # Far beyond there is a density's tail, or noise a million times too small would cost nothing.
+        total += top + np.log(norm) - 0.5 * part.size * np.log(2.0 * np.pi)
+        total += (part.size + 1.0) * np.minimum(np.log(_TAIL * shorter / unit), 0.0)
         weights /= norm
         moved = moved * shorter[:, None]
         mean = (weights[..., None] * moved).sum(axis=0)
