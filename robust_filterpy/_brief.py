@@ -13,7 +13,7 @@ _SMALL, _WIDE = 9, 100
 
 def brief(record: Any) -> str:
     """Return a named tuple or dataclass as text that fits a screen."""
-    names = getattr(record, "_fields", None) or record.__dataclass_fields__
+    names = getattr(record, "_fields", None) or [n for n in record.__dataclass_fields__ if not n.startswith("_")]
     return "\n".join([type(record).__name__, *lines_of({name: getattr(record, name) for name in names})])
 
 

@@ -16,6 +16,8 @@ LEAST = 10
 # As in `robust_filterpy.correction.merging`: beyond so many standard deviations of the widest hypothesis no part of the
 # noise model says anything, and a sentinel value weighs no more than any other outlier.
 _REACH = 8.0
+# The density falls again where an innovation was shortened to less than a tenth: a state that jumps stays believable.
+_TAIL = 10.0
 
 
 class Recording(NamedTuple):
@@ -131,34 +133,54 @@ def log_likelihoods(data: Recording, logs_R: Array, logs_Q: Array, share: Array,
     x, P = np.tile(data.x, (p, 1)), np.tile(data.P, (p, 1, 1))
     with np.errstate(divide="ignore"):
         log_share = np.stack([np.log1p(-share), np.log(share)])
-    wider = (ratio**2 - 1.0)[:, None, None]
+    sizes = np.stack([np.ones(p), ratio**2])
+    driven = scaled(data.Q[0], logs_Q)
     total = np.zeros(p)
     for k, (z, w) in enumerate(zip(data.zs, data.inputs, strict=True)):
         x = x @ F[k].T + w
-        P = data.alpha_sq * (F[k] @ P @ F[k].T) + scaled(Q[k], logs_Q)
+        P = data.alpha_sq * (F[k] @ P @ F[k].T) + (driven if len(data.Q) == 1 else scaled(Q[k], logs_Q))
         part = np.flatnonzero(z == z)
         if part.size == 0:
             continue
-        noise = scaled(R[k][np.ix_(part, part)], logs_R[:, part])
-        C = P @ H[k, part].T
-        S = H[k, part] @ C + noise
-        both = np.stack([S, S + wider * noise])
-        inverse = np.linalg.inv(both)
-        y = z[part] - x @ H[k, part].T
-        far = np.sqrt(np.maximum(np.einsum("pi,pij,pj->p", y, inverse[1], y), 0.0))
-        y = y * np.minimum(1.0, _REACH / np.maximum(far, 1e-300))[:, None]
-        g = (inverse @ y[:, :, None])[..., 0]
-        determinant = np.linalg.slogdet(both)[1] + part.size * np.log(2.0 * np.pi)
-        logs = log_share - 0.5 * (determinant + (y * g).sum(axis=-1))
+        # Rows whose noises are independent, with the variances `own`, whatever the factors are.
+        own, axes = np.linalg.eigh(R[k][np.ix_(part, part)])
+        rows = axes.T / np.exp(0.5 * logs_R[:, None, part])
+        y = (rows @ (z[part] - x @ H[k, part].T)[..., None])[..., 0]
+        # The square of a sentinel value may overflow.
+        unit = np.maximum(np.abs(y).max(axis=1), 1e100) / 1e100
+        squares, logs, moved, left = _conditioned(P, y / unit[:, None], rows @ H[k, part], np.maximum(own, 0.0), sizes)
+        shorter = np.minimum(unit, _REACH / np.sqrt(np.maximum(squares[1], 1e-300)))
+        logs = log_share - 0.5 * (squares * shorter**2 + logs + logs_R[:, part].sum(axis=1))
         top = logs.max(axis=0)
         weights = np.exp(logs - top)
         norm = weights.sum(axis=0)
-        total += top + np.log(norm)
+        # Far beyond there is a density's tail, or noise a million times too small would cost nothing.
+        total += top + np.log(norm) - 0.5 * part.size * np.log(2.0 * np.pi)
+        total += (part.size + 1.0) * np.minimum(np.log(_TAIL * shorter / unit), 0.0)
         weights /= norm
-        score = (weights[..., None] * g).sum(axis=0)
-        spread = g - score
-        information = (weights[..., None, None] * (inverse - spread[..., :, None] * spread[..., None, :])).sum(axis=0)
-        x = x + (C @ score[:, :, None])[..., 0]
-        P = P - C @ information @ np.swapaxes(C, -1, -2)
-        P = 0.5 * (P + np.swapaxes(P, -1, -2))
+        moved = moved * shorter[:, None]
+        mean = (weights[..., None] * moved).sum(axis=0)
+        apart = moved - mean
+        x = x + mean
+        P = (weights[..., None, None] * (left + apart[..., :, None] * apart[..., None, :])).sum(axis=0)
     return np.where(np.isfinite(total), total, -np.inf)
+
+
+def _conditioned(P: Array, y: Array, rows: Array, own: Array, sizes: Array) -> tuple[Array, Array, Array, Array]:
+    """Condition on one row after another, under each hypothesis: exact also where R is next to nothing.
+
+    y (p, m) and rows (p, m, n): innovations and their rows of H; own (m,) times sizes (h, p): their variances. Returns
+    the sums of squares and of log variances, (h, p), by how much x moves, (h, p, n), and its covariance, (h, p, n, n).
+    """
+    left, moved = np.repeat(P[None], len(sizes), axis=0), np.zeros((*sizes.shape, P.shape[-1]))
+    squares, logs = np.zeros(sizes.shape), np.zeros(sizes.shape)
+    for i, variance in enumerate(own):
+        row = rows[:, i]
+        c = (left @ row[:, :, None])[..., 0]
+        s = np.maximum((c * row).sum(axis=-1), 0.0) + variance * sizes
+        e = y[:, i] - (moved * row).sum(axis=-1)
+        squares += e * e / s
+        logs += np.log(s)
+        moved += c * (e / s)[..., None]
+        left -= c[..., :, None] * (c / s[..., None])[..., None, :]
+    return squares, logs, moved, left

@@ -21,19 +21,24 @@ _DAMPINGS, _REACH = np.array([0.0, 0.3, 3.0, 30.0, 300.0]), 3.0
 _ENOUGH, _MOST = 1e-3, 40
 
 
-class Valley(NamedTuple):
-    """The best end of all starts."""
+class Ends(NamedTuple):
+    """Where each of s starts ended."""
 
-    point: Array
-    """Shape (d,)."""
-    cost: float
-    converged: bool
-    """Whether a further step promises nothing."""
+    points: Array
+    """Shape (s, d)."""
+    costs: Array
+    """Shape (s,)."""
+    converged: Array
+    """Whether a further step promises nothing, shape (s,)."""
 
 
-def lowest(cost: Cost, starts: Array, lower: Array, upper: Array) -> Valley:
-    """Return the least cost that is reached from any start, shape (s, d), within limits of shape (d,)."""
+def descend(cost: Cost, starts: Array, lower: Array, upper: Array) -> Ends:
+    """Return where the cost is least near each start, shape (s, d), within limits of shape (d,) or (s, d).
+
+    A coordinate whose limits are the same stays where they are.
+    """
     points = np.clip(starts, lower, upper)
+    lower, upper = np.broadcast_to(lower, points.shape), np.broadcast_to(upper, points.shape)
     values, done = cost(points), np.zeros(len(points), dtype=bool)
     for _ in range(_MOST):
         left = np.flatnonzero(~done)
@@ -42,10 +47,11 @@ def lowest(cost: Cost, starts: Array, lower: Array, upper: Array) -> Valley:
         gradients, curvatures = _derivatives(cost, points[left])
         trials = []
         for k, g, H in zip(left, gradients, curvatures, strict=True):
-            free = ~(((points[k] <= lower) & (g > 0)) | ((points[k] >= upper) & (g < 0)))
+            free = ~(((points[k] <= lower[k]) & (g > 0)) | ((points[k] >= upper[k]) & (g < 0)))
+            free &= lower[k] < upper[k]
             steps, promised = _steps(np.where(free, g, 0.0), H * np.outer(free, free))
             done[k] = promised < _ENOUGH
-            trials.append(np.clip(points[k] + steps, lower, upper))
+            trials.append(np.clip(points[k] + steps, lower[k], upper[k]))
         tried = cost(np.concatenate(trials)).reshape(len(left), -1)
         best = tried.argmin(axis=1)
         for k, row, trial, b in zip(left, tried, trials, best.tolist(), strict=True):
@@ -55,8 +61,7 @@ def lowest(cost: Cost, starts: Array, lower: Array, upper: Array) -> Valley:
             # A valley that is all but flat is walked no farther than pays.
             done[k] = done[k] or values[k] - row[b] < 0.01 * _ENOUGH
             points[k], values[k] = trial[b], row[b]
-    lowest = int(values.argmin())
-    return Valley(points[lowest], float(values[lowest]), bool(done[lowest]))
+    return Ends(points, values, done)
 
 
 def valleys(values: Array, most: int) -> list[tuple[int, ...]]:

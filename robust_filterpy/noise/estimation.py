@@ -3,35 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.special import gammaincinv
 
 from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise
 from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import without_fill_values
+from robust_filterpy._warning import warn
 from robust_filterpy.correction.policies import Contaminated
 from robust_filterpy.noise._likelihood import log_likelihoods, of_filter, of_tracker, scaled
-from robust_filterpy.noise._search import lowest, valleys
+from robust_filterpy.noise._problem import LOGIT_LIMITS, SCALE_LIMIT, Problem
+from robust_filterpy.noise._profile import bounds, rises
+from robust_filterpy.noise._search import Ends
 
-__all__ = ["NoiseEstimate", "estimate_noise"]
+__all__ = ["NoiseEstimate", "NoiseIntervals", "estimate_noise"]
 
 Groups = bool | str | Sequence[int]
-# Log of the scale factors, logit of the contamination, log of the scale ratio: where the search may go. Outliers are
-# the fewer and at least three times as large, otherwise the two parts of the mixture could change their roles.
-_SCALE_LIMIT = 16.0
-_LOGIT_LIMITS = (-9.0, float(np.log(0.45 / 0.55)))
-_RATIO_LIMITS = (np.log(3.0), np.log(1e4))
-# Where the search begins: decades of both factors, few and many outliers, and what is left of the best places.
-_DECADES, _SHARES, _STARTS = np.log(10.0) * np.arange(-5.0, 6.0), np.array([-7.0, -2.2]), 4
-_FIRST_LOOK = 400
-# The prior: ten ordinary samples, and outliers of ten times the size within a factor of e.
-_PRIOR_ORDINARY, _PRIOR_LOG_RATIO = 10.0, np.log(10.0)
 # A factor of variance that can be divided by 20 at the cost of half a nat is not determined.
 _AWAY, _HALF_A_NAT = 3.0, 0.5
+
+
+class NoiseIntervals(NamedTuple):
+    """Where the factors may be, by the recording."""
+
+    R_scale: Array
+    """Least and greatest factor of each sensor's variance, shape (dim_z, 2); both 1 where it was not fitted."""
+    Q_scale: Array
+    """The same of each state's noise, shape (dim_x, 2)."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,7 @@ class NoiseEstimate:
     log_likelihood: float
     converged: bool
     message: str
+    _search: Any = field(default=None, init=False, repr=False, compare=False)
 
     def __str__(self) -> str:
         """Return what fits a screen."""
@@ -79,6 +83,42 @@ class NoiseEstimate:
     def noise(self) -> Contaminated:
         """What a filter with this R and Q takes as ``noise=``."""
         return Contaminated(self.contamination, self.scale_ratio)
+
+    def intervals(self, level: float = 0.95) -> NoiseIntervals:
+        """Return an interval for each factor, by profile likelihood.
+
+        A factor belongs to it as long as the likelihood, with the best of all others for this factor, is at most
+        chi2(level)/2 nats below the greatest. It takes about as long as the fit.
+
+        Parameters
+        ----------
+        level : float, default 0.95
+            Share of recordings whose interval holds the truth, in (0, 1).
+
+        Returns
+        -------
+        NoiseIntervals
+            R_scale and Q_scale. The lower end is 0 and the upper one infinite where the recording sets no limit: a
+            factor with (0, inf) is not identifiable, one with (0, c) is small, nobody knows how small.
+
+        Raises
+        ------
+        ValueError
+            If level is not between 0 and 1.
+
+        Notes
+        -----
+        What R and Q are right up to: F, H, and normal noise but for the outliers. With less than about 100 samples, or
+        a factor near 0, the level is approximate.
+        """
+        level = _checks.positive("level", level)
+        if level >= 1.0:
+            raise ValueError(f"level: expected a number between 0 and 1, got {level!r}")
+        problem, ends = self._search
+        found = np.exp(bounds(problem, ends, float(gammaincinv(0.5, level))))
+        found = np.concatenate([found, np.ones((1, 2))])
+        fixed, from_Q = len(found) - 1, np.where(problem.groups_Q < 0, -1, problem.groups_Q + problem.count_R)
+        return NoiseIntervals(found[np.where(problem.groups_R < 0, fixed, problem.groups_R)], found[from_Q])
 
     def apply(self, filter: Any) -> Any:
         """Give a filter this R and Q, and the contamination and ratio if it can use them.
@@ -156,13 +196,14 @@ def estimate_noise(
     Warns
     -----
     UserWarning
-        If zs has fill values, which are named.
+        If zs has fill values, which are named. If a factor is not determined by the recording: 20 times more or less of
+        it costs less than half a nat, when all others make the best of it.
 
     Notes
     -----
     Factors that the data do not determine (Q of a state that hardly shows, R where Q is far larger), and a
-    contamination that runs to its limit of .45, are named in ``message``; ``converged`` is then False. The sampling
-    error of a variance is about sqrt(2/N) at best.
+    contamination that runs to its limit of .45, are named in ``message``; ``converged`` is then False. How sure each
+    factor is, `NoiseEstimate.intervals` says; the sampling error of a variance is about sqrt(2/N) at best.
 
     The likelihood may have several maxima (R nearly 0 beside a large Q, many outliers instead of a larger R). A grid of
     ten decades of both factors, with few and with many outliers, says where to start; all starts advance together, and
@@ -194,34 +235,15 @@ def estimate_noise(
     else:
         data = of_filter(filter, zs, us, *per_step)
     groups_R, groups_Q = _groups("R", R, data.R[0]), _groups("Q", Q, data.Q[0])
-    count_R, count_Q = groups_R.max() + 1, groups_Q.max() + 1
-    known = _known_outliers(contamination, scale_ratio)
-
-    def unpacked(points: Array) -> tuple[Array, Array, Array, Array]:
-        logs_R = np.concatenate([points[:, :count_R], np.zeros((len(points), 1))], axis=1)[:, groups_R]
-        logs_Q = np.concatenate([points[:, count_R : count_R + count_Q], np.zeros((len(points), 1))], axis=1)
-        share = np.full(len(points), known[0]) if known[0] is not None else 1 / (1 + np.exp(-points[:, -2]))
-        ratio = np.full(len(points), known[1]) if known[1] is not None else np.exp(points[:, -1])
-        return logs_R, logs_Q[:, groups_Q], share, ratio
-
-    def cost(points: Array, steps: int) -> Array:
-        logs_R, logs_Q, share, ratio = unpacked(points)
-        prior = -0.5 * (np.log(ratio) - _PRIOR_LOG_RATIO) ** 2
-        if known[0] is None:
-            prior = prior + _PRIOR_ORDINARY * np.log1p(-share)
-        return -(log_likelihoods(data.first(steps), logs_R, logs_Q, share, ratio) + prior)
-
-    def whole(points: Array) -> Array:
-        return cost(points, len(data.zs))
-
-    limits = [(-_SCALE_LIMIT, _SCALE_LIMIT)] * (count_R + count_Q) + [_LOGIT_LIMITS, _RATIO_LIMITS]
-    starts = _starts(count_R, count_Q, lambda points: cost(points, min(_FIRST_LOOK, len(data.zs))))
-    found = lowest(whole, starts, *np.transpose(limits))
-    logs_R, logs_Q, share, ratio = (part[0] for part in unpacked(found.point[None]))
-    doubt = _doubt(found.point, count_R, count_Q, known, whole)
+    problem = Problem(data, groups_R, groups_Q, _known_outliers(contamination, scale_ratio))
+    ends = problem.ends()
+    logs_R, logs_Q, share, ratio = (part[0] for part in problem.unpacked(ends.points[:1]))
+    loose, doubt = _doubt(problem, ends)
+    if loose:
+        warn(f"estimate_noise: {doubt}; see intervals() of the result")
     likelihood = log_likelihoods(data, *(part[None] for part in (logs_R, logs_Q, share, ratio)))[0]
-    base = getattr(filter, "filter", filter)
-    return NoiseEstimate(
+    base, converged = getattr(filter, "filter", filter), bool(ends.converged[0])
+    found = NoiseEstimate(
         R=scaled(data.R[0] if Rs is None else noise_covariance(base.R, None, len(logs_R)), logs_R),
         Q=scaled(
             data.Q[0] if Qs is None else process_noise(base.Q, None, len(logs_Q)) * np.ones((len(logs_Q),) * 2), logs_Q
@@ -231,46 +253,29 @@ def estimate_noise(
         contamination=float(share),
         scale_ratio=float(ratio),
         log_likelihood=float(likelihood),
-        converged=found.converged and not doubt,
-        message=doubt or ("the likelihood is greatest here" if found.converged else "the search did not end"),
+        converged=converged and not doubt,
+        message=doubt or ("the likelihood is greatest here" if converged else "the search did not end"),
     )
+    object.__setattr__(found, "_search", (problem, ends))
+    return found
 
 
-def _doubt(point: Array, count_R: int, count_Q: int, known: tuple[float | None, float | None], cost: Any) -> str:
-    """Return what the recording does not determine, in words, or nothing."""
-    names = [f"R's factor {k}" for k in range(count_R)] + [f"Q's factor {k}" for k in range(count_Q)]
-    if names:
-        steps = np.eye(len(names), point.size) * _AWAY
-        costs = cost(np.concatenate([point[None], point - steps, point + steps]))
-        rise = np.minimum(*np.reshape(costs[1:] - costs[0], (2, -1)))
+def _doubt(problem: Problem, ends: Ends) -> tuple[list[str], str]:
+    """Return which factors the recording does not determine, and what is doubtful in words, or nothing."""
+    point = ends.points[0]
+    if problem.names:
+        free = rises(problem, point, float(ends.costs[0]), _AWAY) < _HALF_A_NAT
         loose = [
             name
-            for name, r, log in zip(names, rise, point, strict=False)
-            if r < _HALF_A_NAT or abs(log) > _SCALE_LIMIT - 1e-6
+            for name, moves, log in zip(problem.names, free, point, strict=False)
+            if moves or abs(log) > SCALE_LIMIT - 1e-6
         ]
         if loose:
-            return f"{', '.join(loose)}: not determined by the recording, which fits with 20 times less or more as well"
-    if known[0] is None and point[-2] > _LOGIT_LIMITS[1] - 1e-6:
-        return "contamination: ended at its limit of 0.45; most samples are not alike"
-    return ""
-
-
-def _starts(count_R: int, count_Q: int, cost: Any) -> Array:
-    """Return the lowest places of a grid over one factor for R and one for Q, each sensor and state then on its own."""
-    log_R, log_Q = (_DECADES if count else np.zeros(1) for count in (count_R, count_Q))
-    places, factors = [], count_R + count_Q
-    for share in _SHARES:
-        grid = np.array([[*[r] * count_R, *[q] * count_Q, share, _PRIOR_LOG_RATIO] for r in log_R for q in log_Q])
-        values = cost(grid).reshape(len(log_R), len(log_Q))
-        places += [grid[i * len(log_Q) + j] for i, j in valleys(values, _STARTS)]
-    starts = np.array(places)
-    if max(count_R, count_Q) > 1:
-        for i in range(factors):
-            tried = np.repeat(starts[:, None, :], len(_DECADES), axis=1)
-            tried[:, :, i] = _DECADES
-            values = cost(tried.reshape(-1, starts.shape[1])).reshape(len(starts), -1)
-            starts = tried[range(len(starts)), values.argmin(axis=1)]
-    return np.asarray(starts)
+            what = "not determined by the recording, which fits with 20 times less or more as well"
+            return loose, f"{', '.join(loose)}: {what}"
+    if problem.known[0] is None and point[-2] > LOGIT_LIMITS[1] - 1e-6:
+        return [], "contamination: ended at its limit of 0.45; most samples are not alike"
+    return [], ""
 
 
 def _known_outliers(contamination: float | None, scale_ratio: float | None) -> tuple[float | None, float | None]:

@@ -1,5 +1,7 @@
 """estimate_noise: scales come back whatever the share of outliers, and the likelihood is the noise-matched filter's."""
 
+import pickle
+
 import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
@@ -7,7 +9,7 @@ from support import told
 
 from robust_filterpy import ARX, Contaminated, ParameterTracker, RobustKalmanFilter
 from robust_filterpy.noise._likelihood import log_likelihoods, of_filter
-from robust_filterpy.noise._search import lowest, valleys
+from robust_filterpy.noise._search import descend, valleys
 from robust_filterpy.noise.estimation import estimate_noise
 
 F = np.array([[1.0, 1.0], [0.0, 0.95]])
@@ -63,11 +65,12 @@ def test_the_lowest_of_several_valleys_is_found_within_limits():
 
     lower, upper = np.array([-5.0, -0.5]), np.array([5.0, 5.0])
     starts = np.array([[3.0, 3.0], [-3.0, 2.0], [0.0, 0.0]])
-    found = lowest(cost, starts, lower, upper)
+    found = descend(cost, starts, lower, upper)
+    best = found.costs.argmin()
     grid = np.stack(np.meshgrid(np.linspace(-5, 5, 1001), np.linspace(-0.5, 5, 551)), axis=-1).reshape(-1, 2)
-    assert found.converged and found.point[0] < 0.0
-    assert found.cost <= cost(grid).min() + 1e-3
-    assert (found.point >= lower).all() and (found.point <= upper).all()
+    assert found.converged[best] and found.points[best, 0] < 0.0
+    assert found.costs[best] <= cost(grid).min() + 1e-3
+    assert (found.points >= lower).all() and (found.points <= upper).all()
     assert valleys(np.array([[3.0, 1.0, 2.0], [4.0, 5.0, 0.5]]), 2) == [(1, 2), (0, 1)]
 
 
@@ -207,7 +210,8 @@ def test_a_contamination_at_its_limit_is_said():
 def test_what_is_not_determined_is_said(start):
     """Q far above R: the sum of both is all that one sees."""
     zs = np.cumsum(100.0 * np.random.default_rng(0).standard_normal(300))
-    found = estimate_noise(level(Q=1e4, R=start), zs)
+    with pytest.warns(UserWarning, match="R's factor 0: not determined"):
+        found = estimate_noise(level(Q=1e4, R=start), zs)
     assert not found.converged and "R's factor 0: not determined" in found.message
     assert found.Q[0, 0] == pytest.approx(1e4, rel=0.3)
 
@@ -300,3 +304,46 @@ def test_apply_passes_the_mixture_to_a_filter_that_has_a_place_for_it():
     kf = found.apply(guess(told))
     assert kf.noise.contamination == found.contamination
     assert kf.noise.scale_ratio == found.scale_ratio
+
+
+def test_an_interval_ends_where_the_best_of_the_others_costs_what_the_level_allows():
+    """The others are fitted anew with the factor told; chi2(.9)/2 with one degree of freedom is 1.353 nats."""
+    zs, outliers = random_walk(5, 300), {"contamination": 0.05, "scale_ratio": 10.0}
+    found = estimate_noise(level(R=0.1), zs, **outliers)
+    intervals = found.intervals(0.9)
+    for low, high in (intervals.R_scale[0], intervals.Q_scale[0]):
+        assert 0.0 < low < high < np.inf
+    for end in intervals.R_scale[0]:
+        told = estimate_noise(level(R=0.1 * end), zs, R=False, **outliers)
+        assert found.log_likelihood - told.log_likelihood == pytest.approx(1.353, abs=0.08)
+    for end in intervals.Q_scale[0]:
+        told = estimate_noise(level(R=0.1, Q=end), zs, Q=False, **outliers)
+        assert found.log_likelihood - told.log_likelihood == pytest.approx(1.353, abs=0.08)
+    wider, again = found.intervals(0.99), pickle.loads(pickle.dumps(found)).intervals(0.9)
+    assert wider.R_scale[0, 0] < intervals.R_scale[0, 0] and wider.R_scale[0, 1] > intervals.R_scale[0, 1]
+    assert np.array_equal(again.Q_scale, intervals.Q_scale)
+
+
+@pytest.mark.filterwarnings("ignore:estimate_noise")
+def test_what_the_recording_does_not_limit_has_no_limit():
+    """Q far above R: R is small, nobody knows how small. What was not fitted is what was told."""
+    zs = np.cumsum(100.0 * np.random.default_rng(0).standard_normal(100))
+    intervals = estimate_noise(level(Q=1e4), zs, contamination=0.0, scale_ratio=10.0).intervals()
+    assert intervals.R_scale[0, 0] == 0.0 and np.isfinite(intervals.R_scale[0, 1])
+    assert 0.5 < intervals.Q_scale[0, 0] < intervals.Q_scale[0, 1] < 2.0
+    fixed = estimate_noise(level(R=1e4), zs, Q=False, contamination=0.0, scale_ratio=10.0).intervals()
+    assert fixed.Q_scale.tolist() == [[1.0, 1.0]]
+    with pytest.raises(ValueError, match=r"level: expected a number between 0 and 1, got 95"):
+        estimate_noise(level(), zs).intervals(95)
+
+
+def test_noise_that_is_next_to_nothing_is_never_the_most_likely():
+    """Three sensors of two states: what contradicts itself is worth less, the smaller the noises are said to be."""
+    rng = np.random.default_rng(9)
+    kf = RobustKalmanFilter(2, 3)
+    kf.F, kf.H, kf.P = 0.8 * np.eye(2), rng.normal(size=(3, 2)), 10.0 * np.eye(2)
+    zs = rng.normal(size=(60, 3))
+    data = of_filter(kf, zs, None, None, None, None, None)
+    logs = np.array([0.0, -10.0, -20.0, -30.0])[:, None]
+    found = log_likelihoods(data, logs * np.ones(3), logs * np.ones(2), np.full(4, 0.4), np.full(4, 3.0))
+    assert (np.diff(found) < -100.0).all()
