@@ -37,6 +37,7 @@ ROOMS = (
     "experiments",
     "testing",
     "fleet",
+    "adapters",
     "plotting",
     "kalman",
     "common",

@@ -20,11 +20,12 @@ from robust_filterpy import RobustKalmanFilter, _documentation, diagnose
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-# testing.md is made from the room it describes, and the programs of fleet.md follow one another: tests of their own.
+# testing.md is made from the room it describes, programs of fleet.md follow one another, those of adapters.md need a
+# library each: tests of their own.
 SNIPPETS = {
     f"{path.stem}-{i}": text
     for path in sorted(DOCS.glob("*.md"))
-    if path.name not in ("testing.md", "fleet.md")
+    if path.name not in ("testing.md", "fleet.md", "adapters.md")
     for i, text in enumerate(re.findall(r"```python\n(.*?)```", path.read_text(encoding="utf-8"), flags=re.S))
 }
 # A page that draws has one program, in one or several parts.

@@ -6,7 +6,7 @@
 * `start`: samples that a model is made of. `handover`: from a model to a recursion. `watch`: whether an actuator is
   lost. `noise_scale`: an R that is followed. `conditioning`: P repaired where it has lost digits.
 * `setup`, `bank_setup`: from arguments to filters and arrays, and what is refused.
-* `tuned`: how fast the parameters drift, from a recording. `river_adapter`: a tracker as a regressor of river.
+* `tuned`: how fast the parameters drift, from a recording.
 
 Imports from below: `models`, `estimation`.
 """

@@ -2,7 +2,7 @@
 
 This module imports river, and nothing imports this module::
 
-    from robust_filterpy.identification.recursive.river_adapter import RiverTracker
+    from robust_filterpy.adapters.river import RiverTracker
 """
 
 from __future__ import annotations

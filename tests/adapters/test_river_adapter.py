@@ -10,7 +10,7 @@ from robust_filterpy.identification import FIR
 pytest.importorskip("river")
 from river import base, compose, evaluate, metrics
 
-from robust_filterpy.identification.recursive.river_adapter import RiverTracker
+from robust_filterpy.adapters.river import RiverTracker
 
 
 def recording():

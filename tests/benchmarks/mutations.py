@@ -1,0 +1,163 @@
+"""How many wrong lines do the tests see? Lines drawn at random over the rooms are spoilt, one at a time, in a copy.
+
+    python tests/benchmarks/mutations.py [--count 100] [--seed 0] [--limit 40] [--room filters]
+
+A line counts as seen if a test fails within the limit, in seconds. The test modules that name the most of what the
+line is part of go first. A line that survives is either one that no test sees, one whose change changes nothing, or
+one whose test comes later than the limit. The C of the kernel is not drawn.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import os
+import random
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+SEEN = 0.9
+ROOT = Path(__file__).parents[2]
+# No line of these computes: names, stubs, what is printed.
+LEFT_OUT = ("__init__", "__main__", "_version", "_lazy", "_documentation", "_pictures")
+
+SWAPPED: dict[type, type] = {
+    ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
+    ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
+    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Pow: ast.Mult,
+    ast.And: ast.Or, ast.Or: ast.And,
+}  # fmt: skip
+
+
+def spoilt(node: ast.AST) -> ast.AST | None:
+    """Return a wrong expression in place of a right one, or None if there is nothing to spoil."""
+    if isinstance(node, ast.Compare) and type(node.ops[0]) in SWAPPED:
+        return ast.Compare(node.left, [SWAPPED[type(node.ops[0])](), *node.ops[1:]], node.comparators)
+    if isinstance(node, ast.BinOp) and type(node.op) in SWAPPED:
+        return ast.BinOp(node.left, SWAPPED[type(node.op)](), node.right)
+    if isinstance(node, ast.BoolOp):
+        return ast.BoolOp(SWAPPED[type(node.op)](), node.values)
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.Not, ast.USub)):
+        return node.operand
+    if isinstance(node, ast.IfExp):
+        return ast.IfExp(node.test, node.orelse, node.body)
+    if isinstance(node, ast.Constant) and isinstance(node.value, bool):
+        return ast.Constant(not node.value)
+    if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)):
+        return ast.Constant(node.value + 1)
+    return None
+
+
+def expressions(node: ast.AST, names: tuple[str, ...] = ()) -> Iterator[tuple[ast.AST, tuple[str, ...]]]:
+    """Yield what computes, with the names that it is part of; no annotations, no words of errors."""
+    if isinstance(node, (ast.Raise, ast.JoinedStr, ast.AnnAssign, ast.Import, ast.ImportFrom)):
+        if not isinstance(node, ast.AnnAssign) or node.value is None:
+            return
+        node = node.value
+    if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+        names = (*names, node.name)
+        for part in (*node.body, *(node.args.defaults if isinstance(node, ast.FunctionDef) else ())):
+            yield from expressions(part, names)
+        return
+    if spoilt(node) is not None:
+        yield node, names
+    for part in ast.iter_child_nodes(node):
+        yield from expressions(part, names)
+
+
+def drawn(count: int, seed: int, room: str) -> Iterator[tuple[Path, ast.AST, tuple[str, ...]]]:
+    """Yield expressions on lines drawn with equal chances, no line twice."""
+    lines = []
+    for path in sorted((ROOT / "robust_filterpy" / room).rglob("*.py")):
+        if path.stem not in LEFT_OUT:
+            found: dict[int, list[tuple[ast.AST, tuple[str, ...]]]] = {}
+            for node, names in expressions(ast.parse(path.read_text())):
+                if node.lineno == node.end_lineno:  # type: ignore[attr-defined]
+                    found.setdefault(node.lineno, []).append((node, names))  # type: ignore[attr-defined]
+            lines += [(path.relative_to(ROOT), here) for here in found.values()]
+    rng = random.Random(seed)
+    for path, here in rng.sample(lines, min(count, len(lines))):
+        node, names = rng.choice(here)
+        yield path, node, names
+
+
+def changed(source: str, node: ast.AST) -> str:
+    """Return the source with one expression spoilt."""
+    lines = source.split("\n")
+    row, begin, end = node.lineno - 1, node.col_offset, node.end_col_offset  # type: ignore[attr-defined]
+    line = lines[row].encode()
+    lines[row] = (line[:begin] + f"({ast.unparse(spoilt(node))})".encode() + line[end:]).decode()  # type: ignore[arg-type]
+    return "\n".join(lines)
+
+
+def test_modules(path: Path, names: tuple[str, ...], texts: dict[str, str]) -> list[str]:
+    """Return the test modules of a file's room, then others that name it; those that name the most of it in front."""
+    room = path.parts[1] if len(path.parts) > 2 else "package"
+    words = {word.strip("_") for word in (path.stem, *names)} - {"init"}
+    marks = {
+        name: sum(bool(re.search(rf"\b_*{re.escape(word)}\b", text)) for word in words)
+        + (f"test_{path.stem.strip('_')}.py" in name)
+        for name, text in texts.items()
+    }
+    own = [name for name in texts if name.startswith(f"tests/{room}/")]
+    others = [name for name in texts if marks[name] and name not in own]
+    return sorted(own, key=lambda name: -marks[name]) + sorted(others, key=lambda name: -marks[name])[:5]
+
+
+def seen(copy: Path, modules: list[str], limit: float) -> str:
+    """Run tests until one fails and return its name, or how it was that none did, in brackets."""
+    options = ("-x", "--tb=no", "-rfE", "-p", "no:cacheprovider", "-p", "no:randomly", "--timeout=20")
+    command = [sys.executable, "-W", "ignore", "-m", "pytest", *options, *modules]
+    environment = {**os.environ, "PYTHONPATH": str(copy), "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+    try:
+        done = subprocess.run(
+            command, cwd=copy, env=environment, capture_output=True, text=True, timeout=limit, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return "(none within the limit)"
+    said = re.findall(r"^(?:FAILED|ERROR) (\S+)", done.stdout, flags=re.M)
+    return said[0] if said else "(all pass)" if done.returncode == 0 else "pytest itself"
+
+
+def main() -> None:
+    """Spoil lines one at a time and print which were seen, and the share in each room."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--limit", type=float, default=40.0)
+    parser.add_argument("--room", default="")
+    args = parser.parse_args()
+    texts = {str(p.relative_to(ROOT)): p.read_text() for p in sorted((ROOT / "tests").glob("*/test_*.py"))}
+    total, killed = Counter[str](), Counter[str]()
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder)
+        for name in ("robust_filterpy", "tests", "examples", "docs"):
+            shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__", "_build"))
+        for name in ("pyproject.toml", "setup.cfg", "setup.py", "README.md"):
+            shutil.copy(ROOT / name, copy)
+        for path, node, names in drawn(args.count, args.seed, args.room):
+            source = (ROOT / path).read_text()
+            (copy / path).write_text(changed(source, node))
+            by = seen(copy, test_modules(path, names, texts), args.limit)
+            (copy / path).write_text(source)
+            room = path.parts[1] if len(path.parts) > 2 else "(root)"
+            total[room] += 1
+            survived = by.startswith("(")
+            killed[room] += not survived
+            change = f"{ast.unparse(node)}  ->  {ast.unparse(spoilt(node))}"  # type: ignore[arg-type]
+            where = f"{path}:{node.lineno}"  # type: ignore[attr-defined]
+            print(f"{'SURVIVED' if survived else 'seen    '} {where}  {change}  {by}", flush=True)
+    for room, number in sorted(total.items()):
+        print(f"{room:16} {killed[room]:3d} of {number:3d}")
+    share = sum(killed.values()) / sum(total.values())
+    print(f"seen: {share:.2f} (target {SEEN}) {'met' if share >= SEEN else 'MISSED'}")
+
+
+if __name__ == "__main__":
+    main()
