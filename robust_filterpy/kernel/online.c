@@ -2,8 +2,8 @@
 #include "online.h"
 
 #include "groups.h"
+#include "moments.h"
 #include "prediction.h"
-#include "update.h"
 
 /* Python code may run where an attribute is read (a property of a subclass), and may do anything to arrays. So all that a
    step needs is read first, and looked into only then. */

