@@ -12,6 +12,8 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.random import Generator, SeedSequence, default_rng
 
+from robust_filterpy._progress import stages
+
 Trial: TypeAlias = Callable[[Generator], Any]
 Seed: TypeAlias = "int | Sequence[int] | SeedSequence | None"
 
@@ -26,7 +28,9 @@ class Raised(NamedTuple):
 def _run(trial: Trial, root: SeedSequence, index: int) -> Any:
     """Do one run, wherever this is called."""
     try:
-        return trial(default_rng(child_of(root, index)))
+        # What takes long inside of one run is not told: the study tells how many runs there are.
+        with stages("run", progress=False):
+            return trial(default_rng(child_of(root, index)))
     except (Exception, SystemExit) as error:
         # A library that calls sys.exit ends its own run and no other.
         lines = traceback.format_exception_only(error)
