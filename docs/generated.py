@@ -91,11 +91,17 @@ def is_long(thing: object) -> bool:
 def own_names(module: str) -> list[str]:
     """Return the public names of a module that are this package's."""
     found = importlib.import_module(module)
-    names = sorted(found.__all__)
+    names = sorted(name for name in found.__all__ if not is_elsewhere(module, getattr(found, name), name))
     if module not in (f"{ROOT}.kalman", f"{ROOT}.common"):
         return names
     # Classes are described in the room they come from, and filterpy's by filterpy.
     return [name for name in names if (getattr(getattr(found, name), "__module__", None) or "").startswith(module)]
+
+
+def is_elsewhere(module: str, thing: object, name: str) -> bool:
+    """Tell whether a name that a room passes on is described in the room that it comes from."""
+    room = ".".join((getattr(thing, "__module__", None) or module).split(".")[:2])
+    return room.startswith(ROOT) and not module.startswith(room) and home(thing, name) == room
 
 
 def module_page(module: str, names: list[str], apart: list[str]) -> str:
