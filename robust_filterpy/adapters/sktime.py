@@ -55,6 +55,7 @@ class RobustKalmanTransformer(BaseTransformer):  # type: ignore[misc, unused-ign
     Examples
     --------
     >>> import numpy as np
+    >>> from robust_filterpy.adapters.sktime import RobustKalmanTransformer
     >>> sold = np.cumsum(np.random.default_rng(0).normal(size=50))
     >>> sold[30] = 1000.0
     >>> bool(abs(RobustKalmanTransformer().fit_transform(sold)[30, 0] - sold[29]) < 10.0)
