@@ -18,7 +18,10 @@ MANY = 5
 
 
 def write(docs: Path, pages: dict[str, str]) -> None:
-    """Write pages, by file name, below docs."""
+    """Write pages, by file name, below docs, in place of those made before."""
+    for old in (docs / "api").glob("*.rst"):
+        if f"api/{old.name}" not in pages:
+            old.unlink()
     for name, text in pages.items():
         path = docs / name
         path.parent.mkdir(parents=True, exist_ok=True)
