@@ -223,7 +223,7 @@ class FilterBank:
         Returns
         -------
         dict of str to ndarray
-            ``format``, as in `RobustKalmanFilter.state`; x, P, F, Q, H and R; and ``spread``, shape (n, dim_z, 7),
+            ``format``, as in `RobustKalmanFilter.state`; x, P, F, Q, H and R; and ``spread``, shape (n, dim_z, 10),
             what is known of the sensors, if anything is.
         """
         x, P = self._state()
@@ -312,7 +312,7 @@ class _Told(NamedTuple):
                 raise ValueError("update: expected finite innovations, got NaN or infinity; check x and H")
             C, S = innovation_moments(self.P[i], H, R)
             if choices.by_custom and not np.isnan(innovation).all():
-                return correct_by_custom(memory, self.x[i], self.P[i], innovation, C, S, R, choices, H)
+                return correct_by_custom(memory, self.x[i], self.P[i], self.z[i], innovation, C, S, R, choices, H)
             return correct(self.x[i], self.P[i], innovation, C, S, choices)
         except (ValueError, np.linalg.LinAlgError) as error:
             error.args = (f"filter {i}: {error}", *error.args[1:])

@@ -160,6 +160,7 @@ def correct_by_custom(
     memory: Array,
     x: Array,
     P: Array,
+    z: Array,
     y: Array,
     C: Array,
     S: Array,
@@ -172,10 +173,12 @@ def correct_by_custom(
 
     Parameters
     ----------
-    memory : ndarray, shape (m, 7)
+    memory : ndarray, shape (m, 10)
         What is known of the sensors, from `robust_filterpy.correction.spread.begin` or the correction before.
     x, P, y, C, S, choices, skip_singular
         As in `correct`.
+    z : ndarray, shape (m,)
+        The readings that y comes from: one that repeats the one before is hardly evidence of a jump.
     R : ndarray, shape (m, m)
         The part of S that is measurement noise.
     H : ndarray, shape (m, n), optional
@@ -187,7 +190,7 @@ def correct_by_custom(
         With ``memory`` as it is afterwards. Where P has grown, C and S are those of the grown P; what a sensor is
         charged as noise of its own is in neither.
     """
-    found = spread.prepared(memory, y, S, R, C, P)
+    found = spread.prepared(memory, z, y, S, R, C, P)
     if (found.growth > 1.0).any():
         grown = P * np.outer(found.growth, found.growth)
         H = np.linalg.lstsq(P, C, rcond=None)[0].T if H is None else H

@@ -1,6 +1,6 @@
 """How large a sensor's innovations usually are, learnt: the unit of its thresholds under scaling="learnt".
 
-Nothing is an outlier before there is a custom. A memory has seven numbers a sensor; what they do to a correction does
+Nothing is an outlier before there is a custom. A memory has ten numbers a sensor; what they do to a correction does
 not depend on a common factor of P, Q and R, on units, on the order of the sensors or on psi. `prepared` comes before a
 correction and `after` behind it::
 
@@ -12,6 +12,11 @@ A sensor that is wider than those which see the same, or contradicted by them, i
 Four clipped innovations in a row, of one sign and height, which the majority of those who see them does not
 contradict, are a jump of the state: P grows until it explains them, for the states that this sensor tells much of. One
 innovation that undoes a jump is a return, where few others are far out.
+
+Beside other sensors, a far reading that is the one before to the last bit pulls, and counts for a jump or another
+custom, only as far as repeats are usual of its sensor: one that is stuck says nothing new, one that is quantized does.
+Where readings repeat, one smallest step between them is never clipped: most |e| of a coarse sensor are far smaller than
+its noise.
 """
 
 from __future__ import annotations
@@ -21,9 +26,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-#: Columns of a memory, shape (m, 7).
-WEIGHT, SPREAD, SHARE, STRANGE, RUN, REST, JUMP = range(7)
-NUMBERS = 7
+#: Columns of a memory, shape (m, 10).
+WEIGHT, SPREAD, SHARE, STRANGE, RUN, REST, JUMP, LAST, REPEATS, STEP = range(10)
+NUMBERS = 10
 
 QUARTILE = 0.6744897501960817  #: median of |e| for a normal e of deviation 1
 BEND = 1.345  #: beyond so many spreads an innovation counts as clipped, whatever psi is
@@ -35,6 +40,8 @@ LOST = 10  #: so many far ones in a row, and the custom is another one
 RUN_LENGTH, AGREE = 4, 2.5  #: a jump: so many clipped in a row, each within 2.5 spreads of where the last left x
 RARE, RETURN = 0.05, 0.2  #: a share of outliers with which one innovation is a return, if within a fifth of the jump
 SPARED = 0.1  #: states that tell a tenth as much of the prediction as the one that tells most do not jump with it
+WHOLE, MOST_STEPS = 0.01, 1e6  #: a change within so much of a whole number of steps, up to so many, is steps
+LEAST = 0.1  #: of its width is left to a far reading that repeats where none does
 LARGEST_GROWTH = 1e6  #: of S at one jump; makes the gain 1 - 1e-6
 WITNESS, APART, CONTRADICTED = 0.47, 1.5, 2.0  #: see `_charges`
 
@@ -43,7 +50,7 @@ class Prepared(NamedTuple):
     """What a correction begins with under scaling "learnt"; C and S are as told unless P has grown."""
 
     memory: np.ndarray
-    """Memory after the innovation, shape (m, 7)."""
+    """Memory after the innovation, shape (m, 10)."""
     width: np.ndarray
     """Unit of each sensor's threshold, in that of its measurement, shape (m,)."""
     charge: np.ndarray
@@ -67,23 +74,27 @@ def begin(m: int) -> np.ndarray:
 
     Returns
     -------
-    ndarray, shape (m, 7)
+    ndarray, shape (m, 10)
         Information that the spread rests on, spread s, share p of far innovations, far ones in a row, clipped ones in
-        a row that agree, what the last correction left of z - H x, and how far the last jump went, 0 if there was none
-        to return from (the only two with a unit).
+        a row that agree, what the last correction left of z - H x, how far the last jump went, 0 if there was none to
+        return from, the last reading, the share of ordinary readings that repeat, and the smallest change of a
+        reading (-1 before there is one, 0 before any reading). What is left over, the jump, the last reading and the
+        change have a unit.
     """
     return np.zeros((m, NUMBERS))
 
 
-def prepared(memory: np.ndarray, y: np.ndarray, S: np.ndarray, R: np.ndarray, C: np.ndarray, P: np.ndarray) -> Prepared:
+def prepared(
+    memory: np.ndarray, z: np.ndarray, y: np.ndarray, S: np.ndarray, R: np.ndarray, C: np.ndarray, P: np.ndarray
+) -> Prepared:
     """Learn from an innovation, and say how it is to be judged.
 
     Parameters
     ----------
-    memory : ndarray, shape (m, 7)
+    memory : ndarray, shape (m, 10)
         Memory before; not changed.
-    y : ndarray, shape (m,)
-        Innovation, NaN where missing.
+    z, y : ndarray, shape (m,)
+        Readings and innovation, NaN where missing.
     S, R : ndarray, shape (m, m)
         Covariances of the innovation and of the measurement noise, as told.
     C : ndarray, shape (n, m)
@@ -99,21 +110,23 @@ def prepared(memory: np.ndarray, y: np.ndarray, S: np.ndarray, R: np.ndarray, C:
     told, size = np.sqrt(np.where(here, np.diag(S), 1.0)), np.zeros(len(y))
     # Below a number whose square is a number.
     size[here] = np.minimum(np.abs(y[here]) / told[here], 1e100)
+    coarse = np.where(memory[:, REPEATS] > 0, memory[:, STEP] / BEND, 0.0) / told
     for i in np.flatnonzero(here & (size > 0)):
-        _learn(memory[i], size[i], math.sqrt(min(max(R[i, i] / S[i, i], 1e-9), 1.0)))
+        _learn(memory[i], size[i], coarse[i], math.sqrt(min(max(R[i, i] / S[i, i], 1e-9), 1.0)))
     # Who has no custom yet has shown exact zeros alone: any width will do.
-    s = np.where(memory[:, WEIGHT] > 0, memory[:, SPREAD], 1.0)
+    s = np.where(memory[:, WEIGHT] > 0, np.maximum(memory[:, SPREAD], coarse), 1.0)
     B = S - R
     seen = _seen_by(B, here)
     charge = _charges(y, s, told, B, seen, here) if here.sum() > 1 else np.zeros(len(y))
-    narrowed = s * (1 - YIELD * memory[:, SHARE])
+    narrowed = np.maximum(s * (1 - YIELD * memory[:, SHARE]), coarse)
     out, near = here & (size > BEND * narrowed), AGREE * s * told
     _count_runs(memory, y, near, out, here)
+    counts = _weigh_repeats(memory, z, out, here)
     # Back where the state was before a jump.
     back = out & (np.abs(y + memory[:, JUMP]) < np.maximum(near, RETURN * np.abs(memory[:, JUMP])))
     back &= memory[:, JUMP] != 0
     jumped = _jumps(memory, y, B, seen, out, back, charge, here)
-    growth, width = np.ones(len(C)), narrowed * told
+    growth, width = np.ones(len(C)), narrowed * told * counts
     for i in np.flatnonzero(jumped):
         wanted = min((size[i] / (BEND * narrowed[i])) ** 2 - 1, LARGEST_GROWTH) * S[i, i] / B[i, i]
         growth = np.maximum(growth, np.sqrt(1 + wanted * _moved(C[:, i], np.diag(P))))
@@ -128,21 +141,21 @@ def after(memory: np.ndarray, rest: np.ndarray) -> np.ndarray:
 
     Parameters
     ----------
-    memory : ndarray, shape (m, 7)
+    memory : ndarray, shape (m, 10)
         From `prepared`.
     rest : ndarray, shape (m,)
         z - H x after the correction, NaN where missing.
 
     Returns
     -------
-    ndarray, shape (m, 7)
+    ndarray, shape (m, 10)
     """
     memory, here = memory.copy(), np.isfinite(rest)
     memory[here, REST] = rest[here]
     return memory
 
 
-def _learn(own: np.ndarray, size: float, weight: float) -> None:
+def _learn(own: np.ndarray, size: float, coarse: float, weight: float) -> None:
     """Let one sensor's |e| move its spread and its share of outliers."""
     if own[STRANGE] >= LOST:
         own[[WEIGHT, SHARE, STRANGE]] = 0.0
@@ -151,7 +164,7 @@ def _learn(own: np.ndarray, size: float, weight: float) -> None:
     if known == 0:
         own[SPREAD] = aim
         return
-    pace, far = max(weight / known, 1 / MEMORY), size > FAR * own[SPREAD]
+    pace, far = max(weight / known, 1 / MEMORY), size > FAR * max(own[SPREAD], coarse)
     # A median by recursion: up or down by a pace, but never beyond what was seen. The far ones are left out of it.
     spread, share = float(own[SPREAD]), float(own[SHARE])
     if aim > spread:
@@ -164,10 +177,43 @@ def _learn(own: np.ndarray, size: float, weight: float) -> None:
 
 def _forgive(own: np.ndarray, jump: float) -> None:
     """Note a jump: the far ones in a row were no outliers, and where others are rare it may be undone at once."""
-    step = max(1 / (own[WEIGHT] + PRIOR), 1 / MEMORY)
+    step = _step(own)
     own[SHARE] = max(own[SHARE] - own[STRANGE] * step, 0.0)
     own[[STRANGE, RUN]] = 0.0
     own[JUMP] = jump if own[SHARE] < RARE else 0.0
+
+
+def _weigh_repeats(memory: np.ndarray, z: np.ndarray, out: np.ndarray, here: np.ndarray) -> np.ndarray:
+    """Learn how usual repeats are; return what each reading counts, less than 1 for a far one that repeats (m,)."""
+    counts, alone = np.ones(len(z)), here.sum() == 1
+    for i in np.flatnonzero(here):
+        own = memory[i]
+        change, step, usual = abs(z[i] - own[LAST]), float(own[STEP]), float(own[REPEATS])
+        repeats = step != 0 and change == 0
+        if step == 0:
+            own[STEP] = -1.0
+        elif change > 0:
+            own[STEP] = min(change, step) if step > 0 else change
+            # A change that is no whole number of steps: these readings are not quantized, or more finely.
+            if not (step > 0 and _is_whole(change / step)):
+                own[REPEATS] = 0.0
+        own[LAST] = z[i]
+        if not out[i]:
+            own[REPEATS] += (repeats - own[REPEATS]) * _step(own)
+        elif repeats and not alone:
+            own[STRANGE], own[RUN] = max(own[STRANGE] - (1 - usual), 0.0), max(own[RUN] - (1 - usual), 0.0)
+            counts[i] = max(usual, LEAST)
+    return counts
+
+
+def _is_whole(ratio: float) -> bool:
+    """Tell whether a change over the smallest one is a number of steps."""
+    return 0.5 < ratio < MOST_STEPS and abs(ratio - int(ratio + 0.5)) < WHOLE
+
+
+def _step(own: np.ndarray) -> float:
+    """Return how much one more innovation weighs in a share."""
+    return max(1 / (float(own[WEIGHT]) + PRIOR), 1 / MEMORY)
 
 
 def settled(memory: np.ndarray) -> np.ndarray:
@@ -175,7 +221,7 @@ def settled(memory: np.ndarray) -> np.ndarray:
 
     Parameters
     ----------
-    memory : ndarray, shape (m, 7)
+    memory : ndarray, shape (m, 10)
 
     Returns
     -------

@@ -82,15 +82,15 @@ class Bounded:
     ) -> tuple[Correction, Any]:
         """Return the correction by a linear sensor."""
         y = z - finite_product(H, x)
-        return self.corrected_by_moments(known, x, P, y, *innovation_moments(P, H, R, M), R, H, inv)
+        return self.corrected_by_moments(known, x, P, z, y, *innovation_moments(P, H, R, M), R, H, inv)
 
     def corrected_by_moments(
-        self, known: Any, x: Array, P: Array, y: Array, C: Array, S: Array, R: Array, H: Array | None,
-        inv: Inverse | None, difference: Callable[[Array, Array], Array] = np.subtract,
+        self, known: Any, x: Array, P: Array, z: Array, y: Array, C: Array, S: Array, R: Array,
+        H: Array | None, inv: Inverse | None, difference: Callable[[Array, Array], Array] = np.subtract,
     ) -> tuple[Correction, Any]:  # fmt: skip
         """Return the correction, P widened where refused innovations have insisted for long enough."""
         if self.learns:
-            last = correct_by_custom(known.memory, x, P, y, C, S, R, self.choices, H, inv is not None)
+            last = correct_by_custom(known.memory, x, P, z, y, C, S, R, self.choices, H, inv is not None)
         else:
             last = correct(x, P, y, C, S, self.choices, skip_singular=inv is not None)
         if self.patience is None or known.kept is None:

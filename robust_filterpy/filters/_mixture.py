@@ -146,8 +146,8 @@ class Mixture:
         return record, None if known.kept is None else after
 
     def corrected_by_moments(
-        self, known: Any, x: Array, P: Array, y: Array, C: Array, S: Array, R: Array, H: Array | None,
-        inv: Inverse | None, difference: Callable[[Array, Array], Array] = np.subtract,
+        self, known: Any, x: Array, P: Array, z: Array, y: Array, C: Array, S: Array, R: Array,
+        H: Array | None, inv: Inverse | None, difference: Callable[[Array, Array], Array] = np.subtract,
     ) -> tuple[Correction | Mixed, Any]:  # fmt: skip
         """Return the correction of one copy; what a line does not explain of z is a state of its own."""
         curvature = np.zeros((0, 0))

@@ -33,8 +33,8 @@ class NonlinearFilterMixin(RobustFilterMixin):
     _SI: Any
 
     def _corrected(
-        self, P: Array, y: Array, C: Array, S: Array, R: Array, H: Array | None, residual: Callable[[Any, Any], Any],
-        shape: tuple[int, ...],
+        self, P: Array, z: Array, y: Array, C: Array, S: Array, R: Array, H: Array | None,
+        residual: Callable[[Any, Any], Any], shape: tuple[int, ...],
     ) -> tuple[Any, Any]:  # fmt: skip
         """Return the correction of a state at 0 by an innovation, and what the policy keeps; changes nothing.
 
@@ -51,11 +51,11 @@ class NonlinearFilterMixin(RobustFilterMixin):
 
         known = self._known(len(y))
         if self._by_moments and self._policy.by_kernel and self._inverse is None:
-            taken = moments.correct(self._choices, known.memory, P, y, C, S, R)
+            taken = moments.correct(self._choices, known.memory, P, z, y, C, S, R)
             if taken is not None:
                 return taken, known.kept
         return self._policy.corrected_by_moments(  # type: ignore[no-any-return]
-            known, np.zeros(len(P)), P, y, C, S, R, H, self._inverse, difference
+            known, np.zeros(len(P)), P, z, y, C, S, R, H, self._inverse, difference
         )
 
     def _keep(self, last: Any, kept: Any, z: Array) -> None:

@@ -119,10 +119,10 @@ class Policy(Protocol):
         ...
 
     def corrected_by_moments(
-        self, known: Any, x: Array, P: Array, y: Array, C: Array, S: Array, R: Array, H: Array | None,
-        inv: Inverse | None, difference: Callable[[Array, Array], Array] = np.subtract,
+        self, known: Any, x: Array, P: Array, z: Array, y: Array, C: Array, S: Array, R: Array,
+        H: Array | None, inv: Inverse | None, difference: Callable[[Array, Array], Array] = np.subtract,
     ) -> tuple[Any, Any]:  # fmt: skip
-        """Return the correction by an innovation y with C = cov(x, y), S = cov(y), R of it noise, and what is kept.
+        """Return the correction by an innovation y of z, C = cov(x, y), S = cov(y), R of it noise; what is kept.
 
         H is the derivative of the measurement, None where only moments are known; `difference` that of two innovations.
         """

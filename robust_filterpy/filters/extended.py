@@ -308,5 +308,5 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
             self._skip()
             return
         C = P @ H.T
-        last, kept = self._corrected(P, y, C, H @ C + R, R, H, residual, np.shape(at) or (1,))
+        last, kept = self._corrected(P, values, y, C, H @ C + R, R, H, residual, np.shape(at) or (1,))
         self._keep(last._replace(x=x.ravel() + last.x), kept, values)

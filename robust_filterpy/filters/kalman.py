@@ -459,7 +459,7 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         # Of the correction by this S only what psi leaves of y is used: the gain is K. Nothing insists.
         clipping = Bounded(self._choices)
         known = self._known(m)._replace(kept=None)
-        last, _ = clipping.corrected_by_moments(known, x.ravel(), P, y, P @ H.T, S, R, H, self._inverse)
+        last, _ = clipping.corrected_by_moments(known, x.ravel(), P, values, y, P @ H.T, S, R, H, self._inverse)
         self._learn(last.memory, m)
         SI = self.SI
         self.x = (x.ravel() + K @ last.y_bounded).reshape(x.shape)

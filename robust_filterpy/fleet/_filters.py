@@ -81,7 +81,7 @@ class Moving(NamedTuple):
     P: Array
     """(keys, n, n)"""
     memory: Array | None
-    """What is known of the sensors, (keys, m, 7); None if nothing is learnt of them."""
+    """What is known of the sensors, (keys, m, 10); None if nothing is learnt of them."""
 
     def of(self, s: int) -> Moving:
         """Return that of one key, the same numbers."""

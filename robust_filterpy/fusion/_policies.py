@@ -209,7 +209,7 @@ class BoundedInfluence:
         y = z[part] - H @ state.x
         C, S = innovation_moments(state.P, H, R)
         if self.by_custom:
-            found = correct_by_custom(memory[part], state.x, state.P, y, C, S, R, self.choices, H, False)
+            found = correct_by_custom(memory[part], state.x, state.P, z[part], y, C, S, R, self.choices, H, False)
             memory = memory.copy()
             memory[part] = np.where(np.broadcast_to(learns, len(z))[part, None], found.memory, memory[part])
         else:

@@ -4,11 +4,11 @@
 
 #include "update.h"
 
-/* Correct x and P in place by an innovation: c holds y, C, S and left, R is what of S is noise. A jump that makes P grow
+/* Correct x and P in place by an innovation: c holds y, C, S and left, z are the readings, R is what of S is noise. A jump that makes P grow
    is for the definition; return whether all was ordinary. shown: written, S (m, m), C (m, n) and y (m) as told. memory and
    work as in update. */
-INLINE int update_moments(const int n, const int m, const correction_rule *const rule, const real *RESTRICT R,
-                          spread_memory *const memory, real *RESTRICT x, real *RESTRICT P, correction *const c,
+INLINE int update_moments(const int n, const int m, const correction_rule *const rule, const real *RESTRICT z,
+                          const real *RESTRICT R, spread_memory *const memory, real *RESTRICT x, real *RESTRICT P, correction *const c,
                           real *shown, real *work) {
     real *spread = work + correction_work(n, m), *rest = spread + m;
     spread_memory *const learnt = (spread_memory *)rest;
@@ -25,7 +25,7 @@ INLINE int update_moments(const int n, const int m, const correction_rule *const
         learnt[i] = memory[i];
         if (c->left[i] != 0 && !(S[i * m + i] > 0)) return 0;
     }
-    spread_before(n, m, P, R, c, learnt, &change, rest + SPREAD_NUMBERS * m);
+    spread_before(n, m, z, P, R, c, learnt, &change, rest + SPREAD_NUMBERS * m);
     if (change.grows) return 0;
     for (int i = 0; i < m; i++) {
         c->S[i * m + i] += change.charge[i];

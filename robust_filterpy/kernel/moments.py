@@ -26,7 +26,7 @@ class Taken(NamedTuple):
     record: Array
     """As `robust_filterpy.kernel.record.correction_of` reads it."""
     memory: Array | None
-    """Of the sensors afterwards, shape (m, 7), under scaling "learnt"."""
+    """Of the sensors afterwards, shape (m, 10), under scaling "learnt"."""
 
     @property
     def log_density(self) -> float:
@@ -38,16 +38,18 @@ class Taken(NamedTuple):
         return correction_of(self.record, self.x, self.P)
 
 
-def correct(choices: Choices, memory: Array, P: Array, y: Array, C: Array, S: Array, R: Array) -> Taken | None:
+def correct(
+    choices: Choices, memory: Array, P: Array, z: Array, y: Array, C: Array, S: Array, R: Array
+) -> Taken | None:
     """Correct a state at 0: `robust_filterpy.correction.definition.correct` and `correct_by_custom`.
 
     Parameters
     ----------
     choices : Choices
         Influence function, scaling, information, grouping.
-    memory : ndarray, shape (m, 7)
+    memory : ndarray, shape (m, 10)
         What is known of the sensors; not changed.
-    P, y, C, S, R
+    P, z, y, C, S, R
         As there.
 
     Returns
@@ -58,6 +60,6 @@ def correct(choices: Choices, memory: Array, P: Array, y: Array, C: Array, S: Ar
     extension, what = kernel.extension(), rule(choices)
     if extension is None or what is None:
         return None
-    arrays = (np.ascontiguousarray(a) for a in (P, y, C, S, R))
+    arrays = (np.ascontiguousarray(a) for a in (P, z, y, C, S, R))
     found = extension.correct_moments(what, *arrays, memory)
     return None if found is None else Taken(*found)

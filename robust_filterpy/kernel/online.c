@@ -242,29 +242,29 @@ static PyObject *correct_step(PyObject *self, PyObject *const *arguments, Py_ssi
     return answer(&h, take_correction(&h, arguments[0], arguments[1], arguments + 2));
 }
 
-/* Correct a state at 0 by an innovation of which the moments are known: (rule, P, y, C, S, R, memory or None); the answer
+/* Correct a state at 0 by an innovation of which the moments are known: (rule, P, z, y, C, S, R, memory or None); the answer
    is (x, P, record, memory), or None where that is for the definition. */
 static PyObject *correct_moments(PyObject *self, PyObject *const *given, Py_ssize_t count) {
     held h = {.count = 0};
     correction_rule rule;
     correction c;
     PyObject *x, *P_next, *record, *learnt = Py_None, *found = NULL;
-    const double *P, *y, *C, *S, *R, *memory = NULL;
+    const double *P, *z, *y, *C, *S, *R, *memory = NULL;
     double stack[STACK_WORK], *work, *values, check = 0;
     int fine = 1;
     (void)self;
-    if (count != 7) {
-        PyErr_SetString(PyExc_TypeError, "correct_moments: expected rule, P, y, C, S, R and memory");
+    if (count != 8) {
+        PyErr_SetString(PyExc_TypeError, "correct_moments: expected rule, P, z, y, C, S, R and memory");
         return NULL;
     }
-    if (!rule_of(given[0], &rule) || !PyArray_CheckExact(given[3]) || PyArray_NDIM((PyArrayObject *)given[3]) != 2)
+    if (!rule_of(given[0], &rule) || !PyArray_CheckExact(given[4]) || PyArray_NDIM((PyArrayObject *)given[4]) != 2)
         Py_RETURN_NONE;
-    const npy_intp n = PyArray_DIM((PyArrayObject *)given[3], 0), m = PyArray_DIM((PyArrayObject *)given[3], 1);
-    P = matrix_of(given[1], n, n), y = vector_of(given[2], m), C = matrix_of(given[3], n, m);
-    S = matrix_of(given[4], m, m), R = matrix_of(given[5], m, m);
-    if (n < 1 || m < 1 || n > 10000 || m > 10000 || !P || !y || !C || !S || !R) Py_RETURN_NONE;
+    const npy_intp n = PyArray_DIM((PyArrayObject *)given[4], 0), m = PyArray_DIM((PyArrayObject *)given[4], 1);
+    P = matrix_of(given[1], n, n), z = vector_of(given[2], m), y = vector_of(given[3], m);
+    C = matrix_of(given[4], n, m), S = matrix_of(given[5], m, m), R = matrix_of(given[6], m, m);
+    if (n < 1 || m < 1 || n > 10000 || m > 10000 || !P || !z || !y || !C || !S || !R) Py_RETURN_NONE;
     if (rule.scaling == SCALING_LEARNT) {
-        memory = matrix_of(given[6], m, SPREAD_NUMBERS);
+        memory = matrix_of(given[7], m, SPREAD_NUMBERS);
         if (!memory || !all_finite(memory, m * SPREAD_NUMBERS)) Py_RETURN_NONE;
     }
     if (!is_symmetric(P, n) || !is_symmetric(S, m) || !all_finite(C, n * m)) Py_RETURN_NONE;
@@ -293,7 +293,7 @@ static PyObject *correct_moments(PyObject *self, PyObject *const *given, Py_ssiz
     fine = c.observed > 0 && check < REAL_ORDINARY;
     if (fine) {
         double *const shown = work + update_work((int)n, (int)m);
-        fine = update_moments((int)n, (int)m, &rule, R, memory ? (spread_memory *)numbers_of(learnt) : NULL, numbers_of(x),
+        fine = update_moments((int)n, (int)m, &rule, z, R, memory ? (spread_memory *)numbers_of(learnt) : NULL, numbers_of(x),
                               numbers_of(P_next), &c, shown, work);
         begin_record(values, n, m, &rule, &c);
         real_copy((int)m, shown + m * m + m * n, values + 4);

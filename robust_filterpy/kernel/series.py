@@ -95,7 +95,7 @@ def filter_series(
         States, advanced in place; C-contiguous.
     output : Output
         What is written.
-    memory : ndarray, shape (series, m, 7), optional
+    memory : ndarray, shape (series, m, 10), optional
         What the sensors' spreads are learnt from, advanced in place; needed under scaling "learnt".
     alpha_sq : float
         Fading memory: P is multiplied by it at each prediction.

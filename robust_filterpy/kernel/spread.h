@@ -2,7 +2,9 @@
 
    The spread is a median by recursion of |e|, e = y / sqrt(S_ii), without the far ones. What a sensor is noisier than
    those that see the same is charged to its R; a run of clipped innovations that those who see the same do not
-   contradict is a jump of the state, and P grows until it is plausible, where the sensor tells much of a state. */
+   contradict is a jump of the state, and P grows until it is plausible, where the sensor tells much of a state. Beside
+   other sensors a far reading that repeats the one before counts only as far as that is usual: one that is stuck says
+   nothing new. Where readings repeat, one smallest step between them is never clipped. */
 #ifndef ROBUST_FILTERPY_SPREAD_H
 #define ROBUST_FILTERPY_SPREAD_H
 
@@ -17,8 +19,11 @@ typedef struct {
     real run;     /* clipped ones in a row, of one sign, each where the last one left x */
     real rest;    /* z - H x after the last correction */
     real jump;    /* how far the last jump went, 0 if there was none to return from */
+    real last;    /* the last reading */
+    real repeats; /* share of ordinary readings that repeat the one before to the last bit */
+    real step;    /* the smallest change of a reading, -1 before there is one, 0 before any reading */
 } spread_memory;
-#define SPREAD_NUMBERS 7
+#define SPREAD_NUMBERS 10
 
 #define SPREAD_QUARTILE REAL(0.6744897501960817) /* median of |e| for a normal e of deviation 1 */
 #define SPREAD_BEND REAL(1.345)                  /* beyond so many spreads an innovation counts as clipped */
@@ -34,6 +39,9 @@ typedef struct {
 #define SPREAD_RARE REAL(0.05)                   /* a share of outliers with which one innovation is a return, */
 #define SPREAD_RETURN REAL(0.2)                  /* if it is within a fifth of the jump */
 #define SPREAD_SPARED REAL(0.1)                  /* states that tell a tenth as much as another do not jump with it */
+#define SPREAD_WHOLE REAL(0.01)                  /* a change within so much of a whole number of steps, */
+#define SPREAD_STEPS REAL(1e6)                   /* up to so many, is steps */
+#define SPREAD_LEAST REAL(0.1)                   /* of its width is left to a far one that repeats */
 #define SPREAD_GROWTH REAL(1e6)                  /* the most that S grows by at one jump */
 #define SPREAD_WITNESS REAL(0.47)                /* of the weight of those who see the same */
 #define SPREAD_APART REAL(1.5)                   /* so much wider than they are is a sensor's own noise, */
@@ -50,8 +58,13 @@ typedef struct {
 
 #define spread_work(n, m) ((size_t)((n) + 8 * (m)))
 
+/* What one smallest step of a sensor whose readings repeat asks of its spread, in units of told; none: not above 0. */
+INLINE real spread_coarse(const spread_memory *const own, const real told) {
+    return own->repeats > 0 ? own->step / SPREAD_BEND / told : 0;
+}
+
 /* Let one |e| move the spread and the share of outliers; weight: the root of R_ii / S_ii. */
-INLINE void spread_learn(spread_memory *const own, const real size, const real weight) {
+INLINE void spread_learn(spread_memory *const own, const real size, const real coarse, const real weight) {
     const real aim = size / SPREAD_QUARTILE;
     real known, pace, far;
     if (own->strange >= SPREAD_LOST) own->weight = own->share = own->strange = 0;
@@ -62,7 +75,7 @@ INLINE void spread_learn(spread_memory *const own, const real size, const real w
         return;
     }
     pace = SPREAD_PACE * real_max(weight / known, SPREAD_FADING);
-    far = size > SPREAD_FAR * own->spread ? REAL(1.0) : REAL(0.0);
+    far = size > SPREAD_FAR * real_max(own->spread, coarse) ? REAL(1.0) : REAL(0.0);
     /* Up or down by a pace, but never beyond what was seen. */
     if (aim > own->spread)
         own->spread = real_min(aim, own->spread * real_exp(real_min(pace * (1 - own->share), 700)));
@@ -144,18 +157,46 @@ INLINE void spread_grow(const int n, const real *RESTRICT P, const real *RESTRIC
             growth[k] = real_max(growth[k], real_sqrt(1 + wanted));
 }
 
+/* How much one more innovation weighs in a share. */
+INLINE real spread_step(const spread_memory *const own) {
+    return real_max(1 / (own->weight + SPREAD_PRIOR), SPREAD_FADING);
+}
+
 /* Note a jump: the far ones in a row were no outliers, and where others are rare it may be undone at once. */
 INLINE void spread_forgive(spread_memory *const own, const real jump) {
-    const real step = real_max(1 / (own->weight + SPREAD_PRIOR), SPREAD_FADING);
-    own->share = real_max(own->share - own->strange * step, 0);
+    own->share = real_max(own->share - own->strange * spread_step(own), 0);
     own->strange = own->run = 0;
     own->jump = own->share < SPREAD_RARE ? jump : 0;
 }
 
-/* Learn from the innovations of c, before the correction; P and R are those that it was made from. */
-CALLED void spread_before(const int n, const int m, const real *P, const real *R, const correction *const c,
-                          spread_memory *const memory, spread_change *const change, real *work) {
-    real *s, *told, *size, *out, *seen;
+/* Learn how usual it is that a reading repeats the one before; return what this one counts, less than 1 for a far one
+   that repeats beside other sensors. */
+INLINE real spread_repeat(spread_memory *const own, const real z, const int out, const int alone) {
+    const real change = real_abs(z - own->last), step = own->step, usual = own->repeats;
+    const int repeats = step != 0 && change == 0;
+    if (step == 0) {
+        own->step = -1;
+    } else if (change > 0) {
+        const real ratio = step > 0 ? change / step : 0;
+        own->step = step > 0 ? real_min(change, step) : change;
+        /* A change that is no whole number of steps: these readings are not quantized, or more finely. */
+        if (!(ratio > REAL(0.5) && ratio < SPREAD_STEPS &&
+              real_abs(ratio - (real)(int)(ratio + REAL(0.5))) < SPREAD_WHOLE))
+            own->repeats = 0;
+    }
+    own->last = z;
+    if (!out) own->repeats += ((repeats ? 1 : 0) - own->repeats) * spread_step(own);
+    if (!out || !repeats || alone) return 1;
+    own->strange = real_max(own->strange - (1 - usual), 0);
+    own->run = real_max(own->run - (1 - usual), 0);
+    return real_max(usual, SPREAD_LEAST);
+}
+
+/* Learn from the innovations of c and the readings z, before the correction; P and R are those behind c. */
+CALLED void spread_before(const int n, const int m, const real *z, const real *P, const real *R,
+                          const correction *const c, spread_memory *const memory, spread_change *const change,
+                          real *work) {
+    real *s, *told, *size, *out, *seen, coarse;
     change->growth = work;
     change->width = work + n;
     change->charge = work + n + m;
@@ -168,10 +209,12 @@ CALLED void spread_before(const int n, const int m, const real *P, const real *R
         told[i] = real_sqrt(variance);
         /* Below a number whose square is a number. */
         size[i] = real_min(real_abs(c->y[i]) / told[i], REAL_PRODUCT);
+        coarse = spread_coarse(&memory[i], told[i]);
         if (c->left[i] != 0 && size[i] > 0)
-            spread_learn(&memory[i], size[i], real_sqrt(real_min(real_max(R[i * m + i] / variance, REAL(1e-9)), 1)));
+            spread_learn(&memory[i], size[i], coarse,
+                         real_sqrt(real_min(real_max(R[i * m + i] / variance, REAL(1e-9)), 1)));
         /* Who has no custom yet has shown exact zeros alone: any width will do. */
-        s[i] = memory[i].weight > 0 ? memory[i].spread : 1;
+        s[i] = memory[i].weight > 0 ? real_max(memory[i].spread, coarse) : 1;
     }
     if (c->observed > 1)
         for (int i = 0; i < m; i++) {
@@ -182,7 +225,7 @@ CALLED void spread_before(const int n, const int m, const real *P, const real *R
     for (int i = 0; i < m; i++) {
         spread_memory *const own = &memory[i];
         const real y = c->y[i], near = SPREAD_AGREE * s[i] * told[i];
-        s[i] *= 1 - SPREAD_YIELD * own->share;
+        s[i] = real_max(s[i] * (1 - SPREAD_YIELD * own->share), spread_coarse(own, told[i]));
         change->width[i] = s[i] * told[i];
         if (c->left[i] == 0) {
             out[i] = 0;
@@ -195,6 +238,7 @@ CALLED void spread_before(const int n, const int m, const real *P, const real *R
             own->run += 1;
         else
             own->run = 1;
+        change->width[i] *= spread_repeat(own, z[i], out[i] != 0, c->observed == 1);
         /* Back where the state was before a jump. */
         if (out[i] != 0 && own->jump != 0 &&
             real_abs(y + own->jump) < real_max(near, SPREAD_RETURN * real_abs(own->jump)))

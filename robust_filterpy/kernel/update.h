@@ -43,7 +43,7 @@ INLINE int update(const int n, const int m, const correction_rule *const rule, c
             learnt[i] = memory[i];
             if (c->left[i] != 0 && !(c->S[i * m + i] > 0)) return 0;
         }
-        spread_before(n, m, P, R, c, learnt, &change, rest + SPREAD_NUMBERS * m);
+        spread_before(n, m, z, P, R, c, learnt, &change, rest + SPREAD_NUMBERS * m);
         if (change.grows) {
             for (int k = 0; k < n; k++)
                 for (int j = 0; j < n; j++) P[k * n + j] *= change.growth[k] * change.growth[j];

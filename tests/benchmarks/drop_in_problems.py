@@ -51,6 +51,24 @@ def position_and_velocity(seed: int, share: float = 0.0, steps: int = 600) -> Ca
     return Case(F, np.eye(2), Q, R, np.zeros(2), 10 * np.eye(2), truth, zs, np.ones(steps), label)
 
 
+def quantized(seed: int, step: float, jump: float = 0.0, steps: int = 600) -> Case:
+    """Return a level that wanders slowly, read in steps so coarse that readings repeat; a jump is at a third."""
+    g = np.random.default_rng(seed)
+    truth = 0.03 * g.standard_normal((steps, 1)).cumsum(axis=0)
+    truth[steps // 3 :] += jump
+    zs, one = step * np.round((truth + g.standard_normal((steps, 1))) / step), np.eye(1)
+    return Case(one, one, 9e-4 * one, one, np.zeros(1), 10 * one, truth, zs, np.ones(steps), np.ones((steps, 1)))
+
+
+def stuck_now_and_then(seed: int) -> Case:
+    """Return a point of which position and velocity are measured; the position repeats itself, 20 samples in 100."""
+    case = position_and_velocity(seed)
+    zs, label = case.zs.copy(), case.v_scale.copy()
+    for k in range(20, len(zs) - 20, 100):
+        zs[k : k + 20, 0], label[k + 1 : k + 20, 0] = zs[k, 0], BAD
+    return case._replace(zs=zs, v_scale=label)
+
+
 def redundant(seed: int, sensors: int, fault: str, steps: int = 600) -> Case:
     """Return a point that several sensors see, the first of them bad; the labels leave that out."""
     g = np.random.default_rng(seed)

@@ -27,9 +27,11 @@ from drop_in_problems import (
     in_a_row,
     one,
     position_and_velocity,
+    quantized,
     reactors,
     redundant,
     standing,
+    stuck_now_and_then,
     with_labels,
 )
 from filterpy.kalman import (
@@ -107,6 +109,9 @@ def rows() -> dict[str, Row]:
         "a jump of 300": Row(partial(clean, jump=300.0)),
         "a jump of 30, .1": Row(partial(mixed, jump=30.0)),
         "standing without noise, then moving": Row(standing),
+        "read in steps of 3": Row(partial(quantized, step=3.0)),
+        "read in steps of 3, a jump of 30": Row(partial(quantized, step=3.0, jump=30.0)),
+        "a position stuck for 20 samples in 100": Row(stuck_now_and_then),
         "vehicle, both noises": Row(partial(vehicle, process=0.1, measurement=0.1, scale=10.0, steps=600)),
         "reactors, both noises": Row(reactors, figure="states"),
         "daily cycle": Row(partial(daily, height=-80.0, stops=0), figure="ordinary"),

@@ -27,6 +27,7 @@ from support import needs_kernel, without_kernel
 
 import robust_filterpy
 from robust_filterpy import Huber, Linear, RobustKalmanFilter, StudentT
+from robust_filterpy.correction.spread import NUMBERS
 from robust_filterpy.edge import export_c
 from robust_filterpy.identification import ARX, OutputError, ParameterTracker, Structure, TrackerBank
 from robust_filterpy.identification.recursive.conditioning import repaired
@@ -207,6 +208,10 @@ def test_a_static_analyzer_finds_nothing(tmp_path):
         assert found.returncode == 0, found.stderr[:3000]
 
 
+#: x, P and what is known of the sensor.
+STATE = ctypes.c_double * (2 + 4 + NUMBERS)
+
+
 @pytest.fixture
 def cart(tmp_path):
     """The compiled C of a filter, and types for its structures."""
@@ -216,7 +221,7 @@ def cart(tmp_path):
     subprocess.run(build, cwd=tmp_path, check=True)
     library = ctypes.CDLL(str(tmp_path / "cart.so"))
     model = (ctypes.c_double * 12).in_dll(library, "cart_default")
-    state = (ctypes.c_double * 12).in_dll(library, "cart_start")
+    state = STATE.in_dll(library, "cart_start")
     return kf, library, list(model), list(state)
 
 
@@ -224,7 +229,7 @@ def cart(tmp_path):
 def test_threshold_changes_at_run_time(cart):
     kf, library, model, state = cart
     kf.influence = Huber(0.5)
-    model, state = (ctypes.c_double * 12)(*model[:-1], 0.5), (ctypes.c_double * 12)(*state)
+    model, state = (ctypes.c_double * 12)(*model[:-1], 0.5), STATE(*state)
     for z in (1.0, 50.0, 2.0):
         kf.predict()
         kf.update(z)
@@ -235,16 +240,16 @@ def test_threshold_changes_at_run_time(cart):
 @needs_cc
 def test_wrong_use_is_refused_and_changes_nothing(cart):
     _, library, model, start = cart
-    model, state, z = (ctypes.c_double * 12)(*model), (ctypes.c_double * 12)(*start), (ctypes.c_double * 1)(1.0)
+    model, state, z = (ctypes.c_double * 12)(*model), STATE(*start), (ctypes.c_double * 1)(1.0)
     assert library.cart_predict(None, state) == library.cart_predict(model, None) == BAD_ARGUMENT
     for arguments in ((None, state, z), (model, None, z), (model, state, None)):
         assert library.cart_update(*arguments, None) == BAD_ARGUMENT
     assert list(state) == start
     singular = (ctypes.c_double * 12)(*list(model)[:8], 0.0, 0.0, 0.0, 1.345)
     assert library.cart_update(singular, state, z, None) == c_programs.SINGULAR
-    broken = (ctypes.c_double * 12)(*[float("nan")] * 6)
+    broken = STATE(*[float("nan")] * 6)
     assert library.cart_predict(model, broken) == library.cart_update(model, broken, z, None) == c_programs.NOT_FINITE
-    huge = (ctypes.c_double * 12)(0.0, 0.0, 1e308, 0.0, 0.0, 1e308)
+    huge = STATE(0.0, 0.0, 1e308, 0.0, 0.0, 1e308)
     assert library.cart_predict((ctypes.c_double * 12)(*[1e300] * 12), huge) == c_programs.NOT_FINITE
     assert list(huge)[:6] == [0.0, 0.0, 1e308, 0.0, 0.0, 1e308] and list(state) == start
 

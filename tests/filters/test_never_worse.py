@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 import support
+from filterpy.kalman import KalmanFilter
 from numpy.testing import assert_allclose, assert_array_equal
 
 from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight, filter_series
 from robust_filterpy.influence import Hampel
 
 pytestmark = pytest.mark.core
-STEPS = 120
+STEPS, FILTERS = 120, (RobustKalmanFilter, KalmanFilter)
 
 
 @pytest.fixture(params=["kernel", "definition"])
@@ -225,3 +226,74 @@ def test_sensors_that_are_equal_but_for_a_sign_may_stand_in_any_order(path):
             kf.update(z[order])
         found.append(kf.x[0])
     assert found[0] == found[1] != 0.0
+
+
+def coarse_recording(seed=3, step=2.0):
+    """Position read in steps and speed; for 20 samples in 60 the position says the same."""
+    rng = np.random.default_rng(seed)
+    x, truth, zs = np.zeros(2), np.empty((STEPS, 2)), np.empty((STEPS, 2))
+    for k in range(STEPS):
+        x = truth[k] = np.array([[1.0, 1.0], [0.0, 1.0]]) @ x + np.array([0.05, 0.1]) * rng.normal()
+        zs[k] = step * np.round((x[0] + rng.normal()) / step), x[1] + 0.3 * rng.normal()
+    for k in (30, 90):
+        zs[k : k + 20, 0] = zs[k, 0]
+    return truth, zs
+
+
+def with_speed(cls, unit=1.0):
+    kf = cls(2, 2)
+    kf.x, kf.F, kf.H = np.zeros(2), np.array([[1.0, 1.0], [0.0, 1.0]]), np.diag([unit, 1.0])
+    kf.P, kf.Q, kf.R = 10.0 * np.eye(2), np.outer([0.05, 0.1], [0.05, 0.1]), np.diag([unit**2, 0.09])
+    return kf
+
+
+def test_a_sensor_that_repeats_itself_while_others_move_on_is_not_believed(path):
+    recordings = [coarse_recording(seed, step=1e-6) for seed in range(6)]
+    ours, theirs = (
+        np.mean([(with_speed(cls).batch_filter(zs)[0] - truth)[:, 0] ** 2 for truth, zs in recordings])
+        for cls in FILTERS
+    )
+    assert ours < 0.7 * theirs
+
+
+def level(step, jump, seed=0, steps=400):
+    """A level that wanders slowly, read with noise in steps; it jumps in the middle."""
+    rng = np.random.default_rng(seed)
+    truth = 0.03 * rng.normal(size=(steps, 1)).cumsum(axis=0) + jump * (np.arange(steps)[:, None] >= steps // 2)
+    return truth, step * np.round((truth + rng.normal(size=(steps, 1))) / step)
+
+
+def square(cls, truth, zs):
+    kf = cls(1, 1)
+    kf.x, kf.F, kf.H = np.zeros(1), np.eye(1), np.eye(1)
+    kf.P, kf.Q, kf.R = 10.0 * np.eye(1), 9e-4 * np.eye(1), np.eye(1)
+    return np.mean((kf.batch_filter(zs)[0] - truth) ** 2)
+
+
+@pytest.mark.parametrize("step", [1.0, 2.0, 3.0, 5.0, 8.0])
+def test_a_sensor_that_reads_in_steps_is_followed_as_the_kalman_filter_follows_it(path, step):
+    # Most innovations are far smaller than a step: judged by their median alone, each step would be an outlier.
+    ours, theirs = (np.mean([square(c, *level(step, 0.0, s)) for s in range(3)]) for c in FILTERS)
+    assert ours < 1.13 * theirs
+    ours, theirs = (np.mean([square(c, *level(step, 30.0, s)) for s in range(3)]) for c in FILTERS)
+    assert ours <= theirs
+
+
+def test_repeats_and_steps_are_learnt_alike_on_every_way(monkeypatch):
+    support.needs_kernel()
+    _, zs = coarse_recording()
+    zs[50:52], zs[70, 0] = np.nan, 500.0
+    found = [way(with_speed(RobustKalmanFilter), zs) for way in WAYS]
+    support.without_kernel(monkeypatch)
+    found += [way(with_speed(RobustKalmanFilter), zs) for way in WAYS]
+    for x, P, _ in found[1:]:
+        assert_allclose(np.reshape(x, (STEPS, 2)), found[0][0], rtol=1e-9, atol=1e-9)
+        assert_allclose(P, found[0][1], rtol=1e-9)
+
+
+@pytest.mark.parametrize("unit", [0.0254, 3.7, 1e6])
+def test_in_other_units_a_step_is_the_same_step(path, unit):
+    _, zs = coarse_recording()
+    expected, _, _ = as_recording(with_speed(RobustKalmanFilter), zs)
+    found, _, _ = as_recording(with_speed(RobustKalmanFilter, unit), zs * [unit, 1.0])
+    assert_allclose(found, expected, rtol=1e-7, atol=1e-7)
