@@ -201,3 +201,37 @@ def test_a_tracker_says_that_its_input_has_outliers():
     read = np.where(rng.random(u.size) < 0.03, 10.0 * rng.normal(size=u.size), u)
     with pytest.warns(LostTrackerWarning, match="u has .* values unlike the others"):
         ParameterTracker(OutputError(2, 2), start=400).run(y, read)
+
+
+# Outliers of the output in a model that has it in its regressor, and of the process.
+
+
+def driven(seed, length=600, share=0.1):
+    """An ARX(2, 2) whose noise has outliers that act on."""
+    rng = np.random.default_rng([29, seed])
+    u = rng.choice([-1.0, 1.0], length)
+    noise = 0.1 * np.where(rng.random(length) < share, 10.0, 1.0) * rng.normal(size=length)
+    return lfilter(B, A, u) + lfilter([1.0], A, noise), u
+
+
+def test_wild_outputs_next_to_each_other_and_in_the_first_samples_are_found():
+    y, u = driven(0, 400)
+    wild = y.copy()
+    wild[[1, 60, 61, 62, 200, 202]] = 1e7 * np.array([1.0, -2.0, 0.7, 0.4, 1.0, -1.0])
+    model, right = identify(wild, u, ARX(2, 2)), identify(y, u, ARX(2, 2))
+    np.testing.assert_allclose(model.theta, right.theta, atol=0.02)
+
+
+def test_a_shock_of_the_process_is_not_taken_for_wild_outputs():
+    y, u = driven(1)
+    shock = np.zeros(y.size)
+    shock[[150, 420]] = [1e5, -3e6]
+    model = identify(y + lfilter([1.0], A, shock), u, ARX(2, 2))
+    # Such a shock tells A better than all the rest, and does not if what follows it is left out.
+    np.testing.assert_allclose(model.theta[:2], A[1:], atol=1e-4)
+
+
+def test_outliers_of_the_process_are_no_other_plant():
+    for seed in range(4):
+        y, u = driven(seed, 3000)
+        assert not identify(y, u, ARX(2, 2)).findings

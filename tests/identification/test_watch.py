@@ -197,3 +197,12 @@ def test_a_state_from_before_the_usual_share_was_kept_is_taken():
     assert tracker.state()["watch"].shape == (7,)
     with pytest.raises(ValueError, match="watch of 7 numbers"):
         tracker.restore({**state, "watch": state["watch"][:3]})
+
+
+def test_a_step_in_the_samples_of_the_first_model_is_taken_off_and_said():
+    _, model, u = plant(5, 800)
+    y = model + 0.3 * np.random.default_rng(5).normal(size=800) + 8.0 * (np.arange(800) >= 250)
+    tracker = ParameterTracker(ARX(2, 2))
+    with pytest.warns(LostTrackerWarning, match=r"of its first 400 samples: the level of y steps by 7.* at sample 250"):
+        tracker.run(y, u)
+    np.testing.assert_allclose(tracker.theta[:4], THETA, atol=0.1)

@@ -12,16 +12,18 @@ from __future__ import annotations
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
+from scipy.ndimage import label, maximum_filter1d, minimum_filter1d
+from scipy.signal import lfilter
 
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.contaminated import START
-from robust_filterpy.identification.estimation.missing import Unknowns, response, touched
+from robust_filterpy.identification.estimation.missing import Unknowns, completed, response, touched
 from robust_filterpy.identification.models.learnt_noise import Noise
+from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.influence.regression import mad_scale
 
-__all__ = ["Outliers", "found_outliers"]
+__all__ = ["Cleaned", "Outliers", "cleaned", "found_outliers"]
 
 #: Standard deviations that make an outlier, at the least and at the most.
 THRESHOLDS: Final = (2.5, 3.6)
@@ -37,6 +39,11 @@ _ROUNDING: Final = 1e-12
 _VAGUE: Final = 0.1
 # Patterns this similar explain each other.
 _SIMILAR: Final = 0.2
+# A sample so many scales from what the inputs make of it is wild, a residual of so many is large.
+_WILD: Final = 1e3
+_LARGE: Final = 1e2
+# If no wrong sample touches at least this share of the residuals, these show the noise.
+_LEAST_CLEAR: Final = 0.1
 
 
 class Outliers(NamedTuple):
@@ -86,8 +93,7 @@ def found_outliers(
     threshold = THRESHOLDS[1] if before is None else before.threshold
     if h.size == 1 or not noise.has_outliers:
         return Outliers(wrong, counts, threshold)
-    if before is not None:
-        wrong |= before.wrong
+    wrong |= _wild(model, p, residual, h.size) if before is None else before.wrong
     deviations = []
     for part, _ in model.pieces:
         for start in range(part.start, part.stop, _BLOCK):
@@ -102,6 +108,83 @@ def found_outliers(
             tail = residual[stop : part.stop][: h.size - 1]
             tail += unknowns.beyond()[: tail.size]
     return Outliers(wrong, counts, _even(np.concatenate(deviations)))
+
+
+class Cleaned(NamedTuple):
+    """What is left of a recording whose wrong outputs are interpolated.
+
+    Attributes
+    ----------
+    prepared : PolynomialModel
+        With these outputs.
+    residual : ndarray, shape (N,)
+        0 in the first samples, whose regressors lie before the recording.
+    clear : ndarray of bool, shape (N,)
+        Which residuals no wrong output touches.
+    """
+
+    prepared: PolynomialModel
+    residual: Array
+    clear: Any
+
+
+def cleaned(model: Model, y: Any, u: Any) -> Cleaned | None:
+    """Return what a model with outputs in its regressor leaves of a recording, None for any other.
+
+    What comes after an outlier tells whether it was the measurement's, and is interpolated, or the process's, and acts
+    on. A prediction, which must not look ahead, takes something between, and is wrong for a while in either case.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    y : ndarray, shape (N,)
+        Output, NaN where it is missing.
+    u : ndarray, shape (N, n_inputs)
+        Input.
+
+    Returns
+    -------
+    Cleaned or None
+    """
+    prepared, known = model._prepared(y, u)
+    if prepared.nf or not prepared.na:
+        return None
+    p, first = np.concatenate((model.theta, [model.offset])), prepared.first
+    found = found_outliers(prepared, p, ~known, model.noise)
+    full = completed(prepared, p, found.wrong, found.counts.astype(float))
+    clear = ~touched(found.wrong, response(prepared, p), first)
+    clear = clear if (clear & known[first:]).sum() >= _LEAST_CLEAR * known.sum() else known[first:]
+    before = np.zeros(first)
+    residual = np.concatenate((before, full.residuals(p)))
+    return Cleaned(prepared.with_output(full.y), residual, np.concatenate((before > 0.0, clear)))
+
+
+def _wild(model: PolynomialModel, p: Array, residual: Array, reach: int) -> Any:
+    """Return the samples that lie so far out that no residual near them tells anything, shape (N,).
+
+    Where several follow each other, or one stands before the first residual, their patterns hide each other. An outlier
+    of v is as far out and stays so for a while, but has one large residual, where each wild sample has its own and
+    those after it.
+    """
+    found = np.zeros(model.y.size, dtype=bool)
+    a, error = np.concatenate(([1.0], p[model.structure.polynomials.a])), model.equation_error(p)
+    for rows, samples in model.pieces:
+        y = model.y[samples]
+        with np.errstate(over="ignore", invalid="ignore"):
+            driven = np.convolve(y[model.first - model.na :], a, "valid") - error[rows]
+            output = lfilter([1.0], a, driven)
+        off = y - np.concatenate((np.full(model.first, output[0]), output))
+        far = np.abs(off) > _WILD * mad_scale(off)
+        if not np.isfinite(off).all() or not far.any():
+            continue
+        large = np.abs(residual[rows]) > _LARGE * mad_scale(residual[rows])
+        large = np.concatenate((np.zeros(model.first, dtype=bool), large))
+        near = np.convolve(far, np.ones(reach))[: far.size] > 0.5
+        runs, count = label(near)
+        many = np.bincount(runs, large, count + 1) > np.bincount(runs, far, count + 1)
+        found[samples] = far & many[runs]
+    return found
 
 
 def _even(deviations: Array) -> float:
@@ -141,6 +224,8 @@ def _judged(
         new = peak & ~wrong & (output > 1.000001 * noise)
         ordinary = -_decided(np.where(wrong & ~missing, -output, -np.inf))
         back = (ordinary < threshold) & (ordinary <= minimum_filter1d(ordinary, near)) & (turn < _MOST_ROUNDS // 2)
+        # Nothing tells of those before the first residual but how far out they are.
+        back[:first] = False
         again = ~counts & (np.abs(residual) < threshold * scale)
         if not (peak.any() or back.any() or again.any()):
             break

@@ -9,6 +9,7 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
+from robust_filterpy.identification.estimation.cleaning import cleaned
 from robust_filterpy.identification.estimation.estimate import Problem, estimated
 from robust_filterpy.identification.estimation.trend import PRICE, Trend, impulse_output, piecewise_level
 from robust_filterpy.identification.models.dependence import autocovariances, dependence, whitening_of
@@ -143,6 +144,10 @@ def unlike_in_parts(problem: Problem, y: Array, model: Model) -> tuple[Finding, 
         return ()
     prediction = model.predict(y, problem.u)
     residual = np.where(np.isnan(prediction), np.nan, y - prediction)
+    whole = cleaned(model, y, problem.u)
+    if whole is not None:
+        prediction = whole.prepared.y + _trend(model, y) - whole.residual
+        residual = np.where(np.isnan(residual) | ~whole.clear, np.nan, whole.residual)
     signals = np.column_stack((np.nan_to_num(prediction - _trend(model, y) - model.level), problem.u - problem.rest))
     begins = np.arange(y.size % span, y.size - span + 1, span)
     parts = begins[:, None] + np.arange(span)

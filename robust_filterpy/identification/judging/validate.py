@@ -28,8 +28,7 @@ from scipy.stats import chi2, norm
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._pictures import drawn
-from robust_filterpy.identification.estimation.cleaning import found_outliers
-from robust_filterpy.identification.estimation.missing import completed, response, touched
+from robust_filterpy.identification.estimation.cleaning import Cleaned, cleaned
 from robust_filterpy.identification.models.fit import ordinary_fit, ordinary_samples
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.prediction import cleaned_residuals
@@ -305,15 +304,15 @@ class _Score(NamedTuple):
         known: Any = ~np.isnan(residual)
         e = np.where(known, residual, 0.0)
         weights = model.noise.weights(e)
-        cleaned = _cleaned(model, y, u)
-        known = known & (_untouched(model, known, weights) if cleaned is None else cleaned.clear)
-        e = np.where(known, e if cleaned is None else cleaned.residual, 0.0)
+        found = cleaned(model, y, u)
+        known = known & (_untouched(model, known, weights) if found is None else found.clear)
+        e = np.where(known, e if found is None else found.residual, 0.0)
         v = np.where(known, model.noise.weights(e) * e, 0.0)
         v = np.where(known, v - v.sum() / known.sum(), 0.0)
         seen = np.where(np.isnan(residual), np.nan, weights)
         same = model.weights.size == e.size and _alike(model.weights, seen)
         # The fit has seen those rows too that are not tested.
-        J = _derivatives(model, residual, y, u, cleaned) * ~np.isnan(residual)[:, None]
+        J = _derivatives(model, residual, y, u, found) * ~np.isnan(residual)[:, None]
         slope = float(np.mean(model.noise.influence.psi_deriv(e[known] / np.sqrt(model.R))))
         n = model.theta.size
         P = np.zeros((n + model.has_offset, n + model.has_offset))
@@ -343,34 +342,6 @@ class _Score(NamedTuple):
         return c / size, bound, _portmanteau(c, covariance, variance * gram)
 
 
-class _Cleaned(NamedTuple):
-    """What is left of a recording whose wrong outputs are interpolated."""
-
-    prepared: Any
-    residual: Array
-    clear: Any
-    """Which residuals no wrong output touches."""
-
-
-def _cleaned(model: Model, y: Any, u: Any) -> _Cleaned | None:
-    """Return it for a model that has outputs in its regressor, else None.
-
-    What comes after an outlier tells whether it was the measurement's, and is interpolated, or the process's, and acts
-    on. A prediction, which must not look ahead, takes something between, and is wrong for a while in either case.
-    """
-    prepared, known = model._prepared(y, u)
-    if prepared.nf or not prepared.na:
-        return None
-    p, first = np.concatenate((model.theta, [model.offset])), prepared.first
-    found = found_outliers(prepared, p, ~known, model.noise)
-    full = completed(prepared, p, found.wrong, found.counts.astype(float))
-    clear = ~touched(found.wrong, response(prepared, p), first)
-    clear = clear if (clear & known[first:]).sum() >= _LEAST_CLEAR * known.sum() else known[first:]
-    before = np.zeros(first)
-    residual = np.concatenate((before, full.residuals(p)))
-    return _Cleaned(prepared.with_output(full.y), residual, np.concatenate((before > 0.0, clear)))
-
-
 def _untouched(model: Model, known: Any, weights: Array) -> Any:
     """Return which residuals no outlier or gap before them reaches: what stands in its place is wrong for a while.
 
@@ -397,14 +368,14 @@ def _portmanteau(c: Array, covariance: Array, full: Array) -> Portmanteau:
     return Portmanteau(statistic, degrees, float(chi2.sf(statistic, degrees)) if degrees else 1.0)
 
 
-def _derivatives(model: Model, residual: Array, y: Any, u: Any, cleaned: _Cleaned | None) -> Array:
+def _derivatives(model: Model, residual: Array, y: Any, u: Any, whole: Cleaned | None) -> Array:
     """Return the derivatives of the prediction by theta and offset, outliers in the regressor replaced."""
     prepared, known = model._prepared(y, u)
     n = model.theta.size
     p = np.concatenate((model.theta, [model.offset], np.zeros(prepared.nf)))
     parts, first = model._parts(), prepared.first
-    if cleaned is not None:
-        prepared = cleaned.prepared
+    if whole is not None:
+        prepared = whole.prepared
     elif prepared.na or parts.c.size + parts.d.size > 2:
         found = cleaned_residuals(parts, model._equation_error(prepared, known), known[first:], model.noise)
         output = prepared.y.copy()

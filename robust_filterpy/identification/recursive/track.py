@@ -32,6 +32,8 @@ from robust_filterpy.kernel.series import SCALINGS, rule
 
 # So many samples at most go to the definition before the kernel has another try.
 _MOST_ODD = 1024
+# Findings in the samples of which the first model is made that are said: what these break, the samples to come may too.
+_SAID = ("step", "ramp", "input outliers")
 
 
 class Settings(NamedTuple):
@@ -167,7 +169,6 @@ def _with_model(form: Form, now: State, i: int, start: ColdStart) -> tuple[State
                 structure,
                 offset=form.has_offset,
                 R=None if now.scale[i, 3] else float(now.scale[i, 0]),
-                trend="constant" if form.has_offset else "none",
             )
     except ValueError as error:
         failure = str(error)
@@ -186,16 +187,17 @@ def _with_model(form: Form, now: State, i: int, start: ColdStart) -> tuple[State
 
 
 def _usual(form: Form, now: State, i: int, start: ColdStart, model: Model) -> tuple[State, News]:
-    """Learn from a model's own recording what is usual; say so if what it leaves follows the inputs there already."""
+    """Learn from a model's own recording what is usual; say what is odd in that recording already."""
     prediction = model.predict(start.y, start.u)
     signals = np.column_stack((np.nan_to_num(prediction), start.u))
     followed, share = now.followed.begun(i, start.y - prediction, signals)
     now = now._replace(followed=followed)
-    taken = [one.text for one in model.findings if one.kind == "input outliers"]
+    odd = {one.kind: one.text for one in model.findings}
+    taken = [text for kind, text in odd.items() if kind in _SAID or (kind == "another plant" and not share)]
     if not (share or taken):
         return now, []
     sentence = (
-        f"of its first {start.y.size} samples {taken[0]}"
+        f"of its first {start.y.size} samples: {'; '.join(taken)}"
         if taken
         else (
             f"{100 * share:.0f} % of what the model of the first {start.y.size} samples leaves follow the inputs: the "

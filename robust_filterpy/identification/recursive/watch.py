@@ -171,10 +171,12 @@ def _followed_share(residuals: Array, signals: Array, usual: Array) -> tuple[flo
         return float(found.share), usual
     if found.share > 0.5 * SHARE + anyway and usual[0]:
         return 0.0, usual
-    # What is usual follows slowly, and not what is half suspicious already.
+    # What is usual follows slowly, and not what is half suspicious already, nor by itself to where it would hide that.
     now = np.array([*now, max(float(found.share), 0.0)])
     before = np.array([*covariances, anyway])
-    return 0.0, before + _PACE * (now - before)
+    after = before + _PACE * (now - before)
+    after[3] = after[3] if anyway > SHARE else min(after[3], max(anyway, 0.5 * SHARE))
+    return 0.0, after
 
 
 class Windows(NamedTuple):
