@@ -10,14 +10,21 @@ R.
 Sensors that see the same disagree about their noise alone (`parity`): that tells noise with a colour from the motion
 of the state, which a filter that follows one such sensor takes it for.
 
-All that is known of a sensor is one row of numbers, ``[r, n, shares (K), last (K), counts (K, K), parity (4)]``:
-r stands on n ordinary samples; the shares of the classes of late; the probabilities of the last sample's class; how
-often class i was followed by class j; the last parity, its lag-one covariance, its variance, how many there were.
+The changes from reading to reading that a filter has not foreseen differ from each other, where noise is white, with a
+variance of 6 r and more. So r is never above eight times what they show: a filter that has lost the state, or whose
+model is too simple, has large innovations and even changes, and does not learn that its sensor is bad.
+
+All that is known of a sensor is one row of numbers, ``[r, n, shares (K), last (K), counts (K, K), parity (4), change
+(4)]``: r stands on n ordinary samples; the shares of the classes of late; the probabilities of the last sample's class;
+how often class i was followed by class j; the last parity, its lag-one covariance, its variance, how many there were;
+what the last correction left of the reading, the last change and the scale of their differences, in standard deviations
+that R gives, and how many readings there were.
 `robust_filterpy.correction.learnt` corrects a state between `predicted` and `learn`.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -40,6 +47,15 @@ _PRIOR_SAMPLES, _PRIOR_OUTLIERS, _PRIOR_STAY, _PRIOR_R = 10.0, 0.15, 0.75, 20.0
 # Samples for which parity is remembered; the standard error of its correlation is then .07. From a correlation of two
 # standard errors on it counts, from .45 on fully. Before the twentieth sample it tells nothing.
 _PARITY_MEMORY, _PARITY_FROM, _PARITY_OVER, _PARITY_SAMPLES = 200.0, 0.15, 0.30, 20.0
+# Changes are remembered for 50 readings and tell something from the twentieth on. Their scale is the quantile of .7 by
+# recursion, here of a normal |x|: outliers hardly move it, nor do readings that are held for three samples.
+_CHANGES, _FIRST_CHANGES, _QUANTILE = 50.0, 20.0, 1.0364333894937898
+# The most that r may be over the variance of their differences, of which white noise makes 6 r.
+_MOST = 8.0 / 6.0
+# Standard deviations beyond which a reading is as far as any other.
+_WILDEST = 1e6
+# Numbers of a row that tell of parity and of changes.
+_PARITY, _CHANGE, _TAIL = slice(-8, -4), slice(-4, None), 8
 # A sensor is redundant if the others leave at least this part of its variance unexplained by the state.
 _REDUNDANT = 1e-6
 
@@ -110,7 +126,7 @@ class NoiseClasses:
 
         Parameters
         ----------
-        learnt : array_like, shape (1 or more, 6 + 2 K + K^2)
+        learnt : array_like, shape (1 or more, 10 + 2 K + K^2)
             A row for each sensor.
         dim_z : int
             Number of sensors.
@@ -133,11 +149,13 @@ class NoiseClasses:
                 f"sensors and measurement_scales"
             )
         K = len(self.scales)
-        known, totals = values[:, :-4], values[:, 2 + 2 * K : -4].reshape(-1, K, K).sum(axis=2)
+        known, totals = values[:, :-_TAIL], values[:, 2 + 2 * K : -_TAIL].reshape(-1, K, K).sum(axis=2)
         if not (np.isfinite(values).all() and (known >= 0.0).all() and (known[:, 0] > 0.0).all() and totals.all()):
             raise ValueError("learnt: expected finite numbers >= 0 with r > 0, as another filter's `learnt` has them")
-        if not (values[:, -2:] >= 0.0).all():
-            raise ValueError("learnt: expected a variance and a number of parities >= 0, as another filter has them")
+        if not (values[:, [-6, -5, -2, -1]] >= 0.0).all():
+            raise ValueError(
+                "learnt: expected variances and numbers of parities and changes >= 0, as another filter has"
+            )
         if not np.allclose(values[:, 2 + K : 2 + 2 * K].sum(axis=1), 1.0):
             raise ValueError("learnt: expected probabilities of the last sample's class that sum to 1")
         return values.copy()
@@ -155,7 +173,7 @@ def start(classes: int, probabilities: Sequence[float] | None = None) -> Array:
 
     Returns
     -------
-    ndarray, shape (6 + 2 K + K^2,)
+    ndarray, shape (10 + 2 K + K^2,)
         As the head of this module orders it.
     """
     return _start(classes, None if probabilities is None else tuple(probabilities)).copy()
@@ -170,7 +188,7 @@ def _start(K: int, probabilities: tuple[float, ...] | None) -> Array:
         share, stay = np.array(probabilities), 0.0
     moves = stay * np.eye(K) + (1.0 - stay) * share
     return np.concatenate(
-        [[1.0, _PRIOR_R], share, share, (_PRIOR_SAMPLES * share[:, None] * moves).ravel(), np.zeros(4)]
+        [[1.0, _PRIOR_R], share, share, (_PRIOR_SAMPLES * share[:, None] * moves).ravel(), np.zeros(_TAIL)]
     )
 
 
@@ -179,7 +197,7 @@ def predicted(known: Array, classes: int) -> Array:
 
     Parameters
     ----------
-    known : ndarray, shape (6 + 2 K + K^2,)
+    known : ndarray, shape (10 + 2 K + K^2,)
         What is known of the sensor.
     classes : int
         K.
@@ -197,7 +215,7 @@ def usual(known: Array, classes: int) -> Array:
 
     Parameters
     ----------
-    known : ndarray, shape (6 + 2 K + K^2,)
+    known : ndarray, shape (10 + 2 K + K^2,)
         What is known of the sensor.
     classes : int
         K.
@@ -215,7 +233,7 @@ def learn(known: Array, posterior: Array, energy: float, noise: NoiseClasses) ->
 
     Parameters
     ----------
-    known : ndarray, shape (6 + 2 K + K^2,)
+    known : ndarray, shape (10 + 2 K + K^2,)
         What was known of the sensor.
     posterior : ndarray, shape (K,)
         Probabilities of the sample's classes.
@@ -226,7 +244,7 @@ def learn(known: Array, posterior: Array, energy: float, noise: NoiseClasses) ->
 
     Returns
     -------
-    ndarray, shape (6 + 2 K + K^2,)
+    ndarray, shape (10 + 2 K + K^2,)
 
     Notes
     -----
@@ -248,22 +266,22 @@ def learn(known: Array, posterior: Array, energy: float, noise: NoiseClasses) ->
     joint *= np.divide(posterior, expected, out=np.zeros(K), where=expected > 0.0)
     prior = _chain(begin, K)[1]
     after[2 + K : 2 + 2 * K] = posterior
-    after[2 + 2 * K : -4] = (prior + (1.0 - 1.0 / noise.memory) * (counts - prior) + joint).ravel()
+    after[2 + 2 * K : -_TAIL] = (prior + (1.0 - 1.0 / noise.memory) * (counts - prior) + joint).ravel()
     # Ordinary is what most samples are. (At .4 an R that is 30 times too small can stay so for 1000 samples.)
     if K > 1 and after[2] < 0.5:
         median = int(np.argmax(np.append(np.cumsum(after[2 : 1 + K]), 1.0) >= 0.5))
-        begin[0], begin[-4:] = after[0] * noise.scales[median], after[-4:]
+        begin[0], begin[-_TAIL:] = after[0] * noise.scales[median], after[-_TAIL:]
         return begin
     return after
 
 
 def _chain(known: Array, K: int) -> tuple[Array, Array]:
     """Return the probabilities of the last sample's class and the counts, shapes (K,) and (K, K)."""
-    return known[2 + K : 2 + 2 * K], known[2 + 2 * K : -4].reshape(K, K)
+    return known[2 + K : 2 + 2 * K], known[2 + 2 * K : -_TAIL].reshape(K, K)
 
 
-def ordinary_size(learnt: Array, z: Array, H: Array, R: Array) -> tuple[Array, Array]:
-    """Return r of each sensor, nowhere less than its parity allows, and what is known with this parity in it.
+def ordinary_size(learnt: Array, z: Array, y: Array, H: Array, R: Array) -> tuple[Array, Array]:
+    """Return r of each sensor, between what its parity and its changes allow, and what is known with this sample's.
 
     A sensor that a filter follows has no innovations left: r falls until the state is that sensor, its noise included.
     Only other sensors can tell. Where parity has a colour, r is at least parity's variance over what R says it is, but
@@ -271,10 +289,12 @@ def ordinary_size(learnt: Array, z: Array, H: Array, R: Array) -> tuple[Array, A
 
     Parameters
     ----------
-    learnt : ndarray, shape (m, 6 + 2 K + K^2)
+    learnt : ndarray, shape (m, 10 + 2 K + K^2)
         What is known of each sensor.
     z : ndarray, shape (m,)
         Measurement, finite.
+    y : ndarray, shape (m,)
+        Innovation.
     H : ndarray, shape (m, n)
         Measurement matrix.
     R : ndarray, shape (m, m)
@@ -284,12 +304,12 @@ def ordinary_size(learnt: Array, z: Array, H: Array, R: Array) -> tuple[Array, A
     -------
     r : ndarray, shape (m,)
         Factors of R for this sample.
-    learnt : ndarray, shape (m, 6 + 2 K + K^2)
-        What is known, with this sample's parity.
+    learnt : ndarray, shape (m, 10 + 2 K + K^2)
+        What is known, with this sample's parity and change.
     """
     r, learnt = learnt[:, 0].copy(), learnt.copy()
     for i, e in parity(z, H, R, r):
-        last, lag, variance, count = learnt[i, -4:].tolist()
+        last, lag, variance, count = learnt[i, _PARITY].tolist()
         count += 1.0
         share = max(1.0 / _PARITY_MEMORY, 1.0 / count)
         if count > 6.0:
@@ -297,12 +317,55 @@ def ordinary_size(learnt: Array, z: Array, H: Array, R: Array) -> tuple[Array, A
             e = min(max(e, -3.0 * variance**0.5), 3.0 * variance**0.5)
         e = min(max(e, -1e100), 1e100)
         lag, variance = lag + share * (e * last - lag), variance + share * (e * e - variance)
-        learnt[i, -4:] = e, lag, variance, count
+        learnt[i, _PARITY] = e, lag, variance, count
         if count >= _PARITY_SAMPLES and variance > 0.0:
             colour = min(max((lag / variance - _PARITY_FROM) / _PARITY_OVER, 0.0), 1.0)
             least = min(max(variance, 1e-8), 1.0)
             r[i] = max(r[i], r[i] ** (1.0 - colour) * least**colour)
+    for own in np.flatnonzero(R.diagonal() > 0.0):
+        most = _note_change(learnt[own, _CHANGE], _bounded(y[own] / R[own, own] ** 0.5))
+        r[own], learnt[own, 0] = min(r[own], most), min(learnt[own, 0], most)
     return r, learnt
+
+
+def _note_change(known: Array, y: float) -> float:
+    """Let a change move the scale of their differences, in place; return the most that r may be."""
+    rest, before, scale, count = known.tolist()
+    known[1], known[3] = y - rest if count else 0.0, count + 1.0
+    if count < 2.0:
+        return math.inf
+    size = abs(known[1] - before) / _QUANTILE
+    pace = 2.0 * max(1.0 / (count - 1.0), 1.0 / _CHANGES)
+    # Up or down by a pace, but never beyond what was seen.
+    moved = min(size, scale * math.exp(0.7 * pace)) if size > scale else max(size, scale * math.exp(-0.3 * pace))
+    known[2] = moved if count > 2.0 else size
+    return max(1.0, moved**2 * _MOST) if count > _FIRST_CHANGES else math.inf
+
+
+def _bounded(number: float) -> float:
+    return min(max(number, -_WILDEST), _WILDEST)
+
+
+def left_over(learnt: Array, rest: Array, R: Array) -> Array:
+    """Return what is known, with what a correction left of each reading.
+
+    Parameters
+    ----------
+    learnt : ndarray, shape (m, 10 + 2 K + K^2)
+        What is known of each sensor.
+    rest : ndarray, shape (m,)
+        z - H x.
+    R : ndarray, shape (m, m)
+        Covariance of the measurement noise as the filter was given it.
+
+    Returns
+    -------
+    ndarray, shape (m, 10 + 2 K + K^2)
+    """
+    learnt = learnt.copy()
+    for i in np.flatnonzero(R.diagonal() > 0.0):
+        learnt[i, _CHANGE][0] = _bounded(rest[i] / R[i, i] ** 0.5)
+    return learnt
 
 
 def parity(z: Array, H: Array, R: Array, r: Array) -> list[tuple[int, float]]:
@@ -350,7 +413,7 @@ def describe(learnt: Array, scales: Array, sensors: int = 1) -> LearntNoise:
 
     Parameters
     ----------
-    learnt : ndarray, shape (g, 6 + 2 K + K^2)
+    learnt : ndarray, shape (g, 10 + 2 K + K^2)
         A row for each sensor that fails on its own.
     scales : ndarray, shape (K,)
         Factors of the variance.
@@ -367,7 +430,7 @@ def describe(learnt: Array, scales: Array, sensors: int = 1) -> LearntNoise:
     of outliers rather than outliers.
     """
     K = len(scales)
-    counts = learnt[:, 2 + 2 * K : -4].reshape(-1, K, K)
+    counts = learnt[:, 2 + 2 * K : -_TAIL].reshape(-1, K, K)
     classes, total = counts.sum(axis=1), counts.sum(axis=(1, 2))
     share = 1.0 - classes[:, 0] / total
     # How large outliers are is told by those that there were: the widest classes of the prior would outweigh them.

@@ -143,8 +143,9 @@ def correct(
     z, H, R, M = z[part], H[part], R[np.ix_(part, part)], None if M is None else M[:, part]
     memory, rows = memory.copy(), np.zeros(len(part), dtype=int) if joint else part
     r = memory[rows, 0]
-    if noise.learns and not joint:
-        r, memory[part] = learning.ordinary_size(memory[part], z, H, R)
+    follows = noise.learns and not joint
+    if follows:
+        r, memory[part] = learning.ordinary_size(memory[part], z, z - H @ _mean(copies, process), H, R)
     copies, fresh = side_by_side.with_candidate(copies, z, H, r * R.diagonal(), process)
     now, N = _begin(copies, z, H, R, r, M)
     first, log_density = now.S, 0.0
@@ -169,7 +170,16 @@ def correct(
         weights[part[group]], outlying[part[group]] = posterior @ (1.0 / np.array(noise.scales)), 1.0 - posterior[0]
         now = _taken(now, group, found, shares)
     corrected = Copies(now.x, 0.5 * (now.P + np.swapaxes(now.P, 1, 2)), now.probabilities, 0.0)
-    return Corrected(side_by_side.settled(corrected, process), memory, log_density, weights, outlying)
+    corrected = side_by_side.settled(corrected, process)
+    if follows:
+        memory[part] = learning.left_over(memory[part], z - H @ _mean(corrected, process), R)
+    return Corrected(corrected, memory, log_density, weights, outlying)
+
+
+def _mean(copies: Copies, process: Scales) -> Array:
+    """Return the mean of the copies that have not jumped, shape (n,)."""
+    slow = copies.probabilities[: len(process.scales)]
+    return np.asarray(slow @ copies.x[: len(slow)] / slow.sum())
 
 
 def _begin(copies: Copies, z: Array, H: Array, R: Array, r: Array, M: Array | None) -> tuple[_Part, Array]:

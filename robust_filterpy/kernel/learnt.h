@@ -3,7 +3,7 @@
    q copies take the process noise for s_j Q. If jumps are possible there is one more for a state that has jumped, the
    candidate, whose probability is 0 while there is none. Each sensor is conditioned on by the score of its mixture of classes
    and the derivative of it, the most plausible first, under every copy. What is known of a sensor is a row of numbers:
-   [r, n, shares (K), last (K), counts (K, K), parity (4)]. */
+   [r, n, shares (K), last (K), counts (K, K), parity (4), change (4)]. */
 #ifndef ROBUST_FILTERPY_LEARNT_H
 #define ROBUST_FILTERPY_LEARNT_H
 
@@ -16,6 +16,13 @@
 #define LEARNT_PARITY_FROM REAL(0.15)
 #define LEARNT_PARITY_OVER REAL(0.30)
 #define LEARNT_PARITY_SAMPLES REAL(20.0)
+#define LEARNT_CHANGE 4               /* of changes: left of the reading, the last, their differences' scale, how many */
+#define LEARNT_TAIL (LEARNT_PARITY + LEARNT_CHANGE)
+#define LEARNT_WILDEST REAL(1e6)
+#define LEARNT_CHANGES REAL(50.0)      /* changes that are remembered */
+#define LEARNT_FIRST_CHANGES REAL(20.0)
+#define LEARNT_MOST REAL(8.0) / 6      /* r at most, over the variance of the differences of changes */
+#define LEARNT_QUANTILE REAL(1.0364333894937898) /* .7 of a normal |x| is below it */
 #define LEARNT_REDUNDANT REAL(1e-6)
 #define LEARNT_ASKS REAL(9.0)         /* squared standard deviations from which an innovation asks for a jump */
 #define LEARNT_WIDEST REAL(1e12)       /* a state less certain than a sensor's noise by this is left to the definition */
@@ -49,7 +56,7 @@ typedef struct {
 
 INLINE int learnt_copies(const learnt_rule *const rule) { return rule->jump > 0 ? rule->q + 1 : rule->q; }
 
-INLINE int learnt_width(const int K) { return 2 + 2 * K + K * K + LEARNT_PARITY; }
+INLINE int learnt_width(const int K) { return 2 + 2 * K + K * K + LEARNT_TAIL; }
 
 /* Whether it is more likely than not that the state has jumped. */
 INLINE int learnt_jumped(const learnt_rule *const rule, const real *const p) {
@@ -193,7 +200,7 @@ INLINE void learnt_learn(const learnt_rule *const rule, const real *RESTRICT p, 
         real below = shares[0];
         int k = 0;
         while (below < REAL(0.5) && k < K - 1) below += shares[++k];
-        real_copy(width - LEARNT_PARITY, rule->begin, known);
+        real_copy(width - LEARNT_TAIL, rule->begin, known);
         known[0] = r * rule->scales[k];
     }
 }
@@ -233,7 +240,7 @@ INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule
             for (int j = 0; j < m; j++) rest[i * m + j] -= out[i] * out[j] / length;
     }
     for (int i = 0; i < m; i++) {
-        real *RESTRICT known = memory + i * width + width - LEARNT_PARITY;
+        real *RESTRICT known = memory + i * width + width - LEARNT_TAIL;
         real e = 0, variance = 0, share;
         if (!(left[i] > 0 && rest[i * m + i] > LEARNT_REDUNDANT)) continue;
         for (int j = 0; j < m; j++) {
@@ -264,6 +271,46 @@ INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule
             const real least = real_min(real_max(known[2], REAL(1e-8)), 1);
             if (colour > 0) r[i] = real_max(r[i], real_exp((1 - colour) * real_log(r[i]) + colour * real_log(least)));
         }
+    }
+}
+
+/* What the mean of the copies that have not jumped leaves of a reading, in standard deviations of R, at most a million. */
+INLINE real learnt_left(const int n, const learnt_rule *const rule, const learnt_state *const s, const real z,
+                        const real *RESTRICT h, const real variance) {
+    real sum = 0, total = 0;
+    for (int c = 0; c < rule->q; c++) {
+        real predicted = 0;
+        for (int k = 0; k < n; k++) predicted += h[k] * s->x[c * n + k];
+        sum += s->p[c] * predicted;
+        total += s->p[c];
+    }
+    return real_min(real_max((z - sum / total) / real_sqrt(variance), -LEARNT_WILDEST), LEARNT_WILDEST);
+}
+
+/* Let r of each sensor be no more than eight times what the differences of unforeseen changes from reading to reading
+   show, of which white noise makes 6 r; note this change. */
+INLINE void learnt_changes(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
+                           const real *RESTRICT z, const real *RESTRICT H, const real *RESTRICT R,
+                           const real *RESTRICT left, real *RESTRICT r) {
+    const int width = learnt_width(rule->K);
+    for (int i = 0; i < m; i++) {
+        real *RESTRICT known = s->memory + i * width, *RESTRICT tail = known + width - LEARNT_CHANGE;
+        const real before = tail[1], count = tail[3];
+        real size, pace, most;
+        if (!(left[i] > 0 && R[i * m + i] > 0)) continue;
+        tail[1] = count > 0 ? learnt_left(n, rule, s, z[i], H + i * n, R[i * m + i]) - tail[0] : 0;
+        tail[3] += 1;
+        if (count < 2) continue;
+        size = real_abs(tail[1] - before) / LEARNT_QUANTILE;
+        pace = 2 * real_max(1 / (count - 1), 1 / LEARNT_CHANGES);
+        /* Up or down by a pace, but never beyond what was seen. */
+        if (count < 3) tail[2] = size;
+        else if (size > tail[2]) tail[2] = real_min(size, tail[2] * real_exp(REAL(0.7) * pace));
+        else tail[2] = real_max(size, tail[2] * real_exp(REAL(-0.3) * pace));
+        if (!(count > LEARNT_FIRST_CHANGES)) continue;
+        most = real_max(1, tail[2] * tail[2] * LEARNT_MOST);
+        r[i] = real_min(r[i], most);
+        known[0] = real_min(known[0], most);
     }
 }
 
@@ -468,6 +515,7 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
     }
     if (count == 0) return 0;
     learnt_sizes(n, m, rule, z, H, R, w.left, s->memory, w.r, w.weights + K);
+    if (rule->learns) learnt_changes(n, m, rule, s, z, H, R, w.left, w.r);
     if (copies > q && s->p[q] < LEARNT_DROPPED * rule->jump) {
         s->p[q] = 0;
         learnt_normalize(q, s->p);
@@ -542,6 +590,12 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
             }
         }
     }
+    if (rule->learns)
+        for (int i = 0; i < m; i++) {
+            real *RESTRICT rest = s->memory + i * width + width - LEARNT_CHANGE;
+            if (weights[i] == weights[i] && R[i * m + i] > 0)
+                *rest = learnt_left(n, rule, s, z[i], H + i * n, R[i * m + i]);
+        }
     return count;
 }
 

@@ -11,7 +11,16 @@ from support import random_problem, spd
 
 from robust_filterpy.correction import copies as side_by_side
 from robust_filterpy.correction.copies import Copies, Scales, collapse
-from robust_filterpy.correction.learning import NoiseClasses, describe, learn, ordinary_size, parity, predicted, start
+from robust_filterpy.correction.learning import (
+    NoiseClasses,
+    describe,
+    learn,
+    left_over,
+    ordinary_size,
+    parity,
+    predicted,
+    start,
+)
 from robust_filterpy.correction.learnt import correct
 
 TRUSTED = Scales((1.0,), jump=0.0)
@@ -142,7 +151,7 @@ def test_transitions_are_counted_with_a_memory():
         known = learn(known, np.eye(K)[now], 1.0, noise)
         counts *= 1.0 - 1.0 / memory
         counts[before, now] += 1.0
-    assert_allclose(known[2 + 2 * K : -4], start(K)[2 + 2 * K : -4] + counts.ravel(), rtol=1e-10)
+    assert_allclose(known[2 + 2 * K : -8], start(K)[2 + 2 * K : -8] + counts.ravel(), rtol=1e-10)
 
 
 def test_when_ordinary_samples_are_few_r_starts_from_the_class_of_the_median():
@@ -162,7 +171,7 @@ def test_describe_reads_a_chain_that_is_known():
     counts = np.zeros((4, 4))
     counts[2, 2], counts[2, 0], counts[0, 2], counts[0, 0] = 80.0, 20.0, 20.0, 880.0
     scales = np.array([1.0, 10.0, 100.0, 1000.0])
-    learnt = np.concatenate([[4.0, 16.0], np.zeros(8), counts.ravel(), np.zeros(4)])[None]
+    learnt = np.concatenate([[4.0, 16.0], np.zeros(8), counts.ravel(), np.zeros(8)])[None]
     noise = describe(learnt, scales)
     assert noise.contamination[0] == pytest.approx(0.1) and noise.run_length[0] == pytest.approx(5.0)
     assert noise.scale_ratio[0] == pytest.approx(10.0, rel=0.01)
@@ -193,8 +202,21 @@ def test_r_of_a_sensor_that_others_contradict_with_a_colour_does_not_fall(phi, f
     learnt[:, 0] = 1e-4
     for _ in range(400):
         v = phi * v + np.sqrt(1.0 - phi * phi) * rng.normal(size=2)
-        r, learnt = ordinary_size(learnt, v, np.ones((2, 1)), np.eye(2))
+        r, learnt = ordinary_size(learnt, v, v, np.ones((2, 1)), np.eye(2))
     assert (r > floor).all() == (phi > 0.0) and (r <= 1.0).all()
+
+
+@pytest.mark.parametrize("slope, most", [(0.0, 16.0), (5.0, 16.0)])
+def test_r_is_not_far_above_what_changes_show(slope, most):
+    """White noise of variance 1 on a reading that drifts away from what is predicted, which is 0 for ever."""
+    rng, learnt = np.random.default_rng(2), start(4)[None]
+    for k in range(200):
+        y = np.array([slope * k + rng.normal()])
+        learnt[0, 0] = 1e6
+        r, learnt = ordinary_size(learnt, y, y, np.eye(1), np.eye(1))
+        learnt = left_over(learnt, y, np.eye(1))
+        assert k > 20 or r == 1e6
+    assert 1.0 <= r[0] < most and learnt[0, 0] == r[0]
 
 
 def test_collapse_has_the_moments_of_a_sample():

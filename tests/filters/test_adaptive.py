@@ -511,3 +511,17 @@ def test_the_probability_of_an_outlier_is_that_of_any_sensor():
         assert both.outlier_probability == pytest.approx(1.0 - (1.0 - p) * (1.0 - q), rel=1e-6, abs=1e-12)
         found.append(both.outlier_probability - max(p, q))
     assert max(found) > 0.01
+
+
+@pytest.mark.parametrize("slope", [0.5, 2.0, 10.0])
+def test_a_level_that_is_on_a_ramp_is_followed_no_worse_than_by_the_kalman_filter(slope):
+    """A model without a slope is always behind: large innovations, small changes, and the sensor is not to blame."""
+    found = {}
+    truth = slope * np.arange(300.0)
+    zs = truth + np.random.default_rng(3).normal(size=300)
+    for cls in (KalmanFilter, AdaptiveKalmanFilter):
+        kf = cls(1, 1)
+        kf.x, kf.F, kf.H = np.zeros(1), np.eye(1), np.eye(1)
+        kf.P, kf.Q, kf.R = 10.0 * np.eye(1), 0.01 * np.eye(1), np.eye(1)
+        found[cls] = np.mean((kf.batch_filter(zs)[0].ravel() - truth)[50:] ** 2)
+    assert found[AdaptiveKalmanFilter] < found[KalmanFilter]
