@@ -20,43 +20,48 @@ int set_attribute(PyObject *owner, enum attribute which, PyObject *value) {
     return PyObject_SetAttr(owner, attribute_names[which], value);
 }
 
-/* Whether an object is an exact ndarray of float64 in C order; read only, if that serves. */
-static int is_plain(PyObject *object, int writable) {
+int take_objects(PyObject *tuple, int count, PyObject **found) {
+    if (!PyTuple_Check(tuple) || PyTuple_Size(tuple) != count) return 0;
+    for (int i = 0; i < count; i++) found[i] = PyTuple_GetItem(tuple, i);
+    return 1;
+}
+
+int is_array(PyObject *object, int ndim) {
+    return PyArray_CheckExact(object) && PyArray_NDIM((PyArrayObject *)object) == ndim;
+}
+
+/* Whether an object is an exact ndarray of float64 in C order with so many axes; read only, if that serves. */
+static int is_plain(PyObject *object, int ndim, int writable) {
     PyArrayObject *const array = (PyArrayObject *)object;
-    if (!PyArray_CheckExact(object) || PyArray_TYPE(array) != NPY_DOUBLE) return 0;
+    if (!is_array(object, ndim) || PyArray_TYPE(array) != NPY_DOUBLE) return 0;
     return writable ? PyArray_ISCARRAY(array) : PyArray_ISCARRAY_RO(array);
 }
 
 double *numbers_of(PyObject *array) { return (double *)PyArray_DATA((PyArrayObject *)array); }
 
-const double *matrix_of(PyObject *object, npy_intp rows, npy_intp columns) {
-    PyArrayObject *const array = (PyArrayObject *)object;
-    if (!is_plain(object, 0) || PyArray_NDIM(array) != 2) return NULL;
-    if (PyArray_DIM(array, 0) != rows || PyArray_DIM(array, 1) != columns) return NULL;
+/* The numbers, if all axes are so long. */
+static double *sized(PyObject *object, int ndim, const npy_intp *shape, int writable) {
+    if (!is_plain(object, ndim, writable)) return NULL;
+    for (int i = 0; i < ndim; i++)
+        if (PyArray_DIM((PyArrayObject *)object, i) != shape[i]) return NULL;
     return numbers_of(object);
+}
+
+const double *matrix_of(PyObject *object, npy_intp rows, npy_intp columns) {
+    return sized(object, 2, (npy_intp[]){rows, columns}, 0);
 }
 
 const double *vector_of(PyObject *object, npy_intp length) {
-    PyArrayObject *const array = (PyArrayObject *)object;
-    if (!is_plain(object, 0) || PyArray_NDIM(array) < 1 || PyArray_NDIM(array) > 2) return NULL;
-    if (PyArray_DIM(array, 0) != length || (PyArray_NDIM(array) == 2 && PyArray_DIM(array, 1) != 1)) return NULL;
-    return numbers_of(object);
+    const npy_intp shape[2] = {length, 1};
+    return sized(object, is_array(object, 2) ? 2 : 1, shape, 0);
 }
 
-double *writable(PyObject *object, int ndim, const npy_intp *shape) {
-    PyArrayObject *const array = (PyArrayObject *)object;
-    if (!is_plain(object, 1) || PyArray_NDIM(array) != ndim) return NULL;
-    for (int i = 0; i < ndim; i++)
-        if (PyArray_DIM(array, i) != shape[i]) return NULL;
-    return numbers_of(object);
-}
+double *writable(PyObject *object, int ndim, const npy_intp *shape) { return sized(object, ndim, shape, 1); }
 
 int take_matrices(series_matrices *found, PyObject *object, npy_intp series, npy_intp steps, npy_intp rows,
                   npy_intp columns) {
     PyArrayObject *const array = (PyArrayObject *)object;
-    const int ndim = columns ? 4 : 3;
-    if (!PyArray_CheckExact(object) || PyArray_TYPE(array) != NPY_DOUBLE || !PyArray_ISCARRAY_RO(array)) return 0;
-    if (PyArray_NDIM(array) != ndim || PyArray_DIM(array, 2) != rows) return 0;
+    if (!is_plain(object, columns ? 4 : 3, 0) || PyArray_DIM(array, 2) != rows) return 0;
     if (columns && PyArray_DIM(array, 3) != columns) return 0;
     const npy_intp own = PyArray_DIM(array, 0), each = PyArray_DIM(array, 1), size = rows * (columns ? columns : 1);
     if ((own != series && own != 1) || (each < steps && each != 1)) return 0;
@@ -64,6 +69,20 @@ int take_matrices(series_matrices *found, PyObject *object, npy_intp series, npy
     found->by_series = own > 1 ? each * size : 0;
     found->by_step = each > 1 ? size : 0;
     return 1;
+}
+
+npy_intp *integers(PyObject *object, const npy_intp rows, const npy_intp columns) {
+    PyArrayObject *const array = (PyArrayObject *)object;
+    if (!is_array(object, columns < 0 ? 1 : 2) || PyArray_TYPE(array) != NPY_INTP || !PyArray_ISCARRAY(array) || (rows >= 0 && PyArray_DIM(array, 0) != rows) ||
+        (columns >= 0 && PyArray_DIM(array, 1) != columns))
+        return NULL;
+    return PyArray_DATA(array);
+}
+
+int take_room(double **found, PyObject *object, npy_intp series, npy_intp rows, npy_intp width) {
+    const npy_intp shape[3] = {series, rows, width};
+    *found = NULL;
+    return object == Py_None || (*found = writable(object, 3, shape)) != NULL;
 }
 
 PyObject *new_array(int ndim, npy_intp first, npy_intp second) {
@@ -107,18 +126,19 @@ int all_finite(const double *a, npy_intp count) {
     return check == 0;
 }
 
+int rule_of_numbers(const double numbers[8], correction_rule *rule) {
+    /* Also of NaN no integer can be made. */
+    if (!(numbers[0] >= PSI_LINEAR && numbers[0] <= PSI_STUDENT_T && numbers[4] >= SCALING_LEARNT &&
+          numbers[4] <= SCALING_BOUNDED && numbers[5] >= INFORMATION_REALIZED && numbers[5] <= INFORMATION_WEIGHT))
+        return 0;
+    *rule = (correction_rule){{(int)numbers[0], numbers[1], numbers[2], numbers[3]}, (int)numbers[4], (int)numbers[5],
+                              numbers[6], numbers[7]};
+    return 1;
+}
+
 int rule_of(PyObject *object, correction_rule *rule) {
     const double *const numbers = vector_of(object, 8);
-    if (!numbers) return 0;
-    rule->psi.kind = (int)numbers[0];
-    rule->psi.a = numbers[1];
-    rule->psi.b = numbers[2];
-    rule->psi.c = numbers[3];
-    rule->scaling = (int)numbers[4];
-    rule->information = (int)numbers[5];
-    rule->expected = numbers[6];
-    rule->normalizer = numbers[7];
-    return 1;
+    return numbers && rule_of_numbers(numbers, rule);
 }
 
 int rule_of_filter(held *h, PyObject *filter, correction_rule *rule) {

@@ -43,6 +43,11 @@ PyObject *hold_attribute(held *h, PyObject *owner, enum attribute which);
 PyObject *answer(held *h, int outcome);                              /* 1 True, 0 False, -1 NULL; lets go of all */
 int set_attribute(PyObject *owner, enum attribute which, PyObject *value);
 
+/* The objects of a tuple of so many, borrowed from it; whether it is that. Other sequences make their entries on request,
+   and nobody would hold those. */
+int take_objects(PyObject *tuple, int count, PyObject **found);
+int is_array(PyObject *object, int ndim);                            /* an exact ndarray with so many axes */
+
 /* The numbers of an exact ndarray of float64, C-contiguous, with these dimensions; NULL if it is anything else. */
 const double *matrix_of(PyObject *object, npy_intp rows, npy_intp columns);
 const double *vector_of(PyObject *object, npy_intp length);          /* also (length, 1) */
@@ -50,6 +55,10 @@ double *writable(PyObject *object, int ndim, const npy_intp *shape); /* for what
 /* Matrices of shape (series or 1, steps or 1, rows, columns), columns 0 for vectors; whether they are that. */
 int take_matrices(series_matrices *found, PyObject *object, npy_intp series, npy_intp steps, npy_intp rows,
                   npy_intp columns);
+/* Integers, C-contiguous, with these dimensions; rows < 0: any number, columns < 0: a vector. */
+npy_intp *integers(PyObject *object, npy_intp rows, npy_intp columns);
+/* Take room for results, shape (series, rows, width), or None; return whether it is that. */
+int take_room(double **found, PyObject *object, npy_intp series, npy_intp rows, npy_intp width);
 PyObject *new_array(int ndim, npy_intp first, npy_intp second);      /* not initialized */
 double *numbers_of(PyObject *array);
 
@@ -60,6 +69,7 @@ int all_finite(const double *a, npy_intp count);
 
 /* The options of a filter from the array that carries them (see robust_filterpy.kernel.rule): 1 if they are that. */
 int rule_of(PyObject *object, correction_rule *rule);
+int rule_of_numbers(const double numbers[8], correction_rule *rule);
 /* The same of a filter; 0 if the kernel does not know its options, -1 with an exception. */
 int rule_of_filter(held *h, PyObject *filter, correction_rule *rule);
 

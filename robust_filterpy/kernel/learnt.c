@@ -7,9 +7,8 @@
 /* The rule from the array that robust_filterpy.kernel.learnt makes of it; return whether it is that. */
 int take_rule(learnt_rule *rule, PyObject *object) {
     enum { HEAD = 7 };
-    PyArrayObject *const array = (PyArrayObject *)object;
-    if (!PyArray_CheckExact(object) || PyArray_NDIM(array) != 1 || PyArray_DIM(array, 0) < HEAD) return 0;
-    const double *const numbers = vector_of(object, PyArray_DIM(array, 0));
+    const npy_intp length = is_array(object, 1) ? PyArray_DIM((PyArrayObject *)object, 0) : 0;
+    const double *const numbers = length < HEAD ? NULL : vector_of(object, length);
     if (!numbers || !(numbers[0] >= 1 && numbers[0] < 1000 && numbers[1] >= 1 && numbers[1] < 1000)) return 0;
     rule->q = (int)numbers[0], rule->K = (int)numbers[1];
     rule->stay = numbers[2], rule->jump = numbers[3], rule->memory = numbers[4], rule->r_memory = numbers[5];
@@ -17,7 +16,7 @@ int take_rule(learnt_rule *rule, PyObject *object) {
     rule->process = numbers + HEAD;
     rule->scales = rule->process + rule->q;
     rule->begin = rule->scales + rule->K;
-    return PyArray_DIM(array, 0) == HEAD + rule->q + rule->K + learnt_width(rule->K);
+    return length == HEAD + rule->q + rule->K + learnt_width(rule->K);
 }
 
 /* The copies and what is known of m sensors; m < 0: of none. Return whether the arrays are that. */
@@ -37,27 +36,10 @@ static PyObject *wrong(void) {
     return NULL;
 }
 
-/* Matrices for each step, or one for all: (steps or 1, rows, columns), columns 0 for vectors. */
-typedef struct {
-    const double *data;
-    npy_intp by_step;
-} step_matrices;
-
-static int take_steps(step_matrices *found, PyObject *object, npy_intp steps, npy_intp rows, npy_intp columns) {
-    PyArrayObject *const array = (PyArrayObject *)object;
-    if (!PyArray_CheckExact(object) || PyArray_TYPE(array) != NPY_DOUBLE || !PyArray_ISCARRAY_RO(array)) return 0;
-    if (PyArray_NDIM(array) != (columns ? 3 : 2) || PyArray_DIM(array, 1) != rows) return 0;
-    if (columns && PyArray_DIM(array, 2) != columns) return 0;
-    if (PyArray_DIM(array, 0) != 1 && PyArray_DIM(array, 0) < steps) return 0;
-    found->data = PyArray_DATA(array);
-    found->by_step = PyArray_DIM(array, 0) == 1 ? 0 : rows * (columns ? columns : 1);
-    return 1;
-}
-
 typedef struct {
     learnt_rule rule;
     learnt_state state;
-    step_matrices z, F, Q, H, R, control;
+    series_matrices z, F, Q, H, R, control; /* of one series */
     int n, m, update_first;
     int which; /* halves of a step: 1 its prediction, 2 its correction, 3 both */
     npy_intp first, last, every, width;
@@ -142,48 +124,34 @@ static npy_intp run_sized(learnt_job *job, double *work) {
     return run(job->n, job->m, job, work);
 }
 
-static double *room(PyObject *object, npy_intp rows, npy_intp width, int *fine) {
-    const npy_intp shape[2] = {rows, width};
-    double *found;
-    if (object == Py_None) return NULL;
-    found = writable(object, 2, shape);
-    *fine = *fine && found;
-    return found;
-}
-
 static PyObject *learnt_steps(PyObject *self, PyObject *arguments) {
-    PyObject *rule, *x, *P, *p, *unseen, *memory, *mean, *covariance, *z, *F, *Q, *H, *R, *u, *means, *covariances;
-    PyObject *means_p, *covariances_p, *weights, *outlying, *scale, *likelihood;
+    PyObject *rule, *standing, *z, *matrices, *rooms, *state[7], *model[5], *out[8];
     Py_ssize_t first, last, every, width;
     learnt_job job = {0};
-    int fine = 1;
     (void)self;
-    if (!PyArg_ParseTuple(arguments, "O(OOOOOOO)O(OOOOO)(OOOOOOOO)(nnndpni)", &rule, &x, &P, &p, &memory, &mean,
-                          &covariance, &unseen, &z, &F, &Q, &H, &R, &u, &means, &covariances, &means_p, &covariances_p,
-                          &weights, &outlying, &scale, &likelihood, &first, &last, &every, &job.alpha_sq,
-                          &job.update_first, &width, &job.which))
+    if (!PyArg_ParseTuple(arguments, "OOOOO(nnndpni)", &rule, &standing, &z, &matrices, &rooms, &first, &last, &every,
+                          &job.alpha_sq, &job.update_first, &width, &job.which))
         return NULL;
-    if (!take_rule(&job.rule, rule) || !PyArray_CheckExact(z) || PyArray_NDIM((PyArrayObject *)z) != 2 ||
-        !PyArray_CheckExact(x) || PyArray_NDIM((PyArrayObject *)x) != 2)
+    if (!take_rule(&job.rule, rule) || !take_objects(standing, 7, state) || !take_objects(matrices, 5, model) ||
+        !take_objects(rooms, 8, out) || !is_array(z, 3) || !is_array(state[0], 2))
         return wrong();
-    const npy_intp m = PyArray_DIM((PyArrayObject *)z, 1), n = PyArray_DIM((PyArrayObject *)x, 1);
-    const npy_intp states[2] = {n, n}, one[1] = {1}, all = PyArray_DIM((PyArrayObject *)z, 0);
+    const npy_intp all = PyArray_DIM((PyArrayObject *)z, 1), m = PyArray_DIM((PyArrayObject *)z, 2);
+    const npy_intp n = PyArray_DIM((PyArrayObject *)state[0], 1), states[2] = {n, n}, one[1] = {1};
     if (n < 1 || m < 1 || n > 1000 || m > 1000 || every < 1 || first < 0 || last < first || last > all) return wrong();
     if (width != 0 && width != n && width != n * n) return wrong();
     const npy_intp rows = all / every;
-    if (!take_copies(&job.state, &job.rule, n, m, x, P, p, unseen, memory) || !take_steps(&job.z, z, all, m, 0) ||
-        !take_steps(&job.F, F, all, n, n) || !take_steps(&job.Q, Q, all, n, n) || !take_steps(&job.H, H, all, m, n) ||
-        !take_steps(&job.R, R, all, m, m) || (u != Py_None && !take_steps(&job.control, u, all, n, 0)))
+    if (!take_copies(&job.state, &job.rule, n, m, state[0], state[1], state[2], state[6], state[3]) ||
+        !(job.x = writable(state[4], 1, states)) || !(job.P = writable(state[5], 2, states)) ||
+        !take_matrices(&job.z, z, 1, all, m, 0) || !take_matrices(&job.F, model[0], 1, all, n, n) ||
+        !take_matrices(&job.Q, model[1], 1, all, n, n) || !take_matrices(&job.H, model[2], 1, all, m, n) ||
+        !take_matrices(&job.R, model[3], 1, all, m, m) ||
+        (model[4] != Py_None && !take_matrices(&job.control, model[4], 1, all, n, 0)) ||
+        !take_room(&job.means, out[0], 1, rows, n) || !take_room(&job.covariances, out[1], 1, rows, width) ||
+        !take_room(&job.means_p, out[2], 1, rows, n) || !take_room(&job.covariances_p, out[3], 1, rows, width) ||
+        !take_room(&job.weights, out[4], 1, rows, m) || !take_room(&job.outlying, out[5], 1, rows, 1) ||
+        !take_room(&job.scale, out[6], 1, rows, 1) || !(job.log_likelihood = writable(out[7], 1, one)))
         return wrong();
     job.z.by_step = m;
-    job.x = writable(mean, 1, states), job.P = writable(covariance, 2, states);
-    job.means = room(means, rows, n, &fine), job.means_p = room(means_p, rows, n, &fine);
-    job.covariances = room(covariances, rows, width, &fine);
-    job.covariances_p = room(covariances_p, rows, width, &fine);
-    job.weights = room(weights, rows, m, &fine);
-    job.outlying = room(outlying, rows, 1, &fine), job.scale = room(scale, rows, 1, &fine);
-    job.log_likelihood = writable(likelihood, 1, one);
-    if (!fine || !job.x || !job.P || !job.log_likelihood) return wrong();
     job.n = (int)n, job.m = (int)m, job.first = first, job.last = last, job.every = every, job.width = width;
     const int copies = learnt_copies(&job.rule), K = job.rule.K;
     const size_t step = learnt_correct_work(job.n, job.m, copies, K) + learnt_predict_work(job.n, copies);

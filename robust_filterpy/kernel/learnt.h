@@ -214,8 +214,8 @@ INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule
     const int width = learnt_width(rule->K);
     real *RESTRICT rest = work, *RESTRICT unit = rest + m * m, *RESTRICT column = unit + m, *RESTRICT out = column + m;
     int count = 0;
+    for (int i = 0; i < m; i++) r[i] = rule->learns ? memory[i * width] : 1;
     for (int i = 0; i < m; i++) {
-        r[i] = rule->learns ? memory[i * width] : 1;
         unit[i] = left[i] > 0 ? real_sqrt(r[i] * R[i * m + i]) : 1;
         if (!(unit[i] > 0)) return;
         count += left[i] > 0;

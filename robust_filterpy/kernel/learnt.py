@@ -15,6 +15,7 @@ from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.learnt import Corrected
 from robust_filterpy.correction.whitening import Inverse
 from robust_filterpy.kernel import extension
+from robust_filterpy.kernel.series import plain
 
 __all__ = ["Kept", "State", "begin", "correct", "predict", "rule", "run"]
 
@@ -145,10 +146,12 @@ def run(
         return first
     width = 0 if kept.covariances is None else kept.covariances.shape[1]
     likelihood = np.zeros(1) if kept.log_likelihood is None else kept.log_likelihood
-    F, Q, H, R, u = (a if a is None else np.ascontiguousarray(a, dtype=float) for a in model)
+    # One series.
+    given = tuple(None if a is None else plain(a)[None] for a in model)
+    into = tuple(None if a is None else a[None] for a in kept[:-1])
     taken = kernel.learnt_steps(
-        what, tuple(state), np.ascontiguousarray(zs, dtype=float), (F, Q, H, R, u),
-        (*kept[:-1], likelihood), (first, last, every, alpha_sq, bool(update_first), width, which),
+        what, tuple(state), plain(zs)[None], given, (*into, likelihood),
+        (first, last, every, alpha_sq, bool(update_first), width, which),
     )  # fmt: skip
     return int(taken)
 

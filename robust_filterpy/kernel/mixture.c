@@ -11,6 +11,7 @@ typedef struct {
     PyObject *kept; /* as the filter has it: a tuple, or None where there is one copy */
     PyObject *x, *P; /* priors that nobody writes to */
     PyObject *means, *covariances, *p, *x_next, *P_next;
+    PyObject *x_set, *P_set; /* what the filter gets of these: code of Python's may have had the others */
 } mixture;
 
 static PyObject *array_of(held *h, int ndim, npy_intp first, npy_intp second, npy_intp third) {
@@ -26,16 +27,14 @@ static PyObject *copied(held *h, const double *numbers, int ndim, npy_intp first
 }
 
 /* Read x, P and the copies; whether all is ordinary, -1 with an exception. x or P that have been assigned from outside are
-   for the definition. given: dim_x, x, P, _policy, _kept. */
-static int take_mixture(held *h, PyObject *const given[5], mixture *f) {
-    PyObject *const rule = hold_attribute(h, given[3], AT_rule);
+   for the definition. given: dim_x, x, P, _kept; rule: of the policy. */
+static int take_mixture(held *h, PyObject *const given[4], PyObject *rule, mixture *f) {
     const double *means, *covariances, *p, one = 1;
     npy_intp copies, n, shape[3];
-    if (!rule) return -1;
     if (!take_rule(&f->rule, rule) || !take_filter(given[0], given[1], given[2], &f->now) || f->now.n > 1000) return 0;
     n = shape[1] = shape[2] = f->now.n;
     copies = shape[0] = learnt_copies(&f->rule);
-    f->kept = given[4];
+    f->kept = given[3];
     if (f->kept == Py_None) {
         if (copies != 1) return 0;
         means = f->now.x, covariances = f->now.P, p = &one, f->unseen = 0;
@@ -61,7 +60,9 @@ static int take_mixture(held *h, PyObject *const given[5], mixture *f) {
     f->p = f->covariances ? array_of(h, 1, copies, 0, 0) : NULL;
     f->x_next = f->p ? array_of(h, 1, n, 0, 0) : NULL;
     f->P_next = f->x_next ? array_of(h, 2, n, n, 0) : NULL;
-    if (!f->P_next) return -1;
+    f->x_set = f->P_next ? array_of(h, f->now.ndim, n, 1, 0) : NULL;
+    f->P_set = f->x_set ? array_of(h, 2, n, n, 0) : NULL;
+    if (!f->P_set) return -1;
     f->s.x = numbers_of(f->means), f->s.P = numbers_of(f->covariances), f->s.p = numbers_of(f->p);
     f->s.unseen = &f->unseen, f->s.memory = NULL;
     real_copy((int)(copies * n), means, f->s.x);
@@ -71,7 +72,11 @@ static int take_mixture(held *h, PyObject *const given[5], mixture *f) {
 }
 
 static int merge(mixture *f, double *work) {
-    return learnt_merge((int)f->now.n, &f->rule, &f->s, numbers_of(f->x_next), numbers_of(f->P_next), work);
+    const int n = (int)f->now.n;
+    if (!learnt_merge(n, &f->rule, &f->s, numbers_of(f->x_next), numbers_of(f->P_next), work)) return 0;
+    real_copy(n, numbers_of(f->x_next), numbers_of(f->x_set));
+    real_copy(n * n, numbers_of(f->P_next), numbers_of(f->P_set));
+    return 1;
 }
 
 /* What the filter is to keep after the step: a tuple of the same kind, or None. */
@@ -81,41 +86,39 @@ static PyObject *next_kept(held *h, const mixture *f) {
                                          f->P_next, f->unseen));
 }
 
-/* Set x, P, their copies and what is kept; whether that went well. No code of Python's runs between these. */
-static int set_mixture(held *h, PyObject *filter, const mixture *f, PyObject *kept, enum attribute x_too,
-                       enum attribute P_too) {
-    PyObject *const x = copied(h, numbers_of(f->x_next), f->now.ndim, f->now.n, 1);
-    PyObject *const P = x ? copied(h, numbers_of(f->P_next), 2, f->now.n, f->now.n) : NULL;
-    return P && set_state(h, filter, x, P, x_too, P_too) && set_attribute(filter, AT__kept, kept) == 0;
+/* Set x, P, their copies and what is kept; whether that went well. */
+static int set_mixture(held *h, PyObject *filter, const mixture *f, enum attribute x_too, enum attribute P_too) {
+    PyObject *const kept = next_kept(h, f);
+    return kept && set_state(h, filter, f->x_set, f->P_set, x_too, P_too) &&
+           set_attribute(filter, AT__kept, kept) == 0;
 }
 
 static int predict_mixture(held *h, PyObject *filter, PyObject *u) {
-    static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT__policy, AT__kept, AT_F, AT_Q, AT__alpha_sq, AT_B};
+    static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT__kept, AT_F, AT_Q, AT__alpha_sq, AT_B, AT__policy};
     PyObject *const *const given = h->objects;
     mixture f;
     const double *F, *Q;
-    PyObject *kept;
     double stack[STACK_WORK], *work, *control, alpha_sq;
-    int fine = hold_all(h, filter, names, sizeof names / sizeof *names);
-    if (fine > 0) fine = take_mixture(h, given, &f);
+    int fine;
+    if (hold_all(h, filter, names, sizeof names / sizeof *names) < 0 || !hold_attribute(h, given[8], AT_rule)) return -1;
+    fine = take_mixture(h, given, given[9], &f);
     if (fine <= 0) return fine;
     const int n = (int)f.now.n;
-    F = matrix_of(given[5], n, n), Q = matrix_of(given[6], n, n);
-    if (!F || !Q || !number_of(given[7], &alpha_sq) || !is_symmetric(Q, n)) return 0;
+    F = matrix_of(given[4], n, n), Q = matrix_of(given[5], n, n);
+    if (!F || !Q || !number_of(given[6], &alpha_sq) || !is_symmetric(Q, n)) return 0;
     for (int i = 0; i < n; i++) fine = fine && Q[i * n + i] >= 0;
     if (!fine) return 0;
     work = work_of(stack, learnt_predict_work(n, learnt_copies(&f.rule)) + (size_t)n);
     if (!work) return -1;
     control = work;
-    fine = take_control(given[8], u, n, &control);
+    fine = take_control(given[7], u, n, &control);
     if (fine) {
         learnt_predict(n, &f.rule, &f.s, F, Q, control, alpha_sq, work + n);
         fine = merge(&f, work + n);
     }
     work_done(stack, work);
     if (!fine) return 0;
-    kept = next_kept(h, &f);
-    return kept && set_mixture(h, filter, &f, kept, AT_x_prior, AT_P_prior) ? 1 : -1;
+    return set_mixture(h, filter, &f, AT_x_prior, AT_P_prior) ? 1 : -1;
 }
 
 /* Whether H x is a number everywhere. */
@@ -129,19 +132,22 @@ static int is_finite_product(const double *H, const double *x, npy_intp m, npy_i
 }
 
 static int correct_mixture(held *h, PyObject *filter, PyObject *z) {
-    static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT__policy, AT__kept,
-                                           AT_dim_z, AT_inv, AT_R, AT_H, AT__memory};
+    static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT__kept, AT_dim_z,
+                                           AT_inv, AT_R, AT_H, AT__memory, AT__policy};
     PyObject *const *const given = h->objects;
-    PyObject *seen, *shown, *known, *weights, *outlying, *H_too, *R_too, *make, *record, *kept, *probability;
+    PyObject *seen, *shown, *known, *weights, *outlying, *H_too, *R_too, *make, *record, *probability;
     mixture f;
     const double *H, *R, *before;
     double stack[STACK_WORK], *work, likelihood = 0, ordinary = 1;
-    int fine = hold_all(h, filter, names, sizeof names / sizeof *names);
-    if (fine > 0) fine = take_mixture(h, given, &f);
+    int fine;
+    if (hold_all(h, filter, names, sizeof names / sizeof *names) < 0 || !hold_attribute(h, given[9], AT_rule)) return -1;
+    make = hold_attribute(h, given[9], AT_record);
+    if (!make) return -1;
+    fine = take_mixture(h, given, given[10], &f);
     if (fine <= 0) return fine;
-    const int n = (int)f.now.n, m = (int)whole_number(given[5]), width = learnt_width(f.rule.K);
-    if (m < 1 || m > 1000 || given[6] != numpy_inverse || !f.rule.learns) return 0;
-    R = matrix_of(given[7], m, m), H = matrix_of(given[8], m, n), before = matrix_of(given[9], m, width);
+    const int n = (int)f.now.n, m = (int)whole_number(given[4]), width = learnt_width(f.rule.K);
+    if (m < 1 || m > 1000 || given[5] != numpy_inverse || !f.rule.learns) return 0;
+    R = matrix_of(given[6], m, m), H = matrix_of(given[7], m, n), before = matrix_of(given[8], m, width);
     if (!R || !H || !before || !is_finite_product(H, f.now.x, m, n)) return 0;
     /* z is shown in the shape of x, and kept as a vector. */
     seen = array_of(h, 1, m, 0, 0);
@@ -159,16 +165,14 @@ static int correct_mixture(held *h, PyObject *filter, PyObject *z) {
     work_done(stack, work);
     if (!fine) return 0;
     for (int i = 0; i < m; i++) ordinary *= 1 - numbers_of(outlying)[i];
-    make = hold_attribute(h, given[3], AT_record);
-    H_too = make ? copied(h, H, 2, m, n) : NULL;
+    H_too = copied(h, H, 2, m, n);
     R_too = H_too ? copied(h, R, 2, m, m) : NULL;
-    kept = R_too ? next_kept(h, &f) : NULL;
-    probability = kept ? hold(h, PyFloat_FromDouble(m == 1 ? numbers_of(outlying)[0] : 1 - ordinary)) : NULL;
+    probability = R_too ? hold(h, PyFloat_FromDouble(m == 1 ? numbers_of(outlying)[0] : 1 - ordinary)) : NULL;
     shown = probability ? copied(h, numbers_of(seen), f.now.ndim, m, 1) : NULL;
     record = shown ? hold(h, PyObject_CallFunction(make, "OOOdOOOOOOOOO", f.x_next, f.P_next, known, likelihood, weights,
-                                                   outlying, f.x, f.P, H_too, R_too, Py_None, seen, given[9]))
+                                                   outlying, f.x, f.P, H_too, R_too, Py_None, seen, given[8]))
                    : NULL;
-    if (!record || !set_mixture(h, filter, &f, kept, AT_x_post, AT_P_post)) return -1;
+    if (!record || !set_mixture(h, filter, &f, AT_x_post, AT_P_post)) return -1;
     if (set_attribute(filter, AT_z, shown) < 0 || set_attribute(filter, AT__last, record) < 0 ||
         set_attribute(filter, AT__memory, known) < 0 || set_attribute(filter, AT__outlier_probability, probability) < 0)
         return -1;

@@ -13,13 +13,13 @@ int hold_all(held *h, PyObject *filter, const enum attribute *which, int count) 
     return 1;
 }
 
-/* A whole number > 0, or 0. */
+/* A whole number from 1 to 10000, or 0: also of the square of such a size there is an int. */
 npy_intp whole_number(PyObject *object) {
     npy_intp found;
     if (!PyLong_CheckExact(object)) return 0;
     found = PyLong_AsSsize_t(object);
     if (found == -1 && PyErr_Occurred()) PyErr_Clear();
-    return found > 0 ? found : 0;
+    return found > 0 && found <= 10000 ? found : 0;
 }
 
 /* Whether x is (n,) or (n, 1) and P a symmetric (n, n). */
@@ -63,7 +63,7 @@ int take_control(PyObject *B, PyObject *u, npy_intp n, double **control) {
         *control = NULL;
         return 1;
     }
-    if (!PyArray_CheckExact(B) || PyArray_NDIM((PyArrayObject *)B) != 2) return 0;
+    if (!is_array(B, 2)) return 0;
     width = PyArray_DIM((PyArrayObject *)B, 1);
     matrix = matrix_of(B, n, width);
     if (width != 1 || !number_of(u, &number)) values = vector_of(u, width);
@@ -146,11 +146,11 @@ typedef struct {
 static int take_sensors(PyObject *const given[3], PyObject *const own[5], npy_intp n, sensors *s) {
     PyObject *const dim_z = own[0], *const inverse = own[1], *const memory = own[4];
     PyObject *const R = given[0] == Py_None ? own[2] : given[0], *const H = given[1] == Py_None ? own[3] : given[1];
-    if (inverse != numpy_inverse || !PyArray_CheckExact(H) || PyArray_NDIM((PyArrayObject *)H) != 2) return 0;
+    if (inverse != numpy_inverse || !is_array(H, 2)) return 0;
     s->m = PyArray_DIM((PyArrayObject *)H, 0);
     s->H = matrix_of(H, s->m, n);
     s->R = matrix_of(R, s->m, s->m);
-    if (s->m < 1 || !s->H || !s->R || (given[1] == Py_None && s->m != whole_number(dim_z))) return 0;
+    if (s->m < 1 || s->m > 10000 || !s->H || !s->R || (given[1] == Py_None && s->m != whole_number(dim_z))) return 0;
     s->M = s->memory = NULL;
     if (given[2] != Py_None) {
         s->M = matrix_of(given[2], n, s->m);
@@ -257,8 +257,7 @@ static PyObject *correct_moments(PyObject *self, PyObject *const *given, Py_ssiz
         PyErr_SetString(PyExc_TypeError, "correct_moments: expected rule, P, z, y, C, S, R and memory");
         return NULL;
     }
-    if (!rule_of(given[0], &rule) || !PyArray_CheckExact(given[4]) || PyArray_NDIM((PyArrayObject *)given[4]) != 2)
-        Py_RETURN_NONE;
+    if (!rule_of(given[0], &rule) || !is_array(given[4], 2)) Py_RETURN_NONE;
     const npy_intp n = PyArray_DIM((PyArrayObject *)given[4], 0), m = PyArray_DIM((PyArrayObject *)given[4], 1);
     P = matrix_of(given[1], n, n), z = vector_of(given[2], m), y = vector_of(given[3], m);
     C = matrix_of(given[4], n, m), S = matrix_of(given[5], m, m), R = matrix_of(given[6], m, m);

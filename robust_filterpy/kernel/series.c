@@ -24,25 +24,15 @@ static span_function *const spans[] = {span_any,
 #undef SPAN
 };
 
-/* Take room for results, shape (series, rows, width), or None; return whether it is that. */
-static int take_room(double **found, PyObject *object, npy_intp series, npy_intp rows, npy_intp width) {
-    const npy_intp shape[3] = {series, rows, width};
-    *found = NULL;
-    return object == Py_None || (*found = writable(object, 3, shape)) != NULL;
-}
-
 static PyObject *filter_series(PyObject *self, PyObject *arguments) {
-    PyObject *rule, *z, *F, *Q, *H, *R, *u, *x, *P, *memory, *means, *covariances, *means_p, *covariances_p, *weights;
-    PyObject *likelihood, *done;
+    PyObject *rule, *z, *matrices, *x, *P, *memory, *rooms, *likelihood, *done, *model[5], *out[5];
     Py_ssize_t steps, first, every, low, high, width;
     series_job job = {0};
     (void)self;
-    if (!PyArg_ParseTuple(arguments, "OO(OOOOO)OOO(OOOOO)OO(nnnndpn)n", &rule, &z, &F, &Q, &H, &R, &u, &x, &P, &memory,
-                          &means, &covariances, &means_p, &covariances_p, &weights, &likelihood, &done, &first, &steps,
-                          &low, &high, &job.alpha_sq, &job.update_first, &every, &width))
+    if (!PyArg_ParseTuple(arguments, "OOOOOOOOO(nnnndpn)n", &rule, &z, &matrices, &x, &P, &memory, &rooms, &likelihood,
+                          &done, &first, &steps, &low, &high, &job.alpha_sq, &job.update_first, &every, &width))
         return NULL;
-    if (!PyArray_CheckExact(z) || PyArray_NDIM((PyArrayObject *)z) != 3 || !PyArray_CheckExact(x) ||
-        PyArray_NDIM((PyArrayObject *)x) != 2)
+    if (!take_objects(matrices, 5, model) || !take_objects(rooms, 5, out) || !is_array(z, 3) || !is_array(x, 2))
         goto refused;
     {
         const npy_intp series = PyArray_DIM((PyArrayObject *)z, 0), all = PyArray_DIM((PyArrayObject *)z, 1);
@@ -53,27 +43,21 @@ static PyObject *filter_series(PyObject *self, PyObject *arguments) {
             goto refused;
         const npy_intp rows = all / every;
         if (!rule_of(rule, &job.rule) || !take_matrices(&job.z, z, series, all, m, 0) ||
-            !take_matrices(&job.F, F, series, all, n, n) ||
-            !take_matrices(&job.Q, Q, series, all, n, n) || !take_matrices(&job.H, H, series, all, m, n) ||
-            !take_matrices(&job.R, R, series, all, m, m) ||
-            (u != Py_None && !take_matrices(&job.control, u, series, all, n, 0)))
+            !take_matrices(&job.F, model[0], series, all, n, n) || !take_matrices(&job.Q, model[1], series, all, n, n) ||
+            !take_matrices(&job.H, model[2], series, all, m, n) || !take_matrices(&job.R, model[3], series, all, m, m) ||
+            (model[4] != Py_None && !take_matrices(&job.control, model[4], series, all, n, 0)))
             goto refused;
         /* Of z no axis may be shared. */
         job.z.by_series = all * m, job.z.by_step = m;
         job.x = writable(x, 2, states), job.P = writable(P, 3, states);
         job.memory = memory == Py_None ? NULL : (spread_memory *)writable(memory, 3, memories);
-        if (!job.x || !job.P || (job.rule.scaling == SCALING_LEARNT && !job.memory) || !take_room(&job.means, means, series, rows, n) ||
-            !take_room(&job.covariances, covariances, series, rows, width) ||
-            !take_room(&job.means_p, means_p, series, rows, n) ||
-            !take_room(&job.covariances_p, covariances_p, series, rows, width) ||
-            !take_room(&job.weights, weights, series, rows, m))
-            goto refused;
         job.log_likelihood = writable(likelihood, 1, states);
-        if (!job.log_likelihood || !PyArray_CheckExact(done) || PyArray_TYPE((PyArrayObject *)done) != NPY_INTP ||
-            !PyArray_ISCARRAY((PyArrayObject *)done) || PyArray_NDIM((PyArrayObject *)done) != 1 ||
-            PyArray_DIM((PyArrayObject *)done, 0) != series)
+        if (!job.x || !job.P || !job.log_likelihood || (job.rule.scaling == SCALING_LEARNT && !job.memory) ||
+            !take_room(&job.means, out[0], series, rows, n) || !take_room(&job.covariances, out[1], series, rows, width) ||
+            !take_room(&job.means_p, out[2], series, rows, n) ||
+            !take_room(&job.covariances_p, out[3], series, rows, width) ||
+            !take_room(&job.weights, out[4], series, rows, m) || !(job.done = integers(done, series, -1)))
             goto refused;
-        job.done = PyArray_DATA((PyArrayObject *)done);
         if (job.rule.scaling != SCALING_LEARNT) job.memory = NULL;
         job.n = (int)n, job.m = (int)m, job.steps = steps, job.first_step = first, job.every = every, job.rows = rows;
         job.covariance_width = (int)width;

@@ -9,7 +9,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.kernel.records import Model, Output
 
-__all__ = ["filter_series", "rule", "serves"]
+__all__ = ["filter_series", "plain", "rule", "serves"]
 
 # As psi.h and correction.h number them, too.
 _KINDS = ("linear", "huber", "hampel", "tukey", "student_t")
@@ -119,13 +119,22 @@ def filter_series(
     width = next((a.shape[2] for a in (kept[1], kept[3]) if a is not None), 0)
     kept = [None if a is not None and a.shape[2] == 0 else a for a in kept]
     kernel.extension().filter_series(
-        rule(choices), np.ascontiguousarray(zs), tuple(map(_plain, model)), x, P, memory, tuple(kept),
+        rule(choices), np.ascontiguousarray(zs), tuple(map(plain, model)), x, P, memory, tuple(kept),
         output.log_likelihood, done,
         (start, zs.shape[1] if stop is None else stop, low, high, float(alpha_sq), bool(update_first), every), width,
     )  # fmt: skip
     return done
 
 
-def _plain(array: Array) -> Array:
-    """Return an array as the kernel takes it."""
+def plain(array: Array) -> Array:
+    """Return an array as the kernel takes it.
+
+    Parameters
+    ----------
+    array : array_like
+
+    Returns
+    -------
+    ndarray of float64, C-contiguous
+    """
     return np.ascontiguousarray(array, dtype=np.float64)

@@ -40,32 +40,34 @@ static int take_result(double **found, PyObject *object, int ndim, npy_intp seri
 }
 
 static PyObject *smooth(PyObject *self, PyObject *arguments) {
-    PyObject *F, *G, *c, *H, *z, *x0, *P0, *d, *o, *q, *fitted, *spread, *score, *information, *x, *P, *x_first, *P_first;
+    PyObject *groups[3], *model[7], *weighting[3], *out[8];
     smoother_job job = {0};
     (void)self;
-    if (!PyArg_ParseTuple(arguments, "(OOOOOOO)(OOO)(OOOOOOOO)", &F, &G, &c, &H, &z, &x0, &P0, &d, &o, &q, &fitted,
-                          &spread, &score, &information, &x, &P, &x_first, &P_first))
-        return NULL;
-    if (!PyArray_CheckExact(z) || PyArray_NDIM((PyArrayObject *)z) != 3 || !PyArray_CheckExact(G) ||
-        PyArray_NDIM((PyArrayObject *)G) != 4)
+    if (!take_objects(arguments, 3, groups) || !take_objects(groups[0], 7, model) ||
+        !take_objects(groups[1], 3, weighting) || !take_objects(groups[2], 8, out) || !is_array(model[4], 3) ||
+        !is_array(model[1], 4))
         goto refused;
     {
+        PyObject *const G = model[1], *const z = model[4];
         const npy_intp series = PyArray_DIM((PyArrayObject *)z, 0), steps = PyArray_DIM((PyArrayObject *)z, 1);
         const npy_intp m = PyArray_DIM((PyArrayObject *)z, 2), n = PyArray_DIM((PyArrayObject *)G, 2);
         const npy_intp r = PyArray_DIM((PyArrayObject *)G, 3), states[3] = {series, n, n};
         if (n < 1 || m < 1 || r < 0 || n > 10000 || m > 10000 || r > 10000) goto refused;
-        if (!take_matrices(&job.F, F, series, steps, n, n) || !take_matrices(&job.G, G, series, steps, n, r) ||
-            !take_matrices(&job.c, c, series, steps, n, 0) || !take_matrices(&job.H, H, series, steps, m, n) ||
-            !take_matrices(&job.z, z, series, steps, m, 0) || !take_matrices(&job.x0, x0, series, 1, n, 0) ||
-            !take_matrices(&job.P0, P0, series, 1, n, n) || !take_matrices(&job.d, d, series, steps, m, 0) ||
-            !take_matrices(&job.o, o, series, steps, m, 0) || !take_matrices(&job.q, q, series, steps, 1, 0))
+        if (!take_matrices(&job.F, model[0], series, steps, n, n) || !take_matrices(&job.G, G, series, steps, n, r) ||
+            !take_matrices(&job.c, model[2], series, steps, n, 0) ||
+            !take_matrices(&job.H, model[3], series, steps, m, n) || !take_matrices(&job.z, z, series, steps, m, 0) ||
+            !take_matrices(&job.x0, model[5], series, 1, n, 0) || !take_matrices(&job.P0, model[6], series, 1, n, n) ||
+            !take_matrices(&job.d, weighting[0], series, steps, m, 0) ||
+            !take_matrices(&job.o, weighting[1], series, steps, m, 0) ||
+            !take_matrices(&job.q, weighting[2], series, steps, 1, 0))
             goto refused;
-        if (!(job.fitted = writable(fitted, 3, (npy_intp[]){series, steps, m})) ||
-            !take_result(&job.spread, spread, 4, series, steps, m, m) ||
-            !take_result(&job.score, score, 3, series, steps, r, 0) ||
-            !take_result(&job.information, information, 4, series, steps, r, r) ||
-            !take_result(&job.x, x, 3, series, steps, n, 0) || !take_result(&job.P, P, 4, series, steps, n, n) ||
-            !(job.x_first = writable(x_first, 2, states)) || !(job.P_first = writable(P_first, 3, states)))
+        if (!(job.fitted = writable(out[0], 3, (npy_intp[]){series, steps, m})) ||
+            !take_result(&job.spread, out[1], 4, series, steps, m, m) ||
+            !take_result(&job.score, out[2], 3, series, steps, r, 0) ||
+            !take_result(&job.information, out[3], 4, series, steps, r, r) ||
+            !take_result(&job.x, out[4], 3, series, steps, n, 0) ||
+            !take_result(&job.P, out[5], 4, series, steps, n, n) || !(job.x_first = writable(out[6], 2, states)) ||
+            !(job.P_first = writable(out[7], 3, states)))
             goto refused;
         if (!job.x != !job.P || !job.score != !job.information || ((job.x || job.score) && !job.spread)) goto refused;
         job.steps = steps, job.n = (int)n, job.m = (int)m, job.r = (int)r;

@@ -11,11 +11,10 @@ typedef struct {
 
 typedef struct {
     tracker_layout layout;
-    const double *options; /* (1 or actuators, 8) */
-    const double *F, *Q;   /* (1 or actuators, n, n) */
+    series_matrices options, F, Q; /* (8), (n, n), (n, n) of each actuator or of all; one step */
     const double *alpha_sq, *windup, *centre;
     const npy_intp *flags; /* (actuators, 4): filtered, guard, cleans, learns */
-    npy_intp by_option, by_F, by_Q, actuators, samples;
+    npy_intp actuators, samples;
     signal y, u, R;        /* R has no data where none is told */
     double *state[10];     /* the arrays of tracker_state in its order */
     npy_intp sizes[10];
@@ -32,15 +31,16 @@ static int is_identity(const int n, const double *F) {
 /* Take an actuator through its samples; n is a constant where this is inlined. */
 INLINE void one_actuator(const job *const j, const int n, const npy_intp i, double *const work) {
     const npy_intp *const flags = j->flags + 4 * i;
-    const double *const options = j->options + i * j->by_option, *const F = j->F + i * j->by_F;
-    const tracker_rule rule = {{{(int)options[0], options[1], options[2], options[3]}, (int)options[4], (int)options[5],
-                                options[6], options[7]},
-                               (int)flags[0], (int)flags[1], (int)flags[2], (int)flags[3], 0,
-                               is_identity(n, F) ? NULL : F, j->Q + i * j->by_Q, j->alpha_sq[i], j->windup[i]};
+    const double *const F = j->F.data + i * j->F.by_series;
+    tracker_rule rule = {.filtered = flags[0] != 0, .guard = (int)flags[1], .cleans = flags[2] != 0,
+                         .learns = flags[3] != 0, .F = is_identity(n, F) ? NULL : F,
+                         .Q = j->Q.data + i * j->Q.by_series, .alpha_sq = j->alpha_sq[i], .windup = j->windup[i]};
     double *at[10];
     for (int a = 0; a < 10; a++) at[a] = j->state[a] + i * j->sizes[a];
     const tracker_state state = {at[0], at[1], at[2], at[3], at[4], at[5], at[6], at[7], at[8], at[9]};
     npy_intp k = 0;
+    j->done[i] = 0;
+    if (!rule_of_numbers(j->options.data + i * j->options.by_series, &rule.correction)) return;
     for (; k < j->samples; k++) {
         const double y = j->y.data[i * j->y.by_actuator + k * j->y.by_sample] - j->centre[i];
         const double told = j->R.data ? j->R.data[i * j->R.by_actuator + k * j->R.by_sample] : (double)NAN;
@@ -84,9 +84,8 @@ static span *const spans[] = {any_size, any_size, size_2, any_size, size_4, any_
 static int take_signal(PyObject *object, const job *const j, const npy_intp width, signal *const found) {
     PyArrayObject *const array = (PyArrayObject *)object;
     const int ndim = width < 0 ? 2 : 3;
-    if (!PyArray_CheckExact(object) || PyArray_TYPE(array) != NPY_DOUBLE || !PyArray_ISALIGNED(array) ||
-        PyArray_ISBYTESWAPPED(array) || PyArray_NDIM(array) != ndim || PyArray_DIM(array, 0) != j->actuators ||
-        PyArray_DIM(array, 1) != j->samples)
+    if (!is_array(object, ndim) || PyArray_TYPE(array) != NPY_DOUBLE || !PyArray_ISBEHAVED_RO(array) ||
+        PyArray_DIM(array, 0) != j->actuators || PyArray_DIM(array, 1) != j->samples)
         return 0;
     if (ndim == 3 && (PyArray_DIM(array, 2) != width || (width > 1 && PyArray_STRIDE(array, 2) != sizeof(double)))) return 0;
     if (PyArray_STRIDE(array, 0) % (npy_intp)sizeof(double) || PyArray_STRIDE(array, 1) % (npy_intp)sizeof(double)) return 0;
@@ -94,28 +93,6 @@ static int take_signal(PyObject *object, const job *const j, const npy_intp widt
     found->by_actuator = PyArray_STRIDE(array, 0) / (npy_intp)sizeof(double);
     found->by_sample = PyArray_STRIDE(array, 1) / (npy_intp)sizeof(double);
     return 1;
-}
-
-/* Integers, C-contiguous, with these dimensions; columns < 0: a vector. */
-static npy_intp *integers(PyObject *object, const npy_intp rows, const npy_intp columns) {
-    PyArrayObject *const array = (PyArrayObject *)object;
-    if (!PyArray_CheckExact(object) || PyArray_TYPE(array) != NPY_INTP || !PyArray_ISCARRAY(array) ||
-        PyArray_NDIM(array) != (columns < 0 ? 1 : 2) || (rows >= 0 && PyArray_DIM(array, 0) != rows) ||
-        (columns >= 0 && PyArray_DIM(array, 1) != columns))
-        return NULL;
-    return PyArray_DATA(array);
-}
-
-/* Numbers of shape (1 or actuators, rows, columns), columns < 0: (.., rows); writes how far apart two actuators are. */
-static const double *of_each(PyObject *object, const job *const j, const npy_intp rows, const npy_intp columns, npy_intp *by) {
-    PyArrayObject *const array = (PyArrayObject *)object;
-    const int ndim = columns < 0 ? 2 : 3;
-    if (!PyArray_CheckExact(object) || PyArray_TYPE(array) != NPY_DOUBLE || !PyArray_ISCARRAY_RO(array) ||
-        PyArray_NDIM(array) != ndim || PyArray_DIM(array, 1) != rows || (ndim == 3 && PyArray_DIM(array, 2) != columns))
-        return NULL;
-    if (PyArray_DIM(array, 0) != 1 && PyArray_DIM(array, 0) != j->actuators) return NULL;
-    *by = PyArray_DIM(array, 0) == 1 ? 0 : rows * (columns < 0 ? 1 : columns);
-    return numbers_of(object);
 }
 
 #define PLACES 12 /* na nc nd nf, a c d f, inputs, lags, length, starts; then start, used, source */
@@ -147,20 +124,16 @@ static int take_layout(PyObject *object, const int n, const npy_intp width, trac
 }
 
 static PyObject *track(PyObject *self, PyObject *arguments) {
-    PyObject *layout, *options, *F, *Q, *alpha_sq, *windup, *centre, *flags, *y, *u, *R, *state[10], *out[6], *done;
+    PyObject *groups[6], *told[7], *signals[3], *state[10], *out[6], *layout, *y, *u, *R;
     job j = {0};
     double *work = NULL;
     int *room = NULL;
     (void)self;
-    if (!PyArg_ParseTuple(arguments, "O(OOOOOOO)(OOO)(OOOOOOOOOO)(OOOOOO)O", &layout, &options, &F, &Q, &alpha_sq, &windup,
-                          &centre, &flags, &y, &u, &R, &state[0], &state[1], &state[2], &state[3], &state[4], &state[5],
-                          &state[6], &state[7], &state[8], &state[9], &out[0], &out[1], &out[2], &out[3], &out[4],
-                          &out[5], &done))
-        return NULL;
-    if (!PyArray_CheckExact(y) || PyArray_NDIM((PyArrayObject *)y) != 2 || !PyArray_CheckExact(state[0]) ||
-        PyArray_NDIM((PyArrayObject *)state[0]) != 2 || !PyArray_CheckExact(u) || PyArray_NDIM((PyArrayObject *)u) != 3 ||
-        !PyArray_CheckExact(layout) || PyArray_NDIM((PyArrayObject *)layout) != 1)
+    if (!take_objects(arguments, 6, groups) || !take_objects(groups[1], 7, told) ||
+        !take_objects(groups[2], 3, signals) || !take_objects(groups[3], 10, state) || !take_objects(groups[4], 6, out))
         goto refused;
+    layout = groups[0], y = signals[0], u = signals[1], R = signals[2];
+    if (!is_array(y, 2) || !is_array(state[0], 2) || !is_array(u, 3) || !is_array(layout, 1)) goto refused;
     j.actuators = PyArray_DIM((PyArrayObject *)y, 0), j.samples = PyArray_DIM((PyArrayObject *)y, 1);
     const npy_intp n = PyArray_DIM((PyArrayObject *)state[0], 1), width = PyArray_DIM((PyArrayObject *)u, 2);
     if (n < 1 || n > 10000) goto refused;
@@ -186,18 +159,18 @@ static PyObject *track(PyObject *self, PyObject *arguments) {
     }
     {
         const npy_intp wide[3] = {j.actuators, j.samples, n};
-        j.options = of_each(options, &j, 8, -1, &j.by_option);
-        j.F = of_each(F, &j, n, n, &j.by_F), j.Q = of_each(Q, &j, n, n, &j.by_Q);
-        j.alpha_sq = vector_of(alpha_sq, j.actuators), j.windup = vector_of(windup, j.actuators);
-        j.centre = vector_of(centre, j.actuators), j.flags = integers(flags, j.actuators, 4);
+        j.alpha_sq = vector_of(told[3], j.actuators), j.windup = vector_of(told[4], j.actuators);
+        j.centre = vector_of(told[5], j.actuators), j.flags = integers(told[6], j.actuators, 4);
         j.theta = writable(out[0], 3, wide), j.variance = writable(out[1], 3, wide);
         j.prediction = writable(out[2], 2, wide), j.residual = writable(out[3], 2, wide);
         j.weights = writable(out[4], 2, wide), j.guard = integers(out[5], j.actuators, j.samples);
-        j.done = integers(done, j.actuators, -1);
+        j.done = integers(groups[5], j.actuators, -1);
     }
-    if (!j.options || !j.F || !j.Q || !j.alpha_sq || !j.windup || !j.centre || !j.flags || !j.theta || !j.variance ||
-        !j.prediction || !j.residual || !j.weights || !j.guard || !j.done || !take_signal(y, &j, -1, &j.y) ||
-        !take_signal(u, &j, width, &j.u) || (R != Py_None && !take_signal(R, &j, -1, &j.R)))
+    if (!take_matrices(&j.options, told[0], j.actuators, 1, 8, 0) ||
+        !take_matrices(&j.F, told[1], j.actuators, 1, n, n) || !take_matrices(&j.Q, told[2], j.actuators, 1, n, n) ||
+        !j.alpha_sq || !j.windup || !j.centre || !j.flags || !j.theta || !j.variance || !j.prediction || !j.residual ||
+        !j.weights || !j.guard || !j.done || !take_signal(y, &j, -1, &j.y) || !take_signal(u, &j, width, &j.u) ||
+        (R != Py_None && !take_signal(R, &j, -1, &j.R)))
         goto refused;
     Py_BEGIN_ALLOW_THREADS;
     spans[n < (npy_intp)(sizeof spans / sizeof *spans) ? n : 0](&j, (int)n, work);

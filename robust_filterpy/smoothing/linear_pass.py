@@ -26,6 +26,7 @@ import numpy as np
 
 from robust_filterpy import kernel
 from robust_filterpy._checks import Array
+from robust_filterpy.kernel.series import plain
 
 __all__ = ["Model", "Smooth", "Weighting", "smoothing_pass"]
 
@@ -116,13 +117,8 @@ def smoothing_pass(
     else:
         given = model._replace(x0=model.x0[:, None], P0=model.P0[:, None])
         weights = weighting._replace(process_scale=weighting.process_scale[..., None])
-        extension.smooth(tuple(map(_plain, given)), tuple(map(_plain, weights)), tuple(out))
+        extension.smooth(tuple(map(plain, given)), tuple(map(plain, weights)), tuple(out))
     return out
-
-
-def _plain(array: Array) -> Array:
-    """Return an array as the kernel takes it."""
-    return np.ascontiguousarray(array, dtype=np.float64)
 
 
 def _room(model: Model, weighting: Weighting, spread: bool, states: bool, process: bool) -> Smooth:

@@ -28,7 +28,7 @@ from robust_filterpy.identification.recursive.recursion import Recursion
 from robust_filterpy.identification.recursive.start import ColdStart
 from robust_filterpy.identification.recursive.state import Form, Past, State
 from robust_filterpy.identification.recursive.watch import News
-from robust_filterpy.kernel.series import SCALINGS, rule
+from robust_filterpy.kernel.series import SCALINGS, plain, rule
 
 # So many samples at most go to the definition before the kernel has another try.
 _MOST_ODD = 1024
@@ -230,7 +230,7 @@ def _taken(
     if which.size == len(now.theta):
         theta, P, scale, *past = (stack.copy() for stack in stacks)
     else:
-        theta, P, scale, *past = (_plain(stack[which]) for stack in stacks)
+        theta, P, scale, *past = (plain(stack[which]) for stack in stacks)
     arrays = _Arrays(theta, P, Past(*past), scale)
     after = np.full(len(which), part.start)
     stops = _last_shown(using, signals[0], part)
@@ -275,13 +275,13 @@ def _by_kernel(
     flags[:, 0], flags[:, 1] = form.gradient[own] == "filtered", [GUARDS.index(name) for name in form.guard[own]]
     flags[:, 2], flags[:, 3] = form.cleans, using.enabled[own]
     rules = np.stack([rule(choice) for choice in using.choices])  # type: ignore[misc, union-attr]
-    shared = [a if len(a) == 1 else a[own] for a in (rules, using.F, using.Q)]
+    shared = [(a if len(a) == 1 else a[own])[:, None] for a in (rules, using.F, using.Q)]
     written = Columns(*(column[own, part] for column in out))
     blocks = [np.ascontiguousarray(column) for column in written]
     done = np.zeros(len(here), dtype=np.intp)
     kernel.extension().track(
         form.layout.numbers,
-        (*map(_plain, (*shared, using.alpha_sq[own], now.windup[own], now.centre[own])), flags),
+        (*map(plain, (*shared, using.alpha_sq[own], now.windup[own], now.centre[own])), flags),
         (y[own, part], u[own, part], None if R is None else R[own, part]),
         tuple(a[rows] for a in (arrays.theta, arrays.P, *arrays.past, arrays.scale)), tuple(blocks), done,
     )  # fmt: skip
@@ -331,8 +331,3 @@ def _by_definition(
     arrays.scale[row] = setup.told_variance(kf), *scale
     for stack, value in zip(arrays.past, Past.of(memory), strict=True):
         stack[row] = value[0]
-
-
-def _plain(array: Any) -> Array:
-    """Return an array as the kernel takes it."""
-    return np.ascontiguousarray(array, dtype=np.float64)
