@@ -14,6 +14,7 @@
 * `cleaning`: outliers that the regressor holds,
 * `missing`: outputs that it holds and nobody measured,
 * `search`: all of these together, and which of several ends to believe.
+* `limits`: parameters that are fixed, or between bounds;
 * `threads`: one thread of linear algebra, since the matrices are small.
 
 Imports from below: `models`.

@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.estimation.excitation_check import require_informative
+from robust_filterpy.identification.estimation.limits import Limits
 from robust_filterpy.identification.estimation.prediction_error import sandwich
 from robust_filterpy.identification.estimation.search import End, ends, known_part
 from robust_filterpy.identification.estimation.threads import one_thread
@@ -56,6 +57,8 @@ class Problem(NamedTuple):
         Whether something may have been in motion when the recording began.
     begins : tuple of int
         First sample of each recording, for several that follow each other.
+    limits : Limits or None
+        Where theta may be.
     """
 
     structure: Structure
@@ -67,6 +70,7 @@ class Problem(NamedTuple):
     dt: float | None
     moving: bool = True
     begins: tuple[int, ...] = (0,)
+    limits: Limits | None = None
 
     @property
     def spans(self) -> tuple[slice, ...]:
@@ -122,7 +126,9 @@ def estimated(problem: Problem, y: Array) -> Model:
     _require_samples(problem, missing, model.first)
     require_informative(model, missing)
     with one_thread():
-        ranked = ends(model, missing, problem.influence, None if known is None else known / units.y**2)
+        told = problem.limits
+        limits = None if told is None else told.times(1.0 / units.factor(structure))
+        ranked = ends(model, missing, problem.influence, None if known is None else known / units.y**2, limits)
     best = ranked[0].end
     output = _output(model, best)
     endings = tuple(Ending(end.starts, excess, _apart(output, _output(model, end))) for end, excess in ranked)
@@ -132,8 +138,14 @@ def estimated(problem: Problem, y: Array) -> Model:
     recorded = problem.residuals_of(best.y * units.y + units.centre, signal)
     # Where an outlier stood in the regressor: what was measured, less what stands there now.
     replaced = np.where(best.outliers.wrong & ~missing, y - recorded.y, 0.0)
-    p = units.back(model, best.p)
-    found = replace(_as_model(recorded, p, best, missing, replaced, units.y, known, endings, doubt), dt=problem.dt)
+    p, held = units.back(model, best.p), np.zeros(model.n, dtype=bool)
+    if told is not None and limits is not None:
+        # Exactly as told, not as units have rounded it.
+        p = told.inside(p)
+        held = limits.held(best.p, model.jacobian(best.p)[best.rows].T @ best.noise.psi(best.residual[best.rows]))
+        doubt = "; ".join(words for words in (doubt, _at_limits(structure, held, limits)) if words)
+    found = _as_model(recorded, p, best, missing, replaced, units.y, known, endings, doubt, held)
+    found = replace(found, dt=problem.dt)
     if not isinstance(recorded, SeveralRecordings):
         return _with_inputs_from_zero(found, recorded, p, problem.rest)
     several = range(len(problem.begins))
@@ -170,12 +182,18 @@ class _Units(NamedTuple):
         """Return y from its centre in its scale, 0 where it is missing."""
         return np.clip(np.nan_to_num((y - self.centre) / self.y, nan=0.0), -_LARGEST, _LARGEST)
 
+    def factor(self, structure: Structure) -> Array:
+        """Return what makes parameters those of the recording as it was measured, shape (n_theta,)."""
+        found = np.ones(structure.n_theta)
+        for place, size in zip(structure.polynomials.b, self.u, strict=True):
+            found[place] = self.y / size
+        return found
+
     def back(self, model: PolynomialModel, p: Array) -> Array:
         """Return the free parameters for the recording as it was measured."""
         places, n = model.structure.polynomials, model.structure.n_theta
         p = p.copy()
-        for place, size in zip(places.b, self.u, strict=True):
-            p[place] *= self.y / size
+        p[:n] *= self.factor(model.structure)
         p[n:] *= self.y
         if model.offset:
             p[n : n + len(self.begins)] += self.centre[list(self.begins)] * (1.0 + p[places.a].sum())
@@ -192,6 +210,7 @@ def _as_model(
     R: float | None,
     endings: tuple[Ending, ...],
     doubt: str,
+    held: Any,
 ) -> Model:
     """Return what was found, for the recording as it was measured, its outliers and gaps interpolated."""
     structure, n, rows = model.structure, model.structure.n_theta, end.rows
@@ -201,19 +220,22 @@ def _as_model(
     samples = int(rows.sum())
     found = end.noise.R * unit**2
     noise = replace(end.noise, R=found)
-    P = sandwich(*known_part(model, end._replace(p=p)), noise)
+    jacobian, shown = known_part(model, end._replace(p=p))
+    # What is held has no variance, and what the others then have.
+    jacobian[:, held] = 0.0
+    P = np.where(held | held[:, None], 0.0, sandwich(jacobian, shown, noise))
     weights = np.full(missing.size, np.nan)
     weights[model.first :] = noise.weights(residual)
     weights[end.outliers.wrong] = 0.0
     weights[missing] = np.nan
     offset = float(p[at]) if model.offset else 0.0
-    total = R or found * samples / (samples - model.n)
+    total = R or found * samples / (samples - model.n + held.sum())
     return Model(
         structure=structure,
         theta=p[:n],
         offset=offset,
         P=P[:n, :n],
-        offset_std=float(np.sqrt(max(P[at, at], 0.0))) if model.offset else 0.0,
+        offset_std=_offset_std(P, jacobian, at) if model.offset else 0.0,
         offset_covariance=P[:n, at] if model.offset else np.zeros(n),
         has_offset=model.offset,
         own_fit=_own_fit(model.y[model.first :], residual, rows),
@@ -224,6 +246,19 @@ def _as_model(
         warning=doubt,
         memory=filled_memory(*(model.of(-1, p) if isinstance(model, SeveralRecordings) else (model, p))),
     )
+
+
+def _offset_std(P: Array, jacobian: Array, at: int) -> float:
+    """Return the standard deviation of the constant, infinite where differences show none of it."""
+    return float(np.sqrt(max(P[at, at], 0.0))) if jacobian[:, at].any() else np.inf
+
+
+def _at_limits(structure: Structure, held: Any, limits: Limits) -> str:
+    """Say which parameters ended at a limit, or nothing."""
+    names = [name for name, at, told in zip(structure.names, held, limits.fixed, strict=False) if at and not told]
+    if not names:
+        return ""
+    return f"{', '.join(names)} ended at a bound; standard deviations are those of a model in which they stay there"
 
 
 def _require_samples(problem: Problem, missing: Any, first: int) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, overload
 
@@ -21,6 +22,7 @@ from robust_filterpy.identification.estimation.level import (
     unlike_in_parts,
     without_endless_motion,
 )
+from robust_filterpy.identification.estimation.limits import Limits
 from robust_filterpy.identification.estimation.recordings import recordings
 from robust_filterpy.identification.estimation.several import of_several
 from robust_filterpy.identification.estimation.state_space import identified_state_space
@@ -46,6 +48,8 @@ def identify(
     R: float | None = None,
     trend: str | None = None,
     groups: ArrayLike | None = None,
+    fixed: Mapping[str, float] | None = None,
+    bounds: Mapping[str, Any] | None = None,
     progress: bool | None = None,
 ) -> Model: ...
 
@@ -85,6 +89,8 @@ def identify(
     trend: str | None = None,
     groups: ArrayLike | None = None,
     t: ArrayLike | None = None,
+    fixed: Mapping[str, float] | None = None,
+    bounds: Mapping[str, Any] | None = None,
     progress: bool | None = None,
 ) -> Model | StateSpaceModel | GreyBoxModel:
     """Find the model of a recording with outliers, from nothing but the recording.
@@ -118,6 +124,12 @@ def identify(
         A label for each sample: those with the same one are a recording.
     t : array_like, shape (N,), optional
         Times in s, at any distance, of the samples for a GreyBox; else those of the index.
+    fixed : dict of str to float, optional
+        Parameters that are known, by their names as ``structure.names`` has them, such as ``{"a1": -1.5}``. They have
+        no variance, and the others that of a model in which these are known.
+    bounds : dict of str to (float, float), optional
+        Between which numbers others are, None or inf for no limit: ``{"b1": (0, None)}``. A parameter that ends at a
+        bound is named by ``warning``.
     progress : bool, optional
         Write on standard error, less and less often, what the search is at: True from the beginning, False never, None
         from 2 s on.
@@ -171,9 +183,9 @@ def identify(
     found: Model | StateSpaceModel | GreyBoxModel
     with stages("identify", progress):
         if isinstance(structure, (StateSpace, GreyBox)):
-            found = _of_outputs(y, u, structure, influence, groups, t, offset, R, trend)
+            found = _of_outputs(y, u, structure, influence, groups, t, offset, R, trend, fixed, bounds)
         else:
-            found = _of_polynomials(y, u, structure, influence, offset, R, trend, groups, t)
+            found = _of_polynomials(y, u, structure, influence, offset, R, trend, groups, t, fixed, bounds)
     for words in (said(found.findings), found.warning):
         if words:
             warn(f"identify: {words}")
@@ -181,8 +193,9 @@ def identify(
 
 
 def _of_polynomials(
-    y: Any, u: Any, structure: Any, influence: Any, offset: Any, R: Any, trend: Any, groups: Any, t: Any
-) -> Model:
+    y: Any, u: Any, structure: Any, influence: Any, offset: Any, R: Any, trend: Any, groups: Any, t: Any,
+    fixed: Any, bounds: Any,
+) -> Model:  # fmt: skip
     """Return a model of one output, or raise if it is asked for what it does not take."""
     if t is not None:
         raise ValueError(f"t: expected None for {structure}, whose samples are equally far apart; take a GreyBox")
@@ -196,6 +209,8 @@ def _of_polynomials(
         _checks.option("trend", trend, TRENDS)
         if not offset and trend != "none":
             raise ValueError(f'trend: expected "none" with offset=False, got {trend!r}; leave offset out')
+    told = Limits.of(structure, fixed, bounds)
+    limits = told if told.any else None
     recorded = recordings(structure, y, u, groups)
     signal = recorded.u
     has_offset = bool(offset) and trend != "none"
@@ -203,8 +218,9 @@ def _of_polynomials(
     rest = operating_point(signal) if moves else np.zeros(signal.shape[1])
     known = None if R is None else _checks.positive("R", R)
     dt = recorded.axis.dt
-    problem = Problem(structure, signal, rest, influence, has_offset, known, dt, begins=recorded.begins)
-    chosen = trend or ("breaks" if moves else "constant")
+    problem = Problem(structure, signal, rest, influence, has_offset, known, dt, begins=recorded.begins, limits=limits)
+    # Noise that is summed up has steps of its own.
+    chosen = trend or ("breaks" if moves and not structure.integrated else "constant")
     if len(recorded.begins) > 1:
         found, findings = of_several(problem, recorded.y, chosen)
     else:
@@ -222,9 +238,12 @@ def _of_outputs(
     y: Any, u: Any, structure: StateSpace | GreyBox, influence: Any, groups: Any, t: Any, *others: Any
 ) -> StateSpaceModel | GreyBoxModel:
     """Return a state-space or physical model, or raise if it is asked for what it does not take."""
-    for name, value, only in zip(("offset", "R", "trend"), others, (True, None, None), strict=True):
+    names, kind = ("offset", "R", "trend", "fixed", "bounds"), type(structure).__name__
+    for name, value, only in zip(names, others, (True, None, None, None, None), strict=True):
+        if value is not only and name in ("fixed", "bounds"):
+            mend = "GreyBox(.., fixed=, bounds=) has its own" if kind == "GreyBox" else "its matrices have no names"
+            raise ValueError(f"{name}: expected None for a {kind}, got {value!r}; {mend}")
         if value is not only:
-            kind = type(structure).__name__
             raise ValueError(f"{name}: expected {only} for a {kind}, which says itself what y has, got {value!r}")
     if influence is not None and not isinstance(influence, Influence):
         raise TypeError(f"influence: expected an influence function such as Huber(), got {influence!r}")

@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import numpy as np
 
 from robust_filterpy._checks import Array
+from robust_filterpy.identification.estimation.limits import Limits
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.noise_of_outputs import Noises
 
@@ -47,7 +48,15 @@ class Optimum(NamedTuple):
     converged: bool
 
 
-def minimised(model: Any, p: Array, noise: _Noise, rows: Array, clear: Array, most_steps: int = _MOST_STEPS) -> Optimum:
+def minimised(
+    model: Any,
+    p: Array,
+    noise: _Noise,
+    rows: Array,
+    clear: Array,
+    most_steps: int = _MOST_STEPS,
+    limits: Limits | None = None,
+) -> Optimum:
     """Minimise the loss of the residuals from p on.
 
     Parameters
@@ -64,6 +73,8 @@ def minimised(model: Any, p: Array, noise: _Noise, rows: Array, clear: Array, mo
         Which of them show the noise.
     most_steps : int, default 100
         Ends the search.
+    limits : Limits, optional
+        Where the parameters may be, as p is.
 
     Returns
     -------
@@ -75,15 +86,17 @@ def minimised(model: Any, p: Array, noise: _Noise, rows: Array, clear: Array, mo
         root = np.sqrt(noise.weights(residual[rows]) / noise.variance)
         further, derivatives = model.uncertainty(p)
         jacobian = np.concatenate((model.jacobian(p)[rows] * root[:, None], derivatives))
+        target = np.concatenate((root * residual[rows], further))
+        if limits is not None:
+            jacobian[:, limits.held(p, jacobian.T @ target)] = 0.0
         size = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
         size[size == 0.0] = 1.0
-        target = np.concatenate((root * residual[rows], further))
         cost = noise.cost(residual[rows]) + 0.5 * further @ further
         triangle = np.asarray(np.linalg.qr(np.column_stack((jacobian / size, target)), mode="r"))
         taken = None
         for _ in range(_MOST_SHORTENINGS):
             step, change = _step(triangle, damping)
-            trial = p - step / size
+            trial = p - step / size if limits is None else limits.inside(p - step / size)
             if model.is_stable(trial):
                 new = model.residuals(trial)
                 further, _ = model.uncertainty(trial)

@@ -14,6 +14,7 @@ from robust_filterpy._progress import stage
 from robust_filterpy.correction.contaminated import START, Contaminated
 from robust_filterpy.identification.estimation.cleaning import Outliers, found_outliers
 from robust_filterpy.identification.estimation.excitation_check import require_informative
+from robust_filterpy.identification.estimation.limits import Limits
 from robust_filterpy.identification.estimation.missing import CompletedModel, Unknowns, completed, response, touched
 from robust_filterpy.identification.estimation.prediction_error import Optimum, minimised
 from robust_filterpy.identification.estimation.starts import (
@@ -94,7 +95,9 @@ class Ranked(NamedTuple):
     excess: float
 
 
-def ends(model: PolynomialModel, missing: Any, influence: Influence | None, R: float | None) -> list[Ranked]:
+def ends(
+    model: PolynomialModel, missing: Any, influence: Influence | None, R: float | None, limits: Limits | None = None
+) -> list[Ranked]:
     """Search from every start.
 
     Parameters
@@ -107,6 +110,8 @@ def ends(model: PolynomialModel, missing: Any, influence: Influence | None, R: f
         Loss; None: Huber's first, then that of the noise as it is learnt.
     R : float or None
         Variance of the noise, if it is known.
+    limits : Limits, optional
+        Where theta may be.
 
     Returns
     -------
@@ -114,38 +119,40 @@ def ends(model: PolynomialModel, missing: Any, influence: Influence | None, R: f
         Ends that differ, the best first.
     """
     if model.na and not model.nf and model.y.size > 2 * _MOST_SEARCHED and len(model.pieces) == 1:
-        return _ends_of_long(model, missing, influence, R)
+        return _ends_of_long(model, missing, influence, R, limits)
     noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, _LEAST)
     turns = _FIRST_CLEANINGS if influence is None else _MOST_CLEANINGS
-    found = [_searched(model, s.p, noise, missing, (s.name,), turns) for s in _starts(model, missing, noise)]
-    ranked = _best_first(model, missing, found)
+    found = [_searched(model, s.p, noise, missing, (s.name,), turns, limits) for s in _starts(model, missing, noise)]
+    ranked = _best_first(model, missing, found, limits)
     if influence is not None:
         return ranked
     mixed = [(end, replace(end.noise, influence=START)) for end, _ in ranked]
-    found = [_searched(model, end.p, noise, missing, end.starts, _MOST_CLEANINGS) for end, noise in mixed]
-    return _best_first(model, missing, found)
+    found = [_searched(model, end.p, noise, missing, end.starts, _MOST_CLEANINGS, limits) for end, noise in mixed]
+    return _best_first(model, missing, found, limits)
 
 
-def _ends_of_long(model: PolynomialModel, missing: Any, influence: Influence | None, R: float | None) -> list[Ranked]:
+def _ends_of_long(
+    model: PolynomialModel, missing: Any, influence: Influence | None, R: float | None, limits: Limits | None
+) -> list[Ranked]:
     """Search from every start in the middle of a long recording, and from what is found there in all of it."""
     begin = (model.y.size - _MOST_SEARCHED) // 2
     part = slice(begin, begin + _MOST_SEARCHED)
     inner = PolynomialModel(model.structure, model.y[part], model.u[part], model.offset, model.moving)
     try:
         require_informative(inner, missing[part])
-        ranked = ends(inner, missing[part], influence, R)
+        ranked = ends(inner, missing[part], influence, R, limits)
     except ValueError:
         # The middle tells nothing: an input that stood still there, or a gap.
         inner = PolynomialModel(model.structure, model.y, model.u, model.offset, model.moving)
         noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, _LEAST)
         starts = list(_starts(model, missing, noise))
-        ranked = [Ranked(_searched(model, s.p, noise, missing, (s.name,), 1), 0.0) for s in starts]
+        ranked = [Ranked(_searched(model, s.p, noise, missing, (s.name,), 1, limits), 0.0) for s in starts]
         if influence is None:
             mixed = START
             ranked = [Ranked(end._replace(noise=replace(end.noise, influence=mixed)), e) for end, e in ranked]
     chosen = [end for end, excess in ranked if excess < _HOPELESS]
-    found = [_searched(model, end.p, end.noise, missing, end.starts, _FIRST_CLEANINGS) for end in chosen]
-    return _best_first(model, missing, found)
+    found = [_searched(model, end.p, end.noise, missing, end.starts, _FIRST_CLEANINGS, limits) for end in chosen]
+    return _best_first(model, missing, found, limits)
 
 
 def known_part(model: PolynomialModel, end: End) -> tuple[Array, Array]:
@@ -176,38 +183,45 @@ def known_part(model: PolynomialModel, end: End) -> tuple[Array, Array]:
 
 
 def _searched(
-    model: PolynomialModel, p: Array, noise: Noise, missing: Any, starts: tuple[str, ...], cleanings: int
+    model: PolynomialModel,
+    p: Array,
+    noise: Noise,
+    missing: Any,
+    starts: tuple[str, ...],
+    cleanings: int,
+    limits: Limits | None = None,
 ) -> End:
     """Minimise the loss from p on, looking for outliers again as often as the parameters change what is one."""
     stage(f"search from: {starts[0]}")
+    p = p if limits is None else limits.start(model, p)
     outliers = found_outliers(model, p, missing, noise)
     for turn in range(cleanings):
         if turn:
             stage(f"{int((outliers.wrong & ~missing).sum())} outliers taken for missing, search again")
-        found, _ = _maximised(model, p, noise, outliers, _FEW_MAXIMISATIONS)
+        found, _ = _maximised(model, p, noise, outliers, _FEW_MAXIMISATIONS, limits)
         p, noise = found.p, found.noise
         again = found_outliers(model, p, missing, noise, outliers)
         settled = np.array_equal(again.wrong, outliers.wrong)
         outliers = again
         if settled:
             break
-    found, full = _maximised(model, p, noise, outliers, _MOST_MAXIMISATIONS)
+    found, full = _maximised(model, p, noise, outliers, _MOST_MAXIMISATIONS, limits)
     rows = _counting(full, full is model, outliers.wrong)
     return End(starts, found.p, found.noise, full.y, outliers, rows, found.residual, found.converged)
 
 
 def _maximised(
-    model: PolynomialModel, p: Array, noise: Noise, outliers: Outliers, turns: int
+    model: PolynomialModel, p: Array, noise: Noise, outliers: Outliers, turns: int, limits: Limits | None = None
 ) -> tuple[Optimum, PolynomialModel | CompletedModel]:
     """Minimise the loss with outliers in the regressor as unknowns, which take turns with the parameters."""
     if not (outliers.wrong.any() and response(model, p).size > 1):
         rows = _counting(model, True, outliers.wrong)
-        return minimised(model, p, noise, rows, rows), model
+        return minimised(model, p, noise, rows, rows, limits=limits), model
     weights = outliers.counts.astype(float)
     for _ in range(turns):
         full = completed(model, p, outliers.wrong, weights)
         clear = full.conditioned & ~touched(outliers.wrong, response(model, p), model.first)
-        found = minimised(full, p, noise, full.conditioned, clear, _STEPS_BETWEEN)
+        found = minimised(full, p, noise, full.conditioned, clear, _STEPS_BETWEEN, limits)
         moved = np.linalg.norm(found.residual - full.residuals(p))
         p, noise, weights = found.p, found.noise, found.noise.weights(found.residual)
         if moved <= _SETTLED * np.linalg.norm(found.residual):
@@ -220,7 +234,7 @@ def _counting(model: Any, measured: bool, unknown: Any) -> Any:
     return model.conditioned & ~unknown[model.first :] if measured else model.conditioned
 
 
-def _best_first(model: PolynomialModel, missing: Any, found: list[End]) -> list[Ranked]:
+def _best_first(model: PolynomialModel, missing: Any, found: list[End], limits: Limits | None = None) -> list[Ranked]:
     """Sort ends by what the data say for them, and join those that are the same.
 
     Of two optima with the same loss the wider one is the likelier (Laplace's approximation of the evidence): a narrow
@@ -233,13 +247,14 @@ def _best_first(model: PolynomialModel, missing: Any, found: list[End]) -> list[
         shown = likeliest.residual[likeliest.rows]
         noise = replace(noise, influence=START).settled(shown)
     threshold = min(end.outliers.threshold for end in found)
-    losses = []
+    losses, n = [], model.structure.n_theta
+    free = np.arange(model.n) if limits is None else np.flatnonzero(np.append(~limits.fixed, np.ones(model.n - n)))
     for end in found:
         jacobian, _ = known_part(model.with_output(end.y), end)
         root = np.sqrt(noise.weights(end.residual[end.rows]) / noise.R)
         # Offset and start first: what follows on the diagonal is what the data tell of theta without knowing them.
-        backwards = np.asarray(np.linalg.qr(jacobian[:, ::-1] * root[:, None], mode="r"))
-        diagonal = np.abs(np.diag(backwards))[-model.structure.n_theta :]
+        backwards = np.asarray(np.linalg.qr(jacobian[:, free[::-1]] * root[:, None], mode="r"))
+        diagonal = np.abs(np.diag(backwards))[-np.count_nonzero(free < n) :]
         information = np.log(np.maximum(diagonal, np.finfo(float).tiny)).sum()
         price = 0.5 * threshold**2 * (end.outliers.wrong.sum() - missing.sum())
         losses.append(noise.cost(end.residual[end.rows]) + price + information)

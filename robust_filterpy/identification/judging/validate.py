@@ -319,7 +319,8 @@ class _Score(NamedTuple):
         P[:n, :n] = model.P
         if model.has_offset:
             P[:n, n] = P[n, :n] = model.offset_covariance
-            P[n, n] = model.offset_std**2
+            # What differences do not show changes none of them.
+            P[n, n] = model.offset_std**2 if np.isfinite(model.offset_std) else 0.0
         return cls(v, known, J, slope**2 * P, same)
 
     def tested(self, Z: Array, kernel: Array, level: float) -> tuple[Array, Array, Portmanteau]:

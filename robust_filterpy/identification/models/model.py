@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 __all__ = ["Ending", "Model"]
 
 # Below this share of its coefficients' size A(1) is 0: the model integrates and has no level.
+# So many samples tell where noise that is summed up began.
+_FIRST_LEVEL: Final = 5
 _INTEGRATES: Final = 1e-9
 
 
@@ -431,8 +433,13 @@ class Model(EstimatedPolynomials, Responses):
         """Return A y - B/F u - d from the first sample that has a regressor on."""
         if model.nf:
             disturbance = np.nan_to_num(model.y - self._from_inputs(model, known))
-            return np.asarray(lfilter(self._parts().a, [1.0], disturbance)[model.first :])
-        return model.equation_error(np.concatenate((self.theta, [self.offset])))
+            error = np.asarray(lfilter(self._parts().a, [1.0], disturbance)[model.first :])
+        else:
+            error = model.equation_error(np.concatenate((self.theta, [self.offset])))
+        if self.structure.integrated:
+            # What is summed up may begin anywhere.
+            error = error - np.median(error[known[model.first :]][:_FIRST_LEVEL])
+        return error
 
     def _from_inputs(self, model: PolynomialModel, known: Any) -> Array:
         """Return the output from inputs alone, whatever was in motion when the recording began."""
@@ -445,7 +452,10 @@ class Model(EstimatedPolynomials, Responses):
         if order and rows.any():
             impulses = np.eye(order, y.size - model.first)
             motion = np.asarray(lfilter([1.0], dynamics, impulses)).T
-            y[model.first :] += motion @ robust_regression(motion[rows], (model.y - y)[model.first :][rows])
+            X, left = motion[rows], (model.y - y)[model.first :][rows]
+            if self.structure.integrated:
+                X, left = np.diff(X, axis=0), np.diff(left)
+            y[model.first :] += motion @ robust_regression(X, left)
         return y
 
 

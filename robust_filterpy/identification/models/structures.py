@@ -50,6 +50,10 @@ FORMS: Final[dict[str, dict[str, str]]] = {
 }
 
 
+# Constructors with an argument ``integrated``: what they have no D for otherwise.
+_INTEGRATED: Final = ("ARX", "OutputError", "ARMAX", "FIR", "ARMA", "AR")
+
+
 class Polynomials(NamedTuple):
     """Where the coefficients of A(q) y = B(q)/F(q) u + C(q)/D(q) v stand in theta, without the leading 1s.
 
@@ -137,7 +141,7 @@ class Structure:
     def __repr__(self) -> str:
         """Show the constructor's call."""
         values = ", ".join(f"{name}={getattr(self, order)}" for name, order in FORMS[self.form].items())
-        return f"{self.form}({values})"
+        return f"{self.form}({values}{', integrated=True' if self.integrated else ''})"
 
     @property
     def n_inputs(self) -> int:
@@ -153,6 +157,11 @@ class Structure:
     def takes_phi(self) -> bool:
         """Whether the caller supplies phi in the place of u (`LinearRegression`)."""
         return self.form == "LinearRegression"
+
+    @property
+    def integrated(self) -> bool:
+        """Whether the noise is summed up, d1 = -1, so that a model is of the first differences: an argument of most."""
+        return self.nd == 1 and self.form in _INTEGRATED
 
     @cached_property
     def constant_place(self) -> int:
@@ -315,16 +324,25 @@ def _inputs(nb: Orders, nk: Orders) -> tuple[tuple[int, int], ...]:
     return tuple(zip(nb, delays, strict=True))
 
 
+def _differences(integrated: Any) -> int:
+    """Return the order of D for noise that is summed up, or raise."""
+    if not isinstance(integrated, (bool, np.bool_)):
+        raise TypeError(f"integrated: expected True or False, got {integrated!r}")
+    return int(integrated)
+
+
 # The constructors. What they raise is what `Structure` raises.
 
 
-def ARX(na: int, nb: Orders, nk: Orders = 1) -> Structure:
+def ARX(na: int, nb: Orders, nk: Orders = 1, integrated: bool = False) -> Structure:
     """Autoregression with inputs: A(q) y = B(q) u + v, phi(k) = [-y(k-1) .. -y(k-na), u(k-nk) .. u(k-nk-nb+1)].
 
     Parameters
     ----------
     na, nb, nk : int or tuple of int
         As in `Structure`.
+    integrated : bool, default False
+        Whether the noise is summed up, v/(1 - q^-1): theta ends with d1, which `identify` has at -1.
 
     Returns
     -------
@@ -335,10 +353,10 @@ def ARX(na: int, nb: Orders, nk: Orders = 1) -> Structure:
     >>> ARX(2, 2).names
     ('a1', 'a2', 'b1', 'b2')
     """
-    return Structure(na, nb, nk=nk, form="ARX")
+    return Structure(na, nb, nd=_differences(integrated), nk=nk, form="ARX")
 
 
-def OutputError(na: int, nb: Orders, nk: Orders = 1) -> Structure:
+def OutputError(na: int, nb: Orders, nk: Orders = 1, integrated: bool = False) -> Structure:
     """Output-error model: y = B(q)/A(q) u + v, the noise outside the loop (paper 11-23).
 
     phi(k) = [-yhat(k-1) .. -yhat(k-na), u(k-nk) .. u(k-nk-nb+1)], with the model's own output
@@ -348,6 +366,8 @@ def OutputError(na: int, nb: Orders, nk: Orders = 1) -> Structure:
     ----------
     na, nb, nk : int or tuple of int
         As in `Structure`, whose nf is na here.
+    integrated : bool, default False
+        Whether the noise is summed up, v/(1 - q^-1): theta ends with d1, which `identify` has at -1.
 
     Returns
     -------
@@ -362,10 +382,10 @@ def OutputError(na: int, nb: Orders, nk: Orders = 1) -> Structure:
     >>> OutputError(2, (1, 2), nk=(1, 0)).names
     ('a1', 'a2', 'b1[0]', 'b1[1]', 'b2[1]')
     """
-    return Structure(0, nb, nf=na, nk=nk, form="OutputError")
+    return Structure(0, nb, nd=_differences(integrated), nf=na, nk=nk, form="OutputError")
 
 
-def ARMAX(na: int, nb: Orders, nc: int, nk: Orders = 1) -> Structure:
+def ARMAX(na: int, nb: Orders, nc: int, nk: Orders = 1, integrated: bool = False) -> Structure:
     """ARX with a moving average of the noise: A(q) y = B(q) u + C(q) v, by extended least squares.
 
     phi(k) = [-y(k-1) .., u(k-nk) .., r(k-1) .. r(k-nc)], with the a-posteriori residuals r(k) = y(k) - phi(k)'
@@ -375,6 +395,8 @@ def ARMAX(na: int, nb: Orders, nc: int, nk: Orders = 1) -> Structure:
     ----------
     na, nb, nc, nk : int or tuple of int
         As in `Structure`.
+    integrated : bool, default False
+        Whether the noise is summed up, v/(1 - q^-1): theta ends with d1, which `identify` has at -1.
 
     Returns
     -------
@@ -385,16 +407,18 @@ def ARMAX(na: int, nb: Orders, nc: int, nk: Orders = 1) -> Structure:
     >>> ARMAX(1, 1, 1).names
     ('a1', 'b1', 'c1')
     """
-    return Structure(na, nb, nc, nk=nk, form="ARMAX")
+    return Structure(na, nb, nc, _differences(integrated), nk=nk, form="ARMAX")
 
 
-def FIR(nb: Orders, nk: Orders = 1) -> Structure:
+def FIR(nb: Orders, nk: Orders = 1, integrated: bool = False) -> Structure:
     """Finite impulse response: y = B(q) u + v, phi(k) = [u(k-nk) .. u(k-nk-nb+1)].
 
     Parameters
     ----------
     nb, nk : int or tuple of int
         As in `Structure`.
+    integrated : bool, default False
+        Whether the noise is summed up, v/(1 - q^-1): theta ends with d1, which `identify` has at -1.
 
     Returns
     -------
@@ -407,7 +431,7 @@ def FIR(nb: Orders, nk: Orders = 1) -> Structure:
            [2., 1.],
            [3., 2.]])
     """
-    return Structure(0, nb, nk=nk, form="FIR")
+    return Structure(0, nb, nd=_differences(integrated), nk=nk, form="FIR")
 
 
 def BoxJenkins(nb: Orders, nc: int, nd: int, nf: int, nk: Orders = 1) -> Structure:
@@ -436,13 +460,15 @@ def BoxJenkins(nb: Orders, nc: int, nd: int, nf: int, nk: Orders = 1) -> Structu
     return Structure(0, nb, nc, nd, nf, nk, "BoxJenkins")
 
 
-def ARMA(na: int, nc: int) -> Structure:
+def ARMA(na: int, nc: int, integrated: bool = False) -> Structure:
     """Autoregression with a moving average of the noise, without input: A(q) y = C(q) v.
 
     Parameters
     ----------
     na, nc : int
         As in `Structure`.
+    integrated : bool, default False
+        Whether the noise is summed up, v/(1 - q^-1): theta ends with d1, which `identify` has at -1.
 
     Returns
     -------
@@ -453,16 +479,18 @@ def ARMA(na: int, nc: int) -> Structure:
     >>> ARMA(2, 1).names
     ('a1', 'a2', 'c1')
     """
-    return Structure(na, nc=nc, form="ARMA")
+    return Structure(na, nc=nc, nd=_differences(integrated), form="ARMA")
 
 
-def AR(na: int) -> Structure:
+def AR(na: int, integrated: bool = False) -> Structure:
     """Autoregression without input: A(q) y = v, phi(k) = [-y(k-1) .. -y(k-na)].
 
     Parameters
     ----------
     na : int
         As in `Structure`, >= 1.
+    integrated : bool, default False
+        Whether the noise is summed up, v/(1 - q^-1): theta ends with d1, which `identify` has at -1.
 
     Returns
     -------
@@ -473,7 +501,7 @@ def AR(na: int) -> Structure:
     >>> AR(2).names
     ('a1', 'a2')
     """
-    return Structure(count("na", na, 1), form="AR")
+    return Structure(count("na", na, 1), nd=_differences(integrated), form="AR")
 
 
 def LinearRegression(n: int) -> Structure:

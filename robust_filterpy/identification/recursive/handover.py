@@ -39,7 +39,7 @@ def gone_on(form: Form, now: State, i: int, model: Model) -> State:
         a, f = (1.0 + float(model.theta[part].sum()) for part in (places.a, places.f))
         constant, J = (model.offset - centre * a) * f, np.eye(n + 1)
         J[n, places.a], J[n, n] = -centre * f, f
-        cross, square = model.offset_covariance[:, None], np.array([[model.offset_std**2]])
+        cross, square = model.offset_covariance[:, None], np.array([[np.nan_to_num(model.offset_std, posinf=0.0) ** 2]])
         joint = np.block([[P, cross], [cross.T, square]])
         order = np.insert(np.arange(n), place, n)
         x, P = np.append(x, constant)[order], (J @ joint @ J.T)[np.ix_(order, order)]
