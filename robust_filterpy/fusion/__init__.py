@@ -13,6 +13,8 @@
 * `verdicts`: what is the matter with a sensor, since when, and what helps.
 * `_watch`: cheap tests of every reading, which raise an alarm.
 * `_faults`: the recent past, judged anew under every fault of every sensor.
+* `reacquisition`: after a blackout or a jump, the sensor or the state being wrong, both carried until one is sure.
+* `_doubts`: those hypotheses, beside each other.
 * `_forecasting`: bands for what is to come.
 * `_keeping`: a fusion as plain arrays, and back.
 
@@ -30,6 +32,7 @@ from robust_filterpy.fusion.motion import (
     from_continuous,
     from_function,
 )
+from robust_filterpy.fusion.reacquisition import Reacquisition
 from robust_filterpy.fusion.recording import Recording
 from robust_filterpy.fusion.sensors import Sensor, angle
 from robust_filterpy.fusion.verdicts import Verdict
@@ -42,6 +45,7 @@ __all__ = [
     "FusionWarning",
     "Learnt",
     "Motion",
+    "Reacquisition",
     "Recording",
     "Scales",
     "Sensor",

@@ -22,7 +22,7 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 
-__all__ = ["Found", "Stretch", "judged", "stacked"]
+__all__ = ["Found", "Stretch", "corrected", "judged", "stacked"]
 
 # Chance of a fault at one reading, and of a manoeuvre that Q does not know at one stamp.
 _FAULT, _MANOEUVRE = 1e-5, 1e-4
@@ -177,7 +177,7 @@ def _run(stretch: Stretch, bank: _Bank, left_out: np.ndarray) -> tuple[Array, Ar
             h[:, n] = np.where(mine & carries[now], np.where(drifts[now], stretch.seconds[k] - began[now], 1.0), 0.0)
             r = stretch.r[c] * np.where(mine & noisy[now], bank.factor[now], 1.0)
             shares = _shares(stretch.shares[c], mine & (bank.fault[now] == _SPIKY))
-            logs[now] += _corrected(x[now], P[now], stretch.z[k, c], h, r, stretch.scales, shares)
+            logs[now] += corrected(x[now], P[now], stretch.z[k, c], h, r, stretch.scales, shares)
     return logs, x[:, n] / np.where(carries, root, 1.0)
 
 
@@ -189,8 +189,29 @@ def _shares(usual: Array, spiky: np.ndarray) -> Array:
     return np.where(spiky[:, None], np.concatenate([[1.0 - outlying.sum()], outlying]), usual)
 
 
-def _corrected(x: Array, P: Array, z: float, h: Array, r: Array, scales: Array, shares: Array) -> Array:
-    """Correct every hypothesis by one number, in place, under noise that is a mixture (`correction.learnt`'s step)."""
+def corrected(x: Array, P: Array, z: Any, h: Array, r: Array, scales: Array, shares: Array) -> Array:
+    """Correct N hypotheses by one number each, in place, under noise that is a mixture (`correction.learnt`'s step).
+
+    Parameters
+    ----------
+    x, P : ndarray, shape (N, n), (N, n, n)
+        Their states; written to.
+    z : float or ndarray, shape (N,)
+        What was read.
+    h : ndarray, shape (N, n)
+        What a hypothesis says it is of the state.
+    r : ndarray, shape (N,)
+        Variance of ordinary noise.
+    scales : ndarray, shape (C,)
+        Of the classes of noise.
+    shares : ndarray, shape (N, C)
+        Of the classes.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Log-density of the reading under each.
+    """
     y = z - (h * x).sum(axis=1)
     C = np.einsum("nij,nj->ni", P, h)
     S = (h * C).sum(axis=1)[:, None] + scales * r[:, None]

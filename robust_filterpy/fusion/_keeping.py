@@ -8,6 +8,7 @@ import numpy as np
 
 from robust_filterpy import _state
 from robust_filterpy._checks import Array
+from robust_filterpy.fusion._doubts import Doubt
 from robust_filterpy.fusion._first_readings import TRIAL
 from robust_filterpy.fusion._policies import State
 from robust_filterpy.fusion._stepping import Moment, begun
@@ -45,6 +46,7 @@ def state(timeline: Timeline, clock: Clock, counts: Any, outcomes: tuple[str, ..
     p = timeline.setup.motion.dim_u
     controls = [np.full(p, np.nan) if e.control is None else e.control for e in timeline.entries]
     watched = _watched(timeline) if timeline.setup.watches else {}
+    doubted = {} if timeline.setup.reacquire is None else {"doubt": _of_doubt(timeline.base.doubt)}
     return _state.labelled("Fusion", {
         "x": base.x, "P": base.P, "means": base.means, "covariances": base.covariances, "shares": base.probabilities,
         "memory": base.memory, "unseen": base.unseen, "sizes": base.sizes, "u": base.u, "trial": base.trial,
@@ -56,7 +58,7 @@ def state(timeline: Timeline, clock: Clock, counts: Any, outcomes: tuple[str, ..
         "earlier_known": [n in timeline.earlier for n in names],
         "earlier": _split([timeline.earlier.get(n, 0) for n in names]),
         "counts": [[counts[n][o] + (o == "refused") * timeline.unusable.get(n, 0) for o in outcomes] for n in names],
-        **watched,
+        **watched, **doubted,
     })  # fmt: skip
 
 
@@ -93,6 +95,10 @@ def restored(like: Timeline, found: Any, outcomes: tuple[str, ...]) -> tuple[Tim
         needed["moments"] = (None, length)
     elif "moments" in found:
         raise _state.StateError("state: expected one of a fusion that does not watch, got one of watch=True")
+    if like.setup.reacquire is not None:
+        needed["doubt"] = (None,)
+    elif "doubt" in found:
+        raise _state.StateError("state: expected one of a fusion without reacquire, got one with it")
     got = _state.checked(found, "Fusion", needed, {}, ("z", "controls", "sizes", "moments"))
     entries = len(got["keys"])
     if like.setup.watches and not 1 <= len(got["moments"]) <= entries + 1:
@@ -114,7 +120,8 @@ def restored(like: Timeline, found: Any, outcomes: tuple[str, ...]) -> tuple[Tim
         got["means"], got["covariances"], got["shares"], got["memory"], got["x"], got["P"], float(got["unseen"]),
         got["sizes"], got["u"], got["trial"],
     )  # fmt: skip
-    line = Timeline(like.setup, Moment(stood, none, none), like.window, like.history)
+    doubt = _doubt_of(got.get("doubt", np.zeros(0)), like, clock.kind)
+    line = Timeline(like.setup, Moment(stood, none, none, doubt=doubt), like.window, like.history)
     line.base_key = start[0] if start else None
     for i, key in enumerate(keys):
         entry = line.at(key)
@@ -179,6 +186,32 @@ def _unflat(row: Array, like: Timeline, kind: str) -> Moment:
     why = tuple((name, "as it was when the state was kept") for name, bad in zip(names, failed, strict=True) if bad)
     watch = Watch(**numbers, since=tuple(stamps[:-2]), model_since=stamps[-2], mended=stamps[-1])
     return Moment(state, innovation, deviation, watch, why)
+
+
+def _of_doubt(doubt: Doubt | None) -> Array:
+    """Return what is in doubt as one vector, of length 0 if nothing is; no probability is the least number."""
+    if doubt is None:
+        return np.zeros(0)
+    parts = [_split([part]) if name == "since" else part for name, part in doubt._asdict().items()]
+    return np.nan_to_num(np.concatenate([np.ravel(np.asarray(part, dtype=float)) for part in parts]))
+
+
+def _doubt_of(row: Array, like: Timeline, kind: str) -> Doubt | None:
+    """Return what is in doubt, or raise."""
+    if not len(row):
+        return None
+    (n, M), S = (like.setup.layout.n, like.setup.layout.size), len(like.setup.layout.names)
+    N, D = S + 3, n + M
+    parts = np.split(row, np.cumsum([1, 2, 1, 1, 1, N * D, N * D * D, N]))
+    if len(row) != 6 + N * (D + D * D + 1) + S:
+        raise _state.StateError("state: expected one of a fusion with as many sensors and states, and reacquire alike")
+    sensor, since, agreed, served, sure, x, P, logs, quiet = parts
+    if not (0 <= sensor[0] < S and -1 <= served[0] < N):
+        raise _state.StateError(f"state: expected a doubt of one of {S} sensors, got {sensor[0]} and {served[0]}")
+    return Doubt(
+        int(sensor[0]), _joined(since[None], kind)[0], int(agreed[0]), int(served[0]), bool(sure[0]),
+        x.reshape(N, D).copy(), P.reshape(N, D, D).copy(), np.where(logs < -1e300, -np.inf, logs), quiet.copy(),
+    )  # fmt: skip
 
 
 def _split(keys: Any) -> Array:

@@ -27,6 +27,8 @@ class Setup(NamedTuple):
     policy: Policy
     watches: bool = False
     """Whether there are verdicts about the sensors."""
+    reacquire: Any = None
+    """What is to be expected after a blackout (`reacquisition.Reacquisition`); None if nothing is ever in doubt."""
 
 
 class Moment(NamedTuple):
@@ -41,6 +43,8 @@ class Moment(NamedTuple):
     """What is known of the sensors' health (`_watch.Watch`); None if nobody looks."""
     failed: tuple[tuple[str, str], ...] = ()
     """Sensors whose reading could not be used, since a function of theirs has no answer for this state, and why."""
+    doubt: Any = None
+    """Hypotheses about a sensor or the state (`reacquisition.Doubt`); None if there is no doubt."""
 
 
 def begun(setup: Setup, x: Array, P: Array) -> Moment:

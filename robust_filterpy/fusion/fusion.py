@@ -31,9 +31,10 @@ from robust_filterpy.fusion._stepping import Moment, Setup, begun, moved
 from robust_filterpy.fusion._timeline import Timeline
 from robust_filterpy.fusion._times import Clock
 from robust_filterpy.fusion.motion import Motion
+from robust_filterpy.fusion.reacquisition import Reacquisition
 from robust_filterpy.fusion.recording import Recording, fused, read, table_columns
 from robust_filterpy.fusion.sensors import Layout, Sensor
-from robust_filterpy.fusion.verdicts import STRETCH, Verdict, described, of_motion, of_sensors, words
+from robust_filterpy.fusion.verdicts import STRETCH, Verdict, described, of_all, words
 from robust_filterpy.influence.functions import Influence
 
 __all__ = ["Estimate", "Forecast", "Fusion", "FusionWarning", "SensorNoise"]
@@ -62,6 +63,8 @@ class Estimate(NamedTuple):
     """Its covariance, (n, n)."""
     ages: dict[str, float]
     """Seconds since each sensor has spoken last; infinite if it never has."""
+    undecided: bool = False
+    """Whether it is open if a sensor or the state is wrong (``reacquire``): P covers both."""
 
 
 class Forecast(NamedTuple):
@@ -113,6 +116,9 @@ class Fusion:
         Kalman filter. R is then to be told.
     watch : bool, default False
         Whether there are verdicts about the sensors, and one that lies is left out.
+    reacquire : Reacquisition, optional
+        Whether, when readings and state are suddenly far apart, "this reading is wrong" and "I am wrong" are both
+        carried until later readings decide, and what is to be expected then. By default the policy decides at once.
 
     Raises
     ------
@@ -153,6 +159,7 @@ class Fusion:
         process: Scales | Contaminated | str | None = None,
         influence: Influence | None = None,
         watch: bool = False,
+        reacquire: Reacquisition | None = None,
     ) -> None:
         """Check everything and start with nothing read."""
         if not isinstance(motion, Motion):
@@ -167,8 +174,12 @@ class Fusion:
             raise ValueError(f"x0: expected {n} numbers, as the motion has states, got {len(x)}")
         P = np.eye(n) * _UNKNOWN**2 if P0 is None else _checks.matrix("P0", P0, (n, n), f"{n} states").copy()
         _checks.covariance("P0", P)
+        if not isinstance(reacquire, (Reacquisition, type(None))):
+            raise TypeError(f"reacquire: expected Reacquisition(..) or None, got {_checks.shown(reacquire)}")
+        if reacquire is not None and watch:
+            raise ValueError("reacquire: expected it or watch=True, got both; each leaves sensors out of the state")
         self._clock = Clock()
-        self._setup = Setup(motion, layout, _policy(layout, noise, process, influence), bool(watch))
+        self._setup = Setup(motion, layout, _policy(layout, noise, process, influence), bool(watch), reacquire)
         self._begin = begun(self._setup, x, P)
         self._timeline = Timeline(self._setup, self._begin, seconds, _HISTORY)
         self._started = None if t0 is None else self._clock.key(t0, "t0")
@@ -351,7 +362,7 @@ class Fusion:
         Returns
         -------
         Estimate
-            time, x, P, ages.
+            time, x, P, ages, undecided.
 
         Raises
         ------
@@ -369,7 +380,9 @@ class Fusion:
         state = moved(self._setup, moment.state, 0.0 if at is None else self._clock.between(at, when))
         said = line.last_words(entries)
         ages = {name: self._clock.between(said[name], when) if name in said else math.inf for name in self.sensors}
-        return Estimate(self._clock.stamp(when), state.x.copy(), state.P.copy(), ages)
+        doubt = moment.doubt
+        undecided = doubt is not None and doubt.served >= 0 and not doubt.sure
+        return Estimate(self._clock.stamp(when), state.x.copy(), state.P.copy(), ages, undecided)
 
     def noise(self) -> dict[str, SensorNoise]:
         """Return what has been learnt about each sensor's noise.
@@ -543,20 +556,24 @@ class Fusion:
         Raises
         ------
         ValueError
-            If the fusion was not made with ``watch=True``, or nothing was read.
+            If the fusion was made with neither ``watch=True`` nor ``reacquire``, or nothing was read.
+
+        Notes
+        -----
+        With ``reacquire`` nobody watches: a sensor is "healthy" as long as nothing is in doubt, then "undecided", and
+        "false" if it is left out; the motion "jumped" if it was the state that was wrong.
         """
-        if not self._setup.watches:
+        if not self._setup.watches and self._setup.reacquire is None:
             raise ValueError("verdicts: expected a fusion that watches its sensors; make it with watch=True")
         ages = self.estimate(t).ages
         moment, _, entries = self._timeline.until(None if t is None else self._clock.key(t))
-        found = dict(zip(self.sensors, of_sensors(moment.watch), strict=True))
+        found = of_all(self.sensors, moment)
         said = self._timeline.last_words(entries)
         for name, usual in self._timeline.intervals(entries).items():
             every = self._setup.layout.sensors[name].every
             limit = 5.0 * usual + self.window if every is None else 3.0 * every
             if name in said and ages[name] > limit:
                 found[name] = described("silent", self._clock.stamp(said[name]))
-        found["motion"] = of_motion(moment.watch)
         return found
 
     def report(self, t: Any = None) -> str:

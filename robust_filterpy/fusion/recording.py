@@ -16,7 +16,7 @@ from robust_filterpy.fusion._stepping import Moment, Setup, advanced, aged, cova
 from robust_filterpy.fusion._timeline import Timeline
 from robust_filterpy.fusion._times import Clock
 from robust_filterpy.fusion.sensors import Layout
-from robust_filterpy.fusion.verdicts import STRETCH, Verdict, described, of_motion, of_sensors
+from robust_filterpy.fusion.verdicts import STRETCH, Verdict, described, of_all
 from robust_filterpy.smoothing.smoother import smooth
 
 __all__ = ["Recording", "Rows", "fused", "read", "table_columns"]
@@ -41,13 +41,14 @@ class Recording:
         Their covariances.
     weights : ndarray, shape (K, M)
         How much each component of the sensors, in the order of declaration, was believed; NaN where it was missing,
-        and where stamps were taken one by one: sensors by function, ``watch=True``.
+        and where stamps were taken one by one: sensors by function, ``watch=True``, ``reacquire``.
     duplicates : int
         Rows that said again what had been said.
     names : tuple of str
         Of the states.
     verdicts : tuple of (stamp, str, Verdict)
-        Of a fusion that watches: whenever something else was said of a sensor, or of the "motion", in order.
+        Of a fusion that watches, or of one with ``reacquire``: whenever something else was said of a sensor, or of the
+        "motion", in order.
     """
 
     times: np.ndarray
@@ -174,9 +175,11 @@ def fused(setup: Setup, begin: Moment, start: Any, rows: Rows, smoothed: bool) -
     x, P = np.empty((K, motion.dim_x)), np.empty((K, motion.dim_x, motion.dim_x))
     weights, moment, done = np.full((K, layout.size), np.nan), begin, 0
     straight = motion.is_linear and not layout.curved
+    if smoothed and setup.reacquire is not None:
+        raise ValueError("smoothed: expected a fusion without reacquire, since the smoother decides nothing; leave one")
     failed: list[tuple[str, int, str]] = []
     said: list[tuple[int, str, Verdict]] = []
-    if setup.watches:
+    if setup.watches or setup.reacquire is not None:
         moment, failed, said = _watched(setup, (begin, start), rows, (x, P))
         done = K
     while done < K:
@@ -218,23 +221,18 @@ def _watched(
     line.base_key, moment = began[1], began[0]
     failed: list[tuple[str, int, str]] = []
     said: list[tuple[int, str, Verdict]] = []
-    before = _of_all(layout, moment)
+    before = of_all(layout.names, moment)
     for k, key in enumerate(rows.keys.tolist()):
         entry = line.at(key)
         entry.z[:], entry.control = rows.zs[k], rows.inputs[k]
         moment = line.until()[0]
         into[0][k], into[1][k] = moment.state.x, moment.state.P
         failed.extend((who, k, why) for who, why in moment.failed)
-        now = _of_all(layout, moment)
+        now = of_all(layout.names, moment)
         said.extend((k, name, one) for name, one in now.items() if one[:2] != before[name][:2])
         before = now
         line.forget()
     return moment, failed, sorted(said + _silences(layout, rows), key=lambda one: one[0])
-
-
-def _of_all(layout: Layout, moment: Moment) -> dict[str, Verdict]:
-    """Return what is said of each sensor, and of the motion."""
-    return {**dict(zip(layout.names, of_sensors(moment.watch), strict=True)), "motion": of_motion(moment.watch)}
 
 
 def _silences(layout: Layout, rows: Rows) -> list[tuple[int, str, Verdict]]:

@@ -20,7 +20,7 @@ from robust_filterpy.fusion._stepping import Moment, advanced, covariance
 from robust_filterpy.fusion._times import Clock
 from robust_filterpy.fusion._watch import FAULTS, SLOW, Watch, alarmed, calm, recovered
 
-__all__ = ["STRETCH", "Verdict", "described", "of_motion", "of_sensors", "watched", "words"]
+__all__ = ["STRETCH", "Verdict", "described", "of_all", "watched", "words"]
 
 #: Stamps that are judged anew after an alarm.
 STRETCH = 300
@@ -40,6 +40,9 @@ _REMEDIES = {
     "spikes": "its outliers are learnt and bounded; check for reflections and lost bits",
     "silent": "check power and cable",
     "model is wrong": "a manoeuvre that q does not allow; raise q",
+    "undecided": "its readings or the state is wrong: later readings decide, until then P covers both",
+    "false": "left out of the state until its readings fit again",
+    "jumped": "the state was wrong and has been found again; check what carried it in between",
 }
 
 
@@ -47,11 +50,13 @@ class Verdict(NamedTuple):
     """What is the matter with a sensor, or with the model of the motion."""
 
     fault: str
-    """"healthy", "departs", "biased", "drifting", "stuck", "noisier", "spikes", "silent" or "model is wrong"."""
+    """"healthy", "departs", "biased", "drifting", "stuck", "noisier", "spikes", "silent" or "model is wrong"; with
+    ``reacquire`` "undecided", "false" or "jumped"."""
     since: Any
     """Stamp of the onset, or of its last word if it is silent; None if it is healthy."""
     probability: float
-    """That it is this, given that a fault comes once in 10^5 readings and a manoeuvre once in 10^4 stamps."""
+    """That it is this, given that a fault comes once in 10^5 readings and a manoeuvre once in 10^4 stamps; with
+    ``reacquire`` given its prior."""
     size: float
     """Of the fault, in standard deviations (biased), per second (drifting), or as a factor (noisier); else NaN."""
     remedy: str
@@ -255,18 +260,38 @@ def words(name: str, verdict: Verdict) -> str:
     return f"{name} {verdict.fault}{much} since {verdict.since}{odds}: {verdict.remedy}"
 
 
-def of_sensors(watch: Watch) -> list[Verdict]:
-    """Return the verdict about each sensor.
+def of_all(names: tuple[str, ...], moment: Moment) -> dict[str, Verdict]:
+    """Return the verdict about each sensor, and about the "motion".
 
     Parameters
     ----------
-    watch : Watch
+    names : tuple of str
+        Of the sensors.
+    moment : Moment
         What is known.
 
     Returns
     -------
-    list of Verdict
+    dict of str to Verdict
     """
+    if moment.watch is None:
+        return {**dict.fromkeys((*names, "motion"), described("healthy")), **_of_doubt(names, moment.doubt)}
+    return {**dict(zip(names, _of_sensors(moment.watch), strict=True)), "motion": _of_motion(moment.watch)}
+
+
+def _of_doubt(names: tuple[str, ...], doubt: Any) -> dict[str, Verdict]:
+    """Return what is said while readings and state are far apart, and after it as long as that may be undone."""
+    if doubt is None or doubt.served < 0:
+        return {}
+    since, p = Clock.stamp(doubt.since), doubt.probability
+    if not doubt.sure:
+        return {names[doubt.sensor]: described("undecided", since, p)}
+    found = {names[doubt.off]: described("false", since, p)} if doubt.off >= 0 else {}
+    return {**found, "motion": described("jumped", since, p)} if doubt.moved else found
+
+
+def _of_sensors(watch: Watch) -> list[Verdict]:
+    """Return the verdict about each sensor."""
     found = []
     for s, fault in enumerate(watch.fault.astype(int)):
         sized = FAULTS[fault] in ("biased", "drifting", "noisier")
@@ -277,18 +302,8 @@ def of_sensors(watch: Watch) -> list[Verdict]:
     return found
 
 
-def of_motion(watch: Watch) -> Verdict:
-    """Return the verdict about the model of the motion.
-
-    Parameters
-    ----------
-    watch : Watch
-        What is known.
-
-    Returns
-    -------
-    Verdict
-    """
+def _of_motion(watch: Watch) -> Verdict:
+    """Return the verdict about the model of the motion."""
     if watch.model_since is None:
         return described("healthy")
     return described("model is wrong", Clock.stamp(watch.model_since), watch.model)

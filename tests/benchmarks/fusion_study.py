@@ -1,6 +1,7 @@
 """Tables of sensors in time: late data, faults and false alarms, forecasts, speed.
 
-python tests/benchmarks/fusion_study.py [speed] [late] [verdicts] [false] [forecasts] [--runs 5] [--readings 200000]
+python tests/benchmarks/fusion_study.py [speed] [late] [verdicts] [false] [forecasts] [doubts] [--runs 5]
+    [--readings 200000]
 """
 
 import argparse
@@ -10,7 +11,15 @@ import time
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from robust_filterpy.fusion import Contaminated, Fusion, Scales, Sensor, constant_acceleration, constant_velocity
+from robust_filterpy.fusion import (
+    Contaminated,
+    Fusion,
+    Reacquisition,
+    Scales,
+    Sensor,
+    constant_acceleration,
+    constant_velocity,
+)
 from robust_filterpy.influence import Huber, Linear
 
 POLICIES = {
@@ -295,7 +304,103 @@ def forecasts(args):
             print(f"  {model:16s} {ahead:4d}    " + "     ".join(cells), flush=True)
 
 
-TABLES = {"speed": speed, "late": late, "verdicts": verdicts, "false": false, "forecasts": forecasts}
+GPS = [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]
+WHEEL = [[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+# Fixes end at 60 s and come back at 260 s; where something is wrong it is so for 100 fixes, which are 800 m off.
+GONE, BACK, WRONG, OFF = 60, 260, 100, 800.0
+
+
+def blackout(seed, case):
+    """A vehicle in the plane, with fixes once a second (2 m) and odometry five times (.1 m/s): readings, and truth."""
+    rng, motion = np.random.default_rng(seed), constant_velocity(2, 0.02)
+    way = rng.uniform(0.0, 2.0 * math.pi)
+    towards = np.array([math.cos(way), math.sin(way)])
+    way += rng.uniform(-1.0, 1.0)
+    x = np.array([0.0, 5.0 * math.cos(way), 0.0, 5.0 * math.sin(way)])
+    F, Q, _ = motion.matrices(0.2)
+    root, readings, truth, stands = np.linalg.cholesky(Q), [], {}, None
+    for k in range(5 * (BACK + WRONG + 60)):
+        t, x = 0.2 * k, F @ x + root @ rng.normal(size=4)
+        amid = BACK <= t < BACK + WRONG
+        # A slip that begins, and in the mirror ends, too slowly to be seen: 8 m/s for 100 s, or at its height.
+        amount = np.interp(t, [GONE, 0.5 * (GONE + BACK), BACK], [0.0, 8.0, 0.0 if case == "mirror" else 8.0])
+        slips = amount if case in ("mirror", "drifting") else 0.0
+        odometry = x[[1, 3]] + 0.1 * rng.normal(size=2) - slips * towards
+        readings.append(("odometry", t, odometry))
+        if k % 5 == 0 and not GONE < t < BACK:
+            place = x[[0, 2]]
+            if amid and case == "cluster":
+                place = place + OFF * towards
+            elif amid and case == "standing":
+                stands = place + OFF * towards if stands is None else stands
+                place = stands
+            readings.append(("gps", t, place + 2.0 * rng.normal(size=2)))
+        truth[t] = x[[0, 2]]
+    return motion, readings, truth
+
+
+def gated(motion, readings):
+    """The Kalman filter that leaves out what a gate of 1 in 1000 says; x, after each fix."""
+    kf, before, found = KalmanFilter(4, 2), 0.0, []
+    kf.P *= 100.0
+    for name, t, z in readings:
+        F, Q, _ = motion.matrices(t - before)
+        kf.predict(F=F, Q=Q)
+        before, H = t, np.array(GPS if name == "gps" else WHEEL)
+        R = (4.0 if name == "gps" else 0.01) * np.eye(2)
+        y = z - H @ kf.x[:, 0]
+        if y @ np.linalg.solve(H @ kf.P @ H.T + R, y) < 13.8:
+            kf.update(z[:, None], R=R, H=H)
+        if name == "gps":
+            found.append((t, kf.x[[0, 2], 0].copy(), True))
+    return found
+
+
+def served(fusion, readings):
+    """What a fusion says after each fix, and whether it is sure of it."""
+    found = []
+    for name, t, z in readings:
+        fusion.observe(name, t, z)
+        # Its fix comes after the odometry of the same stamp.
+        if name == "gps":
+            now = fusion.estimate()
+            found.append((t, now.x[[0, 2]], not now.undecided))
+    return found
+
+
+def doubts(args):
+    """After a blackout: who decides rightly, who is sure and wrong, and how long what is served is wrong."""
+    prior = Reacquisition()
+    late = prior.length * math.log(100.0)
+    print("fixes end for 200 s; right: within 10 fixes of what tells it, x within 20 m; sure and wrong: ever after")
+    print("the third fix more than 50 m off, and sure; wrong: share of fixes after the blackout more than 50 m off.")
+    print(f"{prior}, {args.runs} runs")
+    events = {"cluster": BACK + WRONG, "mirror": BACK + late, "drifting": BACK, "standing": BACK}
+    sensors = {"gps": Sensor(GPS, R=4.0), "odometry": Sensor(WHEEL, R=0.01)}
+    for case, event in events.items():
+        scores = {}
+        for seed in range(args.runs):
+            motion, readings, truth = blackout(seed, case)
+            policies = {"Kalman": {"influence": Linear()}, "default": {}, "reacquire": {"reacquire": prior}}
+            said = {
+                name: served(Fusion(motion, sensors, 1.0, P0=100.0 * np.eye(4), **policy), readings)
+                for name, policy in policies.items()
+            }
+            for name, found in {"gate": gated(motion, readings), **said}.items():
+                after = [(t, np.hypot(*(x - truth[t])), sure) for t, x, sure in found if t >= BACK]
+                then = next(one for one in after if one[0] >= event + 9.0)
+                scores.setdefault(name, []).append((
+                    then[1] < 20.0 and then[2],
+                    any(sure and apart > 50.0 for t, apart, sure in after if t >= BACK + 3.0),
+                    np.mean([apart > 50.0 for _, apart, _ in after]),
+                ))  # fmt: skip
+        for name, rows in scores.items():
+            right, wrong, share = np.mean(rows, axis=0)
+            figures = f"right {right:4.2f}   sure and wrong {wrong:4.2f}   wrong {share:4.2f}"
+            print(f"  {case:9s} {name:10s} {figures}", flush=True)
+
+
+TABLES = {"speed": speed, "late": late, "verdicts": verdicts, "false": false, "forecasts": forecasts, "doubts": doubts}
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
