@@ -18,8 +18,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parents[1] / "testing"))
 
 from filterpy.kalman import KalmanFilter
-from wrong_filters import WRONG_FILTERS
-from wrong_trackers import WRONG_TRACKERS
+from users_filters import WRONG_FILTERS
+from users_trackers import WRONG_TRACKERS
 
 from robust_filterpy.testing import ChecksFailed, check_filter, check_tracker
 

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 from right_estimators import FILTERS, TRACKERS
-from wrong_filters import PLAIN, WRONG_FILTERS, CutAndCertain, EigenvalueRoots, HardGate, NoSetter, Textbook
-from wrong_trackers import WRONG_TRACKERS
+from users_filters import WRONG_FILTERS
+from users_trackers import WRONG_TRACKERS
+from wrong_filters import PLAIN, CutAndCertain, EigenvalueRoots, HardGate, NoSetter, Textbook
 
 from robust_filterpy import ParameterTracker, RobustKalmanFilter
 from robust_filterpy.testing import (

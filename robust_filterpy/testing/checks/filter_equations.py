@@ -52,7 +52,7 @@ def prediction_moves_the_covariance_by_F(subject: FilterSubject) -> None:
 
 @promise(PROMISES, "prediction")
 def prediction_adds_Q_once(subject: FilterSubject) -> None:
-    """With F = I a prediction adds Q to P, neither less nor more, however old the filter is."""
+    """A prediction adds Q to P, neither less nor more, however old the filter is; what it adds is not moved by F."""
     model = subject.model()
     for age in (0, OLD):
         kf = subject.aged(model, age)
@@ -62,11 +62,16 @@ def prediction_adds_Q_once(subject: FilterSubject) -> None:
         got = state(kf)[1] - P
         ratio = float(np.trace(got) / np.trace(model.Q))
         _compare(got, model.Q, "Q", f"; the variances added after {age} steps are {ratio:.3g} times those of Q")
+    less, more = subject.new(model), subject.new(model.with_(Q=3.0 * model.Q))
+    less.predict()
+    more.predict()
+    got, wanted = state(more)[1] - state(less)[1], 2.0 * model.Q
+    _compare(got, wanted, "Q where F is not I", _alike(got, model.F @ wanted @ model.F.T, "F Q F'"))
 
 
 @promise(PROMISES, "prediction")
 def control_input_moves_the_prediction(subject: FilterSubject) -> None:
-    """x_prior = F x + B u, and P_prior does not depend on u."""
+    """x_prior = F x + B u, P_prior does not depend on u, and a prediction that is given no u has none."""
     model = subject.model(dim_u=2)
     kf, still = subject.new(model), subject.new(model)
     if not hasattr(kf, "B") or not _takes(kf.predict, "u"):
@@ -79,6 +84,14 @@ def control_input_moves_the_prediction(subject: FilterSubject) -> None:
         got, wanted = np.ravel(kf.x) - model.F @ model.x, model.B @ u  # type: ignore[operator]
         raise AssertionError(f"x is off by {off:.2g} of its standard deviations from F x + B u{_ratio(got, wanted)}")
     _compare(state(kf)[1], state(still)[1], "P_prior without an input", "")
+    # filterpy's extended filter makes a matrix of x in a prediction without u, once it has a B.
+    if np.size(still.x) != len(model.x):
+        return
+    x, P = state(kf)
+    kf.predict()
+    off = furthest(np.ravel(kf.x) - model.F @ x, P)
+    if off > _SMALL:
+        raise AssertionError(f"a prediction without u, after one with it, is off by {off:.2g} deviations: u is kept")
 
 
 @promise(PROMISES)
@@ -96,7 +109,7 @@ def measurement_at_its_prediction_moves_nothing(subject: FilterSubject) -> None:
 
 @promise(PROMISES)
 def measurement_counts_at_once(subject: FilterSubject) -> None:
-    """The state after update(z) depends on this z, not only on those before."""
+    """The state after update(z) depends on this z, not only on those before, be z zero or as it was before."""
     model = subject.model()
     zs = subject.recording(model, 4)
     after = []
@@ -111,6 +124,16 @@ def measurement_counts_at_once(subject: FilterSubject) -> None:
         raise AssertionError(
             "two measurements a standard deviation apart gave the same state: z is used later, or never"
         )
+    again = subject.advance(subject.new(model), zs, model)
+    again.predict()
+    S = model.innovation_covariance(model.P)
+    # From here a measurement of zeros is an ordinary one.
+    near = subject.at_prior(model.with_(x=0.5 * model.P @ model.H.T @ np.linalg.solve(S, np.sqrt(S.diagonal()))))
+    for kf, z, words in ((again, zs[-1], "equal to the one before"), (near, np.zeros(2), "of zeros")):
+        x = np.array(kf.x, dtype=float)
+        runs.measure(kf, z, model)
+        if np.array_equal(np.asarray(kf.x, dtype=float), x):
+            raise AssertionError(f"a measurement {words} moved nothing: it is taken for none")
 
 
 @promise(PROMISES)

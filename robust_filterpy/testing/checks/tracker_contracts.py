@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from dataclasses import replace
 
 import numpy as np
 
@@ -59,8 +60,10 @@ def stored_states_go_on_alike(subject: TrackerSubject) -> None:
 
 @promise(SAMPLES)
 def run_is_update_by_update(subject: TrackerSubject) -> None:
-    """run(y, u) leaves the parameters that a loop over update(y, u) leaves, and goes on where the last run ended."""
+    """run(y, u) leaves the parameters that a loop over update(y, u) leaves, gaps or not, and goes on where it ended."""
     scenario = subject.draw("arx", 60)
+    if "missing" in subject.claims:
+        scenario = replace(scenario, y=np.where(np.arange(60) % 20 == 13, np.nan, scenario.y))
     one, other = subject.new(scenario), advance(subject.new(scenario), scenario)
     if not hasattr(one, "run"):
         raise not_applicable("has no run(y, u)")
