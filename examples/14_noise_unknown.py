@@ -65,9 +65,11 @@ def main(argv=None):
     print(f"{'error over the possible one':28}" + "".join(f"   R told x {factor:<4g}" for factor in FACTORS))
     for name, values in loss.items():
         print(f"{name:28}" + "".join(f"{value:15.2f}" for value in values))
-    print(f"\ntune, on a recording of the new sensor:\n{tuned}")
     worn = rms(tuned.filter.batch_filter(zs)[0], truth) / possible
-    print(f"Error of that filter, which does not learn on when the sensor wears: {worn:.2f}\n")
+    print(
+        f"tune, on a recording of the new sensor: R times {tuned.noise.R_scale[0]:.3f}; its filter does not learn on "
+        f"when the sensor wears: {worn:.2f}"
+    )
 
     learnt, errors = follow(makes["AdaptiveKalmanFilter"], zs)
     draw(learnt, errors, loss, options.out)

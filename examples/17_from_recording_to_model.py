@@ -53,7 +53,7 @@ def main(argv=None):
     # %% Orders, delay, parameters; then the half of the file that the model has not seen.
     model = select_structure(first["temperature"], first["power"], na=range(1, 4)).best
     checked = validate(model, second["temperature"], second["power"])
-    print(model.summary(), checked, sep="\n\n", end="\n\n")
+    print(model)  # model.summary() and print(checked) have tables
 
     # %% Go on sample by sample, save in between, and go on from the file.
     quarter = len(second) // 2

@@ -45,8 +45,8 @@ def main(argv=None):
             warnings.simplefilter("ignore", UserWarning)
             model = identify(y, u, structure)
         found[name] = validate(model, y_new, u_new)
-        print(f"{name}, {structure}\n{found[name]}")
-        print("".join(f"identify found: {finding.text}\n" for finding in model.findings))
+        print(f"{name}, {structure}: {found[name].verdict}")  # print(found[name]) has the tests and the fits
+        print("".join(f"identify found: {finding.text}\n" for finding in model.findings), end="")
 
     draw(found, options.out)
     small, right = found.values()

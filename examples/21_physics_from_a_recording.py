@@ -67,7 +67,7 @@ def main(argv=None):
         # What the recording cannot tell is said below.
         warnings.simplefilter("ignore", UserWarning)
         model = identify(y, valve, box, t=t)
-    print(model.summary())
+    print(model)  # model.summary() has the table
 
     # %% Beside the truth, which only a simulation knows.
     truth = [TRUTH.viscous_friction, TRUTH.coulomb_friction, 1e3 * TRUTH.dead_length, 1e-6 * TRUTH.stop_stiffness]

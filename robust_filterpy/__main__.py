@@ -5,10 +5,13 @@ from __future__ import annotations
 import argparse
 import platform
 import sys
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from robust_filterpy import __version__, kernel
+
+_NEEDED = ("numpy", "scipy", "filterpy", "control")
+_EXTRAS = ("matplotlib", "pandas", "narwhals", "pyarrow", "tqdm")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -21,14 +24,29 @@ def main(arguments: list[str] | None = None) -> int:
 
 def status() -> str:
     """Return what is installed, what serves and where the documentation is."""
-    packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "filterpy", "control"))
-    without = "the definition in numpy (the kernel is switched off or not built)"
-    serves = "the kernel in C" if kernel.available() else without
+    here = Path(__file__).parent
+    why = kernel.missing()
+    serves = "the kernel in C" if why is None else f"the definition in numpy, several times slower: {why}"
+    extras = ", ".join(_versions(_EXTRAS)) or "none of " + ", ".join(_EXTRAS)
+    pages = here.parent / "docs"
+    source = f"{pages}" if (pages / "index.md").exists() else "README.md and docs/ of the source"
     return (
-        f"robust_filterpy {__version__} in {Path(__file__).parent}\n"
-        f"with {packages}, Python {platform.python_version()}\n"
-        f"what serves: {serves}\ndocumentation: the docstrings, README.md and docs/ of the source"
+        f"robust_filterpy {__version__} in {here}\n"
+        f"with {', '.join(_versions(_NEEDED))}, Python {platform.python_version()}; besides: {extras}\n"
+        f"what serves: {serves}\n"
+        f"documentation: {source}, and help(robust_filterpy)"
     )
+
+
+def _versions(names: tuple[str, ...]) -> list[str]:
+    """Return the packages that are there, with their versions."""
+    found = []
+    for name in names:
+        try:
+            found.append(f"{name} {version(name)}")
+        except PackageNotFoundError:
+            continue
+    return found
 
 
 if __name__ == "__main__":

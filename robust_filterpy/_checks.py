@@ -98,9 +98,9 @@ def numbers(name: str, value: Any) -> Array:
     try:
         found = np.asarray(value)
         if found.dtype.kind in _NO_NUMBERS:
-            raise TypeError(f"{name}: expected real numbers, got dtype {found.dtype}: {shown(value)}")
+            raise TypeError(f"{name}: expected real numbers, got {_no_number(found)}")
         if found.dtype.kind == "O" and any(isinstance(item, _NO_NUMBER) for item in found.flat):
-            raise TypeError(f"{name}: expected real numbers, got text or times among them: {shown(value)}")
+            raise TypeError(f"{name}: expected real numbers, got {_no_number(found)}")
         if found.dtype.kind == "O" and "pandas" in sys.modules:
             absent = sys.modules["pandas"].NA
             value = np.where([item is absent for item in found.flat], np.nan, found.ravel()).reshape(found.shape)
@@ -110,6 +110,27 @@ def numbers(name: str, value: Any) -> Array:
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError):
         raise TypeError(f"{name}: expected real numbers, got {shown(value)}") from None
+
+
+def _no_number(found: Any) -> str:
+    """Return what of an array is no number, where, and what to do: of text the first that does not even read as one."""
+    if found.dtype.kind in "cmM":
+        return f"dtype {found.dtype}: {shown(found)}"
+    strange = [k for k, item in enumerate(found.flat) if isinstance(item, _NO_NUMBER)]
+    k = next((k for k in strange if not _reads_as_number(found.flat[k])), strange[0])
+    place = f" at index {', '.join(map(str, map(int, np.unravel_index(k, found.shape))))}" if found.ndim else ""
+    mend = "; pandas.to_numeric(.., errors='coerce') makes numbers of a column of text, and NaN of what is none"
+    item = found.flat[k]
+    return f"{shown(item.item() if isinstance(item, np.generic) else item)}{place}{mend if found.size > 1 else ''}"
+
+
+def _reads_as_number(item: Any) -> bool:
+    """Return whether text reads as a number."""
+    try:
+        float(item)
+    except (TypeError, ValueError):
+        return False
+    return isinstance(item, (str, bytes))
 
 
 def entries(name: str, values: Any) -> Any:

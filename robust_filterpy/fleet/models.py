@@ -257,6 +257,11 @@ class FilterModel(Model):
         object.__setattr__(self, "filter", copy.deepcopy(self.filter))
         object.__setattr__(self, "update", dict(self.update))
         _filters.require_consistent(self.filter, self.update)
+        if self.measurements is not None and len(self.measurements) != self.filter.dim_z:
+            raise ValueError(
+                f"measurements: expected {self.filter.dim_z} column(s) for dim_z={self.filter.dim_z}, got "
+                f"{list(self.measurements)}"
+            )
 
     def template(self) -> Any:
         """Return a copy of the filter as it is at the start.

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numbers
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from datetime import datetime, timezone
+from os import PathLike
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -120,6 +121,12 @@ def read_table(table: Any, model: Any, key: str | None) -> Rows:
     return Rows(keys, times, z, u, said, like)
 
 
+def reasons(table: Any) -> tuple[list[str], int]:
+    """Return what the column ``error`` of an output says, and of how many rows."""
+    _, frame, _ = _frame(table)
+    return frame["error"].drop_nulls().to_list(), len(frame)
+
+
 def _put(nw: Any, series: list[Any]) -> Any:
     """Return series side by side as a frame."""
     return nw.concat([one.to_frame() for one in series], how="horizontal")
@@ -139,7 +146,12 @@ def _frame(table: Any) -> tuple[Any, Any, Callable[[Any], Any]]:
             return frame.to_native().combine_chunks().to_batches()[0] if len(frame) else frame.to_native().to_batches()
 
         return nw, nw.from_native(pa.Table.from_batches([table]), eager_only=True), record_batch
-    return nw, nw.from_native(table, eager_only=True), lambda frame: frame.to_native()
+    try:
+        return nw, nw.from_native(table, eager_only=True), lambda frame: frame.to_native()
+    except TypeError:
+        kind = type(table).__name__
+        mend = "pandas.read_parquet(..) reads a file" if isinstance(table, (str, PathLike)) else "collect what is lazy"
+        raise TypeError(f"table: expected a data frame or an Arrow table in memory, got {kind}; {mend}") from None
 
 
 def _keys(key: str, column: Any, said: Reasons) -> Sequence[Any]:

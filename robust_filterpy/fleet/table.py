@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from robust_filterpy._warning import warn
 from robust_filterpy.fleet.models import Model
-from robust_filterpy.fleet.reading import NOBODY, Rows, read_table
+from robust_filterpy.fleet.reading import NOBODY, Rows, read_table, reasons
 from robust_filterpy.fleet.states import States, taken
 from robust_filterpy.fleet.stepping import advance, owned, started
 from robust_filterpy.fleet.timeline import grouped
@@ -57,6 +58,11 @@ def filter_table(
         the table. A row that was refused has NaN and the reason, with the key's name, in ``error``; one whose
         measurement was refused has the reason there, too; otherwise that is missing.
 
+    Warns
+    -----
+    UserWarning
+        If more than half of the rows have an error, as those of a shuffled table or of a column of text have.
+
     Raises
     ------
     ValueError
@@ -78,7 +84,12 @@ def filter_table(
     >>> found["error"][3]
     "device 'b': time: expected a sample later than the one at 1, got 1, a duplicate"
     """
-    return step_table(model, None, table, key=key, time=time, measurements=measurements, inputs=inputs, sort=sort)[1]
+    found = step_table(model, None, table, key=key, time=time, measurements=measurements, inputs=inputs, sort=sort)[1]
+    refused, count = reasons(found)
+    if 2 * len(refused) > count:
+        mend = "; sort=True puts the samples of each key in order" if refused[0].endswith(", late") else ""
+        warn(f"filter_table: {len(refused)} of {count} rows have an error, the first: {refused[0]}{mend}")
+    return found
 
 
 def step_table(

@@ -200,6 +200,12 @@ class Fusion:
         """Seconds behind the newest stamp within which a reading is still used."""
         return self._timeline.window
 
+    def __repr__(self) -> str:
+        """Say of which sensors, and what has become of their readings."""
+        sums = {one: sum(had[one] for had in self.counts.values()) for one in ("taken", "refused")}
+        said = ", ".join(f"{count} {one}" for one, count in sums.items())
+        return f"Fusion({', '.join(self.sensors)}; window {self.window:g} s; readings: {said})"
+
     @property
     def counts(self) -> dict[str, dict[str, int]]:
         """How many readings of each sensor were taken, late (and taken), replaced, duplicate, refused; a copy.
@@ -574,6 +580,12 @@ class Fusion:
             limit = 5.0 * usual + self.window if every is None else 3.0 * every
             if name in said and ages[name] > limit:
                 found[name] = described("silent", self._clock.stamp(said[name]))
+                late = self._counts[name]["refused"]
+                if late:
+                    found[name] = found[name]._replace(
+                        remedy=f"{late} of its readings were refused: check the clocks, of the sensor with the newest "
+                        "stamp too"
+                    )
         return found
 
     def report(self, t: Any = None) -> str:

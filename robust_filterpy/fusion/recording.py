@@ -352,11 +352,18 @@ def table_columns(table: Any, names: list[str]) -> list[np.ndarray]:
             raise ImportError(
                 'tables are read by narwhals; pip install "robust_filterpy[fleet]", or pass a dict of columns'
             ) from None
-        frame = nw.from_native(table, eager_only=True)
+        try:
+            frame = nw.from_native(table, eager_only=True)
+        except TypeError:
+            raise TypeError(
+                f"table: expected a data frame in memory, or a dict of columns, got {type(table).__name__}"
+            ) from None
         there, column = frame.columns, lambda name: _plain(nw, frame[name])
     missing = [name for name in names if name not in there]
     if missing:
-        raise ValueError(f"table: expected the columns {missing}, got {list(there)}")
+        raise ValueError(
+            f"table: expected the columns {missing}, got {list(there)}; time=, sensor= and value= name them"
+        )
     found = [column(name) for name in names]
     if len({len(one) for one in found}) > 1:
         raise ValueError(f"table: expected columns of one length, got {[len(one) for one in found]}")

@@ -30,9 +30,10 @@ from __future__ import annotations
 import logging
 import os
 from functools import lru_cache
+from importlib.util import find_spec
 from typing import Any
 
-__all__ = ["available", "extension"]
+__all__ = ["available", "extension", "missing"]
 
 
 @lru_cache(maxsize=1)
@@ -43,17 +44,42 @@ def extension() -> Any:
     -------
     module or None
     """
-    if os.environ.get("ROBUST_FILTERPY_KERNEL") == "off":
+    found = _loaded()
+    if isinstance(found, str):
+        if not _switched_off():
+            logging.getLogger("robust_filterpy").info(
+                "robust_filterpy: the definition in numpy serves, several times slower; %s", found
+            )
         return None
+    return found
+
+
+def missing() -> str | None:
+    """Return why the kernel does not serve, None if it does.
+
+    Returns
+    -------
+    str or None
+    """
+    found = _loaded()
+    return found if isinstance(found, str) else None
+
+
+def _switched_off() -> bool:
+    """Return whether the environment leaves the kernel aside."""
+    return os.environ.get("ROBUST_FILTERPY_KERNEL") == "off"
+
+
+def _loaded() -> Any:
+    """Return the extension module, or why there is none."""
+    if _switched_off():
+        return "ROBUST_FILTERPY_KERNEL=off in the environment leaves the kernel in C aside"
     try:
         from robust_filterpy.kernel import _extension  # type: ignore[attr-defined]
     except ImportError as error:
-        logging.getLogger("robust_filterpy").info(
-            "robust_filterpy: the definition in numpy serves, several times slower; the kernel in C cannot be loaded "
-            "(%s); to build it, install again where there is a C compiler",
-            error,
-        )
-        return None
+        built = find_spec("robust_filterpy.kernel._extension") is not None
+        why = f"cannot be loaded ({error})" if built else "is not built"
+        return f"the kernel in C {why}; install again where there is a C compiler"
     return _extension
 
 

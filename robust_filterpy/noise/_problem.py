@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robust_filterpy._checks import Array
+from robust_filterpy._progress import stage
 from robust_filterpy.noise._likelihood import Recording, log_likelihoods
 from robust_filterpy.noise._search import Ends, descend, valleys
 
@@ -71,6 +72,7 @@ class Problem:
 
     def cost(self, points: Array, steps: int | None = None) -> Array:
         """Return minus the log-likelihood of the recording, or of its beginning, and of the priors, for p points."""
+        stage(f"the likelihood at {len(points)} places")
         logs_R, logs_Q, share, ratio = self.unpacked(points)
         prior = -0.5 * (np.log(ratio) - _PRIOR_LOG_RATIO) ** 2
         if self.known[0] is None:

@@ -14,6 +14,7 @@ from robust_filterpy._arrays import noise_covariance, process_noise
 from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import without_fill_values
+from robust_filterpy._progress import stages
 from robust_filterpy._warning import warn
 from robust_filterpy.correction.policies import Contaminated
 from robust_filterpy.noise._likelihood import log_likelihoods, of_filter, of_tracker, scaled
@@ -236,7 +237,8 @@ def estimate_noise(
         data = of_filter(filter, zs, us, *per_step)
     groups_R, groups_Q = _groups("R", R, data.R[0]), _groups("Q", Q, data.Q[0])
     problem = Problem(data, groups_R, groups_Q, _known_outliers(contamination, scale_ratio))
-    ends = problem.ends()
+    with stages("estimate_noise", None):
+        ends = problem.ends()
     logs_R, logs_Q, share, ratio = (part[0] for part in problem.unpacked(ends.points[:1]))
     loose, doubt = _doubt(problem, ends)
     if loose:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from robust_filterpy.fleet import pack, unpack
-from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
+from robust_filterpy.fusion import Fusion, FusionWarning, Sensor, constant_velocity
 
 RATES = {"a": 10.0, "b": 5.0, "c": 20.0}
 
@@ -98,6 +98,18 @@ def test_a_silent_sensor_is_named():
     verdict = fusion.verdicts()["c"]
     assert verdict.fault == "silent" and 39.9 < verdict.since < 40.0
     assert "c silent since" in fusion.report()
+
+
+def test_a_stamp_from_the_future_sends_nobody_to_the_cables():
+    fusion = made()
+    readings = recording(5, lambda t, x, v, last: x + v)[0]
+    for one in readings[: len(readings) // 2]:
+        fusion.observe(*one)
+    fusion.observe("a", 86400.0, 0.0)  # a clock that is a day ahead: all that comes is late from now on
+    with pytest.warns(FusionWarning, match="by the newest reading, 'a' at 86400"):
+        for one in readings[len(readings) // 2 :]:
+            fusion.observe(*one)
+    assert "of its readings were refused: check the clocks" in fusion.report() and "cable" not in fusion.report()
 
 
 def test_any_order_of_arrival_gives_the_same_verdicts_and_bits():

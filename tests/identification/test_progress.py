@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from robust_filterpy import OutputError, _progress, identify
+from robust_filterpy import OutputError, RobustKalmanFilter, _progress, identify, tune
 from robust_filterpy._progress import progress_bar, stage, stages
 from robust_filterpy.experiments import monte_carlo
 from robust_filterpy.identification import ARMAX, StateSpace, select_structure
@@ -30,6 +30,14 @@ def test_identify_says_what_it_is_at_once_it_takes_more_than_two_seconds(structu
     lines = capsys.readouterr().err.splitlines()
     assert lines
     assert all(line.startswith("identify: ") and " s, " in line for line in lines)
+
+
+def test_a_fit_of_the_noise_says_what_it_is_at(clock, capsys):
+    kf = RobustKalmanFilter(1, 1)
+    kf.H[:] = 1.0
+    tune(kf, recorded()[0])
+    lines = capsys.readouterr().err.splitlines()
+    assert lines and all(line.startswith("estimate_noise: ") for line in lines)
 
 
 @pytest.mark.parametrize("progress", [None, False])

@@ -337,3 +337,16 @@ def test_a_refused_run_leaves_the_time_as_it_was():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         tracker.run(rest.y, rest.u)
+
+
+def test_of_a_column_of_text_the_first_that_is_no_number_is_named_with_the_way_out():
+    column = pd.Series(["1.5", "2", "ERR", "-"] * 20)
+    with pytest.raises(TypeError, match=r"y: expected real numbers, got 'ERR' at index 2; pandas.to_numeric"):
+        identify(column, np.ones(80), OutputError(1, 1))
+
+
+def test_a_hole_in_u_says_how_to_fill_it():
+    u = np.ones(80)
+    u[7] = np.nan
+    with pytest.raises(ValueError, match=r"u: .* got nan in sample 7; fill in what acted, u.ffill\(\)"):
+        ParameterTracker(OutputError(1, 1)).run(np.ones(80), u)

@@ -44,3 +44,12 @@ def test_a_kernel_that_cannot_be_loaded_is_said_once_in_the_log_and_the_definiti
     broken = "import sys; sys.modules['robust_filterpy.kernel._extension'] = None\n"
     found, said = python("-c", broken + FILTER)
     assert found.split()[0] == "False" and said.count("the definition in numpy serves") == 1
+
+
+def test_the_command_says_why_the_kernel_does_not_serve():
+    off, _ = python("-m", "robust_filterpy", ROBUST_FILTERPY_KERNEL="off")
+    assert "ROBUST_FILTERPY_KERNEL=off in the environment" in off and "compiler" not in off
+    without = "import sys; sys.modules['robust_filterpy.kernel._extension'] = None\n"
+    said, _ = python("-c", without + "from robust_filterpy.__main__ import main; main([])", ROBUST_FILTERPY_KERNEL="on")
+    assert "several times slower: the kernel in C" in said and "install again where there is a C compiler" in said
+    assert len(said.splitlines()) == 4

@@ -12,7 +12,9 @@ from robust_filterpy import (
     filter_series,
     smooth,
 )
+from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
 from robust_filterpy.identification import TrackerBank
+from robust_filterpy.testing import draw
 
 Y = np.cumsum(np.random.default_rng(10_001).normal(size=300))
 Y[7] = np.nan
@@ -45,6 +47,14 @@ def test_it_fits_a_screen_and_names_its_parts(name):
     assert lines[0] == type(result).__name__
     first = next(iter(getattr(result, "_fields", None) or result.__dataclass_fields__))
     assert lines[1].split()[0] == first
+
+
+def test_a_drawn_scenario_and_a_fusion_fit_a_screen():
+    text = str(draw("constant velocity", 300, rng=0))
+    assert max(map(len, text.splitlines())) <= 130 and len(text.splitlines()) < 25 and "is_outlier" in text
+    fusion = Fusion(constant_velocity(dim=1, q=0.1), {"left": Sensor([1.0, 0.0])}, window=2.0)
+    fusion.observe("left", 0.0, 1.0)
+    assert str(fusion) == "Fusion(left; window 2 s; readings: 1 taken, 0 refused)"
 
 
 FILTERS = {

@@ -119,7 +119,8 @@ def _require_finite(values: Array) -> None:
     if not good.all():
         k = np.unravel_index(int(np.argmin(good)), good.shape)
         where = f" in sample {k[0]}" if good.ndim == 2 else ""
+        mend = "; fill in what acted, u.ffill() for a valve that stayed where it was, else u.interpolate()"
         raise ValueError(
             f"u: expected finite numbers up to {LARGEST:g} in size (an input cannot be missing; the order is y, u), "
-            f"got {values[k]}{where}"
+            f"got {values[k]}{where}{mend if where and np.isnan(values[k]) else ''}"
         )

@@ -184,7 +184,10 @@ def _covariances(name: str, stack: Array, rtol: float) -> None:
         correlations = P / np.outer(scale, scale)
         asymmetry = float(np.abs(correlations - correlations.T).max())
         if asymmetry > rtol:
-            raise AssertionError(f"{name} is not symmetric at step {k}: P - P' is {asymmetry:.2g} of its size")
+            raise AssertionError(
+                f"{name} is not symmetric at step {k}: P - P' is {asymmetry:.2g} of its size; "
+                "P = (P + P') / 2 after each step keeps it"
+            )
         least = float(np.linalg.eigvalsh((correlations + correlations.T) / 2)[0])
         if least < -rtol:
             raise AssertionError(

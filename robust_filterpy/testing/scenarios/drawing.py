@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
+from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array
 from robust_filterpy.testing.scenarios import runs
 from robust_filterpy.testing.scenarios.contamination import Kinds, objects, spoilt
@@ -60,6 +61,10 @@ class Scenario:
     is_jump: np.ndarray
     noise_ratio: Array
     Qs: Array
+
+    def __str__(self) -> str:
+        """Return what there is, on a screen."""
+        return brief(self)
 
     def load(self, kf: Any) -> Any:
         """Put the model into a filter and return it.
