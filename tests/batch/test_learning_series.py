@@ -6,6 +6,7 @@ import support
 
 from robust_filterpy import AdaptiveKalmanFilter, Contaminated, Huber, Learnt, RobustKalmanFilter, Scales, filter_series
 from robust_filterpy.correction import SingularInnovationError
+from robust_filterpy.correction.learning import NoiseClasses
 
 SERIES, N = 3, 25
 
@@ -258,7 +259,7 @@ def test_of_nothing_comes_nothing(shape):
     problem, _ = problem_and_series()
     found = learning(np.zeros(shape), *arguments(problem))
     assert found.x.shape == (*shape[:2], 3) and found.P.shape == (*shape[:2], 3, 3)
-    assert found.state["learnt"].shape == (shape[0], 2, 30)
+    assert found.state["learnt"].shape == (shape[0], *NoiseClasses().start(2).shape)
 
 
 @pytest.mark.parametrize(

@@ -103,7 +103,7 @@ def errors_with_labels(data: Recording) -> np.ndarray:
 def gate(dim_x: int, dim_z: int, level: float = 0.9973) -> RobustKalmanFilter:
     """Return the Kalman filter that leaves out what its chi-square gate refuses."""
     threshold = float(np.sqrt(stats.chi2.ppf(level, dim_z)))
-    return RobustKalmanFilter(dim_x, dim_z, influence=TrimmedMean(threshold), grouping="joint")
+    return RobustKalmanFilter(dim_x, dim_z, influence=TrimmedMean(threshold), scaling="innovation", grouping="joint")
 
 
 def level(rng: np.random.Generator, jump: float = 0.0, run: int = 0, size: float = 0.0, steps: int = 250) -> Recording:
