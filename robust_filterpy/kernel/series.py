@@ -131,10 +131,11 @@ def plain(array: Array) -> Array:
 
     Parameters
     ----------
-    array : array_like
+    array : array_like, any shape
 
     Returns
     -------
-    ndarray of float64, C-contiguous
+    ndarray of float64, shape of array
+        C-contiguous.
     """
     return np.ascontiguousarray(array, dtype=np.float64)
