@@ -7,6 +7,7 @@ included; an output-error model feeds its own. Replace examples/data/actuator.cs
 
 # %% A recording as a user has it: a CSV file. The one here comes from a plant with drifting parameters.
 import argparse
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import ARX, Contaminated, OutputError, ParameterTracker
 from robust_filterpy.experiments import fit_percent
+from robust_filterpy.identification import LostTrackerWarning
 from robust_filterpy.plants import random_walk, simulate_output_error, stable
 from robust_filterpy.plotting import LOOKS
 
@@ -43,6 +45,13 @@ CANDIDATES = {
 WALK = dict(Q=np.diag([2e-6, 2e-6, 2e-4, 2e-4]))
 
 
+def tracked(y, u, choice):
+    """Return the result of a candidate and what it says if it loses the plant: a poor structure is noticed."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", LostTrackerWarning)
+        return ParameterTracker(**WALK, **choice).run(y, u), said
+
+
 def main(argv=None):
     """Track, draw, tabulate, conclude."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -54,12 +63,13 @@ def main(argv=None):
     columns = np.genfromtxt(options.csv, delimiter=",", names=True)
     u, y = columns["u"], columns["y"]
     reference = columns["y_clean"] if "y_clean" in columns.dtype.names else y
-    results = {name: ParameterTracker(**{**WALK, **choice}).run(y, u) for name, choice in CANDIDATES.items()}
+    runs = {name: tracked(y, u, choice) for name, choice in CANDIDATES.items()}
+    results = {name: result for name, (result, _) in runs.items()}
     late = slice(u.size // 4, None)
     fits = {name: fit_percent(reference[late], result.prediction[late]) for name, result in results.items()}
     print(f"{'':28} fit of the one-step prediction to the output without noise")
     for name, fit in fits.items():
-        print(f"{name:28} {fit:6.1f} %")
+        print(f"{name:28} {fit:6.1f} %{', and it warns that it lost the plant' if runs[name][1] else ''}")
     draw(u, y, results, columns["b1"] if "b1" in columns.dtype.names else None, options.out)
     best = max(fits, key=fits.get)
     print(

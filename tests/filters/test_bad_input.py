@@ -414,12 +414,13 @@ def test_nan_in_h_or_r_is_named(method, dim_z, name):
     refuse(kf, lambda kf: getattr(kf, method)(np.full(dim_z, 0.1)), match=f"^{name}: expected")
 
 
-@pytest.mark.parametrize("z", [
-    np.datetime64("2026-01-01"), np.timedelta64(3, "s"), "3.0", np.array(["1.0"]), np.array(["1.0"], dtype=object),
+@pytest.mark.parametrize(("z", "what"), [
+    (np.datetime64("2026-01-01"), "dtype datetime64"), (np.timedelta64(3, "s"), "dtype timedelta64"), ("3.0", "'3.0'$"),
+    (np.array(["1.0"]), "'1.0' at index 0$"), (np.array(["1.0"], dtype=object), "'1.0' at index 0$"),
 ])  # fmt: skip
-def test_times_and_text_are_no_measurements(z):
-    words = r"^z: expected real numbers, got (dtype (datetime64|timedelta64|<U)|text)"
-    refuse(RobustKalmanFilter(dim_x=1, dim_z=1), lambda kf: kf.update(z), match=words)
+def test_times_and_text_are_no_measurements(z, what):
+    kf = RobustKalmanFilter(dim_x=1, dim_z=1)
+    refuse(kf, lambda kf: kf.update(z), match=f"^z: expected real numbers, got {what}")
 
 
 def test_a_message_is_short_however_long_the_value():

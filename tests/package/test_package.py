@@ -89,3 +89,9 @@ def test_no_public_name_is_found_in_a_private_module_alone():
         module = getattr(robust_filterpy, name).__module__
         room = importlib.import_module(".".join(module.split(".")[:2]))
         assert name in room.__all__ or "._" not in module, name
+
+
+def test_no_two_test_modules_share_a_name():
+    # pytest imports a module by its name alone, and leaves the second of two out.
+    names = sorted(path.name for path in (ROOT / "tests").rglob("test_*.py"))
+    assert len(names) == len(set(names)), [name for name in names if names.count(name) > 1]
