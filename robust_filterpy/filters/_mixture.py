@@ -17,7 +17,6 @@ from scipy.linalg import block_diag
 from robust_filterpy._checks import Array
 from robust_filterpy._state import Shape
 from robust_filterpy.correction import copies as side_by_side
-from robust_filterpy.correction import learnt
 from robust_filterpy.correction.copies import Copies, Scales, merged
 from robust_filterpy.correction.definition import innovation_moments, nothing_observed
 from robust_filterpy.correction.learning import NoiseClasses
@@ -160,17 +159,8 @@ class Mixture:
         y = np.where(H.any(axis=1), y, np.nan)
         whole, states = np.hstack((H, np.eye(m)[:, : len(curvature)])), block_diag(P, curvature)
         start = np.zeros((1, n + len(curvature)))
-        found = learnt.correct(
-            Copies(start, states[None], np.ones(1), 0.0),
-            known.memory,
-            y,
-            whole,
-            R,
-            self.classes,
-            self.scales,
-            None,
-            inv,
-        )
+        prior = Copies(start, states[None], np.ones(1), 0.0)
+        found, *_ = half_step.correct(prior, known.memory, y, whole, R, self.classes, self.scales, None, inv)
         unexplained = curvature if curvature.size else np.zeros((m, m))
         if np.isnan(found.weights).all():
             ordinary = ordinary_noise(R, known.memory) + unexplained

@@ -8,8 +8,10 @@ import numpy as np
 
 from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array, all_covariances, entries, numbers, shown
+from robust_filterpy.correction.copies import Copies
 from robust_filterpy.filters._mixin import unchanged_if_refused
-from robust_filterpy.kernel import series
+from robust_filterpy.filters._mixture import Kept
+from robust_filterpy.kernel import available, learnt, series
 from robust_filterpy.kernel.records import Model, Output
 
 
@@ -25,6 +27,7 @@ def filter_recording(
     update_first: bool,
     saver: Any,
     loop: CompiledLoop | None = None,
+    scales: Array | None = None,
 ) -> tuple[Array, Array, Array, Array]:
     """Advance a filter through a recording: by the compiled loops where they can, else by its own methods.
 
@@ -36,6 +39,8 @@ def filter_recording(
         As in `RobustKalmanFilter.batch_filter`.
     loop
         What takes steps by the kernel, None if all are for the filter's own methods.
+    scales : ndarray, shape (N,), optional
+        Where the process scale of each step is noted.
 
     Returns
     -------
@@ -70,6 +75,7 @@ def filter_recording(
             means.reshape(1, n, dim_x), covariances[None], means_p.reshape(1, n, dim_x), covariances_p[None],
             np.empty((1, 0, 0)), np.zeros(1),
         )  # fmt: skip
+        loop.scales = scales
         loop = loop if loop.prepare(zs, Fs, Qs, Hs, Rs, Bs, us, kept, bool(update_first)) else None
     k = 0
     with unchanged_if_refused(kf):
@@ -86,6 +92,8 @@ def filter_recording(
                 if not update_first:
                     kf.update(z, R=R, H=H)
                     means[k], covariances[k] = kf.x, kf.P
+                if scales is not None:
+                    scales[k] = kf.process_scale
                 if saver is not None:
                     saver.save()
                 k += 1
@@ -93,21 +101,6 @@ def filter_recording(
             error.args = (f"step {k}: {error}", *error.args[1:])
             raise
         return means, covariances, means_p, covariances_p
-
-
-class ProcessScales:
-    """A saver that notes the process scale of each step, before another saver's turn."""
-
-    def __init__(self, kf: Any, saver: Any) -> None:
-        """Keep the filter and the other saver."""
-        self.kf, self.saver = kf, saver
-        self.scales: list[float] = []
-
-    def save(self) -> None:
-        """Note the scale."""
-        self.scales.append(self.kf.process_scale)
-        if self.saver is not None:
-            self.saver.save()
 
 
 def _columns(zs: Any, **per_step: Any) -> list[Any]:
@@ -134,8 +127,10 @@ def is_own(kf: Any, cls: type, methods: tuple[str, ...]) -> bool:
 
 
 class CompiledLoop:
-    """Steps of a recording by the kernel. A subclass says which kernel, and what that leaves in the filter."""
+    """Steps of a recording by the kernel, and what they leave in the filter."""
 
+    #: Where the process scale of each step is noted, shape (N,), None if nowhere.
+    scales: Array | None = None
     _zs: Array
     _model: Model
     _kept: Output
@@ -146,8 +141,8 @@ class CompiledLoop:
         """Keep the filter."""
         self._kf = kf
 
-    def _serves(self, n: int, m: int, steps: int) -> bool:
-        """Return whether the kernel serves so many states, sensors and steps."""
+    def _serves(self) -> bool:
+        """Return whether the kernel serves the filter's policy."""
         return series.serves(self._kf.choices)
 
     def _run(self, k: int, last: int) -> int:
@@ -181,7 +176,7 @@ class CompiledLoop:
         """Return whether the kernel serves a recording; if not, the call is for the filter's own methods."""
         kf = self._kf
         # Sensors of an H that is passed are known by its rows, which the filter's own methods look up.
-        if Hs is not None and kf._learns_spread:
+        if Hs is not None and kf._policy.learns:
             return False
         try:
             x, P = state_of(kf)
@@ -190,7 +185,7 @@ class CompiledLoop:
             if H.ndim != 3 or H.shape[2] != n or (Hs is None and H.shape[1] != kf.dim_z):
                 return False
             m = H.shape[1]
-            if not self._serves(n, m, steps):
+            if not self._serves():
                 return False
             F = _stack(kf.F, Fs, steps, (n, n))
             Q = process_noise(kf.Q, None, n)[None] if Qs is None else _stack(None, Qs, steps, (n, n), True)
@@ -210,6 +205,38 @@ class CompiledLoop:
         seen = np.flatnonzero(~np.isnan(rows).all(axis=1))
         self._last_seen = int(seen[-1]) if len(seen) else -1
         return True
+
+
+class MixtureLoop(CompiledLoop):
+    """The same for a filter under ``noise=``."""
+
+    def _serves(self) -> bool:
+        """Return whether the kernel serves the filter's policy."""
+        return available()
+
+    def _run(self, k: int, last: int) -> int:
+        """Take steps from k to last - 1 as far as the kernel can, and return the next."""
+        kf, policy = self._kf, self._kf._policy
+        x, P = state_of(kf)
+        now = policy.current(kf._kept, x.ravel(), P)
+        state = learnt.begin(now.copies, kf._known(self._zs.shape[2]).memory)
+        means, covariances, means_p, covariances_p = (array[0] for array in self._kept[:4])
+        flat = (len(means), -1)
+        into = learnt.Kept(
+            means, covariances.reshape(flat), means_p, covariances_p.reshape(flat),
+            scale=None if self.scales is None else self.scales[:, None],
+        )  # fmt: skip
+        model = tuple(array[0] for array in self._model)
+        taken = learnt.run(
+            state, self._zs[0], model, policy.classes, policy.scales, into, first=k, last=last, **self._options
+        )
+        if taken > k:
+            # What else a step leaves in the filter, the filter's own next step sets anew.
+            kf.x, kf.P = state.x.reshape(x.shape).copy(), state.P.copy()
+            copies = Copies(*state[:3], float(state.unseen[0]))
+            kf._kept = None if kf._kept is None else Kept(*copies[:3], state.x, state.P, copies.unseen)
+            kf._learn(state.learnt, len(state.learnt))
+        return taken
 
 
 def _measurements(zs: Any, m: int) -> Array:

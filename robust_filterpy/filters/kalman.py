@@ -32,7 +32,7 @@ from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters import _step
 from robust_filterpy.filters._bounded import Bounded, finite_product
 from robust_filterpy.filters._mixin import RobustFilterMixin, whole
-from robust_filterpy.filters._recording import CompiledLoop, ProcessScales, filter_recording, is_own
+from robust_filterpy.filters._recording import CompiledLoop, MixtureLoop, filter_recording, is_own
 from robust_filterpy.influence.functions import Huber, Influence
 
 __all__ = ["RobustKalmanFilter"]
@@ -586,20 +586,20 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
             As in `predict` and `update`, with the step named. After these, an interrupt, or an error of the saver or
             of psi, the filter is as it was before the call; what the saver has kept by then it keeps.
         """
-        usable = saver is None or callable(getattr(saver, "save", None))
-        notes = ProcessScales(self, saver) if usable and self.process is not None else None
+        scales = np.empty(len(zs)) if self.process is not None and hasattr(zs, "__len__") else None
         loop = self._compiled_loop(saver)
-        found = filter_recording(
-            self, zs, Fs, Qs, Hs, Rs, Bs, us, update_first, saver if notes is None else notes, loop
-        )
-        self._process_scales = None if notes is None else np.array(notes.scales)
+        found = filter_recording(self, zs, Fs, Qs, Hs, Rs, Bs, us, update_first, saver, loop, scales)
+        self._process_scales = scales
         return found
 
     def _compiled_loop(self, saver: Any) -> CompiledLoop | None:
         """Return what takes steps of a recording by the kernel, None if all are for the filter's own methods."""
-        own = saver is None and self._inverse is None and type(self)._by_kernel and self._policy.by_kernel
-        own = own and is_own(self, RobustKalmanFilter, ("predict", "update"))
-        return CompiledLoop(self) if own else None
+        own = saver is None and self._inverse is None and type(self)._by_kernel
+        if not own or not is_own(self, RobustKalmanFilter, ("predict", "update")):
+            return None
+        if self._policy.by_kernel:
+            return CompiledLoop(self)
+        return None if self._policy.rule is None else MixtureLoop(self)
 
     def rts_smoother(
         self, Xs: Array, Ps: Array, Fs: Any = None, Qs: Any = None, inv: Any = np.linalg.inv

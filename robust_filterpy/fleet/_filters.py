@@ -59,7 +59,7 @@ class Plain(NamedTuple):
 def plain(kf: Any, update: Mapping[str, Any]) -> Plain | None:
     """Return what the kernel needs, None if it does not serve this filter on this machine, however long the batch."""
     # An R or H of the user's own is for `update` to look at.
-    if update or type(kf) is not RobustKalmanFilter or kf._compiled_loop(None) is None:
+    if update or type(kf) is not RobustKalmanFilter or kf.noise is not None or kf._compiled_loop(None) is None:
         return None
     if not kernel.serves(kf.choices):
         return None

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 import support
+from filterpy.common import Saver
 
-from robust_filterpy import Huber, RobustKalmanFilter
-from robust_filterpy.kernel import series
+from robust_filterpy import Contaminated, Huber, RobustKalmanFilter
+from robust_filterpy.kernel import learnt, series
 
 support.needs_kernel()
 
@@ -24,6 +25,21 @@ def count(monkeypatch):
         return done
 
     monkeypatch.setattr(series, "filter_series", counting)
+    return taken
+
+
+@pytest.fixture
+def count_mixture(monkeypatch):
+    """Count the steps that the kernel took in a call of several: one alone is a half step of the filter's own."""
+    taken, run = [], learnt.run
+
+    def counting(state, zs, *args, first=0, **kwargs):
+        done = run(state, zs, *args, first=first, **kwargs)
+        if len(zs) > 1:
+            taken.append(done - first)
+        return done
+
+    monkeypatch.setattr(learnt, "run", counting)
     return taken
 
 
@@ -73,6 +89,45 @@ def test_compiled_batch_is_the_loop(count, ndim, dims, case, update_first):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-10)
     for name in (*support.STATE, "y", "K", "S", "SI", *support.ROBUST, "log_likelihood", "mahalanobis"):
         np.testing.assert_allclose(getattr(one, name), getattr(two, name), rtol=1e-9, atol=1e-10, err_msg=name)
+
+
+MIXTURES = {
+    "learnt": dict(noise="learnt"),
+    "learnt, with scales of the process": dict(noise="learnt", process="scales"),
+    "told": dict(noise=Contaminated(0.1, 10)),
+}
+
+
+@pytest.mark.parametrize("update_first", [False, True])
+@pytest.mark.parametrize("case", ["constant", "F", "QR", "u"])
+@pytest.mark.parametrize("kind", MIXTURES)
+def test_a_recording_under_a_mixture_is_the_loop(count_mixture, kind, case, update_first):
+    problem = support.random_problem(4, 3, 2, 1)
+    zs, _ = support.simulate(problem, 400, seed=5, contamination=0.1)
+    rng = np.random.default_rng(0)
+    zs[:-1][rng.random((399, 2)) < 0.1] = np.nan
+    one, two = (support.make(RobustKalmanFilter, problem, **MIXTURES[kind]) for _ in range(2))
+    per_step = {name: values[:400] for name, values in lists(case, problem, rng).items()}
+    ours = one.batch_filter(zs, update_first=update_first, **per_step)
+    assert count_mixture == [399]
+    for a, b in zip(ours, by_loop(two, zs, update_first, **per_step), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-10)
+    state, expected = one.state(), two.state()
+    for name in expected:
+        np.testing.assert_allclose(state[name], expected[name], rtol=1e-9, atol=1e-10, err_msg=name)
+    for name in ("y", "K", "S", "weights", "log_likelihood", "outlier_probability", "process_scale"):
+        np.testing.assert_allclose(getattr(one, name), getattr(two, name), rtol=1e-9, atol=1e-10, err_msg=name)
+
+
+def test_scales_of_the_process_that_the_kernel_found_serve_the_smoother():
+    problem = support.cart()
+    zs = np.random.default_rng(1).normal(size=N)
+    zs[1000:] += 40.0
+    one, two = (support.make(RobustKalmanFilter, problem, noise="learnt", process="scales") for _ in range(2))
+    smoothed = one.rts_smoother(*one.batch_filter(zs)[:2])
+    by_steps = two.rts_smoother(*two.batch_filter(zs, saver=Saver(two))[:2])
+    for a, b in zip(smoothed, by_steps, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-10)
 
 
 @pytest.mark.parametrize("update_first", [False, True])
