@@ -114,13 +114,26 @@ INLINE npy_intp run(const int n, const int m, learnt_job *job, double *work) {
 }
 
 static npy_intp run_sized(learnt_job *job, double *work) {
-#define SIZE(states, sensors) \
+#define SENSORS(states, sensors) \
     if (job->n == states && job->m == sensors) return run(states, sensors, job, work)
-    SIZE(1, 1);
-    SIZE(2, 1);
-    SIZE(4, 1);
-    SIZE(4, 2);
-#undef SIZE
+#define STATES(states) \
+    case states: return run(states, job->m, job, work)
+    SENSORS(1, 1);
+    SENSORS(2, 1);
+    SENSORS(4, 1);
+    SENSORS(4, 2);
+    switch (job->n) {
+        STATES(1);
+        STATES(2);
+        STATES(3);
+        STATES(4);
+        STATES(5);
+        STATES(6);
+        STATES(7);
+        STATES(8);
+    }
+#undef SENSORS
+#undef STATES
     return run(job->n, job->m, job, work);
 }
 
