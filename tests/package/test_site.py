@@ -51,15 +51,8 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory):
-    pytest.importorskip("sphinx")
-    for needed in ("furo", "myst_parser", "numpydoc"):
-        pytest.importorskip(needed)
-    out = tmp_path_factory.mktemp("site")
-    command = [sys.executable, "-m", "sphinx", "-b", "html", "-W", "--keep-going", "-n", "-q", "-E"]
-    built = subprocess.run([*command, "-d", out / "trees", DOCS, out / "html"], capture_output=True, text=True)
-    assert built.returncode == 0, built.stderr
-    return {path: Page(path.read_text(encoding="utf-8")) for path in (out / "html").rglob("*.html")}
+def site(built_site):
+    return {path: Page(path.read_text(encoding="utf-8")) for path in built_site.rglob("*.html")}
 
 
 @pytest.mark.slow

@@ -1,19 +1,12 @@
 """Nothing of the site is wider than the window, measured in a browser."""
 
-import functools
-import http.server
 import json
 import re
-import shutil
-import subprocess
-import threading
 from html import unescape
-from pathlib import Path
 
 import pytest
+from browsing import BROWSER, after_scripts, served
 
-BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
-HTML = Path(__file__).parents[2] / "docs" / "_build" / "html"
 WIDTHS = (400, 1100, 1440)
 
 # Each page in a frame of each width: what reaches beyond it, and is not inside something that scrolls by itself.
@@ -46,35 +39,11 @@ function beyond(frame, width) {
 </script>"""
 
 
-class Handler(http.server.SimpleHTTPRequestHandler):
-    """Serve a folder and one more page."""
-
-    def __init__(self, *arguments, measure, **options):
-        self.measure = measure
-        super().__init__(*arguments, **options)
-
-    def do_GET(self):
-        if self.path != "/measure":
-            return super().do_GET()
-        self.send_response(200)
-        self.send_header("Content-Type", "text/html; charset=utf-8")
-        self.end_headers()
-        self.wfile.write(self.measure.encode())
-
-    def log_message(self, *_):
-        """Say nothing."""
-
-
 def measured(folder, pages, widths=WIDTHS):
     """What is wider than the window, and how many articles each frame had."""
     text = MEASURE.replace("PAGES", json.dumps(pages)).replace("WIDTHS", json.dumps(widths))
-    handler = functools.partial(Handler, directory=str(folder), measure=text)
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        address = f"http://127.0.0.1:{server.server_address[1]}/measure"
-        command = [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=600000", "--dump-dom"]
-        shown = subprocess.run([*command, address], capture_output=True, text=True, timeout=500).stdout
-        server.shutdown()
+    with served(folder, measure=text) as address:
+        shown = after_scripts(f"{address}/measure")
     found = json.loads(unescape(re.search(r'<pre id="found">(.*?)</pre>', shown, flags=re.S).group(1)))
     return found["wide"], found["loaded"]
 
@@ -90,10 +59,9 @@ def test_the_measure_sees_what_is_too_wide(tmp_path):
     assert len(wide) == 1 and wide[0].startswith("wide.html at 400") and loaded == [1] * 4
 
 
-@pytest.mark.skipif(not HTML.exists(), reason="the site is not built: python -m sphinx docs docs/_build/html")
-def test_no_page_is_wider_than_the_window():
-    pages = [path.relative_to(HTML).as_posix() for path in sorted(HTML.rglob("*.html"))]
-    pages = [page for page in pages if "<article" in (HTML / page).read_text(encoding="utf-8")]
-    wide, loaded = measured(HTML, pages)
+def test_no_page_is_wider_than_the_window(built_site):
+    pages = [path.relative_to(built_site).as_posix() for path in sorted(built_site.rglob("*.html"))]
+    pages = [page for page in pages if "<article" in (built_site / page).read_text(encoding="utf-8")]
+    wide, loaded = measured(built_site, pages)
     assert len(loaded) == len(pages) * len(WIDTHS) and all(loaded)
     assert not wide, "\n".join(wide)
