@@ -398,6 +398,13 @@ def doubts(args):
             right, wrong, share = np.mean(rows, axis=0)
             figures = f"right {right:4.2f}   sure and wrong {wrong:4.2f}   wrong {share:4.2f}"
             print(f"  {case:9s} {name:10s} {figures}", flush=True)
+    fusion, times = Fusion(motion, sensors, 1.0, P0=100.0 * np.eye(4), reacquire=prior), {True: [], False: []}
+    for name, t, z in blackout(0, "mirror")[1]:
+        fusion.observe(name, t, z)
+        begun = time.perf_counter()
+        moment = fusion._timeline.until()[0]
+        times[moment.doubt is not None].append(1e3 * (time.perf_counter() - begun))
+    print(f"  a stamp takes {np.median(times[True]):.2f} ms in doubt, {np.median(times[False]):.2f} ms else")
 
 
 TABLES = {"speed": speed, "late": late, "verdicts": verdicts, "false": false, "forecasts": forecasts, "doubts": doubts}
