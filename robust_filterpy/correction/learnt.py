@@ -310,4 +310,4 @@ def _shortened(y: Array, inverses: Array) -> Array:
     least = lengths.min(axis=-1)[..., None, None]
     if not (least > _REACH).any():
         return y
-    return np.where(least > _REACH, direction * (peak / least) * _REACH, y)
+    return np.where(least > _REACH, direction * (peak / np.maximum(least, _REACH)) * _REACH, y)
