@@ -57,7 +57,7 @@ def minimised(model: Model, observed: Array, influence: Any, joint: bool, limit:
     # The optimum again as weights, which states and covariances belong to.
     weights = np.where(observed, _ratio(psi, e), 0.0)
     weighting = Weighting(weights, np.where(observed, push - weights * e, 0.0), ones)
-    return Fit(smoothing_pass(model, weighting, states=True), weighting, converged, sweep)
+    return Fit(smoothing_pass(model, weighting, states=True, process=True), weighting, converged, sweep)
 
 
 def _psi(influence: Any, e: Array, joint: bool) -> Array:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -18,13 +19,17 @@ from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.correction.options import GROUPINGS, Choices, Grouping
 from robust_filterpy.influence.functions import Influence, Linear
 from robust_filterpy.smoothing.convex import is_convex, minimised
-from robust_filterpy.smoothing.mixture import CONTAMINATION_LIMITS
+from robust_filterpy.smoothing.fit import misfits
 from robust_filterpy.smoothing.nonlinear import Trajectory, is_nonlinear, nonlinear_trajectory
 from robust_filterpy.smoothing.recording import Recording, linear_recording, problem
 from robust_filterpy.smoothing.rules import Learnt, Ordinary, Psi, checked_influence
-from robust_filterpy.smoothing.sweeps import Fit, Rule, reweighted
+from robust_filterpy.smoothing.starts import doubted_stretches, log_probability
+from robust_filterpy.smoothing.sweeps import Rule, ordinary, reweighted
 
 __all__ = ["Smoothed", "smooth", "smooth_series"]
+
+# By how many nats another reading of a recording has to be more probable.
+_CLEARLY = 0.5
 
 
 @dataclass(frozen=True)
@@ -152,10 +157,14 @@ def smooth(
     Warns
     -----
     UserWarning
-        If zs has fill values, which are named.
+        If zs has fill values, which are named; if Q and R do not fit the recording: what is left of the measurements,
+        or the process noise found, has a variance of less than .4 or more than 2.5 times what they say, beyond chance.
 
     Notes
     -----
+    Where noise is learnt and outliers come in rows, the search begins anew from stretches that are doubted as a whole
+    (a burst after a few good samples can be followed), and the most probable result is kept; for linear filters.
+
     Singular Q and P (a known initial state) are legal: no predicted covariance is inverted. P is the covariance given
     the weights; with learnt noise it includes the doubt whether a sample is an outlier.
 
@@ -278,9 +287,67 @@ def _smoothed(
     max_sweeps: int,
     trajectory: Trajectory | None = None,
 ) -> Smoothed:
-    """Smooth with the rules that the options ask for."""
+    """Smooth with the rules that the options ask for, and say what does not fit."""
     joint = _checks.option("grouping", grouping, GROUPINGS) == "joint"
-    limit = _checks.count("max_sweeps", max_sweeps, 1)
+    options = influence, process, joint, _checks.count("max_sweeps", max_sweeps, 1)
+    found, odd = _searched(recording, *options, trajectory)
+    if influence is None and trajectory is None:
+        for s in range(len(found.x)):
+            _read_otherwise(recording, s, found, odd, options)
+    odd = [each for each in odd if each]
+    if odd:
+        where = "the recording" if len(found.x) == 1 else f"{len(odd)} of {len(found.x)} series; the first"
+        message = f"Q and R do not fit {where}: {odd[0]}"
+        jumps = ", or smooth with process=None if states jump" if process is not None and "process" in odd[0] else ""
+        warnings.warn(f"smooth: {message}; fit them by estimate_noise{jumps}", UserWarning, stacklevel=3)
+        found = replace(found, message=f"{found.message}; {message}")
+    return found
+
+
+def _read_otherwise(recording: Recording, s: int, found: Smoothed, odd: list[str], options: Any) -> None:
+    """Put what another start leads to in the place of series s, if it is more probable."""
+    alone = _alone(recording, s)
+    left_out = (np.nan_to_num(found.weights[s], nan=1.0) < 0.5).any(axis=-1)
+    starts = doubted_stretches(alone, left_out)
+    best = _probability(alone, found, s) if starts else np.inf
+    for start in starts:
+        other, of_other = _searched(alone, *options, start=start)
+        probability = _probability(alone, other, 0)
+        if probability > best + _CLEARLY:
+            best, odd[s] = probability, of_other[0]
+            for field in fields(Smoothed):
+                whole = getattr(found, field.name)
+                if isinstance(whole, np.ndarray):
+                    whole[s] = getattr(other, field.name)[0]
+
+
+def _alone(recording: Recording, s: int) -> Recording:
+    """Return one series as a recording of its own."""
+
+    def one(a: Array) -> Array:
+        return a[s : s + 1] if len(a) > 1 else a
+
+    return Recording(type(recording.model)(*map(one, recording.model)), *map(one, recording[1:]))
+
+
+def _probability(alone: Recording, found: Smoothed, s: int) -> float:
+    """Return the log probability of what was found for series s."""
+    outliers = np.nan_to_num(found.weights[s], nan=1.0) < 0.5
+    noise = np.stack([found.contamination[s], found.scale_ratio[s]])
+    process = np.array([found.process_contamination[s], found.process_scale_ratio[s]])
+    return log_probability(alone, outliers, found.process_weights[s] < 0.5, noise, process)
+
+
+def _searched(
+    recording: Recording,
+    influence: Any,
+    process: Any,
+    joint: bool,
+    limit: int,
+    trajectory: Trajectory | None = None,
+    start: Array | None = None,
+) -> tuple[Smoothed, list[str]]:
+    """Return what one search finds, from the usual start or from weights (steps, 1); and what of Q and R is odd."""
     measurement = measurement_rule(influence, joint, recording.observed)
     doubt = process_rule(process, recording.driven)
     newton = trajectory is None and isinstance(doubt, Ordinary)
@@ -288,7 +355,11 @@ def _smoothed(
         fit = minimised(recording.model, recording.observed, influence, joint, limit)
         weights = np.where(recording.observed, fit.weighting.precision, np.nan)
     else:
-        fit = reweighted(recording.model, recording.observed, measurement, doubt, limit, trajectory)
+        begin = None
+        if start is not None:
+            begin = ordinary(recording.observed)
+            begin = begin._replace(precision=begin.precision * start)
+        fit = reweighted(recording.model, recording.observed, measurement, doubt, limit, trajectory, begin)
         weights = measurement.weights
     x = fit.smooth.x if trajectory is None else trajectory.x[None, 1:]
     if not np.isfinite(x).all():
@@ -300,11 +371,13 @@ def _smoothed(
     elif isinstance(doubt, Psi):
         process_weights = 1.0 / fit.weighting.process_scale
     c, ratio = (np.broadcast_to(a, (series, m)).copy() for a in _learnt(measurement, series))
-    c_process, ratio_process = (a[:, 0] for a in _learnt(doubt, series))
-    return Smoothed(
+    c_process, ratio_process = (a[:, 0].copy() for a in _learnt(doubt, series))
+    message = "converged" if fit.converged.all() else f"the estimate still moved after {fit.sweeps} sweeps"
+    found = Smoothed(
         x, fit.smooth.P, weights, process_weights, c, ratio, c_process, ratio_process,
-        fit.converged, fit.sweeps, _message(fit, measurement, doubt),
+        fit.converged, fit.sweeps, message,
     )  # fmt: skip
+    return found, misfits(recording.model, fit, weights)
 
 
 def measurement_rule(influence: Any, joint: bool, observed: Array) -> Rule:
@@ -328,15 +401,6 @@ def _learnt(rule: Rule, series: int) -> tuple[Array, Array]:
     if rule.mixture is None:
         return np.full((series, 1), np.nan), np.full((series, 1), np.nan)
     return rule.mixture.contamination, rule.mixture.ratio
-
-
-def _message(fit: Fit, measurement: Rule, process: Rule) -> str:
-    """Say why the search ended, and what is odd about the result."""
-    parts = ["converged" if fit.converged.all() else f"the estimate still moved after {fit.sweeps} sweeps"]
-    for rule, name, what in ((measurement, "R", "measurements"), (process, "Q", "steps of the process")):
-        if rule.mixture is not None and (rule.mixture.contamination >= CONTAMINATION_LIMITS[1]).any():
-            parts.append(f"half of the {what} look like outliers, so {name} is probably too small: see estimate_noise")
-    return "; ".join(parts)
 
 
 def _together(contamination: Any, ratio: Any) -> Contaminated | None:

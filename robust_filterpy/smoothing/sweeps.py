@@ -65,7 +65,7 @@ def reweighted(
     for sweep in range(limit):
         if unused is not None and bool(unused.x.shape[1]) != soon:
             unused = None
-        smooth = smoothing_pass(model, weighting, states=soon, process=doubted, into=unused)
+        smooth = smoothing_pass(model, weighting, states=soon, process=doubted or soon, into=unused)
         moved = np.full(series, np.inf) if before is None else _moved(smooth, before.fitted, observed)
         if trajectory is not None:
             model, moved = trajectory.advanced(smooth)
@@ -85,7 +85,7 @@ def reweighted(
         before, unused = smooth, before
         soon = soon or sweep + 2 == limit or bool(np.max(moved) < 30.0 * tolerance)
     if not smooth.x.shape[1]:
-        smooth = smoothing_pass(model, weighting, states=True, process=doubted)
+        smooth = smoothing_pass(model, weighting, states=True, process=True)
     return Fit(smooth, weighting, frozen, sweep + 1)
 
 

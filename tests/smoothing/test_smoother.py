@@ -303,7 +303,7 @@ def test_a_search_without_end_says_so_and_returns_its_best():
 def test_a_noise_that_is_much_too_small_is_named():
     _, zs, _ = drive(12, 0.0, 1.0)
     found = smooth(filter_of(support.with_(CART, R=1e-4 * np.eye(1))), zs)
-    assert "R is probably too small" in found.message
+    assert "look like outliers to R" in found.message
 
 
 def test_nothing_measured_is_the_prediction():

@@ -1,0 +1,111 @@
+"""A burst that can be followed is not, if it is less probable; a Q or R that does not fit is said, and only then."""
+
+import warnings
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+
+from robust_filterpy import Huber, Linear, smooth
+from robust_filterpy.smoothing import smooth_series
+
+G = np.array([0.5, 1.0])
+PLANE = np.kron(np.eye(2), [[1.0, 1.0], [0.0, 1.0]])
+POSITIONS = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
+
+
+def plane(q=0.05):
+    kf = KalmanFilter(4, 2)
+    kf.F, kf.H, kf.Q, kf.P = PLANE, POSITIONS, q**2 * np.kron(np.eye(2), np.outer(G, G)), 1e4 * np.eye(4)
+    return kf
+
+
+def walk(seed, steps=300, q=0.05):
+    """Positions in the plane, shape (steps, 2), and what is measured of them."""
+    rng = np.random.default_rng(seed)
+    x, truth = np.array([0.0, 1.0, 0.0, 0.5]), np.empty((steps, 2))
+    for k in range(steps):
+        x = PLANE @ x + q * np.kron(np.eye(2), G[:, None]) @ rng.normal(size=2)
+        truth[k] = POSITIONS @ x
+    return truth, truth + rng.normal(size=truth.shape)
+
+
+@pytest.mark.parametrize("grouping", ["component", "joint"])
+@pytest.mark.parametrize("length, off", [(20, 20.0), (50, 70.0), (50, 300.0)])
+def test_a_burst_after_ten_good_samples_is_not_followed(length, off, grouping):
+    for seed in range(40, 44):
+        truth, zs = walk(seed)
+        zs[10 : 10 + length] += off
+        found = smooth(plane(), zs, grouping=grouping)
+        error = found.x[:, [0, 2], 0] - truth
+        sd = np.sqrt(found.P[:, [0, 2], [0, 2]])
+        assert np.abs(error / sd).max() < 6.0
+
+
+def test_of_many_series_each_is_read_for_itself():
+    clean, burst = walk(50)[1], walk(51)[1]
+    burst[10:60] += 70.0
+    kf = plane()
+    model = (kf.F, kf.H, kf.Q, kf.R, np.zeros(4), kf.P)
+    both = smooth_series(np.stack([clean, burst]), *model)
+    for s, zs in enumerate((clean, burst)):
+        np.testing.assert_allclose(both.x[s], smooth_series(zs[None], *model).x[0], rtol=1e-9, atol=1e-9)
+
+
+def test_inputs_and_gaps_are_part_of_what_is_probable():
+    truth, zs = walk(52)
+    pushed = np.zeros((300, 4))
+    pushed[0, 1] = 5.0
+    kf = plane()
+    kf.B = np.eye(4)
+    zs = zs + 5.0 * np.arange(1, 301)[:, None] * [1.0, 0.0]
+    zs[10:60] += 70.0
+    zs[200:210] = np.nan
+    found = smooth(kf, zs, us=[PLANE @ u for u in pushed])
+    there = found.x[:, [0, 2], 0] - truth - 5.0 * np.arange(1, 301)[:, None] * [1.0, 0.0]
+    assert np.abs(there).max() < 8.0
+
+
+def said(kf, zs, **options):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = smooth(kf, zs, **options)
+    messages = [str(each.message) for each in caught]
+    assert all(message.split(": ", 1)[1].split("; fit")[0] in found.message for message in messages)
+    return " ".join(messages)
+
+
+def level(q, r):
+    kf = KalmanFilter(1, 1)
+    kf.F = kf.H = np.eye(1)
+    kf.Q, kf.R, kf.P = q * np.eye(1), r * np.eye(1), 100.0 * np.eye(1)
+    return kf
+
+
+def wandering(seed, contamination, steps=400):
+    rng = np.random.default_rng(seed)
+    outlier = np.where(rng.random(steps) < contamination, 10.0, 1.0)
+    return np.cumsum(rng.normal(size=steps)) + outlier * rng.normal(size=steps)
+
+
+@pytest.mark.parametrize("contamination", [0.0, 0.1, 0.3])
+def test_what_fits_is_not_said_to_be_wrong(contamination):
+    for seed in range(60, 75):
+        zs = wandering(seed, contamination)
+        assert not said(level(1.0, 1.0), zs)
+        if contamination < 0.2:
+            assert not said(level(1.0, 1.0), zs, influence=Huber())
+
+
+@pytest.mark.parametrize("influence", [None, Linear()], ids=["learnt", "Linear"])
+def test_what_is_ten_times_wrong_is_said(influence):
+    for seed in range(80, 84):
+        zs = wandering(seed, 0.0)
+        assert "process noise" in said(level(0.1, 1.0), zs, influence=influence)
+        assert "process=None" in said(level(0.1, 1.0), zs, influence=influence)
+        assert "as R says" in said(level(1.0, 10.0), zs, influence=influence)
+        assert "Q and R do not fit" in said(level(10.0, 1.0), zs, influence=influence)
+
+
+def test_few_samples_say_nothing_of_the_noise():
+    assert not said(level(10.0, 10.0), wandering(90, 0.0, steps=12))
