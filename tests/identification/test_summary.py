@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from scipy.stats import norm
 
 from robust_filterpy import ARX, OutputError, ParameterTracker, identify
@@ -55,6 +56,22 @@ def test_own_fit_is_that_of_the_ordinary_samples(model):
 
 def test_a_warning_is_in_the_text(model):
     assert "Doubtful: two models" in str(replace(model, warning="two models").summary())
+
+
+@pytest.mark.parametrize("structure", [OutputError(2, 2), ARX(2, 2)], ids=str)
+def test_a_parameter_that_is_held_has_no_z_and_the_table_says_held(structure):
+    rng = np.random.default_rng(4)
+    u = rng.choice([-1.0, 1.0], 400)
+    y = lfilter([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], u) + 0.1 * rng.normal(size=400)
+    summary = identify(y, u, structure, fixed={"a1": -1.5}).summary()
+    held, *free = summary.rows
+    assert (held.name, held.estimate, held.std, held.lower, held.upper) == ("a1", -1.5, 0.0, -1.5, -1.5)
+    assert np.isnan(held.z)
+    assert all(np.isfinite(row.z) and row.std > 0.0 for row in free)
+    said = {line.split()[0]: line.split()[1:] for line in str(summary).splitlines() if line.startswith(("a", "b"))}
+    assert said["a1"] == ["-1.5", "held"]
+    assert all(len(said[row.name]) == 5 for row in free if row.name != "offset")
+    assert "inf" not in str(summary)
 
 
 def test_as_a_frame(model):

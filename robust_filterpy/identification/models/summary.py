@@ -28,7 +28,7 @@ class Estimate(NamedTuple):
     std : float
         Its standard deviation.
     z : float
-        Estimate over standard deviation: how far from 0 it is.
+        Estimate over standard deviation: how far from 0 it is; NaN where the estimate is held, and has none.
     lower, upper : float
         Ends of its interval.
     """
@@ -82,7 +82,9 @@ class Summary:
         lines = [self.title.center(_WIDTH).rstrip(), "=" * _WIDTH, *(f"{a}  {b}".rstrip() for a, b in pairs)]
         lines += ["-" * _WIDTH, f"{'':<12}{'estimate':>14}{'std':>13}{'z':>11}{lower:>14}{upper:>14}", "-" * _WIDTH]
         for name, estimate, std, z, low, high in self.rows:
-            lines.append(f"{name:<12}{estimate:>14.5g}{std:>13.3g}{z:>11.1f}{low:>14.5g}{high:>14.5g}")
+            # A parameter that is told, or stands at a bound, or was not estimated, has nothing to be doubted.
+            sure = f"{'held':>13}" if std == 0.0 else f"{std:>13.3g}{z:>11.1f}{low:>14.5g}{high:>14.5g}"
+            lines.append(f"{name:<12}{estimate:>14.5g}{sure}")
         words = {"Found": self.found, "Doubtful": self.warning}
         return "\n".join([*lines, "=" * _WIDTH, *(f"{name}: {text}" for name, text in words.items() if text)])
 
@@ -150,8 +152,7 @@ def summarized(
         If level is no probability.
     """
     lower, upper = intervals(theta, std, level)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        z = theta / std
+    z = np.divide(theta, std, out=np.full(np.shape(theta), np.nan), where=std != 0.0)
     columns = (column.tolist() for column in (theta, std, z, lower, upper))
     rows = tuple(Estimate(*row) for row in zip(names, *columns, strict=True))
     return Summary(title, facts, rows, float(level), warning, found)
