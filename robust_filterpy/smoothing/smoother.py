@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -14,6 +13,7 @@ from robust_filterpy import _checks
 from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array, numbers
 from robust_filterpy._fill_values import without_fill_values
+from robust_filterpy._warning import warn
 from robust_filterpy.batch._arguments import leading
 from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.correction.options import GROUPINGS, Choices, Grouping
@@ -299,7 +299,7 @@ def _smoothed(
         where = "the recording" if len(found.x) == 1 else f"{len(odd)} of {len(found.x)} series; the first"
         message = f"Q and R do not fit {where}: {odd[0]}"
         jumps = ", or smooth with process=None if states jump" if process is not None and "process" in odd[0] else ""
-        warnings.warn(f"smooth: {message}; fit them by estimate_noise{jumps}", UserWarning, stacklevel=3)
+        warn(f"smooth: {message}; fit them by estimate_noise{jumps}")
         found = replace(found, message=f"{found.message}; {message}")
     return found
 
