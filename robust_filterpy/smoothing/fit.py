@@ -33,16 +33,15 @@ def misfits(model: Model, fit: Fit, weights: Array) -> list[str]:
     weights (series, steps, m): how much each measurement was believed, NaN where it is missing.
     """
     smooth = fit.smooth
-    believed = weights > _BELIEVED
-    share = believed.sum(axis=1) / np.maximum((~np.isnan(weights)).sum(axis=1), 1)
+    believed, measured = np.asarray(weights > _BELIEVED), ~np.isnan(weights)
+    share = believed.sum(axis=1) / np.maximum(measured.sum(axis=1), 1)
     left, of_left = _left(model.z, smooth, fit.weighting, believed)
     degrees = np.einsum("snii->s", smooth.information)
     driven = np.einsum("snr,snr->s", smooth.score, smooth.score) / np.maximum(degrees, _TINY)
-    heard = (~np.isnan(weights)).any(axis=1)
     odd = []
     for s in range(len(weights)):
         parts = []
-        for j in np.flatnonzero(heard[s]):
+        for j in np.flatnonzero(measured[s].any(axis=0)):
             if share[s, j] < _BELIEVED:
                 parts.append(f"{1.0 - share[s, j]:.0%} of the measurements of sensor {j} look like outliers to R")
             elif _differs(left[s, j], of_left[s, j]):

@@ -304,14 +304,16 @@ def _smoothed(
     return found
 
 
-def _read_otherwise(recording: Recording, s: int, found: Smoothed, odd: list[str], options: Any) -> None:
+def _read_otherwise(
+    recording: Recording, s: int, found: Smoothed, odd: list[str], options: tuple[Any, Any, bool, int]
+) -> None:
     """Put what another start leads to in the place of series s, if it is more probable."""
     alone = _alone(recording, s)
     left_out = (np.nan_to_num(found.weights[s], nan=1.0) < 0.5).any(axis=-1)
     starts = doubted_stretches(alone, left_out)
     best = _probability(alone, found, s) if starts else np.inf
     for start in starts:
-        other, of_other = _searched(alone, *options, start=start)
+        other, of_other = _searched(alone, *options, None, start)
         probability = _probability(alone, other, 0)
         if probability > best + _CLEARLY:
             best, odd[s] = probability, of_other[0]

@@ -58,14 +58,14 @@ def log_probability(recording: Recording, outliers: Array, jumps: Array, noise: 
     F, G, c, H, z, x0, P0 = recording.model
     if c.any():
         z = z - _moved_by(c, F, H, z.shape[1])
-    missing = ~recording.observed
+    there = recording.observed.astype(bool)
     scale = np.where(jumps, process[1] ** 2, 1.0)[None, :, None, None]
     R = np.where(outliers, noise[1] ** 2, 1.0)[..., None] * np.eye(z.shape[2])
     found = filter_series(
-        np.where(missing, np.nan, z), F, H, scale * (G @ G.swapaxes(-1, -2)), R[None], x0, P0,
+        np.where(there, z, np.nan), F, H, scale * (G @ G.swapaxes(-1, -2)), R[None], x0, P0,
         influence=Linear(), keep="last", covariance="none",
     )  # fmt: skip
-    return float(found.log_likelihood[0]) + _labels(outliers, ~missing[0], noise[0]) + _labels(jumps, True, process[0])
+    return float(found.log_likelihood[0]) + _labels(outliers, there[0], noise[0]) + _labels(jumps, True, process[0])
 
 
 def _labels(large: Array, there: Array | bool, share: Array) -> float:
