@@ -41,6 +41,10 @@ def one_sided(dim_x: int, dim_z: int) -> dict[str, Callable[[], Any]]:
         "Kalman (filterpy)": lambda: KalmanFilter(dim_x, dim_z),
         "chi-square gate, 99.73 %": lambda: gate(dim_x, dim_z),
         "Huber 1.345": lambda: RobustKalmanFilter(dim_x, dim_z, grouping="joint"),
+        "Huber 1.345, told S": lambda: RobustKalmanFilter(dim_x, dim_z, scaling="innovation", grouping="joint"),
+        "Tukey 4.685, told S": lambda: RobustKalmanFilter(
+            dim_x, dim_z, influence=TukeyBiweight(), scaling="innovation", grouping="joint"
+        ),
         "Hampel": lambda: RobustKalmanFilter(dim_x, dim_z, influence=Hampel(), grouping="joint"),
         "Tukey 4.685": lambda: RobustKalmanFilter(dim_x, dim_z, influence=TukeyBiweight(), grouping="joint"),
         "Student t, 4": lambda: RobustKalmanFilter(dim_x, dim_z, influence=StudentT(), grouping="joint"),
