@@ -165,7 +165,9 @@ class Mixture:
         if np.isnan(found.weights).all():
             ordinary = ordinary_noise(R, known.memory) + unexplained
             return nothing_observed(x, P, H @ P @ H.T + ordinary, m), known.kept
-        mean, covariance = x + found.copies.x[0, :n], found.copies.P[0, :n, :n].copy()
+        # What F P F' leaves of asymmetry would grow where F does.
+        covariance = found.copies.P[0, :n, :n]
+        mean, covariance = x + found.copies.x[0, :n], 0.5 * (covariance + covariance.T)
         return Mixed(
             mean, covariance, *found[1:], np.zeros(n), P.copy(), H, R.copy(), None, y, known.memory, unexplained
         ), known.kept

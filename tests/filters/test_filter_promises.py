@@ -9,6 +9,8 @@ from filterpy.kalman import MerweScaledSigmaPoints
 from support import RECOVERING, recovering, told, two_sided
 
 from robust_filterpy import (
+    AdaptiveKalmanFilter,
+    Contaminated,
     Huber,
     Linear,
     RobustCubatureKalmanFilter,
@@ -40,7 +42,9 @@ def of_a_linear_model(cls, **options):
 
 
 SIGMA = ("memoryless", "pickle", "validates")
+TOLD = Contaminated(0.1, 10.0)
 by_S = partial(RobustKalmanFilter, scaling="innovation")
+learnt = partial(RobustKalmanFilter, noise="learnt")
 #: Factory, what it does not claim. Under scaling "learnt", the default, a sensor's custom is remembered beside x and P,
 #: and a psi that is nowhere linear bends what is ordinary for a sensor, however small that is.
 FILTERS = {
@@ -68,7 +72,24 @@ FILTERS = {
     "noise-matched": (partial(told, grouping="joint"), ("recovers",)),
     "noise-matched, each sensor": (told, ("recovers", "linear")),
     "two-sided": (two_sided, ("linear", "prediction", "memoryless")),
-}
+    "two-sided, told": (partial(told, process=Contaminated(0.01, 10.0)), ("linear", "prediction", "recovers")),
+    "adaptive": (AdaptiveKalmanFilter, ("linear", "prediction", "memoryless")),
+    "adaptive, joint": (partial(AdaptiveKalmanFilter, grouping="joint"), ("linear", "prediction", "memoryless")),
+    "learnt": (learnt, ("linear", "memoryless", "recovers")),
+    "learnt, process told": (
+        partial(learnt, process=Contaminated(0.01, 10.0)), ("linear", "prediction", "memoryless", "recovers")
+    ),
+    "extended told": (partial(RobustExtendedKalmanFilter, noise=TOLD), ("linear", "recovers")),
+    "extended learnt": (partial(RobustExtendedKalmanFilter, noise="learnt"), ("linear", "memoryless", "recovers")),
+    "unscented told": (of_a_linear_model(RobustUnscentedKalmanFilter, noise=TOLD), ("linear", "recovers", *SIGMA)),
+    "unscented learnt": (
+        of_a_linear_model(RobustUnscentedKalmanFilter, noise="learnt"), ("linear", "recovers", *SIGMA)
+    ),
+    "cubature told": (of_a_linear_model(RobustCubatureKalmanFilter, noise=TOLD), ("linear", "recovers", *SIGMA)),
+    "cubature learnt": (
+        of_a_linear_model(RobustCubatureKalmanFilter, noise="learnt"), ("linear", "recovers", *SIGMA)
+    ),
+}  # fmt: skip
 ROUNDING = "filterpy's P - K S K' loses its sign in rounding"
 SIGMA_POINTS = dict.fromkeys(
     (
@@ -86,6 +107,7 @@ EXPECTED = {
         **SIGMA_POINTS,
     },
 }
+EXPECTED |= {f"{name} {noise}": EXPECTED[name] for name in ("unscented", "cubature") for noise in ("told", "learnt")}
 EXPECTED |= {f"recovering {name}": EXPECTED[name] for name in ("unscented", "cubature")}
 if not support.FILTERPY_2:
     EXPECTED["unscented"] |= SIGMA_POINTS

@@ -15,14 +15,15 @@ PROMISES: list[Promise] = []
 
 @promise(PROMISES)
 def innovation_and_its_covariance_are_shown(subject: FilterSubject) -> None:
-    """kf.y = z - H x_prior and kf.S = H P_prior H' + R after update(z), where a filter shows them."""
+    """kf.y = z - H x_prior and kf.S = H P_prior H' + R after update(z), where shown; R as learnt, if it is."""
     model = subject.model()
     kf = subject.aged(model, 2)
     if not hasattr(kf, "y") or not hasattr(kf, "S"):
         raise not_applicable("shows no y or S")
     kf.predict()
     x, P = state(kf)
-    S = model.innovation_covariance(P)
+    learnt = getattr(kf, "R_learnt", None)
+    S = model.with_(R=model.R if learnt is None else learnt).innovation_covariance(P)
     z = model.H @ x + 0.3 * np.sqrt(S.diagonal())
     runs.measure(kf, z, model)
     for name, got, wanted in (("y", np.ravel(kf.y), z - model.H @ x), ("S", np.asarray(kf.S), S)):
