@@ -13,7 +13,7 @@ from __future__ import annotations
 from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.judging.compare import Comparison, compare
 from robust_filterpy.identification.judging.select import Selection, select_structure
-from robust_filterpy.identification.judging.validate import Validation, validate
+from robust_filterpy.identification.judging.validate import Validation, Validations, validate
 from robust_filterpy.identification.models.continuous import ContinuousModel
 from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
 from robust_filterpy.identification.models.model import Model
@@ -72,6 +72,7 @@ __all__ = [
     "TrackingResult",
     "TunedTracker",
     "Validation",
+    "Validations",
     "compare",
     "identify",
     "select_structure",

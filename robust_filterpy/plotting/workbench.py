@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from robust_filterpy import _checks
-from robust_filterpy.identification import Comparison, Selection, TunedTracker, Validation
+from robust_filterpy.identification import Comparison, Selection, TunedTracker, Validation, Validations
 from robust_filterpy.plotting import sources
 from robust_filterpy.plotting._style import (
     COLOURS,
@@ -36,15 +36,16 @@ __all__ = ["plot_comparison", "plot_structure_selection", "plot_tuning", "plot_v
 _DEEP: Final = 30.0
 
 
-def plot_validation(validation: Validation, *, axes: Any = None) -> Any:
+def plot_validation(validation: Validation | Validations, *, axes: Any = None) -> Any:
     """Draw what a model leaves in its residuals: correlations with their bounds, the verdict above.
 
     Parameters
     ----------
-    validation : Validation
-        What `validate` returned.
+    validation : Validation or Validations
+        What `validate` returned; of several outputs each has a figure.
     axes : sequence of matplotlib.axes.Axes, optional
-        Where to draw: one for the residuals among themselves and one for each input.
+        Where to draw: one for the residuals among themselves and one for each input; of Validations one such sequence
+        for each.
 
     Returns
     -------
@@ -53,10 +54,16 @@ def plot_validation(validation: Validation, *, axes: Any = None) -> Any:
     Raises
     ------
     TypeError
-        If validation is no `Validation`.
+        If validation is neither.
     ValueError
         If there are not as many axes as pictures.
     """
+    if isinstance(validation, Validations):
+        places = [None] * len(validation) if axes is None else axes
+        drawn = [plot_validation(one, axes=place) for one, place in zip(validation, places, strict=True)]
+        for j, (one, own) in enumerate(zip(validation, drawn, strict=True)):
+            own[0].figure.suptitle(textwrap.fill(f"output {j}: {one.verdict}", 80), fontsize="medium")
+        return np.array(drawn)
     _require(validation, "validation", Validation, "validate(..)")
     found = [("residuals among themselves", 1, validation.autocorrelation, validation.autocorrelation_bound)]
     several = len(validation.cross_correlation) > 1
@@ -141,14 +148,17 @@ def plot_structure_selection(selection: Selection, *, axes: Any = None) -> Any:
 
 
 def plot_comparison(
-    comparison: Comparison, *, t: Any = None, unit: str = "", time_unit: str = "", ax: Axes | None = None
-) -> Axes:
+    comparison: Comparison, *, output: int = 0, t: Any = None, unit: str = "", time_unit: str = "",
+    ax: Axes | None = None,
+) -> Axes:  # fmt: skip
     """Draw the outputs of several models over the measured one, with their fits beside.
 
     Parameters
     ----------
     comparison : Comparison
         What `compare` returned.
+    output : int, default 0
+        Which of several outputs; fits are those of all.
     t : array_like, shape (N,), optional
         Times or dates; default the index of the recording, or the number of the sample.
     unit, time_unit : str, default ""
@@ -165,7 +175,7 @@ def plot_comparison(
     TypeError
         If comparison is no `Comparison`.
     ValueError
-        If t does not fit.
+        If t or output does not fit.
 
     Notes
     -----
@@ -173,12 +183,16 @@ def plot_comparison(
     """
     _require(comparison, "comparison", Comparison, "compare(..)")
     y = comparison.measured
+    y = y if y.ndim > 1 else y[:, None]
+    if _checks.count("output", output) >= y.shape[1]:
+        raise ValueError(f"output: expected 0 to {y.shape[1] - 1}, got {output}")
+    y = y[:, output]
     time = sources.time(t, y.size, comparison)
     ax = one_axes(ax, (8.5, 3.6))
     for place, row in enumerate(comparison.rows):
         label = f"{row.name}, fit {row.fit:.1f} %"
-        output = comparison.outputs[row.name]
-        ax.plot(time, output, linewidth=1.2, label=label, **line_of(place))
+        shown = comparison.outputs[row.name]
+        ax.plot(time, shown[:, output] if shown.ndim > 1 else shown, linewidth=1.2, label=label, **line_of(place))
     ordinary = np.quantile(y[~np.isnan(y)], [0.02, 0.98])
     low, high = ax.get_ylim()
     low, high = min(low, float(ordinary[0])), max(high, float(ordinary[1]))

@@ -45,7 +45,7 @@ def test_the_true_one_passes_and_a_wrong_one_is_named():
         (control.TransferFunction([1.0], [1.0, 1.0]), ValueError, "discrete time"),
         (control.TransferFunction([[[1.0], [1.0]]], [[[1.0, 0.5], [1.0, 0.5]]], True), ValueError, "one input"),
         (control.TransferFunction([1.0, 0.0, 0.0], [1.0, 0.5], True), ValueError, "proper"),
-        (3.0, TypeError, "a Model that identify found, or a control.TransferFunction"),
+        (3.0, TypeError, "StateSpaceModel or GreyBoxModel that identify found, or a control.TransferFunction"),
     ],
 )
 def test_what_cannot_be_judged_is_refused(system, error, message):

@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from robust_filterpy import ARX, OutputError, ParameterTracker, identify, plotting
-from robust_filterpy.identification import FIR, compare, select_structure, validate
+from robust_filterpy.identification import FIR, StateSpace, compare, select_structure, validate
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -69,6 +69,21 @@ def test_validation_has_a_picture_for_each_input_and_one_without(recording):
     ]  # fmt: skip
     alone = validate(identify(recording.y, None, ARX(2, 0)), recording.y)
     assert len(plotting.plot_validation(alone)) == 1
+
+
+def test_each_of_several_outputs_has_a_picture(recording):
+    both = recording[["y"]].assign(w=3.0 - 2.0 * recording.y)
+    model = identify(both, recording.u, StateSpace(2))
+    axes = validate(model, both, recording.u).plot()
+    assert axes.shape == (2, 2)
+    assert [own[0].figure.get_suptitle()[:10] for own in axes] == ["output 0: ", "output 1: "]
+    found = compare({"states": model}, both, recording.u)
+    ax = found.plot(output=1)
+    measured = next(line for line in ax.lines if line.get_label() == "measured")
+    assert_array_equal(measured.get_ydata(), both.w)
+    assert_array_equal(ax.lines[0].get_ydata(), found.outputs["states"][:, 1])
+    with pytest.raises(ValueError, match="output: expected 0 to 1, got 2"):
+        found.plot(output=2)
 
 
 def test_selection_shows_every_structure_and_rings_the_chosen(recording):

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
-from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy._fill_values import fill_values
 from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.prediction_error import minimised, sandwich
-from robust_filterpy.identification.models.findings import Finding, of_fill_values
+from robust_filterpy.identification.models.findings import Finding
 from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
+from robust_filterpy.identification.models.grey_box_recording import grey_recording
 from robust_filterpy.identification.models.grey_box_residuals import GreyRecording, GreyResiduals
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.noise_of_outputs import Noises
@@ -91,60 +89,9 @@ def _recordings(y: Any, u: Any, t: Any) -> tuple[list[GreyRecording], list[Any],
     us, ts = ([None] * len(ys) if part is None else part for part in (us, ts))
     if len(us) != len(ys) or len(ts) != len(ys):
         raise ValueError(f"u, t: expected {len(ys)} recordings like y, got {len(us)} and {len(ts)}")
-    told, known, findings = [], [], []
-    for i, (one, acting, times) in enumerate(zip(ys, us, ts, strict=True)):
-        output = _columns("y", one)
-        if np.isinf(output).any():
-            raise ValueError("y: expected finite numbers or NaN (missing), got inf")
-        fills = [fill_values(column) for column in output.T]
-        findings += [found for fill in fills for found in of_fill_values(fill)]
-        output = np.column_stack([fill.signal for fill in fills])
-        for j, column in enumerate(output.T):
-            seen = column[~np.isnan(column)]
-            if not seen.size:
-                raise ValueError(f"y: expected some measured samples of output {j} in recording {i}, got none")
-        signal = np.zeros((len(output), 0)) if acting is None else _columns("u", acting)
-        if len(signal) != len(output):
-            raise ValueError(f"u: expected {len(output)} samples like y, got {len(signal)}")
-        if np.isinf(signal).any() or np.isnan(signal[:1]).any():
-            raise ValueError("u: expected finite numbers, the first of them measured")
-        gaps = np.isnan(signal)
-        if gaps.any():
-            last = np.maximum.accumulate(np.where(gaps, 0, np.arange(len(signal))[:, None]), axis=0)
-            signal = np.take_along_axis(signal, last, axis=0)
-            text = f"u is missing in {int(gaps.any(axis=1).sum())} samples of recording {i}: held at the value before"
-            findings.append(Finding("gap", text, float("nan"), (0, len(signal))))
-        told.append(GreyRecording(_times(one, times, len(output)), np.nan_to_num(output), signal))
-        known.append(~np.isnan(output))
-    return told, known, tuple(findings)
-
-
-def _columns(name: str, signal: Any) -> Array:
-    """Return a signal as columns or raise."""
-    found = _checks.numbers(name, signal)
-    found = found[:, None] if found.ndim == 1 else found
-    if found.ndim != 2 or not len(found):
-        raise ValueError(f"{name}: expected shape (N,) or (N, n), N >= 1, got {np.shape(signal)}")
-    return found
-
-
-def _times(y: Any, t: Any, length: int) -> Array:
-    """Return the times of a recording in s, from 0 on."""
-    if t is None:
-        index, pd = getattr(y, "index", None), sys.modules.get("pandas")
-        if pd is None or index is None or callable(index):
-            raise ValueError("t: expected the times of the samples in s, or a pandas index that has them, got None")
-        is_time = isinstance(index, (pd.DatetimeIndex, pd.TimedeltaIndex))
-        t = (index - index[0]).total_seconds() if is_time else index
-    times = _checks.numbers("t", np.asarray(t))
-    if times.shape != (length,) or not np.isfinite(times).all():
-        raise ValueError(f"t: expected {length} finite times like y, got shape {times.shape}")
-    if (np.diff(times) <= 0.0).any():
-        k = int(np.argmax(np.diff(times) <= 0.0))
-        raise ValueError(
-            f"t: expected times that increase, got {times[k]:.6g} and {times[k + 1]:.6g} in sample {k + 1}"
-        )
-    return times - times[0]
+    checked = [grey_recording(*one, i) for i, one in enumerate(zip(ys, us, ts, strict=True))]
+    findings = tuple(found for one in checked for found in one.findings)
+    return [one.recording for one in checked], [one.known for one in checked], findings
 
 
 def _require_functions(structure: GreyBox, one: GreyRecording) -> None:

@@ -12,11 +12,13 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._pictures import drawn
+from robust_filterpy.identification.judging.judged import any_model, signals_for
 from robust_filterpy.identification.models.fit import ordinary_fit, ordinary_samples
+from robust_filterpy.identification.models.grey_box import GreyBoxModel
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.signals import recorded_output
-from robust_filterpy.identification.models.time_axis import recording, table
-from robust_filterpy.identification.models.transfer_model import as_model
+from robust_filterpy.identification.models.state_space import StateSpaceModel
+from robust_filterpy.identification.models.time_axis import table
 
 if TYPE_CHECKING:
     import control
@@ -32,7 +34,8 @@ class Compared(NamedTuple):
     name : str
         Its name.
     fit : float
-        Fit of the output from inputs alone, in percent on ordinary samples; without input that of one step ahead.
+        Fit of the output from inputs alone, in percent on ordinary samples; without input that of one step ahead. Of
+        several outputs the mean of their fits.
     one_step : float
         Fit one step ahead on ordinary samples.
     all : float
@@ -53,9 +56,9 @@ class Comparison:
     ----------
     rows : tuple of Compared
         Sorted by their fit on ordinary samples.
-    measured : ndarray, shape (N,)
+    measured : ndarray, shape (N,) or (N, n_outputs)
         Measured output; NaN where it is missing.
-    outputs : dict of str to ndarray, shape (N,)
+    outputs : dict of str to ndarray, of the shape of `measured`
         Output of each model that its fit is of, the best first.
     samples : int
         How many measured samples all of them predict.
@@ -119,18 +122,24 @@ class Comparison:
 
 
 def compare(
-    models: Mapping[str, Model | control.TransferFunction], y: ArrayLike, u: ArrayLike | None = None
+    models: Mapping[str, Model | StateSpaceModel | GreyBoxModel | control.TransferFunction],
+    y: ArrayLike,
+    u: ArrayLike | None = None,
+    t: ArrayLike | None = None,
 ) -> Comparison:
     """Rank models by their fit on the ordinary samples of one recording.
 
     Parameters
     ----------
-    models : mapping of str to Model or control.TransferFunction
-        Models by name; transfer functions as `validate` takes them.
-    y : array_like, shape (N,)
+    models : mapping of str to Model, StateSpaceModel, GreyBoxModel or control.TransferFunction
+        Models by name, all of the same outputs; transfer functions as `validate` takes them.
+    y : array_like, shape (N,) or (N, n_outputs)
         Measured output; NaN where it is missing.
     u : array_like, shape (N,) or (N, n_inputs), optional
         Input.
+    t : array_like, shape (N,), optional
+        Times in s, for a `GreyBoxModel`; beside a model in discrete time their steps are equal. Default: those of the
+        index.
 
     Returns
     -------
@@ -139,7 +148,7 @@ def compare(
     Raises
     ------
     ValueError
-        If there is no model, or y or u does not fit one of them.
+        If there is no model, or y, u or t does not fit one of them.
     TypeError
         If models is no mapping to such models.
 
@@ -164,24 +173,42 @@ def compare(
         raise TypeError(f'models: expected {{"name": model, ..}}, got {_checks.shown(models)}')
     if not models:
         raise ValueError("models: expected at least one model, got none")
-    found = {name: as_model(f"models[{name!r}]", model, y, u) for name, model in models.items()}
-    axis, y, u = recording(next(iter(found.values())).structure, y=y, u=u)
-    for model in found.values():
-        axis.require_period(model.dt)
-    measured = recorded_output(y)
-    residuals = {name: model.residuals(measured, u) for name, model in found.items()}
-    shared = ~np.any(np.isnan(list(residuals.values())), axis=0)
-    if not shared.any():
-        raise ValueError("y: expected measured samples that all models predict, got none; record more")
-    closest = min(residuals.values(), key=lambda residual: float(np.median(np.abs(residual[shared]))))
-    ordinary = ordinary_samples(np.where(shared, closest, np.nan))
-    rows, outputs = [], {}
+    found = {str(name): any_model(f"models[{name!r}]", model, y, u) for name, model in models.items()}
+    index, residuals, outputs = None, {}, {}
     for name, model in found.items():
-        ahead = measured - residuals[name]
-        output = model.free_run(measured, u) if model.structure.n_inputs else ahead
-        outputs[str(name)] = output
-        fits = (ordinary_fit(measured, *pair) for pair in ((output, ordinary), (ahead, ordinary), (output, shared)))
-        rows.append(Compared(str(name), *fits))
+        axis, signals = signals_for(model, y, u, t)
+        index, residuals[name] = axis.index, _columns(model.residuals(*signals))
+        measured = np.column_stack([recorded_output(column) for column in _columns(y).T])
+        if residuals[name].shape != measured.shape:
+            raise ValueError(
+                f"models[{name!r}]: expected a model of {measured.shape[1]} output(s) as y has, got another"
+            )
+        alone = isinstance(model, (StateSpaceModel, GreyBoxModel)) or model.structure.n_inputs
+        outputs[name] = _columns(model.free_run(*signals)) if alone else measured - residuals[name]
+    shared = ~np.any(np.isnan(list(residuals.values())), axis=0)
+    if not shared.any(axis=0).all():
+        raise ValueError("y: expected measured samples that all models predict, got none; record more")
+    ordinary = np.zeros(shared.shape, dtype=bool)
+    for j, good in enumerate(shared.T):
+        closest = min(residuals.values(), key=lambda left: float(np.median(np.abs(left[good, j]))))
+        ordinary[:, j] = ordinary_samples(np.where(good, closest[:, j], np.nan))
+    rows = []
+    for name, output in outputs.items():
+        pairs = ((output, ordinary), (measured - residuals[name], ordinary), (output, shared))
+        rows.append(Compared(name, *(_fit(measured, *pair) for pair in pairs)))
     rows.sort(key=lambda row: -row.fit if np.isfinite(row.fit) else np.inf)
-    outputs = {row.name: outputs[row.name] for row in rows}
-    return Comparison(tuple(rows), measured, outputs, int(shared.sum()), int(ordinary.sum()), axis.index)
+    one = measured.shape[1] == 1
+    shown = {row.name: outputs[row.name][:, 0] if one else outputs[row.name] for row in rows}
+    measured = measured[:, 0] if one else measured
+    return Comparison(tuple(rows), measured, shown, int(shared.sum()), int(ordinary.sum()), index)
+
+
+def _columns(signal: Any) -> Array:
+    """Return signals of outputs as columns."""
+    values = np.asarray(signal, dtype=float)
+    return values.reshape(-1, 1) if values.ndim == 1 or values.shape[0] == 1 else values
+
+
+def _fit(measured: Array, output: Array, counts: Any) -> float:
+    """Return the mean over the outputs of the fit on the samples that count."""
+    return float(np.mean([ordinary_fit(*columns) for columns in zip(measured.T, output.T, counts.T, strict=True)]))

@@ -11,7 +11,7 @@
 * `state_space`, `state_space_residuals`: several outputs.
 * `noise_of_outputs`: noise of each of them.
 * `continuous`: the system in continuous time whose samples a model gives.
-* `grey_box`, `grey_box_residuals`: physical models in continuous time.
+* `grey_box`, `grey_box_recording`, `grey_box_residuals`: physical models in continuous time.
 * `prediction`: predictions through outliers.
 * `learnt_noise`: the noise that residuals show.
 * `model`: what `identify` returns.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,11 +13,21 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.estimated import Estimated
 from robust_filterpy.identification.models.findings import Finding, said
+from robust_filterpy.identification.models.fit import fit_percent
+from robust_filterpy.identification.models.grey_box_recording import Checked, grey_recording
 from robust_filterpy.identification.models.grey_box_residuals import GreyRecording, GreyResiduals, Scale
 from robust_filterpy.identification.models.learnt_noise import Noise
+from robust_filterpy.identification.models.noise_of_outputs import Noises
 from robust_filterpy.identification.models.summary import Summary, summarized
+from robust_filterpy.influence.regression import robust_regression
 
 __all__ = ["GreyBox", "GreyBoxModel"]
+
+# Steps towards the states in which a recording begins, and how often one is halved; less in -log of the likelihood is
+# no progress.
+_START_STEPS: Final = 20
+_HALVINGS: Final = 6
+_SETTLED: Final = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,3 +283,124 @@ class GreyBoxModel(Estimated):
                 "f: expected outputs that are finite; the equations are unstable or too stiff between samples"
             )
         return -model.residuals(z).reshape(times.size, -1)
+
+    def free_run(self, y: ArrayLike, u: ArrayLike | None, t: ArrayLike | None = None) -> Array:
+        """Compute the outputs from inputs alone, beginning with the states that y tells.
+
+        Parameters
+        ----------
+        y : array_like, shape (N,) or (N, n_outputs)
+            Outputs, which tell the states in the first sample unless ``structure.start`` is "fixed"; NaN where one is
+            missing.
+        u : array_like, shape (N,) or (N, m), or None
+            Inputs.
+        t : array_like, shape (N,), optional
+            Times in s. Default: those of the index.
+
+        Returns
+        -------
+        ndarray, shape (N, n_outputs)
+
+        Raises
+        ------
+        ValueError
+            If they do not fit, or the equations overflow.
+        """
+        told, model, z = self._started(y, u, t)
+        return told.recording.y - model.residuals(z).reshape(told.known.shape)
+
+    def residuals(self, y: ArrayLike, u: ArrayLike | None, t: ArrayLike | None = None) -> Array:
+        """Return measured outputs less those from inputs alone.
+
+        Parameters
+        ----------
+        y : array_like, shape (N,) or (N, n_outputs)
+            Outputs; NaN where one is missing.
+        u : array_like, shape (N,) or (N, m), or None
+            Inputs.
+        t : array_like, shape (N,), optional
+            Times in s. Default: those of the index.
+
+        Returns
+        -------
+        ndarray, shape (N, n_outputs)
+            NaN where y is missing.
+
+        Raises
+        ------
+        ValueError
+            If they do not fit, or the equations overflow.
+        """
+        told, model, z = self._started(y, u, t)
+        return np.where(told.known, model.residuals(z).reshape(told.known.shape), np.nan)
+
+    def fit(self, y: ArrayLike, u: ArrayLike | None, t: ArrayLike | None = None) -> Array:
+        """Compute how well the outputs from inputs alone agree with a recording.
+
+        Parameters
+        ----------
+        y : array_like, shape (N,) or (N, n_outputs)
+            Outputs; NaN where one is missing.
+        u : array_like, shape (N,) or (N, m), or None
+            Inputs.
+        t : array_like, shape (N,), optional
+            Times in s. Default: those of the index.
+
+        Returns
+        -------
+        ndarray, shape (n_outputs,)
+            Percent, for each output; see `fit_percent`.
+
+        Raises
+        ------
+        ValueError
+            If they do not fit, an output is constant, or the equations overflow.
+        """
+        told, model, z = self._started(y, u, t)
+        measured = np.where(told.known, told.recording.y, np.nan)
+        return np.atleast_1d(fit_percent(measured, told.recording.y - model.residuals(z).reshape(measured.shape)))
+
+    def _started(self, y: Any, u: Any, t: Any) -> tuple[Checked, GreyResiduals, Array]:
+        """Return a checked recording, its residuals and free parameters, with the likeliest states to begin with."""
+        told = grey_recording(y, u, t)
+        shape, p = told.known.shape, np.array([*self.p.values()])
+        if shape[1] != len(self.noise):
+            raise ValueError(f"y: expected {len(self.noise)} output(s), as the model has, got {shape[1]}")
+        try:
+            self.structure.f(self.structure.x0, told.recording.u[0], p)
+        except (IndexError, ValueError) as error:
+            raise ValueError(
+                f"u: expected the inputs that f takes, got {told.recording.u.shape[1]} of them ({error})"
+            ) from None
+        rows, free = told.known.ravel(), self.structure.start == "free"
+        noise = Noises(self.noise, np.tile(np.arange(shape[1]), shape[0])[rows])
+        ends: list[Any] = []
+        for start in (*self.starts, self.structure.x0) if free else (self.structure.x0,):
+            model = self.structure.residuals_of([told.recording], start[None], free)
+            z = np.concatenate((model.p.free(self.theta), model.x.free(start) if free else []))
+            if model.settled(z):
+                z = _likeliest(model, z, noise, rows) if free else z
+                ends.append((noise.cost(model.residuals(z)[rows]), len(ends), model, z))
+        if not ends:
+            raise ValueError(
+                "f: expected outputs that are finite; the equations are unstable or too stiff between samples"
+            )
+        return told, *min(ends)[2:]
+
+
+def _likeliest(model: GreyResiduals, z: Array, noise: Noises, rows: Any) -> Array:
+    """Return free parameters with the start at which the residuals are likeliest, the parameters as they are."""
+    size, cost = np.sqrt(noise.variance), noise.cost(model.residuals(z)[rows])
+    for _ in range(_START_STEPS):
+        J = model.jacobian(z)[rows, model.k :] / size[:, None]
+        step = np.zeros(z.size)
+        step[model.k :] = robust_regression(-J, model.residuals(z)[rows] / size)
+        before = cost
+        for share in 0.5 ** np.arange(_HALVINGS):
+            trial = model.residuals(z + share * step)[rows]
+            if np.isfinite(trial).all() and noise.cost(trial) < cost:
+                z, cost = z + share * step, noise.cost(trial)
+                break
+        if before - cost < _SETTLED:
+            break
+    return z

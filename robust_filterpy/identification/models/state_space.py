@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
+from robust_filterpy._fill_values import fill_values
 from robust_filterpy.identification.models import coefficients
 from robust_filterpy.identification.models.beginnings import held_input
 from robust_filterpy.identification.models.continuous import ContinuousModel, continuous
@@ -311,7 +312,8 @@ class StateSpaceModel:
         x = np.zeros(len(self.A))
         if isinstance(start, tuple) and len(start) == 2:
             _, before, acted = self._recording(*start)
-            x = self._told(*self._checked(before, acted))[1][-1]
+            began, q = self._started(*self._checked(before, acted))
+            x = began.states(q, 0)[-1]
         elif _checks.option("start", start, ("rest", "continued")) == "continued":
             x = self.end
         model = self._residuals(np.zeros((len(signal), len(self.C))), signal)
@@ -321,13 +323,39 @@ class StateSpaceModel:
             raise ValueError("A: the output overflows: the model as it stands is unstable")
         return self._labelled(axis, found)
 
-    def predict(self, y: ArrayLike, u: ArrayLike) -> Array:
-        """Predict each output one step ahead; without disturbance from the inputs alone.
+    def predict(self, y: ArrayLike, u: ArrayLike, steps: int = 1) -> Array:
+        """Predict each output from the samples up to ``steps`` before it; without disturbance from the inputs alone.
 
         Parameters
         ----------
         y : array_like, shape (N, p)
             Outputs, which tell the start; NaN where one is missing.
+        u : array_like, shape (N, m)
+            Inputs.
+        steps : int, default 1
+            How many samples ahead. Inputs are taken as known.
+
+        Returns
+        -------
+        ndarray, shape (N, p)
+
+        Raises
+        ------
+        ValueError, TypeError
+            If they do not fit, or steps is no positive integer.
+        """
+        steps = _checks.count("steps", steps, 1)
+        axis, y, u = self._recording(y, u)
+        measured, signal = self._checked(y, u)
+        return self._labelled(axis, self._ahead(*self._started(measured, signal), signal, steps))
+
+    def free_run(self, y: ArrayLike, u: ArrayLike) -> Array:
+        """Compute the outputs from inputs alone, beginning with the state that y tells.
+
+        Parameters
+        ----------
+        y : array_like, shape (N, p)
+            Outputs; NaN where one is missing.
         u : array_like, shape (N, m)
             Inputs.
 
@@ -342,8 +370,7 @@ class StateSpaceModel:
         """
         axis, y, u = self._recording(y, u)
         measured, signal = self._checked(y, u)
-        residual, _ = self._told(measured, signal)
-        return self._labelled(axis, np.nan_to_num(measured) - residual)
+        return self._labelled(axis, self._ahead(*self._started(measured, signal, True), signal, 1))
 
     def residuals(self, y: ArrayLike, u: ArrayLike) -> Array:
         """Return measured less predicted outputs.
@@ -367,7 +394,7 @@ class StateSpaceModel:
         """
         axis, y, u = self._recording(y, u)
         measured, signal = self._checked(y, u)
-        return self._labelled(axis, np.where(np.isnan(measured), np.nan, self._told(measured, signal)[0]))
+        return self._labelled(axis, measured - self._ahead(*self._started(measured, signal), signal, 1))
 
     def fit(self, y: ArrayLike, u: ArrayLike) -> Array:
         """Compute how well the model's output, from inputs alone, agrees with a recording.
@@ -391,7 +418,7 @@ class StateSpaceModel:
         """
         _, y, u = self._recording(y, u)
         measured, signal = self._checked(y, u)
-        return np.atleast_1d(fit_percent(measured, np.nan_to_num(measured) - self._told(measured, signal, True)[0]))
+        return np.atleast_1d(fit_percent(measured, self._ahead(*self._started(measured, signal, True), signal, 1)))
 
     def poles(self, level: float = 0.95, rng: Any = None) -> Regions:
         """Return the poles, the eigenvalues of A, with regions.
@@ -549,8 +576,8 @@ class StateSpaceModel:
         return axis, y, u
 
     def _checked(self, y: Any, u: Any) -> tuple[Array, Array]:
-        """Return outputs, NaN where they are missing, and inputs from their operating point; or raise."""
-        measured = measured_outputs(y, len(self.C))
+        """Return outputs, NaN where they are missing or filled, and inputs from their operating point; or raise."""
+        measured = np.column_stack([fill_values(one).signal for one in measured_outputs(y, len(self.C)).T])
         return measured, recorded_input(self._signals, u, len(measured)) - self.operating_point
 
     def _labelled(self, axis: TimeAxis, values: Array) -> Any:
@@ -565,8 +592,15 @@ class StateSpaceModel:
         """Return the free parameters with a start."""
         return np.concatenate((self.theta, self.level, x))
 
-    def _told(self, y: Array, u: Array, alone: bool = False) -> tuple[Array, Array]:
-        """Return residuals and states of a recording whose start the outputs tell; alone: without innovations."""
+    def _ahead(self, model: StateSpaceResiduals, q: Array, u: Array, steps: int) -> Array:
+        """Return the outputs predicted so many samples ahead."""
+        x = model.states(q, 0)[:-1]
+        for _ in range(min(steps, len(u)) - 1):
+            x = np.concatenate((x[:1], x[:-1] @ self.A.T + u[:-1] @ self.B.T))
+        return np.asarray(x @ self.C.T + u @ self.D.T + self.level)
+
+    def _started(self, y: Array, u: Array, alone: bool = False) -> tuple[StateSpaceResiduals, Array]:
+        """Return residuals and free parameters of a recording whose start it tells; alone: without innovations."""
         known = ~np.isnan(y)
         model = self._residuals(np.nan_to_num(y), u)
         noise = Noises(self.noise, np.tile(np.arange(len(self.C)), len(y)))
@@ -580,7 +614,7 @@ class StateSpaceModel:
                 q[-n:] = robust_regression(J, model.residuals(q)[rows] / scale)
             if not alone and self.structure.disturbance:
                 model.weights = [noise.weights(model.residuals(q)).reshape(y.shape) * known]
-        return model.residuals(q).reshape(y.shape), model.states(q, 0)
+        return model, q
 
 
 def _squeezed(rows: Any) -> Any:

@@ -26,7 +26,8 @@ def as_model(name: str, given: Any, y: Any, u: Any) -> Model:
         return given
     if not (hasattr(given, "num_list") or hasattr(given, "num")) or not hasattr(given, "isdtime"):
         raise TypeError(
-            f"{name}: expected a Model that identify found, or a control.TransferFunction, got {_checks.shown(given)}"
+            f"{name}: expected a Model, StateSpaceModel or GreyBoxModel that identify found, or a "
+            f"control.TransferFunction, got {_checks.shown(given)}"
         )
     if not given.isdtime(strict=True):
         raise ValueError(f"{name}: expected one in discrete time, got dt={given.dt}; use its sample(dt)")

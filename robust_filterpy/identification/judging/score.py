@@ -1,0 +1,170 @@
+"""Correlations of what a model leaves with what it should not depend on, and how large they are by chance.
+
+Residuals e are tested through v = psi(e), which is bounded, so that outliers change neither the correlations nor their
+bounds. With the columns of Z the earlier v, or the inputs at each lag, the covariance of Z'v has two parts (v before
+the parameters were fitted has the covariance Gamma; J are the derivatives of the prediction, P is the covariance of the
+parameters)::
+
+    Z' M Gamma M Z                          for the recording that the model was made from, M = I - J (J'J)^-1 J'
+    Z' Gamma Z + E[psi']^2 Z' J P J' Z      for another one
+
+The portmanteau statistic c' Cov(c)^-1 c, c = Z'v, leaves out the directions that the fit has made zero (Ljung, System
+Identification, 2nd ed., 1999, section 16.6; Davies, Triggs and Newbold, Biometrika 64, 1977). Where v is not white,
+Gamma in the test against the input has its autocorrelations.
+
+Of several outputs the residuals are those of all, each in units of its noise, and Z stands in the rows of one of them.
+What every recording tells anew, the start, is in M for another recording too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from scipy.linalg import eigh
+from scipy.signal import fftconvolve
+from scipy.stats import chi2, norm
+
+from robust_filterpy._checks import Array
+from robust_filterpy.identification.judging.judged import Judged
+from robust_filterpy.identification.models.learnt_noise import Noise
+from robust_filterpy.influence.regression import mad_scale
+
+__all__ = ["Portmanteau"]
+
+# A direction of which the fit leaves less than this share of the variance is one that it has made zero.
+_LEFT: Final = 0.1
+# Weights of the samples as alike as this belong to the same recording; those of two recordings have a correlation of 0.
+_SAME_RECORDING: Final = 0.7
+# A mean residual of more standard deviations than this is a level that the model has not.
+_FAR: Final = 3.0
+# Directions of the parameters that move no residual by more than this share of the others, as a change of basis.
+_NOTHING: Final = 1e-8
+
+
+class Portmanteau(NamedTuple):
+    """All correlations in one number.
+
+    Attributes
+    ----------
+    statistic : float
+        Chi-squared distributed if the model is right.
+    degrees : int
+        Its degrees of freedom; 0 if the fit has used all of them.
+    p_value : float
+        Probability of a statistic as large, if the model is right.
+    """
+
+    statistic: float
+    degrees: int
+    p_value: float
+
+
+class Score(NamedTuple):
+    """psi of the residuals of N samples of p outputs, and how the parameters enter."""
+
+    v: Array  # psi in units of the noise, 0 where there is none, shape (N, p).
+    known: Any  # Where there is one.
+    J: Array  # Derivatives of the residuals in the same units, shape (N, p, k).
+    slope: Array  # E[psi'] of each output.
+    P: Array  # Covariance of the parameters that this recording has not told.
+    basis: Array  # Directions of the residuals that were fitted to it, shape (N, p, r).
+    same_recording: bool  # Whether it is the one that the model was made from.
+    shift: Array  # How far the level of each output is from the model's, 0 if it may be the same.
+
+    @classmethod
+    def of(cls, judged: Judged) -> Score:
+        """Return the score of a model on a recording."""
+        known: Any = ~np.isnan(judged.tested)
+        v, slope, J = np.zeros(known.shape), np.ones(known.shape[1]), judged.J.copy()
+        shift, e = np.zeros(known.shape[1]), judged.tested.copy()
+        believed = np.column_stack(
+            [one.weights(left) for one, left in zip(judged.noise, judged.residual.T, strict=True)]
+        )
+        same = judged.weights.shape == believed.shape and _alike(judged.weights, believed)
+        for j, (noise, rows) in enumerate(zip(judged.noise, known.T, strict=True)):
+            middle = float(np.median(e[rows, j]))
+            if judged.levelled and abs(middle) > _FAR * np.sqrt(noise.R):
+                shift[j], e[:, j] = middle, e[:, j] - middle
+            if not same:
+                noise = _of_recording(noise, e[rows, j])
+            v[rows, j] = noise.psi(e[rows, j])
+            v[rows, j] -= v[rows, j].mean() if judged.levelled else 0.0
+            slope[j] = noise.slope(e[rows, j])
+            J[:, j] /= np.sqrt(noise.R)
+        told = np.isinf(judged.P.diagonal()) | same
+        basis = _directions(J[:, :, told] * np.sqrt(slope)[:, None])
+        return cls(v, known, J, slope, np.where(np.outer(~told, ~told), judged.P, 0.0), basis, same, shift)
+
+    def tested(self, j: int, Z: Array, kernel: Array, level: float) -> tuple[Array, Array, Portmanteau]:
+        """Return correlations of v of an output with the columns of Z, their bounds, and all of them in one number."""
+        known, v = self.known[:, j], self.v[:, j]
+        Z = np.where(known[:, None], Z, 0.0)
+        c, gram = Z.T @ v, Z.T @ Z
+        variances = np.square(self.v).sum(axis=0) / np.maximum(self.known.sum(axis=0), 1)
+        shadow = self.basis[:, j].T @ Z
+        covariance, entering = np.zeros(gram.shape), np.zeros((Z.shape[1], self.J.shape[2]))
+        for i, ratio in enumerate(self.slope[j] / self.slope):
+            W = (Z if i == j else 0.0) - np.sqrt(ratio) * (self.basis[:, i] @ shadow)
+            covariance += variances[i] * (W.T @ (W if i != j or kernel.size == 1 else _smeared(W, kernel)))
+            entering += self.slope[i] * (W.T @ self.J[:, i])
+        covariance += entering @ self.P @ entering.T
+        variance = variances[j]
+        size = np.sqrt(np.maximum(variance * known.sum() * gram.diagonal(), np.finfo(float).tiny))
+        share = np.maximum(covariance.diagonal(), _LEFT * variance * gram.diagonal())
+        bound = float(norm.ppf(0.5 + 0.5 * level)) * np.sqrt(share) / size
+        return c / size, bound, _portmanteau(c, covariance, variance * gram)
+
+
+def _of_recording(noise: Noise, e: Array) -> Noise:
+    """Return the noise that these residuals show: to the model's all that a wrong one leaves is wild."""
+    return noise if noise.known else replace(noise, R=max(mad_scale(e) ** 2, noise.least)).settled(e)
+
+
+def _portmanteau(c: Array, covariance: Array, full: Array) -> Portmanteau:
+    """Return c' Cov(c)^-1 c in the directions of which the fit has left enough."""
+    ridge = np.finfo(float).tiny + 1e-10 * np.trace(full) / len(full)
+    left, directions = eigh(covariance, full + ridge * np.eye(len(full)))
+    kept = left > _LEFT
+    statistic = float(np.sum((directions.T @ c)[kept] ** 2 / left[kept]))
+    degrees = int(kept.sum())
+    return Portmanteau(statistic, degrees, float(chi2.sf(statistic, degrees)) if degrees else 1.0)
+
+
+def delayed(signals: Array, lags: range) -> Array:
+    """Return each signal delayed by each lag, 0 before its start; the lags of the first signal first."""
+    columns = np.zeros((len(signals), signals.shape[1] * len(lags)))
+    for i, signal in enumerate(signals.T):
+        for j, lag in enumerate(lags):
+            columns[lag:, i * len(lags) + j] = signal[: len(signal) - lag]
+    return columns
+
+
+def covariances(v: Array, lags: int) -> Array:
+    """Return the autocorrelations of v at -lags .. lags with Bartlett's taper, which keeps them positive definite."""
+    rho = np.array([v[lag:] @ v[: v.size - lag] for lag in range(lags + 1)]) / max(v @ v, np.finfo(float).tiny)
+    rho *= 1.0 - np.arange(lags + 1) / (lags + 1)
+    return np.concatenate((rho[:0:-1], rho))
+
+
+def _smeared(W: Array, kernel: Array) -> Array:
+    """Return Gamma W for noise with these autocorrelations."""
+    return np.asarray(fftconvolve(W, kernel[:, None], mode="same", axes=0))
+
+
+def _directions(J: Array) -> Array:
+    """Return orthonormal directions that derivatives of all outputs together span, shape (N, p, r)."""
+    flat = J.reshape(J.shape[0] * J.shape[1], J.shape[2])
+    size = np.linalg.norm(flat, axis=0)
+    left, values, _ = np.linalg.svd(flat / np.where(size == 0.0, 1.0, size), full_matrices=False)
+    return np.asarray(left[:, values > _NOTHING * values.max(initial=0.0)].reshape(*J.shape[:2], -1))
+
+
+def _alike(weights: Array, others: Array) -> bool:
+    """Tell whether these are the weights of the same samples."""
+    both = ~np.isnan(weights) & ~np.isnan(others)
+    a, b = weights[both], others[both]
+    if a.size < 2 or np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
+        return False
+    return bool(np.corrcoef(a, b)[0, 1] > _SAME_RECORDING)

@@ -1,0 +1,261 @@
+"""validate and compare of state-space and physical models: right ones pass, wrong ones are named by output."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.linalg import expm
+
+from robust_filterpy import OutputError, identify
+from robust_filterpy.identification import GreyBox, StateSpace, Validation, Validations, compare, validate
+
+RIGHT = "nothing is left in the residuals"
+A = np.array([[0.8, 0.4, 0.0], [-0.4, 0.8, 0.0], [0.0, 0.0, 0.6]])
+B = np.array([[1.0, 0.3], [0.2, -0.6], [0.5, 1.0]])
+C = np.array([[1.0, 0.0, 0.7], [0.3, -1.0, 0.4]])
+
+
+def recorded(seed, outliers=0.1, driven=0.0, samples=400, gain=1.0):
+    """Two inputs and outputs, levels, and a state that is not at rest."""
+    rng = np.random.default_rng([41, seed])
+    u, x, y = rng.choice([-1.0, 1.0], (samples, 2)), rng.normal(size=3), np.empty((samples, 2))
+    for k in range(samples):
+        y[k] = C @ x
+        x = A @ x + gain * B @ u[k] + driven * rng.normal(size=3)
+    wild = np.where(rng.random(y.shape) < outliers, 10.0, 1.0)
+    return y + 0.2 * wild * rng.normal(size=y.shape) + [5.0, -300.0], u
+
+
+def lag(x, u, p):
+    """A lag of first order."""
+    return [p[0] * (p[1] * u[0] - x[0])]
+
+
+def two_lags(x, u, p):
+    """Another one after it."""
+    return [p[0] * (p[1] * u[0] - x[0]), p[2] * (x[0] - x[1])]
+
+
+def cascade(seed, outliers=0.1, gain=2.0, samples=150):
+    """Two lags at irregular times, of which the second is measured."""
+    rng = np.random.default_rng([43, seed])
+    t, u, x = np.cumsum(rng.uniform(0.2, 1.8, samples)), np.repeat(rng.normal(size=samples // 5), 5), np.zeros(2)
+    F, y = np.array([[-0.5, 0.0], [0.3, -0.3]]), np.empty(samples)
+    for k in range(samples):
+        y[k] = x[1]
+        rest = np.full(2, gain * u[k])
+        x = rest + expm(F * (t[k + 1] - t[k] if k + 1 < samples else 0.0)) @ (x - rest)
+    wild = np.where(rng.random(samples) < outliers, 10.0, 1.0)
+    return y + 0.05 * wild * rng.normal(size=samples), u, t
+
+
+def physics(f=two_lags):
+    names = ("rate", "gain", "second")[: 3 if f is two_lags else 2]
+    guess = dict(zip(names, (0.7, 1.0, 0.4), strict=False))
+    return GreyBox(f, guess, x0=np.zeros(2 if f is two_lags else 1), h=lambda x, u, p: x[-1:])
+
+
+@pytest.fixture(scope="module")
+def states():
+    return identify(*recorded(0), StateSpace(3))
+
+
+@pytest.fixture(scope="module")
+def box():
+    y, u, t = cascade(0)
+    return identify(y, u, physics(), t=t)
+
+
+# Right ones.
+
+
+@pytest.mark.parametrize("outliers", [0.0, 0.1])
+def test_p_values_of_right_states_are_uniform_on_their_own_and_on_fresh_recordings(outliers):
+    same, fresh = [], []
+    for seed in range(12):
+        y, u = recorded([1, seed], outliers)
+        model = identify(y, u, StateSpace(3))
+        same += validate(model, y, u)
+        fresh += validate(model, *recorded([2, seed], outliers))
+    assert all(one.same_recording for one in same) and not any(one.same_recording for one in fresh)
+    for found in (same, fresh):
+        for values in ([one.whiteness.p_value for one in found], [one.independence.p_value for one in found]):
+            # Of 24 values binomial bounds of 1 in 1000.
+            assert 4 <= np.sum(np.array(values) < 0.5) <= 20
+            assert np.sum(np.array(values) < 0.05) <= 6
+            assert min(values) > 1e-4
+    # What the fit has made zero is no evidence.
+    assert max(one.independence.degrees for one in same) < 42 == fresh[0].independence.degrees
+
+
+@pytest.mark.parametrize("outliers", [0.0, 0.1])
+def test_right_states_driven_by_noise_pass_and_without_it_said_they_do_not(outliers):
+    first, second = recorded(3, outliers, 0.3), recorded(4, outliers, 0.3)
+    model = identify(*first, StateSpace(3, disturbance=True))
+    assert validate(model, *first).verdict == validate(model, *second).verdict == RIGHT
+    assert "residuals follow one another" in validate(identify(*first, StateSpace(3)), *second).verdict
+
+
+def test_right_physics_passes_at_irregular_times(box):
+    for seed in range(4):
+        y, u, t = cascade(seed)
+        found = validate(box, y, u, lags=10, t=t)
+        assert found.verdict == RIGHT
+        assert found[0].same_recording == (seed == 0)
+    assert [fit.kind for fit in found[0].fits] == ["free run"]
+
+
+def test_gaps_fill_values_and_wild_samples_raise_no_alarm(states, box):
+    rng = np.random.default_rng(0)
+    y, u = recorded(5)
+    for bad in (np.nan, 9999.0):
+        broken = y.copy()
+        broken[rng.random(y.shape) < 0.2] = bad
+        found = validate(states, broken, u)
+        assert found.verdict == RIGHT
+        assert found[0].samples < 360
+    y, u, t = cascade(5)
+    y[::7] = np.nan
+    y[100] = 1e9
+    assert validate(box, y, u, lags=10, t=t).verdict == RIGHT
+
+
+# Wrong ones.
+
+
+def test_an_order_too_little_is_named_by_output_and_input(states):
+    y, u = recorded(6)
+    small = identify(*recorded(0), StateSpace(2))
+    assert "output 0: dynamics are missing: residuals follow input" in validate(small, y, u).verdict
+    assert validate(states, y, u).verdict == RIGHT
+    assert [row.name for row in compare({"small": small, "right": states}, y, u).rows] == ["right", "small"]
+
+
+def test_only_the_output_that_is_wrong_is_named(states):
+    y, u = recorded(7)
+    y[:, 1] = 1.5 * (y[:, 1] + 300.0) - 300.0
+    verdict = validate(states, y, u).verdict
+    assert verdict.startswith("output 1: dynamics are missing") and "output 0" not in verdict
+    # Of a model that is far off all residuals are large, and large is not wild.
+    one = identify(recorded(0)[0][:, 0], recorded(0)[1], OutputError(4, (4, 4)))
+    assert validate(one, 1.5 * (y[:, 0] - 5.0) + 5.0, u).verdict.startswith("dynamics are missing")
+
+
+def test_a_gain_that_has_changed_and_equations_that_lack_a_state_are_named(states, box):
+    assert "dynamics are missing" in validate(states, *recorded(8, gain=1.2)).verdict
+    y, u, t = cascade(8, gain=2.4)
+    assert validate(box, y, u, lags=10, t=t).verdict != RIGHT
+    y, u, t = cascade(0)
+    simple = identify(y, u, physics(lag), t=t)
+    y, u, t = cascade(9)
+    assert validate(simple, y, u, lags=10, t=t).verdict != RIGHT
+    assert compare({"lag": simple, "two": box}, y, u, t).rows[0].name == "two"
+
+
+def test_another_level_is_said_and_is_no_missing_dynamics(states):
+    y, u = recorded(10)
+    found = validate(states, y + [0.0, 40.0], u)
+    assert found.verdict.startswith("output 1: the level is +40")
+    assert "dynamics" not in found.verdict
+    assert found[1].shift == pytest.approx(40.0, abs=0.2)
+    one = identify(y[:, 0], u, StateSpace(3))
+    assert validate(one, y[:, 0] - 9.0, u)[0].shift == pytest.approx(-9.0, abs=0.2)
+    rng = np.random.default_rng(1)
+    u = rng.choice([-1.0, 1.0], 500)
+    y = np.concatenate(([0.0], u[:-1])) + 0.1 * rng.normal(size=500)
+    plain = validate(identify(y, u, OutputError(1, 1)), y + 3.0, u)
+    assert plain.verdict.startswith("the level is +3") and "dynamics" not in plain.verdict
+
+
+def test_parameters_that_the_recording_could_not_tell_are_no_evidence():
+    y, u, t = cascade(11, outliers=0.0)
+
+    def twice(x, u, p):
+        return [p[0] * (p[1] * p[3] * u[0] - x[0]), p[2] * (x[0] - x[1])]
+
+    twin = GreyBox(
+        twice, {"rate": 0.7, "gain": 1.0, "second": 0.4, "more": 1.5}, x0=np.zeros(2), h=lambda x, u, p: x[-1:]
+    )
+    with pytest.warns(UserWarning, match="cannot tell"):
+        model = identify(y, u, twin, t=t)
+    for one in (cascade(11, outliers=0.0), cascade(12, outliers=0.0)):
+        assert validate(model, one[0], one[1], lags=10, t=one[2]).verdict == RIGHT
+
+
+# What comes back.
+
+
+def test_each_output_has_a_validation_and_all_of_them_a_text_and_a_table(states):
+    y, u = recorded(13)
+    found = validate(states, y, u, level=0.9801)
+    assert isinstance(found, Validations) and all(isinstance(one, Validation) for one in found)
+    assert [one.level for one in found] == pytest.approx([0.99, 0.99])
+    assert found[1].cross_correlation.shape == (2, 21)
+    assert found[0].fits[-1].all == pytest.approx(states.fit(y, u)[0])
+    assert "output 1: nothing is left" in str(found)
+    assert found.to_frame()["output 1", "autocorrelation"][3] == found[1].autocorrelation[2]
+
+
+def test_predictions_further_ahead_come_to_the_free_run():
+    y, u = recorded(14, 0.0, 0.3)
+    model = identify(y, u, StateSpace(3, disturbance=True))
+    left = [np.abs(y - model.predict(y, u, steps))[5:].mean() for steps in (1, 3, 30)]
+    assert left[0] < left[1] < left[2]
+    np.testing.assert_allclose(model.predict(y, u), y - model.residuals(y, u))
+    # By then nothing is left of the state in which it began, nor of what was measured.
+    run = model.simulate(u)
+    np.testing.assert_allclose(model.free_run(y, u)[150:], run[150:], atol=1e-6)
+    np.testing.assert_allclose(model.predict(y, u, 350)[-40:], run[-40:], atol=1e-6)
+
+
+def test_physics_begins_where_the_recording_does(box):
+    y, u, t = cascade(15, outliers=0.0)
+    run = box.free_run(y[60:], u[60:], t[60:])
+    assert np.abs(run - y[60:, None]).max() < 0.3
+    np.testing.assert_allclose(box.residuals(y[60:], u[60:], t[60:]), y[60:, None] - run)
+    assert box.fit(y[60:], u[60:], t[60:])[0] > 85.0
+
+
+def test_tables_and_transfer_functions_stand_beside_physics_of_equal_steps():
+    rng = np.random.default_rng(2)
+    u, t = rng.choice([-1.0, 1.0], 300), 0.5 * np.arange(300.0)
+    y, share = np.zeros(300), np.exp(-0.25)
+    for k in range(299):
+        y[k + 1] = share * y[k] + (1.0 - share) * 2.0 * u[k]
+    y += 0.05 * rng.normal(size=300)
+    models = {"physics": identify(y, u, physics(lag), t=t), "states": identify(y, u, StateSpace(1))}
+    models["polynomials"] = identify(y, u, OutputError(1, 1))
+    found = compare(models, y, u, t)
+    assert found.measured.shape == (300,) and max(row.fit for row in found.rows) - found.rows[-1].fit < 0.5
+    index = pd.to_datetime("2024-01-01") + pd.to_timedelta(t, unit="s")
+    table = pd.DataFrame({"y": y, "u": u}, index)
+    timed = compare(models, table["y"], table["u"])
+    assert timed.index.equals(index) and timed.rows[0].fit == pytest.approx(found.rows[0].fit)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda y, u, t: ([y, y], [u, u], None), "expected one recording"),
+        (lambda y, u, t: (np.column_stack((y, y[:, 0])), u, None), r"expected shape \(N, 2\)"),
+        (lambda y, u, t: (y * [1.0, np.nan], u, None), "at least 84 measured samples of output 1"),
+        (lambda y, u, t: (y, u, t**2), "t: expected equal steps"),
+        (lambda y, u, t: (y, u, t[:-1]), "t: expected 400 times"),
+        (lambda y, u, t: (y, u[:-1], None), "u: expected 400 samples"),
+    ],
+)
+def test_what_cannot_be_judged_is_refused_in_words(states, change, says):
+    y, u, t = change(*recorded(16), np.arange(400.0))
+    with pytest.raises(ValueError, match=says):
+        validate(states, y, u, t=t)
+
+
+def test_physics_wants_times_and_models_of_the_same_outputs_are_compared(states, box):
+    y, u, t = cascade(17)
+    with pytest.raises(ValueError, match="t: expected the times"):
+        validate(box, y, u)
+    with pytest.raises(ValueError, match="y: expected 1 output"):
+        compare({"box": box}, np.column_stack((y, y)), u, t)
+    with pytest.raises(ValueError, match="u: expected the inputs that f takes"):
+        validate(box, y, None, t=t)
+    with pytest.raises(ValueError, match="y: expected shape"):
+        compare({"states": states}, y, np.column_stack((u, u)))
