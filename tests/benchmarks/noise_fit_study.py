@@ -1,7 +1,7 @@
 """Does `estimate_noise` find the greatest likelihood, wherever R and Q begin? Random models, with and without outliers.
 
-Run ``python tests/benchmarks/noise_fit_study.py [--models N] [--seed S] [--steps N] [--jobs J] [--als N]``. A model has
-up to 4 states and 3 sensors; R and Q are told wrongly by factors between 1e-4 and 1e4. The gap is what the worse of two
+Run ``python tests/benchmarks/noise_fit_study.py [--models N] [--seed S] [--steps N] [--jobs J] [--als N]
+[--intervals N]``. A model has up to 4 states and 3 sensors; R and Q are told wrongly by factors between 1e-4 and 1e4. The gap is what the worse of two
 such estimates lacks, in nats, of the best of seven, one of them told the truth. The second table is the setting of
 ALS-IRLS (arXiv 2603.08158): 1500 samples with outliers to fit to, 500 clean ones to filter; root mean square error of
 the states over that of the filter that knows both noises.
@@ -60,6 +60,14 @@ def gap(seed: int, steps: int, share: float) -> float:
     return max(one.log_likelihood for one in [*found, *others]) - min(one.log_likelihood for one in found)
 
 
+def held(seed: int, steps: int, share: float) -> list[bool]:
+    """Return for the factor of R and that of Q whether the interval of level .95 holds the truth."""
+    g = np.random.default_rng(seed)
+    model = random_model(g)
+    ends = estimate_noise(told(model), recording(g, model, steps, share)[1]).intervals(0.95)
+    return [bool(low <= 1.0 <= high) for low, high in (ends.R_scale[0], ends.Q_scale[0])]
+
+
 def als(seed: int) -> float:
     """Return the error of the filter with the fitted noise over that of the one that knows it."""
     g = np.random.default_rng(seed)
@@ -96,13 +104,23 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--steps", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--als", type=int, default=20, help="recordings of the second table")
+    parser.add_argument("--intervals", type=int, default=0, help="models of the third table")
     parser.add_argument("--jobs", type=int, default=1)
     args = parser.parse_args(argv)
     seeds = range(args.seed, args.seed + args.models)
-    print("| outliers | within .1 nat of the best | largest gap, nats |\n|---|---|---|")
-    for share in SHARES:
+    if args.models:
+        print("| outliers | within .1 nat of the best | largest gap, nats |\n|---|---|---|")
+    for share in SHARES if args.models else ():
         gaps = np.array(Parallel(n_jobs=args.jobs)(delayed(gap)(seed, args.steps, share) for seed in seeds))
         print(f"| {share:g} | {(gaps < 0.1).sum()} of {len(gaps)} | {gaps.max():.2f} |", flush=True)
+    if args.intervals:
+        print("\n| outliers | intervals of R, of Q that hold the truth |\n|---|---|")
+    for share in SHARES if args.intervals else ():
+        numbers = range(args.seed, args.seed + args.intervals)
+        right = Parallel(n_jobs=args.jobs)(delayed(held)(seed, args.steps, share) for seed in numbers)
+        print(f"| {share:g} | {', '.join(f'{one:.3f}' for one in np.mean(right, axis=0))} |", flush=True)
+    if not args.als:
+        return
     ratios = Parallel(n_jobs=args.jobs)(delayed(als)(seed) for seed in range(args.seed, args.seed + args.als))
     print(f"\nALS-IRLS's setting: {np.mean(ratios):.3f} (target 1.03), from {min(ratios):.3f} to {max(ratios):.3f}")
 
