@@ -370,3 +370,22 @@ def told_tracker(structure, **options):
 def told_bank(n, structure, **options):
     """Such trackers for n actuators."""
     return TrackerBank(n, structure, **{"start": 0, "R": 1.0, **options})
+
+
+def polar(x):
+    """Range and bearing of a row or column state."""
+    return np.array([np.hypot(x[0], x[2]), np.arctan2(x[2], x[0])])
+
+
+def polar_jacobian(x):
+    """Return the derivative of range and bearing."""
+    px, py = np.ravel(x)[[0, 2]]
+    r = np.hypot(px, py)
+    return np.array([[px / r, 0, py / r, 0], [-py / r**2, 0, px / r**2, 0]])
+
+
+def wrapped(a, b):
+    """Subtract; the difference of bearings is between -pi and pi."""
+    y = a - b
+    y[1] = (y[1] + np.pi) % (2 * np.pi) - np.pi
+    return y

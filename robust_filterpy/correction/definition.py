@@ -243,7 +243,7 @@ def _judge(group: list[int], joint: _Joint, S: Array, choices: Choices, widths: 
         if not skip_singular:
             # Under "unit" the sensors before this one may have taken more than there was.
             told_apart = choices.scaling == "unit" and (block.diagonal() < 0.0).any() and (S.diagonal() > 0.0).all()
-            raise _indefinite() if told_apart else singular(S, block)
+            raise _indefinite() if told_apart else singular(S)
         nothing = np.zeros(len(group))
         return _Step((math.inf, math.inf, 0.0), None, nothing, nothing, nothing, nothing, nothing)
     T, s = group_scaling(block, choices.scaling), float(widths[group].max())

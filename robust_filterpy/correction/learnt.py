@@ -22,7 +22,7 @@ from robust_filterpy.correction import copies as side_by_side
 from robust_filterpy.correction import learning
 from robust_filterpy.correction.copies import Copies, Scales
 from robust_filterpy.correction.learning import NoiseClasses
-from robust_filterpy.correction.whitening import Inverse, _singular, standardize
+from robust_filterpy.correction.whitening import Inverse, singular_error, standardize
 
 __all__ = ["Corrected", "correct"]
 
@@ -155,7 +155,7 @@ def correct(
         row = rows[group[0]]
         S = now.S[:, group[:, None], group]
         if inv is None and (S[:, 0, 0] <= _CANCELLED * first[:, group[0], group[0]]).any():
-            raise _singular(now.S[0], float(S[:, 0, 0].min()))
+            raise singular_error(now.S[0], float(S[:, 0, 0].min()))
         # What the last sample was is known to copies that were there then.
         before = np.tile(learning.predicted(memory[row], len(noise.scales)), (len(now.x), 1))
         before[len(process.scales) :] = learning.usual(memory[row], len(noise.scales))

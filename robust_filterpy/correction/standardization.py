@@ -9,7 +9,7 @@ from scipy.linalg import solve_triangular
 
 from robust_filterpy._checks import Array
 
-__all__ = ["SingularInnovationError", "group_scaling", "is_cancelled", "ordered_scaling", "singular"]
+__all__ = ["SingularInnovationError", "group_scaling", "is_cancelled", "ordered_scaling", "singular", "singular_error"]
 
 # What is left of a variance of 1 below this is rounding, not a sensor's own noise.
 _ROUNDING = 1e-13
@@ -106,15 +106,34 @@ def ordered_scaling(S: Array, order: tuple[tuple[int, ...], ...], scaling: str) 
     return T
 
 
-def singular(S: Array, block: Array) -> SingularInnovationError:
+def singular(S: Array) -> SingularInnovationError:
     """Return the error that says what is wrong with an S without inverse.
 
     Parameters
     ----------
     S : ndarray, shape (m, m)
         Covariance of the innovation.
-    block : ndarray, shape (k, k)
-        What is left of S for the group of k sensors that showed it.
+
+    Returns
+    -------
+    SingularInnovationError
+    """
+    if not np.isfinite(S).all():
+        return singular_error(S, np.nan)
+    variances = np.maximum(S.diagonal(), 0.0)
+    units = np.sqrt(np.outer(variances, variances))
+    return singular_error(S, float(np.linalg.eigvalsh(S / np.where(units > 0.0, units, 1.0))[0]))
+
+
+def singular_error(S: Array, least: float) -> SingularInnovationError:
+    """Return the error of an S without inverse, of which it is known how far from one it is.
+
+    Parameters
+    ----------
+    S : ndarray, shape (m, m)
+        Covariance of the innovation.
+    least : float
+        Least eigenvalue of its correlation matrix, or least variance.
 
     Returns
     -------
@@ -122,9 +141,6 @@ def singular(S: Array, block: Array) -> SingularInnovationError:
     """
     if not np.isfinite(S).all():
         return SingularInnovationError("S = H P H' + R: not finite; check H, P and R for NaN, infinity and overflow")
-    variances = np.maximum(S.diagonal(), 0.0)
-    units = np.sqrt(np.outer(variances, variances))
-    least = float(np.linalg.eigvalsh(S / np.where(units > 0.0, units, 1.0))[0])
     if least < -1e-6:
         return SingularInnovationError(
             f"S = H P H' + R: singular or negative (least eigenvalue {least:.3g}); P or R is no covariance matrix: "

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.standardization import SingularInnovationError
+from robust_filterpy.correction.standardization import SingularInnovationError, singular_error
 
 Inverse = Callable[[Array], Array]
 _LARGEST = sys.float_info.max
@@ -98,23 +98,23 @@ def _correlation_whitening(S: Array) -> Array:
         return _of_pair(*S.ravel().tolist())
     least, most = min(variances.tolist()), max(variances.tolist())
     if not (least > 0.0 and most < math.inf):
-        raise _singular(S, least)
+        raise singular_error(S, least)
     unit = np.sqrt(variances)
     values, vectors, failed = lapack.dsyev(S / unit / unit[:, None])
     roots = values.tolist()
     if failed or not roots[0] > len(roots) * _EPS * roots[-1]:
-        raise _singular(S, roots[0])
+        raise singular_error(S, roots[0])
     return (vectors / np.sqrt(values)).dot(vectors.T) / unit
 
 
 def _of_pair(a: float, b: float, _: float, c: float) -> Array:
     """Return the whitening for two sensors in closed form."""
     if not (0.0 < a < math.inf and 0.0 < c < math.inf):
-        raise _singular(np.array([[a, b], [b, c]]), min(a, c))
+        raise singular_error(np.array([[a, b], [b, c]]), min(a, c))
     first, second = math.sqrt(a), math.sqrt(c)
     correlation = b / first / second
     if not 1.0 - abs(correlation) > 2.0 * _EPS:
-        raise _singular(np.array([[a, b], [b, c]]), 1.0 - abs(correlation))
+        raise singular_error(np.array([[a, b], [b, c]]), 1.0 - abs(correlation))
     p, q = 1.0 / math.sqrt(1.0 + correlation), 1.0 / math.sqrt(1.0 - correlation)
     same, other = 0.5 * (p + q), 0.5 * (p - q)
     return np.array([[same / first, other / second], [other / first, same / second]])
@@ -131,23 +131,8 @@ def _eigen(S: Array) -> tuple[Array, Array]:
         values, vectors, failed = lapack.dsyev(S)
         smallest = values[0] - len(S) * _EPS * values[-1]
     if failed or not (smallest > 0.0 and values[-1] < math.inf):
-        raise _singular(S, values[0])
+        raise singular_error(S, values[0])
     return values, vectors
-
-
-def _singular(S: Array, least: float) -> SingularInnovationError:
-    """Return the error of an S without inverse; least: eigenvalue of its correlation matrix, or a variance."""
-    if not np.isfinite(S).all():
-        return SingularInnovationError("S = H P H' + R: not finite; check H, P and R for NaN, infinity and overflow")
-    if least < -1e-6:
-        return SingularInnovationError(
-            f"S = H P H' + R: singular or negative (least eigenvalue {least:.3g}); P or R is no covariance matrix: "
-            "look at both, and at the Q that predict adds to P"
-        )
-    return SingularInnovationError(
-        f"S = H P H' + R: singular (least eigenvalue {least:.3g}); make R positive definite, or set "
-        f"inv=numpy.linalg.pinv to ignore the directions that carry no information"
-    )
 
 
 def _from_inverse(SI: Array, S: Array, scaling: str) -> tuple[Array, Array | None, Array | None]:

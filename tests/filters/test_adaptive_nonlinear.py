@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from filterpy.common import Saver
 from filterpy.kalman import MerweScaledSigmaPoints
-from support import FILTERPY_2, load, random_problem, simulate
+from support import FILTERPY_2, load, polar, polar_jacobian, random_problem, simulate, wrapped
 
 from robust_filterpy import Huber, Learnt, RobustKalmanFilter
 from robust_filterpy.filters import RobustCubatureKalmanFilter, RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter
@@ -18,23 +18,6 @@ Q = np.kron(np.eye(2), [[DT**3 / 3, DT**2 / 2], [DT**2 / 2, DT]])
 R = np.diag([0.25, 1e-4])
 START = np.array([30.0, -2.0, 20.0, 1.0])
 CLASSES = [RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter, RobustCubatureKalmanFilter]
-
-
-def polar(x):
-    """Range and bearing."""
-    return np.array([np.hypot(x[0], x[2]), np.arctan2(x[2], x[0])])
-
-
-def polar_jacobian(x):
-    px, py = np.ravel(x)[[0, 2]]
-    r = np.hypot(px, py)
-    return np.array([[px / r, 0, py / r, 0], [-py / r**2, 0, px / r**2, 0]])
-
-
-def wrapped(a, b):
-    y = a - b
-    y[1] = (y[1] + np.pi) % (2 * np.pi) - np.pi
-    return y
 
 
 def made(cls, n, m, fx, hx, **options):

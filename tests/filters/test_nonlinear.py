@@ -13,7 +13,7 @@ from filterpy.kalman import (
     MerweScaledSigmaPoints,
     UnscentedKalmanFilter,
 )
-from support import FILTERPY_2, random_problem, simulate, with_
+from support import FILTERPY_2, polar, polar_jacobian, random_problem, simulate, with_, wrapped
 
 from robust_filterpy import Huber, Linear, RobustKalmanFilter, TukeyBiweight
 from robust_filterpy.correction import NotPositiveDefiniteError
@@ -30,24 +30,6 @@ Q = np.kron(np.eye(2), [[DT**3 / 3, DT**2 / 2], [DT**2 / 2, DT]])
 R = np.diag([0.25, 1e-4])
 START = np.array([30.0, -2.0, 20.0, 1.0])
 EVERY = ("x", "P", "x_prior", "P_prior", "x_post", "P_post", "y", "S", "SI", "K", "log_likelihood", "mahalanobis")
-
-
-def polar(x):
-    """Range and bearing of a row or column state."""
-    px, py = x[0], x[2]
-    return np.array([np.hypot(px, py), np.arctan2(py, px)])
-
-
-def polar_jacobian(x):
-    px, py = np.ravel(x)[[0, 2]]
-    r = np.hypot(px, py)
-    return np.array([[px / r, 0, py / r, 0], [-py / r**2, 0, px / r**2, 0]])
-
-
-def wrapped(a, b):
-    y = a - b
-    y[1] = (y[1] + np.pi) % (2 * np.pi) - np.pi
-    return y
 
 
 def radar(n, seed, contamination=0.0):

@@ -6,7 +6,18 @@ import pickle
 import numpy as np
 import pytest
 from filterpy.kalman import MerweScaledSigmaPoints
-from support import FILTERPY_2, RECOVERING, load, random_problem, recovering, simulate, with_
+from support import (
+    FILTERPY_2,
+    RECOVERING,
+    load,
+    polar,
+    polar_jacobian,
+    random_problem,
+    recovering,
+    simulate,
+    with_,
+    wrapped,
+)
 
 from robust_filterpy.filters import RobustCubatureKalmanFilter, RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter
 
@@ -22,23 +33,6 @@ PLAIN = {**RECOVERING, "patience": None, "scaling": "innovation"}
 
 def straight(x, dt):
     return F @ x
-
-
-def polar(x):
-    """Range and bearing."""
-    return np.array([np.hypot(x[0], x[2]), np.arctan2(x[2], x[0])])
-
-
-def polar_jacobian(x):
-    px, py = np.ravel(x)[[0, 2]]
-    r = np.hypot(px, py)
-    return np.array([[px / r, 0, py / r, 0], [-py / r**2, 0, px / r**2, 0]])
-
-
-def wrapped(a, b):
-    y = a - b
-    y[1] = (y[1] + np.pi) % (2 * np.pi) - np.pi
-    return y
 
 
 def mean_of_polar(sigmas, weights):
