@@ -35,7 +35,7 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.options import Grouping
+from robust_filterpy.correction.options import Grouping, checked_grouping
 
 __all__ = ["SCALES", "LearntNoise", "NoiseClasses", "describe", "learn", "ordinary_size", "predicted", "start", "usual"]
 
@@ -68,8 +68,9 @@ class NoiseClasses:
     ----------
     scales : sequence of float, default (1, 10, 100, 1000)
         Factors of the covariance R, ascending from 1.
-    grouping : {"component", "joint"}
-        Whether each sensor fails on its own, or all together.
+    grouping : {"component", "joint"} or tuple of tuple of int
+        Whether each sensor fails on its own, or all together, with one r; or which fail together, each with an r of its
+        own.
     memory : float, default 300
         Samples for which transitions between the classes are remembered, > 1.
     r_memory : float, default 30
@@ -103,7 +104,7 @@ class NoiseClasses:
         if not np.isfinite(scales).all():
             raise ValueError(f"measurement_scales: expected finite numbers, got {self.scales!r}")
         object.__setattr__(self, "scales", tuple(scales.tolist()))
-        _checks.option("grouping", self.grouping, ("joint", "component"))
+        object.__setattr__(self, "grouping", checked_grouping(self.grouping))
         for name in ("memory", "r_memory"):
             if not _checks.positive(name, getattr(self, name)) > 1.0:
                 raise ValueError(f"{name}: expected a number of samples > 1, got {getattr(self, name)!r}")

@@ -13,7 +13,7 @@ probabilities of the classes are shared. Sensors that fail together are taken at
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from robust_filterpy.correction import copies as side_by_side
 from robust_filterpy.correction import learning
 from robust_filterpy.correction.copies import Copies, Scales
 from robust_filterpy.correction.learning import NoiseClasses
+from robust_filterpy.correction.options import Grouping
 from robust_filterpy.correction.whitening import Inverse, singular_error, standardize
 
 __all__ = ["Corrected", "correct"]
@@ -82,7 +83,7 @@ class _Scores(NamedTuple):
     log_densities: Array
     """(q,)"""
     energies: Array
-    """E[v^2 | class 0]/(r R), in the mean over the group, (q,)."""
+    """E[v^2 | class 0]/(r R) of each sensor, or in the mean over the group, (q, g) or (q, 1)."""
 
 
 def correct(
@@ -149,23 +150,24 @@ def correct(
     copies, fresh = side_by_side.with_candidate(copies, z, H, r * R.diagonal(), process)
     now, N = _begin(copies, z, H, R, r, M)
     first, log_density = now.S, 0.0
-    groups = [np.arange(len(part))] if joint else [np.array([i]) for i in range(len(part))]
+    groups = _groups(part, noise.grouping)
     while groups:
         group = groups.pop(_most_plausible(now, groups))
-        row = rows[group[0]]
+        own = rows[group[:1]] if joint else rows[group]
         S = now.S[:, group[:, None], group]
         if inv is None and (S[:, 0, 0] <= _CANCELLED * first[:, group[0], group[0]]).any():
             raise singular_error(now.S[0], float(S[:, 0, 0].min()))
         # What the last sample was is known to copies that were there then.
-        before = np.tile(learning.predicted(memory[row], len(noise.scales)), (len(now.x), 1))
-        before[len(process.scales) :] = learning.usual(memory[row], len(noise.scales))
-        found = _scores(now.y[:, group], S, N[group[:, None], group], before, np.array(noise.scales), inv)
+        before = np.tile(_chance(learning.predicted, memory[own], noise), (len(now.x), 1))
+        before[len(process.scales) :] = _chance(learning.usual, memory[own], noise)
+        found = _scores(now.y[:, group], S, N[group[:, None], group], before, np.array(noise.scales), inv, joint)
         shares, log_total = _weighed(now.probabilities, found.log_densities, len(process.scales), fresh)
         posterior = shares @ found.given
         if noise.learns:
             ordinary = shares * found.given[:, 0]
-            energy = r[group[0]] * float(ordinary @ found.energies) / max(float(ordinary.sum()), 1e-300)
-            memory[row] = learning.learn(memory[row], posterior, energy, noise)
+            energies = (ordinary @ found.energies) / max(float(ordinary.sum()), 1e-300)
+            for k, row in enumerate(own):
+                memory[row] = learning.learn(memory[row], posterior, r[group[k]] * float(energies[k]), noise)
         log_density += log_total
         weights[part[group]], outlying[part[group]] = posterior @ (1.0 / np.array(noise.scales)), 1.0 - posterior[0]
         now = _taken(now, group, found, shares)
@@ -174,6 +176,21 @@ def correct(
     if follows:
         memory[part] = learning.left_over(memory[part], z - H @ _mean(corrected, process), R)
     return Corrected(corrected, memory, log_density, weights, outlying)
+
+
+def _groups(part: np.ndarray, grouping: Grouping) -> list[np.ndarray]:
+    """Return the places, among the sensors that are there, of those that fail together."""
+    if grouping == "joint":
+        return [np.arange(len(part))]
+    named = () if grouping == "component" else grouping
+    together = [np.flatnonzero(np.isin(part, group)) for group in named]
+    alone = np.flatnonzero(~np.isin(part, [i for group in named for i in group]))
+    return [group for group in together if len(group)] + [np.array([i]) for i in alone]
+
+
+def _chance(of: Any, known: Array, noise: NoiseClasses) -> Array:
+    """Return the probabilities of the classes of a group's next sample: the mean of what its sensors know."""
+    return np.asarray(np.mean([of(row, len(noise.scales)) for row in known], axis=0))
 
 
 def _mean(copies: Copies, process: Scales) -> Array:
@@ -211,18 +228,21 @@ def _limited(P: Array, H: Array, noise: Array) -> Array:
 
 
 def _most_plausible(now: _Part, groups: list[np.ndarray]) -> int:
-    """Return the place of the group with the smallest innovation in standard deviations, over all copies."""
+    """Return the place of the group whose farthest innovation is the smallest in standard deviations, of all copies."""
     if len(groups) == 1:
         return 0
-    sensors = [group[0] for group in groups]
+    sensors = np.concatenate(groups)
     y, variances, p = now.y[:, sensors], now.S[:, sensors, sensors], now.probabilities[:, None]
-    unit = np.maximum(np.abs(y).max(axis=0), 1e-300)
+    unit = np.maximum(np.abs(y).max(axis=0), 1e-100)
     mean = (p * (y / unit)).sum(axis=0)
     spread = (p * (variances / unit / unit + (y / unit - mean) ** 2)).sum(axis=0)
-    return int(np.argmin(np.abs(mean) / np.sqrt(np.maximum(spread, 1e-300))))
+    begins = np.cumsum([0, *map(len, groups[:-1])])
+    return int(np.argmin(np.maximum.reduceat(np.abs(mean) / np.sqrt(np.maximum(spread, 1e-300)), begins)))
 
 
-def _scores(y: Array, S: Array, N: Array, before: Array, scales: Array, inv: Inverse | None) -> _Scores:
+def _scores(
+    y: Array, S: Array, N: Array, before: Array, scales: Array, inv: Inverse | None, one_r: bool = False
+) -> _Scores:
     """Return score, information and likelihoods: y (q, g), S (q, g, g), N (g, g) ordinary noise, before (q, K)."""
     inverses, log_dets = _inverted(S[:, None] + (scales - 1.0)[:, None, None] * N, inv)
     y = _shortened(np.broadcast_to(y[:, None], log_dets.shape + y.shape[1:]), inverses)
@@ -235,10 +255,10 @@ def _scores(y: Array, S: Array, N: Array, before: Array, scales: Array, inv: Inv
     a = (given[..., None] * pulls).sum(axis=1)
     b = (given[..., None, None] * (inverses - pulls[..., :, None] * pulls[..., None, :])).sum(axis=1)
     # What is left of y under the ordinary class is noise: E[v' N^-1 v] = g + (S^-1 y)' N (S^-1 y) - tr(S^-1 N), where
-    # of all the variance that S has no more than all can be noise.
-    expected = (inverses[:, 0] * N).sum(axis=(1, 2))
-    found = ((pulls[:, 0] @ N) * pulls[:, 0]).sum(axis=1)
-    size = y.shape[2]
+    # of all the variance that S has no more than all can be noise. The terms of both are the sensors'.
+    expected, found, size = (inverses[:, 0] * N).sum(axis=2), (pulls[:, 0] @ N) * pulls[:, 0], 1
+    if one_r:
+        expected, found, size = expected.sum(axis=1)[:, None], found.sum(axis=1)[:, None], y.shape[2]
     excess = np.divide(found, expected, out=np.ones_like(found), where=expected > 0.0) - 1.0
     energies = np.maximum(1.0 + np.minimum(expected / size, 1.0) * excess, 0.0)
     return _Scores(a, b + a[:, :, None] * a[:, None, :], given, peaks + np.log(totals), energies)

@@ -88,8 +88,8 @@ def noise_classes(noise: Contaminated | Learnt, grouping: Grouping) -> NoiseClas
     ----------
     noise : Contaminated or Learnt
         The policy.
-    grouping : {"component", "joint"}
-        Whether each sensor fails on its own, or all together.
+    grouping : {"component", "joint"} or tuple of tuple of int
+        Whether each sensor fails on its own, or all together; or which fail together.
 
     Returns
     -------

@@ -173,7 +173,7 @@ def _unflat(row: Array, like: Timeline, kind: str) -> Moment:
     state = State(*map(taken, base.state))
     innovation, deviation = taken(base.innovation), taken(base.deviation)
     numbers = {name: taken(value) for name, value in zip(Watch._fields, base.watch, strict=True) if name not in _STAMPS}
-    known = taken(np.zeros((len(names) + 2, 3)))
+    known = taken(np.zeros((len(like.setup.layout.parties) + 2, 3)))
     whole = [state.means, state.covariances, state.probabilities, state.memory, state.x, state.P, state.unseen, known]
     whole += [value for name, value in numbers.items() if name != "tests"]
     if not all(np.isfinite(part).all() for part in whole):

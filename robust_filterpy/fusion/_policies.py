@@ -204,17 +204,30 @@ class BoundedInfluence:
 
     def corrected(self, state: State, z: Array, H: Array, R: Array, learns: Any) -> State:
         """Return the state after the readings of one moment."""
+        return self._corrected(state, z, H, R, learns)[0]
+
+    def _corrected(self, state: State, z: Array, H: Array, R: Array, learns: Any) -> tuple[State, Array]:
+        """Return the state after the readings of one moment, and their weights."""
         part = np.flatnonzero(~np.isnan(z))
-        H, R, memory = H[part], R[np.ix_(part, part)], state.memory
-        y = z[part] - H @ state.x
+        weights, H, R, memory = np.full(len(z), np.nan), H[part], R[np.ix_(part, part)], state.memory
+        y, choices = z[part] - H @ state.x, self._of_those(part)
         C, S = innovation_moments(state.P, H, R)
         if self.by_custom:
-            found = correct_by_custom(memory[part], state.x, state.P, z[part], y, C, S, R, self.choices, H, False)
+            found = correct_by_custom(memory[part], state.x, state.P, z[part], y, C, S, R, choices, H, False)
             memory = memory.copy()
             memory[part] = np.where(np.broadcast_to(learns, len(z))[part, None], found.memory, memory[part])
         else:
-            found = correct(state.x, state.P, y, C, S, self.choices)
-        return state._replace(x=found.x, P=found.P, means=found.x[None], covariances=found.P[None], memory=memory)
+            found = correct(state.x, state.P, y, C, S, choices)
+        weights[part] = found.weights
+        state = state._replace(x=found.x, P=found.P, means=found.x[None], covariances=found.P[None], memory=memory)
+        return state, weights
+
+    def _of_those(self, part: np.ndarray) -> Choices:
+        """Return the choices with the groups of those that have spoken."""
+        if self.choices.grouping == "component":
+            return self.choices
+        groups = [tuple(np.flatnonzero(np.isin(part, group)).tolist()) for group in self.choices.grouping]
+        return self.choices.changed(grouping=tuple(group for group in groups if group))
 
     def factors(self, state: State) -> Array:
         """Return what a component's innovations are over what was told, in variance, as learnt."""
@@ -255,9 +268,8 @@ class BoundedInfluence:
             if reached == first:
                 i, h = (first if len(F) > 1 else 0), (first if len(H) > 1 else 0)
                 state = self.predicted(state, F[i], Q[i], drift[first if len(drift) > 1 else 0])
-                y = zs[first] - H[h] @ state.x
-                state = self.corrected(state, zs[first], H[h], R[0], True)
-                x[0, first], P[0, first], weights[0, first] = state.x, state.P, np.where(np.isnan(y), np.nan, 1.0)
+                state, weights[0, first] = self._corrected(state, zs[first], H[h], R[0], True)
+                x[0, first], P[0, first] = state.x, state.P
                 reached = first + 1
             first = reached
         return x[0], P[0], weights[0], state

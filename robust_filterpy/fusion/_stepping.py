@@ -63,7 +63,7 @@ def begun(setup: Setup, x: Array, P: Array) -> Moment:
     """
     layout = setup.layout
     sizes, none = np.where(layout.untold, np.nan, 1.0), np.full(layout.size, np.nan)
-    watch = fresh(layout.size, len(layout.names)) if setup.watches else None
+    watch = fresh(layout.size, len(layout.parties)) if setup.watches else None
     return Moment(setup.policy.start(x, P, sizes, np.zeros(setup.motion.dim_u)), none, none, watch)
 
 
@@ -129,10 +129,10 @@ def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Ar
     used = np.where(here, seen.z, np.nan)
     if watch is not None:
         known = policy.factors(state), policy.contamination(state)
-        watch = looked_at(watch, z, y, spread, R.diagonal(), known, layout.owner)
+        watch = looked_at(watch, z, y, spread, R.diagonal(), known, layout.party)
         # Nothing is learnt of a sensor on alarm, and nothing taken from one that lies.
-        learns = (watch.fault != 1.0)[layout.owner]
-        used = np.where(watch.out[layout.owner], np.nan, used)
+        learns = (watch.fault != 1.0)[layout.party]
+        used = np.where(watch.out[layout.party], np.nan, used)
     if not np.isnan(used).all():
         state = policy.corrected(state, used, seen.H, R, learns)
     return Moment(state, y, np.where(here, deviation, np.nan), watch, seen.failed)

@@ -33,7 +33,7 @@ from robust_filterpy.fusion._times import Clock
 from robust_filterpy.fusion.motion import Motion
 from robust_filterpy.fusion.reacquisition import Reacquisition
 from robust_filterpy.fusion.recording import Recording, fused, read, table_columns
-from robust_filterpy.fusion.sensors import Layout, Sensor
+from robust_filterpy.fusion.sensors import OFTEN, Layout, Sensor
 from robust_filterpy.fusion.verdicts import STRETCH, Verdict, described, of_all, words
 from robust_filterpy.influence.functions import Influence
 
@@ -305,7 +305,18 @@ class Fusion:
         self._counts[sensor][outcome] += 1
         if not late:
             self._forget()
+        if layout.sensors[sensor].group is not None and self._counts[sensor]["taken"] == OFTEN:
+            self._say_apart(line.readings())
         return outcome
+
+    def _say_apart(self, zs: Array) -> None:
+        """Warn of groups whose sensors never speak at one stamp."""
+        for party in self._setup.layout.never_together(zs):
+            warn(
+                f"group of {', '.join(party)}: expected readings with the same stamp, got none in {len(zs)} stamps, so "
+                "each reading is judged alone; round their stamps to those of one of them, or leave group out",
+                FusionWarning,
+            )
 
     def _refused(self, sensor: str, key: float | int, horizon: float | int) -> str:
         """Count a reading that is too old, and say so the first time."""
@@ -504,6 +515,7 @@ class Fusion:
             If a column is missing, a row's time, name or value is none, or a sensor has said two things with one stamp.
         """
         rows = read(self._setup, self._clock, table, time, sensor, value, controls)
+        self._say_apart(rows.zs)
         return fused(self._setup, self._begin, self._started, rows, smoothed)
 
     def delays(
@@ -573,7 +585,7 @@ class Fusion:
             raise ValueError("verdicts: expected a fusion that watches its sensors; make it with watch=True")
         ages = self.estimate(t).ages
         moment, _, entries = self._timeline.until(None if t is None else self._clock.key(t))
-        found = of_all(self.sensors, moment)
+        found = of_all(self._setup.layout, moment)
         said = self._timeline.last_words(entries)
         for name, usual in self._timeline.intervals(entries).items():
             every = self._setup.layout.sensors[name].every
@@ -690,13 +702,13 @@ def _policy(layout: Layout, noise: Any, process: Any, influence: Influence | Non
     if influence is None:
         if isinstance(noise, Contaminated):
             _require_told(layout, "noise that is told")
-        # All sensors stand in one vector, in which each fails on its own.
-        classes = noise_classes(Learnt() if noise is None else noise, "component")
+        # All sensors stand in one vector, in which each fails on its own, or a group together.
+        classes = noise_classes(Learnt() if noise is None else noise, layout.grouping)
         return LearntNoise(classes, process_scales(Scales() if process is None else process))
     if noise is not None or process is not None:
         raise ValueError("influence: expected neither noise nor process beside it")
     _require_told(layout, "influence")
-    return BoundedInfluence(Choices(influence))
+    return BoundedInfluence(Choices(influence, grouping=layout.grouping))
 
 
 def _require_told(layout: Layout, why: str) -> None:

@@ -175,6 +175,8 @@ def fused(setup: Setup, begin: Moment, start: Any, rows: Rows, smoothed: bool) -
     x, P = np.empty((K, motion.dim_x)), np.empty((K, motion.dim_x, motion.dim_x))
     weights, moment, done = np.full((K, layout.size), np.nan), begin, 0
     straight = motion.is_linear and not layout.curved
+    if smoothed and layout.grouping != "component":
+        raise ValueError("smoothed: expected sensors without group, since the smoother takes each component; leave one")
     if smoothed and setup.reacquire is not None:
         raise ValueError("smoothed: expected a fusion without reacquire, since the smoother decides nothing; leave one")
     failed: list[tuple[str, int, str]] = []
@@ -221,14 +223,14 @@ def _watched(
     line.base_key, moment = began[1], began[0]
     failed: list[tuple[str, int, str]] = []
     said: list[tuple[int, str, Verdict]] = []
-    before = of_all(layout.names, moment)
+    before = of_all(layout, moment)
     for k, key in enumerate(rows.keys.tolist()):
         entry = line.at(key)
         entry.z[:], entry.control = rows.zs[k], rows.inputs[k]
         moment = line.until()[0]
         into[0][k], into[1][k] = moment.state.x, moment.state.P
         failed.extend((who, k, why) for who, why in moment.failed)
-        now = of_all(layout.names, moment)
+        now = of_all(layout, moment)
         said.extend((k, name, one) for name, one in now.items() if one[:2] != before[name][:2])
         before = now
         line.forget()

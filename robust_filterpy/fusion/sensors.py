@@ -13,7 +13,10 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 
-__all__ = ["Layout", "Sensor", "angle"]
+__all__ = ["OFTEN", "Layout", "Sensor", "angle"]
+
+#: Readings from which it is no accident that the sensors of a group never have the same stamp.
+OFTEN = 50
 
 
 def angle(z: ArrayLike, predicted: ArrayLike) -> Array:
@@ -63,6 +66,10 @@ class Sensor:
     every : float, optional
         Seconds between two readings when all is well: a sensor that has said nothing for three of them is silent.
         Without it, it is learnt, and the window is waited for besides.
+    group : str, optional
+        Name of what it shares with other sensors, so that they fail together: a receiver, a cable. What they say at one
+        stamp is one reading, an outlier as a whole or not at all, each with a noise of its own size; ``watch`` judges
+        them as one sensor. With a name that no other sensor has its own components fail together.
 
     Raises
     ------
@@ -84,6 +91,7 @@ class Sensor:
     dim_z: int = 1
     delay: float = 0.0
     every: float | None = None
+    group: str | None = None
 
     def __post_init__(self) -> None:
         """Check what does not depend on the state."""
@@ -115,6 +123,8 @@ class Sensor:
             raise ValueError(f"delay: expected finite seconds >= 0, got {self.delay!r}")
         if self.every is not None:
             _checks.positive("every", self.every)
+        if not (self.group is None or (isinstance(self.group, str) and self.group)):
+            raise TypeError(f"group: expected the name of what sensors share, got {self.group!r}")
 
 
 class Seen(NamedTuple):
@@ -159,9 +169,19 @@ class Layout:
             self.places[name] = slice(at, at + sensor.dim_z)
             at += sensor.dim_z
         self.size, self.n = at, n
-        #: Which sensor each component belongs to, (M,).
-        self.owner = np.repeat(np.arange(len(sensors)), [s.dim_z for s in self.sensors.values()])
         self.names = tuple(self.sensors)
+        groups = [sensor.group or (name,) for name, sensor in self.sensors.items()]
+        distinct = list(dict.fromkeys(groups))
+        #: Names of the sensors that are judged as one: those of a group, else each alone.
+        self.parties = tuple(
+            tuple(name for name, group in zip(self.names, groups, strict=True) if group == one) for one in distinct
+        )
+        sizes = [s.dim_z for s in self.sensors.values()]
+        #: Which sensor, and which party, each component belongs to, (M,).
+        self.owner = np.repeat(np.arange(len(sizes)), sizes)
+        self.party = np.repeat([distinct.index(group) for group in groups], sizes)
+        #: Components that fail together, as `correction` takes them.
+        self.grouping = _grouping(self.sensors, self.party)
         self.H, self.R = np.zeros((at, n)), np.eye(at)
         #: Components whose R nobody told, (M,).
         self.untold = np.zeros(at, dtype=bool)
@@ -202,6 +222,27 @@ class Layout:
             raise ValueError(f"z of {name!r}: expected finite numbers or NaN (missing), got {found}")
         return found.copy()
 
+    def never_together(self, zs: Array) -> list[tuple[str, ...]]:
+        """Return groups of sensors that have all spoken often, and never two of them at one stamp.
+
+        Parameters
+        ----------
+        zs : ndarray, shape (K, M)
+            Readings of each stamp, NaN where missing.
+
+        Returns
+        -------
+        list of tuple of str
+        """
+        spoke = {name: (~np.isnan(zs[:, place])).any(axis=1) for name, place in self.places.items()}
+        found = []
+        for party in self.parties:
+            of_each = np.array([spoke[name] for name in party])
+            often = (of_each.sum(axis=1) >= OFTEN).all()
+            if len(party) > 1 and often and (of_each.sum(axis=0) < 2).all():
+                found.append(party)
+        return found
+
     def seen_from(self, x: Array, z: Array) -> Seen:
         """Return readings and H as they are about a state; sensors without a reading are not asked.
 
@@ -233,6 +274,20 @@ class Layout:
                 H[place] = slope
                 z[place] = apart + slope @ x
         return Seen(z, H, tuple(failed))
+
+
+def _grouping(sensors: dict[str, Sensor], party: np.ndarray) -> Any:
+    """Return which components fail together, or raise for a group of one."""
+    grouped = np.repeat([s.group is not None for s in sensors.values()], [s.dim_z for s in sensors.values()])
+    found = tuple(tuple(np.flatnonzero(party == k).tolist()) for k in dict.fromkeys(party[grouped].tolist()))
+    names = [sensor.group for sensor in sensors.values()]
+    for name, sensor in sensors.items():
+        if sensor.group is not None and sensor.dim_z == 1 and names.count(sensor.group) < 2:
+            raise ValueError(
+                f"sensor {name!r}: expected another sensor of the group {sensor.group!r}, got none; name another one "
+                "so, or leave group out"
+            )
+    return found or "component"
 
 
 def _compared(sensor: Sensor, x: Array, z: Array) -> tuple[Array, Array]:

@@ -19,6 +19,7 @@ from robust_filterpy.fusion._faults import Found, Stretch
 from robust_filterpy.fusion._stepping import Moment, advanced, covariance
 from robust_filterpy.fusion._times import Clock
 from robust_filterpy.fusion._watch import FAULTS, SLOW, Watch, alarmed, calm, recovered
+from robust_filterpy.fusion.sensors import Layout
 
 __all__ = ["STRETCH", "Verdict", "described", "of_all", "watched", "words"]
 
@@ -100,7 +101,7 @@ def watched(line: Any, i: int, moment: Moment) -> Moment:
     -------
     Moment
     """
-    owner, before = line.setup.layout.owner, moment.watch
+    owner, before = line.setup.layout.party, moment.watch
     watch = _readmitted(before, owner)
     alarm = alarmed(watch, owner)
     followed = (watch.fault > _HEALTHY) & (watch.due <= 0.0)
@@ -142,13 +143,13 @@ def _after_a_look(line: Any, i: int, watch: Watch, fresh: np.ndarray, followed: 
     if first >= i or not (fresh | (followed & ~gone)).any():
         return watch
     stretch = _stretch(line, first, i)
-    found = _faults.judged(stretch, gone[layout.owner])
-    best = _by_sensor(found, layout.owner)
+    found = _faults.judged(stretch, gone[layout.party])
+    best = _by_sensor(found, layout.party)
     (who, fault), probability = max(best.items(), key=lambda one: one[1])
     # What is sure stays until the sensor has recovered; what was only likely does not.
     sick = watch.fault == _DEPARTS
     if who < 0:
-        watch = _set_free(watch, sick, layout.owner)
+        watch = _set_free(watch, sick, layout.party)
         if fault < 0:
             onset = next(one.onset for one in found if one.fault == fault)
             watch = watch._replace(model=probability, model_since=line.keys[first + onset])
@@ -158,14 +159,14 @@ def _after_a_look(line: Any, i: int, watch: Watch, fresh: np.ndarray, followed: 
         return watch
     others = sick.copy()
     others[who] = False
-    watch = _set_free(watch, others, layout.owner)
-    top = next(one for one in found if one.component >= 0 and layout.owner[one.component] == who and one.fault == fault)
+    watch = _set_free(watch, others, layout.party)
+    top = next(one for one in found if one.component >= 0 and layout.party[one.component] == who and one.fault == fault)
     sure = probability >= _SURE
     if watch.fault[who] > _DEPARTS and not sure:
         return watch
     shown = (fault, probability) if sure else (_DEPARTS, share)
     return _with(watch, who, *shown, top, line.keys[first + top.onset],
-                 line.stands(first)[0].watch.tests[:, SLOW], layout.owner)  # fmt: skip
+                 line.stands(first)[0].watch.tests[:, SLOW], layout.party)  # fmt: skip
 
 
 def _with(
@@ -222,7 +223,7 @@ def _moved(watch: Watch, before: Watch) -> np.ndarray:
 
 def _mended(line: Any, i: int, watch: Watch) -> Any:
     """Return the state that never took what sensors have said since they lie."""
-    owner, out = line.setup.layout.owner, watch.out
+    owner, out = line.setup.layout.party, watch.out
     onsets = [at for at, left in zip(watch.since, out, strict=True) if left]
     first = next((k for k in range(i + 1) if line.keys[k] >= min(onsets)), i)
     first = max(first, i + 1 - STRETCH)
@@ -260,12 +261,12 @@ def words(name: str, verdict: Verdict) -> str:
     return f"{name} {verdict.fault}{much} since {verdict.since}{odds}: {verdict.remedy}"
 
 
-def of_all(names: tuple[str, ...], moment: Moment) -> dict[str, Verdict]:
+def of_all(layout: Layout, moment: Moment) -> dict[str, Verdict]:
     """Return the verdict about each sensor, and about the "motion".
 
     Parameters
     ----------
-    names : tuple of str
+    layout : Layout
         Of the sensors.
     moment : Moment
         What is known.
@@ -275,8 +276,24 @@ def of_all(names: tuple[str, ...], moment: Moment) -> dict[str, Verdict]:
     dict of str to Verdict
     """
     if moment.watch is None:
-        return {**dict.fromkeys((*names, "motion"), described("healthy")), **_of_doubt(names, moment.doubt)}
-    return {**dict(zip(names, _of_sensors(moment.watch), strict=True)), "motion": _of_motion(moment.watch)}
+        return {
+            **dict.fromkeys((*layout.names, "motion"), described("healthy")),
+            **_of_doubt(layout.names, moment.doubt),
+        }
+    found = {
+        name: _shared(verdict, name, party)
+        for verdict, party in zip(_of_sensors(moment.watch), layout.parties, strict=True)
+        for name in party
+    }
+    return {**{name: found[name] for name in layout.names}, "motion": _of_motion(moment.watch)}
+
+
+def _shared(verdict: Verdict, name: str, party: tuple[str, ...]) -> Verdict:
+    """Return a verdict that says with whom a sensor is judged as one."""
+    if verdict.fault == "healthy" or len(party) == 1:
+        return verdict
+    others = ", ".join(one for one in party if one != name)
+    return verdict._replace(remedy=f"{verdict.remedy}; judged as one with {others}, of the same group")
 
 
 def _of_doubt(names: tuple[str, ...], doubt: Any) -> dict[str, Verdict]:

@@ -74,7 +74,7 @@ def rule(noise: NoiseClasses, process: Scales) -> Array | None:
     ndarray or None
         None for what the kernel has not: sensors that fail together, probabilities of the process that are told.
     """
-    if noise.grouping == "joint" or process.probabilities is not None:
+    if noise.grouping != "component" or process.probabilities is not None:
         return None
     head = [
         len(process.scales), len(noise.scales), process.stay, process.jump, noise.memory, noise.r_memory, noise.learns,

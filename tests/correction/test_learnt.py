@@ -95,11 +95,12 @@ def test_the_excess_of_an_outlier_is_independent_of_everything_else():
     assert_allclose(found.copies.x[0], exact.copies.x[0], rtol=0.15, atol=0.05)
 
 
-def test_sensors_that_fail_together_are_one_vector():
+@pytest.mark.parametrize("grouping", ["joint", ((0, 1),), ((1, 0), (2,))])
+def test_sensors_that_fail_together_are_one_vector(grouping):
     """The merged moments of the classes, each a Kalman correction."""
     rng = np.random.default_rng(2)
     P, R, H, y = spd(rng, 3), spd(rng, 2), rng.normal(size=(2, 3)), np.array([4.0, -3.0])
-    noise = NoiseClasses(scales=(1.0, 50.0), probabilities=(0.8, 0.2), grouping="joint")
+    noise = NoiseClasses(scales=(1.0, 50.0), probabilities=(0.8, 0.2), grouping=grouping)
     found = correct(one(np.zeros(3), P), noise.start(2), y, H, R, noise, TRUSTED)
     means, covariances, weights = [], [], []
     for share, scale in ((0.8, 1.0), (0.2, 50.0)):
