@@ -77,7 +77,8 @@ class Diagnosis:
     clipped : ndarray, shape (m,)
         Share of clipped innovations.
     clipped_expected : ndarray, shape (m, 2)
-        That share without outliers, and with the contamination that psi is made for (or the one given).
+        That share without outliers, and with the contamination that psi is made for (or the one given); NaN where the
+        noise is told or learnt and no psi clips.
     longest_run : ndarray, shape (m,)
         Longest run of clipped samples.
     longest_run_expected : ndarray, shape (m,)
@@ -135,10 +136,12 @@ class Diagnosis:
             lines.append(f"In {self.samples} samples these would not have shown: {', '.join(self.unseen)}.")
         for i in range(len(self.observed)):
             low, high = self.clipped_expected[i]
+            # Told or learnt noise has no threshold, so that nothing is known beforehand.
+            expected = "" if np.isnan(low) else f"expected {low:.0%} to {high:.0%}, "
             lines.append(
                 f"  z[{i}]: {self.observed[i]} of {self.samples} samples; {self.clipped[i]:.0%} clipped "
-                f"(expected {low:.0%} to {high:.0%}), longest run {self.longest_run[i]} "
-                f"(at random below {self.longest_run_expected[i]:.0f}); {self.beyond_3_sigma[i]:.1%} beyond 3 sigma; "
+                f"({expected}longest run {self.longest_run[i]}, "
+                f"at random below {self.longest_run_expected[i]:.0f}); {self.beyond_3_sigma[i]:.1%} beyond 3 sigma; "
                 f"ordinary innovations {self.scale[i]:.2g} sigma; successive ones correlated "
                 f"{self.autocorrelation[i]:+.2f} (p = {self.whiteness[i]:.2g})"
             )
@@ -376,7 +379,7 @@ def _told(repair: Repair, gain: float, figures: dict[str, Any]) -> Finding:
         if repair.cause == "Q" and size == "small":
             text += " and keep their sign; the state moves more than the filter believes."
         elif size == "small":
-            text += "; with it any robust filter clips good data."
+            text += '; who judges by R (a gate, `scaling="innovation"`) clips good data.'
         else:
             text += "; with it outliers pass for good data."
         return Finding(f"{repair.cause} too {size}", i, value, gain, text)

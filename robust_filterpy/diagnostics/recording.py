@@ -141,11 +141,17 @@ def _recording(kept: dict[str, list[Any]], kf: Any) -> FilterRecord:
         e=np.where(absent, np.nan, e),
         weights=weights,
         clipped=clipped & ~absent,
-        influence=getattr(kf, "influence", None),
+        influence=_psi(kf),
         scaling=getattr(kf, "scaling", "innovation"),
         grouping=getattr(kf, "grouping", "component"),
         model=_model(kept, y, z, m),
     )
+
+
+def _psi(kf: Any) -> Any:
+    """Return the influence function, None of a filter without one, as of one that weighs by noise told or learnt."""
+    influence = getattr(kf, "influence", None)
+    return influence if hasattr(influence, "psi_deriv") else None
 
 
 def _stacked(name: str, values: list[Any], n: int) -> Array:

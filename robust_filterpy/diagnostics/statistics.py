@@ -57,8 +57,11 @@ def threshold(influence: Any) -> float:
 
 
 def expected_clipped(recording: FilterRecord, contamination: float) -> tuple[Array, Array]:
-    """Return the share of clipped samples of each sensor without outliers, and with all outliers clipped."""
+    """Return the share of clipped samples of each sensor without outliers, and with all outliers clipped; or NaN."""
     k, m = threshold(recording.influence), recording.y.shape[1]
+    if recording.influence is None and recording.clipped.any():
+        # Weights of noise that is told or learnt have no threshold.
+        return np.full(m, np.nan), np.full(m, np.nan)
     if recording.grouping == "joint":
         low = np.full(m, stats.chi2.sf(k * k, m))
     else:

@@ -94,7 +94,8 @@ def read_table(table: Any, model: Any, key: str | None) -> Rows:
         chosen = [name for name in names if name not in (key, model.time) and name not in given]
     missing = [name for name in (key, model.time, *chosen, *given) if name is not None and name not in names]
     if missing:
-        raise ValueError(f"table: expected the columns {missing}, got {names}")
+        told = "key= names that of the device, time= and measurements= of the model the others"
+        raise ValueError(f"table: expected the columns {missing}, got {names}; {told}")
     m, p = model.widths
     for what, found, allowed in (("measurements", chosen, (m,)), ("inputs", given, (0, p))):
         if len(found) not in allowed:

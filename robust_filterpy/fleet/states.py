@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -54,6 +55,11 @@ class States(Mapping[Any, dict[str, Array]]):
         self.label, self.keys_of_rows, self.columns = label, keys, dict(columns)
         self.odd: dict[Any, Any] = dict(odd or {})
         self._rows: dict[Any, int] | None = None
+
+    def __repr__(self) -> str:
+        """Say of how many keys, and of whom."""
+        shown = ", ".join(map(str, islice(self, 3)))
+        return f"States({len(self)} keys{': ' if len(self) else ''}{shown}{', ..' if len(self) > 3 else ''})"
 
     def __len__(self) -> int:
         """Return how many keys there are."""

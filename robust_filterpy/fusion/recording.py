@@ -27,7 +27,7 @@ _TOGETHER = 20_000
 _TO_BEGIN, _WIDER = 200, 1e6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Recording:
     """Hold the states of a recording, one for each of its K stamps.
 
@@ -58,6 +58,19 @@ class Recording:
     duplicates: int
     names: tuple[str, ...]
     verdicts: tuple[tuple[Any, str, Verdict], ...] = ()
+
+    def __repr__(self) -> str:
+        """Say how long the recording is, where it ends, and what was said of sensors."""
+        if not len(self.times):
+            return "Recording(no stamps)"
+        last = ", ".join(f"{name}={value:.5g}" for name, value in zip(self.names, self.x[-1], strict=True))
+        lines = [f"Recording({len(self.times)} stamps, {self.times[0]} to {self.times[-1]}; at the end {last})"]
+        lines += [
+            f"  {when}: {who} {verdict.fault}, since {verdict.since}" for when, who, verdict in self.verdicts[-5:]
+        ]
+        if len(self.verdicts) > 5:
+            lines.insert(1, f"  {len(self.verdicts)} verdicts; the last five:")
+        return "\n".join(lines)
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return the stamps, the states and their standard deviations by name, as a data frame takes them.

@@ -7,7 +7,7 @@ from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
 from scipy import stats
 from statsmodels.stats.diagnostic import acorr_ljungbox
 
-from robust_filterpy import Huber, Linear, RobustExtendedKalmanFilter, RobustKalmanFilter
+from robust_filterpy import AdaptiveKalmanFilter, Huber, Linear, RobustExtendedKalmanFilter, RobustKalmanFilter
 from robust_filterpy.diagnostics import diagnose, statistics
 from robust_filterpy.identification import ARX, ParameterTracker
 
@@ -391,3 +391,15 @@ def test_a_data_frame_is_diagnosed_by_its_rows():
         ours, theirs = diagnose(kf, pd.DataFrame(measurements)), diagnose(kf, measurements)
         assert ours.samples == 60
         np.testing.assert_array_equal(ours.scale, theirs.scale)
+
+
+@pytest.mark.parametrize("told, cause", [(1.0, ()), (100.0, ("R too large",)), (0.01, ("R too small",))])
+def test_a_filter_that_learns_its_noise_is_diagnosed_by_the_R_that_it_was_told(told, cause):
+    rng = np.random.default_rng(4)
+    level = np.cumsum(0.3 * rng.normal(size=600))
+    kf = AdaptiveKalmanFilter(1, 1)
+    kf.H[:], kf.Q[:], kf.R[:] = 1.0, 0.09, told
+    found = diagnose(kf, level + np.where(rng.random(600) < 0.1, 10.0, 1.0) * rng.normal(size=600))
+    assert found.causes == cause
+    # Learnt noise has no threshold, so that no share of clipped samples is known beforehand.
+    assert np.isnan(found.clipped_expected).all() and "nan" not in str(found)

@@ -531,3 +531,11 @@ def test_an_empty_table_and_missing_columns():
         filter_table(fleet(), model, measurements=["z", "u"])
     with pytest.raises(TypeError, match="model"):
         filter_table(fleet(), None)
+
+
+def test_states_of_a_fleet_print_on_a_line_and_a_missing_column_says_who_names_it():
+    table = pd.DataFrame({"tank": [f"T{i}" for i in range(9)], "z": np.zeros(9)})
+    states, _ = step_table(FilterModel(RobustKalmanFilter(1, 1)), None, table, key="tank")
+    assert repr(states) == "States(9 keys: T0, T1, T2, ..)"
+    with pytest.raises(ValueError, match=r"got .'tank', 'z'.; key= names that of the device"):
+        step_table(FilterModel(RobustKalmanFilter(1, 1)), None, table)

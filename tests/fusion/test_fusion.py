@@ -8,7 +8,8 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from fusion.worlds import GPS, POLICIES, WHEEL, plane, sensors, table
 
-from robust_filterpy.fusion import Fusion, FusionWarning, Sensor, angle, constant_velocity, from_function
+from robust_filterpy.fusion import Fusion, FusionWarning, Recording, Sensor, angle, constant_velocity, from_function
+from robust_filterpy.fusion.verdicts import described
 from robust_filterpy.influence import Linear
 
 
@@ -332,3 +333,19 @@ def test_a_motion_that_raises_says_so_once_and_takes_readings_all_the_same():
     with pytest.raises(ArithmeticError):
         fusion.estimate()
     assert fusion.estimate(3.0).x[0] < 4.0
+
+
+def test_a_recording_prints_on_a_screen_with_what_was_said_of_its_sensors():
+    verdict = described("biased", since=3.0)
+    found = Recording(
+        np.arange(500.0),
+        np.ones((500, 2)),
+        np.ones((500, 2, 2)),
+        np.ones((500, 1)),
+        0,
+        ("p", "v"),
+        tuple((float(t), "left", verdict) for t in range(20)),
+    )
+    lines = repr(found).split("\n")
+    assert lines[0] == "Recording(500 stamps, 0.0 to 499.0; at the end p=1, v=1)"
+    assert lines[1:3] == ["  20 verdicts; the last five:", "  15.0: left biased, since 3.0"] and len(lines) == 7

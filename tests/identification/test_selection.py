@@ -222,3 +222,13 @@ def test_the_criterion_decides_among_structures_that_the_samples_held_out_do_not
         warnings.simplefilter("error")
         found = select_structure(y, u, na=[1, 2], nk=[3, 4])
     assert found.rows[0].criterion == min(row.criterion for row in found.rows if row.shows_delay)
+
+
+def test_fill_values_are_said_and_are_findings_of_the_best_model():
+    rng = np.random.default_rng(1)
+    u = rng.choice([-1.0, 1.0], 300)
+    y = lfilter([0.0, 1.0], [1.0, -0.8], u) + 0.3 * rng.normal(size=300)
+    y[::20] = -9999.0
+    with pytest.warns(UserWarning, match=r"^select_structure: y has -9999 \(15 samples\)"):
+        found = select_structure(y, u, na=[1], nk=[1], progress=False)
+    assert [one.kind for one in found.best.findings] == ["fill value"] and "-9999" in repr(found.best)

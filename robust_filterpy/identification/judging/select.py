@@ -30,10 +30,11 @@ from robust_filterpy._progress import progress_bar
 from robust_filterpy._warning import warn
 from robust_filterpy.identification.estimation.cleaning import THRESHOLDS
 from robust_filterpy.identification.estimation.identify import identify
+from robust_filterpy.identification.models.findings import of_fill_values, said
 from robust_filterpy.identification.models.fit import ordinary_fit, ordinary_samples
 from robust_filterpy.identification.models.learnt_noise import likelihood_of_mixture
 from robust_filterpy.identification.models.model import Model
-from robust_filterpy.identification.models.signals import recorded_input, recorded_output
+from robust_filterpy.identification.models.signals import filled_output, recorded_input
 from robust_filterpy.identification.models.structures import (
     AR,
     ARMA,
@@ -317,7 +318,10 @@ def select_structure(
     _checks.option("criterion", criterion, _CRITERIA)
     grid = _Grid.of(kind, {"na": na, "nb": nb, "nc": nc, "nd": nd, "nf": nf, "nk": nk}, u is not None)
     axis, y, u = recording(None, y=y, u=u)
-    measured = recorded_output(y)
+    filled = filled_output(y)
+    measured, fills = filled.signal, of_fill_values(filled)
+    if fills:
+        warn(f"select_structure: {said(fills)}")
     signal = np.zeros((measured.size, 0)) if u is None else _inputs(u, measured.size)
     grid = grid.of_inputs(signal.shape[1])
     share = (0.0 if measured.size < _LEAST_HELD else _HELD) if held_out is None else _checks.real("held_out", held_out)
@@ -338,7 +342,8 @@ def select_structure(
     bar.close()
     rows = _ranked(comparison.rows(), late)
     structure = rows[0].structure
-    model = replace(identify(measured, None if u is None else signal, structure, progress=False), dt=axis.dt)
+    model = identify(measured, None if u is None else signal, structure, progress=False)
+    model = replace(model, dt=axis.dt, findings=(*fills, *model.findings))
     return Selection(rows, model, criterion, comparison.samples, responses)
 
 
