@@ -51,6 +51,10 @@ class Model(ABC):
     late : {"refuse", "drop"}, optional
         What is done with a sample that is not later than the one before it: named in ``error``, or left out and
         counted. Default: streams of messages drop it, tables and batches name it.
+    expires : float, optional
+        How long a state is good for after its last sample, in seconds, or in the units of times that are numbers: a
+        sample that comes later than that starts its key anew, and ``error`` says so. A state that holds no time does
+        not expire. Default: for ever.
     """
 
     measurements: tuple[str, ...] | None = field(default=None, kw_only=True)
@@ -58,6 +62,7 @@ class Model(ABC):
     time: str | None = field(default=None, kw_only=True)
     dt: float | None = field(default=None, kw_only=True)
     late: Late | None = field(default=None, kw_only=True)
+    expires: float | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         """Check the description of the samples."""
@@ -68,10 +73,15 @@ class Model(ABC):
             object.__setattr__(self, name, None if value is None else tuple(value))
         if self.late is not None:
             _checks.option("late", self.late, POLICIES)
-        if self.dt is not None:
-            _checks.positive("dt", self.dt)
-            if self.time is None:
-                raise ValueError("time: expected the name of the column of times for dt, got None")
+        for name in ("dt", "expires"):
+            if getattr(self, name) is not None:
+                _checks.positive(name, getattr(self, name))
+                if self.time is None:
+                    raise ValueError(f"time: expected the name of the column of times for {name}, got None")
+        if self.dt is not None and self.expires is not None and self.expires <= self.dt:
+            raise ValueError(
+                f"expires: expected more than dt={self.dt:g}, got {self.expires:g}; every sample would start anew"
+            )
 
     def reading(
         self: _Self,
@@ -79,6 +89,7 @@ class Model(ABC):
         time: str | None = None,
         measurements: Sequence[str] | None = None,
         inputs: Sequence[str] | None = None,
+        expires: float | None = None,
     ) -> _Self:
         """Return the same model for a table with these columns.
 
@@ -88,12 +99,14 @@ class Model(ABC):
             Column of the times; as it is if not given.
         measurements, inputs : sequence of str, optional
             Columns of measurements and inputs; as they are if not given.
+        expires : float, optional
+            How long a state is good for; as it is if not given.
 
         Returns
         -------
         Model
         """
-        given: dict[str, Any] = {"time": time, "measurements": measurements, "inputs": inputs}
+        given: dict[str, Any] = {"time": time, "measurements": measurements, "inputs": inputs, "expires": expires}
         return replace(self, **{name: value for name, value in given.items() if value is not None})
 
     @property
@@ -217,7 +230,7 @@ class FilterModel(Model):
         a copy.
     update : mapping of str to Any
         Further arguments of the filter's ``update``, such as ``HJacobian`` and ``Hx``.
-    measurements, inputs, time, dt, late : optional
+    measurements, inputs, time, dt, late, expires : optional
         Where a sample's numbers stand, and when it came, as in `Model`.
 
     Raises
@@ -346,7 +359,7 @@ class TrackerModel(Model):
         ARX, OutputError, ARMAX, FIR or LinearRegression.
     options : mapping of str to Any
         Arguments of `ParameterTracker`, by name. No filter object: its class, if any.
-    measurements, inputs, time, dt, late : optional
+    measurements, inputs, time, dt, late, expires : optional
         Where a sample's numbers stand, and when it came, as in `Model`.
 
     Raises

@@ -203,7 +203,7 @@ def _column(name: str, values: np.ndarray, said: Reasons, what: str, gaps: bool)
             except (TypeError, ValueError, OverflowError):
                 bad[row] = True
     for row in np.flatnonzero(bad).tolist():
-        _say(said, row, f"{name}: expected {what}, got {_checks.shown(values[row])}")
+        say(said, row, f"{name}: expected {what}, got {_checks.shown(values[row])}")
     found[bad] = np.nan
     return found
 
@@ -219,8 +219,18 @@ def _number(value: Any) -> float:
     raise TypeError
 
 
-def _say(said: Reasons, row: int, sentence: str) -> None:
-    """Add what is wrong with a row."""
+def say(said: Reasons, row: int, sentence: str) -> None:
+    """Add what is wrong with a row.
+
+    Parameters
+    ----------
+    said : dict of int to str
+        What is wrong with some of the rows, written into.
+    row : int
+        Row.
+    sentence : str
+        What is wrong with it.
+    """
     said[row] = f"{said[row]}; {sentence}" if row in said else sentence
 
 
@@ -243,7 +253,7 @@ def seconds(values: np.ndarray, said: Reasons) -> Array:
     if values.dtype.kind in "fiu":
         found = values.astype(float)
         for row in np.flatnonzero(~np.isfinite(found)).tolist():
-            _say(said, row, f"time: expected a time for each sample, got {found[row]}")
+            say(said, row, f"time: expected a time for each sample, got {found[row]}")
         found[~np.isfinite(found)] = np.nan
         return found
     found = np.full(len(values), np.nan)
@@ -252,7 +262,7 @@ def seconds(values: np.ndarray, said: Reasons) -> Array:
             found[row] = _instant(value)
         except (TypeError, ValueError, OverflowError) as error:
             why = f", {error}" if str(error).startswith("which") else ""
-            _say(said, row, f"time: expected a time for each sample, got {_checks.shown(value)}{why}")
+            say(said, row, f"time: expected a time for each sample, got {_checks.shown(value)}{why}")
     return found
 
 
@@ -284,7 +294,7 @@ def _whole(values: np.ndarray, said: Reasons) -> Array:
         nanoseconds = values.astype(f"{values.dtype.kind}8[ns]")
     lost = np.isnat(nanoseconds)
     for row in np.flatnonzero(lost).tolist():
-        _say(said, row, f"time: expected a time for each sample, got {values[row]}")
+        say(said, row, f"time: expected a time for each sample, got {values[row]}")
     whole = nanoseconds.astype(np.int64)
     # Whole seconds first, or the nanoseconds would be rounded away.
     return np.where(lost, np.nan, whole // 1_000_000_000 + (whole % 1_000_000_000) * 1e-9)

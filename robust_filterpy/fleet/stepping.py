@@ -15,9 +15,9 @@ from robust_filterpy._checks import Array
 from robust_filterpy._warning import warn
 from robust_filterpy.fleet._filters import Work
 from robust_filterpy.fleet.models import Late, Model
-from robust_filterpy.fleet.reading import Reasons, Rows, read_array, read_table
+from robust_filterpy.fleet.reading import Reasons, Rows, read_array, read_table, say
 from robust_filterpy.fleet.states import States, checked
-from robust_filterpy.fleet.timeline import Clocks, Placed, grouped, placed
+from robust_filterpy.fleet.timeline import Clocks, Placed, grouped, placed, silences
 from robust_filterpy.fusion import Fusion
 
 __all__ = ["step"]
@@ -198,6 +198,38 @@ def advance(
     -------
     Advanced
     """
+    if model.expires is None or rows.times is None or not len(order):
+        return _advanced(model, entries, known, rows, order, starts, late, named)
+    ages = silences(rows.times[order], starts, entries["time"][:, 0])
+    anew = np.flatnonzero(ages > model.expires)
+    for place in anew.tolist():
+        say(
+            rows.said, int(order[place]),
+            f"state: expected one at most expires={model.expires:g} old, got {ages[place]:.6g}; started anew",
+        )  # fmt: skip
+    # What a key has sent since it started anew is as if of another one, and the last of these is the key's.
+    parts = np.union1d(starts, anew)
+    of = np.searchsorted(starts, parts[:-1], side="right") - 1
+    fresh = np.isin(parts[:-1], anew)
+    lives = {name: column[of] for name, column in entries.items()}
+    for name, column in started(model, int(fresh.sum())).items():
+        lives[name][fresh] = column
+    found = _advanced(model, lives, known[of] & ~fresh, rows, order, parts, late, named)
+    standing = np.flatnonzero(found.outcome.moved & ~np.isin(np.arange(len(of)), list(found.refused)))
+    last = dict(zip(of[standing].tolist(), standing.tolist(), strict=True))
+    for name, column in entries.items():
+        column[list(last)] = lives[name][list(last.values())]
+    moved = known.copy()
+    moved[list(last)] = True
+    refused = {int(of[part]): text for part, text in found.refused.items() if int(of[part]) not in last}
+    return Advanced(found.outcome._replace(entries=entries, moved=moved), refused)
+
+
+def _advanced(
+    model: Model, entries: dict[str, np.ndarray], known: np.ndarray, rows: Rows, order: np.ndarray,
+    starts: np.ndarray, late: Late, named: Any,
+) -> Advanced:  # fmt: skip
+    """Take the samples of many keys, none of which starts anew among them."""
     of = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
     z, u = rows.z[order], None if rows.u is None else rows.u[order]
     times = None if rows.times is None else rows.times[order]

@@ -33,11 +33,13 @@ class StreamStep:
         Entries of a message, as in `Model`; as the model has them if not given.
     name : str, default "robust_filterpy"
         Name of the state in the store.
+    expires : float, optional
+        How long a state is good for, in seconds, as in `Model`; as the model has it if not given.
 
     Raises
     ------
     ValueError, TypeError
-        If the model does not say which entries are measured.
+        If the model does not say which entries are measured, or states expire and messages have no times.
 
     Notes
     -----
@@ -68,11 +70,12 @@ class StreamStep:
         measurements: Sequence[str] | None = None,
         inputs: Sequence[str] | None = None,
         name: str = "robust_filterpy",
+        expires: float | None = None,
     ) -> None:
         """Keep the model."""
         if not isinstance(model, Model):
             raise TypeError(f"model: expected a FilterModel or a TrackerModel, got {type(model).__name__}")
-        model = model.reading(time=time, measurements=measurements, inputs=inputs)
+        model = model.reading(time=time, measurements=measurements, inputs=inputs, expires=expires)
         self.model, self.name = replace(model, late=model.late or "drop"), name
         if self.model.measurements is None:
             raise ValueError("measurements: expected the names of the entries that are measured, got None")

@@ -102,6 +102,7 @@ def step_table(
     measurements: Sequence[str] | None = None,
     inputs: Sequence[str] | None = None,
     sort: bool = False,
+    expires: float | None = None,
 ) -> tuple[States, Any]:
     """Take the next samples of many keys, as `step` does those of one, and change nothing.
 
@@ -113,6 +114,8 @@ def step_table(
         What the call before returned, or its ``to_arrow()``; keys that it does not hold start.
     table, key, time, measurements, inputs, sort
         As in `filter_table`.
+    expires : float, optional
+        How long a state is good for, as in `Model`; as the model has it if not given.
 
     Returns
     -------
@@ -124,11 +127,11 @@ def step_table(
     Raises
     ------
     ValueError, TypeError
-        As in `filter_table`.
+        As in `filter_table`, or if states expire and samples have no times.
     """
     if not isinstance(model, Model):
         raise TypeError(f"model: expected a FilterModel or a TrackerModel, got {type(model).__name__}")
-    model = model.reading(time=time, measurements=measurements, inputs=inputs)
+    model = model.reading(time=time, measurements=measurements, inputs=inputs, expires=expires)
     rows = read_table(table, model, key)
     before = taken(states, model.label, model.shapes, model.kind, model.gaps)
     keys = _known_ones(_Keys(*grouped(rows.keys, len(rows.z))), before, model, rows)

@@ -174,6 +174,37 @@ class _Line:
         return self.steps - 1
 
 
+def silences(times: Array, starts: np.ndarray, last: Array) -> Array:
+    """Return how long after its key's latest sample so far each one comes, shape (N,), NaN where there is none.
+
+    Parameters
+    ----------
+    times : ndarray, shape (N,)
+        Those of a key together, NaN where there is none.
+    starts : ndarray of int, shape (K + 1,)
+        First row of each key, and the end.
+    last : ndarray, shape (K,)
+        When the sample before them came, NaN if there was none.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Negative for late samples.
+    """
+    n, counts = len(times), np.diff(starts)
+    of = np.repeat(np.arange(len(counts)), counts)
+    timed = np.where(np.isnan(times), -np.inf, times)
+    # The ranks of a later key's times begin beyond those of the one before: one running maximum for all keys.
+    ranks = np.empty(n, dtype=int)
+    ranks[np.argsort(timed, kind="stable")] = np.arange(n)
+    latest: Array = np.sort(timed)[np.maximum.accumulate(of * n + ranks) - of * n] if n else timed
+    before = np.concatenate(([-np.inf], latest[:-1]))[:n]
+    before[starts[:-1][counts > 0]] = -np.inf
+    before = np.fmax(before, last[of])
+    with np.errstate(over="ignore"):
+        return times - np.where(np.isinf(before), np.nan, before)
+
+
 def grouped(keys: Sequence[object] | None, n: int) -> tuple[list[object], np.ndarray, np.ndarray]:
     """Return the keys, the rows in the order of the keys, and where each key's rows begin.
 

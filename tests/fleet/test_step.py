@@ -3,6 +3,7 @@
 import copy
 import pickle
 import warnings
+from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 
 import numpy as np
@@ -10,11 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support import two_sided
+from test_engines import Store
 from test_state import FILTERS, F, extended, observe, recording, signals
 
 from robust_filterpy import ARX, OutputError, ParameterTracker, RobustKalmanFilter, robust
 from robust_filterpy._state import StateError
 from robust_filterpy.fleet import FilterModel, TrackerModel, filter_table, pack, step, step_table, unpack
+from robust_filterpy.fleet.stream import StreamStep
 from robust_filterpy.identification import ARMA, FIR
 
 pd = pytest.importorskip("pandas")
@@ -520,6 +523,118 @@ def test_states_of_devices_that_are_gone_can_be_left_out():
     assert not one.loc["b"].equals(other.loc["b"])
     untimed = FilterModel(FILTERS["linear"](), measurements=["z"])
     assert len(step_table(untimed, None, table)[0].newer(1e9)) == 3
+
+
+@pytest.mark.parametrize("cuts", [[], [20], [21], [7, 20, 21, 33]])
+@pytest.mark.parametrize("described", ["linear", "recovering", "starting", "extended", "FIR"])
+def test_a_state_that_expired_starts_its_key_anew_wherever_the_batch_is_cut(described, cuts):
+    fir = TrackerModel(FIR(2), {"start": 0})
+    model = replace(fir if described == "FIR" else MODELS[described](), time="t", expires=10.0)
+    batch = batch_for(model)[:40]
+    t = np.arange(40.0)
+    # Nine seconds and a half of silence are borne, ten and a half are not.
+    t[10:] += 8.5
+    t[21:] += 9.5
+    timed = np.column_stack((t, batch))
+    state, parts = None, []
+    for part in np.split(timed, cuts):
+        state, output = step(model, state, part)
+        parts.append(output)
+    found = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    one, first = step(replace(model, expires=None), None, timed[:21])
+    other, second = step(replace(model, expires=None), None, timed[21:])
+    for name in model.columns:
+        np.testing.assert_array_equal(found[name], np.concatenate((first[name], second[name])))
+    same(state, other)
+    assert found["error"][21] == "state: expected one at most expires=10 old, got 10.5; started anew"
+    assert [k for k, said in enumerate(found["error"]) if said is not None] == [21]
+    # And it matters: what goes on from the state before gives other numbers.
+    name = model.columns[0]
+    on = step(replace(model, expires=None), one, timed[21:])[1][name]
+    assert not np.array_equal(on, second[name], equal_nan=True)
+
+
+@pytest.mark.parametrize("stored", [False, True], ids=["states", "arrow"])
+@pytest.mark.parametrize("dt", [None, 1.0])
+def test_in_a_table_the_keys_that_expired_start_anew_and_no_others_notice(stored, dt):
+    described = FilterModel(FILTERS["linear"](), measurements=["z"], time="t", dt=dt)
+    early = pd.DataFrame({"device": ["a", "b", "c"] * 4, "t": np.repeat(np.arange(4.0), 3), "z": np.arange(12.0)})
+    late = pd.DataFrame({"device": ["b", "a", "new", "b", "a", "b"], "t": [8.0, 9.0, 9.0, 9.0, 10.0, 99.0], "z": 1.0})
+    states, _ = step_table(described, None, early)
+    before = copy.deepcopy(states)
+    given = states.to_arrow() if stored else states
+    after, found = step_table(described, given, late, expires=5.5)
+    expected = step_table(described, before, late[:-1])[1]
+    plain = step_table(described, None, late[late["device"] == "a"])
+    pd.testing.assert_frame_equal(found[late["device"] == "a"].drop(columns="error"), plain[1].drop(columns="error"))
+    same(after["a"], plain[0]["a"])
+    for row in (0, 2, 3):
+        assert found.loc[row, "x0"] == expected.loc[row, "x0"] and pd.isna(found.loc[row, "error"])
+    assert found["error"][1] == "device 'a': state: expected one at most expires=5.5 old, got 6; started anew"
+    assert found["error"][5] == "device 'b': state: expected one at most expires=5.5 old, got 90; started anew"
+    same(after["b"], step_table(described, None, late[-1:])[0]["b"])
+    # A key of which nothing came stays as it is, and nothing is written into.
+    same(after["c"], before["c"])
+    for name in before:
+        same(before[name], states[name])
+
+
+def test_silence_is_measured_from_the_latest_sample_and_late_ones_start_nothing():
+    model = timed(expires=10.0)
+    rows = [[0.0, 1.0], [100.0, 1.0], [50.0, 1.0], [np.nan, 1.0], [109.0, 1.0], [89.0, 1.0], [118.0, 1.0]]
+    _, output = step(model, None, rows)
+    assert ["anew" in (said or "") for said in output["error"]] == [False, True, *[False] * 5]
+    assert np.isnan(output["x0"]).tolist() == [False, False, True, True, False, True, False]
+    # A state that does not say when it was is gone on from, since nothing tells its age.
+    kf = FILTERS["linear"]()
+    kf.x = np.array([7.0, 0.0])
+    _, output = step(model, kf.state(), [[1e6, np.nan]])
+    assert output["error"][0] is None and output["x0"][0] == 7.0
+
+
+def test_an_input_is_not_held_beyond_a_state_that_expired():
+    model = TrackerModel(FIR(2), {"start": 0}, time="t", measurements=["y"], inputs=["u"], expires=10.0)
+    rows = [[0.0, 1.0, 2.0], [1.0, 1.0, 2.0], [50.0, 1.0, np.nan], [51.0, 1.0, 3.0]]
+    state, output = step(model, None, rows)
+    same(state, step(replace(model, expires=None), None, rows[3:])[0])
+    assert "started anew" in output["error"][2] and np.isnan(output[model.columns[0]][2])
+    # Until there is one the state is the old one, which is still too old.
+    old, _ = step(model, None, rows[:2])
+    kept, _ = step(model, old, rows[2:3])
+    same(kept, old)
+    same(step(model, None, rows[:3])[0], old)
+    same(step(model, kept, rows[3:])[0], state)
+
+
+def test_what_never_had_times_cannot_expire_and_is_refused():
+    untimed = FilterModel(FILTERS["linear"](), measurements=["z"])
+    table = pd.DataFrame({"device": ["a"], "t": [0.0], "z": [1.0]})
+    for refused in (
+        lambda: step_table(untimed, None, table, expires=5.0),
+        lambda: StreamStep(untimed, expires=5.0),
+        lambda: FilterModel(FILTERS["linear"](), expires=5.0),
+    ):
+        with pytest.raises(ValueError, match="time: expected the name of the column of times for expires, got None"):
+            refused()
+    assert len(step_table(untimed, None, table, time="t", expires=5.0)[0]) == 1
+    for wrong in (0.0, -1.0, np.nan, np.inf, "5"):
+        with pytest.raises((TypeError, ValueError), match="expires"):
+            timed(expires=wrong)
+    with pytest.raises(ValueError, match="more than dt=2, got 2; every sample would start anew"):
+        timed(dt=2.0, expires=2.0)
+    # A state of a model that keeps states for ever serves one that does not.
+    state, _ = step(timed(), None, [[0.0, 1.0]])
+    assert step(timed(expires=5.0), state, [[4.0, 1.0]])[1]["error"][0] is None
+
+
+def test_in_a_stream_a_key_that_was_silent_for_long_starts_anew():
+    store, taken = Store(), StreamStep(timed(measurements=["z"]), expires=10.0)
+    for t in (0.0, 1.0, 2.0):
+        assert taken({"t": t, "z": 5.0}, store)["error"] is None
+    found = taken({"t": 12.5, "z": 1.0}, store)
+    assert found.pop("error") == "state: expected one at most expires=10 old, got 10.5; started anew"
+    fresh = taken({"t": 12.5, "z": 1.0}, Store())
+    assert fresh.pop("error") is None and fresh == found
 
 
 def test_an_empty_table_and_missing_columns():
