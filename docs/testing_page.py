@@ -21,6 +21,9 @@ __all__ = ["page"]
 INTRODUCTION = """\
 # Test your own filter
 
+```{index} ! unit test, ! test my filter
+```
+
 `robust_filterpy.testing` tests a state estimator or a recursive identifier as scikit-learn's `check_estimator` tests a
 classifier. A filter is whatever has `x, P, F, H, Q, R`, `predict()` and `update(z)`; a tracker whatever has `theta` and
 `update(y, u)`. pytest is not needed.
