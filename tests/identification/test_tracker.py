@@ -222,6 +222,16 @@ def test_repr_shows_the_model():
     assert repr(support.told_tracker(FIR(1), theta=2.0)) == "ParameterTracker(FIR(nb=1, nk=1), b1=2)"
 
 
+def test_print_shows_parameters_with_their_deviations_level_and_noise():
+    tracker = support.told_tracker(FIR(1), theta=2.0, P=0.25)
+    assert str(tracker).splitlines()[1].split() == ["b1", "2", "+-", "0.5"]
+    assert [line.split()[0] for line in str(tracker).splitlines()[2:]] == ["level", "R"]
+    for structure in (ARX(20, 20), LinearRegression(3), BoxJenkins(1, 1, 1, 1)):
+        for filter in (None, AdaptiveKalmanFilter):
+            shown = str(ParameterTracker(structure, **({} if filter is None else {"filter": filter})))
+            assert 4 <= len(shown.splitlines()) <= 16 and max(map(len, shown.splitlines())) <= 110
+
+
 # Missing samples, freezing, forgetting
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks, _state
+from robust_filterpy._brief import lines_of
 from robust_filterpy._checks import Array
 from robust_filterpy._documentation import STOPPED, pointer
 from robust_filterpy._warning import warn
@@ -41,13 +42,13 @@ from robust_filterpy.identification.recursive.tuned import TunedTracker, tuned
 from robust_filterpy.identification.recursive.watch import LostTrackerWarning
 from robust_filterpy.influence.functions import Influence
 
-if TYPE_CHECKING:
-    pass
-
 __all__ = ["ParameterTracker"]
 
 #: Samples that a tracker looks at before it takes a stand: OutputError(4, 4) with 10 % outliers needs about as many.
 START = 400
+
+# So many parameters are printed with a line for each.
+_SHOWN = 12
 
 
 class ParameterTracker(EstimatedPolynomials, Responses):
@@ -270,6 +271,15 @@ class ParameterTracker(EstimatedPolynomials, Responses):
         """Show the model as it stands."""
         values = ", ".join(f"{name}={value:.4g}" for name, value in zip(self.structure.names, self.theta, strict=True))
         return f"ParameterTracker({self.structure}, {values})"
+
+    def __str__(self) -> str:
+        """Return the parameters with their standard deviations, the level and the noise, as they fit a screen."""
+        parts: dict[str, Any] = {"theta": self.theta, "std": self.std}
+        if len(self.theta) <= _SHOWN:
+            each = zip(self.structure.names, self.theta, self.std, strict=True)
+            parts = {name: f"{value:.5g} +- {std:.2g}" for name, value, std in each}
+        found = {**parts, "level": float(self.level), "R": float(self.R)}
+        return "\n".join([self.kind, *lines_of(found)])
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """Return the arguments that the tracker was made with, by scikit-learn's convention.
