@@ -9,9 +9,11 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 
 from robust_filterpy import _checks, kernel
 from robust_filterpy._version import __version__
-from robust_filterpy.edge.filter_model import described_filter, influence_declarations
+from robust_filterpy.edge.filter_model import described_filter
+from robust_filterpy.edge.mixture_model import described_mixture
 from robust_filterpy.edge.text import REALS, Described, comment, rendered, table
 from robust_filterpy.edge.tracker_model import described_tracker
+from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.identification import Model, ParameterTracker
 
@@ -30,24 +32,28 @@ class Exported(NamedTuple):
 
 
 def export_c(
-    model: RobustKalmanFilter | ParameterTracker, path: str | os.PathLike[str], *, precision: Precision = "double"
+    model: RobustKalmanFilter | AdaptiveKalmanFilter | ParameterTracker,
+    path: str | os.PathLike[str],
+    *,
+    precision: Precision = "double",
 ) -> Exported:
     """Write one C99 file and its header that step exactly this filter or tracker, from its present state.
 
-    The C predicts and corrects as `RobustKalmanFilter` does, with its psi, scaling and information, or takes
-    a sample as `ParameterTracker.update` does. It allocates nothing, needs no library but math.h, and says by a status
-    what Python says by an exception; a refused call changes nothing there either. NaN in a measurement is a missing
-    component, an infinite one is refused.
+    The C predicts and corrects as `RobustKalmanFilter` does, with its psi, scaling and information, or with noise that
+    is told or learnt (``noise=Contaminated()``, ``Learnt()``, ``process=Scales()``), or takes a sample as
+    `ParameterTracker.update` does. It allocates nothing, needs no library but math.h, and says by a status what Python
+    says by an exception; a refused call changes nothing there either. NaN in a measurement is a missing component, an
+    infinite one is refused.
 
     Parameters
     ----------
-    model : RobustKalmanFilter or ParameterTracker
+    model : RobustKalmanFilter, AdaptiveKalmanFilter or ParameterTracker
         What to export, with its present state; a tracker's start must be over.
     path : path-like
         The C file, such as "cart.c", in a folder that exists; the header stands beside it. Its stem is the prefix of
         all names in C.
     precision : {"double", "single"}
-        Type of every number in C: double or float.
+        Type of every number in C: double or float. Noise that is told or learnt needs double.
 
     Returns
     -------
@@ -65,7 +71,9 @@ def export_c(
     Notes
     -----
     Not exported are the log-likelihood, a tracker's warnings, R of a single sample, and `update_correlated`. The
-    threshold (or another parameter of psi) is a field of the model in C, and may be changed at run time.
+    threshold (or another parameter of psi) is a field of the model in C, and may be changed at run time. Under noise
+    that is told or learnt a step that the package's kernel leaves to the definition (a state 1e6 times less certain
+    than its sensor) is refused by the C.
 
     Examples
     --------
@@ -82,10 +90,16 @@ def export_c(
     precision = _checks.option("precision", precision, ("double", "single"))
     source = _source(path)
     name = source.stem
-    if type(model) is RobustKalmanFilter:
-        found, choices = described_filter(model, name), model.choices
+    if type(model) in (RobustKalmanFilter, AdaptiveKalmanFilter):
+        mixes = getattr(model._policy, "rule", None) is not None  # type: ignore[union-attr]
+        if mixes and precision == "single":
+            raise ValueError(
+                'precision: expected "double" for noise that is told or learnt, whose probabilities are smaller than a '
+                'float can be, got "single"'
+            )
+        found = (described_mixture if mixes else described_filter)(model, name)  # type: ignore[arg-type]
     elif type(model) is ParameterTracker:
-        found, choices = described_tracker(model, name), model.filter.choices
+        found = described_tracker(model, name)
     else:
         raise TypeError(
             f"model: expected a RobustKalmanFilter or a ParameterTracker, got {_checks.shown(type(model).__name__)}; "
@@ -94,10 +108,9 @@ def export_c(
     values = {
         **found.values, "title": comment(found.title), "name": name, "NAME": name.upper(), "real": REALS[precision],
         "largest": "1e150" if precision == "double" else "1e15", "version": __version__,
-        "influence_fields": influence_declarations(choices, name),
     }  # fmt: skip
     exported = Exported(source, source.with_suffix(".h"))
-    texts = (_code(found, values, name, precision), _tidy(rendered(f"{found.text}.h", values)))
+    texts = (_code(found, values, name, precision), _tidy(rendered(f"{found.header or found.text}.h", values)))
     for file, text in zip(exported, texts, strict=True):
         file.write_text(text, encoding="ascii")
     return exported

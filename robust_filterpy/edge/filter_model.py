@@ -38,19 +38,7 @@ def described_filter(kf: RobustKalmanFilter, name: str) -> Described:
             f"grouping: expected 'component', got {choices.grouping!r}: C takes sensor by sensor; "
             f"set grouping='component' before the export"
         )
-    F, H = finite("F", kf.F, (n, n)), finite("H", kf.H, (m, n))
-    B = _control(kf.B, n)
-    model: dict[str, Any] = {"F": F}
-    if B is not None:
-        model["B"] = B
-    model |= {
-        "Q": symmetric("Q", process_noise(kf.Q, None, n)),
-        "H": H,
-        "R": symmetric("R", noise_covariance(kf.R, None, m)),
-    }
-    if kf._alpha_sq != 1.0:
-        model["alpha_sq"] = kf._alpha_sq
-    model |= influence_fields(choices)
+    model = matrices(kf) | influence_fields(choices)
     start = {"x": finite("x", x.ravel(), (n,)), "P": symmetric("P", P)}
     # Linear, which cannot become anything else at run time, has no thresholds to learn for.
     if choices.scaling == "learnt" and _kind(choices) != "linear":
@@ -59,19 +47,39 @@ def described_filter(kf: RobustKalmanFilter, name: str) -> Described:
     return Described(
         f"{name}: RobustKalmanFilter(dim_x={n}, dim_z={m}), {shown(choices)}",
         ("real", "psi", "prediction", "correction", "spread", "update"), "filter",
-        {"n": str(n), "m": str(m), **choice_values(choices, name)}
-        | _control_values(0 if B is None else B.shape[1], name)
+        {**matrix_values(model, name), **choice_values(choices, name)}
         | {
-            "alpha_sq": "REAL(1.0)" if kf._alpha_sq == 1.0 else "model->alpha_sq",
-            "alpha_field": ""
-            if kf._alpha_sq == 1.0
-            else f"    {name}_real alpha_sq; /* P is multiplied by it at each prediction */",
             "memory_field": f"    {name}_real memory[{m} * {NUMBERS}]; /* what is usual of each sensor's innovations */"
             if "memory" in start
             else "",
+            "copies_fields": "",
+            "remark": f"For another threshold at run time change a copy of {name}_default.",
+            "shown_fields": f"""    {name}_real e[{m}];      /* the same, standardized */
+    {name}_real weight[{m}]; /* psi(e)/e: 1 is full trust; NaN where missing */""",
+            "influence_fields": influence_declarations(choices, name),
         },
         model, start,
     )  # fmt: skip
+
+
+def matrices(kf: RobustKalmanFilter) -> dict[str, Any]:
+    """Return the matrices of a filter, as the model in C has them, or raise."""
+    n, m, B = kf.dim_x, kf.dim_z, _control(kf.B, kf.dim_x)
+    F, H = finite("F", kf.F, (n, n)), finite("H", kf.H, (m, n))
+    Q, R = symmetric("Q", process_noise(kf.Q, None, n)), symmetric("R", noise_covariance(kf.R, None, m))
+    found = {"F": F, **({} if B is None else {"B": B}), "Q": Q, "H": H, "R": R}
+    return found if kf._alpha_sq == 1.0 else found | {"alpha_sq": kf._alpha_sq}
+
+
+def matrix_values(model: dict[str, Any], name: str) -> dict[str, str]:
+    """Return what the C of a filter with these matrices has for them."""
+    fades = "alpha_sq" in model
+    return _control_values(model["B"].shape[1] if "B" in model else 0, name) | {
+        "n": str(len(model["F"])),
+        "m": str(len(model["H"])),
+        "alpha_sq": "model->alpha_sq" if fades else "REAL(1.0)",
+        "alpha_field": f"    {name}_real alpha_sq; /* P is multiplied by it at each prediction */" if fades else "",
+    }
 
 
 def choice_values(choices: Choices, name: str) -> dict[str, str]:
@@ -122,24 +130,30 @@ def _control_values(inputs: int, name: str) -> dict[str, str]:
     }
 
 
-def require_plain(kf: Any, name: str) -> None:
-    """Raise unless a filter does what the C of a `RobustKalmanFilter` does."""
+def require_own(kf: Any, name: str) -> None:
+    """Raise unless a filter's methods are its own, and its inverse numpy's."""
     wrapped = {"predict", "update"} & vars(kf).keys()
     if wrapped:
         raise ValueError(f"{name}: expected the filter's own {sorted(wrapped)[0]}(), got one that was put in its place")
+    if kf._inverse is not None:
+        raise ValueError(
+            f"inv: expected numpy's inverse of S, got {kf.inv!r}; make R positive definite and set inv=numpy.linalg.inv"
+        )
+
+
+def require_plain(kf: Any, name: str) -> None:
+    """Raise unless a filter does what the C of a `RobustKalmanFilter` does."""
+    require_own(kf, name)
     if not kf._policy.by_kernel:
         raise ValueError(
-            f"{name}: expected bounded influence without patience, of which there is C, got noise={kf.noise!r}, "
-            f"patience={kf.patience!r}"
+            f"{name}: expected bounded influence without patience, or, of a filter, noise told or learnt "
+            f"sensor by sensor with process=None or Scales, of which there is C, got noise={kf.noise!r}, "
+            f"process={kf.process!r}, patience={kf.patience!r}"
         )
     if kf.choices.pointwise is None or _kind(kf.choices) not in _FIELDS:
         raise ValueError(
             f"influence: expected Huber, Hampel, TukeyBiweight, StudentT or Linear, got {kf.influence!r}, of which "
             f"there is no C; set the nearest of these, such as StudentT(4), before the export"
-        )
-    if kf._inverse is not None:
-        raise ValueError(
-            f"inv: expected numpy's inverse of S, got {kf.inv!r}; make R positive definite and set inv=numpy.linalg.inv"
         )
 
 

@@ -34,6 +34,8 @@ class Described:
     #: Entries of the two tables, in the order of their fields.
     model: Mapping[str, Any] = field(default_factory=dict)
     start: Mapping[str, Any] = field(default_factory=dict)
+    #: The text of its header, if that is another one's.
+    header: str = ""
 
 
 def rendered(name: str, values: Mapping[str, str]) -> str:

@@ -10,6 +10,7 @@ from robust_filterpy._arrays import process_noise
 from robust_filterpy.edge.filter_model import (
     choice_values,
     finite,
+    influence_declarations,
     influence_fields,
     require_plain,
     shown,
@@ -63,7 +64,11 @@ def described_tracker(tracker: ParameterTracker, name: str) -> Described:
             "set scaling='innovation' before the export"
         )
     model, start = _model(tracker), _start(tracker)
-    values = {**choice_values(choices, name), **_values(tracker, model, start)}
+    values = {
+        **choice_values(choices, name),
+        "influence_fields": influence_declarations(choices, name),
+        **_values(tracker, model, start),
+    }
     return Described(
         f"{name}: ParameterTracker({tracker.structure}), {shown(choices)}",
         ("real", "psi", "prediction", "correction", "mend", "tracker"), "tracker",

@@ -56,7 +56,7 @@ typedef struct {
 
 INLINE int learnt_copies(const learnt_rule *const rule) { return rule->jump > 0 ? rule->q + 1 : rule->q; }
 
-INLINE int learnt_width(const int K) { return 2 + 2 * K + K * K + LEARNT_TAIL; }
+#define learnt_width(K) (2 + 2 * (K) + (K) * (K) + LEARNT_TAIL)
 
 /* Whether it is more likely than not that the state has jumped. */
 INLINE int learnt_jumped(const learnt_rule *const rule, const real *const p) {
@@ -101,9 +101,7 @@ INLINE int learnt_merge(const int n, const learnt_rule *const rule, const learnt
     return real_is_finite(check);
 }
 
-INLINE size_t learnt_predict_work(const int n, const int copies) {
-    return (size_t)(copies * (2 + n + n * n) + n * n);
-}
+#define learnt_predict_work(n, copies) ((size_t)((copies) * (2 + (n) + (n) * (n)) + (n) * (n)))
 
 /* Predict: mixed as the scale of the process may have changed, then moved. control is B u, or NULL. */
 INLINE void learnt_predict(const int n, const learnt_rule *const rule, learnt_state *const s, const real *RESTRICT F,
@@ -205,7 +203,7 @@ INLINE void learnt_learn(const learnt_rule *const rule, const real *RESTRICT p, 
     }
 }
 
-INLINE size_t learnt_parity_work(const int m) { return (size_t)(m * (m + 3)); }
+#define learnt_parity_work(m) ((size_t)((m) * ((m) + 3)))
 
 /* Write r of each sensor that is left, nowhere less than its parity allows, and note this sample's parity. */
 INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule, const real *RESTRICT z,
@@ -314,9 +312,8 @@ INLINE void learnt_changes(const int n, const int m, const learnt_rule *const ru
     }
 }
 
-INLINE size_t learnt_correct_work(const int n, const int m, const int copies, const int K) {
-    return (size_t)(copies * (m * (1 + n + m) + K + 6) + n + 4 * m + 4 * K) + learnt_parity_work(m);
-}
+#define learnt_correct_work(n, m, copies, K) \
+    ((size_t)((copies) * ((m) * (1 + (n) + (m)) + (K) + 6) + (n) + 4 * (m) + 4 * (K)) + learnt_parity_work(m))
 
 /* What the copies are while sensor after sensor is taken. */
 typedef struct {

@@ -289,6 +289,10 @@ class OwnHuber(Huber):
         return 0.5 * super().psi(e)
 
 
+class OwnFilter(RobustKalmanFilter):
+    """May do anything."""
+
+
 def tracker(**options):
     return ParameterTracker(ARX(1, 1), **options)
 
@@ -304,7 +308,7 @@ REFUSED = {
     ),
     "a class": (lambda: RobustKalmanFilter, TypeError, "instance"),
     "nothing": (lambda: None, TypeError, "RobustKalmanFilter"),
-    "a subclass": (lambda: robust_filterpy.AdaptiveKalmanFilter(2, 1), TypeError, "same x, P, F"),
+    "a subclass": (lambda: OwnFilter(2, 1), TypeError, "same x, P, F"),
     "psi": (lambda: changed(influence=OwnHuber()), ValueError, "StudentT"),
     "groups": (lambda: RobustKalmanFilter(2, 2, grouping="joint"), ValueError, "grouping='component'"),
     "tracker's spread": (lambda: tracker(start=0, scaling="learnt"), ValueError, "scaling='innovation'"),

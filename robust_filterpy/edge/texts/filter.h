@@ -10,7 +10,7 @@
  *     ${name}_predict(&${name}_default, &state$example_u);
  *     ${name}_update(&${name}_default, &state, z, NULL);
  *
- * A component of z that is NaN is missing. For another threshold at run time change a copy of ${name}_default.
+ * A component of z that is NaN is missing. $remark
  */
 #ifndef ${NAME}_H
 #define ${NAME}_H
@@ -53,13 +53,13 @@ typedef struct {
     ${name}_real x[$n];
     ${name}_real P[$n * $n]; /* covariance of x, symmetric */
 $memory_field
+$copies_fields
 } ${name}_state;
 
 /* What an update found of each component. */
 typedef struct {
     ${name}_real y[$m];      /* innovation z - H x, 0 where missing */
-    ${name}_real e[$m];      /* the same, standardized */
-    ${name}_real weight[$m]; /* psi(e)/e: 1 is full trust; NaN where missing */
+$shown_fields
 } ${name}_shown;
 
 extern const ${name}_model ${name}_default;

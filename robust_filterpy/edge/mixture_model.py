@@ -1,0 +1,66 @@
+"""From a `RobustKalmanFilter` whose noise is told or learnt to the tables and sections of its C."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable
+
+import numpy as np
+
+from robust_filterpy._arrays import state_of
+from robust_filterpy.edge.filter_model import finite, matrices, matrix_values, require_own, symmetric
+from robust_filterpy.edge.text import Described
+from robust_filterpy.filters.kalman import RobustKalmanFilter
+
+# Numbers of a rule before its scales: copies, classes, stay, jump, two memories, whether it learns.
+_HEAD = 7
+
+
+def described_mixture(kf: RobustKalmanFilter, name: str) -> Described:
+    """Return what the C of a filter is made of that weighs what its noise may have been, or raise."""
+    require_own(kf, "model")
+    x, P = state_of(kf)
+    n, m, policy = len(x), kf.dim_z, kf._policy
+    rule: np.ndarray = policy.rule  # type: ignore[attr-defined]
+    q, K = int(rule[0]), int(rule[1])
+    process, scales, begin = np.split(rule[_HEAD:], [q, q + K])
+    model = matrices(kf)
+    kept = policy.current(kf._kept, x.ravel(), symmetric("P", P))  # type: ignore[attr-defined]
+    copies, width = len(kept.probabilities), len(begin)
+    memory = kf._memory if len(kf._memory) == m else policy.begin(m)
+    start = {
+        "x": finite("x", x.ravel(), (n,)), "P": symmetric("P", P), "means": finite("x", kept.means, (copies, n)),
+        "covariances": np.concatenate([symmetric("P", one) for one in kept.covariances]),
+        "shares": kept.probabilities, "unseen": float(kept.unseen), "memory": finite("memory", memory, (m, width)),
+    }  # fmt: skip
+    stay, jump, remembered, r_remembered = rule[2:6]
+    return Described(
+        f"{name}: {type(kf).__name__}(dim_x={n}, dim_z={m}), noise={kf.noise!r}, process={kf.process!r}",
+        ("real", "learnt"), "mixture",
+        matrix_values(model, name)
+        | {
+            "copies": str(copies), "q": str(q), "K": str(K), "process": _numbers(process), "scales": _numbers(scales),
+            "begin": _numbers(begin), "numbers": _numbers((stay, jump, remembered, r_remembered)),
+            "learns": str(int(rule[6])), "expected_field": "", "influence_fields": "",
+            "memory_field": "    /* The copies that x and P are merged from; who writes x or P writes them all. */",
+            "copies_fields": "\n".join(
+                f"    {name}_real {declared};"
+                for declared in (
+                    f"means[{copies} * {n}]", f"covariances[{copies} * {n} * {n}]",
+                    f"shares[{copies}]; /* their probabilities */",
+                    "unseen; /* chance that the state has jumped since the last measurement */",
+                    f"memory[{m} * {width}]; /* what is known of each sensor; the first is the factor of its R */",
+                )
+            ).replace("*/;", "*/"),
+            "remark": f"A step that Python\n * leaves to its definition is refused, {name.upper()}_SINGULAR.",
+            "shown_fields": f"""    {name}_real outlying[{m}]; /* probability that it was an outlier, 0 where missing */
+    {name}_real weight[{m}];   /* 1 is full trust; NaN where missing */""",
+        },
+        model, start, "filter",
+    )  # fmt: skip
+
+
+def _numbers(values: Iterable[float]) -> str:
+    """Return numbers as C writes them, of its own type."""
+    written = ", ".join(f"REAL({float(value)!r})" for value in values)
+    return textwrap.fill(written, 110, initial_indent=" " * 4, subsequent_indent=" " * 4)

@@ -1,0 +1,80 @@
+#define N ${NAME}_STATES
+#define M ${NAME}_SENSORS
+#define COPIES $copies
+#define CLASSES $K
+
+/* Factors of Q that are weighed, factors of R, and what is known of a sensor at first. */
+static const real process[$q] = {
+$process
+};
+static const real scales[CLASSES] = {
+$scales
+};
+static const real begin[learnt_width(CLASSES)] = {
+$begin
+};
+static const learnt_rule rule = {
+    $q, CLASSES, process, scales, begin,
+$numbers, $learns
+};
+
+static learnt_state copies_of(${name}_state *const state)
+{
+    const learnt_state s = {state->means, state->covariances, state->shares, &state->unseen, state->memory};
+    return s;
+}
+
+${name}_status ${name}_predict(const ${name}_model *model, ${name}_state *state$predict_parameter)
+{
+    ${name}_state next;
+    learnt_state s;
+    real work[learnt_predict_work(N, COPIES)];
+$control
+    if ((model == NULL) || (state == NULL)) {
+        return ${NAME}_BAD_ARGUMENT;
+    }
+$control_sum
+    next = *state;
+    s = copies_of(&next);
+    learnt_predict(N, &rule, &s, model->F, model->Q, $control_given, $alpha_sq, work);
+    if (!learnt_merge(N, &rule, &s, next.x, next.P, work)) {
+        return ${NAME}_NOT_FINITE;
+    }
+    *state = next;
+    return ${NAME}_OK;
+}
+
+${name}_status ${name}_update(const ${name}_model *model, ${name}_state *state, const ${name}_real z[$m],
+                              ${name}_shown *shown)
+{
+    ${name}_state next;
+    learnt_state s;
+    real work[learnt_correct_work(N, M, COPIES, CLASSES)], weights[M], outlying[M], likelihood = 0;
+    if ((model == NULL) || (state == NULL) || (z == NULL)) {
+        return ${NAME}_BAD_ARGUMENT;
+    }
+    for (int i = 0; i < M; i++) {
+        if ((z[i] == z[i]) && !(real_abs(z[i]) < REAL_ORDINARY)) {
+            return ${NAME}_BAD_ARGUMENT;
+        }
+    }
+    next = *state;
+    s = copies_of(&next);
+    if (learnt_correct(N, M, &rule, &s, z, model->H, model->R, weights, outlying, &likelihood, work) < 0) {
+        return ${NAME}_SINGULAR;
+    }
+    if (!learnt_merge(N, &rule, &s, next.x, next.P, work)) {
+        return ${NAME}_NOT_FINITE;
+    }
+    for (int i = 0; (i < M) && (shown != NULL); i++) {
+        real predicted = 0;
+        for (int k = 0; k < N; k++) {
+            predicted += model->H[i * N + k] * state->x[k];
+        }
+        shown->y[i] = (z[i] == z[i]) ? z[i] - predicted : 0;
+        shown->outlying[i] = outlying[i];
+        shown->weight[i] = weights[i];
+    }
+    *state = next;
+    return ${NAME}_OK;
+}

@@ -1,0 +1,165 @@
+"""The C of a filter whose noise is told or learnt is the package's kernel, to the last bit, or says it declines."""
+
+import copy
+import ctypes
+import shutil
+import subprocess
+
+import c_programs
+import numpy as np
+import pytest
+from support import needs_kernel, random_problem
+
+from robust_filterpy import AdaptiveKalmanFilter, Contaminated, Learnt, RobustKalmanFilter, Scales
+from robust_filterpy.edge import export_c
+
+pytestmark = [
+    pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler"),
+    pytest.mark.filterwarnings("ignore::UserWarning"),
+]
+
+POLICIES = {
+    "learnt": {"noise": Learnt()},
+    "learnt, scales": {"noise": Learnt(), "process": Scales()},
+    "learnt, two classes, no jumps": {
+        "noise": Learnt((1.0, 50.0), 100.0, 20.0),
+        "process": Scales((1.0, 9.0), jump=0.0),
+    },
+    "told": {"noise": Contaminated(0.1, 100.0)},
+    "told, scales": {"noise": Contaminated(0.1, 100.0), "process": Scales()},
+}
+
+
+def made(seed, n=2, m=1, inputs=0, **policy):
+    """A filter with random matrices, and measurements with outliers, a jump and gaps."""
+    rng, problem = np.random.default_rng(seed), random_problem(seed, n, m, inputs)
+    kf = RobustKalmanFilter(n, m, inputs, **policy)
+    kf.x, kf.P, kf.F, kf.H = problem.x.copy(), problem.P, problem.F, problem.H.copy()
+    kf.Q, kf.R, kf.B = problem.Q, problem.R, problem.B
+    if seed % 3 == 0:
+        kf.alpha = 1.01
+    z = rng.normal(size=(80, m)) * rng.choice([1.0, 30.0], size=(80, m), p=[0.85, 0.15])
+    z[40:] += 20.0
+    z[rng.random((80, m)) < 0.1] = np.nan
+    z[3] = np.nan
+    return kf, z, rng.normal(size=(80, inputs))
+
+
+class InC:
+    """A filter as C, compiled, and its state."""
+
+    def __init__(self, kf, folder):
+        export_c(kf, folder / "one.c")
+        warned = [*c_programs.WARNINGS, "-ffp-contract=off", "-fsanitize=undefined", "-fno-sanitize-recover=all"]
+        command = ["cc", "-std=c99", "-O2", *warned, "-shared", "-fPIC", "one.c", "-lm", "-o", "one.so"]
+        built = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+        assert built.returncode == 0, built.stderr[:3000]
+        self.library = ctypes.CDLL(str(folder / "one.so"))
+        self.model = ctypes.c_char.in_dll(self.library, "one_default")
+        n, m, kept = kf.dim_x, kf.dim_z, kf._policy.current(kf._kept, np.ravel(kf.x), kf.P)
+        size = n + n * n + kept.means.size + kept.covariances.size + len(kept.means) + 1 + kf._policy.begin(m).size
+        self.state = (ctypes.c_double * size)(*(ctypes.c_double * size).in_dll(self.library, "one_start"))
+        self.n, self.shown = n, (ctypes.c_double * (3 * m))()
+
+    def predict(self, u=()):
+        given = [(ctypes.c_double * len(u))(*u)] if len(u) else []
+        return self.library.one_predict(ctypes.byref(self.model), self.state, *given)
+
+    def update(self, z):
+        z = np.atleast_1d(z)
+        given = (ctypes.c_double * len(z))(*z)
+        return self.library.one_update(ctypes.byref(self.model), self.state, given, self.shown)
+
+    @property
+    def x(self):
+        return np.array(self.state[: self.n])
+
+    @property
+    def P(self):
+        return np.array(self.state[self.n : self.n + self.n**2]).reshape(self.n, self.n)
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+@pytest.mark.parametrize("sizes", [(1, 1, 0), (2, 1, 1), (4, 2, 0), (3, 3, 2)])
+def test_c_equals_the_kernel_to_the_last_bit(policy, sizes, tmp_path):
+    needs_kernel()
+    kf, z, u = made(sum(sizes), *sizes, **POLICIES[policy])
+    in_c = InC(kf, tmp_path)
+    means, covariances, *_ = copy.deepcopy(kf).batch_filter(z, us=u if sizes[2] else None)
+    # Of noise that is told the last sample that is measured is the definition's, which shows more of it.
+    last = int(np.flatnonzero(~np.isnan(z).all(axis=1))[-1]) if "told" in policy else len(z)
+    for k in range(len(z)):
+        assert in_c.predict(u[k]) == in_c.update(z[k]) == c_programs.OK
+        if k < last:
+            assert np.array_equal(in_c.x, means[k].ravel()) and np.array_equal(in_c.P, covariances[k]), k
+    assert last > 70
+    np.testing.assert_allclose(in_c.x, means[-1].ravel(), rtol=1e-11)
+
+
+def test_each_sample_shows_what_python_shows_and_an_export_goes_on_from_where_the_filter_stands(tmp_path):
+    needs_kernel()
+    kf, z, _ = made(5, 2, 2, noise=Learnt(), process=Scales())
+    adaptive = AdaptiveKalmanFilter(2, 2)
+    for name in ("x", "P", "F", "H", "Q", "R"):
+        setattr(adaptive, name, getattr(kf, name))
+    adaptive.batch_filter(z[:30])
+    adaptive.x = adaptive.x + 0.5
+    in_c, hit = InC(adaptive, tmp_path), 0
+    for row in z[30:]:
+        adaptive.predict()
+        adaptive.update(row)
+        assert in_c.predict() == in_c.update(row) == c_programs.OK
+        assert np.array_equal(in_c.x, np.ravel(adaptive.x)) and np.array_equal(in_c.P, adaptive.P)
+        y, outlying, weights = np.reshape(in_c.shown, (3, 2))
+        if not np.isnan(row).all():
+            np.testing.assert_allclose(y, np.where(np.isnan(row), 0.0, np.ravel(adaptive.y)), atol=1e-12)
+            assert np.array_equal(weights, np.ravel(adaptive.weights), equal_nan=True)
+            assert 1.0 - np.prod(1.0 - outlying) == pytest.approx(adaptive.outlier_probability, abs=1e-12)
+            hit += (outlying > 0.5).any()
+    assert 3 < hit < len(z[30:])
+
+
+def test_what_the_kernel_declines_is_refused_and_changes_nothing(tmp_path):
+    kf, _, _ = made(1, noise=Learnt(), process=Scales())
+    in_c = InC(kf, tmp_path)
+    before = list(in_c.state)
+    for z in (np.inf, -np.inf, 1e150):
+        assert in_c.update(z) == c_programs.BAD_ARGUMENT and list(in_c.state) == before
+    assert in_c.library.one_update(None, in_c.state, in_c.shown, None) == c_programs.BAD_ARGUMENT
+    assert in_c.library.one_predict(ctypes.byref(in_c.model), None) == c_programs.BAD_ARGUMENT
+    (tmp_path / "vague").mkdir()
+    kf.P = 1e14 * np.eye(2)
+    vague = InC(kf, tmp_path / "vague")
+    before = list(vague.state)
+    assert vague.update(1.0) == c_programs.SINGULAR and list(vague.state) == before
+
+
+def test_odd_numbers_anywhere_do_no_harm(tmp_path):
+    some = []
+    for k, policy in enumerate(POLICIES.values()):
+        kf, _, _ = made(k, 2, 2, **policy)
+        some.append(c_programs.Case(f"odd{k}", kf, np.zeros((1, 2)), np.zeros((1, 1)), 2, 0))
+    assert c_programs.program(some, tmp_path, part="fuzzed").size == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "precision", "message"),
+    [
+        ({"noise": Learnt(), "grouping": "joint"}, "double", "sensor by sensor"),
+        ({"noise": Learnt(), "process": Contaminated(0.1, 100.0)}, "double", "process=None or Scales"),
+        ({"patience": 5}, "double", "patience=5"),
+        ({"noise": Learnt()}, "single", 'expected "double" for noise that is told or learnt'),
+        ({"noise": Learnt(), "inv": np.linalg.pinv}, "double", "numpy.linalg.inv"),
+        ({"noise": Learnt(), "update": print}, "double", "filter's own update"),
+        ({"noise": Learnt(), "P": -np.eye(2)}, "double", "P: expected"),
+    ],
+    ids=lambda value: str(value)[:30],
+)
+def test_what_has_no_c_is_refused_in_words(change, precision, message, tmp_path):
+    attributes = {name: change[name] for name in ("inv", "update", "P") if name in change}
+    kf = RobustKalmanFilter(2, 2, **{name: value for name, value in change.items() if name not in attributes})
+    for name, value in attributes.items():
+        setattr(kf, name, value)
+    with pytest.raises(ValueError, match=message):
+        export_c(kf, tmp_path / "one.c", precision=precision)
+    assert not list(tmp_path.iterdir())
