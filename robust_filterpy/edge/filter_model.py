@@ -33,12 +33,10 @@ def described_filter(kf: RobustKalmanFilter, name: str) -> Described:
     choices = kf.choices
     x, P = state_of(kf)
     n, m = len(x), kf.dim_z
-    if m > 1 and choices.grouping != "component":
-        raise ValueError(
-            f"grouping: expected 'component', got {choices.grouping!r}: C takes sensor by sensor; "
-            f"set grouping='component' before the export"
-        )
     model = matrices(kf) | influence_fields(choices)
+    joint = m > 1 and choices.grouping != "component"
+    if joint:
+        _require_joint(choices, model["R"])
     start = {"x": finite("x", x.ravel(), (n,)), "P": symmetric("P", P)}
     # Linear, which cannot become anything else at run time, has no thresholds to learn for.
     if choices.scaling == "learnt" and _kind(choices) != "linear":
@@ -46,13 +44,17 @@ def described_filter(kf: RobustKalmanFilter, name: str) -> Described:
         start["memory"] = finite("memory", kf._memory if len(kf._memory) == m else begin(m), (m, NUMBERS))
     return Described(
         f"{name}: RobustKalmanFilter(dim_x={n}, dim_z={m}), {shown(choices)}",
-        ("real", "psi", "prediction", "correction", "spread", "update"), "filter",
+        ("real", "psi", "prediction", "correction", *(("joint",) if joint else ()), "spread", "update"), "filter",
         {**matrix_values(model, name), **choice_values(choices, name)}
         | {
             "memory_field": f"    {name}_real memory[{m} * {NUMBERS}]; /* what is usual of each sensor's innovations */"
             if "memory" in start
             else "",
             "copies_fields": "",
+            "grouping": "    static const real normalizers[JOINT_MOST] = {0}; /* of a likelihood nobody asks for */"
+            if joint
+            else "",
+            "joint": "normalizers" if joint else "NULL",
             "remark": f"For another threshold at run time change a copy of {name}_default.",
             "shown_fields": f"""    {name}_real e[{m}];      /* the same, standardized */
     {name}_real weight[{m}]; /* psi(e)/e: 1 is full trust; NaN where missing */""",
@@ -60,6 +62,22 @@ def described_filter(kf: RobustKalmanFilter, name: str) -> Described:
         },
         model, start,
     )  # fmt: skip
+
+
+def _require_joint(choices: Choices, R: Array) -> None:
+    """Raise unless the kernel judges these sensors as one whatever P becomes."""
+    known = choices.grouping == "joint" and choices.scaling in ("learnt", "innovation")
+    if not known or choices.information == "expected" or len(R) > 16:
+        raise ValueError(
+            f"grouping: expected 'component', or 'joint' of up to 16 sensors with scaling='learnt' or 'innovation' "
+            f"and information='realized' or 'weight', got {shown(choices)}, {len(R)} sensors; set "
+            f"grouping='component' before the export"
+        )
+    if np.count_nonzero(R - np.diag(R.diagonal())):
+        raise ValueError(
+            "R: expected a diagonal with grouping='joint', since C cannot tell what a sensor that sees no state says of "
+            "the others; set R=numpy.diag(R.diagonal()) or grouping='component' before the export"
+        )
 
 
 def matrices(kf: RobustKalmanFilter) -> dict[str, Any]:

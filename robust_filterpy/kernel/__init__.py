@@ -11,7 +11,8 @@ writes for microcontrollers: C99, sizes as arguments, workspaces from the caller
 * `learnt`: steps under learnt noise (``learnt.h``); of one filter as one call, ``mixture.c``.
 * `moments`: a correction by an innovation of which only moments are known, for nonlinear filters.
 * ``real.h``: the number type. ``psi.h``: psi, psi', rho.
-* ``prediction.h``, ``correction.h``: one step. ``series.h``: many of many. ``smoother.h``: a smoother's pass.
+* ``prediction.h``, ``correction.h`` (``joint.h`` where all sensors fail together): one step. ``series.h``: many of
+  many. ``smoother.h``: a smoother's pass.
 
 The extension is written by hand against Python's stable interface and numpy's. ``glue.h`` has what all its functions
 need: arrays that are checked when taken, attributes read and set, references held during a call. The functions are in

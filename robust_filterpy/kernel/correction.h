@@ -9,6 +9,8 @@
 #include "psi.h"
 
 enum scaling { SCALING_LEARNT, SCALING_INNOVATION, SCALING_UNIT, SCALING_BOUNDED };
+#define JOINT_MOST 16
+
 enum information { INFORMATION_REALIZED, INFORMATION_EXPECTED, INFORMATION_WEIGHT };
 
 typedef struct {
@@ -16,6 +18,8 @@ typedef struct {
     int scaling, information;
     real expected;   /* E[psi'] between 0 and 1, for INFORMATION_EXPECTED */
     real normalizer; /* log of the integral of exp(-rho) */
+    /* The same for 1, 2 .. JOINT_MOST sensors that fail together; NULL if each fails on its own. */
+    const real *joint;
 } correction_rule;
 
 /* What a correction works on and leaves behind; y, C and S are what is left of them when it is done. */

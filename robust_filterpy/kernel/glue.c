@@ -132,13 +132,16 @@ int rule_of_numbers(const double numbers[8], correction_rule *rule) {
           numbers[4] <= SCALING_BOUNDED && numbers[5] >= INFORMATION_REALIZED && numbers[5] <= INFORMATION_WEIGHT))
         return 0;
     *rule = (correction_rule){{(int)numbers[0], numbers[1], numbers[2], numbers[3]}, (int)numbers[4], (int)numbers[5],
-                              numbers[6], numbers[7]};
+                              numbers[6], numbers[7], NULL};
     return 1;
 }
 
 int rule_of(PyObject *object, correction_rule *rule) {
-    const double *const numbers = vector_of(object, 8);
-    return numbers && rule_of_numbers(numbers, rule);
+    const double *const each = vector_of(object, 8), *const joint = each ? NULL : vector_of(object, 8 + JOINT_MOST);
+    if ((!each && !joint) || !rule_of_numbers(each ? each : joint, rule)) return 0;
+    if (joint) rule->joint = joint + 8;
+    /* What joint.h can do. */
+    return !joint || (rule->scaling <= SCALING_INNOVATION && rule->information != INFORMATION_EXPECTED);
 }
 
 int rule_of_filter(held *h, PyObject *filter, correction_rule *rule) {

@@ -18,7 +18,7 @@ INLINE int update_moments(const int n, const int m, const correction_rule *const
     real_copy(m * n, c->C, shown + m * m);
     real_copy(m, c->y, y);
     if (rule->scaling != SCALING_LEARNT) {
-        if (!correct(n, m, rule, NULL, x, P, c)) return 0;
+        if (!correct_grouped(n, m, rule, NULL, x, P, c)) return 0;
         return rule->scaling != SCALING_UNIT || update_is_positive(n, P, rest);
     }
     for (int i = 0; i < m; i++) {
@@ -31,7 +31,7 @@ INLINE int update_moments(const int n, const int m, const correction_rule *const
         c->S[i * m + i] += change.charge[i];
         spread[i] = change.width[i] / real_sqrt(c->S[i * m + i]);
     }
-    if (!correct(n, m, rule, spread, x, P, c)) return 0;
+    if (!correct_grouped(n, m, rule, spread, x, P, c)) return 0;
     for (int i = 0; i < m; i++) {
         if (c->weights[i] != c->weights[i]) continue;
         learnt[i].rest = y[i];

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from robust_filterpy._checks import Array
+from robust_filterpy.correction.options import length_and_direction
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.standardization import group_scaling
 from robust_filterpy.kernel.series import SCALINGS
@@ -32,20 +33,35 @@ def correction_of(values: Array, x: Array, P: Array) -> Correction:
     scaling, rest = SCALINGS[int(values[2])], values[4:]
     y, e, weights, psi_deriv, d, score, order = rest[: 7 * m].reshape(7, m)
     S, C = rest[7 * m : (7 + m) * m].reshape(m, m), rest[(7 + m) * m :].reshape(m, n).T
-    taken = [int(i) for i in order[: np.count_nonzero(weights == weights)]]
+    groups = _groups(order[: np.count_nonzero(weights == weights)])
     return Correction(
-        np.ravel(x), P, C, y, S, score, _information(S, d, taken, scaling), e, weights, psi_deriv,
-        tuple((i,) for i in taken), scaling, float(values[3]),
+        np.ravel(x), P, C, y, S, score, _information(S, e, d, groups, scaling), e, weights, psi_deriv,
+        tuple(map(tuple, groups)), scaling, float(values[3]),
     )  # fmt: skip
 
 
-def _information(S: Array, d: Array, order: list[int], scaling: str) -> Array:
-    """Return B in P+ = P - C B C', which few look at."""
+def _groups(order: Array) -> list[list[int]]:
+    """Return the sensors in the order in which they were taken; -1 - i is taken together with the one before."""
+    groups: list[list[int]] = []
+    for place in map(int, order):
+        if place < 0:
+            groups[-1].append(-1 - place)
+        else:
+            groups.append([place])
+    return groups
+
+
+def _information(S: Array, e: Array, d: Array, groups: list[list[int]], scaling: str) -> Array:
+    """Return B in P+ = P - C B C', which few look at; d: information along e, then across it."""
     S, W, B = S.copy(), np.eye(len(S)), np.zeros_like(S)
-    for i in order:
-        t = group_scaling(S[i : i + 1, i : i + 1], scaling)[0, 0]
-        q, w = t * S[:, i], t * W[:, i]
-        B += d[i] * np.outer(w, w)
-        W -= d[i] * np.outer(w, q)
-        S -= d[i] * np.outer(q, q)
+    for group in groups:
+        T = group_scaling(S[np.ix_(group, group)], scaling)
+        D = d[group[-1]] * np.eye(len(group))
+        if len(group) > 1:
+            _, direction = length_and_direction(e[group])
+            D += (d[group[0]] - d[group[-1]]) * np.outer(direction, direction)
+        q, w = S[:, group] @ T.T, W[:, group] @ T.T
+        B += w @ D @ w.T
+        W -= w @ D @ q.T
+        S -= q @ D @ q.T
     return B

@@ -6,7 +6,7 @@ import numpy as np
 
 from robust_filterpy import kernel
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.options import Choices
+from robust_filterpy.correction.options import GROUPINGS, Choices
 from robust_filterpy.kernel.records import Model, Output
 
 __all__ = ["filter_series", "plain", "rule", "serves"]
@@ -16,10 +16,11 @@ _KINDS = ("linear", "huber", "hampel", "tukey", "student_t")
 #: As correction.h numbers them.
 SCALINGS = ("learnt", "innovation", "unit", "bounded")
 _INFORMATIONS = ("realized", "expected", "weight")
+_JOINT_MOST = 16
 
 
 def rule(choices: Choices) -> Array | None:
-    """Return the options as numbers: kind and parameters of psi, scaling, information, E[psi'], normalizer.
+    """Return the options as numbers: kind and parameters of psi, scaling, information, E[psi'], normalizers.
 
     Parameters
     ----------
@@ -29,7 +30,7 @@ def rule(choices: Choices) -> Array | None:
     Returns
     -------
     ndarray, shape (8,), or None
-        None if the kernel does not know them.
+        None if the kernel does not know them. With grouping "joint" the normalizers of 1 to 16 sensors follow.
     """
     if "rule" not in choices.derived:
         choices.derived["rule"] = _encoded(choices)
@@ -39,7 +40,10 @@ def rule(choices: Choices) -> Array | None:
 def _encoded(choices: Choices) -> Array | None:
     """Return the options as numbers, None if the kernel does not know them."""
     known = choices.pointwise is not None and choices.pointwise[0].__name__ in _KINDS
-    if not known or choices.grouping != "component" or choices.scaling not in SCALINGS:
+    if not known or choices.grouping not in GROUPINGS or choices.scaling not in SCALINGS:
+        return None
+    joint = choices.grouping == "joint"
+    if joint and (choices.scaling not in ("learnt", "innovation") or choices.information == "expected"):
         return None
     function, a, b, c = choices.pointwise  # type: ignore[misc]
     # Without thresholds there is nothing to learn.
@@ -47,7 +51,8 @@ def _encoded(choices: Choices) -> Array | None:
     codes = _KINDS.index(function.__name__), a, b, c, SCALINGS.index(scaling)
     information = _INFORMATIONS.index(choices.information)
     expected = choices.expected if choices.information == "expected" else 1.0
-    return np.array([*codes, information, expected, choices.influence.log_normalizer(1)], dtype=float)
+    normalizers = [choices.influence.log_normalizer(k) for k in range(1, _JOINT_MOST + 1 if joint else 2)]
+    return np.array([*codes, information, expected, normalizers[0], *(normalizers if joint else ())], dtype=float)
 
 
 def serves(choices: Choices) -> bool:

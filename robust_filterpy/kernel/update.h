@@ -2,7 +2,13 @@
 #ifndef ROBUST_FILTERPY_UPDATE_H
 #define ROBUST_FILTERPY_UPDATE_H
 
+#include "joint.h"
 #include "spread.h"
+
+#ifndef ROBUST_FILTERPY_JOINT_H
+/* What export_c writes for sensors that each fail on their own does without that header. */
+#define correct_grouped correct
+#endif
 
 #define update_work(n, m) (correction_work(n, m) + spread_work(n, m) + (size_t)((m) + SPREAD_NUMBERS * (m) + (n) * (n)))
 
@@ -55,7 +61,7 @@ INLINE int update(const int n, const int m, const correction_rule *const rule, c
         real_copy(m * n, c->C, shown + m * m);
     }
     if (rule->scaling != SCALING_LEARNT) {
-        if (!correct(n, m, rule, NULL, x, P, c)) return 0;
+        if (!correct_grouped(n, m, rule, NULL, x, P, c)) return 0;
         /* "unit" takes off more than there is where H P H' > 1. */
         return rule->scaling != SCALING_UNIT || update_is_positive(n, P, rest);
     }
@@ -63,7 +69,7 @@ INLINE int update(const int n, const int m, const correction_rule *const rule, c
         c->S[i * m + i] += change.charge[i];
         spread[i] = change.width[i] / real_sqrt(c->S[i * m + i]);
     }
-    if (!correct(n, m, rule, spread, x, P, c)) return 0;
+    if (!correct_grouped(n, m, rule, spread, x, P, c)) return 0;
     spread_after(n, m, z, H, x, learnt);
     for (int i = 0; i < m; i++) memory[i] = learnt[i];
     return 1;

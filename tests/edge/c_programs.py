@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import subprocess
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from string import Template
 
@@ -206,8 +206,11 @@ def sensitivity(case):
     return np.max([distances(found, case) for found in moved], axis=0)
 
 
-def filter_case(name, seed, extremes=True, steps=30):
-    """A filter of random size and choices; measurements with outliers, gaps, and infinite ones."""
+def filter_case(name, seed, extremes=True, steps=30, joint=False):
+    """A filter of random size and choices; measurements with outliers, gaps, and infinite ones.
+
+    joint: its sensors fail together.
+    """
     rng = np.random.default_rng(seed)
     n, m, inputs = (int(rng.integers(*bounds)) for bounds in ((1, 6), (1, 5), (0, 3)))
     problem = random_problem(seed, n, m, inputs)
@@ -217,6 +220,11 @@ def filter_case(name, seed, extremes=True, steps=30):
         influence=INFLUENCES[int(rng.integers(len(INFLUENCES)))], scaling=scaling,
         information=str(rng.choice(["realized", "expected", "weight"])),
     )  # fmt: skip
+    if joint:
+        scaling = "learnt" if scaling == "learnt" else "innovation"
+        kf.scaling, kf.grouping = scaling, "joint"
+        kf.information = "weight" if kf.information == "weight" else "realized"
+        problem = replace(problem, R=np.diag(problem.R.diagonal()))
     shrink = 0.05 if scaling == "unit" else 1.0
     kf.x, kf.P, kf.F, kf.H = problem.x.copy(), problem.P * shrink, problem.F, problem.H.copy()
     kf.Q, kf.R, kf.B = problem.Q * shrink, problem.R, problem.B

@@ -83,7 +83,9 @@ def whole_tracker():
 @needs_cc
 def test_c_equals_the_definition(tmp_path):
     whole = c_programs.case("whole", whole_tracker(), np.random.default_rng(6).normal(size=(60, 2)), 1)
-    some = [*cases(range(15)), tracker_case("begun", 1, start=64), unit_tracker(), whole]
+    together = [filter_case(f"joint{seed}", seed, joint=True) for seed in range(12)]
+    assert sum(case.model.dim_z > 1 for case in together) > 6
+    some = [*cases(range(15)), *together, tracker_case("begun", 1, start=64), unit_tracker(), whole]
     for found, case in zip(compiled(some, tmp_path), some, strict=True):
         assert_equal(found, case)
 
@@ -93,6 +95,7 @@ def test_c_equals_the_kernel_to_the_last_bit(tmp_path, monkeypatch):
     monkeypatch.undo()
     needs_kernel()
     some = [filter_case(f"filter{seed}", seed, extremes=False) for seed in range(50, 62)]
+    some += [filter_case(f"joint{seed}", seed, extremes=False, joint=True) for seed in range(62, 70)]
     assert any(case.model.scaling == "learnt" and case.model.dim_z > 1 for case in some)
     for found, case in zip(compiled(some, tmp_path), some, strict=True):
         assert np.array_equal(found, case.expected, equal_nan=True), case.model
@@ -310,7 +313,9 @@ REFUSED = {
     "nothing": (lambda: None, TypeError, "RobustKalmanFilter"),
     "a subclass": (lambda: OwnFilter(2, 1), TypeError, "same x, P, F"),
     "psi": (lambda: changed(influence=OwnHuber()), ValueError, "StudentT"),
-    "groups": (lambda: RobustKalmanFilter(2, 2, grouping="joint"), ValueError, "grouping='component'"),
+    "groups": (lambda: RobustKalmanFilter(2, 2, grouping=((0, 1),)), ValueError, "grouping='component'"),
+    "joint by T = 1": (lambda: RobustKalmanFilter(2, 2, grouping="joint", scaling="unit"), ValueError, "or 'joint'"),
+    "joint, correlated": (lambda: joint(R=np.eye(2) + 0.1), ValueError, "R: expected a diagonal"),
     "tracker's spread": (lambda: tracker(start=0, scaling="learnt"), ValueError, "scaling='innovation'"),
     "inverse": (lambda: changed(inv=np.linalg.pinv), ValueError, "numpy.linalg.inv"),
     "wrapped": (lambda: changed(update=print), ValueError, "update"),
@@ -322,6 +327,12 @@ REFUSED = {
     "tracker's filter": (lambda: tracker(filter=filterpy.kalman.KalmanFilter), TypeError, "influence=Linear"),
     "start": (lambda: tracker(), ValueError, r"run\(y, u\) .* start=0"),
 }
+
+
+def joint(R):
+    kf = RobustKalmanFilter(2, 2, grouping="joint")
+    kf.H, kf.R = np.eye(2), R
+    return kf
 
 
 def changed(**attributes):

@@ -32,10 +32,14 @@ def defined(choices, memory, P, z, y, C, S, R):
     return definition.correct(x, P, y, C, S, choices)
 
 
-@pytest.mark.parametrize("scaling", ["learnt", "innovation", "bounded"])
+@pytest.mark.parametrize(
+    ("grouping", "scaling"),
+    [("component", "learnt"), ("component", "innovation"), ("component", "bounded"), ("joint", "learnt"),
+     ("joint", "innovation")],
+)  # fmt: skip
 @pytest.mark.parametrize("influence", [Huber(), Linear(), Hampel(), TukeyBiweight(), StudentT()], ids=str)
-def test_it_is_the_definition(influence, scaling):
-    choices, taken = Choices(influence, scaling), 0
+def test_it_is_the_definition(influence, grouping, scaling):
+    choices, taken = Choices(influence, scaling, grouping=grouping), 0
     for seed in range(60):
         P, y, C, S, R = problem(seed)
         memory = spread.begin(len(y))
@@ -67,7 +71,7 @@ def test_what_is_out_of_the_ordinary_is_declined():
     assert moments.correct(choices, memory, P, y, y, np.full_like(C, np.nan), S, R) is None
     assert moments.correct(choices, memory[:0], P, y, y, C, S, R) is None
     assert moments.correct(choices, memory, P + np.triu(np.ones_like(P), 1), y, y, C, S, R) is None or len(P) == 1
-    assert moments.correct(Choices(Huber(), "learnt", grouping="joint"), memory, P, y, y, C, S, R) is None
+    assert moments.correct(Choices(Huber(), "learnt", grouping=((0,),)), memory, P, y, y, C, S, R) is None
 
 
 @pytest.mark.parametrize("arguments", [(), (1,), (None,) * 8, ("a",) * 8, (np.zeros(8), *(np.zeros((0, 0)),) * 7)])

@@ -41,14 +41,23 @@ def before_and_after(kf, call):
     return outcome, same
 
 
-@pytest.mark.parametrize("information", ["realized", "expected", "weight"])
-@pytest.mark.parametrize("scaling", ["learnt", "innovation", "bounded", "unit"])
+SENSOR_BY_SENSOR = [
+    ("component", scaling, information)
+    for scaling in ("learnt", "innovation", "bounded", "unit")
+    for information in ("realized", "expected", "weight")
+]
+AS_ONE = [
+    ("joint", scaling, information) for scaling in ("learnt", "innovation") for information in ("realized", "weight")
+]
+
+
+@pytest.mark.parametrize(("grouping", "scaling", "information"), SENSOR_BY_SENSOR + AS_ONE)
 @pytest.mark.parametrize("influence", INFLUENCES, ids=lambda f: type(f).__name__)
-def test_a_step_is_the_definition(monkeypatch, influence, scaling, information):
+def test_a_step_is_the_definition(monkeypatch, influence, grouping, scaling, information):
     taken = 0
     for seed, (n, m) in enumerate(((1, 1), (2, 1), (4, 2), (3, 4), (7, 3))):
         problem = support.mild(n, m, seed) if scaling == "unit" else support.random_problem(seed, n, m)
-        options = {"influence": influence, "scaling": scaling, "information": information}
+        options = {"influence": influence, "scaling": scaling, "information": information, "grouping": grouping}
         one, two = (support.make(RobustKalmanFilter, problem, 1 + seed % 2, **options) for _ in range(2))
         zs, _ = support.simulate(problem, 25, seed, 0.15, 20.0)
         zs[np.random.default_rng(seed).random(zs.shape) < 0.1] = np.nan
@@ -63,6 +72,33 @@ def test_a_step_is_the_definition(monkeypatch, influence, scaling, information):
             # After a jump that was believed P is a million times what is left of it.
             assert_same(one, two, 1e-8 if scaling == "learnt" else 1e-10)
     assert taken > 60
+
+
+@pytest.mark.parametrize("scaling", ["learnt", "innovation"])
+def test_among_sensors_that_fail_together_one_that_sees_no_state_is_judged_alone(monkeypatch, scaling):
+    problem = support.random_problem(3, 3, 4)
+    one, two = (support.make(RobustKalmanFilter, problem, 1, scaling=scaling, grouping="joint") for _ in range(2))
+    for kf in (one, two):
+        kf.H = np.where(np.arange(4)[:, None] == 2, 0.0, problem.H)
+        kf.R = np.diag(problem.R.diagonal())
+    zs = np.random.default_rng(4).normal(size=(30, 4)) * np.where(np.arange(30)[:, None] % 5, 1.0, 20.0)
+    for z in zs:
+        one.predict()
+        assert EXTENSION.correct(one, z, None, None, None)
+        monkeypatch.setattr(_step, "_extension", None)
+        two.predict()
+        two.update(z)
+        monkeypatch.setattr(_step, "_extension", EXTENSION)
+        assert_same(one, two, 1e-9)
+    # What it says about the others the kernel cannot tell.
+    one.R = one.R + 0.1
+    assert before_and_after(one, lambda: EXTENSION.correct(one, zs[0], None, None, None)) == (False, True)
+
+
+def test_seventeen_sensors_that_fail_together_are_for_the_definition():
+    kf = RobustKalmanFilter(1, 17, grouping="joint")
+    kf.H = np.ones((17, 1))
+    assert before_and_after(kf, lambda: EXTENSION.correct(kf, np.ones(17), None, None, None)) == (False, True)
 
 
 MIXTURES = {

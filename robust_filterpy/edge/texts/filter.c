@@ -47,7 +47,8 @@ ${name}_status ${name}_update(const ${name}_model *model, ${name}_state *state, 
                               ${name}_shown *shown)
 {
     ${name}_state next;
-    correction_rule rule = {{$kind, 0, 0, 0}, $scaling, $information, 1, 0};
+$grouping
+    correction_rule rule = {{$kind, 0, 0, 0}, $scaling, $information, 1, 0, $joint};
     correction c;
     real work[update_work(N, M)] = {0};
     if ((model == NULL) || (state == NULL) || (z == NULL)) {
