@@ -75,8 +75,8 @@ def _require_joint(choices: Choices, R: Array) -> None:
         )
     if np.count_nonzero(R - np.diag(R.diagonal())):
         raise ValueError(
-            "R: expected a diagonal with grouping='joint', since C cannot tell what a sensor that sees no state says of "
-            "the others; set R=numpy.diag(R.diagonal()) or grouping='component' before the export"
+            "R: expected a diagonal with grouping='joint', since C cannot tell what a sensor that sees no state says "
+            "of the others; set R=numpy.diag(R.diagonal()) or grouping='component' before the export"
         )
 
 
