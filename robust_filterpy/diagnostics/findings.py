@@ -8,6 +8,7 @@ is no linear model to repair (an unscented filter's Saver), the innovations alon
 from __future__ import annotations
 
 import math
+import textwrap
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 
 from robust_filterpy._checks import Array, fraction
 from robust_filterpy._documentation import FOLLOWS, SMALL, STOPPED, pointer
+from robust_filterpy._progress import stages
 from robust_filterpy.diagnostics import search, statistics
 from robust_filterpy.diagnostics.candidates import Repair
 from robust_filterpy.diagnostics.recording import FilterRecord, of_filter, of_saver, of_tracker
@@ -27,6 +29,8 @@ __all__ = ["Diagnosis", "Finding", "diagnose"]
 _SEARCHED = 4000
 # Recordings up to here may be too short to show a wrong noise.
 _SHORT = 500
+# Columns of what is printed.
+_WIDTH = 100
 # Where the documentation has the remedy; the words of the other causes are all there is to say.
 _SECTIONS = {
     **dict.fromkeys(("R too large", "Q too large", "R and Q too large", "S too large", "more outliers"), FOLLOWS),
@@ -129,22 +133,23 @@ class Diagnosis:
 
     def __str__(self) -> str:
         """Say the causes, then the figures of each sensor."""
-        lines = [finding.text for finding in self.findings] or ["Nothing unusual."]
+        lines = [_filled(finding.text) for finding in self.findings] or ["Nothing unusual."]
         if not np.any(self.observed):
             lines = ["Nothing was measured, so that nothing can be said."]
         elif self.unseen:
-            lines.append(f"In {self.samples} samples these would not have shown: {', '.join(self.unseen)}.")
+            lines.append(_filled(f"In {self.samples} samples these would not have shown: {', '.join(self.unseen)}."))
         for i in range(len(self.observed)):
             low, high = self.clipped_expected[i]
             # Told or learnt noise has no threshold, so that nothing is known beforehand.
             expected = "" if np.isnan(low) else f"expected {low:.0%} to {high:.0%}, "
-            lines.append(
+            text = (
                 f"  z[{i}]: {self.observed[i]} of {self.samples} samples; {self.clipped[i]:.0%} clipped "
                 f"({expected}longest run {self.longest_run[i]}, "
                 f"at random below {self.longest_run_expected[i]:.0f}); {self.beyond_3_sigma[i]:.1%} beyond 3 sigma; "
                 f"ordinary innovations {self.scale[i]:.2g} sigma; successive ones correlated "
                 f"{self.autocorrelation[i]:+.2f} (p = {self.whiteness[i]:.2g})"
             )
+            lines.append(_filled(text, "    "))
         nis = self.nis
         lines.append(
             f"  normalised innovation squared of unclipped samples {nis.mean:.2f} "
@@ -152,7 +157,7 @@ class Diagnosis:
         )
         sections = [_SECTIONS[cause] for cause in self.causes if cause in _SECTIONS]
         if sections:
-            lines.append(f"Remedies: {pointer(*sections)}.")
+            lines.append(_filled(f"Remedies: {pointer(*sections)}."))
         return "\n".join(lines)
 
 
@@ -167,6 +172,7 @@ def diagnose(
     Rs: Any = None,
     Bs: Any = None,
     contamination: float | None = None,
+    progress: bool | None = None,
 ) -> Diagnosis:
     """Say whether a filter's model fits a recording, and if it does not, why.
 
@@ -184,6 +190,8 @@ def diagnose(
     contamination : float, optional
         Share of outliers to be expected, in [0, 1). Default: the one that the threshold of `Huber` is made for, 0
         for another psi.
+    progress : bool, optional
+        Whether to say on standard error what it is at: by default after 2 s.
 
     Returns
     -------
@@ -220,7 +228,13 @@ def diagnose(
         odds = outlier_odds(k) if hasattr(recording.influence, "threshold") and math.isfinite(k) else 0.0
         contamination = odds / (1.0 + odds)
     contamination = fraction("contamination", contamination)
-    return _diagnosis(recording, contamination)
+    with stages("diagnose", progress):
+        return _diagnosis(recording, contamination)
+
+
+def _filled(text: str, indent: str = "  ") -> str:
+    """Return a text in lines that fit a screen."""
+    return textwrap.fill(text, _WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 def _recorded(source: Any, zs: Any, per_step: dict[str, Any]) -> FilterRecord:

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from robust_filterpy._checks import Array
+from robust_filterpy._progress import stage
 from robust_filterpy.diagnostics.candidates import Repair, scores
 from robust_filterpy.diagnostics.recording import LinearModel
 
@@ -26,6 +27,7 @@ def find(model: LinearModel, z: Array, clipped: Array, e: Array) -> list[tuple[R
     base = float(scores(model, z, [so_far]).log_likelihood[0])
     while len(found) < _AT_MOST:
         # One good candidate hides behind another, so every round looks at all of them on the repaired model.
+        stage(f"{len(found)} of at most {_AT_MOST} causes found")
         candidates = _candidates(model, z, clipped, e, so_far)
         best, likelihood = _search(model, z, candidates, so_far)
         gain = likelihood - base
@@ -51,6 +53,7 @@ def _search(model: LinearModel, z: Array, candidates: list[Repair], so_far: Repa
             candidates = [near for best, _ in _leaders(pool) for near in _near(best, width, len(z[0]))]
         if not candidates:
             break
+        stage(f"{len(candidates)} repairs tried on {len(z)} samples")
         likelihoods = scores(model, z, [so_far.then(c) for c in candidates]).log_likelihood
         for candidate, likelihood in zip(candidates, likelihoods, strict=True):
             key = (candidate.cause, candidate.sensor)

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._state import Shape
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
@@ -188,10 +187,4 @@ def policy_of(
     ):
         if value not in usual_ones:
             raise ValueError(f"{name}: expected none with noise=, got {value!r}; psi follows from the noise there")
-    _checks.option("grouping", grouping, ("component", "joint")) if isinstance(grouping, str) else _refuse(grouping)
     return Mixture(noise, process, grouping)
-
-
-def _refuse(grouping: Any) -> None:
-    """Raise for groups of sensors by name, which noise= has not."""
-    raise ValueError(f"grouping: expected 'component' or 'joint' with noise=, got {grouping!r}")

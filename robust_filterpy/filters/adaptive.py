@@ -27,9 +27,9 @@ class AdaptiveKalmanFilter(RobustKalmanFilter):
     process : Scales, Contaminated or None, default Scales()
         What the process noise may be. None trusts Q: the state's own motion then looks like noise where Q is far too
         small, R grows, and the filter stops following.
-    grouping : {"component", "joint"}
+    grouping : {"component", "joint"} or tuple of tuple of int
         Whether each sensor has a noise of its own and fails on its own, or all together, as one sensor that reports a
-        vector.
+        vector; or which fail together, each with a noise of its own, such as ``((0, 1), (2,))``.
 
     Raises
     ------

@@ -13,7 +13,15 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 from support import TOLD, cart, load, make, random_problem, simulate, with_, without_kernel
 
-from robust_filterpy import ARX, AdaptiveKalmanFilter, Learnt, ParameterTracker, RobustKalmanFilter, Scales
+from robust_filterpy import (
+    ARX,
+    AdaptiveKalmanFilter,
+    Contaminated,
+    Learnt,
+    ParameterTracker,
+    RobustKalmanFilter,
+    Scales,
+)
 
 # How probable the classes are before anything has been seen.
 SHARES = np.array([0.85, 0.05, 0.05, 0.05])
@@ -92,6 +100,22 @@ def test_one_step_is_the_exact_posterior_over_all_scales(grouping, dim_z):
     assert kf.log_likelihood == pytest.approx(logsumexp(logs), rel=1e-10)
     assert kf.outlier_probability == pytest.approx(1 - weights.reshape(3, 4)[:, 0].sum(), rel=1e-9)
     np.testing.assert_allclose(kf.process_probabilities, weights.reshape(3, 4).sum(axis=1), rtol=1e-9)
+
+
+def test_sensors_that_fail_together_can_be_named():
+    problem = random_problem(5, 3, 3)
+    zs = simulate(problem, 40, 5, 0.2, 20.0)[0]
+
+    def run(noise, grouping):
+        kf = make(RobustKalmanFilter, problem, 1, noise=noise, grouping=grouping)
+        return advance(kf, zs), kf.outlier_probability
+
+    told = Contaminated(0.2, 20.0)
+    # Each has a size of noise of its own, which nobody learns here.
+    for noise, grouping, same in ((told, ((0, 1, 2),), "joint"), ("learnt", ((0,), (1,)), "component")):
+        for one, two in zip(run(noise, grouping), run(noise, same), strict=True):
+            np.testing.assert_allclose(one, two, rtol=1e-9, atol=1e-9)
+    assert not np.allclose(run("learnt", ((0, 1),))[0], run("learnt", "component")[0], rtol=1e-3)
 
 
 def test_the_density_of_a_measurement_integrates_to_one():
