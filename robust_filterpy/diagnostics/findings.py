@@ -147,7 +147,7 @@ class Diagnosis:
                 f"({expected}longest run {self.longest_run[i]}, "
                 f"at random below {self.longest_run_expected[i]:.0f}); {self.beyond_3_sigma[i]:.1%} beyond 3 sigma; "
                 f"ordinary innovations {self.scale[i]:.2g} sigma; successive ones correlated "
-                f"{self.autocorrelation[i]:+.2f} (p = {self.whiteness[i]:.2g})"
+                f"{self.autocorrelation[i]:+.2f} (p={self.whiteness[i]:.2g})"
             )
             lines.append(_filled(text, "    "))
         nis = self.nis

@@ -95,6 +95,11 @@ class Mixture:
         """Whether anything is learnt of the sensors."""
         return self.classes.learns
 
+    @property
+    def _named(self) -> tuple[tuple[int, ...], ...]:
+        """Sensors that fail together, where they are named."""
+        return () if isinstance(self.grouping, str) else self.grouping
+
     def begin(self, sensors: int) -> Array:
         """Return the memory of sensors of which nothing is known."""
         return self.classes.start(sensors)
@@ -140,7 +145,7 @@ class Mixture:
         after = _kept(found.copies, *merged_to)
         record = Mixed(
             after.x.copy(), after.P.copy(), *found[1:], kept.x.copy(), kept.P.copy(), H.copy(), R.copy(), M, z,
-            known.memory,
+            known.memory, together=self._named,
         )  # fmt: skip
         return record, None if known.kept is None else after
 
@@ -169,8 +174,9 @@ class Mixture:
         covariance = found.copies.P[0, :n, :n]
         mean, covariance = x + found.copies.x[0, :n], 0.5 * (covariance + covariance.T)
         return Mixed(
-            mean, covariance, *found[1:], np.zeros(n), P.copy(), H, R.copy(), None, y, known.memory, unexplained
-        ), known.kept
+            mean, covariance, *found[1:], np.zeros(n), P.copy(), H, R.copy(), None, y, known.memory, unexplained,
+            self._named,
+        ), known.kept  # fmt: skip
 
     def entries(self, kept: Kept | None, x: Array, P: Array) -> dict[str, Array]:
         """Return the copies as arrays of a state."""
@@ -236,12 +242,19 @@ class Mixed(NamedTuple):
     """What was known of the noise."""
     curvature: Array | None = None
     """Covariance of what a line does not explain of z."""
+    together: tuple[tuple[int, ...], ...] = ()
+    """Sensors that fail together, where they are named."""
 
     @property
     def outlier_probability(self) -> float:
         """Probability that a component was an outlier; sensors that fail together have one."""
         outlying: list[float] = self.outlier_probabilities.tolist()
-        return max(outlying) if len(self.memory) == 1 else 1.0 - math.prod(1.0 - p for p in outlying)
+        if len(self.memory) == 1:
+            return max(outlying)
+        groups = [[outlying[i] for i in group if i < len(outlying)] for group in self.together]
+        named = {i for group in self.together for i in group}
+        each = [p for i, p in enumerate(outlying) if i not in named] + [max(group, default=0.0) for group in groups]
+        return 1.0 - math.prod(1.0 - p for p in each)
 
     def as_arrays(self) -> Correction:
         """Return everything that a correction shows, of the merged prior and ordinary noise as it was learnt before."""
