@@ -121,8 +121,8 @@ def test_run_is_update_and_any_split_of_both_to_the_last_bit(monkeypatch):
 
 def test_the_kernel_follows_R_and_cleans_as_the_definition_does(monkeypatch):
     support.needs_kernel()
-    y, u = recording(1500, level=3.0)
-    y[900] = np.nan
+    y, u = recording(1000, level=3.0)
+    y[800] = np.nan
     for structure in (OutputError(2, 2), ARX(2, 2), ARMAX(2, 2, 1), FIR(3)):
         fast, slow = ParameterTracker(structure), ParameterTracker(structure)
         found = fast.run(y, u)

@@ -316,7 +316,7 @@ def test_a_rho_overridden_in_a_subclass_is_the_one_of_the_likelihood():
     assert Choices(Steeper()).pointwise is None
     kf = RobustKalmanFilter(1, 1, influence=Steeper(0.5))
     kf.F, kf.H, total = np.eye(1), np.eye(1), 0.0
-    model, zs = (kf.F, kf.H, kf.Q, kf.R, kf.x.ravel(), kf.P), np.random.default_rng(0).normal(size=(40, 1000, 1))
+    model, zs = (kf.F, kf.H, kf.Q, kf.R, kf.x.ravel(), kf.P), np.random.default_rng(0).normal(size=(2, 200, 1))
     for z in zs[0]:
         kf.predict()
         kf.update(z)

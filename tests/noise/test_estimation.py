@@ -32,7 +32,7 @@ def guess(kind=RobustKalmanFilter, scale_R=30.0, scale_Q=0.02):
     return kf
 
 
-@pytest.mark.parametrize("contamination", [0.0, 0.1, 0.2])
+@pytest.mark.parametrize("contamination", [0.0, pytest.param(0.1, marks=pytest.mark.slow), 0.2])
 def test_scales_come_back_within_ten_percent(contamination):
     found = [estimate_noise(guess(), recording(seed, contamination)) for seed in range(2)]
     assert np.mean([f.R[0, 0] for f in found]) / R == pytest.approx(1.0, abs=0.1)
