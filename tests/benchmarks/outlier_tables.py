@@ -224,20 +224,22 @@ TABLES = {
 }
 
 
-def main(argv: list[str] | None = None) -> None:
-    """Print the tables that were asked for."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def print_tables(
+    tables: dict[str, tuple[Callable[[int, int, int], None], int]], doc: str | None, argv: list[str] | None = None
+) -> None:
+    """Print those of the tables that the command line asks for; each has the number of its runs."""
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "--runs", type=int, help="runs of each table, otherwise " + str({k: v[1] for k, v in TABLES.items()})
+        "--runs", type=int, help="runs of each table, otherwise " + str({k: v[1] for k, v in tables.items()})
     )
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--seed", type=int, default=2025)
-    parser.add_argument("--table", choices=TABLES, action="append", help="only this one (may be repeated)")
+    parser.add_argument("--table", choices=tables, action="append", help="only this one (may be repeated)")
     chosen = parser.parse_args(argv)
-    for name in chosen.table or TABLES:
-        table, runs = TABLES[name]
+    for name in chosen.table or tables:
+        table, runs = tables[name]
         table(chosen.runs or runs, chosen.seed, chosen.jobs)
 
 
 if __name__ == "__main__":
-    main()
+    print_tables(TABLES, __doc__)

@@ -8,7 +8,6 @@ speed, 6 compiled filter passes.
 
 from __future__ import annotations
 
-import argparse
 import copy
 import time
 from collections.abc import Callable
@@ -18,6 +17,7 @@ from typing import Any
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 from outlier_problems import Recording, prepared, vehicle
+from outlier_tables import print_tables
 
 from robust_filterpy import (
     Contaminated,
@@ -373,20 +373,5 @@ TABLES = {
 }
 
 
-def main(argv: list[str] | None = None) -> None:
-    """Print the tables that were asked for."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "--runs", type=int, help="runs of each table, otherwise " + str({k: v[1] for k, v in TABLES.items()})
-    )
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--seed", type=int, default=2025)
-    parser.add_argument("--table", choices=TABLES, action="append", help="only this one (may be repeated)")
-    chosen = parser.parse_args(argv)
-    for name in chosen.table or TABLES:
-        table, runs = TABLES[name]
-        table(chosen.runs or runs, chosen.seed, chosen.jobs)
-
-
 if __name__ == "__main__":
-    main()
+    print_tables(TABLES, __doc__)
