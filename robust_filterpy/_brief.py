@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,11 @@ def brief(record: Any) -> str:
 def lines_of(parts: dict[str, Any]) -> list[str]:
     """Return a line for each part, names and values in columns."""
     width = max(map(len, parts))
-    return [f"  {name:{width}}  {_part(value)}" for name, value in parts.items()]
+    indent = " " * (width + 4)
+    return [
+        textwrap.fill(f"  {name:{width}}  {_part(value)}", _WIDE, subsequent_indent=indent, break_on_hyphens=False)
+        for name, value in parts.items()
+    ]
 
 
 def _part(value: Any) -> str:
@@ -29,8 +34,10 @@ def _part(value: Any) -> str:
         return _array(value)
     if isinstance(value, dict):
         return ", ".join(map(str, value))
+    if isinstance(value, tuple) and value and all(isinstance(one, np.ndarray) for one in value):
+        return ", ".join(map(_array, value))
     text = f"{value:.6g}" if isinstance(value, float) else " ".join(str(value).split())
-    return text if len(text) <= _WIDE else f"{text[: _WIDE - 3]}..."
+    return text if len(text) <= 2 * _WIDE else f"{text[: 2 * _WIDE - 3]}..."
 
 
 def _array(value: np.ndarray) -> str:

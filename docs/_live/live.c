@@ -37,7 +37,7 @@ int live_default(const int steps, const double told, const double threshold) {
 
 int live_learnt(const int steps, const double told) {
     const double R[m * m] = {told};
-    enum { COPIES = LEARNT_Q + 1, WIDTH = 2 + 2 * LEARNT_K + LEARNT_K * LEARNT_K + LEARNT_PARITY };
+    enum { COPIES = LEARNT_Q + 1, WIDTH = learnt_width(LEARNT_K) };
     double means[COPIES * n], covariances[COPIES * n * n], p[COPIES], unseen = LEARNT_UNSEEN, known[WIDTH];
     double x[n] = {0}, P[n * n], weight, outlying, likelihood = 0;
     const learnt_rule rule = {LEARNT_Q, LEARNT_K, PROCESS, SCALES, BEGIN, LEARNT_STAY, LEARNT_JUMP,

@@ -5,7 +5,7 @@
 * `statistics`: figures of the innovations with the bands they should lie in.
 * `candidates`, `search`: changed models, and the one that explains a recording best.
 
-Imports from below: `influence`.
+Imports from below: `influence`, `correction`.
 """
 
 from __future__ import annotations

@@ -12,6 +12,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from robust_filterpy._checks import Array
+from robust_filterpy._progress import stage
 from robust_filterpy.diagnostics.recording import LinearModel
 
 _THRESHOLD = 2.0
@@ -88,6 +89,7 @@ def scores(model: LinearModel, z: Array, repairs: list[Repair]) -> Scores:
     decay = np.where(at[:, None] >= 0, 1.0, parts["memory"][:, None])
     total, path = np.zeros(C), np.zeros((C, N, n))
     for k in range(N):
+        stage(f"models tried: {C}, sample {k} of {N}")
         deviations = np.sqrt(np.diag(model.R[k]))
         R = spread * (model.R[k] + shaped["coupling"] * np.outer(deviations, deviations))
         if k:

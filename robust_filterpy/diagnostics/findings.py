@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,6 @@ from robust_filterpy.diagnostics import search, statistics
 from robust_filterpy.diagnostics.candidates import Repair
 from robust_filterpy.diagnostics.recording import FilterRecord, of_filter, of_saver, of_tracker
 from robust_filterpy.diagnostics.statistics import Band
-from robust_filterpy.influence.huber_tuning import outlier_odds
 
 __all__ = ["Diagnosis", "Finding", "diagnose"]
 
@@ -81,8 +80,8 @@ class Diagnosis:
     clipped : ndarray, shape (m,)
         Share of clipped innovations.
     clipped_expected : ndarray, shape (m, 2)
-        That share without outliers, and with the contamination that psi is made for (or the one given); NaN where the
-        noise is told or learnt and no psi clips.
+        That share without outliers, and with the contamination that psi is made for, that is told, or the one given;
+        NaN where the noise is learnt and no psi clips.
     longest_run : ndarray, shape (m,)
         Longest run of clipped samples.
     longest_run_expected : ndarray, shape (m,)
@@ -140,7 +139,7 @@ class Diagnosis:
             lines.append(_filled(f"In {self.samples} samples these would not have shown: {', '.join(self.unseen)}."))
         for i in range(len(self.observed)):
             low, high = self.clipped_expected[i]
-            # Told or learnt noise has no threshold, so that nothing is known beforehand.
+            # Learnt noise has no threshold, so that nothing is known beforehand.
             expected = "" if np.isnan(low) else f"expected {low:.0%} to {high:.0%}, "
             text = (
                 f"  z[{i}]: {self.observed[i]} of {self.samples} samples; {self.clipped[i]:.0%} clipped "
@@ -188,8 +187,8 @@ def diagnose(
     Fs, Qs, Hs, Rs, Bs : sequence of length N, optional
         Matrices of each step as in `batch_filter`; for a filter only.
     contamination : float, optional
-        Share of outliers to be expected, in [0, 1). Default: the one that the threshold of `Huber` is made for, 0
-        for another psi.
+        Share of outliers to be expected, in [0, 1). Default: the one that the threshold of `Huber` is made for, the
+        one that ``noise=Contaminated(..)`` tells, any where noise is learnt, 0 for another psi.
     progress : bool, optional
         Whether to say on standard error what it is at: by default after 2 s.
 
@@ -222,14 +221,11 @@ def diagnose(
     >>> diagnose(kf, level + rng.normal(size=300)).causes
     ('R too small',)
     """
-    recording = _recorded(source, zs, {"us": us, "Fs": Fs, "Qs": Qs, "Hs": Hs, "Rs": Rs, "Bs": Bs})
-    if contamination is None:
-        k = statistics.threshold(recording.influence)
-        odds = outlier_odds(k) if hasattr(recording.influence, "threshold") and math.isfinite(k) else 0.0
-        contamination = odds / (1.0 + odds)
-    contamination = fraction("contamination", contamination)
     with stages("diagnose", progress):
-        return _diagnosis(recording, contamination)
+        recording = _recorded(source, zs, {"us": us, "Fs": Fs, "Qs": Qs, "Hs": Hs, "Rs": Rs, "Bs": Bs})
+        if contamination is not None:
+            recording = replace(recording, contamination=fraction("contamination", contamination))
+        return _diagnosis(recording)
 
 
 def _filled(text: str, indent: str = "  ") -> str:
@@ -264,7 +260,7 @@ def _recorded(source: Any, zs: Any, per_step: dict[str, Any]) -> FilterRecord:
     return of_filter(source, zs, per_step)
 
 
-def _diagnosis(recording: FilterRecord, contamination: float) -> Diagnosis:
+def _diagnosis(recording: FilterRecord) -> Diagnosis:
     """Return the figures and the causes."""
     e = statistics.normalized(recording)
     seen = ~np.isnan(e)
@@ -273,7 +269,7 @@ def _diagnosis(recording: FilterRecord, contamination: float) -> Diagnosis:
     shares = np.array([c.mean() if len(c) else np.nan for c in clipped])
     bulks = np.array([statistics.bulk(c) for c in columns])
     white = np.array([statistics.whiteness(c) for c in columns])
-    low, high = statistics.expected_clipped(recording, contamination)
+    low, high = statistics.expected_clipped(recording)
     figures: dict[str, Any] = {
         "samples": len(e),
         "observed": seen.sum(axis=0),
@@ -291,7 +287,7 @@ def _diagnosis(recording: FilterRecord, contamination: float) -> Diagnosis:
         "nis": statistics.unclipped_nis(recording),
         "R_scale": _implied(recording, bulks[:, 0]),
     }
-    findings = tuple(_findings(recording, e, figures, contamination))
+    findings = tuple(_findings(recording, e, figures))
     unseen: tuple[str, ...] = ()
     if not findings and recording.model is not None and seen.any() and len(e) <= _SHORT:
         unseen = search.unseen(recording.model, recording.z)
@@ -310,7 +306,7 @@ def _implied(recording: FilterRecord, scale: Array) -> Array:
         return np.maximum((scale**2 - (1.0 - share)) / share, 0.0)
 
 
-def _findings(recording: FilterRecord, e: Array, figures: dict[str, Any], contamination: float) -> list[Finding]:
+def _findings(recording: FilterRecord, e: Array, figures: dict[str, Any]) -> list[Finding]:
     """Return what is wrong: first what the measurements themselves show, then what a repair explains."""
     findings, z = [], recording.z.copy()
     for i in range(z.shape[1]):
@@ -327,19 +323,19 @@ def _findings(recording: FilterRecord, e: Array, figures: dict[str, Any], contam
         # What a clipped or frozen signal does to the innovations afterwards says nothing about the model.
         return findings
     if recording.model is None or figures["observed"].max() < 20:
-        findings = _by_innovations(figures, contamination)
+        findings = _by_innovations(figures, recording)
     else:
         part = slice(0, _SEARCHED)
         causes = search.find(recording.model, z[part], recording.clipped[part], e[part])
         findings = [
-            _told(repair, gain, figures)
+            _told(repair, gain, figures, recording.is_told)
             for repair, gain in causes
-            if repair.cause != "more outliers" or _is_excessive(repair.value, contamination)
+            if repair.cause != "more outliers" or _is_excessive(repair.value, recording.contamination)
         ]
     return findings
 
 
-def _by_innovations(figures: dict[str, Any], contamination: float) -> list[Finding]:
+def _by_innovations(figures: dict[str, Any], recording: FilterRecord) -> list[Finding]:
     """Return what the innovations alone show, where there is no linear model to repair."""
     findings = []
     for i, (scale, p) in enumerate(zip(figures["scale"], figures["whiteness"], strict=True)):
@@ -356,8 +352,10 @@ def _by_innovations(figures: dict[str, Any], contamination: float) -> list[Findi
             text = f"Successive innovations of z[{i}] are correlated ({r:+.2f}): {why}."
             findings.append(Finding("not white", i, r, math.nan, text))
         share = float(figures["outliers"][i])
-        if not findings and _is_excessive(share, contamination):
-            findings.append(Finding("more outliers", i, share, math.nan, _many_outliers(f"z[{i}]", share)))
+        if not findings and _is_excessive(share, recording.contamination):
+            findings.append(
+                Finding("more outliers", i, share, math.nan, _many_outliers(f"z[{i}]", share, recording.is_told))
+            )
     return findings
 
 
@@ -366,15 +364,20 @@ def _is_excessive(share: float, contamination: float) -> bool:
     return share > max(2.0 * contamination, contamination + 0.1)
 
 
-def _many_outliers(z: str, share: float) -> str:
+def _many_outliers(z: str, share: float, is_told: bool) -> str:
     """Return the advice for many outliers."""
+    if is_told:
+        return (
+            f"{z} has more outliers than noise= tells: about {share:.0%} beside ordinary samples; "
+            f"Contaminated({share:.2g}, ..) tells so many, Learnt() learns how many."
+        )
     return (
         f"{z} has more outliers than psi is made for: about {share:.0%} beside ordinary samples; "
         f"Huber.from_contamination({share:.2g}) is made for them."
     )
 
 
-def _told(repair: Repair, gain: float, figures: dict[str, Any]) -> Finding:
+def _told(repair: Repair, gain: float, figures: dict[str, Any], is_told: bool) -> Finding:
     """Return a repair in words."""
     i, value = repair.sensor, repair.value
     z = "z" if i is None else f"z[{i}]"
@@ -408,7 +411,7 @@ def _told(repair: Repair, gain: float, figures: dict[str, Any]) -> Finding:
             "coupled noise",
             f"The noise of two sensors is correlated, by roughly {value:+.1g} more than R says.",
         ),
-        "more outliers": ("more outliers", _many_outliers(z, value)),
+        "more outliers": ("more outliers", _many_outliers(z, value, is_told)),
         "state jump": (
             "level shift",
             f"A level shift at sample {value:.0f}: {z} moves to another level and stays there.",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +11,10 @@ import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
+from robust_filterpy._progress import stage
+from robust_filterpy.correction.contaminated import Contaminated
+from robust_filterpy.influence.functions import Huber
+from robust_filterpy.influence.huber_tuning import outlier_odds
 
 
 @dataclass(frozen=True)
@@ -39,6 +44,8 @@ class FilterRecord:
     influence: Any
     scaling: str
     grouping: str
+    contamination: float  # share of outliers that it is made for
+    is_told: bool  # by noise= rather than by psi
     model: LinearModel | None
 
 
@@ -69,6 +76,7 @@ def of_filter(kf: Any, zs: Any, per_step: dict[str, Any]) -> FilterRecord:
         def save(self) -> None:
             """Keep one epoch."""
             k = len(kept.get("y", []))
+            stage(f"sample {k} of {len(zs)}")
             for name in (*_NAMES, *_OPTIONAL):
                 if not hasattr(kf, name):
                     continue
@@ -93,6 +101,7 @@ def of_tracker(tracker: Any, y: Any, u: Any) -> FilterRecord:
     kf = tracker.filter
     kept: dict[str, list[Any]] = {}
     for k, output in enumerate(y):
+        stage(f"sample {k} of {len(y)}")
         tracker.update(output, None if u is None else u[k])
         missing = np.isnan(output)
         for name in (*_NAMES, *_OPTIONAL):
@@ -134,6 +143,8 @@ def _recording(kept: dict[str, list[Any]], kf: Any) -> FilterRecord:
     S = np.where(np.all(absent, axis=1)[:, None, None], np.nan, S)
     clipped = _stacked("clipped", kept["clipped"], n).astype(bool) if "clipped" in kept else np.zeros((n, m), bool)
     e = _stacked("e", kept["e"], n) if "e" in kept else np.full((n, m), np.nan)
+    influence = _psi(kf)
+    learns = influence is None and getattr(kf, "noise", None) is not None
     return FilterRecord(
         z=np.where(absent, np.nan, z),
         y=y,
@@ -141,9 +152,11 @@ def _recording(kept: dict[str, list[Any]], kf: Any) -> FilterRecord:
         e=np.where(absent, np.nan, e),
         weights=weights,
         clipped=clipped & ~absent,
-        influence=_psi(kf),
+        influence=influence,
         scaling=getattr(kf, "scaling", "innovation"),
         grouping=getattr(kf, "grouping", "component"),
+        contamination=_made_for(influence, learns),
+        is_told=learns or isinstance(influence, Contaminated),
         model=_model(kept, y, z, m),
     )
 
@@ -152,6 +165,28 @@ def _psi(kf: Any) -> Any:
     """Return the influence function, None of a filter without one, as of one that weighs by noise told or learnt."""
     influence = getattr(kf, "influence", None)
     return influence if hasattr(influence, "psi_deriv") else None
+
+
+def threshold(influence: Any) -> float:
+    """Return where psi' ceases to be positive, infinite if nowhere below 100."""
+    if influence is None:
+        return math.inf
+    if isinstance(influence, Huber):
+        return influence.threshold
+    grid = np.linspace(0.0, 100.0, 100001)
+    flat = np.asarray(influence.psi_deriv(grid)) <= 0
+    return float(grid[flat.argmax()]) if flat.any() else math.inf
+
+
+def _made_for(influence: Any, learns: bool) -> float:
+    """Return the share of outliers that a psi or a told noise is made for: any where it is learnt, 0 of another psi."""
+    if learns:
+        return 1.0
+    if isinstance(influence, Contaminated):
+        return influence.contamination
+    k = threshold(influence) if hasattr(influence, "threshold") else math.inf
+    odds = outlier_odds(k) if math.isfinite(k) else 0.0
+    return odds / (1.0 + odds)
 
 
 def _stacked(name: str, values: list[Any], n: int) -> Array:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
 
 from robust_filterpy._checks import Array
-from robust_filterpy.diagnostics.recording import FilterRecord
-from robust_filterpy.influence.functions import Huber
+from robust_filterpy.diagnostics.recording import FilterRecord, threshold
 
 
 class Band(NamedTuple):
@@ -45,22 +44,11 @@ def bulk(e: Array) -> tuple[float, float]:
     return scale, share
 
 
-def threshold(influence: Any) -> float:
-    """Return where psi' ceases to be positive, infinite if nowhere below 100."""
-    if influence is None:
-        return math.inf
-    if isinstance(influence, Huber):
-        return influence.threshold
-    grid = np.linspace(0.0, 100.0, 100001)
-    flat = np.asarray(influence.psi_deriv(grid)) <= 0
-    return float(grid[flat.argmax()]) if flat.any() else math.inf
-
-
-def expected_clipped(recording: FilterRecord, contamination: float) -> tuple[Array, Array]:
+def expected_clipped(recording: FilterRecord) -> tuple[Array, Array]:
     """Return the share of clipped samples of each sensor without outliers, and with all outliers clipped; or NaN."""
-    k, m = threshold(recording.influence), recording.y.shape[1]
+    k, m, contamination = threshold(recording.influence), recording.y.shape[1], recording.contamination
     if recording.influence is None and recording.clipped.any():
-        # Weights of noise that is told or learnt have no threshold.
+        # Weights of noise that is learnt have no threshold.
         return np.full(m, np.nan), np.full(m, np.nan)
     if recording.grouping == "joint":
         low = np.full(m, stats.chi2.sf(k * k, m))

@@ -34,7 +34,7 @@ from robust_filterpy.experiments import fit_percent
 
 PAGE = Path(__file__).parents[2] / "docs" / "side_by_side.md"
 STEPS, TUNING_SEED = 800, 90_000
-OURS = {"`RobustKalmanFilter`": RobustKalmanFilter, "`AdaptiveKalmanFilter`": AdaptiveKalmanFilter}
+OURS = {"ours": RobustKalmanFilter, "ours, adaptive": AdaptiveKalmanFilter}
 #: The names of those whose filters are recursions of a paper's, written in tests/benchmarks/peers.
 SHORT = {
     "WoLF IMQ, tuned": "WoLF",
@@ -192,7 +192,7 @@ Made by `python tests/benchmarks/side_by_side.py --write-page` on {datetime.date
 Root mean square error of what is measured, over that of the Kalman filter which is told the size of every noise; the
 least of each row is bold. WoLF, ISKF, ISKF2, STF (a filter of Student's t) and the variational R are written from their
 papers (`tests/benchmarks/peers`) and **tuned by the truth, for each row anew**, on two other recordings; the gate is at
-99.73 %; ours, the gate and filterpy are as they come.
+99.73 %; ours (`RobustKalmanFilter`, and `AdaptiveKalmanFilter`), the gate and filterpy are as they come.
 
 {in_rows(errors)}
 

@@ -1,5 +1,8 @@
 """A diagnosis names the true cause of a broken set-up, and finds nothing in a healthy one."""
 
+import itertools
+import time
+
 import numpy as np
 import pytest
 from filterpy.common import Saver
@@ -7,7 +10,15 @@ from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
 from scipy import stats
 from statsmodels.stats.diagnostic import acorr_ljungbox
 
-from robust_filterpy import AdaptiveKalmanFilter, Huber, Linear, RobustExtendedKalmanFilter, RobustKalmanFilter
+from robust_filterpy import (
+    AdaptiveKalmanFilter,
+    Contaminated,
+    Huber,
+    Learnt,
+    Linear,
+    RobustExtendedKalmanFilter,
+    RobustKalmanFilter,
+)
 from robust_filterpy.diagnostics import diagnose, statistics
 from robust_filterpy.identification import ARX, ParameterTracker
 
@@ -403,3 +414,43 @@ def test_a_filter_that_learns_its_noise_is_diagnosed_by_the_R_that_it_was_told(t
     assert found.causes == cause
     # Learnt noise has no threshold, so that no share of clipped samples is known beforehand.
     assert np.isnan(found.clipped_expected).all() and "nan" not in str(found)
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1])
+def test_noise_that_is_told_says_how_much_may_be_clipped(share):
+    kf, zs = robust(), np.random.default_rng(5).normal(size=(300, 2))
+    told = RobustKalmanFilter(2, 2, noise=Contaminated(share, 10.0))
+    told.F, told.H, told.Q, told.R, told.P = kf.F, kf.H, kf.Q, kf.R, kf.P
+    low, high = diagnose(told, zs).clipped_expected.T
+    np.testing.assert_allclose(high, (1.0 - share) * low + share)
+
+
+def test_more_outliers_than_told_are_advised_on_in_the_words_of_the_filter():
+    rng = np.random.default_rng(3)
+    zs = np.cumsum(0.1 * rng.normal(size=600)) + np.where(rng.random(600) < 0.35, 15.0, 1.0) * rng.normal(size=600)
+
+    def found(**noise):
+        kf = RobustKalmanFilter(1, 1, **noise)
+        kf.F, kf.H, kf.Q, kf.R = np.eye(1), np.eye(1), 0.01 * np.eye(1), np.eye(1)
+        return diagnose(kf, zs)
+
+    assert "made for: about" in str(found()) and "Huber.from_contamination" in str(found())
+    told = str(found(noise=Contaminated(0.05, 10.0)))
+    assert "than noise= tells" in told and "Huber" not in told
+    assert "more outliers" not in found(noise=Learnt()).causes
+
+
+def test_a_diagnosis_fits_a_screen():
+    rng = np.random.default_rng(6)
+    kf = RobustKalmanFilter(2, 6)
+    kf.F, kf.H, kf.Q, kf.R = F, np.tile(H[:1], (6, 1)), Q, np.eye(6)
+    for zs in (9.0 * rng.normal(size=(200, 6)), np.full((30, 6), np.nan)):
+        assert max(map(len, str(diagnose(kf, zs)).splitlines())) <= 100
+
+
+def test_a_long_diagnosis_says_what_it_is_at(monkeypatch, capsys):
+    monkeypatch.setattr(time, "monotonic", itertools.count(0.0, 1.0).__next__)
+    diagnose(*R_too_small(0))
+    lines = capsys.readouterr().err.splitlines()
+    assert lines and all(line.startswith("diagnose: ") for line in lines)
+    assert any("models tried: " in line for line in lines)

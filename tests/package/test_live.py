@@ -1,5 +1,6 @@
 """The live page of the site computes what Python computes, by the kernel in C as it is today."""
 
+import ctypes
 import importlib.util
 import json
 import re
@@ -63,6 +64,25 @@ def test_the_text_has_the_errors_without_outliers(build):
     kalman, default, learnt = errors(build, build.recording()[1])
     said = f"the Kalman filter's error is {kalman} m then, the default's {default} m, that of learnt noise {learnt} m"
     assert said in " ".join((DOCS / "live.md").read_text().split())
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no compiler")
+@pytest.mark.parametrize("spoilt", [False, True])
+def test_the_pages_c_finds_the_errors_that_python_finds(build, tmp_path, spoilt):
+    (tmp_path / "numbers.h").write_text(build.numbers())
+    library = tmp_path / "live.so"
+    command = ["cc", "-std=c99", "-shared", "-fPIC", "-O1", f"-I{tmp_path}", f"-I{build.KERNEL}", "-o", library]
+    subprocess.run([*command, build.HERE / "live.c", "-lm"], check=True, timeout=120)
+    page = ctypes.CDLL(str(library))
+    truth, *recordings = build.recording()
+    readings = recordings[spoilt]
+    room = (ctypes.c_double * 1000).in_dll  # STEPS of live.c
+    one, steps, found = ctypes.c_double(1.0), len(readings), []
+    for name, options in (("kalman", ()), ("default", (ctypes.c_double(1.35),)), ("learnt", ())):
+        room(page, "live_z")[:steps] = readings.tolist()
+        assert getattr(page, f"live_{name}")(steps, one, *options) == steps
+        found.append(np.sqrt(np.mean((np.array(room(page, "live_position")[:steps]) - truth) ** 2)))
+    assert [f"{error:.2f}" for error in found] == errors(build, readings)
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from robust_filterpy import (
     smooth,
 )
 from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
-from robust_filterpy.identification import TrackerBank
+from robust_filterpy.identification import BoxJenkins, TrackerBank
 from robust_filterpy.testing import draw
 
 Y = np.cumsum(np.random.default_rng(10_001).normal(size=300))
@@ -43,15 +43,22 @@ RESULTS = {
 def test_it_fits_a_screen_and_names_its_parts(name):
     result = RESULTS[name]()
     lines = str(result).splitlines()
-    assert 3 < len(lines) <= 25 and max(map(len, lines)) <= 130
+    assert 3 < len(lines) <= 25 and max(map(len, lines)) <= 100
     assert lines[0] == type(result).__name__
     first = next(iter(getattr(result, "_fields", None) or result.__dataclass_fields__))
     assert lines[1].split()[0] == first
 
 
+@pytest.mark.parametrize("structure", [ARX(2, (1, 2)), BoxJenkins(1, 1, 1, 1)])
+def test_coefficients_print_a_line_for_each_polynomial(structure):
+    coefficients = ParameterTracker(structure, start=0).coefficients
+    lines = str(coefficients).splitlines()
+    assert [line.split()[0] for line in lines[1:]] == list(coefficients._fields) and "array" not in str(coefficients)
+
+
 def test_a_drawn_scenario_and_a_fusion_fit_a_screen():
     text = str(draw("constant velocity", 300, rng=0))
-    assert max(map(len, text.splitlines())) <= 130 and len(text.splitlines()) < 25 and "is_outlier" in text
+    assert max(map(len, text.splitlines())) <= 100 and len(text.splitlines()) < 25 and "is_outlier" in text
     fusion = Fusion(constant_velocity(dim=1, q=0.1), {"left": Sensor([1.0, 0.0])}, window=2.0)
     fusion.observe("left", 0.0, 1.0)
     assert str(fusion) == "Fusion(left; window 2 s; readings: 1 taken, 0 refused)"
@@ -75,7 +82,7 @@ def test_a_filter_fits_a_screen_and_says_what_it_has_learnt(policy, n):
         kf.predict()
         kf.update(z)
     lines = str(kf).splitlines()
-    assert len(lines) <= 15 and max(map(len, lines)) <= 150
+    assert len(lines) <= 15 and max(map(len, lines)) <= 100
     assert f"{n} states, 2 measured" in lines[0] and "its weights" in str(kf)
     assert ("learnt" in str(kf)) == (policy in ("default", "learnt"))
     assert "SI = " in repr(kf)

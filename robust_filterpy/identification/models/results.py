@@ -39,6 +39,10 @@ class Coefficients(NamedTuple):
     b: Array | tuple[Array, ...]
     c: Array
 
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)
+
 
 class BoxJenkinsCoefficients(NamedTuple):
     """Coefficients of y = B(q)/F(q) u + C(q)/D(q) v without the leading 1 of F, C and D.
@@ -60,6 +64,10 @@ class BoxJenkinsCoefficients(NamedTuple):
     c: Array
     d: Array
 
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)
+
 
 class PolynomialCoefficients(NamedTuple):
     """Coefficients of a `Structure` that is none of the usual ones.
@@ -77,6 +85,10 @@ class PolynomialCoefficients(NamedTuple):
     f: Array
     c: Array
     d: Array
+
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)
 
 
 class Intervals(NamedTuple):
