@@ -361,7 +361,28 @@ class GreyBoxModel(Estimated):
         return np.atleast_1d(fit_percent(measured, told.recording.y - model.residuals(z).reshape(measured.shape)))
 
     def started(self, y: Any, u: Any, t: Any) -> tuple[Checked, GreyResiduals, Array]:
-        """Return a checked recording, its residuals and free parameters, with the likeliest states to begin with."""
+        """Return a checked recording, its residuals and free parameters, with the likeliest states to begin with.
+
+        Parameters
+        ----------
+        y : array_like, shape (N,) or (N, n_outputs)
+            Outputs; NaN where one is missing.
+        u : array_like, shape (N,) or (N, m), or None
+            Inputs.
+        t : array_like, shape (N,), or None
+            Times in s; None for those of the index.
+
+        Returns
+        -------
+        told : Checked
+        equations : GreyResiduals
+        z : ndarray
+
+        Raises
+        ------
+        ValueError
+            If they do not fit, or the equations overflow.
+        """
         told = grey_recording(y, u, t)
         shape, p = told.known.shape, np.array([*self.p.values()])
         if shape[1] != len(self.noise):

@@ -251,6 +251,61 @@ class StateSpaceModel(StateSpaceSystem):
         measured, signal = self.checked(y, u)
         return np.atleast_1d(fit_percent(measured, self._ahead(*self.started(measured, signal, True), signal, 1)))
 
+    def checked(self, y: Any, u: Any) -> tuple[Array, Array]:
+        """Return outputs, NaN where they are missing or filled, and inputs from their operating point.
+
+        Parameters
+        ----------
+        y : array_like, shape (N, p)
+            Outputs; NaN where one is missing.
+        u : array_like, shape (N, m)
+            Inputs.
+
+        Returns
+        -------
+        measured : ndarray, shape (N, p)
+        signal : ndarray, shape (N, m)
+
+        Raises
+        ------
+        ValueError
+            If they do not fit.
+        """
+        measured = np.column_stack([fill_values(one).signal for one in measured_outputs(y, len(self.C)).T])
+        return measured, recorded_input(self._signals, u, len(measured)) - self.operating_point
+
+    def started(self, y: Array, u: Array, alone: bool = False) -> tuple[StateSpaceResiduals, Array]:
+        """Return residuals and free parameters of a recording whose start it tells.
+
+        Parameters
+        ----------
+        y : ndarray, shape (N, p)
+            Outputs from `checked`.
+        u : ndarray, shape (N, m)
+            Inputs from there.
+        alone : bool, default False
+            Whether the states move by inputs alone, without innovations.
+
+        Returns
+        -------
+        model : StateSpaceResiduals
+        q : ndarray
+        """
+        known = ~np.isnan(y)
+        model = self._residuals(np.nan_to_num(y), u)
+        noise = Noises(self.noise, np.tile(np.arange(len(self.C)), len(y)))
+        model.weights = [np.zeros(y.shape) if alone else known.astype(float)]
+        q, n, rows = self._packed(model, np.zeros(len(self.A))), len(self.A), known.ravel()
+        for _ in range(1 if alone or not self.structure.disturbance else 3):
+            scale = np.sqrt(noise.variance[rows])
+            q[-n:] = 0.0
+            J = -model.jacobian(q)[rows, -n:] / scale[:, None]
+            if rows.any():
+                q[-n:] = robust_regression(J, model.residuals(q)[rows] / scale)
+            if not alone and self.structure.disturbance:
+                model.weights = [noise.weights(model.residuals(q)).reshape(y.shape) * known]
+        return model, q
+
     # Helpers.
 
     @property
@@ -263,11 +318,6 @@ class StateSpaceModel(StateSpaceSystem):
         axis, y, u = recording(None, y=y, u=u)
         axis.require_period(self.dt)
         return axis, y, u
-
-    def checked(self, y: Any, u: Any) -> tuple[Array, Array]:
-        """Return outputs, NaN where they are missing or filled, and inputs from their operating point; or raise."""
-        measured = np.column_stack([fill_values(one).signal for one in measured_outputs(y, len(self.C)).T])
-        return measured, recorded_input(self._signals, u, len(measured)) - self.operating_point
 
     def _labelled(self, axis: TimeAxis, values: Array) -> Any:
         """Return outputs on the index of the recording."""
@@ -287,20 +337,3 @@ class StateSpaceModel(StateSpaceSystem):
         for _ in range(min(steps, len(u)) - 1):
             x = np.concatenate((x[:1], x[:-1] @ self.A.T + u[:-1] @ self.B.T))
         return np.asarray(x @ self.C.T + u @ self.D.T + self.level)
-
-    def started(self, y: Array, u: Array, alone: bool = False) -> tuple[StateSpaceResiduals, Array]:
-        """Return residuals and free parameters of a recording whose start it tells; alone: without innovations."""
-        known = ~np.isnan(y)
-        model = self._residuals(np.nan_to_num(y), u)
-        noise = Noises(self.noise, np.tile(np.arange(len(self.C)), len(y)))
-        model.weights = [np.zeros(y.shape) if alone else known.astype(float)]
-        q, n, rows = self._packed(model, np.zeros(len(self.A))), len(self.A), known.ravel()
-        for _ in range(1 if alone or not self.structure.disturbance else 3):
-            scale = np.sqrt(noise.variance[rows])
-            q[-n:] = 0.0
-            J = -model.jacobian(q)[rows, -n:] / scale[:, None]
-            if rows.any():
-                q[-n:] = robust_regression(J, model.residuals(q)[rows] / scale)
-            if not alone and self.structure.disturbance:
-                model.weights = [noise.weights(model.residuals(q)).reshape(y.shape) * known]
-        return model, q
