@@ -8,8 +8,8 @@
 * `polynomial_model`: residuals of all structures and their derivatives.
 * `several_recordings`: the same for several recordings of one plant.
 * `beginnings`: how a simulation begins.
-* `state_space_structure`, `state_space`, `state_space_system`, `state_space_residuals`: several outputs; their poles and
-  responses.
+* `state_space_structure`, `state_space`, `state_space_system`, `state_space_residuals`: several outputs; their poles
+  and responses.
 * `noise_of_outputs`: noise of each of them.
 * `continuous`: the system in continuous time whose samples a model gives.
 * `grey_box`, `grey_box_recording`, `grey_box_residuals`: physical models in continuous time.
