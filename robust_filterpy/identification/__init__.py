@@ -12,15 +12,10 @@ from __future__ import annotations
 
 from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.judging.compare import Comparison, compare
-from robust_filterpy.identification.judging.select import Selection, select_structure
+from robust_filterpy.identification.judging.select import select_structure
+from robust_filterpy.identification.judging.selection import Selection
 from robust_filterpy.identification.judging.validate import Validation, Validations, validate
-from robust_filterpy.identification.models.continuous import ContinuousModel
-from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
-from robust_filterpy.identification.models.model import Model
-from robust_filterpy.identification.models.response_records import FrequencyResponse, NoiseSpectrum, StepResponse
-from robust_filterpy.identification.models.results import Coefficients, Intervals, Sample, TrackingResult
-from robust_filterpy.identification.models.state_space import StateSpace, StateSpaceModel
-from robust_filterpy.identification.models.structures import (
+from robust_filterpy.identification.models.constructors import (
     AR,
     ARMA,
     ARMAX,
@@ -29,11 +24,19 @@ from robust_filterpy.identification.models.structures import (
     BoxJenkins,
     LinearRegression,
     OutputError,
-    Structure,
 )
+from robust_filterpy.identification.models.continuous import ContinuousModel
+from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
+from robust_filterpy.identification.models.model import Model
+from robust_filterpy.identification.models.response_records import FrequencyResponse, NoiseSpectrum, StepResponse
+from robust_filterpy.identification.models.results import Coefficients, Intervals, Sample, TrackingResult
+from robust_filterpy.identification.models.state_space import StateSpaceModel
+from robust_filterpy.identification.models.state_space_structure import StateSpace
+from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.summary import Summary
 from robust_filterpy.identification.models.uncertainty import Regions
-from robust_filterpy.identification.recursive.bank import BankResult, BankSample, TrackerBank
+from robust_filterpy.identification.recursive.bank import TrackerBank
+from robust_filterpy.identification.recursive.bank_results import BankResult, BankSample
 from robust_filterpy.identification.recursive.tracker import ParameterTracker
 from robust_filterpy.identification.recursive.tuned import TunedTracker
 from robust_filterpy.identification.recursive.watch import LostTrackerWarning

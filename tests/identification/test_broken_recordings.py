@@ -82,7 +82,7 @@ def test_the_offset_is_that_of_the_input_as_measured():
     _, y, u = recording(4)
     for structure in (OutputError(2, 2), ARX(2, 2)):
         model = identify(y, u + 100.0, structure)
-        error = model._equation_error(*model._prepared(y, u + 100.0))
+        error = model._equation_error(*model.prepared(y, u + 100.0))
         assert abs(np.median(error)) < 0.1
         tracker, expected = ParameterTracker(model), ParameterTracker(identify(y, u, structure))
         assert tracker.predict() == pytest.approx(expected.predict(), abs=1e-2)

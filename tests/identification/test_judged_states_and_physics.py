@@ -253,9 +253,19 @@ def test_physics_wants_times_and_models_of_the_same_outputs_are_compared(states,
     y, u, t = cascade(17)
     with pytest.raises(ValueError, match="t: expected the times"):
         validate(box, y, u)
-    with pytest.raises(ValueError, match="y: expected 1 output"):
-        compare({"box": box}, np.column_stack((y, y)), u, t)
     with pytest.raises(ValueError, match="u: expected the inputs that f takes"):
         validate(box, y, None, t=t)
-    with pytest.raises(ValueError, match="y: expected shape"):
-        compare({"states": states}, y, np.column_stack((u, u)))
+
+
+def test_models_of_other_outputs_than_y_are_told_apart_by_name(states, box):
+    y, u, t = cascade(17)
+    one, both = identify(y, u, OutputError(1, 1)), np.column_stack((y, y))
+    for models, measured, says in (
+        ({"box": box}, both, r"as y has, 2, got models\['box'\] of 1;"),
+        ({"states": states}, y, r"as y has, 1, got models\['states'\] of 2;"),
+        ({"states": states, "one": one}, both, r"as y has, 2, got models\['states'\] of 2, models\['one'\] of 1;"),
+        ({"one": one, "states": states}, y, r"as y has, 1, got models\['one'\] of 1, models\['states'\] of 2;"),
+    ):
+        with pytest.raises(ValueError, match=says):
+            compare(models, measured, np.column_stack((u, u)) if "states" in models else u, t)
+    assert len(compare({"one": one, "box": box}, y[:, None], u, np.arange(float(len(y)))).rows) == 2

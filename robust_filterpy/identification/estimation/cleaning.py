@@ -147,7 +147,7 @@ def cleaned(model: Model, y: Any, u: Any) -> Cleaned | None:
     -------
     Cleaned or None
     """
-    prepared, known = model._prepared(y, u)
+    prepared, known = model.prepared(y, u)
     if prepared.nf or not prepared.na:
         return None
     p, first = np.concatenate((model.theta, [model.offset])), prepared.first

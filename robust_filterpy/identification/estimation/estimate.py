@@ -14,11 +14,13 @@ from robust_filterpy.identification.estimation.limits import Limits
 from robust_filterpy.identification.estimation.prediction_error import sandwich
 from robust_filterpy.identification.estimation.search import End, ends, known_part
 from robust_filterpy.identification.estimation.threads import one_thread
+from robust_filterpy.identification.models.beginnings import filled_memory, resting_level
 from robust_filterpy.identification.models.fit import ordinary_fit, ordinary_samples
 from robust_filterpy.identification.models.learnt_noise import Noise
-from robust_filterpy.identification.models.model import Ending, Model, filled_memory, fingerprint, resting_level
+from robust_filterpy.identification.models.model import Ending, Model
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.identification.models.several_recordings import SeveralRecordings, ends_of
+from robust_filterpy.identification.models.signals import fingerprint
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.influence.regression import mad_scale

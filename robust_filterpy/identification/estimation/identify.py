@@ -30,7 +30,8 @@ from robust_filterpy.identification.models.findings import said
 from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.signals import operating_point
-from robust_filterpy.identification.models.state_space import StateSpace, StateSpaceModel
+from robust_filterpy.identification.models.state_space import StateSpaceModel
+from robust_filterpy.identification.models.state_space_structure import StateSpace
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.influence.functions import Influence
 

@@ -14,8 +14,8 @@ from robust_filterpy.identification.estimation.estimate import Problem, estimate
 from robust_filterpy.identification.estimation.trend import PRICE, Trend, impulse_output, piecewise_level
 from robust_filterpy.identification.models.dependence import autocovariances, dependence, whitening_of
 from robust_filterpy.identification.models.findings import Finding
-from robust_filterpy.identification.models.model import Model, fingerprint
-from robust_filterpy.identification.models.signals import operating_point
+from robust_filterpy.identification.models.model import Model
+from robust_filterpy.identification.models.signals import fingerprint, operating_point
 from robust_filterpy.influence.regression import mad_scale
 
 __all__ = [
@@ -103,7 +103,7 @@ def without_endless_motion(problem: Problem, y: Array, model: Model) -> tuple[Mo
     model : Model
     findings : tuple of Finding
     """
-    parts = model._parts()
+    parts = model.parts
     slowest = float(np.abs(np.roots(parts.f)).max(initial=0.0)) if parts.f.size > 1 else 0.0
     if not model.structure.n_inputs or abs(1.0 - slowest) * y.size >= _ENDLESS:
         return model, ()
@@ -228,7 +228,7 @@ def _trend(model: Model, y: Array) -> Array:
 def _starts(problem: Problem, y: Array, plain: Model) -> Any:
     """Yield outputs that no level disturbs."""
     yield impulse_output(y, problem.u)
-    parts = plain._parts()
+    parts = plain.parts
     if np.abs(np.roots(np.convolve(parts.a, parts.f))).max(initial=0.0) > _SLOW:
         try:
             differences = problem._replace(u=np.diff(problem.u, axis=0), rest=np.zeros(problem.rest.size))

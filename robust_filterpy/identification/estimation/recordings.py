@@ -16,7 +16,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import fill_values
 from robust_filterpy.identification.models.findings import Finding, of_fill_values
 from robust_filterpy.identification.models.signals import measured_output, measured_outputs, recorded_input
-from robust_filterpy.identification.models.state_space import Signals
+from robust_filterpy.identification.models.state_space_structure import Signals
 from robust_filterpy.identification.models.structures import Structure, input_columns
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording
 

@@ -25,10 +25,10 @@ from robust_filterpy.identification.estimation.starts import (
     regression_start,
     whitened,
 )
+from robust_filterpy.identification.models.constructors import OutputError
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.identification.models.several_recordings import SeveralRecordings
-from robust_filterpy.identification.models.structures import OutputError
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.influence.regression import mad_scale
 

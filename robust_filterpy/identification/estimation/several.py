@@ -12,7 +12,8 @@ from robust_filterpy.identification.estimation.estimate import Problem, estimate
 from robust_filterpy.identification.estimation.level import beside_input_outliers, break_finding, unlike_in_parts
 from robust_filterpy.identification.estimation.trend import PRICE, Trend, piecewise_level
 from robust_filterpy.identification.models.findings import Finding
-from robust_filterpy.identification.models.model import Model, fingerprint
+from robust_filterpy.identification.models.model import Model
+from robust_filterpy.identification.models.signals import fingerprint
 
 __all__ = ["of_several"]
 
@@ -42,7 +43,7 @@ def of_several(problem: Problem, y: Array, trend: str) -> tuple[Model, tuple[Fin
     """
     model, levels, findings = _beside_levels(problem, y, trend)
     left = y - levels
-    parts = model._parts()
+    parts = model.parts
     slowest = float(np.abs(np.roots(parts.f)).max(initial=0.0)) if parts.f.size > 1 else 0.0
     longest = max(part.stop - part.start for part in problem.spans)
     if model.structure.n_inputs and abs(1.0 - slowest) * longest < _ENDLESS:

@@ -18,8 +18,9 @@ from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.noise_of_outputs import Noises
 from robust_filterpy.identification.models.several_recordings import ends_of
 from robust_filterpy.identification.models.signals import operating_point
-from robust_filterpy.identification.models.state_space import Signals, StateSpace, StateSpaceModel
+from robust_filterpy.identification.models.state_space import StateSpaceModel
 from robust_filterpy.identification.models.state_space_residuals import Matrices, StateSpaceResiduals
+from robust_filterpy.identification.models.state_space_structure import Signals, StateSpace
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.influence.regression import mad_scale
 

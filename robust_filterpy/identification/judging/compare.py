@@ -174,15 +174,19 @@ def compare(
     if not models:
         raise ValueError("models: expected at least one model, got none")
     found = {str(name): any_model(f"models[{name!r}]", model, y, u) for name, model in models.items()}
+    given = np.shape(y)
+    counts, asked = {name: _n_outputs(model) for name, model in found.items()}, given[1] if len(given) == 2 else 1
+    if set(counts.values()) != {asked} and given[:1] != (1,):
+        each = ", ".join(f"models[{name!r}] of {count}" for name, count in counts.items())
+        raise ValueError(
+            f"models: expected models of as many outputs as y has, {asked}, got {each}; compare the models of the same "
+            "outputs, and of y those columns"
+        )
     index, residuals, outputs = None, {}, {}
     for name, model in found.items():
         axis, signals = signals_for(model, y, u, t)
         index, residuals[name] = axis.index, _columns(model.residuals(*signals))
         measured = np.column_stack([recorded_output(column) for column in _columns(y).T])
-        if residuals[name].shape != measured.shape:
-            raise ValueError(
-                f"models[{name!r}]: expected a model of {measured.shape[1]} output(s) as y has, got another"
-            )
         alone = isinstance(model, (StateSpaceModel, GreyBoxModel)) or model.structure.n_inputs
         outputs[name] = _columns(model.free_run(*signals)) if alone else measured - residuals[name]
     shared = ~np.any(np.isnan(list(residuals.values())), axis=0)
@@ -201,6 +205,11 @@ def compare(
     shown = {row.name: outputs[row.name][:, 0] if one else outputs[row.name] for row in rows}
     measured = measured[:, 0] if one else measured
     return Comparison(tuple(rows), measured, shown, int(shared.sum()), int(ordinary.sum()), index)
+
+
+def _n_outputs(model: Any) -> int:
+    """Return how many outputs a model has."""
+    return len(model.noise) if isinstance(model, (StateSpaceModel, GreyBoxModel)) else 1
 
 
 def _columns(signal: Any) -> Array:

@@ -13,9 +13,9 @@ from robust_filterpy.identification.estimation.cleaning import Cleaned, cleaned
 from robust_filterpy.identification.models.grey_box import GreyBoxModel
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.model import Model
-from robust_filterpy.identification.models.prediction import cleaned_residuals
 from robust_filterpy.identification.models.signals import recorded_output
-from robust_filterpy.identification.models.state_space import Signals, StateSpaceModel
+from robust_filterpy.identification.models.state_space import StateSpaceModel
+from robust_filterpy.identification.models.state_space_structure import Signals
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording
 from robust_filterpy.identification.models.transfer_model import as_model
 
@@ -96,15 +96,15 @@ def _of_one(model: Model, y: Any, u: Any) -> Judged:
     # The fit has seen those rows too that are not tested.
     J = _derivatives(model, residual, y, u, found) * known[:, None]
     return Judged(
-        measured[:, None], residual[:, None], tested[:, None], model._prepared(y, u)[0].u, (model.noise,),
+        measured[:, None], residual[:, None], tested[:, None], model.prepared(y, u)[0].u, (model.noise,),
         model.weights[:, None], J[:, None], P, True,
     )  # fmt: skip
 
 
 def _of_states(model: StateSpaceModel, y: Any, u: Any) -> Judged:
     """Return what is judged of a state-space model."""
-    measured, signal = model._checked(y, u)
-    told, q = model._started(measured, signal)
+    measured, signal = model.checked(y, u)
+    told, q = model.started(measured, signal)
     known = ~np.isnan(measured)
     residual = np.where(known, told.residuals(q).reshape(measured.shape), np.nan)
     weights = np.column_stack([one.weights(e) for one, e in zip(model.noise, np.nan_to_num(residual).T, strict=True)])
@@ -117,7 +117,7 @@ def _of_states(model: StateSpaceModel, y: Any, u: Any) -> Judged:
 
 def _of_physics(model: GreyBoxModel, y: Any, u: Any, t: Any) -> Judged:
     """Return what is judged of a physical model, which predicts from inputs alone however far ahead."""
-    told, equations, z = model._started(y, u, t)
+    told, equations, z = model.started(y, u, t)
     shape, k = told.known.shape, model.theta.size
     measured = np.where(told.known, told.recording.y, np.nan)
     residual = np.where(told.known, equations.residuals(z).reshape(shape), np.nan)
@@ -131,7 +131,7 @@ def _of_physics(model: GreyBoxModel, y: Any, u: Any, t: Any) -> Judged:
 
 def _memory(model: Model) -> Array:
     """Return what an innovation that is not believed does to the residuals after it, shape (lags, 1, 1)."""
-    parts = model._parts()
+    parts = model.parts
     impulse = np.concatenate(([1.0], np.zeros(_LONGEST_REACH)))
     return np.asarray(lfilter(np.convolve(parts.a, parts.d), parts.c, impulse))[1:, None, None]
 
@@ -164,17 +164,10 @@ def _untouched(memory: Array, known: Any, weights: Array) -> Any:
 
 def _derivatives(model: Model, residual: Array, y: Any, u: Any, whole: Cleaned | None) -> Array:
     """Return the derivatives of the residuals by theta and offset, outliers in the regressor replaced."""
-    prepared, known = model._prepared(y, u)
+    prepared, known = model.prepared(y, u)
     n = model.theta.size
     p = np.concatenate((model.theta, [model.offset], np.zeros(prepared.nf)))
-    parts, first = model._parts(), prepared.first
-    if whole is not None:
-        prepared = whole.prepared
-    elif prepared.na or parts.c.size + parts.d.size > 2:
-        found = cleaned_residuals(parts, model._equation_error(prepared, known), known[first:], model.noise)
-        output = prepared.y.copy()
-        output[first:] += (found.weights - 1.0) * found.residual
-        prepared = prepared.with_output(output)
+    prepared = whole.prepared if whole is not None else model.without_outliers(prepared, known)
     J = np.zeros((residual.size, n + model.has_offset))
-    J[first:] = prepared.jacobian(p)[:, : n + model.has_offset]
+    J[prepared.first :] = prepared.jacobian(p)[:, : n + model.has_offset]
     return J

@@ -1,6 +1,6 @@
 """Models: which signals a regressor is made of, a model of a recording, and what follows from it.
 
-* `structures`: orders, and which signals the regressor phi is made of.
+* `structures`: orders, and which signals the regressor phi is made of; `constructors`: the usual ones.
 * `regressor`: the regressor of one sample, from what is remembered.
 * `coefficients`: polynomials and transfer functions made of theta.
 * `guard`: keeping a model that feeds back its own output stable.
@@ -8,7 +8,8 @@
 * `polynomial_model`: residuals of all structures and their derivatives.
 * `several_recordings`: the same for several recordings of one plant.
 * `beginnings`: how a simulation begins.
-* `state_space`, `state_space_residuals`: several outputs.
+* `state_space_structure`, `state_space`, `state_space_system`, `state_space_residuals`: several outputs; their poles
+  and responses.
 * `noise_of_outputs`: noise of each of them.
 * `continuous`: the system in continuous time whose samples a model gives.
 * `grey_box`, `grey_box_recording`, `grey_box_residuals`: physical models in continuous time.

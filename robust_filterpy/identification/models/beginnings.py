@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._warning import warn
-from robust_filterpy.identification.models.prediction import cleaned_residuals
+from robust_filterpy.identification.models.polynomial_model import Parts, PolynomialModel
+from robust_filterpy.identification.models.regressor import Layout, Memory
 from robust_filterpy.identification.models.signals import recorded_input
 from robust_filterpy.identification.models.structures import input_columns
 from robust_filterpy.influence.regression import robust_regression
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
     from robust_filterpy.identification.models.model import Model
 
 __all__ = ["held_input", "motion_after"]
+
+# Below this share of its coefficients' size A(1) is 0: the model integrates and has no level.
+_INTEGRATES: Final = 1e-9
 
 
 def motion_after(model: Model, y: Any, u: Any) -> tuple[Any, Array]:
@@ -37,16 +41,12 @@ def motion_after(model: Model, y: Any, u: Any) -> tuple[Any, Array]:
     recorded : PolynomialModel
     p : ndarray
     """
-    recorded, known = model._prepared(y, u)
-    parts, first, n = model._parts(), recorded.first, model.theta.size
-    if recorded.na or parts.c.size + parts.d.size > 2:
-        found = cleaned_residuals(parts, model._equation_error(recorded, known), known[first:], model.noise)
-        cleaned = recorded.y.copy()
-        cleaned[first:] += (found.weights - 1.0) * found.residual
-        recorded = recorded.with_output(cleaned)
-        known = np.ones(known.size, dtype=bool)
+    recorded, known = model.prepared(y, u)
+    n, cleaned = model.theta.size, model.without_outliers(recorded, known)
+    if cleaned is not recorded:
+        recorded, known = cleaned, np.ones(known.size, dtype=bool)
     p = np.concatenate((model.theta, [model.offset], np.zeros(recorded.nf)))
-    rows = known[first:]
+    rows = known[recorded.first :]
     if recorded.nf and rows.any():
         p[n + 1 :] = robust_regression(-recorded.jacobian(p)[rows][:, n + 1 :], recorded.residuals(p)[rows])
     return recorded, p
@@ -87,3 +87,45 @@ def held_input(structure: Any, u: Any, rest: Array) -> Array:
         "before; fill u with what acted, for a valve that stayed where it was u.ffill(), else u.interpolate()",
     )
     return recorded_input(structure, held, None)
+
+
+def resting_level(parts: Parts) -> float:
+    """Return what the output of a model is at rest, offset/A(1), or 0 if it integrates and has no rest."""
+    total = float(parts.a.sum())
+    return parts.offset / total if abs(total) > _INTEGRATES * float(np.abs(parts.a).sum()) else 0.0
+
+
+def filled_memory(model: PolynomialModel, p: Array) -> Memory:
+    """Return what a tracker would remember after a recording.
+
+    Parameters
+    ----------
+    model : PolynomialModel
+        The recording, its outliers and gaps interpolated.
+    p : ndarray, shape (n,)
+        Free parameters.
+
+    Returns
+    -------
+    Memory
+    """
+    structure, layout = model.structure, Layout(model.structure)
+    memory, n, level = Memory(layout), structure.n_theta, resting_level(model.parts(p))
+    alone, residual = model.undisturbed(p), model.residuals(p)
+    _, memory.inputs = memory.regressors(layout, model.u)
+    disturbance = model.equation_error(p)
+    memory.outputs = np.concatenate((_newest(level - model.y, layout.na), _newest(-disturbance, layout.nd)))
+    memory.undisturbed = _newest(-alone, layout.nf)
+    without_noise = p.copy()
+    without_noise[layout.c] = without_noise[layout.d] = 0.0
+    chi = -model.jacobian(without_noise)[:, :n] * layout.precedes_noise
+    memory.prefiltered = _newest(chi, len(memory.prefiltered))
+    memory.measured = memory.outputs
+    memory.residuals = _newest(residual, layout.nc)
+    memory.gradients = _newest(-model.jacobian(p)[:, :n], layout.nc)
+    return memory
+
+
+def _newest(signal: Array, count: int) -> Array:
+    """Return the last samples, the newest first."""
+    return np.ascontiguousarray(signal[::-1][:count])

@@ -306,7 +306,7 @@ class GreyBoxModel(Estimated):
         ValueError
             If they do not fit, or the equations overflow.
         """
-        told, model, z = self._started(y, u, t)
+        told, model, z = self.started(y, u, t)
         return told.recording.y - model.residuals(z).reshape(told.known.shape)
 
     def residuals(self, y: ArrayLike, u: ArrayLike | None, t: ArrayLike | None = None) -> Array:
@@ -331,7 +331,7 @@ class GreyBoxModel(Estimated):
         ValueError
             If they do not fit, or the equations overflow.
         """
-        told, model, z = self._started(y, u, t)
+        told, model, z = self.started(y, u, t)
         return np.where(told.known, model.residuals(z).reshape(told.known.shape), np.nan)
 
     def fit(self, y: ArrayLike, u: ArrayLike | None, t: ArrayLike | None = None) -> Array:
@@ -356,12 +356,33 @@ class GreyBoxModel(Estimated):
         ValueError
             If they do not fit, an output is constant, or the equations overflow.
         """
-        told, model, z = self._started(y, u, t)
+        told, model, z = self.started(y, u, t)
         measured = np.where(told.known, told.recording.y, np.nan)
         return np.atleast_1d(fit_percent(measured, told.recording.y - model.residuals(z).reshape(measured.shape)))
 
-    def _started(self, y: Any, u: Any, t: Any) -> tuple[Checked, GreyResiduals, Array]:
-        """Return a checked recording, its residuals and free parameters, with the likeliest states to begin with."""
+    def started(self, y: Any, u: Any, t: Any) -> tuple[Checked, GreyResiduals, Array]:
+        """Return a checked recording, its residuals and free parameters, with the likeliest states to begin with.
+
+        Parameters
+        ----------
+        y : array_like, shape (N,) or (N, n_outputs)
+            Outputs; NaN where one is missing.
+        u : array_like, shape (N,) or (N, m), or None
+            Inputs.
+        t : array_like, shape (N,), or None
+            Times in s; None for those of the index.
+
+        Returns
+        -------
+        told : Checked
+        equations : GreyResiduals
+        z : ndarray
+
+        Raises
+        ------
+        ValueError
+            If they do not fit, or the equations overflow.
+        """
         told = grey_recording(y, u, t)
         shape, p = told.known.shape, np.array([*self.p.values()])
         if shape[1] != len(self.noise):

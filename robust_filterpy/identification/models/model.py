@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
-from zlib import crc32
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +13,7 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array, count
 from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.identification.models import coefficients
-from robust_filterpy.identification.models.beginnings import held_input, motion_after
+from robust_filterpy.identification.models.beginnings import filled_memory, held_input, motion_after, resting_level
 from robust_filterpy.identification.models.continuous import ContinuousModel, continuous, realized
 from robust_filterpy.identification.models.estimated import EstimatedPolynomials
 from robust_filterpy.identification.models.findings import Finding, said
@@ -24,21 +23,16 @@ from robust_filterpy.identification.models.polynomial_model import Parts, Polyno
 from robust_filterpy.identification.models.prediction import cleaned_residuals, predicted
 from robust_filterpy.identification.models.regressor import Layout, Memory
 from robust_filterpy.identification.models.responses import Responses
-from robust_filterpy.identification.models.signals import recorded_input, recorded_output
+from robust_filterpy.identification.models.signals import fingerprint, recorded_input, recorded_output
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.summary import Summary, summarized
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording
 from robust_filterpy.influence.regression import robust_regression
 
-if TYPE_CHECKING:
-    pass
-
 __all__ = ["Ending", "Model"]
 
-# Below this share of its coefficients' size A(1) is 0: the model integrates and has no level.
 # So many samples tell where noise that is summed up began.
 _FIRST_LEVEL: Final = 5
-_INTEGRATES: Final = 1e-9
 
 
 class Ending(NamedTuple):
@@ -158,14 +152,20 @@ class Model(EstimatedPolynomials, Responses):
         return np.sqrt(np.maximum(self.P.diagonal(), 0.0))
 
     @property
+    def parts(self) -> Parts:
+        """The polynomials with their leading 1, and the constant."""
+        empty = PolynomialModel(self.structure, np.zeros(0), np.zeros((0, self.structure.n_inputs)), True)
+        return empty.parts(np.concatenate((self.theta, [self.offset])))
+
+    @property
     def level(self) -> float:
         """What the output is at rest with no input, offset/A(1); 0 if the model integrates, which has no rest."""
-        return resting_level(self._parts())
+        return resting_level(self.parts)
 
     @property
     def _gain(self) -> Array:
         """What a constant input of 1 adds to the output in the end, for each input, shape (n_inputs,)."""
-        parts, found = self._parts(), np.zeros(self.structure.n_inputs)
+        parts, found = self.parts, np.zeros(self.structure.n_inputs)
         acting = [i for i, (nb, _) in enumerate(self.structure.inputs) if nb]
         found[acting] = [b.sum() / (parts.f.sum() * parts.a.sum()) for b in parts.b]
         return found
@@ -264,7 +264,7 @@ class Model(EstimatedPolynomials, Responses):
             return axis.series(y + (self.level + float(self._gain @ self.operating_point)), "simulated")
         y = coefficients.simulate(self.structure, layout, self._memory_at(start, layout), self.theta, signal)
         integrates = self.level == 0.0 != self.offset
-        rest = lfilter([self.offset], self._parts().a, np.ones(y.size)) if integrates else self.level
+        rest = lfilter([self.offset], self.parts.a, np.ones(y.size)) if integrates else self.level
         return axis.series(y + rest, "simulated")
 
     def predict(self, y: ArrayLike, u: ArrayLike | None = None, steps: int = 1) -> Array:
@@ -297,12 +297,12 @@ class Model(EstimatedPolynomials, Responses):
         """
         steps = count("steps", steps, 1)
         axis, y, u = self._recording(y, u)
-        prediction = self._predicted(*self._prepared(y, u), steps)
+        prediction = self._predicted(*self.prepared(y, u), steps)
         return axis.series(prediction + self._own_trend(recorded_output(y)), "prediction")
 
     def _predicted(self, model: PolynomialModel, known: Any, steps: int) -> Array:
         """Return the prediction of each output of a checked recording."""
-        parts = self._parts()
+        parts = self.parts
         if model.na == 0 and parts.c.size == parts.d.size == 1:
             return self._from_inputs(model, known)
         error = self._equation_error(model, known)
@@ -379,7 +379,64 @@ class Model(EstimatedPolynomials, Responses):
             If y or u does not fit, or the model overflows.
         """
         axis, y, u = self._recording(y, u)
-        return axis.series(self._from_inputs(*self._prepared(y, u)) + self._own_trend(recorded_output(y)), "free run")
+        return axis.series(self._from_inputs(*self.prepared(y, u)) + self._own_trend(recorded_output(y)), "free run")
+
+    def prepared(self, y: Any, u: Any) -> tuple[PolynomialModel, Any]:
+        """Return a checked recording without its own trend, ready for what estimates or judges.
+
+        Parameters
+        ----------
+        y : array_like, shape (N,)
+            Measured output; NaN where it is missing.
+        u : array_like, shape (N,) or (N, n_inputs)
+            Input.
+
+        Returns
+        -------
+        recorded : PolynomialModel
+            The level stands in the place of missing outputs.
+        known : ndarray of bool, shape (N,)
+            Where y is measured.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If y or u does not fit, or is too short for one regressor.
+        """
+        output = recorded_output(y)
+        output = output - self._own_trend(output)
+        signal = recorded_input(self.structure, u, output.size)
+        known = ~np.isnan(output)
+        model = PolynomialModel(self.structure, np.where(known, output, self.level), signal, True)
+        if output.size <= model.first:
+            raise ValueError(
+                f"y: expected more than the {model.first} samples that the regressor of {self.structure} reaches back, "
+                f"got {output.size}"
+            )
+        return model, known
+
+    def without_outliers(self, recorded: PolynomialModel, known: Any) -> PolynomialModel:
+        """Return a recording with the model's values for outliers and gaps, if its residuals hold past outputs.
+
+        Parameters
+        ----------
+        recorded : PolynomialModel
+            From `prepared`.
+        known : ndarray of bool, shape (N,)
+            From there, too.
+
+        Returns
+        -------
+        PolynomialModel
+            The same one where no residual reaches another.
+        """
+        parts, first = self.parts, recorded.first
+        if not recorded.na and parts.c.size == parts.d.size == 1:
+            return recorded
+        found = cleaned_residuals(parts, self._equation_error(recorded, known), known[first:], self.noise)
+        output = recorded.y.copy()
+        output[first:] += (found.weights - 1.0) * found.residual
+        return recorded.with_output(output)
 
     # Helpers.
 
@@ -405,25 +462,6 @@ class Model(EstimatedPolynomials, Responses):
         """How many samples R stands on."""
         return max(float(np.nansum(self.weights)), 1.0)
 
-    def _parts(self) -> Parts:
-        """Return the polynomials."""
-        empty = PolynomialModel(self.structure, np.zeros(0), np.zeros((0, self.structure.n_inputs)), True)
-        return empty.parts(np.concatenate((self.theta, [self.offset])))
-
-    def _prepared(self, y: Any, u: Any) -> tuple[PolynomialModel, Any]:
-        """Return a checked recording, the level in the place of missing outputs, and where it is measured."""
-        output = recorded_output(y)
-        output = output - self._own_trend(output)
-        signal = recorded_input(self.structure, u, output.size)
-        known = ~np.isnan(output)
-        model = PolynomialModel(self.structure, np.where(known, output, self.level), signal, True)
-        if output.size <= model.first:
-            raise ValueError(
-                f"y: expected more than the {model.first} samples that the regressor of {self.structure} reaches back, "
-                f"got {output.size}"
-            )
-        return model, known
-
     def _own_trend(self, y: Array) -> Array:
         """Return the trend of a checked output: that of the recording if it is the same one, else 0."""
         known = {(number, trend.size): trend for number, trend in ((self.fingerprint, self.trend), *self.recordings)}
@@ -433,7 +471,7 @@ class Model(EstimatedPolynomials, Responses):
         """Return A y - B/F u - d from the first sample that has a regressor on."""
         if model.nf:
             disturbance = np.nan_to_num(model.y - self._from_inputs(model, known))
-            error = np.asarray(lfilter(self._parts().a, [1.0], disturbance)[model.first :])
+            error = np.asarray(lfilter(self.parts.a, [1.0], disturbance)[model.first :])
         else:
             error = model.equation_error(np.concatenate((self.theta, [self.offset])))
         if self.structure.integrated:
@@ -445,7 +483,7 @@ class Model(EstimatedPolynomials, Responses):
         """Return the output from inputs alone, whatever was in motion when the recording began."""
         y = self.simulate(model.u) if model.inputs else np.full(model.y.size, self.level)
         y[: model.first] = np.nan
-        parts = self._parts()
+        parts = self.parts
         dynamics = np.convolve(parts.a, parts.f)
         order = dynamics.size - 1
         rows = known[model.first :]
@@ -457,60 +495,3 @@ class Model(EstimatedPolynomials, Responses):
                 X, left = np.diff(X, axis=0), np.diff(left)
             y[model.first :] += motion @ robust_regression(X, left)
         return y
-
-
-def fingerprint(y: Array) -> int:
-    """Return a number by which a recording is known again.
-
-    Parameters
-    ----------
-    y : ndarray, shape (N,)
-        Output, NaN where it is missing.
-
-    Returns
-    -------
-    int
-    """
-    return crc32(np.ascontiguousarray(y).tobytes())
-
-
-def resting_level(parts: Parts) -> float:
-    """Return what the output of a model is at rest, offset/A(1), or 0 if it integrates and has no rest."""
-    total = float(parts.a.sum())
-    return parts.offset / total if abs(total) > _INTEGRATES * float(np.abs(parts.a).sum()) else 0.0
-
-
-def filled_memory(model: PolynomialModel, p: Array) -> Memory:
-    """Return what a tracker would remember after a recording.
-
-    Parameters
-    ----------
-    model : PolynomialModel
-        The recording, its outliers and gaps interpolated.
-    p : ndarray, shape (n,)
-        Free parameters.
-
-    Returns
-    -------
-    Memory
-    """
-    structure, layout = model.structure, Layout(model.structure)
-    memory, n, level = Memory(layout), structure.n_theta, resting_level(model.parts(p))
-    alone, residual = model.undisturbed(p), model.residuals(p)
-    _, memory.inputs = memory.regressors(layout, model.u)
-    disturbance = model.equation_error(p)
-    memory.outputs = np.concatenate((_newest(level - model.y, layout.na), _newest(-disturbance, layout.nd)))
-    memory.undisturbed = _newest(-alone, layout.nf)
-    without_noise = p.copy()
-    without_noise[layout.c] = without_noise[layout.d] = 0.0
-    chi = -model.jacobian(without_noise)[:, :n] * layout.precedes_noise
-    memory.prefiltered = _newest(chi, len(memory.prefiltered))
-    memory.measured = memory.outputs
-    memory.residuals = _newest(residual, layout.nc)
-    memory.gradients = _newest(-model.jacobian(p)[:, :n], layout.nc)
-    return memory
-
-
-def _newest(signal: Array, count: int) -> Array:
-    """Return the last samples, the newest first."""
-    return np.ascontiguousarray(signal[::-1][:count])

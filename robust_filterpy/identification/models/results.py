@@ -231,10 +231,16 @@ class TrackingResult(_Recorded):
         ImportError
             If pandas is not installed.
         """
-        return table(self._columns(), self.index, "sample" if self.index is None else None)
+        return table(self.columns(), self.index, "sample" if self.index is None else None)
 
-    def _columns(self) -> dict[str, Array]:
-        """Return the columns by name."""
+    def columns(self) -> dict[str, Array]:
+        """Return the columns by name.
+
+        Returns
+        -------
+        dict of str to ndarray
+            As in `to_frame`.
+        """
         names = self.names or tuple(f"theta{j + 1}" for j in range(self.theta.shape[-1]))
         columns = dict(zip(names, np.moveaxis(self.theta, -1, 0), strict=True))
         columns |= {f"{name}_std": std for name, std in zip(names, np.moveaxis(self.std, -1, 0), strict=True)}

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from robust_filterpy import _checks
+from robust_filterpy.identification.models.constructors import OutputError
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.regressor import Layout, Memory
 from robust_filterpy.identification.models.signals import recorded_input, recorded_output
-from robust_filterpy.identification.models.structures import OutputError
 from robust_filterpy.identification.models.time_axis import recording
 from robust_filterpy.influence.functions import Huber
 from robust_filterpy.influence.regression import mad_scale

@@ -1,6 +1,7 @@
 """Parameters sample by sample, by any filter of filterpy's kind.
 
 * `tracker`: theta in y = phi' theta + v. `bank`: many actuators at once. Both hold a `State`, advanced by `track`.
+* `standing`: the model of a tracker as it stands. `bank_results`: what a bank returns.
 * `state`: what moves, immutable, for n actuators. `track`: the driver, by the kernel, else by `recursion`, the
   definition.
 * `start`: samples that a model is made of. `handover`: from a model to a recursion. `watch`: whether an actuator is

@@ -36,6 +36,12 @@ def is_array(value: Any, shape: tuple[int, ...]) -> bool:
     return type(value) is np.ndarray and value.dtype == FLOAT and value.shape == shape
 
 
+def require_next_input(structure: Structure, u: Any) -> None:
+    """Raise if a prediction needs the next input and there is none."""
+    if u is None and any(nb and not nk for nb, nk in structure.inputs):
+        raise ValueError(f"u: expected the next input, which acts at once in {structure}, got None")
+
+
 def structure_of(given: Any) -> Structure:
     """Return a structure, or that of a model, or raise."""
     if isinstance(given, Model):

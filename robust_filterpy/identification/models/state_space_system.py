@@ -1,0 +1,256 @@
+"""The linear system of a state-space model: its poles and responses with bands, in continuous time, for control."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+from robust_filterpy.identification.models import coefficients
+from robust_filterpy.identification.models.continuous import ContinuousModel, continuous
+from robust_filterpy.identification.models.response_records import FrequencyResponse, StepResponse
+from robust_filterpy.identification.models.state_space_structure import StateSpace
+from robust_filterpy.identification.models.uncertainty import Regions, bands, regions
+
+if TYPE_CHECKING:
+    import control
+
+__all__ = ["StateSpaceSystem"]
+
+
+class StateSpaceSystem:
+    """What anything with matrices A, B, C, D, K and the covariance of their entries tells of its responses."""
+
+    structure: StateSpace
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    K: Array
+    P: Array
+    dt: float | None
+
+    @property
+    def theta(self) -> Array:
+        """All entries of A, B, C, and D and K if there are any, shape (s,)."""
+        parts = [self.A, self.B, self.C]
+        parts += [self.D] * self.structure.feedthrough + [self.K] * self.structure.disturbance
+        return np.concatenate([part.ravel() for part in parts])
+
+    def to_control(self, dt: Any = "recorded") -> control.StateSpace:
+        """Return the way from u to y.
+
+        Parameters
+        ----------
+        dt : float, True or "recorded", default "recorded"
+            Sampling period in s; True leaves it open.
+
+        Returns
+        -------
+        control.StateSpace
+        """
+        import control
+
+        return control.ss(self.A, self.B, self.C, self.D, coefficients.period(dt, self.dt))
+
+    def reduced(self, n: int) -> control.StateSpace:
+        """Return a system with fewer states: the basis is balanced, and those that do least are left out.
+
+        Parameters
+        ----------
+        n : int
+            How many states are left, 1 to those that there are.
+
+        Returns
+        -------
+        control.StateSpace
+
+        Raises
+        ------
+        ValueError
+            If there are not so many.
+        """
+        import control
+
+        if _checks.count("n", n, 1) > len(self.A):
+            raise ValueError(f"n: expected 1 to {len(self.A)} states, got {n}")
+        A, B, C = self.A[:n, :n], self.B[:n], self.C[:, :n]
+        return control.ss(A, B, C, self.D, coefficients.period("recorded", self.dt))
+
+    def to_continuous(self, dt: float | None = None, level: float = 0.95) -> ContinuousModel:
+        """Return the system in continuous time whose samples this model gives, with inputs held between them.
+
+        Parameters
+        ----------
+        dt : float, optional
+            Sampling period in s. Default: as the index told it.
+        level : float, default 0.95
+            Probability of the region of each pole.
+
+        Returns
+        -------
+        ContinuousModel
+
+        Raises
+        ------
+        ValueError
+            If there is no dt, or a pole is at 0 or on the negative real axis.
+        """
+        n = len(self.A)
+        part = slice(0, n * n)
+        return continuous(
+            (self.A, self.B, self.C, self.D), [0] * self.B.shape[1], self.dt if dt is None else dt, self.theta[part],
+            self.P[part, part], lambda theta: np.linalg.eigvals(theta.reshape(n, n)), level,
+        )  # fmt: skip
+
+    def poles(self, level: float = 0.95, rng: Any = None) -> Regions:
+        """Return the poles, the eigenvalues of A, with regions.
+
+        Parameters
+        ----------
+        level : float, default 0.95
+            Probability of each region.
+        rng : numpy.random.Generator or int, optional
+            Where a region is sampled.
+
+        Returns
+        -------
+        Regions
+
+        Raises
+        ------
+        ValueError
+            If level is no probability.
+        """
+        n = len(self.A)
+        part = slice(0, n * n)
+        return regions(
+            self.theta[part], self.P[part, part], lambda t: np.linalg.eigvals(t.reshape(n, n)).astype(complex), level,
+            rng,
+        )  # fmt: skip
+
+    def frequency_response(
+        self, omega: ArrayLike, output: int = 0, level: float = 0.95, dt: float | None = None, rng: Any = None
+    ) -> FrequencyResponse:
+        """Return the frequency response from the inputs to one output, with bands.
+
+        Parameters
+        ----------
+        omega : array_like, shape (k,)
+            Frequencies in rad/s, in [0, pi/dt].
+        output : int, default 0
+            Which output.
+        level : float, default 0.95
+            Probability of the band at each frequency.
+        dt : float, optional
+            Sampling period in s. Default: that of the recording, else 1.
+        rng : numpy.random.Generator or int, optional
+            Where bands are sampled.
+
+        Returns
+        -------
+        FrequencyResponse
+
+        Raises
+        ------
+        ValueError
+            If an argument is out of range.
+        """
+        period = (self.dt or 1.0) if dt is None else _checks.positive("dt", dt)
+        w = np.atleast_1d(_checks.numbers("omega", omega))
+        if w.ndim != 1 or not ((w >= 0.0) & (w <= np.pi / period * (1.0 + 1e-9))).all():
+            raise ValueError(f"omega: expected frequencies from 0 to pi/dt = {np.pi / period:.4g} rad/s")
+        which, z = self._output(output), np.exp(1j * period * w)
+
+        def response(theta: Array) -> Any:
+            A, B, C, D = self._matrices(theta)
+            shifted = z[:, None, None] * np.eye(len(A)) - A
+            return (C[which] @ np.linalg.solve(shifted, np.broadcast_to(B, (z.size, *B.shape))) + D[which]).T
+
+        center = response(self.theta)
+
+        def logarithm(thetas: Array) -> Array:
+            ratio = np.array([response(theta) for theta in thetas]) / np.where(center == 0.0, 1.0, center)
+            return np.stack((np.log(np.abs(ratio)), np.angle(ratio)), axis=1)
+
+        with np.errstate(divide="ignore", invalid="ignore"):
+            low, high, sampled = bands(self._stable, self.theta, self.P, logarithm, level, rng)
+        size, phase = np.abs(center), np.unwrap(np.angle(center), axis=-1)
+        one = _squeezed
+        return FrequencyResponse(
+            w, one(center), one(size), one(size * np.exp(low[0])), one(size * np.exp(high[0])), one(phase),
+            one(phase + low[1]), one(phase + high[1]), float(level), period, one(sampled.any(axis=0)),
+        )  # fmt: skip
+
+    def step_response(
+        self, steps: int = 50, output: int = 0, level: float = 0.95, dt: float | None = None, rng: Any = None
+    ) -> StepResponse:
+        """Return what one output does after a unit step of each input, with bands.
+
+        Parameters
+        ----------
+        steps : int, default 50
+            How many samples.
+        output : int, default 0
+            Which output.
+        level : float, default 0.95
+            Probability of the band at each time.
+        dt : float, optional
+            Sampling period in s. Default: that of the recording, else 1.
+        rng : numpy.random.Generator or int, optional
+            Where bands are sampled.
+
+        Returns
+        -------
+        StepResponse
+
+        Raises
+        ------
+        ValueError
+            If an argument is out of range.
+        """
+        length, which = _checks.count("steps", steps, 1), self._output(output)
+        period = (self.dt or 1.0) if dt is None else _checks.positive("dt", dt)
+
+        def steps_of(thetas: Array) -> Array:
+            found = np.empty((len(thetas), self.B.shape[1], length))
+            for row, theta in zip(found, thetas, strict=True):
+                A, B, C, D = self._matrices(theta)
+                x = np.zeros(B.shape)
+                for k in range(length):
+                    row[:, k] = C[which] @ x + D[which]
+                    x = A @ x + B
+            return found
+
+        center = steps_of(self.theta[None])[0]
+        low, high, sampled = bands(self._stable, self.theta, self.P, steps_of, level, rng)
+        one, time = _squeezed, period * np.arange(length, dtype=float)
+        return StepResponse(time, one(center), one(center + low), one(center + high), float(level), one(sampled))
+
+    # Helpers.
+
+    def _output(self, output: Any) -> int:
+        """Return the number of an output or raise."""
+        if _checks.count("output", output) >= len(self.C):
+            raise ValueError(f"output: expected 0 to {len(self.C) - 1}, got {output}")
+        return int(output)
+
+    def _matrices(self, theta: Array) -> tuple[Array, Array, Array, Array]:
+        """Return A, B, C and D of other parameters."""
+        n, (p, m) = len(self.A), self.D.shape
+        ends = np.cumsum([n * n, n * m, p * n, p * m])
+        D = theta[ends[2] : ends[3]].reshape(p, m) if self.structure.feedthrough else self.D
+        A, B, C = np.split(theta[: ends[2]], ends[:2])
+        return A.reshape(n, n), B.reshape(n, m), C.reshape(p, n), D
+
+    def _stable(self, theta: Array) -> bool:
+        """Tell whether the model is stable for other parameters."""
+        return bool(np.abs(np.linalg.eigvals(self._matrices(theta)[0])).max() < 1.0)
+
+
+def _squeezed(rows: Any) -> Any:
+    """Return the only row, where there is one input."""
+    return rows[0] if len(rows) == 1 else rows

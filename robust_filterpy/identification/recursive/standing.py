@@ -1,0 +1,232 @@
+"""The model of a tracker as it stands: parameters, noise, level, predictions and simulations."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robust_filterpy._checks import Array
+from robust_filterpy.identification.models import coefficients
+from robust_filterpy.identification.models.estimated import EstimatedPolynomials
+from robust_filterpy.identification.models.fit import fit_percent
+from robust_filterpy.identification.models.guard import Guard
+from robust_filterpy.identification.models.regressor import Layout, Memory
+from robust_filterpy.identification.models.responses import Responses
+from robust_filterpy.identification.models.signals import one_input, recorded_input
+from robust_filterpy.identification.models.structures import Structure
+from robust_filterpy.identification.models.summary import Summary, summarized
+from robust_filterpy.identification.models.time_axis import recording
+from robust_filterpy.identification.recursive import setup, track
+from robust_filterpy.identification.recursive.recursion import Gradient, Regressor
+from robust_filterpy.identification.recursive.state import Form, State
+
+__all__ = ["Standing"]
+
+
+class Standing(EstimatedPolynomials, Responses):
+    """What a filter with the parameters as its state, and a state of the recursion, say of the model."""
+
+    structure: Structure
+    filter: Any
+    form: Form
+    dt: float | None
+    _now: State
+    _regressor: Regressor
+
+    @property
+    def gradient(self) -> Gradient:
+        """What the gain is computed from: "filtered" or "pseudolinear"."""
+        return str(self.form.gradient[0])  # type: ignore[return-value]
+
+    @property
+    def guard(self) -> Guard:
+        """What happens to an unstable step: "halve", "reject" or "none"."""
+        return str(self.form.guard[0])  # type: ignore[return-value]
+
+    @property
+    def theta(self) -> Array:
+        """Parameters, shape (n,)."""
+        return np.array(self.filter.x, dtype=float).ravel()[self.form.own]
+
+    @property
+    def now(self) -> State:
+        """Everything that the recursion goes on from, as `TrackerBank` has it for many; theta, P and R the filter's."""
+        kf, scale = self.filter, self._now.scale.copy()
+        scale[0, 0] = setup.told_variance(kf)
+        x, P = np.array(kf.x, dtype=float).reshape(1, -1), np.array(kf.P, dtype=float)[None]
+        return self._now._replace(theta=x, P=P, scale=scale)
+
+    @property
+    def offset(self) -> float:
+        """Constant of the equation: what an OutputError, FIR or LinearRegression adds to the output; 0 without one."""
+        a, f = self._rest_gains
+        return float(self._now.centre[0]) * a + (self._constant / f if abs(f) > 1e-9 else 0.0)
+
+    @property
+    def level(self) -> float:
+        """What the output is at rest; the centre that was taken off y if the model integrates."""
+        a, f = self._rest_gains
+        return float(self._now.centre[0]) + (self._constant / (a * f) if abs(a * f) > 1e-9 else 0.0)
+
+    @property
+    def _constant(self) -> float:
+        """Constant in phi' theta, for outputs from the centre."""
+        return float(np.ravel(self.filter.x)[self.structure.constant_place]) if self.form.has_offset else 0.0
+
+    @property
+    def _rest_gains(self) -> tuple[float, float]:
+        """A(1) and F(1)."""
+        theta, places = self.theta, self.structure.polynomials
+        return 1.0 + float(theta[places.a].sum()), 1.0 + float(theta[places.f].sum())
+
+    @property
+    def regressor(self) -> Regressor:
+        """Which outputs phi holds: "measured" or "cleaned"."""
+        return self._regressor
+
+    @property
+    def P(self) -> Array:
+        """Covariance of the parameters, shape (n, n)."""
+        return np.array(self.filter.P, dtype=float)[np.ix_(self.form.own, self.form.own)]
+
+    @property
+    def Q(self) -> Array:
+        """Covariance of a step of theta (paper 8), shape (n, n); may be set, to a number q for q I."""
+        return np.array(self.filter.Q, dtype=float)[np.ix_(self.form.own, self.form.own)]
+
+    @Q.setter
+    def Q(self, value: ArrayLike) -> None:
+        own = self.form.own
+        self.filter.Q = setup.embedded(self.filter.Q, own, setup.checked_values(len(own), Q=value)["Q"])
+
+    @property
+    def R(self) -> float:
+        """Variance of the ordinary noise, as it is followed; may be set, and is then no longer followed."""
+        return setup.noise_variance(self.filter)
+
+    @R.setter
+    def R(self, value: float) -> None:
+        self.filter.R = setup.checked_values(self.form.layout.n, R=value)["R"]
+        self._now = self._now._replace(scale=self._now.scale * [1.0, 1.0, 1.0, 0.0])
+
+    @property
+    def _noise_samples(self) -> float:
+        """How many samples R stands on; one that is told is known."""
+        return float(self._now.scale[0, 3]) or np.inf
+
+    @property
+    def F(self) -> Array:
+        """Transition matrix C of (9), shape (n, n); may be set."""
+        return np.array(self.filter.F, dtype=float)[np.ix_(self.form.own, self.form.own)]
+
+    @F.setter
+    def F(self, value: ArrayLike) -> None:
+        own = self.form.own
+        self.filter.F = setup.embedded(self.filter.F, own, setup.checked_values(len(own), F=value)["F"])
+
+    @property
+    def forgetting(self) -> float:
+        """Forgetting factor, in (0, 1]; may be set."""
+        return float(getattr(self.filter, "alpha", 1.0)) ** -2
+
+    @forgetting.setter
+    def forgetting(self, value: float) -> None:
+        setup.forget(self.filter, value)
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations of the parameters, shape (n,); infinite until the start has found a model."""
+        std = np.sqrt(np.maximum(self.P.diagonal(), 0.0))
+        return std if self._now.begun[0] else np.full(std.shape, np.inf)
+
+    def _summarized(self, level: float) -> Summary:
+        """Return the table, with what was found beside the parameters."""
+        facts = {"R": f"{self.R:.4g}", "Level": f"{self.level:.4g}", "Forgetting": f"{self.forgetting:.4g}"}
+        if self.dt is not None:
+            facts["Sampling period"] = f"{self.dt:.6g} s"
+        waiting = "" if self._now.begun[0] else "the start has not found a model yet"
+        return summarized(str(self.structure), facts, self.structure.names, self.theta, self.std, level, waiting)
+
+    def predict(self, u: ArrayLike | None = None) -> float:
+        """Predict the next output, phi(k+1)' theta (paper 22), and change nothing.
+
+        Parameters
+        ----------
+        u : array_like, shape (n_inputs,), or float, optional
+            The next input; needed if it acts at once (nk = 0).
+
+        Returns
+        -------
+        float
+
+        Raises
+        ------
+        ValueError
+            If the next input is needed and not given.
+        """
+        setup.require_next_input(self.structure, u)
+        values = np.zeros(self.structure.n_inputs) if u is None else one_input(self.structure, u)
+        using = self._using(False)._replace(F=setup.matrix_of(self.filter, "F", np.eye(self.form.layout.n))[None])
+        return float(track.predicted(self.form, using, self.now, values[None])[0])
+
+    def simulate(self, u: ArrayLike, *, continued: bool = False) -> Array:
+        """Run the model as it stands on inputs alone, without measurements: y = B/A u.
+
+        Parameters
+        ----------
+        u : array_like, shape (N,) or (N, n_inputs)
+            Input.
+        continued : bool, default False
+            Whether the run goes on where the tracker is, with its past inputs and outputs; otherwise it starts at
+            rest.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+
+        Raises
+        ------
+        ValueError
+            If u does not fit or is not finite, or the output of an unstable model overflows.
+        """
+        axis, u = recording(self.structure, u=u)
+        axis.require_period(self.dt)
+        signal = recorded_input(self.structure, u, None)
+        x = np.array(self.filter.x, dtype=float).ravel()
+        if continued:
+            layout, with_constant = self.form.layout, self.form.with_constant(signal)
+            memory = self._now.past.memory(layout, 0)
+            y = coefficients.simulate(self.structure, layout, memory, x, with_constant) + self._now.centre[0]
+        else:
+            layout = Layout(self.structure)
+            y = coefficients.simulate(self.structure, layout, Memory(layout), x[self.form.own], signal) + self.level
+        return axis.series(y, "simulated")
+
+    @staticmethod
+    def fit(y: ArrayLike, y_model: ArrayLike) -> float:
+        """Compute the normalised root-mean-square fit, 100 (1 - ||y - y_model||/||y - mean(y)||), in percent.
+
+        Parameters
+        ----------
+        y : array_like, shape (N,)
+            Measured output; NaN does not count.
+        y_model : array_like, shape (N,)
+            Output of the model.
+
+        Returns
+        -------
+        float
+            100 is perfect, 0 no better than the mean.
+
+        Raises
+        ------
+        ValueError
+            If the shapes differ or y is constant.
+        """
+        return fit_percent(y, y_model)
+
+    def _using(self, recorded: bool) -> track.Settings:
+        """Return what may have been changed since the last call; recorded: whether the kernel may serve."""
+        raise NotImplementedError
