@@ -8,12 +8,15 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 from robust_filterpy import _checks, kernel
+from robust_filterpy._filterpy import ExtendedKalmanFilter
 from robust_filterpy._version import __version__
+from robust_filterpy.edge.extended_model import described_extended, is_extended
 from robust_filterpy.edge.filter_model import described_filter
 from robust_filterpy.edge.mixture_model import described_mixture
 from robust_filterpy.edge.text import REALS, Described, comment, rendered, table
 from robust_filterpy.edge.tracker_model import described_tracker
 from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter
+from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.identification import Model, ParameterTracker
 
@@ -32,7 +35,7 @@ class Exported(NamedTuple):
 
 
 def export_c(
-    model: RobustKalmanFilter | AdaptiveKalmanFilter | ParameterTracker,
+    model: RobustKalmanFilter | AdaptiveKalmanFilter | RobustExtendedKalmanFilter | ParameterTracker,
     path: str | os.PathLike[str],
     *,
     precision: Precision = "double",
@@ -47,8 +50,10 @@ def export_c(
 
     Parameters
     ----------
-    model : RobustKalmanFilter, AdaptiveKalmanFilter or ParameterTracker
-        What to export, with its present state; a tracker's start must be over.
+    model : RobustKalmanFilter, AdaptiveKalmanFilter, RobustExtendedKalmanFilter or ParameterTracker
+        What to export, with its present state; a tracker's start must be over. The measurement function of an extended
+        filter and its Jacobian are C functions of yours, which its header declares; so is the motion, where
+        `predict_x` is overridden.
     path : path-like
         The C file, such as "cart.c", in a folder that exists; the header stands beside it. Its stem is the prefix of
         all names in C.
@@ -98,6 +103,8 @@ def export_c(
                 'float can be, got "single"'
             )
         found = (described_mixture if mixes else described_filter)(model, name)  # type: ignore[arg-type]
+    elif is_extended(model):
+        found = described_extended(model, name)  # type: ignore[arg-type]
     elif type(model) is ParameterTracker:
         found = described_tracker(model, name)
     else:
@@ -110,6 +117,7 @@ def export_c(
         "largest": "1e150" if precision == "double" else "1e15", "version": __version__,
     }  # fmt: skip
     exported = Exported(source, source.with_suffix(".h"))
+    values |= {part: rendered(text, values) for part, text in found.parts.items()}
     texts = (_code(found, values, name, precision), _tidy(rendered(f"{found.header or found.text}.h", values)))
     for file, text in zip(exported, texts, strict=True):
         file.write_text(text, encoding="ascii")
@@ -165,8 +173,12 @@ def _remedy(model: Any) -> str:
         return "export each of its filters"
     if isinstance(model, ParameterTracker):
         return "a subclass may do anything: pass the tracker that it is made of"
-    if hasattr(model, "HJacobian") or hasattr(model, "points_fn") or "Extended" in type(model).__name__:
-        return "export a RobustKalmanFilter with the F and H of a working point"
+    if isinstance(model, RobustExtendedKalmanFilter):
+        return "a subclass may override predict_x alone: its update or predict is not the C's"
+    if isinstance(model, ExtendedKalmanFilter):
+        return "export a RobustExtendedKalmanFilter with the same x, P, F, Q and R"
+    if hasattr(model, "points_fn") or hasattr(model, "sigmas_f"):
+        return "export a RobustExtendedKalmanFilter, or a RobustKalmanFilter with the F and H of a working point"
     if all(hasattr(model, matrix) for matrix in "FHQR"):
         return (
             "export a RobustKalmanFilter with the same x, P, F, H, Q, R and B; with influence=Linear() it is the plain "

@@ -12,6 +12,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.spread import NUMBERS, begin
 from robust_filterpy.edge.text import Described
+from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 
 # Parameters of each psi, by the name of its scalar form.
@@ -27,7 +28,7 @@ _FIELDS: Final[dict[str, tuple[str, ...]]] = {
 _SLACK: Final = 1e-12
 
 
-def described_filter(kf: RobustKalmanFilter, name: str) -> Described:
+def described_filter(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name: str) -> Described:
     """Return what the C of a filter is made of, or raise."""
     require_plain(kf, "model")
     choices = kf.choices
@@ -43,7 +44,7 @@ def described_filter(kf: RobustKalmanFilter, name: str) -> Described:
         # Before its first correction a filter remembers no sensor.
         start["memory"] = finite("memory", kf._memory if len(kf._memory) == m else begin(m), (m, NUMBERS))
     return Described(
-        f"{name}: RobustKalmanFilter(dim_x={n}, dim_z={m}), {shown(choices)}",
+        f"{name}: {type(kf).__name__}(dim_x={n}, dim_z={m}), {shown(choices)}",
         ("real", "psi", "prediction", "correction", *(("joint",) if joint else ()), "spread", "update"), "filter",
         {**matrix_values(model, name), **choice_values(choices, name)}
         | {
@@ -60,7 +61,7 @@ def described_filter(kf: RobustKalmanFilter, name: str) -> Described:
     {name}_real weight[{m}]; /* psi(e)/e: 1 is full trust; NaN where missing */""",
             "influence_fields": influence_declarations(choices, name),
         },
-        model, start,
+        model, start, parts={"refusal": "refusal.c"},
     )  # fmt: skip
 
 
@@ -80,21 +81,29 @@ def _require_joint(choices: Choices, R: Array) -> None:
         )
 
 
-def matrices(kf: RobustKalmanFilter) -> dict[str, Any]:
+def matrices(kf: RobustKalmanFilter | RobustExtendedKalmanFilter) -> dict[str, Any]:
     """Return the matrices of a filter, as the model in C has them, or raise."""
     n, m, B = kf.dim_x, kf.dim_z, _control(kf.B, kf.dim_x)
-    F, H = finite("F", kf.F, (n, n)), finite("H", kf.H, (m, n))
+    F = finite("F", kf.F, (n, n))
+    H = {"H": finite("H", kf.H, (m, n))} if isinstance(kf, RobustKalmanFilter) else {}
     Q, R = symmetric("Q", process_noise(kf.Q, None, n)), symmetric("R", noise_covariance(kf.R, None, m))
-    found = {"F": F, **({} if B is None else {"B": B}), "Q": Q, "H": H, "R": R}
-    return found if kf._alpha_sq == 1.0 else found | {"alpha_sq": kf._alpha_sq}
+    alpha_sq = kf._alpha_sq if isinstance(kf, RobustKalmanFilter) else 1.0
+    found = {"F": F, **({} if B is None else {"B": B}), "Q": Q, **H, "R": R}
+    return found if alpha_sq == 1.0 else found | {"alpha_sq": alpha_sq}
 
 
 def matrix_values(model: dict[str, Any], name: str) -> dict[str, str]:
     """Return what the C of a filter with these matrices has for them."""
     fades = "alpha_sq" in model
     return _control_values(model["B"].shape[1] if "B" in model else 0, name) | {
-        "n": str(len(model["F"])),
-        "m": str(len(model["H"])),
+        "n": str(n := len(model["F"])),
+        "m": str(m := len(model["R"])),
+        "sensor_field": f"    {name}_real H[{m} * {n}]; /* z(k) = H x(k) + v(k) */",
+        "innovation": "z - H x",
+        **dict.fromkeys(
+            ("example_motion", "example_sensor", "motion_parameter", "sensor_parameter", "or_functions", "functions"),
+            "",
+        ),
         "alpha_sq": "model->alpha_sq" if fades else "REAL(1.0)",
         "alpha_field": f"    {name}_real alpha_sq; /* P is multiplied by it at each prediction */" if fades else "",
     }
@@ -163,10 +172,11 @@ def require_plain(kf: Any, name: str) -> None:
     """Raise unless a filter does what the C of a `RobustKalmanFilter` does."""
     require_own(kf, name)
     if not kf._policy.by_kernel:
+        off = ", ".join(f"{word}=None" for word in ("noise", "process", "patience") if getattr(kf, word) is not None)
         raise ValueError(
-            f"{name}: expected bounded influence without patience, or, of a filter, noise told or learnt "
+            f"{name}: expected bounded influence without patience, or, of a linear filter, noise told or learnt "
             f"sensor by sensor with process=None or Scales, of which there is C, got noise={kf.noise!r}, "
-            f"process={kf.process!r}, patience={kf.patience!r}"
+            f"process={kf.process!r}, patience={kf.patience!r}; set {off} before the export"
         )
     if kf.choices.pointwise is None or _kind(kf.choices) not in _FIELDS:
         raise ValueError(

@@ -36,6 +36,8 @@ class Described:
     start: Mapping[str, Any] = field(default_factory=dict)
     #: The text of its header, if that is another one's.
     header: str = ""
+    #: Names that stand for texts of their own.
+    parts: Mapping[str, str] = field(default_factory=dict)
 
 
 def rendered(name: str, values: Mapping[str, str]) -> str:

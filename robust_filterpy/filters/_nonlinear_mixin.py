@@ -9,6 +9,7 @@ import numpy as np
 
 from robust_filterpy._arrays import measured
 from robust_filterpy._checks import Array, described, numbers
+from robust_filterpy.correction.definition import innovation_moments
 from robust_filterpy.filters._mixin import RobustFilterMixin, unchanged_if_refused, whole
 from robust_filterpy.kernel import moments
 
@@ -33,12 +34,13 @@ class NonlinearFilterMixin(RobustFilterMixin):
     _SI: Any
 
     def _corrected(
-        self, P: Array, z: Array, y: Array, C: Array, S: Array, R: Array, H: Array | None,
-        residual: Callable[[Any, Any], Any], shape: tuple[int, ...],
+        self, P: Array, z: Array, y: Array, C: Array, S: Array | None, R: Array, residual: Callable[[Any, Any], Any],
+        shape: tuple[int, ...],
     ) -> tuple[Any, Any]:  # fmt: skip
         """Return the correction of a state at 0 by an innovation, and what the policy keeps; changes nothing.
 
-        shape is that of a measurement as residual is handed it.
+        C and S are the innovation's moments, or the Jacobian H and None. shape is that of a measurement as residual is
+        handed it.
         """
 
         def difference(y: Array, before: Array) -> Array:
@@ -54,6 +56,10 @@ class NonlinearFilterMixin(RobustFilterMixin):
             taken = moments.correct(self._choices, known.memory, P, z, y, C, S, R)
             if taken is not None:
                 return taken, known.kept
+        H = None
+        if S is None:
+            H = C
+            C, S = innovation_moments(P, H, R)
         return self._policy.corrected_by_moments(  # type: ignore[no-any-return]
             known, np.zeros(len(P)), P, z, y, C, S, R, H, self._inverse, difference
         )

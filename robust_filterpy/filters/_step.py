@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
-from robust_filterpy import kernel
+import numpy as np
+
+from robust_filterpy import _checks, kernel
+from robust_filterpy._checks import Array
 from robust_filterpy.filters._mixin import Snapshot
 from robust_filterpy.filters._outlier_share import EVERY
 
@@ -25,6 +29,16 @@ def predict(kf: Any, u: Any) -> bool:
     if kf._policy.by_kernel:
         return bool(_extension.predict(kf, u))
     return kf._policy.rule is not None and _extension.predict_mixture(kf, u)
+
+
+def predicted(x: Array, P: Array, F: Array, Q: Array, B: Any, u: Any) -> tuple[Array, Array] | None:
+    """Return F x + B u and F P F' + Q if that is ordinary."""
+    if _extension is None or (np.ndim(B) and len(B) != len(P)):
+        return None
+    still = u is None or not np.ndim(B) or (np.ndim(u) == 0 and u == 0)
+    now = SimpleNamespace(dim_x=len(P), x=x, P=P, F=F, Q=Q, _alpha_sq=1.0, B=B)
+    given = None if still else np.atleast_1d(_checks.numbers("u", u))
+    return (now.x, now.P) if _extension.predict(now, given) else None
 
 
 def correct(kf: Any, z: Any, R: Any, H: Any, M: Any) -> bool:

@@ -194,7 +194,7 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
             return
         apart, seen = self.sigmas - self.x, predicted - mean
         C, S = apart.T @ seen / (self.N - 1), seen.T @ seen / (self.N - 1) + R
-        last, kept = self._corrected(self.P, values, y, C, S, R, None, np.subtract, (m,))
+        last, kept = self._corrected(self.P, values, y, C, S, R, np.subtract, (m,))
         require_finite(x=self.x + last.x)
         noise = self.rng.multivariate_normal(np.zeros(m), R, self.N)
         self.sigmas = self.sigmas + last.x + (noise - seen) @ self._shrinking(last, C).T

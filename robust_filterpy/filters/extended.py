@@ -21,6 +21,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._filterpy import ExtendedKalmanFilter
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.policies import Contaminated, Learnt
+from robust_filterpy.filters import _step
 from robust_filterpy.filters._mixin import whole
 from robust_filterpy.filters._nonlinear_mixin import (
     NonlinearFilterMixin,
@@ -149,11 +150,16 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
             If a shape does not fit, Q is negative or not symmetric, or the prediction not finite; nothing has changed
             then.
         """
-        _, P = state_of(self)
+        x, P = state_of(self)
         n = len(P)
         F, Q = _checks.matrix("F", self.F, (n, n), "dim_x"), process_noise(self.Q, None, n)
-        self.predict_x(u)
-        self.P = F.dot(P).dot(F.T) + Q
+        linear = type(self).predict_x is RobustExtendedKalmanFilter.predict_x and "predict_x" not in vars(self)
+        found = _step.predicted(x, P, F, Q, self.B, u if linear else None)
+        if found is not None and linear:
+            self.x = found[0]
+        else:
+            self.predict_x(u)
+        self.P = F.dot(P).dot(F.T) + Q if found is None else found[1]
         require_finite_prediction(*state_of(self))
         self.x_prior, self.P_prior = np.copy(self.x), np.copy(self.P)
 
@@ -307,6 +313,5 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         if values is None:
             self._skip()
             return
-        C = P @ H.T
-        last, kept = self._corrected(P, values, y, C, H @ C + R, R, H, residual, np.shape(at) or (1,))
+        last, kept = self._corrected(P, values, y, H, None, R, residual, np.shape(at) or (1,))
         self._keep(last._replace(x=x.ravel() + last.x), kept, values)

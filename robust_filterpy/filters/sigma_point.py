@@ -43,7 +43,7 @@ class _SigmaPoint(NonlinearFilterMixin):
             self._skip()
             return
         add = getattr(self, "state_add", np.add)
-        last, kept = self._corrected(P, values, y, C, S, R, None, residual, np.shape(zp))
+        last, kept = self._corrected(P, values, y, C, S, R, residual, np.shape(zp))
         last = last._replace(x=np.asarray(add(x.ravel(), last.x), dtype=float))
         require_finite(x=last.x)
         self._keep(last, kept, values)

@@ -1,22 +1,35 @@
-/* A correction by an innovation of which the moments are known and no H: that of a nonlinear sensor. */
+/* A correction by an innovation that is not z - H x: that of a nonlinear sensor. */
 #ifndef ROBUST_FILTERPY_MOMENTS_H
 #define ROBUST_FILTERPY_MOMENTS_H
 
 #include "update.h"
 
-/* Correct x and P in place by an innovation: c holds y, C, S and left, z are the readings, R is what of S is noise. A jump that makes P grow
-   is for the definition; return whether all was ordinary. shown: written, S (m, m), C (m, n) and y (m) as told. memory and
-   work as in update. */
+#define update_moments_work(n, m) (update_work(n, m) + (size_t)((m) * (m) + (m) * (n) + (m)))
+
+/* Correct x and P in place, x a state at 0, by an innovation y (m), NaN where missing; z (m) are its readings, R is
+   what of S is noise. H (m, n) is the Jacobian; or NULL, and then c holds C and S, and a jump that makes P grow is for
+   the definition. Return whether all was ordinary. memory as in update. work: update_moments_work, of which c took
+   the beginning; after update_work it holds S (m, m), C (m, n) and y (m) as a filter shows them. */
 INLINE int update_moments(const int n, const int m, const correction_rule *const rule, const real *RESTRICT z,
-                          const real *RESTRICT R, spread_memory *const memory, real *RESTRICT x, real *RESTRICT P, correction *const c,
-                          real *shown, real *work) {
+                          const real *RESTRICT y, const real *RESTRICT H, const real *RESTRICT R,
+                          spread_memory *const memory, real *RESTRICT x, real *RESTRICT P, correction *const c,
+                          real *work) {
     real *spread = work + correction_work(n, m), *rest = spread + m;
+    real *RESTRICT S = work + update_work(n, m), *RESTRICT shown = S + m * m + m * n, check = 0;
     spread_memory *const learnt = (spread_memory *)rest;
     spread_change change = {NULL, NULL, NULL, 0, 0};
-    real *RESTRICT S = shown, *RESTRICT y = shown + m * m + m * n;
+    c->observed = 0;
+    for (int i = 0; i < m; i++) {
+        const int seen = y[i] == y[i];
+        shown[i] = c->y[i] = seen ? y[i] : 0;
+        c->left[i] = seen ? REAL(1.0) : REAL(0.0);
+        c->observed += seen;
+        check += real_abs(c->y[i]);
+    }
+    if (c->observed == 0 || !(check < REAL_ORDINARY)) return 0;
+    if (H) (void)innovate(n, m, y, x, P, H, R, NULL, c);
     real_copy(m * m, c->S, S);
-    real_copy(m * n, c->C, shown + m * m);
-    real_copy(m, c->y, y);
+    real_copy(m * n, c->C, S + m * m);
     if (rule->scaling != SCALING_LEARNT) {
         if (!correct_grouped(n, m, rule, NULL, x, P, c)) return 0;
         return rule->scaling != SCALING_UNIT || update_is_positive(n, P, rest);
@@ -26,7 +39,14 @@ INLINE int update_moments(const int n, const int m, const correction_rule *const
         if (c->left[i] != 0 && !(S[i * m + i] > 0)) return 0;
     }
     spread_before(n, m, z, P, R, c, learnt, &change, rest + SPREAD_NUMBERS * m);
-    if (change.grows) return 0;
+    if (change.grows) {
+        if (!H) return 0;
+        for (int k = 0; k < n; k++)
+            for (int j = 0; j < n; j++) P[k * n + j] *= change.growth[k] * change.growth[j];
+        (void)innovate(n, m, y, x, P, H, R, NULL, c);
+        real_copy(m * m, c->S, S);
+        real_copy(m * n, c->C, S + m * m);
+    }
     for (int i = 0; i < m; i++) {
         c->S[i * m + i] += change.charge[i];
         spread[i] = change.width[i] / real_sqrt(c->S[i * m + i]);
@@ -34,7 +54,7 @@ INLINE int update_moments(const int n, const int m, const correction_rule *const
     if (!correct_grouped(n, m, rule, spread, x, P, c)) return 0;
     for (int i = 0; i < m; i++) {
         if (c->weights[i] != c->weights[i]) continue;
-        learnt[i].rest = y[i];
+        learnt[i].rest = shown[i];
         for (int k = 0; k < m; k++) learnt[i].rest -= (S[i * m + k] - R[i * m + k]) * c->v[k];
     }
     for (int i = 0; i < m; i++) memory[i] = learnt[i];

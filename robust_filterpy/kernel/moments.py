@@ -1,4 +1,4 @@
-"""A correction by an innovation of which the moments are known, by the kernel: that of a nonlinear sensor."""
+"""A correction by an innovation that is not z - H x, by the kernel: that of a nonlinear sensor."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Taken(NamedTuple):
 
 
 def correct(
-    choices: Choices, memory: Array, P: Array, z: Array, y: Array, C: Array, S: Array, R: Array
+    choices: Choices, memory: Array, P: Array, z: Array, y: Array, C: Array, S: Array | None, R: Array
 ) -> Taken | None:
     """Correct a state at 0: `robust_filterpy.correction.definition.correct` and `correct_by_custom`.
 
@@ -50,7 +50,7 @@ def correct(
     memory : ndarray, shape (m, 10)
         What is known of the sensors; not changed.
     P, z, y, C, S, R
-        As there.
+        As there; or the Jacobian H, shape (m, n), as C, and None as S.
 
     Returns
     -------
@@ -60,6 +60,6 @@ def correct(
     extension, what = kernel.extension(), rule(choices)
     if extension is None or what is None:
         return None
-    arrays = (np.ascontiguousarray(a) for a in (P, z, y, C, S, R))
+    arrays = (None if a is None else np.ascontiguousarray(a) for a in (P, z, y, C, S, R))
     found = extension.correct_moments(what, *arrays, memory)
     return None if found is None else Taken(*found)

@@ -242,58 +242,61 @@ static PyObject *correct_step(PyObject *self, PyObject *const *arguments, Py_ssi
     return answer(&h, take_correction(&h, arguments[0], arguments[1], arguments + 2));
 }
 
-/* Correct a state at 0 by an innovation of which the moments are known: (rule, P, z, y, C, S, R, memory or None); the answer
-   is (x, P, record, memory), or None where that is for the definition. */
+/* Correct a state at 0 by an innovation: (rule, P, z, y, C, S, R, memory or None), or the Jacobian H in the place of C and
+   None in that of S; the answer is (x, P, record, memory), or None where that is for the definition. */
 static PyObject *correct_moments(PyObject *self, PyObject *const *given, Py_ssize_t count) {
     held h = {.count = 0};
     correction_rule rule;
     correction c;
     PyObject *x, *P_next, *record, *learnt = Py_None, *found = NULL;
-    const double *P, *z, *y, *C, *S, *R, *memory = NULL;
-    double stack[STACK_WORK], *work, *values, check = 0;
-    int fine = 1;
+    const double *P, *z, *y, *C, *S = NULL, *R, *H = NULL, *memory = NULL;
+    double stack[STACK_WORK], *work, *values;
+    int fine;
     (void)self;
     if (count != 8) {
         PyErr_SetString(PyExc_TypeError, "correct_moments: expected rule, P, z, y, C, S, R and memory");
         return NULL;
     }
+    const int linear = given[5] == Py_None;
     if (!rule_of(given[0], &rule) || !is_array(given[4], 2)) Py_RETURN_NONE;
-    const npy_intp n = PyArray_DIM((PyArrayObject *)given[4], 0), m = PyArray_DIM((PyArrayObject *)given[4], 1);
+    const npy_intp n = PyArray_DIM((PyArrayObject *)given[4], linear), m = PyArray_DIM((PyArrayObject *)given[4], !linear);
     P = matrix_of(given[1], n, n), z = vector_of(given[2], m), y = vector_of(given[3], m);
-    C = matrix_of(given[4], n, m), S = matrix_of(given[5], m, m), R = matrix_of(given[6], m, m);
-    if (n < 1 || m < 1 || n > 10000 || m > 10000 || !P || !z || !y || !C || !S || !R) Py_RETURN_NONE;
+    C = linear ? matrix_of(given[4], m, n) : matrix_of(given[4], n, m), R = matrix_of(given[6], m, m);
+    if (n < 1 || m < 1 || n > 10000 || m > 10000 || !P || !z || !y || !C || !R) Py_RETURN_NONE;
+    if (linear) {
+        H = C;
+    } else {
+        S = matrix_of(given[5], m, m);
+        if (!S || !is_symmetric(S, m)) Py_RETURN_NONE;
+    }
     if (rule.scaling == SCALING_LEARNT) {
         memory = matrix_of(given[7], m, SPREAD_NUMBERS);
         if (!memory || !all_finite(memory, m * SPREAD_NUMBERS)) Py_RETURN_NONE;
     }
-    if (!is_symmetric(P, n) || !is_symmetric(S, m) || !all_finite(C, n * m)) Py_RETURN_NONE;
+    if (!is_symmetric(P, n) || !is_symmetric(R, m) || !all_finite(C, n * m)) Py_RETURN_NONE;
     x = hold(&h, new_array(1, n, 0));
     P_next = x ? hold(&h, new_array(2, n, n)) : NULL;
     record = P_next ? hold(&h, new_array(1, RECORD(n, m), 0)) : NULL;
     if (record && memory) learnt = hold(&h, new_array(2, m, SPREAD_NUMBERS));
-    work = record && learnt ? work_of(stack, update_work((int)n, (int)m) + (size_t)(m * m + m * n + m)) : NULL;
+    work = record && learnt ? work_of(stack, update_moments_work((int)n, (int)m)) : NULL;
     if (!work) {
         Py_XDECREF(answer(&h, 0));
         return NULL;
     }
     values = numbers_of(record);
     correction_begin((int)n, (int)m, 1, &c, work);
-    c.observed = 0;
-    for (npy_intp i = 0; i < m; i++) {
-        const int seen = y[i] == y[i];
-        c.y[i] = seen ? y[i] : 0, c.left[i] = seen, c.observed += seen;
-        check += fabs(c.y[i]);
-        for (npy_intp k = 0; k < n; k++) c.C[i * n + k] = C[k * m + i];
+    if (S) {
+        for (npy_intp i = 0; i < m; i++)
+            for (npy_intp k = 0; k < n; k++) c.C[i * n + k] = C[k * m + i];
+        real_copy((int)(m * m), S, c.S);
     }
-    real_copy((int)(m * m), S, c.S);
     real_copy((int)(n * n), P, numbers_of(P_next));
     for (npy_intp k = 0; k < n; k++) numbers_of(x)[k] = 0;
     if (memory) real_copy((int)(SPREAD_NUMBERS * m), memory, numbers_of(learnt));
-    fine = c.observed > 0 && check < REAL_ORDINARY;
+    fine = update_moments((int)n, (int)m, &rule, z, y, H, R, memory ? (spread_memory *)numbers_of(learnt) : NULL,
+                          numbers_of(x), numbers_of(P_next), &c, work);
     if (fine) {
-        double *const shown = work + update_work((int)n, (int)m);
-        fine = update_moments((int)n, (int)m, &rule, z, R, memory ? (spread_memory *)numbers_of(learnt) : NULL, numbers_of(x),
-                              numbers_of(P_next), &c, shown, work);
+        const double *const shown = work + update_work((int)n, (int)m);
         begin_record(values, n, m, &rule, &c);
         real_copy((int)m, shown + m * m + m * n, values + 4);
         real_copy((int)(m * m + m * n), shown, values + 4 + 7 * m);

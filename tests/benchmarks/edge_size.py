@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from robust_filterpy import RobustKalmanFilter
+from robust_filterpy import Contaminated, Learnt, RobustExtendedKalmanFilter, RobustKalmanFilter
 from robust_filterpy.edge import export_c
 from robust_filterpy.identification import ARX, OutputError, ParameterTracker
 
@@ -41,10 +41,20 @@ def kinematic(axes, **choices):
     return kf
 
 
+def lighthouse():
+    """A position and velocity of which the distance to a point is measured."""
+    kf = RobustExtendedKalmanFilter(2, 1)
+    kf.F[0, 1] = 0.1
+    return kf
+
+
 MODELS = {
     "position and velocity": kinematic(1),
     "the same in the plane": kinematic(2),
     "the same in space": kinematic(3),
+    "position and velocity, extended": lighthouse(),
+    "position and velocity, noise told": kinematic(1, noise=Contaminated()),
+    "position and velocity, noise learnt": kinematic(1, noise=Learnt()),
     "ARX(2, 2), R told": ParameterTracker(ARX(2, 2), start=0, R=1.0),
     "OutputError(2, 2), R followed": ParameterTracker(OutputError(2, 2), start=0, offset=True),
     "OutputError(4, 4), R followed": ParameterTracker(OutputError(4, 4), start=0, offset=True),
@@ -98,6 +108,8 @@ def main():
     print("| | numbers | state | model | code | stack |\n|---|---|---|---|---|---|")
     for name, model in MODELS.items():
         for precision, real in (("double", "double"), ("single", "float")):
+            if precision == "single" and "noise" in name:
+                continue
             print(f"| {name} | {real} | {' | '.join(str(v) for v in measured(model, precision, arguments))} |")
 
 

@@ -303,7 +303,18 @@ def tracker(**options):
 REFUSED = {
     "bank": (lambda: TrackerBank(2, ARX(1, 1)), TypeError, r"model\.tracker\(\.\.\)"),
     "filterpy's filter": (lambda: filterpy.kalman.KalmanFilter(2, 1), TypeError, "influence=Linear"),
-    "extended": (lambda: robust_filterpy.RobustExtendedKalmanFilter(2, 1), TypeError, "working point"),
+    "unscented": (
+        lambda: robust_filterpy.RobustUnscentedKalmanFilter(
+            2, 1, 1.0, len, len, filterpy.kalman.JulierSigmaPoints(2, 1.0)
+        ),
+        TypeError,
+        "working point",
+    ),
+    "patience": (
+        lambda: RobustKalmanFilter(2, 1, scaling="innovation", patience=5),
+        ValueError,
+        "set patience=None before",
+    ),
     "several": (
         lambda: filterpy.kalman.IMMEstimator([plain(), plain()], np.ones(2) / 2, np.full((2, 2), 0.5)),
         TypeError,

@@ -62,6 +62,31 @@ def test_it_is_the_definition(influence, grouping, scaling):
     assert taken > 150
 
 
+@pytest.mark.parametrize("grouping", ["component", "joint"])
+def test_with_a_jacobian_it_is_the_definition_where_p_grows_too(grouping):
+    choices, grew = Choices(Huber(), "learnt", grouping=grouping), 0
+    for seed in range(90):
+        P, y, C, _, R = problem(seed)
+        H = np.linalg.lstsq(P, C, rcond=None)[0].T
+        C, S = definition.innovation_moments(P, H, R)
+        memory = spread.begin(len(y))
+        for k in range(12):
+            # A run of innovations that keep their sign and height is a jump.
+            y_now = y * (1.0 if k < 6 else 30.0)
+            found = moments.correct(choices, memory, P, y_now, y_now, H, None, R)
+            expected = definition.correct_by_custom(memory, np.zeros(len(P)), P, y_now, y_now, C, S, R, choices, H)
+            memory = expected.memory
+            if found is None:
+                continue
+            grew += not np.allclose(expected.S, S)
+            shown = found.as_arrays()
+            for name in ("x", "P", "C", "S", "e", "weights"):
+                a, b = getattr(shown, name), getattr(expected, name)
+                np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9 * (1.0 + np.nanmax(np.abs(b), initial=0.0)))
+            np.testing.assert_allclose(found.memory, expected.memory, rtol=1e-9, atol=1e-9 * np.nanmax(np.abs(y_now)))
+    assert grew > 10
+
+
 def test_what_is_out_of_the_ordinary_is_declined():
     P, y, C, S, R = problem(3)
     choices, memory = Choices(Huber(), "learnt"), spread.begin(len(y))

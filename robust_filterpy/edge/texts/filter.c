@@ -1,30 +1,4 @@
-typedef ${name}_status Status;
-
-#define N ${NAME}_STATES
-#define M ${NAME}_SENSORS
-
-/* Why a correction was not made, from what it has left behind. */
-static Status refusal(const correction *const c, const real *const x, const real *const P)
-{
-    real check = 0;
-    for (int i = 0; i < M; i++) {
-        if (!((real_abs(c->y[i]) < REAL_ORDINARY) && (real_abs(c->S[i * M + i]) < REAL_ORDINARY))) {
-            return ${NAME}_NOT_FINITE;
-        }
-    }
-    for (int i = 0; i < M; i++) {
-        /* A sensor that was judged already is not left. */
-        if ((c->left[i] != 0) && !(c->S[i * M + i] > REAL_PIVOT * c->first[i])) {
-            const int overdone = (c->S[i * M + i] < 0) && (c->first[i] > 0);
-            return (($scaling == SCALING_UNIT) && overdone) ? ${NAME}_INDEFINITE : ${NAME}_SINGULAR;
-        }
-    }
-    for (int i = 0; i < N; i++) {
-        check += real_abs(x[i]) + real_abs(P[i * N + i]);
-    }
-    return (($scaling == SCALING_UNIT) && real_is_finite(check)) ? ${NAME}_INDEFINITE : ${NAME}_NOT_FINITE;
-}
-
+$refusal
 ${name}_status ${name}_predict(const ${name}_model *model, ${name}_state *state$predict_parameter)
 {
     ${name}_state next;

@@ -7,8 +7,8 @@
  *
  *     ${name}_state state = ${name}_start;
  *     ...
- *     ${name}_predict(&${name}_default, &state$example_u);
- *     ${name}_update(&${name}_default, &state, z, NULL);
+ *     ${name}_predict(&${name}_default, &state$example_motion$example_u);
+ *     ${name}_update(&${name}_default, &state$example_sensor, z, NULL);
  *
  * A component of z that is NaN is missing. $remark
  */
@@ -33,15 +33,17 @@ typedef enum {
     ${NAME}_BAD_ARGUMENT = 1, /* a null pointer, an input that is not finite, a measurement of $largest or more */
     ${NAME}_SINGULAR = 2,     /* S = H P H' + R has no inverse, or a sensor is told by the others to the last digit */
     ${NAME}_INDEFINITE = 3,   /* scaling "unit" would make P indefinite, or singular */
-    ${NAME}_NOT_FINITE = 4    /* x or P would overflow, or P lose a variance in rounding */
+    ${NAME}_NOT_FINITE = 4    /* x or P would overflow, or P lose a variance in rounding$or_functions */
 } ${name}_status;
+
+$functions
 
 /* The model; matrices are flat, row by row. */
 typedef struct {
     ${name}_real F[$n * $n]; /* x(k+1) = F x(k) + B u(k) + w(k) */
 $control_field
     ${name}_real Q[$n * $n]; /* covariance of w */
-    ${name}_real H[$m * $n]; /* z(k) = H x(k) + v(k) */
+$sensor_field
     ${name}_real R[$m * $m]; /* covariance of v */
 $alpha_field
 $influence_fields
@@ -58,7 +60,7 @@ $copies_fields
 
 /* What an update found of each component. */
 typedef struct {
-    ${name}_real y[$m];      /* innovation z - H x, 0 where missing */
+    ${name}_real y[$m];      /* innovation $innovation, 0 where missing */
 $shown_fields
 } ${name}_shown;
 
@@ -66,10 +68,10 @@ extern const ${name}_model ${name}_default;
 extern const ${name}_state ${name}_start;
 
 $predict_comment
-${name}_status ${name}_predict(const ${name}_model *model, ${name}_state *state$predict_parameter);
+${name}_status ${name}_predict(const ${name}_model *model, ${name}_state *state$motion_parameter$predict_parameter);
 
 /* Correct the state by a measurement z; what it found goes into `shown`, unless that is NULL. */
-${name}_status ${name}_update(const ${name}_model *model, ${name}_state *state, const ${name}_real z[$m],
+${name}_status ${name}_update(const ${name}_model *model, ${name}_state *state$sensor_parameter, const ${name}_real z[$m],
                               ${name}_shown *shown);
 
 #ifdef __cplusplus

@@ -1,0 +1,273 @@
+"""The C of an extended filter, with the user's functions in C, is the package's kernel to the last bit."""
+
+import ctypes
+import math
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import c_programs
+import filterpy.kalman
+import numpy as np
+import pytest
+from support import needs_kernel
+
+from robust_filterpy import Huber, Learnt, Linear, RobustExtendedKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy.edge import export_c
+from robust_filterpy.influence import Hampel
+from robust_filterpy.kernel.moments import Taken
+
+pytestmark = [
+    pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler"),
+    pytest.mark.filterwarnings("ignore::UserWarning"),
+]
+
+# Range and bearing of a beacon, of a state (position and velocity in the plane), and a motion with drag.
+FUNCTIONS = """
+#include "one.h"
+#include <math.h>
+#include <stddef.h>
+static void h(const double x[4], double z[2], const void *context) {
+    const double *beacon = context, a = x[0] - beacon[0], b = x[1] - beacon[1];
+    z[0] = sqrt(a * a + b * b);
+    z[1] = atan2(b, a);
+}
+static void jacobian(const double x[4], double H[8], const void *context) {
+    const double *beacon = context, a = x[0] - beacon[0], b = x[1] - beacon[1];
+    const double square = a * a + b * b, r = sqrt(square);
+    for (int i = 0; i < 8; i++) H[i] = 0;
+    H[0] = a / r, H[1] = b / r, H[4] = -b / square, H[5] = a / square;
+}
+static void residual(const double z[2], const double at[2], double y[2], const void *context) {
+    (void)context;
+    y[0] = z[0] - at[0];
+    y[1] = remainder(z[1] - at[1], 6.283185307179586);
+}
+static void f(const double x[4], double next[4], const void *context) {
+    const double dt = *(const double *)context;
+    for (int i = 0; i < 2; i++) {
+        next[i] = x[i] + dt * x[i + 2];
+        next[i + 2] = x[i + 2] - dt * 0.1 * x[i + 2] * fabs(x[i + 2]);
+    }
+}
+static void slope(const double x[4], double F[16], const void *context) {
+    const double dt = *(const double *)context;
+    for (int i = 0; i < 16; i++) F[i] = i % 5 == 0;
+    for (int i = 0; i < 2; i++) {
+        F[i * 4 + i + 2] = dt;
+        F[(i + 2) * 5] = 1 - dt * 0.2 * fabs(x[i + 2]);
+    }
+}
+static void odd(const double x[4], double z[2], const void *context) {
+    (void)x, (void)context;
+    z[0] = z[1] = NAN;
+}
+static const double beacon[] = {-30.0, 5.0}, dt = 0.1;
+const one_sensor radar = {h, jacobian, residual, beacon};
+const one_sensor broken = {odd, jacobian, NULL, beacon}, half = {h, NULL, NULL, beacon};
+const one_motion drag = {f, slope, &dt};
+"""
+A, B = -30.0, 5.0
+
+
+def h(x):
+    a, b = x[0] - A, x[1] - B
+    return np.array([math.sqrt(a * a + b * b), math.atan2(b, a)])
+
+
+def jacobian(x):
+    a, b = x[0] - A, x[1] - B
+    square = a * a + b * b
+    r = math.sqrt(square)
+    return np.array([[a / r, b / r, 0.0, 0.0], [-b / square, a / square, 0.0, 0.0]])
+
+
+def residual(z, at):
+    return np.array([z[0] - at[0], math.remainder(z[1] - at[1], 6.283185307179586)])
+
+
+class Dragged(RobustExtendedKalmanFilter):
+    """A motion of its own, and its Jacobian for the next prediction."""
+
+    def predict_x(self, u=0):
+        x, v = self.x[:2], self.x[2:]
+        self.x = np.concatenate((x + 0.1 * v, v - 0.1 * 0.1 * v * np.abs(v)))
+
+
+def slope(x):
+    F = np.eye(4) + 0.1 * np.eye(4, k=2)
+    F[[2, 3], [2, 3]] = 1.0 - 0.1 * 0.2 * np.abs(x[2:])
+    return F
+
+
+def made(cls=RobustExtendedKalmanFilter, **choices):
+    kf = cls(4, 2, 0 if cls is Dragged else 1, **choices)
+    kf.x, kf.P = np.array([1.0, -2.0, 0.5, 0.3]), np.diag([1.0, 1.0, 0.1, 0.1])
+    kf.F, kf.Q, kf.R = np.eye(4) + 0.1 * np.eye(4, k=2), np.diag([1e-4, 1e-4, 1e-3, 1e-3]), np.diag([0.04, 1e-4])
+    if cls is not Dragged:
+        kf.B = np.array([[0.0], [0.0], [0.1], [0.0]])
+    return kf
+
+
+def recording(seed, steps=200):
+    """Readings with outliers, gaps, and a jump of the state; inputs."""
+    rng = np.random.default_rng(seed)
+    t = 0.1 * np.arange(steps)
+    at = np.column_stack((1.0 + 0.5 * t, -2.0 + 0.3 * t + 8.0 * (t > 10.0), 0.0 * t, 0.0 * t))
+    z = np.array([h(x) for x in at]) + rng.normal(size=(steps, 2)) * [0.2, 0.01]
+    z += rng.choice([0.0, 30.0], size=z.shape, p=[0.9, 0.1]) * rng.normal(size=z.shape) * [0.2, 0.01]
+    z[rng.random(z.shape) < 0.1] = np.nan
+    z[[3, 70]] = np.nan
+    return z, 0.1 * rng.normal(size=steps)
+
+
+class InC:
+    """An extended filter as C, compiled with the functions above, and its state."""
+
+    def __init__(self, kf, folder, precision="double"):
+        export_c(kf, folder / "one.c", precision=precision)
+        (folder / "functions.c").write_text(FUNCTIONS)
+        sanitized = [
+            "-ffp-contract=off",
+            "-fsanitize=undefined",
+            "-fno-sanitize-recover=all",
+            "-fPIC",
+            "-std=c99",
+            "-O2",
+        ]
+        for command in (
+            ["cc", *sanitized, *c_programs.WARNINGS, "-c", "one.c"],
+            ["cc", *sanitized, "-shared", "functions.c", "one.o", "-lm", "-o", "one.so"],
+        ):
+            built = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+            assert built.returncode == 0, built.stderr[:3000]
+        self.library = ctypes.CDLL(str(folder / "one.so"))
+        self.model, self.start = (ctypes.c_char.in_dll(self.library, f"one_{name}") for name in ("default", "start"))
+        self.memory = 20 if "memory" in (folder / "one.h").read_text() else 0
+        self.state = (ctypes.c_double * (4 + 16 + self.memory)).in_dll(self.library, "one_start")
+        self.state = type(self.state)(*self.state)
+        self.shown = (ctypes.c_double * 6)()
+
+    def of(self, name):
+        """The address of one of the functions' structures, None for none."""
+        return None if name is None else ctypes.byref(ctypes.c_char.in_dll(self.library, name))
+
+    def predict(self, motion, *u):
+        inputs = [(ctypes.c_double * 1)(*u)] if u else []
+        return self.library.one_predict(ctypes.byref(self.model), self.state, self.of(motion), *inputs)
+
+    def update(self, z, sensor="radar"):
+        z = (ctypes.c_double * 2)(*z)
+        return self.library.one_update(ctypes.byref(self.model), self.state, self.of(sensor), z, self.shown)
+
+
+CHOICES = [
+    {},
+    {"influence": TukeyBiweight()},
+    {"influence": Hampel(), "information": "expected"},
+    {"scaling": "innovation", "influence": StudentT(4.0), "information": "weight"},
+    {"scaling": "bounded"},
+    {"influence": Linear()},
+    {"influence": Huber(np.inf)},
+    {"grouping": "joint"},
+]
+
+
+@pytest.mark.parametrize("cls", [RobustExtendedKalmanFilter, Dragged])
+@pytest.mark.parametrize("choices", CHOICES, ids=str)
+def test_c_equals_the_kernel_to_the_last_bit(cls, choices, tmp_path):
+    needs_kernel()
+    kf = made(cls, **choices)
+    in_c = InC(kf, tmp_path)
+    for seed in range(3):
+        for k, (z, u) in enumerate(zip(*recording(seed), strict=True)):
+            if cls is Dragged:
+                kf.F = slope(kf.x)
+                kf.predict()
+                assert in_c.predict("drag") == c_programs.OK
+            else:
+                kf.predict([u])
+                assert in_c.predict(None, u) == c_programs.OK
+            kf.update(z, jacobian, h, residual=residual)
+            assert in_c.update(z) == c_programs.OK
+            if not np.isnan(z).all():
+                # Else it is the definition that is compared, which differs in the last bits.
+                assert isinstance(kf._last, Taken), (seed, k)
+                expected = np.concatenate([np.where(np.isnan(z), 0.0, kf.y), np.nan_to_num(kf.e), kf.weights])
+                assert np.array_equal(in_c.shown, expected, equal_nan=True), (seed, k)
+            found = np.array(in_c.state)
+            assert np.array_equal(found[:4], kf.x) and np.array_equal(found[4:20], kf.P.ravel()), (seed, k)
+            assert np.array_equal(found[20:], kf._memory.ravel()[: in_c.memory]), (seed, k)
+
+
+def test_a_jump_that_makes_p_grow_is_among_the_recordings():
+    kf, grew = made(), False
+    for z, u in zip(*recording(0), strict=True):
+        kf.predict([u])
+        before = np.trace(kf.P)
+        kf.update(z, jacobian, h, residual=residual)
+        grew |= np.trace(kf.P_post) > before
+    assert grew
+
+
+def test_refusals_change_nothing(tmp_path):
+    in_c = InC(made(), tmp_path)
+    before = list(in_c.state)
+    assert in_c.update([1.0, 1.0], None) == in_c.update([1.0, 1.0], "half") == c_programs.BAD_ARGUMENT
+    assert in_c.update([np.inf, 1.0]) == in_c.update([1.0, 1e200]) == c_programs.BAD_ARGUMENT
+    assert in_c.update([1.0, 1.0], "broken") == c_programs.NOT_FINITE
+    # An input has no place in a motion of one's own but its context.
+    assert in_c.predict("drag", 1.0) == in_c.predict(None, np.nan) == c_programs.BAD_ARGUMENT
+    assert list(in_c.state) == before
+
+
+def test_a_motion_of_its_own_is_asked_for(tmp_path):
+    in_c = InC(made(Dragged), tmp_path)
+    before = list(in_c.state)
+    assert in_c.predict(None) == c_programs.BAD_ARGUMENT and list(in_c.state) == before
+    assert in_c.predict("drag") == c_programs.OK and list(in_c.state) != before
+
+
+def changed(**attributes):
+    kf = made()
+    for name, value in attributes.items():
+        setattr(kf, name, value)
+    return kf
+
+
+class OwnUpdate(RobustExtendedKalmanFilter):
+    def update(self, *args, **kwargs):
+        """May do anything."""
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "mend"),
+    [
+        (lambda: filterpy.kalman.ExtendedKalmanFilter(2, 1), TypeError, "a RobustExtendedKalmanFilter with the same"),
+        (lambda: OwnUpdate(2, 1), TypeError, "predict_x alone"),
+        (lambda: made(noise=Learnt()), ValueError, "set noise=None"),
+        (lambda: made(patience=5, scaling="innovation"), ValueError, "set patience=None"),
+        (lambda: changed(update=print), ValueError, "update"),
+        (lambda: changed(inv=np.linalg.pinv), ValueError, "numpy.linalg.inv"),
+        (lambda: changed(F=np.eye(3)), ValueError, "F: expected"),
+        (lambda: changed(Q=-np.eye(4)), ValueError, "Q: expected"),
+        (lambda: changed(B=np.ones((3, 1))), ValueError, "B: expected"),
+    ],
+)
+def test_what_has_no_c_is_refused_with_a_mend(make, error, mend, tmp_path):
+    with pytest.raises(error, match=mend):
+        export_c(make(), tmp_path / "one.c")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_page_of_the_microcontroller_runs(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    page = (Path(__file__).parents[2] / "docs" / "edge.md").read_text()
+    part = page[page.index("## A nonlinear sensor") :]
+    python, code = (re.search(rf"```{language}\n(.*?)```", part, flags=re.S).group(1) for language in ("python", "c"))
+    exec(python, {})
+    Path("main.c").write_text(code)
+    subprocess.run(["cc", "-std=c99", *c_programs.WARNINGS, "main.c", "boat.c", "-lm"], check=True)
+    subprocess.run(["./a.out"], check=True)
+    assert capfd.readouterr().out.split()[-1] == re.search(r"ends at\s+`([\d.]+)`", part).group(1)
