@@ -1,12 +1,14 @@
 """Sensors that are named, stamped, late and failing: one state from all of them.
 
 * `fusion`: `Fusion`, which takes readings in any order within a window.
+* `results`: what it answers with, and how it warns.
 * `motion`: how the state moves during any length of time.
 * `sensors`: what a sensor measures, and the one vector in which all of them stand.
 * `_times`: stamps, numbers or instants.
 * `_timeline`: what was read when; late readings make the rest be judged anew.
 * `_stepping`: one step, from stamp to stamp, as a pure function.
 * `_first_readings`: how noisy a sensor is whose R nobody told.
+* `_choosing`: which policy its arguments ask for.
 * `_policies`: the other rooms' recursions as pure functions from state to state.
 * `recording`: a whole table at once, by the kernel; smoothed on request.
 * `_delays`: how late each sensor's stamps are, from a recording.
@@ -24,7 +26,7 @@ Imports from below: `influence`, `correction`, `kernel`, `filters`, `smoothing`.
 from __future__ import annotations
 
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
-from robust_filterpy.fusion.fusion import Estimate, Forecast, Fusion, FusionWarning, SensorNoise
+from robust_filterpy.fusion.fusion import Fusion
 from robust_filterpy.fusion.motion import (
     Motion,
     constant_acceleration,
@@ -34,6 +36,7 @@ from robust_filterpy.fusion.motion import (
 )
 from robust_filterpy.fusion.reacquisition import Reacquisition
 from robust_filterpy.fusion.recording import Recording
+from robust_filterpy.fusion.results import Estimate, Forecast, FusionWarning, SensorNoise
 from robust_filterpy.fusion.sensors import Sensor, angle
 from robust_filterpy.fusion.verdicts import Verdict
 

@@ -21,8 +21,9 @@ from robust_filterpy._checks import Array
 from robust_filterpy.fusion._policies import State
 from robust_filterpy.fusion._stepping import Setup, covariance, moved
 from robust_filterpy.fusion._times import Clock
+from robust_filterpy.fusion.results import Forecast
 
-__all__ = ["Bands", "bands"]
+__all__ = ["Bands", "bands", "forecast"]
 
 # Stamps at the very beginning whose bands say nothing, and how many scores the learnt mixture is worth.
 _BEGINNING, _WORTH = 10, 5.0
@@ -52,6 +53,54 @@ class _Ahead(NamedTuple):
     """Variance of ordinary noise; NaN before it is known."""
     shares: Array
     """Of the classes, (.., C)."""
+
+
+def forecast(line: Any, clock: Clock, state: State, at: float | int, times: Any, level: float) -> Forecast:
+    """Return what each sensor should read at times to come, with its bands: `Fusion.forecast`.
+
+    Parameters
+    ----------
+    line : Timeline
+        What was read.
+    clock : Clock
+        Of its stamps.
+    state : State
+        After the last entry.
+    at : float or int
+        Key of the last entry.
+    times : stamp or sequence of stamps, length K
+        From then on.
+    level : float
+        Probability that each band should hold.
+
+    Returns
+    -------
+    Forecast
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a time is before the last entry or none.
+    """
+    # A string and a single stamp are one time.
+    wanted = tuple(times) if np.ndim(times) == 1 else (times,)
+    if not wanted:
+        raise ValueError("times: expected a time, got none")
+    ahead = [clock.between(at, clock.key(t, "times")) for t in wanted]
+    if any(seconds < 0.0 for seconds in ahead):
+        raise ValueError(
+            f"times: expected times from the newest stamp on, {clock.stamp(at)}, got "
+            f"{wanted[int(np.argmin(ahead))]}; estimate(t) tells the past"
+        )
+    layout = line.setup.layout
+    found = [bands(line, state, seconds, level) for seconds in ahead]
+    middle, signal, readings = (np.array(part).reshape(-1, layout.size) for part in zip(*found, strict=True))
+
+    def by_sensor(part: Array) -> dict[str, Array]:
+        return {name: part[:, place] for name, place in layout.places.items()}
+
+    ends = (by_sensor(np.stack([middle - wide, middle + wide], axis=-1)) for wide in (readings, signal))
+    return Forecast(wanted, by_sensor(middle), *ends)
 
 
 def bands(line: Any, state: State, seconds: float, level: float) -> Bands:

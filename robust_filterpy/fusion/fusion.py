@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,31 +13,23 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._warning import warn
-from robust_filterpy.correction.options import Choices
-from robust_filterpy.correction.policies import (
-    Contaminated,
-    Learnt,
-    Scales,
-    noise_classes,
-    noise_policy,
-    process_policy,
-    process_scales,
-)
+from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.fusion import _keeping
+from robust_filterpy.fusion._choosing import policy_of
 from robust_filterpy.fusion._delays import found_delays
-from robust_filterpy.fusion._forecasting import bands
-from robust_filterpy.fusion._policies import BoundedInfluence, LearntNoise, Policy
+from robust_filterpy.fusion._forecasting import forecast
 from robust_filterpy.fusion._stepping import Moment, Setup, begun, moved
 from robust_filterpy.fusion._timeline import Timeline
 from robust_filterpy.fusion._times import Clock
 from robust_filterpy.fusion.motion import Motion
 from robust_filterpy.fusion.reacquisition import Reacquisition
 from robust_filterpy.fusion.recording import Recording, fused, read, table_columns
+from robust_filterpy.fusion.results import Estimate, Forecast, FusionWarning, SensorNoise
 from robust_filterpy.fusion.sensors import OFTEN, Layout, Sensor
-from robust_filterpy.fusion.verdicts import STRETCH, Verdict, described, of_all, words
+from robust_filterpy.fusion.verdicts import STRETCH, Verdict, of_all, silent, words
 from robust_filterpy.influence.functions import Influence
 
-__all__ = ["Estimate", "Forecast", "Fusion", "FusionWarning", "SensorNoise"]
+__all__ = ["Fusion"]
 
 # Standard deviation of every state where nobody tells where it starts.
 _UNKNOWN = 1e4
@@ -46,47 +38,6 @@ _HISTORY = STRETCH + 100
 
 #: What has become of a reading, as `Fusion.observe` says it and `Fusion.counts` counts it.
 OUTCOMES = ("taken", "late", "replaced", "duplicate", "refused")
-
-
-class FusionWarning(UserWarning):
-    """Say what a fusion cannot use, or whom it does not believe."""
-
-
-class Estimate(NamedTuple):
-    """What is known of the state at a moment."""
-
-    time: Any
-    """The moment, as a stamp."""
-    x: Array
-    """Mean, (n,)."""
-    P: Array
-    """Its covariance, (n, n)."""
-    ages: dict[str, float]
-    """Seconds since each sensor has spoken last; infinite if it never has."""
-    undecided: bool = False
-    """Whether it is open if a sensor or the state is wrong (``reacquire``): P covers both."""
-
-
-class Forecast(NamedTuple):
-    """What is to come at K times: two bands for each sensor, of its readings and of the signal without their noise."""
-
-    times: tuple[Any, ...]
-    """Stamps, as given."""
-    middle: dict[str, Array]
-    """What each sensor should read, (K, m)."""
-    readings: dict[str, Array]
-    """Lower and upper end of the band of readings, (K, m, 2); NaN while a sensor's noise is not known."""
-    signal: dict[str, Array]
-    """Lower and upper end of the band of what is measured, noise apart, (K, m, 2)."""
-
-
-class SensorNoise(NamedTuple):
-    """What has been learnt about a sensor's noise."""
-
-    deviation: Array
-    """Standard deviation of its ordinary noise, in the unit of z, (m,); NaN before its first reading if nobody told."""
-    contamination: Array
-    """Share of outliers, (m,); NaN where it is not learnt."""
 
 
 class Fusion:
@@ -179,7 +130,7 @@ class Fusion:
         if reacquire is not None and watch:
             raise ValueError("reacquire: expected it or watch=True, got both; each leaves sensors out of the state")
         self._clock = Clock()
-        self._setup = Setup(motion, layout, _policy(layout, noise, process, influence), bool(watch), reacquire)
+        self._setup = Setup(motion, layout, policy_of(layout, noise, process, influence), bool(watch), reacquire)
         self._begin = begun(self._setup, x, P)
         self._timeline = Timeline(self._setup, self._begin, seconds, _HISTORY)
         self._started = None if t0 is None else self._clock.key(t0, "t0")
@@ -456,26 +407,7 @@ class Fusion:
         moment, at, entries = self._until()
         if at is None or not entries:
             raise ValueError("forecast: expected a reading first, got none")
-        # A string and a single stamp are one time.
-        wanted = tuple(times) if np.ndim(times) == 1 else (times,)
-        if not wanted:
-            raise ValueError("times: expected a time, got none")
-        ahead = [self._clock.between(at, self._clock.key(t, "times")) for t in wanted]
-        if any(seconds < 0.0 for seconds in ahead):
-            raise ValueError(
-                f"times: expected times from the newest stamp on, {self._clock.stamp(at)}, got "
-                f"{wanted[int(np.argmin(ahead))]}; estimate(t) tells the past"
-            )
-        found = [bands(self._timeline, moment.state, seconds, level) for seconds in ahead]
-        size = self._setup.layout.size
-        middle, signal, readings = (np.array(part).reshape(-1, size) for part in zip(*found, strict=True))
-        ends = {
-            name: np.stack([middle - wide, middle + wide], axis=-1)
-            for name, wide in (("signal", signal), ("readings", readings))
-        }
-        places = self._setup.layout.places
-        by_sensor = {key: {name: part[:, place] for name, place in places.items()} for key, part in ends.items()}
-        return Forecast(wanted, {name: middle[:, place] for name, place in places.items()}, **by_sensor)
+        return forecast(self._timeline, self._clock, moment.state, at, times, level)
 
     def run(
         self,
@@ -591,13 +523,7 @@ class Fusion:
             every = self._setup.layout.sensors[name].every
             limit = 5.0 * usual + self.window if every is None else 3.0 * every
             if name in said and ages[name] > limit:
-                found[name] = described("silent", self._clock.stamp(said[name]))
-                late = self._counts[name]["refused"]
-                if late:
-                    found[name] = found[name]._replace(
-                        remedy=f"{late} of its readings were refused: check the clocks, of the sensor with the newest "
-                        "stamp too"
-                    )
+                found[name] = silent(self._clock.stamp(said[name]), self._counts[name]["refused"])
         return found
 
     def report(self, t: Any = None) -> str:
@@ -694,25 +620,3 @@ class Fusion:
             If an array is missing, does not fit or is not finite; nothing has changed then.
         """
         self._timeline, self._clock, self._counts = _keeping.restored(self._timeline, state, OUTCOMES)
-
-
-def _policy(layout: Layout, noise: Any, process: Any, influence: Influence | None) -> Policy:
-    """Return what predicts and corrects: the one place where a kind of filter is chosen."""
-    noise, process = noise_policy(noise), process_policy(process)
-    if influence is None:
-        if isinstance(noise, Contaminated):
-            _require_told(layout, "noise that is told")
-        # All sensors stand in one vector, in which each fails on its own, or a group together.
-        classes = noise_classes(Learnt() if noise is None else noise, layout.grouping)
-        return LearntNoise(classes, process_scales(Scales() if process is None else process))
-    if noise is not None or process is not None:
-        raise ValueError("influence: expected neither noise nor process beside it")
-    _require_told(layout, "influence")
-    return BoundedInfluence(Choices(influence, grouping=layout.grouping))
-
-
-def _require_told(layout: Layout, why: str) -> None:
-    """Raise if the size of a noise is neither told nor learnt."""
-    for name, sensor in layout.sensors.items():
-        if sensor.R is None:
-            raise ValueError(f"sensor {name!r}: expected R, since with {why} nobody learns it")

@@ -85,6 +85,27 @@ def described(fault: str, since: Any = None, probability: float = 1.0, size: flo
     return Verdict(fault, since, probability, size, _REMEDIES[fault])
 
 
+def silent(since: Any, refused: int) -> Verdict:
+    """Return the verdict about a sensor that has said nothing for too long.
+
+    Parameters
+    ----------
+    since : stamp
+        Of its last word.
+    refused : int
+        Readings of it that came too late to be used.
+
+    Returns
+    -------
+    Verdict
+    """
+    found = described("silent", since)
+    if not refused:
+        return found
+    clocks = "check the clocks, of the sensor with the newest stamp too"
+    return found._replace(remedy=f"{refused} of its readings were refused: {clocks}")
+
+
 def watched(line: Any, i: int, moment: Moment) -> Moment:
     """Return the moment of an entry with what its readings say about the sensors.
 
