@@ -235,3 +235,15 @@ def test_outliers_of_the_process_are_no_other_plant():
     for seed in range(4):
         y, u = driven(seed, 3000)
         assert not identify(y, u, ARX(2, 2)).findings
+
+
+def test_where_the_input_stays_far_from_zero_a_drift_may_be_the_gains():
+    g = np.random.default_rng(0)
+    texts = []
+    for rest in (0.0, 20.0):
+        u = rest + g.normal(size=1500)
+        y = lfilter([0.0, 0.5], [1.0, -0.8], u * np.linspace(1.0, 1.5, 1500)) + 0.1 * g.normal(size=1500)
+        with pytest.warns(UserWarning, match="follow u"):
+            model = identify(y[50:], u[50:], OutputError(1, 1))
+        texts.append(" ".join(one.text for one in model.findings))
+    assert "stays near 20" in texts[1] and "stays near" not in texts[0]

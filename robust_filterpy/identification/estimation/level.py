@@ -41,6 +41,8 @@ _ENDLESS: Final = 0.1
 _FAR_INPUT: Final = 3.2
 _MOST_LEVELS: Final = 20
 _FEWEST: Final = 4
+# An input so many deviations from 0 stays there.
+_STAYS: Final = 5.0
 # Parts of a recording that are held against its inputs, and how long one may be.
 _PARTS: Final = 8
 _LEAST_PART: Final = 120
@@ -83,7 +85,7 @@ def beside_trend(problem: Problem, y: Array, trend: str, index: Any) -> tuple[Mo
         return plain, ()
     gain = 2.0 * (best.log_likelihood - plain.log_likelihood)
     model = replace(best, trend=kept.values, fingerprint=fingerprint(y))
-    return model, () if line else tuple(break_finding(one, index, gain, y.size) for one in kept.breaks)
+    return model, () if line else tuple(break_finding(one, index, gain, y.size, problem.u) for one in kept.breaks)
 
 
 def without_endless_motion(problem: Problem, y: Array, model: Model) -> tuple[Model, tuple[Finding, ...]]:
@@ -263,7 +265,7 @@ def _output_of(model: Model, y: Array, u: Array) -> Array:
     return np.where(known & dies, np.nan_to_num(run), rest)
 
 
-def break_finding(found: Any, index: Any, gain: float, samples: int) -> Finding:
+def break_finding(found: Any, index: Any, gain: float, samples: int, u: Array) -> Finding:
     """Return a break in words.
 
     Parameters
@@ -276,6 +278,8 @@ def break_finding(found: Any, index: Any, gain: float, samples: int) -> Finding:
         Twice the log-likelihood that all breaks explain.
     samples : int
         Of the recording.
+    u : ndarray, shape (N,) or (N, n_inputs)
+        Inputs: one that stays far from 0 turns a gain that changes into a level that does.
 
     Returns
     -------
@@ -286,4 +290,9 @@ def break_finding(found: Any, index: Any, gain: float, samples: int) -> Finding:
         text = f"the level of y steps by {found.size:.4g} at {when}"
     else:
         text = f"the level of y changes by {found.size:.4g} a sample from {when} on"
+    for column in u.reshape(len(u), -1).T:
+        level = float(np.nanmedian(column))
+        if abs(level) > _STAYS * mad_scale(column[~np.isnan(column)] - level):
+            text += f", or a gain does, since u stays near {level:.3g}"
+            break
     return Finding(found.kind, f"{text}; taken off", min(found.evidence, gain), (found.time, samples))

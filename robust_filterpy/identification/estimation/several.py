@@ -82,7 +82,7 @@ def _beside_levels(problem: Problem, y: Array, trend: str) -> tuple[Model, Array
     if not line and gain < 0.5 * PRICE * np.log(y.size) * count:
         return plain, np.zeros(y.size), ()
     findings = [
-        _of_recording(i, break_finding(b, None, 2.0 * gain, part.stop - part.start))
+        _of_recording(i, break_finding(b, None, 2.0 * gain, part.stop - part.start, problem.u[part]))
         for i, (part, one) in enumerate(zip(problem.spans, found, strict=True))
         for b in one.breaks
     ]
