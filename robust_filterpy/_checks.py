@@ -27,7 +27,7 @@ def shown(value: Any) -> str:
     """Return a value as a message can show it: as its repr, the middle of a long one left out."""
     try:
         with np.printoptions(threshold=20):
-            text = repr(value)
+            text = repr(value.item() if isinstance(value, np.generic) else value)
     except Exception:
         # An integer of too many digits has no repr, nor have some objects.
         text = f"{type(value).__name__} without a repr"
