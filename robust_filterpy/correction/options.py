@@ -257,7 +257,7 @@ def checked_grouping(value: Any) -> Any:
         ) from None
     sensors = [i for group in groups for i in group]
     if len(set(sensors)) < len(sensors) or not all(groups):
-        raise ValueError(f"grouping: expected groups of sensors that name each sensor once, got {value!r}")
+        raise ValueError(f"grouping: expected groups of sensors that name each sensor once, got {_checks.shown(value)}")
     return groups
 
 

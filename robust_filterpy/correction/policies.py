@@ -76,7 +76,7 @@ def _require_unit(name: str, matrix: str, value: Any) -> None:
     """Raise for a noise with a size of its own, which a filter has a matrix for."""
     if getattr(value, "scale", 1.0) != 1.0:
         raise ValueError(
-            f"{name}: expected scale=1, got {value!r}; set {matrix} to scale**2 and say "
+            f"{name}: expected scale=1, got {_checks.shown(value)}; set {matrix} to scale**2 and say "
             f"Contaminated({value.contamination}, {value.scale_ratio})"
         )
 

@@ -146,7 +146,7 @@ def bootstrap_interval(
     if not 0 < level < 1:
         raise ValueError(f"level: expected a number between 0 and 1, got {level!r}; use 0.95 for 95 percent")
     if method not in ("BCa", "percentile", "basic"):
-        raise ValueError(f"method: expected 'BCa', 'percentile' or 'basic', got {method!r}")
+        raise ValueError(f"method: expected 'BCa', 'percentile' or 'basic', got {_checks.shown(method)}")
     _checks.count("n_resamples", n_resamples, 2)
 
     # Of a study with many steps all resamples at once would not fit into memory.

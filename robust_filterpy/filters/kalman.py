@@ -293,7 +293,7 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
     @alpha.setter
     def alpha(self, value: float) -> None:
         if not 1.0 <= _checks.real("alpha", value) < math.inf:
-            raise ValueError(f"alpha: expected a finite number >= 1, got {value!r}")
+            raise ValueError(f"alpha: expected a finite number >= 1, got {_checks.shown(value)}")
         self._alpha_sq = float(value) ** 2
 
     def update(self, z: ArrayLike | None, R: Any = None, H: ArrayLike | None = None) -> None:

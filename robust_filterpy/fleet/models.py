@@ -69,7 +69,7 @@ class Model(ABC):
         for name in ("measurements", "inputs"):
             value = getattr(self, name)
             if isinstance(value, str):
-                raise TypeError(f"{name}: expected a list of names, got {value!r}; use [{value!r}]")
+                raise TypeError(f"{name}: expected a list of names, got {_checks.shown(value)}; use [{value!r}]")
             object.__setattr__(self, name, None if value is None else tuple(value))
         if self.late is not None:
             _checks.option("late", self.late, POLICIES)

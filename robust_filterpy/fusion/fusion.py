@@ -119,7 +119,7 @@ class Fusion:
         layout = Layout(sensors, n)
         seconds = _checks.real("window", window)
         if not 0.0 <= seconds < math.inf:
-            raise ValueError(f"window: expected finite seconds >= 0, got {window!r}")
+            raise ValueError(f"window: expected finite seconds >= 0, got {_checks.shown(window)}")
         x = np.zeros(n) if x0 is None else _checks.finite_vector("x0", np.ravel(_checks.numbers("x0", x0))).copy()
         if len(x) != n:
             raise ValueError(f"x0: expected {n} numbers, as the motion has states, got {len(x)}")

@@ -161,7 +161,7 @@ class Layout:
         self.sensors, self.places, at = dict(sensors), {}, 0
         for name, sensor in self.sensors.items():
             if not isinstance(name, str) or not isinstance(sensor, Sensor):
-                raise TypeError(f"sensors: expected Sensor by name, got {name!r}: {_checks.shown(sensor)}")
+                raise TypeError(f"sensors: expected Sensor by name, got {_checks.shown(name)}: {_checks.shown(sensor)}")
             if sensor.H is not None and sensor.H.shape[1] != n:
                 raise ValueError(
                     f"sensor {name!r}: expected H with {n} columns, as the state has, got {sensor.H.shape}"
@@ -213,7 +213,7 @@ class Layout:
         ndarray, shape (m,)
         """
         if name not in self.places:
-            raise ValueError(f"sensor: expected one of {list(self.sensors)}, got {name!r}")
+            raise ValueError(f"sensor: expected one of {list(self.sensors)}, got {_checks.shown(name)}")
         m = self.sensors[name].dim_z
         found = np.full(m, np.nan) if z is None else _checks.numbers(f"z of {name!r}", z).ravel()
         if len(found) != m:

@@ -114,7 +114,7 @@ class NoiseEstimate:
         """
         level = _checks.positive("level", level)
         if level >= 1.0:
-            raise ValueError(f"level: expected a number between 0 and 1, got {level!r}")
+            raise ValueError(f"level: expected a number between 0 and 1, got {_checks.shown(level)}")
         problem, ends = self._search
         found = np.exp(bounds(problem, ends, float(gammaincinv(0.5, level))))
         found = np.concatenate([found, np.ones((1, 2))])
@@ -285,7 +285,7 @@ def _known_outliers(contamination: float | None, scale_ratio: float | None) -> t
     share = None if contamination is None else _checks.fraction("contamination", contamination)
     ratio = None if scale_ratio is None else _checks.positive("scale_ratio", scale_ratio)
     if ratio is not None and ratio <= 1.0:
-        raise ValueError(f"scale_ratio: expected a number > 1, got {scale_ratio!r}")
+        raise ValueError(f"scale_ratio: expected a number > 1, got {_checks.shown(scale_ratio)}")
     return share, ratio
 
 
@@ -299,8 +299,8 @@ def _groups(name: str, value: Groups, covariance: Array) -> np.ndarray:
         return np.where(zero, -1, np.cumsum(~zero) - 1)
     groups = np.asarray(value)
     if groups.shape != (size,) or groups.dtype.kind not in "iu":
-        raise ValueError(f'{name}: expected True, False, "each" or {size} integers, got {value!r}')
+        raise ValueError(f'{name}: expected True, False, "each" or {size} integers, got {_checks.shown(value)}')
     present = sorted(set(groups.tolist()) - {-1})
     if present != list(range(len(present))):
-        raise ValueError(f"{name}: expected groups numbered 0, 1, ... (and -1), got {value!r}")
+        raise ValueError(f"{name}: expected groups numbered 0, 1, ... (and -1), got {_checks.shown(value)}")
     return groups

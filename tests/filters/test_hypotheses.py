@@ -351,7 +351,7 @@ def test_an_imm_of_these_filters_runs():
     (lambda: RobustKalmanFilter(2, 1, scaling="learnt", patience=12), ValueError, "leave one of the two out"),
     (lambda: RobustKalmanFilter(2, 1, noise="learnt", influence=StudentT()), ValueError, "influence: expected none"),
     (lambda: RobustKalmanFilter(2, 1, noise="learnt", scaling="unit"), ValueError, "scaling: expected none"),
-    (lambda: RobustKalmanFilter(2, 2, noise="learnt", grouping=((0,), (1,))), ValueError, "grouping: expected"),
+    (lambda: RobustKalmanFilter(2, 2, noise="learnt", grouping=((0,), (0,))), ValueError, "grouping: expected"),
     (lambda: RobustExtendedKalmanFilter(2, 1, noise="learnt", process="scales"), ValueError, "linear models"),
     (lambda: setattr(told(2, 1), "scaling", "unit"), AttributeError, "follows from noise="),
     (lambda: setattr(RobustKalmanFilter(2, 1), "process", "scales"), ValueError, "noise='learnt'"),

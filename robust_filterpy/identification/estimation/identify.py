@@ -203,13 +203,13 @@ def _of_polynomials(
     if not isinstance(structure, Structure):
         raise TypeError(f"structure: expected ARX(..), OutputError(..) or another structure, got {structure!r}")
     if influence is not None and not isinstance(influence, Influence):
-        raise TypeError(f"influence: expected an influence function such as Huber(), got {influence!r}")
+        raise TypeError(f"influence: expected an influence function such as Huber(), got {_checks.shown(influence)}")
     if not isinstance(offset, (bool, np.bool_)):
-        raise TypeError(f"offset: expected True or False, got {offset!r}")
+        raise TypeError(f"offset: expected True or False, got {_checks.shown(offset)}")
     if trend is not None:
         _checks.option("trend", trend, TRENDS)
         if not offset and trend != "none":
-            raise ValueError(f'trend: expected "none" with offset=False, got {trend!r}; leave offset out')
+            raise ValueError(f'trend: expected "none" with offset=False, got {_checks.shown(trend)}; leave offset out')
     told = Limits.of(structure, fixed, bounds)
     limits = told if told.any else None
     recorded = recordings(structure, y, u, groups)
@@ -243,11 +243,11 @@ def _of_outputs(
     for name, value, only in zip(names, others, (True, None, None, None, None), strict=True):
         if value is not only and name in ("fixed", "bounds"):
             mend = "GreyBox(.., fixed=, bounds=) has its own" if kind == "GreyBox" else "its matrices have no names"
-            raise ValueError(f"{name}: expected None for a {kind}, got {value!r}; {mend}")
+            raise ValueError(f"{name}: expected None for a {kind}, got {_checks.shown(value)}; {mend}")
         if value is not only:
             raise ValueError(f"{name}: expected {only} for a {kind}, which says itself what y has, got {value!r}")
     if influence is not None and not isinstance(influence, Influence):
-        raise TypeError(f"influence: expected an influence function such as Huber(), got {influence!r}")
+        raise TypeError(f"influence: expected an influence function such as Huber(), got {_checks.shown(influence)}")
     if isinstance(structure, GreyBox):
         if groups is not None:
             raise ValueError("groups: expected None for a GreyBox; give lists of y, u and t")

@@ -67,7 +67,7 @@ class Limits(NamedTuple):
                 if argument == "fixed":
                     lower[place] = upper[place] = _finite(name, value)
                 elif name in told["fixed"]:
-                    raise ValueError(f"bounds: expected parameters that are not fixed, got {name!r}")
+                    raise ValueError(f"bounds: expected parameters that are not fixed, got {_checks.shown(name)}")
                 else:
                     lower[place], upper[place] = _interval(name, value)
         if (lower == upper).all():
@@ -177,7 +177,7 @@ def _finite(name: str, value: Any) -> float:
     """Return a finite number, or raise."""
     number = _checks.real(f"fixed[{name!r}]", value)
     if not np.isfinite(number):
-        raise ValueError(f"fixed[{name!r}]: expected a finite number, got {value!r}")
+        raise ValueError(f"fixed[{name!r}]: expected a finite number, got {_checks.shown(value)}")
     return number
 
 

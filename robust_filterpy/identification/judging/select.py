@@ -155,7 +155,7 @@ def select_structure(
     grid = grid.of_inputs(signal.shape[1])
     share = (0.0 if measured.size < _LEAST_HELD else _HELD) if held_out is None else _checks.real("held_out", held_out)
     if not 0.0 <= share <= 0.5:
-        raise ValueError(f"held_out: expected a share in [0, 0.5], got {held_out!r}")
+        raise ValueError(f"held_out: expected a share in [0, 0.5], got {_checks.shown(held_out)}")
     kept = measured.size - round(share * measured.size)
     bar = progress_bar(None, progress, " structures", "select_structure")
     comparison = _Comparison(grid, measured, signal, criterion, kept if held_out else measured.size, bar)

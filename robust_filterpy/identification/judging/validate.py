@@ -357,5 +357,5 @@ def _probability(level: Any) -> float:
     """Return a number in (0, 1) or raise."""
     value = _checks.real("level", level)
     if not 0.0 < value < 1.0:
-        raise ValueError(f"level: expected a probability in (0, 1), got {level!r}")
+        raise ValueError(f"level: expected a probability in (0, 1), got {_checks.shown(level)}")
     return value

@@ -25,14 +25,14 @@ def band(dof: int, alpha: float) -> tuple[float, float]:
 def at_least_one(factor: Any) -> float:
     """Return a factor >= 1 or raise."""
     if not _checks.positive("factor", factor) >= 1.0:
-        raise ValueError(f"factor: expected a number >= 1, got {factor!r}")
+        raise ValueError(f"factor: expected a number >= 1, got {_checks.shown(factor)}")
     return float(factor)
 
 
 def probability(value: Any) -> float:
     """Return a probability in (0, 1) or raise."""
     if not 0.0 < _checks.real("false_alarm", value) < 1.0:
-        raise ValueError(f"false_alarm: expected a probability in (0, 1), got {value!r}")
+        raise ValueError(f"false_alarm: expected a probability in (0, 1), got {_checks.shown(value)}")
     return float(value)
 
 

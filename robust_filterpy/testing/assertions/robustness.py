@@ -195,7 +195,7 @@ def ratio_of_errors(errors: Array, reference: Array, at_least: float, false_alar
     if M < 10:
         raise ValueError(f"runs: expected at least 10 independent runs for a mean and its deviation, got {M}")
     if not 0.0 < _checks.real("at_least", at_least) <= 1.0:
-        raise ValueError(f"at_least: expected an efficiency in (0, 1], got {at_least!r}")
+        raise ValueError(f"at_least: expected an efficiency in (0, 1], got {_checks.shown(at_least)}")
     alpha = probability(false_alarm)
     excess = at_least * errors - reference
     deviation = float(excess.std(ddof=1) / np.sqrt(M))

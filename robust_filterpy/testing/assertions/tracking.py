@@ -150,7 +150,7 @@ def assert_interval_coverage(
     """
     found = as_tracker_runs(runs)
     if not 0.0 < _checks.real("level", level) < 1.0:
-        raise ValueError(f"level: expected a probability in (0, 1), got {level!r}")
+        raise ValueError(f"level: expected a probability in (0, 1), got {_checks.shown(level)}")
     if any(run.std is None for run in found):
         raise ValueError("runs: expected runs with std, of a tracker that has P")
     half = float(stats.norm.isf((1.0 - level) / 2))
