@@ -1,8 +1,8 @@
 """What becomes of missing and partly missing measurements, and of one sensor in three that fails?
 
 Three thermometers watch one slowly changing temperature. NaN in z is a component that is missing: the rest of z
-corrects the state, and weights is NaN where nothing was measured. What was used of an innovation y is y_bounded; the
-weight psi(e)/e tells how unusual it was for its sensor, and of one that lies for long 8 degrees are the custom.
+corrects the state, and weights is NaN where nothing was measured. What was used of an innovation y is y_bounded. The
+weight psi(e)/e tells how unusual y was for its sensor: once a sensor has lied for long, 8 degrees are usual for it.
 """
 
 # %% Three sensors, one level.

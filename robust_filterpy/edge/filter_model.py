@@ -14,6 +14,7 @@ from robust_filterpy.correction.spread import NUMBERS, begin
 from robust_filterpy.edge.text import Described
 from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
 from robust_filterpy.filters.kalman import RobustKalmanFilter
+from robust_filterpy.kernel.series import JOINT_MOST, rule
 
 # Parameters of each psi, by the name of its scalar form.
 _FIELDS: Final[dict[str, tuple[str, ...]]] = {
@@ -67,11 +68,10 @@ def described_filter(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name: 
 
 def _require_joint(choices: Choices, R: Array) -> None:
     """Raise unless the kernel judges these sensors as one whatever P becomes."""
-    known = choices.grouping == "joint" and choices.scaling in ("learnt", "innovation")
-    if not known or choices.information == "expected" or len(R) > 16:
+    if choices.grouping != "joint" or rule(choices) is None or len(R) > JOINT_MOST:
         raise ValueError(
-            f"grouping: expected 'component', or 'joint' of up to 16 sensors with scaling='learnt' or 'innovation' "
-            f"and information='realized' or 'weight', got {shown(choices)}, {len(R)} sensors; set "
+            f"grouping: expected 'component', or 'joint' of up to {JOINT_MOST} sensors with scaling='learnt' or "
+            f"'innovation' and information='realized' or 'weight', got {shown(choices)}, {len(R)} sensors; set "
             f"grouping='component' before the export"
         )
     if np.count_nonzero(R - np.diag(R.diagonal())):

@@ -9,14 +9,15 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import GROUPINGS, Choices
 from robust_filterpy.kernel.records import Model, Output
 
-__all__ = ["filter_series", "plain", "rule", "serves"]
+__all__ = ["JOINT_MOST", "filter_series", "plain", "rule", "serves"]
 
 # As psi.h and correction.h number them, too.
 _KINDS = ("linear", "huber", "hampel", "tukey", "student_t")
 #: As correction.h numbers them.
 SCALINGS = ("learnt", "innovation", "unit", "bounded")
 _INFORMATIONS = ("realized", "expected", "weight")
-_JOINT_MOST = 16
+#: As correction.h has it.
+JOINT_MOST = 16
 
 
 def rule(choices: Choices) -> Array | None:
@@ -51,7 +52,7 @@ def _encoded(choices: Choices) -> Array | None:
     codes = _KINDS.index(function.__name__), a, b, c, SCALINGS.index(scaling)
     information = _INFORMATIONS.index(choices.information)
     expected = choices.expected if choices.information == "expected" else 1.0
-    normalizers = [choices.influence.log_normalizer(k) for k in range(1, _JOINT_MOST + 1 if joint else 2)]
+    normalizers = [choices.influence.log_normalizer(k) for k in range(1, JOINT_MOST + 1 if joint else 2)]
     return np.array([*codes, information, expected, normalizers[0], *(normalizers if joint else ())], dtype=float)
 
 
