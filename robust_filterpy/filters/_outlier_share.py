@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from robust_filterpy._checks import Array
 from robust_filterpy._documentation import SMALL, STOPPED, pointer
 from robust_filterpy._warning import warn
 
@@ -16,6 +17,8 @@ EVERY = 3
 # Innovations, and updates, that a window needs at least; half of it tells when nearly all of them are clipped.
 _NUMBERS, _UPDATES = 64, 16
 _NEARLY_ALL = 0.8
+# More than this of what psi expects unclipped is too much; half a window is only sure of more.
+_HALF, _SURER = 0.5, 0.7
 _warned: set[str] = set()
 
 
@@ -55,14 +58,42 @@ class Share:
         self.sign = sign
         if self.updates >= _UPDATES and (self.numbers >= _NUMBERS or self._tells_early()):
             share, numbers, keeps = self.clipped / self.numbers, self.numbers, self.kept > 0.75 * self.updates
-            # Half a window is only sure of more.
-            least = 0.5 if numbers >= _NUMBERS else 0.7
+            least = _HALF if numbers >= _NUMBERS else _SURER
             self.__init__()  # type: ignore[misc]
-            # So much of what psi expects unclipped is clipped; one jump or run of outliers does not reach a half.
-            if share > least and kf.scaling == "innovation" and type(kf).__name__ not in _warned:
-                expected = _expected(kf.influence, kf.grouping, len(e))
-                if share > expected + least * (1.0 - expected):
-                    self._warn(type(kf).__name__, share, expected, numbers, keeps)
+            if kf.scaling == "innovation":
+                self._judge(kf, share, least, numbers, keeps, len(e))
+
+    def look_at_recording(self, kf: Any, weights: Array, y: Array) -> None:
+        """Judge windows of a recording's corrections, each of as many as `look` takes.
+
+        Parameters
+        ----------
+        kf : RobustKalmanFilter
+            Whose they are; of scaling "innovation".
+        weights : ndarray, shape (N, m)
+            psi(e)/e, NaN where missing.
+        y : ndarray, shape (N, m)
+            Innovations, of which only the signs matter.
+        """
+        seen = ~np.isnan(weights).all(axis=1)
+        weights, signs = weights[seen][::EVERY], np.sign(y[seen][::EVERY])
+        here = ~np.isnan(weights)
+        clipped, signs = weights < _weight_at_clip(kf.influence), np.sign(np.where(here, signs, 0.0).sum(axis=1))
+        length = max(_UPDATES, -(-_NUMBERS // weights.shape[1]))
+        for first in range(0, len(weights) - length + 1, length):
+            window = slice(first, first + length)
+            numbers, sign = int(here[window].sum()), signs[window]
+            keeps = (sign[1:] * sign[:-1] > 0.0).sum() > 0.75 * length
+            if numbers >= _NUMBERS // 2:
+                least = _HALF if numbers >= _NUMBERS else _SURER
+                self._judge(kf, clipped[window].sum() / numbers, least, numbers, bool(keeps), weights.shape[1])
+
+    def _judge(self, kf: Any, share: float, least: float, numbers: int, keeps: bool, m: int) -> None:
+        """Warn if too much of what psi expects unclipped is clipped, more than one jump or run of outliers clips."""
+        if share > least and type(kf).__name__ not in _warned:
+            expected = _expected(kf.influence, kf.grouping, m)
+            if share > expected + least * (1.0 - expected):
+                self._warn(type(kf).__name__, share, expected, numbers, keeps)
 
     def _warn(self, name: str, share: float, expected: float, numbers: int, keeps: bool) -> None:
         """Warn once for each class."""
@@ -79,6 +110,14 @@ class Share:
             f'warnings.simplefilter("ignore", robust_filterpy.OutlierShareWarning)',
             OutlierShareWarning,
         )
+
+
+def _weight_at_clip(influence: Any) -> float:
+    """Return psi(e)/e of the largest e up to which psi' > 0; what is clipped has less."""
+    grid = np.linspace(0.0, 50.0, 50_001)
+    inside = np.asarray(influence.psi_deriv(grid)) > 0.0
+    last = len(grid) - 1 if inside.all() else max(int(np.argmin(inside)) - 1, 0)
+    return float(np.asarray(influence.weights(grid[[last]]))[0])
 
 
 def _expected(influence: Any, grouping: str, m: int) -> float:

@@ -151,6 +151,9 @@ class CompiledLoop:
         x, P = state_of(kf)
         state, covariance = x.reshape(1, -1).copy(), P[None].copy()
         memory = kf._known(self._zs.shape[2]).memory[None].copy() if kf._learns_spread else None
+        watches = kf.choices.scaling == "innovation" and kf._counts_clipped
+        if watches and not self._kept.weights.size:
+            self._kept = self._kept._replace(weights=np.full(self._zs.shape, np.nan))
         taken = series.filter_series(
             kf.choices, self._zs, self._model, state, covariance, self._kept, memory=memory, start=k, stop=last,
             **self._options,
@@ -160,7 +163,18 @@ class CompiledLoop:
             kf.x, kf.P = state[0].reshape(x.shape), covariance[0]
             if memory is not None:
                 kf._learn(memory[0], len(memory[0]))
+            if watches:
+                kf._share.look_at_recording(kf, self._kept.weights[0, k : taken[0]], self._innovations(k, taken[0]))
         return int(taken[0])
+
+    def _innovations(self, first: int, last: int) -> Array:
+        """Return the innovations of steps, but for what was missing."""
+        means = self._kept.means_p[0, first:last]
+        if self._options["update_first"]:
+            # A step's prediction comes after its correction, and the next corrects it.
+            means = np.concatenate([means[:1], means[:-1]])
+        H = np.broadcast_to(self._model.H[0], (self._zs.shape[1], *self._model.H.shape[2:]))[first:last]
+        return self._zs[0, first:last] - np.einsum("kij,kj->ki", H, means)
 
     def advance(self, k: int) -> int:
         """Take steps from k on as far as the kernel can and return the next, which is the filter's.

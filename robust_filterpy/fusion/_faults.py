@@ -5,12 +5,13 @@ Beside each other run filters of the state and of one number more, b::
     biased, drifting   z = h x + f b + v,   f = 1, or seconds since the onset; b unknown from the onset on
     stuck              z = b + v,           v as noisy as ever, or ten times less
     noisier            v 2, 3, 5 or 9 times as large from the onset on
-    spikes             three of ten readings are outliers from the onset on
+    spikes             three of ten readings are outliers of one size, that of a class of noise, from the onset on
     model is wrong     Q 10, 100 or 1000 times as large from the onset on
     healthy            none of this
 
 Noise and its outliers are those learnt before the stretch that is judged. What a hypothesis is worth is the density of
-all readings of the stretch under it, the size of b integrated out, times how often such a thing happens.
+all readings of the stretch under it, the size of b integrated out, times how often such a thing happens. A reading of a
+sensor whose noise carries over to the next counts for less than one (`_watch.worth`).
 """
 
 from __future__ import annotations
@@ -59,6 +60,8 @@ class Stretch(NamedTuple):
     """Of the classes of noise, (C,)."""
     shares: Array
     """(M, C)"""
+    worth: Array
+    """How much of an independent reading one of a component is, (M,)."""
 
 
 class Found(NamedTuple):
@@ -82,7 +85,7 @@ class _Bank(NamedTuple):
     fault: Array
     onset: Array
     factor: Array
-    """Of the variance of the noise, or of Q."""
+    """Of the variance of the noise, of all readings or of the outliers, or of Q."""
     prior: Array
     """Logarithm."""
 
@@ -122,10 +125,14 @@ def _hypotheses(stretch: Stretch, left_out: np.ndarray) -> _Bank:
     for k, width in _onsets(spoken):
         rows += [(-1, _MODEL, k, w, math.log(_MANOEUVRE * width / len(_WORSE))) for w in _WORSE]
     for c in np.flatnonzero(~left_out).tolist():
-        kinds = [(_BIASED, 1.0), (_DRIFTING, 1.0), (_STUCK, 1.0), (_STUCK, _STILL), (_SPIKY, 1.0)]
-        kinds += [(_NOISY, f * f) for f in _NOISIER]
+        kinds = {_BIASED: (1.0,), _DRIFTING: (1.0,), _STUCK: (1.0, _STILL), _SPIKY: tuple(stretch.scales[1:])}
+        kinds[_NOISY] = tuple(f * f for f in _NOISIER)
         for k, width in _onsets(np.flatnonzero(~np.isnan(stretch.z[:, c]))):
-            rows += [(c, fault, k, factor, math.log(_FAULT * width / 5.0)) for fault, factor in kinds]
+            rows += [
+                (c, fault, k, factor, math.log(_FAULT * width / len(kinds)))
+                for fault, factors in kinds.items()
+                for factor in factors
+            ]
     rows[1:] = sorted(rows[1:], key=lambda row: row[2])
     return _Bank(*(np.array(column, dtype=float) for column in zip(*rows, strict=True)))
 
@@ -176,17 +183,19 @@ def _run(stretch: Stretch, bank: _Bank, left_out: np.ndarray) -> tuple[Array, Ar
             h[:, :n] = np.where((mine & stuck[now])[:, None], 0.0, stretch.H[k, c])
             h[:, n] = np.where(mine & carries[now], np.where(drifts[now], stretch.seconds[k] - began[now], 1.0), 0.0)
             r = stretch.r[c] * np.where(mine & noisy[now], bank.factor[now], 1.0)
-            shares = _shares(stretch.shares[c], mine & (bank.fault[now] == _SPIKY))
-            logs[now] += corrected(x[now], P[now], stretch.z[k, c], h, r, stretch.scales, shares)
+            shares = _shares(stretch, c, bank.factor[now], mine & (bank.fault[now] == _SPIKY))
+            density = corrected(x[now], P[now], stretch.z[k, c], h, r, stretch.scales, shares)
+            logs[now] += stretch.worth[c] * density
     return logs, x[:, n] / np.where(carries, root, 1.0)
 
 
-def _shares(usual: Array, spiky: np.ndarray) -> Array:
-    """Return the shares of the classes under each hypothesis, (N, C)."""
-    if len(usual) == 1 or not spiky.any():
+def _shares(stretch: Stretch, c: int, factor: Array, spiky: np.ndarray) -> Array:
+    """Return the shares of the classes of a component under each hypothesis, (N, C)."""
+    usual = stretch.shares[c]
+    if not spiky.any():
         return np.broadcast_to(usual, (len(spiky), len(usual)))
-    outlying = usual[1:] / usual[1:].sum() * max(_SPIKES, min(2.0 * (1.0 - usual[0]), 0.9))
-    return np.where(spiky[:, None], np.concatenate([[1.0 - outlying.sum()], outlying]), usual)
+    more = max(_SPIKES, min(2.0 * (1.0 - usual[0]), 0.9))
+    return np.where(spiky[:, None], (1.0 - more) * usual + more * (stretch.scales == factor[:, None]), usual)
 
 
 def corrected(x: Array, P: Array, z: Any, h: Array, r: Array, scales: Array, shares: Array) -> Array:

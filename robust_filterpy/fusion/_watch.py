@@ -8,6 +8,10 @@ readings, but not while something is suspected. It is clipped to 3 for the first
     far     max(0, . + log of the odds of |e| > 3)             a share of spikes larger by .2 than the one learnt
     repeats readings in a row that say exactly the same, where the sensor does not usually do that
 
+Where a sensor's noise carries over from one reading to the next, with a correlation phi, its sums wander as if each
+reading counted (1 + phi) / (1 - phi) times. phi is learnt from how often e keeps its sign while nothing is suspected;
+every step of the first two sums is multiplied by the inverse (`worth`), of the others by that of phi^2.
+
 No test speaks in the first 60 readings of a sensor, from which its noise is learnt. Each limit is for one alarm in 10^5
 readings or fewer of a sensor that is as it was learnt to be.
 """
@@ -21,13 +25,13 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 
-__all__ = ["FAULTS", "SLOW", "Watch", "alarmed", "calm", "fresh", "looked_at", "recovered"]
+__all__ = ["FAULTS", "SLOW", "Watch", "alarmed", "calm", "colour", "fresh", "looked_at", "recovered", "worth"]
 
 #: What can be the matter with a sensor, by number: 0 is nothing, 1 something that is not known yet.
 FAULTS = ("healthy", "departs", "biased", "drifting", "stuck", "noisier", "spikes")
 
 # Columns of the tests, and their limits.
-_UP, _DOWN, _WIDE, _FAR, _REPEATS, _USUAL, _LAST, SLOW, _COUNT = range(9)
+_UP, _DOWN, _WIDE, _FAR, _REPEATS, _USUAL, _LAST, SLOW, _COUNT, _SIGN, _KEEPS = range(11)
 _SLACK = 0.35
 _LIMITS = np.array([14.3, 14.3, 12.0, 12.0])
 _CLIP, _MORE = 3.0, 0.2
@@ -35,6 +39,8 @@ _CLIP, _MORE = 3.0, 0.2
 _ACCIDENT = math.log(1e5)
 # Readings from which noise is learnt before a test speaks, and over which what was learnt is averaged.
 _FIRST, _AVERAGED = 60.0, 300.0
+# A correlation of n readings is no colour up to this over sqrt(n): 1.5 standard deviations of pi/2 times the mean sign.
+_BY_CHANCE = 2.4
 # Readings over which recovery is judged.
 _RECENT, _ENOUGH = 20.0, 30.0
 
@@ -43,7 +49,7 @@ class Watch(NamedTuple):
     """What is known of the health of each component and sensor; nothing in here is ever written to."""
 
     tests: Array
-    """(M, 9)"""
+    """(M, 11)"""
     recent: Array
     """Of clipped e as noise was before the fault: mean, mean square, share beyond 3, how many; (M, 4)."""
     before: Array
@@ -73,7 +79,7 @@ class Watch(NamedTuple):
 
 def fresh(components: int, sensors: int) -> Watch:
     """Return that nothing is the matter."""
-    tests = np.zeros((components, 9))
+    tests = np.zeros((components, 11))
     tests[:, _LAST], tests[:, SLOW] = np.nan, 1.0
     return Watch(
         tests, np.zeros((components, 4)), np.ones(components), np.zeros(sensors), np.ones(sensors),
@@ -112,11 +118,17 @@ def looked_at(
     tests[quiet, SLOW] += (pace * (factors - tests[:, SLOW]))[quiet]
     tests[here, _COUNT] += 1.0
     e = np.where(here, y / np.sqrt(spread + tests[:, SLOW] * R), 0.0)
-    clipped = np.clip(e, -_CLIP, _CLIP)
+    clipped, sign = np.clip(e, -_CLIP, _CLIP), np.sign(e)
+    pace = 1.0 / np.minimum(np.maximum(tests[:, _COUNT], 1.0), _AVERAGED)
+    tests[quiet, _KEEPS] += (pace * (sign * tests[:, _SIGN] - tests[:, _KEEPS]))[quiet]
+    tests[here, _SIGN] = sign[here]
     usual = np.clip(shares, 0.01, 0.5)
     far = np.where(np.abs(e) > _CLIP, np.log((usual + _MORE) / usual), np.log((1.0 - usual - _MORE) / (1.0 - usual)))
     steps = np.column_stack([clipped - _SLACK, -clipped - _SLACK, 0.375 * clipped**2 - math.log(2.0), far])
     old = here & ~young
+    phi = colour(watch)
+    # Squares of two such numbers have correlation phi^2.
+    steps *= np.column_stack([worth(phi), worth(phi), worth(phi**2), worth(phi**2)])
     tests[old, :4] = np.maximum(0.0, tests[old, :4] + steps[old])
     same = here & (z == tests[:, _LAST])
     tests[here, _REPEATS] = np.where(same, tests[:, _REPEATS] + 1.0, 0.0)[here]
@@ -141,6 +153,22 @@ def alarmed(watch: Watch, owner: np.ndarray) -> np.ndarray:
     """Return which sensors a test speaks against, (S,)."""
     over = (watch.tests[:, :4] > _LIMITS).any(axis=1) | repeating(watch)
     return np.isin(np.arange(len(watch.fault)), owner[over])
+
+
+def colour(watch: Watch) -> Array:
+    """Return the correlation of each component's readings with those before, (M,), in [0, .95].
+
+    What may be chance is taken off. Signs of two normal numbers of correlation phi agree with probability
+    1/2 + arcsin(phi)/pi.
+    """
+    counts = np.minimum(watch.tests[:, _COUNT], 2.0 * _AVERAGED)
+    phi = np.sin(0.5 * math.pi * watch.tests[:, _KEEPS]) - _BY_CHANCE / np.sqrt(np.maximum(counts, 1.0))
+    return np.clip(phi, 0.0, 0.95)
+
+
+def worth(phi: Array) -> Array:
+    """Return how much a reading counts if its correlation with the one before is phi, in (0, 1]."""
+    return np.asarray((1.0 - phi) / (1.0 + phi))
 
 
 def repeating(watch: Watch) -> np.ndarray:

@@ -26,7 +26,7 @@ from robust_filterpy.fusion.reacquisition import Reacquisition
 from robust_filterpy.fusion.recording import Recording, fused, read, table_columns
 from robust_filterpy.fusion.results import Estimate, Forecast, FusionWarning, SensorNoise
 from robust_filterpy.fusion.sensors import OFTEN, Layout, Sensor
-from robust_filterpy.fusion.verdicts import STRETCH, Verdict, of_all, silent, words
+from robust_filterpy.fusion.verdicts import LONGEST, Verdict, of_all, silent, words
 from robust_filterpy.influence.functions import Influence
 
 __all__ = ["Fusion"]
@@ -34,7 +34,7 @@ __all__ = ["Fusion"]
 # Standard deviation of every state where nobody tells where it starts.
 _UNKNOWN = 1e4
 # Entries that are kept behind the window.
-_HISTORY = STRETCH + 100
+_HISTORY = LONGEST + 100
 
 #: What has become of a reading, as `Fusion.observe` says it and `Fusion.counts` counts it.
 OUTCOMES = ("taken", "late", "replaced", "duplicate", "refused")

@@ -16,7 +16,7 @@ from robust_filterpy.fusion._stepping import Moment, Setup, advanced, aged, cova
 from robust_filterpy.fusion._timeline import Timeline
 from robust_filterpy.fusion._times import Clock
 from robust_filterpy.fusion.sensors import Layout
-from robust_filterpy.fusion.verdicts import STRETCH, Verdict, described, of_all
+from robust_filterpy.fusion.verdicts import LONGEST, Verdict, described, of_all
 from robust_filterpy.smoothing.smoother import smooth
 
 __all__ = ["Recording", "Rows", "fused", "read", "table_columns"]
@@ -232,7 +232,7 @@ def _watched(
     setup: Setup, began: tuple[Moment, Any], rows: Rows, into: tuple[Array, Array]
 ) -> tuple[Moment, list[tuple[str, int, str]], list[tuple[int, str, Verdict]]]:
     """Write the states of stamps that are taken one by one; return the last moment, who failed, and what was said."""
-    layout, line = setup.layout, Timeline(setup, began[0], 0.0, STRETCH + 100)
+    layout, line = setup.layout, Timeline(setup, began[0], 0.0, LONGEST + 100)
     line.base_key, moment = began[1], began[0]
     failed: list[tuple[str, int, str]] = []
     said: list[tuple[int, str, Verdict]] = []
@@ -258,7 +258,7 @@ def _silences(layout: Layout, rows: Rows) -> list[tuple[int, str, Verdict]]:
         gaps = np.diff(keys[spoke]) / (1e9 if keys.dtype == np.int64 else 1.0)
         every = layout.sensors[name].every
         for i in range(len(spoke)):
-            usual = np.median(gaps[max(i - STRETCH, 0) : i]) if i > 1 else np.inf
+            usual = np.median(gaps[max(i - LONGEST, 0) : i]) if i > 1 else np.inf
             limit = 5.0 * usual if every is None else 3.0 * every
             if not np.isfinite(limit):
                 continue

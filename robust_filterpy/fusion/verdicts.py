@@ -8,7 +8,7 @@ are again as they were.
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,13 +18,13 @@ from robust_filterpy.fusion import _faults
 from robust_filterpy.fusion._faults import Found, Stretch
 from robust_filterpy.fusion._stepping import Moment, advanced, covariance
 from robust_filterpy.fusion._times import Clock
-from robust_filterpy.fusion._watch import FAULTS, SLOW, Watch, alarmed, calm, recovered
+from robust_filterpy.fusion._watch import FAULTS, SLOW, Watch, alarmed, calm, colour, recovered, worth
 from robust_filterpy.fusion.sensors import Layout
 
-__all__ = ["STRETCH", "Verdict", "described", "of_all", "watched", "words"]
+__all__ = ["LONGEST", "Verdict", "described", "of_all", "watched", "words"]
 
-#: Stamps that are judged anew after an alarm.
-STRETCH = 300
+#: Stamps that are judged anew after an alarm, and at most while a sensor departs.
+STRETCH, LONGEST = 300, 600
 # A verdict is wrong once in twenty times at most; and what is said before that.
 _SURE, _LIKELY = 0.95, 0.5
 # Readings until a sensor that departs, or one that has a verdict, is looked at again.
@@ -158,12 +158,16 @@ def _after_a_look(line: Any, i: int, watch: Watch, fresh: np.ndarray, followed: 
     # a state that took nothing of him. Who departs is looked at again, however long it has been.
     early = line.keys[min(first + (first > 0) * STRETCH // 3, i)]
     gone = np.array([at is not None and at < early for at in watch.since]) & (watch.fault > _DEPARTS)
+    # A drift whose beginning is no longer seen looks like a bias.
+    seen = [at for at, fault in zip(watch.since, watch.fault, strict=True) if fault == _DEPARTS]
+    if seen:
+        first = max(min(first, bisect_left(line.keys, min(seen)) - STRETCH // 2), i + 1 - LONGEST, 0)
     if (gone & watch.out).any():
         first = max(first, bisect_right(line.keys, watch.mended))
     watch = watch._replace(due=np.where(followed, np.where(gone, np.inf, float(_LATER)), watch.due))
     if first >= i or not (fresh | (followed & ~gone)).any():
         return watch
-    stretch = _stretch(line, first, i)
+    stretch = _stretch(line, first, i, worth(colour(watch)))
     found = _faults.judged(stretch, gone[layout.party])
     best = _by_sensor(found, layout.party)
     (who, fault), probability = max(best.items(), key=lambda one: one[1])
@@ -216,7 +220,7 @@ def _by_sensor(found: list[Found], owner: np.ndarray) -> dict[tuple[int, int], f
     return sums
 
 
-def _stretch(line: Any, first: int, last: int) -> Stretch:
+def _stretch(line: Any, first: int, last: int, worth: Array) -> Stretch:
     """Return the readings of some entries, with the model as it was about the states then."""
     setup, rows = line.setup, []
     before, key = line.stands(first)
@@ -234,6 +238,7 @@ def _stretch(line: Any, first: int, last: int) -> Stretch:
     return Stretch(
         state.x, state.P, F, Q * setup.policy.process(state), drift, seconds_,
         np.where(np.isnan(state.sizes), np.nan, z), H, line.stands(first)[0].watch.tests[:, SLOW] * R, scales, shares,
+        worth,
     )  # fmt: skip
 
 
@@ -247,7 +252,7 @@ def _mended(line: Any, i: int, watch: Watch) -> Any:
     owner, out = line.setup.layout.party, watch.out
     onsets = [at for at, left in zip(watch.since, out, strict=True) if left]
     first = next((k for k in range(i + 1) if line.keys[k] >= min(onsets)), i)
-    first = max(first, i + 1 - STRETCH)
+    first = max(first, i + 1 - LONGEST)
     moment, key = line.stands(first)
     for entry in line.entries[first : i + 1]:
         lies = np.array([left and at <= entry.key for at, left in zip(watch.since, out, strict=True)])

@@ -18,6 +18,7 @@ from robust_filterpy import (
     ParameterTracker,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
+    StudentT,
     TukeyBiweight,
 )
 from robust_filterpy.filters import _outlier_share
@@ -81,6 +82,44 @@ def test_R_a_thousand_times_too_small_is_told_within_200_samples_at_the_line_of_
             kf.predict()
             kf.update(z)
     assert [one.filename for one in caught] == [__file__]
+
+
+@pytest.mark.parametrize("update_first", [False, True])
+@pytest.mark.parametrize(
+    "options", [{}, {"grouping": "joint"}, {"influence": TukeyBiweight()}, {"influence": StudentT(5.0)}]
+)
+@pytest.mark.parametrize("dims", [(2, 1), (4, 2)])
+def test_batch_filter_tells_what_steps_tell_and_keeps_quiet_where_they_do(dims, options, update_first):
+    for factor, told in ((1e-4, 1), (1.0, 0)):
+        problem, zs = recordings(dims, factor, 0.1)
+        for gap in (slice(0, 0), slice(5, None, 4)):
+            zs[gap] = np.nan
+            _outlier_share._warned.clear()
+            kf = support.make(ByS, problem, **options)
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                kf.batch_filter(zs, update_first=update_first)
+            assert [one.filename for one in caught if one.category is OutlierShareWarning] == [__file__] * told
+
+
+@pytest.mark.parametrize("r, curve, cause", [(1e-3, 0.0, "R is too small"), (1.0, 0.02, "Q is too small")])
+def test_batch_filter_says_which_noise_is_too_small(r, curve, cause):
+    kf = ByS(2, 1)
+    kf.F, kf.H, kf.Q, kf.R = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]]), 1e-7 * np.eye(2), r * np.eye(1)
+    zs = np.random.default_rng(10_020).normal(size=600) + curve * np.arange(600.0) ** 2
+    with pytest.warns(OutlierShareWarning, match=cause):
+        kf.batch_filter(zs)
+
+
+def test_batch_filter_whose_warning_is_an_error_changes_nothing():
+    problem, zs = recordings((2, 1), 1e-4)
+    kf = support.make(ByS, problem)
+    before = support.snapshot(kf)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", OutlierShareWarning)
+        with pytest.raises(OutlierShareWarning):
+            kf.batch_filter(zs)
+    support.assert_unchanged(before, kf)
 
 
 def test_filterpy_s_own_loop_is_not_the_line_of_the_user():
