@@ -139,6 +139,11 @@ class RobustFilterMixin(OptionsMixin, PrintingMixin, StateMixin):
         if expected and self._counts_clipped and self._updates % EVERY == 0:
             self._share.look(self, last if isinstance(last, Correction) else last.as_arrays())
 
+    def _look_back(self, weights: Array, y: Array) -> None:
+        """Look whether most corrections of a recording clip, whose weights and innovations have shape (N, m)."""
+        if self._counts_clipped:
+            self._share.look_at_recording(self, weights, y)
+
     @property
     def _learns_spread(self) -> bool:
         """Whether thresholds are in units of the spread; the Kalman filter has none."""

@@ -151,7 +151,7 @@ class CompiledLoop:
         x, P = state_of(kf)
         state, covariance = x.reshape(1, -1).copy(), P[None].copy()
         memory = kf._known(self._zs.shape[2]).memory[None].copy() if kf._learns_spread else None
-        watches = kf.choices.scaling == "innovation" and kf._counts_clipped
+        watches = kf.choices.scaling == "innovation"
         if watches and not self._kept.weights.size:
             self._kept = self._kept._replace(weights=np.full(self._zs.shape, np.nan))
         taken = series.filter_series(
@@ -164,7 +164,7 @@ class CompiledLoop:
             if memory is not None:
                 kf._learn(memory[0], len(memory[0]))
             if watches:
-                kf._share.look_at_recording(kf, self._kept.weights[0, k : taken[0]], self._innovations(k, taken[0]))
+                kf._look_back(self._kept.weights[0, k : taken[0]], self._innovations(k, taken[0]))
         return int(taken[0])
 
     def _innovations(self, first: int, last: int) -> Array:

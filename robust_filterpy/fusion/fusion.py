@@ -33,8 +33,8 @@ __all__ = ["Fusion"]
 
 # Standard deviation of every state where nobody tells where it starts.
 _UNKNOWN = 1e4
-# Entries that are kept behind the window.
-_HISTORY = LONGEST + 100
+# Entries that are kept behind the window, and where a verdict looks back.
+_HISTORY, _WATCHED = 400, LONGEST + 100
 
 #: What has become of a reading, as `Fusion.observe` says it and `Fusion.counts` counts it.
 OUTCOMES = ("taken", "late", "replaced", "duplicate", "refused")
@@ -132,7 +132,7 @@ class Fusion:
         self._clock = Clock()
         self._setup = Setup(motion, layout, policy_of(layout, noise, process, influence), bool(watch), reacquire)
         self._begin = begun(self._setup, x, P)
-        self._timeline = Timeline(self._setup, self._begin, seconds, _HISTORY)
+        self._timeline = Timeline(self._setup, self._begin, seconds, _WATCHED if watch else _HISTORY)
         self._started = None if t0 is None else self._clock.key(t0, "t0")
         self._timeline.base_key = self._started
         if t0 is not None:

@@ -79,6 +79,40 @@ def test_a_healthy_recording_has_no_verdicts():
     assert fusion.report().splitlines() == ["a healthy", "b healthy", "c healthy"]
 
 
+def said(readings):
+    """Return who was said to have which fault, in the order in which it was said."""
+    table = dict(zip(("sensor", "time", "value"), zip(*readings, strict=True), strict=True))
+    return [(name, verdict.fault) for _, name, verdict in made().run(table).verdicts if verdict.fault != "silent"]
+
+
+@pytest.mark.parametrize("seed", [21, 22])
+def test_noise_that_carries_over_from_reading_to_reading_accuses_nobody(seed):
+    readings, places = recording(seed, lambda t, x, v, last: x + v, 100.0)
+    carried, coloured = dict.fromkeys(RATES, 0.0), []
+    for (name, t, z), x in zip(readings, places, strict=True):
+        carried[name] = 0.6 * carried[name] + 0.8 * (z - x)
+        coloured.append((name, t, x + carried[name]))
+    assert not said(coloured)
+
+
+@pytest.mark.parametrize("seed", [23, 24])
+def test_a_slow_drift_is_no_bias_however_long_it_takes_to_show(seed):
+    readings, _ = recording(seed, lambda t, x, v, last: x + v + 0.2 * (t - 30.0), 60.0)
+    faults = [fault for name, fault in said(readings) if name == "b" and fault not in ("departs", "healthy")]
+    assert faults[:1] == ["drifting"]
+
+
+@pytest.mark.parametrize("seed", [25, 26])
+def test_spikes_of_ten_standard_deviations_are_no_noise_that_has_grown(seed):
+    turns = np.random.default_rng(seed)
+
+    def spoil(t, x, v, last):
+        return x + v + (turns.choice([-10.0, 10.0]) if turns.random() < 0.3 else 0.0)
+
+    faults = [fault for name, fault in said(recording(seed, spoil)[0]) if name == "b" and fault != "departs"]
+    assert faults[:1] == ["spikes"]
+
+
 def test_a_sensor_that_has_recovered_is_let_in_again():
     readings, _ = recording(3, lambda t, x, v, last: x + v + (6.0 if t < 40.0 else 0.0), 60.0)
     fusion = made()
