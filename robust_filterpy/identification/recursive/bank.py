@@ -21,6 +21,7 @@ from robust_filterpy.identification.models.time_axis import recording
 from robust_filterpy.identification.recursive import bank_setup, setup, track
 from robust_filterpy.identification.recursive.bank_results import BankResult, BankSample
 from robust_filterpy.identification.recursive.recursion import GRADIENTS, Gradient, Regressor
+from robust_filterpy.identification.recursive.returning import Returning
 from robust_filterpy.identification.recursive.state import at_rest
 from robust_filterpy.identification.recursive.tracker import START, ParameterTracker, continued
 from robust_filterpy.identification.recursive.watch import LostTrackerWarning, News
@@ -32,7 +33,7 @@ __all__ = ["TrackerBank"]
 _CHUNK = 1_000_000
 
 
-class TrackerBank:
+class TrackerBank(Returning):
     """Follow the parameters of n actuators of one structure; equal to a loop over n `ParameterTracker`.
 
     Parameters
@@ -109,6 +110,8 @@ class TrackerBank:
     >>> result.theta.shape, bool(np.abs(bank.coefficients.b[:, 0] - gains).max() < 0.05)
     ((1, 100, 2), True)
     """
+
+    _name = "TrackerBank"
 
     def __init__(
         self,
@@ -443,37 +446,6 @@ class TrackerBank:
         settings = {**self._set_by_hand(), "enabled": self._enabled, "R": self._now.scale[:, 0]}
         return _state.labelled(self.kind, {**self._now.arrays(), **settings})
 
-    @property
-    def kind(self) -> str:
-        """What a state belongs to."""
-        return f"TrackerBank of {self.structure}"
-
-    def restore(self, state: Any) -> None:
-        """Go back to a state of this bank, or of another one with the same n and structure.
-
-        Parameters
-        ----------
-        state : mapping of str to ndarray
-            From `state`, or what ``numpy.load`` makes of a file that holds it.
-
-        Raises
-        ------
-        ValueError
-            If it is of another structure or a newer format, an array is missing, does not fit or is not finite, a
-            variance is not positive, P not positive semidefinite, or a model unstable that the guard keeps stable;
-            nothing has changed then.
-        TypeError
-            If state is no mapping.
-
-        Notes
-        -----
-        The continuation is the same to the last bit. Q, F and forgetting are the state's; a warning says so where the
-        bank was made with others.
-        """
-        before = self._set_by_hand()
-        self._go_back(state)
-        setup.say_replaced("TrackerBank", before, self._set_by_hand())
-
     def _set_by_hand(self) -> dict[str, Any]:
         """Return what the user may have set; a list as well."""
         return {"alpha_sq": self._alpha_sq, **{name: numbers(name, getattr(self, name)) for name in "QF"}}
@@ -485,10 +457,6 @@ class TrackerBank:
         self._now = self._now.restored(found, found["R"])
         self._enabled, self._alpha_sq = found["enabled"], found["alpha_sq"]
         self.Q, self.F = found["Q"], found["F"]
-
-    def reset(self) -> None:
-        """Go back to the start: theta, P, Q, R, F and the memory as they were when the bank was made."""
-        self._go_back(self._initial)
 
 
 def _every(keep: Any, length: int) -> int:

@@ -32,6 +32,7 @@ from robust_filterpy.identification.recursive import setup, track
 from robust_filterpy.identification.recursive.handover import gone_on
 from robust_filterpy.identification.recursive.noise_scale import ordinary_mean
 from robust_filterpy.identification.recursive.recursion import GRADIENTS, REGRESSORS, Gradient, Regressor
+from robust_filterpy.identification.recursive.returning import Returning
 from robust_filterpy.identification.recursive.standing import Standing
 from robust_filterpy.identification.recursive.state import Form, State, at_rest
 from robust_filterpy.identification.recursive.tuned import TunedTracker, tuned
@@ -47,7 +48,7 @@ START = 400
 _SHOWN = 12
 
 
-class ParameterTracker(Standing):
+class ParameterTracker(Returning, Standing):
     """Follow the parameters of a linear model, sample by sample, through outliers.
 
     A filter with the parameters as its state, F = I and H = phi'(k) (paper 53 and Table 1)::
@@ -201,6 +202,8 @@ class ParameterTracker(Standing):
     >>> tracker.theta.round(2), round(tracker.R, 2)
     (array([-0.8,  2. ]), 0.01)
     """
+
+    _name = "ParameterTracker"
 
     def __init__(
         self,
@@ -499,11 +502,6 @@ class ParameterTracker(Standing):
 
     # Interruption.
 
-    @property
-    def kind(self) -> str:
-        """What a state belongs to."""
-        return f"ParameterTracker of {self.structure}"
-
     def state(self) -> dict[str, Array]:
         """Return everything the recursion needs to go on, as plain arrays.
 
@@ -524,31 +522,9 @@ class ParameterTracker(Standing):
         arrays |= {"enabled": np.array(bool(self.enabled)), **setup.settings(self.filter), **setup.kept_by(self.filter)}
         return _state.labelled(self.kind, arrays)
 
-    def restore(self, state: Any) -> None:
-        """Go back to a state of this tracker, or of another one with the same structure and kind of filter.
-
-        Parameters
-        ----------
-        state : mapping of str to ndarray
-            From `state`, or what ``numpy.load`` makes of a file that holds it.
-
-        Raises
-        ------
-        ValueError
-            If it is of another structure or a newer format, an array is missing, does not fit, or holds NaN or a
-            variance that is not positive; nothing has changed then.
-        TypeError
-            If state is no mapping.
-
-        Notes
-        -----
-        The continuation is the same to the last bit, for filters that hold x and P themselves. What it has warned of is
-        not in a state; one from before there was a watch in it is watched from here on. Q, F and forgetting are the
-        state's; a warning says so where the tracker was made with others.
-        """
-        before = setup.settings(self.filter)
-        self._go_back(state)
-        setup.say_replaced("ParameterTracker", before, setup.settings(self.filter))
+    def _set_by_hand(self) -> dict[str, Any]:
+        """Return what the user may have set of the filter."""
+        return setup.settings(self.filter)
 
     def _go_back(self, state: Any) -> None:
         """Take over a state, or raise; nothing has changed then."""
@@ -565,10 +541,6 @@ class ParameterTracker(Standing):
         arrays = {name: value[None] for name, value in found.items() if name in shapes}
         self._take_over(self._now.restored(arrays, np.array([setup.told_variance(self.filter)])))
         self.enabled, self._time = bool(found["enabled"]), None
-
-    def reset(self) -> None:
-        """Go back to the start: theta, P, Q, R, F and the memory as they were when the tracker was made."""
-        self._go_back(self._initial)
 
     def replaced(self, *, Q: ArrayLike | None = None, forgetting: float | None = None) -> ParameterTracker:
         """Return a copy with another Q or forgetting, which it has after a reset, too.
