@@ -9,16 +9,19 @@ P+ = P - C T' D T C', so the following ones count for more, and a filter that is
 
 # %% A level, watched every second: once it really jumps by 30 sigma, once the sensor is wrong for 10 samples.
 import argparse
+import warnings
 from pathlib import Path
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from robust_filterpy import RobustKalmanFilter, TukeyBiweight
+from robust_filterpy import OutlierShareWarning, RobustKalmanFilter, TukeyBiweight
 from robust_filterpy.plotting import LOOKS
 
 JUMP, START, RUN, STEPS = 30.0, 100, 10, 300
 DEFAULT = "Huber, the default"
+# A filter that does not believe the jump clips all that comes after it, and says so: here that is drawn.
+warnings.simplefilter("ignore", OutlierShareWarning)
 
 
 class GatedKalmanFilter(KalmanFilter):

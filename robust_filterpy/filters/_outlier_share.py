@@ -86,7 +86,7 @@ class Share:
             keeps = (sign[1:] * sign[:-1] > 0.0).sum() > 0.75 * length
             if numbers >= _NUMBERS // 2:
                 least = _HALF if numbers >= _NUMBERS else _SURER
-                self._judge(kf, clipped[window].sum() / numbers, least, numbers, bool(keeps), weights.shape[1])
+                self._judge(kf, float(clipped[window].sum()) / numbers, least, numbers, bool(keeps), weights.shape[1])
 
     def _judge(self, kf: Any, share: float, least: float, numbers: int, keeps: bool, m: int) -> None:
         """Warn if too much of what psi expects unclipped is clipped, more than one jump or run of outliers clips."""

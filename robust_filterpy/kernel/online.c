@@ -174,6 +174,7 @@ static void begin_record(double *values, npy_intp n, npy_intp m, const correctio
     values[3] = correction_log_likelihood(rule, c);
     real_copy((int)(4 * m), c->e, vectors + m);     /* e, weights, slopes, d */
     real_copy((int)(2 * m), c->v, vectors + 5 * m); /* v, order */
+    real_copy((int)m, c->first, vectors + 7 * m);   /* S_ii by which it was judged */
 }
 
 static void write_innovations(double *y, npy_intp n, npy_intp m, const double *z, const double *H, const double *x) {
@@ -183,7 +184,7 @@ static void write_innovations(double *y, npy_intp n, npy_intp m, const double *z
         y[i] = z[i] == z[i] ? z[i] - predicted : 0;
     }
 }
-#define RECORD(n, m) (4 + 7 * (m) + (m) * (m) + (m) * (n))
+#define RECORD(n, m) (4 + 8 * (m) + (m) * (m) + (m) * (n))
 
 static int take_correction(held *h, PyObject *filter, PyObject *z, PyObject *const given[3]) {
     filter_state now;
@@ -218,7 +219,7 @@ static int take_correction(held *h, PyObject *filter, PyObject *z, PyObject *con
         if (learnt) real_copy((int)(SPREAD_NUMBERS * m), s.memory, numbers_of(learnt));
         outcome = update((int)n, (int)m, &s.rule, numbers_of(kept), s.H, s.R, s.M,
                          learnt ? (spread_memory *)numbers_of(learnt) : NULL, numbers_of(x_next), numbers_of(P_next), &c,
-                         values + 4 + 7 * m, work);
+                         values + 4 + 8 * m, work);
         begin_record(values, n, m, &s.rule, &c);
         write_innovations(values + 4, n, m, numbers_of(kept), s.H, now.x);
     }
@@ -299,7 +300,7 @@ static PyObject *correct_moments(PyObject *self, PyObject *const *given, Py_ssiz
         const double *const shown = work + update_work((int)n, (int)m);
         begin_record(values, n, m, &rule, &c);
         real_copy((int)m, shown + m * m + m * n, values + 4);
-        real_copy((int)(m * m + m * n), shown, values + 4 + 7 * m);
+        real_copy((int)(m * m + m * n), shown, values + 4 + 8 * m);
     }
     work_done(stack, work);
     if (fine) found = PyTuple_Pack(4, x, P_next, record, learnt);

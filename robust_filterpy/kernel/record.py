@@ -18,8 +18,9 @@ def correction_of(values: Array, x: Array, P: Array) -> Correction:
 
     Parameters
     ----------
-    values : ndarray, shape (4 + 7 m + m^2 + m n,)
-        n, m, scaling, log-likelihood; y, e, weights, psi', d, v and the order, of m numbers each; S and C'.
+    values : ndarray, shape (4 + 8 m + m^2 + m n,)
+        n, m, scaling, log-likelihood; y, e, weights, psi', d, v, the order, and S_ii
+        with what a sensor is charged, of m numbers each; S and C'.
     x : ndarray, shape (n,) or (n, 1)
         Posterior mean.
     P : ndarray, shape (n, n)
@@ -31,11 +32,12 @@ def correction_of(values: Array, x: Array, P: Array) -> Correction:
     """
     n, m = int(values[0]), int(values[1])
     scaling, rest = SCALINGS[int(values[2])], values[4:]
-    y, e, weights, psi_deriv, d, score, order = rest[: 7 * m].reshape(7, m)
-    S, C = rest[7 * m : (7 + m) * m].reshape(m, m), rest[(7 + m) * m :].reshape(m, n).T
+    y, e, weights, psi_deriv, d, score, order, judged = rest[: 8 * m].reshape(8, m)
+    S, C = rest[8 * m : (8 + m) * m].reshape(m, m), rest[(8 + m) * m :].reshape(m, n).T
     groups = _groups(order[: np.count_nonzero(weights == weights)])
+    information = _information(S - np.diag(S.diagonal() - judged), e, d, groups, scaling)
     return Correction(
-        np.ravel(x), P, C, y, S, score, _information(S, e, d, groups, scaling), e, weights, psi_deriv,
+        np.ravel(x), P, C, y, S, score, information, e, weights, psi_deriv,
         tuple(map(tuple, groups)), scaling, float(values[3]),
     )  # fmt: skip
 

@@ -71,6 +71,8 @@ def test_a_step_is_the_definition(monkeypatch, influence, grouping, scaling, inf
             two.update(z)
             # After a jump that was believed P is a million times what is left of it.
             assert_same(one, two, 1e-8 if scaling == "learnt" else 1e-10)
+            told, right = one._arrays().information, two._arrays().information
+            assert np.abs(told - right).max() <= 1e-6 * (1e-9 + np.abs(right).max())
     assert taken > 60
 
 
@@ -90,6 +92,8 @@ def test_among_sensors_that_fail_together_one_that_sees_no_state_is_judged_alone
         two.update(z)
         monkeypatch.setattr(_step, "_extension", EXTENSION)
         assert_same(one, two, 1e-9)
+        # Where nothing is seen of the state, only this tells how it was judged.
+        np.testing.assert_allclose(one._arrays().information, two._arrays().information, rtol=1e-6, atol=1e-9)
     # What it says about the others the kernel cannot tell.
     one.R = one.R + 0.1
     assert before_and_after(one, lambda: EXTENSION.correct(one, zs[0], None, None, None)) == (False, True)
