@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["brief", "lines_of"]
+__all__ = ["brief", "lines_of", "wrapped"]
 
 _SMALL, _WIDE = 9, 100
 
@@ -16,6 +16,11 @@ def brief(record: Any) -> str:
     """Return a named tuple or dataclass as text that fits a screen."""
     names = getattr(record, "_fields", None) or [n for n in record.__dataclass_fields__ if not n.startswith("_")]
     return "\n".join([type(record).__name__, *lines_of({name: getattr(record, name) for name in names})])
+
+
+def wrapped(text: str) -> str:
+    """Return a sentence on lines that a screen holds."""
+    return textwrap.fill(text, _WIDE, subsequent_indent="    ", break_on_hyphens=False, break_long_words=False)
 
 
 def lines_of(parts: dict[str, Any]) -> list[str]:

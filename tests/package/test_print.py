@@ -13,7 +13,7 @@ from robust_filterpy import (
     smooth,
 )
 from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
-from robust_filterpy.identification import BoxJenkins, TrackerBank
+from robust_filterpy.identification import BoxJenkins, StateSpace, TrackerBank, identify
 from robust_filterpy.testing import draw
 
 Y = np.cumsum(np.random.default_rng(10_001).normal(size=300))
@@ -54,6 +54,14 @@ def test_coefficients_print_a_line_for_each_polynomial(structure):
     coefficients = ParameterTracker(structure, start=0).coefficients
     lines = str(coefficients).splitlines()
     assert [line.split()[0] for line in lines[1:]] == list(coefficients._fields) and "array" not in str(coefficients)
+
+
+@pytest.mark.parametrize("structure", [BoxJenkins(2, 2, 2, 2), ARX(4, 4), StateSpace(4)])
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_a_model_fits_a_screen_and_says_no_less(structure):
+    model = identify(Y, U, structure)
+    assert len(repr(model)) > 100 >= max(map(len, str(model).splitlines()))
+    assert " ".join(str(model).split()) == " ".join(repr(model).split())
 
 
 def test_a_drawn_scenario_and_a_fusion_fit_a_screen():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Literal
 
+from robust_filterpy._brief import wrapped
 from robust_filterpy.identification.models import coefficients
 from robust_filterpy.identification.models.results import Intervals, intervals
 from robust_filterpy.identification.models.structures import Structure
@@ -20,6 +21,10 @@ class Estimated:
 
     theta: Any
     std: Any
+
+    def __str__(self) -> str:
+        """Return what `repr` says, on lines that a screen holds."""
+        return wrapped(repr(self))
 
     def confidence_intervals(self, level: float = 0.95) -> Intervals:
         """Return theta -+ z std, z the normal quantile of the level.

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
+from robust_filterpy._brief import wrapped
 from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import fill_values
 from robust_filterpy.identification.models.beginnings import held_input
@@ -95,6 +96,10 @@ class StateSpaceModel(StateSpaceSystem):
             + beside
             + doubt
         )
+
+    def __str__(self) -> str:
+        """Return what `repr` says, on lines that a screen holds."""
+        return wrapped(repr(self))
 
     @property
     def R(self) -> Array:
