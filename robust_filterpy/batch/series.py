@@ -220,14 +220,19 @@ def _by_classes(
             at.get("means", x[None].copy()), at.get("covariances", P[None].copy()), at.get("shares", np.ones(1)),
             at.get("learnt", classes.start(given.z.shape[2])), x, P, at.get("unseen", np.zeros(1)),
         )  # fmt: skip
-        outlying, scale = (None if column is None else column[s][:, None] for column in shown)
+        outlier_probability, scale = (None if column is None else column[s] for column in shown)
+        outlying = None if outlier_probability is None else np.zeros((len(outlier_probability), given.z.shape[2]))
         width = kept.covariances[s].size and (len(kept.covariances[s]), -1)
         into = learnt_kernel.Kept(
             kept.means[s], kept.covariances[s].reshape(width) if width else None, None, None, kept.weights[s],
-            outlying, scale, kept.log_likelihood[s : s + 1],
+            outlying, None if scale is None else scale[:, None], kept.log_likelihood[s : s + 1],
         )  # fmt: skip
         model = (*(array[s % len(array)] for array in given.model), None)
-        return learnt_kernel.run(start, given.z[s], model, classes, rules.process, into, every=given.every)
+        taken = learnt_kernel.run(start, given.z[s], model, classes, rules.process, into, every=given.every)
+        if outlying is not None:
+            rows = slice(0, taken // given.every)
+            outlier_probability[rows] = 1.0 - np.prod(1.0 - outlying[rows], axis=1)  # type: ignore[index]
+        return taken
 
     return spread(lambda low, high: np.array([one(s) for s in range(low, high)], dtype=int), len(given.z), n_threads)
 

@@ -12,7 +12,7 @@ from robust_filterpy._filterpy import ExtendedKalmanFilter
 from robust_filterpy._version import __version__
 from robust_filterpy.edge.extended_model import described_extended, is_extended
 from robust_filterpy.edge.filter_model import described_filter
-from robust_filterpy.edge.mixture_model import described_mixture
+from robust_filterpy.edge.mixture_model import described_mixture, mixes
 from robust_filterpy.edge.text import REALS, Described, comment, rendered, table
 from robust_filterpy.edge.tracker_model import described_tracker
 from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter
@@ -95,15 +95,15 @@ def export_c(
     precision = _checks.option("precision", precision, ("double", "single"))
     source = _source(path)
     name = source.stem
-    if type(model) in (RobustKalmanFilter, AdaptiveKalmanFilter):
-        mixes = getattr(model._policy, "rule", None) is not None  # type: ignore[union-attr]
-        if mixes and precision == "single":
-            raise ValueError(
-                'precision: expected "double" for noise that is told or learnt, whose probabilities are smaller than a '
-                'float can be, got "single"'
-            )
-        found = (described_mixture if mixes else described_filter)(model, name)  # type: ignore[arg-type]
-    elif is_extended(model):
+    plain, extended = type(model) in (RobustKalmanFilter, AdaptiveKalmanFilter), is_extended(model)
+    if (plain or extended) and precision == "single" and mixes(model):  # type: ignore[arg-type]
+        raise ValueError(
+            'precision: expected "double" for noise that is told or learnt, whose probabilities are smaller than a '
+            'float can be, got "single"'
+        )
+    if plain:
+        found = (described_mixture if mixes(model) else described_filter)(model, name)  # type: ignore[arg-type]
+    elif extended:
         found = described_extended(model, name)  # type: ignore[arg-type]
     elif type(model) is ParameterTracker:
         found = described_tracker(model, name)
@@ -116,6 +116,8 @@ def export_c(
         **found.values, "title": comment(found.title), "name": name, "NAME": name.upper(), "real": REALS[precision],
         "largest": "1e150" if precision == "double" else "1e15", "version": __version__,
     }  # fmt: skip
+    if "remark" in values:
+        values["remark"] = comment(f"A component of z that is NaN is missing. {values['remark']}")
     exported = Exported(source, source.with_suffix(".h"))
     values |= {part: rendered(text, values) for part, text in found.parts.items()}
     texts = (_code(found, values, name, precision), _tidy(rendered(f"{found.header or found.text}.h", values)))

@@ -1,4 +1,4 @@
-"""From a `RobustKalmanFilter` whose noise is told or learnt to the tables and sections of its C."""
+"""From a filter whose noise is told or learnt to the tables and sections of its C."""
 
 from __future__ import annotations
 
@@ -10,13 +10,26 @@ import numpy as np
 from robust_filterpy._arrays import state_of
 from robust_filterpy.edge.filter_model import finite, matrices, matrix_values, require_own, symmetric
 from robust_filterpy.edge.text import Described
+from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 
 # Numbers of a rule before its scales: copies, classes, stay, jump, two memories, whether it learns.
 _HEAD = 7
 
 
-def described_mixture(kf: RobustKalmanFilter, name: str) -> Described:
+def mixes(kf: RobustKalmanFilter | RobustExtendedKalmanFilter) -> bool:
+    """Return whether the kernel weighs what this filter's noise may have been."""
+    return getattr(kf._policy, "rule", None) is not None
+
+
+def memory_field(shape: tuple[int, ...], name: str) -> str:
+    """Return the field of what is known of the sensors, memory of this shape."""
+    sensors, width = shape
+    meant = "/* what is known of each sensor; the first is the factor of its R */"
+    return f"    {name}_real memory[{sensors} * {width}]; {meant}"
+
+
+def described_mixture(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name: str) -> Described:
     """Return what the C of a filter is made of that weighs what its noise may have been, or raise."""
     require_own(kf, "model")
     x, P = state_of(kf)
@@ -49,14 +62,13 @@ def described_mixture(kf: RobustKalmanFilter, name: str) -> Described:
                     f"means[{copies} * {n}]", f"covariances[{copies} * {n} * {n}]",
                     f"shares[{copies}]; /* their probabilities */",
                     "unseen; /* chance that the state has jumped since the last measurement */",
-                    f"memory[{m} * {width}]; /* what is known of each sensor; the first is the factor of its R */",
                 )
-            ).replace("*/;", "*/"),
-            "remark": f"A step that Python\n * leaves to its definition is refused, {name.upper()}_SINGULAR.",
+            ).replace("*/;", "*/") + "\n" + memory_field((m, width), name),
+            "remark": f"A step that Python leaves to its definition is refused, {name.upper()}_SINGULAR.",
             "shown_fields": f"""    {name}_real outlying[{m}]; /* probability that it was an outlier, 0 where missing */
     {name}_real weight[{m}];   /* 1 is full trust; NaN where missing */""",
         },
-        model, start, "filter",
+        model, start, "filter", {"classes": "classes.c"},
     )  # fmt: skip
 
 

@@ -100,13 +100,10 @@ INLINE npy_intp run(const int n, const int m, learnt_job *job, double *work) {
         }
         *job->log_likelihood += likelihood;
         if (kept_step && job->which & 2) {
-            double ordinary = 1, slow = 0, total = 0;
-            for (int i = 0; i < m; i++) {
-                ordinary *= 1 - outlying[i];
-                if (job->weights) job->weights[row * m + i] = weights[i];
-            }
+            double slow = 0, total = 0;
+            if (job->weights) real_copy(m, weights, job->weights + row * m);
+            if (job->outlying) real_copy(m, outlying, job->outlying + row * m);
             for (int c = 0; c < rule.q; c++) slow += s->p[c], total += s->p[c] * rule.process[c];
-            if (job->outlying) job->outlying[row] = 1 - ordinary;
             if (job->scale) job->scale[row] = total / slow;
         }
     }
@@ -161,7 +158,7 @@ static PyObject *learnt_steps(PyObject *self, PyObject *arguments) {
         (model[4] != Py_None && !take_matrices(&job.control, model[4], 1, all, n, 0)) ||
         !take_room(&job.means, out[0], 1, rows, n) || !take_room(&job.covariances, out[1], 1, rows, width) ||
         !take_room(&job.means_p, out[2], 1, rows, n) || !take_room(&job.covariances_p, out[3], 1, rows, width) ||
-        !take_room(&job.weights, out[4], 1, rows, m) || !take_room(&job.outlying, out[5], 1, rows, 1) ||
+        !take_room(&job.weights, out[4], 1, rows, m) || !take_room(&job.outlying, out[5], 1, rows, m) ||
         !take_room(&job.scale, out[6], 1, rows, 1) || !(job.log_likelihood = writable(out[7], 1, one)))
         return wrong();
     job.z.by_step = m;

@@ -52,8 +52,9 @@ class Kept(NamedTuple):
     covariances_p: Array | None = None
     weights: Array | None = None
     outlying: Array | None = None
-    """(rows, 1), as scale."""
+    """(rows, m), as weights."""
     scale: Array | None = None
+    """(rows, 1)"""
     log_likelihood: Array | None = None
     """(1,), added to."""
 
@@ -226,15 +227,13 @@ def correct(
     """
     if M is None and inv is None and noise.learns:
         (m, n), state = H.shape, begin(copies, memory)
-        weights, likelihood = np.full((1, m), np.nan), np.zeros(1)
+        weights, outlying, likelihood = np.full((1, m), np.nan), np.zeros((1, m)), np.zeros(1)
         model = (_nothing(n), _nothing(n), H[None], R[None], None)
-        into = Kept(weights=weights, log_likelihood=likelihood)
+        into = Kept(weights=weights, outlying=outlying, log_likelihood=likelihood)
         if run(state, z[None], model, noise, process, into, which=CORRECTION):
-            # The last thing that is known of a sensor are the probabilities of its sample's classes.
-            ordinary = state.learnt[:, 2 + len(noise.scales)]
-            outlying = np.where(np.isnan(weights[0]), 0.0, 1.0 - ordinary)
             moved = Copies(*state[:3], float(state.unseen[0]))
-            return Corrected(moved, state.learnt, float(likelihood[0]), weights[0], outlying), state.x, state.P
+            found = Corrected(moved, state.learnt, float(likelihood[0]), weights[0], outlying[0])
+            return found, state.x, state.P
     found = learnt.correct(copies, memory, z, H, R, noise, process, M, inv)
     return found, *side_by_side.merged(found.copies, process)
 

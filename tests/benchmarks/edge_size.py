@@ -41,9 +41,9 @@ def kinematic(axes, **choices):
     return kf
 
 
-def lighthouse():
+def lighthouse(**options):
     """A position and velocity of which the distance to a point is measured."""
-    kf = RobustExtendedKalmanFilter(2, 1)
+    kf = RobustExtendedKalmanFilter(2, 1, **options)
     kf.F[0, 1] = 0.1
     return kf
 
@@ -53,6 +53,7 @@ MODELS = {
     "the same in the plane": kinematic(2),
     "the same in space": kinematic(3),
     "position and velocity, extended": lighthouse(),
+    "the same, noise learnt": lighthouse(noise=Learnt()),
     "position and velocity, noise told": kinematic(1, noise=Contaminated()),
     "position and velocity, noise learnt": kinematic(1, noise=Learnt()),
     "ARX(2, 2), R told": ParameterTracker(ARX(2, 2), start=0, R=1.0),

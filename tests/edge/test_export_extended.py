@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from support import needs_kernel
 
-from robust_filterpy import Huber, Learnt, Linear, RobustExtendedKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy import Contaminated, Huber, Learnt, Linear, RobustExtendedKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.edge import export_c
 from robust_filterpy.influence import Hampel
 from robust_filterpy.kernel.moments import Taken
@@ -63,9 +63,14 @@ static void odd(const double x[4], double z[2], const void *context) {
     (void)x, (void)context;
     z[0] = z[1] = NAN;
 }
+static void flat(const double x[4], double H[8], const void *context) {
+    (void)x, (void)context;
+    for (int i = 0; i < 8; i++) H[i] = 0;
+}
 static const double beacon[] = {-30.0, 5.0}, dt = 0.1;
 const one_sensor radar = {h, jacobian, residual, beacon};
 const one_sensor broken = {odd, jacobian, NULL, beacon}, half = {h, NULL, NULL, beacon};
+const one_sensor blind = {h, flat, residual, beacon};
 const one_motion drag = {f, slope, &dt};
 """
 A, B = -30.0, 5.0
@@ -144,7 +149,8 @@ class InC:
             assert built.returncode == 0, built.stderr[:3000]
         self.library = ctypes.CDLL(str(folder / "one.so"))
         self.model, self.start = (ctypes.c_char.in_dll(self.library, f"one_{name}") for name in ("default", "start"))
-        self.memory = 20 if "memory" in (folder / "one.h").read_text() else 0
+        field = re.search(r"memory\[2 \* (\d+)\]", (folder / "one.h").read_text())
+        self.memory = 2 * int(field.group(1)) if field else 0
         self.state = (ctypes.c_double * (4 + 16 + self.memory)).in_dll(self.library, "one_start")
         self.state = type(self.state)(*self.state)
         self.shown = (ctypes.c_double * 6)()
@@ -201,6 +207,52 @@ def test_c_equals_the_kernel_to_the_last_bit(cls, choices, tmp_path):
             assert np.array_equal(found[20:], kf._memory.ravel()[: in_c.memory]), (seed, k)
 
 
+MIXED = {
+    "learnt": Learnt(),
+    "learnt, two classes": Learnt((1.0, 50.0), 100.0, 20.0),
+    "told": Contaminated(0.1, 100.0),
+}
+
+
+@pytest.mark.parametrize("cls", [RobustExtendedKalmanFilter, Dragged])
+@pytest.mark.parametrize("noise", MIXED.values(), ids=MIXED)
+def test_noise_that_is_learnt_or_told_is_weighed_as_python_does(cls, noise, tmp_path):
+    needs_kernel()
+    kf = made(cls, noise=noise)
+    in_c, hit = InC(kf, tmp_path), 0
+    # Noise that is told is the definition's, which differs in the last bits.
+    close = {"rtol": 1e-9, "atol": 1e-12} if isinstance(noise, Contaminated) else {"rtol": 0.0, "atol": 0.0}
+    for k, (z, u) in enumerate(zip(*recording(4), strict=True)):
+        if cls is Dragged:
+            kf.F = slope(kf.x)
+            kf.predict()
+            assert in_c.predict("drag") == c_programs.OK
+        else:
+            kf.predict([u])
+            assert in_c.predict(None, u) == c_programs.OK
+        kf.update(z, jacobian, h, residual=residual)
+        assert in_c.update(z) == c_programs.OK
+        found = np.array(in_c.state)
+        np.testing.assert_allclose(found[:4], kf.x, **close, err_msg=str(k))
+        np.testing.assert_allclose(found[4:20].reshape(4, 4), kf.P, **close, err_msg=str(k))
+        if not np.isnan(z).all():
+            _, outlying, weights = np.reshape(in_c.shown, (3, 2))
+            np.testing.assert_allclose(weights, kf.weights, **close)
+            np.testing.assert_allclose(1.0 - np.prod(1.0 - outlying), kf.outlier_probability, atol=1e-9)
+            hit += kf.outlier_probability > 0.5
+            if isinstance(noise, Learnt):
+                assert np.array_equal(found[20:], kf._memory.ravel()), k
+    assert 10 < hit < 100
+
+
+def test_a_sensor_that_sees_nothing_of_the_state_changes_nothing(tmp_path):
+    kf = made(noise=Learnt())
+    in_c = InC(kf, tmp_path)
+    before = list(in_c.state)
+    assert in_c.update([np.nan, np.nan]) == in_c.update([3.0, 4.0], "blind") == c_programs.OK
+    assert list(in_c.state) == before and np.isnan(list(in_c.shown)[4:]).all()
+
+
 def test_a_jump_that_makes_p_grow_is_among_the_recordings():
     kf, grew = made(), False
     for z, u in zip(*recording(0), strict=True):
@@ -246,7 +298,7 @@ class OwnUpdate(RobustExtendedKalmanFilter):
     [
         (lambda: filterpy.kalman.ExtendedKalmanFilter(2, 1), TypeError, "a RobustExtendedKalmanFilter with the same"),
         (lambda: OwnUpdate(2, 1), TypeError, "predict_x alone"),
-        (lambda: made(noise=Learnt()), ValueError, "set noise=None"),
+        (lambda: made(noise=Learnt(), grouping="joint"), ValueError, "set noise=None"),
         (lambda: made(patience=5, scaling="innovation"), ValueError, "set patience=None"),
         (lambda: changed(update=print), ValueError, "update"),
         (lambda: changed(inv=np.linalg.pinv), ValueError, "numpy.linalg.inv"),

@@ -44,7 +44,7 @@ def test_every_step_is_the_definitions(noise, process, seed, dims):
     F, Q, H, R, m = problem.F, problem.Q, problem.H, problem.R, dims[1]
     copies, memory = side_by_side.start(problem.x[:, 0], problem.P, process), noise.start(m)
     state = begin(copies, memory)
-    kept = Kept(weights=np.empty((len(zs), m)), outlying=np.empty((len(zs), 1)), log_likelihood=np.zeros(1))
+    kept = Kept(weights=np.empty((len(zs), m)), outlying=np.empty((len(zs), m)), log_likelihood=np.zeros(1))
     total = 0.0
     for k, z in enumerate(zs):
         copies = side_by_side.predict(copies, F, Q, process)
@@ -55,7 +55,7 @@ def test_every_step_is_the_definitions(noise, process, seed, dims):
         pairs = [
             *zip(alive(copies), alive(ours), strict=True), (memory, state.learnt), (total, kept.log_likelihood[0]),
             (found.weights, kept.weights[k]), *zip(side_by_side.merged(copies, process), state[4:6], strict=True),
-            (1.0 - np.prod(1.0 - found.outlier_probabilities), kept.outlying[k, 0]),
+            (found.outlier_probabilities, kept.outlying[k]),
         ]  # fmt: skip
         for theirs, mine in pairs:
             np.testing.assert_allclose(mine, theirs, rtol=1e-6, atol=1e-8)

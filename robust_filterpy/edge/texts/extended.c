@@ -1,4 +1,5 @@
 $refusal
+$classes
 ${name}_status ${name}_predict(const ${name}_model *model, ${name}_state *state,
                                const ${name}_motion *motion$predict_parameter)
 {
@@ -37,11 +38,8 @@ ${name}_status ${name}_update(const ${name}_model *model, ${name}_state *state, 
                               const ${name}_real z[$m], ${name}_shown *shown)
 {
     ${name}_state next;
-$grouping
-    correction_rule rule = {{$kind, 0, 0, 0}, $scaling, $information, 1, 0, $joint};
-    correction c;
-    real work[update_moments_work(N, M)] = {0}, at[M] = {0}, filled[M], y[M], H[M * N] = {0}, check = 0;
-    int seen = 0;
+$correction_needs
+    real at[M] = {0}, filled[M], y[M], H[M * N] = {0}, check = 0;
     if ((model == NULL) || (state == NULL) || (z == NULL) || (sensor == NULL)) {
         return ${NAME}_BAD_ARGUMENT;
     }
@@ -52,7 +50,6 @@ $grouping
         if ((z[i] == z[i]) && !(real_abs(z[i]) < REAL_ORDINARY)) {
             return ${NAME}_BAD_ARGUMENT;
         }
-        seen += (z[i] == z[i]) ? 1 : 0;
     }
 $rule
     sensor->h(state->x, at, sensor->context);
@@ -76,24 +73,7 @@ $rule
         return ${NAME}_NOT_FINITE;
     }
     next = *state;
-    correction_begin(N, M, 1, &c, work);
-    if (seen > 0) {
-        for (int i = 0; i < N; i++) {
-            next.x[i] = 0;
-        }
-        if (!update_moments(N, M, &rule, z, y, H, model->R, $memory,
-                            next.x, next.P, &c, work)) {
-            return refusal(&c, next.x, next.P);
-        }
-        for (int i = 0; i < N; i++) {
-            next.x[i] = state->x[i] + next.x[i];
-        }
-    }
-    for (int i = 0; (i < M) && (shown != NULL); i++) {
-        shown->y[i] = (z[i] == z[i]) ? y[i] : 0;
-        shown->e[i] = (seen > 0) ? c.e[i] : 0;
-        shown->weight[i] = (seen > 0) ? c.weights[i] : (real)NAN;
-    }
+$correction
     *state = next;
     return ${NAME}_OK;
 }

@@ -10,7 +10,7 @@
  *     ${name}_predict(&${name}_default, &state$example_motion$example_u);
  *     ${name}_update(&${name}_default, &state$example_sensor, z, NULL);
  *
- * A component of z that is NaN is missing. $remark
+ * $remark
  */
 #ifndef ${NAME}_H
 #define ${NAME}_H

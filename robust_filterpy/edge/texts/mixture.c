@@ -1,22 +1,5 @@
-#define N ${NAME}_STATES
-#define M ${NAME}_SENSORS
+$classes
 #define COPIES $copies
-#define CLASSES $K
-
-/* Factors of Q that are weighed, factors of R, and what is known of a sensor at first. */
-static const real process[$q] = {
-$process
-};
-static const real scales[CLASSES] = {
-$scales
-};
-static const real begin[learnt_width(CLASSES)] = {
-$begin
-};
-static const learnt_rule rule = {
-    $q, CLASSES, process, scales, begin,
-$numbers, $learns
-};
 
 static learnt_state copies_of(${name}_state *const state)
 {
