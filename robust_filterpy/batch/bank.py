@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks, _state
 from robust_filterpy._checks import Array, numbers
 from robust_filterpy.correction import spread
-from robust_filterpy.correction.definition import correct, correct_by_custom, innovation_moments
+from robust_filterpy.correction.definition import Innovation, correct, correct_by_custom, innovation_moments
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.influence.functions import Huber, Influence
@@ -312,7 +312,9 @@ class _Told(NamedTuple):
                 raise ValueError("update: expected finite innovations, got NaN or infinity; check x and H")
             C, S = innovation_moments(self.P[i], H, R)
             if choices.by_custom and not np.isnan(innovation).all():
-                return correct_by_custom(memory, self.x[i], self.P[i], self.z[i], innovation, C, S, R, choices, H)
+                return correct_by_custom(
+                    memory, self.x[i], self.P[i], Innovation(self.z[i], innovation, C, S, R, H), choices
+                )
             return correct(self.x[i], self.P[i], innovation, C, S, choices)
         except (ValueError, np.linalg.LinAlgError) as error:
             error.args = (f"filter {i}: {error}", *error.args[1:])

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from robust_filterpy.correction.contaminated import Contaminated, LabelledSample
 from robust_filterpy.correction.definition import (
+    Innovation,
     NotPositiveDefiniteError,
     correct,
     correct_by_custom,
@@ -34,6 +35,7 @@ __all__ = [
     "Choices",
     "Contaminated",
     "Correction",
+    "Innovation",
     "LabelledSample",
     "Learnt",
     "NotPositiveDefiniteError",

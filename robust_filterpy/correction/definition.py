@@ -29,6 +29,7 @@ from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.standardization import SingularInnovationError, group_scaling, is_cancelled, singular
 
 __all__ = [
+    "Innovation",
     "NotPositiveDefiniteError",
     "SingularInnovationError",
     "correct",
@@ -156,17 +157,29 @@ def correct(
     )  # fmt: skip
 
 
+class Innovation(NamedTuple):
+    """A measurement, how it differs from what was expected, and how it depends on the state."""
+
+    z: Array
+    """Readings, shape (m,): one that repeats the one before is hardly evidence of a jump."""
+    y: Array
+    """Innovation, shape (m,); NaN where missing."""
+    C: Array
+    """Its covariance with the state, shape (n, m)."""
+    S: Array
+    """Its covariance, shape (m, m)."""
+    R: Array
+    """The part of S that is measurement noise."""
+    H: Array | None = None
+    """Derivative of the measurement, shape (m, n); None where only moments are known."""
+
+
 def correct_by_custom(
     memory: Array,
     x: Array,
     P: Array,
-    z: Array,
-    y: Array,
-    C: Array,
-    S: Array,
-    R: Array,
+    innovation: Innovation,
     choices: Choices,
-    H: Array | None = None,
     skip_singular: bool = False,
 ) -> Correction:
     """Correct a state under scaling "learnt": judge each sensor by the custom of its own innovations, and learn it.
@@ -175,14 +188,10 @@ def correct_by_custom(
     ----------
     memory : ndarray, shape (m, 10)
         What is known of the sensors, from `robust_filterpy.correction.spread.begin` or the correction before.
-    x, P, y, C, S, choices, skip_singular
+    x, P, choices, skip_singular
         As in `correct`.
-    z : ndarray, shape (m,)
-        The readings that y comes from: one that repeats the one before is hardly evidence of a jump.
-    R : ndarray, shape (m, m)
-        The part of S that is measurement noise.
-    H : ndarray, shape (m, n), optional
-        Measurement matrix, where there is one; else that of the regression of y on x serves where P must grow.
+    innovation : Innovation
+        The measurement. Where it has no H and P must grow, that of the regression of y on x serves.
 
     Returns
     -------
@@ -190,6 +199,7 @@ def correct_by_custom(
         With ``memory`` as it is afterwards. Where P has grown, C and S are those of the grown P; what a sensor is
         charged as noise of its own is in neither.
     """
+    z, y, C, S, R, H = innovation
     found = spread.prepared(memory, z, y, S, R, C, P)
     if (found.growth > 1.0).any():
         grown = P * np.outer(found.growth, found.growth)

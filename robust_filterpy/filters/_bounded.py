@@ -12,7 +12,7 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._state import Shape
 from robust_filterpy.correction import spread
-from robust_filterpy.correction.definition import correct, correct_by_custom, innovation_moments
+from robust_filterpy.correction.definition import Innovation, correct, correct_by_custom, innovation_moments
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.whitening import Inverse
@@ -82,22 +82,24 @@ class Bounded:
     ) -> tuple[Correction, Any]:
         """Return the correction by a linear sensor."""
         y = z - finite_product(H, x)
-        return self.corrected_by_moments(known, x, P, z, y, *innovation_moments(P, H, R, M), R, H, inv)
+        return self.corrected_by_moments(known, x, P, Innovation(z, y, *innovation_moments(P, H, R, M), R, H), inv)
 
     def corrected_by_moments(
-        self, known: Any, x: Array, P: Array, z: Array, y: Array, C: Array, S: Array, R: Array,
-        H: Array | None, inv: Inverse | None, difference: Callable[[Array, Array], Array] = np.subtract,
+        self, known: Any, x: Array, P: Array, innovation: Innovation, inv: Inverse | None,
+        difference: Callable[[Array, Array], Array] = np.subtract,
     ) -> tuple[Correction, Any]:  # fmt: skip
         """Return the correction, P widened where refused innovations have insisted for long enough."""
         if self.learns:
-            last = correct_by_custom(known.memory, x, P, z, y, C, S, R, self.choices, H, inv is not None)
+            last = correct_by_custom(known.memory, x, P, innovation, self.choices, inv is not None)
         else:
+            _, y, C, S, _, _ = innovation
             last = correct(x, P, y, C, S, self.choices, skip_singular=inv is not None)
         if self.patience is None or known.kept is None:
             return last, known.kept
         kept, full = watched(known.kept, self.patience, last, difference)
         if not full:
             return last, kept
+        _, _, C, S, R, H = innovation
         C = C if H is None else P @ H.T
         jump = jump_of(last, C, S - R if H is None else H @ C)
         return (last, kept) if jump is None else (last._replace(P=last.P + jump), kept.recovered())

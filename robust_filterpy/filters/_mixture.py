@@ -18,7 +18,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._state import Shape
 from robust_filterpy.correction import copies as side_by_side
 from robust_filterpy.correction.copies import Copies, Scales, merged
-from robust_filterpy.correction.definition import innovation_moments, nothing_observed
+from robust_filterpy.correction.definition import Innovation, innovation_moments, nothing_observed
 from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.options import Choices, Grouping
 from robust_filterpy.correction.policies import Contaminated, Learnt, noise_classes, process_scales
@@ -150,10 +150,11 @@ class Mixture:
         return record, None if known.kept is None else after
 
     def corrected_by_moments(
-        self, known: Any, x: Array, P: Array, z: Array, y: Array, C: Array, S: Array, R: Array,
-        H: Array | None, inv: Inverse | None, difference: Callable[[Array, Array], Array] = np.subtract,
+        self, known: Any, x: Array, P: Array, innovation: Innovation, inv: Inverse | None,
+        difference: Callable[[Array, Array], Array] = np.subtract,
     ) -> tuple[Correction | Mixed, Any]:  # fmt: skip
         """Return the correction of one copy; what a line does not explain of z is a state of its own."""
+        _, y, C, S, R, H = innovation
         curvature = np.zeros((0, 0))
         if H is None:
             unit = np.sqrt(np.where(P.diagonal() > 0.0, P.diagonal(), 1.0))

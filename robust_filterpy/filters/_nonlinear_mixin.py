@@ -9,7 +9,7 @@ import numpy as np
 
 from robust_filterpy._arrays import measured
 from robust_filterpy._checks import Array, described, numbers
-from robust_filterpy.correction.definition import innovation_moments
+from robust_filterpy.correction.definition import Innovation, innovation_moments
 from robust_filterpy.filters._mixin import RobustFilterMixin, unchanged_if_refused, whole
 from robust_filterpy.kernel import moments
 
@@ -61,7 +61,7 @@ class NonlinearFilterMixin(RobustFilterMixin):
             H = C
             C, S = innovation_moments(P, H, R)
         return self._policy.corrected_by_moments(  # type: ignore[no-any-return]
-            known, np.zeros(len(P)), P, z, y, C, S, R, H, self._inverse, difference
+            known, np.zeros(len(P)), P, Innovation(z, y, C, S, R, H), self._inverse, difference
         )
 
     def _keep(self, last: Any, kept: Any, z: Array) -> None:

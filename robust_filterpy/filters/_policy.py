@@ -16,6 +16,7 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy._state import Shape
+from robust_filterpy.correction.definition import Innovation
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.policies import noise_policy, process_policy
 from robust_filterpy.correction.whitening import Inverse
@@ -118,13 +119,10 @@ class Policy(Protocol):
         ...
 
     def corrected_by_moments(
-        self, known: Any, x: Array, P: Array, z: Array, y: Array, C: Array, S: Array, R: Array,
-        H: Array | None, inv: Inverse | None, difference: Callable[[Array, Array], Array] = np.subtract,
+        self, known: Any, x: Array, P: Array, innovation: Innovation, inv: Inverse | None,
+        difference: Callable[[Array, Array], Array] = np.subtract,
     ) -> tuple[Any, Any]:  # fmt: skip
-        """Return the correction by an innovation y of z, C = cov(x, y), S = cov(y), R of it noise; what is kept.
-
-        H is the derivative of the measurement, None where only moments are known; `difference` that of two innovations.
-        """
+        """Return the correction by an innovation, and what is kept; `difference` is that of two innovations."""
         ...
 
     def entries(self, kept: Any, x: Array, P: Array) -> dict[str, Array]:

@@ -25,7 +25,7 @@ from robust_filterpy._arrays import (
 )
 from robust_filterpy._checks import FLOAT, Array
 from robust_filterpy._filterpy import KalmanFilter
-from robust_filterpy.correction.definition import embed_block
+from robust_filterpy.correction.definition import Innovation, embed_block
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.correction.result import Correction
@@ -459,7 +459,8 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         # Of the correction by this S only what psi leaves of y is used: the gain is K. Nothing insists.
         clipping = Bounded(self._choices)
         known = self._known(m)._replace(kept=None)
-        last, _ = clipping.corrected_by_moments(known, x.ravel(), P, values, y, P @ H.T, S, R, H, self._inverse)
+        innovation = Innovation(values, y, P @ H.T, S, R, H)
+        last, _ = clipping.corrected_by_moments(known, x.ravel(), P, innovation, self._inverse)
         self._learn(last.memory, m)
         SI = self.SI
         self.x = (x.ravel() + K @ last.y_bounded).reshape(x.shape)

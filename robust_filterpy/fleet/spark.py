@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
+from robust_filterpy import _checks
 from robust_filterpy.fleet.models import Model
 from robust_filterpy.fleet.packing import pack, unpack
 from robust_filterpy.fleet.table import filter_table, step_table
 
 __all__ = ["filter_frame", "step_stream"]
+
+_STATE = "state binary"
+_PROVIDER = "spark.sql.streaming.stateStore.providerClass"
 
 
 def filter_frame(
@@ -71,6 +75,7 @@ def step_stream(
     time: str | None = None,
     measurements: Sequence[str] | None = None,
     inputs: Sequence[str] | None = None,
+    forget_after: float | None = None,
 ) -> Any:
     """Take the samples of a streaming data frame as they come, by ``applyInPandasWithState``.
 
@@ -80,6 +85,11 @@ def step_stream(
         A streaming one: a row for each sample.
     model, key, time, measurements, inputs
         As in `filter_table`; time is needed. Samples of a key that come in one micro-batch are put in order.
+    forget_after : float, optional
+        Seconds of the cluster's clock without a sample of a key after which its state leaves the checkpoint, and the
+        key begins anew. By Spark 4's ``transformWithStateInPandas``, with ``protobuf`` installed and RocksDB as the
+        store of states; such a query never ends by itself, not even with ``availableNow``. Default: states are kept
+        for ever; ``model.expires`` judges them by the samples' own times.
 
     Returns
     -------
@@ -89,7 +99,7 @@ def step_stream(
     Raises
     ------
     ValueError, TypeError
-        As in `filter_table`.
+        As in `filter_table`; if ``forget_after`` is not above 0, or Spark is older than 4 or keeps states elsewhere.
 
     Notes
     -----
@@ -100,21 +110,76 @@ def step_stream(
     model = _timed(model.reading(time=time, measurements=measurements, inputs=inputs))
     model = replace(model, late=model.late or "drop")
 
-    def advance(name: tuple[Any, ...], parts: Iterator[Any], state: Any) -> Iterator[Any]:
-        """Take one key's samples of a micro-batch."""
+    schema, grouped = _schema(frame, model, key), frame.groupBy(key)
+
+    def taken(parts: Iterator[Any], kept: Any) -> tuple[bytes | None, Any]:
+        """Return one key's state after a micro-batch, None if that has not changed, and the rows of the result."""
         import pandas as pd
 
         table = pd.concat(list(parts), ignore_index=True)
         # The name as the table has it: Spark hands over another type.
         own = table[key].tolist()[0]
-        before = {own: _unpacked(state.get[0])} if state.exists else None
+        before = None if kept is None else {own: _unpacked(kept[0])}
         states, output = step_table(model, before, table, key=key, sort=True)
-        if own in states and own not in states.odd:
-            state.update((pack(states[own]),))
+        return (pack(states[own]) if own in states and own not in states.odd else None), output
+
+    if forget_after is not None:
+        milliseconds = _lifetime(frame, forget_after)
+        return grouped.transformWithStateInPandas(_processor(taken, milliseconds), schema, "append", "ProcessingTime")
+
+    def advance(name: tuple[Any, ...], parts: Iterator[Any], state: Any) -> Iterator[Any]:
+        """Take one key's samples of a micro-batch."""
+        after, output = taken(parts, state.get if state.exists else None)
+        if after is not None:
+            state.update((after,))
         yield output
 
-    grouped = frame.groupBy(key)
-    return grouped.applyInPandasWithState(advance, _schema(frame, model, key), "state binary", "append", "NoTimeout")
+    return grouped.applyInPandasWithState(advance, schema, _STATE, "append", "NoTimeout")
+
+
+def _processor(taken: Callable[[Iterator[Any], Any], tuple[bytes | None, Any]], milliseconds: int) -> Any:
+    """Return what Spark 4 asks for each key; a state is forgotten so long after it was written."""
+    from pyspark.sql.streaming import StatefulProcessor
+
+    class Processor(StatefulProcessor):  # type: ignore[misc]
+        """One key at a time."""
+
+        def init(self, handle: Any) -> None:
+            """Have the store make room for a state."""
+            self.kept = handle.getValueState("state", _STATE, milliseconds)
+
+        def handleInputRows(self, key: Any, rows: Iterator[Any], timerValues: Any) -> Iterator[Any]:
+            """Take one key's samples of a micro-batch."""
+            before = self.kept.get() if self.kept.exists() else None
+            after, output = taken(rows, before)
+            # A sample that is refused is a sign of life too.
+            if after is not None or before is not None:
+                self.kept.update(before if after is None else (after,))
+            yield output
+
+        def close(self) -> None:
+            """Spark asks for it."""
+
+    return Processor()
+
+
+def _lifetime(frame: Any, seconds: float) -> int:
+    """Return how long a state is kept in milliseconds, or raise."""
+    from pyspark.sql import GroupedData
+
+    _checks.positive("forget_after", seconds)
+    if not hasattr(GroupedData, "transformWithStateInPandas"):
+        raise ValueError(
+            f"forget_after: expected Spark 4 or newer, which can forget states, got {frame.sparkSession.version}; "
+            f"leave it out, and set expires= of the model"
+        )
+    store = frame.sparkSession.conf.get(_PROVIDER)
+    if "RocksDB" not in store:
+        raise ValueError(
+            f"forget_after: expected states in RocksDB, got {store}; before the query, spark.conf.set({_PROVIDER!r}, "
+            f'"org.apache.spark.sql.execution.streaming.state.RocksDBStateStoreProvider")'
+        )
+    return max(round(1e3 * seconds), 1)
 
 
 def _unpacked(data: Any) -> Any:

@@ -16,7 +16,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction import copies as side_by_side
 from robust_filterpy.correction import spread
 from robust_filterpy.correction.copies import Copies, Scales
-from robust_filterpy.correction.definition import correct, correct_by_custom, innovation_moments
+from robust_filterpy.correction.definition import Innovation, correct, correct_by_custom, innovation_moments
 from robust_filterpy.correction.learning import NoiseClasses, describe, usual
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.fusion._first_readings import none_yet
@@ -213,7 +213,7 @@ class BoundedInfluence:
         y, choices = z[part] - H @ state.x, self._of_those(part)
         C, S = innovation_moments(state.P, H, R)
         if self.by_custom:
-            found = correct_by_custom(memory[part], state.x, state.P, z[part], y, C, S, R, choices, H, False)
+            found = correct_by_custom(memory[part], state.x, state.P, Innovation(z[part], y, C, S, R, H), choices)
             memory = memory.copy()
             memory[part] = np.where(np.broadcast_to(learns, len(z))[part, None], found.memory, memory[part])
         else:

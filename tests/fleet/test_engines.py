@@ -176,25 +176,35 @@ def test_on_spark_the_result_of_a_whole_fleet_is_that_of_one_process(spark, tmp_
     assert_same(filter_frame(frame, model(), groups=32).toPandas(), table)
 
 
-def run_query(spark, described, folder, schema):
+def run_query(spark, described, folder, schema, **options):
     """Run a streaming query over the files that are there, from its checkpoint."""
     from robust_filterpy.fleet.spark import step_stream
 
     stream = spark.readStream.schema(schema).option("maxFilesPerTrigger", 1).parquet(str(folder / "in"))
     query = (
-        step_stream(stream, described)
+        step_stream(stream, described, **options)
         .writeStream.format("parquet")
         .option("path", str(folder / "out"))
         .option("checkpointLocation", str(folder / "checkpoint"))
         .outputMode("append")
-        .trigger(availableNow=True)
+        # A query that forgets never says that there is no more to do.
+        .trigger(**({"once": True} if options else {"availableNow": True}))
         .start()
     )
     query.awaitTermination(300)
 
 
+PROVIDER = "spark.sql.streaming.stateStore.providerClass"
+ROCKS = "org.apache.spark.sql.execution.streaming.state.RocksDBStateStoreProvider"
+
+
 @pytest.mark.slow
-def test_a_streaming_query_goes_on_from_its_checkpoint(spark, tmp_path):
+@pytest.mark.parametrize("seconds", [None, 3600.0, 1e-3])
+def test_a_streaming_query_goes_on_from_its_checkpoint(spark, tmp_path, seconds):
+    if seconds is not None:
+        pytest.importorskip("pyspark", minversion="4.0")
+        spark.conf.set(PROVIDER, ROCKS)
+    options = {} if seconds is None else {"forget_after": seconds}
     table = samples(60, 12).sort_values("t", kind="stable")
     (tmp_path / "in").mkdir()
     described = model().reading()
@@ -208,12 +218,29 @@ def test_a_streaming_query_goes_on_from_its_checkpoint(spark, tmp_path):
         os.utime(file, (now + k, now + k))
         if k in (1, 3):
             # It ends, and is started again from its checkpoint.
-            run_query(spark, described, tmp_path, schema)
+            run_query(spark, described, tmp_path, schema, **options)
+    spark.conf.unset(PROVIDER)
     found = spark.read.parquet(str(tmp_path / "out")).toPandas()
     expected = filter_table(table, described, sort=True).sort_values(["device", "t"], ignore_index=True)
     found = found.sort_values(["device", "t"], ignore_index=True)
+    if seconds == 1e-3:
+        # The states were gone when it was started again: that part begins anew, and what comes again is not known.
+        parts = [table[table["t"] < 6], table[table["t"] >= 6]]
+        expected = pd.concat([filter_table(part, described, sort=True) for part in parts])
+        expected = expected.sort_values(["device", "t"], ignore_index=True)
     pd.testing.assert_frame_equal(found[list(expected)], expected, check_exact=True, check_dtype=False)
-    assert len(found) == len(table) - 1
+    assert len(found) == len(expected) >= len(table) - 1
+
+
+@pytest.mark.slow
+def test_forgetting_asks_for_what_it_needs(spark):
+    from robust_filterpy.fleet.spark import step_stream
+
+    frame = spark.createDataFrame(samples(2, 3))
+    with pytest.raises(ValueError, match="RocksDBStateStoreProvider" if hasattr(spark, "tvf") else "Spark 4"):
+        step_stream(frame, model(), forget_after=60.0)
+    with pytest.raises(ValueError, match="forget_after: expected"):
+        step_stream(frame, model(), forget_after=0.0)
 
 
 # A stream of messages

@@ -28,7 +28,7 @@ def problem(seed):
 def defined(choices, memory, P, z, y, C, S, R):
     x = np.zeros(len(P))
     if choices.by_custom:
-        return definition.correct_by_custom(memory, x, P, z, y, C, S, R, choices)
+        return definition.correct_by_custom(memory, x, P, definition.Innovation(z, y, C, S, R), choices)
     return definition.correct(x, P, y, C, S, choices)
 
 
@@ -74,7 +74,9 @@ def test_with_a_jacobian_it_is_the_definition_where_p_grows_too(grouping):
             # A run of innovations that keep their sign and height is a jump.
             y_now = y * (1.0 if k < 6 else 30.0)
             found = moments.correct(choices, memory, P, y_now, y_now, H, None, R)
-            expected = definition.correct_by_custom(memory, np.zeros(len(P)), P, y_now, y_now, C, S, R, choices, H)
+            expected = definition.correct_by_custom(
+                memory, np.zeros(len(P)), P, definition.Innovation(y_now, y_now, C, S, R, H), choices
+            )
             memory = expected.memory
             if found is None:
                 continue
