@@ -94,6 +94,21 @@ def test_on_a_linear_model_they_are_the_linear_filter(cls, dims, grouping):
             np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-9, err_msg=name)
 
 
+def test_sensors_that_fail_together_count_once_among_the_outliers_of_a_nonlinear_filter_too():
+    problem = random_problem(7, 3, 3)
+    linear = load(RobustKalmanFilter(3, 3, noise="learnt", grouping=((0, 1),)), problem)
+    kf = RobustExtendedKalmanFilter(3, 3, noise="learnt", grouping=((0, 1),))
+    kf.x, kf.P, kf.Q, kf.R = np.ravel(problem.x).astype(float), problem.P.copy(), problem.Q.copy(), problem.R.copy()
+    kf.F, probable = problem.F.copy(), 0
+    for z in simulate(problem, 40, seed=7, contamination=0.2)[0]:
+        linear.predict(), kf.predict()
+        linear.update(z)
+        kf.update(z, lambda x: problem.H, lambda x: problem.H @ x)
+        assert kf.outlier_probability == pytest.approx(linear.outlier_probability, rel=1e-6, abs=1e-9)
+        probable += 0.01 < kf.outlier_probability < 0.99
+    assert probable > 3
+
+
 @pytest.mark.parametrize("cls", CLASSES)
 def test_a_wrong_r_costs_little_and_outliers_less_than_by_huber_told_all(cls):
     for seed in range(2):

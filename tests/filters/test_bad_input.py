@@ -492,3 +492,21 @@ def test_a_p_that_is_negative_is_named(m):
     kf.H, kf.P = np.eye(2)[:m], -98.0 * np.eye(2)
     with pytest.raises(np.linalg.LinAlgError, match=r"least eigenvalue -97.*the Q that predict adds to P"):
         kf.update(np.ones(m))
+
+
+class NoRepr:
+    def __repr__(self):
+        raise RuntimeError
+
+
+@pytest.mark.parametrize("value, words", [
+    (np.float64(-1.5), r"got -1\.5$"),
+    (np.int64(-2), r"got -2$"),
+    ("a" * 198, r"got 'a{198}'$"),
+    ("a" * 200, r"got 'a{119} \.\.\. a{39}'$"),
+    (np.zeros(21), r"got array\(\[0\., 0\., 0\., \.\.\., 0\., 0\., 0\.\]"),
+    (NoRepr(), r"got NoRepr without a repr$"),
+])  # fmt: skip
+def test_a_message_shows_a_value_as_its_user_wrote_it_and_the_ends_of_a_long_one(value, words):
+    with pytest.raises(REFUSED, match=words):
+        Huber(value)

@@ -16,6 +16,8 @@ from robust_filterpy.identification import (
     identify,
     validate,
 )
+from robust_filterpy.identification.estimation.level import break_finding
+from robust_filterpy.identification.estimation.trend import Break
 
 A, B = np.array([1.0, -1.5, 0.7]), np.array([0.0, 1.0, 0.5])
 
@@ -247,3 +249,10 @@ def test_where_the_input_stays_far_from_zero_a_drift_may_be_the_gains():
             model = identify(y[50:], u[50:], OutputError(1, 1))
         texts.append(" ".join(one.text for one in model.findings))
     assert "stays near 20" in texts[1] and "stays near" not in texts[0]
+
+
+@pytest.mark.parametrize("rest, says", [(4.5, False), (-4.5, False), (5.5, True), (-5.5, True)])
+def test_an_input_stays_far_from_zero_beyond_five_of_its_deviations(rest, says):
+    u = rest + np.random.default_rng(0).normal(size=(20001, 1))
+    finding = break_finding(Break("ramp", 10, 0.1, 9.0), None, 9.0, len(u), u)
+    assert ("or a gain does" in finding.text) == says

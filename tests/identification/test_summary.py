@@ -35,7 +35,11 @@ def test_rows_are_the_parameters_and_the_offset(model):
 def test_the_text_fits_a_screen_and_says_everything(model):
     text = str(model.summary())
     assert repr(model.summary()) == text
-    assert max(map(len, text.splitlines())) <= 78
+    lines = text.splitlines()
+    assert max(map(len, lines)) <= 78
+    # The rules are as wide as the columns between them.
+    head = next(line for line in lines if "estimate" in line)
+    assert {len(line) for line in lines if not line.strip("=-")} == {len(head)}
     known = int((~np.isnan(model.weights)).sum())
     for part in (
         "OutputError(na=1, nb=1, nk=1)",

@@ -99,10 +99,12 @@ def test_among_sensors_that_fail_together_one_that_sees_no_state_is_judged_alone
     assert before_and_after(one, lambda: EXTENSION.correct(one, zs[0], None, None, None)) == (False, True)
 
 
-def test_seventeen_sensors_that_fail_together_are_for_the_definition():
-    kf = RobustKalmanFilter(1, 17, grouping="joint")
-    kf.H = np.ones((17, 1))
-    assert before_and_after(kf, lambda: EXTENSION.correct(kf, np.ones(17), None, None, None)) == (False, True)
+@pytest.mark.parametrize("sensors, served", [(16, True), (17, False)])
+def test_so_many_sensors_that_fail_together_are_the_kernels_and_more_the_definitions(sensors, served):
+    kf = RobustKalmanFilter(1, sensors, grouping="joint")
+    kf.H = np.ones((sensors, 1))
+    found = before_and_after(kf, lambda: EXTENSION.correct(kf, np.ones(sensors), None, None, None))
+    assert found == (served, not served)
 
 
 MIXTURES = {
