@@ -59,6 +59,26 @@ def test_the_right_sensor_is_named_with_the_right_fault_and_its_onset(told):
     assert fusion.report().splitlines()[1].startswith(f"b {fault}")
 
 
+SIZES = {"biased": (5.0, " by 5.3 standard deviations since"), "noisier": (6.0, " 5 times since")}
+
+
+def test_the_size_of_a_bias_or_of_grown_noise_is_told_and_nothing_else_has_one(told):
+    fault, fusion, *_ = told
+    found, (size, words) = fusion.verdicts(), SIZES.get(fault, (np.nan, " since"))
+    assert found["b"].size == pytest.approx(size, rel=0.2, nan_ok=True)
+    assert f"b {fault}{words}" in fusion.report()
+    assert all(np.isnan(verdict.size) for name, verdict in found.items() if name != "b")
+
+
+def test_a_drift_is_told_in_standard_deviations_a_second():
+    fusion = made()
+    for one in recording(23, lambda t, x, v, last: x + v + 0.2 * (t - 30.0), 60.0)[0]:
+        fusion.observe(*one)
+    assert fusion.verdicts()["b"].fault == "drifting"
+    assert fusion.verdicts()["b"].size == pytest.approx(0.2, rel=0.3)
+    assert "standard deviations a second since" in fusion.report()
+
+
 def test_a_sensor_that_lies_is_left_out_of_the_state(told):
     fault, fusion, readings, _ = told
     if fault not in ("biased", "stuck"):

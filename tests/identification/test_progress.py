@@ -83,6 +83,7 @@ def test_a_count_is_told_less_and_less_often(clock, capsys):
     bar.close()
     lines = capsys.readouterr().err.splitlines()
     assert 10 < len(lines) < 30
+    assert lines[0] == "study: 2 s, 2 of 1000 run"
     assert lines[-1].startswith("study: ") and lines[-1].endswith(" of 1000 run")
 
 

@@ -7,7 +7,8 @@ import pytest
 from scipy.signal import lfilter
 from statsmodels.tsa.ar_model import AutoReg
 
-from robust_filterpy.identification import ARMAX, ARX, OutputError, identify, select_structure
+from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, OutputError, identify, select_structure
+from robust_filterpy.identification.judging.grid import Grid
 
 A, B = [1.0, -1.5, 0.7], [1.0, 0.5]
 
@@ -127,6 +128,17 @@ def test_an_outlier_in_the_regressor_costs_as_much_as_a_few_parameters_whatever_
         spoilt[20::40] += size
         lost = clean - select_structure(spoilt, u, **options).rows[0].log_likelihood
         assert 4.0 < lost / 20 < 12.0
+
+
+@pytest.mark.parametrize("kind, tried", [
+    (OutputError, {"na": range(1, 5), "nb": None, "nk": range(9)}),
+    (ARMAX, {"na": range(1, 5), "nb": None, "nc": None, "nk": range(9)}),
+    (FIR, {"nb": range(1, 5), "nk": range(9)}),
+    (BoxJenkins, {"nf": range(1, 5), "nb": None, "nc": range(3), "nd": range(3), "nk": range(9)}),
+])  # fmt: skip
+def test_what_is_tried_where_nothing_is_told_is_what_the_documentation_says(kind, tried):
+    ranges = Grid.of(kind, dict.fromkeys(("na", "nb", "nc", "nd", "nf", "nk")), True).ranges
+    assert ranges == {name: None if orders is None else tuple(orders) for name, orders in tried.items()}
 
 
 def test_without_input_the_order_is_that_of_statsmodels():
