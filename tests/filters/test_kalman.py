@@ -190,3 +190,20 @@ def test_mahalanobis_distance_keeps_its_meaning_for_gates():
     y = gate.y[:, 0]
     assert kf.mahalanobis == pytest.approx(np.sqrt(y @ np.linalg.inv(gate.S) @ y), rel=1e-9)
     assert kf.mahalanobis > 10
+
+
+@pytest.mark.parametrize("served", ["kernel", "definition"])
+@pytest.mark.parametrize("place, growth", [(1e3, None), (1e5, 1e6), (1e9, 1e6)])
+def test_at_a_jump_that_is_believed_S_grows_by_a_million_at_most(served, place, growth, monkeypatch):
+    if served == "definition":
+        support.without_kernel(monkeypatch)
+    kf, grown = RobustKalmanFilter(1, 1), []
+    kf.H[:], kf.Q[:] = 1.0, 0.01
+    for z in [*np.random.default_rng(0).normal(size=60), *[place] * 6]:
+        kf.predict()
+        before = kf.P[0, 0] + kf.R[0, 0]
+        kf.update(z)
+        grown.append(kf.S[0, 0] / before - 1.0)
+    # The fourth reading that says the same is believed.
+    assert np.flatnonzero(np.array(grown) > 1e-6).tolist() == [63]
+    assert grown[63] == pytest.approx(growth, rel=1e-9) if growth else 1e5 < grown[63] < 1e6

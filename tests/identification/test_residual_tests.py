@@ -10,6 +10,7 @@ from statsmodels.stats.diagnostic import acorr_ljungbox
 
 from robust_filterpy import ARX, Linear, OutputError, identify
 from robust_filterpy.identification import ARMAX, FIR, compare, validate
+from robust_filterpy.identification.models.dependence import whitening_of
 
 A, B = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5]
 THETA = np.array([-1.5, 0.7, 1.0, 0.5])
@@ -243,3 +244,14 @@ def test_a_wrong_armax_is_condemned_through_outliers():
     y = lfilter([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], u) + lfilter([1.0, 0.7, 0.3], [1.0, -1.5, 0.7], e + wild)
     for structure in (ARX(2, 2), ARMAX(1, 2, 1)):
         assert validate(identify(y, u, structure), y, u).verdict != "nothing is left in the residuals"
+
+
+@pytest.mark.parametrize("a1, a2", [(0.0, 0.0), (-0.6, 0.0), (-0.9, 0.5), (0.3, -0.2)])
+def test_noise_of_second_order_is_made_white_by_its_own_polynomial(a1, a2):
+    r1 = -a1 / (1.0 + a2)
+    found = whitening_of(np.array([4.0, 4.0 * r1, 4.0 * (-a1 * r1 - a2)]))
+    np.testing.assert_allclose(found, [a1, a2], atol=0.05)
+
+
+def test_where_there_is_no_noise_nothing_is_made_white():
+    assert whitening_of(np.zeros(3)) == ()

@@ -62,8 +62,9 @@ def test_it_is_the_definition(influence, grouping, scaling):
     assert taken > 150
 
 
+@pytest.mark.parametrize("jump", [30.0, 3e4])
 @pytest.mark.parametrize("grouping", ["component", "joint"])
-def test_with_a_jacobian_it_is_the_definition_where_p_grows_too(grouping):
+def test_with_a_jacobian_it_is_the_definition_where_p_grows_too(grouping, jump):
     choices, grew = Choices(Huber(), "learnt", grouping=grouping), 0
     for seed in range(90):
         P, y, C, _, R = problem(seed)
@@ -72,7 +73,7 @@ def test_with_a_jacobian_it_is_the_definition_where_p_grows_too(grouping):
         memory = spread.begin(len(y))
         for k in range(12):
             # A run of innovations that keep their sign and height is a jump.
-            y_now = y * (1.0 if k < 6 else 30.0)
+            y_now = y * (1.0 if k < 6 else jump)
             found = moments.correct(choices, memory, P, y_now, y_now, H, None, R)
             expected = definition.correct_by_custom(
                 memory, np.zeros(len(P)), P, definition.Innovation(y_now, y_now, C, S, R, H), choices
