@@ -87,9 +87,8 @@ def main(argv=None):
     lost = len(table) - len(whole)
     print(
         f"Conclusion: {options.devices} devices, {len(table)} messages, {lost} of them late or doubled; killed in the "
-        f"fourth of six batches and started again, the stream goes on "
-        f"{'to the last bit as if nothing had happened' if same else 'NOT as if nothing had happened'}. "
-        f"A state is {size:.0f} bytes."
+        f"fourth of six batches and started again, it gives "
+        f"{'to the last bit' if same else 'NOT'} what a process gives that never died. A state is {size:.0f} bytes."
     )
 
 
@@ -102,7 +101,8 @@ def draw(table, whole, crash, out):
     ax.plot(mine["t"], mine["z"], ".", color="0.6", label="messages")
     ax.plot(found["t"], found["x0"], label="estimate", **LOOKS["Huber"])
     low, high = found["x0"] - 2 * found["std0"], found["x0"] + 2 * found["std0"]
-    ax.fill_between(found["t"], low, high, color=LOOKS["Huber"]["color"], alpha=0.2, lw=0, label="± 2 deviations")
+    blue = LOOKS["Huber"]["color"]
+    ax.fill_between(found["t"], low, high, color=blue, alpha=0.2, lw=0, label="± 2 standard deviations")
     ax.axvline(table["t"].iloc[crash], color="k", linestyle="--", label="the process dies")
     ax.set(xlabel="time, s", ylabel="position of device 7, m", title="The process dies, the estimate goes on")
     ax.legend()

@@ -70,8 +70,8 @@ def main(argv=None):
     print(
         f"Conclusion: order {model.structure.nf}, {gain:.2f} degrees per percent of power (the oven: 1.25), dead time "
         f"{SECONDS * (model.structure.nk - 1)} s. On the other half of the file {checked.verdict}, and the free run "
-        f"fits ordinary samples to {checked.fits[-1].ordinary:.1f} %. The tracker that was saved "
-        f"{'goes on to the last bit' if same else 'goes on differently'}."
+        f"fits ordinary samples to {checked.fits[-1].ordinary:.1f} %. A tracker that goes on from a file gives "
+        f"{'to the last bit' if same else 'NOT'} what one gives that was never stopped."
     )
 
 

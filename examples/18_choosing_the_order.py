@@ -54,7 +54,7 @@ def main(argv=None):
 
     # %% One call tries orders and delays; its table, its picture, and its model.
     selection = select_structure(y, u, na=ORDERS, nk=DELAYS)
-    print(selection.to_text(rows=6), end="\n\n")
+    print(selection.to_text(rows=6))
     model = selection.best
 
     fresh = rng.choice([-1.0, 1.0], STEPS)

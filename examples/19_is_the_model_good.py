@@ -46,14 +46,15 @@ def main(argv=None):
             model = identify(y, u, structure)
         found[name] = validate(model, y_new, u_new)
         print(f"{name}, {structure}: {found[name].verdict}")  # print(found[name]) has the tests and the fits
-        print("".join(f"identify found: {finding.text}\n" for finding in model.findings), end="")
+        print("".join(f"  identify had warned: {finding.text}\n" for finding in model.findings), end="")
 
     draw(found, options.out)
     small, right = found.values()
     print(
-        f"Conclusion: of the small model, whose free run fits ordinary samples to {small.fits[-1].ordinary:.0f} %, "
-        f"{small.verdict}. The right one fits to {right.fits[-1].ordinary:.0f} %, and {right.verdict}; its fit on all "
-        f"samples, {right.fits[-1].all:.0f} %, says how wild the outliers are, not how good the model is."
+        f"Conclusion: on all samples the free run of the small model fits to {small.fits[-1].all:.0f} %, that of the "
+        f"right one to {right.fits[-1].all:.0f} %, which says how wild the outliers are; on ordinary samples to "
+        f"{small.fits[-1].ordinary:.0f} % and {right.fits[-1].ordinary:.0f} %. That nothing more can be had, the "
+        f"residuals say alone."
     )
 
 

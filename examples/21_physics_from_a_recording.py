@@ -74,7 +74,8 @@ def main(argv=None):
     draw(model, truth, options.out)
     untold = " and ".join(name for names in model.untold for name in names) or "nothing"
     print(
-        f"Conclusion: viscous friction {model.theta[0]:.2f} +- {model.std[0]:.2f} N s/m (the plant: {truth[0]:.2f}), "
+        "Conclusion, +- a standard deviation: "
+        f"viscous friction {model.theta[0]:.2f} +- {model.std[0]:.2f} N s/m (the plant: {truth[0]:.2f}), "
         f"Coulomb friction {model.theta[1]:.2f} +- {model.std[1]:.2f} N ({truth[1]:.2f}), dead length "
         f"{model.theta[2]:.2f} +- {model.std[2]:.2f} mm ({truth[2]:.2f}). What this recording cannot tell: {untold}."
     )

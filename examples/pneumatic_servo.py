@@ -33,7 +33,7 @@ import numpy as np
 from servo.experiment import LOOPS, NOMINAL, NONE, OUTLIERS, ROBUST, TOTAL, conditions, drive
 from servo.figures import FREQUENCIES, Response, decibel, draw_bode, draw_gain, draw_recording, responses
 from servo.models import CONSTANT, TRACKERS, valve_to_velocity
-from servo.study import INSTANTS, Run, at, mean_of, models_of, shown, table, trial
+from servo.study import INSTANTS, Run, at, models_of, table, trial
 
 from robust_filterpy.experiments import monte_carlo
 from robust_filterpy.plants.servo import ServoRecording
@@ -79,23 +79,28 @@ def bode_table(recording: ServoRecording, found: list[Response]) -> str:
 
 
 # %% Many
-def conclusion(runs: list[Run], names: dict, seed: int, found: list[Response], out: Path) -> str:
+def over_seeds(values: np.ndarray, digits: int) -> str:
+    """Write 'mean (least .. most)': of a handful of seeds no interval can be had."""
+    return f"{values.mean():.{digits}f} ({values.min():.{digits}f} .. {values.max():.{digits}f})"
+
+
+def conclusion(runs: list[Run], names: dict, found: list[Response], out: Path) -> str:
     """Say what all the seeds say together, each sentence below its figure."""
     moved, fits, gain = (np.array([getattr(run, name) for run in runs]) for name in ("motion", "fits", "gain"))
-    piston = {name: shown(mean_of(moved[:, i, 0], seed), 2) for i, name in enumerate(names["loops"])}
-    fit = {name: shown(mean_of(fits[:, 0, i], seed), 1) for i, name in enumerate(names["trackers"])}
-    apart, doubled = np.mean(np.abs(gain[..., 1] / gain[..., 0] - 1)), np.mean(gain[:, -1, 0] / gain[:, 0, 0])
+    piston = {name: over_seeds(moved[:, i, 0], 2) for i, name in enumerate(names["loops"])}
+    fit = {name: over_seeds(fits[:, 0, i], 1) for i, name in enumerate(names["trackers"])}
+    apart, grown = np.mean(np.abs(gain[..., 1] / gain[..., 0] - 1)), np.mean(gain[:, -1, 0] / gain[:, 0, 0]) - 1
     below = [decibel(r.model) - decibel(r.linearized[1]) for r in found]
     slow, fast = ([b[np.argmin(np.abs(FREQUENCIES - f))] for b in below] for f in (0.5, 12.0))
     sentences = {
-        "servo_recording.png": f"Of {len(runs)} seeds, mean (95 % interval): outliers move the piston by "
-        f"{piston[NOMINAL]} mm on the Kalman filter, {piston[TOTAL]} mm if its R holds the outliers too, "
+        "servo_recording.png": f"Of {len(runs)} seeds, mean (least .. most): outliers move the piston by "
+        f"{piston[NOMINAL]} mm on the Kalman filter, {piston[TOTAL]} mm if R counts the outliers in, "
         f"{piston[ROBUST]} mm on the robust one.",
-        "servo_gain.png": f"The tracked gain is within {apart:.1%} of the physics', which grow by {doubled - 1:.0%} "
-        f"over the last 60 %. Fit from valve to velocity: constant model {fit[CONSTANT]} %, Kalman {fit[NOMINAL]} %, "
-        f"robust {fit[ROBUST]} %.",
-        "servo_bode.png": f"Where it is drawn, the model is {min(slow):+.1f} to {max(slow):+.1f} dB off the "
-        f"linearized physics at 0.5 Hz; at their resonance, near 12 Hz, {min(fast):+.0f} to {max(fast):+.0f} dB.",
+        "servo_gain.png": f"From valve to velocity a constant model fits by {fit[CONSTANT]} %, one that Kalman tracks "
+        f"by {fit[NOMINAL]} %, the robust one by {fit[ROBUST]} %. While the physics' gain grows by {100 * grown:.0f} % "
+        f"(the last three circles), the robust model's is {100 * apart:.1f} % off on average.",
+        "servo_bode.png": f"The model is {min(slow):+.1f} to {max(slow):+.1f} dB off the linearized physics at 0.5 Hz; "
+        f"at their resonance, which moves with the piston, {min(fast):+.0f} to {max(fast):+.0f} dB.",
     }
     lines = [f"Figure: {out.resolve() / name}\n{text}" for name, text in sentences.items()]
     ahead = moved[:, names["loops"].index(ROBUST), 0] < moved[:, names["loops"].index(NOMINAL), 0]
@@ -133,7 +138,7 @@ def main(argv: list[str] | None = None) -> list[Run]:
     if args.details:
         print(bode_table(recording, found))
         print(table(runs, args.seed))
-    print(conclusion(runs, names, args.seed, found, args.out))
+    print(conclusion(runs, names, found, args.out))
     return runs
 
 

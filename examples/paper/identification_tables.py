@@ -37,7 +37,9 @@ Found = dict[float, Run]
 
 def study(plant: Plant, runs: int, options: Options, trackers: tuple[str, ...] = TRACKERS) -> Run:
     """Run a plant many times; every field gets a first axis of runs."""
-    results = monte_carlo(partial(trial, plant=plant, trackers=trackers), runs, options.seed, options.jobs).results
+    results = monte_carlo(
+        partial(trial, plant=plant, trackers=trackers), runs, options.seed, options.jobs, progress=False
+    ).results
     return Run(*(np.array(column) for column in zip(*results, strict=True)))
 
 

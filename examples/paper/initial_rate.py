@@ -57,7 +57,7 @@ class Starts(NamedTuple):
 
 def starts(offset: float, runs: int, seed: int) -> Starts:
     """Run both filters, which start at 0, on states that start with x1 = offset."""
-    draws = monte_carlo(partial(drawn, setting=START, steps=STEPS), runs, seed, n_jobs=1).stacked()
+    draws = monte_carlo(partial(drawn, setting=START, steps=STEPS), runs, seed, n_jobs=1, progress=False).stacked()
     x0 = np.zeros_like(draws.x0)
     x0[:, 0] = offset
     states, z = simulate(draws._replace(x0=x0))

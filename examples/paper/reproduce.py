@@ -76,7 +76,7 @@ def main(argv: list[str] | None = None) -> Path | None:
     claims = [claim for part in parts for claim in part.claims]
     print(f"{path.resolve()} and {sum(len(part.figures) for part in parts)} figures beside it; {len(claims)} claims:")
     for c in claims:
-        print(f"  {c.verdict:14} {c.claim}  {c.measured}")
+        print(f"  {c.verdict:14} {c.figures:21} {c.claim}  {c.measured}")
     counts = {v: sum(c.verdict == v for c in claims) for v in ("holds", "does not hold", "undecided")}
     print("Conclusion: " + ", ".join(f"{n} claims: {v}" for v, n in counts.items()))
     return path

@@ -73,7 +73,8 @@ def draw_gain(given: Conditions, recording: ServoRecording, models: dict[str, Mo
     axis.plot(recording.t[instants], frozen, "o", color="black", markerfacecolor="none",
               label="physics, frozen: its best linear model")  # fmt: skip
     axis.set(xlabel="time / s", ylabel="gain / (cm/s per % of opening)", ylim=(2, 9))
-    axis.set_title("The gain doubles: the tracked models follow, a constant one cannot")
+    grown = sliding[-1] / sliding[0]
+    axis.set_title(f"The gain grows {grown:.1f} times: the tracked models follow, a constant one cannot")
     axis.legend(loc="upper left", ncols=2, fontsize=8)
     figure.savefig(path, dpi=80)
     plt.close(figure)

@@ -134,7 +134,7 @@ def best_constant(data: Signals) -> np.ndarray:
     with warnings.catch_warnings():
         # The servo is no constant linear model, which `identify` says: that is what the study is about.
         warnings.filterwarnings("ignore", "identify: ", UserWarning)
-        return identify(data.y, data.u, OutputError(ORDER, ORDER), influence=Huber()).theta
+        return identify(data.y, data.u, OutputError(ORDER, ORDER), influence=Huber(), progress=False).theta
 
 
 def _tracker(data: Signals, drift: float, influence: Influence) -> ParameterTracker:

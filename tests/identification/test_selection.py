@@ -228,6 +228,13 @@ def test_what_is_taken_is_not_below_the_best_on_samples_held_out():
     assert said
 
 
+def test_a_fit_that_nobody_asked_for_is_a_dash_in_the_table():
+    found = select_structure(*recorded(), na=range(1, 3), nk=[3, 4])
+    untried = next(i for i, row in enumerate(found.rows) if np.isnan(row.held_out_fit))
+    assert found.to_text().splitlines()[1 + untried].endswith(" -")
+    assert "nan" not in found.to_text()
+
+
 def test_the_criterion_decides_among_structures_that_the_samples_held_out_do_not_tell_apart():
     y, u = recorded()
     with warnings.catch_warnings():

@@ -170,7 +170,8 @@ class Selection:
         for row in self.rows[: _checks.count("rows", rows, 1)]:
             above = row.criterion - self.rows[0].criterion
             values = f"{row.criterion:>12.1f}{above:>12.1f}{row.fit:>9.2f}{row.log_likelihood:>16.1f}"
-            values += f"{row.held_out_fit:>13.2f}" if held_out else ""
+            late = "-" if math.isnan(row.held_out_fit) else f"{row.held_out_fit:.2f}"
+            values += f"{late:>13}" if held_out else ""
             lines.append(f"{row.structure!s:<38}{values}{'' if row.shows_delay else '  first b is 0'}")
         return "\n".join(lines)
 
