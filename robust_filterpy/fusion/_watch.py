@@ -33,7 +33,9 @@ FAULTS = ("healthy", "departs", "biased", "drifting", "stuck", "noisier", "spike
 # Columns of the tests, and their limits.
 _UP, _DOWN, _WIDE, _FAR, _REPEATS, _USUAL, _LAST, SLOW, _COUNT, _SIGN, _KEEPS = range(11)
 _SLACK = 0.35
-_LIMITS = np.array([14.3, 14.3, 12.0, 12.0])
+_LIMITS = np.array([9.0, 9.0, 10.0, 8.0])
+# What is left of a sum after a look that found nothing.
+_AGAIN = 0.5
 _CLIP, _MORE = 3.0, 0.2
 # A run of exact repetitions that has so small a chance, by the share of repetitions learnt, is no accident.
 _ACCIDENT = math.log(1e5)
@@ -186,7 +188,7 @@ def recovered(watch: Watch, owner: np.ndarray) -> np.ndarray:
 
 
 def calm(watch: Watch, sensors: np.ndarray, owner: np.ndarray) -> Watch:
-    """Return that the tests of some sensors begin anew."""
+    """Return that what the tests have against some sensors has been looked at."""
     tests = watch.tests.copy()
-    tests[sensors[owner], :4] = 0.0
+    tests[sensors[owner], :4] *= _AGAIN
     return watch._replace(tests=tests)

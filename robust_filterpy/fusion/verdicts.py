@@ -27,6 +27,8 @@ __all__ = ["LONGEST", "Verdict", "described", "of_all", "watched", "words"]
 STRETCH, LONGEST = 300, 600
 # A verdict is wrong once in twenty times at most; and what is said before that.
 _SURE, _LIKELY = 0.95, 0.5
+# A sensor is healthy, and looked at again soon, if something is the matter with more than this probability.
+_DOUBTED = 0.05
 # Readings until a sensor that departs, or one that has a verdict, is looked at again.
 _SOON, _LATER = 5, 20
 _HEALTHY, _DEPARTS = 0, 1
@@ -125,7 +127,7 @@ def watched(line: Any, i: int, moment: Moment) -> Moment:
     owner, before = line.setup.layout.party, moment.watch
     watch = _readmitted(before, owner)
     alarm = alarmed(watch, owner)
-    followed = (watch.fault > _HEALTHY) & (watch.due <= 0.0)
+    followed = ((watch.fault > _HEALTHY) | (watch.odds < 1.0 - _DOUBTED)) & (watch.due <= 0.0)
     fresh = alarm & (watch.fault == _HEALTHY)
     if fresh.any() or followed.any():
         watch = _after_a_look(line, i, calm(watch, alarm, owner), fresh, followed)
@@ -173,18 +175,19 @@ def _after_a_look(line: Any, i: int, watch: Watch, fresh: np.ndarray, followed: 
     (who, fault), probability = max(best.items(), key=lambda one: one[1])
     # What is sure stays until the sensor has recovered; what was only likely does not.
     sick = watch.fault == _DEPARTS
+    doubts = [sum(p for (s, _), p in best.items() if s == one) for one in range(len(sick))]
     if who < 0:
-        watch = _set_free(watch, sick, layout.party)
-        if fault < 0:
+        watch = _doubted(_set_free(watch, sick, layout.party), doubts)
+        if fault < 0 and probability >= _SURE:
             onset = next(one.onset for one in found if one.fault == fault)
             watch = watch._replace(model=probability, model_since=line.keys[first + onset])
         return watch
-    share = sum(p for (s, _), p in best.items() if s == who)
+    share = doubts[who]
     if share <= _LIKELY:
-        return watch
+        return _doubted(watch, doubts)
     others = sick.copy()
     others[who] = False
-    watch = _set_free(watch, others, layout.party)
+    watch = _doubted(_set_free(watch, others, layout.party), doubts)
     top = next(one for one in found if one.component >= 0 and layout.party[one.component] == who and one.fault == fault)
     sure = probability >= _SURE
     if watch.fault[who] > _DEPARTS and not sure:
@@ -192,6 +195,13 @@ def _after_a_look(line: Any, i: int, watch: Watch, fresh: np.ndarray, followed: 
     shown = (fault, probability) if sure else (_DEPARTS, share)
     return _with(watch, who, *shown, top, line.keys[first + top.onset],
                  line.stands(first)[0].watch.tests[:, SLOW], layout.party)  # fmt: skip
+
+
+def _doubted(watch: Watch, doubts: list[float]) -> Watch:
+    """Return how surely sensors are healthy, and that doubtful ones are looked at again soon."""
+    doubt, healthy = np.array(doubts), watch.fault == _HEALTHY
+    odds = np.where(healthy, 1.0 - doubt, watch.odds)
+    return watch._replace(odds=odds, due=np.where(healthy & (doubt > _DOUBTED), float(_SOON), watch.due))
 
 
 def _with(

@@ -61,6 +61,8 @@ class Problem(NamedTuple):
         First sample of each recording, for several that follow each other.
     limits : Limits or None
         Where theta may be.
+    carried : ndarray or None
+        Impulse response of the filter that makes the residuals of white noise; None: they are white.
     """
 
     structure: Structure
@@ -73,6 +75,7 @@ class Problem(NamedTuple):
     moving: bool = True
     begins: tuple[int, ...] = (0,)
     limits: Limits | None = None
+    carried: Array | None = None
 
     @property
     def spans(self) -> tuple[slice, ...]:
@@ -146,7 +149,7 @@ def estimated(problem: Problem, y: Array) -> Model:
         p = told.inside(p)
         held = limits.held(best.p, model.jacobian(best.p)[best.rows].T @ best.noise.psi(best.residual[best.rows]))
         doubt = "; ".join(words for words in (doubt, _at_limits(structure, held, limits)) if words)
-    found = _as_model(recorded, p, best, missing, replaced, units.y, known, endings, doubt, held)
+    found = _as_model(recorded, p, best, missing, replaced, units.y, known, endings, doubt, held, problem.carried)
     found = replace(found, dt=problem.dt)
     if not isinstance(recorded, SeveralRecordings):
         return _with_inputs_from_zero(found, recorded, p, problem.rest)
@@ -213,6 +216,7 @@ def _as_model(
     endings: tuple[Ending, ...],
     doubt: str,
     held: Any,
+    carried: Array | None,
 ) -> Model:
     """Return what was found, for the recording as it was measured, its outliers and gaps interpolated."""
     structure, n, rows = model.structure, model.structure.n_theta, end.rows
@@ -225,7 +229,7 @@ def _as_model(
     jacobian, shown = known_part(model, end._replace(p=p))
     # What is held has no variance, and what the others then have.
     jacobian[:, held] = 0.0
-    P = np.where(held | held[:, None], 0.0, sandwich(jacobian, shown, noise))
+    P = np.where(held | held[:, None], 0.0, sandwich(jacobian, shown, noise, carried))
     weights = np.full(missing.size, np.nan)
     weights[model.first :] = noise.weights(residual)
     weights[end.outliers.wrong] = 0.0

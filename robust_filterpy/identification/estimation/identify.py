@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, overload
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +14,7 @@ from robust_filterpy._progress import stages
 from robust_filterpy._warning import warn
 from robust_filterpy.identification.estimation.estimate import Problem
 from robust_filterpy.identification.estimation.feedback import with_feedback
+from robust_filterpy.identification.estimation.focus import band, dynamics_of, focused
 from robust_filterpy.identification.estimation.grey_box import identified_grey_box
 from robust_filterpy.identification.estimation.level import (
     TRENDS,
@@ -23,10 +24,10 @@ from robust_filterpy.identification.estimation.level import (
     without_endless_motion,
 )
 from robust_filterpy.identification.estimation.limits import Limits
-from robust_filterpy.identification.estimation.recordings import recordings
+from robust_filterpy.identification.estimation.recordings import Recordings, recordings
 from robust_filterpy.identification.estimation.several import of_several
 from robust_filterpy.identification.estimation.state_space import identified_state_space
-from robust_filterpy.identification.models.findings import said
+from robust_filterpy.identification.models.findings import Finding, said
 from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.signals import operating_point
@@ -51,6 +52,7 @@ def identify(
     groups: ArrayLike | None = None,
     fixed: Mapping[str, float] | None = None,
     bounds: Mapping[str, Any] | None = None,
+    focus: tuple[float | None, float | None] | None = None,
     progress: bool | None = None,
 ) -> Model: ...
 
@@ -92,6 +94,7 @@ def identify(
     t: ArrayLike | None = None,
     fixed: Mapping[str, float] | None = None,
     bounds: Mapping[str, Any] | None = None,
+    focus: tuple[float | None, float | None] | None = None,
     progress: bool | None = None,
 ) -> Model | StateSpaceModel | GreyBoxModel:
     """Find the model of a recording with outliers, from nothing but the recording.
@@ -131,6 +134,10 @@ def identify(
     bounds : dict of str to (float, float), optional
         Between which numbers others are, None or inf for no limit: ``{"b1": (0, None)}``. A parameter that ends at a
         bound is named by ``warning``.
+    focus : (float, float), optional
+        Band of frequencies in rad/s (rad a sample, if no index tells the sampling period) that the fit counts, None for
+        an edge at 0 or pi/dt: for a model smaller than its plant, where it has to be right. Outliers and gaps are
+        replaced before anything is filtered. For a structure with inputs, and one recording.
     progress : bool, optional
         Write on standard error, less and less often, what the search is at: True from the beginning, False never, None
         from 2 s on.
@@ -184,63 +191,91 @@ def identify(
     found: Model | StateSpaceModel | GreyBoxModel
     with stages("identify", progress):
         if isinstance(structure, (StateSpace, GreyBox)):
-            found = _of_outputs(y, u, structure, influence, groups, t, offset, R, trend, fixed, bounds)
+            found = _of_outputs(y, u, structure, influence, groups, t, offset, R, trend, fixed, bounds, focus)
         else:
-            found = _of_polynomials(y, u, structure, influence, offset, R, trend, groups, t, fixed, bounds)
+            told = _Told(influence, offset, R, trend, groups, t, fixed, bounds, focus)
+            found = _of_polynomials(y, u, structure, told)
     for words in (said(found.findings), found.warning):
         if words:
             warn(f"identify: {words}")
     return found
 
 
-def _of_polynomials(
-    y: Any, u: Any, structure: Any, influence: Any, offset: Any, R: Any, trend: Any, groups: Any, t: Any,
-    fixed: Any, bounds: Any,
-) -> Model:  # fmt: skip
+class _Told(NamedTuple):
+    """What a structure of polynomials may be told."""
+
+    influence: Any
+    offset: Any
+    R: Any
+    trend: Any
+    groups: Any
+    t: Any
+    fixed: Any
+    bounds: Any
+    focus: Any
+
+
+def _of_polynomials(y: Any, u: Any, structure: Any, told: _Told) -> Model:
     """Return a model of one output, or raise if it is asked for what it does not take."""
-    if t is not None:
+    trend, offset = told.trend, told.offset
+    if told.t is not None:
         raise ValueError(f"t: expected None for {structure}, whose samples are equally far apart; take a GreyBox")
     if not isinstance(structure, Structure):
         raise TypeError(f"structure: expected ARX(..), OutputError(..) or another structure, got {structure!r}")
-    if influence is not None and not isinstance(influence, Influence):
-        raise TypeError(f"influence: expected an influence function such as Huber(), got {_checks.shown(influence)}")
+    if told.influence is not None and not isinstance(told.influence, Influence):
+        got = _checks.shown(told.influence)
+        raise TypeError(f"influence: expected an influence function such as Huber(), got {got}")
     if not isinstance(offset, (bool, np.bool_)):
         raise TypeError(f"offset: expected True or False, got {_checks.shown(offset)}")
     if trend is not None:
         _checks.option("trend", trend, TRENDS)
         if not offset and trend != "none":
             raise ValueError(f'trend: expected "none" with offset=False, got {_checks.shown(trend)}; leave offset out')
-    told = Limits.of(structure, fixed, bounds)
-    limits = told if told.any else None
-    recorded = recordings(structure, y, u, groups)
-    signal = recorded.u
+    limits = Limits.of(structure, told.fixed, told.bounds)
+    recorded = recordings(structure, y, u, told.groups)
+    signal, dt = recorded.u, recorded.axis.dt
     has_offset = bool(offset) and trend != "none"
     moves = has_offset and not structure.takes_phi
-    rest = operating_point(signal) if moves else np.zeros(signal.shape[1])
-    known = None if R is None else _checks.positive("R", R)
-    dt = recorded.axis.dt
-    problem = Problem(structure, signal, rest, influence, has_offset, known, dt, begins=recorded.begins, limits=limits)
+    problem = Problem(
+        structure, signal, operating_point(signal) if moves else np.zeros(signal.shape[1]), told.influence, has_offset,
+        None if told.R is None else _checks.positive("R", told.R), dt, begins=recorded.begins,
+        limits=limits if limits.any else None,
+    )  # fmt: skip
     # Noise that is summed up has steps of its own.
     chosen = trend or ("breaks" if moves and not structure.integrated else "constant")
-    if len(recorded.begins) > 1:
-        found, findings = of_several(problem, recorded.y, chosen)
-    else:
-        found, findings = beside_trend(problem, recorded.y, chosen, recorded.axis.index)
-        found, more = without_endless_motion(problem, recorded.y, found)
-        found, outliers = beside_input_outliers(problem, recorded.y, found)
-        findings = (*findings, *more, *outliers)
-        if not outliers:
-            findings = (*findings, *unlike_in_parts(problem, recorded.y, found))
+    edges = None if told.focus is None else _band(told.focus, problem)
+    found, findings = _in_recording(problem, recorded, chosen)
+    if edges is not None:
+        found, findings = focused(problem, recorded.y, found, edges, lambda held: _in_recording(held, recorded, chosen))
     findings = (*recorded.findings, *findings, *with_feedback(problem, recorded.y, found))
     return replace(found, findings=findings)
+
+
+def _band(focus: Any, problem: Problem) -> tuple[float, float]:
+    """Return the edges of the band that counts, or raise where there is none to count."""
+    dynamics_of(problem.structure)
+    if len(problem.begins) > 1:
+        raise ValueError("focus: expected one recording without long gaps; identify the longest one alone")
+    return band(focus, problem.dt)
+
+
+def _in_recording(problem: Problem, recorded: Recordings, chosen: str) -> tuple[Model, tuple[Finding, ...]]:
+    """Return the model beside whatever else a recording has, and that."""
+    if len(problem.begins) > 1:
+        return of_several(problem, recorded.y, chosen)
+    found, findings = beside_trend(problem, recorded.y, chosen, recorded.axis.index)
+    found, more = without_endless_motion(problem, recorded.y, found)
+    found, outliers = beside_input_outliers(problem, recorded.y, found)
+    findings = (*findings, *more, *outliers)
+    return found, findings if outliers else (*findings, *unlike_in_parts(problem, recorded.y, found))
 
 
 def _of_outputs(
     y: Any, u: Any, structure: StateSpace | GreyBox, influence: Any, groups: Any, t: Any, *others: Any
 ) -> StateSpaceModel | GreyBoxModel:
     """Return a state-space or physical model, or raise if it is asked for what it does not take."""
-    names, kind = ("offset", "R", "trend", "fixed", "bounds"), type(structure).__name__
-    for name, value, only in zip(names, others, (True, None, None, None, None), strict=True):
+    names, kind = ("offset", "R", "trend", "fixed", "bounds", "focus"), type(structure).__name__
+    for name, value, only in zip(names, others, (True, *[None] * 5), strict=True):
         if value is not only and name in ("fixed", "bounds"):
             mend = "GreyBox(.., fixed=, bounds=) has its own" if kind == "GreyBox" else "its matrices have no names"
             raise ValueError(f"{name}: expected None for a {kind}, got {_checks.shown(value)}; {mend}")

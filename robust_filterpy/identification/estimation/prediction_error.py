@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
+from scipy.signal import fftconvolve
 
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.estimation.limits import Limits
@@ -122,12 +123,14 @@ def _step(triangle: Array, damping: float) -> tuple[Array, float]:
     return step, float(np.linalg.norm(R @ step))
 
 
-def sandwich(jacobian: Array, residual: Array, noise: _Noise) -> Array:
+def sandwich(jacobian: Array, residual: Array, noise: _Noise, carried: Array | None = None) -> Array:
     """Return the covariance of the free parameters at an optimum.
 
     ``(N/(N - n)) R (J'J)^-1 J' diag(psi^2) J (J'J)^-1 / mean(psi')^2`` (Huber, Robust Statistics, 1981, section 7.6),
     which holds whatever the distribution of the residuals is, as long as one does not tell of another. With a noise for
     each output, J and psi are weighted by mean(psi')/R of it; directions that nothing depends on have no variance.
+    Residuals that a filter h has made of white noise are taken for that: each moves theta by h'(J'J)^-1 J', with the
+    mean square that they have.
 
     Parameters
     ----------
@@ -137,6 +140,8 @@ def sandwich(jacobian: Array, residual: Array, noise: _Noise) -> Array:
         These residuals.
     noise : Noise or Noises
         Their noise.
+    carried : ndarray, shape (K,), optional
+        h, the impulse response of a filter that makes these of white noise.
 
     Returns
     -------
@@ -149,5 +154,11 @@ def sandwich(jacobian: Array, residual: Array, noise: _Noise) -> Array:
     # Derivatives of theta by the residuals, (J'J)^-1 J', without forming J'J.
     left, values, right = np.linalg.svd(weighted / size, full_matrices=False)
     kept = values > 1e-10 * values[0]
-    effect = (right[kept].T / values[kept]) @ left[:, kept].T / size[:, None] * (psi / np.sqrt(slope))
+    effect = (right[kept].T / values[kept]) @ left[:, kept].T / size[:, None]
+    if carried is None:
+        effect *= psi / np.sqrt(slope)
+    else:
+        effect *= np.sqrt(slope / noise.variance)
+        effect = fftconvolve(effect, carried[None, ::-1], axes=1)
+        effect *= np.sqrt(np.mean(residual**2) / np.sum(carried**2))
     return np.asarray(residual.size / (residual.size - int(kept.sum())) * (effect @ effect.T))

@@ -103,6 +103,8 @@ class Model(EstimatedPolynomials, Responses):
         `level` of each recording, if there were several; offset, trend and memory are those of the last.
     recordings : tuple of (int, ndarray)
         Fingerprint and trend of each of several recordings.
+    focus : tuple of float or None
+        Band in rad/s (rad a sample without dt) that the fit has counted; None: all frequencies.
 
     Notes
     -----
@@ -131,6 +133,7 @@ class Model(EstimatedPolynomials, Responses):
     fingerprint: int = 0
     levels: Array = field(default_factory=lambda: np.zeros(0))
     recordings: tuple[tuple[int, Array], ...] = ()
+    focus: tuple[float, float] | None = None
 
     def __repr__(self) -> str:
         """Show the parameters with their standard deviations."""
@@ -184,6 +187,8 @@ class Model(EstimatedPolynomials, Responses):
         facts |= {"Log-likelihood": f"{self.log_likelihood:.1f}", "Fit, 1 step": f"{self.own_fit:.2f} %"}
         if self.levels.size:
             facts["Recordings"] = f"{self.levels.size}, each with a level"
+        if self.focus is not None:
+            facts["Focus"] = f"{self.focus[0]:.4g} to {self.focus[1]:.4g} rad/{'sample' if self.dt is None else 's'}"
         if self.dt is not None:
             facts["Sampling period"] = f"{self.dt:.6g} s"
         return summarized(str(self.structure), facts, names, theta, std, level, self.warning, said(self.findings))
