@@ -3,8 +3,9 @@
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.signal import lfilter
 
-from robust_filterpy import identify
+from robust_filterpy import OutputError, identify
 from robust_filterpy.identification import StateSpace
 
 A = np.array([[0.8, 0.4, 0.0], [-0.4, 0.8, 0.0], [0.0, 0.0, 0.6]])
@@ -113,6 +114,20 @@ def test_one_output_and_one_input_without_a_second_axis():
     model = identify(y[:, 0], u[:, 0], StateSpace(2))
     assert model.C.shape == (1, 2)
     assert model.frequency_response([0.1]).response.shape == (1,)
+
+
+def test_bands_are_those_of_the_same_plant_as_a_polynomial():
+    rng = np.random.default_rng(1)
+    u = rng.choice([-1.0, 1.0], 600)
+    y = lfilter([0.0, 1.0], [1.0, -0.7], u) + 0.3 * rng.normal(size=600)
+    one, other = (identify(y, u, s).frequency_response([0.1, 0.5, 2.0]) for s in (StateSpace(1), OutputError(1, 1)))
+    for name in ("magnitude", "phase"):
+        middle, width = getattr(other, name), getattr(other, f"{name}_upper") - getattr(other, f"{name}_lower")
+        assert (width > 0.0).all()
+        # Their levels and starts are not told apart in the same way.
+        for end in ("", "_lower", "_upper"):
+            far = getattr(one, name + end) - getattr(other, name + end)
+            assert (np.abs(far) < 0.25 * width).all(), (name, end, middle, far / width)
 
 
 @pytest.mark.parametrize(

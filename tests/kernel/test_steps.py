@@ -107,6 +107,15 @@ def test_so_many_sensors_that_fail_together_are_the_kernels_and_more_the_definit
     assert found == (served, not served)
 
 
+@pytest.mark.parametrize("grouping", ["component", "joint"])
+def test_a_first_reading_that_is_exactly_as_predicted_is_the_kernels(grouping):
+    """Of its noise nothing is known then, not even a spread."""
+    kf = RobustKalmanFilter(2, 2, grouping=grouping)
+    kf.H = np.eye(2)
+    assert before_and_after(kf, lambda: EXTENSION.correct(kf, np.zeros(2), None, None, None)) == (True, False)
+    assert kf.x.tolist() == [[0.0], [0.0]] and kf.P == pytest.approx(0.5 * np.eye(2))
+
+
 MIXTURES = {
     "scales and jumps": {"noise": "learnt", "process": "scales"},
     "one copy": {"noise": "learnt"},

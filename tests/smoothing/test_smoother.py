@@ -10,6 +10,7 @@ from support import told
 
 from robust_filterpy import Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight, smooth
 from robust_filterpy.smoothing import smooth_series
+from robust_filterpy.smoothing.mixture import Belief
 
 CART = support.with_(support.cart(), Q=0.01 * np.array([[0.25, 0.5], [0.5, 1.0]]), P=10.0 * np.eye(2))
 
@@ -312,3 +313,8 @@ def test_nothing_measured_is_the_prediction():
     found = smooth(kf, [None] * 4)
     np.testing.assert_allclose(found.x[:, 0], [3.0, 5.0, 7.0, 9.0])
     assert np.isnan(found.weights).all() and found.converged
+
+
+def test_before_a_recording_one_sample_in_ten_is_believed_to_be_an_outlier_of_eight_times_the_size():
+    assert Belief().mixture == (pytest.approx(0.1), pytest.approx(8.0))
+    assert Belief().sized == 2.0
