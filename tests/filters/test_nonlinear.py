@@ -461,3 +461,13 @@ def test_P_stays_positive_definite(maker):
         correct(kf, np.where(bad, rng.choice([-1, 1], 2) * 10.0 ** rng.uniform(0, 200, 2), z))
         assert np.linalg.eigvalsh(kf.P)[0] > 0 and np.abs(kf.P - kf.P.T).max() <= 1e-12 * np.abs(kf.P).max()
     assert np.isfinite(kf.x).all()
+
+
+@pytest.mark.parametrize("u", [np.array([0.3, -0.7]), np.zeros(2), [[0.3], [-0.7]]], ids=str)
+def test_an_extended_filter_with_several_inputs_is_moved_by_all_of_them(u):
+    problem = random_problem(8, 3, 1, dim_u=2)
+    kf = RobustExtendedKalmanFilter(3, 1, 2)
+    kf.x, kf.P, kf.Q, kf.F, kf.B = np.ravel(problem.x), problem.P, problem.Q, problem.F, problem.B
+    kf.predict(u)
+    np.testing.assert_allclose(kf.x, problem.F @ np.ravel(problem.x) + problem.B @ np.ravel(u), rtol=1e-12)
+    np.testing.assert_allclose(kf.P, problem.F @ problem.P @ problem.F.T + problem.Q, rtol=1e-12)

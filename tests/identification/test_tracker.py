@@ -210,9 +210,11 @@ def test_fit_and_intervals():
     assert ParameterTracker.fit([0.0, 2.0], [1.0, 1.0]) == pytest.approx(0.0)
     tracker = support.told_tracker(FIR(2), theta=[1.0, 2.0], P=np.diag([4.0, 9.0]))
     lower, upper = tracker.confidence_intervals(0.95)
+    same(tracker.confidence_intervals(), (lower, upper))
     np.testing.assert_allclose(lower, [1 - 1.959964 * 2, 2 - 1.959964 * 3], rtol=1e-6)
     np.testing.assert_allclose(upper - tracker.theta, tracker.theta - lower)
     result = tracker.run(np.ones(5), np.ones(5))
+    same([band[-1] for band in result.confidence_intervals()], tracker.confidence_intervals(0.95))
     same([band[-1] for band in result.confidence_intervals(0.5)], tracker.confidence_intervals(0.5))
     with pytest.raises(ValueError, match="level"):
         tracker.confidence_intervals(95)
