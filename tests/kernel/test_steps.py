@@ -71,6 +71,8 @@ def test_a_step_is_the_definition(monkeypatch, influence, grouping, scaling, inf
             two.update(z)
             # After a jump that was believed P is a million times what is left of it.
             assert_same(one, two, 1e-8 if scaling == "learnt" else 1e-10)
+            # What is known of the sensors, of which the next steps are made.
+            np.testing.assert_allclose(one._memory, two._memory, rtol=1e-7, atol=1e-7)
             told, right = one._arrays().information, two._arrays().information
             assert np.abs(told - right).max() <= 1e-6 * (1e-9 + np.abs(right).max())
     assert taken > 60
@@ -114,6 +116,36 @@ def test_a_first_reading_that_is_exactly_as_predicted_is_the_kernels(grouping):
     kf.H = np.eye(2)
     assert before_and_after(kf, lambda: EXTENSION.correct(kf, np.zeros(2), None, None, None)) == (True, False)
     assert kf.x.tolist() == [[0.0], [0.0]] and kf.P == pytest.approx(0.5 * np.eye(2))
+
+
+@pytest.mark.parametrize("n", [1, 3, 4, 5, 7, 8, 9, 11, 12, 13])
+def test_states_of_every_number_are_predicted(n):
+    """The kernel takes four columns at a time where there are some, and four rows of more than eight states."""
+    problem = support.random_problem(n, n, 1)
+    kf = support.make(RobustKalmanFilter, problem, 1)
+    assert EXTENSION.predict(kf, None)
+    np.testing.assert_allclose(kf.x, problem.F @ np.ravel(problem.x), rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(kf.P, problem.F @ problem.P @ problem.F.T + problem.Q, rtol=1e-12, atol=1e-12)
+
+
+def test_noise_that_is_thirty_times_larger_from_now_on_is_learnt_anew_as_by_the_definition(monkeypatch):
+    rng = np.random.default_rng(2)
+    zs = np.where(np.arange(140) < 60, 1.0, 30.0) * rng.choice([-1.0, 1.0], 140) * rng.uniform(0.5, 1.5, 140)
+    one, two = RobustKalmanFilter(1, 1), RobustKalmanFilter(1, 1)
+    clipped = []
+    for kf in (one, two):
+        kf.H[:], kf.Q[:] = 1.0, 0.01
+    for z in zs:
+        monkeypatch.setattr(_step, "_extension", EXTENSION)
+        one.predict()
+        one.update(z)
+        monkeypatch.setattr(_step, "_extension", None)
+        two.predict()
+        two.update(z)
+        assert_same(one, two, 1e-9)
+        clipped.append(two.weights[0] < 0.5)
+    # Ten far ones in a row are outliers, the next ones are the custom.
+    assert all(clipped[60:69]) and not any(clipped[80:])
 
 
 MIXTURES = {

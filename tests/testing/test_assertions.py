@@ -35,6 +35,7 @@ from robust_filterpy.testing import (
     run_tracker,
     visible,
 )
+from robust_filterpy.testing.assertions.consistency import _correlation
 from robust_filterpy.testing.scenarios.models import random_stable
 
 
@@ -277,3 +278,8 @@ def test_bad_input_is_named(call, error, match):
     scenario = draw("fir", 30, rng=0)
     with pytest.raises(error, match=match):
         call(run_tracker(scenario.load(told_tracker(scenario.structure)), scenario))
+
+
+def test_a_single_innovation_beside_zeros_is_no_correlation():
+    assert _correlation([np.array([0.0, 0.0, 5.0, 0.0, 0.0, 0.0])], 1)[:2] == (0.0, 0.0)
+    assert _correlation([np.zeros(6)], 1)[:2] == (0.0, 0.0)
