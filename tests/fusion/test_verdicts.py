@@ -154,6 +154,16 @@ def test_a_silent_sensor_is_named():
     assert "c silent since" in fusion.report()
 
 
+@pytest.mark.parametrize("times, fault", [(2, "healthy"), (3, "silent")])
+def test_who_has_spoken_twice_has_no_usual_interval_to_be_silent_for(times, fault):
+    fusion, heard = made(), 0
+    for name, t, z in recording(5, lambda t, x, v, last: x + v)[0]:
+        heard += name == "c"
+        if name != "c" or heard <= times:
+            fusion.observe(name, t, z)
+    assert fusion.verdicts()["c"].fault == fault
+
+
 def test_a_stamp_from_the_future_sends_nobody_to_the_cables():
     fusion = made()
     readings = recording(5, lambda t, x, v, last: x + v)[0]

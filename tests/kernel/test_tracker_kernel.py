@@ -169,6 +169,15 @@ def test_sharp_samples_go_to_the_definition(handed_back):
         assert handed_back == ["done"]
 
 
+@pytest.mark.parametrize("large, served", [(30.0, True), (2e4, False)])
+def test_how_sharp_a_sample_is_is_measured_by_what_is_left_of_P(large, served, handed_back):
+    """phi' phi tr(P) / R is 18, or 8e6, where P alone is next to nothing."""
+    rng = np.random.default_rng(0)
+    u, y = large * rng.choice([-1.0, 1.0], 40), rng.normal(size=40)
+    assert_same_run(*pair(FIR(2), P=1e-6, R=2e-4), y, u, rtol=1e-6)
+    assert (handed_back == ["done"]) == served
+
+
 def test_a_recording_of_sharp_samples_is_left_to_the_definition_in_long_pieces(handed_back):
     y, u = recording(3000)
     one, other = pair(FIR(3), R=1e-9, Q=1.0)
