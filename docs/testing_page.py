@@ -35,10 +35,19 @@ from robust_filterpy import testing
 testing.check_filter(KalmanFilter, not_claimed=("robust", "nan", "validates"))
 ```
 
+`KalmanFilter` stands for a function of dim_x and dim_z that returns a new filter, whose x, P, F, H, Q and R are then
+set by name. A class that is made in another way goes into one:
+`lambda n, m: MyFilter(F=np.eye(n), H=np.zeros((m, n)), ..)`. `check_tracker` calls `make(structure)`.
+
 What an estimator does not claim it is not tested for (`not_claimed`); what is known to be broken is listed with its
-reason (`expected_failures={"name": "reason"}`). Under pytest each check is a test of its own:
+reason (`expected_failures={"name": "reason"}`). The error has both names, that of a check and in brackets its claim's.
+Under pytest each check is a test of its own:
 
 ```python
+import pytest
+from robust_filterpy import testing
+
+
 @pytest.mark.parametrize("check", testing.filter_checks(not_claimed=("robust",)))
 def test_my_filter(check):
     check(MyFilter)

@@ -10,6 +10,7 @@ import numpy as np
 
 from robust_filterpy import _state
 from robust_filterpy._checks import Array
+from robust_filterpy.fleet.reading import seconds
 
 __all__ = ["States"]
 
@@ -129,19 +130,28 @@ class States(Mapping[Any, dict[str, Array]]):
         places = self._rows if self._rows is not None else self._places()
         return np.fromiter((places.get(name, -1) for name in names), int, len(names))
 
-    def newer(self, time: float) -> States:
+    def newer(self, time: Any) -> States:
         """Return the states of keys that have been heard of since, for a fleet whose devices come and go.
 
         Parameters
         ----------
-        time : float
-            In seconds, as the samples' times are read. Of keys without times all are kept, and so is what is no state.
+        time : float or instant
+            As the samples' times are. Of keys without times all are kept, and so is what is no state.
 
         Returns
         -------
         States
+
+        Raises
+        ------
+        ValueError
+            If time is none.
         """
-        kept = np.flatnonzero(~(self.columns["time"][:, 0] < time))
+        said: dict[int, str] = {}
+        (since,) = seconds(np.array([time], dtype=object), said)
+        if said:
+            raise ValueError(said[0])
+        kept = np.flatnonzero(~(self.columns["time"][:, 0] < since))
         keys = [self.name(i) for i in kept.tolist()]
         return States(self.label, keys, {name: column[kept] for name, column in self.columns.items()}, self.odd)
 

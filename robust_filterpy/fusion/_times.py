@@ -125,6 +125,10 @@ def _read(stamp: Any, name: str) -> tuple[str, float | int]:
         return "instants", (since.days * 86400 + since.seconds) * _NANO + since.microseconds * 1000
     if isinstance(stamp, np.timedelta64) or type(stamp).__name__ in ("timedelta", "Timedelta"):
         raise TypeError(f"{name}: expected seconds or an instant, got a duration, {stamp!r}; use its total_seconds()")
+    if isinstance(stamp, str):
+        raise TypeError(
+            f"{name}: expected seconds or an instant, got the text {stamp!r}; pandas.to_datetime(.., utc=True) reads it"
+        )
     number = _checks.real(name, stamp)
     if not math.isfinite(number):
         raise ValueError(f"{name}: expected a finite time, got {number}")

@@ -525,6 +525,17 @@ def test_states_of_devices_that_are_gone_can_be_left_out():
     assert len(step_table(untimed, None, table)[0].newer(1e9)) == 3
 
 
+def test_states_of_devices_that_are_gone_are_told_by_an_instant_as_by_its_seconds():
+    described = FilterModel(FILTERS["linear"](), measurements=["z"], time="t")
+    when = pd.to_datetime([0, 10, 20], unit="s", utc=True)
+    states, _ = step_table(described, None, pd.DataFrame({"device": list("abc"), "t": when, "z": 0.1}))
+    for since in (when[1], when[1].to_datetime64(), when[1].to_pydatetime(), 10.0):
+        assert list(states.newer(since)) == ["b", "c"]
+    for wrong in ("yesterday", when[1].tz_localize(None).to_pydatetime(), None):
+        with pytest.raises(ValueError, match="time: expected a time"):
+            states.newer(wrong)
+
+
 @pytest.mark.parametrize("cuts", [[], [20], [21], [7, 20, 21, 33]])
 @pytest.mark.parametrize("described", ["linear", "recovering", "starting", "extended", "FIR"])
 def test_a_state_that_expired_starts_its_key_anew_wherever_the_batch_is_cut(described, cuts):

@@ -90,6 +90,15 @@ def test_the_error_names_every_check_that_failed():
     assert isinstance(error.value, AssertionError)
 
 
+def test_the_error_names_the_claims_without_which_it_would_not_be_one():
+    with pytest.raises(ChecksFailed) as error:
+        check_filter(KalmanFilter, not_claimed=("nan", "validates"))
+    lines = str(error.value).splitlines()
+    (bounded,) = (line for line in lines if line.startswith("influence_of_one_measurement_is_bounded: "))
+    assert bounded.endswith(" [robust]") and "not_claimed=(..)" in lines[-1]
+    check_filter(KalmanFilter, not_claimed=("nan", "validates", "robust"))
+
+
 def test_what_several_checks_have_in_common_is_said_once():
     class NoInverse(Textbook):
         def gain(self, P, S):

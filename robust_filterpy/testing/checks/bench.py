@@ -239,23 +239,36 @@ class CheckResult(NamedTuple):
 class ChecksFailed(AssertionError):
     """Tell every check that failed, and what several have in common once; ``results`` holds them all.
 
+    Parameters
+    ----------
+    results : sequence of CheckResult
+        One for each check.
+    claims : mapping of str to iterable of str, optional
+        To which claims checks belong, by name.
+
     Attributes
     ----------
     results : tuple of CheckResult
         One for each check.
     """
 
-    def __init__(self, results: Sequence[CheckResult]) -> None:
-        """Put the failed ones into the message."""
+    def __init__(self, results: Sequence[CheckResult], claims: Mapping[str, Iterable[str]] | None = None) -> None:
+        """Put the failed ones into the message, each with what must not be claimed if it is not meant."""
         self.results = tuple(results)
         reasons: dict[str, list[str]] = {}
         for result in results:
             if result.status == "failed":
                 reasons.setdefault(result.message.removeprefix(f"{result.name}: "), []).append(result.name)
         lines = [f"{sum(map(len, reasons.values()))} of {len(results)} checks failed"]
+        found = set()
         for why, names in reasons.items():
+            needed = {claim for name in names for claim in (claims or {}).get(name, ())}
+            found |= needed
             several = f"{why} ({len(names)} checks: {', '.join(names)})"
             lines.append(several if len(names) > 1 else f"{names[0]}: {why}")
+            lines[-1] += f" [{', '.join(sorted(needed))}]" if needed else ""
+        if found:
+            lines.append("In brackets: the claim that is tested; not_claimed=(..) takes names that are not claimed")
         super().__init__("\n".join(lines))
 
 
@@ -383,7 +396,7 @@ class Bench:
         self.subject(make, frozenset(), (seed,), false_alarm).try_out()
         results = [_result(check, make) for check in checks]
         if any(result.status == "failed" for result in results):
-            raise ChecksFailed(results)
+            raise ChecksFailed(results, {check.name: check.needs for check in checks})
         return tuple(results)
 
 
