@@ -38,6 +38,8 @@ rst_prolog = "\n".join(f".. |{name}| replace:: \\|{name}\\|" for name in ("e", "
 autosummary_generate = False
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
+# In the list of what is on the page a method's class goes without saying, and would break in a word.
+toc_object_entries_show_parents = "hide"
 # What filterpy documents is not repeated.
 autodoc_inherit_docstrings = False
 numpydoc_show_class_members = False

@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+import textwrap
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -140,7 +141,7 @@ def page(name: str, title: str, question: str, rest: str, figures: list[str], pr
     lines += [f".. image:: {figure}\n   :alt: {title}\n   :class: figure\n" for figure in figures]
     lines += [f"**Conclusion**{escaped(' '.join(conclusion.split()))}\n"]
     if table.strip():
-        lines += [heading("What it prints", "-"), ".. code-block:: text\n", indented(table.strip("\n")), ""]
+        lines += [heading("What it prints", "-"), ".. code-block:: text\n", indented(fitted(table.strip("\n"))), ""]
     return "\n".join(
         [
             *lines,
@@ -150,6 +151,14 @@ def page(name: str, title: str, question: str, rest: str, figures: list[str], pr
             f"notebook, :download:`{stem}.ipynb <notebooks/{stem}.ipynb>`.\n",
             f".. literalinclude:: ../../examples/{name}\n   :language: python\n",
         ]
+    )
+
+
+def fitted(printed: str) -> str:
+    """Return what was printed with long sentences on lines that the page holds; a table's columns stay."""
+    return "\n".join(
+        line if "  " in line.strip() else textwrap.fill(line, 90, subsequent_indent="  ", break_on_hyphens=False)
+        for line in printed.splitlines()
     )
 
 

@@ -67,12 +67,14 @@ def draw(position, readings, is_outlier, tracks, path: Path) -> None:
     visible = np.clip(readings, low + 0.8, high - 0.8)
     axis.plot(k[is_outlier], visible[is_outlier], "x", color="black", markersize=6, label="outliers (edge: beyond)")
     looks = (LOOKS["Kalman"], LOOKS["Huber"])
-    for (name, estimate), style in zip(tracks.items(), looks, strict=True):
-        axis.plot(k, estimate, linewidth=2, label=f"{name}: {rms(estimate - position):.2f} m rms", **style)
+    labels = [f"{name}: {rms(estimate - position):.2f} m rms" for name, estimate in tracks.items()]
+    for label, estimate, style in zip(labels, tracks.values(), looks, strict=True):
+        axis.plot(k, estimate, linewidth=2, label=label, **style)
     axis.set(xlabel="step", ylabel="position, m", ylim=(low, high), xlim=(-1, STEPS))
     axis.set_title("Same readings, same matrices: only the class differs", fontsize=12)
     figure.legend(loc="outside lower center", fontsize=9, ncols=5, frameon=False, columnspacing=1.0, handlelength=1.6)
-    figure.savefig(path)
+    # Whoever keeps the picture can ask it what it says.
+    figure.savefig(path, metadata={"Description": "; ".join(labels)})
     plt.close(figure)
 
 

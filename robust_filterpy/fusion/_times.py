@@ -10,7 +10,7 @@ import numpy as np
 
 from robust_filterpy import _checks
 
-__all__ = ["Clock"]
+__all__ = ["Clock", "written"]
 
 _NANO = 1_000_000_000
 
@@ -98,6 +98,22 @@ class Clock:
     def stamp(key: float | int) -> Any:
         """Return the stamp of a key: a float, or a numpy.datetime64 in UTC."""
         return np.datetime64(int(key), "ns") if isinstance(key, (int, np.integer)) else float(key)
+
+
+def written(stamp: Any) -> str:
+    """Return a stamp as a sentence has it, without the zeros at the end of an instant's nanoseconds.
+
+    Parameters
+    ----------
+    stamp : float or numpy.datetime64
+        When.
+
+    Returns
+    -------
+    str
+    """
+    text = str(stamp)
+    return text.rstrip("0").rstrip(".") if isinstance(stamp, np.datetime64) and "." in text else text
 
 
 _WORDS = {"numbers": "a number of seconds", "instants": "an instant"}

@@ -14,7 +14,7 @@ from robust_filterpy._warning import warn
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.fusion._stepping import Moment, Setup, advanced, aged, covariance
 from robust_filterpy.fusion._timeline import Timeline
-from robust_filterpy.fusion._times import Clock
+from robust_filterpy.fusion._times import Clock, written
 from robust_filterpy.fusion.sensors import Layout
 from robust_filterpy.fusion.verdicts import LONGEST, Verdict, described, of_all
 from robust_filterpy.smoothing.smoother import smooth
@@ -64,9 +64,11 @@ class Recording:
         if not len(self.times):
             return "Recording(no stamps)"
         last = ", ".join(f"{name}={value:.5g}" for name, value in zip(self.names, self.x[-1], strict=True))
-        lines = [f"Recording({len(self.times)} stamps, {self.times[0]} to {self.times[-1]}; at the end {last})"]
+        begin, end = written(self.times[0]), written(self.times[-1])
+        lines = [f"Recording({len(self.times)} stamps, {begin} to {end}; at the end {last})"]
         lines += [
-            f"  {when}: {who} {verdict.fault}, since {verdict.since}" for when, who, verdict in self.verdicts[-5:]
+            f"  {written(when)}: {who} {verdict.fault}, since {written(verdict.since)}"
+            for when, who, verdict in self.verdicts[-5:]
         ]
         if len(self.verdicts) > 5:
             lines.insert(1, f"  {len(self.verdicts)} verdicts; the last five:")

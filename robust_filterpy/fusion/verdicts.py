@@ -17,7 +17,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.fusion import _faults
 from robust_filterpy.fusion._faults import Found, Stretch
 from robust_filterpy.fusion._stepping import Moment, advanced, covariance
-from robust_filterpy.fusion._times import Clock
+from robust_filterpy.fusion._times import Clock, written
 from robust_filterpy.fusion._watch import FAULTS, SLOW, Watch, alarmed, calm, colour, recovered, worth
 from robust_filterpy.fusion.sensors import Layout
 
@@ -293,8 +293,10 @@ def words(name: str, verdict: Verdict) -> str:
         "drifting": f" by {verdict.size:.2g} standard deviations a second",
         "noisier": f" {verdict.size:.0f} times",
     }.get(verdict.fault, "")
-    odds = "" if verdict.fault == "silent" else f" (probability {verdict.probability:.3f})"
-    return f"{name} {verdict.fault}{much} since {verdict.since}{odds}: {verdict.remedy}"
+    # Nothing is as sure as 1.000.
+    sure = "above 0.999" if verdict.probability >= 0.9995 else f"{verdict.probability:.3f}"
+    odds = "" if verdict.fault == "silent" else f" (probability {sure})"
+    return f"{name} {verdict.fault}{much} since {written(verdict.since)}{odds}: {verdict.remedy}"
 
 
 def of_all(layout: Layout, moment: Moment) -> dict[str, Verdict]:

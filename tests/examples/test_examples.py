@@ -1,11 +1,13 @@
 """Every example runs from a shell without a screen, draws a figure and comes to a conclusion."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCRIPTS = sorted([*EXAMPLES.glob("*.py"), *EXAMPLES.glob("*/reproduce.py")])
@@ -43,6 +45,18 @@ def test_there_are_examples():
 
 def test_small_settings_belong_to_a_script():
     assert set(SMALL) <= {name_of(s) for s in SCRIPTS}
+
+
+def test_the_picture_of_the_first_page_says_what_its_program_prints(tmp_path):
+    """And so does the sentence below it."""
+    run(EXAMPLES / "first_screen.py", "--out", tmp_path, "--seeds", 1)
+    drawn, kept = (
+        Image.open(folder / "first_screen.png").text["Description"] for folder in (tmp_path, EXAMPLES / "figures")
+    )
+    assert kept == drawn
+    numbers = re.findall(r"[0-9.]+(?= m rms)", drawn)
+    sentence = "prints the errors: {} m for filterpy's filter, {} m for the robust one"
+    assert sentence.format(*numbers) in (EXAMPLES.parent / "docs" / "index.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=name_of)

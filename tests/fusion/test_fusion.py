@@ -1,6 +1,7 @@
 """What a fusion says of the state, against filterpy's loop and against the truth."""
 
 import math
+from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 
 import numpy as np
@@ -349,3 +350,6 @@ def test_a_recording_prints_on_a_screen_with_what_was_said_of_its_sensors():
     lines = repr(found).split("\n")
     assert lines[0] == "Recording(500 stamps, 0.0 to 499.0; at the end p=1, v=1)"
     assert lines[1:3] == ["  20 verdicts; the last five:", "  15.0: left biased, since 3.0"] and len(lines) == 7
+    day = np.datetime64("2024-05-01T10:00", "ns")
+    dated = replace(found, times=day + np.arange(500) * np.timedelta64(200, "ms"), verdicts=())
+    assert repr(dated).startswith("Recording(500 stamps, 2024-05-01T10:00:00 to 2024-05-01T10:01:39.8; at the end")

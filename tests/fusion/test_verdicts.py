@@ -7,6 +7,7 @@ import pytest
 
 from robust_filterpy.fleet import pack, unpack
 from robust_filterpy.fusion import Fusion, FusionWarning, Sensor, constant_velocity
+from robust_filterpy.fusion.verdicts import described, words
 
 RATES = {"a": 10.0, "b": 5.0, "c": 20.0}
 
@@ -247,3 +248,11 @@ def test_a_recording_says_who_was_silent_and_when_he_spoke_again():
     said = [(round(t, 3), v.fault) for t, name, v in made().run(table).verdicts if name == "b"]
     assert [fault for _, fault in said] == ["silent", "healthy"]
     assert said[0][0] == pytest.approx(20.5, abs=0.15) and said[1][0] == 30.0
+
+
+@pytest.mark.parametrize(("probability", "said"), [(0.9994, "0.999"), (0.9996, "above 0.999"), (1.0, "above 0.999")])
+def test_nothing_is_said_to_be_as_sure_as_one(probability, said):
+    since = np.datetime64("2024-05-01T10:00:59.450", "ns")
+    assert words("left", described("biased", since, probability, 5.0)).startswith(
+        f"left biased by 5.0 standard deviations since 2024-05-01T10:00:59.45 (probability {said}): "
+    )

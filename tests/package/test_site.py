@@ -108,6 +108,12 @@ def test_every_example_has_its_place_in_the_gallery(monkeypatch):
     assert sorted(placed) == [path.stem for path in EXAMPLES]
 
 
+@pytest.mark.parametrize("path", sorted(DOCS.rglob("*.md")), ids=lambda path: path.stem)
+def test_no_page_is_written_in_tex(path):
+    """The site loads no script that would set it: a formula would stand there as its source."""
+    assert not re.findall(r"\$\$|\$\S[^$\n`]*\$|\\frac|\\mathrm", path.read_text(encoding="utf-8"))
+
+
 @pytest.mark.parametrize("name", SNIPPETS)
 def test_program_runs(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
