@@ -38,7 +38,9 @@ def alive(copies):
 
 
 @pytest.mark.parametrize("noise, process", OPTIONS)
-@pytest.mark.parametrize("seed, dims", enumerate([(1, 1), (2, 1), (4, 1), (4, 2), (3, 3), (5, 2), (1, 4), (2, 4)]))
+@pytest.mark.parametrize(
+    "seed, dims", list(enumerate([(1, 1), (2, 1), (4, 1), (4, 2), (3, 3), (5, 2), (1, 4), (2, 4)]))
+)
 def test_every_step_is_the_definitions(noise, process, seed, dims):
     problem, zs = recording(seed, dims, diagonal=seed % 2 == 0)
     F, Q, H, R, m = problem.F, problem.Q, problem.H, problem.R, dims[1]
