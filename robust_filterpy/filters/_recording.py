@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,15 +15,21 @@ from robust_filterpy.kernel import available, learnt, series
 from robust_filterpy.kernel.records import Model, Output
 
 
+class Given(NamedTuple):
+    """What a recording has for each step, named as in `RobustKalmanFilter.batch_filter`; None: as the filter has it."""
+
+    zs: Any
+    Fs: Any
+    Qs: Any
+    Hs: Any
+    Rs: Any
+    Bs: Any
+    us: Any
+
+
 def filter_recording(
     kf: Any,
-    zs: Any,
-    Fs: Any,
-    Qs: Any,
-    Hs: Any,
-    Rs: Any,
-    Bs: Any,
-    us: Any,
+    given: Given,
     update_first: bool,
     saver: Any,
     loop: CompiledLoop | None = None,
@@ -35,7 +41,9 @@ def filter_recording(
     ----------
     kf : RobustKalmanFilter
         The filter.
-    zs, Fs, Qs, Hs, Rs, Bs, us, update_first, saver
+    given : Given
+        Measurements, matrices and inputs.
+    update_first, saver
         As in `RobustKalmanFilter.batch_filter`.
     loop
         What takes steps by the kernel, None if all are for the filter's own methods.
@@ -63,10 +71,9 @@ def filter_recording(
         raise TypeError(
             f"saver: expected an object with save(), such as filterpy.common.Saver(kf), got {type(saver).__name__}"
         )
-    given = {"zs": zs, "Fs": Fs, "Qs": Qs, "Hs": Hs, "Rs": Rs, "Bs": Bs, "us": us}
-    zs, Fs, Qs, Hs, Rs, Bs, us = (entries(name, values) for name, values in given.items())
-    columns = _columns(zs, Fs=Fs, Qs=Qs, Hs=Hs, Rs=Rs, Bs=Bs, us=us)
-    n, dim_x = len(zs), kf.dim_x
+    given = Given(*(entries(name, values) for name, values in given._asdict().items()))
+    columns = _columns(given)
+    n, dim_x = len(given.zs), kf.dim_x
     shape = (n, dim_x) if np.ndim(kf.x) == 1 else (n, dim_x, 1)
     means, means_p = np.zeros(shape), np.zeros(shape)
     covariances, covariances_p = np.zeros((n, dim_x, dim_x)), np.zeros((n, dim_x, dim_x))
@@ -76,7 +83,7 @@ def filter_recording(
             np.empty((1, 0, 0)), np.zeros(1),
         )  # fmt: skip
         loop.scales = scales
-        loop = loop if loop.prepare(zs, Fs, Qs, Hs, Rs, Bs, us, kept, bool(update_first)) else None
+        loop = loop if loop.prepare(given, kept, bool(update_first)) else None
     k = 0
     with unchanged_if_refused(kf):
         try:
@@ -103,14 +110,14 @@ def filter_recording(
         return means, covariances, means_p, covariances_p
 
 
-def _columns(zs: Any, **per_step: Any) -> list[Any]:
-    """Return zs, F, Q, H, R, B, u, each with an entry for every step, or None."""
+def _columns(given: Given) -> list[Any]:
+    """Return the columns, each with an entry for every step, or None."""
     try:
-        n = len(zs)
+        n = len(given.zs)
     except TypeError:
-        raise TypeError(f"zs: expected a sequence of measurements, got {shown(zs)}") from None
-    columns = [zs]
-    for name, values in per_step.items():
+        raise TypeError(f"zs: expected a sequence of measurements, got {shown(given.zs)}") from None
+    columns = []
+    for name, values in given._asdict().items():
         if values is not None and (not hasattr(values, "__len__") or len(values) < n):
             found = len(values) if hasattr(values, "__len__") else shown(values)
             raise ValueError(f"{name}: expected an entry for each of the {n} measurements in zs, got {found}")
@@ -184,10 +191,9 @@ class CompiledLoop:
         last = self._last_seen if k <= self._last_seen else self._zs.shape[1] - 1
         return k if k >= last else self._run(k, last)
 
-    def prepare(
-        self, zs: Any, Fs: Any, Qs: Any, Hs: Any, Rs: Any, Bs: Any, us: Any, kept: Output, update_first: bool
-    ) -> bool:
+    def prepare(self, given: Given, kept: Output, update_first: bool) -> bool:
         """Return whether the kernel serves a recording; if not, the call is for the filter's own methods."""
+        zs, Fs, Qs, Hs, Rs, Bs, us = given
         kf = self._kf
         # Sensors of an H that is passed are known by its rows, which the filter's own methods look up.
         if Hs is not None and kf._policy.learns:

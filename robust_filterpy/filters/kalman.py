@@ -32,7 +32,7 @@ from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters import _step
 from robust_filterpy.filters._bounded import Bounded, finite_product
 from robust_filterpy.filters._mixin import RobustFilterMixin, whole
-from robust_filterpy.filters._recording import CompiledLoop, MixtureLoop, filter_recording, is_own
+from robust_filterpy.filters._recording import CompiledLoop, Given, MixtureLoop, filter_recording, is_own
 from robust_filterpy.influence.functions import Huber, Influence
 
 __all__ = ["RobustKalmanFilter"]
@@ -589,7 +589,8 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         """
         scales = np.empty(len(zs)) if self.process is not None and hasattr(zs, "__len__") else None
         loop = self._compiled_loop(saver)
-        found = filter_recording(self, zs, Fs, Qs, Hs, Rs, Bs, us, update_first, saver, loop, scales)
+        given = Given(zs, Fs, Qs, Hs, Rs, Bs, us)
+        found = filter_recording(self, given, update_first, saver, loop, scales)
         self._process_scales = scales
         return found
 
