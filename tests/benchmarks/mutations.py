@@ -2,9 +2,10 @@
 
     python tests/benchmarks/mutations.py [--count 100] [--seed 0] [--limit 40] [--room filters]
 
-A line counts as seen if a test fails within the limit, in seconds. The test modules that name the most of what the
-line is part of go first. A line that survives is either one that no test sees, one whose change changes nothing, or
-one whose test comes later than the limit. The C of the kernel is not drawn.
+A line counts as seen if a test fails within the limit, in seconds. The tests that come near the line by the names that
+they mention go first, 40 at most. A line that survives is one that no test sees, one whose change changes nothing, or
+one whose test was not among these or comes later than the limit: try the tests of its room before writing one. The C of
+the kernel is drawn by `kernel_mutations.py`.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 SEEN = 0.9
+# Tests that are run for a line, at most.
+MOST = 40
 ROOT = Path(__file__).parents[2]
 # No line of these computes: names, stubs, what is printed.
 LEFT_OUT = ("__init__", "__main__", "_version", "_lazy", "_documentation", "_pictures")
@@ -96,24 +99,65 @@ def changed(source: str, node: ast.AST) -> str:
     return "\n".join(lines)
 
 
-def test_modules(path: Path, names: tuple[str, ...], texts: dict[str, str]) -> list[str]:
-    """Return the test modules of a file's room, then others that name it; those that name the most of it in front."""
-    room = path.parts[1] if len(path.parts) > 2 else "package"
-    words = {word.strip("_") for word in (path.stem, *names)} - {"init"}
-    marks = {
-        name: sum(bool(re.search(rf"\b_*{re.escape(word)}\b", text)) for word in words)
-        + (f"test_{path.stem.strip('_')}.py" in name)
-        for name, text in texts.items()
-    }
-    own = [name for name in texts if name.startswith(f"tests/{room}/")]
-    others = [name for name in texts if marks[name] and name not in own]
-    return sorted(own, key=lambda name: -marks[name]) + sorted(others, key=lambda name: -marks[name])[:5]
+def used(node: ast.AST) -> set[str]:
+    """Return the names that something mentions, without the underscores in front of them."""
+    found = {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
+    found |= {part.attr for part in ast.walk(node) if isinstance(part, ast.Attribute)}
+    return {name.lstrip("_") for name in found}
 
 
-def seen(copy: Path, modules: list[str], limit: float) -> str:
+def definitions(path: Path) -> Iterator[tuple[str, set[str]]]:
+    """Yield what a file defines, with the names that each mentions."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            yield node.name.lstrip("_"), used(node)
+        elif isinstance(node, (ast.Assign, ast.AnnAssign)) and isinstance(getattr(node, "value", None), ast.AST):
+            for target in node.targets if isinstance(node, ast.Assign) else [node.target]:
+                for name in used(target):
+                    yield name, used(node.value)  # type: ignore[arg-type]
+
+
+class Chooser:
+    """Which tests go first for a line: those that come near it by names, rare names counting for more."""
+
+    def __init__(self) -> None:
+        """Read what mentions what, in the package and in the tests."""
+        self.mentioned_by: dict[str, set[str]] = {}
+        for path in (ROOT / "robust_filterpy").rglob("*.py"):
+            for name, names in definitions(path):
+                for one in names - {name}:
+                    self.mentioned_by.setdefault(one, set()).add(name)
+        self.tests: dict[str, set[str]] = {}
+        for path in sorted((ROOT / "tests").glob("*/test_*.py")):
+            own = dict(definitions(path))
+            for name in [name for name in own if name.startswith("test_")]:
+                mentions = set(own[name])
+                for _ in range(3):
+                    mentions |= {more for one in mentions & own.keys() for more in own[one]}
+                self.tests[f"{path.relative_to(ROOT)}::{name}"] = mentions
+        self.common = Counter(name for mentions in self.tests.values() for name in mentions)
+
+    def ranked(self, path: Path, names: tuple[str, ...]) -> list[str]:
+        """Return tests, the nearest in front: names that lead to the line by up to four others, and its room."""
+        near = {name.lstrip("_"): 1.0 for name in names} or {path.stem.lstrip("_"): 1.0}
+        edge = set(near)
+        for depth in range(1, 5):
+            edge = {one for name in edge for one in self.mentioned_by.get(name, ())} - near.keys()
+            near.update(dict.fromkeys(edge, 0.5**depth))
+        room = f"tests/{path.parts[1] if len(path.parts) > 2 else 'package'}/"
+        marks = {
+            test: sum(near[name] / self.common[name] for name in mentions & near.keys())
+            * (3.0 if test.startswith(room) else 1.0)
+            / len(mentions) ** 0.5
+            for test, mentions in self.tests.items()
+        }
+        return sorted((test for test, mark in marks.items() if mark > 0.0), key=lambda test: -marks[test])[:MOST]
+
+
+def seen(copy: Path, tests: list[str], limit: float) -> str:
     """Run tests until one fails and return its name, or how it was that none did, in brackets."""
-    options = ("-x", "--tb=no", "-rfE", "-p", "no:cacheprovider", "-p", "no:randomly", "--timeout=20")
-    command = [sys.executable, "-W", "ignore", "-m", "pytest", *options, *modules]
+    options = ("-x", "--tb=no", "-rfE", "-p", "no:cacheprovider", "-p", "no:randomly", "--timeout=0")
+    command = [sys.executable, "-W", "ignore", "-m", "pytest", *options, *tests]
     environment = {**os.environ, "PYTHONPATH": str(copy), "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
     try:
         done = subprocess.run(
@@ -133,7 +177,7 @@ def main() -> None:
     parser.add_argument("--limit", type=float, default=40.0)
     parser.add_argument("--room", default="")
     args = parser.parse_args()
-    texts = {str(p.relative_to(ROOT)): p.read_text() for p in sorted((ROOT / "tests").glob("*/test_*.py"))}
+    chooser = Chooser()
     total, killed = Counter[str](), Counter[str]()
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder)
@@ -144,7 +188,7 @@ def main() -> None:
         for path, node, names in drawn(args.count, args.seed, args.room):
             source = (ROOT / path).read_text()
             (copy / path).write_text(changed(source, node))
-            by = seen(copy, test_modules(path, names, texts), args.limit)
+            by = seen(copy, chooser.ranked(path, names), args.limit)
             (copy / path).write_text(source)
             room = path.parts[1] if len(path.parts) > 2 else "(root)"
             total[room] += 1

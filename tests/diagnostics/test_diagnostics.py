@@ -454,3 +454,8 @@ def test_a_long_diagnosis_says_what_it_is_at(monkeypatch, capsys):
     lines = capsys.readouterr().err.splitlines()
     assert lines and all(line.startswith("diagnose: ") for line in lines)
     assert any("models tried: " in line for line in lines)
+
+
+@pytest.mark.parametrize("inner, found", [(19, 19.0), (18, None)])
+def test_a_range_of_fewer_than_twenty_values_has_no_end_to_stick_at(inner, found):
+    assert statistics.saturated(np.r_[np.arange(float(inner)), np.full(12, float(inner))]) == found
