@@ -687,3 +687,16 @@ def test_a_bad_state_is_refused(change, error, message):
         with pytest.raises(TypeError, match=r"what numpy\.load makes of a file"):
             tracker.restore(wrong)
     same(before.values(), tracker.state().values())
+
+
+class Called(RobustKalmanFilter):
+    """A filter that can be called too, which says nothing of how it is made."""
+
+    def __call__(self):
+        raise AssertionError
+
+
+def test_what_updates_is_a_filter_even_if_it_can_be_called():
+    kf = Called(2, 1)
+    kf.Q[:] = 0.0
+    assert ParameterTracker(FIR(2), filter=kf).filter is kf
