@@ -160,12 +160,12 @@ def alarmed(watch: Watch, owner: np.ndarray) -> np.ndarray:
 def colour(watch: Watch) -> Array:
     """Return the correlation of each component's readings with those before, (M,), in [0, .95].
 
-    What may be chance is taken off. Signs of two normal numbers of correlation phi agree with probability
+    What may be chance is 0. Signs of two normal numbers of correlation phi agree with probability
     1/2 + arcsin(phi)/pi.
     """
     counts = np.minimum(watch.tests[:, _COUNT], 2.0 * _AVERAGED)
-    phi = np.sin(0.5 * math.pi * watch.tests[:, _KEEPS]) - _BY_CHANCE / np.sqrt(np.maximum(counts, 1.0))
-    return np.clip(phi, 0.0, 0.95)
+    phi = np.sin(0.5 * math.pi * watch.tests[:, _KEEPS])
+    return np.where(phi > _BY_CHANCE / np.sqrt(np.maximum(counts, 1.0)), np.minimum(phi, 0.95), 0.0)
 
 
 def worth(phi: Array) -> Array:

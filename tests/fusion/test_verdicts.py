@@ -60,14 +60,14 @@ def test_the_right_sensor_is_named_with_the_right_fault_and_its_onset(told):
     assert fusion.report().splitlines()[1].startswith(f"b {fault}")
 
 
-SIZES = {"biased": (5.0, " by 5.3 standard deviations since"), "noisier": (6.0, " 5 times since")}
+SIZES = {"biased": (5.0, " by {:.1f} standard deviations since"), "noisier": (6.0, " {:.0f} times since")}
 
 
 def test_the_size_of_a_bias_or_of_grown_noise_is_told_and_nothing_else_has_one(told):
     fault, fusion, *_ = told
     found, (size, words) = fusion.verdicts(), SIZES.get(fault, (np.nan, " since"))
     assert found["b"].size == pytest.approx(size, rel=0.2, nan_ok=True)
-    assert f"b {fault}{words}" in fusion.report()
+    assert f"b {fault}{words.format(found['b'].size)}" in fusion.report()
     assert all(np.isnan(verdict.size) for name, verdict in found.items() if name != "b")
 
 

@@ -13,8 +13,9 @@
 * `prediction_error`: the search for the least robust loss,
 * `cleaning`: outliers that the regressor holds,
 * `missing`: outputs that it holds and nobody measured,
-* `search`: all of these together, and which of several ends to believe.
+* `search`: all of these together, and which of several ends to believe;
 * `limits`: parameters that are fixed, or between bounds;
+* `focus`: a fit that counts one band of frequencies;
 * `threads`: one thread of linear algebra, since the matrices are small.
 
 Imports from below: `models`.
