@@ -77,6 +77,38 @@ def test_noise_level_and_weights_are_those_of_the_recording():
     assert model.fit(y, u) > whole.fit(y, u) - 0.2
 
 
+def broken(name, y, u):
+    """A recording that breaks an assumption, and a structure for it."""
+    structure = OutputError(1, 1)
+    if name == "drift":
+        return y + np.cumsum(0.02 * np.random.default_rng(0).normal(size=y.size)), u, OutputError(1, 1, integrated=True)
+    if name == "fill values":
+        y = np.where(np.arange(y.size) % 12, y, 9999.0)
+    elif name == "level step":
+        y = y + 4.0 * np.std(y) * (np.arange(y.size) > 0.5 * y.size)
+    elif name == "input far from 0":
+        u = u + 1e4
+    return y, u, structure
+
+
+@pytest.mark.filterwarnings("ignore:identify:UserWarning")
+@pytest.mark.parametrize("name", ["drift", "fill values", "level step", "input far from 0"])
+def test_what_breaks_a_recording_does_not_break_the_band(name):
+    y, u, structure = broken(name, *recording(11, 1200))
+    model, plain = identify(y, u, structure, focus=BAND), identify(*recording(11, 1200), OutputError(1, 1), focus=BAND)
+    assert far_off(model, 0.005, 0.1) < 0.03
+    # A drift tells less of low frequencies, and the model says so.
+    assert (model.std[:2] > 0.9 * plain.std).all() and (
+        model.std[:2] < (6.0 if name == "drift" else 1.3) * plain.std
+    ).all()
+
+
+def test_R_is_that_of_the_noise_and_not_of_what_a_small_model_leaves():
+    y, u = recording(11, 1200)
+    model = identify(y, u, OutputError(1, 1), R=0.0025, focus=BAND)
+    assert far_off(model, 0.005, 0.1) < 0.03 and model.R == 0.0025
+
+
 def test_gaps_delays_and_several_inputs():
     rng = np.random.default_rng(4)
     u = rng.normal(size=(600, 2))

@@ -109,14 +109,21 @@ def focused(
     measured = np.where(known, recorded.y, np.nan)
     expected = found.predict(measured, problem.u)
     trust = np.where(known, np.where(np.isnan(found.weights), 1.0, found.weights), 0.0)
-    clean = np.where(trust > 0.0, expected + trust * (measured - expected), expected)
-    clean[np.isnan(clean)] = found.level
-    sos, settled = _filter(edges, problem.dt or 1.0, y.size)
     parts = found.parts
-    disturbance = lfilter(parts.c, np.convolve(parts.a, parts.d), np.eye(1, y.size).ravel())
-    output = sosfilt(sos, clean - found.level)
+    gains = np.array([b.sum() for b in parts.b]) / (parts.a.sum() * parts.f.sum())
+    at = np.array([found.operating_point[i] for i, (nb, _) in enumerate(problem.structure.inputs) if nb])
+    resting = found.level + gains @ at
+    clean = np.where(trust > 0.0, expected + trust * (measured - expected), expected)
+    output, signal = np.nan_to_num(clean - resting, nan=0.0), problem.u - found.operating_point
+    sos, settled = _filter(edges, problem.dt or 1.0, y.size)
+    noise = parts.d
+    if problem.structure.integrated:
+        # Noise that is summed up is most of what there is at low frequencies.
+        output, signal = np.diff(output, prepend=output[0]), np.diff(signal, axis=0, prepend=signal[:1])
+        noise = noise[:1]
+    disturbance = lfilter(parts.c, np.convolve(parts.a, noise), np.eye(1, y.size).ravel())
+    output, signal = sosfilt(sos, output), sosfilt(sos, signal, axis=0)[settled:]
     output[~known] = np.nan
-    signal = sosfilt(sos, problem.u - found.operating_point, axis=0)[settled:]
     own, of_inner = _places(problem.structure), _places(inner)
     told = problem.limits or Limits(*np.multiply.outer([-np.inf, np.inf], np.ones(problem.structure.n_theta)))
     order = np.argsort(of_inner)

@@ -244,7 +244,8 @@ def _of_polynomials(y: Any, u: Any, structure: Any, told: _Told) -> Model:
     # Noise that is summed up has steps of its own.
     chosen = trend or ("breaks" if moves and not structure.integrated else "constant")
     edges = None if told.focus is None else _band(told.focus, problem)
-    found, findings = _in_recording(problem, recorded, chosen)
+    # The R of the plant's noise is not that of what a smaller model leaves.
+    found, findings = _in_recording(problem if edges is None else problem._replace(R=None), recorded, chosen)
     if edges is not None:
         found, findings = focused(problem, recorded.y, found, edges, lambda held: _in_recording(held, recorded, chosen))
     findings = (*recorded.findings, *findings, *with_feedback(problem, recorded.y, found))
