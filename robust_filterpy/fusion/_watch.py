@@ -12,8 +12,8 @@ Where a sensor's noise carries over from one reading to the next, with a correla
 reading counted (1 + phi) / (1 - phi) times. phi is learnt from how often e keeps its sign while nothing is suspected;
 every step of the first two sums is multiplied by the inverse (`worth`), of the others by that of phi^2.
 
-No test speaks in the first 60 readings of a sensor, from which its noise is learnt. Each limit is for one alarm in 10^5
-readings or fewer of a sensor that is as it was learnt to be.
+No test speaks in the first 60 readings of a sensor, from which its noise is learnt. Limits are low: an alarm costs a
+look, and what is said is up to that. After a look that found nothing half of a sum is left.
 """
 
 from __future__ import annotations
@@ -34,7 +34,6 @@ FAULTS = ("healthy", "departs", "biased", "drifting", "stuck", "noisier", "spike
 _UP, _DOWN, _WIDE, _FAR, _REPEATS, _USUAL, _LAST, SLOW, _COUNT, _SIGN, _KEEPS = range(11)
 _SLACK = 0.35
 _LIMITS = np.array([9.0, 9.0, 10.0, 8.0])
-# What is left of a sum after a look that found nothing.
 _AGAIN = 0.5
 _CLIP, _MORE = 3.0, 0.2
 # A run of exact repetitions that has so small a chance, by the share of repetitions learnt, is no accident.
