@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import islice
+from itertools import islice, pairwise
 from typing import Any
 
 import numpy as np
@@ -318,6 +318,24 @@ def _as_vector(shapes: Mapping[str, _state.Shape]) -> dict[str, _state.Shape]:
     return {name: shape[:1] if name == "x" else shape for name, shape in shapes.items()}
 
 
+def _ragged(column: Any, width: list[int]) -> np.ndarray:
+    """Return an array of arrays, of rows of this width, from a column of lists."""
+    import pyarrow as pa
+
+    found, size = np.full(len(column), None, dtype=object), max(int(np.prod(width)), 1)
+    plain = pa.types.is_list(column.type) and pa.types.is_floating(column.type.value_type)
+    lengths = column.value_lengths().fill_null(0).to_numpy() if plain else np.ones(1, dtype=int)
+    if plain and not (lengths % size).any():
+        numbers = np.asarray(column.flatten().to_numpy(zero_copy_only=False), dtype=float).reshape(-1, *width)
+        ends = [0, *(np.cumsum(lengths) // size).tolist()]
+        for i, (begin, end) in enumerate(pairwise(ends)):
+            found[i] = numbers[begin:end]
+    else:
+        for i, value in enumerate(column):
+            found[i] = np.reshape(np.asarray(value.as_py(), dtype=float), (-1, *width))
+    return found
+
+
 def _from_table(
     table: Any, label: Array, shapes: Mapping[str, _state.Shape], kind: str, gaps: tuple[str, ...]
 ) -> States:
@@ -342,10 +360,7 @@ def _from_table(
             continue
         column = table.column(name).combine_chunks()
         if None in shape:
-            width = [size or 0 for size in shape[1:]]
-            columns[name] = np.full(n, None, dtype=object)
-            for i, value in enumerate(column):
-                columns[name][i] = np.reshape(np.asarray(value.as_py(), dtype=float), (-1, *width))
+            columns[name] = _ragged(column, [size or 0 for size in shape[1:]])
         else:
             flat = column if pa.types.is_floating(column.type) else column.flatten()
             columns[name] = np.asarray(flat.to_numpy(zero_copy_only=False), dtype=float).reshape(n, *shape)

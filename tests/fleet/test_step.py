@@ -17,6 +17,7 @@ from test_state import FILTERS, F, extended, observe, recording, signals
 from robust_filterpy import ARX, OutputError, ParameterTracker, RobustKalmanFilter, robust
 from robust_filterpy._state import StateError
 from robust_filterpy.fleet import FilterModel, TrackerModel, filter_table, pack, step, step_table, unpack
+from robust_filterpy.fleet.states import _ragged
 from robust_filterpy.fleet.stream import StreamStep
 from robust_filterpy.identification import ARMA, FIR
 
@@ -665,3 +666,18 @@ def test_states_of_a_fleet_print_on_a_line_and_a_missing_column_says_who_names_i
     assert repr(states) == "States(9 keys: T0, T1, T2, ..)"
     with pytest.raises(ValueError, match=r"got .'tank', 'z'.; key= names that of the device"):
         step_table(FilterModel(RobustKalmanFilter(1, 1)), None, table)
+
+
+def test_a_column_of_lists_is_read_row_by_row_whatever_their_lengths():
+    pa = pytest.importorskip("pyarrow")
+    lists = pa.array([[1.0, 2.0, 3.0, 4.0], [], [5.0, None], None], pa.list_(pa.float64()))
+    rows = [np.array([[1.0, 2.0], [3.0, 4.0]]), np.zeros((0, 2)), np.array([[5.0, np.nan]]), np.zeros((0, 2))]
+    for part in (slice(0, 4), slice(1, 3), slice(0, 0)):
+        found = _ragged(lists[part], [2])
+        assert len(found) == len(rows[part])
+        for mine, theirs in zip(found, rows[part], strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+    assert _ragged(pa.array([[1.0, 2.0, 3.0], [4.0, 5.0]], pa.list_(pa.float64())), [])[1].tolist() == [4.0, 5.0]
+    # Four numbers are two rows of two, but not as three and one.
+    with pytest.raises(ValueError, match="reshape"):
+        _ragged(pa.array([[1.0, 2.0, 3.0], [4.0]], pa.list_(pa.float64())), [2])
