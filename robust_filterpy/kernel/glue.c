@@ -37,6 +37,16 @@ static int is_plain(PyObject *object, int ndim, int writable) {
     return writable ? PyArray_ISCARRAY(array) : PyArray_ISCARRAY_RO(array);
 }
 
+PyObject *as_plain(held *h, PyObject *object) {
+    PyArrayObject *const array = (PyArrayObject *)object;
+    if (!PyArray_CheckExact(object)) return object;
+    const int type = PyArray_TYPE(array), small = type == NPY_HALF || type == NPY_FLOAT;
+    if (type != NPY_DOUBLE && !small && !PyTypeNum_ISINTEGER(type)) return object;
+    if (type == NPY_DOUBLE && PyArray_ISCARRAY_RO(array)) return object;
+    /* Of other bytes than the machine's, and of integers, this is what arithmetic with a float64 makes. */
+    return hold(h, PyArray_FromAny(object, PyArray_DescrFromType(NPY_DOUBLE), 0, 0, NPY_ARRAY_CARRAY_RO, NULL));
+}
+
 double *numbers_of(PyObject *array) { return (double *)PyArray_DATA((PyArrayObject *)array); }
 
 /* The numbers, if all axes are so long. */

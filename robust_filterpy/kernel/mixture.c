@@ -142,7 +142,8 @@ static int correct_mixture(held *h, PyObject *filter, PyObject *z) {
     int fine;
     if (hold_all(h, filter, names, sizeof names / sizeof *names) < 0 || !hold_attribute(h, given[9], AT_rule)) return -1;
     make = hold_attribute(h, given[9], AT_record);
-    if (!make) return -1;
+    z = make ? as_plain(h, z) : NULL;
+    if (!z) return -1;
     fine = take_mixture(h, given, given[10], &f);
     if (fine <= 0) return fine;
     const int n = (int)f.now.n, m = (int)whole_number(given[4]), width = learnt_width(f.rule.K);

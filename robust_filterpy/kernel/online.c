@@ -8,8 +8,20 @@
 /* Python code may run where an attribute is read (a property of a subclass), and may do anything to arrays. So all that a
    step needs is read first, and looked into only then. */
 int hold_all(held *h, PyObject *filter, const enum attribute *which, int count) {
-    for (int i = 0; i < count; i++)
-        if (!hold_attribute(h, filter, which[i])) return -1;
+    for (int i = 0; i < count; i++) {
+        PyObject *const found = hold_attribute(h, filter, which[i]);
+        if (!found) return -1;
+        if (which[i] >= AT_F && which[i] <= AT_B) {
+            PyObject *const plain = as_plain(h, found);
+            if (!plain) return -1;
+            /* Its place is that of the attribute. */
+            if (plain != found) {
+                h->count--;
+                h->objects[h->count - 1] = plain;
+                Py_DECREF(found);
+            }
+        }
+    }
     return 1;
 }
 
@@ -201,6 +213,8 @@ static int take_correction(held *h, PyObject *filter, PyObject *z, PyObject *con
     /* The last is for scaling "learnt" alone. */
     if (hold_all(h, filter, names, s.rule.scaling == SCALING_LEARNT ? 8 : 7) < 0) return -1;
     if (!take_filter(own[0], own[1], own[2], &now) || !take_sensors(given, own + 3, now.n, &s)) return 0;
+    z = as_plain(h, z);
+    if (!z) return -1;
     n = now.n;
     m = s.m;
     x_next = hold(h, new_array(now.ndim, n, 1));

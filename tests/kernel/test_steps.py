@@ -7,7 +7,7 @@ import pytest
 import support
 
 from robust_filterpy import Huber, Linear, RobustKalmanFilter, Scales, StudentT, TukeyBiweight
-from robust_filterpy.filters import _step
+from robust_filterpy.filters import _bounded, _mixture, _step
 from robust_filterpy.influence import Hampel
 
 support.needs_kernel()
@@ -354,3 +354,48 @@ def test_a_sensor_that_repeats_another_is_taken_until_what_is_left_of_it_is_roun
     if served:
         np.testing.assert_allclose(kf.x, 1.0 / (2.0 + R), rtol=1e-4)
         np.testing.assert_allclose(kf.P, R / (2.0 + R), rtol=1e-4)
+
+
+KINDS = {
+    "int64": lambda a: a.astype(np.int64),
+    "uint8": lambda a: a.astype(np.uint8),
+    "float32": lambda a: a.astype(np.float32),
+    "float16": lambda a: a.astype(np.float16),
+    "column by column": np.asfortranarray,
+    "every second": lambda a: np.repeat(a, 2, axis=-1)[..., ::2],
+    "other bytes": lambda a: a.astype(">f8"),
+}
+
+
+@pytest.mark.parametrize("noise", [None, "learnt"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_matrices_and_measurements_of_other_kinds_are_the_kernels(kind, noise, monkeypatch):
+    support.needs_kernel()
+
+    def not_asked(*args, **kwargs):
+        raise AssertionError("the definition was asked")
+
+    for name in ("predicted", "corrected", "corrected_by_moments"):
+        for policy in (_bounded.Bounded, _mixture.Mixture):
+            monkeypatch.setattr(policy, name, not_asked)
+    plain, other = RobustKalmanFilter(2, 2, 1, noise=noise), RobustKalmanFilter(2, 2, 1, noise=noise)
+    whole = {
+        "F": [[1, 1], [0, 1]],
+        "H": [[1, 0], [1, 2]],
+        "Q": [[2, 1], [1, 2]],
+        "R": [[3, 1], [1, 4]],
+        "B": [[1], [2]],
+    }
+    for name, values in whole.items():
+        setattr(plain, name, np.array(values, dtype=float))
+        setattr(other, name, KINDS[kind](np.array(values, dtype=float)))
+    given = {name: getattr(other, name) for name in whole}
+    for k in range(12):
+        z = np.array([k, 40.0 if k == 7 else 2.0])
+        for kf, seen in ((plain, z), (other, KINDS[kind](z))):
+            kf.predict(u=1.0)
+            kf.update(seen)
+        for name in ("x", "P", "z", "y", "S", "K", "weights", "log_likelihood"):
+            assert np.array_equal(getattr(plain, name), getattr(other, name)), (name, k)
+    # They stay the user's own.
+    assert all(getattr(other, name) is given[name] for name in whole)
