@@ -47,6 +47,43 @@ PyObject *as_plain(held *h, PyObject *object) {
     return hold(h, PyArray_FromAny(object, PyArray_DescrFromType(NPY_DOUBLE), 0, 0, NPY_ARRAY_CARRAY_RO, NULL));
 }
 
+int number_of(PyObject *object, double *found) {
+    if (PyFloat_Check(object)) {
+        *found = PyFloat_AsDouble(object);
+        return 1;
+    }
+    if (is_array(object, 0) && PyArray_TYPE((PyArrayObject *)object) == NPY_DOUBLE &&
+        PyArray_ISCARRAY_RO((PyArrayObject *)object)) {
+        *found = *(double *)PyArray_DATA((PyArrayObject *)object);
+        return 1;
+    }
+    if (PyArray_IsScalar(object, Integer) || PyArray_IsScalar(object, Float) || PyArray_IsScalar(object, Half)) {
+        PyArray_Descr *const as = PyArray_DescrFromType(NPY_DOUBLE);
+        const int fine = PyArray_CastScalarToCtype(object, found, as) == 0;
+        Py_DECREF(as);
+        if (!fine) PyErr_Clear();
+        return fine;
+    }
+    if (!PyLong_CheckExact(object)) return 0;
+    *found = PyLong_AsDouble(object);
+    if (*found != -1 || !PyErr_Occurred()) return 1;
+    /* Larger than a float can be. */
+    PyErr_Clear();
+    return 0;
+}
+
+const double *covariance_of(held *h, PyObject *object, npy_intp n) {
+    const double *const whole = matrix_of(object, n, n);
+    double variance, *found;
+    PyObject *made;
+    if (whole || n < 1 || !number_of(object, &variance)) return whole;
+    made = hold(h, new_array(2, n, n));
+    if (!made) return NULL;
+    found = numbers_of(made);
+    for (npy_intp i = 0; i < n * n; i++) found[i] = i % (n + 1) ? 0 : variance;
+    return found;
+}
+
 double *numbers_of(PyObject *array) { return (double *)PyArray_DATA((PyArrayObject *)array); }
 
 /* The numbers, if all axes are so long. */

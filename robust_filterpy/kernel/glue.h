@@ -49,6 +49,10 @@ int take_objects(PyObject *tuple, int count, PyObject **found);
 /* An exact ndarray of integers, of smaller floats or in another order as one of float64 in C order, which is held; anything
    else as it is. NULL with an exception. */
 PyObject *as_plain(held *h, PyObject *object);
+/* A number that no code of the user's has a part in: of Python, of numpy, an array without axes; whether it is one. */
+int number_of(PyObject *object, double *found);
+/* A matrix (n, n), or of a number that times the identity, which is held; NULL if it is neither, or with an exception. */
+const double *covariance_of(held *h, PyObject *object, npy_intp n);
 int is_array(PyObject *object, int ndim);                            /* an exact ndarray with so many axes */
 
 /* The numbers of an exact ndarray of float64, C-contiguous, with these dimensions; NULL if it is anything else. */

@@ -104,7 +104,8 @@ static int predict_mixture(held *h, PyObject *filter, PyObject *u) {
     fine = take_mixture(h, given, given[9], &f);
     if (fine <= 0) return fine;
     const int n = (int)f.now.n;
-    F = matrix_of(given[4], n, n), Q = matrix_of(given[5], n, n);
+    F = matrix_of(given[4], n, n), Q = covariance_of(h, given[5], n);
+    if (!Q && PyErr_Occurred()) return -1;
     if (!F || !Q || !number_of(given[6], &alpha_sq) || !is_symmetric(Q, n)) return 0;
     for (int i = 0; i < n; i++) fine = fine && Q[i * n + i] >= 0;
     if (!fine) return 0;
@@ -148,7 +149,8 @@ static int correct_mixture(held *h, PyObject *filter, PyObject *z) {
     if (fine <= 0) return fine;
     const int n = (int)f.now.n, m = (int)whole_number(given[4]), width = learnt_width(f.rule.K);
     if (m < 1 || m > 1000 || given[5] != numpy_inverse || !f.rule.learns) return 0;
-    R = matrix_of(given[6], m, m), H = matrix_of(given[7], m, n), before = matrix_of(given[8], m, width);
+    R = covariance_of(h, given[6], m), H = matrix_of(given[7], m, n), before = matrix_of(given[8], m, width);
+    if (!R && PyErr_Occurred()) return -1;
     if (!R || !H || !before || !is_finite_product(H, f.now.x, m, n)) return 0;
     /* z is shown in the shape of x, and kept as a vector. */
     seen = array_of(h, 1, m, 0, 0);

@@ -52,20 +52,6 @@ int set_state(held *h, PyObject *filter, PyObject *x, PyObject *P, enum attribut
            set_attribute(filter, x_too, x_copy) == 0 && set_attribute(filter, P_too, P_copy) == 0;
 }
 
-/* A number that no code of the user's has a part in. */
-int number_of(PyObject *object, double *found) {
-    if (PyFloat_Check(object)) {
-        *found = PyFloat_AsDouble(object);
-        return 1;
-    }
-    if (!PyLong_CheckExact(object)) return 0;
-    *found = PyLong_AsDouble(object);
-    if (*found != -1 || !PyErr_Occurred()) return 1;
-    /* Larger than a float can be. */
-    PyErr_Clear();
-    return 0;
-}
-
 /* Write B u into control, and let the pointer to it be NULL if there is none; return whether that is all ordinary. */
 int take_control(PyObject *B, PyObject *u, npy_intp n, double **control) {
     npy_intp width;
@@ -98,7 +84,8 @@ static int take_prediction(held *h, PyObject *filter, PyObject *u) {
     if (hold_all(h, filter, names, sizeof names / sizeof *names) < 0) return -1;
     if (!take_filter(given[0], given[1], given[2], &now)) return 0;
     F = matrix_of(given[3], now.n, now.n);
-    Q = matrix_of(given[4], now.n, now.n);
+    Q = covariance_of(h, given[4], now.n);
+    if (!Q && PyErr_Occurred()) return -1;
     if (!F || !Q || !number_of(given[5], &alpha_sq) || !is_symmetric(Q, now.n)) return 0;
     for (npy_intp i = 0; i < now.n; i++) fine = fine && Q[i * now.n + i] >= 0;
     if (!fine) return 0;
@@ -129,10 +116,11 @@ int take_measurement(PyObject *object, npy_intp m, double *z) {
     PyArrayObject *const array = (PyArrayObject *)object;
     int seen = 0;
     if (m == 1 && number_of(object, z)) {
-    } else if (PyList_CheckExact(object)) {
-        if (PyList_Size(object) != m) return 0;
+    } else if (PyList_CheckExact(object) || PyTuple_CheckExact(object)) {
+        const int list = PyList_CheckExact(object);
+        if ((list ? PyList_Size(object) : PyTuple_Size(object)) != m) return 0;
         for (npy_intp i = 0; i < m; i++)
-            if (!number_of(PyList_GetItem(object, i), z + i)) return 0;
+            if (!number_of(list ? PyList_GetItem(object, i) : PyTuple_GetItem(object, i), z + i)) return 0;
     } else {
         /* With strides: a row of a table may be a column of its array. */
         if (!PyArray_CheckExact(object) || PyArray_TYPE(array) != NPY_DOUBLE || !PyArray_ISBEHAVED_RO(array)) return 0;
@@ -155,13 +143,16 @@ typedef struct {
 } sensors;
 
 /* given: R, H, M, then what take_correction has read. */
-static int take_sensors(PyObject *const given[3], PyObject *const own[5], npy_intp n, sensors *s) {
+static int take_sensors(held *h, PyObject *const given[3], PyObject *const own[5], npy_intp n, sensors *s) {
     PyObject *const dim_z = own[0], *const inverse = own[1], *const memory = own[4];
-    PyObject *const R = given[0] == Py_None ? own[2] : given[0], *const H = given[1] == Py_None ? own[3] : given[1];
+    PyObject *const R = as_plain(h, given[0] == Py_None ? own[2] : given[0]);
+    PyObject *const H = R ? as_plain(h, given[1] == Py_None ? own[3] : given[1]) : NULL;
+    if (!H) return -1;
     if (inverse != numpy_inverse || !is_array(H, 2)) return 0;
     s->m = PyArray_DIM((PyArrayObject *)H, 0);
     s->H = matrix_of(H, s->m, n);
-    s->R = matrix_of(R, s->m, s->m);
+    s->R = s->m > 0 && s->m <= 10000 ? covariance_of(h, R, s->m) : NULL;
+    if (!s->R && PyErr_Occurred()) return -1;
     if (s->m < 1 || s->m > 10000 || !s->H || !s->R || (given[1] == Py_None && s->m != whole_number(dim_z))) return 0;
     s->M = s->memory = NULL;
     if (given[2] != Py_None) {
@@ -212,7 +203,9 @@ static int take_correction(held *h, PyObject *filter, PyObject *z, PyObject *con
     own = h->objects + h->count;
     /* The last is for scaling "learnt" alone. */
     if (hold_all(h, filter, names, s.rule.scaling == SCALING_LEARNT ? 8 : 7) < 0) return -1;
-    if (!take_filter(own[0], own[1], own[2], &now) || !take_sensors(given, own + 3, now.n, &s)) return 0;
+    if (!take_filter(own[0], own[1], own[2], &now)) return 0;
+    outcome = take_sensors(h, given, own + 3, now.n, &s);
+    if (outcome <= 0) return outcome;
     z = as_plain(h, z);
     if (!z) return -1;
     n = now.n;

@@ -367,9 +367,9 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("noise", [None, "learnt"])
-@pytest.mark.parametrize("kind", KINDS)
-def test_matrices_and_measurements_of_other_kinds_are_the_kernels(kind, noise, monkeypatch):
+@pytest.fixture
+def by_kernel_alone(monkeypatch):
+    """Let no filter ask the definition."""
     support.needs_kernel()
 
     def not_asked(*args, **kwargs):
@@ -378,6 +378,12 @@ def test_matrices_and_measurements_of_other_kinds_are_the_kernels(kind, noise, m
     for name in ("predicted", "corrected", "corrected_by_moments"):
         for policy in (_bounded.Bounded, _mixture.Mixture):
             monkeypatch.setattr(policy, name, not_asked)
+
+
+@pytest.mark.usefixtures("by_kernel_alone")
+@pytest.mark.parametrize("noise", [None, "learnt"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_matrices_and_measurements_of_other_kinds_are_the_kernels(kind, noise):
     plain, other = RobustKalmanFilter(2, 2, 1, noise=noise), RobustKalmanFilter(2, 2, 1, noise=noise)
     whole = {
         "F": [[1, 1], [0, 1]],
@@ -399,3 +405,55 @@ def test_matrices_and_measurements_of_other_kinds_are_the_kernels(kind, noise, m
             assert np.array_equal(getattr(plain, name), getattr(other, name)), (name, k)
     # They stay the user's own.
     assert all(getattr(other, name) is given[name] for name in whole)
+
+
+NUMBERS = {
+    "float": float, "int": int, "float32": np.float32, "float16": np.float16, "int64": np.int64, "uint8": np.uint8,
+    "no axes": lambda value: np.array(float(value)), "no axes, integer": lambda value: np.array(int(value)),
+}  # fmt: skip
+HOLDERS = {"": lambda value: value, "list": lambda value: [value], "tuple": lambda value: (value,)}
+
+
+@pytest.mark.usefixtures("by_kernel_alone")
+@pytest.mark.parametrize("noise", [None, "learnt"])
+@pytest.mark.parametrize("kind", NUMBERS)
+def test_numbers_of_any_kind_are_the_kernels(kind, noise):
+    plain, other = RobustKalmanFilter(2, 1, noise=noise), RobustKalmanFilter(2, 1, noise=noise)
+    for kf in (plain, other):
+        kf.F, kf.H = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]])
+    plain.R, plain.Q = np.array([[4.0]]), 2.0 * np.eye(2)
+    other.R, other.Q = NUMBERS[kind](4), NUMBERS[kind](2)
+    holders = HOLDERS.values() if "axes" not in kind else [HOLDERS[""]]
+    for k, holder in enumerate([*holders] * 4):
+        plain.predict()
+        other.predict()
+        plain.update(float(k % 5))
+        other.update(holder(NUMBERS[kind](k % 5)))
+        for name in ("x", "P", "z", "y", "S", "K", "log_likelihood"):
+            assert np.array_equal(getattr(plain, name), getattr(other, name)), (name, k)
+    if noise is None:
+        plain.update(3.0, R=np.array([[9.0]]))
+        other.update(3.0, R=NUMBERS[kind](9))
+        assert np.array_equal(plain.x, other.x) and np.array_equal(plain.P, other.P)
+
+
+@pytest.mark.parametrize("value", [-1.0, np.nan, np.inf, np.float32(-1.0), True, np.True_, 1j, "2", None, 10**400])
+@pytest.mark.parametrize("name", ["R", "Q"])
+def test_a_number_that_is_no_variance_is_refused_as_the_definition_does(name, value, monkeypatch):
+    said = []
+    for path in ("kernel", "definition"):
+        if path == "definition":
+            support.without_kernel(monkeypatch)
+        kf = RobustKalmanFilter(2, 1)
+        kf.H[0, 0] = 1.0
+        before = kf.x.copy(), kf.P.copy()
+        setattr(kf, name, value)
+        try:
+            kf.predict()
+            kf.update(1.0)
+            said.append("fine")
+        except (TypeError, ValueError, OverflowError) as error:
+            said.append(f"{type(error).__name__}: {error}")
+            if name == "Q":
+                assert np.array_equal(kf.x, before[0]) and np.array_equal(kf.P, before[1])
+    assert said[0] == said[1]
