@@ -57,7 +57,9 @@ int number_of(PyObject *object, double *found) {
         *found = *(double *)PyArray_DATA((PyArrayObject *)object);
         return 1;
     }
-    if (PyArray_IsScalar(object, Integer) || PyArray_IsScalar(object, Float) || PyArray_IsScalar(object, Half)) {
+    /* numpy counts durations among the integers. */
+    if ((PyArray_IsScalar(object, Integer) && !PyArray_IsScalar(object, Timedelta)) || PyArray_IsScalar(object, Float) ||
+        PyArray_IsScalar(object, Half)) {
         PyArray_Descr *const as = PyArray_DescrFromType(NPY_DOUBLE);
         const int fine = PyArray_CastScalarToCtype(object, found, as) == 0;
         Py_DECREF(as);

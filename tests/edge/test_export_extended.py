@@ -242,7 +242,8 @@ def test_noise_that_is_learnt_or_told_is_weighed_as_python_does(cls, noise, tmp_
             hit += kf.outlier_probability > 0.5
             if isinstance(noise, Learnt):
                 assert np.array_equal(found[20:], kf._memory.ravel()), k
-    assert 10 < hit < 100
+    # Whose state nobody told that it jumps: most of what comes after is an outlier to told noise.
+    assert 10 < hit < 150
 
 
 def test_a_sensor_that_sees_nothing_of_the_state_changes_nothing(tmp_path):
