@@ -168,6 +168,19 @@ class InC:
         return self.library.one_update(ctypes.byref(self.model), self.state, self.of(sensor), z, self.shown)
 
 
+def step(kf, in_c, z, u):
+    """Let Python and C predict and correct."""
+    if isinstance(kf, Dragged):
+        kf.F = slope(kf.x)
+        kf.predict()
+        assert in_c.predict("drag") == c_programs.OK
+    else:
+        kf.predict([u])
+        assert in_c.predict(None, u) == c_programs.OK
+    kf.update(z, jacobian, h, residual=residual)
+    assert in_c.update(z) == c_programs.OK
+
+
 CHOICES = [
     {},
     {"influence": TukeyBiweight()},
@@ -188,15 +201,7 @@ def test_c_equals_the_kernel_to_the_last_bit(cls, choices, tmp_path):
     in_c = InC(kf, tmp_path)
     for seed in range(3):
         for k, (z, u) in enumerate(zip(*recording(seed), strict=True)):
-            if cls is Dragged:
-                kf.F = slope(kf.x)
-                kf.predict()
-                assert in_c.predict("drag") == c_programs.OK
-            else:
-                kf.predict([u])
-                assert in_c.predict(None, u) == c_programs.OK
-            kf.update(z, jacobian, h, residual=residual)
-            assert in_c.update(z) == c_programs.OK
+            step(kf, in_c, z, u)
             if not np.isnan(z).all():
                 # Else it is the definition that is compared, which differs in the last bits.
                 assert isinstance(kf._last, Taken), (seed, k)
@@ -223,15 +228,7 @@ def test_noise_that_is_learnt_or_told_is_weighed_as_python_does(cls, noise, tmp_
     # Noise that is told is the definition's, which differs in the last bits.
     close = {"rtol": 1e-9, "atol": 1e-12} if isinstance(noise, Contaminated) else {"rtol": 0.0, "atol": 0.0}
     for k, (z, u) in enumerate(zip(*recording(4), strict=True)):
-        if cls is Dragged:
-            kf.F = slope(kf.x)
-            kf.predict()
-            assert in_c.predict("drag") == c_programs.OK
-        else:
-            kf.predict([u])
-            assert in_c.predict(None, u) == c_programs.OK
-        kf.update(z, jacobian, h, residual=residual)
-        assert in_c.update(z) == c_programs.OK
+        step(kf, in_c, z, u)
         found = np.array(in_c.state)
         np.testing.assert_allclose(found[:4], kf.x, **close, err_msg=str(k))
         np.testing.assert_allclose(found[4:20].reshape(4, 4), kf.P, **close, err_msg=str(k))
