@@ -17,6 +17,7 @@ from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.whitening import Inverse
 from robust_filterpy.filters._insistence import Insistence, jump_of, nothing_refused, watched
+from robust_filterpy.kernel import moments
 
 __all__ = ["Bounded", "finite_product"]
 
@@ -79,8 +80,12 @@ class Bounded:
 
     def corrected(
         self, known: Any, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None, inv: Inverse | None
-    ) -> tuple[Correction, Any]:
+    ) -> tuple[Correction | moments.Taken, Any]:
         """Return the correction by a linear sensor."""
+        if self.by_kernel and inv is None:
+            taken = moments.correct_linear(self.choices, known.memory, x, P, z, H, R, M)
+            if taken is not None:
+                return taken, known.kept
         y = z - finite_product(H, x)
         return self.corrected_by_moments(known, x, P, Innovation(z, y, *innovation_moments(P, H, R, M), R, H), inv)
 

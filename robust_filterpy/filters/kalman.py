@@ -34,6 +34,7 @@ from robust_filterpy.filters._bounded import Bounded, finite_product
 from robust_filterpy.filters._mixin import RobustFilterMixin, whole
 from robust_filterpy.filters._recording import CompiledLoop, Given, MixtureLoop, filter_recording, is_own
 from robust_filterpy.influence.functions import Huber, Influence
+from robust_filterpy.kernel import moments
 
 __all__ = ["RobustKalmanFilter"]
 
@@ -399,9 +400,8 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         self.z = np.full((m, 1) if np.ndim(self.x) != 1 else m, None)
         self.x_post, self.P_post = np.copy(self.x), np.copy(self.P)
         self.y = np.zeros((m, 1) if np.ndim(self.x) != 1 else m)
-        S, SI, K = self.S, self.SI, self.K
-        self._last = self._emptied()
-        self.S, self.SI, self.K, self._outlier_probability = S, SI, K, 0.0
+        # S, SI and K stay what they were: those that were asked for, and those that the last correction tells on request.
+        self._last, self._outlier_probability = self._emptied(), 0.0
         self._log_likelihood = self._likelihood = self._mahalanobis = None
 
     def get_update(self, z: ArrayLike | None = None) -> tuple[Array, Array]:
@@ -457,11 +457,14 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         values = np.atleast_1d(values)
         y = values - finite_product(H, x.ravel())
         # Of the correction by this S only what psi leaves of y is used: the gain is K. Nothing insists.
-        clipping = Bounded(self._choices)
-        known = self._known(m)._replace(kept=None)
-        innovation = Innovation(values, y, P @ H.T, S, R, H)
-        last, _ = clipping.corrected_by_moments(known, x.ravel(), P, innovation, self._inverse)
-        self._learn(last.memory, m)
+        known, C, found = self._known(m)._replace(kept=None), P @ H.T, None
+        if self._inverse is None:
+            found = moments.correct(self._choices, known.memory, P, values, y, C, np.asarray(S, dtype=float), R)
+        if found is None:
+            innovation = Innovation(values, y, C, S, R, H)
+            found, _ = Bounded(self._choices).corrected_by_moments(known, x.ravel(), P, innovation, self._inverse)
+        last = found if isinstance(found, Correction) else found.as_arrays()
+        self._learn(found.memory, m)
         SI = self.SI
         self.x = (x.ravel() + K @ last.y_bounded).reshape(x.shape)
         shape = (m, 1) if x.ndim == 2 else (m,)

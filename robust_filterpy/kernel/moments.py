@@ -1,4 +1,4 @@
-"""A correction by an innovation that is not z - H x, by the kernel: that of a nonlinear sensor."""
+"""A correction of arrays by the kernel: by linear sensors, and by an innovation that is not z - H x."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from robust_filterpy.correction.result import Correction
 from robust_filterpy.kernel.record import correction_of
 from robust_filterpy.kernel.series import rule
 
-__all__ = ["Taken", "correct"]
+__all__ = ["Taken", "correct", "correct_linear"]
 
 
 class Taken(NamedTuple):
@@ -38,6 +38,28 @@ class Taken(NamedTuple):
         return correction_of(self.record, self.x, self.P)
 
 
+def correct_linear(
+    choices: Choices, memory: Array, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None
+) -> Taken | None:
+    """Correct a state by linear sensors, to the last bit as a filter's step by the kernel does.
+
+    Parameters
+    ----------
+    choices : Choices
+        Influence function, scaling, information, grouping.
+    memory : ndarray, shape (m, 10)
+        What is known of the sensors; not changed.
+    x, P, z, H, R, M
+        Shapes (n,), (n, n), (m,) with NaN where missing, (m, n), (m, m) and (n, m).
+
+    Returns
+    -------
+    Taken or None
+        None where that is for the definition; nothing has changed in any case.
+    """
+    return _by_extension("correct_arrays", choices, (x, P, z, H, R, M), memory)
+
+
 def correct(
     choices: Choices, memory: Array, P: Array, z: Array, y: Array, C: Array, S: Array | None, R: Array
 ) -> Taken | None:
@@ -57,9 +79,14 @@ def correct(
     Taken or None
         None where that is for the definition; nothing has changed in any case.
     """
+    return _by_extension("correct_moments", choices, (P, z, y, C, S, R), memory)
+
+
+def _by_extension(name: str, choices: Choices, arrays: tuple[Array | None, ...], memory: Array) -> Taken | None:
+    """Call a function of the extension, if there is one and it knows the options."""
     extension, what = kernel.extension(), rule(choices)
     if extension is None or what is None:
         return None
-    arrays = (None if a is None else np.ascontiguousarray(a) for a in (P, z, y, C, S, R))
-    found = extension.correct_moments(what, *arrays, memory)
+    plain = (None if a is None else np.ascontiguousarray(a) for a in arrays)
+    found = getattr(extension, name)(what, *plain, memory)
     return None if found is None else Taken(*found)

@@ -142,6 +142,20 @@ typedef struct {
     const double *H, *R, *M, *memory; /* M and memory may be NULL */
 } sensors;
 
+/* Take M, or None, and the memory of sensors that learn; whether they are that. */
+static int take_more(sensors *s, npy_intp n, PyObject *M, PyObject *memory) {
+    s->M = s->memory = NULL;
+    if (M != Py_None) {
+        s->M = matrix_of(M, n, s->m);
+        if (!s->M || !all_finite(s->M, n * s->m)) return 0;
+    }
+    if (s->rule.scaling == SCALING_LEARNT) {
+        s->memory = matrix_of(memory, s->m, SPREAD_NUMBERS);
+        if (!s->memory || !all_finite(s->memory, s->m * SPREAD_NUMBERS)) return 0;
+    }
+    return 1;
+}
+
 /* given: R, H, M, then what take_correction has read. */
 static int take_sensors(held *h, PyObject *const given[3], PyObject *const own[5], npy_intp n, sensors *s) {
     PyObject *const dim_z = own[0], *const inverse = own[1], *const memory = own[4];
@@ -154,18 +168,9 @@ static int take_sensors(held *h, PyObject *const given[3], PyObject *const own[5
     s->R = s->m > 0 && s->m <= 10000 ? covariance_of(h, R, s->m) : NULL;
     if (!s->R && PyErr_Occurred()) return -1;
     if (s->m < 1 || s->m > 10000 || !s->H || !s->R || (given[1] == Py_None && s->m != whole_number(dim_z))) return 0;
-    s->M = s->memory = NULL;
-    if (given[2] != Py_None) {
-        s->M = matrix_of(given[2], n, s->m);
-        if (!s->M || !all_finite(s->M, n * s->m)) return 0;
-    }
-    if (s->rule.scaling == SCALING_LEARNT) {
-        /* Sensors of an H that is passed are known by its rows. */
-        if (given[1] != Py_None) return 0;
-        s->memory = matrix_of(memory, s->m, SPREAD_NUMBERS);
-        if (!s->memory || !all_finite(s->memory, s->m * SPREAD_NUMBERS)) return 0;
-    }
-    return 1;
+    /* Sensors of an H that is passed are known by its rows. */
+    if (s->rule.scaling == SCALING_LEARNT && given[1] != Py_None) return 0;
+    return take_more(s, n, given[2], memory);
 }
 
 /* What a correction leaves: see robust_filterpy.kernel.record, which reads it. Not the innovations, S and C. */
@@ -189,14 +194,48 @@ static void write_innovations(double *y, npy_intp n, npy_intp m, const double *z
 }
 #define RECORD(n, m) (4 + 8 * (m) + (m) * (m) + (m) * (n))
 
+/* What a correction makes: x and P in the shape of before, a record, z with NaN where missing, and what is then known of the
+   sensors, NULL where nothing is learnt. */
+typedef struct {
+    PyObject *x, *P, *record, *z, *memory;
+} corrected;
+
+/* Correct a state by a measurement of linear sensors; whether all was ordinary, -1 with an exception. */
+static int correct_linear(held *h, const filter_state *now, const sensors *s, PyObject *z, corrected *made) {
+    const npy_intp n = now->n, m = s->m;
+    correction c;
+    double stack[STACK_WORK], *work, *values;
+    int outcome;
+    made->memory = NULL;
+    made->x = hold(h, new_array(now->ndim, n, 1));
+    made->P = made->x ? hold(h, new_array(2, n, n)) : NULL;
+    made->record = made->P ? hold(h, new_array(1, RECORD(n, m), 0)) : NULL;
+    made->z = made->record ? hold(h, new_array(now->ndim, m, 1)) : NULL;
+    if (made->z && s->memory) made->memory = hold(h, new_array(2, m, SPREAD_NUMBERS));
+    work = made->z && (made->memory || !s->memory) ? work_of(stack, update_work((int)n, (int)m)) : NULL;
+    if (!work) return -1;
+    values = numbers_of(made->record);
+    correction_begin((int)n, (int)m, 1, &c, work);
+    outcome = take_measurement(z, m, numbers_of(made->z)) && is_covariance(s->R, m, c.S);
+    if (outcome) {
+        real_copy((int)n, now->x, numbers_of(made->x));
+        real_copy((int)(n * n), now->P, numbers_of(made->P));
+        if (made->memory) real_copy((int)(SPREAD_NUMBERS * m), s->memory, numbers_of(made->memory));
+        outcome = update((int)n, (int)m, &s->rule, numbers_of(made->z), s->H, s->R, s->M,
+                         made->memory ? (spread_memory *)numbers_of(made->memory) : NULL, numbers_of(made->x),
+                         numbers_of(made->P), &c, values + 4 + 8 * m, work);
+        begin_record(values, n, m, &s->rule, &c);
+        write_innovations(values + 4, n, m, numbers_of(made->z), s->H, now->x);
+    }
+    work_done(stack, work);
+    return outcome;
+}
+
 static int take_correction(held *h, PyObject *filter, PyObject *z, PyObject *const given[3]) {
+    static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT_dim_z, AT_inv, AT_R, AT_H, AT__memory};
     filter_state now;
     sensors s;
-    correction c;
-    npy_intp n, m;
-    PyObject *x_next, *P_next, *record, *kept, *learnt = NULL;
-    double stack[STACK_WORK], *work, *values;
-    static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT_dim_z, AT_inv, AT_R, AT_H, AT__memory};
+    corrected made;
     PyObject *const *own;
     int outcome = rule_of_filter(h, filter, &s.rule);
     if (outcome <= 0) return outcome;
@@ -208,33 +247,11 @@ static int take_correction(held *h, PyObject *filter, PyObject *z, PyObject *con
     if (outcome <= 0) return outcome;
     z = as_plain(h, z);
     if (!z) return -1;
-    n = now.n;
-    m = s.m;
-    x_next = hold(h, new_array(now.ndim, n, 1));
-    P_next = x_next ? hold(h, new_array(2, n, n)) : NULL;
-    record = P_next ? hold(h, new_array(1, RECORD(n, m), 0)) : NULL;
-    kept = record ? hold(h, new_array(now.ndim, m, 1)) : NULL;
-    if (kept && s.memory) learnt = hold(h, new_array(2, m, SPREAD_NUMBERS));
-    work = kept && (learnt || !s.memory) ? work_of(stack, update_work((int)n, (int)m)) : NULL;
-    if (!work) return -1;
-    values = numbers_of(record);
-    correction_begin((int)n, (int)m, 1, &c, work);
-    outcome = take_measurement(z, m, numbers_of(kept)) && is_covariance(s.R, m, c.S);
-    if (outcome) {
-        real_copy((int)n, now.x, numbers_of(x_next));
-        real_copy((int)(n * n), now.P, numbers_of(P_next));
-        if (learnt) real_copy((int)(SPREAD_NUMBERS * m), s.memory, numbers_of(learnt));
-        outcome = update((int)n, (int)m, &s.rule, numbers_of(kept), s.H, s.R, s.M,
-                         learnt ? (spread_memory *)numbers_of(learnt) : NULL, numbers_of(x_next), numbers_of(P_next), &c,
-                         values + 4 + 8 * m, work);
-        begin_record(values, n, m, &s.rule, &c);
-        write_innovations(values + 4, n, m, numbers_of(kept), s.H, now.x);
-    }
-    work_done(stack, work);
-    if (!outcome) return 0;
-    if (!set_state(h, filter, x_next, P_next, AT_x_post, AT_P_post)) return -1;
-    if (set_attribute(filter, AT_z, kept) < 0 || set_attribute(filter, AT__last, record) < 0) return -1;
-    if (learnt && set_attribute(filter, AT__memory, learnt) < 0) return -1;
+    outcome = correct_linear(h, &now, &s, z, &made);
+    if (outcome <= 0) return outcome;
+    if (!set_state(h, filter, made.x, made.P, AT_x_post, AT_P_post)) return -1;
+    if (set_attribute(filter, AT_z, made.z) < 0 || set_attribute(filter, AT__last, made.record) < 0) return -1;
+    if (made.memory && set_attribute(filter, AT__memory, made.memory) < 0) return -1;
     for (enum attribute which = AT__y; which <= AT__mahalanobis; which++)
         if (set_attribute(filter, which, Py_None) < 0) return -1;
     return 1;
@@ -248,6 +265,34 @@ static PyObject *correct_step(PyObject *self, PyObject *const *arguments, Py_ssi
         return NULL;
     }
     return answer(&h, take_correction(&h, arguments[0], arguments[1], arguments + 2));
+}
+
+/* Correct a state by linear sensors: (rule, x, P, z, H, R, M or None, memory or None); the answer is (x, P, record, memory),
+   or None where that is for the definition. */
+static PyObject *correct_arrays(PyObject *self, PyObject *const *given, Py_ssize_t count) {
+    held h = {.count = 0};
+    filter_state now;
+    sensors s = {.M = NULL, .memory = NULL};
+    corrected made;
+    PyObject *found = NULL;
+    int outcome;
+    (void)self;
+    if (count != 8) {
+        PyErr_SetString(PyExc_TypeError, "correct_arrays: expected rule, x, P, z, H, R, M and memory");
+        return NULL;
+    }
+    if (!rule_of(given[0], &s.rule) || !is_array(given[1], 1) || !is_array(given[4], 2)) Py_RETURN_NONE;
+    now.ndim = 1, now.n = PyArray_DIM((PyArrayObject *)given[1], 0), s.m = PyArray_DIM((PyArrayObject *)given[4], 0);
+    if (now.n < 1 || s.m < 1 || now.n > 10000 || s.m > 10000) Py_RETURN_NONE;
+    now.x = vector_of(given[1], now.n), now.P = matrix_of(given[2], now.n, now.n);
+    s.H = matrix_of(given[4], s.m, now.n), s.R = matrix_of(given[5], s.m, s.m);
+    if (!now.x || !now.P || !s.H || !s.R || !is_symmetric(now.P, now.n)) Py_RETURN_NONE;
+    if (!take_more(&s, now.n, given[6], given[7])) Py_RETURN_NONE;
+    outcome = correct_linear(&h, &now, &s, given[3], &made);
+    if (outcome > 0) found = PyTuple_Pack(4, made.x, made.P, made.record, made.memory ? made.memory : Py_None);
+    Py_XDECREF(answer(&h, 0));
+    if (found || PyErr_Occurred()) return found;
+    Py_RETURN_NONE;
 }
 
 /* Correct a state at 0 by an innovation: (rule, P, z, y, C, S, R, memory or None), or the Jacobian H in the place of C and
@@ -320,6 +365,8 @@ PyMethodDef online_functions[] = {
     {"predict", (PyCFunction)(void (*)(void))predict_step, METH_FASTCALL, "Predict a filter's next state: (filter, u)."},
     {"correct", (PyCFunction)(void (*)(void))correct_step, METH_FASTCALL,
      "Correct a filter's state: (filter, z, R, H, M), None for its own R and H and for no M."},
+    {"correct_arrays", (PyCFunction)(void (*)(void))correct_arrays, METH_FASTCALL,
+     "Correct a state by linear sensors; see robust_filterpy.kernel.moments."},
     {"correct_moments", (PyCFunction)(void (*)(void))correct_moments, METH_FASTCALL,
      "Correct a state at 0 by an innovation of known moments; see robust_filterpy.kernel.moments."},
     {NULL, NULL, 0, NULL}};
