@@ -400,7 +400,7 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         self.z = np.full((m, 1) if np.ndim(self.x) != 1 else m, None)
         self.x_post, self.P_post = np.copy(self.x), np.copy(self.P)
         self.y = np.zeros((m, 1) if np.ndim(self.x) != 1 else m)
-        # S, SI and K stay what they were: those that were asked for, and those that the last correction tells on request.
+        # S, SI and K stay: those that were asked for, and those that the last correction tells on request.
         self._last, self._outlier_probability = self._emptied(), 0.0
         self._log_likelihood = self._likelihood = self._mahalanobis = None
 
@@ -457,7 +457,8 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         values = np.atleast_1d(values)
         y = values - finite_product(H, x.ravel())
         # Of the correction by this S only what psi leaves of y is used: the gain is K. Nothing insists.
-        known, C, found = self._known(m)._replace(kept=None), P @ H.T, None
+        known, C = self._known(m)._replace(kept=None), P @ H.T
+        found: Any = None
         if self._inverse is None:
             found = moments.correct(self._choices, known.memory, P, values, y, C, np.asarray(S, dtype=float), R)
         if found is None:
