@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+import operator
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -92,6 +93,7 @@ class RobustFilterMixin(OptionsMixin, PrintingMixin, StateMixin):
         self._require_possible(self._policy)
         self._choices, self._last, self._outlier_probability = self._policy.choices, None, 0.0
         self._share, self._updates, self._process_scales = Share(), 0, None
+        self._kept = self._y = self._S = self._SI = self._K = None
         # The kernel takes arrays of the right shape, from the first measurement on.
         self._keep_sensors(Customs(self._policy.begin(dim_z), {}))
 
@@ -255,15 +257,18 @@ class RobustFilterMixin(OptionsMixin, PrintingMixin, StateMixin):
         return self._mahalanobis
 
 
+_in_slots = operator.attrgetter(*RobustFilterMixin.__slots__)
+
+
 class Snapshot:
     """What a filter holds, to put it back."""
 
     def __init__(self, kf: Any) -> None:
         """Keep the attributes, and the contents of arrays: a user's function may write into one that is still held."""
-        self._attributes = dict(kf.__dict__)
-        self._slots = {name: getattr(kf, name) for name in RobustFilterMixin.__slots__ if hasattr(kf, name)}
-        arrays = (v for v in self._attributes.values() if type(v) is np.ndarray and v.flags.writeable)
-        self._contents = [(array, array.copy()) for array in arrays]
+        self._attributes = kf.__dict__.copy()
+        self._slots = _in_slots(kf)
+        arrays = [value for value in self._attributes.values() if type(value) is np.ndarray]
+        self._contents = [(array, array.copy()) for array in arrays if array.flags.writeable]
         # An ensemble's random numbers; numpy's older generator hides where they come from.
         rng = self._attributes.get("rng")
         self._source = getattr(rng, "bit_generator", getattr(rng, "_bit_generator", None))
@@ -273,7 +278,7 @@ class Snapshot:
         """Put the filter back as it was."""
         kf.__dict__.clear()
         kf.__dict__.update(self._attributes)
-        for name, value in self._slots.items():
+        for name, value in zip(RobustFilterMixin.__slots__, self._slots, strict=True):
             setattr(kf, name, value)
         for array, content in self._contents:
             array[...] = content
@@ -298,8 +303,13 @@ def whole(method: _Method) -> _Method:
     @functools.wraps(method)
     def called(self: Any, *arguments: Any, **named: Any) -> Any:
         """Call, and put the filter back if that raises."""
-        with unchanged_if_refused(self):
+        # Not the context manager, which costs as much as a step of the kernel.
+        before = Snapshot(self)
+        try:
             return method(self, *arguments, **named)
+        except BaseException:
+            before.put_back(self)
+            raise
 
     return cast(_Method, called)
 
