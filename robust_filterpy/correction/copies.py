@@ -20,7 +20,7 @@ import numpy as np
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 
-__all__ = ["Copies", "Scales", "collapse", "merged", "predict", "settled", "start", "with_candidate"]
+__all__ = ["Copies", "Scales", "collapse", "far_off", "merged", "predict", "settled", "start", "with_candidate"]
 
 # Chance that the state is not where the start says.
 _START = 0.2
@@ -209,11 +209,7 @@ def with_candidate(copies: Copies, z: Array, H: Array, noise: Array, process: Sc
     at, spread = collapse(slow, x[:q], P[:q])
     chance = 0.0
     for _ in z:
-        with np.errstate(over="ignore"):
-            y = z - H @ at
-        seen = ((H @ spread) * H).sum(axis=1)
-        asks = np.where(seen > 0.0, np.abs(y) / np.sqrt(np.where(seen > 0.0, seen + noise, 1.0)), 0.0)
-        asks[~(asks < _FARTHEST)] = 0.0
+        y, asks = _asked(at, spread, z, H, noise)
         i = int(np.argmax(asks))
         if not asks[i] > _ASKS:
             break
@@ -227,6 +223,34 @@ def with_candidate(copies: Copies, z: Array, H: Array, noise: Array, process: Sc
         np.append((1.0 - chance) * slow, chance),
         0.0,
     ), True
+
+
+def far_off(copies: Copies, z: Array, H: Array, noise: Array, process: Scales) -> Array:
+    """Return which sensors ask for a jump, shape (m,).
+
+    Parameters
+    ----------
+    copies, z, H, noise, process
+        As `with_candidate` takes them.
+
+    Returns
+    -------
+    ndarray of bool, shape (m,)
+    """
+    x, P, probabilities, _ = copies
+    q = len(process.scales)
+    slow = probabilities[:q] / probabilities[:q].sum()
+    return np.asarray(_asked(*collapse(slow, x[:q], P[:q]), z, H, noise)[1] > _ASKS)
+
+
+def _asked(at: Array, spread: Array, z: Array, H: Array, noise: Array) -> tuple[Array, Array]:
+    """Return innovations, and how many standard deviations off each is, 0 where none can tell."""
+    with np.errstate(over="ignore"):
+        y = z - H @ at
+    seen = ((H @ spread) * H).sum(axis=1)
+    asks = np.where(seen > 0.0, np.abs(y) / np.sqrt(np.where(seen > 0.0, seen + noise, 1.0)), 0.0)
+    asks[~(asks < _FARTHEST)] = 0.0
+    return y, asks
 
 
 def settled(copies: Copies, process: Scales) -> Copies:

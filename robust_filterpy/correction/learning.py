@@ -14,11 +14,16 @@ The changes from reading to reading that a filter has not foreseen differ from e
 variance of 6 r and more. So r is never above eight times what they show: a filter that has lost the state, or whose
 model is too simple, has large innovations and even changes, and does not learn that its sensor is bad.
 
+A sensor whose readings differ by a tenth of its noise does not say the same number twice. One that does, far from where
+the state is predicted, is stuck: it says nothing of the state (`repeated`). How finely it reads is told by the least
+change from reading to reading, so that counters, coarse sensors and recordings without noise are believed.
+
 All that is known of a sensor is one row of numbers, ``[r, n, shares (K), last (K), counts (K, K), parity (4), change
-(4)]``: r stands on n ordinary samples; the shares of the classes of late; the probabilities of the last sample's class;
-how often class i was followed by class j; the last parity, its lag-one covariance, its variance, how many there were;
-what the last correction left of the reading, the last change and the scale of their differences, in standard deviations
-that R gives, and how many readings there were.
+(4), reading (2)]``: r stands on n ordinary samples; the shares of the classes of late; the probabilities of the last
+sample's class; how often class i was followed by class j; the last parity, its lag-one covariance, its variance, how
+many there were; what the last correction left of the reading, the last change and the scale of their differences, in
+standard deviations that R gives, and how many readings there were; the last reading in the same unit, and how many of
+its least changes are one, less than 0 if it repeated the one before.
 `robust_filterpy.correction.learnt` corrects a state between `predicted` and `learn`.
 """
 
@@ -54,8 +59,10 @@ _CHANGES, _FIRST_CHANGES, _QUANTILE = 50.0, 20.0, 1.0364333894937898
 _MOST = 8.0 / 6.0
 # Standard deviations beyond which a reading is as far as any other.
 _WILDEST = 1e6
-# Numbers of a row that tell of parity and of changes.
-_PARITY, _CHANGE, _TAIL = slice(-8, -4), slice(-4, None), 8
+# Steps of a sensor in a standard deviation of its noise from which on it does not repeat itself by chance.
+_FINE = 10.0
+# Numbers of a row that tell of parity, of changes and of readings.
+_PARITY, _CHANGE, _READING, _TAIL = slice(-10, -6), slice(-6, -2), slice(-2, None), 10
 # A sensor is redundant if the others leave at least this part of its variance unexplained by the state.
 _REDUNDANT = 1e-6
 
@@ -127,7 +134,7 @@ class NoiseClasses:
 
         Parameters
         ----------
-        learnt : array_like, shape (1 or more, 10 + 2 K + K^2)
+        learnt : array_like, shape (1 or more, 12 + 2 K + K^2)
             A row for each sensor.
         dim_z : int
             Number of sensors.
@@ -153,7 +160,7 @@ class NoiseClasses:
         known, totals = values[:, :-_TAIL], values[:, 2 + 2 * K : -_TAIL].reshape(-1, K, K).sum(axis=2)
         if not (np.isfinite(values).all() and (known >= 0.0).all() and (known[:, 0] > 0.0).all() and totals.all()):
             raise ValueError("learnt: expected finite numbers >= 0 with r > 0, as another filter's `learnt` has them")
-        if not (values[:, [-6, -5, -2, -1]] >= 0.0).all():
+        if not (values[:, [-8, -7, -4, -3]] >= 0.0).all():
             raise ValueError(
                 "learnt: expected variances and numbers of parities and changes >= 0, as another filter has"
             )
@@ -174,7 +181,7 @@ def start(classes: int, probabilities: Sequence[float] | None = None) -> Array:
 
     Returns
     -------
-    ndarray, shape (10 + 2 K + K^2,)
+    ndarray, shape (12 + 2 K + K^2,)
         As the head of this module orders it.
     """
     return _start(classes, None if probabilities is None else tuple(probabilities)).copy()
@@ -198,7 +205,7 @@ def predicted(known: Array, classes: int) -> Array:
 
     Parameters
     ----------
-    known : ndarray, shape (10 + 2 K + K^2,)
+    known : ndarray, shape (12 + 2 K + K^2,)
         What is known of the sensor.
     classes : int
         K.
@@ -216,7 +223,7 @@ def usual(known: Array, classes: int) -> Array:
 
     Parameters
     ----------
-    known : ndarray, shape (10 + 2 K + K^2,)
+    known : ndarray, shape (12 + 2 K + K^2,)
         What is known of the sensor.
     classes : int
         K.
@@ -234,7 +241,7 @@ def learn(known: Array, posterior: Array, energy: float, noise: NoiseClasses) ->
 
     Parameters
     ----------
-    known : ndarray, shape (10 + 2 K + K^2,)
+    known : ndarray, shape (12 + 2 K + K^2,)
         What was known of the sensor.
     posterior : ndarray, shape (K,)
         Probabilities of the sample's classes.
@@ -245,7 +252,7 @@ def learn(known: Array, posterior: Array, energy: float, noise: NoiseClasses) ->
 
     Returns
     -------
-    ndarray, shape (10 + 2 K + K^2,)
+    ndarray, shape (12 + 2 K + K^2,)
 
     Notes
     -----
@@ -290,7 +297,7 @@ def ordinary_size(learnt: Array, z: Array, y: Array, H: Array, R: Array) -> tupl
 
     Parameters
     ----------
-    learnt : ndarray, shape (m, 10 + 2 K + K^2)
+    learnt : ndarray, shape (m, 12 + 2 K + K^2)
         What is known of each sensor.
     z : ndarray, shape (m,)
         Measurement, finite.
@@ -305,7 +312,7 @@ def ordinary_size(learnt: Array, z: Array, y: Array, H: Array, R: Array) -> tupl
     -------
     r : ndarray, shape (m,)
         Factors of R for this sample.
-    learnt : ndarray, shape (m, 10 + 2 K + K^2)
+    learnt : ndarray, shape (m, 12 + 2 K + K^2)
         What is known, with this sample's parity and change.
     """
     r, learnt = learnt[:, 0].copy(), learnt.copy()
@@ -324,7 +331,9 @@ def ordinary_size(learnt: Array, z: Array, y: Array, H: Array, R: Array) -> tupl
             least = min(max(variance, 1e-8), 1.0)
             r[i] = max(r[i], r[i] ** (1.0 - colour) * least**colour)
     for own in np.flatnonzero(R.diagonal() > 0.0):
-        most = _note_change(learnt[own, _CHANGE], _bounded(y[own] / R[own, own] ** 0.5))
+        unit = float(R[own, own]) ** 0.5
+        _note_reading(learnt[own], float(z[own]) / unit)
+        most = _note_change(learnt[own, _CHANGE], _bounded(y[own] / unit))
         r[own], learnt[own, 0] = min(r[own], most), min(learnt[own, 0], most)
     return r, learnt
 
@@ -343,6 +352,42 @@ def _note_change(known: Array, y: float) -> float:
     return max(1.0, moved**2 * _MOST) if count > _FIRST_CHANGES else math.inf
 
 
+def _note_reading(known: Array, z: float) -> None:
+    """Let a reading say how finely its sensor reads, in place."""
+    r, count, last, fine = known[[0, -3, -2, -1]].tolist()
+    change = abs(z - last)
+    if count and change == 0.0:
+        known[-1] = -abs(fine)
+    elif count:
+        # A sensor that goes on after it has repeated itself reads in steps, or only now and then; one small change is
+        # chance, so it tells of twice as much at most.
+        known[-1] = max(fine, 0.0, min(1.0 / change, 2.0 * max(fine, r**-0.5)))
+    known[-2] = z
+
+
+def repeated(learnt: Array, z: Array, R: Array) -> Array:
+    """Return which sensors say again what they said last, though their noise is white and not in steps.
+
+    Parameters
+    ----------
+    learnt : ndarray, shape (m, 12 + 2 K + K^2)
+        What is known of each sensor.
+    z : ndarray, shape (m,)
+        Measurement.
+    R : ndarray, shape (m, m)
+        Covariance of the measurement noise as the filter was given it.
+
+    Returns
+    -------
+    ndarray of bool, shape (m,)
+    """
+    r, scale, (last, fine) = learnt[:, 0], learnt[:, _CHANGE][:, 2], learnt[:, _READING].T
+    own = R.diagonal()
+    again = last == z / np.sqrt(np.where(own > 0.0, own, 1.0))
+    # White noise makes 6 r; what changes less is no noise, and says that it rests when it rests.
+    return np.asarray(again & (scale**2 >= r) & (np.abs(fine) * np.sqrt(r) >= _FINE))
+
+
 def _bounded(number: float) -> float:
     return min(max(number, -_WILDEST), _WILDEST)
 
@@ -352,7 +397,7 @@ def left_over(learnt: Array, rest: Array, R: Array) -> Array:
 
     Parameters
     ----------
-    learnt : ndarray, shape (m, 10 + 2 K + K^2)
+    learnt : ndarray, shape (m, 12 + 2 K + K^2)
         What is known of each sensor.
     rest : ndarray, shape (m,)
         z - H x.
@@ -361,7 +406,7 @@ def left_over(learnt: Array, rest: Array, R: Array) -> Array:
 
     Returns
     -------
-    ndarray, shape (m, 10 + 2 K + K^2)
+    ndarray, shape (m, 12 + 2 K + K^2)
     """
     learnt = learnt.copy()
     for i in np.flatnonzero(R.diagonal() > 0.0):
@@ -414,7 +459,7 @@ def describe(learnt: Array, scales: Array, sensors: int = 1) -> LearntNoise:
 
     Parameters
     ----------
-    learnt : ndarray, shape (g, 10 + 2 K + K^2)
+    learnt : ndarray, shape (g, 12 + 2 K + K^2)
         A row for each sensor that fails on its own.
     scales : ndarray, shape (K,)
         Factors of the variance.

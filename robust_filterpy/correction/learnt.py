@@ -49,9 +49,9 @@ class Corrected(NamedTuple):
     log_density: float
     """log p(z)."""
     weights: Array
-    """Expected precision of each component over that of ordinary noise, NaN where it tells nothing, shape (m,)."""
+    """Expected precision of each component over that of ordinary noise, NaN where there is none, shape (m,)."""
     outlier_probabilities: Array
-    """Probability that each component was an outlier, 0 where it tells nothing, shape (m,)."""
+    """Probability that each component was an outlier, 1 where a sensor is stuck, 0 where there is none, shape (m,)."""
 
 
 class _Part(NamedTuple):
@@ -139,12 +139,19 @@ def correct(
     m, joint = len(z), noise.grouping == "joint"
     weights, outlying = np.full(m, np.nan), np.zeros(m)
     part = np.flatnonzero(~np.isnan(z) & H.any(axis=1))
+    follows = noise.learns and not joint
+    if follows:
+        # A sensor that is stuck tells nothing of the state, nor of its noise.
+        again = part[learning.repeated(memory[part], z[part], R[np.ix_(part, part)])]
+        if again.size:
+            r = memory[again, 0] * R[again, again]
+            again = again[side_by_side.far_off(copies, z[again], H[again], r, process)]
+            part, weights[again], outlying[again] = np.setdiff1d(part, again), 0.0, 1.0
     if part.size == 0:
         return Corrected(copies, memory, 0.0, weights, outlying)
     z, H, R, M = z[part], H[part], R[np.ix_(part, part)], None if M is None else M[:, part]
     memory, rows = memory.copy(), np.zeros(len(part), dtype=int) if joint else part
     r = memory[rows, 0]
-    follows = noise.learns and not joint
     if follows:
         r, memory[part] = learning.ordinary_size(memory[part], z, z - H @ _mean(copies, process), H, R)
     copies, fresh = side_by_side.with_candidate(copies, z, H, r * R.diagonal(), process)

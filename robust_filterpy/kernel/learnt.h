@@ -3,7 +3,7 @@
    q copies take the process noise for s_j Q. If jumps are possible there is one more for a state that has jumped, the
    candidate, whose probability is 0 while there is none. Each sensor is conditioned on by the score of its mixture of classes
    and the derivative of it, the most plausible first, under every copy. What is known of a sensor is a row of numbers:
-   [r, n, shares (K), last (K), counts (K, K), parity (4), change (4)]. */
+   [r, n, shares (K), last (K), counts (K, K), parity (4), change (4), reading (2)]. */
 #ifndef ROBUST_FILTERPY_LEARNT_H
 #define ROBUST_FILTERPY_LEARNT_H
 
@@ -17,8 +17,10 @@
 #define LEARNT_PARITY_OVER REAL(0.30)
 #define LEARNT_PARITY_SAMPLES REAL(20.0)
 #define LEARNT_CHANGE 4               /* of changes: left of the reading, the last, their differences' scale, how many */
-#define LEARNT_TAIL (LEARNT_PARITY + LEARNT_CHANGE)
+#define LEARNT_READING 2              /* the last, in standard deviations of R, and how many of the least changes are one */
+#define LEARNT_TAIL (LEARNT_PARITY + LEARNT_CHANGE + LEARNT_READING)
 #define LEARNT_WILDEST REAL(1e6)
+#define LEARNT_FINE REAL(10.0)        /* from so many on in one of its noise a sensor does not repeat itself by chance */
 #define LEARNT_CHANGES REAL(50.0)      /* changes that are remembered */
 #define LEARNT_FIRST_CHANGES REAL(20.0)
 #define LEARNT_MOST REAL(8.0) / 6      /* r at most, over the variance of the differences of changes */
@@ -285,6 +287,39 @@ INLINE real learnt_left(const int n, const learnt_rule *const rule, const learnt
     return real_min(real_max((z - sum / total) / real_sqrt(variance), -LEARNT_WILDEST), LEARNT_WILDEST);
 }
 
+/* Let a reading say how finely its sensor reads: one that goes on after it has repeated itself does so in steps, or only
+   now and then; one small change is chance, so it tells of twice as much at most. */
+INLINE void learnt_note(const real z, const real r, const int follows, real *RESTRICT reading) {
+    const real change = real_abs(z - reading[0]), fine = real_max(reading[1], 0);
+    const real most = 2 * real_max(fine, 1 / real_sqrt(r));
+    if (follows) reading[1] = change == 0 ? -real_abs(reading[1]) : real_max(fine, real_min(1 / change, most));
+    reading[0] = z;
+}
+
+/* Whether a sensor is stuck: it says again what it said last, though its noise is white and not in steps, and asks for a
+   jump of the copies that have not jumped. */
+INLINE int learnt_stuck(const int n, const learnt_rule *const rule, const learnt_state *const s, const real z,
+                        const real *RESTRICT h, const real R, const real *RESTRICT known) {
+    const real *RESTRICT reading = known + learnt_width(rule->K) - LEARNT_READING;
+    const real scale = reading[2 - LEARNT_CHANGE], r = known[0];
+    real total = 0, mean = 0, seen = 0, asks;
+    if (!(rule->learns && z / real_sqrt(R) == reading[0] && scale * scale >= r)) return 0;
+    if (!(real_abs(reading[1]) * real_sqrt(r) >= LEARNT_FINE)) return 0;
+    for (int c = 0; c < rule->q; c++) total += s->p[c];
+    for (int turn = 0; turn < 2; turn++)
+        for (int c = 0; c < rule->q; c++) {
+            real predicted = 0, spread = 0;
+            for (int k = 0; k < n; k++) {
+                predicted += h[k] * s->x[c * n + k];
+                for (int j = 0; j < n; j++) spread += h[k] * s->P[(c * n + k) * n + j] * h[j];
+            }
+            if (turn == 0) mean += s->p[c] / total * predicted;
+            else seen += s->p[c] / total * (spread + (predicted - mean) * (predicted - mean));
+        }
+    asks = (z - mean) * (z - mean) / (seen + r * R);
+    return seen > 0 && asks > LEARNT_ASKS && asks < LEARNT_FARTHEST;
+}
+
 /* Let r of each sensor be no more than eight times what the differences of unforeseen changes from reading to reading
    show, of which white noise makes 6 r; note this change. */
 INLINE void learnt_changes(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
@@ -292,10 +327,11 @@ INLINE void learnt_changes(const int n, const int m, const learnt_rule *const ru
                            const real *RESTRICT left, real *RESTRICT r) {
     const int width = learnt_width(rule->K);
     for (int i = 0; i < m; i++) {
-        real *RESTRICT known = s->memory + i * width, *RESTRICT tail = known + width - LEARNT_CHANGE;
+        real *RESTRICT known = s->memory + i * width, *RESTRICT tail = known + width - LEARNT_CHANGE - LEARNT_READING;
         const real before = tail[1], count = tail[3];
         real size, pace, most;
         if (!(left[i] > 0 && R[i * m + i] > 0)) continue;
+        learnt_note(z[i] / real_sqrt(R[i * m + i]), known[0], count > 0, tail + LEARNT_CHANGE);
         tail[1] = count > 0 ? learnt_left(n, rule, s, z[i], H + i * n, R[i * m + i]) - tail[0] : 0;
         tail[3] += 1;
         if (count < 2) continue;
@@ -474,15 +510,15 @@ INLINE int learnt_scores(const int m, const learnt_rule *const rule, const int i
 }
 
 /* Correct by what z tells, NaN where it is missing: R need not be diagonal. weights and outlying (m) are written, NaN and
-   0 where a component told nothing, log_density is added to. Return how many told something, -1 if the step is out of
-   the ordinary; the state is spoilt then. */
+   0 where a component told nothing, 0 and 1 where its sensor is stuck, log_density is added to. Return how many were there,
+   -1 if the step is out of the ordinary; the state is spoilt then. */
 INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
                           const real *RESTRICT z, const real *RESTRICT H, const real *RESTRICT R,
                           real *RESTRICT weights, real *RESTRICT outlying, real *const log_density,
                           real *RESTRICT work) {
     const int q = rule->q, copies = learnt_copies(rule), K = rule->K, width = learnt_width(K);
     learnt_parts w;
-    int count = 0, fresh = 0;
+    int count = 0, held = 0, fresh = 0;
     w.y = work;
     w.C = w.y + copies * m;
     w.S = w.C + copies * m * n;
@@ -508,9 +544,14 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
         w.left[i] = seen && z[i] == z[i] ? 1 : 0;
         weights[i] = (real)NAN;
         outlying[i] = 0;
+        if (w.left[i] > 0 && learnt_stuck(n, rule, s, z[i], H + i * n, R[i * m + i], s->memory + i * width)) {
+            w.left[i] = weights[i] = 0;
+            outlying[i] = 1;
+            held++;
+        }
         count += w.left[i] > 0;
     }
-    if (count == 0) return 0;
+    if (count == 0) return held;
     learnt_sizes(n, m, rule, z, H, R, w.left, s->memory, w.r, w.weights + K);
     if (rule->learns) learnt_changes(n, m, rule, s, z, H, R, w.left, w.r);
     if (copies > q && s->p[q] < LEARNT_DROPPED * rule->jump) {
@@ -589,11 +630,11 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
     }
     if (rule->learns)
         for (int i = 0; i < m; i++) {
-            real *RESTRICT rest = s->memory + i * width + width - LEARNT_CHANGE;
-            if (weights[i] == weights[i] && R[i * m + i] > 0)
+            real *RESTRICT rest = s->memory + i * width + width - LEARNT_CHANGE - LEARNT_READING;
+            if (weights[i] > 0 && R[i * m + i] > 0)
                 *rest = learnt_left(n, rule, s, z[i], H + i * n, R[i * m + i]);
         }
-    return count;
+    return count + held;
 }
 
 #endif

@@ -91,7 +91,7 @@ def begin(copies: Copies, memory: Array) -> State:
     ----------
     copies : Copies
         Copies of the filter.
-    memory : ndarray, shape (m, 10 + 2 K + K^2)
+    memory : ndarray, shape (m, 12 + 2 K + K^2)
         What is known of each sensor.
 
     Returns

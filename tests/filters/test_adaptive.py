@@ -264,7 +264,8 @@ def test_r_does_not_depend_on_how_wild_an_outlier_is(kind, size, monkeypatch):
     for one, wild in ((kf, 1e9), (twin, size)):
         one.predict()
         one.update([0.3, wild] if kind != "joint" else [wild, wild])
-    np.testing.assert_allclose(twin.learnt, kf.learnt, rtol=1e-6)
+    # All but the reading itself.
+    np.testing.assert_allclose(twin.learnt[:, :-2], kf.learnt[:, :-2], rtol=1e-6)
     np.testing.assert_allclose(twin.x, kf.x, rtol=1e-6)
 
 

@@ -90,8 +90,11 @@ def test_on_a_linear_model_they_are_the_linear_filter(cls, dims, grouping):
         else:
             kf.update(z)
         for name in ("x", "P", "learnt", "log_likelihood", "weights", "S", "outlier_probability"):
-            ours, theirs = np.ravel(getattr(kf, name)), np.ravel(getattr(linear, name))
-            np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-9, err_msg=name)
+            ours, theirs = getattr(kf, name), getattr(linear, name)
+            if name == "learnt" and grouping != "joint":
+                # What a nonlinear filter takes for readings are innovations.
+                ours, theirs = ours[:, :-2], theirs[:, :-2]
+            np.testing.assert_allclose(np.ravel(ours), np.ravel(theirs), rtol=1e-6, atol=1e-9, err_msg=name)
 
 
 def test_sensors_that_fail_together_count_once_among_the_outliers_of_a_nonlinear_filter_too():

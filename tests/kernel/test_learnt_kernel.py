@@ -42,8 +42,12 @@ def alive(copies):
     "seed, dims", list(enumerate([(1, 1), (2, 1), (4, 1), (4, 2), (3, 3), (5, 2), (1, 4), (2, 4)]))
 )
 def test_every_step_is_the_definitions(noise, process, seed, dims):
-    problem, zs = recording(seed, dims, diagonal=seed % 2 == 0)
-    F, Q, H, R, m = problem.F, problem.Q, problem.H, problem.R, dims[1]
+    compare(*recording(seed, dims, diagonal=seed % 2 == 0), noise, process)
+
+
+def compare(problem, zs, noise, process):
+    """Take every step by both; return the weights."""
+    F, Q, H, R, m = problem.F, problem.Q, problem.H, problem.R, zs.shape[1]
     copies, memory = side_by_side.start(problem.x[:, 0], problem.P, process), noise.start(m)
     state = begin(copies, memory)
     kept = Kept(weights=np.empty((len(zs), m)), outlying=np.empty((len(zs), m)), log_likelihood=np.zeros(1))
@@ -61,6 +65,17 @@ def test_every_step_is_the_definitions(noise, process, seed, dims):
         ]  # fmt: skip
         for theirs, mine in pairs:
             np.testing.assert_allclose(mine, theirs, rtol=1e-6, atol=1e-8)
+    return kept.weights
+
+
+def test_a_stuck_sensor_says_nothing_by_both():
+    problem = with_(random_problem(3, 2, 2), H=np.eye(2), R=np.eye(2), F=np.eye(2), Q=1e-3 * np.eye(2))
+    zs = np.random.default_rng(3).normal(size=(220, 2))
+    zs[160:190, 0], zs[170:180, 1] = 70.0, -50.0
+    weights = compare(problem, zs, NoiseClasses(), Scales())
+    stuck = np.zeros((220, 2), dtype=bool)
+    stuck[161:190, 0] = stuck[171:180, 1] = True
+    np.testing.assert_array_equal(weights == 0.0, stuck)
 
 
 def test_what_is_out_of_the_ordinary_is_declined_with_nothing_changed():
