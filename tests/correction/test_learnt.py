@@ -287,6 +287,9 @@ def test_a_sensor_that_repeats_itself_far_off_is_stuck_and_says_nothing():
     zs[140:170] = 50.0
     others |= {"steps": np.round(zs), "twice": np.repeat(zs[::2], 2)}
     others["no noise"] = np.where(zs == 50.0, zs, np.sin(np.arange(180) / 20.0))
+    # A single small change is chance, and shows nothing of how finely a sensor reads.
+    others["once"] = np.where(zs == 50.0, zs, np.where(np.arange(180) % 2, 1.0, -1.0))
+    others["once"][100] = others["once"][99] + 1e-9
     for name, values in others.items():
         assert np.abs(following(values, 1e-9)[160:170] - 50.0).max() < 1.0, name
 
