@@ -14,22 +14,24 @@ The changes from reading to reading that a filter has not foreseen differ from e
 variance of 6 r and more. So r is never above eight times what they show: a filter that has lost the state, or whose
 model is too simple, has large innovations and even changes, and does not learn that its sensor is bad.
 
-A sensor whose readings differ by a tenth of its noise does not say the same number twice. One that does, far from where
-the state is predicted, is stuck: it says nothing of the state (`repeated`). How finely it reads is told by the least
-change from reading to reading, so that counters, coarse sensors and recordings without noise are believed.
+White noise in steps of at most a tenth of it does not give the same number twice. A sensor of that kind that repeats
+its last reading, far from the prediction, is stuck, and tells nothing of the state (`repeated`). The least change from
+reading to reading tells how fine its steps are, so that counters, coarse sensors and recordings without noise are
+believed.
 
 All that is known of a sensor is one row of numbers, ``[r, n, shares (K), last (K), counts (K, K), parity (4), change
 (4), reading (2)]``: r stands on n ordinary samples; the shares of the classes of late; the probabilities of the last
 sample's class; how often class i was followed by class j; the last parity, its lag-one covariance, its variance, how
 many there were; what the last correction left of the reading, the last change and the scale of their differences, in
-standard deviations that R gives, and how many readings there were; the last reading in the same unit, and how many of
-its least changes are one, less than 0 if it repeated the one before.
+standard deviations that R gives, and how many readings there were; the last reading in the same unit, and one over
+the least change that was seen, with a minus sign if the last reading repeated the one before.
 `robust_filterpy.correction.learnt` corrects a state between `predicted` and `learn`.
 """
 
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -330,10 +332,10 @@ def ordinary_size(learnt: Array, z: Array, y: Array, H: Array, R: Array) -> tupl
             colour = min(max((lag / variance - _PARITY_FROM) / _PARITY_OVER, 0.0), 1.0)
             least = min(max(variance, 1e-8), 1.0)
             r[i] = max(r[i], r[i] ** (1.0 - colour) * least**colour)
+    readings = _in_deviations(z, R)
     for own in np.flatnonzero(R.diagonal() > 0.0):
-        unit = float(R[own, own]) ** 0.5
-        _note_reading(learnt[own], float(z[own]) / unit)
-        most = _note_change(learnt[own, _CHANGE], _bounded(y[own] / unit))
+        _note_reading(learnt[own], float(readings[own]))
+        most = _note_change(learnt[own, _CHANGE], _bounded(y[own] / R[own, own] ** 0.5))
         r[own], learnt[own, 0] = min(r[own], most), min(learnt[own, 0], most)
     return r, learnt
 
@@ -353,20 +355,20 @@ def _note_change(known: Array, y: float) -> float:
 
 
 def _note_reading(known: Array, z: float) -> None:
-    """Let a reading say how finely its sensor reads, in place."""
+    """Note a reading, and how fine the steps of its sensor are, in place."""
     r, count, last, fine = known[[0, -3, -2, -1]].tolist()
     change = abs(z - last)
     if count and change == 0.0:
         known[-1] = -abs(fine)
     elif count:
-        # A sensor that goes on after it has repeated itself reads in steps, or only now and then; one small change is
-        # chance, so it tells of twice as much at most.
+        # A sensor that goes on after it has repeated itself reads in coarse steps, or only now and then. A single small
+        # change is chance: it halves the steps that were known at most.
         known[-1] = max(fine, 0.0, min(1.0 / change, 2.0 * max(fine, r**-0.5)))
     known[-2] = z
 
 
 def repeated(learnt: Array, z: Array, R: Array) -> Array:
-    """Return which sensors say again what they said last, though their noise is white and not in steps.
+    """Return which sensors repeat their last reading to the last bit, though their noise is white and in fine steps.
 
     Parameters
     ----------
@@ -382,10 +384,17 @@ def repeated(learnt: Array, z: Array, R: Array) -> Array:
     ndarray of bool, shape (m,)
     """
     r, scale, (last, fine) = learnt[:, 0], learnt[:, _CHANGE][:, 2], learnt[:, _READING].T
-    own = R.diagonal()
-    again = last == z / np.sqrt(np.where(own > 0.0, own, 1.0))
-    # White noise makes 6 r; what changes less is no noise, and says that it rests when it rests.
+    again = last == _in_deviations(z, R)
+    # White noise makes 6 r. What changes less is no noise: there a repeated reading means that the state rests.
     return np.asarray(again & (scale**2 >= r) & (np.abs(fine) * np.sqrt(r) >= _FINE))
+
+
+def _in_deviations(z: Array, R: Array) -> Array:
+    """Return readings in the standard deviations that R gives, finite however small R is."""
+    own = R.diagonal()
+    with np.errstate(over="ignore"):
+        readings = z / np.sqrt(np.where(own > 0.0, own, 1.0))
+    return np.clip(readings, -sys.float_info.max, sys.float_info.max)
 
 
 def _bounded(number: float) -> float:

@@ -17,10 +17,10 @@
 #define LEARNT_PARITY_OVER REAL(0.30)
 #define LEARNT_PARITY_SAMPLES REAL(20.0)
 #define LEARNT_CHANGE 4               /* of changes: left of the reading, the last, their differences' scale, how many */
-#define LEARNT_READING 2              /* the last, in standard deviations of R, and how many of the least changes are one */
+#define LEARNT_READING 2              /* the last, in standard deviations of R, and one over the least change */
 #define LEARNT_TAIL (LEARNT_PARITY + LEARNT_CHANGE + LEARNT_READING)
 #define LEARNT_WILDEST REAL(1e6)
-#define LEARNT_FINE REAL(10.0)        /* from so many on in one of its noise a sensor does not repeat itself by chance */
+#define LEARNT_FINE REAL(10.0)        /* steps of a sensor in one of its noise, from which on no reading repeats by chance */
 #define LEARNT_CHANGES REAL(50.0)      /* changes that are remembered */
 #define LEARNT_FIRST_CHANGES REAL(20.0)
 #define LEARNT_MOST REAL(8.0) / 6      /* r at most, over the variance of the differences of changes */
@@ -287,8 +287,13 @@ INLINE real learnt_left(const int n, const learnt_rule *const rule, const learnt
     return real_min(real_max((z - sum / total) / real_sqrt(variance), -LEARNT_WILDEST), LEARNT_WILDEST);
 }
 
-/* Let a reading say how finely its sensor reads: one that goes on after it has repeated itself does so in steps, or only
-   now and then; one small change is chance, so it tells of twice as much at most. */
+/* A reading in the standard deviations that R gives, finite however small R is. */
+INLINE real learnt_reading(const real z, const real R) {
+    return real_min(real_max(z / real_sqrt(R), -REAL_MAX), REAL_MAX);
+}
+
+/* Note a reading, and how fine the steps of its sensor are. One that goes on after it has repeated itself reads in coarse
+   steps, or only now and then. A single small change is chance: it halves the steps that were known at most. */
 INLINE void learnt_note(const real z, const real r, const int follows, real *RESTRICT reading) {
     const real change = real_abs(z - reading[0]), fine = real_max(reading[1], 0);
     const real most = 2 * real_max(fine, 1 / real_sqrt(r));
@@ -296,14 +301,14 @@ INLINE void learnt_note(const real z, const real r, const int follows, real *RES
     reading[0] = z;
 }
 
-/* Whether a sensor is stuck: it says again what it said last, though its noise is white and not in steps, and asks for a
-   jump of the copies that have not jumped. */
+/* Whether a sensor is stuck: it repeats its last reading to the last bit, though its noise is white and in fine steps, and
+   asks for a jump of the copies that have not jumped. */
 INLINE int learnt_stuck(const int n, const learnt_rule *const rule, const learnt_state *const s, const real z,
                         const real *RESTRICT h, const real R, const real *RESTRICT known) {
     const real *RESTRICT reading = known + learnt_width(rule->K) - LEARNT_READING;
     const real scale = reading[2 - LEARNT_CHANGE], r = known[0];
     real total = 0, mean = 0, seen = 0, asks;
-    if (!(rule->learns && z / real_sqrt(R) == reading[0] && scale * scale >= r)) return 0;
+    if (!(rule->learns && R > 0 && learnt_reading(z, R) == reading[0] && scale * scale >= r)) return 0;
     if (!(real_abs(reading[1]) * real_sqrt(r) >= LEARNT_FINE)) return 0;
     for (int c = 0; c < rule->q; c++) total += s->p[c];
     for (int turn = 0; turn < 2; turn++)
@@ -331,7 +336,7 @@ INLINE void learnt_changes(const int n, const int m, const learnt_rule *const ru
         const real before = tail[1], count = tail[3];
         real size, pace, most;
         if (!(left[i] > 0 && R[i * m + i] > 0)) continue;
-        learnt_note(z[i] / real_sqrt(R[i * m + i]), known[0], count > 0, tail + LEARNT_CHANGE);
+        learnt_note(learnt_reading(z[i], R[i * m + i]), known[0], count > 0, tail + LEARNT_CHANGE);
         tail[1] = count > 0 ? learnt_left(n, rule, s, z[i], H + i * n, R[i * m + i]) - tail[0] : 0;
         tail[3] += 1;
         if (count < 2) continue;

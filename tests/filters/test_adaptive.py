@@ -550,3 +550,16 @@ def test_a_level_that_is_on_a_ramp_is_followed_no_worse_than_by_the_kalman_filte
         kf.P, kf.Q, kf.R = 10.0 * np.eye(1), 0.01 * np.eye(1), np.eye(1)
         found[cls] = np.mean((kf.batch_filter(zs)[0].ravel() - truth)[50:] ** 2)
     assert found[AdaptiveKalmanFilter] < found[KalmanFilter]
+
+
+@pytest.mark.filterwarnings("ignore:overflow")
+def test_what_is_learnt_of_a_reading_beyond_all_numbers_can_be_handed_on():
+    kf, twin = AdaptiveKalmanFilter(1, 1), AdaptiveKalmanFilter(1, 1)
+    for one in (kf, twin):
+        one.F = one.H = np.eye(1)
+        one.R = 1e-20 * np.eye(1)
+    for z in (1.0, 2.0, 1e300):
+        kf.predict()
+        kf.update(z)
+    twin.learnt = kf.learnt
+    np.testing.assert_array_equal(twin.learnt, kf.learnt)
