@@ -6,7 +6,8 @@ import support
 
 from robust_filterpy import RobustKalmanFilter
 
-pytestmark = pytest.mark.slow
+# The joint one goes by the definition, some half a millisecond a step.
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(2400)]
 
 STEPS = 1_000_000
 CHUNK = 10_000
