@@ -111,14 +111,8 @@ INLINE npy_intp run(const int n, const int m, learnt_job *job, double *work) {
 }
 
 static npy_intp run_sized(learnt_job *job, double *work) {
-#define SENSORS(states, sensors) \
-    if (job->n == states && job->m == sensors) return run(states, sensors, job, work)
 #define STATES(states) \
     case states: return run(states, job->m, job, work)
-    SENSORS(1, 1);
-    SENSORS(2, 1);
-    SENSORS(4, 1);
-    SENSORS(4, 2);
     switch (job->n) {
         STATES(1);
         STATES(2);
@@ -129,7 +123,6 @@ static npy_intp run_sized(learnt_job *job, double *work) {
         STATES(7);
         STATES(8);
     }
-#undef SENSORS
 #undef STATES
     return run(job->n, job->m, job, work);
 }

@@ -2,14 +2,13 @@
 #include "groups.h"
 #include "series.h"
 
-/* Sizes of the state that the compiler knows, with one sensor or any number. */
+/* Sizes of the state that the compiler knows; to know one sensor too gains nothing that can be measured. */
 #define SIZES(X) X(1) X(2) X(3) X(4) X(5) X(6) X(7) X(8)
 typedef void span_function(const series_job *, ptrdiff_t, ptrdiff_t, double *);
 
 #define SPAN(size) \
     static void span_##size(const series_job *job, ptrdiff_t low, ptrdiff_t high, double *work) { \
-        if (job->m == 1) series_span(size, 1, job, low, high, work); \
-        else series_span(size, job->m, job, low, high, work); \
+        series_span(size, job->m, job, low, high, work); \
     }
 SIZES(SPAN)
 #undef SPAN
