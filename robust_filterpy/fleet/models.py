@@ -30,6 +30,8 @@ __all__ = ["FilterModel", "Late", "Model", "TrackerModel"]
 
 #: What is done with samples that are not later than the one before them.
 Late: TypeAlias = Literal["refuse", "drop"]
+
+
 @dataclass(frozen=True, eq=False)
 class Model(ABC):
     """What `FilterModel` and `TrackerModel` share: where a sample's numbers stand, and when it came.

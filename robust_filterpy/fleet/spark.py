@@ -78,7 +78,8 @@ def step_stream(
     frame : pyspark.sql.DataFrame
         A streaming one: a row for each sample.
     model, key
-        As in `filter_table`; the model's ``time`` is needed. Samples of a key that come in one micro-batch are put in order.
+        As in `filter_table`; the model's ``time`` is needed. Samples of a key that come in one micro-batch are put in
+        order.
     forget_after : float, optional
         Seconds of the cluster's clock without a sample of a key after which its state leaves the checkpoint, and the
         key begins anew. By Spark 4's ``transformWithStateInPandas``, with ``protobuf`` installed and RocksDB as the

@@ -296,9 +296,7 @@ def _held(u: Array, at: np.ndarray, bounds: np.ndarray, before: Array) -> Array:
     return np.ascontiguousarray(whole[source[last]])
 
 
-def _gathered(
-    model: Model, known: np.ndarray, batch: Batch, work: Work, at: np.ndarray, held: Array | None
-) -> Outcome:
+def _gathered(model: Model, known: np.ndarray, batch: Batch, work: Work, at: np.ndarray, held: Array | None) -> Outcome:
     """Return what became of the rows, and write times, inputs and counts into the states."""
     entries, bounds = work.entries, work.bounds
     rows, order, starts, line = batch.rows, batch.order, batch.starts, batch.line
