@@ -49,6 +49,11 @@ class FilterRecord:
     model: LinearModel | None
 
 
+def is_saver(source: Any) -> bool:
+    """Tell a filterpy Saver."""
+    return hasattr(source, "_kf") and hasattr(source, "save")
+
+
 def of_saver(saver: Any) -> FilterRecord:
     """Return what a Saver kept, or say what it lacks."""
     kept = saver.__dict__
@@ -57,7 +62,13 @@ def of_saver(saver: Any) -> FilterRecord:
             raise ValueError(f"saver: expected one that kept {name}, found {sorted(k for k in kept if k[:1] != '_')}")
     if not len(kept["y"]):
         raise ValueError("saver: expected at least one epoch, got an empty Saver; call save() after each update")
-    return _recording({name: list(values) for name, values in kept.items() if _is_listlike(values)}, saver._kf)
+    # Lists, or what `to_array` has made of them; the Saver's other attributes are no columns.
+    columns = {
+        name: list(values)
+        for name, values in kept.items()
+        if isinstance(values, list) or (isinstance(values, np.ndarray) and values.ndim)
+    }
+    return _recording(columns, saver._kf)
 
 
 def of_filter(kf: Any, zs: Any, per_step: dict[str, Any]) -> FilterRecord:
@@ -115,15 +126,6 @@ def of_tracker(tracker: Any, y: Any, u: Any) -> FilterRecord:
 
 _NAMES = ("z", "y", "S")
 _OPTIONAL = ("e", "weights", "clipped", "F", "Q", "H", "R", "x", "x_prior", "P_prior", "x_post", "alpha")
-
-
-def _is_listlike(values: Any) -> bool:
-    """Tell a column of a Saver from its other attributes."""
-    return (
-        isinstance(values, (list, np.ndarray)) and np.ndim(values) != 0
-        if isinstance(values, np.ndarray)
-        else (isinstance(values, list))
-    )
 
 
 def _recording(kept: dict[str, list[Any]], kf: Any) -> FilterRecord:
