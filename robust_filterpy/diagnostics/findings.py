@@ -22,8 +22,6 @@ from robust_filterpy.diagnostics.candidates import Repair
 from robust_filterpy.diagnostics.recording import FilterRecord, is_saver, of_filter, of_saver, of_tracker
 from robust_filterpy.diagnostics.statistics import Band
 
-__all__ = ["Diagnosis", "Finding", "diagnose"]
-
 # The search for causes looks at so many samples.
 _SEARCHED = 4000
 # Recordings up to here may be too short to show a wrong noise.
@@ -160,7 +158,7 @@ class Diagnosis:
         return "\n".join(lines)
 
 
-def diagnose(
+def diagnose(  # what filterpy's `batch_filter` takes, and two words
     source: Any,
     zs: Any = None,
     *,

@@ -26,8 +26,6 @@ from robust_filterpy.fleet.states import FLEET, checked
 from robust_filterpy.fleet.timeline import POLICIES
 from robust_filterpy.identification.models.structures import Structure
 
-__all__ = ["FilterModel", "Late", "Model", "TrackerModel"]
-
 #: What is done with samples that are not later than the one before them.
 Late: TypeAlias = Literal["refuse", "drop"]
 

@@ -15,8 +15,6 @@ from robust_filterpy.fleet.reading import seconds
 if TYPE_CHECKING:
     from robust_filterpy.fleet.models import Model
 
-__all__ = ["States"]
-
 
 class States(Mapping[Any, dict[str, Array]]):
     """States of many keys, as `step_table` returns them; a mapping of key to state, and a table.

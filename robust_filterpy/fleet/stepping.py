@@ -20,8 +20,6 @@ from robust_filterpy.fleet.states import States, checked
 from robust_filterpy.fleet.timeline import Clocks, Placed, grouped, placed, silences
 from robust_filterpy.fusion import Fusion
 
-__all__ = ["step"]
-
 
 class Outcome(NamedTuple):
     """What became of the rows of a batch."""

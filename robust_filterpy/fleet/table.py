@@ -14,8 +14,6 @@ from robust_filterpy.fleet.states import States, taken
 from robust_filterpy.fleet.stepping import advance, owned, started
 from robust_filterpy.fleet.timeline import grouped
 
-__all__ = ["filter_table", "step_table"]
-
 
 class _Keys(NamedTuple):
     """The keys of a table, and their rows."""

@@ -19,12 +19,6 @@ from robust_filterpy._checks import Array, finite_vector
 
 from .parameters import System, orders_of
 
-__all__ = [
-    "Simulation",
-    "simulate_arx",
-    "simulate_output_error",
-]
-
 
 class Simulation(NamedTuple):
     """Data of a simulated plant, and the truth behind them; N samples of each.

@@ -31,10 +31,8 @@ from robust_filterpy.plotting._style import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_fit", "plot_innovations", "plot_parameters", "plot_states", "plot_weights"]
 
-
-def plot_states(
+def plot_states(  # an argument for each choice of the picture, by name
     source: Any,
     covariances: ArrayLike | None = None,
     *,
@@ -107,7 +105,7 @@ def plot_states(
     return finish(ax, "state" if len(which) > 1 else names[which[0]], unit, time_unit)
 
 
-def plot_innovations(
+def plot_innovations(  # an argument for each choice of the picture, by name
     source: Any,
     covariances: ArrayLike | None = None,
     *,
@@ -229,7 +227,7 @@ def plot_weights(
     return finish(ax, "weight", "", time_unit)
 
 
-def plot_parameters(
+def plot_parameters(  # an argument for each choice of the picture, by name
     source: Any,
     covariances: ArrayLike | None = None,
     *,

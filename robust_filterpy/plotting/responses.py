@@ -18,8 +18,6 @@ from robust_filterpy.plotting._style import COLOURS, STYLES, legend_outside, lin
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_bode", "plot_poles"]
-
 _POINTS: Final = 400
 # A zero further from the origin than this is left outside the picture.
 _FAR: Final = 3.0

@@ -21,6 +21,7 @@ import numpy as np
 import scipy.optimize
 import scipy.signal
 from filterpy.kalman import KalmanFilter
+from measuring import target
 from padasip.filters import FilterRLS
 
 from robust_filterpy import ARX, Huber, Linear, OutputError, ParameterTracker, identify
@@ -132,12 +133,6 @@ def recording(seed, order, plant, contamination, one_sided=False):
 def spread(values):
     """Return median / 10 % quantile / worst."""
     return f"{np.median(values):6.2f} /{np.quantile(values, 0.1):6.2f} /{np.min(values):7.2f}"
-
-
-def target(what, value, limit, least=False):
-    """Print one line: a measured value against its target."""
-    met = value >= limit if least else value <= limit
-    print(f"  {'met    ' if met else 'NOT MET'}  {value:.4g} {'>=' if least else '<='} {limit}  {what}", flush=True)
 
 
 # Parts.

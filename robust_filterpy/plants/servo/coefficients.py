@@ -14,8 +14,6 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy._checks import Array, option
 
-__all__ = ["ALPHA_RANGE", "BETA_RANGE", "beta_coefficient", "random_coefficient"]
-
 #: A number, a function of time, or a pair (times, values) that is interpolated linearly.
 Coefficient: TypeAlias = "float | Callable[[float], float] | tuple[ArrayLike, ArrayLike]"
 

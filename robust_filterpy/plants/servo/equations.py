@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike
 
 from .parameters import PneumaticParameters, critical_ratio
 
-__all__ = ["INPUTS", "STATES", "servo_derivatives", "valve_opening"]
-
 STATES = ("position", "velocity", "P_a", "P_b")
 INPUTS = ("valve", "load")
 #: (y, v, P_a, P_b, valve, load, alpha, beta[, supply]) -> (y', v', P_a', P_b')
@@ -81,7 +79,7 @@ def servo_derivatives(parameters: PneumaticParameters) -> Derivatives:
     through = port_flow(reduced_flow(p.kappa, p.laminar_ratio))
     viscous, spring, mass = p.viscous_friction, p.spring, p.mass
 
-    def derivatives(
+    def derivatives(  # floats, as a solver's thousands of calls want them
         y: float,
         v: float,
         p_a: float,

@@ -22,8 +22,6 @@ from .steady_motion import (
 if TYPE_CHECKING:
     import control
 
-__all__ = ["ServoLinearization", "linearize_servo"]
-
 
 class ServoLinearization(NamedTuple):
     """Hold the linear models of the pneumatic servo at an operating point.
@@ -52,7 +50,7 @@ class ServoLinearization(NamedTuple):
     reference_to_position: control.TransferFunction
 
 
-def linearize_servo(
+def linearize_servo(  # an argument for each quantity of the motion and of the loop, by name
     parameters: PneumaticParameters | None = None,
     position: float = 0.0,
     *,

@@ -17,8 +17,6 @@ from .loop_design import sampled, without_dry_friction
 from .parameters import NOMINAL_ALPHA, PneumaticParameters, as_parameters
 from .steady_motion import STATE_SCALES, operating_point
 
-__all__ = ["MotionEstimate", "ServoObserver"]
-
 #: Units of position, velocity, P_a, P_b, force and beta over its nominal value within the filter.
 _SCALES = np.append(STATE_SCALES, [1.0, 1.0])
 _MEASURED = [0, 2, 3]
