@@ -351,7 +351,7 @@ def test_a_failing_solver_is_not_passed_over(monkeypatch):
         ({"alpha": 2.0}, "alpha"),
         ({"beta": 0.0}, "beta"),
         ({"dt": 0.0}, "dt: expected a finite number > 0"),
-        ({"friction": "none"}, "friction: expected 'full' or 'viscous'"),
+        ({"friction": "none"}, "friction: expected one of 'full', 'viscous', got 'none'"),
     ],
 )
 def test_impossible_operating_points_are_refused(change, message):
