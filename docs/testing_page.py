@@ -66,7 +66,8 @@ def page() -> str:
         "## Scenarios: `draw(name, steps, contamination=..., rng=...)`\n",
         _table(models.__doc__),
         _table(plants.__doc__),
-        "Ways in which a recording goes wrong (`contamination`), alone or several after one another:\n",
+        "Ways in which a recording goes wrong (`contamination`), alone or several after one another, with options as\n"
+        '`contamination={"bursts": {"length": 8}}`:\n',
         _table(contamination.__doc__),
         "## Assertions\n",
         _rows(("assertion", "what it asserts"), [(f"`{name}`", _first_line(name)) for name in assertions]),

@@ -114,12 +114,11 @@ def of_tracker(tracker: Any, y: Any, u: Any) -> FilterRecord:
     for k, output in enumerate(y):
         stage(f"sample {k} of {len(y)}")
         tracker.update(output, None if u is None else u[k])
-        missing = np.isnan(output)
         for name in (*_NAMES, *_OPTIONAL):
             if hasattr(kf, name):
                 kept.setdefault(name, []).append(copy.copy(getattr(kf, name)))
         kept["z"][-1] = output
-        if missing:
+        if np.isnan(output):
             kept["y"][-1] = np.full((1, 1), np.nan)
     return _recording(kept, kf)
 

@@ -22,7 +22,7 @@ Signal: TypeAlias = "Coefficient | ArrayLike"
 class ServoInputs:
     """What drives the plant beside its valve, checked and sampled."""
 
-    def __init__(
+    def __init__(  # the quantities that both simulations take
         self,
         n: int,
         dt: float,
