@@ -101,7 +101,7 @@ class Moving(NamedTuple):
 
     def lend(self, kf: Any) -> None:
         """Let a filter stand where the one key stands."""
-        known = {} if self.memory is None else {"spread": self.memory[0]}
+        known: dict[str, Array] = {} if self.memory is None else {"spread": self.memory[0]}
         kf.restore({"x": self.x[0].reshape(np.shape(kf.x)), "P": self.P[0], **known})
 
     def take(self, kf: Any) -> None:
