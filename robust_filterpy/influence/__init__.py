@@ -12,6 +12,5 @@ Imports from below: `robust_filterpy._checks` alone.
 from __future__ import annotations
 
 from robust_filterpy.influence.functions import Hampel, Huber, Influence, Linear, StudentT, TukeyBiweight
-from robust_filterpy.influence.information import expected_information
 
-__all__ = ["Hampel", "Huber", "Influence", "Linear", "StudentT", "TukeyBiweight", "expected_information"]
+__all__ = ["Hampel", "Huber", "Influence", "Linear", "StudentT", "TukeyBiweight"]

@@ -23,9 +23,6 @@ from robust_filterpy.influence.huber_tuning import (
     normal_efficiency,
     outlier_odds,
 )
-from robust_filterpy.influence.information import expected_information
-
-__all__ = ["Hampel", "Huber", "Influence", "Linear", "StudentT", "TukeyBiweight", "expected_information"]
 
 _LOG_SQRT_2PI = 0.5 * math.log(2.0 * math.pi)
 
