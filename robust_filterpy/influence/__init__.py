@@ -1,7 +1,6 @@
 """Influence functions psi and what follows from them.
 
 * `functions`: psi, psi', rho and weights of arrays, in the protocol of `statsmodels.robust.norms`.
-* `scalar`: the same of one float.
 * `huber_tuning`: threshold <-> contamination <-> efficiency of Huber's psi.
 * `information`: E[psi'], in closed form or by quadrature.
 * `regression`: a linear regression by Huber's weights, and a scale that outliers do not move.

@@ -245,7 +245,7 @@ def is_plain(kf: Any, n: int) -> bool:
         # Not one whose methods somebody has wrapped.
         and not {"predict", "update"} & vars(kf).keys()
         and kf._policy.by_kernel
-        and kf.choices.pointwise is not None
+        and kf.choices.kernel_psi is not None
         and kf._inverse is None
         and all(is_array(value, (n, n)) and np.isfinite(value).all() for value in (kf.F, kf.Q, kf.P))
         and is_array(kf.R, (1, 1))
