@@ -265,7 +265,8 @@ class Model(EstimatedPolynomials, Responses):
         layout = Layout(self.structure)
         if self.operating_point.any() and isinstance(start, str) and start == "rest":
             # From the start: an input of 1e8 beside which there is motion of 1 is not switched on in the first sample.
-            y = coefficients.simulate(self.structure, layout, Memory(layout), self.theta, signal - self.operating_point)
+            signal = signal - self.operating_point
+            y = coefficients.simulate(self.structure, layout, Memory.at_rest(layout), self.theta, signal)
             return axis.series(y + (self.level + float(self._gain @ self.operating_point)), "simulated")
         y = coefficients.simulate(self.structure, layout, self._memory_at(start, layout), self.theta, signal)
         integrates = self.level == 0.0 != self.offset
@@ -451,7 +452,7 @@ class Model(EstimatedPolynomials, Responses):
             _, y, u = self._recording(*start)
             return filled_memory(*motion_after(self, y, u))
         if _checks.option("start", start, ("rest", "continued")) == "rest":
-            return Memory(layout)
+            return Memory.at_rest(layout)
         if np.isnan(self.weights).all():
             raise ValueError('start: expected a model that has seen a recording for "continued", got one that has none')
         return self.memory

@@ -48,7 +48,7 @@ def as_model(name: str, given: Any, y: Any, u: Any) -> Model:
     axis.require_period(period)
     model = Model(
         structure, theta, 0.0, np.zeros((n, n)), 0.0, np.zeros(n), Noise(Huber(), 1.0), np.full(measured.size, np.nan),
-        np.nan, (), "", Memory(Layout(structure)), True, period,
+        np.nan, (), "", Memory.at_rest(Layout(structure)), True, period,
     )  # fmt: skip
     left = measured - model.simulate(signal)
     left = left[~np.isnan(left)]

@@ -287,7 +287,8 @@ class TrackerBank(Returning):
             scaling=choices.scaling,
             information=choices.information,
         )
-        continued(tracker, self._settings(i), self._first.row(i), self._now.row(i), bool(self._enabled[i]))
+        initial, now = (whole.rows(np.array([i])) for whole in (self._first, self._now))
+        continued(tracker, self._settings(i), initial, now, bool(self._enabled[i]))
         return tracker
 
     # The recursion.
