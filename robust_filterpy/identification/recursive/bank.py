@@ -398,8 +398,9 @@ class TrackerBank(Returning):
 
     def _filter(self, i: int) -> Any:
         """Return a filter of one actuator, for the definition."""
-        kf = setup.make_filter(self.form.layout.n, None, {})
-        setup.choose(kf, self._choices[i if len(self._choices) > 1 else 0])
+        chosen = self._choices[i if len(self._choices) > 1 else 0]
+        choices = {name: getattr(chosen, name) for name in ("influence", "scaling", "information")}
+        kf = setup.make_filter(self.form.layout.n, None, choices)
         setup.apply_settings(kf, self._settings(i))
         return kf
 

@@ -12,9 +12,7 @@ from filterpy.kalman import KalmanFilter
 from robust_filterpy import _checks, _state
 from robust_filterpy._checks import FLOAT, Array
 from robust_filterpy._warning import warn
-from robust_filterpy.correction.options import Choices
-from robust_filterpy.filters._interruption import StateMixin
-from robust_filterpy.filters._mixin import RobustFilterMixin, Snapshot
+from robust_filterpy.filters._mixin import RobustFilterMixin, Snapshot, leave_unwatched
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.identification.models.guard import are_stable
 from robust_filterpy.identification.models.model import Model
@@ -95,7 +93,7 @@ def make_filter(n: int, given: Any, choices: dict[str, Any]) -> Any:
 def _unwatched(kf: Any) -> Any:
     """Return the filter, which shall not warn of its samples: the tracker does."""
     if isinstance(kf, RobustFilterMixin):
-        kf._counts_clipped = False
+        leave_unwatched(kf)
     return kf
 
 
@@ -244,9 +242,10 @@ def is_plain(kf: Any, n: int) -> bool:
         type(kf) is RobustKalmanFilter
         # Not one whose methods somebody has wrapped.
         and not {"predict", "update"} & vars(kf).keys()
-        and kf._policy.by_kernel
+        and kf.noise is None
+        and kf.patience is None
         and kf.choices.pointwise is not None
-        and kf._inverse is None
+        and kf.inv is np.linalg.inv
         and all(is_array(value, (n, n)) and np.isfinite(value).all() for value in (kf.F, kf.Q, kf.P))
         and is_array(kf.R, (1, 1))
         and (is_array(kf.x, (n,)) or is_array(kf.x, (n, 1)))
@@ -254,11 +253,6 @@ def is_plain(kf: Any, n: int) -> bool:
         and 0.0 < kf.R.item() < math.inf
         and all(np.abs(a - a.T).max() <= 1e-13 * np.abs(a).max() for a in (kf.P, kf.Q))
     )
-
-
-def choose(kf: RobustKalmanFilter, choices: Choices) -> None:
-    """Give a filter the options of its correction."""
-    kf._choose(influence=choices.influence, scaling=choices.scaling, information=choices.information)
 
 
 def matrix_of(kf: Any, name: str, default: Array) -> Array:
@@ -315,23 +309,6 @@ def settings(kf: Any) -> dict[str, Array]:
     """Return what else a filter's behaviour depends on, as arrays."""
     found = {key: getattr(kf, name) for key, name in _SETTINGS.items() if hasattr(kf, name)}
     return {key: np.array(value, dtype=float) for key, value in found.items() if value is not None}
-
-
-def kept_by(kf: Any) -> dict[str, Array]:
-    """Return what a filter of this package keeps beside x and P, as arrays: what it knows of its sensor among it."""
-    if not isinstance(kf, StateMixin):
-        return {}
-    kept = {**kf._moving(), **kf._sensors_in_state()}
-    return {f"filter_{name}": value for name, value in kept.items() if name not in ("x", "P")}
-
-
-def take_over(kf: Any, state: Any) -> None:
-    """Restore that, with the x and P that it belongs to, or raise; nothing has changed then."""
-    shape = np.shape(kf.x)
-    if isinstance(kf, StateMixin):
-        inner = {name.removeprefix("filter_"): state[name] for name in state if name.startswith("filter_")}
-        if all(name in inner for name in kf._needed() if name not in ("x", "P")):
-            kf.restore({"x": np.reshape(state["theta"], shape), "P": state["P"], **inner})
 
 
 def apply_settings(kf: Any, state: dict[str, Array]) -> None:

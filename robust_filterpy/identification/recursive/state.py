@@ -163,7 +163,7 @@ class State(NamedTuple):
         starts = {}
         for i in np.flatnonzero(rule[:, 6] >= 0).tolist():
             part = recorded[i, recorded.shape[1] - int(kept[i]) :]
-            starts[i] = ColdStart.kept(int(samples[i]), part[:, 0], part[:, 1:], int(rule[i, 6]))
+            starts[i] = ColdStart(int(samples[i]), part[:, 0], part[:, 1:], int(rule[i, 6]))
         followed = Followed.restored(watch[:, 2:], found.get("followed", np.zeros((n, 0, self.followed.rows.shape[2]))))
         return State(
             found["theta"], found["P"], Memory(*(found[name] for name in Memory._fields)),

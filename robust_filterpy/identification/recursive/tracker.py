@@ -15,6 +15,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._documentation import STOPPED, pointer
 from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Information, Scaling
+from robust_filterpy.filters._interruption import go_on_beside, kept_beside
 from robust_filterpy.identification.models.guard import GUARDS, Guard
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.regressor import Layout
@@ -519,7 +520,7 @@ class ParameterTracker(Returning, Standing):
             ``numpy.savez(file, **state)`` stores it.
         """
         arrays = {name: value[0] for name, value in self.now.arrays().items() if name != "kept"}
-        arrays |= {"enabled": np.array(bool(self.enabled)), **setup.settings(self.filter), **setup.kept_by(self.filter)}
+        arrays |= {"enabled": np.array(bool(self.enabled)), **setup.settings(self.filter), **kept_beside(self.filter)}
         return _state.labelled(self.kind, arrays)
 
     def _set_by_hand(self) -> dict[str, Any]:
@@ -536,7 +537,7 @@ class ParameterTracker(Returning, Standing):
         shapes |= watched if any(name in state for name in watched) else {}
         found = setup.checked_state(state, shapes, setup.settings(self.filter))
         setup.require_consistent(found, () if self.guard == "none" else self.form.layout.stable)
-        setup.take_over(self.filter, state)
+        go_on_beside(self.filter, found["theta"], found["P"], state)
         setup.apply_settings(self.filter, found)
         arrays = {name: value[None] for name, value in found.items() if name in shapes}
         self._take_over(self._now.restored(arrays, np.array([setup.told_variance(self.filter)])))
