@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -214,11 +215,7 @@ class Model(EstimatedPolynomials, Responses):
             time has its samples.
         """
         matrices, delays = realized(self.structure, self.theta)
-        places = self.structure.polynomials
-
-        def roots(theta: Array) -> Any:
-            return np.concatenate([np.roots([1.0, *theta[part]]) for part in (places.a, places.f)])
-
+        roots = partial(coefficients.poles, self.structure)
         return continuous(matrices, delays, self.dt if dt is None else dt, self.theta, self.P, roots, level)
 
     # Its outputs.

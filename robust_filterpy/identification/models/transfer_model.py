@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -56,7 +57,4 @@ def as_model(name: str, given: Any, y: Any, u: Any) -> Model:
         return model
     level = float(np.median(left))
     R = max(mad_scale(left - level) ** 2, np.finfo(float).tiny)
-    return Model(
-        structure, theta, level, model.P, 0.0, model.offset_covariance, Noise(Huber(), R), model.weights, np.nan, (),
-        "", model.memory, True, period,
-    )  # fmt: skip
+    return replace(model, offset=level, noise=Noise(Huber(), R))

@@ -18,7 +18,7 @@ from robust_filterpy.identification.models.guard import GUARDS, Guard
 from robust_filterpy.identification.models.results import Columns
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.time_axis import recording
-from robust_filterpy.identification.recursive import bank_setup, setup, track
+from robust_filterpy.identification.recursive import bank_setup, held, setup, track
 from robust_filterpy.identification.recursive.bank_results import BankResult, BankSample
 from robust_filterpy.identification.recursive.recursion import GRADIENTS, Gradient, Regressor
 from robust_filterpy.identification.recursive.returning import Returning
@@ -319,8 +319,8 @@ class TrackerBank(Returning):
         """
         outputs = bank_setup.outputs(y, self.n, False)
         inputs = bank_setup.inputs(self.structure, u, self.n)
-        variances = None if R is None else bank_setup.variances(R, self.n)[None]
-        signals = outputs[:, None], inputs[:, None], None if variances is None else variances.T
+        variances = None if R is None else bank_setup.variances(R, self.n)[:, None]
+        signals = outputs[:, None], inputs[:, None], variances
         now, out, news = track.advance(self.form, self._using(None), self._now, *signals)
         self._say(news)
         self._now = now
@@ -360,7 +360,7 @@ class TrackerBank(Returning):
         outputs = bank_setup.outputs(y, self.n, True)
         length = len(outputs)
         signal = bank_setup.inputs(self.structure, u, self.n, length)
-        noise = None if R is None else bank_setup.recorded_variances(R, self.n, length)
+        noise = None if R is None else bank_setup.variances(R, self.n, length)
         every = _every(keep, length)
         kept = np.arange(every - 1, length, every)
         columns = Columns.empty(kept.size, self.n, self.form.layout.n)
@@ -401,7 +401,7 @@ class TrackerBank(Returning):
         chosen = self._choices[i if len(self._choices) > 1 else 0]
         choices = {name: getattr(chosen, name) for name in ("influence", "scaling", "information")}
         kf = setup.make_filter(self.form.layout.n, None, choices)
-        setup.apply_settings(kf, self._settings(i))
+        held.apply_settings(kf, self._settings(i))
         return kf
 
     def _settings(self, i: int) -> dict[str, Array]:
