@@ -73,20 +73,15 @@ class GreyBoxModel(Estimated):
     findings: tuple[Finding, ...] = ()
 
     @property
-    def std(self) -> Array:
-        """Standard deviations of the estimated parameters, shape (k,)."""
-        return np.sqrt(np.maximum(self.P.diagonal(), 0.0))
-
-    @property
     def R(self) -> Array:
         """Variance of the ordinary noise of each output."""
         return np.array([one.R for one in self.noise])
 
     def __repr__(self) -> str:
         """Show the estimated parameters with their standard deviations."""
-        values = zip(self.structure.free_names, self.theta, self.std, strict=True)
-        text = ", ".join(f"{name}={value:.4g}+-{std:.2g}" for name, value, std in values)
-        return f"GreyBoxModel({text})" + (f"; doubtful: {self.warning}" if self.warning else "")
+        return f"GreyBoxModel({self._valued(self.structure.free_names)})" + (
+            f"; doubtful: {self.warning}" if self.warning else ""
+        )
 
     def _summarized(self, level: float) -> Summary:
         """Return the table, with what was found beside the parameters."""

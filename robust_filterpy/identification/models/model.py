@@ -138,8 +138,7 @@ class Model(EstimatedPolynomials, Responses):
 
     def __repr__(self) -> str:
         """Show the parameters with their standard deviations."""
-        values = zip(self.structure.names, self.theta, self.std, strict=True)
-        text = ", ".join(f"{name}={value:.4g}+-{std:.2g}" for name, value, std in values)
+        text = self._valued(self.structure.names)
         found = f"; found: {said(self.findings)}" if self.findings else ""
         return f"Model({self.structure}, {text}, offset={self.offset:.4g}, R={self.R:.4g}){found}"
 
@@ -149,11 +148,6 @@ class Model(EstimatedPolynomials, Responses):
     def R(self) -> float:
         """Variance of the ordinary noise, in the unit of y squared."""
         return self.noise.R
-
-    @property
-    def std(self) -> Array:
-        """Standard deviations of the parameters, shape (n,)."""
-        return np.sqrt(np.maximum(self.P.diagonal(), 0.0))
 
     @property
     def parts(self) -> Parts:

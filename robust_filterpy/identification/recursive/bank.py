@@ -134,7 +134,7 @@ class TrackerBank(Returning):
         scaling: Scaling | Sequence[Scaling] | None = None,
         information: Information | Sequence[Information] | None = None,
     ) -> None:
-        """Set up n filters and a memory at rest."""
+        """Set up n filters and a memory at rest; so many arguments, since they are those of a `ParameterTracker`."""
         self.n = n = _checks.count("n", n, 1)
         if not isinstance(structure, Structure):
             raise TypeError(f"structure: expected ARX(..), OutputError(..) or another structure, got {structure!r}")

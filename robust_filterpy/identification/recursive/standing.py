@@ -138,8 +138,7 @@ class Standing(EstimatedPolynomials, Responses):
     @property
     def std(self) -> Array:
         """Standard deviations of the parameters, shape (n,); infinite until the start has found a model."""
-        std = np.sqrt(np.maximum(self.P.diagonal(), 0.0))
-        return std if self._now.begun[0] else np.full(std.shape, np.inf)
+        return super().std if self._now.begun[0] else np.full(len(self.form.own), np.inf)
 
     def _summarized(self, level: float) -> Summary:
         """Return the table, with what was found beside the parameters."""

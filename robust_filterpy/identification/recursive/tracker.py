@@ -227,7 +227,7 @@ class ParameterTracker(Returning, Standing):
         scaling: Scaling | None = None,
         information: Information | None = None,
     ) -> None:
-        """Set up the filter and a memory at rest."""
+        """Set up the filter and a memory at rest; so many arguments, since each is one of a model's or a filter's."""
         self._given = {name: value for name, value in locals().items() if name != "self"}
         model = structure if isinstance(structure, Model) else None
         structure = setup.structure_of(structure)
