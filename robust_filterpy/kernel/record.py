@@ -47,7 +47,7 @@ def weights_of(values: Array) -> Array:
 
     Parameters
     ----------
-    values : ndarray
+    values : ndarray, shape (4 + 8 m + m^2 + m n,)
         A record as `correction_of` takes it.
 
     Returns

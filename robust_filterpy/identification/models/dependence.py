@@ -133,8 +133,9 @@ def autocovariances(residuals: Array) -> Array:
 
 
 def level_and_scale(values: Array, known: Any) -> tuple[Array, Array]:
-    """Return the median of the known values along the last axis and the standard deviation that their median deviation
-    from it tells of normal noise, 0 where there are none.
+    """Return the median of known values along the last axis, and their standard deviation by the median deviation.
+
+    Both are 0 where none is known.
 
     Parameters
     ----------

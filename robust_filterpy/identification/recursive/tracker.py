@@ -380,12 +380,15 @@ class ParameterTracker(Returning, Standing):
         output = fills.signal
         signal = recorded_input(self.structure, u, output.size)
         variances = None if R is None else recorded_variance(R, output.size)
-        time, own = self._time_after(axis, output.size), self.form.own
+        time = self._time_after(axis, output.size)
         before = self._held()
         try:
             out = self._advance(output, signal, variances)
-            std = np.sqrt(np.maximum(out.variance[:, own], 0.0))
-            result = TrackingResult(out.theta[:, own], std, *out[2:]).labelled(self.structure.names, axis.index)
+            theta, variance = out[:2]
+            if self.form.has_offset:
+                theta, variance = theta[:, self.form.own], variance[:, self.form.own]
+            std = np.sqrt(np.maximum(variance, 0.0))
+            result = TrackingResult(theta, std, *out[2:]).labelled(self.structure.names, axis.index)
             self.dt, self._time = axis.dt if self.dt is None else self.dt, time
             if fills.values:
                 warn(f"ParameterTracker: y has {fills.said}", UserWarning)
