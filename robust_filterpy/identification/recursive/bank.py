@@ -158,7 +158,7 @@ class TrackerBank(Returning):
         first, covariance = np.zeros((n, size)), np.tile(100.0 * np.eye(size), (n, 1, 1))
         first[:, own], covariance[:, own[:, None], own] = values, spread
         self.Q = bank_setup.covariances("Q", Q, n, d)
-        self.F = bank_setup.transitions(F, n, d)
+        self.F = bank_setup.matrices("F", np.eye(d) if F is None else F, n, d).copy()
         self._forgetting = bank_setup.factors(forgetting, n)
         self._alpha_sq = (1.0 / np.sqrt(self._forgetting)) ** 2
         scale = np.tile(one.now.scale, (n, 1))
@@ -423,8 +423,6 @@ class TrackerBank(Returning):
         """Return F or Q, which the user may have changed, with the axis (1 or n) in front."""
         own, size = self.form.own, self.form.layout.n
         found = bank_setup.matrices(name, getattr(self, name), self.n, len(own))
-        if not np.isfinite(found).all():
-            raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
         found = found[None] if found.ndim == 2 else found
         if size == len(own):
             return found

@@ -93,20 +93,12 @@ def covariances(name: str, value: Any, n: int, d: int) -> Array:
     return np.stack([setup.covariance(f"{name}[{i}]", entry, d) for i, entry in enumerate(found)])
 
 
-def transitions(value: Any, n: int, d: int) -> Array:
-    """Return F, shape (d, d) or (n, d, d), or raise."""
-    if value is None:
-        return np.eye(d)
-    found = matrices("F", value, n, d)
-    return setup.finite("F", found).copy()
-
-
 def matrices(name: str, value: Any, n: int, d: int) -> Array:
     """Return square matrices, shape (d, d) or (n, d, d), or raise."""
     found = numbers(name, value)
     if found.shape not in ((d, d), (n, d, d)):
         raise ValueError(f"{name}: expected shape ({d}, {d}) or ({n}, {d}, {d}), got {described(found)}")
-    return found
+    return setup.finite(name, found)
 
 
 def variances(value: Any, n: int, length: int | None = None) -> Array:
