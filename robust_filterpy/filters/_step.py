@@ -23,13 +23,15 @@ def predict(kf: Any, u: Any) -> bool:
     if _extension is None or not kf._by_kernel:
         return False
     if kf._policy.by_kernel:
-        return bool(_extension.predict(kf, u, True))
+        return bool(_extension.predict(kf, u))
     return kf._policy.rule is not None and _extension.predict_mixture(kf, u)
 
 
 def predict_extended(kf: Any, u: Any, moves: bool) -> bool:
     """Predict an extended filter, P alone where x does not move; as `predict`."""
-    return _extension is not None and bool(_extension.predict(kf, u, moves))
+    if _extension is None:
+        return False
+    return bool(_extension.predict(kf, u) if moves else _extension.predict_covariance(kf))
 
 
 def correct(kf: Any, z: Any, R: Any, H: Any, M: Any) -> bool:
@@ -37,8 +39,8 @@ def correct(kf: Any, z: Any, R: Any, H: Any, M: Any) -> bool:
     if _extension is None or not kf._by_kernel:
         return False
     if not kf._policy.by_kernel:
-        own = R is None and H is None and M is None and kf._policy.rule is not None
-        return own and _extension.correct_mixture(kf, z)
+        own = H is None and M is None and kf._policy.rule is not None
+        return own and _extension.correct_mixture(kf, z, R)
     return _counted(kf, _extension.correct, z, R, H, M)
 
 

@@ -112,11 +112,17 @@ static int take_prediction(held *h, PyObject *filter, PyObject *u, int moves) {
 static PyObject *predict_step(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
     held h = {.count = 0};
     (void)self;
-    if (count != 3) {
-        PyErr_SetString(PyExc_TypeError, "predict: expected a filter, u and whether x moves");
+    if (count != 2) {
+        PyErr_SetString(PyExc_TypeError, "predict: expected a filter and u");
         return NULL;
     }
-    return answer(&h, take_prediction(&h, arguments[0], arguments[1], arguments[2] == Py_True));
+    return answer(&h, take_prediction(&h, arguments[0], arguments[1], 1));
+}
+
+static PyObject *covariance_step(PyObject *self, PyObject *filter) {
+    held h = {.count = 0};
+    (void)self;
+    return answer(&h, take_prediction(&h, filter, Py_None, 0));
 }
 
 /* Write a measurement into z, NaN where missing; return whether it is an ordinary one with something in it. */
@@ -470,8 +476,8 @@ static PyObject *copied_arrays(PyObject *self, PyObject *attributes) {
 }
 
 PyMethodDef online_functions[] = {
-    {"predict", (PyCFunction)(void (*)(void))predict_step, METH_FASTCALL,
-     "Predict a filter's next state: (filter, u, whether x moves)."},
+    {"predict", (PyCFunction)(void (*)(void))predict_step, METH_FASTCALL, "Predict a filter's next state: (filter, u)."},
+    {"predict_covariance", covariance_step, METH_O, "Predict a filter's P, and leave x where it is."},
     {"correct", (PyCFunction)(void (*)(void))correct_step, METH_FASTCALL,
      "Correct a filter's state: (filter, z, R, H, M), None for its own R and H and for no M."},
     {"correct_innovation", (PyCFunction)(void (*)(void))innovation_step, METH_FASTCALL,
