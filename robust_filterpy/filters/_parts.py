@@ -19,8 +19,8 @@ class Part(NamedTuple):
     """A correction by some of the sensors."""
 
     start: int
-    """Place of the first."""
-    count: int
+    """Place of the first sensor."""
+    number: int
     found: Any
     """A correction, or what makes one by ``as_arrays``."""
 
@@ -42,8 +42,8 @@ class Parts(NamedTuple):
         earlier: tuple[Part, ...] = ()
         if type(before) is cls and before.sensors == sensors:
             before, earlier = before.before, before.parts
-        end = part.start + part.count
-        left = tuple(p for p in earlier if p.start < part.start or p.start + p.count > end)
+        end = part.start + part.number
+        left = tuple(p for p in earlier if p.start < part.start or p.start + p.number > end)
         return cls(before, sensors, (*left, part), told)
 
     def as_arrays(self) -> Correction:
