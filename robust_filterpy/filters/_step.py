@@ -45,10 +45,8 @@ def correct(kf: Any, z: Any, R: Any, H: Any, M: Any) -> bool:
 
 
 def correct_innovation(kf: Any, z: Any, predicted: Any, y: Any, C: Any, S: Any, R: Any) -> bool:
-    """Correct a nonlinear filter, by z and its prediction or else by y; H and None for C and S. As `correct`."""
-    if _extension is None or not (kf._by_moments and kf._policy.by_kernel):
-        return False
-    return _counted(kf, _extension.correct_innovation, z, predicted, y, C, S, R)
+    """Correct a nonlinear filter whose policy is the kernel's, by z and its prediction or else by y; as `correct`."""
+    return _extension is not None and _counted(kf, _extension.correct_innovation, z, predicted, y, C, S, R)
 
 
 def _counted(kf: Any, step: Any, *given: Any) -> bool:

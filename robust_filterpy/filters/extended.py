@@ -305,7 +305,7 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
     ) -> None:
         """Correct by a whole measurement; every check comes before the first assignment."""
         at = Hx(x.copy(), *_arguments(hx_args))
-        if residual is np.subtract and _step.correct_innovation(self, z, at, None, H, None, R):
+        if residual is np.subtract and self._stepped(z, at, None, H, None, R):
             return
         x, P = state_of(self)
         H = self._checked(H, len(x))
@@ -314,7 +314,7 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         if values is None:
             self._skip()
             return
-        if _step.correct_innovation(self, values, None, y, H, None, R):
+        if self._stepped(values, None, y, H, None, R):
             return
         last, kept = self._corrected(P, values, y, H, None, R, residual, np.shape(at) or (1,))
         self._keep(last._replace(x=x.ravel() + last.x), kept, values)

@@ -15,7 +15,6 @@ from robust_filterpy._checks import FLOAT, Array
 from robust_filterpy._filterpy import CubatureKalmanFilter, UnscentedKalmanFilter
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.policies import Contaminated, Learnt
-from robust_filterpy.filters import _step
 from robust_filterpy.filters._mixin import unchanged_if_refused, whole
 from robust_filterpy.filters._nonlinear_mixin import (
     NonlinearFilterMixin,
@@ -38,7 +37,7 @@ class _SigmaPoint(NonlinearFilterMixin):
     def _correct(self, z: Any, sigmas_h: Array, zp: Any, C: Array, S: Array, R: Array, residual: Any) -> None:
         """Correct by a whole measurement; every check comes before the first assignment."""
         add = getattr(self, "state_add", np.add)
-        if residual is np.subtract and add is np.add and _step.correct_innovation(self, z, zp, None, C, S, R):
+        if residual is np.subtract and add is np.add and self._stepped(z, zp, None, C, S, R):
             self.sigmas_h = sigmas_h
             return
         x, P = state_of(self)
