@@ -14,11 +14,14 @@ import pytest
 import support
 from hostile import Fleeting, guarded, leaves, mutated, spoilt
 
-from robust_filterpy import Huber, RobustExtendedKalmanFilter, RobustKalmanFilter, kernel, smooth
+from robust_filterpy import Huber, RobustKalmanFilter, kernel, smooth
 from robust_filterpy.batch import filter_series
+from robust_filterpy.correction import spread
+from robust_filterpy.correction.options import Choices
 from robust_filterpy.filters import _step
 from robust_filterpy.identification import ARMAX, BoxJenkins, OutputError
 from robust_filterpy.identification.recursive import track
+from robust_filterpy.kernel import moments
 
 support.needs_kernel()
 
@@ -61,10 +64,8 @@ def calls():
                 smooth(support.make(RobustKalmanFilter, problem, **options), zs)
             matrices = {name: getattr(problem, name) for name in "FHQR"}
             filter_series(zs[None], **matrices, noise="learnt", process="scales", x0=np.zeros(n), P0=np.eye(n))
-            extended = RobustExtendedKalmanFilter(n, m)
             for z in zs[:3]:
-                extended.predict()
-                extended.update(z[:, None], lambda x, H=problem.H: H, lambda x, H=problem.H: H @ x)
+                moments.correct(Choices(scaling="learnt"), spread.begin(m), np.eye(n), z, z, problem.H, None, problem.R)
         y, u = g.normal(size=60), g.normal(size=60)
         for structure in (OutputError(2, 2), ARMAX(2, 2, 2), BoxJenkins(2, 1, 2, 2)):
             support.told_tracker(structure).run(y, u)
