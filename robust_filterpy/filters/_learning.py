@@ -41,8 +41,11 @@ class LearningMixin:
 
     def _known(self, m: int, passed: Array | None = None, first: int = 0) -> Known:
         """Return what is known before a correction by m sensors, from place `first` in z on or by their rows of H."""
+        learns = self._policy.learns
+        if learns and passed is None and first + m <= len(self._memory):
+            return Known(self._memory[first : first + m], self._kept)
         begin = self._policy.begin(first + m)
-        if not self._policy.learns:
+        if not learns:
             return Known(begin[first:], self._kept)
         named = (passed, getattr(self, "H", None)) if passed is not None and len(begin) == m else ()
         return Known(self._known_sensors().of(begin, *named)[first if len(begin) > 1 else 0 :], self._kept)
@@ -50,6 +53,11 @@ class LearningMixin:
     def _learn(self, memory: Array | None, m: int, passed: Array | None = None, first: int = 0) -> None:
         """Keep what a correction by m sensors has taught, named as in `_known`."""
         if memory is None or not self._policy.learns:
+            return
+        if passed is None and first + m <= len(self._memory) and len(memory) == m:
+            places = self._memory.copy()
+            places[first : first + m] = memory
+            self._memory = places
             return
         begin, customs = self._policy.begin(first + m), self._known_sensors()
         if first:

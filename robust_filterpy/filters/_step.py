@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
-
-from robust_filterpy import _checks, kernel
-from robust_filterpy._checks import Array
+from robust_filterpy import kernel
 from robust_filterpy.filters._mixin import Snapshot
 from robust_filterpy.filters._outlier_share import EVERY
 
@@ -31,14 +27,11 @@ def predict(kf: Any, u: Any) -> bool:
     return kf._policy.rule is not None and _extension.predict_mixture(kf, u)
 
 
-def predicted(x: Array, P: Array, F: Array, Q: Array, B: Any, u: Any) -> tuple[Array, Array] | None:
-    """Return F x + B u and F P F' + Q if that is ordinary."""
-    if _extension is None or (np.ndim(B) and len(B) != len(P)):
-        return None
-    still = u is None or not np.ndim(B) or (np.ndim(u) == 0 and u == 0)
-    now = SimpleNamespace(dim_x=len(P), x=x, P=P, F=F, Q=Q, _alpha_sq=1.0, B=B)
-    given = None if still else np.atleast_1d(_checks.numbers("u", u))
-    return (now.x, now.P) if _extension.predict(now, given) else None
+def predict_extended(kf: Any, u: Any, moves: bool) -> bool:
+    """Predict an extended filter, P alone where x does not move; as `predict`."""
+    if _extension is None:
+        return False
+    return bool(_extension.predict(kf, u) if moves else _extension.predict_covariance(kf))
 
 
 def correct(kf: Any, z: Any, R: Any, H: Any, M: Any) -> bool:
@@ -46,13 +39,23 @@ def correct(kf: Any, z: Any, R: Any, H: Any, M: Any) -> bool:
     if _extension is None or not kf._by_kernel:
         return False
     if not kf._policy.by_kernel:
-        own = R is None and H is None and M is None and kf._policy.rule is not None
-        return own and _extension.correct_mixture(kf, z)
+        own = H is None and M is None and kf._policy.rule is not None
+        return own and _extension.correct_mixture(kf, z, R)
+    return _counted(kf, _extension.correct, z, R, H, M)
+
+
+def correct_innovation(kf: Any, z: Any, predicted: Any, y: Any, C: Any, S: Any, R: Any) -> bool:
+    """Correct a nonlinear filter whose policy is the kernel's, by z and its prediction or else by y; as `correct`."""
+    return _extension is not None and _counted(kf, _extension.correct_innovation, z, predicted, y, C, S, R)
+
+
+def _counted(kf: Any, step: Any, *given: Any) -> bool:
+    """Take a correction, and look now and then whether most of them clip."""
     counts = kf._choices.scaling == "innovation" and kf._counts_clipped
     looks = counts and (kf._updates + 1) % EVERY == 0
     # A warning that is made an error refuses the call: nothing may have changed then.
     before = Snapshot(kf) if looks and kf._share.fills(kf.dim_z) else None
-    if not _extension.correct(kf, z, R, H, M):
+    if not step(kf, *given):
         return False
     kf._updates += counts
     if looks:

@@ -122,6 +122,8 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         self._start()
 
     _settings = {name: name for name in ("F", "Q", "R", "B")}
+    # filterpy's has no fading memory; the kernel asks for one.
+    _alpha_sq = 1.0
 
     def predict_x(self, u: ArrayLike = 0) -> None:
         """Predict the state alone, x = F x + B u; override it for a nonlinear model, as with filterpy.
@@ -135,7 +137,6 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         F = _checks.matrix("F", self.F, (len(x), len(x)), "dim_x")
         self.x = F.dot(x) + (0.0 if u is None else control_term(self.B, u, x.shape))
 
-    @whole
     def predict(self, u: ArrayLike = 0) -> None:
         """Predict the next state: `predict_x`, and P = F P F' + Q.
 
@@ -150,18 +151,26 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
             If a shape does not fit, Q is negative or not symmetric, or the prediction not finite; nothing has changed
             then.
         """
-        x, P = state_of(self)
-        n = len(P)
-        F, Q = _checks.matrix("F", self.F, (n, n), "dim_x"), process_noise(self.Q, None, n)
-        linear = type(self).predict_x is RobustExtendedKalmanFilter.predict_x and "predict_x" not in vars(self)
-        found = _step.predicted(x, P, F, Q, self.B, u if linear else None)
-        if found is not None and linear:
-            self.x = found[0]
-        else:
-            self.predict_x(u)
-        self.P = F.dot(P).dot(F.T) + Q if found is None else found[1]
-        require_finite_prediction(*state_of(self))
-        self.x_prior, self.P_prior = np.copy(self.x), np.copy(self.P)
+        if not (self._is_linear() and _step.predict_extended(self, u, True)):
+            self._predict(u)
+
+    @whole
+    def _predict(self, u: ArrayLike) -> None:
+        """Predict by `predict_x`."""
+        n = self.dim_x
+        _checks.matrix("F", self.F, (n, n), "dim_x")
+        process_noise(self.Q, None, n)
+        self.predict_x(u)
+        if self._is_linear() or not _step.predict_extended(self, None, False):
+            x, P = state_of(self)
+            F, Q = _checks.matrix("F", self.F, (n, n), "dim_x"), process_noise(self.Q, None, n)
+            self.P = F.dot(P).dot(F.T) + Q
+            require_finite_prediction(x, self.P)
+            self.x_prior, self.P_prior = np.copy(self.x), np.copy(self.P)
+
+    def _is_linear(self) -> bool:
+        """Return whether x moves by F alone."""
+        return type(self).predict_x is RobustExtendedKalmanFilter.predict_x and "predict_x" not in vars(self)
 
     @whole
     def update(
@@ -198,11 +207,11 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         SingularInnovationError, NotPositiveDefiniteError
             As in `RobustKalmanFilter.update`.
         """
-        x, P = state_of(self)
-        if z is None or (np.ndim(z) == 0 and measured(z, 1) is None):
+        if z is None or (type(z) is not np.ndarray and np.ndim(z) == 0 and measured(z, 1) is None):
             self._skip()
             return
-        self._correct(z, x, P, self._jacobian(HJacobian, x, args), Hx, R, hx_args, residual)
+        x, _ = state_of(self)
+        self._correct(z, x, HJacobian(x.copy(), *_arguments(args)), Hx, R, hx_args, residual)
 
     @whole
     def predict_update(
@@ -233,13 +242,13 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
             As in `predict` and `update`; nothing has changed then.
         """
         x, _ = state_of(self)
-        H = None if z is None else self._jacobian(HJacobian, x, args)
+        H = None if z is None else HJacobian(x.copy(), *_arguments(args))
         self.predict(u)
-        if H is None:
+        if z is None:
             self._skip()
             return
-        x, P = state_of(self)
-        self._correct(z, x, P, H, Hx, None, hx_args, np.subtract)
+        x, _ = state_of(self)
+        self._correct(z, x, H, Hx, None, hx_args, np.subtract)
 
     def batch_filter(
         self,
@@ -291,27 +300,37 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
 
         return self._filtered(zs, {"Rs": Rs, "us": us}, step, saver)
 
-    def _jacobian(self, HJacobian: Callable[..., ArrayLike], x: Array, args: Any) -> Array:
-        """Return H at x, checked."""
-        H = _checks.numbers("HJacobian", HJacobian(x.copy(), *(args if isinstance(args, tuple) else (args,))))
-        if H.ndim != 2 or H.shape[1] != len(x) or not len(H):
+    def _correct(
+        self, z: Any, x: Array, H: Any, Hx: Any, R: Any, hx_args: Any, residual: Callable[[Any, Any], Any]
+    ) -> None:
+        """Correct by a whole measurement; every check comes before the first assignment."""
+        at = Hx(x.copy(), *_arguments(hx_args))
+        if residual is np.subtract and self._stepped(z, at, None, H, None, R):
+            return
+        x, P = state_of(self)
+        H = self._checked(H, len(x))
+        R = noise_covariance(self.R, R, len(H))
+        values, y = innovation_of(z, at, len(H), residual, "Hx")
+        if values is None:
+            self._skip()
+            return
+        if self._stepped(values, None, y, H, None, R):
+            return
+        last, kept = self._corrected(P, values, y, H, None, R, residual, np.shape(at) or (1,))
+        self._keep(last._replace(x=x.ravel() + last.x), kept, values)
+
+    def _checked(self, H: Any, n: int) -> Array:
+        """Return the Jacobian that the user's function gave, checked."""
+        H = _checks.numbers("HJacobian", H)
+        if H.ndim != 2 or H.shape[1] != n or not len(H):
             raise ValueError(
-                f"HJacobian: expected shape ({self.dim_z}, {len(x)}) for dim_z={self.dim_z}, dim_x={len(x)}, "
+                f"HJacobian: expected shape ({self.dim_z}, {n}) for dim_z={self.dim_z}, dim_x={n}, "
                 f"got {_checks.described(H)}"
             )
         require_finite(HJacobian=H)
         return H
 
-    def _correct(
-        self, z: Any, x: Array, P: Array, H: Array, Hx: Any, R: Any, hx_args: Any, residual: Callable[[Any, Any], Any]
-    ) -> None:
-        """Correct by a whole measurement; every check comes before the first assignment."""
-        m = len(H)
-        R = noise_covariance(self.R, R, m)
-        at = Hx(x.copy(), *(hx_args if isinstance(hx_args, tuple) else (hx_args,)))
-        values, y = innovation_of(z, at, m, residual, "Hx")
-        if values is None:
-            self._skip()
-            return
-        last, kept = self._corrected(P, values, y, H, None, R, residual, np.shape(at) or (1,))
-        self._keep(last._replace(x=x.ravel() + last.x), kept, values)
+
+def _arguments(given: Any) -> tuple[Any, ...]:
+    """Return further arguments of a model function; anything else than a tuple is the only one."""
+    return given if isinstance(given, tuple) else (given,)

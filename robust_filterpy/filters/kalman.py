@@ -25,13 +25,14 @@ from robust_filterpy._arrays import (
 )
 from robust_filterpy._checks import FLOAT, Array
 from robust_filterpy._filterpy import KalmanFilter
-from robust_filterpy.correction.definition import Innovation, embed_block
+from robust_filterpy.correction.definition import Innovation
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters import _step
 from robust_filterpy.filters._bounded import Bounded, finite_product
 from robust_filterpy.filters._mixin import RobustFilterMixin, whole
+from robust_filterpy.filters._parts import Part, Parts
 from robust_filterpy.filters._recording import CompiledLoop, Given, MixtureLoop, filter_recording, is_own
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.kernel import moments
@@ -531,23 +532,24 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         known = self._known(k, first=start)
         known = known._replace(kept=None) if self.noise is None else known
         found, kept = regardless(self._corrected, x, P, values, H, np.ascontiguousarray(R), None, known)
-        some = found if isinstance(found, Correction) else found.as_arrays()
-        last = embed_block(self._arrays(), some, start, m)
-        seen = np.where(np.isnan(last.weights), np.nan, last.y)
-        if self.noise is None:
-            last = last._replace(log_density=self._log_density(seen, last.S))
+        told = None if self.noise is not None else (self._choices, self._whole_memory(), self._inverse is not None)
+        parts = Parts.of(self._record(), m, Part(start, k, found), told)
         self._learn(found.memory, k, first=start)
         z = np.array([None] * m) if np.size(self.z) != m else np.ravel(self.z).copy()
         z[part] = values
         # S and SI stay what they were, as in filterpy.
         S, SI = self.S, self.SI
-        self.x, self.P, self.K, self._last = some.x.reshape(x.shape), some.P, last.K, last
+        self.x, self.P, self._last = found.x.reshape(x.shape), found.P, parts
         if self.noise is not None:
             self._kept, self._outlier_probability = kept, getattr(found, "outlier_probability", 0.0)
         self.z = (z if None in z.tolist() else z.astype(float)).reshape((m, 1) if x.ndim == 2 else m)
-        self._y, self.S, self.SI = None, S, SI
+        self._y, self._K, self.S, self.SI = None, None, S, SI
         self.x_post, self.P_post = self.x.copy(), self.P.copy()
         self._log_likelihood = self._likelihood = self._mahalanobis = None
+
+    def _whole_memory(self) -> Array | None:
+        """Return what is known of all sensors of z under scaling "learnt", None where nothing is learnt."""
+        return self._known(self.dim_z).memory if self._learns_spread else None
 
     def batch_filter(
         self,

@@ -6,22 +6,22 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from filterpy.kalman import unscented_transform
 from filterpy.kalman.CubatureKalmanFilter import ckf_transform
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise, state_of
-from robust_filterpy._checks import Array
+from robust_filterpy._checks import FLOAT, Array
 from robust_filterpy._filterpy import CubatureKalmanFilter, UnscentedKalmanFilter
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.policies import Contaminated, Learnt
-from robust_filterpy.filters._mixin import unchanged_if_refused
+from robust_filterpy.filters._mixin import unchanged_if_refused, whole
 from robust_filterpy.filters._nonlinear_mixin import (
     NonlinearFilterMixin,
     innovation_of,
     require_finite,
 )
+from robust_filterpy.filters._points import REDRAWS, covariance, drawn, transformed
 from robust_filterpy.influence.functions import Huber, Influence
 
 __all__ = ["RobustCubatureKalmanFilter", "RobustUnscentedKalmanFilter"]
@@ -36,13 +36,16 @@ class _SigmaPoint(NonlinearFilterMixin):
 
     def _correct(self, z: Any, sigmas_h: Array, zp: Any, C: Array, S: Array, R: Array, residual: Any) -> None:
         """Correct by a whole measurement; every check comes before the first assignment."""
+        add = getattr(self, "state_add", np.add)
+        if residual is np.subtract and add is np.add and self._stepped(z, zp, None, C, S, R):
+            self.sigmas_h = sigmas_h
+            return
         x, P = state_of(self)
         require_finite(hx=sigmas_h, S=S, C=C)
         values, y = innovation_of(z, zp, len(S), residual, "hx")
         if values is None:
             self._skip()
             return
-        add = getattr(self, "state_add", np.add)
         last, kept = self._corrected(P, values, y, C, S, R, residual, np.shape(zp))
         last = last._replace(x=np.asarray(add(x.ravel(), last.x), dtype=float))
         require_finite(x=last.x)
@@ -171,6 +174,7 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
         """Length of the measurement."""
         return self._dim_z
 
+    @whole
     def predict(
         self,
         dt: float | None = None,
@@ -198,11 +202,47 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
         LinAlgError
             If P is not positive definite; nothing has changed then.
         """
-        with unchanged_if_refused(self):
-            process_noise(self.Q, None, self.dim_x)
-            super().predict(dt, UT, fx, **fx_args)
-            require_finite(x=self.x, P=self.P)
+        process_noise(self.Q, None, self.dim_x)
+        self.compute_process_sigmas(self._dt if dt is None else dt, fx, **fx_args)
+        make = transformed if UT is None else UT
+        self.x, self.P = make(self.sigmas_f, self.Wm, self.Wc, self.Q, self.x_mean, self.residual_x)
+        require_finite(x=self.x, P=self.P)
+        if REDRAWS:
+            self.sigmas_f = drawn(self.points_fn, self.x, self.P)
+        self.x_prior, self.P_prior = np.copy(self.x), np.copy(self.P)
 
+    def compute_process_sigmas(self, dt: float, fx: Callable[..., ArrayLike] | None = None, **fx_args: Any) -> None:
+        """Move the sigma points of the state; also before another `update` without a prediction, as with filterpy.
+
+        Parameters
+        ----------
+        dt : float
+            Time step.
+        fx : callable, optional
+            State transition for this call.
+        **fx_args : dict
+            Further arguments of fx.
+        """
+        fx = self.fx if fx is None else fx
+        for i, s in enumerate(drawn(self.points_fn, self.x, self.P)):
+            self.sigmas_f[i] = fx(s, dt, **fx_args)
+
+    def cross_variance(self, x: Array, z: Array, sigmas_f: Array, sigmas_h: Array) -> Array:
+        """Return the covariance of state and measurement, shape (dim_x, dim_z).
+
+        Parameters
+        ----------
+        x, z : ndarray, shape (dim_x,), (dim_z,)
+            Their means.
+        sigmas_f, sigmas_h : ndarray, shape (points, dim_x), (points, dim_z)
+            Sigma points of both.
+        """
+        if self.residual_x is np.subtract and self.residual_z is np.subtract:
+            return covariance(sigmas_f - x, sigmas_h - z, self.Wc)
+        found: Array = super().cross_variance(x, z, sigmas_f, sigmas_h)
+        return found
+
+    @whole
     def update(
         self,
         z: ArrayLike | None,
@@ -237,12 +277,12 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
             self._skip()
             return
         hx = self.hx if hx is None else hx
-        with unchanged_if_refused(self):
-            sigmas_h = _rows("hx", [hx(s.copy(), **hx_args) for s in self.sigmas_f])
-            R = noise_covariance(self.R, R, sigmas_h.shape[1])
-            zp, S = (UT or unscented_transform)(sigmas_h, self.Wm, self.Wc, R, self.z_mean, self.residual_z)
-            C = self.cross_variance(self.x, zp, self.sigmas_f, sigmas_h)
-            self._correct(z, sigmas_h, zp, C, S, R, self.residual_z)
+        sigmas_h = _rows("hx", [hx(s.copy(), **hx_args) for s in self.sigmas_f])
+        R = noise_covariance(self.R, R, sigmas_h.shape[1])
+        make = transformed if UT is None else UT
+        zp, S = make(sigmas_h, self.Wm, self.Wc, R, self.z_mean, self.residual_z)
+        C = self.cross_variance(self.x, zp, self.sigmas_f, sigmas_h)
+        self._correct(z, sigmas_h, zp, C, S, R, self.residual_z)
 
     def batch_filter(
         self, zs: Any, Rs: Any = None, dts: Any = None, UT: Callable[..., Any] | None = None, saver: Any = None
@@ -441,6 +481,8 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
 def _rows(name: str, values: list[Any]) -> Array:
     """Return what a function made of each sigma point, shape (points, m)."""
     try:
+        if all(type(v) is np.ndarray and v.ndim == 1 and v.dtype == FLOAT for v in values):
+            return np.array(values)
         return _checks.numbers(name, [np.ravel(v) for v in values]).reshape(len(values), -1)
     except ValueError:
         raise ValueError(f"{name}: expected the same number of measurements for every sigma point") from None

@@ -132,7 +132,8 @@ static int is_finite_product(const double *H, const double *x, npy_intp m, npy_i
     return 1;
 }
 
-static int correct_mixture(held *h, PyObject *filter, PyObject *z) {
+/* R: another one for this call, or None. */
+static int correct_mixture(held *h, PyObject *filter, PyObject *z, PyObject *told) {
     static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT__kept, AT_dim_z,
                                            AT_inv, AT_R, AT_H, AT__memory, AT__policy};
     PyObject *const *const given = h->objects;
@@ -144,12 +145,13 @@ static int correct_mixture(held *h, PyObject *filter, PyObject *z) {
     if (hold_all(h, filter, names, sizeof names / sizeof *names) < 0 || !hold_attribute(h, given[9], AT_rule)) return -1;
     make = hold_attribute(h, given[9], AT_record);
     z = make ? as_plain(h, z) : NULL;
-    if (!z) return -1;
+    told = z ? as_plain(h, told == Py_None ? given[6] : told) : NULL;
+    if (!told) return -1;
     fine = take_mixture(h, given, given[10], &f);
     if (fine <= 0) return fine;
     const int n = (int)f.now.n, m = (int)whole_number(given[4]), width = learnt_width(f.rule.K);
     if (m < 1 || m > 1000 || given[5] != numpy_inverse || !f.rule.learns) return 0;
-    R = covariance_of(h, given[6], m), H = matrix_of(given[7], m, n), before = matrix_of(given[8], m, width);
+    R = covariance_of(h, told, m), H = matrix_of(given[7], m, n), before = matrix_of(given[8], m, width);
     if (!R && PyErr_Occurred()) return -1;
     if (!R || !H || !before || !is_finite_product(H, f.now.x, m, n)) return 0;
     /* z is shown in the shape of x, and kept as a vector. */
@@ -197,16 +199,16 @@ static PyObject *predict_step(PyObject *self, PyObject *const *arguments, Py_ssi
 static PyObject *correct_step(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
     held h = {.count = 0};
     (void)self;
-    if (count != 2) {
-        PyErr_SetString(PyExc_TypeError, "correct_mixture: expected a filter and z");
+    if (count != 3) {
+        PyErr_SetString(PyExc_TypeError, "correct_mixture: expected a filter, z and R");
         return NULL;
     }
-    return answer(&h, correct_mixture(&h, arguments[0], arguments[1]));
+    return answer(&h, correct_mixture(&h, arguments[0], arguments[1], arguments[2]));
 }
 
 PyMethodDef mixture_functions[] = {
     {"predict_mixture", (PyCFunction)(void (*)(void))predict_step, METH_FASTCALL,
      "Predict the next state of a filter that learns its noise: (filter, u)."},
     {"correct_mixture", (PyCFunction)(void (*)(void))correct_step, METH_FASTCALL,
-     "Correct the state of a filter that learns its noise by its own H and R: (filter, z)."},
+     "Correct the state of a filter that learns its noise by its own H: (filter, z, R), None for its own R."},
     {NULL, NULL, 0, NULL}};

@@ -56,15 +56,21 @@ int set_state(held *h, PyObject *filter, PyObject *x, PyObject *P, enum attribut
 int take_control(PyObject *B, PyObject *u, npy_intp n, double **control) {
     npy_intp width;
     double number;
+    const int one = number_of(u, &number);
     const double *values = &number, *matrix;
-    if (u == Py_None || B == Py_None) {
+    if (u == Py_None || B == Py_None || (one && number == 0 && number_of(B, &number) && number == 0)) {
         *control = NULL;
         return 1;
     }
     if (!is_array(B, 2)) return 0;
     width = PyArray_DIM((PyArrayObject *)B, 1);
     matrix = matrix_of(B, n, width);
-    if (width != 1 || !number_of(u, &number)) values = vector_of(u, width);
+    if (one && number == 0 && matrix) {
+        /* Of any number of inputs. */
+        *control = NULL;
+        return 1;
+    }
+    if (width != 1 || !one) values = vector_of(u, width);
     if (!matrix || !values) return 0;
     for (npy_intp i = 0; i < n; i++) {
         (*control)[i] = 0;
@@ -73,7 +79,8 @@ int take_control(PyObject *B, PyObject *u, npy_intp n, double **control) {
     return 1;
 }
 
-static int take_prediction(held *h, PyObject *filter, PyObject *u) {
+/* moves: whether x does too. */
+static int take_prediction(held *h, PyObject *filter, PyObject *u, int moves) {
     static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT_F, AT_Q, AT__alpha_sq, AT_B};
     PyObject *const *const given = h->objects;
     filter_state now;
@@ -98,6 +105,7 @@ static int take_prediction(held *h, PyObject *filter, PyObject *u) {
            predict((int)now.n, now.x, now.P, F, Q, control, alpha_sq, numbers_of(x_next), numbers_of(P_next), work + now.n);
     work_done(stack, work);
     if (!fine) return 0;
+    if (!moves) real_copy((int)now.n, now.x, numbers_of(x_next));
     return set_state(h, filter, x_next, P_next, AT_x_prior, AT_P_prior) ? 1 : -1;
 }
 
@@ -108,7 +116,13 @@ static PyObject *predict_step(PyObject *self, PyObject *const *arguments, Py_ssi
         PyErr_SetString(PyExc_TypeError, "predict: expected a filter and u");
         return NULL;
     }
-    return answer(&h, take_prediction(&h, arguments[0], arguments[1]));
+    return answer(&h, take_prediction(&h, arguments[0], arguments[1], 1));
+}
+
+static PyObject *covariance_step(PyObject *self, PyObject *filter) {
+    held h = {.count = 0};
+    (void)self;
+    return answer(&h, take_prediction(&h, filter, Py_None, 0));
 }
 
 /* Write a measurement into z, NaN where missing; return whether it is an ordinary one with something in it. */
@@ -182,6 +196,7 @@ static void begin_record(double *values, npy_intp n, npy_intp m, const correctio
     values[3] = correction_log_likelihood(rule, c);
     real_copy((int)(4 * m), c->e, vectors + m);     /* e, weights, slopes, d */
     real_copy((int)(2 * m), c->v, vectors + 5 * m); /* v, order */
+    for (npy_intp i = c->observed; i < m; i++) vectors[6 * m + i] = 0; /* no place for what is missing */
     real_copy((int)m, c->first, vectors + 7 * m);   /* S_ii by which it was judged */
 }
 
@@ -200,35 +215,106 @@ typedef struct {
     PyObject *x, *P, *record, *z, *memory;
 } corrected;
 
-/* Correct a state by a measurement of linear sensors; whether all was ordinary, -1 with an exception. */
-static int correct_linear(held *h, const filter_state *now, const sensors *s, PyObject *z, corrected *made) {
+/* Make room for all that; -1 with an exception. */
+static int begin_corrected(held *h, const filter_state *now, const sensors *s, corrected *made) {
     const npy_intp n = now->n, m = s->m;
-    correction c;
-    double stack[STACK_WORK], *work, *values;
-    int outcome;
     made->memory = NULL;
     made->x = hold(h, new_array(now->ndim, n, 1));
     made->P = made->x ? hold(h, new_array(2, n, n)) : NULL;
     made->record = made->P ? hold(h, new_array(1, RECORD(n, m), 0)) : NULL;
     made->z = made->record ? hold(h, new_array(now->ndim, m, 1)) : NULL;
     if (made->z && s->memory) made->memory = hold(h, new_array(2, m, SPREAD_NUMBERS));
-    work = made->z && (made->memory || !s->memory) ? work_of(stack, update_work((int)n, (int)m)) : NULL;
+    if (!made->z || (s->memory && !made->memory)) return -1;
+    real_copy((int)(n * n), now->P, numbers_of(made->P));
+    if (made->memory) real_copy((int)(SPREAD_NUMBERS * m), s->memory, numbers_of(made->memory));
+    return 1;
+}
+
+static spread_memory *learnt_of(const corrected *made) {
+    return made->memory ? (spread_memory *)numbers_of(made->memory) : NULL;
+}
+
+/* Correct a state by a measurement of linear sensors; whether all was ordinary, -1 with an exception. */
+static int correct_linear(held *h, const filter_state *now, const sensors *s, PyObject *z, corrected *made) {
+    const npy_intp n = now->n, m = s->m;
+    correction c;
+    double stack[STACK_WORK], *work, *values;
+    int outcome = begin_corrected(h, now, s, made);
+    work = outcome > 0 ? work_of(stack, update_work((int)n, (int)m)) : NULL;
     if (!work) return -1;
     values = numbers_of(made->record);
     correction_begin((int)n, (int)m, 1, &c, work);
     outcome = take_measurement(z, m, numbers_of(made->z)) && is_covariance(s->R, m, c.S);
     if (outcome) {
         real_copy((int)n, now->x, numbers_of(made->x));
-        real_copy((int)(n * n), now->P, numbers_of(made->P));
-        if (made->memory) real_copy((int)(SPREAD_NUMBERS * m), s->memory, numbers_of(made->memory));
-        outcome = update((int)n, (int)m, &s->rule, numbers_of(made->z), s->H, s->R, s->M,
-                         made->memory ? (spread_memory *)numbers_of(made->memory) : NULL, numbers_of(made->x),
-                         numbers_of(made->P), &c, values + 4 + 8 * m, work);
+        outcome = update((int)n, (int)m, &s->rule, numbers_of(made->z), s->H, s->R, s->M, learnt_of(made),
+                         numbers_of(made->x), numbers_of(made->P), &c, values + 4 + 8 * m, work);
         begin_record(values, n, m, &s->rule, &c);
         write_innovations(values + 4, n, m, numbers_of(made->z), s->H, now->x);
     }
     work_done(stack, work);
     return outcome;
+}
+
+/* An innovation, NaN where missing, and what it has to do with the state: C (n, m) and S, or both follow from H. */
+typedef struct {
+    const double *y, *C, *S;
+} moments_given;
+
+/* The Jacobian of sensors (m, n) and None, or C (n, m) and S; whether they are that. */
+static int take_moments(sensors *s, moments_given *given, PyObject *C, PyObject *S, npy_intp n) {
+    const int linear = S == Py_None;
+    s->H = s->M = given->S = NULL;
+    if (!is_array(C, 2)) return 0;
+    s->m = PyArray_DIM((PyArrayObject *)C, !linear);
+    if (s->m < 1 || s->m > 10000) return 0;
+    given->C = linear ? matrix_of(C, s->m, n) : matrix_of(C, n, s->m);
+    if (!given->C || !all_finite(given->C, n * s->m)) return 0;
+    if (linear) {
+        s->H = given->C;
+        return 1;
+    }
+    given->S = matrix_of(S, s->m, s->m);
+    return given->S && is_symmetric(given->S, s->m);
+}
+
+/* Correct a state by an innovation and the readings in made->z; whether all was ordinary, -1 with an exception. */
+static int correct_innovation(const filter_state *now, const sensors *s, const moments_given *given, corrected *made) {
+    const npy_intp n = now->n, m = s->m;
+    correction c;
+    double stack[STACK_WORK], *work, *const values = numbers_of(made->record), *const x = numbers_of(made->x);
+    int fine;
+    work = work_of(stack, update_moments_work((int)n, (int)m));
+    if (!work) return -1;
+    correction_begin((int)n, (int)m, 1, &c, work);
+    if (given->S) {
+        for (npy_intp i = 0; i < m; i++)
+            for (npy_intp k = 0; k < n; k++) c.C[i * n + k] = given->C[k * m + i];
+        real_copy((int)(m * m), given->S, c.S);
+    }
+    for (npy_intp k = 0; k < n; k++) x[k] = 0;
+    fine = update_moments((int)n, (int)m, &s->rule, numbers_of(made->z), given->y, s->H, s->R, learnt_of(made), x,
+                          numbers_of(made->P), &c, work);
+    if (fine) {
+        const double *const shown = work + update_work((int)n, (int)m);
+        begin_record(values, n, m, &s->rule, &c);
+        real_copy((int)m, shown + m * m + m * n, values + 4);
+        real_copy((int)(m * m + m * n), shown, values + 4 + 8 * m);
+        for (npy_intp k = 0; now->x && k < n; k++) x[k] = now->x[k] + x[k];
+        fine = all_finite(x, n);
+    }
+    work_done(stack, work);
+    return fine;
+}
+
+/* Give a filter what a correction made; 1, or -1 with an exception. */
+static int set_corrected(held *h, PyObject *filter, const corrected *made) {
+    if (!set_state(h, filter, made->x, made->P, AT_x_post, AT_P_post)) return -1;
+    if (set_attribute(filter, AT_z, made->z) < 0 || set_attribute(filter, AT__last, made->record) < 0) return -1;
+    if (made->memory && set_attribute(filter, AT__memory, made->memory) < 0) return -1;
+    for (enum attribute which = AT__y; which <= AT__mahalanobis; which++)
+        if (set_attribute(filter, which, Py_None) < 0) return -1;
+    return 1;
 }
 
 static int take_correction(held *h, PyObject *filter, PyObject *z, PyObject *const given[3]) {
@@ -248,13 +334,7 @@ static int take_correction(held *h, PyObject *filter, PyObject *z, PyObject *con
     z = as_plain(h, z);
     if (!z) return -1;
     outcome = correct_linear(h, &now, &s, z, &made);
-    if (outcome <= 0) return outcome;
-    if (!set_state(h, filter, made.x, made.P, AT_x_post, AT_P_post)) return -1;
-    if (set_attribute(filter, AT_z, made.z) < 0 || set_attribute(filter, AT__last, made.record) < 0) return -1;
-    if (made.memory && set_attribute(filter, AT__memory, made.memory) < 0) return -1;
-    for (enum attribute which = AT__y; which <= AT__mahalanobis; which++)
-        if (set_attribute(filter, which, Py_None) < 0) return -1;
-    return 1;
+    return outcome > 0 ? set_corrected(h, filter, &made) : outcome;
 }
 
 static PyObject *correct_step(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
@@ -267,15 +347,66 @@ static PyObject *correct_step(PyObject *self, PyObject *const *arguments, Py_ssi
     return answer(&h, take_correction(&h, arguments[0], arguments[1], arguments + 2));
 }
 
-/* Correct a state by linear sensors: (rule, x, P, z, H, R, M or None, memory or None); the answer is (x, P, record, memory),
-   or None where that is for the definition. */
+/* given: z, the prediction of z or None, the innovation or None, C, S, R. */
+static int take_innovation(held *h, PyObject *filter, PyObject *const given[6]) {
+    static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT_inv, AT_R, AT__memory};
+    filter_state now;
+    sensors s;
+    moments_given innovation;
+    corrected made;
+    PyObject *const *own, *plain[6], *room;
+    const double *at;
+    double *y, single;
+    int outcome = rule_of_filter(h, filter, &s.rule);
+    if (outcome <= 0) return outcome;
+    own = h->objects + h->count;
+    if (hold_all(h, filter, names, s.rule.scaling == SCALING_LEARNT ? 6 : 5) < 0) return -1;
+    for (int i = 0; i < 6; i++)
+        if (!(plain[i] = as_plain(h, i == 5 && given[5] == Py_None ? own[4] : given[i]))) return -1;
+    if (own[3] != numpy_inverse || !take_filter(own[0], own[1], own[2], &now)) return 0;
+    if (!take_moments(&s, &innovation, plain[3], plain[4], now.n) || !take_more(&s, now.n, Py_None, own[5])) return 0;
+    s.R = covariance_of(h, plain[5], s.m);
+    if (!s.R) return PyErr_Occurred() ? -1 : 0;
+    if (begin_corrected(h, &now, &s, &made) < 0 || !(room = hold(h, new_array(2, s.m, s.m)))) return -1;
+    if (!take_measurement(plain[0], s.m, numbers_of(made.z)) || !is_covariance(s.R, s.m, numbers_of(room))) return 0;
+    if (plain[1] == Py_None) {
+        innovation.y = vector_of(plain[2], s.m);
+        if (!innovation.y) return 0;
+    } else {
+        at = s.m == 1 && number_of(plain[1], &single) ? &single : vector_of(plain[1], s.m);
+        if (!at || !all_finite(at, s.m)) return 0;
+        innovation.y = y = numbers_of(room);
+        for (npy_intp i = 0; i < s.m; i++) y[i] = numbers_of(made.z)[i] - at[i];
+    }
+    outcome = correct_innovation(&now, &s, &innovation, &made);
+    return outcome > 0 ? set_corrected(h, filter, &made) : outcome;
+}
+
+static PyObject *innovation_step(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
+    held h = {.count = 0};
+    (void)self;
+    if (count != 7) {
+        PyErr_SetString(PyExc_TypeError, "correct_innovation: expected a filter, z, its prediction, y, C, S and R");
+        return NULL;
+    }
+    return answer(&h, take_innovation(&h, arguments[0], arguments + 1));
+}
+
+/* What a correction of arrays answers: (x, P, record, memory), or None where it was not for the kernel. */
+static PyObject *answer_arrays(held *h, const corrected *made, int outcome) {
+    PyObject *found = NULL;
+    if (outcome > 0) found = PyTuple_Pack(4, made->x, made->P, made->record, made->memory ? made->memory : Py_None);
+    Py_XDECREF(answer(h, 0));
+    if (found || PyErr_Occurred()) return found;
+    Py_RETURN_NONE;
+}
+
+/* Correct a state by linear sensors: (rule, x, P, z, H, R, M or None, memory or None). */
 static PyObject *correct_arrays(PyObject *self, PyObject *const *given, Py_ssize_t count) {
     held h = {.count = 0};
     filter_state now;
     sensors s = {.M = NULL, .memory = NULL};
     corrected made;
-    PyObject *found = NULL;
-    int outcome;
     (void)self;
     if (count != 8) {
         PyErr_SetString(PyExc_TypeError, "correct_arrays: expected rule, x, P, z, H, R, M and memory");
@@ -288,85 +419,73 @@ static PyObject *correct_arrays(PyObject *self, PyObject *const *given, Py_ssize
     s.H = matrix_of(given[4], s.m, now.n), s.R = matrix_of(given[5], s.m, s.m);
     if (!now.x || !now.P || !s.H || !s.R || !is_symmetric(now.P, now.n)) Py_RETURN_NONE;
     if (!take_more(&s, now.n, given[6], given[7])) Py_RETURN_NONE;
-    outcome = correct_linear(&h, &now, &s, given[3], &made);
-    if (outcome > 0) found = PyTuple_Pack(4, made.x, made.P, made.record, made.memory ? made.memory : Py_None);
-    Py_XDECREF(answer(&h, 0));
-    if (found || PyErr_Occurred()) return found;
-    Py_RETURN_NONE;
+    return answer_arrays(&h, &made, correct_linear(&h, &now, &s, given[3], &made));
 }
 
 /* Correct a state at 0 by an innovation: (rule, P, z, y, C, S, R, memory or None), or the Jacobian H in the place of C and
-   None in that of S; the answer is (x, P, record, memory), or None where that is for the definition. */
+   None in that of S. */
 static PyObject *correct_moments(PyObject *self, PyObject *const *given, Py_ssize_t count) {
     held h = {.count = 0};
-    correction_rule rule;
-    correction c;
-    PyObject *x, *P_next, *record, *learnt = Py_None, *found = NULL;
-    const double *P, *z, *y, *C, *S = NULL, *R, *H = NULL, *memory = NULL;
-    double stack[STACK_WORK], *work, *values;
-    int fine;
+    filter_state now = {.x = NULL, .ndim = 1};
+    sensors s;
+    moments_given innovation;
+    corrected made;
+    const double *z;
     (void)self;
     if (count != 8) {
         PyErr_SetString(PyExc_TypeError, "correct_moments: expected rule, P, z, y, C, S, R and memory");
         return NULL;
     }
-    const int linear = given[5] == Py_None;
-    if (!rule_of(given[0], &rule) || !is_array(given[4], 2)) Py_RETURN_NONE;
-    const npy_intp n = PyArray_DIM((PyArrayObject *)given[4], linear), m = PyArray_DIM((PyArrayObject *)given[4], !linear);
-    P = matrix_of(given[1], n, n), z = vector_of(given[2], m), y = vector_of(given[3], m);
-    C = linear ? matrix_of(given[4], m, n) : matrix_of(given[4], n, m), R = matrix_of(given[6], m, m);
-    if (n < 1 || m < 1 || n > 10000 || m > 10000 || !P || !z || !y || !C || !R) Py_RETURN_NONE;
-    if (linear) {
-        H = C;
-    } else {
-        S = matrix_of(given[5], m, m);
-        if (!S || !is_symmetric(S, m)) Py_RETURN_NONE;
-    }
-    if (rule.scaling == SCALING_LEARNT) {
-        memory = matrix_of(given[7], m, SPREAD_NUMBERS);
-        if (!memory || !all_finite(memory, m * SPREAD_NUMBERS)) Py_RETURN_NONE;
-    }
-    if (!is_symmetric(P, n) || !is_symmetric(R, m) || !all_finite(C, n * m)) Py_RETURN_NONE;
-    x = hold(&h, new_array(1, n, 0));
-    P_next = x ? hold(&h, new_array(2, n, n)) : NULL;
-    record = P_next ? hold(&h, new_array(1, RECORD(n, m), 0)) : NULL;
-    if (record && memory) learnt = hold(&h, new_array(2, m, SPREAD_NUMBERS));
-    work = record && learnt ? work_of(stack, update_moments_work((int)n, (int)m)) : NULL;
-    if (!work) {
-        Py_XDECREF(answer(&h, 0));
+    if (!rule_of(given[0], &s.rule) || !is_array(given[1], 2)) Py_RETURN_NONE;
+    now.n = PyArray_DIM((PyArrayObject *)given[1], 0), now.P = matrix_of(given[1], now.n, now.n);
+    if (now.n < 1 || now.n > 10000 || !now.P || !is_symmetric(now.P, now.n)) Py_RETURN_NONE;
+    if (!take_moments(&s, &innovation, given[4], given[5], now.n) || !take_more(&s, now.n, Py_None, given[7]))
+        Py_RETURN_NONE;
+    s.R = matrix_of(given[6], s.m, s.m), z = vector_of(given[2], s.m), innovation.y = vector_of(given[3], s.m);
+    if (!s.R || !z || !innovation.y || !is_symmetric(s.R, s.m)) Py_RETURN_NONE;
+    if (begin_corrected(&h, &now, &s, &made) < 0) return answer_arrays(&h, &made, -1);
+    real_copy((int)s.m, z, numbers_of(made.z));
+    return answer_arrays(&h, &made, correct_innovation(&now, &s, &innovation, &made));
+}
+
+/* The writable arrays of a dictionary, each with a copy of its contents: [(array, copy)]. */
+static PyObject *copied_arrays(PyObject *self, PyObject *attributes) {
+    PyObject *const found = PyList_New(0), *key, *value;
+    Py_ssize_t place = 0;
+    (void)self;
+    if (!found || !PyDict_CheckExact(attributes)) {
+        if (found) PyErr_SetString(PyExc_TypeError, "copied_arrays: expected a dictionary");
+        Py_XDECREF(found);
         return NULL;
     }
-    values = numbers_of(record);
-    correction_begin((int)n, (int)m, 1, &c, work);
-    if (S) {
-        for (npy_intp i = 0; i < m; i++)
-            for (npy_intp k = 0; k < n; k++) c.C[i * n + k] = C[k * m + i];
-        real_copy((int)(m * m), S, c.S);
+    while (PyDict_Next(attributes, &place, &key, &value)) {
+        PyObject *copy, *pair;
+        int added;
+        if (!PyArray_CheckExact(value) || !PyArray_ISWRITEABLE((PyArrayObject *)value)) continue;
+        copy = PyArray_NewCopy((PyArrayObject *)value, NPY_KEEPORDER);
+        pair = copy ? PyTuple_Pack(2, value, copy) : NULL;
+        added = pair ? PyList_Append(found, pair) : -1;
+        Py_XDECREF(copy);
+        Py_XDECREF(pair);
+        if (added < 0) {
+            Py_DECREF(found);
+            return NULL;
+        }
     }
-    real_copy((int)(n * n), P, numbers_of(P_next));
-    for (npy_intp k = 0; k < n; k++) numbers_of(x)[k] = 0;
-    if (memory) real_copy((int)(SPREAD_NUMBERS * m), memory, numbers_of(learnt));
-    fine = update_moments((int)n, (int)m, &rule, z, y, H, R, memory ? (spread_memory *)numbers_of(learnt) : NULL,
-                          numbers_of(x), numbers_of(P_next), &c, work);
-    if (fine) {
-        const double *const shown = work + update_work((int)n, (int)m);
-        begin_record(values, n, m, &rule, &c);
-        real_copy((int)m, shown + m * m + m * n, values + 4);
-        real_copy((int)(m * m + m * n), shown, values + 4 + 8 * m);
-    }
-    work_done(stack, work);
-    if (fine) found = PyTuple_Pack(4, x, P_next, record, learnt);
-    Py_XDECREF(answer(&h, 0));
-    if (fine || PyErr_Occurred()) return found;
-    Py_RETURN_NONE;
+    return found;
 }
 
 PyMethodDef online_functions[] = {
     {"predict", (PyCFunction)(void (*)(void))predict_step, METH_FASTCALL, "Predict a filter's next state: (filter, u)."},
+    {"predict_covariance", covariance_step, METH_O, "Predict a filter's P, and leave x where it is."},
     {"correct", (PyCFunction)(void (*)(void))correct_step, METH_FASTCALL,
      "Correct a filter's state: (filter, z, R, H, M), None for its own R and H and for no M."},
+    {"correct_innovation", (PyCFunction)(void (*)(void))innovation_step, METH_FASTCALL,
+     "Correct a filter's state by an innovation: (filter, z, its prediction or None, y or None, C, S, R or None); the "
+     "Jacobian for C, and then None for S."},
     {"correct_arrays", (PyCFunction)(void (*)(void))correct_arrays, METH_FASTCALL,
      "Correct a state by linear sensors; see robust_filterpy.kernel.moments."},
     {"correct_moments", (PyCFunction)(void (*)(void))correct_moments, METH_FASTCALL,
      "Correct a state at 0 by an innovation of known moments; see robust_filterpy.kernel.moments."},
+    {"copied_arrays", copied_arrays, METH_O, "Return (array, copy) for each writable array of a dictionary."},
     {NULL, NULL, 0, NULL}};

@@ -44,7 +44,6 @@ INLINE int update(const int n, const int m, const correction_rule *const rule, c
     spread_change change = {NULL, NULL, NULL, 0, 0};
     if (!innovate(n, m, z, x, P, H, R, M, c)) return 0;
     if (rule->scaling == SCALING_LEARNT) {
-        if (M) return 0;
         for (int i = 0; i < m; i++) {
             learnt[i] = memory[i];
             if (c->left[i] != 0 && !(c->S[i * m + i] > 0)) return 0;
@@ -53,7 +52,7 @@ INLINE int update(const int n, const int m, const correction_rule *const rule, c
         if (change.grows) {
             for (int k = 0; k < n; k++)
                 for (int j = 0; j < n; j++) P[k * n + j] *= change.growth[k] * change.growth[j];
-            if (!innovate(n, m, z, x, P, H, R, NULL, c)) return 0;
+            if (!innovate(n, m, z, x, P, H, R, M, c)) return 0;
         }
     }
     if (shown) {
@@ -71,6 +70,11 @@ INLINE int update(const int n, const int m, const correction_rule *const rule, c
     }
     if (!correct_grouped(n, m, rule, spread, x, P, c)) return 0;
     spread_after(n, m, z, H, x, learnt);
+    /* What is not noise of y includes its noise's part in the state, which is not in H x. */
+    if (M)
+        for (int i = 0; i < m; i++)
+            for (int j = 0; z[i] == z[i] && j < m; j++)
+                for (int k = 0; k < n; k++) learnt[i].rest -= M[k * m + i] * H[j * n + k] * c->v[j];
     for (int i = 0; i < m; i++) memory[i] = learnt[i];
     return 1;
 }

@@ -14,11 +14,14 @@ import pytest
 import support
 from hostile import Fleeting, guarded, leaves, mutated, spoilt
 
-from robust_filterpy import Huber, RobustExtendedKalmanFilter, RobustKalmanFilter, kernel, smooth
+from robust_filterpy import Huber, RobustKalmanFilter, kernel, smooth
 from robust_filterpy.batch import filter_series
+from robust_filterpy.correction import spread
+from robust_filterpy.correction.options import Choices
 from robust_filterpy.filters import _step
 from robust_filterpy.identification import ARMAX, BoxJenkins, OutputError
 from robust_filterpy.identification.recursive import track
+from robust_filterpy.kernel import moments
 
 support.needs_kernel()
 
@@ -61,10 +64,8 @@ def calls():
                 smooth(support.make(RobustKalmanFilter, problem, **options), zs)
             matrices = {name: getattr(problem, name) for name in "FHQR"}
             filter_series(zs[None], **matrices, noise="learnt", process="scales", x0=np.zeros(n), P0=np.eye(n))
-            extended = RobustExtendedKalmanFilter(n, m)
             for z in zs[:3]:
-                extended.predict()
-                extended.update(z[:, None], lambda x, H=problem.H: H, lambda x, H=problem.H: H @ x)
+                moments.correct(Choices(scaling="learnt"), spread.begin(m), np.eye(n), z, z, problem.H, None, problem.R)
         y, u = g.normal(size=60), g.normal(size=60)
         for structure in (OutputError(2, 2), ARMAX(2, 2, 2), BoxJenkins(2, 1, 2, 2)):
             support.told_tracker(structure).run(y, u)
@@ -180,7 +181,8 @@ def test_a_spoilt_filter_does_what_the_definition_does(monkeypatch, options):
             spoil(kf, told, g)
             for entry in ENTRIES:
                 arguments = (told["u"],) if "predict" in entry else (told["z"],)
-                arguments = (*arguments, told["told R"], None, None) if entry == "correct" else arguments
+                more = {"correct": (told["told R"], None, None), "correct_mixture": (told["told R"],)}
+                arguments += more.get(entry, ())
                 if extension is not None:
                     outcome([lambda e=entry, a=arguments, kf=kf: getattr(EXTENSION, e)(copy.copy(kf), *a)])
             monkeypatch.setattr(_step, "_extension", extension)
@@ -233,10 +235,13 @@ def test_a_filter_that_changes_while_it_is_read_does_no_harm(options):
         kf.__class__ = Changing
         kf.armed = np.random.default_rng(seed)
         for entry in ENTRIES:
-            arguments = {"correct": ([1.0, 2.0], None, None, None), "correct_mixture": ([1.0, 2.0],)}.get(
+            arguments = {"correct": ([1.0, 2.0], None, None, None), "correct_mixture": ([1.0, 2.0], None)}.get(
                 entry, (None,)
             )
             outcome([lambda e=entry, a=arguments, kf=kf: getattr(EXTENSION, e)(kf, *a)])
+        moments = ([1.0, 2.0], np.ones(2), None, np.ones((2, 3)), None, None)
+        outcome([lambda kf=kf, a=moments: EXTENSION.correct_innovation(kf, *a)])
+        outcome([lambda kf=kf: EXTENSION.predict_covariance(kf)])
 
 
 @pytest.mark.slow

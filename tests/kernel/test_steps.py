@@ -183,12 +183,12 @@ def test_the_kernel_takes_ordinary_steps_under_learnt_noise(how):
     kf = support.make(RobustKalmanFilter, support.random_problem(1, 3, 2), **MIXTURES[how])
     # The first step begins at an x from outside.
     kf.predict()
-    assert EXTENSION.correct_mixture(kf, [1.0, 2.0])
-    assert EXTENSION.predict_mixture(kf, None) and EXTENSION.correct_mixture(kf, [np.nan, 2.0])
-    assert before_and_after(kf, lambda: EXTENSION.correct_mixture(kf, [np.nan, np.nan])) == (False, True)
+    assert EXTENSION.correct_mixture(kf, [1.0, 2.0], None)
+    assert EXTENSION.predict_mixture(kf, None) and EXTENSION.correct_mixture(kf, [np.nan, 2.0], None)
+    assert before_and_after(kf, lambda: EXTENSION.correct_mixture(kf, [np.nan, np.nan], None)) == (False, True)
     kf.x = kf.x + 1.0
     if how != "one copy":
-        assert before_and_after(kf, lambda: EXTENSION.correct_mixture(kf, [1.0, 2.0])) == (False, True)
+        assert before_and_after(kf, lambda: EXTENSION.correct_mixture(kf, [1.0, 2.0], None)) == (False, True)
         kf._kept = (1.0,) * 6
         assert before_and_after(kf, lambda: EXTENSION.predict_mixture(kf, None)) == (False, True)
 
@@ -260,10 +260,10 @@ def test_the_same_under_learnt_noise(name, how):
         kf._kept = value._replace(means=spoilt()[how](value.means))
     else:
         setattr(kf, name, spoilt()[how](value))
-    for call in (lambda: EXTENSION.predict_mixture(kf, None), lambda: EXTENSION.correct_mixture(kf, [1.0, 2.0])):
+    for call in (lambda: EXTENSION.predict_mixture(kf, None), lambda: EXTENSION.correct_mixture(kf, [1.0, 2.0], None)):
         outcome, same = before_and_after(kf, call)
         assert outcome is True or same
-    both = EXTENSION.predict_mixture(kf, None) and EXTENSION.correct_mixture(kf, [1.0, 2.0])
+    both = EXTENSION.predict_mixture(kf, None) and EXTENSION.correct_mixture(kf, [1.0, 2.0], None)
     assert not both or name == "_kept" or (name, how) in MADE_PLAIN
 
 

@@ -1,0 +1,178 @@
+"""Steps of nonlinear filters, by parts and with correlated noise, are the definition's, and refuse what it refuses."""
+
+import numpy as np
+import pytest
+import support
+from filterpy.kalman import MerweScaledSigmaPoints
+from hostile import spoilt
+
+from robust_filterpy import (
+    Huber,
+    Linear,
+    RobustCubatureKalmanFilter,
+    RobustExtendedKalmanFilter,
+    RobustKalmanFilter,
+    RobustUnscentedKalmanFilter,
+    TukeyBiweight,
+    kernel,
+)
+from robust_filterpy.filters import _step
+from robust_filterpy.kernel import moments
+
+support.needs_kernel()
+
+EXTENSION = kernel.extension()
+F = np.array([[1.0, 0.1, 0.0], [0.0, 0.95, 0.1], [0.0, 0.0, 0.9]])
+SHOWN = ("x", "P", "y", "S", "SI", "K", "e", "weights", "log_likelihood", "x_prior", "P_prior", "x_post", "P_post", "z")
+REFUSED = (TypeError, ValueError, OverflowError, np.linalg.LinAlgError)
+
+
+def seen(x):
+    x = np.ravel(x)
+    return np.array([np.hypot(x[0] + 5.0, x[1]), x[1] + 0.1 * x[2] ** 2])
+
+
+def slope(x):
+    x = np.ravel(x)
+    r = np.hypot(x[0] + 5.0, x[1])
+    return np.array([[(x[0] + 5.0) / r, x[1] / r, 0.0], [0.0, 1.0, 0.2 * x[2]]])
+
+
+def filters(kind, **options):
+    if kind == "extended":
+        kf = RobustExtendedKalmanFilter(3, 2, **options)
+        kf.F = F
+    elif kind == "unscented":
+        points = MerweScaledSigmaPoints(3, 0.3, 2.0, 0.0)
+        kf = RobustUnscentedKalmanFilter(3, 2, 1.0, seen, lambda x, dt: F @ x, points, **options)
+    else:
+        kf = RobustCubatureKalmanFilter(3, 2, 1.0, seen, lambda x, dt: F @ np.ravel(x), **options)
+    kf.Q, kf.R = 0.1 * np.eye(3), np.diag([0.5, 0.2])
+    if kind != "cubature":
+        kf.x = np.zeros(3)
+    return kf
+
+
+def stepped(kf, z, extension, monkeypatch, **told):
+    """Step by an extension, or by the definition alone; what it raises, None if nothing."""
+    with monkeypatch.context() as patch, np.errstate(all="ignore"):
+        patch.setattr(_step, "_extension", extension)
+        patch.setattr(moments.kernel, "extension", lambda: extension)
+        try:
+            kf.predict()
+            extra = (told.pop("H", slope), told.pop("Hx", seen)) if isinstance(kf, RobustExtendedKalmanFilter) else ()
+            kf.update(z, *extra, **told)
+        except REFUSED as error:
+            return type(error)
+    return None
+
+
+def assert_same(one, two, tolerance=1e-7):
+    for name in SHOWN:
+        a, b = (np.asarray(getattr(kf, name), dtype=float) for kf in (one, two))
+        np.testing.assert_allclose(a, b, rtol=tolerance, atol=tolerance * (1.0 + np.nanmax(np.abs(b))), err_msg=name)
+
+
+@pytest.mark.parametrize("grouping", ["component", "joint"])
+@pytest.mark.parametrize("influence", [Huber(), Linear(), TukeyBiweight()], ids=str)
+@pytest.mark.parametrize("kind", ["extended", "unscented", "cubature"])
+def test_a_step_is_the_definitions(kind, influence, grouping, monkeypatch):
+    g = np.random.default_rng(3)
+    one, two = (filters(kind, influence=influence, grouping=grouping) for _ in range(2))
+    calls = []
+    counting = type("Counting", (), {"__getattr__": lambda self, name: calls.append(name) or getattr(EXTENSION, name)})
+    for k in range(25):
+        z = np.array([5.0, 0.0]) + 0.7 * g.standard_t(2, size=2)
+        z[g.random(2) < 0.15] = np.nan
+        R = None if k % 3 else np.diag(g.uniform(0.2, 1.0, 2))
+        assert stepped(one, z.copy(), counting(), monkeypatch, R=R) is None
+        assert stepped(two, z.copy(), None, monkeypatch, R=R) is None
+        assert_same(one, two)
+    assert calls.count("correct_innovation") > 20 and "correct_moments" not in calls
+
+
+@pytest.mark.parametrize("kind", ["extended", "unscented"])
+def test_what_is_passed_spoilt_is_refused_or_taken_as_by_the_definition(kind, monkeypatch):
+    g, served = np.random.default_rng(4), 0
+    for seed in range(150):
+        one, two = filters(kind), filters(kind)
+        for kf in (one, two):
+            assert stepped(kf, np.array([5.0, 0.1]), None, monkeypatch) is None
+        place = ("z", "R", "H", "Hx")[seed % (4 if kind == "extended" else 2)]
+        given = {"z": np.array([5.2, 0.3]), "R": np.diag([0.4, 0.3]), "H": slope(one.x), "Hx": seen(one.x)}
+        given[place] = spoilt(given[place], g, [])
+        told = {"R": given["R"]}
+        if kind == "extended":
+            told |= {"H": lambda x, H=given["H"]: H, "Hx": lambda x, at=given["Hx"]: at}
+        before = {name: np.array(getattr(one, name)) for name in ("x", "P", "z")}
+        raised = [stepped(kf, given["z"], e, monkeypatch, **told) for kf, e in ((one, EXTENSION), (two, None))]
+        assert (raised[0] is None) == (raised[1] is None), (seed, place, given[place], raised)
+        served += raised[0] is None
+        if raised[0] is None and max(np.abs(two.x).max(), np.abs(two.P).max()) < 1e9 and given["z"] is not None:
+            np.testing.assert_allclose(one.x, two.x, rtol=1e-6, atol=1e-6, err_msg=str(seed))
+            np.testing.assert_allclose(one.P, two.P, rtol=1e-6, atol=1e-6, err_msg=str(seed))
+        if raised[0] is not None:
+            # The prediction has happened, the correction has not.
+            np.testing.assert_array_equal(one.x, one.x_prior)
+            np.testing.assert_array_equal(one.z, before["z"])
+    assert served > 20
+
+
+def test_a_model_of_ones_own_moves_x_and_the_kernel_p(monkeypatch):
+    class Own(RobustExtendedKalmanFilter):
+        def predict_x(self, u=0):
+            self.x = np.sin(self.x) + u
+
+    one, two = Own(3, 2), Own(3, 2)
+    for kf, extension in ((one, EXTENSION), (two, None)):
+        kf.x, kf.F, kf.Q, kf.R = np.ones(3), F, 0.1 * np.eye(3), np.eye(2)
+        for z in ([5.0, 0.1], [5.5, 0.2], [60.0, 0.2]):
+            stepped(kf, np.array(z), extension, monkeypatch)
+    assert_same(one, two)
+    np.testing.assert_array_equal(one.x_prior.shape, (3,))
+
+
+@pytest.mark.parametrize("jump", [0.0, 60.0])
+def test_noise_that_is_correlated_with_the_state_is_the_definitions(jump, monkeypatch):
+    g, grew = np.random.default_rng(5), False
+    one, two = RobustKalmanFilter(3, 2), RobustKalmanFilter(3, 2)
+    for kf in (one, two):
+        kf.F, kf.Q, kf.R, kf.H = F, 0.1 * np.eye(3), 0.5 * np.eye(2), np.array([[1.0, 0.0, 0.2], [0.0, 1.0, 0.0]])
+        kf.M = np.array([[0.1, 0.0], [0.0, 0.05], [0.02, 0.01]])
+    for k in range(30):
+        z = g.normal(size=2) + (jump if k > 15 else 0.0)
+        z[g.random(2) < 0.1] = np.nan
+        for kf, extension in ((one, EXTENSION), (two, None)):
+            with monkeypatch.context() as patch:
+                patch.setattr(_step, "_extension", extension)
+                patch.setattr(moments.kernel, "extension", lambda extension=extension: extension)
+                kf.predict()
+                before = kf.H @ kf.P @ kf.H.T
+                kf.update_correlated(z)
+        if not np.isnan(z).all():
+            assert_same(one, two)
+            np.testing.assert_allclose(one._memory, two._memory, rtol=1e-7, atol=1e-7)
+            HM = one.H @ one.M
+            grew |= not np.allclose(one.S, before + HM + HM.T + one.R)
+    assert grew == (jump > 0.0)
+
+
+def test_parts_show_the_same_whenever_they_are_looked_at():
+    g = np.random.default_rng(6)
+    one, two = RobustKalmanFilter(3, 3), RobustKalmanFilter(3, 3)
+    for kf in (one, two):
+        kf.H = np.array([[1.0, 0.0, 0.2], [0.0, 1.0, 0.0], [0.3, 0.0, 1.0]])
+        kf.update([0.1, np.nan, 0.3])
+    for k in range(40):
+        start = int(g.integers(3))
+        z = 3.0 * g.standard_t(2, size=int(g.integers(1, 4 - start)))
+        for kf in (one, two):
+            kf.predict()
+            kf.update_sequential(start, z)
+        looked = [np.copy(getattr(two, name)) for name in ("y", "K", "e", "weights", "log_likelihood")]
+        # Only what is in force is kept, however long nobody looks.
+        assert len(one._last.parts) <= 6
+        if k % 7 == 6:
+            for name, value in zip(("y", "K", "e", "weights", "log_likelihood"), looked, strict=True):
+                np.testing.assert_array_equal(getattr(one, name), value, err_msg=name)
+            one.update([0.1, 0.2, 0.3]), two.update([0.1, 0.2, 0.3])
