@@ -22,10 +22,10 @@ from robust_filterpy.filters._bounded import Bounded
 from robust_filterpy.filters._interruption import StateMixin
 from robust_filterpy.filters._options import OptionsMixin
 from robust_filterpy.filters._outlier_share import EVERY, Share
-from robust_filterpy.filters._stuck import look_for_stuck
 from robust_filterpy.filters._policy import policy_of
 from robust_filterpy.filters._printing import PrintingMixin
 from robust_filterpy.filters._sensors import Customs
+from robust_filterpy.filters._stuck import look_for_stuck
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.kernel.record import correction_of
 
