@@ -178,9 +178,9 @@ def filter_series(
     for s, start in enumerate(by_kernel(rules, given, stands, shown, n_threads).tolist()):
         if start < steps:
             _by_filter(kf, given, stands, shown, s, start)
-    stuck = () if rules.classes is None else np.argwhere(kept.weights == 0.0)
+    stuck = np.argwhere(kept.weights == 0.0) if rules.classes else np.zeros((0, 3), dtype=int)
     if len(stuck):
-        say_stuck(f"filter_series: series {stuck[0][0]}", int(stuck[0][2]))
+        say_stuck(f"filter_series: series {stuck[0, 0]}", int(stuck[0, 2]))
     return FilteredSeries(
         kept.means, given.covariances(covariance), kept.log_likelihood, kept.weights, *shown, stands
     )  # fmt: skip

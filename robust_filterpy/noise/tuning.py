@@ -146,7 +146,7 @@ def tune(
     """
     if hasattr(kf, "structure"):
         raise TypeError("kf: expected a linear filter, got a ParameterTracker; use estimate_noise(tracker, y, us=u)")
-    tried = (getattr(kf, "grouping", "component"),) if grouping is None else (grouping,)
+    tried: tuple[Any, ...] = (getattr(kf, "grouping", "component"),) if grouping is None else (grouping,)
     _checks.option("grouping", tried[0], ("component", "joint"))
     if grouping is None and tried == ("component",) and kf.dim_z > 1:
         tried = ("component", "joint")
@@ -157,18 +157,18 @@ def tune(
         "Rs": None if Rs is None else [_by_factors(R_k, noise.R_scale) for R_k in Rs],
     }  # fmt: skip
     plain = {each: _run(_with_model(_KINDS["one-sided"], each, kf, noise), zs, steps) for each in tried}
-    grouping = max(plain, key=lambda each: plain[each].log_likelihood - _SURELY * (each != tried[0]))
-    filters = {kind: _with_model(options, grouping, kf, noise) for kind, options in _KINDS.items()}
+    best: Any = max(plain, key=lambda each: plain[each].log_likelihood - _SURELY * (each != tried[0]))
+    filters = {kind: _with_model(options, best, kf, noise) for kind, options in _KINDS.items()}
     scores = {"one-sided": 1.0}
     for name in list(filters)[1:]:
-        scores[name] = _score(_run(filters[name], zs, steps).y, plain[grouping].y)
+        scores[name] = _score(_run(filters[name], zs, steps).y, plain[best].y)
     kind = min(scores, key=lambda name: scores[name] + _GAIN * (name != "one-sided"))
-    chosen = _with_model(_KINDS[kind], grouping, kf, noise)
+    chosen = _with_model(_KINDS[kind], best, kf, noise)
     if kind == "adaptive":
         chosen.learnt = filters[kind].learnt.copy()
     report = _report(kind, noise, scores, filters["adaptive"])
     if len(tried) > 1:
-        report += f"\nSensors fail {'together' if grouping == 'joint' else 'each on its own'}."
+        report += f"\nSensors fail {'together' if best == 'joint' else 'each on its own'}."
     return Tuned(chosen, kind, noise, scores, report)
 
 
