@@ -148,9 +148,9 @@ def tune(
         raise TypeError("kf: expected a linear filter, got a ParameterTracker; use estimate_noise(tracker, y, us=u)")
     tried: tuple[Any, ...] = (getattr(kf, "grouping", "component"),) if grouping is None else (grouping,)
     _checks.option("grouping", tried[0], ("component", "joint"))
+    noise = estimate_noise(kf, zs, us=us, Fs=Fs, Qs=Qs, Hs=Hs, Rs=Rs, R=R, Q=Q)
     if grouping is None and tried == ("component",) and kf.dim_z > 1:
         tried = ("component", "joint")
-    noise = estimate_noise(kf, zs, us=us, Fs=Fs, Qs=Qs, Hs=Hs, Rs=Rs, R=R, Q=Q)
     steps = {
         "Fs": Fs, "Hs": Hs, "us": us,
         "Qs": None if Qs is None else [_by_factors(Q_k, noise.Q_scale) for Q_k in Qs],
