@@ -14,6 +14,7 @@ from robust_filterpy.batch._arguments import SeriesArguments, series_arguments, 
 from robust_filterpy.batch._standing import Rules, began, continued, refuse, rules_of
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
+from robust_filterpy.filters._stuck import say_stuck
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.kernel import learnt as learnt_kernel
@@ -177,6 +178,9 @@ def filter_series(
     for s, start in enumerate(by_kernel(rules, given, stands, shown, n_threads).tolist()):
         if start < steps:
             _by_filter(kf, given, stands, shown, s, start)
+    stuck = np.argwhere(kept.weights == 0.0) if rules.classes else np.zeros((0, 3), dtype=int)
+    if len(stuck):
+        say_stuck(f"filter_series: series {stuck[0, 0]}", int(stuck[0, 2]))
     return FilteredSeries(
         kept.means, given.covariances(covariance), kept.log_likelihood, kept.weights, *shown, stands
     )  # fmt: skip

@@ -82,7 +82,7 @@ class NoiseClasses:
         own.
     memory : float, default 300
         Samples for which transitions between the classes are remembered, > 1.
-    r_memory : float, default 30
+    r_memory : float, default 50
         Ordinary samples for which the size of the noise is remembered, > 1.
     probabilities : sequence of float, optional
         Probabilities of the classes where they are told: nothing is learnt then, and r is 1.
@@ -102,7 +102,7 @@ class NoiseClasses:
     scales: Sequence[float] = SCALES
     grouping: Grouping = "component"
     memory: float = 300.0
-    r_memory: float = 30.0
+    r_memory: float = 50.0
     probabilities: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
@@ -238,7 +238,7 @@ def usual(known: Array, classes: int) -> Array:
     return np.asarray(counts.sum(axis=0) / counts.sum())
 
 
-def learn(known: Array, posterior: Array, energy: float, noise: NoiseClasses) -> Array:
+def learn(known: Array, posterior: Array, energy: float, part: float, noise: NoiseClasses) -> Array:
     """Return what is known after one sample.
 
     Parameters
@@ -249,6 +249,8 @@ def learn(known: Array, posterior: Array, energy: float, noise: NoiseClasses) ->
         Probabilities of the sample's classes.
     energy : float
         E[v^2 | class 0]/R, in the mean over the components of a group.
+    part : float
+        Share of the innovation's variance that is ordinary noise, likewise.
     noise : NoiseClasses
         Scales and memories.
 
@@ -260,16 +262,16 @@ def learn(known: Array, posterior: Array, energy: float, noise: NoiseClasses) ->
     -----
     Expectation-maximisation online, with statistics that are forgotten exponentially:
     E[class i before, class j now] = q_i A_ij p_j / sum_l q_l A_lj, with q the last sample's probabilities and A the
-    counts over their sum.
+    counts over their sum. An innovation of which noise is a part k tells k^2 as much of r as noise itself would (the
+    Fisher information), and counts as that.
     """
     K, after, begin = len(posterior), known.copy(), start(len(posterior))
     ordinary = float(posterior[0])
-    after[1] = (1.0 - 1.0 / noise.r_memory) * known[1] + ordinary
-    if after[1] > 1e-12:
-        after[0] += ordinary * (energy - known[0]) / after[1]
+    # One sample is never forgotten, else r would reel where it can hardly be seen.
+    after[1] = 1.0 + (1.0 - 1.0 / noise.r_memory) * (known[1] - 1.0) + ordinary * part * part
+    after[0] += ordinary * (energy - known[0]) / after[1]
     after[0] = min(max(after[0], 1e-8), 1e8)
-    # The share of each class is for twice as many samples.
-    after[2 : 2 + K] += 0.5 / noise.r_memory * (posterior - known[2 : 2 + K])
+    after[2 : 2 + K] += 1.0 / noise.r_memory * (posterior - known[2 : 2 + K])
     last, counts = _chain(known, K)
     joint = (last / counts.sum(axis=1))[:, None] * counts
     expected = joint.sum(axis=0)

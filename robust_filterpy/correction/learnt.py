@@ -84,6 +84,8 @@ class _Scores(NamedTuple):
     """(q,)"""
     energies: Array
     """E[v^2 | class 0]/(r R) of each sensor, or in the mean over the group, (q, g) or (q, 1)."""
+    parts: Array
+    """Share of its variance that is ordinary noise, likewise."""
 
 
 def correct(
@@ -172,9 +174,10 @@ def correct(
         posterior = shares @ found.given
         if noise.learns:
             ordinary = shares * found.given[:, 0]
-            energies = (ordinary @ found.energies) / max(float(ordinary.sum()), 1e-300)
+            energies, parts = (ordinary @ a / max(float(ordinary.sum()), 1e-300) for a in found[4:])
             for k, row in enumerate(own):
-                memory[row] = learning.learn(memory[row], posterior, r[group[k]] * float(energies[k]), noise)
+                energy = r[group[k]] * float(energies[k])
+                memory[row] = learning.learn(memory[row], posterior, energy, float(parts[k]), noise)
         log_density += log_total
         weights[part[group]], outlying[part[group]] = posterior @ (1.0 / np.array(noise.scales)), 1.0 - posterior[0]
         now = _taken(now, group, found, shares)
@@ -267,8 +270,9 @@ def _scores(
     if one_r:
         expected, found, size = expected.sum(axis=1)[:, None], found.sum(axis=1)[:, None], y.shape[2]
     excess = np.divide(found, expected, out=np.ones_like(found), where=expected > 0.0) - 1.0
-    energies = np.maximum(1.0 + np.minimum(expected / size, 1.0) * excess, 0.0)
-    return _Scores(a, b + a[:, :, None] * a[:, None, :], given, peaks + np.log(totals), energies)
+    parts = np.minimum(expected / size, 1.0)
+    energies = np.maximum(1.0 + parts * excess, 0.0)
+    return _Scores(a, b + a[:, :, None] * a[:, None, :], given, peaks + np.log(totals), energies, parts)
 
 
 def _weighed(probabilities: Array, log_densities: Array, q: int, fresh: bool) -> tuple[Array, float]:

@@ -29,7 +29,7 @@ class Learnt:
         Factors of the covariance R that noise may have, ascending from 1.
     memory : float, default 300
         Samples for which it is remembered how often each scale occurs, > 1.
-    r_memory : float, default 30
+    r_memory : float, default 50
         Ordinary samples for which the size of the noise is remembered, > 1: a longer memory is quieter, a shorter one
         follows a noise that changes.
 
@@ -41,7 +41,7 @@ class Learnt:
 
     scales: Sequence[float] = SCALES
     memory: float = 300.0
-    r_memory: float = 30.0
+    r_memory: float = 50.0
 
     def __post_init__(self) -> None:
         """Check the parameters."""

@@ -1,4 +1,5 @@
 from robust_filterpy.filters._outlier_share import OutlierShareWarning as OutlierShareWarning
+from robust_filterpy.filters._stuck import StuckSensorWarning as StuckSensorWarning
 from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter as AdaptiveKalmanFilter
 from robust_filterpy.filters.conversion import robust as robust
 from robust_filterpy.filters.ensemble import RobustEnsembleKalmanFilter as RobustEnsembleKalmanFilter

@@ -25,6 +25,7 @@ from robust_filterpy.filters._parts import log_density
 from robust_filterpy.filters._policy import policy_of
 from robust_filterpy.filters._printing import PrintingMixin
 from robust_filterpy.filters._sensors import Customs
+from robust_filterpy.filters._stuck import look_for_stuck
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.kernel.moments import Taken
 from robust_filterpy.kernel.record import correction_of, weights_of
@@ -141,6 +142,8 @@ class RobustFilterMixin(OptionsMixin, PrintingMixin, StateMixin):
     def _look(self, last: Any) -> None:
         """Count a correction, and look now and then whether most of them clip."""
         self._updates += 1
+        if self._policy.noise is not None:
+            look_for_stuck(self, last.weights)
         # Under a mixture psi follows from probabilities, and by custom from what is usual: no share is expected there.
         expected = self._policy.noise is None and self._choices.scaling == "innovation"
         if expected and self._counts_clipped and self._updates % EVERY == 0:

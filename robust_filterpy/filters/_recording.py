@@ -11,6 +11,7 @@ from robust_filterpy._checks import Array, all_covariances, entries, numbers, sh
 from robust_filterpy.correction.copies import Copies
 from robust_filterpy.filters._mixin import unchanged_if_refused
 from robust_filterpy.filters._mixture import Kept
+from robust_filterpy.filters._stuck import look_for_stuck
 from robust_filterpy.kernel import available, learnt, series
 from robust_filterpy.kernel.records import Model, Output
 
@@ -241,9 +242,9 @@ class MixtureLoop(CompiledLoop):
         now = policy.current(kf._kept, x.ravel(), P)
         state = learnt.begin(now.copies, kf._known(self._zs.shape[2]).memory)
         means, covariances, means_p, covariances_p = (array[0] for array in self._kept[:4])
-        flat = (len(means), -1)
+        flat, weights = (len(means), -1), np.ones(self._zs.shape[1:])
         into = learnt.Kept(
-            means, covariances.reshape(flat), means_p, covariances_p.reshape(flat),
+            means, covariances.reshape(flat), means_p, covariances_p.reshape(flat), weights=weights,
             scale=None if self.scales is None else self.scales[:, None],
         )  # fmt: skip
         model = tuple(array[0] for array in self._model)
@@ -256,6 +257,7 @@ class MixtureLoop(CompiledLoop):
             copies = Copies(*state[:3], float(state.unseen[0]))
             kf._kept = None if kf._kept is None else Kept(*copies[:3], state.x, state.P, copies.unseen)
             kf._learn(state.learnt, len(state.learnt))
+            look_for_stuck(kf, weights[k:taken], k)
         return taken
 
 

@@ -173,17 +173,19 @@ INLINE void learnt_usual(const int K, const real *RESTRICT known, real *RESTRICT
     learnt_normalize(K, p);
 }
 
-/* Learn from a sample: p the probabilities of its classes, before those that were predicted, energy E[v^2 | class 0]/R. */
+/* Learn from a sample: p the probabilities of its classes, before those that were predicted, energy E[v^2 | class 0]/R, part
+   the share of its variance that is noise. */
 INLINE void learnt_learn(const learnt_rule *const rule, const real *RESTRICT p, const real *RESTRICT before,
-                         const real energy, real *RESTRICT known) {
+                         const real energy, const real part, real *RESTRICT known) {
     const int K = rule->K, width = learnt_width(K);
     real *RESTRICT shares = known + 2, *RESTRICT last = shares + K, *RESTRICT counts = last + K;
     const real *RESTRICT prior = rule->begin + 2 + 2 * K;
     const real keep = 1 - 1 / rule->memory;
-    known[1] = (1 - 1 / rule->r_memory) * known[1] + p[0];
-    if (known[1] > REAL(1e-12)) known[0] += p[0] * (energy - known[0]) / known[1];
+    /* Of what is noise by a part it tells the square of that. One sample is never forgotten, else r would reel. */
+    known[1] = 1 + (1 - 1 / rule->r_memory) * (known[1] - 1) + p[0] * part * part;
+    known[0] += p[0] * (energy - known[0]) / known[1];
     known[0] = real_min(real_max(known[0], REAL(1e-8)), REAL(1e8));
-    for (int j = 0; j < K; j++) shares[j] += REAL(0.5) / rule->r_memory * (p[j] - shares[j]);
+    for (int j = 0; j < K; j++) shares[j] += 1 / rule->r_memory * (p[j] - shares[j]);
     for (int i = 0; i < K; i++) {
         real total = 0;
         for (int j = 0; j < K; j++) total += counts[i * K + j];
@@ -362,7 +364,7 @@ typedef struct {
     real *C;     /* (copies, m, n) */
     real *S;     /* (copies, m, m) */
     real *given; /* (copies, K) probabilities of the classes */
-    real *a, *b, *logs, *energy, *shares, *first; /* (copies); first: S of the sensor of the turn */
+    real *a, *b, *logs, *energy, *shares, *parts; /* (copies); parts: of its variance, noise's */
     real *direction; /* (n) scratch */
     real *left, *r, *start, *seen; /* (m) 1 where not yet used; factors of R; the largest S_ii at the beginning; scratch */
     real *before, *usual, *after, *weights; /* (K) */
@@ -488,7 +490,7 @@ INLINE int learnt_scores(const int m, const learnt_rule *const rule, const int i
         const real S = w->S[c * m * m + i * m + i];
         const real *const before = c < rule->q ? w->before : w->usual;
         real *RESTRICT given = w->given + c * K;
-        real y = w->y[c * m + i], reach, total = 0, first = 0, second = 0, part;
+        real y = w->y[c * m + i], reach, total = 0, first = 0, second = 0;
         if (!(S > REAL_PIVOT * w->start[i]) || !real_is_finite(S)) return 0;
         reach = LEARNT_REACH * real_sqrt(S + (rule->scales[K - 1] - 1) * noise);
         y = real_min(real_max(y, -reach), reach);
@@ -508,8 +510,8 @@ INLINE int learnt_scores(const int m, const learnt_rule *const rule, const int i
         w->a[c] = first * y;
         w->b[c] = first - second * y * y;
         w->logs[c] = total;
-        part = real_min(noise / S, 1);
-        w->energy[c] = real_max(1 + part * (y * y / S - 1), 0);
+        w->parts[c] = real_min(noise / S, 1);
+        w->energy[c] = real_max(1 + w->parts[c] * (y * y / S - 1), 0);
     }
     return 1;
 }
@@ -533,8 +535,8 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
     w.logs = w.b + copies;
     w.energy = w.logs + copies;
     w.shares = w.energy + copies;
-    w.first = w.shares + copies;
-    w.direction = w.first + copies;
+    w.parts = w.shares + copies;
+    w.direction = w.parts + copies;
     w.left = w.direction + n;
     w.r = w.left + m;
     w.start = w.r + m;
@@ -569,7 +571,7 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
         const int i = learnt_next(m, copies, s->p, &w);
         const real noise = w.r[i] * R[i * m + i];
         real *RESTRICT known = s->memory + i * width;
-        real total = 0, others = 0, evidence = 0, ordinary = 0, energy = 0, weight = 0;
+        real total = 0, others = 0, evidence = 0, ordinary = 0, energy = 0, part = 0, weight = 0;
         learnt_predicted(K, known, w.before);
         learnt_usual(K, known, w.usual);
         if (!learnt_scores(m, rule, i, noise, &w)) return -1;
@@ -595,12 +597,14 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
             for (int k = 0; k < K; k++) w.after[k] += share * w.given[c * K + k];
             ordinary += share * w.given[c * K];
             energy += share * w.given[c * K] * w.energy[c];
+            part += share * w.given[c * K] * w.parts[c];
         }
         for (int k = 0; k < K; k++) weight += w.after[k] / rule->scales[k];
         weights[i] = weight;
         outlying[i] = 1 - w.after[0];
+        ordinary = real_max(ordinary, REAL(1e-300));
         if (rule->learns)
-            learnt_learn(rule, w.after, w.before, w.r[i] * energy / real_max(ordinary, REAL(1e-300)), known);
+            learnt_learn(rule, w.after, w.before, w.r[i] * energy / ordinary, part / ordinary, known);
         w.left[i] = 0;
         for (int c = 0; c < copies; c++) {
             real *RESTRICT x = s->x + c * n, *RESTRICT P = s->P + c * n * n, *RESTRICT S = w.S + c * m * m;

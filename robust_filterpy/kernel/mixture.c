@@ -168,6 +168,8 @@ static int correct_mixture(held *h, PyObject *filter, PyObject *z, PyObject *tol
                           &likelihood, work) > 0 &&
            merge(&f, work);
     work_done(stack, work);
+    /* That a sensor is stuck is said in words, by the definition. */
+    for (int i = 0; i < m; i++) fine = fine && numbers_of(weights)[i] != 0;
     if (!fine) return 0;
     for (int i = 0; i < m; i++) ordinary *= 1 - numbers_of(outlying)[i];
     H_too = copied(h, H, 2, m, n);

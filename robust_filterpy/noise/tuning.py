@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,8 @@ _LEAST_CONTAMINATION = 0.002
 _FAR = 100.0
 # What a filter more than the simplest has to gain, so that it is not taken where both are the same.
 _GAIN = 0.003
+# By how much the measurements must be more likely, in nats, before sensors are taken to fail together.
+_SURELY = 3.0
 # Below this score a kind has shown what it is for.
 _CLEARLY = 0.99
 #: What makes each kind of filter, the simplest first; told noise is what was fitted.
@@ -102,7 +104,8 @@ def tune(
     R, Q : bool, "each" or sequence of int
         What to scale, as in `estimate_noise`; by default each sensor's variance, and Q as a whole.
     grouping : {"component", "joint"}, optional
-        Whether sensors fail each on its own or together. Default: as kf has it, else "component".
+        Whether sensors fail each on its own or together. Default: as kf has it if it says that some fail together, else
+        both are tried and the one that makes the recording more likely is taken.
 
     Returns
     -------
@@ -143,22 +146,30 @@ def tune(
     """
     if hasattr(kf, "structure"):
         raise TypeError("kf: expected a linear filter, got a ParameterTracker; use estimate_noise(tracker, y, us=u)")
-    grouping = getattr(kf, "grouping", "component") if grouping is None else grouping
-    _checks.option("grouping", grouping, ("component", "joint"))
+    tried: tuple[Any, ...] = (getattr(kf, "grouping", "component"),) if grouping is None else (grouping,)
+    _checks.option("grouping", tried[0], ("component", "joint"))
     noise = estimate_noise(kf, zs, us=us, Fs=Fs, Qs=Qs, Hs=Hs, Rs=Rs, R=R, Q=Q)
+    if grouping is None and tried == ("component",) and kf.dim_z > 1:
+        tried = ("component", "joint")
     steps = {
         "Fs": Fs, "Hs": Hs, "us": us,
         "Qs": None if Qs is None else [_by_factors(Q_k, noise.Q_scale) for Q_k in Qs],
         "Rs": None if Rs is None else [_by_factors(R_k, noise.R_scale) for R_k in Rs],
     }  # fmt: skip
-    tried = {kind: _with_model(options, grouping, kf, noise) for kind, options in _KINDS.items()}
-    runs = {name: _innovations(filter, zs, steps) for name, filter in tried.items()}
-    scores = {name: _score(y, runs["one-sided"]) for name, y in runs.items()}
+    plain = {each: _run(_with_model(_KINDS["one-sided"], each, kf, noise), zs, steps) for each in tried}
+    best: Any = max(plain, key=lambda each: plain[each].log_likelihood - _SURELY * (each != tried[0]))
+    filters = {kind: _with_model(options, best, kf, noise) for kind, options in _KINDS.items()}
+    scores = {"one-sided": 1.0}
+    for name in list(filters)[1:]:
+        scores[name] = _score(_run(filters[name], zs, steps).y, plain[best].y)
     kind = min(scores, key=lambda name: scores[name] + _GAIN * (name != "one-sided"))
-    chosen = _with_model(_KINDS[kind], grouping, kf, noise)
+    chosen = _with_model(_KINDS[kind], best, kf, noise)
     if kind == "adaptive":
-        chosen.learnt = tried[kind].learnt.copy()
-    return Tuned(chosen, kind, noise, scores, _report(kind, noise, scores, tried["adaptive"]))
+        chosen.learnt = filters[kind].learnt.copy()
+    report = _report(kind, noise, scores, filters["adaptive"])
+    if len(tried) > 1:
+        report += f"\nSensors fail {'together' if best == 'joint' else 'each on its own'}."
+    return Tuned(chosen, kind, noise, scores, report)
 
 
 def _with_model(options: dict[str, Any], grouping: Any, kf: Any, noise: NoiseEstimate) -> Any:
@@ -172,19 +183,28 @@ def _with_model(options: dict[str, Any], grouping: Any, kf: Any, noise: NoiseEst
     return replace(noise, contamination=max(noise.contamination, _LEAST_CONTAMINATION)).apply(filter)
 
 
-def _innovations(filter: Any, zs: Any, steps: dict[str, Any]) -> Array:
-    """Return the innovations of a recording, NaN where a component was missing, shape (N, m)."""
-    kept = []
+class _Run(NamedTuple):
+    """What a filter made of a recording."""
+
+    y: Array
+    """Innovations, NaN where a component was missing, shape (N, m)."""
+    log_likelihood: float
+
+
+def _run(filter: Any, zs: Any, steps: dict[str, Any]) -> _Run:
+    """Run a filter over a recording."""
+    kept, likely = [], []
 
     class Recorder:
         """Stand where filterpy puts its Saver."""
 
         def save(self) -> None:
-            """Keep the innovation."""
+            """Keep the innovation and how likely it was."""
+            likely.append(filter.log_likelihood)
             kept.append(np.where(np.isnan(filter.weights), np.nan, filter.y).ravel())
 
     filter.batch_filter(zs, saver=Recorder(), **steps)
-    return np.array(kept)
+    return _Run(np.array(kept), float(np.sum(likely)))
 
 
 def _score(y: Array, reference: Array) -> float:

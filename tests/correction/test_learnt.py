@@ -149,17 +149,44 @@ def test_transitions_are_counted_with_a_memory():
     labels = np.concatenate([[0], rng.choice(K, 60, p=[0.8, 0.1, 0.1])])
     known, counts = certain(K), np.zeros((K, K))
     for before, now in itertools.pairwise(labels):
-        known = learn(known, np.eye(K)[now], 1.0, noise)
+        known = learn(known, np.eye(K)[now], 1.0, 1.0, noise)
         counts *= 1.0 - 1.0 / memory
         counts[before, now] += 1.0
     assert_allclose(known[2 + 2 * K : -10], start(K)[2 + 2 * K : -10] + counts.ravel(), rtol=1e-10)
+
+
+def test_a_sample_counts_by_the_square_of_the_part_that_is_noise_and_one_is_never_forgotten():
+    """n = 1 + sum of forgotten k^2: r is learnt from what tells of it, however little."""
+    noise, ordinary, counts = NoiseClasses(r_memory=50.0), np.eye(4)[0], {}
+    for part in (1.0, 0.2, 1e-9):
+        known = start(4)
+        for _ in range(2000):
+            known = learn(known, ordinary, known[0], part, noise)
+        counts[part] = known[1]
+    assert counts == pytest.approx({1.0: 51.0, 0.2: 3.0, 1e-9: 1.0})
+    # E[v^2] of an innovation that is all noise, nine times as large.
+    assert learn(start(4), ordinary, 9.0, 1.0, noise)[0] == pytest.approx(1.0 + 8.0 / (1.0 + 0.98 * 19.0 + 1.0))
+
+
+def test_a_sensor_whose_noise_hides_in_the_motion_is_learnt_beside_one_that_takes_turns_with_it():
+    """Sigma 5 and .1, told 1, steps of .3: were each sample counted as one, the better r would still be at .13."""
+    rng, noise, process = np.random.default_rng(3), NoiseClasses(), Scales((1.0,), jump=0.0)
+    copies, memory, x = one([0.0], [[1.0]]), noise.start(2), 0.0
+    for k in range(400):
+        x += 0.3 * rng.standard_normal()
+        z = np.array([x, np.nan]) + 0.1 * rng.standard_normal()
+        if k % 2:
+            z = np.array([np.nan, x]) + 5.0 * rng.standard_normal()
+        copies = side_by_side.predict(copies, np.eye(1), 0.09 * np.eye(1), process)
+        copies, memory = correct(copies, memory, z, np.ones((2, 1)), np.eye(2), noise, process)[:2]
+    assert memory[0, 0] < 0.08 and 10.0 < memory[1, 0] < 45.0
 
 
 def test_when_ordinary_samples_are_few_r_starts_from_the_class_of_the_median():
     known, begin = start(4), start(4)
     known[0] = 0.3
     for _ in range(200):
-        known = learn(known, np.array([0.05, 0.15, 0.75, 0.05]), 1.0, NoiseClasses())
+        known = learn(known, np.array([0.05, 0.15, 0.75, 0.05]), 1.0, 1.0, NoiseClasses())
         if known[0] > 10.0:
             break
     # Class 2 had 100 times the variance; everything else is as before the first sample.

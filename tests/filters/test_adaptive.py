@@ -538,18 +538,21 @@ def test_the_probability_of_an_outlier_is_that_of_any_sensor():
     assert max(found) > 0.01
 
 
-@pytest.mark.parametrize("slope", [0.5, 2.0, 10.0])
-def test_a_level_that_is_on_a_ramp_is_followed_no_worse_than_by_the_kalman_filter(slope):
-    """A model without a slope is always behind: large innovations, small changes, and the sensor is not to blame."""
-    found = {}
-    truth = slope * np.arange(300.0)
-    zs = truth + np.random.default_rng(3).normal(size=300)
-    for cls in (KalmanFilter, AdaptiveKalmanFilter):
-        kf = cls(1, 1)
-        kf.x, kf.F, kf.H = np.zeros(1), np.eye(1), np.eye(1)
-        kf.P, kf.Q, kf.R = 10.0 * np.eye(1), 0.01 * np.eye(1), np.eye(1)
-        found[cls] = np.mean((kf.batch_filter(zs)[0].ravel() - truth)[50:] ** 2)
-    assert found[AdaptiveKalmanFilter] < found[KalmanFilter]
+@pytest.mark.parametrize("slope", [0.5, 1.0, 2.0])
+def test_a_level_that_is_on_a_ramp_is_followed_much_better_than_by_the_kalman_filter(slope):
+    """A model without a slope is always behind: large innovations, small changes, and the sensor is not to blame.
+
+    Of ramps of five deviations a step and more this does not hold: there it is chance.
+    """
+    truth, found = slope * np.arange(300.0), {KalmanFilter: [], AdaptiveKalmanFilter: []}
+    for seed in range(3, 11):
+        zs = truth + np.random.default_rng(seed).normal(size=300)
+        for cls, errors in found.items():
+            kf = cls(1, 1)
+            kf.x, kf.F, kf.H = np.zeros(1), np.eye(1), np.eye(1)
+            kf.P, kf.Q, kf.R = 10.0 * np.eye(1), 0.01 * np.eye(1), np.eye(1)
+            errors.append(np.mean((kf.batch_filter(zs)[0].ravel() - truth)[50:] ** 2))
+    assert (np.array(found[AdaptiveKalmanFilter]) < 0.4 * np.array(found[KalmanFilter])).all()
 
 
 @pytest.mark.filterwarnings("ignore:overflow")

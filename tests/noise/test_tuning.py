@@ -116,6 +116,19 @@ def test_the_report_says_what_was_chosen_and_why(one_sided):
     assert lines[-1] == "one-sided: measurement outliers come one by one and the process is ordinary."
 
 
+@pytest.mark.parametrize("together", [True, False])
+def test_whether_sensors_fail_together_is_found(together):
+    rng = np.random.default_rng(11)
+    sizes = np.where(rng.random((400, 1 if together else 3)) < 0.1, 10.0, 1.0)
+    zs = moving(4, 0.0, 400)[1][:, None] + sizes * rng.standard_normal((400, 3))
+    tuned = tune(guess(m=3), zs)
+    assert tuned.filter.grouping == ("joint" if together else "component")
+    assert f"Sensors fail {'together' if together else 'each on its own'}." in tuned.report
+    # What is told is not tried.
+    told = tune(guess(m=3), zs[:100], grouping="component")
+    assert told.filter.grouping == "component" and "Sensors fail" not in told.report
+
+
 def test_clean_data_have_no_outliers():
     tuned = tune(guess(), moving(3, n=300)[1])
     assert tuned.kind == "one-sided" and "No outliers." in tuned.report

@@ -1,0 +1,53 @@
+"""A word, once, where a filter that learns its noise leaves a sensor out because it is stuck."""
+
+from __future__ import annotations
+
+from typing import Any
+from weakref import WeakSet
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+from robust_filterpy._warning import warn
+
+__all__ = ["StuckSensorWarning", "look_for_stuck", "say_stuck"]
+
+_told: WeakSet[Any] = WeakSet()
+
+
+class StuckSensorWarning(UserWarning):
+    """Say that a sensor repeats its last reading to the last bit, far from where a filter under ``noise=`` expects it.
+
+    While it does, its readings count as missing: weight 0, outlier probability 1. Given once for each filter. To switch
+    it off: ``warnings.simplefilter("ignore", robust_filterpy.filters.StuckSensorWarning)``.
+    """
+
+
+def look_for_stuck(kf: Any, weights: Array, first: int | None = None) -> None:
+    """Warn, once for each filter, if a sensor is stuck.
+
+    Parameters
+    ----------
+    kf : RobustKalmanFilter
+        Whose readings they are.
+    weights : ndarray, shape (m,) or (N, m)
+        Of a correction, or of those of a recording: 0 where a sensor is stuck, and nowhere else under ``noise=``.
+    first : int, optional
+        Step of a recording that the first row belongs to.
+    """
+    stuck = np.argwhere(np.atleast_2d(weights) == 0.0)
+    if len(stuck) and kf not in _told:
+        step, sensor = stuck[0].tolist()
+        name = type(kf).__name__
+        say_stuck(name if first is None else f"{name}: step {first + step}", sensor)
+        # Where a warning is an error, the call is refused, and may be made again.
+        _told.add(kf)
+
+
+def say_stuck(where: str, sensor: int) -> None:
+    """Warn of a sensor."""
+    warn(
+        f"{where}: sensor {sensor} is stuck: it repeats its last reading to the last bit, more than three standard "
+        f"deviations from its prediction; it counts as missing (weight 0) for as long as it does",
+        StuckSensorWarning,
+    )

@@ -1,0 +1,90 @@
+"""That a sensor is stuck is said once, at the user's line, and of no sensor that is not."""
+
+import copy
+import warnings
+
+import numpy as np
+import pytest
+
+from robust_filterpy import AdaptiveKalmanFilter, filter_series
+from robust_filterpy.filters import StuckSensorWarning
+
+
+def recording(rng, m=1):
+    """Return readings of a level, the last sensor's stuck far off from 140 to 160."""
+    zs = rng.normal(size=(200, m))
+    zs[140:160, -1] = 50.0
+    return zs
+
+
+def level(m=1):
+    kf = AdaptiveKalmanFilter(1, m)
+    kf.H, kf.Q, kf.R = np.ones((m, 1)), 1e-4 * np.eye(1), np.eye(m)
+    return kf
+
+
+def online(zs):
+    kf = level(zs.shape[1])
+    for z in zs:
+        kf.predict()
+        kf.update(z)
+
+
+def in_series(zs):
+    m = zs.shape[1]
+    filter_series(
+        np.stack([zs[:100], zs[100:]]), [[1.0]], np.ones((m, 1)), [[1e-4]], np.eye(m), [0.0], [[1.0]],
+        noise="learnt", process="scales", learnt=learnt_of(zs),
+    )  # fmt: skip
+
+
+def learnt_of(zs):
+    """Return what is learnt of the readings that are in order."""
+    kf = level(zs.shape[1])
+    kf.batch_filter(zs[:100])
+    return kf.learnt
+
+
+WAYS = {"online": online, "recording": lambda zs: level(zs.shape[1]).batch_filter(zs), "series": in_series}
+
+
+@pytest.mark.parametrize("m", [1, 3])
+@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
+def test_a_stuck_sensor_is_named_once_at_the_users_line(way, m):
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        way(recording(np.random.default_rng(1), m))
+    (one,) = [w for w in found if w.category is StuckSensorWarning]
+    assert f"sensor {m - 1} is stuck" in str(one.message) and one.filename == __file__
+    assert ("step 141" in str(one.message)) == (way is WAYS["recording"])
+    assert ("series 1" in str(one.message)) == (way is WAYS["series"])
+
+
+@pytest.mark.filterwarnings("error::robust_filterpy.filters.StuckSensorWarning")
+def test_where_the_word_is_an_error_the_call_is_refused_and_may_be_made_again():
+    zs, kf = recording(np.random.default_rng(1), 2), level(2)
+    for z in zs[:141]:
+        kf.predict()
+        kf.update(z)
+    kf.predict()
+    before = copy.deepcopy(kf)
+    for _ in range(2):
+        with pytest.raises(StuckSensorWarning):
+            kf.update(zs[141])
+        assert kf.x.tobytes() == before.x.tobytes() and kf.P.tobytes() == before.P.tobytes()
+        assert kf.learnt.tobytes() == before.learnt.tobytes()
+
+
+@pytest.mark.filterwarnings("error::robust_filterpy.filters.StuckSensorWarning")
+def test_nothing_is_said_of_sensors_in_coarse_steps_counters_held_samples_and_simulations():
+    rng = np.random.default_rng(2)
+    v, walk = rng.normal(size=1000), np.cumsum(0.3 * rng.normal(size=1000))
+    jumps = np.repeat(rng.normal(size=10) * 40.0, 100)
+    quiet = {
+        "white": v, "walk": walk + v, "jumps": jumps + v, "coarse": np.round(walk + v),
+        "coarse jumps": np.round(jumps + v), "fine steps": np.round(walk + v, 1),
+        "twice": np.repeat((walk + v)[::2], 2), "counter": np.cumsum(rng.poisson(2.0, 1000)), "no noise": jumps,
+        "sine": np.sin(np.arange(1000) / 50.0), "outliers": walk + np.where(rng.random(1000) < 0.1, 10.0, 1.0) * v,
+    }  # fmt: skip
+    for zs in quiet.values():
+        online(zs[:, None])
