@@ -47,6 +47,8 @@ _STAYS: Final = 5.0
 _PARTS: Final = 8
 _LEAST_PART: Final = 120
 _MOST_PART: Final = 400
+# A part in which outliers leave less than this share clear is judged as it was measured.
+_LEAST_CLEAR: Final = 0.5
 
 
 def beside_trend(problem: Problem, y: Array, trend: str, index: Any) -> tuple[Model, tuple[Finding, ...]]:
@@ -146,13 +148,19 @@ def unlike_in_parts(problem: Problem, y: Array, model: Model) -> tuple[Finding, 
         return ()
     prediction = model.predict(y, problem.u)
     residual = np.where(np.isnan(prediction), np.nan, y - prediction)
-    whole = cleaned(model, y, problem.u)
-    if whole is not None:
-        prediction = whole.prepared.y + _trend(model, y) - whole.residual
-        residual = np.where(np.isnan(residual) | ~whole.clear, np.nan, whole.residual)
-    signals = np.column_stack((np.nan_to_num(prediction - _trend(model, y) - model.level), problem.u - problem.rest))
     begins = np.arange(y.size % span, y.size - span + 1, span)
     parts = begins[:, None] + np.arange(span)
+    whole = cleaned(model, y, problem.u)
+    if whole is not None:
+        # A part that is nearly all outliers is of another plant, whatever replaces them.
+        clear, told = whole.clear.copy(), ~np.isnan(residual)
+        own = parts[(clear & told)[parts].sum(axis=1) < _LEAST_CLEAR * told[parts].sum(axis=1)].ravel()
+        clear[own] = False
+        cleanly = whole.prepared.y + _trend(model, y) - whole.residual
+        kept = np.isin(np.arange(y.size), own)
+        residual = np.where(kept, residual, np.where(told & clear, whole.residual, np.nan))
+        prediction = np.where(kept, prediction, cleanly)
+    signals = np.column_stack((np.nan_to_num(prediction - _trend(model, y) - model.level), problem.u - problem.rest))
     found = dependence(residual[parts], signals[parts], whitening=whitening_of(autocovariances(residual)))
     if not found.found.any():
         return ()

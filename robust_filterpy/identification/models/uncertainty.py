@@ -21,7 +21,7 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.time_axis import table
 
-__all__ = ["Regions", "bands", "regions"]
+__all__ = ["Regions", "bands", "principal_axes", "regions"]
 
 # Curvature of more than this share of a standard deviation is sampled.
 _CURVED: Final = 0.2
@@ -148,7 +148,7 @@ def bands(
     """
     theta, z = np.asarray(theta), float(norm.ppf(0.5 + 0.5 * _probability(level)))
     center = h(theta[None])[0]
-    steps = _axes(np.asarray(P))
+    steps = principal_axes(np.asarray(P))
     ahead, behind = h(theta + steps), h(theta - steps)
     std = np.sqrt(np.sum((0.5 * (ahead - behind)) ** 2, axis=0))
     curvature = np.abs(0.5 * (ahead + behind) - center).sum(axis=0)
@@ -189,7 +189,7 @@ def regions(theta: Array, P: Array, roots: Callable[[Array], Any], level: float,
     Regions
     """
     level = _probability(level)
-    values, steps = roots(theta), _axes(P)
+    values, steps = roots(theta), principal_axes(P)
     ahead, behind = (np.array([_matched(values, roots(row)) for row in theta + sign * steps]) for sign in (1.0, -1.0))
     if not values.size:
         return Regions(values, np.zeros((0, 2, 2)), np.zeros(0), level, np.zeros(0, dtype=bool))
@@ -211,8 +211,19 @@ def regions(theta: Array, P: Array, roots: Callable[[Array], Any], level: float,
     return Regions(values, covariance, radius, level, curved)
 
 
-def _axes(P: Array) -> Array:
-    """Return a standard deviation along each principal axis of P in units of its diagonal, as rows."""
+def principal_axes(P: Array) -> Array:
+    """Return a standard deviation along each principal axis of P in units of its diagonal.
+
+    Parameters
+    ----------
+    P : ndarray, shape (n, n)
+        Covariance.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        Axes, as rows.
+    """
     size = np.sqrt(np.maximum(P.diagonal(), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(P / np.outer(size, size))
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))).T * size)
