@@ -48,7 +48,7 @@ def main(argv=None):
         print(f"{name}, {structure}: {found[name].verdict}")  # print(found[name]) has the tests and the fits
         print("".join(f"  identify had warned: {finding.text}\n" for finding in model.findings), end="")
 
-    # %% A controller of low bandwidth needs a small model, and one that is right where it acts: a focus, in rad a sample.
+    # %% A controller of low bandwidth needs a small model that is right where it acts: a focus, in rad a sample.
     low = np.linspace(0.002, 0.1, 30)
     plant = np.polyval(B[::-1], np.exp(-1j * low)) / np.polyval(A[::-1], np.exp(-1j * low))
     off = []

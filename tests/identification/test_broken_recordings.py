@@ -179,6 +179,19 @@ def test_a_plant_that_changes_in_mid_recording_is_said(gain):
         assert model.findings[-1].kind == "another plant"
 
 
+def test_an_angle_that_wraps_is_said_and_a_plant_that_switches_is_not():
+    rng = np.random.default_rng(99)
+    u = rng.choice([-1.0, 1.0], 800).repeat(3)[:800]
+    y = lfilter(B, A, u) + 0.3 * rng.normal(size=800)
+    with pytest.warns(UserWarning, match="y jumps .* from one end of its range"):
+        identify((y + 6.0) % 12.0 - 6.0, u, OutputError(2, 2))
+    switched = np.concatenate(([0.0], u[:-1])) + 0.05 * rng.normal(size=800)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        identify(switched, u, OutputError(1, 1))
+        identify(switched, u, ARX(1, 1))
+
+
 def test_a_part_that_is_nearly_all_outliers_is_of_another_plant():
     rng = np.random.default_rng(5402)
     u = rng.choice([-1.0, 1.0], 1500)

@@ -23,6 +23,7 @@ __all__ = [
     "beside_input_outliers",
     "beside_trend",
     "break_finding",
+    "endless_pole",
     "unlike_in_parts",
     "without_endless_motion",
 ]
@@ -107,9 +108,8 @@ def without_endless_motion(problem: Problem, y: Array, model: Model) -> tuple[Mo
     model : Model
     findings : tuple of Finding
     """
-    parts = model.parts
-    slowest = float(np.abs(np.roots(parts.f)).max(initial=0.0)) if parts.f.size > 1 else 0.0
-    if not model.structure.n_inputs or abs(1.0 - slowest) * y.size >= _ENDLESS:
+    slowest = endless_pole(model, y.size)
+    if slowest is None:
         return model, ()
     late = slice(y.size // 2, None)
     motion = model.free_run(y, problem.u)[late] - model.simulate(problem.u)[late] - _trend(model, y)[late]
@@ -124,6 +124,24 @@ def without_endless_motion(problem: Problem, y: Array, model: Model) -> tuple[Mo
     )
     evidence = 2.0 * (still.log_likelihood - model.log_likelihood)
     return still, (Finding("slow start", text, evidence, (0, y.size)),)
+
+
+def endless_pole(model: Model, samples: int) -> float | None:
+    """Return the size of a pole that keeps what is in motion for longer than a recording, None if there is none.
+
+    Parameters
+    ----------
+    model : Model
+        Of the recording.
+    samples : int
+        Of the longest one.
+
+    Returns
+    -------
+    float or None
+    """
+    slowest = float(np.abs(np.roots(model.parts.f)).max(initial=0.0))
+    return slowest if model.structure.n_inputs and abs(1.0 - slowest) * samples < _ENDLESS else None
 
 
 def unlike_in_parts(problem: Problem, y: Array, model: Model) -> tuple[Finding, ...]:

@@ -51,7 +51,7 @@ def profiled(
         Covariance by linearization.
     held : ndarray of bool, shape (n,)
         Parameters without a variance.
-    others : list of (float, ndarray)
+    others : list of (float, ndarray), each of shape (n,)
         Other ends: how much less likely each is, and its free parameters.
 
     Returns

@@ -21,7 +21,7 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.time_axis import table
 
-__all__ = ["Regions", "bands", "principal_axes", "regions"]
+__all__ = ["Regions", "bands", "principal_axes", "probability", "regions"]
 
 # Curvature of more than this share of a standard deviation is sampled.
 _CURVED: Final = 0.2
@@ -146,7 +146,7 @@ def bands(
         From its value on.
     sampled : ndarray of bool, shape of h(theta)
     """
-    theta, z = np.asarray(theta), float(norm.ppf(0.5 + 0.5 * _probability(level)))
+    theta, z = np.asarray(theta), float(norm.ppf(0.5 + 0.5 * probability(level)))
     center = h(theta[None])[0]
     steps = principal_axes(np.asarray(P))
     ahead, behind = h(theta + steps), h(theta - steps)
@@ -188,7 +188,7 @@ def regions(theta: Array, P: Array, roots: Callable[[Array], Any], level: float,
     -------
     Regions
     """
-    level = _probability(level)
+    level = probability(level)
     values, steps = roots(theta), principal_axes(P)
     ahead, behind = (np.array([_matched(values, roots(row)) for row in theta + sign * steps]) for sign in (1.0, -1.0))
     if not values.size:
@@ -259,8 +259,23 @@ def _distance(difference: complex, covariance: Array, size: float) -> float:
     return float(np.sqrt(np.sum(along[~thin] ** 2 / sizes[~thin])))
 
 
-def _probability(level: Any) -> float:
-    """Return a number in (0, 1) or raise."""
+def probability(level: Any) -> float:
+    """Return a probability of a band or a test, checked.
+
+    Parameters
+    ----------
+    level : float
+        In (0, 1).
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    ValueError
+        If it is not.
+    """
     value = _checks.real("level", level)
     if not 0.0 < value < 1.0:
         raise ValueError(f"level: expected a probability in (0, 1), got {_checks.shown(level)}")
