@@ -179,6 +179,38 @@ def test_a_plant_that_changes_in_mid_recording_is_said(gain):
         assert model.findings[-1].kind == "another plant"
 
 
+def test_an_angle_that_wraps_is_said_and_a_plant_that_switches_is_not():
+    rng = np.random.default_rng(99)
+    u = rng.choice([-1.0, 1.0], 800).repeat(3)[:800]
+    y = lfilter(B, A, u) + 0.3 * rng.normal(size=800)
+    with pytest.warns(UserWarning, match="y jumps .* from one end of its range"):
+        identify((y + 6.0) % 12.0 - 6.0, u, OutputError(2, 2))
+    switched = np.concatenate(([0.0], u[:-1])) + 0.05 * rng.normal(size=800)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        identify(switched, u, OutputError(1, 1))
+        identify(switched, u, ARX(1, 1))
+
+
+def test_a_part_that_is_nearly_all_outliers_is_of_another_plant():
+    rng = np.random.default_rng(5402)
+    u = rng.choice([-1.0, 1.0], 1500)
+    driven = lfilter(B, A, u)
+    y = driven * np.where(np.arange(1500) < 400, 1.0, 2.0)
+    y += lfilter([1.0], A, 0.1 * rng.normal(size=1500))
+    with pytest.warns(UserWarning, match="between samples .* follow u: the plant is another one there"):
+        model = identify(y, u, ARX(2, 2))
+    assert model.findings[-1].kind == "another plant"
+    assert model.findings[-1].place[0] < 100
+    assert model.findings[-1].place[1] <= 450
+    # Bursts of outliers are no other plant.
+    burst = driven + lfilter([1.0], A, 0.1 * rng.normal(size=1500))
+    burst[300:480] += np.where(rng.random(180) < 0.7, 20.0, 0.0) * rng.normal(size=180)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        identify(burst, u, ARX(2, 2))
+
+
 def test_outliers_of_the_input_are_said_and_large_inputs_are_not():
     for seed in range(3):
         rng, y, u = recording(20 + seed, share=0.0)

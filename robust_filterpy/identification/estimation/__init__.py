@@ -16,6 +16,8 @@
 * `search`: all of these together, and which of several ends to believe;
 * `limits`: parameters that are fixed, or between bounds;
 * `focus`: a fit that counts one band of frequencies;
+* `profile`: intervals where the loss is not quadratic;
+* `wraps`: an output that comes back at the other end of its range;
 * `threads`: one thread of linear algebra, since the matrices are small.
 
 Imports from below: `models`.

@@ -11,7 +11,9 @@ from scipy.signal import lfilter
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.estimation.excitation_check import require_informative
 from robust_filterpy.identification.estimation.limits import Limits
+from robust_filterpy.identification.estimation.missing import response
 from robust_filterpy.identification.estimation.prediction_error import sandwich
+from robust_filterpy.identification.estimation.profile import profiled
 from robust_filterpy.identification.estimation.search import End, ends, known_part
 from robust_filterpy.identification.estimation.threads import one_thread
 from robust_filterpy.identification.models.beginnings import filled_memory, resting_level
@@ -149,7 +151,10 @@ def estimated(problem: Problem, y: Array) -> Model:
         p = told.inside(p)
         held = limits.held(best.p, model.jacobian(best.p)[best.rows].T @ best.noise.psi(best.residual[best.rows]))
         doubt = "; ".join(words for words in (doubt, _at_limits(structure, held, limits)) if words)
-    found = _as_model(recorded, p, best, missing, replaced, units.y, known, endings, doubt, held, problem.carried)
+    others = [(excess, units.back(model, end.p)) for end, excess in ranked[1:]]
+    found = _as_model(
+        recorded, p, best, missing, replaced, units.y, known, endings, doubt, held, problem.carried, others
+    )
     found = replace(found, dt=problem.dt)
     if not isinstance(recorded, SeveralRecordings):
         return _with_inputs_from_zero(found, recorded, p, problem.rest)
@@ -217,6 +222,7 @@ def _as_model(
     doubt: str,
     held: Any,
     carried: Array | None,
+    others: list[tuple[float, Array]],
 ) -> Model:
     """Return what was found, for the recording as it was measured, its outliers and gaps interpolated."""
     structure, n, rows = model.structure, model.structure.n_theta, end.rows
@@ -229,7 +235,9 @@ def _as_model(
     jacobian, shown = known_part(model, end._replace(p=p))
     # What is held has no variance, and what the others then have.
     jacobian[:, held] = 0.0
-    P = np.where(held | held[:, None], 0.0, sandwich(jacobian, shown, noise, carried))
+    P, bent = np.where(held | held[:, None], 0.0, sandwich(jacobian, shown, noise, carried)), False
+    if carried is None and not (end.outliers.wrong.any() and response(model, p).size > 1):
+        P, bent = profiled(model, p, noise, rows, P, held, others)
     weights = np.full(missing.size, np.nan)
     weights[model.first :] = noise.weights(residual)
     weights[end.outliers.wrong] = 0.0
@@ -251,6 +259,7 @@ def _as_model(
         endings=endings,
         warning=doubt,
         memory=filled_memory(*(model.of(-1, p) if isinstance(model, SeveralRecordings) else (model, p))),
+        profiled=bent,
     )
 
 

@@ -27,6 +27,7 @@ from robust_filterpy.identification.estimation.limits import Limits
 from robust_filterpy.identification.estimation.recordings import Recordings, recordings
 from robust_filterpy.identification.estimation.several import of_several
 from robust_filterpy.identification.estimation.state_space import identified_state_space
+from robust_filterpy.identification.estimation.wraps import with_wraps
 from robust_filterpy.identification.models.findings import Finding, said
 from robust_filterpy.identification.models.grey_box import GreyBox
 from robust_filterpy.identification.models.grey_box_model import GreyBoxModel
@@ -268,7 +269,7 @@ def _in_recording(problem: Problem, recorded: Recordings, chosen: str) -> tuple[
     found, findings = beside_trend(problem, recorded.y, chosen, recorded.axis.index)
     found, more = without_endless_motion(problem, recorded.y, found)
     found, outliers = beside_input_outliers(problem, recorded.y, found)
-    findings = (*findings, *more, *outliers)
+    findings = (*findings, *more, *outliers, *with_wraps(problem, recorded.y, found))
     return found, findings if outliers else (*findings, *unlike_in_parts(problem, recorded.y, found))
 
 

@@ -23,6 +23,7 @@ __all__ = [
     "beside_input_outliers",
     "beside_trend",
     "break_finding",
+    "endless_pole",
     "unlike_in_parts",
     "without_endless_motion",
 ]
@@ -47,6 +48,8 @@ _STAYS: Final = 5.0
 _PARTS: Final = 8
 _LEAST_PART: Final = 120
 _MOST_PART: Final = 400
+# A part in which outliers leave less than this share clear is judged as it was measured.
+_LEAST_CLEAR: Final = 0.5
 
 
 def beside_trend(problem: Problem, y: Array, trend: str, index: Any) -> tuple[Model, tuple[Finding, ...]]:
@@ -105,9 +108,8 @@ def without_endless_motion(problem: Problem, y: Array, model: Model) -> tuple[Mo
     model : Model
     findings : tuple of Finding
     """
-    parts = model.parts
-    slowest = float(np.abs(np.roots(parts.f)).max(initial=0.0)) if parts.f.size > 1 else 0.0
-    if not model.structure.n_inputs or abs(1.0 - slowest) * y.size >= _ENDLESS:
+    slowest = endless_pole(model, y.size)
+    if slowest is None:
         return model, ()
     late = slice(y.size // 2, None)
     motion = model.free_run(y, problem.u)[late] - model.simulate(problem.u)[late] - _trend(model, y)[late]
@@ -122,6 +124,24 @@ def without_endless_motion(problem: Problem, y: Array, model: Model) -> tuple[Mo
     )
     evidence = 2.0 * (still.log_likelihood - model.log_likelihood)
     return still, (Finding("slow start", text, evidence, (0, y.size)),)
+
+
+def endless_pole(model: Model, samples: int) -> float | None:
+    """Return the size of a pole that keeps what is in motion for longer than a recording, None if there is none.
+
+    Parameters
+    ----------
+    model : Model
+        Of the recording.
+    samples : int
+        Of the longest one.
+
+    Returns
+    -------
+    float or None
+    """
+    slowest = float(np.abs(np.roots(model.parts.f)).max(initial=0.0))
+    return slowest if model.structure.n_inputs and abs(1.0 - slowest) * samples < _ENDLESS else None
 
 
 def unlike_in_parts(problem: Problem, y: Array, model: Model) -> tuple[Finding, ...]:
@@ -146,13 +166,19 @@ def unlike_in_parts(problem: Problem, y: Array, model: Model) -> tuple[Finding, 
         return ()
     prediction = model.predict(y, problem.u)
     residual = np.where(np.isnan(prediction), np.nan, y - prediction)
-    whole = cleaned(model, y, problem.u)
-    if whole is not None:
-        prediction = whole.prepared.y + _trend(model, y) - whole.residual
-        residual = np.where(np.isnan(residual) | ~whole.clear, np.nan, whole.residual)
-    signals = np.column_stack((np.nan_to_num(prediction - _trend(model, y) - model.level), problem.u - problem.rest))
     begins = np.arange(y.size % span, y.size - span + 1, span)
     parts = begins[:, None] + np.arange(span)
+    whole = cleaned(model, y, problem.u)
+    if whole is not None:
+        # A part that is nearly all outliers is of another plant, whatever replaces them.
+        clear, told = whole.clear.copy(), ~np.isnan(residual)
+        own = parts[(clear & told)[parts].sum(axis=1) < _LEAST_CLEAR * told[parts].sum(axis=1)].ravel()
+        clear[own] = False
+        cleanly = whole.prepared.y + _trend(model, y) - whole.residual
+        kept = np.isin(np.arange(y.size), own)
+        residual = np.where(kept, residual, np.where(told & clear, whole.residual, np.nan))
+        prediction = np.where(kept, prediction, cleanly)
+    signals = np.column_stack((np.nan_to_num(prediction - _trend(model, y) - model.level), problem.u - problem.rest))
     found = dependence(residual[parts], signals[parts], whitening=whitening_of(autocovariances(residual)))
     if not found.found.any():
         return ()

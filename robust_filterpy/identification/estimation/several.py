@@ -9,7 +9,12 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.estimation.estimate import Problem, estimated
-from robust_filterpy.identification.estimation.level import beside_input_outliers, break_finding, unlike_in_parts
+from robust_filterpy.identification.estimation.level import (
+    beside_input_outliers,
+    break_finding,
+    endless_pole,
+    unlike_in_parts,
+)
 from robust_filterpy.identification.estimation.trend import PRICE, Trend, piecewise_level
 from robust_filterpy.identification.models.findings import Finding
 from robust_filterpy.identification.models.model import Model
@@ -19,8 +24,6 @@ __all__ = ["of_several"]
 
 # In fewer samples a step and the dynamics cannot be told apart.
 _LEAST_SAMPLES: Final = 200
-# A motion that would outlast the longest recording: (1 - |pole|) N.
-_ENDLESS: Final = 0.1
 
 
 def of_several(problem: Problem, y: Array, trend: str) -> tuple[Model, tuple[Finding, ...]]:
@@ -43,10 +46,8 @@ def of_several(problem: Problem, y: Array, trend: str) -> tuple[Model, tuple[Fin
     """
     model, levels, findings = _beside_levels(problem, y, trend)
     left = y - levels
-    parts = model.parts
-    slowest = float(np.abs(np.roots(parts.f)).max(initial=0.0)) if parts.f.size > 1 else 0.0
-    longest = max(part.stop - part.start for part in problem.spans)
-    if model.structure.n_inputs and abs(1.0 - slowest) * longest < _ENDLESS:
+    slowest = endless_pole(model, max(part.stop - part.start for part in problem.spans))
+    if slowest is not None:
         model = estimated(problem._replace(moving=False), left)
         text = f"a pole at {slowest:.6g} would keep a motion beyond every recording: each begins at rest"
         findings = (*findings, Finding("slow start", text, float("nan"), (0, y.size)))

@@ -20,6 +20,7 @@ from robust_filterpy.identification.models.grey_box_model import GreyBoxModel
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.state_space import StateSpaceModel
 from robust_filterpy.identification.models.time_axis import table
+from robust_filterpy.identification.models.uncertainty import probability
 
 if TYPE_CHECKING:
     import control
@@ -292,7 +293,7 @@ def validate(
     """
     model = any_model("model", model, y, u)
     lags, steps = _checks.count("lags", lags, 1), _checks.count("steps", steps, 1)
-    level = _probability(level)
+    level = probability(level)
     _, signals = signals_for(model, y, u, t)
     judged = Judged.of(model, signals)
     known, n_outputs = (~np.isnan(judged.residual)).sum(axis=0), judged.residual.shape[1]
@@ -351,11 +352,3 @@ def _lags(excess: Array, first: int, level: float) -> str:
     runs = [[int(k) for _, k in run] for _, run in groupby(enumerate(outside + first), lambda pair: pair[1] - pair[0])]
     text = ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs)
     return f"lag{'s' if outside.size > 1 else ''} {text}"
-
-
-def _probability(level: Any) -> float:
-    """Return a number in (0, 1) or raise."""
-    value = _checks.real("level", level)
-    if not 0.0 < value < 1.0:
-        raise ValueError(f"level: expected a probability in (0, 1), got {_checks.shown(level)}")
-    return value

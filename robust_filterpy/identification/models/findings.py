@@ -15,8 +15,8 @@ class Finding(NamedTuple):
     Attributes
     ----------
     kind : str
-        "fill value", "step", "ramp", "slow start", "another plant", "input outliers", "gap", "closed
-        loop".
+        "fill value", "step", "ramp", "slow start", "another plant", "input outliers", "gap", "wraps",
+        "closed loop".
     text : str
         In words, with time and size.
     evidence : float

@@ -68,7 +68,7 @@ class Model(EstimatedPolynomials, Responses):
         Constant of the equation: in an OutputError, BoxJenkins, FIR or LinearRegression what is added to the output, in
         an ARX or ARMAX (AR, ARMA) the last coefficient of the regression. `level` is what it means for y.
     P : ndarray, shape (n, n)
-        Covariance of theta, in sandwich form: honest whatever the distribution of the noise.
+        Covariance of theta, in sandwich form: honest whatever the distribution of the noise; see also ``profiled``.
     offset_std : float
         Standard deviation of the offset; 0 if it was not estimated.
     offset_covariance : ndarray, shape (n,)
@@ -106,6 +106,9 @@ class Model(EstimatedPolynomials, Responses):
         Fingerprint and trend of each of several recordings.
     focus : tuple of float or None
         Band in rad/s (rad a sample without dt) that the fit has counted; None: all frequencies.
+    profiled : bool
+        Whether P is that of the profile of the likelihood: the loss is not quadratic within two standard deviations, or
+        another end is nearly as likely.
 
     Notes
     -----
@@ -135,6 +138,7 @@ class Model(EstimatedPolynomials, Responses):
     levels: Array = field(default_factory=lambda: np.zeros(0))
     recordings: tuple[tuple[int, Array], ...] = ()
     focus: tuple[float, float] | None = None
+    profiled: bool = False
 
     def __repr__(self) -> str:
         """Show the parameters with their standard deviations."""
@@ -180,6 +184,8 @@ class Model(EstimatedPolynomials, Responses):
             facts["Contamination"] = f"{self.noise.influence.contamination:.3f}"
             facts["Scale ratio"] = f"{self.noise.influence.scale_ratio:.3g}"
         facts |= {"Log-likelihood": f"{self.log_likelihood:.1f}", "Fit, 1 step": f"{self.own_fit:.2f} %"}
+        if self.profiled:
+            facts["Intervals"] = "profile likelihood"
         if self.levels.size:
             facts["Recordings"] = f"{self.levels.size}, each with a level"
         if self.focus is not None:

@@ -21,7 +21,7 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.time_axis import table
 
-__all__ = ["Regions", "bands", "regions"]
+__all__ = ["Regions", "bands", "principal_axes", "probability", "regions"]
 
 # Curvature of more than this share of a standard deviation is sampled.
 _CURVED: Final = 0.2
@@ -153,9 +153,9 @@ def bands(
         From its value on.
     sampled : ndarray of bool, shape of h(theta)
     """
-    theta, z = np.asarray(theta), float(norm.ppf(0.5 + 0.5 * _probability(level)))
+    theta, z = np.asarray(theta), float(norm.ppf(0.5 + 0.5 * probability(level)))
     center = h(theta[None])[0]
-    steps = _axes(np.asarray(P))
+    steps = principal_axes(np.asarray(P))
     ahead, behind = h(theta + steps), h(theta - steps)
     std = np.sqrt(np.sum((0.5 * (ahead - behind)) ** 2, axis=0))
     curvature = np.abs(0.5 * (ahead + behind) - center).sum(axis=0)
@@ -195,8 +195,8 @@ def regions(theta: Array, P: Array, roots: Callable[[Array], Any], level: float,
     -------
     Regions
     """
-    level = _probability(level)
-    values, steps = roots(theta), _axes(P)
+    level = probability(level)
+    values, steps = roots(theta), principal_axes(P)
     ahead, behind = (np.array([_matched(values, roots(row)) for row in theta + sign * steps]) for sign in (1.0, -1.0))
     if not values.size:
         return Regions(values, np.zeros((0, 2, 2)), np.zeros(0), level, np.zeros(0, dtype=bool))
@@ -218,8 +218,19 @@ def regions(theta: Array, P: Array, roots: Callable[[Array], Any], level: float,
     return Regions(values, covariance, radius, level, curved)
 
 
-def _axes(P: Array) -> Array:
-    """Return a standard deviation along each principal axis of P in units of its diagonal, as rows."""
+def principal_axes(P: Array) -> Array:
+    """Return a standard deviation along each principal axis of P in units of its diagonal.
+
+    Parameters
+    ----------
+    P : ndarray, shape (n, n)
+        Covariance.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        Axes, as rows.
+    """
     size = np.sqrt(np.maximum(P.diagonal(), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(P / np.outer(size, size))
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))).T * size)
@@ -255,8 +266,23 @@ def _distance(difference: complex, covariance: Array, size: float) -> float:
     return float(np.sqrt(np.sum(along[~thin] ** 2 / sizes[~thin])))
 
 
-def _probability(level: Any) -> float:
-    """Return a number in (0, 1) or raise."""
+def probability(level: Any) -> float:
+    """Return a probability of a band or a test, checked.
+
+    Parameters
+    ----------
+    level : float
+        In (0, 1).
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    ValueError
+        If it is not.
+    """
     value = _checks.real("level", level)
     if not 0.0 < value < 1.0:
         raise ValueError(f"level: expected a probability in (0, 1), got {_checks.shown(level)}")

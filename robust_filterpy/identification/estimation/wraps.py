@@ -1,0 +1,58 @@
+"""An output that leaves its range at one end and comes back at the other: an angle, a counter, an integer too small."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+from robust_filterpy.identification.estimation.estimate import Problem
+from robust_filterpy.identification.models.findings import Finding
+from robust_filterpy.identification.models.model import Model
+
+__all__ = ["with_wraps"]
+
+# A jump goes over so much of the range, its neighbours over no more than the other, and the model misses so much of it.
+_JUMP: Final = 0.7
+_QUIET: Final = 0.4
+_MISSED: Final = 0.3
+# So many are no accident, in which most are missed.
+_FEWEST: Final = 4
+_MOST: Final = 0.5
+
+
+def with_wraps(problem: Problem, y: Array, model: Model) -> tuple[Finding, ...]:
+    """Find out whether an output wraps round.
+
+    Parameters
+    ----------
+    problem : Problem
+        What was to be found.
+    y : ndarray, shape (N,)
+        Output, NaN where it is missing.
+    model : Model
+        Of this recording.
+
+    Returns
+    -------
+    tuple of Finding
+        One, or none.
+    """
+    low, high = np.nanquantile(y, [0.005, 0.995])
+    size = float(high - low)
+    if not size > 0.0 or y.size < 4 or not model.structure.n_inputs:
+        return ()
+    change = np.abs(np.nan_to_num(np.diff(y), nan=np.inf)) / size
+    within = (y >= low - 0.02 * size) & (y <= high + 0.02 * size)
+    alone = (change[1:-1] > _JUMP) & (change[:-2] < _QUIET) & (change[2:] < _QUIET) & within[1:-2] & within[2:-1]
+    at = np.flatnonzero(alone) + 2
+    # A plant that switches jumps too, and its model with it.
+    missed = np.abs(np.nan_to_num(model.residuals(y, problem.u)[at])) > _MISSED * size
+    if missed.sum() < _FEWEST or missed.mean() < _MOST:
+        return ()
+    text = (
+        f"y jumps {at.size} times from one end of its range, {low:.4g} to {high:.4g}, to the other and stays there, "
+        "which the model does not: an angle or a counter that wraps? numpy.unwrap(y, period=..) first"
+    )
+    return (Finding("wraps", text, float("nan"), (int(at[0]), int(at[-1]) + 1)),)
