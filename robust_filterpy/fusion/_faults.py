@@ -25,14 +25,14 @@ from robust_filterpy._checks import Array
 
 __all__ = ["Found", "Stretch", "corrected", "judged", "stacked"]
 
-# Chance of a fault at one reading, and of a manoeuvre that Q does not know at one stamp.
+# Chance of a fault of one kind at one reading, shared among its sizes, and of a manoeuvre that Q does not know at one stamp.
 _FAULT, _MANOEUVRE = 1e-5, 1e-4
 # Standard deviation of b in the sensor's own; of a drift: of what it has come to at the end.
 _SIZE = 4.0
 _NOISIER, _WORSE, _SPIKES = (2.0, 3.0, 5.0, 9.0), (10.0, 100.0, 1000.0), 0.3
 _STILL = 0.01
-# Onsets: every reading of so many, then each third.
-_FINE, _COARSE = 24, 3
+# Onsets: of the last so many readings each, before them ever fewer; none of the very first readings.
+_FINE, _FIRST = 16, 5
 # As `_watch.FAULTS` numbers them; 0 is healthy, -1 the model.
 _BIASED, _DRIFTING, _STUCK, _NOISY, _SPIKY, _MODEL = 2, 3, 4, 5, 6, -1
 
@@ -129,7 +129,7 @@ def _hypotheses(stretch: Stretch, left_out: np.ndarray) -> _Bank:
         kinds[_NOISY] = tuple(f * f for f in _NOISIER)
         for k, width in _onsets(np.flatnonzero(~np.isnan(stretch.z[:, c]))):
             rows += [
-                (c, fault, k, factor, math.log(_FAULT * width / len(kinds)))
+                (c, fault, k, factor, math.log(_FAULT * width / len(factors)))
                 for fault, factors in kinds.items()
                 for factor in factors
             ]
@@ -139,8 +139,13 @@ def _hypotheses(stretch: Stretch, left_out: np.ndarray) -> _Bank:
 
 def _onsets(moments: np.ndarray) -> list[tuple[int, int]]:
     """Return moments at which something may have begun, and how many each stands for; not the very first ones."""
-    fine, coarse = moments[-_FINE:], moments[5 : max(len(moments) - _FINE, 5) : _COARSE]
-    return [(int(k), 1) for k in fine[5 * (len(moments) <= _FINE) :]] + [(int(k), _COARSE) for k in coarse]
+    found, left = [], len(moments)
+    while left > _FIRST:
+        # An onset that is off by a small share of all since then costs little.
+        width = min(1 + (len(moments) - left) // _FINE, left - _FIRST)
+        left -= width
+        found.append((int(moments[left + width // 2]), width))
+    return found[::-1]
 
 
 def _run(stretch: Stretch, bank: _Bank, left_out: np.ndarray) -> tuple[Array, Array]:
