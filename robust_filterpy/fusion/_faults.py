@@ -25,7 +25,7 @@ from robust_filterpy._checks import Array
 
 __all__ = ["Found", "Stretch", "corrected", "judged", "stacked"]
 
-# Chance of a fault of one kind at one reading, shared among its sizes, and of a manoeuvre that Q does not know at one stamp.
+# Chance of a fault of one kind at a reading, shared among its sizes; of a manoeuvre that Q does not know at a stamp.
 _FAULT, _MANOEUVRE = 1e-5, 1e-4
 # Standard deviation of b in the sensor's own; of a drift: of what it has come to at the end.
 _SIZE = 4.0

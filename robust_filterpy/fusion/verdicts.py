@@ -59,7 +59,7 @@ class Verdict(NamedTuple):
     """"healthy", "departs", "biased", "drifting", "stuck", "noisier", "spikes", "silent" or "model is wrong"; with
     ``reacquire`` "undecided", "false" or "jumped"."""
     since: Any
-    """Stamp of the onset, or of its last word if it is silent; None if it is healthy."""
+    """Stamp of the onset, or of its last word if it is silent; None if it is healthy, or has never spoken."""
     probability: float
     """That it is this, given that a fault comes once in 10^5 readings and a manoeuvre once in 10^4 stamps; with
     ``reacquire`` given its prior."""
@@ -95,8 +95,8 @@ def silent(since: Any, refused: int) -> Verdict:
 
     Parameters
     ----------
-    since : stamp
-        Of its last word.
+    since : stamp or None
+        Of its last word; None if it has never spoken.
     refused : int
         Readings of it that came too late to be used.
 
@@ -158,8 +158,8 @@ def _set_free(watch: Watch, sensors: np.ndarray, owner: np.ndarray) -> Watch:
 def _after_a_look(line: Any, i: int, watch: Watch, fresh: np.ndarray, followed: np.ndarray) -> Watch:
     """Return what is known when the last stamps have been judged anew."""
     party, departs = line.setup.layout.party, watch.fault == _DEPARTS
-    # Who has a verdict stays where he is, and says nothing, when another is in doubt, or if he had it before the stretch
-    # begins. How fast one drifts is seen the better the longer.
+    # Who has a verdict stays where he is, and says nothing, when another is in doubt, or if he had it before the
+    # stretch begins. How fast one drifts is seen the better the longer.
     told = watch.fault > _DEPARTS
     alone = told.sum() < 2 and not (fresh | departs | (followed & ~told)).any()
     gone = np.array([
@@ -311,7 +311,8 @@ def words(name: str, verdict: Verdict) -> str:
     # Nothing is as sure as 1.000.
     sure = "above 0.999" if verdict.probability >= 0.9995 else f"{verdict.probability:.3f}"
     odds = "" if verdict.fault == "silent" else f" (probability {sure})"
-    return f"{name} {verdict.fault}{much} since {written(verdict.since)}{odds}: {verdict.remedy}"
+    since = "from the beginning" if verdict.since is None else f"since {written(verdict.since)}"
+    return f"{name} {verdict.fault}{much} {since}{odds}: {verdict.remedy}"
 
 
 def of_all(layout: Layout, moment: Moment) -> dict[str, Verdict]:
