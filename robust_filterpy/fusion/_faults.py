@@ -9,6 +9,9 @@ Beside each other run filters of the state and of one number more, b::
     model is wrong     Q 10, 100 or 1000 times as large from the onset on
     healthy            none of this
 
+If nothing but a Q that is 10 or 100 times smaller explains the stretch better, all of them have that: a state that is
+calmer than Q allows is nobody's fault, though a sensor that is noisily stuck looks like it.
+
 Noise and its outliers are those learnt before the stretch that is judged. What a hypothesis is worth is the density of
 all readings of the stretch under it, the size of b integrated out, times how often such a thing happens. A reading of a
 sensor whose noise carries over to the next counts for less than one (`_watch.worth`).
@@ -30,6 +33,8 @@ _FAULT, _MANOEUVRE = 1e-5, 1e-4
 # Standard deviation of b in the sensor's own; of a drift: of what it has come to at the end.
 _SIZE = 4.0
 _NOISIER, _WORSE, _SPIKES = (2.0, 3.0, 5.0, 9.0), (10.0, 100.0, 1000.0), 0.3
+# By how much Q may be smaller all along, and how likely that is.
+_CALMER = ((1.0, 0.8), (0.1, 0.1), (0.01, 0.1))
 _STILL = 0.01
 # Onsets: of the last so many readings each, before them ever fewer; none of the very first readings.
 _FINE, _FIRST = 16, 5
@@ -104,7 +109,9 @@ def judged(stretch: Stretch, left_out: np.ndarray) -> list[Found]:
     -------
     list of Found
     """
-    bank = _hypotheses(stretch, left_out)
+    calm = _Bank(*np.array([(-1.0, 0.0, 0.0, w, math.log(p)) for w, p in _CALMER]).T)
+    as_calm = calm.factor[np.argmax(_run(stretch, calm, left_out)[0] + calm.prior)]
+    stretch, bank = stretch._replace(Q=stretch.Q * as_calm), _hypotheses(stretch, left_out)
     logs, b = _run(stretch, bank, left_out)
     logs = logs + bank.prior
     p = np.exp(logs - logs.max())
@@ -160,7 +167,7 @@ def _run(stretch: Stretch, bank: _Bank, left_out: np.ndarray) -> tuple[Array, Ar
         bank.fault == _DRIFTING,
         bank.fault == _STUCK,
     )
-    noisy, slack = np.isin(bank.fault, [_STUCK, _NOISY]), np.where(bank.fault == _MODEL, bank.factor, 1.0)
+    noisy, slack = np.isin(bank.fault, [_STUCK, _NOISY]), np.where(bank.component < 0, bank.factor, 1.0)
     # A drift is as large as a bias would be when it has come to the end.
     length = stretch.seconds[-1] - began
     spread = _SIZE * root / np.where(drifts & (length > 0.0), length, 1.0)
