@@ -10,6 +10,7 @@
 * `_first_readings`: how noisy a sensor is whose R nobody told.
 * `_choosing`: which policy its arguments ask for.
 * `_policies`: the other rooms' recursions as pure functions from state to state.
+* `_table`: what was read at each stamp, from a table.
 * `recording`: a whole table at once, by the kernel; smoothed on request.
 * `_delays`: how late each sensor's stamps are, from a recording.
 * `verdicts`: what is the matter with a sensor, since when, and what helps.

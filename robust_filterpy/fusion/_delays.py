@@ -13,7 +13,8 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy.fusion._stepping import Moment, Setup
-from robust_filterpy.fusion.recording import Rows, fused
+from robust_filterpy.fusion._table import Rows
+from robust_filterpy.fusion.recording import fused
 
 __all__ = ["found_delays"]
 

@@ -9,6 +9,9 @@ Beside each other run filters of the state and of one number more, b::
     model is wrong     Q 10, 100 or 1000 times as large from the onset on
     healthy            none of this
 
+If nothing but a Q that is 10 or 100 times smaller explains the stretch better, all of them have that: a state that is
+calmer than Q allows is nobody's fault, though a sensor that is noisily stuck looks like it.
+
 Noise and its outliers are those learnt before the stretch that is judged. What a hypothesis is worth is the density of
 all readings of the stretch under it, the size of b integrated out, times how often such a thing happens. A reading of a
 sensor whose noise carries over to the next counts for less than one (`_watch.worth`).
@@ -25,14 +28,16 @@ from robust_filterpy._checks import Array
 
 __all__ = ["Found", "Stretch", "corrected", "judged", "stacked"]
 
-# Chance of a fault at one reading, and of a manoeuvre that Q does not know at one stamp.
+# Chance of a fault of one kind at a reading, shared among its sizes; of a manoeuvre that Q does not know at a stamp.
 _FAULT, _MANOEUVRE = 1e-5, 1e-4
 # Standard deviation of b in the sensor's own; of a drift: of what it has come to at the end.
 _SIZE = 4.0
 _NOISIER, _WORSE, _SPIKES = (2.0, 3.0, 5.0, 9.0), (10.0, 100.0, 1000.0), 0.3
+# By how much Q may be smaller all along, and how likely that is.
+_CALMER = ((1.0, 0.8), (0.1, 0.1), (0.01, 0.1))
 _STILL = 0.01
-# Onsets: every reading of so many, then each third.
-_FINE, _COARSE = 24, 3
+# Onsets: of the last so many readings each, before them ever fewer; none of the very first readings.
+_FINE, _FIRST = 16, 5
 # As `_watch.FAULTS` numbers them; 0 is healthy, -1 the model.
 _BIASED, _DRIFTING, _STUCK, _NOISY, _SPIKY, _MODEL = 2, 3, 4, 5, 6, -1
 
@@ -104,7 +109,9 @@ def judged(stretch: Stretch, left_out: np.ndarray) -> list[Found]:
     -------
     list of Found
     """
-    bank = _hypotheses(stretch, left_out)
+    calm = _Bank(*np.array([(-1.0, 0.0, 0.0, w, math.log(p)) for w, p in _CALMER]).T)
+    as_calm = calm.factor[np.argmax(_run(stretch, calm, left_out)[0] + calm.prior)]
+    stretch, bank = stretch._replace(Q=stretch.Q * as_calm), _hypotheses(stretch, left_out)
     logs, b = _run(stretch, bank, left_out)
     logs = logs + bank.prior
     p = np.exp(logs - logs.max())
@@ -129,7 +136,7 @@ def _hypotheses(stretch: Stretch, left_out: np.ndarray) -> _Bank:
         kinds[_NOISY] = tuple(f * f for f in _NOISIER)
         for k, width in _onsets(np.flatnonzero(~np.isnan(stretch.z[:, c]))):
             rows += [
-                (c, fault, k, factor, math.log(_FAULT * width / len(kinds)))
+                (c, fault, k, factor, math.log(_FAULT * width / len(factors)))
                 for fault, factors in kinds.items()
                 for factor in factors
             ]
@@ -139,8 +146,13 @@ def _hypotheses(stretch: Stretch, left_out: np.ndarray) -> _Bank:
 
 def _onsets(moments: np.ndarray) -> list[tuple[int, int]]:
     """Return moments at which something may have begun, and how many each stands for; not the very first ones."""
-    fine, coarse = moments[-_FINE:], moments[5 : max(len(moments) - _FINE, 5) : _COARSE]
-    return [(int(k), 1) for k in fine[5 * (len(moments) <= _FINE) :]] + [(int(k), _COARSE) for k in coarse]
+    found, left = [], len(moments)
+    while left > _FIRST:
+        # An onset that is off by a small share of all since then costs little.
+        width = min(1 + (len(moments) - left) // _FINE, left - _FIRST)
+        left -= width
+        found.append((int(moments[left + width // 2]), width))
+    return found[::-1]
 
 
 def _run(stretch: Stretch, bank: _Bank, left_out: np.ndarray) -> tuple[Array, Array]:
@@ -155,7 +167,7 @@ def _run(stretch: Stretch, bank: _Bank, left_out: np.ndarray) -> tuple[Array, Ar
         bank.fault == _DRIFTING,
         bank.fault == _STUCK,
     )
-    noisy, slack = np.isin(bank.fault, [_STUCK, _NOISY]), np.where(bank.fault == _MODEL, bank.factor, 1.0)
+    noisy, slack = np.isin(bank.fault, [_STUCK, _NOISY]), np.where(bank.component < 0, bank.factor, 1.0)
     # A drift is as large as a bias would be when it has come to the end.
     length = stretch.seconds[-1] - began
     spread = _SIZE * root / np.where(drifts & (length > 0.0), length, 1.0)

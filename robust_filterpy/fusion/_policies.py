@@ -7,6 +7,7 @@ every sensor has a noise, or a custom, of its own.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -24,7 +25,7 @@ from robust_filterpy.kernel import learnt as learnt_kernel
 from robust_filterpy.kernel import series as series_kernel
 from robust_filterpy.kernel.records import Model, Output
 
-__all__ = ["BoundedInfluence", "LearntNoise", "Policy", "State"]
+__all__ = ["BoundedInfluence", "LearntNoise", "Policy", "State", "series"]
 
 
 class State(NamedTuple):
@@ -52,6 +53,21 @@ class State(NamedTuple):
     """First readings where nobody told R, (M, ..)."""
 
 
+class Steps(NamedTuple):
+    """What many steps left; written to as they are taken."""
+
+    x: Array
+    """(N, n)"""
+    P: Array
+    """(N, n, n)"""
+    weights: Array
+    """(N, M)"""
+
+
+#: From a state, and the step that it stands before, to where the kernel came.
+Advance = Callable[[State, int], tuple[State, int]]
+
+
 class Policy(Protocol):
     """What a fusion asks of a filter."""
 
@@ -61,8 +77,8 @@ class Policy(Protocol):
     def predicted(self, state: State, F: Array, Q: Array, drift: Array) -> State:
         """Return the state after a stretch of time."""
 
-    def corrected(self, state: State, z: Array, H: Array, R: Array, learns: Any) -> State:
-        """Return the state after the readings of one moment; learns: which components' noise is learnt from them."""
+    def weighed(self, state: State, z: Array, H: Array, R: Array, learns: Any) -> tuple[State, Array]:
+        """Return the state after the readings of one moment, and their weights; learns: of whom noise is learnt."""
 
     def factors(self, state: State) -> Array:
         """Return what a component's ordinary noise is over R, in variance, as learnt, (M,)."""
@@ -76,8 +92,8 @@ class Policy(Protocol):
     def process(self, state: State) -> float:
         """Return the factor of Q that is thought likely."""
 
-    def series(self, state: State, zs: Array, F: Array, Q: Array, drift: Array, H: Array, R: Array) -> tuple[Any, ...]:
-        """Return x (N, n), P (N, n, n) and weights (N, M) of many steps, and the last state."""
+    def kernel(self, zs: Array, model: tuple[Array, ...], into: Steps) -> Advance:
+        """Return what takes the kernel's steps from one on, as many as it can, model being F, Q, drift, H, R."""
 
 
 def _copies(state: State) -> Copies:
@@ -102,19 +118,8 @@ class LearntNoise:
 
     def start(self, x: Array, P: Array, sizes: Array, u: Array) -> State:
         """Return the state before anything has happened."""
-        begun = side_by_side.start(x, P, self.doubt)
-        return State(
-            begun.x,
-            begun.P,
-            begun.probabilities,
-            self.noise.start(len(sizes)),
-            x,
-            P,
-            begun.unseen,
-            sizes,
-            u,
-            none_yet(len(sizes)),
-        )
+        M, begun = len(sizes), side_by_side.start(x, P, self.doubt)
+        return State(*begun[:3], self.noise.start(M), x, P, begun.unseen, sizes, u, none_yet(M))
 
     def predicted(self, state: State, F: Array, Q: Array, drift: Array) -> State:
         """Return the state after a stretch of time."""
@@ -122,13 +127,13 @@ class LearntNoise:
         require_finite_prediction(found.x, found.P)
         return found
 
-    def corrected(self, state: State, z: Array, H: Array, R: Array, learns: Any) -> State:
-        """Return the state after the readings of one moment."""
+    def weighed(self, state: State, z: Array, H: Array, R: Array, learns: Any) -> tuple[State, Array]:
+        """Return the state after the readings of one moment, and their weights."""
         one, x, P = learnt_kernel.correct(_copies(state), state.memory, z, H, R, self.noise, self.doubt)
         memory = one.memory
         if not np.all(learns):
             memory = np.where(np.asarray(learns)[:, None], memory, state.memory)
-        return self._of(one.copies, x, P, state)._replace(memory=memory)
+        return self._of(one.copies, x, P, state)._replace(memory=memory), one.weights
 
     def _taken(self, stands: learnt_kernel.State, state: State) -> State:
         """Return where the kernel stands as a state."""
@@ -157,24 +162,17 @@ class LearntNoise:
         shares = state.probabilities[: len(self.doubt.scales)]
         return float(np.exp(shares @ np.log(self.doubt.scales) / shares.sum()))
 
-    def series(self, state: State, zs: Array, F: Array, Q: Array, drift: Array, H: Array, R: Array) -> tuple[Any, ...]:
-        """Return x, P, weights of many steps, and the last state; by the kernel, else step by step."""
-        steps, (n, m) = len(zs), (len(state.x), zs.shape[1])
-        x, P, weights = np.empty((steps, n)), np.empty((steps, n * n)), np.empty((steps, m))
-        kept, first = learnt_kernel.Kept(x, P, weights=weights), 0
-        while first < steps:
+    def kernel(self, zs: Array, model: tuple[Array, ...], into: Steps) -> Advance:
+        """Return what takes the kernel's steps, as many as it can."""
+        F, Q, drift, H, R = model
+        kept = learnt_kernel.Kept(into.x, into.P.reshape(len(zs), -1), weights=into.weights)
+
+        def advance(state: State, first: int) -> tuple[State, int]:
             stands = learnt_kernel.begin(_copies(state), state.memory)
             reached = learnt_kernel.run(stands, zs, (F, Q, H, R, drift), self.noise, self.doubt, kept, first=first)
-            if reached > first:
-                state, first = self._taken(stands, state), reached
-                continue
-            i, h = (first if len(F) > 1 else 0), (first if len(H) > 1 else 0)
-            moved = self.predicted(state, F[i], Q[i], drift[first if len(drift) > 1 else 0])
-            told = (zs[first], H[h], R[0], self.noise, self.doubt)
-            one, mean, covariance = learnt_kernel.correct(_copies(moved), moved.memory, *told)
-            state = self._of(one.copies, mean, covariance, moved)._replace(memory=one.memory)
-            x[first], P[first], weights[first], first = state.x, state.P.ravel(), one.weights, first + 1
-        return x, P.reshape(steps, n, n), weights, state
+            return (self._taken(stands, state) if reached > first else state), reached
+
+        return advance
 
 
 class BoundedInfluence:
@@ -202,11 +200,7 @@ class BoundedInfluence:
         require_finite_prediction(x, P)
         return state._replace(x=x, P=P, means=x[None], covariances=P[None])
 
-    def corrected(self, state: State, z: Array, H: Array, R: Array, learns: Any) -> State:
-        """Return the state after the readings of one moment."""
-        return self._corrected(state, z, H, R, learns)[0]
-
-    def _corrected(self, state: State, z: Array, H: Array, R: Array, learns: Any) -> tuple[State, Array]:
+    def weighed(self, state: State, z: Array, H: Array, R: Array, learns: Any) -> tuple[State, Array]:
         """Return the state after the readings of one moment, and their weights."""
         part = np.flatnonzero(~np.isnan(z))
         weights, H, R, memory = np.full(len(z), np.nan), H[part], R[np.ix_(part, part)], state.memory
@@ -248,28 +242,56 @@ class BoundedInfluence:
         """Return the factor of Q that is thought likely."""
         return 1.0
 
-    def series(self, state: State, zs: Array, F: Array, Q: Array, drift: Array, H: Array, R: Array) -> tuple[Any, ...]:
-        """Return x, P, weights of many steps, and the last state; by the kernel, else step by step."""
-        steps, (n, m) = len(zs), (len(state.x), zs.shape[1])
-        x, P, weights = np.empty((1, steps, n)), np.empty((1, steps, n, n)), np.empty((1, steps, m))
-        kept = Output(x, P, np.empty((1, 0, n)), np.empty((1, 0, n, n)), weights, np.zeros(1))
-        first = 0
-        while first < steps:
-            reached = first
-            if series_kernel.serves(self.choices):
-                at, cov, memory = state.x[None].copy(), state.P[None].copy(), state.memory[None].copy()
-                model = Model(F[None], Q[None], H[None], R[None], drift[None])
-                reached = int(
-                    series_kernel.filter_series(
-                        self.choices, zs[None], model, at, cov, kept, memory=memory, start=first
-                    )[0]
-                )
-                state = state._replace(x=at[0], P=cov[0], means=at, covariances=cov, memory=memory[0])
-            if reached == first:
-                i, h = (first if len(F) > 1 else 0), (first if len(H) > 1 else 0)
-                state = self.predicted(state, F[i], Q[i], drift[first if len(drift) > 1 else 0])
-                state, weights[0, first] = self._corrected(state, zs[first], H[h], R[0], True)
-                x[0, first], P[0, first] = state.x, state.P
-                reached = first + 1
-            first = reached
-        return x[0], P[0], weights[0], state
+    def kernel(self, zs: Array, model: tuple[Array, ...], into: Steps) -> Advance:
+        """Return what takes the kernel's steps, as many as it can."""
+        F, Q, drift, H, R = model
+        n = into.x.shape[1]
+        kept = Output(into.x[None], into.P[None], np.empty((1, 0, n)), np.empty((1, 0, n, n)), into.weights[None],
+                      np.zeros(1))  # fmt: skip
+        stacks = Model(F[None], Q[None], H[None], R[None], drift[None])
+
+        def advance(state: State, first: int) -> tuple[State, int]:
+            if not series_kernel.serves(self.choices):
+                return state, first
+            x, P, memory = state.x[None].copy(), state.P[None].copy(), state.memory[None].copy()
+            reached = series_kernel.filter_series(
+                self.choices, zs[None], stacks, x, P, kept, memory=memory, start=first
+            )  # fmt: skip
+            return state._replace(x=x[0], P=P[0], means=x, covariances=P, memory=memory[0]), int(reached[0])
+
+        return advance
+
+
+def series(
+    policy: Policy, state: State, zs: Array, F: Array, Q: Array, drift: Array, H: Array, R: Array
+) -> tuple[Array, Array, Array, State]:
+    """Return x, P, weights of many steps, and the last state; by the kernel, each step that it declines by the policy.
+
+    Parameters
+    ----------
+    policy : Policy
+        What predicts and corrects.
+    state : State
+        Before the first step.
+    zs : ndarray, shape (N, M)
+        Readings, NaN where missing.
+    F, Q, drift, H, R : ndarray, shape (N, ..) or (1, ..)
+        Of each step, or of all.
+
+    Returns
+    -------
+    x, P, weights : ndarray, shape (N, n), (N, n, n), (N, M)
+    state : State
+    """
+    n, model, first = len(state.x), (F, Q, drift, H, R), 0
+    steps = Steps(np.empty((len(zs), n)), np.empty((len(zs), n, n)), np.empty(zs.shape))
+    advance = policy.kernel(zs, model, steps)
+    while first < len(zs):
+        state, reached = advance(state, first)
+        if reached == first:
+            F_k, Q_k, drift_k, H_k, R_k = (part[first % len(part)] for part in model)
+            moved = policy.predicted(state, F_k, Q_k, drift_k)
+            state, steps.weights[first] = policy.weighed(moved, zs[first], H_k, R_k, True)
+            steps.x[first], steps.P[first], reached = state.x, state.P, first + 1
+        first = reached
+    return (*steps, state)

@@ -134,7 +134,7 @@ def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Ar
         learns = (watch.fault != 1.0)[layout.party]
         used = np.where(watch.out[layout.party], np.nan, used)
     if not np.isnan(used).all():
-        state = policy.corrected(state, used, seen.H, R, learns)
+        state = policy.weighed(state, used, seen.H, R, learns)[0]
     return Moment(state, y, np.where(here, deviation, np.nan), watch, seen.failed)
 
 

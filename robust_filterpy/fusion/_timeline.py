@@ -82,6 +82,11 @@ class Timeline:
         closed = Clock.moved(self.keys[-1], -self.window)
         return closed if self.base_key is None else max(closed, self.base_key)
 
+    @property
+    def begun(self) -> float | int | None:
+        """Key of the first moment that is kept; None if there is none."""
+        return self.base_key if self.base_key is not None or not self.keys else self.keys[0]
+
     def at(self, key: float | int) -> Entry:
         """Return the entry of a stamp, a new one if there is none; from it on everything is dirty."""
         i = bisect_left(self.keys, key)

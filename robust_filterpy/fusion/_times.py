@@ -13,6 +13,10 @@ from robust_filterpy import _checks
 __all__ = ["Clock", "written"]
 
 _NANO = 1_000_000_000
+# Numbers as large as this are no seconds since 1970, but milliseconds or smaller parts of one.
+_NO_SECONDS = 1e11
+# A stamp of single precision must still tell moments that are so many seconds apart.
+_COARSE = 1e-3
 
 
 class Clock:
@@ -70,6 +74,8 @@ class Clock:
             found = values.astype(float)
             if not np.isfinite(found).all():
                 raise ValueError("time: expected a finite time in every row, got NaN or infinity")
+            if len(values):
+                _require_seconds("time", values[np.argmax(np.abs(found))])
         else:
             pairs = [_read(value, "time") for value in values.tolist()]
             kinds = {kind for kind, _ in pairs}
@@ -86,6 +92,12 @@ class Clock:
         """Return the seconds from one key to another."""
         apart = later - earlier
         return apart / _NANO if isinstance(apart, (int, np.integer)) else float(apart)
+
+    @staticmethod
+    def seconds(keys: np.ndarray) -> np.ndarray:
+        """Return the seconds from each key to the next."""
+        apart = np.diff(keys)
+        return apart / _NANO if apart.dtype == np.int64 else apart
 
     @staticmethod
     def moved(key: float | int, seconds: float) -> float | int:
@@ -148,4 +160,20 @@ def _read(stamp: Any, name: str) -> tuple[str, float | int]:
     number = _checks.real(name, stamp)
     if not math.isfinite(number):
         raise ValueError(f"{name}: expected a finite time, got {number}")
+    _require_seconds(name, stamp)
     return "numbers", number
+
+
+def _require_seconds(name: str, stamp: Any) -> None:
+    """Raise if a number is no time in seconds that can be told from others."""
+    if abs(stamp) >= _NO_SECONDS:
+        unit = "ms" if abs(stamp) < 1e14 else "us" if abs(stamp) < 1e17 else "ns"
+        raise ValueError(
+            f"{name}: expected seconds, got {stamp:.6g}, which looks like {unit} since 1970; use "
+            f'np.datetime64(int(t), "{unit}"), of a column column.astype("datetime64[{unit}]")'
+        )
+    if isinstance(stamp, (np.float32, np.float16)) and np.spacing(np.abs(stamp)) > _COARSE:
+        raise ValueError(
+            f"{name}: expected a float of double precision, got {stamp:.9g} of {stamp.dtype}, which is known to "
+            f"{np.spacing(np.abs(stamp)):.3g} s only"
+        )

@@ -33,7 +33,7 @@ FAULTS = ("healthy", "departs", "biased", "drifting", "stuck", "noisier", "spike
 # Columns of the tests, and their limits.
 _UP, _DOWN, _WIDE, _FAR, _REPEATS, _USUAL, _LAST, SLOW, _COUNT, _SIGN, _KEEPS = range(11)
 _SLACK = 0.35
-_LIMITS = np.array([9.0, 9.0, 10.0, 8.0])
+_LIMITS = np.array([7.5, 7.5, 8.0, 7.0])
 _AGAIN = 0.5
 _CLIP, _MORE = 3.0, 0.2
 # A run of exact repetitions that has so small a chance, by the share of repetitions learnt, is no accident.

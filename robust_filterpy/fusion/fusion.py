@@ -19,11 +19,12 @@ from robust_filterpy.fusion._choosing import policy_of
 from robust_filterpy.fusion._delays import found_delays
 from robust_filterpy.fusion._forecasting import forecast
 from robust_filterpy.fusion._stepping import Moment, Setup, begun, moved
+from robust_filterpy.fusion._table import read, table_columns
 from robust_filterpy.fusion._timeline import Timeline
 from robust_filterpy.fusion._times import Clock
 from robust_filterpy.fusion.motion import Motion
 from robust_filterpy.fusion.reacquisition import Reacquisition
-from robust_filterpy.fusion.recording import Recording, fused, read, table_columns
+from robust_filterpy.fusion.recording import Recording, fused
 from robust_filterpy.fusion.results import Estimate, Forecast, FusionWarning, SensorNoise
 from robust_filterpy.fusion.sensors import OFTEN, Layout, Sensor
 from robust_filterpy.fusion.verdicts import LONGEST, Verdict, of_all, silent, words
@@ -338,9 +339,8 @@ class Fusion:
             If t is before anything that is kept, or no time; or if nothing was read and t is not given.
         """
         line, key = self._timeline, None if t is None else self._clock.key(t)
-        first = line.base_key if line.base_key is not None else line.keys[0] if line.keys else None
-        if key is not None and first is not None and key < first:
-            raise ValueError(f"t: expected a time from {self._clock.stamp(first)} on, which is kept, got {t}")
+        if key is not None and line.begun is not None and key < line.begun:
+            raise ValueError(f"t: expected a time from {self._clock.stamp(line.begun)} on, which is kept, got {t}")
         moment, at, entries = self._until(key)
         when = at if key is None else key
         if when is None:
@@ -497,7 +497,7 @@ class Fusion:
         t : stamp, optional
             When; by default at the newest stamp. A sensor is silent if it has said nothing for five of its usual
             intervals and the window, within which it may only be late; three intervals if ``Sensor(every=..)`` tells
-            them.
+            them. One that has never spoken is silent after the window.
 
         Returns
         -------
@@ -515,15 +515,19 @@ class Fusion:
         """
         if not self._setup.watches and self._setup.reacquire is None:
             raise ValueError("verdicts: expected a fusion that watches its sensors; make it with watch=True")
-        ages = self.estimate(t).ages
+        now = self.estimate(t).time
         moment, _, entries = self._timeline.until(None if t is None else self._clock.key(t))
         found = of_all(self._setup.layout, moment)
-        said = self._timeline.last_words(entries)
-        for name, usual in self._timeline.intervals(entries).items():
-            every = self._setup.layout.sensors[name].every
-            limit = 5.0 * usual + self.window if every is None else 3.0 * every
-            if name in said and ages[name] > limit:
-                found[name] = silent(self._clock.stamp(said[name]), self._counts[name]["refused"])
+        said, intervals = self._timeline.last_words(entries), self._timeline.intervals(entries)
+        begun = self._timeline.begun
+        for name, one in self._setup.layout.sensors.items():
+            # Who has never spoken may be late by the window, and has no usual interval.
+            usual = 5.0 * intervals.get(name, math.inf if name in said else 0.0) + self.window
+            limit = usual if one.every is None else 3.0 * one.every
+            since = said.get(name, begun)
+            if since is not None and self._clock.between(since, self._clock.key(now)) > limit:
+                stamp = self._clock.stamp(said[name]) if name in said else None
+                found[name] = silent(stamp, self._counts[name]["refused"])
         return found
 
     def report(self, t: Any = None) -> str:

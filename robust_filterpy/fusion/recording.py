@@ -1,25 +1,25 @@
-"""A whole recording at once: from a table with a row for each reading to the state at each stamp, by the kernel."""
+"""A whole recording at once: from what was read at each stamp to the state there, by the kernel."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._warning import warn
 from robust_filterpy.filters.kalman import RobustKalmanFilter
+from robust_filterpy.fusion._policies import series
 from robust_filterpy.fusion._stepping import Moment, Setup, advanced, aged, covariance
+from robust_filterpy.fusion._table import Rows
 from robust_filterpy.fusion._timeline import Timeline
 from robust_filterpy.fusion._times import Clock, written
 from robust_filterpy.fusion.sensors import Layout
 from robust_filterpy.fusion.verdicts import LONGEST, Verdict, described, of_all
 from robust_filterpy.smoothing.smoother import smooth
 
-__all__ = ["Recording", "Rows", "fused", "read", "table_columns"]
+__all__ = ["Recording", "fused"]
 
 # Stamps that are taken together: so many F and Q fit a cache, and need no room to speak of.
 _TOGETHER = 20_000
@@ -88,77 +88,6 @@ class Recording:
         return found
 
 
-class Rows(NamedTuple):
-    """Readings in the order of their stamps."""
-
-    keys: np.ndarray
-    """Of the stamps, (K,)."""
-    zs: Array
-    """(K, M), NaN where nothing was read."""
-    inputs: Array
-    """Control input in force until each stamp, (K, dim_u)."""
-    duplicates: int
-
-
-def read(
-    setup: Setup, clock: Clock, table: Any, time: str, sensor: str, value: Any, controls: tuple[Any, Any] | None
-) -> Rows:
-    """Return the readings of a table, or raise.
-
-    Parameters
-    ----------
-    setup : Setup
-        Motion and sensors.
-    clock : Clock
-        What the stamps are.
-    table : data frame or dict
-        A row for each reading.
-    time, sensor : str
-        Columns.
-    value : str or sequence of str
-        Column, or columns.
-    controls : tuple, optional
-        Stamps and inputs.
-
-    Returns
-    -------
-    Rows
-    """
-    layout = setup.layout
-    chosen = [value] if isinstance(value, str) else list(value)
-    stamps, who, *columns = table_columns(table, [time, sensor, *chosen])
-    keys = clock.keys(stamps)
-    values = np.column_stack([_checks.numbers(name, column) for name, column in zip(chosen, columns, strict=True)])
-    if np.isinf(values).any():
-        row = int(np.flatnonzero(np.isinf(values).any(axis=1))[0])
-        raise ValueError(f"value: expected finite numbers or NaN (missing), got {values[row]} in row {row}")
-    index = _indices(layout.names, who)
-    shift = np.array([s.delay for s in layout.sensors.values()])[index]
-    keys = keys - (np.round(shift * 1e9).astype(np.int64) if keys.dtype == np.int64 else shift)
-    at, us = _inputs(setup.motion.dim_u, clock, controls, keys.dtype)
-    every, where = np.unique(np.concatenate([keys, at]), return_inverse=True)
-    zs, duplicates = np.full((len(every), layout.size), np.nan), 0
-    for i, (name, place) in enumerate(layout.places.items()):
-        rows, m = np.flatnonzero(index == i), place.stop - place.start
-        if len(rows) and m > len(chosen):
-            raise ValueError(f"value: expected {m} columns, as sensor {name!r} has components, got {chosen}")
-        to = where[rows]
-        unique, first = np.unique(to, return_index=True)
-        if len(unique) < len(rows):
-            other = np.searchsorted(unique, to)
-            said = values[rows, :m]
-            apart = ~((said == said[first[other]]) | (np.isnan(said) & np.isnan(said[first[other]]))).all(axis=1)
-            if apart.any():
-                row = int(rows[np.argmax(apart)])
-                raise ValueError(
-                    f"sensor {name!r}: expected one reading for each stamp, got two that differ at "
-                    f"{clock.stamp(every[where[row]].item())} (row {row}); leave one out"
-                )
-            duplicates += len(rows) - len(unique)
-        zs[to, place] = values[rows, :m]
-    return Rows(every, zs, _held(us, where[len(keys) :], len(every), setup.motion.dim_u), duplicates)
-
-
 def fused(setup: Setup, begin: Moment, start: Any, rows: Rows, smoothed: bool) -> Recording:
     """Return the states of a recording.
 
@@ -185,8 +114,7 @@ def fused(setup: Setup, begin: Moment, start: Any, rows: Rows, smoothed: bool) -
     if start is not None and rows.keys[0] < start:
         raise ValueError(f"table: expected stamps from t0, {Clock.stamp(start)}, on, got {Clock.stamp(rows.keys[0])}")
     first = 0.0 if start is None else Clock.between(start, rows.keys[0].item())
-    apart = np.diff(rows.keys)
-    dts = np.concatenate([[first], apart / 1e9 if apart.dtype == np.int64 else apart]).astype(float)
+    dts = np.concatenate([[first], Clock.seconds(rows.keys)]).astype(float)
     x, P = np.empty((K, motion.dim_x)), np.empty((K, motion.dim_x, motion.dim_x))
     weights, moment, done = np.full((K, layout.size), np.nan), begin, 0
     straight = motion.is_linear and not layout.curved
@@ -210,8 +138,8 @@ def fused(setup: Setup, begin: Moment, start: Any, rows: Rows, smoothed: bool) -
         to = min(done + _TOGETHER, stop)
         F, Q, drift = _model(setup, moment, dts[done:to], rows.inputs[done:to])
         R = covariance(layout, moment.state.sizes)[None]
-        x[done:to], P[done:to], weights[done:to], state = setup.policy.series(
-            moment.state, rows.zs[done:to], F, Q, drift, layout.H[None], R
+        x[done:to], P[done:to], weights[done:to], state = series(
+            setup.policy, moment.state, rows.zs[done:to], F, Q, drift, layout.H[None], R
         )
         state = aged(state, float(dts[done:to].sum()), np.full(layout.size, np.nan))
         moment, done = moment._replace(state=state._replace(u=rows.inputs[to - 1])), to
@@ -257,7 +185,7 @@ def _silences(layout: Layout, rows: Rows) -> list[tuple[int, str, Verdict]]:
     found, keys = [], rows.keys
     for name, place in layout.places.items():
         spoke = np.flatnonzero((~np.isnan(rows.zs[:, place])).any(axis=1))
-        gaps = np.diff(keys[spoke]) / (1e9 if keys.dtype == np.int64 else 1.0)
+        gaps = Clock.seconds(keys[spoke])
         every = layout.sensors[name].every
         for i in range(len(spoke)):
             usual = np.median(gaps[max(i - LONGEST, 0) : i]) if i > 1 else np.inf
@@ -344,88 +272,3 @@ def _narrowed(begin: Moment, filtered: tuple[Array, Array], F: Array, Q: Array, 
     share = np.linalg.lstsq(told + known, told, rcond=None)[0]
     narrow = known @ share
     return start + share.T @ (at - start), 0.5 * (narrow + narrow.T)
-
-
-def table_columns(table: Any, names: list[str]) -> list[np.ndarray]:
-    """Return columns of a data frame or a dict by name, or raise.
-
-    Parameters
-    ----------
-    table : data frame or dict
-        Where they are.
-    names : list of str
-        Which.
-
-    Returns
-    -------
-    list of ndarray
-    """
-    if isinstance(table, Mapping):
-        there, column = list(table), lambda name: np.asarray(table[name])
-    else:
-        try:
-            import narwhals as nw
-        except ImportError:
-            raise ImportError(
-                'tables are read by narwhals; pip install "robust_filterpy[fleet]", or pass a dict of columns'
-            ) from None
-        try:
-            frame = nw.from_native(table, eager_only=True)
-        except TypeError:
-            raise TypeError(
-                f"table: expected a data frame in memory, or a dict of columns, got {type(table).__name__}"
-            ) from None
-        there, column = frame.columns, lambda name: _plain(nw, frame[name])
-    missing = [name for name in names if name not in there]
-    if missing:
-        raise ValueError(
-            f"table: expected the columns {missing}, got {list(there)}; time=, sensor= and value= name them"
-        )
-    found = [column(name) for name in names]
-    if len({len(one) for one in found}) > 1:
-        raise ValueError(f"table: expected columns of one length, got {[len(one) for one in found]}")
-    return found
-
-
-def _plain(nw: Any, column: Any) -> np.ndarray:
-    """Return a column as numpy has it; instants in UTC."""
-    kind = column.dtype
-    if kind == nw.Datetime and getattr(kind, "time_zone", None) is not None:
-        column = column.dt.convert_time_zone("UTC").dt.replace_time_zone(None)
-    return np.asarray(column.to_numpy())
-
-
-def _indices(names: tuple[str, ...], who: np.ndarray) -> np.ndarray:
-    """Return each row's sensor as its place among the declared, or raise."""
-    unique, inverse = np.unique(np.asarray(who, dtype=object).astype(str), return_inverse=True)
-    unknown = [name for name in unique.tolist() if name not in names]
-    if unknown:
-        raise ValueError(f"sensor: expected names among {list(names)}, got {unknown[:5]}; leave their rows out")
-    return np.array([names.index(name) for name in unique.tolist()], dtype=int)[inverse]
-
-
-def _inputs(p: int, clock: Clock, controls: Any, dtype: Any) -> tuple[np.ndarray, Array]:
-    """Return keys and values of control inputs, or raise."""
-    if controls is None:
-        return np.zeros(0, dtype=dtype), np.zeros((0, p))
-    if not isinstance(controls, tuple) or len(controls) != 2:
-        raise TypeError(f"controls: expected (stamps, inputs), got {_checks.shown(controls)}")
-    keys, us = clock.keys(controls[0]), _checks.numbers("controls", controls[1])
-    us = us[:, None] if us.ndim == 1 else us
-    if us.shape != (len(keys), p) or not np.isfinite(us).all():
-        raise ValueError(f"controls: expected finite inputs of shape ({len(keys)}, {p}), got shape {us.shape}")
-    if keys.dtype != dtype:
-        raise TypeError("controls: expected stamps of the kind that the table has")
-    order = np.argsort(keys, kind="stable")
-    if (np.diff(keys[order]) == 0).any():
-        raise ValueError("controls: expected one input for each stamp, got two")
-    return keys[order], us[order]
-
-
-def _held(us: Array, places: np.ndarray, steps: int, p: int) -> Array:
-    """Return the input in force from each stamp on, 0 before the first."""
-    found = np.zeros((steps, p))
-    if len(us):
-        which = np.searchsorted(places, np.arange(steps), side="right") - 1
-        found[which >= 0] = us[which[which >= 0]]
-    return found

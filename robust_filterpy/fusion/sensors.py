@@ -215,6 +215,8 @@ class Layout:
         if name not in self.places:
             raise ValueError(f"sensor: expected one of {list(self.sensors)}, got {_checks.shown(name)}")
         m = self.sensors[name].dim_z
+        if isinstance(z, np.ma.MaskedArray):
+            z = np.ma.filled(z.astype(float), np.nan)
         found = np.full(m, np.nan) if z is None else _checks.numbers(f"z of {name!r}", z).ravel()
         if len(found) != m:
             raise ValueError(f"z of {name!r}: expected {m} number(s), got {_checks.shown(z)}")

@@ -9,6 +9,7 @@ are again as they were.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,9 +30,11 @@ STRETCH, LONGEST = 300, 600
 _SURE, _LIKELY = 0.95, 0.5
 # A sensor is healthy, and looked at again soon, if something is the matter with more than this probability.
 _DOUBTED = 0.05
-# Readings until a sensor that departs, or one that has a verdict, is looked at again.
-_SOON, _LATER = 5, 20
+# Readings until a sensor in doubt, one that departs, or one that has a verdict, is looked at again.
+_SOON, _AGAIN, _LATER = 2, 5, 20
 _HEALTHY, _DEPARTS = 0, 1
+# Faults that a stretch which is too short confuses: biased, drifting.
+_SLOW = (2, 3)
 
 _REMEDIES = {
     "healthy": "",
@@ -56,7 +59,7 @@ class Verdict(NamedTuple):
     """"healthy", "departs", "biased", "drifting", "stuck", "noisier", "spikes", "silent" or "model is wrong"; with
     ``reacquire`` "undecided", "false" or "jumped"."""
     since: Any
-    """Stamp of the onset, or of its last word if it is silent; None if it is healthy."""
+    """Stamp of the onset, or of its last word if it is silent; None if it is healthy, or has never spoken."""
     probability: float
     """That it is this, given that a fault comes once in 10^5 readings and a manoeuvre once in 10^4 stamps; with
     ``reacquire`` given its prior."""
@@ -92,8 +95,8 @@ def silent(since: Any, refused: int) -> Verdict:
 
     Parameters
     ----------
-    since : stamp
-        Of its last word.
+    since : stamp or None
+        Of its last word; None if it has never spoken.
     refused : int
         Readings of it that came too late to be used.
 
@@ -154,47 +157,58 @@ def _set_free(watch: Watch, sensors: np.ndarray, owner: np.ndarray) -> Watch:
 
 def _after_a_look(line: Any, i: int, watch: Watch, fresh: np.ndarray, followed: np.ndarray) -> Watch:
     """Return what is known when the last stamps have been judged anew."""
-    layout = line.setup.layout
-    first = max(i + 1 - STRETCH, 0)
-    # Who has had a verdict since before the stretch begins says nothing about it, and stays where he is. It begins with
-    # a state that took nothing of him. Who departs is looked at again, however long it has been.
-    early = line.keys[min(first + (first > 0) * STRETCH // 3, i)]
-    gone = np.array([at is not None and at < early for at in watch.since]) & (watch.fault > _DEPARTS)
-    # A drift whose beginning is no longer seen looks like a bias.
-    seen = [at for at, fault in zip(watch.since, watch.fault, strict=True) if fault == _DEPARTS]
-    if seen:
-        first = max(min(first, bisect_left(line.keys, min(seen)) - STRETCH // 2), i + 1 - LONGEST, 0)
-    if (gone & watch.out).any():
-        first = max(first, bisect_right(line.keys, watch.mended))
+    party, departs = line.setup.layout.party, watch.fault == _DEPARTS
+    # Who has a verdict stays where he is, and says nothing, when another is in doubt, or if he had it before the
+    # stretch begins. How fast one drifts is seen the better the longer.
+    told = watch.fault > _DEPARTS
+    alone = told.sum() < 2 and not (fresh | departs | (followed & ~told)).any()
+    gone = np.array([
+        one and not (alone and at >= _early(line, i, LONGEST if fault in _SLOW else STRETCH))
+        for one, fault, at in zip(told, watch.fault, watch.since, strict=True)
+    ])  # fmt: skip
     watch = watch._replace(due=np.where(followed, np.where(gone, np.inf, float(_LATER)), watch.due))
-    if first >= i or not (fresh | (followed & ~gone)).any():
+    if not (fresh | (followed & ~gone)).any():
         return watch
-    stretch = _stretch(line, first, i, worth(colour(watch)))
-    found = _faults.judged(stretch, gone[layout.party])
-    best = _by_sensor(found, layout.party)
-    (who, fault), probability = max(best.items(), key=lambda one: one[1])
+    # A drift whose beginning is no longer seen looks like a bias: before one is named both are looked at from long ago.
+    began = min((bisect_left(line.keys, at) for at in compress(watch.since, departs)), default=i + 1)
+    for first in (min(i + 1, began + STRETCH // 2) - STRETCH, i + 1 - LONGEST)[: 1 if departs.any() else 2]:
+        first = max(first, i + 1 - LONGEST, 0)
+        # It begins with a state that took nothing of those.
+        if any(at < line.keys[first] for at in compress(watch.since, gone & watch.out)):
+            first = max(first, bisect_right(line.keys, watch.mended))
+        if first >= i:
+            return watch
+        found = _faults.judged(_stretch(line, first, i, worth(colour(watch))), gone[party])
+        best = _by_sensor(found, party)
+        (who, fault), probability = max(best.items(), key=lambda one: one[1])
+        doubts = [sum(p for (s, _), p in best.items() if s == one) for one in range(len(departs))]
+        if who < 0 or doubts[who] <= _LIKELY or fault not in _SLOW:
+            break
     # What is sure stays until the sensor has recovered; what was only likely does not.
-    sick = watch.fault == _DEPARTS
-    doubts = [sum(p for (s, _), p in best.items() if s == one) for one in range(len(sick))]
     if who < 0:
-        watch = _doubted(_set_free(watch, sick, layout.party), doubts)
+        watch = _doubted(_set_free(watch, departs, party), doubts)
         if fault < 0 and probability >= _SURE:
             onset = next(one.onset for one in found if one.fault == fault)
             watch = watch._replace(model=probability, model_since=line.keys[first + onset])
         return watch
-    share = doubts[who]
-    if share <= _LIKELY:
+    if doubts[who] <= _LIKELY:
         return _doubted(watch, doubts)
-    others = sick.copy()
+    others = departs.copy()
     others[who] = False
-    watch = _doubted(_set_free(watch, others, layout.party), doubts)
-    top = next(one for one in found if one.component >= 0 and layout.party[one.component] == who and one.fault == fault)
+    watch = _doubted(_set_free(watch, others, party), doubts)
+    top = next(one for one in found if one.component >= 0 and party[one.component] == who and one.fault == fault)
     sure = probability >= _SURE
     if watch.fault[who] > _DEPARTS and not sure:
         return watch
-    shown = (fault, probability) if sure else (_DEPARTS, share)
+    shown = (fault, probability) if sure else (_DEPARTS, doubts[who])
     return _with(watch, who, *shown, top, line.keys[first + top.onset],
-                 line.stands(first)[0].watch.tests[:, SLOW], layout.party)  # fmt: skip
+                 line.stands(first)[0].watch.tests[:, SLOW], party)  # fmt: skip
+
+
+def _early(line: Any, i: int, length: int) -> Any:
+    """Return the key before which an onset is too near the beginning of a stretch."""
+    first = max(i + 1 - length, 0)
+    return line.keys[min(first + (first > 0) * STRETCH // 3, i)]
 
 
 def _doubted(watch: Watch, doubts: list[float]) -> Watch:
@@ -208,15 +222,16 @@ def _with(
     watch: Watch, who: int, fault: int, probability: float, top: Found, since: Any, before: Array, owner: np.ndarray
 ) -> Watch:
     """Return that a sensor has a fault."""
-    new = watch.fault[who] == _HEALTHY
+    new, other = watch.fault[who] == _HEALTHY, watch.fault[who] != fault
     mine = owner == who
     faults, odds, sizes, due = (a.copy() for a in (watch.fault, watch.odds, watch.size, watch.due))
     faults[who], odds[who], sizes[who] = fault, probability, top.size
-    due[who] = _SOON if fault == _DEPARTS else _LATER
+    due[who] = _AGAIN if fault == _DEPARTS else _LATER
     return watch._replace(
         fault=faults, odds=odds, size=sizes, due=due,
         since=(*watch.since[:who], since, *watch.since[who + 1 :]),
-        recent=np.where((mine & new)[:, None], 0.0, watch.recent),
+        # x, by which recovery is judged, took what it said until now.
+        recent=np.where((mine & other)[:, None], 0.0, watch.recent),
         before=np.where(mine & new, before, watch.before),
     )  # fmt: skip
 
@@ -296,7 +311,8 @@ def words(name: str, verdict: Verdict) -> str:
     # Nothing is as sure as 1.000.
     sure = "above 0.999" if verdict.probability >= 0.9995 else f"{verdict.probability:.3f}"
     odds = "" if verdict.fault == "silent" else f" (probability {sure})"
-    return f"{name} {verdict.fault}{much} since {written(verdict.since)}{odds}: {verdict.remedy}"
+    since = "from the beginning" if verdict.since is None else f"since {written(verdict.since)}"
+    return f"{name} {verdict.fault}{much} {since}{odds}: {verdict.remedy}"
 
 
 def of_all(layout: Layout, moment: Moment) -> dict[str, Verdict]:

@@ -1,6 +1,6 @@
 """Tables of sensors in time: late data, faults and false alarms, forecasts, speed.
 
-python tests/benchmarks/fusion_study.py [speed] [late] [verdicts] [false] [forecasts] [doubts] [--runs 5]
+python tests/benchmarks/fusion_study.py [speed] [late] [bounds] [verdicts] [false] [forecasts] [doubts] [--runs 5]
     [--readings 200000]
 """
 
@@ -186,6 +186,72 @@ def baselines(motion, readings):
         for rule in [rule for rule in over if over[rule] and t > 30.0]:
             first.setdefault(rule, (t - 30.0, name))
     return first
+
+
+# Targets in seconds, mean over which sensor fails; outliers of healthy sensors as a fusion has learnt them by 30 s.
+TARGETS = {
+    "biased": {1.0: 2.9, 2.0: 0.75, 4.0: 0.3, 8.0: 0.2},
+    "drifting": {0.1: 16.0, 0.2: 7.4, 0.4: 4.0, 0.8: 2.6},
+    "noisier": {2.0: 1.7, 3.0: 0.35, 5.0: 0.2, 9.0: 0.2},
+}
+CLASSES, SHARES = np.array([1.0, 10.0, 100.0, 1000.0]), np.array([0.985, 0.009, 0.003, 0.003])
+
+
+def density(e, spread, noise=1.0):
+    """Of an innovation, under classes of noise."""
+    variance = spread + noise * CLASSES
+    return float((SHARES * np.exp(-0.5 * e * e / variance) / np.sqrt(2.0 * math.pi * variance)).sum())
+
+
+def innovations(motion, readings):
+    """Innovations of the Kalman filter told everything, and the variances of what it expected."""
+    x, P, before, found = np.zeros(2), 100.0 * np.eye(2), 0.0, []
+    for _, t, z in readings:
+        F, Q, _ = motion.matrices(t - before)
+        x, P, before = F @ x, F @ P @ F.T + Q, t
+        found.append((z - x[0], P[0, 0]))
+        K = P[:, 0] / (P[0, 0] + 1.0)
+        x, P = x + K * (z - x[0]), P - np.outer(K, K) * (P[0, 0] + 1.0)
+    return np.array(found).T
+
+
+def possible(fault, size, runs):
+    """Seconds that a fault takes at least, at one false alarm in 1e5 readings, mean over which sensor fails.
+
+    First Lorden's bound, log(1e5) over the divergence of a reading: noise is normal. Then a CUSUM that is told who,
+    what, how large and since when it might be: noise has outliers as learnt. Nobody is told as much.
+    """
+    enough, found = math.log(1e5), np.full((2, 3, runs), np.nan)
+    for (i, who), seed in product(enumerate("bac"), range(runs)):
+        motion, quiet = redundant(seed, 50.0)
+        _, loud = redundant(seed, 50.0, fault, size, who=who)
+        (e0, spread), (e, _) = innovations(motion, quiet), innovations(motion, loud)
+        divergence, told = 0.0, 0.0
+        for (name, t, _), healthy, now, p in zip(loud, e0, e, spread, strict=True):
+            if t <= 30.0 or (fault == "noisier" and name != who):
+                continue
+            if fault == "noisier":
+                ratio = (p + size**2) / (p + 1.0)
+                divergence += 0.5 * (ratio - 1.0 - math.log(ratio))
+                likely = density(now, p, size**2)
+            else:
+                divergence += 0.5 * (now - healthy) ** 2 / (p + 1.0)
+                likely = density(healthy, p)
+            told = max(told, 0.0) + math.log(likely / density(now, p))
+            for k, much in enumerate((divergence, told)):
+                if much >= enough and np.isnan(found[k, i, seed]):
+                    found[k, i, seed] = t - 30.0
+    return np.nanmedian(found, axis=2).mean(axis=1)
+
+
+def bounds(args):
+    """What is possible."""
+    print(f"seconds to the alarm, mean over which sensor fails, at one false alarm in 1e5 readings, {args.runs} runs:")
+    print("target, Lorden's bound (no outliers), a CUSUM told who, what and how large (outliers as learnt)")
+    for fault in ("biased", "drifting", "noisier"):
+        for size, target in TARGETS[fault].items():
+            least, told = possible(fault, size, args.runs)
+            print(f"  {fault:9s} {size:4.1f}  {target:5.2f}  {least:5.2f}  {told:5.2f}", flush=True)
 
 
 def verdicts(args):
@@ -413,7 +479,7 @@ def doubts(args):
     print(f"  a stamp takes {np.median(times[True]):.2f} ms in doubt, {np.median(times[False]):.2f} ms else")
 
 
-TABLES = {"speed": speed, "late": late, "verdicts": verdicts, "false": false, "forecasts": forecasts, "doubts": doubts}
+TABLES = {one.__name__: one for one in (speed, late, bounds, verdicts, false, forecasts, doubts)}
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)

@@ -80,6 +80,19 @@ def test_a_drift_is_told_in_standard_deviations_a_second():
     assert "standard deviations a second since" in fusion.report()
 
 
+@pytest.mark.parametrize("gap", [2.0, 8.0])
+def test_two_sensors_that_fail_one_after_the_other_are_named_one_after_the_other(gap):
+    fusion, said = made(), []
+    for name, t, z in recording(5200, FAULTS["biased"], 42.0)[0]:
+        fusion.observe(name, t, z - 5.0 if name == "c" and t > 30.0 + gap else z)
+        found = fusion.verdicts()
+        now = [(one, found[one].fault) for one in RATES if found[one].fault not in ("healthy", "departs")]
+        said += [now] if now not in said else []
+    assert said == [[], [("b", "biased")], [("b", "biased"), ("c", "biased")]]
+    since = [fusion.verdicts()[name].since for name in "bc"]
+    assert since == pytest.approx([30.0, 30.0 + gap], abs=0.5)
+
+
 def test_a_sensor_that_lies_is_left_out_of_the_state(told):
     fault, fusion, readings, _ = told
     if fault not in ("biased", "stuck"):

@@ -1,0 +1,130 @@
+"""Streams that break an assumption: what comes is right, refused or said, never silently wrong."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from robust_filterpy.fusion import Fusion, FusionWarning, Sensor, constant_velocity
+
+
+def made(**options):
+    sensors = {name: Sensor([1.0, 0.0], R=1.0) for name in "ab"}
+    return Fusion(constant_velocity(1, 0.1), sensors, 2.0, P0=100.0 * np.eye(2), **options)
+
+
+def untouched(fusion):
+    return not fusion.state()["keys"].size and not any(sum(had.values()) for had in fusion.counts.values())
+
+
+@pytest.mark.parametrize("unit, per_second", [("ms", 10**3), ("us", 10**6), ("ns", 10**9)])
+def test_integers_since_1970_are_refused_with_the_cure(unit, per_second):
+    fusion, stamps = made(), 1_700_000_000 * per_second + np.arange(5) * per_second
+    with pytest.raises(ValueError, match=rf'expected seconds, .* use np.datetime64\(int\(t\), "{unit}"\)'):
+        fusion.observe("a", int(stamps[0]), 1.0)
+    assert untouched(fusion)
+    table = {"time": stamps, "sensor": ["a"] * 5, "value": np.arange(5.0)}
+    with pytest.raises(ValueError, match=rf'column.astype\("datetime64\[{unit}\]"\)'):
+        fusion.run(table)
+    # The cure that is named is one.
+    found = fusion.run({**table, "time": stamps.astype(f"datetime64[{unit}]")})
+    assert found.x[-1, 1] == pytest.approx(1.0, abs=0.2)
+    assert fusion.observe("a", np.datetime64(int(stamps[0]), unit), 1.0) == "taken"
+
+
+def test_stamps_of_single_precision_are_refused_where_they_tell_no_moments_apart():
+    fusion = made()
+    with pytest.raises(ValueError, match=r"double precision, got 1.7e\+09 of float32, which is known to 128 s only"):
+        fusion.observe("a", np.float32(1.7e9), 1.0)
+    with pytest.raises(ValueError, match="double precision"):
+        fusion.run({"time": np.float32([1.7e9, 1.8e9]), "sensor": ["a", "a"], "value": [0.0, 1.0]})
+    assert untouched(fusion)
+    assert fusion.observe("a", np.float32(12.5), 1.0) == "taken"
+
+
+def test_a_masked_number_is_missing_whatever_stands_behind_the_mask():
+    fusion = made()
+    fusion.observe("a", 0.0, 3.0)
+    fusion.observe("a", 1.0, np.ma.masked_array([1e20], [True]))
+    other = made()
+    other.observe("a", 0.0, 3.0)
+    other.observe("a", 1.0, None)
+    assert fusion.estimate().x.tobytes() == other.estimate().x.tobytes()
+
+
+def test_who_has_never_spoken_is_silent_after_the_window():
+    fusion = made(watch=True)
+    for k in range(30):
+        fusion.observe("a", 0.1 * k, 0.0)
+        assert fusion.verdicts()["b"].fault == ("silent" if 0.1 * k > 2.0 else "healthy")
+    assert fusion.verdicts()["b"].since is None
+    assert "b silent from the beginning: check power and cable" in fusion.report()
+
+
+@pytest.mark.parametrize("stamp", [np.nan, np.inf, pd.NaT, np.datetime64("NaT"), True, "12:00", None])
+def test_what_is_no_time_is_refused(stamp):
+    fusion = made()
+    with pytest.raises((ValueError, TypeError), match="t: expected"):
+        fusion.observe("a", stamp, 1.0)
+    assert untouched(fusion)
+
+
+def test_a_clock_that_jumps_back_and_a_burst_past_the_window_are_refused_counted_and_said():
+    fusion = made()
+    for k in range(100):
+        fusion.observe("a", 0.1 * k, 0.0)
+    with pytest.warns(FusionWarning, match=r"'a': a reading of 3.0 was dropped: it is 4.9 s older than the window"):
+        assert fusion.observe("a", 3.0, 0.0) == "refused"
+    with pytest.warns(FusionWarning, match="'b': a reading"):
+        outcomes = [fusion.observe("b", 0.1 * k + 0.05, 0.0) for k in range(100)]
+    assert outcomes == ["refused"] * 79 + ["late"] * 20 + ["taken"]
+    assert fusion.counts["b"]["refused"] == 79 and fusion.counts["a"]["refused"] == 1
+
+
+def test_one_stamp_far_ahead_is_named_as_the_cause_of_what_is_refused_after_it():
+    fusion = made(watch=True)
+    for k in range(50):
+        fusion.observe("a", 0.1 * k, 0.0)
+    fusion.observe("b", 1e6, 0.0)
+    with pytest.warns(FusionWarning, match=r"by the newest reading, 'b' at 1000000.0"):
+        fusion.observe("a", 5.0, 0.0)
+    assert "check the clocks, of the sensor with the newest stamp too" in fusion.report()
+
+
+def test_zones_are_mixed_rightly():
+    fusion = made()
+    fusion.observe("a", pd.Timestamp("2026-01-01 12:00", tz="Europe/Berlin"), 1.0)
+    fusion.observe("b", pd.Timestamp("2026-01-01 11:00:01", tz="UTC"), 1.0)
+    fusion.observe("a", pd.Timestamp("2026-01-01 06:00:02", tz="America/New_York"), 1.0)
+    assert fusion.estimate().ages == {"a": 0.0, "b": 1.0}
+
+
+def test_a_renamed_sensor_and_other_values_in_a_duplicate_are_refused():
+    fusion = made()
+    fusion.observe("a", 0.0, 1.0)
+    with pytest.raises(ValueError, match=r"expected one of \['a', 'b'\], got 'A'"):
+        fusion.observe("A", 1.0, 1.0)
+    with pytest.raises(ValueError, match="replace=True if it is a correction"):
+        fusion.observe("a", 0.0, 2.0)
+    assert fusion.counts["a"]["taken"] == 1 and fusion.observe("a", 0.0, 1.0) == "duplicate"
+
+
+def test_when_all_are_silent_all_are_said_to_be_and_P_grows():
+    fusion = made(watch=True)
+    for k in range(50):
+        for name in "ab":
+            fusion.observe(name, 0.1 * k, 0.0)
+    assert fusion.report(60.0).count("silent since 4.9") == 2
+    assert fusion.estimate(60.0).P[0, 0] > 100.0 * fusion.estimate().P[0, 0]
+
+
+def test_a_change_of_unit_leaves_the_sensor_out_from_then_on():
+    rng, sensors = np.random.default_rng(0), {name: Sensor([1.0, 0.0], R=1.0) for name in "abc"}
+    fusion = Fusion(constant_velocity(1, 0.1), sensors, 2.0, P0=100.0 * np.eye(2), watch=True)
+    for k in range(300):
+        for name in sensors:
+            z = 2.0 * 0.1 * k + rng.normal()
+            fusion.observe(name, 0.1 * k, 0.3048 * z if name == "b" and k >= 200 else z)
+    found = fusion.verdicts()
+    assert [found[name].fault for name in "ac"] == ["healthy"] * 2
+    assert found["b"].since == pytest.approx(20.0, abs=0.5) and "left out of the state" in found["b"].remedy
+    assert abs(fusion.estimate().x[0] - 59.8) < 1.0
