@@ -32,7 +32,7 @@ def made(**more):
     return Fusion(MOTION, {name: Sensor([1.0, 0.0], R=0.09, **more.get(name, {})) for name in LATE}, 1.0)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_delays_are_found_and_then_there_are_none(seed):
     found = made().delays(recording(seed))
     for name, late in LATE.items():

@@ -52,7 +52,7 @@ def test_the_false_alarm_rate_is_nominal_for_the_true_parameters(model, share):
     assert abs(outside - 0.01) < 5.0 * np.sqrt(0.01 / 6300)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.1, 0.2])
+@pytest.mark.parametrize("share", [0.1, *(pytest.param(share, marks=pytest.mark.slow) for share in (0.0, 0.2))])
 def test_the_false_alarm_rate_is_nominal_after_the_fit_and_on_a_fresh_recording(share):
     structure, same, fresh = FIR(3), [], []
     b = [0.0, 1.0, 0.5, 0.2]
