@@ -37,7 +37,8 @@ class BuildExtension(build_ext):
 
         def compile_side_by_side(sources, **options):
             with ThreadPoolExecutor() as pool:
-                return sum(pool.map(lambda source: compile_in_turn([source], **options), sources), [])
+                found = pool.map(lambda source: compile_in_turn([source], **options), sources)
+                return [compiled for objects in found for compiled in objects]
 
         if self.compiler.compiler_type == "unix":
             self.compiler.compile = compile_side_by_side

@@ -7,13 +7,11 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from robust_filterpy import testing
-from robust_filterpy.testing.checks import filters, trackers
 from robust_filterpy.testing.checks.bench import Promise
-from robust_filterpy.testing.checks.filter_subject import FILTER_TAGS
-from robust_filterpy.testing.checks.tracker_subject import TRACKER_TAGS
+from robust_filterpy.testing.checks.lists import FILTERS, TRACKERS
 from robust_filterpy.testing.scenarios import contamination, models, plants
 
 __all__ = ["page"]
@@ -68,17 +66,18 @@ def page() -> str:
         "## Scenarios: `draw(name, steps, contamination=..., rng=...)`\n",
         _table(models.__doc__),
         _table(plants.__doc__),
-        "Ways in which a recording goes wrong (`contamination`), alone or several after one another:\n",
+        "Ways in which a recording goes wrong (`contamination`), alone or several after one another, with options as\n"
+        '`contamination={"bursts": {"length": 8}}`:\n',
         _table(contamination.__doc__),
         "## Assertions\n",
         _rows(("assertion", "what it asserts"), [(f"`{name}`", _first_line(name)) for name in assertions]),
-        *_checks("Checks of a filter: `check_filter(make)`", filters.PROMISES, FILTER_TAGS),
-        *_checks("Checks of a tracker: `check_tracker(make)`", trackers.PROMISES, TRACKER_TAGS),
+        *_checks("Checks of a filter: `check_filter(make)`", FILTERS.promises, FILTERS.tags),
+        *_checks("Checks of a tracker: `check_tracker(make)`", TRACKERS.promises, TRACKERS.tags),
     ]
     return "\n".join(parts)
 
 
-def _checks(title: str, promises: Sequence[Promise], tags: dict[str, str]) -> list[str]:
+def _checks(title: str, promises: Sequence[Promise], tags: Mapping[str, str]) -> list[str]:
     """Return a section: what can be claimed, and every check with its theorem."""
     rows = [
         (f"`{entry.name}`", entry.theorem, ", ".join(sorted(entry.needs)), "yes" if entry.stochastic else "")

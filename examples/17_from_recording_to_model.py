@@ -14,7 +14,6 @@ import pandas as pd
 
 from robust_filterpy import ParameterTracker
 from robust_filterpy.identification import compare, select_structure, validate
-from robust_filterpy.plotting import plot_comparison
 
 STEPS, SECONDS = 1600, 10
 
@@ -80,7 +79,7 @@ def draw(compared, out):
     import matplotlib.pyplot as plt
 
     figure, ax = plt.subplots(figsize=(9, 3.8), layout="constrained")
-    plot_comparison(compared, unit="degrees C", ax=ax)
+    compared.plot(unit="degrees C", ax=ax)
     fit = max(row.fit for row in compared.rows)
     ax.set_title(f"From the input alone, the half that the model has not seen is met to {fit:.0f} %")
     out.mkdir(parents=True, exist_ok=True)

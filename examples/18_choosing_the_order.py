@@ -16,7 +16,6 @@ from scipy.signal import lfilter
 from robust_filterpy import ARX
 from robust_filterpy.experiments import fit_percent
 from robust_filterpy.identification import select_structure
-from robust_filterpy.plotting import plot_structure_selection
 
 A, B = [1.0, -1.5, 0.7], [0.0, 0.0, 0.0, 0.0, 1.0, 0.5]
 STEPS, ORDERS, DELAYS = 1200, range(1, 5), range(1, 9)
@@ -72,7 +71,7 @@ def draw(selection, out):
     """Draw fit and criterion against the number of parameters, and the impulse response."""
     import matplotlib.pyplot as plt
 
-    axes = plot_structure_selection(selection)
+    axes = selection.plot()
     out.mkdir(parents=True, exist_ok=True)
     path = out.resolve() / "18_choosing_the_order.png"
     axes[0].figure.savefig(path, dpi=110)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sys
+import inspect
 import warnings
 
 __all__ = ["warn"]
@@ -13,7 +13,7 @@ _PASSED_ON = {"robust_filterpy", "filterpy"}
 
 def warn(message: str, category: type[Warning] = UserWarning) -> None:
     """Warn at the innermost line that is neither this package's nor filterpy's."""
-    frame, level = sys._getframe(1), 2
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in _PASSED_ON:
+    frame, level = inspect.currentframe(), 1
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in _PASSED_ON:
         frame, level = frame.f_back, level + 1
     warnings.warn(message, category, stacklevel=level)

@@ -15,7 +15,7 @@ from robust_filterpy.plants.servo import (
     ServoObserver,
     ServoRecording,
     beta_coefficient,
-    random_alpha,
+    random_coefficient,
     simulate_servo,
 )
 
@@ -63,7 +63,7 @@ def conditions(
     reference = AMPLITUDE * np.repeat(receding_horizon_binary(shape, -(-steps // HOLD), rng=rng), HOLD)[:steps]
     t = DT * np.arange(steps)
     share = t / t[-1]
-    alpha = random_alpha(t, low=1.05, high=1.35, rng=rng)
+    alpha = random_coefficient("alpha", t, low=1.05, high=1.35, rng=rng)
     # The valve wears in, the air warms up and cools down, a load comes half-way, the supply sags as others draw on it.
     beta = beta_coefficient(alpha, 0.16 + 0.18 * share, 1 + 0.1 * np.sin(2 * np.pi * share))
     load = np.interp(share, [0, 0.5, 0.53], [0.0, 0.0, 5.0])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 from typing import Any, Final, Literal, TypeAlias
@@ -90,11 +89,12 @@ class Choices:
         return self
 
     @cached_property
-    def pointwise(self) -> tuple[Callable[..., tuple[float, float]], float, float, float] | None:
-        """psi and psi' of one float and their parameters, if the influence function has that form."""
-        if getattr(self.influence, "pointwise", None) is not None:
-            return (self.influence.pointwise, *self.influence.parameters)
-        return None
+    def kernel_psi(self) -> tuple[str, dict[str, float]] | None:
+        """The kernel's name of psi and its numbers by the names of their attributes, None if it does not know it."""
+        name = getattr(self.influence, "kernel_name", None)
+        if name is None:
+            return None
+        return name, {field: getattr(self.influence, field) for field in self.influence.kernel_fields}
 
     @cached_property
     def derived(self) -> dict[Any, Any]:
@@ -105,8 +105,8 @@ class Choices:
     def is_linear(self) -> bool:
         """Whether psi is the identity, that is, the filter is Kalman's."""
         unbounded = isinstance(self.influence, Linear) or getattr(self.influence, "threshold", 0.0) == np.inf
-        # A user's subclass of Linear may have a psi of its own, and then has no pointwise form.
-        return unbounded and self.pointwise is not None
+        # A user's subclass of Linear may have a psi of its own, which the kernel does not know.
+        return unbounded and self.kernel_psi is not None
 
     @cached_property
     def by_custom(self) -> bool:
@@ -194,9 +194,6 @@ class Choices:
 
     def _psi_of(self, length: float) -> tuple[float, float]:
         """Return psi and psi' of one number."""
-        if self.pointwise is not None:
-            function, a, b, c = self.pointwise
-            return function(length, a, b, c)
         at = np.array([length])
         return self.evaluated("psi", at).item(), self.evaluated("psi_deriv", at).item()
 
@@ -219,7 +216,7 @@ class Choices:
         ValueError
             If a third-party influence function returns another shape, or numbers that are not finite.
         """
-        if self.pointwise is not None:
+        if self.kernel_psi is not None:
             return np.asarray(getattr(self.influence, name)(e), dtype=float)
         found = np.asarray(getattr(self.influence, name)(np.clip(e, -_BEARABLE, _BEARABLE)), dtype=float)
         if found.shape != e.shape or not np.isfinite(found).all():

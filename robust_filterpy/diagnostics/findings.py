@@ -19,10 +19,8 @@ from robust_filterpy._documentation import FOLLOWS, SMALL, STOPPED, pointer
 from robust_filterpy._progress import stages
 from robust_filterpy.diagnostics import search, statistics
 from robust_filterpy.diagnostics.candidates import Repair
-from robust_filterpy.diagnostics.recording import FilterRecord, of_filter, of_saver, of_tracker
+from robust_filterpy.diagnostics.recording import FilterRecord, is_saver, of_filter, of_saver, of_tracker
 from robust_filterpy.diagnostics.statistics import Band
-
-__all__ = ["Diagnosis", "Finding", "diagnose"]
 
 # The search for causes looks at so many samples.
 _SEARCHED = 4000
@@ -160,7 +158,7 @@ class Diagnosis:
         return "\n".join(lines)
 
 
-def diagnose(
+def diagnose(  # what filterpy's `batch_filter` takes, and two words
     source: Any,
     zs: Any = None,
     *,
@@ -235,7 +233,7 @@ def _filled(text: str, indent: str = "  ") -> str:
 
 def _recorded(source: Any, zs: Any, per_step: dict[str, Any]) -> FilterRecord:
     """Return the recording of any kind of source."""
-    if hasattr(source, "_kf") and hasattr(source, "save"):
+    if is_saver(source):
         if zs is not None or any(values is not None for values in per_step.values()):
             raise TypeError("zs: expected None with a Saver, which has kept the measurements")
         return of_saver(source)

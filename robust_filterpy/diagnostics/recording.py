@@ -49,6 +49,11 @@ class FilterRecord:
     model: LinearModel | None
 
 
+def is_saver(source: Any) -> bool:
+    """Tell a filterpy Saver."""
+    return hasattr(source, "_kf") and hasattr(source, "save")
+
+
 def of_saver(saver: Any) -> FilterRecord:
     """Return what a Saver kept, or say what it lacks."""
     kept = saver.__dict__
@@ -57,7 +62,13 @@ def of_saver(saver: Any) -> FilterRecord:
             raise ValueError(f"saver: expected one that kept {name}, found {sorted(k for k in kept if k[:1] != '_')}")
     if not len(kept["y"]):
         raise ValueError("saver: expected at least one epoch, got an empty Saver; call save() after each update")
-    return _recording({name: list(values) for name, values in kept.items() if _is_listlike(values)}, saver._kf)
+    # Lists, or what `to_array` has made of them; the Saver's other attributes are no columns.
+    columns = {
+        name: list(values)
+        for name, values in kept.items()
+        if isinstance(values, list) or (isinstance(values, np.ndarray) and values.ndim)
+    }
+    return _recording(columns, saver._kf)
 
 
 def of_filter(kf: Any, zs: Any, per_step: dict[str, Any]) -> FilterRecord:
@@ -103,27 +114,17 @@ def of_tracker(tracker: Any, y: Any, u: Any) -> FilterRecord:
     for k, output in enumerate(y):
         stage(f"sample {k} of {len(y)}")
         tracker.update(output, None if u is None else u[k])
-        missing = np.isnan(output)
         for name in (*_NAMES, *_OPTIONAL):
             if hasattr(kf, name):
                 kept.setdefault(name, []).append(copy.copy(getattr(kf, name)))
         kept["z"][-1] = output
-        if missing:
+        if np.isnan(output):
             kept["y"][-1] = np.full((1, 1), np.nan)
     return _recording(kept, kf)
 
 
 _NAMES = ("z", "y", "S")
 _OPTIONAL = ("e", "weights", "clipped", "F", "Q", "H", "R", "x", "x_prior", "P_prior", "x_post", "alpha")
-
-
-def _is_listlike(values: Any) -> bool:
-    """Tell a column of a Saver from its other attributes."""
-    return (
-        isinstance(values, (list, np.ndarray)) and np.ndim(values) != 0
-        if isinstance(values, np.ndarray)
-        else (isinstance(values, list))
-    )
 
 
 def _recording(kept: dict[str, list[Any]], kf: Any) -> FilterRecord:

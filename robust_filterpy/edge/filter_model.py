@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 
@@ -15,15 +15,6 @@ from robust_filterpy.edge.text import Described
 from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.kernel.series import JOINT_MOST, rule
-
-# Parameters of each psi, by the name of its scalar form.
-_FIELDS: Final[dict[str, tuple[str, ...]]] = {
-    "linear": (),
-    "huber": ("threshold",),
-    "hampel": ("a", "b", "c"),
-    "tukey": ("threshold",),
-    "student_t": ("df",),
-}
 
 # Rounding that a symmetric matrix may have gathered.
 _SLACK: Final = 1e-12
@@ -41,7 +32,7 @@ def described_filter(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name: 
         _require_joint(choices, model["R"])
     start = {"x": finite("x", x.ravel(), (n,)), "P": symmetric("P", P)}
     # Linear, which cannot become anything else at run time, has no thresholds to learn for.
-    if choices.scaling == "learnt" and _kind(choices) != "linear":
+    if choices.scaling == "learnt" and psi_of(choices)[0] != "linear":
         # Before its first correction a filter remembers no sensor.
         start["memory"] = finite("memory", kf._memory if len(kf._memory) == m else begin(m), (m, NUMBERS))
     return Described(
@@ -111,10 +102,10 @@ def matrix_values(model: dict[str, Any], name: str) -> dict[str, str]:
 
 def choice_values(choices: Choices, name: str) -> dict[str, str]:
     """Return the choices of a filter as the kernel names them."""
-    kind = _kind(choices)
+    kind, numbers = psi_of(choices)
     learns = choices.scaling == "learnt" and kind != "linear"
     scaling = f"SCALING_{choices.scaling.upper()}" if learns or choices.scaling != "learnt" else "SCALING_INNOVATION"
-    fields = [f"    rule.psi.{own} = model->{field};" for own, field in zip("abc", _FIELDS[kind], strict=False)]
+    fields = [f"    rule.psi.{own} = model->{field};" for own, field in zip("abc", numbers, strict=False)]
     if choices.information == "expected":
         fields.append("    rule.expected = model->expected;")
     if learns and kind == "huber":
@@ -178,7 +169,7 @@ def require_plain(kf: Any, name: str) -> None:
             f"sensor by sensor with process=None or Scales, of which there is C, got noise={kf.noise!r}, "
             f"process={kf.process!r}, patience={kf.patience!r}; set {off} before the export"
         )
-    if kf.choices.pointwise is None or _kind(kf.choices) not in _FIELDS:
+    if kf.choices.kernel_psi is None:
         raise ValueError(
             f"influence: expected Huber, Hampel, TukeyBiweight, StudentT or Linear, got {kf.influence!r}, of which "
             f"there is no C; set the nearest of these, such as StudentT(4), before the export"
@@ -187,7 +178,7 @@ def require_plain(kf: Any, name: str) -> None:
 
 def influence_fields(choices: Choices) -> dict[str, Any]:
     """Return the parameters of psi, and E[psi'] where that is asked for."""
-    found: dict[str, Any] = dict(zip(_FIELDS[_kind(choices)], choices.pointwise[1:], strict=False))  # type: ignore[index]
+    found: dict[str, Any] = psi_of(choices)[1].copy()
     if choices.information == "expected":
         found["expected"] = float(choices.expected)
     return found
@@ -198,7 +189,7 @@ def influence_declarations(choices: Choices, name: str) -> str:
     meant = {"threshold": "standard deviations", "df": "degrees of freedom"}
     return "\n".join(
         f"    {name}_real {field}; /* of psi: {meant.get(field, 'a corner, in standard deviations')} */"
-        for field in _FIELDS[_kind(choices)]
+        for field in psi_of(choices)[1]
     )
 
 
@@ -235,6 +226,6 @@ def _control(B: Any, n: int) -> Array | None:
     return finite("B", found.reshape(n, -1), (n, found.size // n))
 
 
-def _kind(choices: Choices) -> str:
-    """Return the name of a psi's scalar form."""
-    return str(choices.pointwise[0].__name__)  # type: ignore[index]
+def psi_of(choices: Choices) -> tuple[str, dict[str, float]]:
+    """Return the kernel's name of psi, and its numbers; of an export that was not refused it has both."""
+    return cast("tuple[str, dict[str, float]]", choices.kernel_psi)

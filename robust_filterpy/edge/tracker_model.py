@@ -84,8 +84,9 @@ def _model(tracker: ParameterTracker) -> dict[str, Any]:
     if not np.array_equal(kf.F, np.eye(n)):
         model["F"] = finite("F", kf.F, (n, n))
     model["Q"] = symmetric("Q", process_noise(kf.Q, None, n))
-    if kf._alpha_sq != 1.0:
-        model |= {"alpha_sq": kf._alpha_sq, "windup": float(tracker.now.windup[0])}
+    alpha_sq = float(tracker.state()["alpha_sq"])
+    if alpha_sq != 1.0:
+        model |= {"alpha_sq": alpha_sq, "windup": float(tracker.now.windup[0])}
     _, _, mean, memory = tracker.now.scale[0].tolist()
     if memory:
         model |= {"R_memory": memory, "R_mean": mean}

@@ -15,14 +15,6 @@ from numpy.random import Generator, default_rng
 from numpy.typing import ArrayLike, NDArray
 
 from robust_filterpy import _checks
-from robust_filterpy.identification.models.fit import fit_percent
-
-__all__ = [
-    "Interval",
-    "bootstrap_interval",
-    "fit_percent",
-    "mean_square_error",
-]
 
 
 def mean_square_error(x_hat: ArrayLike, x: ArrayLike) -> NDArray[np.float64]:

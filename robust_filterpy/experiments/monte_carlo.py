@@ -37,8 +37,6 @@ from robust_filterpy.experiments._runs import (
 )
 from robust_filterpy.experiments._stacking import stack_leaves
 
-__all__ = ["Failure", "MonteCarloResult", "monte_carlo", "rerun"]
-
 
 class Failure(NamedTuple):
     """Describe a run that raised an exception.

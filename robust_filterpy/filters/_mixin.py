@@ -26,7 +26,7 @@ from robust_filterpy.filters._policy import policy_of
 from robust_filterpy.filters._printing import PrintingMixin
 from robust_filterpy.filters._sensors import Customs
 from robust_filterpy.influence.functions import Influence
-from robust_filterpy.kernel.record import correction_of
+from robust_filterpy.kernel.record import correction_of, weights_of
 
 if TYPE_CHECKING:
     from robust_filterpy._filterpy import Assigned
@@ -110,6 +110,10 @@ class RobustFilterMixin(OptionsMixin, PrintingMixin, StateMixin):
     @property
     def weights(self) -> Array:
         """psi(e)/e of the last correction, shape of y; NaN where a component was missing."""
+        if type(self._last) is np.ndarray:
+            # What wraps a filter asks for these alone at every step; the whole record takes longer than the step.
+            found = weights_of(self._last)
+            return found if np.ndim(self.x) == 1 else found[:, None]
         return self._shown("weights", np.nan)
 
     @property
@@ -284,6 +288,11 @@ class Snapshot:
             array[...] = content
         if self._source is not None:
             self._source.state = self._drawn
+
+
+def leave_unwatched(kf: RobustFilterMixin) -> None:
+    """Let a filter count no clipped innovations: what wraps it watches them."""
+    kf._counts_clipped = False
 
 
 @contextmanager

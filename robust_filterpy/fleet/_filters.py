@@ -7,7 +7,8 @@ every step that the kernel can take is the kernel's, and the definition takes si
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy._state import Shape
+from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.spread import NUMBERS
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.kernel import series as kernel
@@ -49,11 +51,21 @@ class Work(NamedTuple):
 class Plain(NamedTuple):
     """A `RobustKalmanFilter` as the kernel takes it."""
 
+    choices: Choices
     F: Array
     Q: Array
     H: Array
     R: Array
     B: Array | None
+    alpha_sq: float
+
+    def through(self, z: Array, Bu: Array, moving: Moving, kept: Output, start: int = 0) -> np.ndarray:
+        """Advance keys in place and return the first step of each that the kernel has not taken."""
+        model = Model(self.F[None, None], self.Q[None, None], self.H[None, None], self.R[None, None], Bu)
+        return kernel.filter_series(
+            self.choices, z, model, moving.x, moving.P, kept,
+            memory=moving.memory, alpha_sq=self.alpha_sq, start=start,
+        )  # fmt: skip
 
 
 def plain(kf: Any, update: Mapping[str, Any]) -> Plain | None:
@@ -70,7 +82,7 @@ def plain(kf: Any, update: Mapping[str, Any]) -> Plain | None:
     if not all((a == a.T).all() for a in (Q, R, P)):
         return None
     B = None if kf.B is None or np.ndim(kf.B) != 2 else _checks.numbers("B", kf.B)
-    return Plain(F, Q, H, R, B)
+    return Plain(kf.choices, F, Q, H, R, B, float(kf.state()["alpha_sq"]))
 
 
 class Moving(NamedTuple):
@@ -87,17 +99,16 @@ class Moving(NamedTuple):
         """Return that of one key, the same numbers."""
         return Moving(*(None if a is None else a[s : s + 1] for a in self))  # type: ignore[arg-type]
 
-    def lend(self, s: int, kf: Any) -> None:
-        """Let a filter stand where a key stands."""
-        kf.x, kf.P = self.x[s].reshape(np.shape(kf.x)).copy(), self.P[s].copy()
-        if self.memory is not None:
-            kf._learn(self.memory[s].copy(), kf.dim_z)
+    def lend(self, kf: Any) -> None:
+        """Let a filter stand where the one key stands."""
+        known: dict[str, Array] = {} if self.memory is None else {"spread": self.memory[0]}
+        kf.restore({"x": self.x[0].reshape(np.shape(kf.x)), "P": self.P[0], **known})
 
-    def take(self, s: int, kf: Any) -> None:
-        """Let a key stand where a filter stands."""
-        self.x[s], self.P[s] = np.ravel(kf.x), kf.P
+    def take(self, kf: Any) -> None:
+        """Let the one key stand where a filter stands."""
+        self.x[0], self.P[0] = np.ravel(kf.x), kf.P
         if self.memory is not None:
-            self.memory[s] = kf._known(kf.dim_z).memory
+            self.memory[0] = kf.state().get("spread", 0.0)
 
 
 def require_consistent(kf: Any, update: Mapping[str, Any]) -> None:
@@ -113,10 +124,9 @@ def require_consistent(kf: Any, update: Mapping[str, Any]) -> None:
 
 def start(kf: Any) -> dict[str, Array]:
     """Return what a filter's steps move, as it is; of sensors of which nothing is known yet, zeros."""
-    found = {name: np.array(value, dtype=float) for name, value in kf._moving().items()}
-    known = kf._sensors_in_state()
-    empty = {name: np.zeros([size or 0 for size in shape]) for name, shape in _sensors(kf).items()}
-    return {**found, **{name: np.array(known.get(name, value), dtype=float) for name, value in empty.items()}}
+    empty = {name: np.zeros([size or 0 for size in shape]) for name, shape in shapes(kf).items()}
+    known = kf.state()
+    return {name: known.get(name, value) for name, value in empty.items()}
 
 
 def shapes(kf: Any) -> dict[str, Shape]:
@@ -135,7 +145,7 @@ def advance(kf: Any, update: Mapping[str, Any], series: Plain | None, work: Work
     """Take the steps of all keys; kf stays as it is."""
     if series is None:
         worker = copy.deepcopy(kf)
-        settings = {name: value for name, value in kf.state().items() if name in kf._settings}
+        settings = kf.state()
         for i in range(len(work.bounds) - 1):
             _alone(worker, update, settings, work, i)
         return
@@ -230,42 +240,33 @@ def _together(series: Plain, kf: Any, update: Mapping[str, Any], work: Work, mov
         np.empty((len(rows), steps, n)), np.empty((len(rows), steps, 1, n)), np.empty((len(rows), 0, n)),
         np.empty((len(rows), 0, n, n)), np.empty((len(rows), steps, m)), np.zeros(len(rows)),
     )  # fmt: skip
-    model = Model(series.F[None, None], series.Q[None, None], series.H[None, None], series.R[None, None], Bu)
-    done = _by_kernel(kf, z, model, moving, kept, 0)
+    done = series.through(z, Bu, moving, kept)
     declined = np.flatnonzero(done < steps).tolist()
     # A copy takes a third of a single step.
     worker = copy.deepcopy(kf) if declined else kf
     for s in declined:
-        _mixed(worker, update, work, model, moving, kept, s, int(rows[s]), int(done[s]))
+        one, part = moving.of(s), Output(*(a[s : s + 1] for a in kept))
+        onwards = partial(series.through, z[s : s + 1], Bu if len(Bu) == 1 else Bu[s : s + 1], one, part)
+        _mixed(worker, update, work, int(rows[s]), int(done[s]), one, part, onwards)
     # A name for each, since what is assigned to a part of a fancy index is lost.
     found = np.concatenate((kept.means, np.sqrt(np.maximum(kept.covariances[:, :, 0], 0.0)), kept.weights), axis=2)
     work.columns[every] = found
 
 
-def _by_kernel(kf: Any, z: Array, model: Model, moving: Moving, kept: Output, start: int) -> np.ndarray:
-    """Advance in place and return the first step of each key that was not taken."""
-    return kernel.filter_series(
-        kf.choices, z, model, moving.x, moving.P, kept, memory=moving.memory, alpha_sq=kf._alpha_sq, start=start
-    )
-
-
 def _mixed(
-    worker: Any, update: Mapping[str, Any], work: Work, model: Model, moving: Moving, kept: Output, s: int, i: int,
-    k: int,
+    worker: Any, update: Mapping[str, Any], work: Work, i: int, k: int, moving: Moving, kept: Output,
+    onwards: Callable[[int], np.ndarray],
 ) -> None:  # fmt: skip
     """Go on with one key from step k, which the kernel has declined: that step by the definition, then the kernel."""
-    first, steps, n = int(work.bounds[i]), kept.means.shape[1], moving.x.shape[1]
-    own = model if len(model.Bu) == 1 else Model(*model[:4], model.Bu[s : s + 1])
-    part = Output(*(a[s : s + 1] for a in kept))
-    z = work.z[None, first : first + steps]
+    steps, n = kept.means.shape[1:]
     while k < steps:
-        moving.lend(s, worker)
-        if not _step(worker, update, work, i, first + k):
+        moving.lend(worker)
+        if not _step(worker, update, work, i, int(work.bounds[i]) + k):
             return
         row = _shown(worker)
-        kept.means[s, k], kept.covariances[s, k, 0] = row[:n], np.diagonal(worker.P)
-        kept.weights[s, k] = row[2 * n :]
-        moving.take(s, worker)
+        kept.means[0, k], kept.covariances[0, k, 0] = row[:n], np.diagonal(worker.P)
+        kept.weights[0, k] = row[2 * n :]
+        moving.take(worker)
         k += 1
         if k < steps:
-            k = int(_by_kernel(worker, z, own, moving.of(s), part, k)[0])
+            k = int(onwards(k)[0])

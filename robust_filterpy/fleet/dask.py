@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 from robust_filterpy.fleet.models import Model
@@ -16,9 +15,6 @@ def filter_frame(
     model: Model,
     *,
     key: str = "device",
-    time: str | None = None,
-    measurements: Sequence[str] | None = None,
-    inputs: Sequence[str] | None = None,
     partitioned: bool = False,
     npartitions: int | None = None,
 ) -> Any:
@@ -28,7 +24,7 @@ def filter_frame(
     ----------
     frame : dask.dataframe.DataFrame
         A row for each sample.
-    model, key, time, measurements, inputs
+    model, key
         As in `filter_table`.
     partitioned : bool, default False
         Whether each key's samples are already in one partition, and in order. Otherwise the frame is shuffled by key,
@@ -54,9 +50,8 @@ def filter_frame(
 
     Examples
     --------
-    ``filter_frame(dask.dataframe.read_parquet("samples"), model, time="t").to_parquet("estimates")``
+    ``filter_frame(dask.dataframe.read_parquet("samples"), model).to_parquet("estimates")``
     """
-    model = model.reading(time=time, measurements=measurements, inputs=inputs)
     if not partitioned:
         if model.time is None:
             raise ValueError(

@@ -8,11 +8,11 @@ from __future__ import annotations
 import copy
 import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, Literal, TypeAlias, TypeVar
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -27,11 +27,8 @@ from robust_filterpy.fleet.states import FLEET, checked
 from robust_filterpy.fleet.timeline import POLICIES
 from robust_filterpy.identification.models.structures import Structure
 
-__all__ = ["FilterModel", "Late", "Model", "TrackerModel"]
-
 #: What is done with samples that are not later than the one before them.
 Late: TypeAlias = Literal["refuse", "drop"]
-_Self = TypeVar("_Self", bound="Model")
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,32 +84,6 @@ class Model(ABC):
             raise ValueError(
                 f"expires: expected more than dt={self.dt:g}, got {self.expires:g}; every sample would start anew"
             )
-
-    def reading(
-        self: _Self,
-        *,
-        time: str | None = None,
-        measurements: Sequence[str] | None = None,
-        inputs: Sequence[str] | None = None,
-        expires: float | None = None,
-    ) -> _Self:
-        """Return the same model for a table with these columns.
-
-        Parameters
-        ----------
-        time : str, optional
-            Column of the times; as it is if not given.
-        measurements, inputs : sequence of str, optional
-            Columns of measurements and inputs; as they are if not given.
-        expires : float, optional
-            How long a state is good for; as it is if not given.
-
-        Returns
-        -------
-        Model
-        """
-        given: dict[str, Any] = {"time": time, "measurements": measurements, "inputs": inputs, "expires": expires}
-        return replace(self, **{name: value for name, value in given.items() if value is not None})
 
     @property
     @abstractmethod
@@ -194,7 +165,7 @@ class Model(ABC):
         ValueError
             If it is of another class or structure, or damaged.
         """
-        found = checked(state, self.label, self.shapes, self.kind, self.gaps)
+        found = checked(state, self)
         return {LABEL: self.label.copy(), **found, "model": np.array([self.fingerprint])}
 
     def __getstate__(self) -> dict[str, Any]:

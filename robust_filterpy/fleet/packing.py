@@ -17,8 +17,6 @@ from robust_filterpy import _state
 from robust_filterpy._checks import Array
 from robust_filterpy._state import StateError
 
-__all__ = ["pack", "unpack"]
-
 _CHECKSUM = "checksum"
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -22,9 +22,6 @@ def filter_frame(
     model: Model,
     *,
     key: str = "device",
-    time: str | None = None,
-    measurements: Sequence[str] | None = None,
-    inputs: Sequence[str] | None = None,
     groups: int | None = None,
 ) -> Any:
     """Filter a Spark data frame of many keys, each from the model's start, by ``applyInPandas``.
@@ -33,8 +30,8 @@ def filter_frame(
     ----------
     frame : pyspark.sql.DataFrame
         A row for each sample.
-    model, key, time, measurements, inputs
-        As in `filter_table`; time is needed, since a shuffle does not keep the order.
+    model, key
+        As in `filter_table`; the model's ``time`` is needed, since a shuffle does not keep the order.
     groups : int, optional
         How many groups of keys are handed to Python, each as one table. Default: four for each core. A group has to
         fit a worker's memory a few times.
@@ -56,7 +53,7 @@ def filter_frame(
     """
     from pyspark.sql import functions
 
-    model = _timed(model.reading(time=time, measurements=measurements, inputs=inputs))
+    model = _timed(model)
     groups = groups or 4 * frame.sparkSession.sparkContext.defaultParallelism
 
     def advance(part: Any) -> Any:
@@ -72,9 +69,6 @@ def step_stream(
     model: Model,
     *,
     key: str = "device",
-    time: str | None = None,
-    measurements: Sequence[str] | None = None,
-    inputs: Sequence[str] | None = None,
     forget_after: float | None = None,
 ) -> Any:
     """Take the samples of a streaming data frame as they come, by ``applyInPandasWithState``.
@@ -83,8 +77,9 @@ def step_stream(
     ----------
     frame : pyspark.sql.DataFrame
         A streaming one: a row for each sample.
-    model, key, time, measurements, inputs
-        As in `filter_table`; time is needed. Samples of a key that come in one micro-batch are put in order.
+    model, key
+        As in `filter_table`; the model's ``time`` is needed. Samples of a key that come in one micro-batch are put in
+        order.
     forget_after : float, optional
         Seconds of the cluster's clock without a sample of a key after which its state leaves the checkpoint, and the
         key begins anew. By Spark 4's ``transformWithStateInPandas``, with ``protobuf`` installed and RocksDB as the
@@ -107,7 +102,7 @@ def step_stream(
     goes on to the last bit. A micro-batch that a key's model refuses leaves the key's state as it was and has the
     reason in ``error``.
     """
-    model = _timed(model.reading(time=time, measurements=measurements, inputs=inputs))
+    model = _timed(model)
     model = replace(model, late=model.late or "drop")
 
     schema, grouped = _schema(frame, model, key), frame.groupBy(key)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice, pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,7 +12,8 @@ from robust_filterpy import _state
 from robust_filterpy._checks import Array
 from robust_filterpy.fleet.reading import seconds
 
-__all__ = ["States"]
+if TYPE_CHECKING:
+    from robust_filterpy.fleet.models import Model
 
 
 class States(Mapping[Any, dict[str, Array]]):
@@ -235,21 +236,15 @@ FLEET: dict[str, _state.Shape] = {
 }  # fmt: skip
 
 
-def taken(states: Any, label: Array, shapes: Mapping[str, _state.Shape], kind: str, gaps: tuple[str, ...]) -> States:
+def taken(states: Any, model: Model) -> States:
     """Return states in columns, from a mapping of key to state, from an Arrow table, or from nothing.
 
     Parameters
     ----------
     states : States, mapping, table, or None
         What the call before returned, or was made of it.
-    label : ndarray
-        ``format`` of the model's states.
-    shapes : mapping of str to tuple
-        Entries of the model's states and their shapes; those of `FLEET` may be absent.
-    kind : str
-        What the states have to belong to.
-    gaps : tuple of str
-        Entries that may hold NaN.
+    model : FilterModel or TrackerModel
+        Whose states they are to be.
 
     Returns
     -------
@@ -262,14 +257,10 @@ def taken(states: Any, label: Array, shapes: Mapping[str, _state.Shape], kind: s
         If states is none of this.
     """
     if states is None:
-        return States(label, [], {name: _empty(0, shape) for name, shape in shapes.items()})
-    if isinstance(states, States):
-        if np.array_equal(states.label, label):
-            return states
-        return _stacked(dict(states), label, shapes, kind, gaps)
-    if isinstance(states, Mapping):
-        return _stacked(states, label, shapes, kind, gaps)
-    return _from_table(states, label, shapes, kind, gaps)
+        return States(model.label, [], {name: _empty(0, shape) for name, shape in model.shapes.items()})
+    if isinstance(states, States) and np.array_equal(states.label, model.label):
+        return states
+    return _stacked(states, model) if isinstance(states, Mapping) else _from_table(states, model)
 
 
 def _empty(n: int, shape: _state.Shape) -> np.ndarray:
@@ -278,38 +269,35 @@ def _empty(n: int, shape: _state.Shape) -> np.ndarray:
     return np.full(n, None, dtype=object) if None in shape else np.full((n, *sizes), np.nan)
 
 
-def _stacked(
-    states: Mapping[Any, Any], label: Array, shapes: Mapping[str, _state.Shape], kind: str, gaps: tuple[str, ...]
-) -> States:
+def _stacked(states: Mapping[Any, Any], model: Model) -> States:
     """Return states in columns, from a mapping."""
     good, rows, odd = [], [], {}
     for key, state in states.items():
         try:
-            rows.append(checked(state, label, shapes, kind, gaps))
+            rows.append(checked(state, model))
             good.append(key)
         except (TypeError, ValueError):
             odd[key] = state
-    columns = {name: _empty(len(rows), shape) for name, shape in shapes.items()}
+    columns = {name: _empty(len(rows), shape) for name, shape in model.shapes.items()}
     for name, column in columns.items():
         for i, row in enumerate(rows):
             if name in row:
                 column[i] = row[name]
-    return States(label, good, columns, odd)
+    return States(model.label, good, columns, odd)
 
 
-def checked(
-    state: Any, label: Array, shapes: Mapping[str, _state.Shape], kind: str, gaps: tuple[str, ...]
-) -> dict[str, Array]:
+def checked(state: Any, model: Model) -> dict[str, Array]:
     """Return the entries of one state in their shapes, or raise."""
+    shapes = model.shapes
     unknown = {name: np.zeros([size or 0 for size in shapes[name]]) for name in _UNKNOWN if name in shapes}
-    if type(state) is dict and state.get(_state.LABEL) is label:
+    if type(state) is dict and state.get(_state.LABEL) is model.label:
         quick = {name: state[name] for name in shapes if name in state}
         if all(type(a) is np.ndarray and a.shape == shapes[name] and a.dtype == float for name, a in quick.items()):
             if all(name in quick for name in shapes if name not in FLEET and name not in unknown):
                 return {**unknown, **quick}
     needed = {name: shape for name, shape in shapes.items() if name not in FLEET and name not in unknown}
     optional = {name: shape for name, shape in shapes.items() if name not in needed}
-    found = {**unknown, **_state.checked(state, kind, _as_vector(needed), optional, gaps)}
+    found = {**unknown, **_state.checked(state, model.kind, _as_vector(needed), optional, model.gaps)}
     return {name: value if None in shapes[name] else value.reshape(shapes[name]) for name, value in found.items()}
 
 
@@ -336,9 +324,7 @@ def _ragged(column: Any, width: list[int]) -> np.ndarray:
     return found
 
 
-def _from_table(
-    table: Any, label: Array, shapes: Mapping[str, _state.Shape], kind: str, gaps: tuple[str, ...]
-) -> States:
+def _from_table(table: Any, model: Model) -> States:
     """Return states in columns, from what pyarrow makes a table of."""
     import pyarrow as pa
 
@@ -346,6 +332,7 @@ def _from_table(
         table = table if isinstance(table, pa.Table) else pa.table(table)
     except (TypeError, ValueError):
         raise TypeError(f"states: expected a mapping or a table of states, got {type(table).__name__}") from None
+    shapes = model.shapes
     needed = ("kind", *(name for name, shape in shapes.items() if name not in FLEET and 0 not in shape))
     missing = [name for name in needed if name not in table.column_names]
     if missing:
@@ -367,9 +354,9 @@ def _from_table(
         else:
             flat = column if pa.types.is_floating(column.type) else column.flatten()
             columns[name] = np.asarray(flat.to_numpy(zero_copy_only=False), dtype=float).reshape(n, *shape)
-    kinds = table.column("kind").to_pylist() if n and set(table.column("kind").unique().to_pylist()) != {kind} else []
-    found = States(label, keys, columns)
-    odd = [i for i, other in enumerate(kinds) if other != kind]
+    kinds = table.column("kind").to_pylist() if n and table.column("kind").unique().to_pylist() != [model.kind] else []
+    found = States(model.label, keys, columns)
+    odd = [i for i, other in enumerate(kinds) if other != model.kind]
     return found if not odd else _without(found, odd, kinds)
 
 

@@ -14,13 +14,11 @@ from robust_filterpy import _state
 from robust_filterpy._checks import Array
 from robust_filterpy._warning import warn
 from robust_filterpy.fleet._filters import Work
-from robust_filterpy.fleet.models import Late, Model
+from robust_filterpy.fleet.models import Model
 from robust_filterpy.fleet.reading import Reasons, Rows, read_array, read_table, say
 from robust_filterpy.fleet.states import States, checked
 from robust_filterpy.fleet.timeline import Clocks, Placed, grouped, placed, silences
 from robust_filterpy.fusion import Fusion
-
-__all__ = ["step"]
 
 
 class Outcome(NamedTuple):
@@ -36,6 +34,8 @@ class Outcome(NamedTuple):
     """Rows that were not dropped."""
     errors: np.ndarray
     """What is wrong with each row, or None, shape (N,)."""
+    refused: dict[int, str]
+    """Keys whose states were refused, and why."""
 
 
 def step(model: Model | Fusion, state: Mapping[str, Any] | None, batch: Any) -> tuple[dict[str, Array] | None, Any]:
@@ -104,24 +104,17 @@ def step(model: Model | Fusion, state: Mapping[str, Any] | None, batch: Any) -> 
         for name, value in before.items():
             entries[name][0] = value
     _, order, starts = grouped(None, len(rows.z))
-    late = model.late or "refuse"
-    found = advance(model, entries, np.array([before is not None]), rows, order, starts, late, lambda i, text: text)
-    if 0 in found.refused:
-        raise _state.StateError(found.refused[0])
-    outcome = found.outcome
-    after = one_of(model, outcome.entries, 0) if outcome.moved[0] else None
+    outcome = advance(model, entries, np.array([before is not None]), rows, order, starts, lambda i, text: text)
+    if 0 in outcome.refused:
+        raise _state.StateError(outcome.refused[0])
+    after = States(model.label, [], outcome.entries).row(0) if outcome.moved[0] else None
     columns = {name: outcome.columns[outcome.kept, j] for j, name in enumerate(model.columns)}
     return after, rows.like(outcome.kept, {**columns, "error": outcome.errors[outcome.kept]})
 
 
-def one_of(model: Model, entries: Mapping[str, np.ndarray], i: int) -> dict[str, Array]:
-    """Return the state in a row."""
-    return States(model.label, [], entries).row(i)
-
-
 def owned(model: Model, state: Any) -> dict[str, Array]:
     """Return the entries of a state of this model, or raise."""
-    found = checked(state, model.label, model.shapes, model.kind, model.gaps)
+    found = checked(state, model)
     if "model" in found and found["model"][0] != model.fingerprint:
         raise _state.StateError(
             "state: expected one of this model, got one of a model with other matrices, choices or sampling period; "
@@ -157,24 +150,18 @@ class Batch(NamedTuple):
     """Where each key's rows begin, and the end, shape (K + 1,)."""
     of: np.ndarray
     """The key of each."""
-    late: Late
+    drops: bool
+    """Whether late samples are left out without a word."""
     named: Any
     clocks: Clocks
     """Of the keys before."""
     line: Placed
 
 
-class Advanced(NamedTuple):
-    """An outcome, and the keys whose states were refused."""
-
-    outcome: Outcome
-    refused: dict[int, str]
-
-
 def advance(
     model: Model, entries: dict[str, np.ndarray], known: np.ndarray, rows: Rows, order: np.ndarray,
-    starts: np.ndarray, late: Late, named: Any,
-) -> Advanced:  # fmt: skip
+    starts: np.ndarray, named: Any,
+) -> Outcome:  # fmt: skip
     """Take the samples of many keys, whose states are written over.
 
     Parameters
@@ -189,17 +176,15 @@ def advance(
         Samples in the order of the batch.
     order, starts : ndarray of int
         The rows in the order of the keys, and where each key's begin; rows of nobody are not among them.
-    late : {"refuse", "drop"}
-        What is done with late samples.
     named : callable
         From a key's number and a sentence to what stands in ``error``.
 
     Returns
     -------
-    Advanced
+    Outcome
     """
     if model.expires is None or rows.times is None or not len(order):
-        return _advanced(model, entries, known, rows, order, starts, late, named)
+        return _advanced(model, entries, known, rows, order, starts, named)
     ages = silences(rows.times[order], starts, entries["time"][:, 0])
     anew = np.flatnonzero(ages > model.expires)
     for place in anew.tolist():
@@ -214,21 +199,21 @@ def advance(
     lives = {name: column[of] for name, column in entries.items()}
     for name, column in started(model, int(fresh.sum())).items():
         lives[name][fresh] = column
-    found = _advanced(model, lives, known[of] & ~fresh, rows, order, parts, late, named)
-    standing = np.flatnonzero(found.outcome.moved & ~np.isin(np.arange(len(of)), list(found.refused)))
+    found = _advanced(model, lives, known[of] & ~fresh, rows, order, parts, named)
+    standing = np.flatnonzero(found.moved & ~np.isin(np.arange(len(of)), list(found.refused)))
     last = dict(zip(of[standing].tolist(), standing.tolist(), strict=True))
     for name, column in entries.items():
         column[list(last)] = lives[name][list(last.values())]
     moved = known.copy()
     moved[list(last)] = True
     refused = {int(of[part]): text for part, text in found.refused.items() if int(of[part]) not in last}
-    return Advanced(found.outcome._replace(entries=entries, moved=moved), refused)
+    return found._replace(entries=entries, moved=moved, refused=refused)
 
 
 def _advanced(
     model: Model, entries: dict[str, np.ndarray], known: np.ndarray, rows: Rows, order: np.ndarray,
-    starts: np.ndarray, late: Late, named: Any,
-) -> Advanced:  # fmt: skip
+    starts: np.ndarray, named: Any,
+) -> Outcome:  # fmt: skip
     """Take the samples of many keys, none of which starts anew among them."""
     of = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
     z, u = rows.z[order], None if rows.u is None else rows.u[order]
@@ -245,7 +230,7 @@ def _advanced(
             f"time: gaps of a thousand steps of dt={model.dt:g} s; times as large as these are milliseconds since 1970 "
             f"as a rule, divide them by 1000",
         )
-    batch = Batch(rows, order, starts, of, late, named, clocks, line)
+    batch = Batch(rows, order, starts, of, model.late == "drop", named, clocks, line)
     work, at, held = _steps(model, entries, batch, z, u)
     model.advance(work)
     return _gathered(model, known, batch, work, at, held)
@@ -309,9 +294,7 @@ def _held(u: Array, at: np.ndarray, bounds: np.ndarray, before: Array) -> Array:
     return np.ascontiguousarray(whole[source[last]])
 
 
-def _gathered(
-    model: Model, known: np.ndarray, batch: Batch, work: Work, at: np.ndarray, held: Array | None
-) -> Advanced:
+def _gathered(model: Model, known: np.ndarray, batch: Batch, work: Work, at: np.ndarray, held: Array | None) -> Outcome:
     """Return what became of the rows, and write times, inputs and counts into the states."""
     entries, bounds = work.entries, work.bounds
     rows, order, starts, line = batch.rows, batch.order, batch.starts, batch.line
@@ -325,7 +308,7 @@ def _gathered(
             if k < 0 or at[place] >= bounds[i] + k:
                 at[place] = -1
                 said[place] = text
-    for place, text in {**line.off, **(line.late if batch.late == "refuse" else {})}.items():
+    for place, text in {**line.off, **({} if batch.drops else line.late)}.items():
         said.setdefault(place, text)
     if work.missed:
         where = {int(one): place for place, one in enumerate(at.tolist()) if one in work.missed}
@@ -334,7 +317,7 @@ def _gathered(
     columns = np.full((len(rows.z), len(model.columns)), np.nan)
     columns[order[taken]] = work.columns[at[taken]]
     kept = np.ones(len(rows.z), dtype=bool)
-    if batch.late == "drop":
+    if batch.drops:
         kept[order[list(line.late)]] = False
     _count(entries, batch, taken, said, refused)
     errors = np.full(len(rows.z), None, dtype=object)
@@ -347,7 +330,7 @@ def _gathered(
         errors[row] = batch.named(row, errors[row])
     _keep(batch, work, at, held)
     moved = known | (np.bincount(batch.of[taken], minlength=len(known)) > 0)
-    return Advanced(Outcome(entries, moved, columns, np.flatnonzero(kept), errors), refused)
+    return Outcome(entries, moved, columns, np.flatnonzero(kept), errors, refused)
 
 
 def _count(
@@ -359,7 +342,7 @@ def _count(
         return
     so_far = np.nan_to_num(counts)
     dropped = np.zeros(len(taken), dtype=bool)
-    if batch.late == "drop":
+    if batch.drops:
         dropped[list(batch.line.late)] = True
     for i in np.unique(np.concatenate((of[~taken], np.flatnonzero(so_far[:, 0] > 0)))).tolist():
         if i in refused or starts[i] == starts[i + 1]:

@@ -7,7 +7,7 @@ other one, has had none since November 2024.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -28,18 +28,15 @@ class StreamStep:
     Parameters
     ----------
     model : FilterModel or TrackerModel
-        What all keys have in common; it names the measurements, and the inputs if it has any.
-    time, measurements, inputs : optional
-        Entries of a message, as in `Model`; as the model has them if not given.
+        What all keys have in common; it names the entries of a message that are measured, and the
+        time and the inputs if there are any.
     name : str, default "robust_filterpy"
         Name of the state in the store.
-    expires : float, optional
-        How long a state is good for, in seconds, as in `Model`; as the model has it if not given.
 
     Raises
     ------
     ValueError, TypeError
-        If the model does not say which entries are measured, or states expire and messages have no times.
+        If the model does not say which entries are measured.
 
     Notes
     -----
@@ -62,20 +59,10 @@ class StreamStep:
         app.run()
     """
 
-    def __init__(
-        self,
-        model: Model,
-        *,
-        time: str | None = None,
-        measurements: Sequence[str] | None = None,
-        inputs: Sequence[str] | None = None,
-        name: str = "robust_filterpy",
-        expires: float | None = None,
-    ) -> None:
+    def __init__(self, model: Model, *, name: str = "robust_filterpy") -> None:
         """Keep the model."""
         if not isinstance(model, Model):
             raise TypeError(f"model: expected a FilterModel or a TrackerModel, got {type(model).__name__}")
-        model = model.reading(time=time, measurements=measurements, inputs=inputs, expires=expires)
         self.model, self.name = replace(model, late=model.late or "drop"), name
         if self.model.measurements is None:
             raise ValueError("measurements: expected the names of the entries that are measured, got None")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,8 +13,6 @@ from robust_filterpy.fleet.reading import NOBODY, Rows, read_table, reasons
 from robust_filterpy.fleet.states import States, taken
 from robust_filterpy.fleet.stepping import advance, owned, started
 from robust_filterpy.fleet.timeline import grouped
-
-__all__ = ["filter_table", "step_table"]
 
 
 class _Keys(NamedTuple):
@@ -30,9 +28,6 @@ def filter_table(
     model: Model,
     *,
     key: str = "device",
-    time: str | None = None,
-    measurements: Sequence[str] | None = None,
-    inputs: Sequence[str] | None = None,
     sort: bool = False,
 ) -> Any:
     """Filter a table of many keys, each from the model's start.
@@ -43,11 +38,9 @@ def filter_table(
         A row for each sample; those of a key in order, whatever stands between them. Of pandas, polars, Arrow, or any
         other kind that narwhals reads.
     model : FilterModel or TrackerModel
-        What all keys have in common.
+        What all keys have in common, and which columns are its time, measurements and inputs.
     key : str, default "device"
         Column that says whose sample it is.
-    time, measurements, inputs : optional
-        Columns, as in `Model`; as the model has them if not given.
     sort : bool, default False
         Whether to put the samples of each key in order of time first, as an engine that has shuffled them needs.
 
@@ -78,13 +71,13 @@ def filter_table(
     >>> kf = RobustKalmanFilter(1, 1)
     >>> kf.H, kf.Q = np.eye(1), 0.01 * np.eye(1)
     >>> table = pd.DataFrame({"device": ["a", "b", "a", "b"], "t": [0.0, 1.0, 1.0, 1.0], "z": [0.1, 0.0, 1e6, 5.0]})
-    >>> found = filter_table(table, FilterModel(kf), time="t", measurements=["z"])
+    >>> found = filter_table(table, FilterModel(kf, time="t", measurements=["z"]))
     >>> found["x0"].round(2).tolist()
     [0.05, 0.0, 0.58, nan]
     >>> found["error"][3]
     "device 'b': time: expected a sample later than the one at 1, got 1, a duplicate"
     """
-    found = step_table(model, None, table, key=key, time=time, measurements=measurements, inputs=inputs, sort=sort)[1]
+    found = step_table(model, None, table, key=key, sort=sort)[1]
     refused, count = reasons(found)
     if 2 * len(refused) > count:
         mend = "; sort=True puts the samples of each key in order" if refused[0].endswith(", late") else ""
@@ -98,11 +91,7 @@ def step_table(
     table: Any,
     *,
     key: str = "device",
-    time: str | None = None,
-    measurements: Sequence[str] | None = None,
-    inputs: Sequence[str] | None = None,
     sort: bool = False,
-    expires: float | None = None,
 ) -> tuple[States, Any]:
     """Take the next samples of many keys, as `step` does those of one, and change nothing.
 
@@ -112,10 +101,8 @@ def step_table(
         What all keys have in common.
     states : States, or mapping of key to state, or Arrow table of states, or None
         What the call before returned, or its ``to_arrow()``; keys that it does not hold start.
-    table, key, time, measurements, inputs, sort
+    table, key, sort
         As in `filter_table`.
-    expires : float, optional
-        How long a state is good for, as in `Model`; as the model has it if not given.
 
     Returns
     -------
@@ -127,13 +114,12 @@ def step_table(
     Raises
     ------
     ValueError, TypeError
-        As in `filter_table`, or if states expire and samples have no times.
+        As in `filter_table`.
     """
     if not isinstance(model, Model):
         raise TypeError(f"model: expected a FilterModel or a TrackerModel, got {type(model).__name__}")
-    model = model.reading(time=time, measurements=measurements, inputs=inputs, expires=expires)
     rows = read_table(table, model, key)
-    before = taken(states, model.label, model.shapes, model.kind, model.gaps)
+    before = taken(states, model)
     keys = _known_ones(_Keys(*grouped(rows.keys, len(rows.z))), before, model, rows)
     if sort and rows.times is not None:
         of = np.repeat(np.arange(len(keys.names)), np.diff(keys.starts))
@@ -150,9 +136,8 @@ def step_table(
         own = own.item() if isinstance(own, np.generic) else own
         return sentence if own is NOBODY else f"{key} {own!r}: {sentence}"
 
-    found = advance(model, entries, known, rows, keys.order, keys.starts, model.late or "refuse", named)
-    outcome = found.outcome
-    outcome.moved[list(found.refused)] = False
+    outcome = advance(model, entries, known, rows, keys.order, keys.starts, named)
+    outcome.moved[list(outcome.refused)] = False
     names, moved = keys.names, np.flatnonzero(outcome.moved)
     if len(moved) < len(names):
         names, places = [names[i] for i in moved.tolist()], places[moved]

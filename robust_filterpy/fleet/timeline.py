@@ -71,9 +71,7 @@ def placed(times: Array | None, starts: np.ndarray, clocks: Clocks, dt: float | 
     """
     counts = np.diff(starts)
     step = np.arange(starts[-1]) - np.repeat(starts[:-1], counts)
-    if times is None:
-        return Placed(step, counts, clocks, {}, {}, False)
-    if not len(times):
+    if times is None or not len(times):
         return Placed(step, counts, clocks, {}, {}, False)
     last, origin, at = (one.copy() for one in clocks)
     first, filled = starts[:-1], counts > 0

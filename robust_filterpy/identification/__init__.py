@@ -26,7 +26,8 @@ from robust_filterpy.identification.models.constructors import (
     OutputError,
 )
 from robust_filterpy.identification.models.continuous import ContinuousModel
-from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
+from robust_filterpy.identification.models.grey_box import GreyBox
+from robust_filterpy.identification.models.grey_box_model import GreyBoxModel
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.response_records import FrequencyResponse, NoiseSpectrum, StepResponse
 from robust_filterpy.identification.models.results import Coefficients, Intervals, Sample, TrackingResult

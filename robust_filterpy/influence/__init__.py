@@ -1,7 +1,6 @@
 """Influence functions psi and what follows from them.
 
 * `functions`: psi, psi', rho and weights of arrays, in the protocol of `statsmodels.robust.norms`.
-* `scalar`: the same of one float.
 * `huber_tuning`: threshold <-> contamination <-> efficiency of Huber's psi.
 * `information`: E[psi'], in closed form or by quadrature.
 * `regression`: a linear regression by Huber's weights, and a scale that outliers do not move.
@@ -12,6 +11,5 @@ Imports from below: `robust_filterpy._checks` alone.
 from __future__ import annotations
 
 from robust_filterpy.influence.functions import Hampel, Huber, Influence, Linear, StudentT, TukeyBiweight
-from robust_filterpy.influence.information import expected_information
 
-__all__ = ["Hampel", "Huber", "Influence", "Linear", "StudentT", "TukeyBiweight", "expected_information"]
+__all__ = ["Hampel", "Huber", "Influence", "Linear", "StudentT", "TukeyBiweight"]

@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 from scipy import special
 
 from robust_filterpy._checks import Array, fraction, positive, real
-from robust_filterpy.influence import scalar
 from robust_filterpy.influence.huber_tuning import (
     efficient_threshold,
     huber_log_normalizer,
@@ -23,9 +22,6 @@ from robust_filterpy.influence.huber_tuning import (
     normal_efficiency,
     outlier_odds,
 )
-from robust_filterpy.influence.information import expected_information
-
-__all__ = ["Hampel", "Huber", "Influence", "Linear", "StudentT", "TukeyBiweight", "expected_information"]
 
 _LOG_SQRT_2PI = 0.5 * math.log(2.0 * math.pi)
 
@@ -48,25 +44,20 @@ class Influence(Protocol):
 
 
 class _Base:
-    """What the package's own influence functions add: a form for single numbers, a density."""
+    """What the package's own influence functions add: the kernel's name for them, a density."""
 
-    # Functions of scalar, (e, a, b, c) -> (psi, psi') and -> rho; a typed Callable would count as a method.
-    pointwise: ClassVar[Any]
-    pointwise_rho: ClassVar[Any]
+    #: The kernel's name of psi, None if it has none, and which attributes are its numbers, at most three.
+    kernel_name: ClassVar[str | None] = None
+    kernel_fields: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls) -> None:
         """Keep a user's subclass with a psi or rho of its own, or a mixin's, from being filtered by its parent's."""
         for owner in cls.__mro__:
-            if "pointwise" in vars(owner):
+            if "kernel_name" in vars(owner):
                 return
             if not {"psi", "psi_deriv", "weights", "rho"}.isdisjoint(vars(owner)):
-                cls.pointwise = cls.pointwise_rho = None
+                cls.kernel_name = None
                 return
-
-    @property
-    def parameters(self) -> tuple[float, float, float]:
-        """The three trailing arguments of the functions in `scalar`."""
-        return 0.0, 0.0, 0.0
 
     @property
     def corners(self) -> tuple[float, ...]:
@@ -92,8 +83,7 @@ class Linear(_Base):
     array(1000000.)
     """
 
-    pointwise = staticmethod(scalar.linear)
-    pointwise_rho = staticmethod(scalar.linear_rho)
+    kernel_name = "linear"
 
     def rho(self, e: ArrayLike) -> Array:
         """Return e^2/2, the shape of e."""
@@ -141,8 +131,8 @@ class Huber(_Base):
 
     threshold: float = 1.345
 
-    pointwise = staticmethod(scalar.huber)
-    pointwise_rho = staticmethod(scalar.huber_rho)
+    kernel_name = "huber"
+    kernel_fields = ("threshold",)
 
     def __post_init__(self) -> None:
         """Check the threshold."""
@@ -208,11 +198,6 @@ class Huber(_Base):
         return normal_efficiency(self.threshold)
 
     @property
-    def parameters(self) -> tuple[float, float, float]:
-        """The arguments of `scalar.huber`."""
-        return self.threshold, 0.0, 0.0
-
-    @property
     def corners(self) -> tuple[float, ...]:
         """Where psi' jumps."""
         return (self.threshold,) if math.isfinite(self.threshold) else ()
@@ -273,8 +258,8 @@ class Hampel(_Base):
     b: float = 4.0
     c: float = 8.0
 
-    pointwise = staticmethod(scalar.hampel)
-    pointwise_rho = staticmethod(scalar.hampel_rho)
+    kernel_name = "hampel"
+    kernel_fields = ("a", "b", "c")
 
     def __post_init__(self) -> None:
         """Check the corners."""
@@ -283,11 +268,6 @@ class Hampel(_Base):
             raise ValueError(f"a, b, c: expected 0 < a <= b < c, got {self.a!r}, {self.b!r}, {self.c!r}")
         for name, value in zip("abc", (a, b, c), strict=True):
             object.__setattr__(self, name, value)
-
-    @property
-    def parameters(self) -> tuple[float, float, float]:
-        """The arguments of `scalar.hampel`."""
-        return self.a, self.b, self.c
 
     @property
     def corners(self) -> tuple[float, ...]:
@@ -346,17 +326,12 @@ class TukeyBiweight(_Base):
 
     threshold: float = 4.685
 
-    pointwise = staticmethod(scalar.tukey)
-    pointwise_rho = staticmethod(scalar.tukey_rho)
+    kernel_name = "tukey"
+    kernel_fields = ("threshold",)
 
     def __post_init__(self) -> None:
         """Check the threshold."""
         object.__setattr__(self, "threshold", positive("threshold", self.threshold))
-
-    @property
-    def parameters(self) -> tuple[float, float, float]:
-        """The arguments of `scalar.tukey`."""
-        return self.threshold, 0.0, 0.0
 
     @property
     def corners(self) -> tuple[float, ...]:
@@ -410,17 +385,12 @@ class StudentT(_Base):
 
     df: float = 4.0
 
-    pointwise = staticmethod(scalar.student_t)
-    pointwise_rho = staticmethod(scalar.student_t_rho)
+    kernel_name = "student_t"
+    kernel_fields = ("df",)
 
     def __post_init__(self) -> None:
         """Check the degrees of freedom."""
         object.__setattr__(self, "df", positive("df", self.df))
-
-    @property
-    def parameters(self) -> tuple[float, float, float]:
-        """The arguments of `scalar.student_t`."""
-        return self.df, 0.0, 0.0
 
     def nominal_information(self) -> float:
         """Return E[psi'] under the t distribution whose score psi is: df/(df + 3)."""

@@ -10,8 +10,6 @@ from scipy.linalg import solve
 from robust_filterpy._checks import Array
 from robust_filterpy.influence.functions import Huber
 
-__all__ = ["mad_scale", "robust_regression"]
-
 # Of a normal distribution the median absolute deviation is its standard deviation over this.
 _MAD_TO_SCALE: Final = 1.482602218505602
 

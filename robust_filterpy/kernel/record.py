@@ -10,7 +10,7 @@ from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.standardization import group_scaling
 from robust_filterpy.kernel.series import SCALINGS
 
-__all__ = ["correction_of"]
+__all__ = ["correction_of", "weights_of"]
 
 
 def correction_of(values: Array, x: Array, P: Array) -> Correction:
@@ -40,6 +40,22 @@ def correction_of(values: Array, x: Array, P: Array) -> Correction:
         np.ravel(x), P, C, y, S, score, information, e, weights, psi_deriv,
         tuple(map(tuple, groups)), scaling, float(values[3]),
     )  # fmt: skip
+
+
+def weights_of(values: Array) -> Array:
+    """Return the weights alone.
+
+    Parameters
+    ----------
+    values : ndarray, shape (4 + 8 m + m^2 + m n,)
+        A record as `correction_of` takes it.
+
+    Returns
+    -------
+    ndarray, shape (m,)
+    """
+    m = int(values[1])
+    return values[4 + 2 * m : 4 + 3 * m].copy()
 
 
 def _groups(order: Array) -> list[list[int]]:

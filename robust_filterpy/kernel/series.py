@@ -40,16 +40,16 @@ def rule(choices: Choices) -> Array | None:
 
 def _encoded(choices: Choices) -> Array | None:
     """Return the options as numbers, None if the kernel does not know them."""
-    known = choices.pointwise is not None and choices.pointwise[0].__name__ in _KINDS
-    if not known or choices.grouping not in GROUPINGS or choices.scaling not in SCALINGS:
+    if choices.kernel_psi is None or choices.grouping not in GROUPINGS or choices.scaling not in SCALINGS:
         return None
     joint = choices.grouping == "joint"
     if joint and (choices.scaling not in ("learnt", "innovation") or choices.information == "expected"):
         return None
-    function, a, b, c = choices.pointwise  # type: ignore[misc]
+    kind, numbers = choices.kernel_psi
+    a, b, c = [*numbers.values(), 0.0, 0.0, 0.0][:3]
     # Without thresholds there is nothing to learn.
     scaling = "innovation" if choices.is_linear and choices.scaling == "learnt" else choices.scaling
-    codes = _KINDS.index(function.__name__), a, b, c, SCALINGS.index(scaling)
+    codes = _KINDS.index(kind), a, b, c, SCALINGS.index(scaling)
     information = _INFORMATIONS.index(choices.information)
     expected = choices.expected if choices.information == "expected" else 1.0
     normalizers = [choices.influence.log_normalizer(k) for k in range(1, JOINT_MOST + 1 if joint else 2)]

@@ -6,19 +6,18 @@
 * `excitation`: inputs with a prescribed spectrum.
 * `servo`: the pneumatic servo of the paper's section 2.
 
-python-control is imported when a plant asks for it. Imports from below: `_checks` alone.
+python-control is imported when a plant asks for it. Imports from below: `identification`, for the
+test of stability.
 """
 
 from __future__ import annotations
 
 from robust_filterpy.plants.drift import THETA_BAR, random_walk, stable
 from robust_filterpy.plants.linear import Simulation, simulate_arx, simulate_output_error
-from robust_filterpy.plants.parameters import linear_parameters
 
 __all__ = [
     "THETA_BAR",
     "Simulation",
-    "linear_parameters",
     "random_walk",
     "simulate_arx",
     "simulate_output_error",

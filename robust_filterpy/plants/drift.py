@@ -9,15 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy._checks import Array, count, finite_vector, numbers, positive
-
-__all__ = ["THETA_BAR", "random_walk", "stable"]
+from robust_filterpy.identification.models.guard import is_stable
 
 #: Mean of theta in section 4 of the paper: na = nb = 4, nk = 1, poles .867 +- .139j and -.411 +- .363j.
 THETA_BAR: Array = np.array([-0.9131, -0.3523, 0.1118, 0.2318, -0.0413, 0.0766, 0.0115, 0.0647])
 THETA_BAR.setflags(write=False)
-
-# Steps tried at once; those behind a refused one are tried again.
-_AHEAD = 128
 
 
 def random_walk(
@@ -85,9 +81,6 @@ def random_walk(
         return np.vstack((theta0, theta0 + np.cumsum(w, axis=0)))
     path = np.empty((n, p))
     path[0] = theta0
-    if transition is None and isinstance(accept, _PolesInside):
-        _walk(path, w, accept.rows)
-        return path
     for k in range(n - 1):
         with np.errstate(over="ignore", invalid="ignore"):
             step = (path[k] if transition is None else transition @ path[k]) + w[k]
@@ -143,41 +136,7 @@ class _PolesInside:
         theta = finite_vector("theta", theta)
         if theta.size < self.na:
             raise ValueError(f"theta: expected at least na={self.na} entries, got {theta.size}")
-        return bool((np.abs(np.roots(np.concatenate(([1.0], theta[: self.na])))) < self.radius).all())
-
-    def rows(self, thetas: Array) -> np.ndarray:
-        """Judge many thetas at once: the same answers, by the step-down recursion of Schur and Cohn."""
-        a = thetas[:, : self.na] / self.radius ** np.arange(1, self.na + 1)
-        # On the circle |A| is at least the product of |1 - |k||; where that is far above what rounding can do to A,
-        # no way of computing the poles moves one across.
-        margin, doubt = np.ones(len(a)), 1e-8 * (1.0 + np.abs(a).sum(axis=1)) ** 2
-        inside = np.ones(len(a), dtype=bool)
-        with np.errstate(all="ignore"):
-            while a.shape[1]:
-                k = a[:, -1:]
-                size = np.abs(k[:, 0])
-                inside &= size < 1.0
-                margin *= np.abs(1.0 - size)
-                a = (a[:, :-1] - k * a[:, -2::-1]) / (1.0 - k * k)
-        for i in np.flatnonzero(~(margin > doubt)).tolist():
-            inside[i] = self(thetas[i])
-        return inside
-
-
-def _walk(path: Array, w: Array, accepted: Callable[[Array], np.ndarray]) -> None:
-    """Fill the path after its first row, in pieces that end where a step is refused."""
-    k = 0
-    while k < len(w):
-        # The sum that adds one step after the other, to the last bit. It cannot overflow: finite variances make steps
-        # far below the spacing of the largest floats.
-        ahead = np.cumsum(np.vstack((path[k], w[k : k + _AHEAD])), axis=0)[1:]
-        good = accepted(ahead)
-        taken = len(good) if good.all() else int(np.argmin(good))
-        path[k + 1 : k + 1 + taken] = ahead[:taken]
-        k += taken
-        if taken < len(good):
-            path[k + 1] = path[k]
-            k += 1
+        return is_stable((theta[: self.na] / self.radius ** np.arange(1, self.na + 1)).tolist())
 
 
 def _square(name: str, value: ArrayLike, p: int) -> Array:

@@ -19,12 +19,6 @@ from robust_filterpy._checks import Array, finite_vector
 
 from .parameters import System, orders_of
 
-__all__ = [
-    "Simulation",
-    "simulate_arx",
-    "simulate_output_error",
-]
-
 
 class Simulation(NamedTuple):
     """Data of a simulated plant, and the truth behind them; N samples of each.
@@ -118,19 +112,8 @@ def simulate_output_error(
 
     Parameters
     ----------
-    system : control.TransferFunction or array_like, shape (na + nb,) or (N, na + nb)
-        Discrete transfer function with one input and one output, or theta (constant, or one row per sample).
-    u : array_like, shape (N,)
-        Input.
-    noise : scipy.stats distribution or array_like of shape (N,), optional
-        A distribution (anything with ``rvs(size=, random_state=)``) to draw from, or the noise itself, in the unit
-        of y. Default: none.
-    rng : numpy.random.Generator or int, optional
-        Draws the noise.
-    na, nb : int, optional
-        Number of a's and b's in theta; with a transfer function they are read from it and must not be given.
-    nk : int, optional
-        Delay of b_1 in samples, 0 for direct feed-through. Default: 1 with theta, read from a transfer function.
+    system, u, noise, rng, na, nb, nk
+        As in `simulate_arx`.
 
     Returns
     -------

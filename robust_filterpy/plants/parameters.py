@@ -12,8 +12,6 @@ from robust_filterpy._checks import Array, count, numbers
 if TYPE_CHECKING:
     import control
 
-__all__ = ["LinearParameters", "linear_parameters"]
-
 #: A discrete transfer function, or theta of shape (na + nb,), or a path of it of shape (N, na + nb).
 System: TypeAlias = "control.TransferFunction | ArrayLike"
 

@@ -21,26 +21,22 @@ from robust_filterpy.plotting.figures import (
     plot_states,
     plot_weights,
 )
-from robust_filterpy.plotting.responses import plot_bode, plot_poles, plot_step
-from robust_filterpy.plotting.workbench import (
-    plot_comparison,
-    plot_structure_selection,
-    plot_tuning,
-    plot_validation,
-)
+from robust_filterpy.plotting.responses import plot_bode, plot_poles
+
+# What the `plot()` of a result draws, which is how these are asked for.
+from robust_filterpy.plotting.responses import plot_step as plot_step
+from robust_filterpy.plotting.workbench import plot_comparison as plot_comparison
+from robust_filterpy.plotting.workbench import plot_structure_selection as plot_structure_selection
+from robust_filterpy.plotting.workbench import plot_tuning as plot_tuning
+from robust_filterpy.plotting.workbench import plot_validation as plot_validation
 
 __all__ = [
     "LOOKS",
     "plot_bode",
-    "plot_comparison",
     "plot_fit",
     "plot_innovations",
     "plot_parameters",
     "plot_poles",
     "plot_states",
-    "plot_step",
-    "plot_structure_selection",
-    "plot_tuning",
-    "plot_validation",
     "plot_weights",
 ]

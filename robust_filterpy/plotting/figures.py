@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
+from robust_filterpy.diagnostics.recording import is_saver
 from robust_filterpy.identification.models.fit import fit_percent
 from robust_filterpy.plotting import sources
 from robust_filterpy.plotting._style import (
@@ -30,10 +31,8 @@ from robust_filterpy.plotting._style import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_fit", "plot_innovations", "plot_parameters", "plot_states", "plot_weights"]
 
-
-def plot_states(
+def plot_states(  # an argument for each choice of the picture, by name
     source: Any,
     covariances: ArrayLike | None = None,
     *,
@@ -106,7 +105,7 @@ def plot_states(
     return finish(ax, "state" if len(which) > 1 else names[which[0]], unit, time_unit)
 
 
-def plot_innovations(
+def plot_innovations(  # an argument for each choice of the picture, by name
     source: Any,
     covariances: ArrayLike | None = None,
     *,
@@ -132,12 +131,8 @@ def plot_innovations(
         Which sensor.
     sigmas : float, default 2
         Half width of the band, in standard deviations sqrt(S_ii).
-    t : array_like, shape (N,), optional
-        Times or dates; default the index of a pandas object, or the number of the sample.
-    unit, time_unit : str, default ""
-        Units for the axes' labels.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw.
+    t, unit, time_unit, ax : optional
+        As in `plot_states`.
 
     Returns
     -------
@@ -159,7 +154,7 @@ def plot_innovations(
         label = "weight below 1"
     else:
         label = "clipped"
-        if sources.is_saver(source):
+        if is_saver(source):
             y = sources.kept(source, "y")
             marked = sources.kept(source, "clipped") > 0 if "clipped" in source.__dict__ else np.zeros(y.shape, bool)
             if "weights" in source.__dict__:
@@ -201,14 +196,10 @@ def plot_weights(
         Weights, NaN where a component was missing, or a run.
     components : int or sequence of int, optional
         Which sensors; all by default.
-    t : array_like, shape (N,), optional
-        Times or dates; default the index of a pandas object, or the number of the sample.
     names : sequence of str, length m, optional
         Names of all sensors.
-    time_unit : str, default ""
-        Unit of t for the axis' label.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw.
+    t, time_unit, ax : optional
+        As in `plot_states`.
 
     Returns
     -------
@@ -221,7 +212,7 @@ def plot_weights(
     """
     if sources.is_run(source):
         weights = np.asarray(source.weights)[:, None]
-    elif sources.is_saver(source):
+    elif is_saver(source):
         weights = sources.kept(source, "weights")
     else:
         weights = sources.rows("source", source)
@@ -236,7 +227,7 @@ def plot_weights(
     return finish(ax, "weight", "", time_unit)
 
 
-def plot_parameters(
+def plot_parameters(  # an argument for each choice of the picture, by name
     source: Any,
     covariances: ArrayLike | None = None,
     *,
@@ -261,16 +252,10 @@ def plot_parameters(
         True parameters, constant or as a path.
     parameters : int or sequence of int, optional
         Which parameters; all by default.
-    sigmas : float, default 2
-        Half width of the bands, in standard deviations.
-    t : array_like, shape (N,), optional
-        Times or dates; default the index of a pandas object, or the number of the sample.
     names : sequence of str, length n, optional
         Names of all parameters, such as ``tracker.structure.names``.
-    unit, time_unit : str, default ""
-        Units for the axes' labels.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw.
+    sigmas, t, unit, time_unit, ax : optional
+        As in `plot_states`.
 
     Returns
     -------
@@ -326,12 +311,8 @@ def plot_fit(
         Measured output, NaN where missing.
     simulated : array_like, shape (N,), or TrackingResult
         Output of the model, such as ``tracker.simulate(u)``; of a tracker's run, its predictions.
-    t : array_like, shape (N,), optional
-        Times or dates; default the index of a pandas object, or the number of the sample.
-    unit, time_unit : str, default ""
-        Units for the axes' labels.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw.
+    t, unit, time_unit, ax : optional
+        As in `plot_states`.
 
     Returns
     -------

@@ -18,8 +18,6 @@ from robust_filterpy.plotting._style import COLOURS, STYLES, legend_outside, lin
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_bode", "plot_poles", "plot_step"]
-
 _POINTS: Final = 400
 # A zero further from the origin than this is left outside the picture.
 _FAR: Final = 3.0
@@ -160,13 +158,7 @@ def plot_step(response: StepResponse, *, ax: Axes | None = None) -> Axes:
     -------
     matplotlib.axes.Axes
 
-    Raises
-    ------
-    TypeError
-        If response is no `StepResponse`.
     """
-    if not isinstance(response, StepResponse):
-        raise TypeError(f"response: expected what step_response() returned, got {_checks.shown(response)}")
     ax = one_axes(ax)
     rows = [np.atleast_2d(values) for values in (response.response, response.lower, response.upper)]
     for place, (line, low, high) in enumerate(zip(*rows, strict=True)):

@@ -8,11 +8,7 @@ from typing import Any
 import numpy as np
 
 from robust_filterpy._checks import Array, count, numbers
-
-
-def is_saver(source: Any) -> bool:
-    """Tell a filterpy Saver."""
-    return hasattr(source, "_kf") and hasattr(source, "save")
+from robust_filterpy.diagnostics.recording import is_saver
 
 
 def is_run(source: Any) -> bool:

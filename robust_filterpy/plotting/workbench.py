@@ -30,8 +30,6 @@ from robust_filterpy.plotting._style import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_comparison", "plot_structure_selection", "plot_tuning", "plot_validation"]
-
 # Structures further than this from the best one's fit, in percent, are left below the picture.
 _DEEP: Final = 30.0
 
@@ -53,8 +51,6 @@ def plot_validation(validation: Validation | Validations, *, axes: Any = None) -
 
     Raises
     ------
-    TypeError
-        If validation is neither.
     ValueError
         If there are not as many axes as pictures.
     """
@@ -64,7 +60,6 @@ def plot_validation(validation: Validation | Validations, *, axes: Any = None) -
         for j, (one, own) in enumerate(zip(validation, drawn, strict=True)):
             own[0].figure.suptitle(textwrap.fill(f"output {j}: {one.verdict}", 80), fontsize="medium")
         return np.array(drawn)
-    _require(validation, "validation", Validation, "validate(..)")
     found = [("residuals among themselves", 1, validation.autocorrelation, validation.autocorrelation_bound)]
     several = len(validation.cross_correlation) > 1
     for i, pair in enumerate(zip(validation.cross_correlation, validation.cross_bound, strict=True)):
@@ -102,8 +97,6 @@ def plot_structure_selection(selection: Selection, *, axes: Any = None) -> Any:
 
     Raises
     ------
-    TypeError
-        If selection is no `Selection`.
     ValueError
         If there are not as many axes as pictures.
 
@@ -111,7 +104,6 @@ def plot_structure_selection(selection: Selection, *, axes: Any = None) -> Any:
     -----
     Fits more than 30 points below the best one's are left below the picture.
     """
-    _require(selection, "selection", Selection, "select_structure(..)")
     responses, rows = selection.impulse_responses, selection.rows
     axes = several_axes(axes, 2 + len(responses), 1, (7.5, 4.6 + 2.2 * len(responses)))
     size = np.array([row.structure.n_theta for row in rows])
@@ -159,12 +151,8 @@ def plot_comparison(
         What `compare` returned.
     output : int, default 0
         Which of several outputs; fits are those of all.
-    t : array_like, shape (N,), optional
-        Times or dates; default the index of the recording, or the number of the sample.
-    unit, time_unit : str, default ""
-        Units for the axes' labels.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw.
+    t, unit, time_unit, ax : optional
+        As in `plot_states`.
 
     Returns
     -------
@@ -172,8 +160,6 @@ def plot_comparison(
 
     Raises
     ------
-    TypeError
-        If comparison is no `Comparison`.
     ValueError
         If t or output does not fit.
 
@@ -181,7 +167,6 @@ def plot_comparison(
     -----
     The axis shows what the models do; outliers beyond it are left outside. Fits are those on ordinary samples.
     """
-    _require(comparison, "comparison", Comparison, "compare(..)")
     y = comparison.measured
     y = y if y.ndim > 1 else y[:, None]
     if _checks.count("output", output) >= y.shape[1]:
@@ -217,17 +202,11 @@ def plot_tuning(found: TunedTracker, *, ax: Axes | None = None) -> Axes:
     -------
     matplotlib.axes.Axes
 
-    Raises
-    ------
-    TypeError
-        If found is no `TunedTracker`.
-
     Notes
     -----
     Of two names that were tried together the first is the abscissa, and the second has a line for each value. A
     covariance stands at its trace.
     """
-    _require(found, "found", TunedTracker, "tracker.tuned(..)")
     names = list(found.best.values)
     x = np.array([_place(row.values[names[0]]) for row in found.rows])
     value = np.array([row.log_likelihood for row in found.rows]) - found.best.log_likelihood
@@ -258,9 +237,3 @@ def plot_tuning(found: TunedTracker, *, ax: Axes | None = None) -> Axes:
 def _place(value: Any) -> float:
     """Return a value as a number to draw at."""
     return float(np.trace(np.atleast_2d(value))) if np.ndim(value) else float(value)
-
-
-def _require(thing: Any, name: str, kind: type, source: str) -> None:
-    """Raise unless thing is a result of this kind."""
-    if not isinstance(thing, kind):
-        raise TypeError(f"{name}: expected what {source} returned, got {_checks.shown(thing)}")

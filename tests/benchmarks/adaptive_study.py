@@ -18,6 +18,7 @@ import numpy as np
 from adaptive_problems import DENSITIES, NOISES, Case, optimal, point, vehicle, with_labels
 from filterpy.kalman import KalmanFilter
 from joblib import Parallel, delayed
+from measuring import target as verdict
 from outlier_problems import gate
 from peers import adaptive as adaptive_peers
 from peers import iskf, student_t, wolf
@@ -135,12 +136,7 @@ def compare(
             print(f"| {name} | {ratio.estimate:.3f} | {ratio.low:.3f} to {ratio.high:.3f} |", flush=True)
     for over, limit in ((reference, target), (LABELS, target_over_labels)):
         if limit is not None:
-            print(verdict(f"over {over}", errors[ADAPTIVE].mean() / errors[over].mean(), limit), flush=True)
-
-
-def verdict(what: str, value: float, target: float) -> str:
-    """Return whether a target is met, in a line."""
-    return f"target {what}: {value:.3f}, at most {target:g}: {'met' if value <= target else 'MISSED'}"
+            verdict(f"over {over}", errors[ADAPTIVE].mean() / errors[over].mean(), limit)
 
 
 def mean_square(path: np.ndarray, case: Case, first: int = 300) -> float:
@@ -226,7 +222,7 @@ def jumps(args: argparse.Namespace) -> None:
         cells = [f"{np.median(c):.0f} ({np.quantile(c, 0.95, method='higher'):.0f})" for c in found[:, k].T]
         print(f"| {name} | " + " | ".join(cells) + " |")
     for size, steps, limit in zip(sizes, found[:, list(filters).index(ADAPTIVE)].T, TARGETS_JUMPS, strict=True):
-        print(verdict(f"steps after {size:g} sigma", float(np.median(steps)), limit))
+        verdict(f"steps after {size:g} sigma", float(np.median(steps)), limit)
 
 
 def _steps_to_return(path: np.ndarray, case: Case, at: int = 500) -> float:

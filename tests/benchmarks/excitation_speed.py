@@ -8,10 +8,10 @@ Run ``python tests/benchmarks/excitation_speed.py``.
 
 from __future__ import annotations
 
-import time
 from itertools import product
 
 import numpy as np
+from measuring import least_time
 
 from robust_filterpy.plants.excitation import bandlimited_pink_autocovariance, receding_horizon_binary
 
@@ -36,23 +36,14 @@ def steps_as_printed(r, length, m):
     return 2 * s[:length] - 1
 
 
-def least_time(function, repeats=3):
-    """Return the least of several durations in s, and the result."""
-    durations = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        result = function()
-        durations.append(time.perf_counter() - start)
-    return min(durations), result
-
-
 def main():
     """Print the ratio of durations at equal length."""
     r = bandlimited_pink_autocovariance(0.5, 2.5, LAGS)
-    ours, signal = least_time(lambda: receding_horizon_binary(r, LENGTH, HORIZON))
-    printed, reference = least_time(lambda: steps_as_printed(r, LENGTH_PRINTED, HORIZON))
+    signal, reference = receding_horizon_binary(r, LENGTH, HORIZON), steps_as_printed(r, LENGTH_PRINTED, HORIZON)
     if (signal[:LENGTH_PRINTED] != reference).any():
         raise SystemExit("the two do not give the same signal")
+    ours = least_time(lambda: receding_horizon_binary(r, LENGTH, HORIZON))
+    printed = least_time(lambda: steps_as_printed(r, LENGTH_PRINTED, HORIZON))
     factor = LENGTH / LENGTH_PRINTED
     print(f"receding_horizon_binary, N={LENGTH}, n={LAGS}, m={HORIZON}: {ours * 1e3:.0f} ms")
     print(f"steps as printed, N={LENGTH_PRINTED}: {printed * 1e3:.0f} ms")

@@ -21,7 +21,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "testing"))
 
 from right_estimators import FILTERS, TRACKERS
 
-from robust_filterpy.testing import Check, filter_checks, tracker_checks
+from robust_filterpy.testing import filter_checks, tracker_checks
+from robust_filterpy.testing.checks.bench import Check
 
 
 def failures(checks: Sequence[Check], make: Any, seeds: range) -> Counter[str]:

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 from filterpy.kalman import KalmanFilter, MerweScaledSigmaPoints
+from measuring import least_time as least
 
 from robust_filterpy import (
     ARX,
@@ -47,16 +48,6 @@ def samples(keys, steps, first=0):
     z = rng.normal(size=keys * steps) * np.where(rng.random(keys * steps) < 0.1, 20.0, 1.0)
     device, t = np.tile(np.arange(first, first + keys), steps), np.repeat(np.arange(float(steps)), keys)
     return pd.DataFrame({"device": device, "t": t, "z": z})
-
-
-def least(call, repeats=3):
-    """Return the least time of a call, in seconds."""
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - start)
-    return min(times)
 
 
 def each(call, count=300):

@@ -21,6 +21,7 @@ import numpy as np
 import scipy.optimize
 import scipy.signal
 from filterpy.kalman import KalmanFilter
+from measuring import target
 from padasip.filters import FilterRLS
 
 from robust_filterpy import ARX, Huber, Linear, OutputError, ParameterTracker, identify
@@ -132,12 +133,6 @@ def recording(seed, order, plant, contamination, one_sided=False):
 def spread(values):
     """Return median / 10 % quantile / worst."""
     return f"{np.median(values):6.2f} /{np.quantile(values, 0.1):6.2f} /{np.min(values):7.2f}"
-
-
-def target(what, value, limit, least=False):
-    """Print one line: a measured value against its target."""
-    met = value >= limit if least else value <= limit
-    print(f"  {'met    ' if met else 'NOT MET'}  {value:.4g} {'>=' if least else '<='} {limit}  {what}", flush=True)
 
 
 # Parts.
@@ -276,17 +271,22 @@ def seconds(arguments):
     target("median time in s", float(np.median(walls)), 1.0)
 
 
+def measured_badly(rng, truth, contamination):
+    """Return input, output and labels of an ARX(2, 2) plant of whose outputs some are measured with gross errors."""
+    u, a = rng.choice([-1.0, 1.0], SAMPLES), np.concatenate(([1.0], truth[:2]))
+    y = output_of(truth, u) + scipy.signal.lfilter([1.0], a, 0.5 * rng.normal(size=SAMPLES))
+    labels = rng.random(SAMPLES) < contamination
+    y[labels] += 5.0 * rng.normal(size=labels.sum())
+    return u, y, labels
+
+
 def arx(arguments):
     """Identify an ARX(2, 2) plant whose measurements have outliers, which its regressor holds."""
     truth = np.array([-1.5, 0.7, 1.0, 0.5])
     for contamination in (0.0, 0.02, 0.1, 0.2):
         errors = {"identify": [], "Huber, measured": [], "label-knowing": [], "label-knowing, rows left out": []}
         for plant in range(arguments.plants):
-            rng = np.random.default_rng([arguments.seed, 22, plant])
-            u, a = rng.choice([-1.0, 1.0], SAMPLES), np.concatenate(([1.0], truth[:2]))
-            y = output_of(truth, u) + scipy.signal.lfilter([1.0], a, 0.5 * rng.normal(size=SAMPLES))
-            labels = rng.random(SAMPLES) < contamination
-            y[labels] += 5.0 * rng.normal(size=labels.sum())
+            u, y, labels = measured_badly(np.random.default_rng([arguments.seed, 22, plant]), truth, contamination)
             X, good = ARX(2, 2).regressors(u, y), np.convolve(labels, np.ones(3))[:SAMPLES] == 0
             measured = PolynomialModel(ARX(2, 2), y, u[:, None], True)
             estimates = {
@@ -425,11 +425,7 @@ def regressors(arguments):
     for contamination in (0.0, 0.02, 0.1, 0.2):
         errors = {"measured": [], "cleaned": [], "label-knowing": []}
         for plant in range(arguments.plants):
-            rng = np.random.default_rng([arguments.seed, 22, plant])
-            u, a = rng.choice([-1.0, 1.0], SAMPLES), np.concatenate(([1.0], truth[:2]))
-            y = output_of(truth, u) + scipy.signal.lfilter([1.0], a, 0.5 * rng.normal(size=SAMPLES))
-            labels = rng.random(SAMPLES) < contamination
-            y[labels] += 5.0 * rng.normal(size=labels.sum())
+            u, y, labels = measured_badly(np.random.default_rng([arguments.seed, 22, plant]), truth, contamination)
             for regressor in ("measured", "cleaned"):
                 one = ParameterTracker(ARX(2, 2), regressor=regressor)
                 one.run(y, u)

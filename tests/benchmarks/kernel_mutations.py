@@ -21,6 +21,8 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
+from mutations import seen
+
 ROOT = Path(__file__).parents[2]
 HEADERS = ROOT / "robust_filterpy" / "kernel"
 # Of glue.h and groups.h no line computes; of real.h each is the name of a function of C.
@@ -137,25 +139,6 @@ def build(copy: Path, chosen: list[tuple[Path, int, str, str, str]]) -> None:
         raise SystemExit("the kernel with the wrong lines beside the right ones does not compile")
 
 
-def seen(copy: Path, k: int, name: str, limit: float) -> str:
-    """Run tests until one fails and return its name, or how it was that none did, in brackets."""
-    tests = dict.fromkeys((*TESTS.get(name, ()), *EVERY))
-    command = [sys.executable, "-W", "ignore", "-m", "pytest", "-x", "--tb=no", "-rfE", "-p", "no:cacheprovider"]
-    environment = {
-        **os.environ, "PYTHONPATH": str(copy), "OMP_NUM_THREADS": "1", "MUTATION": str(k),
-        "PYTHONDONTWRITEBYTECODE": "1",
-    }  # fmt: skip
-    try:
-        done = subprocess.run(
-            [*command, "--timeout=0", *tests], cwd=copy, env=environment, capture_output=True, text=True,
-            timeout=limit, check=False,
-        )  # fmt: skip
-    except subprocess.TimeoutExpired:
-        return "(none within the limit)"
-    said = re.findall(r"^(?:FAILED|ERROR) (\S+)", done.stdout, flags=re.M)
-    return said[0] if said else "(all pass)" if done.returncode == 0 else f"a process that ends with {done.returncode}"
-
-
 def main() -> None:
     """Choose the wrong lines one at a time and print which were seen, and the share in each file."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -177,7 +160,7 @@ def main() -> None:
         for k, (path, number, right, spoilt, _) in enumerate(chosen, 1):
             if args.pick and k not in args.pick:
                 continue
-            by = seen(copy, k, path.name, args.limit)
+            by = seen(copy, dict.fromkeys((*TESTS.get(path.name, ()), *EVERY)), args.limit, MUTATION=str(k))
             total[path.name] += 1
             survived = by.startswith("(")
             killed[path.name] += not survived

@@ -20,7 +20,7 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 SEEN = 0.9
@@ -154,11 +154,12 @@ class Chooser:
         return sorted((test for test, mark in marks.items() if mark > 0.0), key=lambda test: -marks[test])[:MOST]
 
 
-def seen(copy: Path, tests: list[str], limit: float) -> str:
+def seen(copy: Path, tests: Iterable[str], limit: float, **environment: str) -> str:
     """Run tests until one fails and return its name, or how it was that none did, in brackets."""
     options = ("-x", "--tb=no", "-rfE", "-p", "no:cacheprovider", "-p", "no:randomly", "--timeout=0")
     command = [sys.executable, "-W", "ignore", "-m", "pytest", *options, *tests]
-    environment = {**os.environ, "PYTHONPATH": str(copy), "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+    own = {"PYTHONPATH": str(copy), "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = {**os.environ, **own, **environment}
     try:
         done = subprocess.run(
             command, cwd=copy, env=environment, capture_output=True, text=True, timeout=limit, check=False
@@ -166,7 +167,7 @@ def seen(copy: Path, tests: list[str], limit: float) -> str:
     except subprocess.TimeoutExpired:
         return "(none within the limit)"
     said = re.findall(r"^(?:FAILED|ERROR) (\S+)", done.stdout, flags=re.M)
-    return said[0] if said else "(all pass)" if done.returncode == 0 else "pytest itself"
+    return said[0] if said else "(all pass)" if done.returncode == 0 else f"a process that ends with {done.returncode}"
 
 
 def main() -> None:

@@ -12,6 +12,7 @@ from functools import partial
 
 import numpy as np
 import scipy.signal
+from measuring import target
 
 from robust_filterpy import Contaminated, Huber, Linear, StudentT
 from robust_filterpy.experiments import monte_carlo
@@ -71,11 +72,6 @@ def medians(trial, study, **arguments):
         key: float(np.median(values))
         for key, values in monte_carlo(partial(trial, **arguments), **study).stacked().items()
     }
-
-
-def target(what, value, limit):
-    """Print one line: a measured value against its target."""
-    print(f"  {'met    ' if value <= limit else 'NOT MET'}  {value:.3f} <= {limit}  {what}")
 
 
 def print_gradients(study):

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
+from measuring import least_time
 from outlier_problems import Recording, prepared, vehicle
 from outlier_tables import print_tables
 
@@ -277,16 +278,6 @@ def convex_table(runs: int, seed: int, jobs: int) -> None:
             f"| {size} | {np.max(excess):.1e} | {np.max(apart):.1e} | {1e3 * np.mean(theirs):.0f} "
             f"| {1e3 * np.mean(ours):.2f} | {ratio.estimate:.0f} ({ratio.low:.0f} to {ratio.high:.0f}) |"
         )
-
-
-def least_time(call: Callable[[], Any], turns: int) -> float:
-    """Return the least duration of some calls, in s."""
-    durations = []
-    for _ in range(turns):
-        start = time.perf_counter()
-        call()
-        durations.append(time.perf_counter() - start)
-    return min(durations)
 
 
 def speed_table(runs: int, seed: int, jobs: int) -> None:

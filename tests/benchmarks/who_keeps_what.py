@@ -24,7 +24,7 @@ from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import Linear, RobustKalmanFilter
 from robust_filterpy.testing import ChecksFailed, check_filter
-from robust_filterpy.testing.checks.filters import PROMISES
+from robust_filterpy.testing.checks.lists import FILTER_PROMISES as PROMISES
 
 WORDS = {"passed": "yes", "failed": "no", "skipped": "-"}
 

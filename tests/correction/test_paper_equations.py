@@ -11,7 +11,7 @@ import support
 from scipy.integrate import quad
 
 from robust_filterpy import Contaminated, Huber, Linear, RobustKalmanFilter
-from robust_filterpy.influence import expected_information
+from robust_filterpy.influence.information import expected_information
 from robust_filterpy.noise import LeastFavorable, fisher_information
 
 pytestmark = pytest.mark.core

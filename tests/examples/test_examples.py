@@ -19,6 +19,9 @@ SMALL = {
     "state_estimation_study.py": ["--runs", "3", "--steps", "30", "--jobs", "1"],
     "first_screen.py": ["--seeds", "3"],
     "06_smoothing.py": ["--runs", "2"],
+    "11_radar_glint.py": ["--runs", "3"],
+    "15_a_fleet_on_dask.py": ["--devices", "1000"],
+    "16_in_a_stream.py": ["--devices", "1000"],
     "21_physics_from_a_recording.py": ["--steps", "60"],
 }
 

@@ -5,21 +5,7 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
-from robust_filterpy import experiments
-from robust_filterpy.experiments import metrics
-from robust_filterpy.experiments.metrics import (
-    bootstrap_interval,
-    fit_percent,
-    mean_square_error,
-)
-
-
-def test_experiments_offers_the_metrics_too():
-    for name in metrics.__all__:
-        assert getattr(experiments, name) is getattr(metrics, name) and name in experiments.__all__
-
-
-# --- metrics -------------------------------------------------------------------------------------------------
+from robust_filterpy.experiments import bootstrap_interval, fit_percent, mean_square_error
 
 
 def test_mean_square_error_is_the_loop_over_runs_and_steps():

@@ -207,7 +207,7 @@ def test_a_streaming_query_goes_on_from_its_checkpoint(spark, tmp_path, seconds)
     options = {} if seconds is None else {"forget_after": seconds}
     table = samples(60, 12).sort_values("t", kind="stable")
     (tmp_path / "in").mkdir()
-    described = model().reading()
+    described = model()
     object.__setattr__(described, "late", "drop")
     schema, now = "device long, t double, z double", time.time() - 60.0
     for k in range(4):

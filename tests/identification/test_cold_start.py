@@ -350,7 +350,7 @@ def test_a_bank_names_the_actuators_of_which_no_model_can_be_made():
 
 def test_the_level_before_a_start_is_that_of_the_outputs_that_are_there():
     """A missing output is none: as 0 it would pull the level of a recording far from 0 towards it."""
-    kept = ColdStart.kept(20, np.array([np.nan, np.nan, np.nan, 5.0, 6.0]), np.zeros((5, 1)), 3)
+    kept = ColdStart(20, np.array([np.nan, np.nan, np.nan, 5.0, 6.0]), np.zeros((5, 1)), 3)
     np.testing.assert_array_equal(kept.levels(np.array([7.0, np.nan])), [5.5, 6.0, 6.0])
-    nothing = ColdStart.kept(20, np.full(2, np.nan), np.zeros((2, 1)), 3)
+    nothing = ColdStart(20, np.full(2, np.nan), np.zeros((2, 1)), 3)
     np.testing.assert_array_equal(nothing.levels(np.array([np.nan, 3.0])), [0.0, 0.0, 3.0])

@@ -670,7 +670,7 @@ def test_a_bad_variance_in_the_filter_is_named(structure, R):
         ({"undisturbed": np.full(2, np.inf)}, ValueError, "expected finite numbers in undisturbed"),
         ({"R": np.array([[-1.0]])}, ValueError, "state: R: expected a positive"),
         ({"R": np.zeros((1, 1))}, ValueError, "state: expected R > 0"),
-        ({"alpha_sq": np.array(0.0)}, ValueError, "state: expected alpha_sq > 0"),
+        ({"alpha_sq": np.array(0.0)}, ValueError, "state: expected alpha_sq >= 1"),
         ({"P": -np.eye(4)}, ValueError, "state: P: expected a positive"),
         ({"P": np.diag([1e12, -1e3, 1.0, 1.0])}, ValueError, "state: P: expected a positive"),
         ({"recursion": np.full(7, -1e9)}, ValueError, "state: expected a limit"),

@@ -548,12 +548,12 @@ def test_state_of_another_bank_is_refused(state):
 @pytest.mark.parametrize(
     ("name", "value", "words"),
     [
-        ("R", 0.0, "R > 0: actuator 2$"),
-        ("R", -1.0, "R > 0: actuator 2$"),
-        ("alpha_sq", 0.0, "alpha_sq > 0: actuator 2$"),
+        ("R", 0.0, "R > 0.*: actuator 2$"),
+        ("R", -1.0, "R > 0.*: actuator 2$"),
+        ("alpha_sq", 0.0, "alpha_sq >= 1.*: actuator 2$"),
         ("alpha_sq", np.inf, "finite numbers in alpha_sq.*: actuator 2$"),
-        ("P", np.diag([1.0, 1.0, 1.0, -1e-3]), "positive semidefinite P: actuator 2$"),
-        ("P", np.eye(4) + np.triu(np.full((4, 4), 0.1)), "symmetric positive semidefinite P: actuator 2$"),
+        ("P", np.diag([1.0, 1.0, 1.0, -1e-3]), "positive semidefinite.*: actuator 2$"),
+        ("P", np.eye(4) + np.triu(np.full((4, 4), 0.1)), "symmetric.*: actuator 2$"),
         ("P", np.nan, "finite numbers in P.*: actuator 2$"),
         ("undisturbed", np.inf, "finite numbers in undisturbed.*: actuator 2$"),
         ("theta", [-2.5, 1.0, 0.0, 0.0], "theta of a stable model.*: actuator 2$"),
@@ -566,7 +566,7 @@ def test_state_that_no_bank_can_be_in_is_refused(name, value, words):
     before = bank.state()
     spoilt = bank.state()
     spoilt[name][2] = value
-    with pytest.raises(ValueError, match=f"^state: expected .*{words}"):
+    with pytest.raises(ValueError, match=f"^state: .*expected .*{words}"):
         bank.restore(spoilt)
     same(before.values(), bank.state().values())
 

@@ -13,7 +13,8 @@ from statsmodels.robust import norms
 
 from robust_filterpy import Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight, filter_series
 from robust_filterpy.correction.options import Choices
-from robust_filterpy.influence import Hampel, expected_information, scalar
+from robust_filterpy.influence import Hampel
+from robust_filterpy.influence.information import expected_information
 
 OURS = [Huber(), Huber(0.5), Linear(), Hampel(), Hampel(1.5, 3.5, 8.0), TukeyBiweight(), StudentT(), StudentT(1.5)]
 PAIRS = [
@@ -309,11 +310,11 @@ def test_a_psi_from_a_mixin_is_the_one_that_is_applied():
 
     for influence in (Mine(), Again()):
         assert Choices(influence).influence_on(np.array([1.0]), 1.0)[0] == [0.5]
-    assert Choices(Unchanged()).pointwise == Choices(Huber()).pointwise
+    assert Choices(Unchanged()).kernel_psi == Choices(Huber()).kernel_psi
 
 
 def test_a_rho_overridden_in_a_subclass_is_the_one_of_the_likelihood():
-    assert Choices(Steeper()).pointwise is None
+    assert Choices(Steeper()).kernel_psi is None
     kf = RobustKalmanFilter(1, 1, influence=Steeper(0.5))
     kf.F, kf.H, total = np.eye(1), np.eye(1), 0.0
     model, zs = (kf.F, kf.H, kf.Q, kf.R, kf.x.ravel(), kf.P), np.random.default_rng(0).normal(size=(2, 200, 1))
@@ -322,14 +323,3 @@ def test_a_rho_overridden_in_a_subclass_is_the_one_of_the_likelihood():
         kf.update(z)
         total += kf.log_likelihood
     assert filter_series(zs, *model, influence=Steeper(0.5)).log_likelihood[0] == pytest.approx(total, rel=1e-9)
-
-
-@pytest.mark.parametrize("influence", [Linear(), Huber(), Hampel(), TukeyBiweight(), StudentT()], ids=repr)
-def test_the_forms_for_one_number_are_the_definition_on_and_beside_each_bend(influence):
-    function, *bends = Choices(influence).pointwise
-    rho = getattr(scalar, f"{function.__name__}_rho")
-    for r in (0.0, *(bend * near for bend in bends for near in (0.9, 1.0, 1.1))):
-        for e in (r, -r):
-            expected = float(influence.psi(e)), float(influence.psi_deriv(e))
-            assert function(e, *bends) == pytest.approx(expected, abs=1e-14)
-            assert rho(e, *bends) == pytest.approx(float(influence.rho(e)), abs=1e-13)

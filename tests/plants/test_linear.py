@@ -13,13 +13,12 @@ from scipy import stats
 from robust_filterpy import Contaminated
 from robust_filterpy.plants import (
     THETA_BAR,
-    linear_parameters,
     random_walk,
     simulate_arx,
     simulate_output_error,
     stable,
 )
-from robust_filterpy.plants.parameters import LinearParameters
+from robust_filterpy.plants.parameters import LinearParameters, linear_parameters
 
 SIMULATORS = (simulate_arx, simulate_output_error)
 G = control.tf([1.0, 0.5], [1.0, -1.5, 0.7], dt=1)

@@ -17,8 +17,7 @@ from robust_filterpy.plants.servo import (
     operating_point,
     pneumatic_servo,
     position_loop,
-    random_alpha,
-    random_beta,
+    random_coefficient,
     simulate_actuator,
     simulate_servo,
 )
@@ -40,7 +39,7 @@ def test_fast_path_agrees_with_solve_ivp_at_tight_tolerance():
     dt, n = 0.01, 150
     t = dt * np.arange(n)
     r = binary_reference(n, 30)
-    alpha, beta = random_alpha(t, rng=1), random_beta(t, low=0.2, high=0.45, rng=2)
+    alpha, beta = random_coefficient("alpha", t, rng=1), random_coefficient("beta", t, low=0.2, high=0.45, rng=2)
     load = 2.0 * np.sin(3 * t)
     supply = 5e5 - 2e4 * np.cos(7 * t)
     got, gains = simulate_servo(r, dt, alpha=alpha, beta=beta, load=load, supply=supply, rtol=1e-8), position_gains()
@@ -118,7 +117,10 @@ def test_pressures_stay_in_range_under_normal_driving():
     n = 600
     t = 0.01 * np.arange(n)
     recording = simulate_servo(
-        binary_reference(n, 30), 0.01, alpha=random_alpha(t, rng=0), beta=random_beta(t, low=0.2, high=0.45, rng=1)
+        binary_reference(n, 30),
+        0.01,
+        alpha=random_coefficient("alpha", t, rng=0),
+        beta=random_coefficient("beta", t, low=0.2, high=0.45, rng=1),
     )
     pressures = np.concatenate([recording.P_a, recording.P_b])
     assert P.atmospheric_pressure < pressures.min() and pressures.max() < P.supply_pressure
@@ -137,7 +139,7 @@ def test_a_load_pushes_the_piston_off_its_reference_against_the_load():
 
 def test_random_paths_stay_in_their_bounds_and_move_as_slowly_as_told():
     t = 0.01 * np.arange(200_000)
-    path = random_beta(t, low=0.2, high=0.4, spread=0.1, rng=3)
+    path = random_coefficient("beta", t, low=0.2, high=0.4, spread=0.1, rng=3)
     assert path.min() >= 0.2 and path.max() <= 0.4 and path[0] == pytest.approx(0.3)
     # Reflections, at most one step in hundreds, shorten a few increments.
     assert np.diff(path).std() == pytest.approx(0.1 * 0.2 * 0.1, rel=0.01)
@@ -145,18 +147,18 @@ def test_random_paths_stay_in_their_bounds_and_move_as_slowly_as_told():
 
 def test_random_paths_visit_the_whole_range_evenly():
     # Far apart in time, samples of a reflected walk are independent and uniform.
-    path = random_alpha(1000.0 * np.arange(2000), spread=0.2, rng=4)
+    path = random_coefficient("alpha", 1000.0 * np.arange(2000), spread=0.2, rng=4)
     assert scipy.stats.kstest(path[1:], "uniform", args=(1.0, 0.3997)).pvalue > 1e-6
 
 
 def test_random_paths_repeat_with_a_seed_and_leave_the_global_state_alone():
     t = np.arange(0, 5, 0.01)
     before = np.random.get_state()[1].copy()  # noqa: NPY002
-    first, second = random_alpha(t, rng=5), random_alpha(t, rng=np.random.default_rng(5))
-    assert np.array_equal(first, second) and not np.array_equal(first, random_alpha(t, rng=6))
+    first, second = random_coefficient("alpha", t, rng=5), random_coefficient("alpha", t, rng=np.random.default_rng(5))
+    assert np.array_equal(first, second) and not np.array_equal(first, random_coefficient("alpha", t, rng=6))
     assert np.array_equal(before, np.random.get_state()[1])  # noqa: NPY002
-    assert random_alpha(t, start=1.05, rng=5)[0] == pytest.approx(1.05)
-    assert np.all(random_alpha(t, spread=0.0) == 1.19985)
+    assert random_coefficient("alpha", t, start=1.05, rng=5)[0] == pytest.approx(1.05)
+    assert np.all(random_coefficient("alpha", t, spread=0.0) == 1.19985)
 
 
 # --- operating points and linear models ---------------------------------------------------------------------------
@@ -349,7 +351,7 @@ def test_a_failing_solver_is_not_passed_over(monkeypatch):
         ({"alpha": 2.0}, "alpha"),
         ({"beta": 0.0}, "beta"),
         ({"dt": 0.0}, "dt: expected a finite number > 0"),
-        ({"friction": "none"}, "friction: expected 'full' or 'viscous'"),
+        ({"friction": "none"}, "friction: expected one of 'full', 'viscous', got 'none'"),
     ],
 )
 def test_impossible_operating_points_are_refused(change, message):
@@ -360,6 +362,7 @@ def test_impossible_operating_points_are_refused(change, message):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        ({"name": "gamma"}, "name: expected"),
         ({"low": 0.9}, "bounds of alpha: expected values in"),
         ({"low": 1.3, "high": 1.2}, "expected low < high"),
         ({"start": 1.0, "low": 1.1}, "start of alpha"),
@@ -370,4 +373,4 @@ def test_impossible_operating_points_are_refused(change, message):
 )
 def test_impossible_random_paths_are_refused(change, message):
     with pytest.raises(ValueError, match=message):
-        random_alpha(**{"t": [0.0, 1.0], **change})
+        random_coefficient(**{"name": "alpha", "t": [0.0, 1.0], **change})

@@ -64,11 +64,11 @@ def test_validation_marks_exactly_what_is_outside(recording):
 def test_validation_has_a_picture_for_each_input_and_one_without(recording):
     both = recording[["u"]].assign(w=np.random.default_rng(2).normal(size=600))
     found = validate(identify(recording.y, both, FIR((3, 3))), recording.y, both)
-    assert [ax.get_title() for ax in plotting.plot_validation(found)] == [
+    assert [ax.get_title() for ax in found.plot()] == [
         "residuals among themselves", "input 0 and residuals", "input 1 and residuals",
     ]  # fmt: skip
     alone = validate(identify(recording.y, None, ARX(2, 0)), recording.y)
-    assert len(plotting.plot_validation(alone)) == 1
+    assert len(alone.plot()) == 1
 
 
 def test_each_of_several_outputs_has_a_picture(recording):
@@ -127,8 +127,8 @@ def test_comparison_has_dates_fits_and_units(recording, model):
 
 def test_comparison_of_arrays_counts_samples(recording, model):
     found = compare({"two": model}, recording.y.to_numpy(), recording.u.to_numpy())
-    assert plotting.plot_comparison(found).get_xlabel() == "sample"
-    seconds = plotting.plot_comparison(found, t=np.arange(600) * 0.1, time_unit="s")
+    assert found.plot().get_xlabel() == "sample"
+    seconds = found.plot(t=np.arange(600) * 0.1, time_unit="s")
     assert seconds.get_xlabel() == "time [s]" and seconds.lines[0].get_xdata()[-1] == pytest.approx(59.9)
 
 
@@ -176,16 +176,6 @@ def test_times_of_all_kinds_stand_on_the_axis(index, label):
         assert_array_equal(ax.lines[0].get_xdata(), [0.0, 0.5, 1.0])
     if getattr(index, "tz", None) is not None:
         assert ax.lines[0].get_xdata(orig=True)[0] == np.datetime64("2024-03-30T00:00")
-
-
-@pytest.mark.parametrize(
-    "plot",
-    [plotting.plot_validation, plotting.plot_structure_selection, plotting.plot_comparison, plotting.plot_tuning],
-)
-def test_other_things_are_no_results(plot, model):
-    with pytest.raises(TypeError, match=r"expected what .* returned, got"):
-        plot(model)
-    assert not plt.get_fignums()
 
 
 def test_axes_that_are_too_few_are_refused(recording, model):

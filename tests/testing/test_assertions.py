@@ -15,7 +15,6 @@ from robust_filterpy import Linear, ParameterTracker, RobustKalmanFilter, TukeyB
 from robust_filterpy.testing import (
     TrackerRun,
     assert_bounded_influence,
-    assert_close,
     assert_efficient,
     assert_interval_coverage,
     assert_missing_is_no_information,
@@ -27,16 +26,15 @@ from robust_filterpy.testing import (
     assert_stable_model,
     assert_state_round_trip,
     assert_tracks,
-    assert_unchanged,
     assert_unit_equivariant,
     draw,
-    load,
     run_filter,
     run_tracker,
-    visible,
 )
 from robust_filterpy.testing.assertions.consistency import _correlation
+from robust_filterpy.testing.assertions.contracts import assert_close, assert_unchanged, visible
 from robust_filterpy.testing.scenarios.models import random_stable
+from robust_filterpy.testing.scenarios.runs import load
 
 
 def fails(call, *match):

@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 from robust_filterpy import testing
+from robust_filterpy.testing.scenarios import contamination, models, plants
 
 DOCS = Path(__file__).parents[2] / "docs"
 sys.path.insert(0, str(DOCS))
@@ -18,7 +19,7 @@ def test_the_page_is_current():
 def test_the_page_lists_everything():
     text = page()
     names = [check.name for check in (*testing.filter_checks(not_claimed=("robust",)), *testing.tracker_checks())]
-    for name in (*names, *testing.MODELS, *testing.PLANTS, *testing.CONTAMINATIONS):
+    for name in (*names, *models.MODELS, *plants.PLANTS, *contamination.CONTAMINATIONS):
         assert name in text, name
     for name in testing.__all__:
         if name.startswith("assert_"):

@@ -8,23 +8,18 @@ from filterpy.kalman import KalmanFilter
 
 from robust_filterpy.identification import ARX
 from robust_filterpy.testing import (
-    CONTAMINATIONS,
-    MODELS,
-    PLANTS,
-    Bursts,
     FilterRun,
-    Missing,
-    Mixture,
     StateModel,
     assert_consistent,
     draw,
-    load,
     run_filter,
 )
-from robust_filterpy.testing.scenarios.models import random_stable
-from robust_filterpy.testing.scenarios.plants import arx, output_error
+from robust_filterpy.testing.scenarios.contamination import CONTAMINATIONS
+from robust_filterpy.testing.scenarios.models import MODELS, random_stable
+from robust_filterpy.testing.scenarios.plants import PLANTS
+from robust_filterpy.testing.scenarios.runs import load
 
-KINDS = ["none", *CONTAMINATIONS, ("mixture", "missing"), Bursts(0.2, 8)]
+KINDS = ["none", *CONTAMINATIONS, ("mixture", "missing"), {"bursts": {"length": 8}, "stuck": {}}]
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=str)
@@ -68,9 +63,9 @@ def test_noises_have_the_covariances_that_the_model_tells():
         assert low < squared < high
 
 
-@pytest.mark.parametrize(("kind", "probability"), [(Mixture(0.2, 10.0), 0.2), (Bursts(0.2, 5, 10.0), 0.18)])
+@pytest.mark.parametrize(("kind", "probability"), [("mixture", 0.2), ("bursts", 0.18)])
 def test_labels_tell_which_samples_have_the_larger_noise(kind, probability):
-    scenario = draw("constant velocity", 4000, contamination=kind, rng=3)
+    scenario = draw("constant velocity", 4000, contamination={kind: {"probability": 0.2}}, rng=3)
     v = scenario.z - scenario.x @ scenario.model.H.T
     assert abs(scenario.is_outlier.mean() - probability) < 0.03
     assert abs(v[~scenario.is_outlier].std() - 1.0) < 0.05
@@ -79,9 +74,10 @@ def test_labels_tell_which_samples_have_the_larger_noise(kind, probability):
 
 
 def test_bursts_stuck_sensors_and_gaps_come_in_runs():
-    for kind, length in ((Bursts(0.05, 6), 6), ("stuck", 10), (Missing(0.05, 7), 7)):
-        scenario = draw("level", 2000, contamination=kind, rng=3)
-        marks = (scenario.is_missing if isinstance(kind, Missing) else scenario.is_outlier)[:, 0].astype(int)
+    for kind, length in (("bursts", 6), ("stuck", 10), ("missing", 7)):
+        options = {} if kind == "stuck" else {"probability": 0.05, "length": length}
+        scenario = draw("level", 2000, contamination={kind: options}, rng=3)
+        marks = (scenario.is_missing if kind == "missing" else scenario.is_outlier)[:, 0].astype(int)
         edges = np.flatnonzero(np.diff(np.r_[0, marks, 0]))
         runs = edges[1::2] - edges[::2]
         assert len(runs) > 3 and np.median(runs) == length
@@ -153,9 +149,9 @@ def test_noise_in_the_loop_stays_in_the_equation():
 
 def test_a_transfer_function_of_python_control_becomes_a_plant():
     system = control.tf([2.0], [1.0, -0.5, 0.0], True)
-    assert arx(system).structure == ARX(2, 1, 2)
-    np.testing.assert_array_equal(output_error(system, sigma=0.1).theta, [-0.5, 0.0, 2.0])
-    scenario = draw(output_error(system, sigma=0.1), 50, rng=1)
+    assert PLANTS["arx"](system).structure == ARX(2, 1, 2)
+    np.testing.assert_array_equal(PLANTS["output error"](system, sigma=0.1).theta, [-0.5, 0.0, 2.0])
+    scenario = draw(PLANTS["output error"](system, sigma=0.1), 50, rng=1)
     answer = control.forced_response(system, None, scenario.u).outputs
     np.testing.assert_allclose(scenario.y_clean, answer, atol=1e-12)
 
@@ -200,6 +196,8 @@ def test_the_label_knowing_tracker_is_least_squares_where_nothing_is_to_be_known
         (lambda: load(KalmanFilter(3, 1), MODELS["level"]()), ValueError, "expected dim_x=1, dim_z=1.* got dim_x=3"),
         (lambda: load(object(), MODELS["level"]()), TypeError, "kf: expected a filter"),
         (lambda: run_filter(KalmanFilter(3, 1), draw("level", 5, rng=0)), ValueError, "with 1 states"),
+        (lambda: draw("level", 5, contamination={"bursts": {"size": 3}}), ValueError, "'length'.*got 'size'"),
+        (lambda: draw("level", 5, contamination={"stuck": {"scale_ratio": 3}}), ValueError, "contamination 'stuck'"),
         (lambda: FilterRun(np.zeros((3, 1)), np.ones((4, 1, 1))), ValueError, "S: expected shape"),
         (lambda: FilterRun(np.zeros((3, 1)), np.ones((3, 1, 1)), np.zeros((3, 2)), truth=np.zeros((4, 2))), ValueError,
          r"truth: expected shape \(3, 2\)"),

@@ -14,15 +14,21 @@ PLAIN = ("robust", "nan", "validates")
 WRONG_FILTERS = []
 
 
-def wrong(*caught_by, not_claimed=PLAIN):
-    """Put a class among the wrong ones."""
+def enlisting(register, plain):
+    """Return a decorator that puts a class on a list of wrong ones, with the checks that catch it."""
 
-    def enlist(cls):
-        cls.caught_by, cls.not_claimed = caught_by, tuple(not_claimed)
-        WRONG_FILTERS.append(cls)
-        return cls
+    def wrong(*caught_by, not_claimed=plain):
+        def enlist(cls):
+            cls.caught_by, cls.not_claimed = caught_by, tuple(not_claimed)
+            register.append(cls)
+            return cls
 
-    return enlist
+        return enlist
+
+    return wrong
+
+
+wrong = enlisting(WRONG_FILTERS, PLAIN)
 
 
 class Textbook:

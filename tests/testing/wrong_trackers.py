@@ -6,20 +6,11 @@ import copy
 import math
 
 import numpy as np
+from wrong_filters import enlisting
 
 PLAIN = ("robust", "validates")
 WRONG_TRACKERS = []
-
-
-def wrong(*caught_by, not_claimed=PLAIN):
-    """Put a class among the wrong ones."""
-
-    def enlist(cls):
-        cls.caught_by, cls.not_claimed = caught_by, tuple(not_claimed)
-        WRONG_TRACKERS.append(cls)
-        return cls
-
-    return enlist
+wrong = enlisting(WRONG_TRACKERS, PLAIN)
 
 
 class LeastSquares:

@@ -11,7 +11,8 @@ from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.prediction_error import minimised, sandwich
 from robust_filterpy.identification.models.findings import Finding
-from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
+from robust_filterpy.identification.models.grey_box import GreyBox
+from robust_filterpy.identification.models.grey_box_model import GreyBoxModel
 from robust_filterpy.identification.models.grey_box_recording import grey_recording
 from robust_filterpy.identification.models.grey_box_residuals import GreyRecording, GreyResiduals
 from robust_filterpy.identification.models.learnt_noise import Noise

@@ -28,7 +28,8 @@ from robust_filterpy.identification.estimation.recordings import Recordings, rec
 from robust_filterpy.identification.estimation.several import of_several
 from robust_filterpy.identification.estimation.state_space import identified_state_space
 from robust_filterpy.identification.models.findings import Finding, said
-from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
+from robust_filterpy.identification.models.grey_box import GreyBox
+from robust_filterpy.identification.models.grey_box_model import GreyBoxModel
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.signals import operating_point
 from robust_filterpy.identification.models.state_space import StateSpaceModel

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.estimation.cleaning import Cleaned, cleaned
-from robust_filterpy.identification.models.grey_box import GreyBoxModel
+from robust_filterpy.identification.models.grey_box_model import GreyBoxModel
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.signals import recorded_output

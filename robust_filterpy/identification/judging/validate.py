@@ -16,7 +16,7 @@ from robust_filterpy._pictures import drawn
 from robust_filterpy.identification.judging.judged import Judged, any_model, signals_for
 from robust_filterpy.identification.judging.score import Portmanteau, Score, covariances, delayed
 from robust_filterpy.identification.models.fit import ordinary_fit, ordinary_samples
-from robust_filterpy.identification.models.grey_box import GreyBoxModel
+from robust_filterpy.identification.models.grey_box_model import GreyBoxModel
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.state_space import StateSpaceModel
 from robust_filterpy.identification.models.time_axis import table

@@ -12,7 +12,8 @@
   and responses.
 * `noise_of_outputs`: noise of each of them.
 * `continuous`: the system in continuous time whose samples a model gives.
-* `grey_box`, `grey_box_recording`, `grey_box_residuals`: physical models in continuous time.
+* `grey_box`, `grey_box_model`, `grey_box_recording`, `grey_box_residuals`: equations in continuous time, and the model
+  that is found.
 * `prediction`: predictions through outliers.
 * `learnt_noise`: the noise that residuals show.
 * `model`: what `identify` returns.
@@ -20,7 +21,7 @@
 * `findings`: what a recording has beside a model: fill values, level steps, ..
 * `dependence`: what is left of a model that follows its inputs.
 * `fit`: how well a model agrees with a recording.
-* `responses`: responses, poles and zeros of a model or tracker, as `response_records`, and how sure it is of them, by
+* `responses`: responses, poles and zeros of a model or tracker, as `response_records`; with bands by `banded` and
   `uncertainty`.
 * `estimated`: what anything with parameters tells of them: intervals, a table, a transfer function.
 * `results`, `summary`: what trackers return, and parameters as a table.

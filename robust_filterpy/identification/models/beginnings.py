@@ -110,20 +110,21 @@ def filled_memory(model: PolynomialModel, p: Array) -> Memory:
     Memory
     """
     structure, layout = model.structure, Layout(model.structure)
-    memory, n, level = Memory(layout), structure.n_theta, resting_level(model.parts(p))
-    alone, residual = model.undisturbed(p), model.residuals(p)
-    _, memory.inputs = memory.regressors(layout, model.u)
-    disturbance = model.equation_error(p)
-    memory.outputs = np.concatenate((_newest(level - model.y, layout.na), _newest(-disturbance, layout.nd)))
-    memory.undisturbed = _newest(-alone, layout.nf)
+    n, level, disturbance = structure.n_theta, resting_level(model.parts(p)), model.equation_error(p)
     without_noise = p.copy()
     without_noise[layout.c] = without_noise[layout.d] = 0.0
     chi = -model.jacobian(without_noise)[:, :n] * layout.precedes_noise
-    memory.prefiltered = _newest(chi, len(memory.prefiltered))
-    memory.measured = memory.outputs
-    memory.residuals = _newest(residual, layout.nc)
-    memory.gradients = _newest(-model.jacobian(p)[:, :n], layout.nc)
-    return memory
+    rest = Memory.at_rest(layout)
+    outputs = np.concatenate((_newest(level - model.y, layout.na), _newest(-disturbance, layout.nd)))
+    return Memory(
+        outputs=outputs,
+        measured=outputs,
+        inputs=rest.regressors(layout, model.u)[1],
+        residuals=_newest(model.residuals(p), layout.nc),
+        undisturbed=_newest(-model.undisturbed(p), layout.nf),
+        prefiltered=_newest(chi, len(rest.prefiltered)),
+        gradients=_newest(-model.jacobian(p)[:, :n], layout.nc),
+    )
 
 
 def _newest(signal: Array, count: int) -> Array:

@@ -29,6 +29,19 @@ def coefficients(structure: Structure, theta: Array) -> Any:
     return Coefficients(f if structure.form == "OutputError" else a, first, c)
 
 
+def denominator(structure: Structure, theta: Array) -> Array:
+    """Return A F, its leading 1 too."""
+    a, f = (np.concatenate(([1.0], theta[part])) for part in (structure.polynomials.a, structure.polynomials.f))
+    return np.convolve(a, f)
+
+
+def poles(structure: Structure, theta: Array) -> Any:
+    """Return the roots of A and F."""
+    return np.concatenate(
+        [np.roots([1.0, *theta[part]]) for part in (structure.polynomials.a, structure.polynomials.f)]
+    )
+
+
 def transfer_function(structure: Structure, theta: Array, dt: Any) -> Any:
     """Return B/(A F) as a control.TransferFunction."""
     import control
@@ -39,17 +52,12 @@ def transfer_function(structure: Structure, theta: Array, dt: Any) -> Any:
         raise ValueError(f"{structure}: expected a model with an input, this one has no transfer function")
     if dt is not True and not (_is_number(dt) and 0.0 < dt < math.inf):
         raise ValueError(f"dt: expected a sampling period > 0 in s, or True, got {dt!r}")
-    places, numerators, denominators = structure.polynomials, [], []
-    a, f = (np.concatenate(([1.0], theta[place])) for place in (places.a, places.f))
-    a = np.convolve(a, f)[1:]
-    for place, (nb, nk) in zip(places.b, structure.inputs, strict=True):
-        degree = max(a.size, nk + nb - 1) if nb else a.size
-        numerator, denominator = np.zeros(degree + 1), np.zeros(degree + 1)
+    whole, numerators, denominators = denominator(structure, theta), [], []
+    for place, (nb, nk) in zip(structure.polynomials.b, structure.inputs, strict=True):
+        numerator = np.zeros(max(whole.size, nk + nb) if nb else whole.size)
         numerator[nk : nk + nb] = theta[place]
-        denominator[0] = 1.0
-        denominator[1 : a.size + 1] = a
         numerators.append(numerator if numerator.any() else np.zeros(1))
-        denominators.append(denominator)
+        denominators.append(np.pad(whole, (0, numerator.size - whole.size)))
     return control.tf([numerators], [denominators], dt)
 
 

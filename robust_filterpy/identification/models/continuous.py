@@ -10,6 +10,7 @@ from scipy.linalg import logm
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
+from robust_filterpy.identification.models import coefficients
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.time_axis import table
 from robust_filterpy.identification.models.uncertainty import Regions, regions
@@ -82,9 +83,7 @@ class ContinuousModel:
         ImportError
             If pandas is not installed.
         """
-        std = np.sqrt(np.maximum(np.diagonal(self.poles.covariance, axis1=1, axis2=2), 0.0))
-        columns = {"real": self.poles.values.real, "imag": self.poles.values.imag}
-        columns |= {"std_real": std[:, 0], "std_imag": std[:, 1], "time_constant": self.time_constants}
+        columns = self.poles.columns() | {"time_constant": self.time_constants}
         return table(columns, range(1, len(self.A) + 1), "pole")
 
 
@@ -157,15 +156,13 @@ def realized(structure: Structure, theta: Array) -> tuple[tuple[Array, Array, Ar
     """
     if structure.takes_phi or not structure.inputs:
         raise ValueError(f"{structure}: expected a model with an input, this one has no way from u to y")
-    places = structure.polynomials
-    first, second = (np.concatenate(([1.0], theta[part])) for part in (places.a, places.f))
-    a = np.convolve(first, second)[1:]
+    a = coefficients.denominator(structure, theta)[1:]
     n, m = a.size, structure.n_inputs
     A, B, D = np.zeros((n, n)), np.zeros((n, m)), np.zeros((1, m))
     if n:
         A[:, 0], A[: n - 1, 1:] = -a, np.eye(n - 1)
     delays = []
-    for i, (place, (nb, nk)) in enumerate(zip(places.b, structure.inputs, strict=True)):
+    for i, (place, (nb, nk)) in enumerate(zip(structure.polynomials.b, structure.inputs, strict=True)):
         least = min(nk, 1)
         b = np.zeros(n + 1)
         if least + nb > n + 1:

@@ -10,7 +10,7 @@ from scipy.stats import f as fisher
 from robust_filterpy._checks import Array
 from robust_filterpy.influence.regression import mad_scale
 
-__all__ = ["SHARE", "Dependence", "autocovariances", "dependence", "whitening_of"]
+__all__ = ["SHARE", "Dependence", "autocovariances", "dependence", "level_and_scale", "whitening_of"]
 
 # A residual follows u if that much of it does, and a model that is right shows as much in so few windows.
 SHARE: Final = 0.25
@@ -75,8 +75,7 @@ def dependence(
     known = ~np.isnan(r)
     count = known.sum(axis=-1)
     r = np.where(known, r, 0.0)
-    level = _median(r, known)
-    scale = 1.4826 * _median(np.abs(r - level[..., None]), known)
+    level, scale = level_and_scale(r, known)
     clipped = np.where(known, np.clip(r - level[..., None], -_CLIP * scale[..., None], _CLIP * scale[..., None]), 0.0)
     weight = known / np.maximum(count, 1)[..., None]
     clipped = np.where(known, clipped - (clipped * weight).sum(axis=-1)[..., None], 0.0)
@@ -131,6 +130,26 @@ def autocovariances(residuals: Array) -> Array:
     scale = mad_scale(residuals[known] - level) if known.any() else 0.0
     e = np.where(known, np.clip((residuals - level) / (scale or 1.0), -_CLIP, _CLIP), 0.0)
     return np.array([e[j:] @ e[: e.size - j] for j in range(3)]) / e.size
+
+
+def level_and_scale(values: Array, known: Any) -> tuple[Array, Array]:
+    """Return the median of known values along the last axis, and their standard deviation by the median deviation.
+
+    Both are 0 where none is known.
+
+    Parameters
+    ----------
+    values : ndarray, shape (.., n)
+        Any number where it is not known.
+    known : ndarray of bool, shape (.., n)
+        Which values count.
+
+    Returns
+    -------
+    level, scale : ndarray, shape (..)
+    """
+    level = _median(values, known)
+    return level, 1.4826 * _median(np.abs(values - level[..., None]), known)
 
 
 def _median(values: Array, known: Any) -> Array:

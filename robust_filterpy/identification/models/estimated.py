@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from robust_filterpy._brief import wrapped
+from robust_filterpy._checks import Array
 from robust_filterpy.identification.models import coefficients
 from robust_filterpy.identification.models.results import Intervals, intervals
 from robust_filterpy.identification.models.structures import Structure
@@ -20,7 +23,17 @@ class Estimated:
     """Parameters with standard deviations: a model, a tracker, physics."""
 
     theta: Any
-    std: Any
+    P: Any
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations of the parameters, shape (n,)."""
+        return np.sqrt(np.maximum(np.diagonal(self.P), 0.0))
+
+    def _valued(self, names: tuple[str, ...]) -> str:
+        """Return the parameters with their standard deviations, as a line shows them."""
+        each = zip(names, self.theta, self.std, strict=True)
+        return ", ".join(f"{name}={value:.4g}+-{std:.2g}" for name, value, std in each)
 
     def __str__(self) -> str:
         """Return what `repr` says, on lines that a screen holds."""

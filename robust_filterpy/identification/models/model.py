@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -137,8 +138,7 @@ class Model(EstimatedPolynomials, Responses):
 
     def __repr__(self) -> str:
         """Show the parameters with their standard deviations."""
-        values = zip(self.structure.names, self.theta, self.std, strict=True)
-        text = ", ".join(f"{name}={value:.4g}+-{std:.2g}" for name, value, std in values)
+        text = self._valued(self.structure.names)
         found = f"; found: {said(self.findings)}" if self.findings else ""
         return f"Model({self.structure}, {text}, offset={self.offset:.4g}, R={self.R:.4g}){found}"
 
@@ -148,11 +148,6 @@ class Model(EstimatedPolynomials, Responses):
     def R(self) -> float:
         """Variance of the ordinary noise, in the unit of y squared."""
         return self.noise.R
-
-    @property
-    def std(self) -> Array:
-        """Standard deviations of the parameters, shape (n,)."""
-        return np.sqrt(np.maximum(self.P.diagonal(), 0.0))
 
     @property
     def parts(self) -> Parts:
@@ -214,11 +209,7 @@ class Model(EstimatedPolynomials, Responses):
             time has its samples.
         """
         matrices, delays = realized(self.structure, self.theta)
-        places = self.structure.polynomials
-
-        def roots(theta: Array) -> Any:
-            return np.concatenate([np.roots([1.0, *theta[part]]) for part in (places.a, places.f)])
-
+        roots = partial(coefficients.poles, self.structure)
         return continuous(matrices, delays, self.dt if dt is None else dt, self.theta, self.P, roots, level)
 
     # Its outputs.
@@ -265,7 +256,8 @@ class Model(EstimatedPolynomials, Responses):
         layout = Layout(self.structure)
         if self.operating_point.any() and isinstance(start, str) and start == "rest":
             # From the start: an input of 1e8 beside which there is motion of 1 is not switched on in the first sample.
-            y = coefficients.simulate(self.structure, layout, Memory(layout), self.theta, signal - self.operating_point)
+            signal = signal - self.operating_point
+            y = coefficients.simulate(self.structure, layout, Memory.at_rest(layout), self.theta, signal)
             return axis.series(y + (self.level + float(self._gain @ self.operating_point)), "simulated")
         y = coefficients.simulate(self.structure, layout, self._memory_at(start, layout), self.theta, signal)
         integrates = self.level == 0.0 != self.offset
@@ -451,7 +443,7 @@ class Model(EstimatedPolynomials, Responses):
             _, y, u = self._recording(*start)
             return filled_memory(*motion_after(self, y, u))
         if _checks.option("start", start, ("rest", "continued")) == "rest":
-            return Memory(layout)
+            return Memory.at_rest(layout)
         if np.isnan(self.weights).all():
             raise ValueError('start: expected a model that has seen a recording for "continued", got one that has none')
         return self.memory

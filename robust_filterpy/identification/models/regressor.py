@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -88,8 +88,8 @@ class Layout:
         }
 
 
-class Memory:
-    """Past signals, newest first.
+class Memory(NamedTuple):
+    """Past signals, newest first; those of many actuators have an axis in front.
 
     ``outputs`` holds -y and then -d, the disturbances, as they stand in phi, and ``measured`` the same with the outputs
     as they were measured. ``undisturbed`` is -w, what the inputs do, and ``inputs`` has the newest input too.
@@ -97,38 +97,34 @@ class Memory:
     ``gradients`` one that went through D_hat/C_hat too.
     """
 
-    __slots__ = ("gradients", "inputs", "measured", "outputs", "prefiltered", "residuals", "undisturbed")
+    outputs: Array
+    measured: Array
+    inputs: Array
+    residuals: Array
+    undisturbed: Array
+    prefiltered: Array
+    gradients: Array
 
-    def __init__(self, layout: Layout, past: dict[str, Array] | None = None) -> None:
-        """Start at rest, or from the past signals."""
-        self.outputs: Array
-        self.inputs: Array
-        self.residuals: Array
-        self.gradients: Array
-        self.measured: Array
-        self.undisturbed: Array
-        self.prefiltered: Array
-        if past is None:
-            past = {name: np.zeros(shape) for name, shape in layout.shapes().items()}
-        for name, value in past.items():
-            setattr(self, name, value)
+    @classmethod
+    def at_rest(cls, layout: Layout, *axes: int) -> Memory:
+        """Return the memory of what has seen nothing."""
+        return cls(**{name: np.zeros((*axes, *shape)) for name, shape in layout.shapes().items()})
 
     def with_input(self, layout: Layout, u: Array) -> Array:
         """Return what ``inputs`` becomes with the next input."""
         inputs = np.empty_like(self.inputs)
-        inputs[1:] = self.inputs[:-1]
-        inputs[layout.starts] = u[layout.used]
+        inputs[..., 1:] = self.inputs[..., :-1]
+        inputs[..., layout.starts] = u[..., layout.used]
         return inputs
 
     def regressor(self, layout: Layout, inputs: Array) -> Array:
-        """Return phi as a row, shape (1, n)."""
-        H = np.empty((1, layout.n))
-        phi = H[0]
-        phi[layout.outputs] = self.outputs
-        phi[layout.inputs_in_phi] = inputs[layout.picks]
-        phi[layout.f] = self.undisturbed
-        phi[layout.c] = self.residuals
-        return H
+        """Return phi, shape (.., n)."""
+        phi = np.empty((*inputs.shape[:-1], layout.n))
+        phi[..., layout.outputs] = self.outputs
+        phi[..., layout.inputs_in_phi] = inputs[..., layout.picks]
+        phi[..., layout.f] = self.undisturbed
+        phi[..., layout.c] = self.residuals
+        return phi
 
     def regressors(self, layout: Layout, u: Array) -> tuple[Array, Array]:
         """Return phi of a recording, shape (N, n), with its inputs alone filled in, and ``inputs`` at its end."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ from scipy.signal import lfilter
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
+from robust_filterpy.identification.models import coefficients
+from robust_filterpy.identification.models.banded import Banded
 from robust_filterpy.identification.models.guard import is_stable
 from robust_filterpy.identification.models.response_records import FrequencyResponse, NoiseSpectrum, StepResponse
 from robust_filterpy.identification.models.structures import Structure
@@ -18,18 +21,11 @@ from robust_filterpy.identification.models.uncertainty import Regions, bands, re
 __all__ = ["Responses"]
 
 
-class Responses:
+class Responses(Banded):
     """What anything with a structure, theta and P tells of its responses: a `Model`, a `ParameterTracker`."""
 
     structure: Structure
-    theta: Any
-    P: Any
     R: Any
-    dt: float | None
-
-    def _period(self, dt: Any) -> float:
-        """Return the sampling period that was asked for, else that of the recording, else 1."""
-        return (self.dt or 1.0) if dt is None else _checks.positive("dt", dt)
 
     @property
     def _noise_samples(self) -> float:
@@ -77,29 +73,8 @@ class Responses:
         True
         """
         _require_input(self.structure, "frequency response; noise_spectrum(omega) has that of the noise")
-        w, period = _frequencies(omega, self._period(dt))
-        delays = np.exp(-1j * period * w)
-        center = _transfer(self.structure, np.asarray(self.theta)[None], delays)[0]
-        divisor = np.where(center == 0.0, 1.0, center)
-
-        def logarithm(thetas: Array) -> Array:
-            # An input without coefficients does nothing for any theta.
-            ratio = np.where(center == 0.0, 1.0, _transfer(self.structure, thetas, delays) / divisor)
-            return np.stack((np.log(np.abs(ratio)), np.angle(ratio)), axis=1)
-
-        with np.errstate(divide="ignore", invalid="ignore"):
-            band = bands(self._stable, self.theta, self.P, logarithm, level, rng)
-        (small, left), (large, right) = band[0], band[1]
-        phase = np.unwrap(np.angle(center), axis=-1)
-        size = np.abs(center)
-        sampled = band[2].any(axis=0)
-        values = (
-            center, size, size * np.exp(small), size * np.exp(large), phase, phase + left, phase + right, sampled
-        )  # fmt: skip
-        response, middle, lowest, highest, angle, least, most, curved = (_squeezed(value) for value in values)
-        return FrequencyResponse(
-            w, response, middle, lowest, highest, angle, least, most, float(level), period, curved
-        )  # fmt: skip
+        w, period, delays = self._frequencies(omega, dt)
+        return self._banded_frequencies(lambda rows: _transfer(self.structure, rows, delays), w, period, level, rng)
 
     def step_response(
         self, steps: int = 50, level: float = 0.95, dt: float | None = None, rng: Any = None
@@ -128,17 +103,7 @@ class Responses:
         """
         _require_input(self.structure, "step response")
         length, period = _checks.count("steps", steps, 1), self._period(dt)
-
-        def steps_of(thetas: Array) -> Array:
-            return np.array([_steps(self.structure, theta, length) for theta in thetas])
-
-        lower, upper, sampled = bands(self._stable, self.theta, self.P, steps_of, level, rng)
-        center = _steps(self.structure, np.asarray(self.theta), length)
-        values = (_squeezed(value) for value in (center, center + lower, center + upper))
-        response, lowest, highest = values
-        return StepResponse(
-            period * np.arange(length, dtype=float), response, lowest, highest, float(level), _squeezed(sampled)
-        )  # fmt: skip
+        return self._banded_steps(lambda rows: _steps(self.structure, rows, length), length, period, level, rng)
 
     def noise_spectrum(
         self, omega: ArrayLike, level: float = 0.95, dt: float | None = None, rng: Any = None
@@ -165,8 +130,7 @@ class Responses:
         ValueError
             If a frequency, level or dt does not fit.
         """
-        w, period = _frequencies(omega, self._period(dt))
-        delays, places = np.exp(-1j * period * w), self.structure.polynomials
+        (w, period, delays), places = self._frequencies(omega, dt), self.structure.polynomials
         # R is known as well as a variance from so many samples.
         n, spread = len(self.theta), 2.0 / self._noise_samples
         joint = np.zeros((n + 1, n + 1))
@@ -201,12 +165,8 @@ class Responses:
             If the regressor is the caller's, or level is no probability.
         """
         _require_polynomials(self.structure)
-        places = self.structure.polynomials
-
-        def poles(theta: Array) -> Array:
-            return np.concatenate([np.roots([1.0, *theta[part]]) for part in (places.a, places.f)])
-
-        return regions(np.asarray(self.theta), np.asarray(self.P), poles, level, rng)
+        roots = partial(coefficients.poles, self.structure)
+        return regions(np.asarray(self.theta), np.asarray(self.P), roots, level, rng)
 
     def zeros(self, level: float = 0.95, rng: Any = None, input: int = 0) -> Regions:
         """Return the zeros of the way from one input to y, the roots of its B, with regions.
@@ -256,21 +216,15 @@ def _transfer(structure: Structure, thetas: Array, delays: Any) -> Any:
     return np.stack(ways, axis=1)
 
 
-def _steps(structure: Structure, theta: Array, length: int) -> Array:
-    """Return the step responses, shape (n_inputs, length)."""
-    places = structure.polynomials
-    a, f = (np.concatenate(([1.0], theta[part])) for part in (places.a, places.f))
-    denominator = np.convolve(a, f)
-    ways = [
-        lfilter(np.concatenate((np.zeros(nk), theta[place], np.zeros(int(not nb)))), denominator, np.ones(length))
-        for place, (nb, nk) in zip(places.b, structure.inputs, strict=True)
-    ]
-    return np.array(ways)
-
-
-def _squeezed(rows: Any) -> Any:
-    """Return the only row, where there is one input."""
-    return rows[0] if len(rows) == 1 else rows
+def _steps(structure: Structure, thetas: Array, length: int) -> Array:
+    """Return the step responses of each row of theta, shape (m, n_inputs, length)."""
+    found, orders = np.empty((len(thetas), structure.n_inputs, length)), structure.inputs
+    for row, theta in zip(found, thetas, strict=True):
+        denominator = coefficients.denominator(structure, theta)
+        for i, (place, (nb, nk)) in enumerate(zip(structure.polynomials.b, orders, strict=True)):
+            numerator = np.concatenate((np.zeros(nk), theta[place], np.zeros(int(not nb))))
+            row[i] = lfilter(numerator, denominator, np.ones(length))
+    return found
 
 
 # Checks.
@@ -287,15 +241,3 @@ def _require_polynomials(structure: Structure) -> None:
     """Raise unless the parameters are those of polynomials."""
     if structure.takes_phi:
         raise ValueError(f"{structure}: expected a model with polynomials, this one has a regressor of the caller's")
-
-
-def _frequencies(omega: ArrayLike, period: float) -> tuple[Array, float]:
-    """Return frequencies, shape (n,), and the sampling period, or raise."""
-    w = np.atleast_1d(_checks.numbers("omega", omega))
-    highest = np.pi / period
-    if w.ndim != 1 or not w.size or not ((w >= 0.0) & (w <= highest * (1.0 + 1e-9))).all():
-        raise ValueError(
-            f"omega: expected frequencies of shape (n,) from 0 to pi/dt = {highest:.4g} rad/s, "
-            f"got {_checks.described(w) if w.size != 1 else w.item()}"
-        )
-    return w, period

@@ -100,10 +100,6 @@ class SeveralRecordings(PolynomialModel):
             found[rows, self._places[i]] = model.jacobian(q)
         return found
 
-    def uncertainty(self, p: Array) -> tuple[Array, Array]:
-        """Return further residuals for what is uncertain about y, and their derivatives: none."""
-        return np.zeros(0), np.zeros((0, self.n))
-
     def joined(self, missing: Any) -> tuple[PolynomialModel, Any]:
         """Return all recordings as one, with gaps between them, and where its output is missing."""
         space = max(_BETWEEN, self.first + 1)

@@ -120,9 +120,8 @@ class StateSpaceModel(StateSpaceSystem):
             If pandas is not installed.
         """
         found = self.poles()
-        std = np.sqrt(np.maximum(np.diagonal(found.covariance, axis1=1, axis2=2), 0.0))
         columns = {"real": found.values.real, "imag": found.values.imag, "size": np.abs(found.values)}
-        return table({**columns, "std_real": std[:, 0], "std_imag": std[:, 1]}, range(1, len(self.A) + 1), "pole")
+        return table(columns | found.columns(), range(1, len(self.A) + 1), "pole")
 
     def simulate(self, u: ArrayLike, start: Any = "rest") -> Array:
         """Run the model on inputs alone.
@@ -181,9 +180,8 @@ class StateSpaceModel(StateSpaceSystem):
             If they do not fit, or steps is no positive integer.
         """
         steps = _checks.count("steps", steps, 1)
-        axis, y, u = self._recording(y, u)
-        measured, signal = self.checked(y, u)
-        return self._labelled(axis, self._ahead(*self.started(measured, signal), signal, steps))
+        axis, _, found = self._from(y, u, steps)
+        return self._labelled(axis, found)
 
     def free_run(self, y: ArrayLike, u: ArrayLike) -> Array:
         """Compute the outputs from inputs alone, beginning with the state that y tells.
@@ -204,9 +202,8 @@ class StateSpaceModel(StateSpaceSystem):
         ValueError
             If they do not fit.
         """
-        axis, y, u = self._recording(y, u)
-        measured, signal = self.checked(y, u)
-        return self._labelled(axis, self._ahead(*self.started(measured, signal, True), signal, 1))
+        axis, _, found = self._from(y, u, alone=True)
+        return self._labelled(axis, found)
 
     def residuals(self, y: ArrayLike, u: ArrayLike) -> Array:
         """Return measured less predicted outputs.
@@ -228,9 +225,8 @@ class StateSpaceModel(StateSpaceSystem):
         ValueError
             If they do not fit.
         """
-        axis, y, u = self._recording(y, u)
-        measured, signal = self.checked(y, u)
-        return self._labelled(axis, measured - self._ahead(*self.started(measured, signal), signal, 1))
+        axis, measured, found = self._from(y, u)
+        return self._labelled(axis, measured - found)
 
     def fit(self, y: ArrayLike, u: ArrayLike) -> Array:
         """Compute how well the model's output, from inputs alone, agrees with a recording.
@@ -252,9 +248,8 @@ class StateSpaceModel(StateSpaceSystem):
         ValueError
             If they do not fit, or an output is constant.
         """
-        _, y, u = self._recording(y, u)
-        measured, signal = self.checked(y, u)
-        return np.atleast_1d(fit_percent(measured, self._ahead(*self.started(measured, signal, True), signal, 1)))
+        _, measured, found = self._from(y, u, alone=True)
+        return np.atleast_1d(fit_percent(measured, found))
 
     def checked(self, y: Any, u: Any) -> tuple[Array, Array]:
         """Return outputs, NaN where they are missing or filled, and inputs from their operating point.
@@ -336,9 +331,12 @@ class StateSpaceModel(StateSpaceSystem):
         """Return the free parameters with a start."""
         return np.concatenate((self.theta, self.level, x))
 
-    def _ahead(self, model: StateSpaceResiduals, q: Array, u: Array, steps: int) -> Array:
-        """Return the outputs predicted so many samples ahead."""
+    def _from(self, y: Any, u: Any, steps: int = 1, alone: bool = False) -> tuple[TimeAxis, Array, Array]:
+        """Return the time axis of a recording, its outputs, and those predicted so many samples ahead."""
+        axis, y, u = self._recording(y, u)
+        measured, signal = self.checked(y, u)
+        model, q = self.started(measured, signal, alone)
         x = model.states(q, 0)[:-1]
-        for _ in range(min(steps, len(u)) - 1):
-            x = np.concatenate((x[:1], x[:-1] @ self.A.T + u[:-1] @ self.B.T))
-        return np.asarray(x @ self.C.T + u @ self.D.T + self.level)
+        for _ in range(min(steps, len(signal)) - 1):
+            x = np.concatenate((x[:1], x[:-1] @ self.A.T + signal[:-1] @ self.B.T))
+        return axis, measured, np.asarray(x @ self.C.T + signal @ self.D.T + self.level)

@@ -10,10 +10,11 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.models import coefficients
+from robust_filterpy.identification.models.banded import Banded
 from robust_filterpy.identification.models.continuous import ContinuousModel, continuous
 from robust_filterpy.identification.models.response_records import FrequencyResponse, StepResponse
 from robust_filterpy.identification.models.state_space_structure import StateSpace
-from robust_filterpy.identification.models.uncertainty import Regions, bands, regions
+from robust_filterpy.identification.models.uncertainty import Regions, regions
 
 if TYPE_CHECKING:
     import control
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["StateSpaceSystem"]
 
 
-class StateSpaceSystem:
+class StateSpaceSystem(Banded):
     """What anything with matrices A, B, C, D, K and the covariance of their entries tells of its responses."""
 
     structure: StateSpace
@@ -30,8 +31,6 @@ class StateSpaceSystem:
     C: Array
     D: Array
     K: Array
-    P: Array
-    dt: float | None
 
     @property
     def theta(self) -> Array:
@@ -159,31 +158,16 @@ class StateSpaceSystem:
         ValueError
             If an argument is out of range.
         """
-        period = (self.dt or 1.0) if dt is None else _checks.positive("dt", dt)
-        w = np.atleast_1d(_checks.numbers("omega", omega))
-        if w.ndim != 1 or not ((w >= 0.0) & (w <= np.pi / period * (1.0 + 1e-9))).all():
-            raise ValueError(f"omega: expected frequencies from 0 to pi/dt = {np.pi / period:.4g} rad/s")
-        which, z = self._output(output), np.exp(1j * period * w)
+        (w, period, delays), which = self._frequencies(omega, dt), self._output(output)
 
         def response(theta: Array) -> Any:
             A, B, C, D = self._matrices(theta)
-            shifted = z[:, None, None] * np.eye(len(A)) - A
-            return (C[which] @ np.linalg.solve(shifted, np.broadcast_to(B, (z.size, *B.shape))) + D[which]).T
+            shifted = np.eye(len(A)) / delays[:, None, None] - A
+            return (C[which] @ np.linalg.solve(shifted, np.broadcast_to(B, (w.size, *B.shape))) + D[which]).T
 
-        center = response(self.theta)
-
-        def logarithm(thetas: Array) -> Array:
-            ratio = np.array([response(theta) for theta in thetas]) / np.where(center == 0.0, 1.0, center)
-            return np.stack((np.log(np.abs(ratio)), np.angle(ratio)), axis=1)
-
-        with np.errstate(divide="ignore", invalid="ignore"):
-            low, high, sampled = bands(self._stable, self.theta, self.P, logarithm, level, rng)
-        size, phase = np.abs(center), np.unwrap(np.angle(center), axis=-1)
-        one = _squeezed
-        return FrequencyResponse(
-            w, one(center), one(size), one(size * np.exp(low[0])), one(size * np.exp(high[0])), one(phase),
-            one(phase + low[1]), one(phase + high[1]), float(level), period, one(sampled.any(axis=0)),
-        )  # fmt: skip
+        return self._banded_frequencies(
+            lambda rows: np.array([response(theta) for theta in rows]), w, period, level, rng
+        )
 
     def step_response(
         self, steps: int = 50, output: int = 0, level: float = 0.95, dt: float | None = None, rng: Any = None
@@ -212,8 +196,7 @@ class StateSpaceSystem:
         ValueError
             If an argument is out of range.
         """
-        length, which = _checks.count("steps", steps, 1), self._output(output)
-        period = (self.dt or 1.0) if dt is None else _checks.positive("dt", dt)
+        length, which, period = _checks.count("steps", steps, 1), self._output(output), self._period(dt)
 
         def steps_of(thetas: Array) -> Array:
             found = np.empty((len(thetas), self.B.shape[1], length))
@@ -225,10 +208,7 @@ class StateSpaceSystem:
                     x = A @ x + B
             return found
 
-        center = steps_of(self.theta[None])[0]
-        low, high, sampled = bands(self._stable, self.theta, self.P, steps_of, level, rng)
-        one, time = _squeezed, period * np.arange(length, dtype=float)
-        return StepResponse(time, one(center), one(center + low), one(center + high), float(level), one(sampled))
+        return self._banded_steps(steps_of, length, period, level, rng)
 
     # Helpers.
 
@@ -249,8 +229,3 @@ class StateSpaceSystem:
     def _stable(self, theta: Array) -> bool:
         """Tell whether the model is stable for other parameters."""
         return bool(np.abs(np.linalg.eigvals(self._matrices(theta)[0])).max() < 1.0)
-
-
-def _squeezed(rows: Any) -> Any:
-    """Return the only row, where there is one input."""
-    return rows[0] if len(rows) == 1 else rows

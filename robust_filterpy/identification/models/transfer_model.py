@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -48,7 +49,7 @@ def as_model(name: str, given: Any, y: Any, u: Any) -> Model:
     axis.require_period(period)
     model = Model(
         structure, theta, 0.0, np.zeros((n, n)), 0.0, np.zeros(n), Noise(Huber(), 1.0), np.full(measured.size, np.nan),
-        np.nan, (), "", Memory(Layout(structure)), True, period,
+        np.nan, (), "", Memory.at_rest(Layout(structure)), True, period,
     )  # fmt: skip
     left = measured - model.simulate(signal)
     left = left[~np.isnan(left)]
@@ -56,7 +57,4 @@ def as_model(name: str, given: Any, y: Any, u: Any) -> Model:
         return model
     level = float(np.median(left))
     R = max(mad_scale(left - level) ** 2, np.finfo(float).tiny)
-    return Model(
-        structure, theta, level, model.P, 0.0, model.offset_covariance, Noise(Huber(), R), model.weights, np.nan, (),
-        "", model.memory, True, period,
-    )  # fmt: skip
+    return replace(model, offset=level, noise=Noise(Huber(), R))

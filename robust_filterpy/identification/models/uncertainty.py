@@ -54,12 +54,16 @@ class Regions:
     level: float
     sampled: Any
 
+    @property
+    def std(self) -> Array:
+        """Standard deviations of the real and the imaginary part, shape (k, 2)."""
+        return np.sqrt(np.maximum(np.diagonal(self.covariance, axis1=1, axis2=2), 0.0))
+
     def __repr__(self) -> str:
         """Show each value with the standard deviation of its real part, and of its imaginary part if it has one."""
-        std = np.sqrt(np.maximum(np.diagonal(self.covariance, axis1=1, axis2=2), 0.0))
         parts = [
             f"{value.real:.4g}+-{s[0]:.2g}" + (f" {value.imag:+.4g}i+-{s[1]:.2g}" if value.imag else "")
-            for value, s in zip(self.values, std, strict=True)
+            for value, s in zip(self.values, self.std, strict=True)
         ]
         return f"Regions({', '.join(parts)})"
 
@@ -76,9 +80,12 @@ class Regions:
         ImportError
             If pandas is not installed.
         """
-        std = np.sqrt(np.maximum(np.diagonal(self.covariance, axis1=1, axis2=2), 0.0))
-        columns = {"real": self.values.real, "imag": self.values.imag, "std_real": std[:, 0], "std_imag": std[:, 1]}
-        return table(columns)
+        return table(self.columns())
+
+    def columns(self) -> dict[str, Array]:
+        """Return the columns of `to_frame` by name."""
+        real, imag = self.std.T
+        return {"real": self.values.real, "imag": self.values.imag, "std_real": real, "std_imag": imag}
 
     def ellipses(self, points: int = 73) -> Any:
         """Return the boundaries of the regions.

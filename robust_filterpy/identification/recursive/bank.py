@@ -19,7 +19,7 @@ from robust_filterpy.identification.models.guard import GUARDS, Guard
 from robust_filterpy.identification.models.results import Columns
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.time_axis import recording
-from robust_filterpy.identification.recursive import bank_setup, setup, track
+from robust_filterpy.identification.recursive import bank_setup, held, setup, track
 from robust_filterpy.identification.recursive.bank_results import BankResult, BankSample
 from robust_filterpy.identification.recursive.recursion import GRADIENTS, Gradient, Regressor
 from robust_filterpy.identification.recursive.returning import Returning
@@ -135,7 +135,7 @@ class TrackerBank(Returning):
         scaling: Scaling | Sequence[Scaling] | None = None,
         information: Information | Sequence[Information] | None = None,
     ) -> None:
-        """Set up n filters and a memory at rest."""
+        """Set up n filters and a memory at rest; so many arguments, since they are those of a `ParameterTracker`."""
         self.n = n = _checks.count("n", n, 1)
         if not isinstance(structure, Structure):
             raise TypeError(f"structure: expected ARX(..), OutputError(..) or another structure, got {structure!r}")
@@ -159,7 +159,7 @@ class TrackerBank(Returning):
         first, covariance = np.zeros((n, size)), np.tile(100.0 * np.eye(size), (n, 1, 1))
         first[:, own], covariance[:, own[:, None], own] = values, spread
         self.Q = bank_setup.covariances("Q", Q, n, d)
-        self.F = bank_setup.transitions(F, n, d)
+        self.F = bank_setup.matrices("F", np.eye(d) if F is None else F, n, d).copy()
         self._forgetting = bank_setup.factors(forgetting, n)
         self._alpha_sq = (1.0 / np.sqrt(self._forgetting)) ** 2
         scale = np.tile(one.now.scale, (n, 1))
@@ -292,7 +292,8 @@ class TrackerBank(Returning):
             scaling=choices.scaling,
             information=choices.information,
         )
-        continued(tracker, self._settings(i), self._first.row(i), self._now.row(i), bool(self._enabled[i]))
+        initial, now = (whole.rows(np.array([i])) for whole in (self._first, self._now))
+        continued(tracker, self._settings(i), initial, now, bool(self._enabled[i]))
         return tracker
 
     # The recursion.
@@ -323,8 +324,8 @@ class TrackerBank(Returning):
         """
         outputs = bank_setup.outputs(y, self.n, False)
         inputs = bank_setup.inputs(self.structure, u, self.n)
-        variances = None if R is None else bank_setup.variances(R, self.n)[None]
-        signals = outputs[:, None], inputs[:, None], None if variances is None else variances.T
+        variances = None if R is None else bank_setup.variances(R, self.n)[:, None]
+        signals = outputs[:, None], inputs[:, None], variances
         now, out, news = track.advance(self.form, self._using(None), self._now, *signals)
         self._say(news)
         self._now = now
@@ -364,7 +365,7 @@ class TrackerBank(Returning):
         outputs = bank_setup.outputs(y, self.n, True)
         length = len(outputs)
         signal = bank_setup.inputs(self.structure, u, self.n, length)
-        noise = None if R is None else bank_setup.recorded_variances(R, self.n, length)
+        noise = None if R is None else bank_setup.variances(R, self.n, length)
         every = _every(keep, length)
         kept = np.arange(every - 1, length, every)
         columns = Columns.empty(kept.size, self.n, self.form.layout.n)
@@ -402,9 +403,10 @@ class TrackerBank(Returning):
 
     def _filter(self, i: int) -> Any:
         """Return a filter of one actuator, for the definition."""
-        kf = setup.make_filter(self.form.layout.n, None, {})
-        setup.choose(kf, self._choices[i if len(self._choices) > 1 else 0])
-        setup.apply_settings(kf, self._settings(i))
+        chosen = self._choices[i if len(self._choices) > 1 else 0]
+        choices = {name: getattr(chosen, name) for name in ("influence", "scaling", "information")}
+        kf = setup.make_filter(self.form.layout.n, None, choices)
+        held.apply_settings(kf, self._settings(i))
         return kf
 
     def _settings(self, i: int) -> dict[str, Array]:
@@ -426,8 +428,6 @@ class TrackerBank(Returning):
         """Return F or Q, which the user may have changed, with the axis (1 or n) in front."""
         own, size = self.form.own, self.form.layout.n
         found = bank_setup.matrices(name, getattr(self, name), self.n, len(own))
-        if not np.isfinite(found).all():
-            raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
         found = found[None] if found.ndim == 2 else found
         if size == len(own):
             return found

@@ -6,16 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from robust_filterpy import _checks
+from robust_filterpy import _checks, _state
 from robust_filterpy._checks import Array, described, numbers
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.identification.models.guard import are_stable
 from robust_filterpy.identification.models.regressor import LARGEST
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive import setup
-from robust_filterpy.identification.recursive.state import Form, require_plausible
-
-_ABSENT = "NaN in y is for a sample that is missing"
+from robust_filterpy.identification.recursive.returning import checked
+from robust_filterpy.identification.recursive.state import Form
 
 
 def actuators(where: np.ndarray) -> str:
@@ -94,29 +93,27 @@ def covariances(name: str, value: Any, n: int, d: int) -> Array:
     return np.stack([setup.covariance(f"{name}[{i}]", entry, d) for i, entry in enumerate(found)])
 
 
-def transitions(value: Any, n: int, d: int) -> Array:
-    """Return F, shape (d, d) or (n, d, d), or raise."""
-    if value is None:
-        return np.eye(d)
-    found = matrices("F", value, n, d)
-    return setup.finite("F", found).copy()
-
-
 def matrices(name: str, value: Any, n: int, d: int) -> Array:
     """Return square matrices, shape (d, d) or (n, d, d), or raise."""
     found = numbers(name, value)
     if found.shape not in ((d, d), (n, d, d)):
         raise ValueError(f"{name}: expected shape ({d}, {d}) or ({n}, {d}, {d}), got {described(found)}")
-    return found
+    return setup.finite(name, found)
 
 
-def variances(value: Any, n: int) -> Array:
-    """Return R of each actuator, shape (n,), or raise."""
+def variances(value: Any, n: int, length: int | None = None) -> Array:
+    """Return R of each actuator, shape (n,), or (length, n) of each sample of a recording too; or raise."""
     found = numbers("R", value)
-    if found.shape not in ((), (n,)):
-        raise ValueError(f"R: expected shape ({n},), or one variance for all, got {described(found)}")
-    found = np.broadcast_to(found, n)
-    require(f"R: expected variances > 0 ({_ABSENT})", _is_variance(found))
+    shapes = [(), (n,)] if length is None else [(), (length,), (length, n)]
+    if found.shape not in shapes:
+        raise ValueError(f"R: expected shape {shapes[-1]}, or {shapes[-2]} for all, got {described(found)}")
+    found = np.broadcast_to(found[:, None] if found.ndim < len(shapes[-1]) and found.ndim else found, shapes[-1])
+    good = (found > 0.0) & (found < np.inf)
+    if not good.all():
+        raise ValueError(
+            f"R: expected variances > 0 (NaN in y is for a sample that is missing), got {found[~good][0]}"
+            f"{_where(~good)}"
+        )
     return found
 
 
@@ -137,39 +134,26 @@ def require(sentence: str, good: Any) -> None:
 
 
 def checked_state(state: Any, form: Form, n: int) -> dict[str, Array]:
-    """Return the arrays of a bank's state, copied, or raise."""
-    layout, d, found = form.layout, len(form.own), {}
-    shapes = {name: (n, *shape) for name, shape in layout.shapes().items()}
-    shapes |= {"theta": (n, layout.n), "P": (n, layout.n, layout.n), "enabled": (n,), "R": (n,), "alpha_sq": (n,)}
-    shapes |= {"Q": (d, d), "F": (d, d), "recursion": (n, 7)}
-    ragged = {"start": (n, None, form.n_signals), "followed": (n, None, 1 + form.n_signals)}
-    optional = {"watch": (n, None), "kept": (n,), **ragged}
-    for name, shape in (shapes | {key: shape for key, shape in optional.items() if key in state}).items():
-        if name not in state:
-            raise ValueError(f"state: expected {name}, of shape {shape}, got none")
-        value = np.array(state[name], dtype=bool) if name == "enabled" else numbers(name, state[name]).copy()
-        wanted = tuple(size if size is not None else value.shape[k] for k, size in enumerate(shape[: value.ndim]))
-        if value.shape != wanted + shape[value.ndim :] and not (name in ("Q", "F") and value.shape == (n, d, d)):
-            raise ValueError(f"state: expected {name} of shape {shape}, got {value.shape}")
-        sentence, finite = f"state: expected finite numbers in {name}, got NaN or infinity", np.isfinite(value)
-        if name in ragged:
-            finite |= np.isnan(value)
-        if value.shape != (d, d) or name not in ("Q", "F"):
-            require(sentence, finite.reshape(n, -1).all(axis=1))
-        elif not finite.all():
-            raise ValueError(sentence)
-        found[name] = value
-    found.setdefault("start", np.zeros((n, 0, form.n_signals)))
-    for name in ("R", "alpha_sq"):
-        require(f"state: expected {name} > 0", found[name] > 0.0)
-    good = _checks.are_covariances(found["P"], _checks.GATHERED, _checks.ROUNDING)
-    require("state: expected a symmetric positive semidefinite P", good)
-    require_plausible(found)
-    require(
-        "state: expected theta of a stable model, got coefficients that feed back with roots outside the unit circle",
-        (form.guard == "none") | np.array([are_stable(row, layout.stable) for row in found["theta"]]),
-    )
-    return found
+    """Return the arrays of a bank's state, copied, or raise; the message names the actuators."""
+    d = len(form.own)
+    own = {name: (n, d, d) if name in state and np.ndim(state[name]) == 3 else (d, d) for name in ("Q", "F")}
+    optional = {"kept": (n,)} if "kept" in state else {}
+    try:
+        return checked(state, form, (n,), {"R": (n,), "alpha_sq": (n,), **own}, optional)
+    except _state.StateError as error:
+        refused = np.array([not _is_state(state, form, i, n) for i in range(n)])
+        raise _state.StateError(f"{error}{'' if refused.all() else f': {actuators(refused)}'}") from None
+
+
+def _is_state(state: Any, form: Form, i: int, n: int) -> bool:
+    """Tell whether what a state holds of one actuator is that of a tracker."""
+    whole = {name: np.asarray(state[name]) for name in state if name not in ("Q", "F")}
+    rows = {name: value[i] for name, value in whole.items() if value.shape[:1] == (n,)}
+    try:
+        checked(rows, form._replace(guard=form.guard[i : i + 1]), (), {"R": (), "alpha_sq": ()}, {})
+    except _state.StateError:
+        return False
+    return True
 
 
 # Samples.
@@ -211,22 +195,6 @@ def inputs(structure: Structure, u: Any, n: int, length: int | None = None) -> A
             f"{values[bad][0]}{_where(np.broadcast_to(bad, (*time, n)))}"
         )
     return np.broadcast_to(values, (*time, n, width))
-
-
-def recorded_variances(R: Any, n: int, length: int) -> Array:
-    """Return R of each sample and actuator, shape (N, n), or raise."""
-    found = numbers("R", R)
-    if found.shape not in ((), (length,), (length, n)):
-        raise ValueError(f"R: expected shape ({length}, {n}), or ({length},) for all, got {described(found)}")
-    found = np.broadcast_to(found[:, None] if found.ndim == 1 else found, (length, n))
-    if not (good := _is_variance(found)).all():
-        raise ValueError(f"R: expected variances > 0 ({_ABSENT}), got {found[~good][0]}{_where(~good)}")
-    return found
-
-
-def _is_variance(values: Array) -> np.ndarray:
-    """Tell which numbers are positive and finite."""
-    return (values > 0.0) & (values < np.inf)
 
 
 def _where(bad: np.ndarray) -> str:

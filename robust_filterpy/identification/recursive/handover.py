@@ -7,7 +7,7 @@ import numpy as np
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.regressor import Memory
 from robust_filterpy.identification.recursive.noise_scale import ordinary_mean
-from robust_filterpy.identification.recursive.state import WINDUP, Form, Past, State
+from robust_filterpy.identification.recursive.state import WINDUP, Form, State
 
 __all__ = ["gone_on"]
 
@@ -30,7 +30,8 @@ def gone_on(form: Form, now: State, i: int, model: Model) -> State:
     -------
     State
     """
-    structure, layout, row = form.structure, form.layout, now.row(i)
+    structure, layout, which = form.structure, form.layout, np.array([i])
+    row = now.rows(which)
     n, places, place = structure.n_theta, structure.polynomials, structure.constant_place
     x, P, memory, centre = model.theta, model.P, model.memory, float(row.centre[0])
     if form.has_offset:
@@ -46,19 +47,18 @@ def gone_on(form: Form, now: State, i: int, model: Model) -> State:
     P, scale = 0.5 * (P + P.T), row.scale[0].copy()
     if scale[3]:
         scale[:3] = model.R, float(model.weights.size), ordinary_mean(model.noise.influence)
-    found = Memory(layout)
-    found.outputs, found.measured, found.residuals = memory.outputs, memory.outputs, memory.residuals
-    found.inputs, found.gradients = memory.inputs, memory.gradients
-    found.undisturbed, found.prefiltered = memory.undisturbed, memory.prefiltered
     if form.has_offset:
-        found.inputs = np.append(memory.inputs, 1.0)
         f, c, d = (1.0 + float(x[part].sum()) for part in (layout.f, layout.c, layout.d))
         prefiltered = 1.0 / max(abs(f), 1e-6)
         response = prefiltered * d / max(abs(c), 1e-6)
-        found.gradients = np.insert(memory.gradients, place, response, axis=1)
-        found.prefiltered = np.insert(memory.prefiltered, place, prefiltered, axis=1)
-    new = row._replace(
-        theta=x[None], P=P[None], past=Past.of(found), scale=scale[None], centre=np.array([centre]),
-        windup=np.array([WINDUP * max(float(np.trace(P)), 1e-300)]), begun=np.array([True]), restarts=np.array([True]),
+        memory = memory._replace(
+            inputs=np.append(memory.inputs, 1.0),
+            gradients=np.insert(memory.gradients, place, response, axis=1),
+            prefiltered=np.insert(memory.prefiltered, place, prefiltered, axis=1),
+        )
+    windup = WINDUP * max(float(np.trace(P)), 1e-300)
+    begun = row._replace(
+        theta=x[None], P=P[None], past=Memory(*(a[None] for a in memory)), scale=scale[None],
+        centre=np.array([centre]), windup=np.array([windup]), begun=np.array([True]), restarts=np.array([True]),
     )  # fmt: skip
-    return now.with_row(i, new)
+    return now.with_rows(which, begun)

@@ -7,7 +7,7 @@ gradient, restrain an unstable step, follow R, remember.
 from __future__ import annotations
 
 import math
-from typing import Any, Final, Literal, NamedTuple, TypeAlias
+from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from robust_filterpy.identification.models.results import Sample
 from robust_filterpy.identification.recursive import setup
 from robust_filterpy.identification.recursive.conditioning import SHARP, repaired, tempering
 from robust_filterpy.identification.recursive.noise_scale import EARLY, NoiseScale, followed
-from robust_filterpy.identification.recursive.state import Form
+from robust_filterpy.identification.recursive.state import Form, State
 
 #: What the gain is computed from.
 Gradient: TypeAlias = Literal["pseudolinear", "filtered"]
@@ -28,65 +28,66 @@ Regressor: TypeAlias = Literal["measured", "cleaned"]
 REGRESSORS: Final[tuple[Regressor, ...]] = ("measured", "cleaned")
 
 
-class Recursion(NamedTuple):
-    """What a sample is taken by: which of the actuators of a form, and a filter with theta as its state."""
+class Recursion:
+    """One of the actuators of a form on its way: a filter with theta as its state, what it remembers, how R moves."""
 
-    form: Form
-    i: int
-    filter: Any
-    enabled: bool
-    windup: float
+    def __init__(self, form: Form, i: int, kf: Any, now: State, row: int, enabled: bool) -> None:
+        """Go on from a row of a state, which is that of actuator i."""
+        self.filter, self.layout, self.cleans, self.enabled = kf, form.layout, form.cleans, enabled
+        self.guard, self.filtered = str(form.guard[i]), form.gradient[i] == "filtered" and form.layout.is_filtered
+        self.memory, self.windup = Memory(*(a[row] for a in now.past)), float(now.windup[row])
+        self.scale = NoiseScale(*now.scale[row, 1:].tolist())
 
-    def stepped(
-        self, memory: Memory, scale: NoiseScale, y: float, u: Array, R: float | None
-    ) -> tuple[Sample, NoiseScale]:
-        """Take a sample, y from the centre and u with the constant; moves the filter and the memory."""
-        kf, layout, guard = self.filter, self.form.layout, str(self.form.guard[self.i])
+    def step(self, y: float, u: Array, R: float | None) -> Sample:
+        """Take a sample, y from the centre and u with the constant."""
+        kf, layout, memory = self.filter, self.layout, self.memory
         inputs = memory.with_input(layout, u)
-        H, outputs = memory.regressor(layout, inputs), memory.outputs
+        H, outputs = memory.regressor(layout, inputs)[None], memory.outputs
         known, gradients, prefiltered, old = y == y, memory.gradients, memory.prefiltered, np.ravel(kf.x)
         weight, event, outlying = math.nan, 0, False
-        filtered = self.form.gradient[self.i] == "filtered" and layout.is_filtered
         # Once P has wound up under forgetting theta and P stay.
         if self.enabled and (getattr(kf, "alpha", 1.0) == 1.0 or np.trace(kf.P) <= self.windup):
             kf.predict()
         x = kf.x
         shown = predicted = H.dot(x).item()
         r = setup.noise_variance(kf) if R is None else R
-        if self.form.cleans and known and not np.array_equal(outputs, memory.measured):
+        if self.cleans and known and not np.array_equal(outputs, memory.measured):
             other = H.copy()
             other[0, layout.outputs] = memory.measured
             S, explained = variance(H, kf.P, r), other.dot(x).item()
             if abs(y - predicted) > CLEANED_FROM * math.sqrt(S) and abs(y - explained) < abs(y - predicted):
                 H, outputs, predicted = other, memory.measured, explained
         G = H
-        if filtered:
+        if self.filtered:
             past, newest = np.ravel(x), H[0] * layout.precedes_noise
-            if guard != "none" or are_stable(past, layout.stable):
+            if self.guard != "none" or are_stable(past, layout.stable):
                 psi, newest = gradient(layout, H[0], past, memory)
                 G = psi[None, :]
             gradients, prefiltered = pushed(gradients, G[0]), pushed(prefiltered, newest)
         if self.enabled and known:
             S = variance(G, kf.P, r)
             outlying = abs(y - predicted) > CLEANED_FROM * math.sqrt(S)
-            weight = _corrected(kf, G, y, predicted, R, r, filtered)
-            if R is None and scale.memory:
-                scale = _followed(kf, scale, r, y - predicted, S)
+            weight = _corrected(kf, G, y, predicted, R, r, self.filtered)
+            if R is None and self.scale.memory:
+                self.scale = _followed(kf, self.scale, r, y - predicted, S)
         if self.enabled and layout.stable:
-            moved, event = restrained(np.ravel(kf.x), old, layout.stable, guard)
+            moved, event = restrained(np.ravel(kf.x), old, layout.stable, self.guard)
             if event:
                 kf.x = moved.reshape(np.shape(kf.x))
-        after = H.dot(kf.x).item()
-        believed = bounded(predicted) if not known or (self.form.cleans and outlying) else y
-        if layout.nf:
-            alone = bounded(H[0, layout.through].dot(np.ravel(kf.x)[layout.through]).item())
-            memory.undisturbed = pushed(memory.undisturbed, -alone)
-        before = bounded(H[0, layout.before_noise].dot(np.ravel(kf.x)[layout.before_noise]).item())
-        memory.outputs = layout.remembered(outputs, believed, before)
-        memory.measured = layout.remembered(memory.measured, y if known else bounded(predicted), before)
-        memory.residuals = pushed(memory.residuals, bounded(believed - after) if known else 0.0)
-        memory.inputs, memory.gradients, memory.prefiltered = inputs, gradients, prefiltered
-        return Sample(shown, y - shown, weight, event), scale
+        theta, phi = np.ravel(kf.x), H[0]
+        believed = bounded(predicted) if not known or (self.cleans and outlying) else y
+        before = bounded(phi[layout.before_noise].dot(theta[layout.before_noise]).item())
+        alone = bounded(phi[layout.through].dot(theta[layout.through]).item()) if layout.nf else 0.0
+        self.memory = Memory(
+            outputs=layout.remembered(outputs, believed, before),
+            measured=layout.remembered(memory.measured, y if known else bounded(predicted), before),
+            inputs=inputs,
+            residuals=pushed(memory.residuals, bounded(believed - phi.dot(theta).item()) if known else 0.0),
+            undisturbed=pushed(memory.undisturbed, -alone),
+            prefiltered=prefiltered,
+            gradients=gradients,
+        )
+        return Sample(shown, y - shown, weight, event)
 
 
 def _corrected(kf: Any, G: Array, y: float, predicted: float, R: float | None, r: float, filtered: bool) -> float:

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from robust_filterpy._checks import Array
-from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.recursive.setup import say_replaced
+import numpy as np
 
-__all__ = ["Returning"]
+from robust_filterpy import _checks, _state
+from robust_filterpy._checks import Array
+from robust_filterpy._warning import warn
+from robust_filterpy.identification.models.guard import are_stable
+from robust_filterpy.identification.models.structures import Structure
+from robust_filterpy.identification.recursive.state import Form, require_plausible
+
+__all__ = ["Returning", "checked"]
+
+# What a user sets, by its name in a state.
+_BY_HAND = {"Q": "Q", "F": "F", "alpha_sq": "forgetting"}
 
 
 class Returning:
@@ -56,8 +65,62 @@ class Returning:
         """
         before = self._set_by_hand()
         self._go_back(state)
-        say_replaced(self._name, before, self._set_by_hand())
+        after = self._set_by_hand()
+        other = [
+            word for key, word in _BY_HAND.items() if key in before and not np.array_equal(before[key], after[key])
+        ]
+        if other:
+            names = " and ".join(other)
+            warn(
+                f"{self._name}.restore: {names} of the state took the place of what was set; set it again after restore"
+            )
 
     def reset(self) -> None:
         """Go back to the start: theta, P, Q, R, F and the memory as they were when it was made."""
         self._go_back(self._initial)
+
+
+def checked(
+    state: Any, form: Form, axes: tuple[int, ...], needed: Mapping[str, Any], optional: Mapping[str, Any]
+) -> dict[str, Array]:
+    """Return the arrays of a state, copied, or raise.
+
+    Parameters
+    ----------
+    state : mapping of str to ndarray
+        Its label has been looked at.
+    form : Form
+        What the recursion is.
+    axes : tuple of int
+        What stands before the shape of each array: () for a tracker, (n,) for a bank.
+    needed, optional : mapping of str to shape
+        Settings that it holds besides, and those it may hold.
+
+    Returns
+    -------
+    dict of str to ndarray
+
+    Raises
+    ------
+    ValueError
+        If an array is missing, does not fit, or cannot be what a recursion has.
+    """
+    d, signals = form.layout.n, form.n_signals
+    shapes: dict[str, Any] = {"theta": (d,), "P": (d, d), **form.layout.shapes(), "enabled": (), "recursion": (7,)}
+    shapes |= {"start": (None, signals)} if "start" in state else {}
+    if "watch" in state or "followed" in state:
+        shapes |= {"watch": (None,), "followed": (None, 1 + signals)}
+    whole = {name: (*axes, *shape) for name, shape in shapes.items()}
+    found = _state.checked(state, None, {**whole, **needed}, optional, ("start", "followed"))
+    for name, least in (("R", "> 0"), ("alpha_sq", ">= 1")):
+        if name in found and not (found[name] > 0.0 if name == "R" else found[name] >= 1.0).all():
+            raise _state.StateError(f"state: expected {name} {least}, got {_checks.shown(found[name])}")
+    require_plausible(found)
+    kept = form.guard != "none"
+    if not all(are_stable(row, form.layout.stable) for row in np.atleast_2d(found["theta"])[kept]):
+        raise _state.StateError(
+            "state: expected theta of a stable model, got coefficients that feed back with roots outside the unit "
+            "circle"
+        )
+    found.setdefault("start", np.zeros((*axes, 0, signals)))
+    return {**found, "enabled": found["enabled"].astype(bool)}

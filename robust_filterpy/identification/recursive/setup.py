@@ -1,34 +1,24 @@
-"""From a tracker's arguments to a filter that carries them, and from a filter to plain arrays and back."""
+"""From a tracker's arguments to a filter that carries them, and what may be asked of any filter."""
 
 from __future__ import annotations
 
-import copy
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from filterpy.kalman import KalmanFilter
 
-from robust_filterpy import _checks, _state
+from robust_filterpy import _checks
 from robust_filterpy._checks import FLOAT, Array
 from robust_filterpy._warning import warn
-from robust_filterpy.correction.options import Choices
-from robust_filterpy.filters._interruption import StateMixin
-from robust_filterpy.filters._mixin import RobustFilterMixin, Snapshot
+from robust_filterpy.filters._mixin import RobustFilterMixin, leave_unwatched
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.identification.models.guard import are_stable
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.recursive.state import require_plausible
 
 # Before the data have spoken the parameters may be anything of moderate size.
 _VAGUE = 100.0
-
-# What a sample moves in a filter, besides what only shows its last correction.
-_MOVING = ("x", "P", "H", "R", "x_prior", "P_prior")
-
-# What a filter's behaviour depends on besides x and P: name in a state, attribute.
-_SETTINGS = {"Q": "Q", "R": "R", "F": "F", "alpha_sq": "_alpha_sq"}
 
 
 def is_array(value: Any, shape: tuple[int, ...]) -> bool:
@@ -95,23 +85,13 @@ def make_filter(n: int, given: Any, choices: dict[str, Any]) -> Any:
 def _unwatched(kf: Any) -> Any:
     """Return the filter, which shall not warn of its samples: the tracker does."""
     if isinstance(kf, RobustFilterMixin):
-        kf._counts_clipped = False
+        leave_unwatched(kf)
     return kf
 
 
-def configure(
-    kf: Any,
-    structure: Structure,
-    own: np.ndarray,
-    *,
-    theta: Any,
-    P: Any,
-    Q: Any,
-    R: Any,
-    F: Any,
-    forgetting: float | None,
-) -> None:
-    """Check the arguments that are given and write them into the filter; own: the places of theta in its state."""
+def configure(kf: Any, structure: Structure, own: np.ndarray, given: Mapping[str, Any]) -> None:
+    """Check theta, P, Q, R, F and forgetting as given and write them into the filter; own: where theta stands in it."""
+    theta, P, Q, R, F, forgetting = (given.get(name) for name in ("theta", "P", "Q", "R", "F", "forgetting"))
     n, size = structure.n_theta, np.size(kf.x)
     start = np.ravel(kf.x).astype(float)[own] if theta is None else _start(theta, n)
     if not are_stable(start, structure.stable_parts):
@@ -244,9 +224,10 @@ def is_plain(kf: Any, n: int) -> bool:
         type(kf) is RobustKalmanFilter
         # Not one whose methods somebody has wrapped.
         and not {"predict", "update"} & vars(kf).keys()
-        and kf._policy.by_kernel
-        and kf.choices.pointwise is not None
-        and kf._inverse is None
+        and kf.noise is None
+        and kf.patience is None
+        and kf.choices.kernel_psi is not None
+        and kf.inv is np.linalg.inv
         and all(is_array(value, (n, n)) and np.isfinite(value).all() for value in (kf.F, kf.Q, kf.P))
         and is_array(kf.R, (1, 1))
         and (is_array(kf.x, (n,)) or is_array(kf.x, (n, 1)))
@@ -254,11 +235,6 @@ def is_plain(kf: Any, n: int) -> bool:
         and 0.0 < kf.R.item() < math.inf
         and all(np.abs(a - a.T).max() <= 1e-13 * np.abs(a).max() for a in (kf.P, kf.Q))
     )
-
-
-def choose(kf: RobustKalmanFilter, choices: Choices) -> None:
-    """Give a filter the options of its correction."""
-    kf._choose(influence=choices.influence, scaling=choices.scaling, information=choices.information)
 
 
 def matrix_of(kf: Any, name: str, default: Array) -> Array:
@@ -269,105 +245,3 @@ def matrix_of(kf: Any, name: str, default: Array) -> Array:
     except (TypeError, ValueError):
         return default
     return found if found.shape == default.shape else default
-
-
-# So that a refused call changes nothing.
-
-
-class Kept:
-    """What a filter holds, to put it back."""
-
-    def __init__(self, kf: Any) -> None:
-        """Keep what a sample moves: arrays are replaced, never written into; all else that a filter may keep, too."""
-        self._moving = {name: getattr(kf, name) for name in _MOVING if hasattr(kf, name)}
-        self._other = None
-        if type(kf) not in (RobustKalmanFilter, KalmanFilter):
-            self._other = Snapshot(kf) if isinstance(kf, RobustFilterMixin) else _Contents(kf)
-
-    def put_back(self, kf: Any) -> None:
-        """Put the filter back as it was."""
-        for name, value in self._moving.items():
-            setattr(kf, name, value)
-        if self._other is not None:
-            self._other.put_back(kf)
-
-
-class _Contents:
-    """Everything that a filter of the user's holds, to the depth of the filters that it may be made of."""
-
-    def __init__(self, kf: Any) -> None:
-        """Copy it; of a filter that cannot be copied, with a lock in it, the attributes alone."""
-        attributes = getattr(kf, "__dict__", {})
-        try:
-            self._attributes = copy.deepcopy(attributes)
-        except TypeError:
-            self._attributes = dict(attributes)
-
-    def put_back(self, kf: Any) -> None:
-        """Put the filter back as it was."""
-        vars(kf).update(self._attributes)
-
-
-# States.
-
-
-def settings(kf: Any) -> dict[str, Array]:
-    """Return what else a filter's behaviour depends on, as arrays."""
-    found = {key: getattr(kf, name) for key, name in _SETTINGS.items() if hasattr(kf, name)}
-    return {key: np.array(value, dtype=float) for key, value in found.items() if value is not None}
-
-
-def kept_by(kf: Any) -> dict[str, Array]:
-    """Return what a filter of this package keeps beside x and P, as arrays: what it knows of its sensor among it."""
-    if not isinstance(kf, StateMixin):
-        return {}
-    kept = {**kf._moving(), **kf._sensors_in_state()}
-    return {f"filter_{name}": value for name, value in kept.items() if name not in ("x", "P")}
-
-
-def take_over(kf: Any, state: Any) -> None:
-    """Restore that, with the x and P that it belongs to, or raise; nothing has changed then."""
-    shape = np.shape(kf.x)
-    if isinstance(kf, StateMixin):
-        inner = {name.removeprefix("filter_"): state[name] for name in state if name.startswith("filter_")}
-        if all(name in inner for name in kf._needed() if name not in ("x", "P")):
-            kf.restore({"x": np.reshape(state["theta"], shape), "P": state["P"], **inner})
-
-
-def apply_settings(kf: Any, state: dict[str, Array]) -> None:
-    """Write them back where they differ."""
-    for key, value in settings(kf).items():
-        if key in state and not np.array_equal(state[key], value):
-            setattr(kf, _SETTINGS[key], state[key].item() if state[key].ndim == 0 else state[key])
-
-
-def say_replaced(owner: str, before: dict[str, Any], after: dict[str, Any]) -> None:
-    """Warn of each setting that a state replaces by another one."""
-    words = {"Q": "Q", "F": "F", "alpha_sq": "forgetting"}
-    other = [word for key, word in words.items() if key in before and not np.array_equal(before[key], after[key])]
-    if other:
-        names = " and ".join(other)
-        warn(f"{owner}.restore: {names} of the state took the place of what was set; set it again after restore")
-
-
-def checked_state(state: Any, shapes: dict[str, tuple[int, ...]], present: dict[str, Array]) -> dict[str, Array]:
-    """Return a state's arrays, copied, or raise if one is missing or does not fit."""
-    needed = {name: tuple(None if size == -1 else size for size in shape) for name, shape in shapes.items()}
-    optional = {name: value.shape for name, value in present.items()}
-    found = _state.checked(state, None, needed, optional, ("start", "followed"))
-    for name in ("R", "alpha_sq"):
-        if name in found and not (found[name] > 0.0).all():
-            raise _state.StateError(f"state: expected {name} > 0, got {found[name]}")
-    require_plausible(found)
-    return {**found, "enabled": found["enabled"].astype(bool)}
-
-
-def require_consistent(state: dict[str, Array], parts: tuple[slice, ...]) -> None:
-    """Raise unless a state's fading memory is none or more, and the model is stable where that is kept."""
-    if "alpha_sq" in state and not (state["alpha_sq"] >= 1.0).all():
-        raise ValueError(f"state: expected alpha_sq >= 1, got {state['alpha_sq']}")
-    if not are_stable(state["theta"], parts):
-        raise ValueError(
-            "state: expected theta of a stable model, got coefficients that feed back with roots outside the unit "
-            "circle"
-        )

@@ -138,8 +138,7 @@ class Standing(EstimatedPolynomials, Responses):
     @property
     def std(self) -> Array:
         """Standard deviations of the parameters, shape (n,); infinite until the start has found a model."""
-        std = np.sqrt(np.maximum(self.P.diagonal(), 0.0))
-        return std if self._now.begun[0] else np.full(std.shape, np.inf)
+        return super().std if self._now.begun[0] else np.full(len(self.form.own), np.inf)
 
     def _summarized(self, level: float) -> Summary:
         """Return the table, with what was found beside the parameters."""
@@ -194,14 +193,13 @@ class Standing(EstimatedPolynomials, Responses):
         axis, u = recording(self.structure, u=u)
         axis.require_period(self.dt)
         signal = recorded_input(self.structure, u, None)
-        x = np.array(self.filter.x, dtype=float).ravel()
         if continued:
-            layout, with_constant = self.form.layout, self.form.with_constant(signal)
-            memory = self._now.past.memory(layout, 0)
-            y = coefficients.simulate(self.structure, layout, memory, x, with_constant) + self._now.centre[0]
+            layout, signal = self.form.layout, self.form.with_constant(signal)
+            x, memory, level = np.ravel(self.filter.x), Memory(*(a[0] for a in self._now.past)), self._now.centre[0]
         else:
             layout = Layout(self.structure)
-            y = coefficients.simulate(self.structure, layout, Memory(layout), x[self.form.own], signal) + self.level
+            x, memory, level = self.theta, Memory.at_rest(layout), self.level
+        y = coefficients.simulate(self.structure, layout, memory, x, signal) + level
         return axis.series(y, "simulated")
 
     @staticmethod

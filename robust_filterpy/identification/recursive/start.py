@@ -43,27 +43,6 @@ class ColdStart(NamedTuple):
         """
         return cls(samples, np.zeros(0), np.zeros((0, n_inputs)), _until_next(samples, 0, n_theta))
 
-    @classmethod
-    def kept(cls, samples: int, y: Array, u: Array, waits: int) -> ColdStart:
-        """Go on from samples that were kept.
-
-        Parameters
-        ----------
-        samples : int
-            How many samples it may look at.
-        y : ndarray, shape (N,)
-            Outputs kept.
-        u : ndarray, shape (N, n_inputs)
-            Inputs kept.
-        waits : int
-            Samples until the next look.
-
-        Returns
-        -------
-        ColdStart
-        """
-        return cls(samples, y.copy(), u.copy(), waits)
-
     def added(self, y: Array, u: Array) -> ColdStart:
         """Return it with more samples, at most as many as it waits for.
 

@@ -17,7 +17,7 @@ from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive.start import ColdStart
 from robust_filterpy.identification.recursive.watch import Followed, Windows
 
-__all__ = ["WINDUP", "Form", "Past", "State", "at_rest", "require_plausible"]
+__all__ = ["WINDUP", "Form", "State", "at_rest", "require_plausible"]
 
 #: With forgetting and no excitation P grows without end; at so many times its first trace it stops.
 WINDUP = 1e8
@@ -48,46 +48,13 @@ class Form(NamedTuple):
         return np.concatenate((u, np.ones((*u.shape[:-1], 1))), axis=-1) if self.has_offset else u
 
 
-class Past(NamedTuple):
-    """Past signals of n actuators, newest first: the arrays of a `Memory` with a leading axis."""
-
-    outputs: Array
-    measured: Array
-    inputs: Array
-    residuals: Array
-    undisturbed: Array
-    prefiltered: Array
-    gradients: Array
-
-    def memory(self, layout: Layout, i: int) -> Memory:
-        """Return the memory of one actuator.
-
-        Parameters
-        ----------
-        layout : Layout
-            Where the signals stand in phi.
-        i : int
-            Which actuator.
-
-        Returns
-        -------
-        Memory
-        """
-        return Memory(layout, {name: value[i] for name, value in zip(self._fields, self, strict=True)})
-
-    @classmethod
-    def of(cls, memory: Memory) -> Past:
-        """Return the past of one actuator."""
-        return cls(*(getattr(memory, name)[None] for name in cls._fields))
-
-
 class State(NamedTuple):
     """Parameters, covariances, past signals and what decides about another start, of n actuators."""
 
     theta: Array
     """With the constant, where there is one, (n, d)."""
     P: Array
-    past: Past
+    past: Memory
     scale: Array
     """R and the fields of `NoiseScale`, (n, 4)."""
     centre: Array
@@ -105,31 +72,53 @@ class State(NamedTuple):
     followed: Followed
     windows: Windows
 
-    def with_row(self, i: int, row: State) -> State:
-        """Return this with actuator i as row, a state of one, has it; starts and windows stay.
+    def copied(self) -> State:
+        """Return it with copies of what a sample moves, to be written into."""
+        past = Memory(*(a.copy() for a in self.past))
+        return self._replace(theta=self.theta.copy(), P=self.P.copy(), scale=self.scale.copy(), past=past)
+
+    def rows(self, which: np.ndarray) -> State:
+        """Return the state of some actuators, in arrays of its own.
 
         Parameters
         ----------
-        i : int
-            Which actuator.
-        row : State
-            Of one actuator.
+        which : ndarray of int, shape (k,)
+            Which of them.
 
         Returns
         -------
         State
         """
-        arrays: dict[str, Any] = {name: _replaced(getattr(self, name), i, getattr(row, name)[0]) for name in _ARRAYS}
-        past = Past(*(_replaced(a, i, b[0]) for a, b in zip(self.past, row.past, strict=True)))
-        return self._replace(**arrays, past=past)
+        parts = {name: type(part)(*(a[which] for a in part)) for name, part in self._parts().items()}
+        starts = {j: self.starts[i] for j, i in enumerate(which.tolist()) if i in self.starts}
+        return State(**{name: getattr(self, name)[which] for name in _ARRAYS}, **parts, starts=starts)
 
-    def row(self, i: int) -> State:
-        """Return the state of one actuator."""
-        one = slice(i, i + 1)
-        theta, P, *rest = (getattr(self, name)[one] for name in _ARRAYS)
-        past, followed = Past(*(a[one] for a in self.past)), Followed(*(a[one] for a in self.followed))
-        starts = {0: self.starts[i]} if i in self.starts else {}
-        return State(theta, P, past, *rest, starts, followed, Windows(*(a[one] for a in self.windows)))  # type: ignore[call-arg]
+    def with_rows(self, which: np.ndarray, rows: State) -> State:
+        """Return this with some actuators as another state has them; starts, what is followed and windows stay.
+
+        Parameters
+        ----------
+        which : ndarray of int, shape (k,)
+            Which of them.
+        rows : State
+            Of k actuators.
+
+        Returns
+        -------
+        State
+        """
+
+        def replaced(whole: Array, part: Array) -> Array:
+            found = whole.copy()
+            found[which] = part
+            return found
+
+        arrays: Any = {name: replaced(getattr(self, name), getattr(rows, name)) for name in _ARRAYS}
+        return self._replace(**arrays, past=Memory(*map(replaced, self.past, rows.past)))
+
+    def _parts(self) -> dict[str, Any]:
+        """Return what is made of several arrays."""
+        return {"past": self.past, "followed": self.followed, "windows": self.windows}
 
     def arrays(self) -> dict[str, Array]:
         """Return it as plain arrays with a leading axis, R and what was warned of not among them."""
@@ -145,9 +134,8 @@ class State(NamedTuple):
         watch = np.column_stack((self.restarts, self.samples, self.followed.seen, self.followed.usual))
         shown = min(int(self.followed.seen.max(initial=0)), self.followed.rows.shape[1])
         rows = self.followed.rows[:, self.followed.rows.shape[1] - shown :]
-        past = {name: getattr(self.past, name) for name in Past._fields}
         return {
-            "theta": self.theta, "P": self.P, **past, "recursion": rule, "start": recorded, "kept": kept,
+            "theta": self.theta, "P": self.P, **self.past._asdict(), "recursion": rule, "start": recorded, "kept": kept,
             "watch": watch, "followed": rows,
         }  # fmt: skip
 
@@ -175,23 +163,16 @@ class State(NamedTuple):
         starts = {}
         for i in np.flatnonzero(rule[:, 6] >= 0).tolist():
             part = recorded[i, recorded.shape[1] - int(kept[i]) :]
-            starts[i] = ColdStart.kept(int(samples[i]), part[:, 0], part[:, 1:], int(rule[i, 6]))
+            starts[i] = ColdStart(int(samples[i]), part[:, 0], part[:, 1:], int(rule[i, 6]))
         followed = Followed.restored(watch[:, 2:], found.get("followed", np.zeros((n, 0, self.followed.rows.shape[2]))))
         return State(
-            found["theta"], found["P"], Past(*(found[name] for name in Past._fields)),
+            found["theta"], found["P"], Memory(*(found[name] for name in Memory._fields)),
             np.column_stack((R, rule[:, 2:5])), rule[:, 0].copy(), rule[:, 1].copy(), rule[:, 5] > 0.0,
             watch[:, 0] > 0.0, samples, starts, followed, self.windows.emptied(),
         )  # fmt: skip
 
 
 _ARRAYS = ("theta", "P", "scale", "centre", "windup", "begun", "restarts", "samples")
-
-
-def _replaced(stack: Array, i: int, value: Any) -> Array:
-    """Return a stack with another entry."""
-    found = stack.copy()
-    found[i] = value
-    return found
 
 
 def at_rest(form: Form, theta: Array, P: Array, scale: Array, samples: int, told: bool) -> State:
@@ -217,7 +198,7 @@ def at_rest(form: Form, theta: Array, P: Array, scale: Array, samples: int, told
     State
     """
     n, structure = len(theta), form.structure
-    past = Past(**{name: np.zeros((n, *shape)) for name, shape in form.layout.shapes().items()})
+    past = Memory.at_rest(form.layout, n)
     starts = {} if told else {i: ColdStart.of(structure.n_theta, structure.n_inputs, samples) for i in range(n)}
     windup = WINDUP * np.maximum(np.trace(P, axis1=1, axis2=2), 1e-300)
     return State(

@@ -23,10 +23,9 @@ from robust_filterpy.identification.models.regressor import LARGEST
 from robust_filterpy.identification.models.results import Columns
 from robust_filterpy.identification.recursive import setup
 from robust_filterpy.identification.recursive.handover import gone_on
-from robust_filterpy.identification.recursive.noise_scale import NoiseScale
 from robust_filterpy.identification.recursive.recursion import Recursion
 from robust_filterpy.identification.recursive.start import ColdStart
-from robust_filterpy.identification.recursive.state import Form, Past, State
+from robust_filterpy.identification.recursive.state import Form, State
 from robust_filterpy.identification.recursive.watch import News
 from robust_filterpy.kernel.series import SCALINGS, plain, rule
 
@@ -74,16 +73,17 @@ def advance(
     n, length = y.shape
     out, said, k = Columns.empty(n, length, form.layout.n), [], 0
     while k < length:
-        part = slice(k, min(k + _waits(form, using, now), length))
-        begun = np.flatnonzero(now.begun)
-        if begun.size < n:
+        watched = _watched(form, using, now)
+        waits = [now.followed.waits(watched), *(max(start.waits, 1) for start in now.starts.values())]
+        part = slice(k, min(k + min(waits), length))
+        if not now.begun.all():
             _only_look_on(now, y, part, out)
-        if begun.size:
-            now = _taken(form, using, now, begun, (y, u, R), part, out)
+        if now.begun.any():
+            now = _Stretch(form, using, now, (y, u, R), out).through(part)
         shown = Columns(*(column[:, part] for column in out))
         windows, news = now.windows.seen(shown.weights, shown.guard, shown.residual, now.scale[:, 0], form.has_offset)
         said += news
-        now, news = _looked(form, using, now._replace(windows=windows), y[:, part], u[:, part], shown)
+        now, news = _looked(form, using, now._replace(windows=windows), watched, y[:, part], u[:, part], shown)
         said += news
         k = part.stop
     return now, out, said
@@ -91,12 +91,8 @@ def advance(
 
 def predicted(form: Form, using: Settings, now: State, u: Array) -> Array:
     """Return the next outputs (n,), the inputs (n, n_inputs) being u."""
-    layout, u, past = form.layout, form.with_constant(u), now.past
-    inputs, phi = np.empty_like(past.inputs), np.empty((len(u), layout.n))
-    inputs[:, 1:] = past.inputs[:, :-1]
-    inputs[:, layout.starts] = u[:, layout.used]
-    phi[:, layout.outputs], phi[:, layout.inputs_in_phi] = past.outputs, inputs[:, layout.picks]
-    phi[:, layout.f], phi[:, layout.c] = past.undisturbed, past.residuals
+    u, past = form.with_constant(u), now.past
+    phi = past.regressor(form.layout, past.with_input(form.layout, u))
     wound_up = (using.alpha_sq != 1.0) & (np.einsum("ijj->i", now.P) > now.windup)
     with np.errstate(over="ignore", invalid="ignore"):
         moved = (using.F @ now.theta[:, :, None])[:, :, 0]
@@ -109,12 +105,6 @@ def predicted(form: Form, using: Settings, now: State, u: Array) -> Array:
 
 
 # From one look to the next.
-
-
-def _waits(form: Form, using: Settings, now: State) -> int:
-    """Return after how many samples something is to be looked at, at least 1."""
-    waits = [max(start.waits, 1) for start in now.starts.values()]
-    return min([*waits, now.followed.waits(_watched(form, using, now))])
 
 
 def _watched(form: Form, using: Settings, now: State) -> np.ndarray:
@@ -134,9 +124,11 @@ def _only_look_on(now: State, y: Array, part: slice, out: Columns) -> None:
         out.residual[i, part] = y[i, part] - out.prediction[i, part]
 
 
-def _looked(form: Form, using: Settings, now: State, y: Array, u: Array, shown: Columns) -> tuple[State, News]:
+def _looked(
+    form: Form, using: Settings, now: State, watched: np.ndarray, y: Array, u: Array, shown: Columns
+) -> tuple[State, News]:
     """Return what these samples make of the starts, and of those that turn out to be lost."""
-    watched, news = _watched(form, using, now), []
+    news: News = []
     for i, start in list(now.starts.items()):
         start = start.added(y[i], u[i])
         now = now._replace(starts={**now.starts, i: start})
@@ -212,122 +204,89 @@ def _usual(form: Form, now: State, i: int, start: ColdStart, model: Model) -> tu
 # Through the samples.
 
 
-class _Arrays(NamedTuple):
-    """Copies of what a sample moves, for some of the actuators: the kernel writes into them."""
+class _Stretch:
+    """The actuators that have begun, on their way from one look to the next."""
 
-    theta: Array
-    P: Array
-    past: Past
-    scale: Array
+    def __init__(
+        self, form: Form, using: Settings, now: State, signals: tuple[Array, Array, Array | None], out: Columns
+    ) -> None:
+        """Take what moves apart, so that it can be written into."""
+        self.form, self.using, self.before, self.signals, self.out = form, using, now, signals, out
+        self.which = np.flatnonzero(now.begun)
+        self.now = now.copied() if now.begun.all() else now.rows(self.which)
 
+    def through(self, part: slice) -> State:
+        """Take samples: by the kernel, and what that declines, or the filter is to show, by the definition."""
+        stops = self._last_shown(part)
+        done = self._by_kernel(slice(part.start, stops[0]), slice(None))
+        for row in np.flatnonzero(done < part.stop).tolist():
+            self._finish(row, int(done[row]), stops)
+        return self.now if self.before.begun.all() else self.before.with_rows(self.which, self.now)
 
-def _taken(
-    form: Form, using: Settings, now: State, which: np.ndarray, signals: tuple[Array, Array, Array | None],
-    part: slice, out: Columns,
-) -> State:  # fmt: skip
-    """Return what samples of the actuators that have begun make of now."""
-    stacks = now.theta, now.P, now.scale, *now.past
-    if which.size == len(now.theta):
-        theta, P, scale, *past = (stack.copy() for stack in stacks)
-    else:
-        theta, P, scale, *past = (plain(stack[which]) for stack in stacks)
-    arrays = _Arrays(theta, P, Past(*past), scale)
-    after = np.full(len(which), part.start)
-    stops = _last_shown(using, signals[0], part)
-    if using.choices is not None:
-        after = _by_kernel(form, using, now, which, signals, arrays, slice(part.start, stops[0]), out)
-    for row in np.flatnonzero(after < part.stop).tolist():
-        _finished(form, using, now, which, row, int(after[row]), signals, arrays, stops, out)
-    if which.size == len(now.theta):
-        return now._replace(theta=arrays.theta, P=arrays.P, past=arrays.past, scale=arrays.scale)
+    def _last_shown(self, part: slice) -> list[int]:
+        """Return before which samples the kernel stops, since the filter is to show them, and the end."""
+        y = self.signals[0]
+        if not self.using.shows_last or part.stop < y.shape[1]:
+            return [part.stop]
+        if part.stop - part.start == 1:
+            return [part.start, part.stop]
+        known = part.start + np.flatnonzero(y[0, part] == y[0, part])
+        return [*sorted({*known[-1:].tolist(), part.stop - 1}), part.stop]
 
-    def whole(stack: Array, rows: Array) -> Array:
-        found = stack.copy()
-        found[which] = rows
-        return found
+    def _by_kernel(self, part: slice, rows: slice) -> np.ndarray:
+        """Advance actuators and return the first sample of each that is left to the definition."""
+        form, using, now, here = self.form, self.using, self.now, self.which[rows]
+        done = np.zeros(len(here), dtype=np.intp)
+        if using.choices is None or part.start >= part.stop:
+            return part.start + done
+        y, u, R = self.signals
+        own = here if len(here) < len(y) else slice(None)
+        flags = np.empty((len(here), 4), dtype=np.intp)
+        flags[:, 0], flags[:, 1] = form.gradient[own] == "filtered", [GUARDS.index(name) for name in form.guard[own]]
+        flags[:, 2], flags[:, 3] = form.cleans, using.enabled[own]
+        rules = np.stack([rule(choice) for choice in using.choices])  # type: ignore[misc]
+        shared = [(a if len(a) == 1 else a[own])[:, None] for a in (rules, using.F, using.Q)]
+        written = [np.ascontiguousarray(column[own, part]) for column in self.out]
+        kernel.extension().track(
+            form.layout.numbers,
+            (*map(plain, (*shared, using.alpha_sq[own], now.windup[rows], now.centre[rows])), flags),
+            (y[own, part], u[own, part], None if R is None else R[own, part]),
+            tuple(a[rows] for a in (now.theta, now.P, *now.past, now.scale)), tuple(written), done,
+        )  # fmt: skip
+        for column, block in zip(self.out, written, strict=True):
+            column[own, part] = block
+        return part.start + done
 
-    past = [whole(a, b) for a, b in zip(now.past, arrays.past, strict=True)]
-    theta, P, scale = whole(now.theta, arrays.theta), whole(now.P, arrays.P), whole(now.scale, arrays.scale)
-    return now._replace(theta=theta, P=P, past=Past(*past), scale=scale)
+    def _finish(self, row: int, k: int, stops: list[int]) -> None:
+        """Take the rest of one actuator's samples: the definition those that are declined or to be shown."""
+        end, odd, kernel_serves = stops[-1], 1, self.using.choices is not None
+        while k < end:
+            shown, stop = k in stops[:-1], next(stop for stop in stops if stop > k)
+            until = min(k + (1 if shown else odd), stop) if kernel_serves else end
+            self._by_definition(row, slice(k, until))
+            k = until
+            if kernel_serves and k not in stops:
+                k = int(self._by_kernel(slice(until, stop), slice(row, row + 1))[0])
+                odd = 1 if k - until >= odd else min(2 * odd, self.using.most_odd)
 
-
-def _last_shown(using: Settings, y: Array, part: slice) -> list[int]:
-    """Return before which samples the kernel stops, since the filter is to show them, and the end."""
-    if not using.shows_last or part.stop < y.shape[1]:
-        return [part.stop]
-    if part.stop - part.start == 1:
-        return [part.start, part.stop]
-    known = part.start + np.flatnonzero(y[0, part] == y[0, part])
-    return [*sorted({*known[-1:].tolist(), part.stop - 1}), part.stop]
-
-
-def _by_kernel(
-    form: Form, using: Settings, now: State, which: np.ndarray, signals: tuple[Array, Array, Array | None],
-    arrays: _Arrays, part: slice, out: Columns, rows: slice = slice(None),
-) -> np.ndarray:  # fmt: skip
-    """Advance actuators by the kernel and return the first sample of each that is left to the definition."""
-    y, u, R = signals
-    here = which[rows]
-    if part.start >= part.stop:
-        return np.full(len(here), part.start)
-    own = here if len(here) < len(y) else slice(None)
-    flags = np.empty((len(here), 4), dtype=np.intp)
-    flags[:, 0], flags[:, 1] = form.gradient[own] == "filtered", [GUARDS.index(name) for name in form.guard[own]]
-    flags[:, 2], flags[:, 3] = form.cleans, using.enabled[own]
-    rules = np.stack([rule(choice) for choice in using.choices])  # type: ignore[misc, union-attr]
-    shared = [(a if len(a) == 1 else a[own])[:, None] for a in (rules, using.F, using.Q)]
-    written = Columns(*(column[own, part] for column in out))
-    blocks = [np.ascontiguousarray(column) for column in written]
-    done = np.zeros(len(here), dtype=np.intp)
-    kernel.extension().track(
-        form.layout.numbers,
-        (*map(plain, (*shared, using.alpha_sq[own], now.windup[own], now.centre[own])), flags),
-        (y[own, part], u[own, part], None if R is None else R[own, part]),
-        tuple(a[rows] for a in (arrays.theta, arrays.P, *arrays.past, arrays.scale)), tuple(blocks), done,
-    )  # fmt: skip
-    for column, block in zip(out, blocks, strict=True):
-        column[own, part] = block
-    return part.start + done
-
-
-def _finished(
-    form: Form, using: Settings, now: State, which: np.ndarray, row: int, k: int,
-    signals: tuple[Array, Array, Array | None], arrays: _Arrays, stops: list[int], out: Columns,
-) -> None:  # fmt: skip
-    """Take the rest of one actuator's samples: the definition those that the kernel declines or the filter shows."""
-    end, odd, one = stops[-1], 1, slice(row, row + 1)
-    while k < end:
-        shown = k in stops[:-1]
-        until = end if using.choices is None else min(k + (1 if shown else odd), next(s for s in stops if s > k))
-        _by_definition(form, using, now, which, row, signals, arrays, slice(k, until), out)
-        k = until
-        if using.choices is not None and k not in stops:
-            part = slice(k, next(s for s in stops if s > k))
-            k = int(_by_kernel(form, using, now, which, signals, arrays, part, out, one)[0])
-            odd = 1 if k - part.start >= odd else min(2 * odd, using.most_odd)
-
-
-def _by_definition(
-    form: Form, using: Settings, now: State, which: np.ndarray, row: int,
-    signals: tuple[Array, Array, Array | None], arrays: _Arrays, part: slice, out: Columns,
-) -> None:  # fmt: skip
-    """Take samples of one actuator by the definition."""
-    i, (y, u, R) = int(which[row]), signals
-    kf, centre, memory = using.filter_of(i), float(now.centre[i]), arrays.past.memory(form.layout, row)
-    setup.load(kf, arrays.theta[row], arrays.P[row], float(arrays.scale[row, 0]))
-    one = Recursion(form, i, kf, bool(using.enabled[i]), float(now.windup[i]))
-    scale, inputs, k = NoiseScale(*arrays.scale[row, 1:].tolist()), form.with_constant(u[i, part]), part.start
-    outputs, variances = (y[i, part] - centre).tolist(), repeat(None) if R is None else R[i, part].tolist()
-    try:
-        for k, output, v, r in zip(range(part.start, part.stop), outputs, inputs, variances, strict=False):
-            sample, scale = one.stepped(memory, scale, output, v, r)
-            out.prediction[i, k], out.residual[i, k] = sample.prediction + centre, sample.residual
-            out.weights[i, k], out.guard[i, k] = sample.weight, sample.guard
-            out.theta[i, k], out.variance[i, k] = np.ravel(kf.x), np.diagonal(kf.P)
-    except (ValueError, TypeError, np.linalg.LinAlgError) as error:
-        error.args = (f"{using.place(k, i)}{error}", *error.args[1:])
-        raise
-    arrays.theta[row], arrays.P[row] = np.ravel(kf.x), kf.P
-    arrays.scale[row] = setup.told_variance(kf), *scale
-    for stack, value in zip(arrays.past, Past.of(memory), strict=True):
-        stack[row] = value[0]
+    def _by_definition(self, row: int, part: slice) -> None:
+        """Take samples of one actuator by the definition."""
+        i, (y, u, R), now, out, k = int(self.which[row]), self.signals, self.now, self.out, part.start
+        kf, centre = self.using.filter_of(i), float(now.centre[row])
+        setup.load(kf, now.theta[row], now.P[row], float(now.scale[row, 0]))
+        one = Recursion(self.form, i, kf, now, row, bool(self.using.enabled[i]))
+        inputs, outputs = self.form.with_constant(u[i, part]), (y[i, part] - centre).tolist()
+        variances = repeat(None) if R is None else R[i, part].tolist()
+        try:
+            for k, output, v, r in zip(range(part.start, part.stop), outputs, inputs, variances, strict=False):
+                sample = one.step(output, v, r)
+                out.prediction[i, k], out.residual[i, k] = sample.prediction + centre, sample.residual
+                out.weights[i, k], out.guard[i, k] = sample.weight, sample.guard
+                out.theta[i, k], out.variance[i, k] = np.ravel(kf.x), np.diagonal(kf.P)
+        except (ValueError, TypeError, np.linalg.LinAlgError) as error:
+            error.args = (f"{self.using.place(k, i)}{error}", *error.args[1:])
+            raise
+        now.theta[row], now.P[row] = np.ravel(kf.x), kf.P
+        now.scale[row] = setup.told_variance(kf), *one.scale
+        for stack, value in zip(now.past, one.memory, strict=True):
+            stack[row] = value

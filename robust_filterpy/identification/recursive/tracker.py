@@ -15,6 +15,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._documentation import STOPPED, pointer
 from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Information, Scaling
+from robust_filterpy.filters._interruption import go_on_beside, kept_beside
 from robust_filterpy.identification.models.guard import GUARDS, Guard
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.regressor import Layout
@@ -28,11 +29,11 @@ from robust_filterpy.identification.models.signals import (
 )
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording
-from robust_filterpy.identification.recursive import setup, track
+from robust_filterpy.identification.recursive import held, setup, track
 from robust_filterpy.identification.recursive.handover import gone_on
 from robust_filterpy.identification.recursive.noise_scale import ordinary_mean
 from robust_filterpy.identification.recursive.recursion import GRADIENTS, REGRESSORS, Gradient, Regressor
-from robust_filterpy.identification.recursive.returning import Returning
+from robust_filterpy.identification.recursive.returning import Returning, checked
 from robust_filterpy.identification.recursive.standing import Standing
 from robust_filterpy.identification.recursive.state import Form, State, at_rest
 from robust_filterpy.identification.recursive.tuned import TunedTracker, tuned
@@ -226,7 +227,7 @@ class ParameterTracker(Returning, Standing):
         scaling: Scaling | None = None,
         information: Information | None = None,
     ) -> None:
-        """Set up the filter and a memory at rest."""
+        """Set up the filter and a memory at rest; so many arguments, since each is one of a model's or a filter's."""
         self._given = {name: value for name, value in locals().items() if name != "self"}
         model = structure if isinstance(structure, Model) else None
         structure = setup.structure_of(structure)
@@ -248,7 +249,7 @@ class ParameterTracker(Returning, Standing):
         self.form = Form(structure, layout, own, has_offset, cleans, np.array([gradient]), np.array([guard]))
         choices = {"influence": influence, "scaling": scaling, "information": information}
         self.filter = kf = setup.make_filter(layout.n, filter, choices)
-        setup.configure(kf, structure, own, theta=theta, P=P, Q=Q, R=R, F=F, forgetting=forgetting)
+        setup.configure(kf, structure, own, self._given)
         if ready and Q is None:
             setup.warn_of_default_noise(kf)
         self.enabled = True
@@ -260,7 +261,7 @@ class ParameterTracker(Returning, Standing):
         if model is not None:
             self._take_over(gone_on(self.form, self._now, 0, model))
             # What is given goes before what was found.
-            setup.configure(kf, structure, own, theta=theta, P=P, Q=None, R=None, F=None, forgetting=None)
+            setup.configure(kf, structure, own, {"theta": theta, "P": P})
             self.dt = model.dt
         self._initial = self.state()
         # The last time that a recording told, and how many samples came after it.
@@ -379,12 +380,15 @@ class ParameterTracker(Returning, Standing):
         output = fills.signal
         signal = recorded_input(self.structure, u, output.size)
         variances = None if R is None else recorded_variance(R, output.size)
-        time, own = self._time_after(axis, output.size), self.form.own
+        time = self._time_after(axis, output.size)
         before = self._held()
         try:
             out = self._advance(output, signal, variances)
-            std = np.sqrt(np.maximum(out.variance[:, own], 0.0))
-            result = TrackingResult(out.theta[:, own], std, *out[2:]).labelled(self.structure.names, axis.index)
+            theta, variance = out[:2]
+            if self.form.has_offset:
+                theta, variance = theta[:, self.form.own], variance[:, self.form.own]
+            std = np.sqrt(np.maximum(variance, 0.0))
+            result = TrackingResult(theta, std, *out[2:]).labelled(self.structure.names, axis.index)
             self.dt, self._time = axis.dt if self.dt is None else self.dt, time
             if fills.values:
                 warn(f"ParameterTracker: y has {fills.said}", UserWarning)
@@ -493,11 +497,11 @@ class ParameterTracker(Returning, Standing):
 
     def _held(self) -> tuple[Any, ...]:
         """Return what a call changes."""
-        return setup.Kept(self.filter), self._now, self._time, self.dt
+        return held.Kept(self.filter), self._now, self._time, self.dt
 
-    def _put_back(self, held: tuple[Any, ...]) -> None:
+    def _put_back(self, before: tuple[Any, ...]) -> None:
         """Undo what was refused, or interrupted."""
-        kept, self._now, self._time, self.dt = held
+        kept, self._now, self._time, self.dt = before
         kept.put_back(self.filter)
 
     # Interruption.
@@ -519,26 +523,21 @@ class ParameterTracker(Returning, Standing):
             ``numpy.savez(file, **state)`` stores it.
         """
         arrays = {name: value[0] for name, value in self.now.arrays().items() if name != "kept"}
-        arrays |= {"enabled": np.array(bool(self.enabled)), **setup.settings(self.filter), **setup.kept_by(self.filter)}
+        arrays |= {"enabled": np.array(bool(self.enabled)), **held.settings(self.filter), **kept_beside(self.filter)}
         return _state.labelled(self.kind, arrays)
 
     def _set_by_hand(self) -> dict[str, Any]:
         """Return what the user may have set of the filter."""
-        return setup.settings(self.filter)
+        return held.settings(self.filter)
 
     def _go_back(self, state: Any) -> None:
         """Take over a state, or raise; nothing has changed then."""
-        n, structure = self.form.layout.n, self.structure
-        shapes = {"theta": (n,), "P": (n, n), **self.form.layout.shapes(), "enabled": (), "recursion": (7,)}
-        shapes["start"] = (-1, 1 + structure.n_inputs)
         _state.require_kind(state, self.kind)
-        watched = {"watch": (-1,), "followed": (-1, 2 + structure.n_inputs)}
-        shapes |= watched if any(name in state for name in watched) else {}
-        found = setup.checked_state(state, shapes, setup.settings(self.filter))
-        setup.require_consistent(found, () if self.guard == "none" else self.form.layout.stable)
-        setup.take_over(self.filter, state)
-        setup.apply_settings(self.filter, found)
-        arrays = {name: value[None] for name, value in found.items() if name in shapes}
+        settings = {name: value.shape for name, value in held.settings(self.filter).items()}
+        found = checked(state, self.form, (), {}, settings)
+        go_on_beside(self.filter, found["theta"], found["P"], state)
+        held.apply_settings(self.filter, found)
+        arrays = {name: value[None] for name, value in found.items()}
         self._take_over(self._now.restored(arrays, np.array([setup.told_variance(self.filter)])))
         self.enabled, self._time = bool(found["enabled"]), None
 
@@ -561,7 +560,7 @@ class ParameterTracker(Returning, Standing):
         values = {name: value for name, value in {"Q": Q, "forgetting": forgetting}.items() if value is not None}
         for name, value in values.items():
             setattr(found, name, value)
-        settings = setup.settings(found.filter)
+        settings = held.settings(found.filter)
         kept = {name: settings[name] for name in ("Q", "alpha_sq") if name in settings}
         found._initial, found._given = found._initial | kept, found._given | values
         return found
@@ -569,7 +568,7 @@ class ParameterTracker(Returning, Standing):
 
 def continued(tracker: ParameterTracker, settings: dict[str, Array], initial: State, now: State, enabled: bool) -> None:
     """Let a tracker go on from now, and go back to initial when it is reset, both with these settings of its filter."""
-    setup.apply_settings(tracker.filter, settings)
+    held.apply_settings(tracker.filter, settings)
     for state in (initial, now):
         tracker._take_over(state)
         tracker._initial = tracker._initial if state is now else tracker.state()

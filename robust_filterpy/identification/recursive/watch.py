@@ -8,8 +8,13 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.models.dependence import SHARE, autocovariances, dependence, whitening_of
-from robust_filterpy.influence.regression import mad_scale
+from robust_filterpy.identification.models.dependence import (
+    SHARE,
+    autocovariances,
+    dependence,
+    level_and_scale,
+    whitening_of,
+)
 
 __all__ = ["Followed", "LostTrackerWarning", "News", "Windows"]
 
@@ -250,41 +255,51 @@ class Windows(NamedTuple):
         """
         if self.spoken.all():
             return self, []
-        news: News = []
-        recent = np.concatenate((self.recent, np.array([weights, guard, residuals]).transpose(1, 2, 0)), axis=1)
-        if recent.shape[1] < _WINDOW:
-            return Windows(recent, self.R, self.spoken, self.spoken_of_start), news
-        first, spoken, rest = self.R.copy(), self.spoken.copy(), recent.shape[1] % _WINDOW
-        for window in np.split(recent[:, : recent.shape[1] - rest], recent.shape[1] // _WINDOW, axis=1):
-            known = (~np.isnan(window[..., 0])).sum(axis=1)
-            for i in np.flatnonzero(~spoken & (known >= _WINDOW // 2)).tolist():
-                first[i] = R[i] if np.isnan(first[i]) else first[i]
-                said = _judged(window[i], R[i], first[i], has_offset)
-                spoken[i] = bool(said)
-                news += [(i, said)] if said else []
-        return Windows(recent[:, recent.shape[1] - rest :], first, spoken, self.spoken_of_start), news
+        recent = np.concatenate((self.recent, np.stack((weights, guard, residuals), axis=2)), axis=1)
+        n, count = len(recent), recent.shape[1] // _WINDOW
+        if not count:
+            return self._replace(recent=recent), []
+        windows, recent = recent[:, : count * _WINDOW].reshape(n, count, _WINDOW, 3), recent[:, count * _WINDOW :]
+        known = ~np.isnan(windows[..., 0])
+        judged = known.sum(axis=2) >= _WINDOW // 2
+        first = np.where(np.isnan(self.R) & judged.any(axis=1), R, self.R)
+        news = _judged(windows, known, judged & ~self.spoken[:, None], R, first, has_offset)
+        spoken = self.spoken.copy()
+        spoken[[i for i, _ in news]] = True
+        return Windows(recent, first, spoken, self.spoken_of_start), news
 
 
-def _judged(window: Array, R: float, first: float, has_offset: bool) -> str:
-    """Say what is wrong with a window; empty if nothing is."""
-    weights, _, residuals = window[~np.isnan(window[:, 0])].T
-    level = float(np.median(residuals))
-    scatter = mad_scale(residuals - level)
-    if not has_offset and abs(level) > _OFFSET * scatter:
-        return f"the residuals lie {level:.3g} off zero with a scatter of {scatter:.2g}: use offset=True"
-    weight = float(weights.mean())
-    if weight < _LEAST_WEIGHT:
-        return (
-            f"of {_WINDOW} samples in a row the mean weight was {weight:.2f}: the filter takes ordinary samples "
-            f"for outliers, since R={R:.3g} is too small or theta has not followed the plant; leave R out, let "
-            "theta move (Q, forgetting), or start anew"
-        )
-    unstable = float((np.nan_to_num(window[:, 1]) != 0).mean())
-    if unstable > _MOST_GUARDED:
-        return (
-            f"{100 * unstable:.0f} % of {_WINDOW} steps would have made the model unstable: the "
-            "structure does not fit, or P and Q allow steps that are too large"
-        )
-    if not 1.0 / _WANDERING < R / first < _WANDERING:
-        return f"R went from {first:.3g} to {R:.3g}: theta does not follow the plant, or the sensor has changed"
-    return ""
+def _judged(windows: Array, known: np.ndarray, judged: np.ndarray, R: Array, first: Array, has_offset: bool) -> News:
+    """Say what is wrong with the first window (n, k, ..) of each actuator that has something, of those to be judged."""
+    weights, guard, residuals = np.moveaxis(windows, -1, 0)
+    level, scatter = level_and_scale(residuals, known)
+    weight = np.where(known, weights, 0.0).sum(axis=2) / np.maximum(known.sum(axis=2), 1)
+    unstable = (np.nan_to_num(guard) != 0).mean(axis=2)
+    off = (not has_offset) & (np.abs(level) > _OFFSET * scatter)
+    with np.errstate(invalid="ignore"):
+        wanders = ~((R / first > 1.0 / _WANDERING) & (R / first < _WANDERING))
+    wrong = judged & (off | (weight < _LEAST_WEIGHT) | (unstable > _MOST_GUARDED) | wanders[:, None])
+    news: News = []
+    for i in np.flatnonzero(wrong.any(axis=1)).tolist():
+        k = int(wrong[i].argmax())
+        if off[i, k]:
+            said = (
+                f"the residuals lie {level[i, k]:.3g} off zero with a scatter of {scatter[i, k]:.2g}: use offset=True"
+            )
+        elif weight[i, k] < _LEAST_WEIGHT:
+            said = (
+                f"of {_WINDOW} samples in a row the mean weight was {weight[i, k]:.2f}: the filter takes ordinary "
+                f"samples for outliers, since R={R[i]:.3g} is too small or theta has not followed the plant; leave R "
+                "out, let theta move (Q, forgetting), or start anew"
+            )
+        elif unstable[i, k] > _MOST_GUARDED:
+            said = (
+                f"{100 * unstable[i, k]:.0f} % of {_WINDOW} steps would have made the model unstable: the "
+                "structure does not fit, or P and Q allow steps that are too large"
+            )
+        else:
+            said = (
+                f"R went from {first[i]:.3g} to {R[i]:.3g}: theta does not follow the plant, or the sensor has changed"
+            )
+        news.append((i, said))
+    return news

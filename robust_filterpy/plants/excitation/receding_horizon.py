@@ -13,35 +13,7 @@ _BLOCK = 1 << 12
 
 def search_bits(target: Array, length: int, horizon: int, rng: np.random.Generator | None) -> np.ndarray:
     """Return a signal of zeros and ones whose non-central autocovariance (54) is near target, lags 0 .. n."""
-    if horizon == 1:
-        return _search_one_ahead(target, length, rng)
-    return _search(target, length, horizon, rng)
-
-
-def _search_one_ahead(target: Array, length: int, rng: np.random.Generator | None) -> np.ndarray:
-    """Choose each bit by itself: horizon 1, where the two candidates differ by one row of products."""
-    # The signal stands in reverse, so that s_t, s_{t-1}, .. s_{t-n} is one contiguous slice.
-    signal = np.zeros(length + target.size - 1)
-    sums, gap = np.zeros(target.size), np.empty(target.size)
-    tolerance = _tie(target.size, 1, length)
-    for t in range(1, length + 1):
-        here = length - t
-        row = signal[here : here + target.size]
-        np.multiply(target, -t, out=gap)
-        gap += sums
-        row[0] = 1.0
-        # |gap + row|^2 - |gap|^2: what a one costs more than a zero.
-        cost = 2.0 * gap.dot(row) + row.dot(row)
-        if cost < -tolerance or (rng is not None and cost <= tolerance and rng.integers(2)):
-            sums += row
-        else:
-            row[0] = 0.0
-    return signal[:length][::-1]
-
-
-def _search(target: Array, length: int, m: int, rng: np.random.Generator | None) -> np.ndarray:
-    """Choose each bit as the first of the best m-tuple."""
-    n = target.size - 1
+    n, m = target.size - 1, horizon
     blocks = _tuples(m, n)
     # m - 1 zeros in front stand for the samples that are still to come.
     signal = np.zeros(m - 1 + length + n, dtype=np.float32)

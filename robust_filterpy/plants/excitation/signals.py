@@ -17,14 +17,6 @@ from numpy.typing import ArrayLike
 from robust_filterpy._checks import Array, count, finite_vector, numbers, real
 from robust_filterpy.plants.excitation.receding_horizon import search_bits
 
-__all__ = [
-    "bandlimited_pink_autocovariance",
-    "bandlimited_pink_spectrum",
-    "prbs",
-    "receding_horizon_binary",
-    "sample_autocovariance",
-]
-
 MAX_HORIZON = 20
 
 

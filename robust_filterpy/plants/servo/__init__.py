@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from robust_filterpy.plants.servo.coefficients import beta_coefficient, random_alpha, random_beta
+from robust_filterpy.plants.servo.coefficients import beta_coefficient, random_coefficient
 from robust_filterpy.plants.servo.equations import valve_opening
 from robust_filterpy.plants.servo.linearization import linearize_servo
 from robust_filterpy.plants.servo.observer import ServoObserver
@@ -28,8 +28,7 @@ __all__ = [
     "linearize_servo",
     "operating_point",
     "pneumatic_servo",
-    "random_alpha",
-    "random_beta",
+    "random_coefficient",
     "simulate_actuator",
     "simulate_servo",
     "valve_opening",

@@ -10,16 +10,16 @@ from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-__all__ = ["ALPHA_RANGE", "BETA_RANGE", "beta_coefficient", "random_alpha", "random_beta"]
+from robust_filterpy._checks import Array, option
 
-Array: TypeAlias = NDArray[np.floating[Any]]
 #: A number, a function of time, or a pair (times, values) that is interpolated linearly.
 Coefficient: TypeAlias = "float | Callable[[float], float] | tuple[ArrayLike, ArrayLike]"
 
 ALPHA_RANGE = (1.0, 1.3997)
 BETA_RANGE = (0.075, 1.3297)
+RANGES = {"alpha": ALPHA_RANGE, "beta": BETA_RANGE}
 
 
 def beta_coefficient(alpha: ArrayLike, discharge_coefficient: ArrayLike, temperature_ratio: ArrayLike = 1.0) -> Any:
@@ -61,26 +61,29 @@ def beta_coefficient(alpha: ArrayLike, discharge_coefficient: ArrayLike, tempera
     return float(beta) if beta.ndim == 0 else beta
 
 
-def random_alpha(
+def random_coefficient(
+    name: str,
     t: ArrayLike,
     *,
-    low: float = ALPHA_RANGE[0],
-    high: float = ALPHA_RANGE[1],
+    low: float | None = None,
+    high: float | None = None,
     spread: float = 0.05,
     start: float | None = None,
     rng: Any = None,
 ) -> Array:
-    """Draw a slow random path of the heat coefficient alpha(t), eq (2).
+    """Draw a slow random path of alpha(t) or beta(t), eqs (2) and (6).
 
     A random walk reflected at `low` and `high`: it is continuous in time, and in the long run every value between
     the two is equally likely.
 
     Parameters
     ----------
+    name : {"alpha", "beta"}
+        The heat coefficient, in [1, 1.3997], or the bound parameter, in [0.075, 1.3297].
     t : array_like, shape (N,)
         Times, strictly increasing, in s.
-    low, high : float
-        Bounds of the path, within [1, 1.3997].
+    low, high : float, optional
+        Bounds of the path, within its range; by default the ends of it.
     spread : float
         Standard deviation of the unreflected walk after one second, as a fraction of ``high - low``.
     start : float, optional
@@ -95,57 +98,36 @@ def random_alpha(
     Raises
     ------
     ValueError
-        If the bounds leave the range of alpha, `start` leaves the bounds, `spread` is negative or `t` does not
-        increase.
+        If there is no coefficient of this name, the bounds leave its range, `start` leaves the bounds, `spread` is
+        negative or `t` does not increase.
+
+    Notes
+    -----
+    The range of beta is wide: from its bottom to its top the gain from valve to velocity grows 18 times, more than one
+    position loop can carry well; give narrower bounds, or compose beta from its causes with `beta_coefficient`.
 
     Examples
     --------
     >>> import numpy as np
-    >>> path = random_alpha(np.arange(0, 20, 0.01), low=1.1, high=1.3, rng=1)
+    >>> path = random_coefficient("alpha", np.arange(0, 20, 0.01), low=1.1, high=1.3, rng=1)
     >>> bool(1.1 <= path.min() and path.max() <= 1.3)
     True
     """
-    return _reflected_walk(t, "alpha", ALPHA_RANGE, low, high, spread, start, rng)
-
-
-def random_beta(
-    t: ArrayLike,
-    *,
-    low: float = BETA_RANGE[0],
-    high: float = BETA_RANGE[1],
-    spread: float = 0.05,
-    start: float | None = None,
-    rng: Any = None,
-) -> Array:
-    """Draw a slow random path of the bound parameter beta(t), eq (6).
-
-    The same reflected random walk as `random_alpha`, within [0.075, 1.3297]. That range is wide: from its bottom to its
-    top the gain from valve to velocity grows 18 times, more than one position loop can carry well; give narrower
-    bounds, or compose beta from its causes with `beta_coefficient`.
-
-    Parameters
-    ----------
-    t : array_like, shape (N,)
-        Times, strictly increasing, in s.
-    low, high : float
-        Bounds of the path, within [0.075, 1.3297].
-    spread : float
-        Standard deviation of the unreflected walk after one second, as a fraction of ``high - low``.
-    start : float, optional
-        Value at ``t[0]``; the middle of the bounds by default.
-    rng : None, int or numpy.random.Generator
-        Source of randomness, handed to `numpy.random.default_rng`.
-
-    Returns
-    -------
-    numpy.ndarray, shape (N,)
-
-    Raises
-    ------
-    ValueError
-        As `random_alpha`.
-    """
-    return _reflected_walk(t, "beta", BETA_RANGE, low, high, spread, start, rng)
+    limits = RANGES[option("name", name, RANGES)]
+    times = _increasing(t, "t")
+    low, high = limits[0] if low is None else low, limits[1] if high is None else high
+    checked([low, high], f"bounds of {name}", limits)
+    if not low < high:
+        raise ValueError(f"bounds of {name}: expected low < high, got {low} and {high}")
+    if not (np.isfinite(spread) and spread >= 0):
+        raise ValueError(f"spread: expected a number >= 0, got {spread}")
+    first = 0.5 * (low + high) if start is None else float(checked(start, f"start of {name}", (low, high)))
+    width = high - low
+    steps = np.random.default_rng(rng).standard_normal(times.size - 1) * spread * width * np.sqrt(np.diff(times))
+    free = np.concatenate([[first - low], first - low + np.cumsum(steps)])
+    # To fold a free walk is the same as to reflect it at the bounds.
+    folded = np.abs((free + width) % (2 * width) - width)
+    return np.clip(low + folded, low, high)
 
 
 def coefficient_function(value: Coefficient, name: str, limits: tuple[float, float]) -> Callable[[float], float]:
@@ -196,32 +178,6 @@ def coefficient_function(value: Coefficient, name: str, limits: tuple[float, flo
         )
     number = float(constant)
     return lambda t: number
-
-
-def _reflected_walk(
-    t: ArrayLike,
-    name: str,
-    limits: tuple[float, float],
-    low: float,
-    high: float,
-    spread: float,
-    start: float | None,
-    rng: Any,
-) -> Array:
-    """Fold a free random walk into [low, high], which is the same as reflecting it at the bounds."""
-    times = _increasing(t, "t")
-    checked([low, high], f"bounds of {name}", limits)
-    if not low < high:
-        raise ValueError(f"bounds of {name}: expected low < high, got {low} and {high}")
-    if not (np.isfinite(spread) and spread >= 0):
-        raise ValueError(f"spread: expected a number >= 0, got {spread}")
-    first = 0.5 * (low + high) if start is None else float(checked(start, f"start of {name}", (low, high)))
-    generator = np.random.default_rng(rng)
-    width = high - low
-    steps = generator.standard_normal(times.size - 1) * spread * width * np.sqrt(np.diff(times))
-    free = np.concatenate([[first - low], first - low + np.cumsum(steps)])
-    folded = np.abs((free + width) % (2 * width) - width)
-    return np.clip(low + folded, low, high)
 
 
 def _increasing(t: ArrayLike, name: str) -> Array:

@@ -11,54 +11,10 @@ from numpy.typing import ArrayLike
 
 from .parameters import PneumaticParameters, critical_ratio
 
-__all__ = ["INPUTS", "STATES", "flow_function", "servo_derivatives", "valve_opening"]
-
 STATES = ("position", "velocity", "P_a", "P_b")
 INPUTS = ("valve", "load")
 #: (y, v, P_a, P_b, valve, load, alpha, beta[, supply]) -> (y', v', P_a', P_b')
 Derivatives: TypeAlias = Callable[..., tuple[float, float, float, float]]
-
-
-def flow_function(r: ArrayLike, kappa: float = 1.4, *, laminar_ratio: float = 1.0) -> Any:
-    """Evaluate the reduced flow function f-bar of eq (5).
-
-    ``sqrt(2 kappa/(kappa-1) (r^(2/kappa) - r^((kappa+1)/kappa)))`` for subsonic flow; constant (0.6847 for air) below
-    the critical ratio, where the flow is choked. The mass flow through an orifice of area A is
-    ``C_d A P_up f-bar(P_down/P_up) / sqrt(R T)``.
-
-    Parameters
-    ----------
-    r : float or array_like, any shape
-        Downstream over upstream absolute pressure, at most 1.
-    kappa : float
-        Ratio of the specific heats, above 1.
-    laminar_ratio : float
-        From here to r = 1 the function is the straight line down to 0. At 1 (the default) there is no such line, and
-        the slope at r = 1 is infinite; an ODE solver then chatters where a chamber has reached the outer pressure.
-
-    Returns
-    -------
-    float or numpy.ndarray, shape of r
-
-    Raises
-    ------
-    ValueError
-        If r exceeds 1 or is not a number, kappa is not above 1 or laminar_ratio is not in the subsonic range.
-
-    Examples
-    --------
-    >>> print(f"{flow_function(0.2):.4f} {flow_function(0.9):.4f} {flow_function(1.0):.4f}")
-    0.6847 0.4226 0.0000
-    """
-    if not (math.isfinite(kappa) and kappa > 1):
-        raise ValueError(f"kappa: expected a number above 1, got {kappa}")
-    if not critical_ratio(kappa) < laminar_ratio <= 1:
-        raise ValueError(f"laminar_ratio: expected in ({critical_ratio(kappa):.4f}, 1], got {laminar_ratio}")
-    ratio = np.asarray(r, dtype=float)
-    if not np.all(ratio <= 1):
-        raise ValueError(f"r: expected downstream over upstream pressure, at most 1, got {np.max(ratio)}")
-    values = np.vectorize(reduced_flow(kappa, laminar_ratio), otypes=[float])(ratio)
-    return float(values) if ratio.ndim == 0 else values
 
 
 def valve_opening(command: ArrayLike, dead_band: float) -> Any:
@@ -123,7 +79,7 @@ def servo_derivatives(parameters: PneumaticParameters) -> Derivatives:
     through = port_flow(reduced_flow(p.kappa, p.laminar_ratio))
     viscous, spring, mass = p.viscous_friction, p.spring, p.mass
 
-    def derivatives(
+    def derivatives(  # floats, as a solver's thousands of calls want them
         y: float,
         v: float,
         p_a: float,
@@ -153,7 +109,13 @@ def servo_derivatives(parameters: PneumaticParameters) -> Derivatives:
 
 
 def reduced_flow(kappa: float, laminar_ratio: float) -> Callable[[float], float]:
-    """Return f-bar of eq (5) for floats."""
+    """Return f-bar of eq (5), of the pressure downstream over that upstream.
+
+    Constant (0.6847 for air) below the critical ratio, where the flow is choked. From laminar_ratio to 1 it is the
+    straight line down to 0; at 1 there is no such line, and the slope there is infinite: an ODE solver then chatters
+    where a chamber has reached the outer pressure. The mass flow through an orifice of area A is
+    ``C_d A P_up f-bar(P_down/P_up) / sqrt(R T)``.
+    """
     critical = critical_ratio(kappa)
     factor, low, high = 2 * kappa / (kappa - 1), 2 / kappa, (kappa + 1) / kappa
     choked = math.sqrt(factor * (critical**low - critical**high))

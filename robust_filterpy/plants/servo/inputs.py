@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robust_filterpy._checks import Array, numbers
+from robust_filterpy._checks import Array, numbers, positive
 
 from .coefficients import ALPHA_RANGE, BETA_RANGE, Coefficient, checked, coefficient_function
 from .equations import STATES
@@ -22,7 +22,7 @@ Signal: TypeAlias = "Coefficient | ArrayLike"
 class ServoInputs:
     """What drives the plant beside its valve, checked and sampled."""
 
-    def __init__(
+    def __init__(  # the quantities that both simulations take
         self,
         n: int,
         dt: float,
@@ -37,8 +37,7 @@ class ServoInputs:
     ) -> None:
         """Bring every signal to one value a sample."""
         for name, value in (("dt", dt), ("rtol", rtol)):
-            if not (math.isfinite(value) and value > 0):
-                raise ValueError(f"{name}: expected a finite number > 0, got {value}")
+            positive(name, value)
         self.dt, self.rtol = dt, rtol
         self.t = t = dt * np.arange(n, dtype=np.float64)
         self.alpha = _samples(alpha, t, "alpha", ALPHA_RANGE)

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from robust_filterpy._checks import option, positive
+
 from .equations import INPUTS, STATES
 from .loop_design import PositionGains, feedback, position_gains, without_dry_friction
 from .parameters import NOMINAL_ALPHA, PneumaticParameters, as_parameters
@@ -21,8 +23,6 @@ from .steady_motion import (
 
 if TYPE_CHECKING:
     import control
-
-__all__ = ["ServoLinearization", "linearize_servo"]
 
 
 class ServoLinearization(NamedTuple):
@@ -52,7 +52,7 @@ class ServoLinearization(NamedTuple):
     reference_to_position: control.TransferFunction
 
 
-def linearize_servo(
+def linearize_servo(  # an argument for each quantity of the motion and of the loop, by name
     parameters: PneumaticParameters | None = None,
     position: float = 0.0,
     *,
@@ -117,10 +117,8 @@ def linearize_servo(
     import control
 
     p = as_parameters(parameters)
-    if not (math.isfinite(dt) and dt > 0):
-        raise ValueError(f"dt: expected a finite number > 0, got {dt}")
-    if friction not in ("full", "viscous"):
-        raise ValueError(f"friction: expected 'full' or 'viscous', got {friction!r}")
+    positive("dt", dt)
+    option("friction", friction, ("full", "viscous"))
     gains = chosen_gains(p, gain, damping)
     if friction == "viscous":
         p = without_dry_friction(p)

@@ -15,8 +15,6 @@ from robust_filterpy._checks import Array
 from .parameters import NOMINAL_ALPHA, PneumaticParameters, as_parameters
 from .steady_motion import STATE_SCALES, operating_point, state_matrices
 
-__all__ = ["PositionGains", "UnstableLoopError", "position_gains"]
-
 #: Bandwidth of the loop, and damping ratio that the feedback of acceleration adds: our choice.
 _BANDWIDTH, _ADDED_DAMPING = 0.1, 0.1
 #: Where the loop is tested: shares of the half stroke, and velocities in m/s.

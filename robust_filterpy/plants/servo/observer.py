@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robust_filterpy._checks import Array, finite_vector
+from robust_filterpy._checks import Array, finite_vector, positive
 
 from .coefficients import BETA_RANGE
 from .equations import servo_derivatives
 from .loop_design import sampled, without_dry_friction
 from .parameters import NOMINAL_ALPHA, PneumaticParameters, as_parameters
 from .steady_motion import STATE_SCALES, operating_point
-
-__all__ = ["MotionEstimate", "ServoObserver"]
 
 #: Units of position, velocity, P_a, P_b, force and beta over its nominal value within the filter.
 _SCALES = np.append(STATE_SCALES, [1.0, 1.0])
@@ -104,8 +101,6 @@ class ServoObserver:
         position: float = 0.0,
     ) -> None:
         """Set the filter up at rest."""
-        if not (math.isfinite(dt) and dt > 0):
-            raise ValueError(f"dt: expected a finite number > 0, got {dt}")
         noise = finite_vector("std", std)
         if noise.shape != (3,) or not np.all(noise > 0):
             raise ValueError(f"std: expected 3 numbers > 0, of position, P_a and P_b, got {noise}")
@@ -114,7 +109,7 @@ class ServoObserver:
             raise ValueError(f"filter: expected dim_x, dim_z, dim_u = (6, 3, 6), got {shape}")
         p = as_parameters(parameters)
         start = operating_point(p, position, velocity=0.0)
-        self.filter, self._dt = filter, dt
+        self.filter, self._dt = filter, positive("dt", dt)
         self._nominal = NOMINAL_ALPHA * p.discharge_coefficient
         self._derivatives = servo_derivatives(without_dry_friction(p))
         self._friction, self._mass = p.coulomb_friction, p.mass

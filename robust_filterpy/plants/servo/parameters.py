@@ -58,7 +58,7 @@ class PneumaticParameters:
         of free air pass from 7.3 bar absolute, the order of what ISO 10099 grants a new cylinder of this bore; a worn
         seal lets a hundred times as much pass.
     laminar_ratio : float
-        Pressure ratio above which the flow is linear in the pressure drop, see `flow_function`. Ours: 0.999.
+        Pressure ratio above which the flow is linear in the pressure drop, 0 at equal pressures. Ours: 0.999.
     stop_stiffness, stop_damping : float
         End stops, in N/m and s/m, see `pneumatic_servo`. Ours: full supply pressure sinks 0.07 mm into a stop [3]_.
 

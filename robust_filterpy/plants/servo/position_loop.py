@@ -22,8 +22,6 @@ from .loop_design import check_loop
 from .parameters import NOMINAL_ALPHA, PneumaticParameters, as_parameters
 from .recording import Array, ServoRecording
 
-__all__ = ["Observer", "simulate_actuator", "simulate_servo"]
-
 #: Readings (position, P_a, P_b) and the command of the period before; estimated position and acceleration.
 Observer: TypeAlias = Callable[[Array, float], "tuple[float, float]"]
 #: Sample number, true motion (position, acceleration), readings and the command before; estimate and command.
@@ -33,7 +31,7 @@ _Controller: TypeAlias = Callable[[int, "tuple[float, float]", Array, float], "t
 _SCALES = np.array([1e-3, 1e-2, 1e4, 1e4])
 
 
-def simulate_servo(
+def simulate_servo(  # an argument for each quantity of the experiment, nearly all by name
     reference: ArrayLike | Callable[[float], float],
     dt: float,
     parameters: PneumaticParameters | None = None,
@@ -149,7 +147,7 @@ def simulate_servo(
     return _simulate(controller, r, p, inputs)
 
 
-def simulate_actuator(
+def simulate_actuator(  # the quantities of the experiment that `simulate_servo` has too
     valve: ArrayLike,
     dt: float,
     parameters: PneumaticParameters | None = None,

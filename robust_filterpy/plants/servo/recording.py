@@ -8,8 +8,6 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ServoRecording"]
-
 Array: TypeAlias = NDArray[np.floating[Any]]
 
 #: Unit of each signal, in the order of the fields.

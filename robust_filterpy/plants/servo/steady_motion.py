@@ -13,8 +13,6 @@ from .coefficients import ALPHA_RANGE, BETA_RANGE, beta_coefficient, checked
 from .equations import dry_friction, port_flow, reduced_flow, servo_derivatives
 from .parameters import NOMINAL_ALPHA, PneumaticParameters, as_parameters
 
-__all__ = ["ServoOperatingPoint", "operating_point"]
-
 #: What one unit of a scaled state and input is: m, m/s, Pa, Pa; command, N. One step of finite differences suits all.
 STATE_SCALES = np.array([1e-2, 1e-1, 1e5, 1e5])
 INPUT_SCALES = np.array([1.0, 1.0])

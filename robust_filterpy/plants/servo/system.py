@@ -19,8 +19,6 @@ from .parameters import NOMINAL_ALPHA, PneumaticParameters, as_parameters
 if TYPE_CHECKING:
     import control
 
-__all__ = ["pneumatic_servo"]
-
 
 def pneumatic_servo(
     parameters: PneumaticParameters | None = None,

@@ -11,14 +11,7 @@ import numpy as np
 
 from robust_filterpy import _checks
 
-__all__ = [
-    "assert_close",
-    "assert_refused_call_changes_nothing",
-    "assert_same_filter",
-    "assert_state_round_trip",
-    "assert_unchanged",
-    "visible",
-]
+__all__ = ["assert_refused_call_changes_nothing", "assert_same_filter", "assert_state_round_trip"]
 
 #: What a refusal is: an error that names what was wrong, not a failed assert inside the estimator.
 REFUSALS = (ValueError, TypeError, np.linalg.LinAlgError)

@@ -69,13 +69,13 @@ def assert_sensor_order_irrelevant(
     Parameters
     ----------
     make : callable
-        ``make(dim_x, dim_z)`` returns a filter.
+        As in `assert_unit_equivariant`.
     scenario : Scenario
         Model and recording, with at least two sensors.
     order : sequence of int, optional
         The other order. Default: backwards.
     rtol : float, default 1e-6
-        Difference that is allowed, in standard deviations of the state.
+        As in `assert_unit_equivariant`.
 
     Raises
     ------
@@ -100,13 +100,13 @@ def assert_missing_is_no_information(
     Parameters
     ----------
     make : callable
-        ``make(dim_x, dim_z)`` returns a filter.
+        As in `assert_unit_equivariant`.
     scenario : Scenario
         Model and recording without missing samples.
     components : bool, default True
         Whether NaN in z is tried, all of it and one sensor's; otherwise only ``update(None)``.
     rtol : float, default 1e-6
-        Difference that is allowed, in standard deviations of the state.
+        As in `assert_unit_equivariant`.
 
     Raises
     ------

@@ -73,6 +73,19 @@ class Subject(ABC):
         """Whether the estimator claims to be the Kalman filter, or recursive least squares."""
         return "exact" in self.claims
 
+    def make_one(self, what: str, needed: Sequence[str], returned: str, *arguments: Any) -> Any:
+        """Make an estimator, or raise TypeError that says what make returned."""
+        if not callable(self.make):
+            raise TypeError(f"make: expected a class or a function of {what}, got {_checks.shown(self.make)}")
+        made = self.make(*arguments)
+        lacking = [name for name in needed if isinstance(made, type) or not hasattr(made, name)]
+        if lacking:
+            raise TypeError(
+                f"make: expected a function of {what} that returns {returned}, got {_checks.shown(made)} without "
+                f"{lacking[0]}"
+            )
+        return made
+
     @abstractmethod
     def try_out(self) -> None:
         """Make one and prepare it, or raise TypeError or ValueError that says what make returned."""
@@ -318,7 +331,7 @@ class Bench:
         Parameters
         ----------
         not_claimed : iterable of str
-            What the estimator does not claim; `FILTER_TAGS` and `TRACKER_TAGS` tell what can be claimed. "exact" is
+            What the estimator does not claim; an unknown name is refused with all that can be claimed. "exact" is
             tested only of estimators that do not claim "robust".
         expected_failures : mapping of str to str, optional
             Names of checks that are known to fail, and the reason. They are reported as skipped; one that passes warns.

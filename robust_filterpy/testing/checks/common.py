@@ -8,7 +8,6 @@ from robust_filterpy.testing.assertions import contracts
 from robust_filterpy.testing.assertions.bounds import deviations
 from robust_filterpy.testing.assertions.consistency import assert_covariance_stays_one
 from robust_filterpy.testing.checks.bench import OLD, Promise, Subject, promise, through
-from robust_filterpy.testing.scenarios.contamination import Mixture
 
 #: What is looked at first, in the middle, and at the end.
 CONTRACTS: list[Promise] = []
@@ -139,7 +138,7 @@ def clean_data_are_used_well(subject: Subject) -> None:
 @promise(STATISTICS, "robust", stochastic=True)
 def outliers_cost_little(subject: Subject) -> None:
     """With one sample in ten of 30 times the noise the squared error stays near that of who knows the labels."""
-    subject.assert_efficient(Mixture(0.1, 30.0))
+    subject.assert_efficient({"mixture": {"scale_ratio": 30.0}})
 
 
 @promise(STATISTICS)

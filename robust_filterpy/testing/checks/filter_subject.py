@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.testing.assertions.robustness import assert_efficient
 from robust_filterpy.testing.checks.bench import Corrected, Subject
@@ -66,15 +65,8 @@ class FilterSubject(Subject):
 
     def made(self, dim_x: int, dim_z: int) -> Any:
         """Make a filter, or say what make returned."""
-        if not callable(self.make):
-            raise TypeError(f"make: expected a class or a function of dim_x and dim_z, got {_checks.shown(self.make)}")
-        kf = self.make(dim_x, dim_z)
-        for name in ("x", "P", "predict", "update"):
-            if isinstance(kf, type) or not hasattr(kf, name):
-                raise TypeError(
-                    f"make: expected a function of dim_x and dim_z that returns a filter with x, P, predict() and "
-                    f"update(z), got {_checks.shown(kf)} without {name}"
-                )
+        needed, returned = ("x", "P", "predict", "update"), "a filter with x, P, predict() and update(z)"
+        kf = self.make_one("dim_x and dim_z", needed, returned, dim_x, dim_z)
         if np.size(kf.x) != dim_x:
             raise ValueError(f"make: expected x of {dim_x} numbers from make({dim_x}, {dim_z}), got {np.size(kf.x)}")
         return kf

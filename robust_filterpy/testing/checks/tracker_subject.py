@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.identification import ARX
 from robust_filterpy.identification.models.structures import Structure
@@ -57,15 +56,8 @@ class TrackerSubject(Subject):
 
     def made(self, structure: Structure) -> Any:
         """Make a tracker, or say what make returned."""
-        if not callable(self.make):
-            raise TypeError(f"make: expected a class or a function of a structure, got {_checks.shown(self.make)}")
-        tracker = self.make(structure)
-        for name in ("theta", "update"):
-            if isinstance(tracker, type) or not hasattr(tracker, name):
-                raise TypeError(
-                    f"make: expected a function of a structure that returns a tracker with theta and update(y, u), got "
-                    f"{_checks.shown(tracker)} without {name}"
-                )
+        returned = "a tracker with theta and update(y, u)"
+        tracker = self.make_one("a structure", ("theta", "update"), returned, structure)
         try:
             parameters(tracker, structure.n_theta)
         except ValueError as error:

@@ -8,8 +8,7 @@
 
 from __future__ import annotations
 
-from robust_filterpy.testing.scenarios import contamination, drawing, models, plants, runs, tracker_runs
-from robust_filterpy.testing.scenarios.contamination import *  # noqa: F403
+from robust_filterpy.testing.scenarios import drawing, models, plants, runs, tracker_runs
 from robust_filterpy.testing.scenarios.drawing import *  # noqa: F403
 from robust_filterpy.testing.scenarios.models import *  # noqa: F403
 from robust_filterpy.testing.scenarios.plants import *  # noqa: F403
@@ -17,7 +16,6 @@ from robust_filterpy.testing.scenarios.runs import *  # noqa: F403
 from robust_filterpy.testing.scenarios.tracker_runs import *  # noqa: F403
 
 __all__: list[str] = []
-__all__ += contamination.__all__
 __all__ += drawing.__all__
 __all__ += models.__all__
 __all__ += plants.__all__

@@ -12,20 +12,22 @@ sentinels      some samples are replaced by 9999                         gross e
 stuck          a sensor repeats its last value for a while               errors that look plausible
 missing        NaN, in runs                                              missing data
 =============  ========================================================  ============================================
+
+Each is a function ``kind(before, clean, sigma, rng, **options)`` that makes `Spoilt` measurements of those before;
+clean are the measurements without noise, shape (N, m), sigma its deviations, shape (m,).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, TypeAlias
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-
-__all__ = ["CONTAMINATIONS", "Bursts", "Missing", "Mixture", "OneSided", "Sentinels", "Stuck", "Student"]
 
 
 class Spoilt(NamedTuple):
@@ -46,6 +48,14 @@ class Spoilt(NamedTuple):
     is_outlier: np.ndarray
 
 
+#: What spoils measurements. With an attribute of_noise that is true it only makes the noise larger: in a plant with its
+#: noise inside the loop (ARX) such an outlier goes round the loop.
+Contamination: TypeAlias = "Callable[[Spoilt, Array, Array, np.random.Generator], Spoilt]"
+
+#: A name; names with their options; something that spoils measurements; or several, which act one after another.
+Kinds: TypeAlias = "str | Mapping[str, Mapping[str, float]] | Contamination | Sequence[str | Contamination]"
+
+
 def _runs(probability: float, length: int, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
     """Return marks that are set with about this probability, in runs of this length along the first axis."""
     starts = rng.random(shape) < probability / length
@@ -61,190 +71,78 @@ def _enlarged(before: Spoilt, clean: Array, ratio: Array, labels: np.ndarray) ->
     return Spoilt(z, before.noise_ratio * ratio, before.is_outlier | labels)
 
 
-def _replaced(before: Spoilt, z: Array, labels: np.ndarray) -> Spoilt:
+def _replaced(before: Spoilt, z: Array | float, labels: np.ndarray) -> Spoilt:
     """Put other values in the place of some samples."""
     return Spoilt(
         np.where(labels, z, before.z), np.where(labels, np.inf, before.noise_ratio), before.is_outlier | labels
     )
 
 
-@dataclass(frozen=True)
-class Mixture:
-    """Samples of which some have a larger noise, the contaminated normal of the paper (15)-(17).
-
-    Parameters
-    ----------
-    probability : float, default .1
-        Of an outlier, in [0, 1).
-    scale_ratio : float, default 10
-        Its deviation over the ordinary one.
-    """
-
-    of_noise: ClassVar[bool] = True
-    probability: float = 0.1
-    scale_ratio: float = 10.0
-
-    def __call__(self, before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator) -> Spoilt:
-        """Multiply the noise of some samples."""
-        bad = rng.random(clean.shape) < self.probability
-        return _enlarged(before, clean, np.where(bad, self.scale_ratio, 1.0), bad)
+def mixture(
+    before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator,
+    *, probability: float = 0.1, scale_ratio: float = 10.0, length: int = 1,
+) -> Spoilt:  # fmt: skip
+    """Make the noise of some samples larger, in runs of some length: the contaminated normal of the paper (15)-(17)."""
+    bad = _runs(probability, length, clean.shape, rng)
+    return _enlarged(before, clean, np.where(bad, scale_ratio, 1.0), bad)
 
 
-@dataclass(frozen=True)
-class OneSided:
-    """Samples of which some are too large: half-normal outliers, never negative.
-
-    Parameters
-    ----------
-    probability : float, default .1
-        Of an outlier, in [0, 1).
-    scale_ratio : float, default 10
-        Deviation of the normal distribution that is halved, over that of the noise.
-    """
-
-    of_noise: ClassVar[bool] = True
-    probability: float = 0.1
-    scale_ratio: float = 10.0
-
-    def __call__(self, before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator) -> Spoilt:
-        """Add something positive to some samples."""
-        bad = rng.random(clean.shape) < self.probability
-        z = before.z + np.where(bad, self.scale_ratio * sigma * np.abs(rng.standard_normal(clean.shape)), 0.0)
-        ratio = np.where(bad, np.hypot(1.0, self.scale_ratio), 1.0)
-        return Spoilt(z, before.noise_ratio * ratio, before.is_outlier | bad)
+def one_sided(
+    before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator,
+    *, probability: float = 0.1, scale_ratio: float = 10.0,
+) -> Spoilt:  # fmt: skip
+    """Add a half-normal number, never negative, to some samples; scale_ratio is its deviation over the noise's."""
+    bad = rng.random(clean.shape) < probability
+    z = before.z + np.where(bad, scale_ratio * sigma * np.abs(rng.standard_normal(clean.shape)), 0.0)
+    ratio = np.where(bad, np.hypot(1.0, scale_ratio), 1.0)
+    return Spoilt(z, before.noise_ratio * ratio, before.is_outlier | bad)
 
 
-@dataclass(frozen=True)
-class Bursts:
-    """Outliers that come in runs.
-
-    Parameters
-    ----------
-    probability : float, default .1
-        Of a sample to be in a run, about, in [0, 1).
-    length : int, default 5
-        Samples of a run.
-    scale_ratio : float, default 10
-        Deviation of an outlier over the ordinary one.
-    """
-
-    of_noise: ClassVar[bool] = True
-    probability: float = 0.1
-    length: int = 5
-    scale_ratio: float = 10.0
-
-    def __call__(self, before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator) -> Spoilt:
-        """Multiply the noise in runs."""
-        bad = _runs(self.probability, self.length, clean.shape, rng)
-        return _enlarged(before, clean, np.where(bad, self.scale_ratio, 1.0), bad)
+def student(before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator, *, df: float = 3.0) -> Spoilt:
+    """Give each sample a variance of its own; those of more than three ordinary deviations are labelled outliers."""
+    ratio = np.sqrt(df / rng.chisquare(df, clean.shape))
+    return _enlarged(before, clean, ratio, ratio > 3.0)
 
 
-@dataclass(frozen=True)
-class Student:
-    """Student's t in the place of the normal distribution: each sample has a variance of its own.
-
-    Parameters
-    ----------
-    df : float, default 3
-        Degrees of freedom. Samples of more than three times the ordinary deviation are labelled outliers.
-    """
-
-    of_noise: ClassVar[bool] = True
-    df: float = 3.0
-
-    def __call__(self, before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator) -> Spoilt:
-        """Divide the noise by the root of a chi-square."""
-        ratio = np.sqrt(self.df / rng.chisquare(self.df, clean.shape))
-        return _enlarged(before, clean, ratio, ratio > 3.0)
+def sentinels(
+    before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator,
+    *, probability: float = 0.05, value: float = 9999.0,
+) -> Spoilt:  # fmt: skip
+    """Replace some samples by one value, in the unit of z, as many devices report a failure."""
+    return _replaced(before, value, rng.random(clean.shape) < probability)
 
 
-@dataclass(frozen=True)
-class Sentinels:
-    """Samples of which some are replaced by one value, as many devices report a failure.
-
-    Parameters
-    ----------
-    probability : float, default .05
-        Of a replaced sample, in [0, 1).
-    value : float, default 9999
-        What stands there, in the unit of z.
-    """
-
-    of_noise: ClassVar[bool] = False
-    probability: float = 0.05
-    value: float = 9999.0
-
-    def __call__(self, before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator) -> Spoilt:
-        """Replace some samples."""
-        return _replaced(before, np.full(clean.shape, self.value), rng.random(clean.shape) < self.probability)
+def stuck(
+    before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator, *, probability: float = 0.1, length: int = 10
+) -> Spoilt:
+    """Repeat the sample before each run."""
+    held = _runs(probability, length, clean.shape, rng)
+    held[0] = False
+    z = before.z.copy()
+    for k in range(1, len(z)):
+        z[k] = np.where(held[k], z[k - 1], z[k])
+    return _replaced(before, z, held)
 
 
-@dataclass(frozen=True)
-class Stuck:
-    """A sensor that repeats its last value for a while.
-
-    Parameters
-    ----------
-    probability : float, default .1
-        Of a sample to be in a run, about, in [0, 1).
-    length : int, default 10
-        Samples of a run.
-    """
-
-    of_noise: ClassVar[bool] = False
-    probability: float = 0.1
-    length: int = 10
-
-    def __call__(self, before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator) -> Spoilt:
-        """Repeat the sample before each run."""
-        stuck = _runs(self.probability, self.length, clean.shape, rng)
-        stuck[0] = False
-        z = before.z.copy()
-        for k in range(1, len(z)):
-            z[k] = np.where(stuck[k], z[k - 1], z[k])
-        return _replaced(before, z, stuck)
-
-
-@dataclass(frozen=True)
-class Missing:
-    """Samples that are not there, in runs.
-
-    Parameters
-    ----------
-    probability : float, default .1
-        Of a sample to be in a run, about, in [0, 1).
-    length : int, default 5
-        Samples of a run.
-    """
-
-    of_noise: ClassVar[bool] = False
-    probability: float = 0.1
-    length: int = 5
-
-    def __call__(self, before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator) -> Spoilt:
-        """Put NaN in the place of some samples."""
-        gone = _runs(self.probability, self.length, clean.shape, rng)
-        return before._replace(z=np.where(gone, np.nan, before.z), is_outlier=before.is_outlier & ~gone)
+def missing(
+    before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator, *, probability: float = 0.1, length: int = 5
+) -> Spoilt:
+    """Put NaN in the place of some samples, in runs."""
+    gone = _runs(probability, length, clean.shape, rng)
+    return before._replace(z=np.where(gone, np.nan, before.z), is_outlier=before.is_outlier & ~gone)
 
 
 #: What a scenario knows by name.
-CONTAMINATIONS: dict[str, Callable[..., Any]] = {
-    "mixture": Mixture,
-    "one-sided": OneSided,
-    "bursts": Bursts,
-    "student": Student,
-    "sentinels": Sentinels,
-    "stuck": Stuck,
-    "missing": Missing,
+CONTAMINATIONS: dict[str, Callable[..., Spoilt]] = {
+    "mixture": mixture,
+    "one-sided": one_sided,
+    "bursts": partial(mixture, length=5),
+    "student": student,
+    "sentinels": sentinels,
+    "stuck": stuck,
+    "missing": missing,
 }
-
-#: What spoils measurements: ``kind(before, clean, sigma, rng)`` returns the `Spoilt` ones; clean are the measurements
-#: without noise, shape (N, m), sigma its deviations, shape (m,). With an attribute of_noise that is true it only makes
-#: the noise larger: in a plant with its noise inside the loop (ARX) such an outlier goes round the loop.
-Contamination: TypeAlias = "Callable[[Spoilt, Array, Array, np.random.Generator], Spoilt]"
-
-#: A name, something that spoils measurements, or several, which act one after another.
-Kinds: TypeAlias = "str | Contamination | Sequence[str | Contamination]"
+_OF_NOISE = ("mixture", "one-sided", "bursts", "student")
 
 
 def of_noise(kind: Contamination) -> bool:
@@ -253,33 +151,27 @@ def of_noise(kind: Contamination) -> bool:
 
 
 def objects(kinds: Kinds) -> list[Contamination]:
-    """Return what is meant as functions that spoil measurements.
-
-    Parameters
-    ----------
-    kinds : str, Contamination or sequence of these
-        Names and functions; "none" for nothing.
-
-    Returns
-    -------
-    list of Contamination
-
-    Raises
-    ------
-    ValueError, TypeError
-        If a kind is unknown.
-    """
+    """Return what is meant as functions that spoil measurements, or raise if a name or an option is unknown."""
     found: list[Contamination] = []
     several: Any = (kinds,) if isinstance(kinds, str) or callable(kinds) else kinds
     for kind in several:
-        if isinstance(kind, str):
-            name = _checks.option("contamination", kind, ("none", *CONTAMINATIONS))
-            found += [] if name == "none" else [CONTAMINATIONS[name]()]
-        elif callable(kind):
+        if callable(kind):
             found.append(kind)
-        else:
+        elif not isinstance(kind, str):
             raise TypeError(f"contamination: expected a name or something to call, got {_checks.shown(kind)}")
+        elif _checks.option("contamination", kind, ("none", *CONTAMINATIONS)) != "none":
+            found.append(_named(kind, kinds[kind] if isinstance(kinds, Mapping) else {}))
     return found
+
+
+def _named(name: str, options: Mapping[str, float]) -> Contamination:
+    """Return what spoils measurements in the way of this name."""
+    function: Any = partial(CONTAMINATIONS[name], **options)
+    known = inspect.signature(CONTAMINATIONS[name]).parameters.values()
+    for option in options:
+        _checks.option(f"contamination {name!r}", option, [p.name for p in known if p.kind is p.KEYWORD_ONLY])
+    function.of_noise = name in _OF_NOISE
+    return function  # type: ignore[no-any-return]
 
 
 def spoilt(z: Array, clean: Array, sigma: Array, kinds: Sequence[Contamination], rng: np.random.Generator) -> Spoilt:

@@ -72,7 +72,7 @@ class Scenario:
         Parameters
         ----------
         kf : filter object
-            See `robust_filterpy.testing.load`.
+            With ``x, P, F, H, Q, R`` that can be set.
 
         Returns
         -------
@@ -84,7 +84,7 @@ class Scenario:
     @cached_property
     def reference(self) -> FilterRun:
         """The Kalman filter (extended, for a nonlinear sensor) that is told every label and every jump."""
-        return _label_knowing(self)
+        return runs.run_filter(_LabelKnowing(self), self)
 
 
 def draw(
@@ -101,12 +101,14 @@ def draw(
     Parameters
     ----------
     problem : str, StateModel or Plant
-        A name out of `robust_filterpy.testing.MODELS` or `robust_filterpy.testing.PLANTS`, or a system of your own.
+        A name out of the tables of `robust_filterpy.testing.scenarios.models` and
+        `robust_filterpy.testing.scenarios.plants`, or a system of your own.
     steps : int, default 200
         Length N of the recording.
-    contamination : str, Contamination or sequence of these, default "none"
-        How the measurements go wrong: "mixture", "one-sided", "bursts", "student", "sentinels", "stuck", "missing", an
-        object such as ``Mixture(0.2)``, or several that act one after another.
+    contamination : str, mapping of str to options, callable, or sequence of these, default "none"
+        How the measurements go wrong: "mixture" (options probability, scale_ratio, length), "one-sided" (probability,
+        scale_ratio), "bursts" (as "mixture"), "student" (df), "sentinels" (probability, value), "stuck", "missing"
+        (probability, length); with options as ``{"bursts": {"length": 8}}``, or several that act one after another.
     jumps : mapping of int to array_like of shape (n,) or (n_theta,), optional
         What is added to the true state, or to the parameters, before which step.
     rng : numpy.random.Generator or int, optional
@@ -180,31 +182,32 @@ def _normal(rng: np.random.Generator, size: int, covariance: Array) -> Array:
     return np.asarray(rng.standard_normal((size, len(covariance))) @ root.T)
 
 
-def _label_knowing(scenario: Scenario) -> FilterRun:
-    """Run filterpy's functions with each sample's own R and each step's own Q."""
-    model = scenario.model
-    n, m, _ = model.dims
-    N = len(scenario.z)
-    means, covariances = np.empty((N, n)), np.empty((N, n, n))
-    priors, prior_covariances, y, S = np.empty((N, n)), np.empty((N, n, n)), np.empty((N, m)), np.empty((N, m, m))
-    x, P = model.x, model.P
-    told = np.isfinite(scenario.noise_ratio) & ~scenario.is_missing
-    scale = np.where(np.isfinite(scenario.noise_ratio), scenario.noise_ratio, 1.0)
-    spoilt_sample = (scale != 1.0).any(axis=1)
-    for k, z in enumerate(scenario.z):
-        x, P = filterpy.kalman.predict(x, P, model.F, scenario.Qs[k])
-        if scenario.u is not None and model.B is not None:
-            x = x + model.B @ scenario.u[k]
-        priors[k], prior_covariances[k] = x, P
-        H, R, at = model.jacobian(x), model.R, model.measured(x)
-        if spoilt_sample[k]:
-            R = np.outer(scale[k], scale[k]) * R
-        y[k], S[k] = z - at, H @ P @ H.T + R
-        # Linearised at x: z - h(x) + H x is what a linear sensor would have said.
-        target, use = y[k] + H @ x, np.flatnonzero(told[k])
-        if use.size < m:
-            target, H, R = target[use], H[use], R[np.ix_(use, use)]
-        if use.size:
-            x, P = filterpy.kalman.update(x, P, target, R, H)
-        means[k], covariances[k] = x, P
-    return FilterRun(y, S, means, covariances, priors, prior_covariances, scenario.x)
+class _LabelKnowing:
+    """The Kalman filter, by filterpy's functions, that is told each sample's own R and each step's own Q."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Begin where the scenario does."""
+        self.scenario, self.k = scenario, -1
+        self.x, self.P, self.R = scenario.model.x, scenario.model.P, scenario.model.R
+
+    def predict(self, u: Array | None = None) -> None:
+        """Predict, and look at the labels of the sample that comes."""
+        known, model = self.scenario, self.scenario.model
+        self.k += 1
+        self.x, self.P = filterpy.kalman.predict(self.x, self.P, model.F, known.Qs[self.k])
+        if u is not None and model.B is not None:
+            self.x = self.x + model.B @ u
+        ratio = known.noise_ratio[self.k]
+        scale = np.where(np.isfinite(ratio), ratio, 1.0)
+        self.R = np.outer(scale, scale) * model.R if (scale != 1.0).any() else model.R
+
+    def update(self, z: Array | None) -> None:
+        """Correct by what tells something."""
+        known, model = self.scenario, self.scenario.model
+        use = np.flatnonzero(np.isfinite(known.noise_ratio[self.k]) & ~known.is_missing[self.k])
+        if z is not None and use.size:
+            H = model.jacobian(self.x)
+            # Linearised at x: z - h(x) + H x is what a linear sensor would have said.
+            target = z - model.measured(self.x) + H @ self.x
+            R = self.R[np.ix_(use, use)]
+            self.x, self.P = filterpy.kalman.update(self.x, self.P, target[use], R, H[use])

@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 
-__all__ = ["MODELS", "StateModel"]
+__all__ = ["StateModel"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,7 +29,8 @@ from robust_filterpy._checks import Array
 from robust_filterpy.identification import ARMAX, ARX, FIR, OutputError, ParameterTracker
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.influence import Linear
-from robust_filterpy.plants import linear_parameters, random_walk, simulate_arx, simulate_output_error, stable
+from robust_filterpy.plants import random_walk, simulate_arx, simulate_output_error, stable
+from robust_filterpy.plants.parameters import linear_parameters
 from robust_filterpy.plants.servo import simulate_servo
 from robust_filterpy.testing.scenarios.contamination import Kinds, Spoilt, objects, of_noise, spoilt
 from robust_filterpy.testing.scenarios.tracker_runs import TrackerRun, run_tracker
@@ -37,7 +38,7 @@ from robust_filterpy.testing.scenarios.tracker_runs import TrackerRun, run_track
 if TYPE_CHECKING:
     import control
 
-__all__ = ["PLANTS", "Plant", "PlantScenario"]
+__all__ = ["Plant", "PlantScenario"]
 
 #: Two lightly damped poles, .75 +- .37j.
 DEFAULT = ([1.0, 0.5], [1.0, -1.5, 0.7])
@@ -154,21 +155,15 @@ class PlantScenario:
         return run_tracker(tracker, self, sample)
 
 
-def _linear(system: control.TransferFunction | None, structure: Callable[..., Structure], **options: Any) -> Plant:
-    """Read orders and parameters from a transfer function."""
-    if system is None:
-        import control
-
-        system = control.tf(*DEFAULT, True)
-    theta, na, nb, nk = linear_parameters(system)
-    return Plant(structure(na, nb, nk), theta, **options)
-
-
-def arx(system: control.TransferFunction | None = None, **options: Any) -> Plant:
-    """Return a plant with its noise inside the loop, A(q) y = B(q) u + v.
+def linear(
+    structure: Callable[..., Structure], system: control.TransferFunction | None = None, **options: Any
+) -> Plant:
+    """Return a plant of a structure, its orders and parameters those of a transfer function.
 
     Parameters
     ----------
+    structure : callable
+        ``structure(na, nb, nk)``.
     system : control.TransferFunction, optional
         Discrete, one input and one output. Default: (q + .5)/(q^2 - 1.5 q + .7).
     **options : optional
@@ -178,24 +173,12 @@ def arx(system: control.TransferFunction | None = None, **options: Any) -> Plant
     -------
     Plant
     """
-    return _linear(system, lambda na, nb, nk: ARX(na, nb, nk), **options)
+    if system is None:
+        import control
 
-
-def output_error(system: control.TransferFunction | None = None, **options: Any) -> Plant:
-    """Return a plant with its noise on the output, y = B(q)/A(q) u + v.
-
-    Parameters
-    ----------
-    system : control.TransferFunction, optional
-        As in `arx`.
-    **options : optional
-        As in `arx`.
-
-    Returns
-    -------
-    Plant
-    """
-    return _linear(system, lambda na, nb, nk: OutputError(na, nb, nk), **options)
+        system = control.tf(*DEFAULT, True)
+    theta, na, nb, nk = linear_parameters(system)
+    return Plant(structure(na, nb, nk), theta, **options)
 
 
 def armax(system: control.TransferFunction | None = None, c: ArrayLike = (-0.8,), **options: Any) -> Plant:
@@ -204,9 +187,9 @@ def armax(system: control.TransferFunction | None = None, c: ArrayLike = (-0.8,)
     Parameters
     ----------
     system : control.TransferFunction, optional
-        As in `arx`.
+        As in `linear`.
     **options : optional
-        As in `arx`.
+        As in `linear`.
     c : array_like, shape (nc,), default (-.8,)
         Coefficients of C after its leading 1.
 
@@ -215,7 +198,7 @@ def armax(system: control.TransferFunction | None = None, c: ArrayLike = (-0.8,)
     Plant
     """
     c = _checks.finite_vector("c", c)
-    plant = _linear(system, lambda na, nb, nk: ARMAX(na, nb, c.size, nk), **options)
+    plant = linear(lambda na, nb, nk: ARMAX(na, nb, c.size, nk), system, **options)
     return replace(plant, theta=np.concatenate((_required(plant.theta), c)))
 
 
@@ -227,7 +210,7 @@ def fir(b: ArrayLike = (1.0, 0.5, -0.3, 0.2), **options: Any) -> Plant:
     b : array_like, shape (nb,)
         Its coefficients.
     **options : optional
-        As in `arx`.
+        As in `linear`.
 
     Returns
     -------
@@ -256,8 +239,8 @@ def servo(order: int = 4, sigma: float = 0.05) -> Plant:
 
 #: What `draw` knows by name.
 PLANTS: dict[str, Callable[..., Plant]] = {
-    "arx": arx,
-    "output error": output_error,
+    "arx": partial(linear, ARX),
+    "output error": partial(linear, OutputError),
     "armax": armax,
     "fir": fir,
     "servo": servo,

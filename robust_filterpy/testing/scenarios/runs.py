@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import inspect
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -13,13 +13,13 @@ import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.diagnostics.recording import of_saver
+from robust_filterpy.diagnostics.recording import is_saver, of_saver
 
 if TYPE_CHECKING:
     from robust_filterpy.testing.scenarios.drawing import Scenario
     from robust_filterpy.testing.scenarios.models import StateModel
 
-__all__ = ["FilterRun", "load", "run_filter"]
+__all__ = ["FilterRun", "run_filter"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +133,7 @@ def as_runs(runs: Runs) -> list[FilterRun]:
     """
     if isinstance(runs, FilterRun):
         return [runs]
-    if hasattr(runs, "_kf") and hasattr(runs, "save"):
+    if is_saver(runs):
         kept = of_saver(runs)
         return [FilterRun(kept.y, kept.S)]
     if isinstance(runs, Iterable) and not isinstance(runs, (str, bytes, np.ndarray)):
@@ -252,17 +252,15 @@ def or_none(z: Array) -> Array | None:
     return None if np.isnan(z).all() else z.copy()
 
 
-def run_filter(kf: Any, scenario: Scenario, *, doubt: Callable[[Any], Any] | None = None) -> FilterRun:
+def run_filter(kf: Any, scenario: Scenario) -> FilterRun:
     """Run a filter over a scenario.
 
     Parameters
     ----------
     kf : filter object
-        Loaded with its model (`load`, ``scenario.load(kf)``, or your own code); it is changed.
+        Loaded with its model (``scenario.load(kf)``, or your own code); it is changed.
     scenario : Scenario
         Inputs and measurements.
-    doubt : callable, optional
-        Called with the filter after each step.
 
     Returns
     -------
@@ -293,8 +291,6 @@ def run_filter(kf: Any, scenario: Scenario, *, doubt: Callable[[Any], Any] | Non
         S[k] = H @ P_prior[k] @ H.T + R
         measure(kf, None if missing[k] else z.copy(), model)
         x[k], P[k] = state(kf)
-        if doubt is not None:
-            doubt(kf)
     return FilterRun(y, S, x, P, x_prior, P_prior, scenario.x)
 
 

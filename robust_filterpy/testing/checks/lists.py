@@ -1,4 +1,4 @@
-"""`check_filter`: every promise that a filter of filterpy's kind should keep, tested by name."""
+"""`check_filter` and `check_tracker`: every promise of a filter or of a recursive identifier, tested by name."""
 
 from __future__ import annotations
 
@@ -6,23 +6,35 @@ from robust_filterpy.testing.checks import (
     common,
     filter_contracts,
     filter_dependence,
-    filter_display,
     filter_equations,
     filter_statistics,
+    tracker_contracts,
+    tracker_parameters,
 )
 from robust_filterpy.testing.checks.bench import Bench
 from robust_filterpy.testing.checks.filter_subject import FILTER_TAGS, FilterSubject
+from robust_filterpy.testing.checks.tracker_subject import TRACKER_TAGS, TrackerSubject
 
 #: From what breaks everything to what only shows in the long run, so that the first failure is the one to look at.
-PROMISES = (
+FILTER_PROMISES = (
     *filter_contracts.PROMISES,
     *common.CONTRACTS,
     *filter_equations.PROMISES,
     *common.STEPS,
     *filter_dependence.PROMISES,
-    *filter_display.PROMISES,
+    *filter_contracts.SHOWN,
     *filter_statistics.PROMISES,
     *common.STATISTICS,
 )
-FILTERS = Bench(FILTER_TAGS, FilterSubject, PROMISES)
+TRACKER_PROMISES = (
+    *tracker_contracts.ARRAYS,
+    *common.CONTRACTS,
+    *tracker_parameters.PROMISES,
+    *common.STEPS,
+    *common.STATISTICS,
+    *tracker_contracts.SAMPLES,
+)
+FILTERS = Bench(FILTER_TAGS, FilterSubject, FILTER_PROMISES)
+TRACKERS = Bench(TRACKER_TAGS, TrackerSubject, TRACKER_PROMISES)
 check_filter, filter_checks = FILTERS.check, FILTERS.checks
+check_tracker, tracker_checks = TRACKERS.check, TRACKERS.checks
