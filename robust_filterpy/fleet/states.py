@@ -337,7 +337,7 @@ def _from_table(table: Any, model: Model) -> States:
     missing = [name for name in needed if name not in table.column_names]
     if missing:
         raise _state.StateError(
-            f"states: expected the columns {missing} of a {kind}, got {table.column_names}; "
+            f"states: expected the columns {missing} of a {model.kind}, got {table.column_names}; "
             "begin with None, or take the model that these states were made with"
         )
     (key,) = [name for name in table.column_names if name not in shapes and name not in FLEET and name != "kind"][:1]
