@@ -100,7 +100,7 @@ def conclusion(runs: list[Run], names: dict, found: list[Response], out: Path) -
         f"by {fit[NOMINAL]} %, the robust one by {fit[ROBUST]} %. While the physics' gain grows by {100 * grown:.0f} % "
         f"(the last three circles), the robust model's is {100 * apart:.1f} % off on average.",
         "servo_bode.png": f"The model is {min(slow):+.1f} to {max(slow):+.1f} dB off the linearized physics at 0.5 Hz; "
-        f"at their resonance, which moves with the piston, {min(fast):+.0f} to {max(fast):+.0f} dB.",
+        f"at its resonance, which moves with the piston, {min(fast):+.0f} to {max(fast):+.0f} dB.",
     }
     lines = [f"Figure: {out.resolve() / name}\n{text}" for name, text in sentences.items()]
     ahead = moved[:, names["loops"].index(ROBUST), 0] < moved[:, names["loops"].index(NOMINAL), 0]

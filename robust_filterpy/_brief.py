@@ -37,6 +37,8 @@ def _part(value: Any) -> str:
     """Return one part as a line."""
     if isinstance(value, np.ndarray):
         return _array(value)
+    if isinstance(value, dict) and all(isinstance(one, float) for one in value.values()):
+        return ", ".join(f"{name} {one:.4g}" for name, one in value.items())
     if isinstance(value, dict):
         return ", ".join(map(str, value))
     if isinstance(value, tuple) and value and all(isinstance(one, np.ndarray) for one in value):
@@ -47,6 +49,8 @@ def _part(value: Any) -> str:
 
 def _array(value: np.ndarray) -> str:
     """Return numbers, or what they are like where there are many."""
+    if value.dtype == bool and value.size > _SMALL:
+        return f"shape {value.shape}, {np.count_nonzero(value)} of {value.size} true"
     if value.size <= _SMALL or value.dtype.kind not in "fiu":
         text = " ".join(np.array2string(value, precision=5, suppress_small=True, threshold=_SMALL).split())
         return text if len(text) <= _WIDE else f"shape {value.shape}"

@@ -31,6 +31,8 @@ def shown(value: Any) -> str:
     except Exception:
         # An integer of too many digits has no repr, nor have some objects.
         text = f"{type(value).__name__} without a repr"
+    if "\n" in text and not isinstance(value, (np.ndarray, list, tuple)):
+        return f"a {type(value).__name__}"
     return text if len(text) <= 200 else f"{text[:120]} ... {text[-40:]}"
 
 

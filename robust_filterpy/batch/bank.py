@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks, _state
+from robust_filterpy._brief import wrapped
 from robust_filterpy._checks import Array, numbers
 from robust_filterpy.correction import spread
 from robust_filterpy.correction.definition import Innovation, correct, correct_by_custom, innovation_moments
@@ -100,6 +101,10 @@ class FilterBank:
     def __repr__(self) -> str:
         """Show the size and the choices."""
         return f"FilterBank(n={self.n}, dim_x={self.dim_x}, dim_z={self.dim_z}, {self._choices})"
+
+    def __str__(self) -> str:
+        """Return the same on lines that a screen holds."""
+        return wrapped(repr(self))
 
     @np.errstate(all="ignore")
     def predict(self, u: ArrayLike | None = None, B: ArrayLike | None = None) -> None:

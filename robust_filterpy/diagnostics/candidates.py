@@ -89,7 +89,7 @@ def scores(model: LinearModel, z: Array, repairs: list[Repair]) -> Scores:
     decay = np.where(at[:, None] >= 0, 1.0, parts["memory"][:, None])
     total, path = np.zeros(C), np.zeros((C, N, n))
     for k in range(N):
-        stage(f"models tried: {C}, sample {k} of {N}")
+        stage(f"models tried at once: {C}, at sample {k} of {N}")
         deviations = np.sqrt(np.diag(model.R[k]))
         R = spread * (model.R[k] + shaped["coupling"] * np.outer(deviations, deviations))
         if k:

@@ -202,7 +202,7 @@ def monte_carlo(
         if n_jobs == 0:
             raise ValueError("n_jobs: expected a positive number, -1 for all processors, or None, got 0")
     outcomes = outcomes_of(trial, root, indices, n_jobs)
-    bar = progress_bar(len(indices), progress, "run", "monte_carlo")
+    bar = progress_bar(len(indices), progress, " runs", "monte_carlo")
 
     done: list[int] = []
     results: list[Any] = []

@@ -17,6 +17,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from robust_filterpy import _checks
+from robust_filterpy._brief import wrapped
 from robust_filterpy._checks import Array
 from robust_filterpy._state import LABEL, Shape, labelled
 from robust_filterpy.filters._interruption import StateMixin
@@ -60,6 +61,10 @@ class Model(ABC):
     dt: float | None = field(default=None, kw_only=True)
     late: Late | None = field(default=None, kw_only=True)
     expires: float | None = field(default=None, kw_only=True)
+
+    def __str__(self) -> str:
+        """Return what it is made of, on lines that a screen holds."""
+        return wrapped(repr(self))
 
     def __post_init__(self) -> None:
         """Check the description of the samples."""

@@ -336,7 +336,10 @@ def _from_table(table: Any, model: Model) -> States:
     needed = ("kind", *(name for name, shape in shapes.items() if name not in FLEET and 0 not in shape))
     missing = [name for name in needed if name not in table.column_names]
     if missing:
-        raise _state.StateError(f"states: expected the columns {missing}, got {table.column_names}")
+        raise _state.StateError(
+            f"states: expected the columns {missing} of a {model.kind}, got {table.column_names}; "
+            "begin with None, or take the model that these states were made with"
+        )
     (key,) = [name for name in table.column_names if name not in shapes and name not in FLEET and name != "kind"][:1]
     keys, n = table.column(key).to_numpy(), table.num_rows
     keys = keys if keys.dtype.kind in "iu" else keys.tolist()

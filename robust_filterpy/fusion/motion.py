@@ -82,6 +82,10 @@ class Motion:
         """Whether F does not depend on the state."""
         return self.function is None
 
+    def __repr__(self) -> str:
+        """Show the states."""
+        return f"Motion({self.dim_x} states: {', '.join(self.names)})"
+
     def stacks(self, dts: Array) -> tuple[Array, Array, Array]:
         """Return F, Q and B of many stretches of time.
 

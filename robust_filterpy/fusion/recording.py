@@ -66,12 +66,19 @@ class Recording:
         last = ", ".join(f"{name}={value:.5g}" for name, value in zip(self.names, self.x[-1], strict=True))
         begin, end = written(self.times[0]), written(self.times[-1])
         lines = [f"Recording({len(self.times)} stamps, {begin} to {end}; at the end {last})"]
-        lines += [
-            f"  {written(when)}: {who} {verdict.fault}, since {written(verdict.since)}"
-            for when, who, verdict in self.verdicts[-5:]
-        ]
-        if len(self.verdicts) > 5:
-            lines.insert(1, f"  {len(self.verdicts)} verdicts; the last five:")
+        said: dict[str, list[tuple[Any, Verdict]]] = {}
+        for when, who, verdict in self.verdicts:
+            of_it = said.setdefault(who, [])
+            # The same again is the same fault, its onset known better.
+            if of_it and of_it[-1][1].fault == verdict.fault:
+                of_it[-1] = (of_it[-1][0], verdict)
+            else:
+                of_it.append((when, verdict))
+        for who, of_it in said.items():
+            when, verdict = of_it[-1]
+            lines.append(f"  {who} {verdict.fault}, since {written(verdict.since)}, first said at {written(when)}")
+            if len(of_it) > 1:
+                lines[-1] += "; before that " + ", ".join(before.fault for _, before in of_it[-4:-1])
         return "\n".join(lines)
 
     def columns(self) -> dict[str, np.ndarray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array
 
 __all__ = ["Estimate", "Forecast", "FusionWarning", "SensorNoise"]
@@ -27,6 +28,10 @@ class Estimate(NamedTuple):
     undecided: bool = False
     """Whether it is open if a sensor or the state is wrong (``reacquire``): P covers both."""
 
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)
+
 
 class Forecast(NamedTuple):
     """What is to come at K times: two bands for each sensor, of its readings and of the signal without their noise."""
@@ -40,6 +45,10 @@ class Forecast(NamedTuple):
     signal: dict[str, Array]
     """Lower and upper end of the band of what is measured, noise apart, (K, m, 2)."""
 
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)
+
 
 class SensorNoise(NamedTuple):
     """What has been learnt about a sensor's noise."""
@@ -48,3 +57,7 @@ class SensorNoise(NamedTuple):
     """Standard deviation of its ordinary noise, in the unit of z, (m,); NaN before its first reading if nobody told."""
     contamination: Array
     """Share of outliers, (m,); NaN where it is not learnt."""
+
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)

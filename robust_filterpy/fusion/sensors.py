@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
+from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array
 
 __all__ = ["OFTEN", "Layout", "Sensor", "angle"]
@@ -92,6 +93,10 @@ class Sensor:
     delay: float = 0.0
     every: float | None = None
     group: str | None = None
+
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)
 
     def __post_init__(self) -> None:
         """Check what does not depend on the state."""

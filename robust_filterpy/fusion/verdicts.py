@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array
 from robust_filterpy.fusion import _faults
 from robust_filterpy.fusion._faults import Found, Stretch
@@ -67,6 +68,10 @@ class Verdict(NamedTuple):
     """Of the fault, in standard deviations (biased), per second (drifting), or as a factor (noisier); else NaN."""
     remedy: str
     """What helps, in words."""
+
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)
 
 
 def described(fault: str, since: Any = None, probability: float = 1.0, size: float = float("nan")) -> Verdict:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robust_filterpy import _checks
+from robust_filterpy._brief import wrapped
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Grouping
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
@@ -67,8 +68,8 @@ class Tuned:
     report: str
 
     def __str__(self) -> str:
-        """Return the report."""
-        return self.report
+        """Return the report on lines that a screen holds."""
+        return "\n".join(map(wrapped, self.report.splitlines()))
 
 
 def tune(

@@ -453,7 +453,7 @@ def test_a_long_diagnosis_says_what_it_is_at(monkeypatch, capsys):
     diagnose(*R_too_small(0))
     lines = capsys.readouterr().err.splitlines()
     assert lines and all(line.startswith("diagnose: ") for line in lines)
-    assert any("models tried: " in line for line in lines)
+    assert any("models tried at once: " in line for line in lines)
 
 
 @pytest.mark.parametrize("inner, found", [(19, 19.0), (18, None)])

@@ -345,11 +345,11 @@ def test_a_recording_prints_on_a_screen_with_what_was_said_of_its_sensors():
         np.ones((500, 1)),
         0,
         ("p", "v"),
-        tuple((float(t), "left", verdict) for t in range(20)),
+        tuple((float(t), "left", described("departs", since=3.0) if t < 4 else verdict) for t in range(20)),
     )
     lines = repr(found).split("\n")
     assert lines[0] == "Recording(500 stamps, 0.0 to 499.0; at the end p=1, v=1)"
-    assert lines[1:3] == ["  20 verdicts; the last five:", "  15.0: left biased, since 3.0"] and len(lines) == 7
+    assert lines[1:] == ["  left biased, since 3.0, first said at 4.0; before that departs"]
     day = np.datetime64("2024-05-01T10:00", "ns")
     dated = replace(found, times=day + np.arange(500) * np.timedelta64(200, "ms"), verdicts=())
     assert repr(dated).startswith("Recording(500 stamps, 2024-05-01T10:00:00 to 2024-05-01T10:01:39.8; at the end")

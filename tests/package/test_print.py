@@ -11,9 +11,14 @@ from robust_filterpy import (
     estimate_noise,
     filter_series,
     smooth,
+    tune,
 )
+from robust_filterpy.batch import FilterBank
+from robust_filterpy.fleet import TrackerModel
 from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
+from robust_filterpy.fusion.verdicts import described
 from robust_filterpy.identification import BoxJenkins, StateSpace, TrackerBank, identify
+from robust_filterpy.smoothing import FixedLagSmoother
 from robust_filterpy.testing import draw
 
 Y = np.cumsum(np.random.default_rng(10_001).normal(size=300))
@@ -62,6 +67,47 @@ def test_a_model_fits_a_screen_and_says_no_less(structure):
     model = identify(Y, U, structure)
     assert len(repr(model)) > 100 >= max(map(len, str(model).splitlines()))
     assert " ".join(str(model).split()) == " ".join(repr(model).split())
+
+
+def watched():
+    fusion = Fusion(constant_velocity(dim=1, q=0.1), {name: Sensor([1.0, 0.0], R=1.0) for name in "ab"}, window=2.0)
+    for k in range(40):
+        fusion.observe("ab"[k % 2], 0.1 * k, float(k))
+    return fusion
+
+
+# What it is made of, and a word that its text has to have.
+OBJECTS = {
+    "intervals": (lambda: identify(Y, U, ARX(2, 2)).confidence_intervals(), "upper"),
+    "response": (lambda: identify(Y, U, ARX(2, 2)).frequency_response(np.linspace(0.1, 3.0, 40)), "95 % bands"),
+    "spectrum": (lambda: identify(Y, U, ARX(2, 2)).noise_spectrum(np.linspace(0.1, 3.0, 40)), "density"),
+    "where the parameters end": (lambda: ParameterTracker(ARX(1, 1), start=0).run(Y, U), "a1 -0.9"),
+    "sample": (lambda: ParameterTracker(ARX(1, 1), start=0).update(1 / 3, 1.0), "0.333333"),
+    "bank": (lambda: TrackerBank(3, ARX(1, 1), start=0), "theta"),
+    "filters": (lambda: FilterBank(5, 2, 1), "learnt"),
+    "tuned": (lambda: tune(walk(), Y[:100]), "R times"),
+    "fleet": (lambda: TrackerModel(ARX(1, 1), {"start": 0}, measurements=["y"], inputs=["u"], time="t"), "ARX"),
+    "motion": (lambda: constant_velocity(dim=2), "4 states"),
+    "sensor": (lambda: Sensor([1.0, 0.0], R=1.0), "delay"),
+    "estimate": (lambda: watched().estimate(4.0), "a 0.2, b 0.1"),
+    "forecast": (lambda: watched().forecast([4.0, 5.0]), "a, b"),
+    "verdict": (lambda: described("biased", since=3.0, size=5.0), "calibrate"),
+}
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_whatever_is_returned_fits_a_screen_and_says_what_it_is(name):
+    make, word = OBJECTS[name]
+    text = str(make())
+    assert word in text and len(text.splitlines()) <= 15 and max(map(len, text.splitlines())) <= 100
+
+
+def test_labels_are_counted_and_a_value_of_many_lines_is_named_by_its_type():
+    labelled = draw("constant velocity", 300, rng=0, contamination="mixture")
+    assert f"is_outlier   shape (300, 2), {labelled.is_outlier.sum()} of 600 true" in str(labelled)
+    with pytest.raises(TypeError, match="got a RobustKalmanFilter"):
+        FixedLagSmoother(walk(), 5)
 
 
 def test_a_drawn_scenario_and_a_fusion_fit_a_screen():

@@ -195,7 +195,7 @@ def _without_gaps(
     if short:
         count = sum(b - a for a, b in short)
         text = (
-            f"{where}u is missing in {count} samples, {len(short)} gaps of up to {LONG_GAP}: held at the value before "
+            f"{where}u is missing in {count} samples, never in more than {LONG_GAP} in a row: held at the value before "
             "each; fill u with what acted if that is known"
         )
         findings.append(Finding("gap", text, float("nan"), (short[0][0], short[-1][1])))

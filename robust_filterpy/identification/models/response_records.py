@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from robust_filterpy._brief import brief, wrapped
 from robust_filterpy._checks import Array
 from robust_filterpy._pictures import drawn
 from robust_filterpy.identification.models.time_axis import table
@@ -60,6 +61,10 @@ class FrequencyResponse:
             for k in sorted({0, self.omega.size - 1})
         ]
         return f"FrequencyResponse({self.omega.size} frequencies, {_percent(self.level)} bands: {', '.join(ends)})"
+
+    def __str__(self) -> str:
+        """Return the same on lines that a screen holds."""
+        return wrapped(repr(self))
 
     def plot(self, **options: Any) -> Any:
         """Draw magnitude and phase with their bands.
@@ -188,6 +193,10 @@ class NoiseSpectrum:
     level: float
     dt: float
     sampled: Any
+
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)
 
     def to_frame(self) -> Any:
         """Return the density and its band as a pandas DataFrame.

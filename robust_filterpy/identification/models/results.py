@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
-from robust_filterpy._brief import brief
+from robust_filterpy._brief import brief, lines_of
 from robust_filterpy._checks import Array, real
 from robust_filterpy._pictures import drawn
 from robust_filterpy.identification.models.time_axis import table
@@ -103,6 +103,10 @@ class Intervals(NamedTuple):
     lower: Array
     upper: Array
 
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)
+
 
 class Sample(NamedTuple):
     """What one update did.
@@ -124,6 +128,10 @@ class Sample(NamedTuple):
     residual: float
     weight: float
     guard: int
+
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)
 
 
 class Columns(NamedTuple):
@@ -182,8 +190,12 @@ class TrackingResult(_Recorded):
     index: Any = None
 
     def __str__(self) -> str:
-        """Return what fits a screen."""
-        return brief(self)
+        """Return what fits a screen, and where the parameters end."""
+        if not len(self.theta) or len(self.names) != self.theta.shape[1]:
+            return brief(self)
+        each = zip(self.names, self.theta[-1], self.std[-1], strict=True)
+        end = ", ".join(f"{name} {value:.4g} +- {std:.2g}" for name, value, std in each)
+        return "\n".join([brief(self), *lines_of({"at the end": end})])
 
     def labelled(self, names: tuple[str, ...], index: Any = None) -> TrackingResult:
         """Return the same columns with names of the parameters and an index.

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks, _state
+from robust_filterpy._brief import lines_of
 from robust_filterpy._checks import Array, numbers
 from robust_filterpy._documentation import STOPPED, pointer
 from robust_filterpy._warning import warn
@@ -172,6 +173,10 @@ class TrackerBank(Returning):
     def __repr__(self) -> str:
         """Show the size and the structure."""
         return f"TrackerBank(n={self.n}, {self.structure})"
+
+    def __str__(self) -> str:
+        """Show where the models stand as well."""
+        return "\n".join([repr(self), *lines_of({"theta": self.theta, "std": self.std, "R": self.R})])
 
     # The models as they stand.
 

@@ -34,6 +34,10 @@ class BankSample(NamedTuple):
     weights: Array
     guard: np.ndarray
 
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)
+
 
 class _Recorded(NamedTuple):
     """The columns of a `BankResult`; see there."""
