@@ -12,7 +12,7 @@ from robust_filterpy.edge.text import Described
 from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
 
 # What a subclass may not do in its own way; `predict_x` is the motion, which is a function in C.
-_METHODS = ("predict", "update", "_jacobian", "_correct", "_corrected", "_keep", "_skip")
+_METHODS = ("predict", "update", "_checked", "_correct", "_corrected", "_keep", "_skip")
 
 
 def is_extended(model: Any) -> bool:

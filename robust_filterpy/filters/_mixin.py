@@ -8,7 +8,7 @@ import operator
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -36,6 +36,20 @@ if TYPE_CHECKING:
 _DEFAULT_INVERSE = np.linalg.inv
 Inverse = Callable[[Array], Array]
 _Method = TypeVar("_Method", bound=Callable[..., Any])
+
+
+class _Emptied(NamedTuple):
+    """A correction with nothing observed, made when somebody looks."""
+
+    last: Any
+    #: Of the innovation.
+    log_density: float = 0.0
+
+    def as_arrays(self) -> Correction:
+        """Return what led to it."""
+        last = self.last if type(self.last) is Correction else self.last.as_arrays()
+        zero, none = np.zeros_like(last.y), np.full(last.y.shape, np.nan)
+        return last._replace(y=zero, score=zero, e=zero, weights=none, psi_deriv=none, log_density=0.0, memory=None)
 
 
 class RobustFilterMixin(OptionsMixin, PrintingMixin, StateMixin):
@@ -159,13 +173,10 @@ class RobustFilterMixin(OptionsMixin, PrintingMixin, StateMixin):
         """Whether thresholds are in units of the spread; the Kalman filter has none."""
         return type(self._policy) is Bounded and self._policy.learns
 
-    def _emptied(self) -> Correction | None:
+    def _emptied(self) -> _Emptied | None:
         """Return the last correction with nothing observed: the scaling stays, the innovation is forgotten."""
-        last = self._arrays()
-        if last is None:
-            return None
-        zero, none = np.zeros_like(last.y), np.full(last.y.shape, np.nan)
-        return last._replace(y=zero, score=zero, e=zero, weights=none, psi_deriv=none, log_density=0.0, memory=None)
+        last = self._record()
+        return last if last is None or type(last) is _Emptied else _Emptied(last)
 
     def _log_density(self, y: Array, S: Array) -> float:
         """Return the log-likelihood of an innovation: the correction of a state without components."""
@@ -274,13 +285,22 @@ def _copied(attributes: dict[str, Any]) -> list[tuple[Array, Array]]:
     return [(array, array.copy()) for array in arrays if array.flags.writeable]
 
 
+def _put_back(copied: list[tuple[Array, Array]]) -> None:
+    """Let arrays hold again what `_copied` found in them."""
+    for array, content in copied:
+        array[...] = content
+
+
 # An array of a few numbers is copied in a tenth of the time that it takes to ask Python for that.
 _copied_arrays = getattr(kernel.extension(), "copied_arrays", _copied)
+_put_back_arrays = getattr(kernel.extension(), "put_back_arrays", _put_back)
 _in_slots = operator.attrgetter(*RobustFilterMixin.__slots__)
 
 
 class Snapshot:
     """What a filter holds, to put it back."""
+
+    __slots__ = ("_attributes", "_contents", "_drawn", "_slots", "_source")
 
     def __init__(self, kf: Any) -> None:
         """Keep the attributes, and the contents of arrays: a user's function may write into one that is still held."""
@@ -288,9 +308,11 @@ class Snapshot:
         self._slots = _in_slots(kf)
         self._contents = _copied_arrays(self._attributes)
         # An ensemble's random numbers; numpy's older generator hides where they come from.
-        rng = self._attributes.get("rng")
-        self._source = getattr(rng, "bit_generator", getattr(rng, "_bit_generator", None))
-        self._drawn = None if self._source is None else self._source.state
+        self._source = None
+        if "rng" in self._attributes:
+            rng = self._attributes["rng"]
+            self._source = getattr(rng, "bit_generator", getattr(rng, "_bit_generator", None))
+            self._drawn = None if self._source is None else self._source.state
 
     def put_back(self, kf: Any) -> None:
         """Put the filter back as it was."""
@@ -298,8 +320,7 @@ class Snapshot:
         kf.__dict__.update(self._attributes)
         for name, value in zip(RobustFilterMixin.__slots__, self._slots, strict=True):
             setattr(kf, name, value)
-        for array, content in self._contents:
-            array[...] = content
+        _put_back_arrays(self._contents)
         if self._source is not None:
             self._source.state = self._drawn
 

@@ -116,10 +116,11 @@ class NonlinearFilterMixin(RobustFilterMixin):
         m = self.dim_z
         self.z = np.array([[None] * m]).T
         self.y = np.zeros((m, 1) if np.ndim(self.x) == 2 else m)
-        S, SI = self.S, self.SI
+        S, SI = self._S, self._SI
         self._last, self._outlier_probability = self._emptied(), 0.0
         self._forget()
-        self.S, self.SI = S, SI
+        # What nobody asked for follows from the last correction on request.
+        self._S, self._SI = S, SI
 
     def _forget(self) -> None:
         """Let everything that follows from the last correction be computed anew."""

@@ -51,13 +51,14 @@ def correct_innovation(kf: Any, z: Any, predicted: Any, y: Any, C: Any, S: Any, 
 
 def _counted(kf: Any, step: Any, *given: Any) -> bool:
     """Take a correction, and look now and then whether most of them clip."""
-    counts = kf._choices.scaling == "innovation" and kf._counts_clipped
-    looks = counts and (kf._updates + 1) % EVERY == 0
+    if kf._choices.scaling != "innovation" or not kf._counts_clipped:
+        return bool(step(kf, *given))
+    looks = (kf._updates + 1) % EVERY == 0
     # A warning that is made an error refuses the call: nothing may have changed then.
     before = Snapshot(kf) if looks and kf._share.fills(kf.dim_z) else None
     if not step(kf, *given):
         return False
-    kf._updates += counts
+    kf._updates += 1
     if looks:
         try:
             kf._share.look(kf, kf._arrays())

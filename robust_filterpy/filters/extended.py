@@ -161,7 +161,7 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         _checks.matrix("F", self.F, (n, n), "dim_x")
         process_noise(self.Q, None, n)
         self.predict_x(u)
-        if self._is_linear() or not _step.predict_extended(self, None, False):
+        if not _step.predict_extended(self, None, False):
             x, P = state_of(self)
             F, Q = _checks.matrix("F", self.F, (n, n), "dim_x"), process_noise(self.Q, None, n)
             self.P = F.dot(P).dot(F.T) + Q

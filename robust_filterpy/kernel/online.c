@@ -448,31 +448,94 @@ static PyObject *correct_moments(PyObject *self, PyObject *const *given, Py_ssiz
     return answer_arrays(&h, &made, correct_innovation(&now, &s, &innovation, &made));
 }
 
-/* The writable arrays of a dictionary, each with a copy of its contents: [(array, copy)]. */
+/* Whether the numbers of an array lie in one piece. */
+static int in_one_piece(PyArrayObject *array) {
+    const int one = NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_F_CONTIGUOUS;
+    return PyArray_TYPE(array) == NPY_DOUBLE && (PyArray_FLAGS(array) & one) != 0;
+}
+
+/* Keep what arrays of numbers hold, one after another and each after its size, in one piece: a copy of each as an array
+   of its own takes as long as a step. */
+static PyObject *contents_of(PyObject *arrays) {
+    const Py_ssize_t count = PyList_Size(arrays);
+    Py_ssize_t total = 0;
+    PyObject *contents;
+    char *to;
+    for (Py_ssize_t i = 0; i < count; i++) {
+        PyObject *const one = PyList_GetItem(arrays, i);
+        if (PyArray_CheckExact(one)) total += (Py_ssize_t)sizeof(npy_intp) + PyArray_NBYTES((PyArrayObject *)one);
+    }
+    contents = PyBytes_FromStringAndSize(NULL, total);
+    to = contents ? PyBytes_AsString(contents) : NULL;
+    for (Py_ssize_t i = 0; to && i < count; i++) {
+        PyObject *const one = PyList_GetItem(arrays, i);
+        npy_intp size;
+        if (!PyArray_CheckExact(one)) continue;
+        size = PyArray_NBYTES((PyArrayObject *)one);
+        memcpy(to, &size, sizeof size);
+        memcpy(to + sizeof size, PyArray_DATA((PyArrayObject *)one), (size_t)size);
+        to += sizeof size + (size_t)size;
+    }
+    return contents;
+}
+
+/* The writable arrays of a dictionary that nobody else has, and what they hold: for `put_back_arrays`. */
 static PyObject *copied_arrays(PyObject *self, PyObject *attributes) {
-    PyObject *const found = PyList_New(0), *key, *value;
+    PyObject *arrays, *contents, *found, *key, *value;
     Py_ssize_t place = 0;
     (void)self;
-    if (!found || !PyDict_CheckExact(attributes)) {
-        if (found) PyErr_SetString(PyExc_TypeError, "copied_arrays: expected a dictionary");
-        Py_XDECREF(found);
+    if (!PyDict_CheckExact(attributes)) {
+        PyErr_SetString(PyExc_TypeError, "copied_arrays: expected a dictionary");
         return NULL;
     }
-    while (PyDict_Next(attributes, &place, &key, &value)) {
+    arrays = PyList_New(0);
+    while (arrays && PyDict_Next(attributes, &place, &key, &value)) {
         PyObject *copy, *pair;
         int added;
         if (!PyArray_CheckExact(value) || !PyArray_ISWRITEABLE((PyArrayObject *)value)) continue;
-        copy = PyArray_NewCopy((PyArrayObject *)value, NPY_KEEPORDER);
-        pair = copy ? PyTuple_Pack(2, value, copy) : NULL;
-        added = pair ? PyList_Append(found, pair) : -1;
-        Py_XDECREF(copy);
-        Py_XDECREF(pair);
-        if (added < 0) {
-            Py_DECREF(found);
+        if (in_one_piece((PyArrayObject *)value)) {
+            added = PyList_Append(arrays, value);
+        } else {
+            copy = PyArray_NewCopy((PyArrayObject *)value, NPY_KEEPORDER);
+            pair = copy ? PyTuple_Pack(2, value, copy) : NULL;
+            added = pair ? PyList_Append(arrays, pair) : -1;
+            Py_XDECREF(copy);
+            Py_XDECREF(pair);
+        }
+        if (added < 0) Py_CLEAR(arrays);
+    }
+    contents = arrays ? contents_of(arrays) : NULL;
+    found = contents ? PyTuple_Pack(2, arrays, contents) : NULL;
+    Py_XDECREF(arrays);
+    Py_XDECREF(contents);
+    return found;
+}
+
+/* Let arrays hold again what `copied_arrays` found in them. */
+static PyObject *put_back_arrays(PyObject *self, PyObject *copied) {
+    PyObject *const arrays = PyTuple_GetItem(copied, 0), *const contents = arrays ? PyTuple_GetItem(copied, 1) : NULL;
+    const char *from = contents ? PyBytes_AsString(contents) : NULL;
+    const Py_ssize_t count = from ? PyList_Size(arrays) : -1;
+    (void)self;
+    if (count < 0) return NULL;
+    for (Py_ssize_t i = 0; i < count; i++) {
+        PyObject *const one = PyList_GetItem(arrays, i);
+        npy_intp size;
+        if (!PyArray_CheckExact(one)) {
+            PyObject *const array = PyTuple_GetItem(one, 0), *const copy = array ? PyTuple_GetItem(one, 1) : NULL;
+            if (!copy || PyArray_CopyInto((PyArrayObject *)array, (PyArrayObject *)copy) < 0) return NULL;
+            continue;
+        }
+        memcpy(&size, from, sizeof size);
+        /* The user's function may have given the array another size in place. */
+        if (!in_one_piece((PyArrayObject *)one) || PyArray_NBYTES((PyArrayObject *)one) != size) {
+            PyErr_SetString(PyExc_ValueError, "a filter's array was given another shape during a call");
             return NULL;
         }
+        memcpy(PyArray_DATA((PyArrayObject *)one), from + sizeof size, (size_t)size);
+        from += sizeof size + (size_t)size;
     }
-    return found;
+    Py_RETURN_NONE;
 }
 
 PyMethodDef online_functions[] = {
@@ -487,5 +550,6 @@ PyMethodDef online_functions[] = {
      "Correct a state by linear sensors; see robust_filterpy.kernel.moments."},
     {"correct_moments", (PyCFunction)(void (*)(void))correct_moments, METH_FASTCALL,
      "Correct a state at 0 by an innovation of known moments; see robust_filterpy.kernel.moments."},
-    {"copied_arrays", copied_arrays, METH_O, "Return (array, copy) for each writable array of a dictionary."},
+    {"copied_arrays", copied_arrays, METH_O, "Return the writable arrays of a dictionary, and what they hold."},
+    {"put_back_arrays", put_back_arrays, METH_O, "Let arrays hold again what copied_arrays found in them."},
     {NULL, NULL, 0, NULL}};

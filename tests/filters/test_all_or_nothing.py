@@ -14,7 +14,10 @@ from robust_filterpy import (
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
+    kernel,
 )
+from robust_filterpy.filters import _mixin
+from robust_filterpy.filters._mixin import _copied
 from robust_filterpy.influence import Huber
 
 LINEAR = [
@@ -155,3 +158,50 @@ def test_a_model_function_that_writes_into_its_argument_and_fails_changes_nothin
         with pytest.raises(error, match="on purpose"):
             kf.update(np.array([1.0, 2.0]), *extra)
         assert_same(contents(kf), before)
+
+
+@pytest.mark.parametrize("kept", [_copied, kernel.extension() and kernel.extension().copied_arrays], ids=["numpy", "C"])
+def test_what_a_model_function_wrote_into_any_kind_of_array_is_undone(kept, monkeypatch):
+    if kept is None:
+        pytest.skip("no kernel")
+    if kept is _copied:
+        monkeypatch.setattr(_mixin, "_copied_arrays", _copied)
+        monkeypatch.setattr(_mixin, "_put_back_arrays", _mixin._put_back)
+    kf = RobustExtendedKalmanFilter(2, 1)
+    kf.x, kf.P, kf.Q = np.array([1.0, 2.0]), np.asfortranarray([[2.0, 0.5], [0.25, 1.0]]), np.eye(4)[::2, ::2]
+    kf.F, kf.R, kf.z = np.eye(2, dtype=int), np.ones((1, 1), dtype=np.float32), np.array([None])
+    # What the filter does not know of is put back too; an array of no numbers lies between others.
+    kf.none, kf.mine = np.zeros(0), np.arange(3.0)
+    names = ("x", "P", "Q", "F", "R", "z", "none", "mine")
+    before = {name: getattr(kf, name).copy() for name in names}
+
+    def fails(x):
+        for name in names:
+            getattr(kf, name)[...] = 7
+        raise KeyError("a function of the user's")
+
+    with pytest.raises(KeyError):
+        kf.update(0.5, lambda x: np.ones((1, 2)), fails)
+    for name in names:
+        np.testing.assert_array_equal(getattr(kf, name), before[name], err_msg=name)
+
+
+@pytest.mark.parametrize("cls", [RobustKalmanFilter, RobustExtendedKalmanFilter])
+def test_what_the_last_correction_showed_is_the_same_when_a_missing_one_is_looked_at_late(cls):
+    H = np.array([[1.0, 0.0], [0.5, 1.0]])
+    model = (lambda x: H, lambda x: H @ x) if cls is RobustExtendedKalmanFilter else ()
+    kf = cls(2, 2)
+    kf.x = np.zeros(2)
+    if not model:
+        kf.H = H
+    kf.update([1.0, 30.0], *model)
+    looked = copy.deepcopy(kf)
+    before = {name: np.copy(getattr(looked, name)) for name in ("S", "SI", "T", "K")}
+    for _ in range(2):
+        kf.predict()
+        kf.update(None, *model)
+    kept = copy.deepcopy(kf)
+    for name, value in before.items():
+        np.testing.assert_array_equal(getattr(kept, name), value, err_msg=name)
+    assert kf.log_likelihood == kf.mahalanobis == 0.0
+    assert np.isnan(kf.weights).all() and not kf.y.any() and not kf.e.any()
