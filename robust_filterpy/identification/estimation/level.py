@@ -177,7 +177,8 @@ def unlike_in_parts(problem: Problem, y: Array, model: Model) -> tuple[Finding, 
         cleanly = whole.prepared.y + _trend(model, y) - whole.residual
         kept = np.isin(np.arange(y.size), own)
         residual = np.where(kept, residual, np.where(told & clear, whole.residual, np.nan))
-        prediction = np.where(kept, prediction, cleanly)
+        # Predictions from outputs as measured carry their outliers to the residuals: what u alone makes does not.
+        prediction = np.where(kept, model.simulate(problem.u) + _trend(model, y), cleanly)
     signals = np.column_stack((np.nan_to_num(prediction - _trend(model, y) - model.level), problem.u - problem.rest))
     found = dependence(residual[parts], signals[parts], whitening=whitening_of(autocovariances(residual)))
     if not found.found.any():
