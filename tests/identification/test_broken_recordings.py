@@ -192,6 +192,15 @@ def test_an_angle_that_wraps_is_said_and_a_plant_that_switches_is_not():
         identify(switched, u, ARX(1, 1))
 
 
+@pytest.mark.parametrize("seed", [3, 5])
+def test_outliers_whose_pattern_is_long_are_no_other_plant(seed):
+    rng = np.random.default_rng([78, seed])
+    u = rng.choice([-1.0, 1.0], 1000)
+    y = lfilter(B, A, u) + lfilter([1.0, 0.7, 0.3], A, 0.3 * rng.normal(size=1000))
+    y += np.where(rng.random(1000) < 0.1, 3.0, 0.0) * rng.normal(size=1000)  # of the measurement
+    assert "another plant" not in [finding.kind for finding in identify(y, u, ARMAX(2, 2, 2)).findings]
+
+
 def test_a_part_that_is_nearly_all_outliers_is_of_another_plant():
     rng = np.random.default_rng(5402)
     u = rng.choice([-1.0, 1.0], 1500)

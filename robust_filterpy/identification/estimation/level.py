@@ -164,20 +164,24 @@ def unlike_in_parts(problem: Problem, y: Array, model: Model) -> tuple[Finding, 
     span = max(_LEAST_PART, min(y.size // _PARTS, _MOST_PART))
     if not model.structure.n_inputs or model.structure.takes_phi or y.size < 2 * span:
         return ()
-    prediction = model.predict(y, problem.u)
-    residual = np.where(np.isnan(prediction), np.nan, y - prediction)
     begins = np.arange(y.size % span, y.size - span + 1, span)
     parts = begins[:, None] + np.arange(span)
     whole = cleaned(model, y, problem.u)
-    if whole is not None:
+    if whole is None:
+        prediction = model.predict(y, problem.u)
+        residual = y - prediction
+    else:
         # A part that is nearly all outliers is of another plant, whatever replaces them.
-        clear, told = whole.clear.copy(), ~np.isnan(residual)
-        own = parts[(clear & told)[parts].sum(axis=1) < _LEAST_CLEAR * told[parts].sum(axis=1)].ravel()
+        told = ~np.isnan(y) & (np.arange(y.size) >= whole.prepared.first)
+        clear = whole.clear & told
+        own = parts[clear[parts].sum(axis=1) < _LEAST_CLEAR * told[parts].sum(axis=1)].ravel()
         clear[own] = False
-        cleanly = whole.prepared.y + _trend(model, y) - whole.residual
-        kept = np.isin(np.arange(y.size), own)
-        residual = np.where(kept, residual, np.where(told & clear, whole.residual, np.nan))
-        prediction = np.where(kept, prediction, cleanly)
+        residual = np.where(clear, whole.residual, np.nan)
+        prediction = whole.prepared.y + _trend(model, y) - whole.residual
+        if own.size:
+            residual[own] = model.residuals(y, problem.u)[own]
+            # Predictions from outputs as measured carry their outliers to the residuals: what u alone makes does not.
+            prediction[own] = (model.simulate(problem.u) + _trend(model, y))[own]
     signals = np.column_stack((np.nan_to_num(prediction - _trend(model, y) - model.level), problem.u - problem.rest))
     found = dependence(residual[parts], signals[parts], whitening=whitening_of(autocovariances(residual)))
     if not found.found.any():

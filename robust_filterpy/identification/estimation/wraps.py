@@ -47,6 +47,8 @@ def with_wraps(problem: Problem, y: Array, model: Model) -> tuple[Finding, ...]:
     within = (y >= low - 0.02 * size) & (y <= high + 0.02 * size)
     alone = (change[1:-1] > _JUMP) & (change[:-2] < _QUIET) & (change[2:] < _QUIET) & within[1:-2] & within[2:-1]
     at = np.flatnonzero(alone) + 2
+    if at.size < _FEWEST:
+        return ()
     # A plant that switches jumps too, and its model with it.
     missed = np.abs(np.nan_to_num(model.residuals(y, problem.u)[at])) > _MISSED * size
     if missed.sum() < _FEWEST or missed.mean() < _MOST:
