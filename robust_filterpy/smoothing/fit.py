@@ -29,7 +29,7 @@ _MEDIAN_SQUARE = 0.4549364
 _OF_MEDIAN = 1.65
 _BELIEVED = 0.5
 # More outliers than this, by so many standard deviations of their number, are ordinary noise that R does not know.
-_MANY, _MORE = 0.35, 2.0
+_MANY, _MORE = 1.0 / 3.0, 2.0
 _ROUNDING, _TINY = 1e-6, 1e-30
 
 
