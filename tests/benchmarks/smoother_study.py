@@ -318,9 +318,7 @@ def speed_table(runs: int, seed: int, jobs: int) -> None:
 def wrong_noise_table(runs: int, seed: int, jobs: int) -> None:
     """Print what R or Q told ten times wrong costs, whether it is said, and what fitting them first saves."""
     print("\nThe cart, 400 steps, 10 % outliers of ten times the size, R and Q told wrong: squared error of")
-    print(
-        "the position over that of the smoother told the labels; coverage of its region of .95; the same after estimate_noise\n"
-    )
+    print("the position over that of the smoother told the labels; coverage of the region of .95; also after a fit\n")
     print("| told | error | coverage | said, runs | error, fitted first | coverage |\n|---|---|---|---|---|---|")
     for name, r, q in (("right", 1, 1), ("R / 10", 0.1, 1), ("R x 10", 10, 1), ("Q / 10", 1, 0.1), ("Q x 10", 1, 10)):
         errors, inside, said = np.zeros((3, runs)), np.zeros((2, runs)), 0
