@@ -7,7 +7,11 @@ Journal of Business & Economic Statistics 10, 1992)::
     w = G's,   variance G'L G                                                                    in units of Q,
 
 the process noise by its mean square, the measurements by the median of those that are believed. A mean square of what
-is a projection of independent noise has a standard deviation of at most sqrt(2/d), d the sum of its variances.
+is a projection of independent noise has a standard deviation of at most sqrt(2/d), d the sum of its variances; its cube
+root is nearly normal (E. B. Wilson and M. M. Hilferty, PNAS 17, 1931).
+
+An R that is far too small hides from that median: learnt noise takes the larger half of ordinary noise for outliers.
+But then there are many of them, and so many are said.
 """
 
 from __future__ import annotations
@@ -24,6 +28,8 @@ _MEDIAN_SQUARE = 0.4549364
 # By how much a median of squares varies more than their mean.
 _OF_MEDIAN = 1.65
 _BELIEVED = 0.5
+# More outliers than this, by so many standard deviations of their number, are ordinary noise that R does not know.
+_MANY, _MORE = 1.0 / 3.0, 2.0
 _ROUNDING, _TINY = 1e-6, 1e-30
 
 
@@ -34,7 +40,9 @@ def misfits(model: Model, fit: Fit, weights: Array) -> list[str]:
     """
     smooth = fit.smooth
     believed, measured = np.asarray(weights > _BELIEVED), ~np.isnan(weights)
-    share = believed.sum(axis=1) / np.maximum(measured.sum(axis=1), 1)
+    count = np.maximum(measured.sum(axis=1), 1)
+    share = 1.0 - believed.sum(axis=1) / count
+    many = share > _MANY + _MORE * np.sqrt(_MANY * (1.0 - _MANY) / count)
     left, of_left = _left(model.z, smooth, fit.weighting, believed)
     degrees = np.einsum("snii->s", smooth.information)
     driven = np.einsum("snr,snr->s", smooth.score, smooth.score) / np.maximum(degrees, _TINY)
@@ -42,8 +50,8 @@ def misfits(model: Model, fit: Fit, weights: Array) -> list[str]:
     for s in range(len(weights)):
         parts = []
         for j in np.flatnonzero(measured[s].any(axis=0)):
-            if share[s, j] < _BELIEVED:
-                parts.append(f"{1.0 - share[s, j]:.0%} of the measurements of sensor {j} look like outliers to R")
+            if many[s, j]:
+                parts.append(f"{share[s, j]:.0%} of the measurements of sensor {j} look like outliers to R")
             elif _differs(left[s, j], of_left[s, j]):
                 parts.append(f"what is left of sensor {j} is {left[s, j]:.2g} times as large (in variance) as R says")
         if _differs(driven[s], degrees[s]):
@@ -70,5 +78,6 @@ def _differs(size: float, degrees: float) -> bool:
     """Return whether a mean square is neither 1 nor nearly 1, for sure."""
     if degrees <= _TINY:
         return False
-    apart = _SURE * float(np.sqrt(2.0 / degrees))
-    return size > max(_WRONG, 1.0 + apart) or size < min(1.0 / _WRONG, 1.0 - apart)
+    apart = 2.0 / (9.0 * degrees)
+    low, high = ((1.0 - apart + side * _SURE * np.sqrt(apart)) for side in (-1.0, 1.0))
+    return bool(size > max(_WRONG, high**3) or size < min(1.0 / _WRONG, max(low, 0.0) ** 3))

@@ -165,6 +165,8 @@ def smooth(
     Where noise is learnt and outliers come in rows, the search begins anew from stretches that are doubted as a whole
     (a burst after a few good samples can be followed), and the most probable result is kept; for linear filters.
 
+    Q and R are believed. Where they are guesses, ``kf = estimate_noise(kf, zs).apply(kf)`` fits them first.
+
     Singular Q and P (a known initial state) are legal: no predicted covariance is inverted. P is the covariance given
     the weights; with learnt noise it includes the doubt whether a sample is an outlier.
 

@@ -107,5 +107,23 @@ def test_what_is_ten_times_wrong_is_said(influence):
         assert "Q and R do not fit" in said(level(10.0, 1.0), zs, influence=influence)
 
 
+def moving(q, r):
+    kf = KalmanFilter(2, 1)
+    kf.F, kf.H = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]])
+    kf.Q, kf.R, kf.P = q * 0.01 * np.outer([0.5, 1.0], [0.5, 1.0]), r * np.eye(1), 10.0 * np.eye(2)
+    return kf
+
+
+@pytest.mark.parametrize("contamination", [0.0, 0.3])
+def test_of_a_smooth_state_it_is_also_said_of_an_r_too_small_and_a_q_too_large(contamination):
+    for seed in range(85, 88):
+        rng = np.random.default_rng(seed)
+        outlier = np.where(rng.random(600) < contamination, 10.0, 1.0)
+        zs = np.cumsum(np.cumsum(0.1 * rng.normal(size=600))) + outlier * rng.normal(size=600)
+        assert not said(moving(1.0, 1.0), zs)
+        assert "look like outliers to R" in said(moving(1.0, 0.1), zs)
+        assert "as Q says" in said(moving(10.0, 1.0), zs)
+
+
 def test_few_samples_say_nothing_of_the_noise():
     assert not said(level(10.0, 10.0), wandering(90, 0.0, steps=12))
