@@ -424,3 +424,19 @@ def test_random_plants_from_nothing_and_from_the_truth(contamination):
             ]
             apart.append(100.0 * (miss[0] - miss[1]) / np.linalg.norm(lfilter(b, a, fresh)))
     assert statistics.median(apart) < 0.1 and max(apart) < 1.0
+
+
+@pytest.mark.parametrize("samples", [800, pytest.param(10_000, marks=pytest.mark.slow)])
+def test_forty_parameters_of_a_clean_recording_are_those_of_least_squares(samples):
+    """An output-error start takes many good samples for outliers, which then enter nearly every residual."""
+    rng = np.random.default_rng([0, 4])
+    poles = rng.uniform(0.3, 0.95, 10) * np.exp(1j * rng.uniform(0.1, 3.0, 10))
+    a, b = np.real(np.poly([*poles, *poles.conj()])), rng.normal(size=20)
+    u = rng.choice([-1.0, 1.0], 10_000)
+    y = lfilter([0.0, *b], a, u) + lfilter([1.0], a, 0.3 * rng.normal(size=u.size))
+    y, u, truth = y[:samples], u[:samples], np.append(a[1:], b)
+    k = np.arange(20, samples)
+    phi = np.column_stack([*(-y[k - i] for i in range(1, 21)), *(u[k - i] for i in range(1, 21))])
+    plain = np.linalg.norm(np.linalg.lstsq(phi, y[k], rcond=None)[0] - truth)
+    model = identify(y, u, ARX(20, 20))
+    assert np.linalg.norm(model.theta[:40] - truth) < max(1.1 * plain, 0.02 * np.linalg.norm(truth))

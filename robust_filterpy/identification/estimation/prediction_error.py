@@ -94,6 +94,9 @@ def minimised(
         size[size == 0.0] = 1.0
         cost = noise.cost(residual[rows]) + 0.5 * further @ further
         triangle = np.asarray(np.linalg.qr(np.column_stack((jacobian / size, target)), mode="r"))
+        if not np.isfinite(triangle).all():
+            # Far outside of what is stable numbers have no end; another start leads elsewhere.
+            return Optimum(p, noise, residual, False)
         taken = None
         for _ in range(_MOST_SHORTENINGS):
             step, change = _step(triangle, damping)

@@ -45,6 +45,8 @@ _STEPS_BETWEEN: Final = 2
 _SETTLED: Final = 1e-5
 # Ends whose residuals differ by less than this share of their size are the same.
 _SAME: Final = 1e-3
+# Residuals for each parameter that must show the noise.
+_SHOWN: Final = 5
 
 # A recording with measured outputs in its regressor, where each cleaning takes its time, is searched in so many samples
 # of its middle; ends so much less likely there are not followed in the whole.
@@ -241,6 +243,15 @@ def _best_first(model: PolynomialModel, missing: Any, found: list[End], limits: 
     one fits this recording with a pole next to the unit circle that no other recording shows. Where two optima are
     nearly as good for a robust loss, the noise that their residuals show still tells them apart.
     """
+    # A start of many outliers that are none may end in noise of no size.
+    found = [end for end in found if np.isfinite(end.noise.R) and np.isfinite(end.residual).all()]
+    if not found:
+        raise np.linalg.LinAlgError(
+            f"identify: from every start the search of {model.structure!r} left the numbers that a computer has; take "
+            "fewer parameters, or look at the recording for values that are none"
+        )
+    # Where unknown outputs enter nearly every residual, they explain what they like, and the noise looks small.
+    found = [end for end in found if _showing(model, end) >= _SHOWN * model.n] or found
     likeliest = min(found, key=lambda end: end.noise.R)
     noise = likeliest.noise
     if noise.has_outliers and not isinstance(noise.influence, Contaminated):
@@ -267,6 +278,14 @@ def _best_first(model: PolynomialModel, missing: Any, found: list[End], limits: 
         else:
             ranked.append(Ranked(found[i], float(losses[i] - min(losses))))
     return ranked
+
+
+def _showing(model: PolynomialModel, end: End) -> int:
+    """Return how many residuals no unknown output enters: these alone show the noise."""
+    h = response(model, end.p)
+    if h.size == 1 or not end.outliers.wrong.any():
+        return int(end.rows.sum())
+    return int((model.conditioned & ~touched(end.outliers.wrong, h, model.first)).sum())
 
 
 def _starts(model: PolynomialModel, missing: Any, noise: Noise) -> Iterator[Start]:
