@@ -37,21 +37,21 @@ PLANT = [-1.5, 0.7, 1.0, 0.5]
 def handed_back(monkeypatch):
     """Keep an account of the samples that the kernel leaves to the definition, but for the last of a run."""
     samples = []
-    stepwise, by_kernel = track._by_definition, track._by_kernel
+    stepwise, by_kernel = track._Stretch._by_definition, track._Stretch._by_kernel
 
-    def counted(form, using, now, which, row, signals, arrays, part, out):
-        if using.place(0, 0):
-            samples.extend(range(part.start, min(part.stop, signals[0].shape[1] - 1)))
-        stepwise(form, using, now, which, row, signals, arrays, part, out)
+    def counted(stretch, row, part):
+        if stretch.using.place(0, 0):
+            samples.extend(range(part.start, min(part.stop, stretch.signals[0].shape[1] - 1)))
+        stepwise(stretch, row, part)
 
-    def run(*args):
-        found = by_kernel(*args)
-        if args[6].stop == args[4][0].shape[1] - 1:
+    def run(stretch, part, rows):
+        found = by_kernel(stretch, part, rows)
+        if stretch.using.choices is not None and part.stop == stretch.signals[0].shape[1] - 1:
             samples.append("done")
         return found
 
-    monkeypatch.setattr(track, "_by_definition", counted)
-    monkeypatch.setattr(track, "_by_kernel", run)
+    monkeypatch.setattr(track._Stretch, "_by_definition", counted)
+    monkeypatch.setattr(track._Stretch, "_by_kernel", run)
     return samples
 
 
