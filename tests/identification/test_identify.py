@@ -440,3 +440,12 @@ def test_forty_parameters_of_a_clean_recording_are_those_of_least_squares(sample
     plain = np.linalg.norm(np.linalg.lstsq(phi, y[k], rcond=None)[0] - truth)
     model = identify(y, u, ARX(20, 20))
     assert np.linalg.norm(model.theta[:40] - truth) < max(1.1 * plain, 0.02 * np.linalg.norm(truth))
+
+
+@pytest.mark.parametrize("structure", [ARX(2, 2), ARMAX(2, 2, 1)], ids=repr)
+@pytest.mark.parametrize("every", [2, 3])
+def test_an_output_that_is_slower_than_the_input_is_refused_where_outputs_are_regressors(every, structure):
+    y, u = output_error_data(length=600)[:2]
+    y[np.arange(600) % every > 0] = np.nan
+    with pytest.raises(ValueError, match=r"^y: expected somewhere 3 measured samples in a row"):
+        identify(y, u, structure)

@@ -95,7 +95,7 @@ def minimised(
         cost = noise.cost(residual[rows]) + 0.5 * further @ further
         triangle = np.asarray(np.linalg.qr(np.column_stack((jacobian / size, target)), mode="r"))
         if not np.isfinite(triangle).all():
-            # Far outside of what is stable numbers have no end; another start leads elsewhere.
+            # A model far from stable has derivatives that overflow; the search from another start goes on.
             return Optimum(p, noise, residual, False)
         taken = None
         for _ in range(_MOST_SHORTENINGS):

@@ -243,12 +243,12 @@ def _best_first(model: PolynomialModel, missing: Any, found: list[End], limits: 
     one fits this recording with a pole next to the unit circle that no other recording shows. Where two optima are
     nearly as good for a robust loss, the noise that their residuals show still tells them apart.
     """
-    # A start of many outliers that are none may end in noise of no size.
+    # A start that takes many good samples for outliers may end where the noise cannot be computed.
     found = [end for end in found if np.isfinite(end.noise.R) and np.isfinite(end.residual).all()]
     if not found:
         raise np.linalg.LinAlgError(
-            f"identify: from every start the search of {model.structure!r} left the numbers that a computer has; take "
-            "fewer parameters, or look at the recording for values that are none"
+            f"identify: from every start the search for {model.structure!r} ended in numbers that are not finite; "
+            "take fewer parameters, or look for values in the recording that are no measurements and make them NaN"
         )
     # Where unknown outputs enter nearly every residual, they explain what they like, and the noise looks small.
     found = [end for end in found if _showing(model, end) >= _SHOWN * model.n] or found
@@ -297,6 +297,11 @@ def _starts(model: PolynomialModel, missing: Any, noise: Noise) -> Iterator[Star
         return
     order = max(model.na, model.nf)
     known = ~np.convolve(missing, np.ones(model.na + 1))[model.first : missing.size].astype(bool)
+    if model.na and not known.any():
+        raise ValueError(
+            f"y: expected somewhere {model.na + 1} measured samples in a row for {model.structure!r}, got gaps in "
+            "all of them, so that nothing shows the noise; identify an OutputError, which needs no output beside another"
+        )
     if not model.nf:
         yield regression_start(model, known)
     if not order:
