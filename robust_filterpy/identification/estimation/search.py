@@ -300,7 +300,7 @@ def _starts(model: PolynomialModel, missing: Any, noise: Noise) -> Iterator[Star
     if model.na and not known.any():
         raise ValueError(
             f"y: expected somewhere {model.na + 1} measured samples in a row for {model.structure!r}, got gaps in "
-            "all of them, so that nothing shows the noise; identify an OutputError, which needs no output beside another"
+            "all of them, so that nothing shows the noise; identify an OutputError, which needs no outputs in a row"
         )
     if not model.nf:
         yield regression_start(model, known)
