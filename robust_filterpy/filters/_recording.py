@@ -9,6 +9,7 @@ import numpy as np
 from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array, all_covariances, entries, numbers, shown
 from robust_filterpy.correction.copies import Copies
+from robust_filterpy.filters._correlated import look_at_recording
 from robust_filterpy.filters._mixin import unchanged_if_refused
 from robust_filterpy.filters._mixture import Kept
 from robust_filterpy.filters._stuck import look_for_stuck
@@ -258,6 +259,8 @@ class MixtureLoop(CompiledLoop):
             kf._kept = None if kf._kept is None else Kept(*copies[:3], state.x, state.P, copies.unseen)
             kf._learn(state.learnt, len(state.learnt))
             look_for_stuck(kf, weights[k:taken], k)
+            if means_p.shape[1] and kf._counts_clipped:
+                look_at_recording(kf, self._innovations(k, taken), k)
         return taken
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from robust_filterpy import kernel
+from robust_filterpy.filters._correlated import judges, look_at_signs
 from robust_filterpy.filters._mixin import Snapshot
 from robust_filterpy.filters._outlier_share import EVERY
 
@@ -40,13 +41,31 @@ def correct(kf: Any, z: Any, R: Any, H: Any, M: Any) -> bool:
         return False
     if not kf._policy.by_kernel:
         own = H is None and M is None and kf._policy.rule is not None
-        return own and _extension.correct_mixture(kf, z, R)
+        return own and _watched(kf, z, R)
     return _counted(kf, _extension.correct, z, R, H, M)
 
 
 def correct_innovation(kf: Any, z: Any, predicted: Any, y: Any, C: Any, S: Any, R: Any) -> bool:
     """Correct a nonlinear filter whose policy is the kernel's, by z and its prediction or else by y; as `correct`."""
     return _extension is not None and _counted(kf, _extension.correct_innovation, z, predicted, y, C, S, R)
+
+
+def _watched(kf: Any, z: Any, R: Any) -> bool:
+    """Take a correction under noise that is learnt, and look now and then whether its innovations keep their sign."""
+    # A warning that is made an error refuses the call: nothing may have changed then.
+    before = Snapshot(kf) if judges(kf._updates + 1) else None
+    if not _extension.correct_mixture(kf, z, R):
+        return False
+    kf._updates += 1
+    if not kf._counts_clipped:
+        return True
+    try:
+        look_at_signs(kf, kf._last)
+    except BaseException:
+        if before is not None:
+            before.put_back(kf)
+        raise
+    return True
 
 
 def _counted(kf: Any, step: Any, *given: Any) -> bool:
