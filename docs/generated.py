@@ -3,6 +3,8 @@
 import importlib
 import inspect
 import pkgutil
+import re
+from collections.abc import Iterable
 from pathlib import Path
 
 import robust_filterpy
@@ -120,7 +122,51 @@ def module_page(module: str, names: list[str], apart: list[str]) -> str:
         if len(apart) < len(names):
             lines += [heading("In full", "-")]
         lines += [directive(module, name, getattr(found, name)) for name in names if name not in apart]
+    back = results(getattr(found, name) for name in names)
+    if back:
+        lines += [heading("What these return", "-")]
+        lines += [directive(thing.__module__, thing.__qualname__, thing) for thing in back]
     return "\n".join(lines) + "\n"
+
+
+def results(things: Iterable[object]) -> list[type]:
+    """Return the classes that a program gets from these without having to name them, by name."""
+    named = (getattr(importlib.import_module(room), name) for room in rooms() for name in own_names(room))
+    listed = {thing for thing in named if inspect.isclass(thing)}
+    found: dict[str, type] = {}
+    waiting = list(things)
+    while waiting:
+        thing = waiting.pop()
+        for back in returned(thing, listed):
+            if back not in listed and back.__qualname__ not in found:
+                found[back.__qualname__] = back
+                waiting.append(back)
+    return [thing for _, thing in sorted(found.items())]
+
+
+def returned(thing: object, listed: set[type]) -> list[type]:
+    """Return the classes of this package that a function returns, or the methods and fields of a class."""
+    if not inspect.isclass(thing):
+        return mentioned(thing, [getattr(thing, "__annotations__", {}).get("return")])
+    found: list[type] = []
+    for base in thing.__mro__:
+        if base.__module__.startswith(ROOT):
+            public = [value for name, value in vars(base).items() if not name.startswith("_")]
+            # A method that does not say what it returns is for other modules.
+            told = [value for value in public if inspect.isfunction(value) and "Returns" in (value.__doc__ or "")]
+            told += [getattr(value, "fget", None) or getattr(value, "func", None) for value in public]
+            said = [getattr(method, "__annotations__", {}).get("return") for method in told]
+            # The fields of what a program makes itself are its arguments.
+            said += [] if thing in listed else list(vars(base).get("__annotations__", {}).values())
+            found += mentioned(base, said)
+    return found
+
+
+def mentioned(thing: object, annotations: Iterable[object]) -> list[type]:
+    """Return the public classes of this package that annotations name, where a function or class is defined."""
+    scope = vars(importlib.import_module(getattr(thing, "__module__", ROOT)))
+    named = [scope.get(word) for annotation in annotations for word in re.findall(r"\w+", str(annotation))]
+    return [c for c in named if inspect.isclass(c) and c.__module__.startswith(ROOT) and "._" not in c.__module__]
 
 
 def directive(module: str, name: str, thing: object) -> str:

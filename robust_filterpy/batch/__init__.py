@@ -9,6 +9,6 @@ Imports from below: `influence`, `correction`, `kernel`, `filters`.
 from __future__ import annotations
 
 from robust_filterpy.batch.bank import FilterBank
-from robust_filterpy.batch.series import FilteredSeries, filter_series
+from robust_filterpy.batch.series import filter_series
 
-__all__ = ["FilterBank", "FilteredSeries", "filter_series"]
+__all__ = ["FilterBank", "filter_series"]

@@ -18,14 +18,8 @@ Imports from below: `robust_filterpy.influence`.
 
 from __future__ import annotations
 
-from robust_filterpy.correction.contaminated import Contaminated, LabelledSample
-from robust_filterpy.correction.definition import (
-    Innovation,
-    NotPositiveDefiniteError,
-    correct,
-    correct_by_custom,
-    innovation_moments,
-)
+from robust_filterpy.correction.contaminated import Contaminated
+from robust_filterpy.correction.definition import NotPositiveDefiniteError, correct
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.policies import Learnt, Scales
 from robust_filterpy.correction.result import Correction
@@ -35,13 +29,9 @@ __all__ = [
     "Choices",
     "Contaminated",
     "Correction",
-    "Innovation",
-    "LabelledSample",
     "Learnt",
     "NotPositiveDefiniteError",
     "Scales",
     "SingularInnovationError",
     "correct",
-    "correct_by_custom",
-    "innovation_moments",
 ]

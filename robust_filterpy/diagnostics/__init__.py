@@ -10,6 +10,6 @@ Imports from below: `influence`, `correction`.
 
 from __future__ import annotations
 
-from robust_filterpy.diagnostics.findings import Diagnosis, Finding, diagnose
+from robust_filterpy.diagnostics.findings import diagnose
 
-__all__ = ["Diagnosis", "Finding", "diagnose"]
+__all__ = ["diagnose"]

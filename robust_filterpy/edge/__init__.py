@@ -10,6 +10,6 @@ Imports from below: `correction`, `kernel`, `filters`, `identification`.
 
 from __future__ import annotations
 
-from robust_filterpy.edge.export import Exported, export_c
+from robust_filterpy.edge.export import export_c
 
-__all__ = ["Exported", "export_c"]
+__all__ = ["export_c"]

@@ -10,7 +10,7 @@ from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Choices
-from robust_filterpy.correction.spread import NUMBERS, begin
+from robust_filterpy.correction.spread import NUMBERS
 from robust_filterpy.edge.text import Described
 from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
 from robust_filterpy.filters.kalman import RobustKalmanFilter
@@ -33,8 +33,7 @@ def described_filter(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name: 
     start = {"x": finite("x", x.ravel(), (n,)), "P": symmetric("P", P)}
     # Linear, which cannot become anything else at run time, has no thresholds to learn for.
     if choices.scaling == "learnt" and psi_of(choices)[0] != "linear":
-        # Before its first correction a filter remembers no sensor.
-        start["memory"] = finite("memory", kf._memory if len(kf._memory) == m else begin(m), (m, NUMBERS))
+        start["memory"] = finite("memory", sensor_memory(kf, "spread"), (m, NUMBERS))
     return Described(
         f"{name}: {type(kf).__name__}(dim_x={n}, dim_z={m}), {shown(choices)}",
         ("real", "psi", "prediction", "correction", *(("joint",) if joint else ()), "spread", "update"), "filter",
@@ -78,9 +77,16 @@ def matrices(kf: RobustKalmanFilter | RobustExtendedKalmanFilter) -> dict[str, A
     F = finite("F", kf.F, (n, n))
     H = {"H": finite("H", kf.H, (m, n))} if isinstance(kf, RobustKalmanFilter) else {}
     Q, R = symmetric("Q", process_noise(kf.Q, None, n)), symmetric("R", noise_covariance(kf.R, None, m))
-    alpha_sq = kf._alpha_sq if isinstance(kf, RobustKalmanFilter) else 1.0
+    alpha_sq = float(kf.state().get("alpha_sq", 1.0))
     found = {"F": F, **({} if B is None else {"B": B}), "Q": Q, **H, "R": R}
     return found if alpha_sq == 1.0 else found | {"alpha_sq": alpha_sq}
+
+
+def sensor_memory(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name: str) -> Array:
+    """Return what a filter knows of its sensors, by its name in a state: nothing before the first correction."""
+    nothing = kf.policy.begin(kf.dim_z)
+    known = kf.state().get(name, nothing)
+    return known if len(known) == len(nothing) else nothing
 
 
 def matrix_values(model: dict[str, Any], name: str) -> dict[str, str]:
@@ -153,7 +159,7 @@ def require_own(kf: Any, name: str) -> None:
     wrapped = {"predict", "update"} & vars(kf).keys()
     if wrapped:
         raise ValueError(f"{name}: expected the filter's own {sorted(wrapped)[0]}(), got one that was put in its place")
-    if kf._inverse is not None:
+    if kf.inv is not np.linalg.inv:
         raise ValueError(
             f"inv: expected numpy's inverse of S, got {kf.inv!r}; make R positive definite and set inv=numpy.linalg.inv"
         )
@@ -162,7 +168,7 @@ def require_own(kf: Any, name: str) -> None:
 def require_plain(kf: Any, name: str) -> None:
     """Raise unless a filter does what the C of a `RobustKalmanFilter` does."""
     require_own(kf, name)
-    if not kf._policy.by_kernel:
+    if not kf.policy.by_kernel:
         off = ", ".join(f"{word}=None" for word in ("noise", "process", "patience") if getattr(kf, word) is not None)
         raise ValueError(
             f"{name}: expected bounded influence without patience, or, of a linear filter, noise told or learnt "

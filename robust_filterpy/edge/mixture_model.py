@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
 from robust_filterpy._arrays import state_of
-from robust_filterpy.edge.filter_model import finite, matrices, matrix_values, require_own, symmetric
+from robust_filterpy.edge.filter_model import finite, matrices, matrix_values, require_own, sensor_memory, symmetric
 from robust_filterpy.edge.text import Described
 from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
 from robust_filterpy.filters.kalman import RobustKalmanFilter
@@ -19,7 +20,7 @@ _HEAD = 7
 
 def mixes(kf: RobustKalmanFilter | RobustExtendedKalmanFilter) -> bool:
     """Return whether the kernel weighs what this filter's noise may have been."""
-    return getattr(kf._policy, "rule", None) is not None
+    return kf.policy.rule is not None
 
 
 def memory_field(shape: tuple[int, ...], name: str) -> str:
@@ -33,18 +34,20 @@ def described_mixture(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name:
     """Return what the C of a filter is made of that weighs what its noise may have been, or raise."""
     require_own(kf, "model")
     x, P = state_of(kf)
-    n, m, policy = len(x), kf.dim_z, kf._policy
-    rule: np.ndarray = policy.rule  # type: ignore[attr-defined]
+    n, m = len(x), kf.dim_z
+    rule: Any = kf.policy.rule
     q, K = int(rule[0]), int(rule[1])
     process, scales, begin = np.split(rule[_HEAD:], [q, q + K])
     model = matrices(kf)
-    kept = policy.current(kf._kept, x.ravel(), symmetric("P", P))  # type: ignore[attr-defined]
-    copies, width = len(kept.probabilities), len(begin)
-    memory = kf._memory if len(kf._memory) == m else policy.begin(m)
+    # One copy, which is x and P themselves, is not kept apart.
+    kept: dict[str, Any] = {"means": x.reshape(1, n), "covariances": P[None], "shares": np.ones(1), "unseen": 0.0}
+    kept |= kf.state()
+    copies, width = len(kept["shares"]), len(begin)
     start = {
-        "x": finite("x", x.ravel(), (n,)), "P": symmetric("P", P), "means": finite("x", kept.means, (copies, n)),
-        "covariances": np.concatenate([symmetric("P", one) for one in kept.covariances]),
-        "shares": kept.probabilities, "unseen": float(kept.unseen), "memory": finite("memory", memory, (m, width)),
+        "x": finite("x", x.ravel(), (n,)), "P": symmetric("P", P), "means": finite("x", kept["means"], (copies, n)),
+        "covariances": np.concatenate([symmetric("P", one) for one in kept["covariances"]]),
+        "shares": kept["shares"], "unseen": float(kept["unseen"]),
+        "memory": finite("memory", sensor_memory(kf, "learnt"), (m, width)),
     }  # fmt: skip
     stay, jump, remembered, r_remembered = rule[2:6]
     return Described(

@@ -57,17 +57,19 @@ def judges(updates: int) -> bool:
     return updates % _PERIOD == _LAST
 
 
-def look_at_signs(kf: Any, last: Any) -> None:
+def look_at_signs(kf: Any, last: Any, updates: int) -> None:
     """Count the signs of a correction's innovations now and then, and warn if they hardly ever change.
 
     Parameters
     ----------
     kf : RobustKalmanFilter
-        Whose correction it is, counted already.
+        Whose correction it is.
     last : Mixed or Correction
         The correction.
+    updates : int
+        How many the filter has had, this one among them.
     """
-    place = kf._updates % _PERIOD
+    place = updates % _PERIOD
     if not _FIRST <= place <= _LAST:
         return
     y = innovation_of(last)
@@ -115,8 +117,8 @@ def _judge(kf: Any, signs: _Signs, where: str) -> None:
         return
     warn(
         f"{kind[0]}{where}: {signs.kept[sensor]} of {signs.pairs[sensor]} innovations of sensor {sensor} have the sign "
-        f"of the one before (half is usual): the estimate lags behind, since the state moves as neither the model nor Q "
-        f"foresees (a level on a slope, say), or the noise has a colour; give the model that motion, or a larger Q; "
+        f"of the one before (half is usual): the estimate lags behind, since the state moves as neither the model nor "
+        f"Q foresees (a level on a slope, say), or the noise has a colour; give the model that motion, or a larger Q; "
         f"robust_filterpy.diagnose tells, and {pointer(STOPPED)}. Switch this off with "
         f'warnings.simplefilter("ignore", robust_filterpy.filters.CorrelatedInnovationsWarning)',
         CorrelatedInnovationsWarning,

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
 from robust_filterpy import _state
 from robust_filterpy._arrays import state_of
 from robust_filterpy._checks import Array
+from robust_filterpy.correction.spread import NUMBERS
 from robust_filterpy.filters._learning import LearningMixin
 from robust_filterpy.filters._sensors import Customs
+from robust_filterpy.filters._snapshot import whole
+
+#: Arrays of a state that may hold NaN.
+GAPS: Final = ("insisting",)
 
 
 class StateMixin(LearningMixin):
@@ -27,14 +32,13 @@ class StateMixin(LearningMixin):
     x: Any
     P: Any
     noise: Any
+    policy: Any
     _log_likelihood: float | None
     _likelihood: float | None
     _mahalanobis: float | None
 
     #: What else the filter's behaviour depends on: name in a state, attribute. A state without it leaves it as it is.
     _settings: ClassVar[dict[str, str]] = {"Q": "Q", "R": "R"}
-    #: Which arrays may hold NaN.
-    _gaps: ClassVar[tuple[str, ...]] = ("insisting",)
 
     def state(self) -> dict[str, Array]:
         """Return everything that the filter needs to go on, as plain arrays.
@@ -61,12 +65,12 @@ class StateMixin(LearningMixin):
         >>> bool(other.x == kf.x), bool(other.H == kf.H)
         (True, True)
         """
-        settings: dict[str, Any] = {key: getattr(self, name, None) for key, name in self._settings.items()}
-        settings |= self._sensors_in_state()
+        settings = {**settings_of(self), **self._sensors_in_state()}
         return _state.labelled(
             type(self).__name__, {**self._moving(), **{k: v for k, v in settings.items() if v is not None}}
         )
 
+    @whole
     def restore(self, state: Any) -> None:
         """Go back to a state of this filter, or of another one made like it.
 
@@ -96,7 +100,7 @@ class StateMixin(LearningMixin):
         }  # fmt: skip
         optional = {name: shapes[name] for name in self._settings}
         optional |= self._sensor_shapes()
-        found = _state.checked(state, type(self).__name__, self._needed(), optional, self._gaps)
+        found = _state.checked(state, type(self).__name__, self._needed(), optional, GAPS)
         foreign = sorted({"means", "counts", "learnt", "spread"} & set(state) - set(found))
         if foreign:
             raise _state.StateError(
@@ -166,7 +170,18 @@ class StateMixin(LearningMixin):
         self._log_likelihood = self._likelihood = self._mahalanobis = None
 
 
-# For what keeps x and P of a filter itself, such as a tracker.
+# For what keeps states of a filter apart from it, such as a tracker or a fleet.
+
+
+def settings_of(kf: StateMixin) -> dict[str, Any]:
+    """Return what else a filter's behaviour depends on, by its name in a state; None where it is not set."""
+    return {key: getattr(kf, name, None) for key, name in kf._settings.items()}
+
+
+def moved_shapes(kf: StateMixin) -> dict[str, _state.Shape]:
+    """Return the shapes of what a step moves, what is usual of the sensors among it."""
+    known = {**kf._sensor_shapes(), "spread": (kf.dim_z, NUMBERS)} if kf.noise is None and kf.policy.learns else {}
+    return {**kf._needed(), "x": np.shape(kf.x), **known}
 
 
 def kept_beside(kf: Any) -> dict[str, Array]:

@@ -1,23 +1,18 @@
-"""Mixin of the robust filters: options, diagnostics of the last correction, robust log-likelihood, calls undone."""
+"""Mixin of the robust filters: options, diagnostics of the last correction, robust log-likelihood."""
 
 from __future__ import annotations
 
-import functools
 import math
-import operator
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from robust_filterpy import kernel
 from robust_filterpy._arrays import state_of
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.filters._bounded import Bounded
 from robust_filterpy.filters._correlated import look_at_signs
 from robust_filterpy.filters._interruption import StateMixin
 from robust_filterpy.filters._options import OptionsMixin
@@ -26,6 +21,8 @@ from robust_filterpy.filters._parts import log_density
 from robust_filterpy.filters._policy import policy_of
 from robust_filterpy.filters._printing import PrintingMixin
 from robust_filterpy.filters._sensors import Customs
+from robust_filterpy.filters._snapshot import SLOTS
+from robust_filterpy.filters._step import StepMixin
 from robust_filterpy.filters._stuck import look_for_stuck
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.kernel.moments import Taken
@@ -36,7 +33,6 @@ if TYPE_CHECKING:
 
 _DEFAULT_INVERSE = np.linalg.inv
 Inverse = Callable[[Array], Array]
-_Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
 class _Emptied(NamedTuple):
@@ -53,22 +49,14 @@ class _Emptied(NamedTuple):
         return last._replace(y=zero, score=zero, e=zero, weights=none, psi_deriv=none, log_density=0.0, memory=None)
 
 
-class RobustFilterMixin(OptionsMixin, PrintingMixin, StateMixin):
+class RobustFilterMixin(OptionsMixin, PrintingMixin, StepMixin, StateMixin):
     """Add to a filter of filterpy's the choices of a robust correction and the attributes that show what it did.
 
     Comes before filterpy's class among the bases. The filter stores its `Correction` in ``_last`` and sets
     ``_y = _S = _SI = None`` (and ``_K = None``, unless it sets K).
     """
 
-    # Outside __dict__, which filterpy's Saver copies at every epoch and turns into arrays.
-    # (Not a literal: a type checker would then believe that there is no __dict__ at all.)
-    __slots__ = (
-        *"_K _S _SI _last _share _updates _y".split(),
-        *"_kept _memory _other_sensors _outlier_probability _policy _process_scales".split(),
-    )
-
-    #: Whether nobody else watches how often the filter clips.
-    _counts_clipped = True
+    __slots__ = SLOTS
 
     x: Assigned
     dim_z: int
@@ -160,7 +148,7 @@ class RobustFilterMixin(OptionsMixin, PrintingMixin, StateMixin):
         if self._policy.noise is not None:
             look_for_stuck(self, last.weights)
             if self._counts_clipped:
-                look_at_signs(self, last)
+                look_at_signs(self, last, self._updates)
         # Under a mixture psi follows from probabilities, and by custom from what is usual: no share is expected there.
         expected = self._policy.noise is None and self._choices.scaling == "innovation"
         if expected and self._counts_clipped and self._updates % EVERY == 0:
@@ -170,11 +158,6 @@ class RobustFilterMixin(OptionsMixin, PrintingMixin, StateMixin):
         """Look whether most corrections of a recording clip, whose weights and innovations have shape (N, m)."""
         if self._counts_clipped:
             self._share.look_at_recording(self, weights, y)
-
-    @property
-    def _learns_spread(self) -> bool:
-        """Whether thresholds are in units of the spread; the Kalman filter has none."""
-        return type(self._policy) is Bounded and self._policy.learns
 
     def _emptied(self) -> _Emptied | None:
         """Return the last correction with nothing observed: the scaling stays, the innovation is forgotten."""
@@ -282,84 +265,6 @@ class RobustFilterMixin(OptionsMixin, PrintingMixin, StateMixin):
         return self._mahalanobis
 
 
-def _copied(attributes: dict[str, Any]) -> list[tuple[Array, Array]]:
-    """Return the writable arrays of a dictionary, each with a copy of its contents."""
-    arrays = [value for value in attributes.values() if type(value) is np.ndarray]
-    return [(array, array.copy()) for array in arrays if array.flags.writeable]
-
-
-def _put_back(copied: list[tuple[Array, Array]]) -> None:
-    """Let arrays hold again what `_copied` found in them."""
-    for array, content in copied:
-        array[...] = content
-
-
-# An array of a few numbers is copied in a tenth of the time that it takes to ask Python for that.
-_copied_arrays = getattr(kernel.extension(), "copied_arrays", _copied)
-_put_back_arrays = getattr(kernel.extension(), "put_back_arrays", _put_back)
-_in_slots = operator.attrgetter(*RobustFilterMixin.__slots__)
-
-
-class Snapshot:
-    """What a filter holds, to put it back."""
-
-    __slots__ = ("_attributes", "_contents", "_drawn", "_slots", "_source")
-
-    def __init__(self, kf: Any) -> None:
-        """Keep the attributes, and the contents of arrays: a user's function may write into one that is still held."""
-        self._attributes = kf.__dict__.copy()
-        self._slots = _in_slots(kf)
-        self._contents = _copied_arrays(self._attributes)
-        # An ensemble's random numbers; numpy's older generator hides where they come from.
-        self._source = None
-        if "rng" in self._attributes:
-            rng = self._attributes["rng"]
-            self._source = getattr(rng, "bit_generator", getattr(rng, "_bit_generator", None))
-            self._drawn = None if self._source is None else self._source.state
-
-    def put_back(self, kf: Any) -> None:
-        """Put the filter back as it was."""
-        kf.__dict__.clear()
-        kf.__dict__.update(self._attributes)
-        for name, value in zip(RobustFilterMixin.__slots__, self._slots, strict=True):
-            setattr(kf, name, value)
-        _put_back_arrays(self._contents)
-        if self._source is not None:
-            self._source.state = self._drawn
-
-
 def leave_unwatched(kf: RobustFilterMixin) -> None:
     """Let a filter count no clipped innovations: what wraps it watches them."""
     kf._counts_clipped = False
-
-
-@contextmanager
-def unchanged_if_refused(kf: Any) -> Iterator[None]:
-    """Put a filter back as it was if the block raises anything, an interrupt too."""
-    before = Snapshot(kf)
-    try:
-        yield
-    except BaseException:
-        before.put_back(kf)
-        raise
-
-
-def whole(method: _Method) -> _Method:
-    """Make a call that is refused or interrupted one that has not happened."""
-
-    @functools.wraps(method)
-    def called(self: Any, *arguments: Any, **named: Any) -> Any:
-        """Call, and put the filter back if that raises."""
-        # Not the context manager, which costs as much as a step of the kernel.
-        before = Snapshot(self)
-        try:
-            return method(self, *arguments, **named)
-        except BaseException:
-            before.put_back(self)
-            raise
-
-    return cast(_Method, called)
-
-
-# Here, since what it needs stands below.
-RobustFilterMixin.restore = whole(StateMixin.restore)  # type: ignore[method-assign]

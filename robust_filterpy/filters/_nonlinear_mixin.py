@@ -10,8 +10,8 @@ import numpy as np
 from robust_filterpy._arrays import measured
 from robust_filterpy._checks import Array, described, numbers
 from robust_filterpy.correction.definition import Innovation, innovation_moments
-from robust_filterpy.filters import _step
-from robust_filterpy.filters._mixin import RobustFilterMixin, unchanged_if_refused, whole
+from robust_filterpy.filters._mixin import RobustFilterMixin
+from robust_filterpy.filters._snapshot import unchanged_if_refused, whole
 from robust_filterpy.kernel import moments
 
 
@@ -20,8 +20,6 @@ class NonlinearFilterMixin(RobustFilterMixin):
 
     # A model of the process as a function has no scale of Q to doubt.
     _takes_process = False
-    # An ensemble asks how much each sensor has told, which a record of the kernel does not keep.
-    _by_moments = True
 
     inv: Any
     dim_x: int
@@ -33,11 +31,6 @@ class NonlinearFilterMixin(RobustFilterMixin):
     _y: Any
     _S: Any
     _SI: Any
-
-    def _stepped(self, z: Any, predicted: Any, y: Any, C: Any, S: Any, R: Any) -> bool:
-        """Correct by the kernel if that is ordinary, by z and its prediction or by y; C and S, or H and None."""
-        by_kernel = self._by_moments and self._policy.by_kernel
-        return by_kernel and _step.correct_innovation(self, z, predicted, y, C, S, R)
 
     def _corrected(
         self, P: Array, z: Array, y: Array, C: Array, S: Array | None, R: Array, residual: Callable[[Any, Any], Any],

@@ -7,7 +7,7 @@ from typing import Any
 
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.filters._mixture import Mixture
-from robust_filterpy.filters._policy import policy_of
+from robust_filterpy.filters._policy import Policy, policy_of
 from robust_filterpy.filters._sensors import Customs
 from robust_filterpy.influence.functions import Influence
 
@@ -32,6 +32,11 @@ class OptionsMixin:
     def choices(self) -> Choices:
         """What an innovation is judged by: influence, scaling, information, grouping, checked."""
         return self._choices
+
+    @property
+    def policy(self) -> Policy:
+        """What judges measurements, made of these choices; it never changes."""
+        return self._policy  # type: ignore[no-any-return]
 
     def _choose(self, **changes: Any) -> None:
         """Go on with other choices; a mixture that becomes another one starts to learn anew."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from robust_filterpy import kernel
+from robust_filterpy.correction.options import Choices
+from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters._correlated import judges, look_at_signs
-from robust_filterpy.filters._mixin import Snapshot
-from robust_filterpy.filters._outlier_share import EVERY
+from robust_filterpy.filters._outlier_share import EVERY, Share
+from robust_filterpy.filters._snapshot import Snapshot
 
 _extension = kernel.extension()
 # What a subclass may do in its own way; then the kernel's is not that filter's.
@@ -19,70 +22,87 @@ def is_own(cls: type, base: type) -> bool:
     return all(getattr(cls, name) is getattr(base, name) for name in _METHODS)
 
 
-def predict(kf: Any, u: Any) -> bool:
-    """Predict if that is ordinary, return whether it was; nothing has changed if not."""
-    if _extension is None or not kf._by_kernel:
-        return False
-    if kf._policy.by_kernel:
-        return bool(_extension.predict(kf, u))
-    return kf._policy.rule is not None and _extension.predict_mixture(kf, u)
+class StepMixin:
+    """Take a step by the kernel and say whether it was taken; where not, nothing has changed."""
 
+    # Not a literal: a type checker would then believe that there is no __dict__ at all.
+    __slots__ = tuple(())
 
-def predict_extended(kf: Any, u: Any, moves: bool) -> bool:
-    """Predict an extended filter, P alone where x does not move; as `predict`."""
-    if _extension is None:
-        return False
-    return bool(_extension.predict(kf, u) if moves else _extension.predict_covariance(kf))
+    #: Whether the kernel's linear steps are this class's.
+    _by_kernel = False
+    #: Whether a nonlinear correction may be: an ensemble asks for more than a record of the kernel keeps.
+    _by_moments = True
+    #: Whether nobody else watches how often the filter clips.
+    _counts_clipped = True
 
+    dim_z: int
+    _arrays: Callable[[], Correction | None]
+    _choices: Choices
+    _policy: Any
+    _share: Share
+    _last: Any
+    _updates: int
 
-def correct(kf: Any, z: Any, R: Any, H: Any, M: Any) -> bool:
-    """Correct if that is ordinary, return whether it was; nothing has changed if not."""
-    if _extension is None or not kf._by_kernel:
-        return False
-    if not kf._policy.by_kernel:
-        own = H is None and M is None and kf._policy.rule is not None
-        return own and _watched(kf, z, R)
-    return _counted(kf, _extension.correct, z, R, H, M)
+    def _predict_by_kernel(self, u: Any) -> bool:
+        """Predict by F."""
+        if _extension is None or not self._by_kernel:
+            return False
+        if self._policy.by_kernel:
+            return bool(_extension.predict(self, u))
+        return self._policy.rule is not None and _extension.predict_mixture(self, u)
 
+    def _predict_extended(self, u: Any, moves: bool) -> bool:
+        """Predict by F, or P alone where x has been moved by a function."""
+        if _extension is None:
+            return False
+        return bool(_extension.predict(self, u) if moves else _extension.predict_covariance(self))
 
-def correct_innovation(kf: Any, z: Any, predicted: Any, y: Any, C: Any, S: Any, R: Any) -> bool:
-    """Correct a nonlinear filter whose policy is the kernel's, by z and its prediction or else by y; as `correct`."""
-    return _extension is not None and _counted(kf, _extension.correct_innovation, z, predicted, y, C, S, R)
+    def _correct_by_kernel(self, z: Any, R: Any, H: Any, M: Any) -> bool:
+        """Correct by a linear sensor."""
+        if _extension is None or not self._by_kernel:
+            return False
+        if not self._policy.by_kernel:
+            own = H is None and M is None and self._policy.rule is not None
+            return own and self._watched(z, R)
+        return self._counted(_extension.correct, z, R, H, M)
 
+    def _stepped(self, z: Any, predicted: Any, y: Any, C: Any, S: Any, R: Any) -> bool:
+        """Correct by a nonlinear sensor, by z and its prediction or by y; C and S, or H and None."""
+        if _extension is None or not (self._by_moments and self._policy.by_kernel):
+            return False
+        return self._counted(_extension.correct_innovation, z, predicted, y, C, S, R)
 
-def _watched(kf: Any, z: Any, R: Any) -> bool:
-    """Take a correction under noise that is learnt, and look now and then whether its innovations keep their sign."""
-    # A warning that is made an error refuses the call: nothing may have changed then.
-    before = Snapshot(kf) if judges(kf._updates + 1) else None
-    if not _extension.correct_mixture(kf, z, R):
-        return False
-    kf._updates += 1
-    if not kf._counts_clipped:
+    def _watched(self, z: Any, R: Any) -> bool:
+        """Take a correction under noise that is learnt, and look now and then at the signs of innovations."""
+        # A warning that is made an error refuses the call: nothing may have changed then.
+        before = Snapshot(self) if judges(self._updates + 1) else None
+        if not _extension.correct_mixture(self, z, R):
+            return False
+        self._updates += 1
+        if self._counts_clipped:
+            try:
+                look_at_signs(self, self._last, self._updates)
+            except BaseException:
+                if before is not None:
+                    before.put_back(self)
+                raise
         return True
-    try:
-        look_at_signs(kf, kf._last)
-    except BaseException:
-        if before is not None:
-            before.put_back(kf)
-        raise
-    return True
 
-
-def _counted(kf: Any, step: Any, *given: Any) -> bool:
-    """Take a correction, and look now and then whether most of them clip."""
-    if kf._choices.scaling != "innovation" or not kf._counts_clipped:
-        return bool(step(kf, *given))
-    looks = (kf._updates + 1) % EVERY == 0
-    # A warning that is made an error refuses the call: nothing may have changed then.
-    before = Snapshot(kf) if looks and kf._share.fills(kf.dim_z) else None
-    if not step(kf, *given):
-        return False
-    kf._updates += 1
-    if looks:
-        try:
-            kf._share.look(kf, kf._arrays())
-        except BaseException:
-            if before is not None:
-                before.put_back(kf)
-            raise
-    return True
+    def _counted(self, step: Any, *given: Any) -> bool:
+        """Take a correction, and look now and then whether most of them clip."""
+        if self._choices.scaling != "innovation" or not self._counts_clipped:
+            return bool(step(self, *given))
+        looks = (self._updates + 1) % EVERY == 0
+        # A warning that is made an error refuses the call: nothing may have changed then.
+        before = Snapshot(self) if looks and self._share.fills(self.dim_z) else None
+        if not step(self, *given):
+            return False
+        self._updates += 1
+        if looks:
+            try:
+                self._share.look(self, self._arrays())
+            except BaseException:
+                if before is not None:
+                    before.put_back(self)
+                raise
+        return True

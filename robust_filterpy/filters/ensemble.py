@@ -15,12 +15,12 @@ from robust_filterpy._filterpy import EnsembleKalmanFilter
 from robust_filterpy._state import Shape, read, spelt
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.filters._mixin import whole
 from robust_filterpy.filters._nonlinear_mixin import (
     NonlinearFilterMixin,
     innovation_of,
     require_finite,
 )
+from robust_filterpy.filters._snapshot import whole
 from robust_filterpy.influence.functions import Huber, Influence
 
 __all__ = ["RobustEnsembleKalmanFilter"]
@@ -94,6 +94,7 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
 
     _takes_process = _takes_mixtures = False
 
+    # How much each sensor has told is asked for, which a record of the kernel does not keep.
     _by_moments = False
 
     def __init__(

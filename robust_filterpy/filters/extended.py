@@ -21,13 +21,12 @@ from robust_filterpy._checks import Array
 from robust_filterpy._filterpy import ExtendedKalmanFilter
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.policies import Contaminated, Learnt
-from robust_filterpy.filters import _step
-from robust_filterpy.filters._mixin import whole
 from robust_filterpy.filters._nonlinear_mixin import (
     NonlinearFilterMixin,
     innovation_of,
     require_finite,
 )
+from robust_filterpy.filters._snapshot import whole
 from robust_filterpy.influence.functions import Huber, Influence
 
 __all__ = ["RobustExtendedKalmanFilter"]
@@ -151,7 +150,7 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
             If a shape does not fit, Q is negative or not symmetric, or the prediction not finite; nothing has changed
             then.
         """
-        if not (self._is_linear() and _step.predict_extended(self, u, True)):
+        if not (self._is_linear() and self._predict_extended(u, True)):
             self._predict(u)
 
     @whole
@@ -161,7 +160,7 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         _checks.matrix("F", self.F, (n, n), "dim_x")
         process_noise(self.Q, None, n)
         self.predict_x(u)
-        if not _step.predict_extended(self, None, False):
+        if not self._predict_extended(None, False):
             x, P = state_of(self)
             F, Q = _checks.matrix("F", self.F, (n, n), "dim_x"), process_noise(self.Q, None, n)
             self.P = F.dot(P).dot(F.T) + Q

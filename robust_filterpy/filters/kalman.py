@@ -29,18 +29,18 @@ from robust_filterpy.correction.definition import Innovation
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.filters import _step
 from robust_filterpy.filters._bounded import Bounded, finite_product
-from robust_filterpy.filters._mixin import RobustFilterMixin, whole
 from robust_filterpy.filters._parts import Part, Parts
-from robust_filterpy.filters._recording import CompiledLoop, Given, MixtureLoop, filter_recording, is_own
+from robust_filterpy.filters._recording import Given, RecordingMixin
+from robust_filterpy.filters._snapshot import whole
+from robust_filterpy.filters._step import is_own
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.kernel import moments
 
 __all__ = ["RobustKalmanFilter"]
 
 
-class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
+class RobustKalmanFilter(RecordingMixin, KalmanFilter):
     """Filter like `filterpy.kalman.KalmanFilter`, without believing outliers.
 
     Every attribute, method and shape is filterpy's, and so are the gains. What differs is how much of an innovation
@@ -170,7 +170,7 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
     def __init_subclass__(cls, **options: Any) -> None:
         """See whether the kernel's steps are a subclass's too."""
         super().__init_subclass__(**options)
-        cls._by_kernel = _step.is_own(cls, RobustKalmanFilter)
+        cls._by_kernel = is_own(cls, RobustKalmanFilter)
 
     def __init__(
         self,
@@ -216,7 +216,7 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
         ValueError
             If a shape does not fit or Q is negative or not symmetric; nothing has changed then.
         """
-        if not (B is None and F is None and Q is None and _step.predict(self, u)):
+        if not (B is None and F is None and Q is None and self._predict_by_kernel(u)):
             self._predict(u, B, F, Q)
 
     @whole
@@ -340,7 +340,7 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
 
     def _update(self, z: Any, R: Any, H: Any, M: Any) -> None:
         """Correct by a whole measurement; every check comes before the first assignment."""
-        if not _step.correct(self, z, R, H, M):
+        if not self._correct_by_kernel(z, R, H, M):
             self._correct(z, R, H, M)
 
     @whole
@@ -594,20 +594,19 @@ class RobustKalmanFilter(RobustFilterMixin, KalmanFilter):
             of psi, the filter is as it was before the call; what the saver has kept by then it keeps.
         """
         scales = np.empty(len(zs)) if self.process is not None and hasattr(zs, "__len__") else None
-        loop = self._compiled_loop(saver)
-        given = Given(zs, Fs, Qs, Hs, Rs, Bs, us)
-        found = filter_recording(self, given, update_first, saver, loop, scales)
+        by_kernel = saver is None and self._steps_are_own()
+        found = self._filter_recording(Given(zs, Fs, Qs, Hs, Rs, Bs, us), update_first, saver, by_kernel, scales)
         self._process_scales = scales
         return found
 
-    def _compiled_loop(self, saver: Any) -> CompiledLoop | None:
-        """Return what takes steps of a recording by the kernel, None if all are for the filter's own methods."""
-        own = saver is None and self._inverse is None and type(self)._by_kernel
-        if not own or not is_own(self, RobustKalmanFilter, ("predict", "update")):
-            return None
-        if self._policy.by_kernel:
-            return CompiledLoop(self)
-        return None if self._policy.rule is None else MixtureLoop(self)
+    def _steps_are_own(self) -> bool:
+        """Return whether the kernel's steps of a recording are this filter's, by its class, its policy and itself."""
+        serves = self._policy.by_kernel or self._policy.rule is not None
+        if not (self._by_kernel and serves and self._inverse is None):
+            return False
+        own = RobustKalmanFilter
+        methods = (("predict", own.predict), ("update", own.update))
+        return all(getattr(type(self), name) is method and name not in vars(self) for name, method in methods)
 
     def rts_smoother(
         self, Xs: Array, Ps: Array, Fs: Any = None, Qs: Any = None, inv: Any = np.linalg.inv

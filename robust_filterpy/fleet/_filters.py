@@ -16,9 +16,8 @@ import numpy as np
 from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array
-from robust_filterpy._state import Shape
 from robust_filterpy.correction.options import Choices
-from robust_filterpy.correction.spread import NUMBERS
+from robust_filterpy.filters._interruption import moved_shapes
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.kernel import series as kernel
 from robust_filterpy.kernel.records import Model, Output
@@ -71,9 +70,9 @@ class Plain(NamedTuple):
 def plain(kf: Any, update: Mapping[str, Any]) -> Plain | None:
     """Return what the kernel needs, None if it does not serve this filter on this machine, however long the batch."""
     # An R or H of the user's own is for `update` to look at.
-    if update or type(kf) is not RobustKalmanFilter or kf.noise is not None or kf._compiled_loop(None) is None:
+    if update or type(kf) is not RobustKalmanFilter or {"predict", "update"} & vars(kf).keys():
         return None
-    if not kernel.serves(kf.choices):
+    if kf.inv is not np.linalg.inv or not (kf.policy.by_kernel and kernel.serves(kf.choices)):
         return None
     _, P = state_of(kf)
     n, m = kf.dim_x, kf.dim_z
@@ -124,21 +123,9 @@ def require_consistent(kf: Any, update: Mapping[str, Any]) -> None:
 
 def start(kf: Any) -> dict[str, Array]:
     """Return what a filter's steps move, as it is; of sensors of which nothing is known yet, zeros."""
-    empty = {name: np.zeros([size or 0 for size in shape]) for name, shape in shapes(kf).items()}
+    empty = {name: np.zeros([size or 0 for size in shape]) for name, shape in moved_shapes(kf).items()}
     known = kf.state()
     return {name: known.get(name, value) for name, value in empty.items()}
-
-
-def shapes(kf: Any) -> dict[str, Shape]:
-    """Return the shapes of that."""
-    return {**kf._needed(), "x": np.shape(kf.x), **_sensors(kf)}
-
-
-def _sensors(kf: Any) -> dict[str, Shape]:
-    """Return the shapes of what a filter knows of its sensors, if it learns anything of them."""
-    if not getattr(kf, "_learns_spread", False):
-        return {}
-    return {**kf._sensor_shapes(), "spread": (kf.dim_z, NUMBERS)}
 
 
 def advance(kf: Any, update: Mapping[str, Any], series: Plain | None, work: Work) -> None:
@@ -151,7 +138,7 @@ def advance(kf: Any, update: Mapping[str, Any], series: Plain | None, work: Work
         return
     # Written into in place, without the axis of a column.
     x, P = work.entries["x"].reshape(-1, kf.dim_x), work.entries["P"]
-    memory = work.entries["spread"] if kf._learns_spread else None
+    memory = work.entries.get("spread")
     good = np.isfinite(x).all(axis=1) & _checks.are_covariances(P, _checks.GATHERED, _checks.ROUNDING)
     if memory is not None:
         good &= np.isfinite(memory).all(axis=(1, 2))
@@ -168,7 +155,7 @@ def advance(kf: Any, update: Mapping[str, Any], series: Plain | None, work: Work
 def _explain(worker: Any, work: Work, i: int) -> None:
     """Say what is wrong with the state of a key."""
     try:
-        worker.restore({name: work.entries[name][i] for name in shapes(worker)})
+        worker.restore({name: work.entries[name][i] for name in moved_shapes(worker)})
         work.stopped[i] = -1, "state: expected finite numbers and a covariance"
     except REFUSED as error:
         work.stopped[i] = -1, str(error)
@@ -177,7 +164,7 @@ def _explain(worker: Any, work: Work, i: int) -> None:
 def _alone(worker: Any, update: Mapping[str, Any], settings: Mapping[str, Array], work: Work, i: int) -> None:
     """Take the steps of one key by the filter's own methods."""
     try:
-        worker.restore({**settings, **{name: work.entries[name][i] for name in shapes(worker)}})
+        worker.restore({**settings, **{name: work.entries[name][i] for name in moved_shapes(worker)}})
     except REFUSED as error:
         work.stopped[i] = -1, str(error)
         return

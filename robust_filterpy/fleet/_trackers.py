@@ -9,6 +9,7 @@ import numpy as np
 from robust_filterpy import _state
 from robust_filterpy._checks import Array
 from robust_filterpy.correction import spread
+from robust_filterpy.filters._interruption import StateMixin, moved_shapes
 from robust_filterpy.fleet._filters import REFUSED, Work
 from robust_filterpy.identification.models.results import Columns
 from robust_filterpy.identification.models.signals import measured_output, recorded_input
@@ -31,7 +32,9 @@ class EvenTracker(ParameterTracker):
 
 def start(tracker: EvenTracker) -> dict[str, Array]:
     """Return what a tracker's steps move, as it is; of a sensor of which nothing is known yet, zeros."""
-    unknown = {"filter_spread": spread.begin(1)} if getattr(tracker.filter, "_learns_spread", False) else {}
+    kf = tracker.filter
+    learns = isinstance(kf, StateMixin) and "spread" in moved_shapes(kf)
+    unknown = {"filter_spread": spread.begin(1)} if learns else {}
     return {**unknown, **{name: value for name, value in tracker.state().items() if name not in _SETTINGS}}
 
 

@@ -20,7 +20,7 @@ from robust_filterpy import _checks
 from robust_filterpy._brief import wrapped
 from robust_filterpy._checks import Array
 from robust_filterpy._state import LABEL, Shape, labelled
-from robust_filterpy.filters._interruption import StateMixin
+from robust_filterpy.filters._interruption import GAPS, StateMixin, moved_shapes, settings_of
 from robust_filterpy.fleet import _filters, _trackers
 from robust_filterpy.fleet._filters import Work
 from robust_filterpy.fleet.states import FLEET, checked
@@ -281,7 +281,7 @@ class FilterModel(Model):
     @property
     def gaps(self) -> tuple[str, ...]:
         """Entries of a state that may hold NaN."""
-        return self.filter._gaps  # type: ignore[no-any-return]
+        return GAPS
 
     def start(self) -> dict[str, Array]:
         """Return the entries of a state at the start.
@@ -294,12 +294,12 @@ class FilterModel(Model):
 
     def _shapes(self) -> dict[str, Shape]:
         """Return the shapes of these."""
-        return _filters.shapes(self.filter)
+        return moved_shapes(self.filter)
 
     def _said(self) -> Iterator[tuple[str, Any]]:
         """Yield what makes the model this one: matrices, choices, functions."""
         kf = self.filter
-        yield from ((name, getattr(kf, own, None)) for name, own in sorted(kf._settings.items()) if name not in _MOVED)
+        yield from (item for item in sorted(settings_of(kf).items()) if item[0] not in _MOVED)
         choices = ("influence", "scaling", "information", "grouping", "process", "noise", "patience", "hx", "fx", "dt")
         yield from ((name, getattr(kf, name)) for name in choices if name in vars(kf))
         yield "choices", repr(kf.choices)

@@ -36,25 +36,18 @@ from robust_filterpy.fusion.motion import (
     from_function,
 )
 from robust_filterpy.fusion.reacquisition import Reacquisition
-from robust_filterpy.fusion.recording import Recording
-from robust_filterpy.fusion.results import Estimate, Forecast, FusionWarning, SensorNoise
+from robust_filterpy.fusion.results import FusionWarning
 from robust_filterpy.fusion.sensors import Sensor, angle
-from robust_filterpy.fusion.verdicts import Verdict
 
 __all__ = [
     "Contaminated",
-    "Estimate",
-    "Forecast",
     "Fusion",
     "FusionWarning",
     "Learnt",
     "Motion",
     "Reacquisition",
-    "Recording",
     "Scales",
     "Sensor",
-    "SensorNoise",
-    "Verdict",
     "angle",
     "constant_acceleration",
     "constant_velocity",

@@ -11,10 +11,9 @@ Imports from below: `influence`, `correction`, `kernel`, `filters`, `batch`.
 from __future__ import annotations
 
 from robust_filterpy.identification.estimation.identify import identify
-from robust_filterpy.identification.judging.compare import Comparison, compare
+from robust_filterpy.identification.judging.compare import compare
 from robust_filterpy.identification.judging.select import select_structure
-from robust_filterpy.identification.judging.selection import Selection
-from robust_filterpy.identification.judging.validate import Validation, Validations, validate
+from robust_filterpy.identification.judging.validate import validate
 from robust_filterpy.identification.models.constructors import (
     AR,
     ARMA,
@@ -25,21 +24,15 @@ from robust_filterpy.identification.models.constructors import (
     LinearRegression,
     OutputError,
 )
-from robust_filterpy.identification.models.continuous import ContinuousModel
 from robust_filterpy.identification.models.grey_box import GreyBox
 from robust_filterpy.identification.models.grey_box_model import GreyBoxModel
 from robust_filterpy.identification.models.model import Model
-from robust_filterpy.identification.models.response_records import FrequencyResponse, NoiseSpectrum, StepResponse
-from robust_filterpy.identification.models.results import Coefficients, Intervals, Sample, TrackingResult
+from robust_filterpy.identification.models.results import Coefficients, TrackingResult
 from robust_filterpy.identification.models.state_space import StateSpaceModel
 from robust_filterpy.identification.models.state_space_structure import StateSpace
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.models.summary import Summary
-from robust_filterpy.identification.models.uncertainty import Regions
 from robust_filterpy.identification.recursive.bank import TrackerBank
-from robust_filterpy.identification.recursive.bank_results import BankResult, BankSample
 from robust_filterpy.identification.recursive.tracker import ParameterTracker
-from robust_filterpy.identification.recursive.tuned import TunedTracker
 from robust_filterpy.identification.recursive.watch import LostTrackerWarning
 
 __all__ = [
@@ -48,35 +41,20 @@ __all__ = [
     "ARMAX",
     "ARX",
     "FIR",
-    "BankResult",
-    "BankSample",
     "BoxJenkins",
     "Coefficients",
-    "Comparison",
-    "ContinuousModel",
-    "FrequencyResponse",
     "GreyBox",
     "GreyBoxModel",
-    "Intervals",
     "LinearRegression",
     "LostTrackerWarning",
     "Model",
-    "NoiseSpectrum",
     "OutputError",
     "ParameterTracker",
-    "Regions",
-    "Sample",
-    "Selection",
     "StateSpace",
     "StateSpaceModel",
-    "StepResponse",
     "Structure",
-    "Summary",
     "TrackerBank",
     "TrackingResult",
-    "TunedTracker",
-    "Validation",
-    "Validations",
     "compare",
     "identify",
     "select_structure",

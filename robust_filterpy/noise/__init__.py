@@ -10,15 +10,7 @@ Imports from below: `influence`, `correction`, `filters`.
 from __future__ import annotations
 
 from robust_filterpy.noise.distributions import LeastFavorable, fisher_information
-from robust_filterpy.noise.estimation import NoiseEstimate, NoiseIntervals, estimate_noise
-from robust_filterpy.noise.tuning import Tuned, tune
+from robust_filterpy.noise.estimation import estimate_noise
+from robust_filterpy.noise.tuning import tune
 
-__all__ = [
-    "LeastFavorable",
-    "NoiseEstimate",
-    "NoiseIntervals",
-    "Tuned",
-    "estimate_noise",
-    "fisher_information",
-    "tune",
-]
+__all__ = ["LeastFavorable", "estimate_noise", "fisher_information", "tune"]

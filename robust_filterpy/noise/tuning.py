@@ -181,7 +181,7 @@ def _with_model(options: dict[str, Any], grouping: Any, kf: Any, noise: NoiseEst
         value = getattr(kf, name, None)
         if value is not None and not (name == "M" and np.shape(value) != (kf.dim_x, kf.dim_z)):
             setattr(filter, name, np.array(value, dtype=float))
-    filter._alpha_sq, filter.inv = getattr(kf, "_alpha_sq", 1.0), getattr(kf, "inv", np.linalg.inv)
+    filter.alpha, filter.inv = getattr(kf, "alpha", 1.0), getattr(kf, "inv", np.linalg.inv)
     return replace(noise, contamination=max(noise.contamination, _LEAST_CONTAMINATION)).apply(filter)
 
 

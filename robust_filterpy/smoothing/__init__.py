@@ -18,6 +18,6 @@ Imports from below: `influence`, `correction`, `kernel`, `filters`, `batch`.
 from __future__ import annotations
 
 from robust_filterpy.smoothing.fixed_lag import FixedLagSmoother
-from robust_filterpy.smoothing.smoother import Smoothed, smooth, smooth_series
+from robust_filterpy.smoothing.smoother import smooth, smooth_series
 
-__all__ = ["FixedLagSmoother", "Smoothed", "smooth", "smooth_series"]
+__all__ = ["FixedLagSmoother", "smooth", "smooth_series"]

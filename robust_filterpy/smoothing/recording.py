@@ -49,9 +49,9 @@ def linear_recording(
     absent = [name for name in ("x", "P", "F", "H", "Q", "R") if not hasattr(kf, name)]
     if absent:
         raise TypeError(f"kf: expected a filter of filterpy's kind, got {type(kf).__name__} without {absent[0]}")
-    if getattr(kf, "_alpha_sq", 1.0) != 1.0:
+    if getattr(kf, "alpha", 1.0) != 1.0:
         raise ValueError(
-            f"alpha: expected 1, got {kf._alpha_sq**0.5}; a fading memory is no model to smooth by, raise Q instead"
+            f"alpha: expected 1, got {kf.alpha}; a fading memory is no model to smooth by, raise Q instead"
         )
     x, P = state_of(kf)
     n = len(x)

@@ -9,7 +9,8 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from fusion.worlds import GPS, POLICIES, WHEEL, plane, sensors, table
 
-from robust_filterpy.fusion import Fusion, FusionWarning, Recording, Sensor, angle, constant_velocity, from_function
+from robust_filterpy.fusion import Fusion, FusionWarning, Sensor, angle, constant_velocity, from_function
+from robust_filterpy.fusion.recording import Recording
 from robust_filterpy.fusion.verdicts import described
 from robust_filterpy.influence import Linear
 

@@ -6,7 +6,8 @@ import pytest
 from scipy.linalg import expm
 
 from robust_filterpy import OutputError, identify
-from robust_filterpy.identification import GreyBox, StateSpace, Validation, Validations, compare, validate
+from robust_filterpy.identification import GreyBox, StateSpace, compare, validate
+from robust_filterpy.identification.judging.validate import Validation, Validations
 
 RIGHT = "nothing is left in the residuals"
 A = np.array([[0.8, 0.4, 0.0], [-0.4, 0.8, 0.0], [0.0, 0.0, 0.6]])

@@ -356,7 +356,7 @@ def test_a_sensor_that_repeats_another_is_taken_until_what_is_left_of_it_is_roun
     """After the first of two sensors of the same the other's variance is 2 R of 1 + R: served down to 1e-13 of it."""
     kf = RobustKalmanFilter(1, 2, scaling="innovation")
     kf.H, kf.R = np.ones((2, 1)), R * np.eye(2)
-    (taken, same) = before_and_after(kf, lambda: _step.correct(kf, np.array([0.5, 0.5]), None, None, None))
+    (taken, same) = before_and_after(kf, lambda: kf._correct_by_kernel(np.array([0.5, 0.5]), None, None, None))
     assert taken == served and same == (not served)
     if served:
         np.testing.assert_allclose(kf.x, 1.0 / (2.0 + R), rtol=1e-4)

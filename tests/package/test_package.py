@@ -1,6 +1,7 @@
 """The package as a whole: cheap to import, honest about its version, nothing heavy before it is used."""
 
 import importlib
+import pkgutil
 import re
 import subprocess
 import sys
@@ -41,6 +42,13 @@ def test_every_name_of_the_list_is_the_one_that_type_checkers_see(room):
 
 def test_the_root_has_25_names_at_most():
     assert len(dir(robust_filterpy)) <= 25
+
+
+def test_the_rooms_list_no_more_names():
+    found = pkgutil.walk_packages(robust_filterpy.__path__, "robust_filterpy.")
+    rooms = [info.name for info in found if info.ispkg and not info.name.endswith((".kalman", ".common"))]
+    names = {name for room in rooms for name in getattr(importlib.import_module(room), "__all__", ())}
+    assert 100 < len(names) <= 142
 
 
 def test_every_name_of_a_room_is_found_where_the_root_says_it_is():

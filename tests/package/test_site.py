@@ -93,6 +93,15 @@ def test_every_public_name_is_described(site):
     assert {name for name in robust_filterpy.__all__ if not name.startswith("__")} <= described
 
 
+def test_what_a_name_returns_is_described_beside_it(monkeypatch):
+    """Nobody imports these classes, but whoever is handed one reads its fields."""
+    monkeypatch.syspath_prepend(str(DOCS))
+    results = pytest.importorskip("generated").results
+    names = {thing.__name__ for thing in results([robust_filterpy.estimate_noise, robust_filterpy.ParameterTracker])}
+    assert {"NoiseEstimate", "NoiseIntervals", "Sample", "TunedTracker", "FrequencyResponse"} <= names
+    assert not names & {"ParameterTracker", "Model", "TrackingResult"}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_page_of_an_example_shows_its_figure_and_its_conclusion(path, site):

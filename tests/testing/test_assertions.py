@@ -13,7 +13,6 @@ from support import told_tracker
 
 from robust_filterpy import Linear, ParameterTracker, RobustKalmanFilter, TukeyBiweight
 from robust_filterpy.testing import (
-    TrackerRun,
     assert_bounded_influence,
     assert_efficient,
     assert_interval_coverage,
@@ -35,6 +34,7 @@ from robust_filterpy.testing.assertions.consistency import _correlation
 from robust_filterpy.testing.assertions.contracts import assert_close, assert_unchanged, visible
 from robust_filterpy.testing.scenarios.models import random_stable
 from robust_filterpy.testing.scenarios.runs import load
+from robust_filterpy.testing.scenarios.tracker_runs import TrackerRun
 
 
 def fails(call, *match):

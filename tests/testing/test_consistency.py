@@ -10,7 +10,6 @@ from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import RobustKalmanFilter
 from robust_filterpy.testing import (
-    FilterRun,
     assert_consistent,
     assert_covariance_stays_one,
     assert_innovations_white,
@@ -18,6 +17,7 @@ from robust_filterpy.testing import (
     draw,
     run_filter,
 )
+from robust_filterpy.testing.scenarios.runs import FilterRun
 
 
 def told(scenario, **factors):

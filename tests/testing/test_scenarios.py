@@ -7,17 +7,11 @@ import scipy.stats
 from filterpy.kalman import KalmanFilter
 
 from robust_filterpy.identification import ARX
-from robust_filterpy.testing import (
-    FilterRun,
-    StateModel,
-    assert_consistent,
-    draw,
-    run_filter,
-)
+from robust_filterpy.testing import StateModel, assert_consistent, draw, run_filter
 from robust_filterpy.testing.scenarios.contamination import CONTAMINATIONS
 from robust_filterpy.testing.scenarios.models import MODELS, random_stable
 from robust_filterpy.testing.scenarios.plants import PLANTS
-from robust_filterpy.testing.scenarios.runs import load
+from robust_filterpy.testing.scenarios.runs import FilterRun, load
 
 KINDS = ["none", *CONTAMINATIONS, ("mixture", "missing"), {"bursts": {"length": 8}, "stuck": {}}]
 

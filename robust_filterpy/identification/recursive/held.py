@@ -9,7 +9,8 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 
 from robust_filterpy._checks import Array
-from robust_filterpy.filters._mixin import RobustFilterMixin, Snapshot
+from robust_filterpy.filters._mixin import RobustFilterMixin
+from robust_filterpy.filters._snapshot import Snapshot
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 
 # What a sample moves in a filter, besides what only shows its last correction.

@@ -8,16 +8,10 @@
 
 from __future__ import annotations
 
-from robust_filterpy.testing.scenarios import drawing, models, plants, runs, tracker_runs
-from robust_filterpy.testing.scenarios.drawing import *  # noqa: F403
-from robust_filterpy.testing.scenarios.models import *  # noqa: F403
-from robust_filterpy.testing.scenarios.plants import *  # noqa: F403
-from robust_filterpy.testing.scenarios.runs import *  # noqa: F403
-from robust_filterpy.testing.scenarios.tracker_runs import *  # noqa: F403
+from robust_filterpy.testing.scenarios.drawing import Scenario, draw
+from robust_filterpy.testing.scenarios.models import StateModel
+from robust_filterpy.testing.scenarios.plants import Plant, PlantScenario
+from robust_filterpy.testing.scenarios.runs import run_filter
+from robust_filterpy.testing.scenarios.tracker_runs import run_tracker
 
-__all__: list[str] = []
-__all__ += drawing.__all__
-__all__ += models.__all__
-__all__ += plants.__all__
-__all__ += runs.__all__
-__all__ += tracker_runs.__all__
+__all__ = ["Plant", "PlantScenario", "Scenario", "StateModel", "draw", "run_filter", "run_tracker"]
