@@ -74,10 +74,8 @@ def continued(rules: Rules, given: SeriesArguments, state: Mapping[str, Any]) ->
 
     Parameters
     ----------
-    rules : Rules
-        What judges their measurements.
-    given : SeriesArguments
-        x and P of each series.
+    rules, given
+        As in `began`.
     state : mapping of str to ndarray
         What `filter_series` returned as state.
     """

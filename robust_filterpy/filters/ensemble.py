@@ -133,10 +133,8 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
 
         Parameters
         ----------
-        x : array_like, shape (dim_x,)
-            Mean.
-        P : array_like, shape (dim_x, dim_x)
-            Covariance.
+        x, P : array_like, shape (dim_x,) and (dim_x, dim_x)
+            Their mean and covariance.
         """
         self.x = _checks.finite_vector("x", x)
         self.P = _checks.matrix("P", P, (self.x.size, self.x.size), f"dim_x={self.x.size}")
