@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy._checks import Array, numbers
-from robust_filterpy.batch._arguments import SeriesArguments
+from robust_filterpy.batch.arguments import SeriesArguments
 from robust_filterpy.correction import copies, spread
 from robust_filterpy.correction.copies import Scales
 from robust_filterpy.correction.learning import NoiseClasses

@@ -10,10 +10,10 @@ import numpy as np
 from robust_filterpy._arrays import measurement_rows, noise_covariance, process_noise, stack, state_of
 from robust_filterpy._checks import Array, all_covariances, entries, shown
 from robust_filterpy.correction.copies import Copies
-from robust_filterpy.filters._mixin import RobustFilterMixin
 from robust_filterpy.filters._mixture import Kept
-from robust_filterpy.filters._snapshot import unchanged_if_refused
-from robust_filterpy.filters._stuck import look_for_stuck
+from robust_filterpy.filters.mixin import RobustFilterMixin
+from robust_filterpy.filters.snapshot import unchanged_if_refused
+from robust_filterpy.filters.stuck import look_for_stuck
 from robust_filterpy.kernel import available, learnt, series
 from robust_filterpy.kernel.records import Model, Output
 

@@ -9,7 +9,7 @@ from robust_filterpy import kernel
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters._outlier_share import EVERY, Share
-from robust_filterpy.filters._snapshot import Snapshot
+from robust_filterpy.filters.snapshot import Snapshot
 
 _extension = kernel.extension()
 # What a subclass may do in its own way; then the kernel's is not that filter's.
