@@ -59,13 +59,18 @@ def measured(z: Any, m: int, missing: bool = False) -> Any:
     return number if missing or number == number else None
 
 
+def _square(name: str, value: Any, n: int, dim: str) -> Array:
+    """Return a matrix, shape (n, n), of a scalar that times I."""
+    if type(value) is np.ndarray and value.dtype == FLOAT and value.shape == (n, n):
+        return value
+    if np.ndim(value) == 0 and value is not None:
+        value = _checks.real(name, value) * np.eye(n)
+    return _checks.matrix(name, value, (n, n), f"{dim}={n}")
+
+
 def noise_covariance(default: Any, given: Any, m: int) -> Array:
     """Return R, shape (m, m), positive semidefinite; a scalar means times I, wherever it comes from."""
-    R = default if given is None else given
-    if not (type(R) is np.ndarray and R.dtype == FLOAT and R.shape == (m, m)):
-        if np.ndim(R) == 0 and R is not None:
-            R = _checks.real("R", R) * np.eye(m)
-        R = _checks.matrix("R", R, (m, m), f"dim_z={m}")
+    R = _square("R", default if given is None else given, m, "dim_z")
     if m == 1:
         if not 0.0 <= R.item() < math.inf:
             raise ValueError(f"R: expected a variance >= 0, got {R.item()}; use NaN in z for a sensor that is absent")
@@ -85,11 +90,7 @@ def _require(name: str, content: bytes, m: int, slack: float) -> None:
 
 def process_noise(default: Any, given: Any, n: int) -> Array:
     """Return Q, shape (n, n), symmetric, with variances >= 0; a scalar means times I, wherever it comes from."""
-    Q = default if given is None else given
-    if not (type(Q) is np.ndarray and Q.dtype == FLOAT and Q.shape == (n, n)):
-        if np.ndim(Q) == 0 and Q is not None:
-            Q = _checks.real("Q", Q) * np.eye(n)
-        Q = _checks.matrix("Q", Q, (n, n), f"dim_x={n}")
+    Q = _square("Q", default if given is None else given, n, "dim_x")
     content = Q.tobytes()
     if content != _last_Q.get(n):
         if n <= _REMEMBERED:
@@ -98,6 +99,64 @@ def process_noise(default: Any, given: Any, n: int) -> Array:
             _checks.covariance("Q", Q, math.inf)
         _last_Q[n] = content
     return Q
+
+
+def measurement_rows(zs: Any, m: int, name: str = "zs") -> Array:
+    """Return measurements as shape (N, m), NaN where missing, or raise."""
+    zs = _checks.entries(name, zs)
+    if not hasattr(zs, "__len__"):
+        raise TypeError(f"{name}: expected a sequence of measurements, got {_checks.shown(zs)}")
+    if not isinstance(zs, np.ndarray):
+        zs = list(zs)
+        if any(z is None or isinstance(z, np.ma.MaskedArray) for z in zs):
+            gap = np.full(m, np.nan)
+            zs = [gap if z is None else np.ravel(_checks.numbers(name, z)) for z in zs]
+    steps = len(zs)
+    if steps == 0:
+        raise ValueError(f"{name}: expected at least one entry, got none")
+    try:
+        values = _checks.numbers(name, zs)
+    except TypeError:
+        _require_size(zs, m, name)
+        raise
+    if values.size != steps * m or values.ndim > 3 or (values.ndim == 3 and 1 not in values.shape[1:]):
+        _require_size(zs, m, name)
+        raise ValueError(f"{name}: expected shape {(steps, m)}, as the model has, got {values.shape}")
+    return np.ascontiguousarray(values.reshape(steps, m))
+
+
+def _require_size(zs: Any, m: int, name: str) -> None:
+    """Raise if the entries of a list do not hold so many numbers each."""
+    sizes = set() if isinstance(zs, np.ndarray) else {np.size(z) for z in zs} - {m}
+    if sizes:
+        raise ValueError(f"{name}: expected {m} number(s) at each step, as the model has, got {sizes.pop()}") from None
+
+
+def stack(name: str, default: Any, values: Any, steps: int | None, shape: tuple[int | None, int]) -> Array:
+    """Return one matrix, or one a step, with the axis of steps in front; a scalar Q or R stands for itself times I."""
+    rows, columns = shape
+    scalar = rows == columns and (name in "QR" or rows == 1)
+    if values is None:
+        found = _checks.numbers(name, default)
+        found = (found * np.eye(columns) if found.ndim == 0 and scalar else found)[None]
+    else:
+        values = _checks.entries(f"{name}s", values)
+        if not hasattr(values, "__len__"):
+            raise TypeError(f"{name}s: expected a sequence of matrices, got {_checks.shown(values)}")
+        if steps is not None and len(values) < steps:
+            raise ValueError(f"{name}s: expected an entry for each of the {steps} measurements, got {len(values)}")
+        try:
+            found = _checks.numbers(f"{name}s", values if isinstance(values, np.ndarray) else list(values)[:steps])
+        except TypeError:
+            raise TypeError(
+                f"{name}s: expected matrices of one shape for all steps, got {_checks.shown(values)}"
+            ) from None
+        found = found[:steps]
+        found = found[:, None, None] * np.eye(columns) if found.ndim == 1 and scalar else found
+    if found.ndim != 3 or found.shape[2] != columns or (rows is not None and found.shape[1] != rows):
+        expected = f"({'dim_z' if rows is None else rows}, {columns})"
+        raise ValueError(f"{name}: expected shape {expected} at each step, got {found.shape[1:]}")
+    return found
 
 
 def control_term(B: Any, u: Any, shape: tuple[int, ...]) -> Array:

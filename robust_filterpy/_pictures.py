@@ -7,9 +7,27 @@ and with it matplotlib, is imported here, by name, when a picture is asked for.
 from __future__ import annotations
 
 import importlib
-from typing import Any
+from typing import Any, ClassVar
 
 
-def drawn(picture: str, result: Any, options: dict[str, Any]) -> Any:
-    """Return the axes that a function of `robust_filterpy.plotting`, such as "plot_bode", makes of a result."""
-    return getattr(importlib.import_module("robust_filterpy.plotting"), picture)(result, **options)
+class Pictured:
+    """A result that can be drawn."""
+
+    __slots__ = ()
+
+    #: Name of the function of `robust_filterpy.plotting` that draws it.
+    picture: ClassVar[str]
+
+    def plot(self, **options: Any) -> Any:
+        """Draw it, by that function of `robust_filterpy.plotting` which its ``picture`` names.
+
+        Parameters
+        ----------
+        **options : dict, optional
+            Of that function.
+
+        Returns
+        -------
+        matplotlib.axes.Axes, or ndarray of them
+        """
+        return getattr(importlib.import_module("robust_filterpy.plotting"), self.picture)(self, **options)

@@ -2,6 +2,7 @@
 
 * `bank`: many filters advanced together online.
 * `series`: many recordings filtered, the noise of each learnt on request.
+* `arguments`: what the functions of many series take, checked.
 
 Imports from below: `influence`, `correction`, `kernel`, `filters`.
 """

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy._checks import Array, numbers
-from robust_filterpy.batch._arguments import SeriesArguments
+from robust_filterpy.batch.arguments import SeriesArguments
 from robust_filterpy.correction import copies, spread
 from robust_filterpy.correction.copies import Scales
 from robust_filterpy.correction.learning import NoiseClasses
@@ -74,10 +74,8 @@ def continued(rules: Rules, given: SeriesArguments, state: Mapping[str, Any]) ->
 
     Parameters
     ----------
-    rules : Rules
-        What judges their measurements.
-    given : SeriesArguments
-        x and P of each series.
+    rules, given
+        As in `began`.
     state : mapping of str to ndarray
         What `filter_series` returned as state.
     """

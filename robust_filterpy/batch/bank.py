@@ -341,10 +341,3 @@ def _require_covariances(R: Array) -> None:
             bad.append(s)
     which = "" if len(R) == 1 else f" (filter {bad[0]}{f' and {len(bad) - 1} more' if len(bad) > 1 else ''})"
     raise ValueError(sentence + which)
-
-
-def renumbered(message: str, word: str, rows: np.ndarray) -> str:
-    """Return the message of a bank with the number of its filter replaced by that of a row: "filter 2: .."."""
-    head, colon, rest = message.partition(": ")
-    found, _, number = head.partition(" ")
-    return f"{word} {rows[int(number)]}: {rest}" if colon and found == "filter" and number.isdigit() else message

@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array
-from robust_filterpy.batch._arguments import SeriesArguments, series_arguments, spread, threads
 from robust_filterpy.batch._standing import Rules, began, continued, refuse, rules_of
+from robust_filterpy.batch.arguments import SeriesArguments, series_arguments, spread, threads
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
-from robust_filterpy.filters._stuck import say_stuck
 from robust_filterpy.filters.kalman import RobustKalmanFilter
+from robust_filterpy.filters.stuck import say_stuck
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.kernel import learnt as learnt_kernel
 from robust_filterpy.kernel import series as kernel

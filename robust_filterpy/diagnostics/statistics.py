@@ -11,6 +11,9 @@ from scipy import stats
 from robust_filterpy._checks import Array
 from robust_filterpy.diagnostics.recording import FilterRecord, threshold
 
+# Correlations that tell whether innovations are white.
+_LAGS = 10
+
 
 class Band(NamedTuple):
     """Hold a mean of the normalised innovation squared, what it should be, and a 99 % band around that."""
@@ -79,21 +82,21 @@ def expected_run(share: float, samples: int) -> float:
     return min(max(math.log(0.01 / (samples * (1 - share))) / math.log(share), 1.0), float(samples))
 
 
-def whiteness(e: Array, lags: int = 10) -> tuple[float, float]:
+def whiteness(e: Array) -> tuple[float, float]:
     """Return the lag-one autocorrelation and the p-value of Ljung and Box, outliers cut at two deviations."""
     e = e[~np.isnan(e)]
     scale = bulk(e)[0]
-    if len(e) <= 2 * lags or not scale > 0:
+    if len(e) <= 2 * _LAGS or not scale > 0:
         return math.nan, math.nan
     e = np.clip(e / scale, -2.0, 2.0)
     centred = e - e.mean()
     power = float(centred @ centred)
     if power == 0.0:
         return math.nan, math.nan
-    r = np.array([centred[j:] @ centred[:-j] for j in range(1, lags + 1)]) / power
+    r = np.array([centred[j:] @ centred[:-j] for j in range(1, _LAGS + 1)]) / power
     N = len(e)
-    statistic = N * (N + 2) * float(np.sum(r**2 / (N - np.arange(1, lags + 1))))
-    return float(r[0]), float(stats.chi2.sf(statistic, lags))
+    statistic = N * (N + 2) * float(np.sum(r**2 / (N - np.arange(1, _LAGS + 1))))
+    return float(r[0]), float(stats.chi2.sf(statistic, _LAGS))
 
 
 def unclipped_nis(recording: FilterRecord) -> Band:

@@ -8,6 +8,10 @@
 * `ensemble`: the ensemble Kalman filter.
 * `functions`: filterpy's functions update, predict, batch_filter, rts_smoother.
 * `conversion`: a robust filter made of an existing one.
+* `mixin`, `nonlinear_mixin`: what these classes share, options and what a correction shows.
+* `states`: a filter that is put away and goes on later, and what else keeps its state.
+* `snapshot`: a call that is refused has not happened.
+* `stuck`: a word where a sensor is stuck.
 
 Each is imported when it is first used. Imports from below: `influence`, `correction`, `kernel`.
 """

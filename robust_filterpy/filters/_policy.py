@@ -24,7 +24,7 @@ from robust_filterpy.filters._bounded import Bounded
 from robust_filterpy.filters._mixture import Mixture
 from robust_filterpy.influence.functions import Huber, Influence
 
-__all__ = ["Known", "Policy", "Record", "policy_of"]
+__all__ = ["Known", "Policy", "policy_of"]
 
 
 class Known(NamedTuple):
@@ -34,30 +34,6 @@ class Known(NamedTuple):
     """Of the sensors of this measurement, a row each (one for all that fail together)."""
     kept: Any
     """What it keeps besides."""
-
-
-class Record(Protocol):
-    """What a correction left: a `Correction`, or what makes one by ``as_arrays`` when it is asked for."""
-
-    @property
-    def x(self) -> Array:
-        """Posterior mean, shape (n,)."""
-        ...
-
-    @property
-    def P(self) -> Array:
-        """Posterior covariance, shape (n, n)."""
-        ...
-
-    @property
-    def memory(self) -> Array | None:
-        """Of the sensors, None where nothing has been learnt."""
-        ...
-
-    @property
-    def log_density(self) -> float:
-        """log p(z)."""
-        ...
 
 
 class Policy(Protocol):
@@ -115,7 +91,10 @@ class Policy(Protocol):
     def corrected(
         self, known: Any, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None, inv: Inverse | None
     ) -> tuple[Any, Any]:
-        """Return the correction by a linear sensor, z of shape (m,) with NaN where missing, and what is kept."""
+        """Return the correction by a linear sensor, z of shape (m,) with NaN where missing, and what is kept.
+
+        A correction is a `Correction`, or has its x, P, memory and log_density and makes one by ``as_arrays``.
+        """
         ...
 
     def corrected_by_moments(

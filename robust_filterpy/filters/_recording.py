@@ -7,14 +7,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from robust_filterpy._arrays import noise_covariance, process_noise, state_of
-from robust_filterpy._checks import Array, all_covariances, entries, numbers, shown
+from robust_filterpy._arrays import measurement_rows, noise_covariance, process_noise, stack, state_of
+from robust_filterpy._checks import Array, all_covariances, entries, shown
 from robust_filterpy.correction.copies import Copies
 from robust_filterpy.filters._correlated import look_at_recording
-from robust_filterpy.filters._mixin import RobustFilterMixin
 from robust_filterpy.filters._mixture import Kept
-from robust_filterpy.filters._snapshot import unchanged_if_refused
-from robust_filterpy.filters._stuck import look_for_stuck
+from robust_filterpy.filters.mixin import RobustFilterMixin
+from robust_filterpy.filters.snapshot import unchanged_if_refused
+from robust_filterpy.filters.stuck import look_for_stuck
 from robust_filterpy.kernel import available, learnt, series
 from robust_filterpy.kernel.records import Model, Output
 
@@ -111,21 +111,21 @@ class RecordingMixin(RobustFilterMixin):
         try:
             x, P = state_of(self)
             n, steps = len(x), len(zs)
-            H = _stack(kf.H, Hs, steps, None)
-            if H.ndim != 3 or H.shape[2] != n or (Hs is None and H.shape[1] != self.dim_z):
+            H = stack("H", kf.H, Hs, steps, (None, n))
+            if Hs is None and H.shape[1] != self.dim_z:
                 return None
             m = H.shape[1]
             bounded = self._policy.by_kernel
             if not (series.serves(self._choices) if bounded else available()):
                 return None
-            F = _stack(kf.F, Fs, steps, (n, n))
-            Q = process_noise(kf.Q, None, n)[None] if Qs is None else _stack(None, Qs, steps, (n, n), True)
-            R = noise_covariance(kf.R, None, m)[None] if Rs is None else _stack(None, Rs, steps, (m, m), True)
+            F = stack("F", kf.F, Fs, steps, (n, n))
+            Q = process_noise(kf.Q, None, n)[None] if Qs is None else stack("Q", None, Qs, steps, (n, n))
+            R = noise_covariance(kf.R, None, m)[None] if Rs is None else stack("R", None, Rs, steps, (m, m))
             if not (_symmetric(Q) and _symmetric(R) and _symmetric(P[None]) and all_covariances(R)):
                 return None
             if Qs is not None and not all_covariances(Q):
                 return None
-            rows = _measurements(zs, m)
+            rows = measurement_rows(zs, m)
             control = _control(kf.B, Bs, us, n, steps)
         except (TypeError, ValueError, AttributeError, np.linalg.LinAlgError):
             # Let the filter's own methods say what is wrong, and at which step.
@@ -223,33 +223,6 @@ def _columns(given: Given) -> list[Any]:
     ]
 
 
-def _measurements(zs: Any, m: int) -> Array:
-    """Return measurements as shape (N, m), None and masked rows as NaN, or raise."""
-    steps = len(zs)
-    if not isinstance(zs, np.ndarray):
-        gap = [np.nan] * m
-        zs = [gap if z is None else np.ma.filled(np.ma.asarray(z, dtype=float), np.nan).ravel() for z in zs] if any(
-            z is None or isinstance(z, np.ma.MaskedArray) for z in zs
-        ) else zs  # fmt: skip
-    values = numbers("zs", zs)
-    if values.size != steps * m or values.ndim > 3 or (values.ndim == 3 and 1 not in values.shape[1:]):
-        raise ValueError(f"zs: expected shape {(steps, m)}, got {values.shape}")
-    return np.ascontiguousarray(values.reshape(steps, m))
-
-
-def _stack(default: Any, values: Any, steps: int, shape: tuple[int, int] | None, scalars: bool = False) -> Array:
-    """Return one matrix, or one a step, as shape (1 or N, ., .), or raise; a scalar stands for itself times I."""
-    if values is None:
-        found = numbers("matrix", default)[None]
-    else:
-        found = numbers("matrices", values if isinstance(values, np.ndarray) else list(values)[:steps])[:steps]
-        if scalars and found.ndim == 1:
-            found = found[:, None, None] * np.eye(shape[0])  # type: ignore[index]
-    if found.ndim != 3 or (shape is not None and found.shape[1:] != shape):
-        raise ValueError("matrices: expected one shape for all steps")
-    return found
-
-
 def _symmetric(stack: Array) -> bool:
     """Return whether every matrix is symmetric to rounding, since the loops look at one half."""
     transposed = stack.transpose(0, 2, 1)
@@ -262,11 +235,9 @@ def _control(B: Any, Bs: Any, us: Any, n: int, steps: int) -> Array:
         return np.zeros((1, n))
     if Bs is None and np.ndim(B) == 0 and B == 0:
         return np.zeros((1, n))
-    matrices = _stack(B, Bs, steps, None)
-    width = matrices.shape[2]
-    if matrices.shape[1] != n:
-        raise ValueError("B: expected a row for each state")
-    u = _measurements(us if isinstance(us, np.ndarray) else list(us)[:steps], width)[:steps]
+    width = np.shape(B if Bs is None else Bs[0])[1]
+    matrices = stack("B", B, Bs, steps, (n, width))
+    u = measurement_rows(us[:steps] if isinstance(us, np.ndarray) else list(us)[:steps], width, "us")
     if not np.isfinite(u).all():
         raise ValueError("us: expected finite numbers")
     return np.einsum("kij,kj->ki", np.broadcast_to(matrices, (steps, n, width)), u)

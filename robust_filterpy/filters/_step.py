@@ -10,7 +10,7 @@ from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters._correlated import judges, look_at_signs
 from robust_filterpy.filters._outlier_share import EVERY, Share
-from robust_filterpy.filters._snapshot import put_back, snapshot
+from robust_filterpy.filters.snapshot import put_back, snapshot
 
 _extension = kernel.extension()
 # What a subclass may do in its own way; then the kernel's is not that filter's.

@@ -16,12 +16,8 @@ class AdaptiveKalmanFilter(RobustKalmanFilter):
 
     Parameters
     ----------
-    dim_x : int
-        Length of the state, >= 1.
-    dim_z : int
-        Length of the measurement, >= 1.
-    dim_u : int, default 0
-        Length of the control input.
+    dim_x, dim_z, dim_u : int
+        Lengths of the state, the measurement and the control input.
     noise : Learnt or Contaminated, default Learnt()
         How measurements fail.
     process : Scales, Contaminated or None, default Scales()

@@ -11,9 +11,9 @@ from filterpy.kalman import CubatureKalmanFilter, ExtendedKalmanFilter, KalmanFi
 
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
-from robust_filterpy.filters._mixin import RobustFilterMixin
 from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
 from robust_filterpy.filters.kalman import RobustKalmanFilter
+from robust_filterpy.filters.mixin import RobustFilterMixin
 from robust_filterpy.filters.sigma_point import RobustCubatureKalmanFilter, RobustUnscentedKalmanFilter
 from robust_filterpy.influence.functions import Huber, Influence
 

@@ -15,12 +15,12 @@ from robust_filterpy._filterpy import EnsembleKalmanFilter
 from robust_filterpy._state import Shape, read, spelt
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.filters._nonlinear_mixin import (
+from robust_filterpy.filters.nonlinear_mixin import (
     NonlinearFilterMixin,
     innovation_of,
     require_finite,
 )
-from robust_filterpy.filters._snapshot import whole
+from robust_filterpy.filters.snapshot import whole
 from robust_filterpy.influence.functions import Huber, Influence
 
 __all__ = ["RobustEnsembleKalmanFilter"]
@@ -133,10 +133,8 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
 
         Parameters
         ----------
-        x : array_like, shape (dim_x,)
-            Mean.
-        P : array_like, shape (dim_x, dim_x)
-            Covariance.
+        x, P : array_like, shape (dim_x,) and (dim_x, dim_x)
+            Their mean and covariance.
         """
         self.x = _checks.finite_vector("x", x)
         self.P = _checks.matrix("P", P, (self.x.size, self.x.size), f"dim_x={self.x.size}")

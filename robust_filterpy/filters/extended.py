@@ -21,12 +21,12 @@ from robust_filterpy._checks import Array
 from robust_filterpy._filterpy import ExtendedKalmanFilter
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.policies import Contaminated, Learnt
-from robust_filterpy.filters._nonlinear_mixin import (
+from robust_filterpy.filters.nonlinear_mixin import (
     NonlinearFilterMixin,
     innovation_of,
     require_finite,
 )
-from robust_filterpy.filters._snapshot import whole
+from robust_filterpy.filters.snapshot import whole
 from robust_filterpy.influence.functions import Huber, Influence
 
 __all__ = ["RobustExtendedKalmanFilter"]

@@ -32,8 +32,8 @@ from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters._bounded import Bounded, finite_product
 from robust_filterpy.filters._parts import Part, Parts
 from robust_filterpy.filters._recording import Given, RecordingMixin
-from robust_filterpy.filters._snapshot import whole
 from robust_filterpy.filters._step import is_own
+from robust_filterpy.filters.snapshot import whole
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.kernel import moments
 

@@ -15,13 +15,13 @@ from robust_filterpy._checks import FLOAT, Array
 from robust_filterpy._filterpy import CubatureKalmanFilter, UnscentedKalmanFilter
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.policies import Contaminated, Learnt
-from robust_filterpy.filters._nonlinear_mixin import (
+from robust_filterpy.filters._points import REDRAWS, covariance, drawn, transformed
+from robust_filterpy.filters.nonlinear_mixin import (
     NonlinearFilterMixin,
     innovation_of,
     require_finite,
 )
-from robust_filterpy.filters._points import REDRAWS, covariance, drawn, transformed
-from robust_filterpy.filters._snapshot import unchanged_if_refused, whole
+from robust_filterpy.filters.snapshot import unchanged_if_refused, whole
 from robust_filterpy.influence.functions import Huber, Influence
 
 __all__ = ["RobustCubatureKalmanFilter", "RobustUnscentedKalmanFilter"]

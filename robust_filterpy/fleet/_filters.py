@@ -17,8 +17,8 @@ from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Choices
-from robust_filterpy.filters._interruption import moved_shapes
 from robust_filterpy.filters.kalman import RobustKalmanFilter
+from robust_filterpy.filters.states import moved_shapes
 from robust_filterpy.kernel import series as kernel
 from robust_filterpy.kernel.records import Model, Output
 

@@ -9,7 +9,7 @@ import numpy as np
 from robust_filterpy import _state
 from robust_filterpy._checks import Array
 from robust_filterpy.correction import spread
-from robust_filterpy.filters._interruption import StateMixin, moved_shapes
+from robust_filterpy.filters.states import StateMixin, moved_shapes
 from robust_filterpy.fleet._filters import REFUSED, Work
 from robust_filterpy.identification.models.results import Columns
 from robust_filterpy.identification.models.signals import measured_output, recorded_input

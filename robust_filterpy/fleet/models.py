@@ -20,7 +20,7 @@ from robust_filterpy import _checks
 from robust_filterpy._brief import wrapped
 from robust_filterpy._checks import Array
 from robust_filterpy._state import LABEL, Shape, labelled
-from robust_filterpy.filters._interruption import GAPS, StateMixin, moved_shapes, settings_of
+from robust_filterpy.filters.states import GAPS, StateMixin, moved_shapes, settings_of
 from robust_filterpy.fleet import _filters, _trackers
 from robust_filterpy.fleet._filters import Work
 from robust_filterpy.fleet.states import FLEET, checked

@@ -67,12 +67,10 @@ def correct(
 
     Parameters
     ----------
-    choices : Choices
-        Influence function, scaling, information, grouping.
-    memory : ndarray, shape (m, 10)
-        What is known of the sensors; not changed.
+    choices, memory
+        As in `correct_linear`.
     P, z, y, C, S, R
-        As there; or the Jacobian H, shape (m, n), as C, and None as S.
+        As in these; or the Jacobian H, shape (m, n), as C, and None as S.
 
     Returns
     -------

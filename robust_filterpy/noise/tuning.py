@@ -12,8 +12,8 @@ from robust_filterpy._brief import wrapped
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Grouping
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
-from robust_filterpy.filters._mixin import leave_unwatched
 from robust_filterpy.filters.kalman import RobustKalmanFilter
+from robust_filterpy.filters.mixin import leave_unwatched
 from robust_filterpy.influence.functions import TukeyBiweight
 from robust_filterpy.noise.estimation import Groups, NoiseEstimate, estimate_noise
 

@@ -122,10 +122,8 @@ def simulate_output_error(
 
     Raises
     ------
-    ValueError
-        If shapes or orders do not fit together, a number is not finite, or the output overflows.
-    TypeError
-        If an argument is of the wrong kind.
+    ValueError, TypeError
+        As in `simulate_arx`.
 
     Notes
     -----

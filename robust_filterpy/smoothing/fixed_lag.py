@@ -52,10 +52,8 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
 
     Parameters
     ----------
-    dim_x : int
-        Length of the state, >= 1.
-    dim_z : int
-        Length of the measurement, >= 1.
+    dim_x, dim_z : int
+        Lengths of the state and of the measurement, >= 1.
     N : int, optional
         The lag in steps, >= 1; not needed for `smooth_batch`.
     influence, process, grouping

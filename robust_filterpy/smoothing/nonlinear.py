@@ -17,12 +17,13 @@ from filterpy.kalman import CubatureKalmanFilter, ExtendedKalmanFilter, Unscente
 from filterpy.kalman.CubatureKalmanFilter import spherical_radial_sigmas
 
 from robust_filterpy import _checks
+from robust_filterpy._arrays import stack
 from robust_filterpy._checks import Array
-from robust_filterpy.filters._mixin import RobustFilterMixin
-from robust_filterpy.filters._nonlinear_mixin import innovation_of
 from robust_filterpy.filters.conversion import robust
+from robust_filterpy.filters.mixin import RobustFilterMixin
+from robust_filterpy.filters.nonlinear_mixin import innovation_of
 from robust_filterpy.smoothing.linear_pass import Model, Smooth
-from robust_filterpy.smoothing.recording import Recording, problem, stack
+from robust_filterpy.smoothing.recording import Recording, problem
 
 
 class Tangent(NamedTuple):

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robust_filterpy import _checks
-from robust_filterpy._arrays import control_term, state_of
+from robust_filterpy._arrays import control_term, measurement_rows, stack, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.whitening import standardize
 from robust_filterpy.smoothing.linear_pass import Model
@@ -58,6 +58,9 @@ def linear_recording(
     H = stack("H", kf.H, Hs, None, (None, n))
     m = H.shape[1]
     z = measurement_rows(zs, m)
+    if np.isinf(z).any():
+        step = int(np.isinf(z).any(axis=1).argmax())
+        raise ValueError(f"zs: expected finite numbers or NaN (missing), got infinity at step {step}")
     steps = len(z)
     F, Q = stack("F", kf.F, Fs, steps, (n, n)), stack("Q", kf.Q, Qs, steps, (n, n))
     H, R = stack("H", kf.H, Hs, steps, (m, n)), stack("R", kf.R, Rs, steps, (m, m))
@@ -78,57 +81,6 @@ def problem(F: Array, Q: Array, c: Array, H: Array, R: Array, z: Array, x0: Arra
     model = Model(F, G, c, H, z, x0, P0)
     driven = np.broadcast_to((G != 0.0).any(axis=-2), (*z.shape[:2], G.shape[-1]))
     return Recording(model, observed, driven)
-
-
-def stack(name: str, default: Any, values: Any, steps: int | None, shape: tuple[int | None, int]) -> Array:
-    """Return one matrix, or one a step, with the axis of steps in front; a scalar Q or R stands for itself times I."""
-    rows, columns = shape
-    if values is None:
-        found = _checks.numbers(name, default)
-        if found.ndim == 0 and rows == columns:
-            found = found * np.eye(columns)
-        found = found[None]
-    else:
-        values = _checks.entries(f"{name}s", values)
-        if not hasattr(values, "__len__"):
-            raise TypeError(f"{name}s: expected a sequence of matrices, got {_checks.shown(values)}")
-        if steps is not None and len(values) < steps:
-            raise ValueError(f"{name}s: expected an entry for each of the {steps} measurements, got {len(values)}")
-        try:
-            found = _checks.numbers(f"{name}s", values if isinstance(values, np.ndarray) else list(values))[:steps]
-        except TypeError:
-            raise TypeError(
-                f"{name}s: expected matrices of one shape for all steps, got {_checks.shown(values)}"
-            ) from None
-        if found.ndim == 1 and rows == columns:
-            found = found[:, None, None] * np.eye(columns)
-    if found.ndim != 3 or found.shape[2] != columns or (rows is not None and found.shape[1] != rows):
-        expected = f"({'dim_z' if rows is None else rows}, {columns})"
-        raise ValueError(f"{name}: expected shape {expected} at each step, got {found.shape[1:]}")
-    return found
-
-
-def measurement_rows(zs: Any, m: int, name: str = "zs") -> Array:
-    """Return measurements as shape (N, m), NaN where missing, or raise."""
-    zs = _checks.entries(name, zs)
-    if not hasattr(zs, "__len__"):
-        raise TypeError(f"{name}: expected a sequence of measurements, got {_checks.shown(zs)}")
-    if not isinstance(zs, np.ndarray):
-        gap = np.full(m, np.nan)
-        zs = [gap if z is None else np.ravel(_checks.numbers(name, z)) for z in zs]
-        sizes = {len(z) for z in zs} - {m}
-        if sizes:
-            raise ValueError(f"{name}: expected {m} number(s) at each step, as the model has, got {sizes.pop()}")
-    values = _checks.numbers(name, zs)
-    if len(values) == 0:
-        raise ValueError(f"{name}: expected at least one entry, got none")
-    if values.size != len(values) * m or values.ndim > 3:
-        raise ValueError(f"{name}: expected shape {(len(values), m)}, as the model has, got {values.shape}")
-    values = values.reshape(len(values), m)
-    if np.isinf(values).any():
-        step = int(np.isinf(values).any(axis=1).argmax())
-        raise ValueError(f"{name}: expected finite numbers or NaN (missing), got infinity at step {step}")
-    return values
 
 
 def noise_root(Q: Array) -> Array:

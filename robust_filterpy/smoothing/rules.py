@@ -83,13 +83,11 @@ class Learnt:
 
     tolerance = 2e-2
 
-    def __init__(
-        self, joint: bool, counted: np.ndarray, belief: Belief = Belief(), mixture: Mixture | None = None
-    ) -> None:
-        """Start from a belief, or where it led to before."""
+    def __init__(self, joint: bool, counted: np.ndarray) -> None:
+        """Start from what is usual; who knows better sets belief and mixture."""
         series, _, kinds = counted.shape
-        self.joint, self.counted, self.belief = joint, counted, belief
-        self.mixture = Mixture.guess(series, 1 if joint else kinds) if mixture is None else mixture
+        self.joint, self.counted, self.belief = joint, counted, Belief()
+        self.mixture = Mixture.guess(series, 1 if joint else kinds)
         self._verdict: Verdict | None = None
         self._each = (counted.any(axis=-1, keepdims=True) if joint else counted).astype(float)
 

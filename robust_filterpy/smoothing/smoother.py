@@ -14,7 +14,7 @@ from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array, numbers
 from robust_filterpy._fill_values import without_fill_values
 from robust_filterpy._warning import warn
-from robust_filterpy.batch._arguments import leading
+from robust_filterpy.batch.arguments import leading
 from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.correction.options import GROUPINGS, Choices, Grouping
 from robust_filterpy.influence.functions import Influence, Linear

@@ -19,7 +19,7 @@ QUESTIONS = {
     "Where does a reading go that arrives late?": ("late reading", "fusion/_timeline.py", "class Timeline"),
     "Who refuses an R that is no covariance?": ("matrices of a user", "_checks.py", "def covariance"),
     "Where are the orders of a model chosen?": ("orders", "identification/judging/select.py", "def select_structure"),
-    "What is kept of a filter over a restart?": ("put away", "filters/_interruption.py", "def restore"),
+    "What is kept of a filter over a restart?": ("put away", "filters/states.py", "def restore"),
     "Where is it decided that a sensor drifts?": ("drifting", "fusion/_faults.py", "drift"),
 }
 

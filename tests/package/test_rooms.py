@@ -126,6 +126,12 @@ def test_every_room_tells_what_is_in_which_file():
                 assert f"`{module.stem}`" in text, f"{name} does not mention {module.stem}"
 
 
+@pytest.mark.parametrize("name", FILES)
+def test_no_private_module_of_another_room_is_imported(name):
+    private = {m for m in GRAPH[name] if room(m) != room(name) and m.split(".")[-1].startswith("_") and "." in m}
+    assert not {m for m in private if not m.endswith("__init__")}
+
+
 def private_reads(name):
     """Private attributes that a module reads of objects other than its own classes."""
     tree = ast.parse(FILES[name].read_text())

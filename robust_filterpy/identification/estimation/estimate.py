@@ -152,10 +152,8 @@ def estimated(problem: Problem, y: Array) -> Model:
         held = limits.held(best.p, model.jacobian(best.p)[best.rows].T @ best.noise.psi(best.residual[best.rows]))
         doubt = "; ".join(words for words in (doubt, _at_limits(structure, held, limits)) if words)
     others = [(excess, units.back(model, end.p)) for end, excess in ranked[1:]]
-    found = _as_model(
-        recorded, p, best, missing, replaced, units.y, known, endings, doubt, held, problem.carried, others
-    )
-    found = replace(found, dt=problem.dt)
+    found = _as_model(problem, recorded, best._replace(p=p), units.y, missing, replaced, held, others)
+    found = replace(found, dt=problem.dt, endings=endings, warning=doubt)
     if not isinstance(recorded, SeveralRecordings):
         return _with_inputs_from_zero(found, recorded, p, problem.rest)
     several = range(len(problem.begins))
@@ -211,39 +209,38 @@ class _Units(NamedTuple):
 
 
 def _as_model(
+    problem: Problem,
     model: PolynomialModel,
-    p: Array,
     end: End,
+    unit: float,
     missing: Any,
     replaced: Array,
-    unit: float,
-    R: float | None,
-    endings: tuple[Ending, ...],
-    doubt: str,
     held: Any,
-    carried: Array | None,
     others: list[tuple[float, Array]],
 ) -> Model:
-    """Return what was found, for the recording as it was measured, its outliers and gaps interpolated."""
-    structure, n, rows = model.structure, model.structure.n_theta, end.rows
+    """Return what was found, for the recording as it was measured, its outliers and gaps interpolated.
+
+    The end's parameters are those of this recording, its noise is that of an output in the unit.
+    """
+    structure, n, p, rows = model.structure, model.structure.n_theta, end.p, end.rows
     # Of several recordings the constant is that of the last.
     at, residual = n + len(model.pieces) - 1, model.residuals(p)
     # One parameter more is one residual less to tell of the noise.
     samples = int(rows.sum())
     found = end.noise.R * unit**2
     noise = replace(end.noise, R=found)
-    jacobian, shown = known_part(model, end._replace(p=p))
+    jacobian, shown = known_part(model, end)
     # What is held has no variance, and what the others then have.
     jacobian[:, held] = 0.0
-    P, bent = np.where(held | held[:, None], 0.0, sandwich(jacobian, shown, noise, carried)), False
-    if carried is None and not (end.outliers.wrong.any() and response(model, p).size > 1):
+    P, bent = np.where(held | held[:, None], 0.0, sandwich(jacobian, shown, noise, problem.carried)), False
+    if problem.carried is None and not (end.outliers.wrong.any() and response(model, p).size > 1):
         P, bent = profiled(model, p, noise, rows, P, held, others)
     weights = np.full(missing.size, np.nan)
     weights[model.first :] = noise.weights(residual)
     weights[end.outliers.wrong] = 0.0
     weights[missing] = np.nan
     offset = float(p[at]) if model.offset else 0.0
-    total = R or found * samples / (samples - model.n + held.sum())
+    total = problem.R or found * samples / (samples - model.n + held.sum())
     return Model(
         structure=structure,
         theta=p[:n],
@@ -256,8 +253,8 @@ def _as_model(
         noise=_as_measured(replace(noise, R=total), residual, replaced[model.first :], ~missing[model.first :]),
         weights=weights,
         log_likelihood=noise.log_likelihood(residual[rows]),
-        endings=endings,
-        warning=doubt,
+        endings=(),
+        warning="",
         memory=filled_memory(*(model.of(-1, p) if isinstance(model, SeveralRecordings) else (model, p))),
         profiled=bent,
     )

@@ -32,12 +32,8 @@ def with_feedback(problem: Problem, y: Array, model: Model) -> tuple[Finding, ..
 
     Parameters
     ----------
-    problem : Problem
-        What was to be found.
-    y : ndarray, shape (N,)
-        Output, NaN where it is missing.
-    model : Model
-        Of this recording.
+    problem, y, model
+        As in `level.unlike_in_parts`.
 
     Returns
     -------

@@ -96,12 +96,10 @@ def without_endless_motion(problem: Problem, y: Array, model: Model) -> tuple[Mo
 
     Parameters
     ----------
-    problem : Problem
-        What is to be found.
-    y : ndarray, shape (N,)
-        Output, NaN where it is missing.
+    problem, y
+        As in `beside_trend`.
     model : Model
-        With that motion.
+        Of this recording.
 
     Returns
     -------
@@ -149,10 +147,8 @@ def unlike_in_parts(problem: Problem, y: Array, model: Model) -> tuple[Finding, 
 
     Parameters
     ----------
-    problem : Problem
-        What was to be found.
-    y : ndarray, shape (N,)
-        Output, NaN where it is missing.
+    problem, y
+        As in `beside_trend`.
     model : Model
         Of this recording.
 
@@ -201,10 +197,8 @@ def beside_input_outliers(problem: Problem, y: Array, model: Model) -> tuple[Mod
 
     Parameters
     ----------
-    problem : Problem
-        What was to be found.
-    y : ndarray, shape (N,)
-        Output, NaN where it is missing.
+    problem, y
+        As in `beside_trend`.
     model : Model
         Of this recording.
 

@@ -30,7 +30,6 @@ _LENGTHS: Final = (25, 60, 150)
 _REACHES: Final = (6, 15)
 _FIRST_STEPS: Final = 12
 _TURNS: Final = 4
-_MOST_ORDER: Final = 10
 # Orders tried after the best one.
 _PATIENCE: Final = 2
 _LEAST: Final = 1e-24

@@ -87,10 +87,8 @@ def predictor_start(model: StateSpaceResiduals, known: list[Any], cleaned: list[
 
     Parameters
     ----------
-    model : StateSpaceResiduals
-        With outputs of about unit size.
-    known : list of ndarray of bool, shape (N, p)
-        Which outputs are measured, in each recording.
+    model, known
+        As in `impulse_start`.
     cleaned : list of ndarray, shape (N, p)
         The outputs, what a model says in the place of outliers and gaps.
     reach : int

@@ -103,15 +103,13 @@ def impulse_output(y: Array, u: Array) -> Array:
     return output
 
 
-def piecewise_level(r: Array, ramps: bool = True, line: bool = False) -> Trend:
+def piecewise_level(r: Array, line: bool = False) -> Trend:
     """Find the steps and ramps of a signal that is noise otherwise.
 
     Parameters
     ----------
     r : ndarray, shape (N,)
         Signal, NaN where it is missing.
-    ramps : bool, default True
-        Whether there may be ramps.
     line : bool, default False
         One ramp from the beginning to the end, whatever the evidence, and nothing else.
 
@@ -128,7 +126,7 @@ def piecewise_level(r: Array, ramps: bool = True, line: bool = False) -> Trend:
     times = np.arange(edge, N - edge)
     for _ in range(1 if line else _MOST_BREAKS):
         tried = []
-        for kind in ("ramp",) if line else ("step", "ramp") if ramps else ("step",):
+        for kind in ("ramp",) if line else ("step", "ramp"):
             # A ramp may begin with the recording.
             places = np.concatenate(([0], times)) if kind == "ramp" else times
             tau = 0 if line else int(places[_gains(fit, kind, places).argmax()])

@@ -27,12 +27,8 @@ def with_wraps(problem: Problem, y: Array, model: Model) -> tuple[Finding, ...]:
 
     Parameters
     ----------
-    problem : Problem
-        What was to be found.
-    y : ndarray, shape (N,)
-        Output, NaN where it is missing.
-    model : Model
-        Of this recording.
+    problem, y, model
+        As in `level.unlike_in_parts`.
 
     Returns
     -------

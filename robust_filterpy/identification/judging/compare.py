@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy._pictures import drawn
+from robust_filterpy._pictures import Pictured
 from robust_filterpy.identification.judging.judged import any_model, signals_for
 from robust_filterpy.identification.models.fit import ordinary_fit, ordinary_samples
 from robust_filterpy.identification.models.grey_box_model import GreyBoxModel
@@ -49,7 +49,7 @@ class Compared(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class Comparison(Pictured):
     """Models on one recording, the best first.
 
     Attributes
@@ -68,26 +68,14 @@ class Comparison:
         When the samples were taken, if the recording was a pandas object.
     """
 
+    picture = "plot_comparison"
+
     rows: tuple[Compared, ...]
     measured: Array
     outputs: dict[str, Array]
     samples: int
     ordinary: int
     index: Any = None
-
-    def plot(self, **options: Any) -> Any:
-        """Draw the outputs over the measured one.
-
-        Parameters
-        ----------
-        **options : dict, optional
-            Of `robust_filterpy.plotting.plot_comparison`.
-
-        Returns
-        -------
-        matplotlib.axes.Axes
-        """
-        return drawn("plot_comparison", self, options)
 
     def to_frame(self) -> Any:
         """Return the table as a pandas DataFrame, a row for each model.

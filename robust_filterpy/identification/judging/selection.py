@@ -10,7 +10,7 @@ import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy._pictures import drawn
+from robust_filterpy._pictures import Pictured
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.time_axis import table
@@ -91,7 +91,7 @@ class ImpulseResponse(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Selection:
+class Selection(Pictured):
     """Structures of a recording, the best first.
 
     Attributes
@@ -108,6 +108,8 @@ class Selection:
         What the search for the delay of each input began with; empty without input, or where it excites too little.
     """
 
+    picture = "plot_structure_selection"
+
     rows: tuple[Candidate, ...]
     best: Model
     criterion: str
@@ -118,20 +120,6 @@ class Selection:
     def impulse_response(self) -> ImpulseResponse | None:
         """That of the first input, None if there is none."""
         return self.impulse_responses[0] if self.impulse_responses else None
-
-    def plot(self, **options: Any) -> Any:
-        """Draw fit and criterion against complexity.
-
-        Parameters
-        ----------
-        **options : dict, optional
-            Of `robust_filterpy.plotting.plot_structure_selection`.
-
-        Returns
-        -------
-        ndarray of matplotlib.axes.Axes
-        """
-        return drawn("plot_structure_selection", self, options)
 
     def to_frame(self) -> Any:
         """Return the whole table as a pandas DataFrame, the best first.

@@ -12,7 +12,7 @@ from scipy.stats import norm
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy._pictures import drawn
+from robust_filterpy._pictures import Pictured
 from robust_filterpy.identification.judging.judged import Judged, any_model, signals_for
 from robust_filterpy.identification.judging.score import Portmanteau, Score, covariances, delayed
 from robust_filterpy.identification.models.fit import ordinary_fit, ordinary_samples
@@ -51,7 +51,7 @@ class Fit(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Validation:
+class Validation(Pictured):
     """What a model leaves in its residuals.
 
     Attributes
@@ -78,6 +78,8 @@ class Validation:
         How far the level of the recording is from the model's; 0 unless that is more than three standard deviations of
         the noise. Correlations are those beside it.
     """
+
+    picture = "plot_validation"
 
     autocorrelation: Array
     autocorrelation_bound: Array
@@ -123,20 +125,6 @@ class Validation:
         lines += [f"{fit.kind:<28}{fit.ordinary:>10.2f}{fit.all:>10.2f}" for fit in self.fits]
         return "\n".join(lines)
 
-    def plot(self, **options: Any) -> Any:
-        """Draw the correlations with their bounds.
-
-        Parameters
-        ----------
-        **options : dict, optional
-            Of `robust_filterpy.plotting.plot_validation`.
-
-        Returns
-        -------
-        ndarray of matplotlib.axes.Axes
-        """
-        return drawn("plot_validation", self, options)
-
     def to_frame(self) -> Any:
         """Return the correlations and their bounds as a pandas DataFrame, a row for each lag.
 
@@ -168,8 +156,10 @@ class Validation:
         return self.to_text()
 
 
-class Validations(tuple[Validation, ...]):
+class Validations(Pictured, tuple[Validation, ...]):
     """What a model of several outputs leaves in the residuals of each: a `Validation` for each output."""
+
+    picture = "plot_validation"
 
     @property
     def verdict(self) -> str:
@@ -188,20 +178,6 @@ class Validations(tuple[Validation, ...]):
         """
         several = len(self) > 1
         return "\n\n".join(f"output {j}: {one.to_text()}" if several else one.to_text() for j, one in enumerate(self))
-
-    def plot(self, **options: Any) -> Any:
-        """Draw the correlations of each output with their bounds, a figure for each.
-
-        Parameters
-        ----------
-        **options : dict, optional
-            Of `robust_filterpy.plotting.plot_validation`.
-
-        Returns
-        -------
-        ndarray of matplotlib.axes.Axes, shape (n_outputs, k)
-        """
-        return drawn("plot_validation", self, options)
 
     def to_frame(self) -> Any:
         """Return the frames of all outputs side by side, as `Validation.to_frame`, "output 0" etc. above the columns.

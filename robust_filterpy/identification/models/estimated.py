@@ -69,7 +69,7 @@ class Estimated:
         Parameters
         ----------
         level : float, default 0.95
-            Probability of each interval, in (0, 1).
+            As in `confidence_intervals`.
 
         Returns
         -------

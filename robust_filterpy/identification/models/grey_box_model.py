@@ -176,12 +176,8 @@ class GreyBoxModel(Estimated):
 
         Parameters
         ----------
-        y : array_like, shape (N,) or (N, n_outputs)
-            Outputs; NaN where one is missing.
-        u : array_like, shape (N,) or (N, m), or None
-            Inputs.
-        t : array_like, shape (N,), optional
-            Times in s. Default: those of the index.
+        y, u, t
+            As in `free_run`.
 
         Returns
         -------
@@ -201,12 +197,8 @@ class GreyBoxModel(Estimated):
 
         Parameters
         ----------
-        y : array_like, shape (N,) or (N, n_outputs)
-            Outputs; NaN where one is missing.
-        u : array_like, shape (N,) or (N, m), or None
-            Inputs.
-        t : array_like, shape (N,), optional
-            Times in s. Default: those of the index.
+        y, u, t
+            As in `free_run`.
 
         Returns
         -------

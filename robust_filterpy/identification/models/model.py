@@ -318,10 +318,8 @@ class Model(EstimatedPolynomials, Responses):
 
         Parameters
         ----------
-        y : array_like, shape (N,)
-            Measured output; NaN where it is missing.
-        u : array_like, shape (N,) or (N, n_inputs)
-            Input.
+        y, u
+            As in `predict`.
 
         Returns
         -------
@@ -341,10 +339,8 @@ class Model(EstimatedPolynomials, Responses):
 
         Parameters
         ----------
-        y : array_like, shape (N,)
-            Measured output; NaN does not count.
-        u : array_like, shape (N,) or (N, n_inputs)
-            Input.
+        y, u
+            As in `predict`; a missing output does not count.
 
         Returns
         -------
@@ -366,10 +362,8 @@ class Model(EstimatedPolynomials, Responses):
 
         Parameters
         ----------
-        y : array_like, shape (N,)
-            Measured output, which tells that motion; NaN where it is missing.
-        u : array_like, shape (N,) or (N, n_inputs)
-            Input.
+        y, u
+            As in `predict`.
 
         Returns
         -------
@@ -389,10 +383,8 @@ class Model(EstimatedPolynomials, Responses):
 
         Parameters
         ----------
-        y : array_like, shape (N,)
-            Measured output; NaN where it is missing.
-        u : array_like, shape (N,) or (N, n_inputs)
-            Input.
+        y, u
+            As in `predict`.
 
         Returns
         -------

@@ -9,7 +9,7 @@ import numpy as np
 
 from robust_filterpy._brief import brief, wrapped
 from robust_filterpy._checks import Array
-from robust_filterpy._pictures import drawn
+from robust_filterpy._pictures import Pictured
 from robust_filterpy.identification.models.time_axis import table
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ __all__ = ["FrequencyResponse", "NoiseSpectrum", "StepResponse"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FrequencyResponse:
+class FrequencyResponse(Pictured):
     """Frequency response from each input to y, with pointwise bands.
 
     Attributes
@@ -39,6 +39,8 @@ class FrequencyResponse:
     sampled : ndarray of bool, shape of response
         Where the bands are those of sampled parameters, since the delta method fails.
     """
+
+    picture = "plot_bode"
 
     omega: Array
     response: Any
@@ -65,20 +67,6 @@ class FrequencyResponse:
     def __str__(self) -> str:
         """Return the same on lines that a screen holds."""
         return wrapped(repr(self))
-
-    def plot(self, **options: Any) -> Any:
-        """Draw magnitude and phase with their bands.
-
-        Parameters
-        ----------
-        **options : dict, optional
-            Of `robust_filterpy.plotting.plot_bode`.
-
-        Returns
-        -------
-        ndarray of matplotlib.axes.Axes
-        """
-        return drawn("plot_bode", self, options)
 
     def to_frame(self) -> Any:
         """Return the response and its bands as a pandas DataFrame.
@@ -110,7 +98,7 @@ class FrequencyResponse:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class StepResponse:
+class StepResponse(Pictured):
     """What y does after a unit step of each input, with pointwise bands.
 
     Attributes
@@ -125,6 +113,8 @@ class StepResponse:
         Where the bands are those of sampled parameters.
     """
 
+    picture = "plot_step"
+
     time: Array
     response: Array
     lower: Array
@@ -137,20 +127,6 @@ class StepResponse:
         ends = [np.atleast_2d(a)[:, -1] for a in (self.response, self.lower, self.upper)]
         text = ", ".join(f"{value:.3g} ({low:.3g} .. {high:.3g})" for value, low, high in zip(*ends, strict=True))
         return f"StepResponse({self.time.size} samples, {_percent(self.level)} bands: {text} at {self.time[-1]:.3g} s)"
-
-    def plot(self, **options: Any) -> Any:
-        """Draw the response with its band.
-
-        Parameters
-        ----------
-        **options : dict, optional
-            Of `robust_filterpy.plotting.plot_step`.
-
-        Returns
-        -------
-        matplotlib.axes.Axes
-        """
-        return drawn("plot_step", self, options)
 
     def to_frame(self) -> Any:
         """Return the response and its band as a pandas DataFrame.

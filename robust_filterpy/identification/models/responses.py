@@ -85,12 +85,8 @@ class Responses(Banded):
         ----------
         steps : int, default 50
             How many samples.
-        level : float, default 0.95
-            Probability of the band at each time.
-        dt : float, optional
-            Sampling period in s. Default: that of the recording, if its index told it, else 1.
-        rng : numpy.random.Generator or int, optional
-            For bands by sampling, where the delta method fails.
+        level, dt, rng
+            As in `frequency_response`.
 
         Returns
         -------
@@ -112,14 +108,8 @@ class Responses(Banded):
 
         Parameters
         ----------
-        omega : array_like, shape (n,)
-            Frequencies in rad/s, in [0, pi/dt].
-        level : float, default 0.95
-            Probability of the band at each frequency.
-        dt : float, optional
-            Sampling period in s. Default: that of the recording, if its index told it, else 1.
-        rng : numpy.random.Generator or int, optional
-            For bands by sampling, where the delta method fails.
+        omega, level, dt, rng
+            As in `frequency_response`.
 
         Returns
         -------

@@ -9,7 +9,7 @@ from scipy.special import ndtri
 
 from robust_filterpy._brief import brief, lines_of
 from robust_filterpy._checks import Array, real
-from robust_filterpy._pictures import drawn
+from robust_filterpy._pictures import Pictured
 from robust_filterpy.identification.models.time_axis import table
 
 __all__ = [
@@ -163,7 +163,7 @@ class _Recorded(NamedTuple):
     guard: np.ndarray
 
 
-class TrackingResult(_Recorded):
+class TrackingResult(Pictured, _Recorded):
     """What a recording of N samples gave, row k after sample k; a tuple of its first six attributes.
 
     Attributes
@@ -185,6 +185,8 @@ class TrackingResult(_Recorded):
     index : pandas.Index or None
         When the samples were taken, if the recording was a pandas object.
     """
+
+    picture = "plot_parameters"
 
     names: tuple[str, ...] = ()
     index: Any = None
@@ -214,20 +216,6 @@ class TrackingResult(_Recorded):
         found = TrackingResult(*self)
         found.names, found.index = names, index
         return found
-
-    def plot(self, **options: Any) -> Any:
-        """Draw the paths of the parameters with their bands.
-
-        Parameters
-        ----------
-        **options : dict, optional
-            Of `robust_filterpy.plotting.plot_parameters`.
-
-        Returns
-        -------
-        matplotlib.axes.Axes
-        """
-        return drawn("plot_parameters", self, options)
 
     def to_frame(self) -> Any:
         """Return all columns as a pandas DataFrame, a row for each sample.

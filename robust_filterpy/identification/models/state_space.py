@@ -188,10 +188,8 @@ class StateSpaceModel(StateSpaceSystem):
 
         Parameters
         ----------
-        y : array_like, shape (N, p)
-            Outputs; NaN where one is missing.
-        u : array_like, shape (N, m)
-            Inputs.
+        y, u
+            As in `predict`.
 
         Returns
         -------
@@ -210,10 +208,8 @@ class StateSpaceModel(StateSpaceSystem):
 
         Parameters
         ----------
-        y : array_like, shape (N, p)
-            Outputs.
-        u : array_like, shape (N, m)
-            Inputs.
+        y, u
+            As in `predict`.
 
         Returns
         -------
@@ -233,10 +229,8 @@ class StateSpaceModel(StateSpaceSystem):
 
         Parameters
         ----------
-        y : array_like, shape (N, p)
-            Outputs; NaN does not count.
-        u : array_like, shape (N, m)
-            Inputs.
+        y, u
+            As in `predict`; a missing output does not count.
 
         Returns
         -------
@@ -256,10 +250,8 @@ class StateSpaceModel(StateSpaceSystem):
 
         Parameters
         ----------
-        y : array_like, shape (N, p)
-            Outputs; NaN where one is missing.
-        u : array_like, shape (N, m)
-            Inputs.
+        y, u
+            As in `predict`.
 
         Returns
         -------

@@ -84,10 +84,8 @@ class StateSpaceSystem(Banded):
 
         Parameters
         ----------
-        dt : float, optional
-            Sampling period in s. Default: as the index told it.
-        level : float, default 0.95
-            Probability of the region of each pole.
+        dt, level
+            As in `Model.to_continuous`.
 
         Returns
         -------
@@ -178,14 +176,8 @@ class StateSpaceSystem(Banded):
         ----------
         steps : int, default 50
             How many samples.
-        output : int, default 0
-            Which output.
-        level : float, default 0.95
-            Probability of the band at each time.
-        dt : float, optional
-            Sampling period in s. Default: that of the recording, else 1.
-        rng : numpy.random.Generator or int, optional
-            Where bands are sampled.
+        output, level, dt, rng
+            As in `frequency_response`.
 
         Returns
         -------

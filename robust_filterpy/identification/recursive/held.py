@@ -11,9 +11,9 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 
 from robust_filterpy._checks import Array
-from robust_filterpy.filters._mixin import RobustFilterMixin
-from robust_filterpy.filters._snapshot import put_back, snapshot
 from robust_filterpy.filters.kalman import RobustKalmanFilter
+from robust_filterpy.filters.mixin import RobustFilterMixin
+from robust_filterpy.filters.snapshot import put_back, snapshot
 
 # What a sample moves in a filter, besides what only shows its last correction.
 _MOVING = ("x", "P", "H", "R", "x_prior", "P_prior")

@@ -11,8 +11,8 @@ import numpy as np
 from robust_filterpy import _checks
 from robust_filterpy._checks import FLOAT, Array
 from robust_filterpy._warning import warn
-from robust_filterpy.filters._mixin import RobustFilterMixin, leave_unwatched
 from robust_filterpy.filters.kalman import RobustKalmanFilter
+from robust_filterpy.filters.mixin import RobustFilterMixin, leave_unwatched
 from robust_filterpy.identification.models.guard import are_stable
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.structures import Structure

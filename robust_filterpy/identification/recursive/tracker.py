@@ -15,7 +15,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._documentation import STOPPED, pointer
 from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Information, Scaling
-from robust_filterpy.filters._interruption import go_on_beside, kept_beside
+from robust_filterpy.filters.states import go_on_beside, kept_beside
 from robust_filterpy.identification.models.guard import GUARDS, Guard
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.regressor import Layout

@@ -18,7 +18,7 @@ import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy._pictures import drawn
+from robust_filterpy._pictures import Pictured
 from robust_filterpy._warning import warn
 from robust_filterpy.identification.models.learnt_noise import likelihood_of_mixture
 from robust_filterpy.identification.models.signals import recorded_input, recorded_output
@@ -56,7 +56,7 @@ class Tried(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class TunedTracker:
+class TunedTracker(Pictured):
     """What `ParameterTracker.tuned` chose.
 
     Attributes
@@ -70,6 +70,8 @@ class TunedTracker:
     warning : str
         What makes the choice doubtful, in words; empty if nothing does.
     """
+
+    picture = "plot_tuning"
 
     tracker: ParameterTracker
     rows: tuple[Tried, ...]
@@ -101,20 +103,6 @@ class TunedTracker:
     def __str__(self) -> str:
         """Return the table."""
         return self.to_text()
-
-    def plot(self, **options: Any) -> Any:
-        """Draw the log-likelihood of each value.
-
-        Parameters
-        ----------
-        **options : dict, optional
-            Of `robust_filterpy.plotting.plot_tuning`.
-
-        Returns
-        -------
-        matplotlib.axes.Axes
-        """
-        return drawn("plot_tuning", self, options)
 
     def to_frame(self) -> Any:
         """Return the candidates as a pandas DataFrame, a row for each.

@@ -10,8 +10,8 @@ import numpy as np
 from robust_filterpy._arrays import measured
 from robust_filterpy._checks import Array, described, numbers
 from robust_filterpy.correction.definition import Innovation, innovation_moments
-from robust_filterpy.filters._mixin import RobustFilterMixin
-from robust_filterpy.filters._snapshot import unchanged_if_refused, whole
+from robust_filterpy.filters.mixin import RobustFilterMixin
+from robust_filterpy.filters.snapshot import unchanged_if_refused, whole
 from robust_filterpy.kernel import moments
 
 

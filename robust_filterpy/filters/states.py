@@ -12,7 +12,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction.spread import NUMBERS
 from robust_filterpy.filters._learning import LearningMixin
 from robust_filterpy.filters._sensors import Customs
-from robust_filterpy.filters._snapshot import whole
+from robust_filterpy.filters.snapshot import whole
 
 #: Arrays of a state that may hold NaN.
 GAPS: Final = ("insisting",)

@@ -14,16 +14,16 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters._correlated import look_at_signs
-from robust_filterpy.filters._interruption import StateMixin
 from robust_filterpy.filters._options import OptionsMixin
 from robust_filterpy.filters._outlier_share import EVERY, Share
 from robust_filterpy.filters._parts import log_density
 from robust_filterpy.filters._policy import policy_of
 from robust_filterpy.filters._printing import PrintingMixin
 from robust_filterpy.filters._sensors import Customs
-from robust_filterpy.filters._snapshot import SLOTS
 from robust_filterpy.filters._step import StepMixin
-from robust_filterpy.filters._stuck import look_for_stuck
+from robust_filterpy.filters.snapshot import SLOTS
+from robust_filterpy.filters.states import StateMixin
+from robust_filterpy.filters.stuck import look_for_stuck
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.kernel.moments import Taken
 from robust_filterpy.kernel.record import correction_of, weights_of

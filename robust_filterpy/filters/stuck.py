@@ -10,7 +10,7 @@ import numpy as np
 from robust_filterpy._checks import Array
 from robust_filterpy._warning import warn
 
-__all__ = ["StuckSensorWarning", "look_for_stuck", "say_stuck"]
+__all__ = ["StuckSensorWarning"]
 
 _told: WeakSet[Any] = WeakSet()
 
