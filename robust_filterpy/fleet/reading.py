@@ -60,7 +60,8 @@ def read_array(batch: Any, model: Any) -> Rows:
     z = measured([("z" if m == 1 else f"z{i}", values[:, timed + i]) for i in range(m)], len(values), said)
     given = range(timed + m, values.shape[1])
     u = inputs([("u" if p == 1 else f"u{i}", values[:, j]) for i, j in enumerate(given)], said) if given else None
-    return Rows(None, times, z, u, said, lambda rows, columns: columns, timed and _are_instants(values[:, 0]))
+    instants = times is not None and _are_instants(values[:, 0])
+    return Rows(None, times, z, u, said, lambda rows, columns: columns, instants)
 
 
 def _as_array(batch: Any, widths: list[int]) -> tuple[np.ndarray, Reasons]:

@@ -50,9 +50,7 @@ class Placed(NamedTuple):
     """Whether times look like milliseconds where seconds were expected."""
 
 
-def placed(
-    times: Array | None, starts: np.ndarray, clocks: Clocks, dt: float | None, instants: bool = False
-) -> Placed:
+def placed(times: Array | None, starts: np.ndarray, clocks: Clocks, dt: float | None, instants: bool = False) -> Placed:
     """Return where the samples of each key stand after those before them.
 
     Parameters
@@ -147,7 +145,8 @@ class _Line:
             return -1
         if time <= self.last:
             what = "a duplicate" if time == self.last else "late"
-            late[row] = f"time: expected a sample later than the one at {self.shown(self.last)}, got {self.shown(time)}, {what}"
+            last, got = self.shown(self.last), self.shown(time)
+            late[row] = f"time: expected a sample later than the one at {last}, got {got}, {what}"
             return -1
         if self.dt is None:
             self.last, self.steps = time, self.steps + 1
@@ -166,12 +165,13 @@ class _Line:
         apart, ahead = place - near, near - self.step
         if abs(apart) > JITTER:
             off[row] = (
-                f"time: expected samples within {JITTER:.0%} of dt={dt:g} s of the grid through {self.shown(self.origin)}, "
-                f"got {self.shown(time)}, {abs(apart):.2f} of it away"
+                f"time: expected samples within {JITTER:.0%} of dt={dt:g} s of the grid through "
+                f"{self.shown(self.origin)}, got {self.shown(time)}, {abs(apart):.2f} of it away"
             )
             return -1
         if ahead < 1.0:
-            late[row] = f"time: expected one sample a step of dt={dt:g} s, got {self.shown(time)}, too early for the next"
+            got = self.shown(time)
+            late[row] = f"time: expected one sample a step of dt={dt:g} s, got {got}, too early for the next"
             return -1
         self.milliseconds |= ahead >= 900.0 and abs(time) > _MILLISECONDS
         if ahead > _LONGEST:

@@ -81,7 +81,8 @@ class Problem:
 
     def ends(self) -> Ends:
         """Return where the search ends from every start, the lowest first."""
-        found = descend(self.cost, self._starts(), *self.limits, f"stage {self._looks + 1} of {self._looks + 2}, the search")
+        name = f"stage {self._looks + 1} of {self._looks + 2}, the search"
+        found = descend(self.cost, self._starts(), *self.limits, name)
         order = np.argsort(found.costs, kind="stable")
         return Ends(*(part[order] for part in found))
 

@@ -67,7 +67,8 @@ class Returning:
         self._go_back(state)
         after = self._set_by_hand()
         other = [
-            f"{word} of the state, {_given(key, after[key])}, took the place of what was set, {_given(key, before[key])}"
+            f"{word} of the state, {_given(key, after[key])}, took the place of what was set, "
+            f"{_given(key, before[key])}"
             for key, word in _BY_HAND.items()
             if key in before and not np.array_equal(before[key], after[key])
         ]
