@@ -72,6 +72,13 @@ def unscented():
     return kf, kf.update
 
 
+def test_a_stuck_sensor_among_those_that_are_named_to_fail_together_is_seen():
+    zs, kf = recording(np.random.default_rng(1), 3), AdaptiveKalmanFilter(1, 3, grouping=((0, 1, 2),))
+    kf.H, kf.Q, kf.R = np.ones((3, 1)), 1e-4 * np.eye(1), np.eye(3)
+    with pytest.warns(StuckSensorWarning, match="sensor 2 is stuck"):
+        assert abs(kf.batch_filter(zs)[0][159]).item() < 0.5
+
+
 @pytest.mark.parametrize("build", [extended, unscented])
 def test_a_stuck_sensor_of_a_nonlinear_filter_is_named_and_says_nothing(build):
     kf, update = build()
