@@ -1,3 +1,4 @@
+from robust_filterpy.filters._correlated import CorrelatedInnovationsWarning as CorrelatedInnovationsWarning
 from robust_filterpy.filters._outlier_share import OutlierShareWarning as OutlierShareWarning
 from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter as AdaptiveKalmanFilter
 from robust_filterpy.filters.conversion import robust as robust

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -47,7 +48,8 @@ class Bounded:
         """Return self: nothing in here changes."""
         return self
 
-    @property
+    # Asked for at every step.
+    @cached_property
     def by_kernel(self) -> bool:
         """Whether the kernel's steps are these."""
         return self.patience is None

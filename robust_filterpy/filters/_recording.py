@@ -10,6 +10,7 @@ import numpy as np
 from robust_filterpy._arrays import measurement_rows, noise_covariance, process_noise, stack, state_of
 from robust_filterpy._checks import Array, all_covariances, entries, shown
 from robust_filterpy.correction.copies import Copies
+from robust_filterpy.filters._correlated import look_at_recording
 from robust_filterpy.filters._mixture import Kept
 from robust_filterpy.filters.mixin import RobustFilterMixin
 from robust_filterpy.filters.snapshot import unchanged_if_refused
@@ -189,6 +190,8 @@ class RecordingMixin(RobustFilterMixin):
             self._kept = None if self._kept is None else Kept(*copies[:3], state.x, state.P, copies.unseen)
             self._learn(state.learnt, len(state.learnt))
             look_for_stuck(self, weights[k:taken], k)
+            if means_p.shape[1] and self._counts_clipped:
+                look_at_recording(self, _innovations(steps, k, taken), k)
         return taken
 
 

@@ -8,12 +8,13 @@ from typing import Any
 from robust_filterpy import kernel
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.result import Correction
+from robust_filterpy.filters._correlated import judges, look_at_signs
 from robust_filterpy.filters._outlier_share import EVERY, Share
 from robust_filterpy.filters.snapshot import Snapshot
 
 _extension = kernel.extension()
 # What a subclass may do in its own way; then the kernel's is not that filter's.
-_METHODS = ("_predicted", "_transition", "_update", "_measurement", "_corrected", "_inverse")
+_METHODS = ("_predicted", "_transition", "_correct", "_measurement", "_corrected", "_inverse")
 
 
 def is_own(cls: type, base: type) -> bool:
@@ -39,6 +40,7 @@ class StepMixin:
     _choices: Choices
     _policy: Any
     _share: Share
+    _last: Any
     _updates: int
 
     def _predict_by_kernel(self, u: Any) -> bool:
@@ -46,7 +48,8 @@ class StepMixin:
         if _extension is None or not self._by_kernel:
             return False
         if self._policy.by_kernel:
-            return bool(_extension.predict(self, u))
+            taken: bool = _extension.predict(self, u)
+            return taken
         return self._policy.rule is not None and _extension.predict_mixture(self, u)
 
     def _predict_extended(self, u: Any, moves: bool) -> bool:
@@ -61,18 +64,40 @@ class StepMixin:
             return False
         if not self._policy.by_kernel:
             own = H is None and M is None and self._policy.rule is not None
-            return own and _extension.correct_mixture(self, z, R)
-        return self._counted(_extension.correct, z, R, H, M)
+            return own and self._watched(z, R)
+        if self._choices.scaling == "innovation":
+            return self._counted(_extension.correct, z, R, H, M)
+        taken: bool = _extension.correct(self, z, R, H, M)
+        return taken
 
     def _stepped(self, z: Any, predicted: Any, y: Any, C: Any, S: Any, R: Any) -> bool:
         """Correct by a nonlinear sensor, by z and its prediction or by y; C and S, or H and None."""
         if _extension is None or not (self._by_moments and self._policy.by_kernel):
             return False
-        return self._counted(_extension.correct_innovation, z, predicted, y, C, S, R)
+        if self._choices.scaling == "innovation":
+            return self._counted(_extension.correct_innovation, z, predicted, y, C, S, R)
+        taken: bool = _extension.correct_innovation(self, z, predicted, y, C, S, R)
+        return taken
+
+    def _watched(self, z: Any, R: Any) -> bool:
+        """Take a correction under noise that is learnt, and look now and then at the signs of innovations."""
+        # A warning that is made an error refuses the call: nothing may have changed then.
+        before = Snapshot(self) if judges(self._updates + 1) else None
+        if not _extension.correct_mixture(self, z, R):
+            return False
+        self._updates += 1
+        if self._counts_clipped:
+            try:
+                look_at_signs(self, self._last, self._updates)
+            except BaseException:
+                if before is not None:
+                    before.put_back(self)
+                raise
+        return True
 
     def _counted(self, step: Any, *given: Any) -> bool:
         """Take a correction, and look now and then whether most of them clip."""
-        if self._choices.scaling != "innovation" or not self._counts_clipped:
+        if not self._counts_clipped:
             return bool(step(self, *given))
         looks = (self._updates + 1) % EVERY == 0
         # A warning that is made an error refuses the call: nothing may have changed then.

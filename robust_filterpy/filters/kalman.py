@@ -319,7 +319,8 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         NotPositiveDefiniteError
             If scaling is "unit" and P would become indefinite.
         """
-        self._update(z, R, H, None)
+        if not self._correct_by_kernel(z, R, H, None):
+            self._correct(z, R, H, None)
 
     def update_correlated(self, z: ArrayLike | None, R: Any = None, H: ArrayLike | None = None) -> None:
         """Correct the state by a measurement whose noise is correlated with the state's error.
@@ -336,12 +337,8 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         ValueError, SingularInnovationError, NotPositiveDefiniteError
             As in `update`.
         """
-        self._update(z, R, H, self.M)
-
-    def _update(self, z: Any, R: Any, H: Any, M: Any) -> None:
-        """Correct by a whole measurement; every check comes before the first assignment."""
-        if not self._correct_by_kernel(z, R, H, M):
-            self._correct(z, R, H, M)
+        if not self._correct_by_kernel(z, R, H, self.M):
+            self._correct(z, R, H, self.M)
 
     @whole
     def _correct(self, z: Any, R: Any, H: Any, M: Any) -> None:
@@ -422,7 +419,8 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         """
         # By the step that `update` takes, to the last bit, of a twin: what is interrupted has then changed nothing.
         twin = copy.deepcopy(self)
-        twin._update(z, None, None, None)
+        if not twin._correct_by_kernel(z, None, None, None):
+            twin._correct(z, None, None, None)
         return state_of(twin)
 
     @whole

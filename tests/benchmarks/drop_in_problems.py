@@ -170,6 +170,56 @@ def boxes(seed: int, bad: float, steps: int = 60) -> Case:
     return Case(A, np.eye(4, 7), q, R, x0, P0, truth, zs, np.ones(steps), label)
 
 
+def _told(F: np.ndarray, Q: np.ndarray, R: np.ndarray, x0: np.ndarray, P0: np.ndarray, truth: np.ndarray,
+          zs: np.ndarray, is_bad: np.ndarray) -> Case:  # fmt: skip
+    """Return a case of which the first states are measured."""
+    label = np.where(is_bad, BAD, 1.0)[:, None] * np.ones(len(R))
+    return Case(F, np.eye(len(R), len(F)), Q, R, x0, P0, truth, zs, np.ones(len(zs)), label)
+
+
+def thrown(seed: int, share: float = 0.0, steps: int = 60) -> Case:
+    """Return a ball that bounces, 30 pictures a second, for a program that starts at 0 with next to no Q."""
+    g, dt = np.random.default_rng(seed), 1.0 / 30.0
+    t, bounce = np.arange(steps) * dt, g.uniform(0.8, 1.3)
+    after = np.maximum(t - bounce, 0.0)
+    truth = np.zeros((steps, 6))
+    truth[:, 0] = 300.0 + g.uniform(300, 700) * t
+    truth[:, 1] = 100.0 + 200.0 * t + 300.0 * t**2 - (600.0 * bounce + 550.0) * after
+    is_bad = g.random(steps) < share
+    zs = truth[:, :2] + np.where(is_bad, 100.0, 1.5)[:, None] * g.standard_normal((steps, 2))
+    block = np.outer([dt**2 / 2, dt, 1.0], [dt**2 / 2, dt, 1.0])
+    F = np.kron([[1.0, dt, dt**2 / 2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]], np.eye(2))
+    P0 = np.diag([10.0] * 4 + [1.0] * 2)
+    return _told(F, np.kron(block, np.eye(2)), 5.0 * np.eye(2), np.zeros(6), P0, truth, zs, is_bad)
+
+
+def walking(seed: int, share: float = 0.0, steps: int = 150) -> Case:
+    """Return a point in pictures that moves on, for a program whose model is that it stands, with all noises 1."""
+    g = np.random.default_rng(seed)
+    truth = 300.0 + np.cumsum(6.0 * g.standard_normal(2) + g.standard_normal((steps, 2)), axis=0)
+    is_bad = g.random(steps) < share
+    zs = truth + np.where(is_bad, 60.0, 2.0)[:, None] * g.standard_normal((steps, 2))
+    return _told(np.eye(2), np.eye(2), np.eye(2), zs[0], 3.0 * np.eye(2), truth, zs, is_bad)
+
+
+def turning(seed: int, share: float = 0.0, steps: int = 120) -> Case:
+    """Return a walker's box on a curve, its shape swinging with the steps, as trackers hold it (see `boxes`)."""
+    g, t = np.random.default_rng(seed), np.arange(steps)
+    centre = np.cumsum(4.0 * g.standard_normal(2) + 3.0 * np.column_stack([np.sin(0.1 * t), np.cos(0.1 * t)]), axis=0)
+    is_bad = g.random(steps) < share
+    size = np.column_stack([centre + [500.0, 300.0], 50.0 + 3.0 * np.sin(0.5 * t), 120.0 + 0.5 * t])
+    seen = size + np.where(is_bad, 10.0, 1.0)[:, None] * g.standard_normal((steps, 4)) * [2.0, 2.0, 2.0, 3.0]
+    seen[:, 2:] = np.maximum(seen[:, 2:], 5.0)
+    truth = np.zeros((steps, 7))
+    zs = np.empty((steps, 4))
+    for into, box in ((truth, size), (zs, seen)):
+        into[:, :4] = np.column_stack([box[:, :2], box[:, 2] * box[:, 3], box[:, 2] / box[:, 3]])
+    F = np.eye(7)
+    F[:3, 4:] = np.eye(3)
+    Q, P0 = np.diag([1.0] * 4 + [0.01, 0.01, 1e-4]), np.diag([10.0] * 4 + [1e4] * 3)
+    return _told(F, Q, np.diag([1.0, 1.0, 10.0, 10.0]), np.r_[zs[0], np.zeros(3)], P0, truth, zs, is_bad)
+
+
 def with_labels(case: Case, told: bool = False) -> np.ndarray:
     """Return the Kalman filter's states, told the size of every noise or, with told, what Q and R say."""
     x, P, path = case.x0, case.P0, np.empty_like(case.truth)

@@ -32,6 +32,9 @@ from drop_in_problems import (
     redundant,
     standing,
     stuck_now_and_then,
+    thrown,
+    turning,
+    walking,
     with_labels,
 )
 from filterpy.kalman import (
@@ -45,6 +48,7 @@ from joblib import Parallel, delayed
 from statsmodels.robust.norms import HuberT
 
 from robust_filterpy import (
+    AdaptiveKalmanFilter,
     OutlierShareWarning,
     RobustCubatureKalmanFilter,
     RobustExtendedKalmanFilter,
@@ -52,11 +56,13 @@ from robust_filterpy import (
     RobustUnscentedKalmanFilter,
 )
 from robust_filterpy.correction import spread
+from robust_filterpy.filters import CorrelatedInnovationsWarning, StuckSensorWarning
 
 FIGURE = Path(__file__).parents[2] / "examples" / "figures" / "drop_in_frontier.png"
 OURS: dict[str, Callable[[int, int], Any]] = {
     "innovation": partial(RobustKalmanFilter, scaling="innovation"),
     "learnt": RobustKalmanFilter,
+    "adaptive": AdaptiveKalmanFilter,
 }
 LENGTHS = (2, 3, 4, 5, 6, 8)
 
@@ -121,6 +127,11 @@ def rows() -> dict[str, Row]:
         "boxes": Row(partial(boxes, bad=0.0), figure="overlap"),
         "boxes, 3 % bad": Row(partial(boxes, bad=0.03), figure="overlap"),
     }
+    for share in (0.0, 0.05):
+        more = f", {share:.0%} bad" if share else ""
+        found[f"a ball that bounces{more}"] = Row(partial(thrown, share=share))
+        found[f"a walker, the model stands{more}"] = Row(partial(walking, share=share))
+        found[f"boxes on a curve{more}"] = Row(partial(turning, share=share), figure="overlap")
     faults = ("none", "+10", "+10 from the 100th", "stuck", "drifting", "30 times noisier", "silent")
     for m in (2, 3, 4):
         for fault in faults:
@@ -136,7 +147,7 @@ def rows() -> dict[str, Row]:
 def build(kind: str, case: Case, robust: str | None) -> Any:
     """Return a filter of some class, filterpy's or ours."""
     n, m = len(case.x0), len(case.R)
-    more = {} if robust is None else {"scaling": robust}
+    more = {} if robust is None else {"noise": "learnt"} if robust == "adaptive" else {"scaling": robust}
     if kind == "linear":
         return KalmanFilter(n, m) if robust is None else OURS[robust](n, m)
     if kind == "EKF":
@@ -209,7 +220,8 @@ def _overlap(a: np.ndarray, b: np.ndarray) -> float:
 def trial(name: str, seed: int) -> list[float]:
     """Return the figures of filterpy, of ours, and of who knows the labels."""
     # That S is told too small, and that many are clipped, is what some rows are about.
-    warnings.simplefilter("ignore", OutlierShareWarning)
+    for said in (OutlierShareWarning, CorrelatedInnovationsWarning, StuckSensorWarning):
+        warnings.simplefilter("ignore", said)
     row = rows()[name]
     case = row.draw(seed)
     if case.v_scale.ndim == 1:
@@ -224,12 +236,12 @@ def trial(name: str, seed: int) -> list[float]:
 def summary(row: Row, found: np.ndarray) -> tuple[list[str], list[str]]:
     """Return the figures over filterpy's, and over who knows the labels."""
     if row.figure == "steps":
-        return [f"{value:+.1f}" for value in found[:, 1:-1].mean(axis=0) - found[:, 0].mean()], ["-"] * 3
+        return [f"{value:+.1f}" for value in found[:, 1:-1].mean(axis=0) - found[:, 0].mean()], ["-"] * (1 + len(OURS))
     if row.figure == "median":
         values = np.sqrt(np.median(found / found[:, -1:], axis=0))
     else:
         values = found.mean(axis=0) / found[:, -1].mean()
-    labels = ["-"] * 3 if row.figure == "overlap" else [f"{value:.3g}" for value in values[:-1]]
+    labels = ["-"] * (1 + len(OURS)) if row.figure == "overlap" else [f"{value:.3g}" for value in values[:-1]]
     return [f"{value:.3g}" for value in values[1:-1] / values[0]], labels
 
 

@@ -1,0 +1,127 @@
+"""A word where the innovations of a filter that learns its noise keep their sign: its model is too simple."""
+
+from __future__ import annotations
+
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+from robust_filterpy._documentation import STOPPED, pointer
+from robust_filterpy._warning import warn
+
+__all__ = ["CorrelatedInnovationsWarning", "judges", "look_at_recording", "look_at_signs"]
+
+#: Updates of a period, those of them that are looked at (when a start is over, before a short recording is), and how
+#: many signs must be kept: a fair coin does that once in six hundred thousand periods.
+_PERIOD, _FIRST, _LAST, _KEPT = 240, 9, 57, 40
+_kinds: set[tuple[str, int, int]] = set()
+
+
+class CorrelatedInnovationsWarning(UserWarning):
+    """Say that the innovations of a filter under ``noise=`` keep their sign.
+
+    Most often the state moves as neither the model nor Q foresees, and the estimate lags behind: a filter that learns
+    its noise may take that for a noisy sensor, and lag more than the Kalman filter does. Else the noise has a colour.
+    Given once for each kind of filter (class and sizes) in a process. To switch it off:
+    ``warnings.simplefilter("ignore", robust_filterpy.filters.CorrelatedInnovationsWarning)``.
+    """
+
+
+class _Signs:
+    """Count for each sensor how often its innovation has the sign of the one before."""
+
+    def __init__(self, m: int) -> None:
+        """Start without any."""
+        self.last, self.kept, self.pairs = [0.0] * m, [0] * m, [0] * m
+
+    def count(self, y: list[float]) -> None:
+        """Count an innovation; NaN and 0 have no sign."""
+        for i, (now, before) in enumerate(zip(y, self.last, strict=True)):
+            if now > 0.0 or now < 0.0:
+                self.pairs[i] += before != 0.0
+                self.kept[i] += now * before > 0.0
+                self.last[i] = 1.0 if now > 0.0 else -1.0
+
+    def keeper(self) -> int | None:
+        """Return a sensor whose innovations nearly all keep their sign, None if there is none."""
+        return next((i for i, kept in enumerate(self.kept) if kept >= _KEPT), None)
+
+
+_counted: WeakKeyDictionary[Any, _Signs] = WeakKeyDictionary()
+
+
+def judges(updates: int) -> bool:
+    """Return whether the update of this number may give a warning."""
+    return updates % _PERIOD == _LAST
+
+
+def look_at_signs(kf: Any, last: Any, updates: int) -> None:
+    """Count the signs of a correction's innovations now and then, and warn if they hardly ever change.
+
+    Parameters
+    ----------
+    kf : RobustKalmanFilter
+        Whose correction it is.
+    last : Mixed or Correction
+        The correction.
+    updates : int
+        How many the filter has had, this one among them.
+    """
+    place = updates % _PERIOD
+    if not _FIRST <= place <= _LAST:
+        return
+    y = innovation_of(last)
+    signs = _counted.get(kf)
+    if signs is None or place == _FIRST or len(signs.last) != len(y):
+        signs = _counted[kf] = _Signs(len(y))
+    signs.count(y)
+    if place == _LAST:
+        _judge(kf, signs, "")
+
+
+def look_at_recording(kf: Any, y: Array, first: int) -> None:
+    """Look at a recording as `look_at_signs` does.
+
+    Parameters
+    ----------
+    kf : RobustKalmanFilter
+        Whose recording it is.
+    y : ndarray, shape (N, m)
+        Innovations, NaN where missing.
+    first : int
+        Step that the first row belongs to.
+    """
+    seen = np.flatnonzero(~np.isnan(y).all(axis=1))
+    for begin in range(0, len(seen), _PERIOD):
+        signs = _Signs(y.shape[1])
+        window = seen[begin + _FIRST - 1 : begin + _LAST].tolist()
+        for k in window:
+            signs.count(y[k].tolist())
+        if len(window) > _LAST - _FIRST:
+            _judge(kf, signs, f": step {first + window[-1]}")
+
+
+def innovation_of(last: Any) -> list[float]:
+    """Return the innovation of a correction, NaN where missing."""
+    if hasattr(last, "prior_x"):
+        return (last.z - last.H.dot(last.prior_x)).tolist()  # type: ignore[no-any-return]
+    return np.where(np.isnan(last.weights), np.nan, last.y).tolist()  # type: ignore[no-any-return]
+
+
+def _judge(kf: Any, signs: _Signs, where: str) -> None:
+    """Warn, once for each kind of filter, if the signs of a sensor's innovations hardly ever change."""
+    kind, sensor = (type(kf).__name__, int(kf.dim_x), int(kf.dim_z)), signs.keeper()
+    if sensor is None or kind in _kinds:
+        return
+    warn(
+        f"{kind[0]}{where}: {signs.kept[sensor]} of {signs.pairs[sensor]} innovations of sensor {sensor} have the sign "
+        f"of the one before (half is usual): the estimate lags behind, since the state moves as neither the model nor "
+        f"Q foresees (a level on a slope, say), or the noise has a colour; give the model that motion, or a larger Q; "
+        f"robust_filterpy.diagnose tells, and {pointer(STOPPED)}. Switch this off with "
+        f'warnings.simplefilter("ignore", robust_filterpy.filters.CorrelatedInnovationsWarning)',
+        CorrelatedInnovationsWarning,
+    )
+    # Where a warning is an error, the call is refused, and may be made again.
+    _kinds.add(kind)
