@@ -10,7 +10,7 @@ from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters._correlated import judges, look_at_signs
 from robust_filterpy.filters._outlier_share import EVERY, Share
-from robust_filterpy.filters.snapshot import Snapshot
+from robust_filterpy.filters.snapshot import put_back, snapshot
 
 _extension = kernel.extension()
 # What a subclass may do in its own way; then the kernel's is not that filter's.
@@ -82,7 +82,7 @@ class StepMixin:
     def _watched(self, z: Any, R: Any) -> bool:
         """Take a correction under noise that is learnt, and look now and then at the signs of innovations."""
         # A warning that is made an error refuses the call: nothing may have changed then.
-        before = Snapshot(self) if judges(self._updates + 1) else None
+        before = snapshot(self) if judges(self._updates + 1) else None
         if not _extension.correct_mixture(self, z, R):
             return False
         self._updates += 1
@@ -91,7 +91,7 @@ class StepMixin:
                 look_at_signs(self, self._last, self._updates)
             except BaseException:
                 if before is not None:
-                    before.put_back(self)
+                    put_back(self, before)
                 raise
         return True
 
@@ -101,7 +101,7 @@ class StepMixin:
             return bool(step(self, *given))
         looks = (self._updates + 1) % EVERY == 0
         # A warning that is made an error refuses the call: nothing may have changed then.
-        before = Snapshot(self) if looks and self._share.fills(self.dim_z) else None
+        before = snapshot(self) if looks and self._share.fills(self.dim_z) else None
         if not step(self, *given):
             return False
         self._updates += 1
@@ -110,6 +110,6 @@ class StepMixin:
                 self._share.look(self, self._arrays())
             except BaseException:
                 if before is not None:
-                    before.put_back(self)
+                    put_back(self, before)
                 raise
         return True

@@ -39,42 +39,40 @@ _put_back_arrays = getattr(kernel.extension(), "put_back_arrays", _put_back)
 _in_slots = operator.attrgetter(*SLOTS)
 
 
-class Snapshot:
-    """What a filter holds, to put it back."""
+def snapshot(kf: Any) -> tuple[Any, ...]:
+    """Return what a filter holds, contents of arrays too: a user's function may write into one that is still held."""
+    attributes = kf.__dict__.copy()
+    # Not an object of a class of its own, which takes as long to make as all the rest.
+    return attributes, _in_slots(kf), _copied_arrays(attributes), "rng" in attributes and _drawn(attributes["rng"])
 
-    __slots__ = ("_attributes", "_contents", "_drawn", "_slots", "_source")
 
-    def __init__(self, kf: Any) -> None:
-        """Keep the attributes, and the contents of arrays: a user's function may write into one that is still held."""
-        self._attributes = kf.__dict__.copy()
-        self._slots = _in_slots(kf)
-        self._contents = _copied_arrays(self._attributes)
-        # An ensemble's random numbers; numpy's older generator hides where they come from.
-        self._source = None
-        if "rng" in self._attributes:
-            rng = self._attributes["rng"]
-            self._source = getattr(rng, "bit_generator", getattr(rng, "_bit_generator", None))
-            self._drawn = None if self._source is None else self._source.state
+def put_back(kf: Any, held: tuple[Any, ...]) -> None:
+    """Let a filter hold again what `snapshot` found in it."""
+    attributes, slots, contents, drawn = held
+    kf.__dict__.clear()
+    kf.__dict__.update(attributes)
+    for name, value in zip(SLOTS, slots, strict=True):
+        setattr(kf, name, value)
+    _put_back_arrays(contents)
+    if drawn:
+        source, state = drawn
+        source.state = state
 
-    def put_back(self, kf: Any) -> None:
-        """Put the filter back as it was."""
-        kf.__dict__.clear()
-        kf.__dict__.update(self._attributes)
-        for name, value in zip(SLOTS, self._slots, strict=True):
-            setattr(kf, name, value)
-        _put_back_arrays(self._contents)
-        if self._source is not None:
-            self._source.state = self._drawn
+
+def _drawn(rng: Any) -> tuple[Any, Any] | None:
+    """Return where an ensemble's random numbers come from, and how far; numpy's older generator hides it."""
+    source = getattr(rng, "bit_generator", getattr(rng, "_bit_generator", None))
+    return None if source is None else (source, source.state)
 
 
 @contextmanager
 def unchanged_if_refused(kf: Any) -> Iterator[None]:
     """Put a filter back as it was if the block raises anything, an interrupt too."""
-    before = Snapshot(kf)
+    before = snapshot(kf)
     try:
         yield
     except BaseException:
-        before.put_back(kf)
+        put_back(kf, before)
         raise
 
 
@@ -85,11 +83,11 @@ def whole(method: _Method) -> _Method:
     def called(self: Any, *arguments: Any, **named: Any) -> Any:
         """Call, and put the filter back if that raises."""
         # Not the context manager, which costs as much as a step of the kernel.
-        before = Snapshot(self)
+        before = snapshot(self)
         try:
             return method(self, *arguments, **named)
         except BaseException:
-            before.put_back(self)
+            put_back(self, before)
             raise
 
     return cast(_Method, called)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,7 @@ from filterpy.kalman import KalmanFilter
 from robust_filterpy._checks import Array
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.filters.mixin import RobustFilterMixin
-from robust_filterpy.filters.snapshot import Snapshot
+from robust_filterpy.filters.snapshot import put_back, snapshot
 
 # What a sample moves in a filter, besides what only shows its last correction.
 _MOVING = ("x", "P", "H", "R", "x_prior", "P_prior")
@@ -39,16 +41,18 @@ class Kept:
     def __init__(self, kf: Any) -> None:
         """Keep what a sample moves: arrays are replaced, never written into; all else that a filter may keep, too."""
         self._moving = {name: getattr(kf, name) for name in _MOVING if hasattr(kf, name)}
-        self._other = None
-        if type(kf) not in (RobustKalmanFilter, KalmanFilter):
-            self._other = Snapshot(kf) if isinstance(kf, RobustFilterMixin) else _Contents(kf)
+        self._put_other_back: Callable[[Any], None] | None = None
+        if isinstance(kf, RobustFilterMixin) and type(kf) is not RobustKalmanFilter:
+            self._put_other_back = partial(put_back, held=snapshot(kf))
+        elif type(kf) not in (RobustKalmanFilter, KalmanFilter):
+            self._put_other_back = _Contents(kf).put_back
 
     def put_back(self, kf: Any) -> None:
         """Put the filter back as it was."""
         for name, value in self._moving.items():
             setattr(kf, name, value)
-        if self._other is not None:
-            self._other.put_back(kf)
+        if self._put_other_back is not None:
+            self._put_other_back(kf)
 
 
 class _Contents:
