@@ -20,9 +20,11 @@ version = release = __version__
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc"]
 # The pages of situations draw their figures when the site is built; a page that has not changed keeps them.
 extensions += ["matplotlib.sphinxext.plot_directive"]
-plot_formats = [("png", 110)]
+plot_formats = [("png", 130)]
 plot_html_show_formats = plot_html_show_source_link = False
-plot_rcparams = {"figure.figsize": (7.5, 4), "figure.constrained_layout.use": True}
+# Small, so that the words in it can be read on a telephone too.
+plot_rcparams = {"figure.figsize": (5.5, 3.6), "font.size": 9, "legend.fontsize": 7.5, "legend.title_fontsize": 7.5}
+plot_rcparams["figure.constrained_layout.use"] = True
 plot_apply_rcparams = True
 plot_working_directory = tempfile.mkdtemp()
 myst_enable_extensions = ["colon_fence", "deflist"]

@@ -62,7 +62,7 @@ def api_pages() -> dict[str, str]:
         module = home(getattr(robust_filterpy, name), name)
         if name not in described.setdefault(module, []):
             described[module].append(name)
-        first.append(f"   {module}.{name}")
+        first.append(f"   ~{module}.{name}")
     index = [
         heading("Reference"),
         "Every public name, by room. Names that `robust_filterpy` itself exports come first.\n",

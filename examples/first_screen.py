@@ -59,7 +59,7 @@ def draw(position, readings, is_outlier, tracks, path: Path) -> None:
     """Draw 900 by 380 pixels: truth, readings, both filters and their errors."""
     import matplotlib.pyplot as plt
 
-    figure, axis = plt.subplots(figsize=(9, 3.8), dpi=100, layout="constrained")
+    figure, axis = plt.subplots(figsize=(7.2, 3.8), dpi=125, layout="constrained")
     k = np.arange(STEPS)
     low, high = position.min() - 15, position.max() + 15
     axis.plot(k, position, color="0.82", linewidth=7, label="true position", solid_capstyle="round")
@@ -72,7 +72,7 @@ def draw(position, readings, is_outlier, tracks, path: Path) -> None:
         axis.plot(k, estimate, linewidth=2, label=label, **style)
     axis.set(xlabel="step", ylabel="position, m", ylim=(low, high), xlim=(-1, STEPS))
     axis.set_title("Same readings, same matrices: only the class differs", fontsize=12)
-    figure.legend(loc="outside lower center", fontsize=9, ncols=5, frameon=False, columnspacing=1.0, handlelength=1.6)
+    figure.legend(loc="outside lower center", fontsize=9, ncols=3, frameon=False, columnspacing=1.0, handlelength=1.6)
     # Whoever keeps the picture can ask it what it says.
     figure.savefig(path, metadata={"Description": "; ".join(labels)})
     plt.close(figure)

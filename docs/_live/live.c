@@ -50,7 +50,8 @@ int live_learnt(const int steps, const double told) {
     real_copy(WIDTH, BEGIN, known);
     for (int k = 0; k < steps; k++) {
         learnt_predict(n, &rule, &s, F, Q, NULL, 1, work);
-        if (learnt_correct(n, m, &rule, &s, live_z + k, H, R, &weight, &outlying, &likelihood, work) < 0) return k;
+        const double *const z = live_z + k;
+        if (learnt_correct(n, m, &rule, &s, z, z, H, R, &weight, &outlying, &likelihood, work) < 0) return k;
         if (!learnt_merge(n, &rule, &s, x, P, work)) return k;
         live_position[k] = x[0];
     }

@@ -82,15 +82,24 @@
     said.textContent = `Root-mean-square error: Kalman ${errors[0]} m, default ${errors[1]} m, learnt noise ${errors[2]} m`;
   }
 
-  // A reading goes where the pointer is, and each that it is dragged across.
-  function spoil(event) {
+  // A reading goes where the pointer is, and each that it is dragged across, however few events tell of that.
+  function pointed(event) {
     const box = canvas.getBoundingClientRect();
     const k = Math.round(((event.clientX - box.left - MARGIN.left) * (steps - 1)) / width());
     const x = TOP - ((event.clientY - box.top - 8) * 2 * TOP) / height();
-    measured[Math.min(Math.max(k, 0), steps - 1)] = Math.min(Math.max(x, -TOP), TOP);
+    return { k: Math.min(Math.max(k, 0), steps - 1), x: Math.min(Math.max(x, -TOP), TOP) };
+  }
+  let before = null;
+  function spoil(event) {
+    const at = pointed(event), from = before || at;
+    for (let k = at.k; k !== from.k; k += Math.sign(from.k - at.k)) {
+      measured[k] = at.x + ((from.x - at.x) * (k - at.k)) / (from.k - at.k);
+    }
+    measured[at.k] = at.x;
+    before = at;
     draw();
   }
-  canvas.addEventListener("pointerdown", spoil);
+  canvas.addEventListener("pointerdown", (event) => { before = null; spoil(event); });
   canvas.addEventListener("pointermove", (event) => { if (event.buttons) spoil(event); });
   root.querySelector("#live-more").addEventListener("click", () => {
     for (let i = 0; i < 10; i++) {

@@ -8,7 +8,11 @@ these are no longer the majority, the class in which the median falls becomes th
 R.
 
 Sensors that see the same disagree about their noise alone (`parity`): that tells noise with a colour from the motion
-of the state, which a filter that follows one such sensor takes it for.
+of the state, which a filter that follows one such sensor takes it for. Such noise is then weighed as the white noise
+that would leave the state as uncertain.
+
+Whether sensors fail together is learnt from how likely each sample is if all of them are in one class, and if each is
+in one of its own.
 
 The changes from reading to reading that a filter has not foreseen differ from each other, where noise is white, with a
 variance of 6 r and more. So r is never above eight times what they show: a filter that has lost the state, or whose
@@ -19,12 +23,13 @@ its last reading, far from the prediction, is stuck, and tells nothing of the st
 reading to reading tells how fine its steps are, so that counters, coarse sensors and recordings without noise are
 believed.
 
-All that is known of a sensor is one row of numbers, ``[r, n, shares (K), last (K), counts (K, K), parity (4), change
-(4), reading (2)]``: r stands on n ordinary samples; the shares of the classes of late; the probabilities of the last
-sample's class; how often class i was followed by class j; the last parity, its lag-one covariance, its variance, how
-many there were; what the last correction left of the reading, the last change and the scale of their differences, in
-standard deviations that R gives, and how many readings there were; the last reading in the same unit, and one over
-the least change that was seen, with a minus sign if the last reading repeated the one before.
+All that is known of a sensor is one row of numbers, ``[r, n, shares (K), last (K), counts (K, K), together, parity (4),
+change (4), reading (2)]``: r stands on n ordinary samples; the shares of the classes of late; the probabilities of the
+last sample's class; how often class i was followed by class j; the probability that it fails with the others; the last
+parity, its lag-one covariance, its variance, how many there were; what the last correction left of the reading, the
+last change and the scale of their differences, in standard deviations that R gives, and how many readings there were;
+the last reading in the same unit, and one over the least change that was seen, with a minus sign if the last reading
+repeated the one before.
 `robust_filterpy.correction.learnt` corrects a state between `predicted` and `learn`.
 """
 
@@ -44,16 +49,23 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Grouping, checked_grouping
 
-__all__ = ["SCALES", "LearntNoise", "NoiseClasses", "describe", "learn", "ordinary_size", "predicted", "start", "usual"]
+__all__ = [
+    "SCALES", "LearntNoise", "NoiseClasses", "describe", "learn", "ordinary_size", "predicted", "start", "together",
+    "usual", "weigh_together",
+]  # fmt: skip
 
 #: Factors of the variance: a standard deviation of 1, 3.2, 10 and 32 times the ordinary one.
 SCALES = (1.0, 10.0, 100.0, 1e3)
 # The prior: ten samples of a chain with 15 % outliers whose class stays with probability 3/4, else is drawn anew; R is
 # worth 20 samples. On 20 kinds of noise a half or the double of each changes most errors by 1 %.
 _PRIOR_SAMPLES, _PRIOR_OUTLIERS, _PRIOR_STAY, _PRIOR_R = 10.0, 0.15, 0.75, 20.0
+# Chance that sensors fail together, and what a sample is worth as evidence of it at most, 100 to 1.
+_PRIOR_TOGETHER, _LOG_EVIDENCE = 0.01, math.log(100.0)
 # Samples for which parity is remembered; the standard error of its correlation is then .07. From a correlation of two
 # standard errors on it counts, from .45 on fully. Before the twentieth sample it tells nothing.
 _PARITY_MEMORY, _PARITY_FROM, _PARITY_OVER, _PARITY_SAMPLES = 200.0, 0.15, 0.30, 20.0
+# Noise that never changes is an offset, of which no reading rids a filter.
+_MOST_COLOUR = 0.99
 # Changes are remembered for 50 readings and tell something from the twentieth on. Their scale is the quantile of .7 by
 # recursion, here of a normal |x|: outliers hardly move it, nor do readings that are held for three samples.
 _CHANGES, _FIRST_CHANGES, _QUANTILE = 50.0, 20.0, 1.0364333894937898
@@ -63,8 +75,8 @@ _MOST = 8.0 / 6.0
 _WILDEST = 1e6
 # Steps of a sensor in a standard deviation of its noise from which on it does not repeat itself by chance.
 _FINE = 10.0
-# Numbers of a row that tell of parity, of changes and of readings.
-_PARITY, _CHANGE, _READING, _TAIL = slice(-10, -6), slice(-6, -2), slice(-2, None), 10
+# Numbers of a row that tell of failing together, of parity, of changes and of readings.
+_TOGETHER, _PARITY, _CHANGE, _READING, _TAIL = -11, slice(-10, -6), slice(-6, -2), slice(-2, None), 11
 # A sensor is redundant if the others leave at least this part of its variance unexplained by the state.
 _REDUNDANT = 1e-6
 
@@ -78,8 +90,8 @@ class NoiseClasses:
     scales : sequence of float, default (1, 10, 100, 1000)
         Factors of the covariance R, ascending from 1.
     grouping : {"component", "joint"} or tuple of tuple of int
-        Whether each sensor fails on its own, or all together, with one r; or which fail together, each with an r of its
-        own.
+        "component" learns whether sensors fail together or each on its own, "joint" says together, with one r; a tuple
+        says which fail together, each with an r of its own, and that the others do not.
     memory : float, default 300
         Samples for which transitions between the classes are remembered, > 1.
     r_memory : float, default 50
@@ -136,7 +148,7 @@ class NoiseClasses:
 
         Parameters
         ----------
-        learnt : array_like, shape (1 or more, 12 + 2 K + K^2)
+        learnt : array_like, shape (1 or more, 13 + 2 K + K^2)
             A row for each sensor.
         dim_z : int
             Number of sensors.
@@ -162,6 +174,8 @@ class NoiseClasses:
         known, totals = values[:, :-_TAIL], values[:, 2 + 2 * K : -_TAIL].reshape(-1, K, K).sum(axis=2)
         if not (np.isfinite(values).all() and (known >= 0.0).all() and (known[:, 0] > 0.0).all() and totals.all()):
             raise ValueError("learnt: expected finite numbers >= 0 with r > 0, as another filter's `learnt` has them")
+        if not ((values[:, _TOGETHER] >= 0.0) & (values[:, _TOGETHER] < 1.0)).all():
+            raise ValueError("learnt: expected a probability below 1 that sensors fail together, as another filter has")
         if not (values[:, [-8, -7, -4, -3]] >= 0.0).all():
             raise ValueError(
                 "learnt: expected variances and numbers of parities and changes >= 0, as another filter has"
@@ -183,7 +197,7 @@ def start(classes: int, probabilities: Sequence[float] | None = None) -> Array:
 
     Returns
     -------
-    ndarray, shape (12 + 2 K + K^2,)
+    ndarray, shape (13 + 2 K + K^2,)
         As the head of this module orders it.
     """
     return _start(classes, None if probabilities is None else tuple(probabilities)).copy()
@@ -197,9 +211,9 @@ def _start(K: int, probabilities: tuple[float, ...] | None) -> Array:
     if probabilities is not None:
         share, stay = np.array(probabilities), 0.0
     moves = stay * np.eye(K) + (1.0 - stay) * share
-    return np.concatenate(
-        [[1.0, _PRIOR_R], share, share, (_PRIOR_SAMPLES * share[:, None] * moves).ravel(), np.zeros(_TAIL)]
-    )
+    tail = np.zeros(_TAIL)
+    tail[_TOGETHER] = _PRIOR_TOGETHER
+    return np.concatenate([[1.0, _PRIOR_R], share, share, (_PRIOR_SAMPLES * share[:, None] * moves).ravel(), tail])
 
 
 def predicted(known: Array, classes: int) -> Array:
@@ -207,7 +221,7 @@ def predicted(known: Array, classes: int) -> Array:
 
     Parameters
     ----------
-    known : ndarray, shape (12 + 2 K + K^2,)
+    known : ndarray, shape (13 + 2 K + K^2,)
         What is known of the sensor.
     classes : int
         K.
@@ -225,7 +239,7 @@ def usual(known: Array, classes: int) -> Array:
 
     Parameters
     ----------
-    known : ndarray, shape (12 + 2 K + K^2,)
+    known : ndarray, shape (13 + 2 K + K^2,)
         What is known of the sensor.
     classes : int
         K.
@@ -243,7 +257,7 @@ def learn(known: Array, posterior: Array, energy: float, part: float, noise: Noi
 
     Parameters
     ----------
-    known : ndarray, shape (12 + 2 K + K^2,)
+    known : ndarray, shape (13 + 2 K + K^2,)
         What was known of the sensor.
     posterior : ndarray, shape (K,)
         Probabilities of the sample's classes.
@@ -256,7 +270,7 @@ def learn(known: Array, posterior: Array, energy: float, part: float, noise: Noi
 
     Returns
     -------
-    ndarray, shape (12 + 2 K + K^2,)
+    ndarray, shape (13 + 2 K + K^2,)
 
     Notes
     -----
@@ -292,21 +306,69 @@ def _chain(known: Array, K: int) -> tuple[Array, Array]:
     return known[2 + K : 2 + 2 * K], known[2 + 2 * K : -_TAIL].reshape(K, K)
 
 
-def ordinary_size(learnt: Array, z: Array, y: Array, H: Array, R: Array) -> tuple[Array, Array]:
+def together(learnt: Array) -> float:
+    """Return the probability that sensors fail together.
+
+    Parameters
+    ----------
+    learnt : ndarray, shape (m, 13 + 2 K + K^2)
+        What is known of each sensor.
+
+    Returns
+    -------
+    float
+    """
+    return float(np.mean(learnt[:, _TOGETHER]))
+
+
+def weigh_together(learnt: Array, log_together: float, log_apart: float, noise: NoiseClasses) -> Array:
+    """Return what is known once a sample has been weighed under both: one class for all sensors, or one for each.
+
+    Parameters
+    ----------
+    learnt : ndarray, shape (m, 13 + 2 K + K^2)
+        What is known of each sensor.
+    log_together, log_apart : float
+        Logarithms of the sample's densities.
+    noise : NoiseClasses
+        Memories: how sensors fail may change.
+
+    Returns
+    -------
+    ndarray, shape (m, 13 + 2 K + K^2)
+    """
+    known, before = learnt.copy(), together(learnt)
+    before += (_PRIOR_TOGETHER - before) / noise.memory
+    evidence = min(max(log_together - log_apart, -_LOG_EVIDENCE), _LOG_EVIDENCE)
+    odds = before / (1.0 - before) * math.exp(evidence)
+    known[:, _TOGETHER] = odds / (1.0 + odds)
+    return known
+
+
+def ordinary_size(
+    learnt: Array, readings: Array, z: Array, y: Array, seen: Array, H: Array, R: Array
+) -> tuple[Array, Array]:
     """Return r of each sensor, between what its parity and its changes allow, and what is known with this sample's.
 
     A sensor that a filter follows has no innovations left: r falls until the state is that sensor, its noise included.
     Only other sensors can tell. Where parity has a colour, r is at least parity's variance over what R says it is, but
     never raised above 1, so that an offset between two sensors leaves the R that was told.
 
+    Noise with a lag-one correlation c does not average out: a filter that keeps a part q of what it knew from reading
+    to reading is left with (1 + c q) / (1 - c q) times the variance that white noise leaves. It is given that r.
+
     Parameters
     ----------
-    learnt : ndarray, shape (m, 12 + 2 K + K^2)
+    learnt : ndarray, shape (m, 13 + 2 K + K^2)
         What is known of each sensor.
+    readings : ndarray, shape (m,)
+        What the sensors said.
     z : ndarray, shape (m,)
-        Measurement, finite.
+        Measurement, finite; of a nonlinear sensor how far the reading is from what was expected.
     y : ndarray, shape (m,)
         Innovation.
+    seen : ndarray, shape (m, m)
+        Covariance of what the sensors see of the state, H P H'.
     H : ndarray, shape (m, n)
         Measurement matrix.
     R : ndarray, shape (m, m)
@@ -316,30 +378,51 @@ def ordinary_size(learnt: Array, z: Array, y: Array, H: Array, R: Array) -> tupl
     -------
     r : ndarray, shape (m,)
         Factors of R for this sample.
-    learnt : ndarray, shape (m, 12 + 2 K + K^2)
+    learnt : ndarray, shape (m, 13 + 2 K + K^2)
         What is known, with this sample's parity and change.
     """
-    r, learnt = learnt[:, 0].copy(), learnt.copy()
-    for i, e in parity(z, H, R, r):
-        last, lag, variance, count = learnt[i, _PARITY].tolist()
-        count += 1.0
-        share = max(1.0 / _PARITY_MEMORY, 1.0 / count)
-        if count > 6.0:
-            # An outlier is no news about the colour.
-            e = min(max(e, -3.0 * variance**0.5), 3.0 * variance**0.5)
-        e = min(max(e, -1e100), 1e100)
-        lag, variance = lag + share * (e * last - lag), variance + share * (e * e - variance)
-        learnt[i, _PARITY] = e, lag, variance, count
-        if count >= _PARITY_SAMPLES and variance > 0.0:
-            colour = min(max((lag / variance - _PARITY_FROM) / _PARITY_OVER, 0.0), 1.0)
-            least = min(max(variance, 1e-8), 1.0)
-            r[i] = max(r[i], r[i] ** (1.0 - colour) * least**colour)
-    readings = _in_deviations(z, R)
+    r, learnt, coloured = learnt[:, 0].copy(), learnt.copy(), []
+    readings = _in_deviations(readings, R)
     for own in np.flatnonzero(R.diagonal() > 0.0):
         _note_reading(learnt[own], float(readings[own]))
         most = _note_change(learnt[own, _CHANGE], _bounded(y[own] / R[own, own] ** 0.5))
         r[own], learnt[own, 0] = min(r[own], most), min(learnt[own, 0], most)
+    for i, e in parity(z, H, R, r):
+        correlation, least = _note_parity(learnt[i, _PARITY], e)
+        colour = min(max((correlation - _PARITY_FROM) / _PARITY_OVER, 0.0), 1.0)
+        if colour > 0.0:
+            r[i] = max(r[i], r[i] ** (1.0 - colour) * least**colour)
+            coloured.append((i, colour, correlation))
+    if coloured:
+        kept = _kept(seen, r * R.diagonal())
+        for i, colour, correlation in coloured:
+            r[i] *= ((1.0 + correlation * kept[i]) / (1.0 - correlation * kept[i])) ** colour
     return r, learnt
+
+
+def _note_parity(known: Array, e: float) -> tuple[float, float]:
+    """Note a parity, in place; return its lag-one correlation, 0 while little is known, its variance, at most 1."""
+    last, lag, variance, count = known.tolist()
+    count += 1.0
+    share = max(1.0 / _PARITY_MEMORY, 1.0 / count)
+    if count > 6.0:
+        # An outlier is no news about the colour.
+        e = min(max(e, -3.0 * variance**0.5), 3.0 * variance**0.5)
+    e = min(max(e, -1e100), 1e100)
+    lag, variance = lag + share * (e * last - lag), variance + share * (e * e - variance)
+    known[:] = e, lag, variance, count
+    tells = count >= _PARITY_SAMPLES and variance > 0.0
+    return min(lag / variance, _MOST_COLOUR) if tells else 0.0, min(max(variance, 1e-8), 1.0)
+
+
+def _kept(seen: Array, noise: Array) -> Array:
+    """Return what a reading of all sensors leaves of the variance that each sees of the state, as a part of it."""
+    left = seen
+    for j, variance in enumerate(noise):
+        if left[j, j] + variance > 0.0:
+            left = left - np.outer(left[j], left[j]) / (left[j, j] + variance)
+    own = seen.diagonal()
+    return np.clip(np.where(own > 0.0, left.diagonal() / np.where(own > 0.0, own, 1.0), 1.0), 0.0, 1.0)
 
 
 def _note_change(known: Array, y: float) -> float:
@@ -374,10 +457,10 @@ def repeated(learnt: Array, z: Array, R: Array) -> Array:
 
     Parameters
     ----------
-    learnt : ndarray, shape (m, 12 + 2 K + K^2)
+    learnt : ndarray, shape (m, 13 + 2 K + K^2)
         What is known of each sensor.
     z : ndarray, shape (m,)
-        Measurement.
+        What the sensors said.
     R : ndarray, shape (m, m)
         Covariance of the measurement noise as the filter was given it.
 
@@ -408,7 +491,7 @@ def left_over(learnt: Array, rest: Array, R: Array) -> Array:
 
     Parameters
     ----------
-    learnt : ndarray, shape (m, 12 + 2 K + K^2)
+    learnt : ndarray, shape (m, 13 + 2 K + K^2)
         What is known of each sensor.
     rest : ndarray, shape (m,)
         z - H x.
@@ -417,7 +500,7 @@ def left_over(learnt: Array, rest: Array, R: Array) -> Array:
 
     Returns
     -------
-    ndarray, shape (m, 12 + 2 K + K^2)
+    ndarray, shape (m, 13 + 2 K + K^2)
     """
     learnt = learnt.copy()
     for i in np.flatnonzero(R.diagonal() > 0.0):
@@ -470,7 +553,7 @@ def describe(learnt: Array, scales: Array, sensors: int = 1) -> LearntNoise:
 
     Parameters
     ----------
-    learnt : ndarray, shape (g, 12 + 2 K + K^2)
+    learnt : ndarray, shape (g, 13 + 2 K + K^2)
         A row for each sensor that fails on its own.
     scales : ndarray, shape (K,)
         Factors of the variance.

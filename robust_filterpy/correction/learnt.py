@@ -7,12 +7,15 @@ The scalar step that serves every filter (DESIGN section 2): with score a and in
 Under class k the variance of y_i is S_ii + (s_k - 1) r R_ii: what an outlier has in excess is independent of everything
 else, correlated noises included. Its density is a mixture, a the mixture's score and b the derivative of it, which is
 the exact second moment (Masreliez 1975) and may be negative. Each copy has its own x, P, C, S, y, a, b; the
-probabilities of the classes are shared. Sensors that fail together are taken at once: a is a vector, b a matrix.
+probabilities of the classes are shared. Sensors that are told to fail together are taken at once: a is a vector, b a
+matrix. Others may: with the probability that they do, as it has been learnt, the classes of each sensor are those that
+the whole innovation tells, else those that its own does.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -71,6 +74,16 @@ class _Part(NamedTuple):
     """(q,)"""
 
 
+class _Shared(NamedTuple):
+    """What the whole innovation says of the class that all its sensors are in, if they are in the same."""
+
+    given: Array
+    """Probabilities of the classes, (K,)."""
+    log_density: float
+    chance: float
+    """Probability that they are, from the samples before."""
+
+
 class _Scores(NamedTuple):
     """What the classes of a group of g sensors make of its innovation, under each of q copies."""
 
@@ -98,6 +111,7 @@ def correct(
     process: Scales,
     M: Array | None = None,
     inv: Inverse | None = None,
+    readings: Array | None = None,
 ) -> Corrected:
     """Correct copies of a filter by one measurement and learn the noise from it.
 
@@ -121,6 +135,8 @@ def correct(
         Covariance of the state's error and the measurement noise. It grows with r.
     inv : callable, optional
         What inverts S; by default a singular S is an error.
+    readings : ndarray, shape (m,), optional
+        What the sensors said, where z is only how far that is from what was expected; one that is stuck repeats it.
 
     Returns
     -------
@@ -139,12 +155,13 @@ def correct(
     An innovation beyond 8 standard deviations of the widest class is shortened to 8: it has no place in the model.
     """
     m, joint = len(z), noise.grouping == "joint"
+    alike = noise.learns and noise.grouping == "component"
     weights, outlying = np.full(m, np.nan), np.zeros(m)
     part = np.flatnonzero(~np.isnan(z) & H.any(axis=1))
-    follows = noise.learns and not joint
+    follows, readings = noise.learns and not joint, z if readings is None else readings
     if follows:
         # A sensor that is stuck tells nothing of the state, nor of its noise.
-        again = part[learning.repeated(memory[part], z[part], R[np.ix_(part, part)])]
+        again = part[learning.repeated(memory[part], readings[part], R[np.ix_(part, part)])]
         if again.size:
             r = memory[again, 0] * R[again, again]
             again = again[side_by_side.far_off(copies, z[again], H[again], r, process)]
@@ -155,10 +172,13 @@ def correct(
     memory, rows = memory.copy(), np.zeros(len(part), dtype=int) if joint else part
     r = memory[rows, 0]
     if follows:
-        r, memory[part] = learning.ordinary_size(memory[part], z, z - H @ _mean(copies, process), H, R)
+        at, spread = _slow(copies.probabilities, copies.x, copies.P, process)
+        r, memory[part] = learning.ordinary_size(memory[part], readings[part], z, z - H @ at, H @ spread @ H.T, H, R)
     copies, fresh = side_by_side.with_candidate(copies, z, H, r * R.diagonal(), process)
     now, N = _begin(copies, z, H, R, r, M)
-    first, log_density = now.S, 0.0
+    first, log_density, shared = now.S, 0.0, None
+    if alike and len(part) > 1:
+        shared = _shared(*_slow(now.probabilities, now.y, now.S, process), N, memory[part], noise, inv)
     groups = _groups(part, noise.grouping)
     while groups:
         group = groups.pop(_most_plausible(now, groups))
@@ -169,7 +189,7 @@ def correct(
         # What the last sample was is known to copies that were there then.
         before = np.tile(_chance(learning.predicted, memory[own], noise), (len(now.x), 1))
         before[len(process.scales) :] = _chance(learning.usual, memory[own], noise)
-        found = _scores(now.y[:, group], S, N[group[:, None], group], before, np.array(noise.scales), inv, joint)
+        found = _scores(now.y[:, group], S, N[group[:, None], group], before, noise.scales, inv, joint, shared)
         shares, log_total = _weighed(now.probabilities, found.log_densities, len(process.scales), fresh)
         posterior = shares @ found.given
         if noise.learns:
@@ -183,8 +203,11 @@ def correct(
         now = _taken(now, group, found, shares)
     corrected = Copies(now.x, 0.5 * (now.P + np.swapaxes(now.P, 1, 2)), now.probabilities, 0.0)
     corrected = side_by_side.settled(corrected, process)
+    if shared is not None:
+        memory[part] = learning.weigh_together(memory[part], shared.log_density, log_density, noise)
     if follows:
-        memory[part] = learning.left_over(memory[part], z - H @ _mean(corrected, process), R)
+        at = _slow(corrected.probabilities, corrected.x, corrected.P, process)[0]
+        memory[part] = learning.left_over(memory[part], z - H @ at, R)
     return Corrected(corrected, memory, log_density, weights, outlying)
 
 
@@ -203,10 +226,18 @@ def _chance(of: Any, known: Array, noise: NoiseClasses) -> Array:
     return np.asarray(np.mean([of(row, len(noise.scales)) for row in known], axis=0))
 
 
-def _mean(copies: Copies, process: Scales) -> Array:
-    """Return the mean of the copies that have not jumped, shape (n,)."""
-    slow = copies.probabilities[: len(process.scales)]
-    return np.asarray(slow @ copies.x[: len(slow)] / slow.sum())
+def _slow(probabilities: Array, means: Array, covariances: Array, process: Scales) -> tuple[Array, Array]:
+    """Return mean and covariance over the copies that have not jumped."""
+    q = len(process.scales)
+    slow = probabilities[:q] / probabilities[:q].sum()
+    return side_by_side.collapse(slow, means[:q], covariances[:q])
+
+
+def _shared(y: Array, S: Array, N: Array, known: Array, noise: NoiseClasses, inv: Inverse | None) -> _Shared:
+    """Return what an innovation says if all sensors are in the same class: y (m,), S and ordinary noise N (m, m)."""
+    before = _chance(learning.predicted, known, noise)[None]
+    found = _scores(y[None], S[None], N, before, noise.scales, inv)
+    return _Shared(found.given[0], float(found.log_densities[0]), learning.together(known))
 
 
 def _begin(copies: Copies, z: Array, H: Array, R: Array, r: Array, M: Array | None) -> tuple[_Part, Array]:
@@ -251,10 +282,11 @@ def _most_plausible(now: _Part, groups: list[np.ndarray]) -> int:
 
 
 def _scores(
-    y: Array, S: Array, N: Array, before: Array, scales: Array, inv: Inverse | None, one_r: bool = False
-) -> _Scores:
+    y: Array, S: Array, N: Array, before: Array, scales: Sequence[float], inv: Inverse | None, one_r: bool = False,
+    shared: _Shared | None = None,
+) -> _Scores:  # fmt: skip
     """Return score, information and likelihoods: y (q, g), S (q, g, g), N (g, g) ordinary noise, before (q, K)."""
-    inverses, log_dets = _inverted(S[:, None] + (scales - 1.0)[:, None, None] * N, inv)
+    inverses, log_dets = _inverted(S[:, None] + (np.array(scales) - 1.0)[:, None, None] * N, inv)
     y = _shortened(np.broadcast_to(y[:, None], log_dets.shape + y.shape[1:]), inverses)
     pulls = (inverses @ y[..., None])[..., 0]
     logs = np.log(before) - 0.5 * ((pulls * y).sum(axis=2) + log_dets + y.shape[2] * _LOG_2PI)
@@ -262,6 +294,8 @@ def _scores(
     given = np.exp(logs - peaks[:, None])
     totals = given.sum(axis=1)
     given /= totals[:, None]
+    if shared is not None:
+        given += shared.chance * (shared.given - given)
     a = (given[..., None] * pulls).sum(axis=1)
     b = (given[..., None, None] * (inverses - pulls[..., :, None] * pulls[..., None, :])).sum(axis=1)
     # What is left of y under the ordinary class is noise: E[v' N^-1 v] = g + (S^-1 y)' N (S^-1 y) - tr(S^-1 N), where

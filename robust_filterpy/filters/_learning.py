@@ -106,7 +106,7 @@ class LearningMixin:
         """Under ``noise=Learnt(..)``, what is known of the noise: a small array, r (a factor of R) first.
 
         Keep it, or assign it to another filter with the same R, grouping and scales of noise, which then starts with
-        it. Shape (1 or sensors, 12 + 2 K + K^2); a copy. None where no noise is learnt.
+        it. Shape (1 or sensors, 13 + 2 K + K^2); a copy. None where no noise is learnt.
         """
         return self._memory.copy() if self._learns_noise else None
 

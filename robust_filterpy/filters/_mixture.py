@@ -154,7 +154,7 @@ class Mixture:
         difference: Callable[[Array, Array], Array] = np.subtract,
     ) -> tuple[Correction | Mixed, Any]:  # fmt: skip
         """Return the correction of one copy; what a line does not explain of z is a state of its own."""
-        _, y, C, S, R, H = innovation
+        readings, y, C, S, R, H = innovation
         curvature = np.zeros((0, 0))
         if H is None:
             unit = np.sqrt(np.where(P.diagonal() > 0.0, P.diagonal(), 1.0))
@@ -166,7 +166,7 @@ class Mixture:
         whole, states = np.hstack((H, np.eye(m)[:, : len(curvature)])), block_diag(P, curvature)
         start = np.zeros((1, n + len(curvature)))
         prior = Copies(start, states[None], np.ones(1), 0.0)
-        found, *_ = half_step.correct(prior, known.memory, y, whole, R, self.classes, self.scales, None, inv)
+        found, *_ = half_step.correct(prior, known.memory, y, whole, R, self.classes, self.scales, None, inv, readings)
         unexplained = curvature if curvature.size else np.zeros((m, m))
         if np.isnan(found.weights).all():
             ordinary = ordinary_noise(R, known.memory) + unexplained

@@ -39,6 +39,8 @@ class Rows(NamedTuple):
     """What is wrong with a row, though the others go on."""
     like: Callable[[np.ndarray, dict[str, Any]], Any]
     """From the rows that were taken, and the columns that belong to them, to the form of the batch."""
+    instants: bool = False
+    """Whether times were instants rather than seconds."""
 
 
 def read_array(batch: Any, model: Any) -> Rows:
@@ -58,7 +60,8 @@ def read_array(batch: Any, model: Any) -> Rows:
     z = measured([("z" if m == 1 else f"z{i}", values[:, timed + i]) for i in range(m)], len(values), said)
     given = range(timed + m, values.shape[1])
     u = inputs([("u" if p == 1 else f"u{i}", values[:, j]) for i, j in enumerate(given)], said) if given else None
-    return Rows(None, times, z, u, said, lambda rows, columns: columns)
+    instants = times is not None and _are_instants(values[:, 0])
+    return Rows(None, times, z, u, said, lambda rows, columns: columns, instants)
 
 
 def _as_array(batch: Any, widths: list[int]) -> tuple[np.ndarray, Reasons]:
@@ -102,7 +105,8 @@ def read_table(table: Any, model: Any, key: str | None) -> Rows:
             raise ValueError(f"{what}: expected {allowed[-1]} column(s) for the model, got {list(found)}")
     said: Reasons = {}
     keys = None if key is None else _keys(key, frame[key], said)
-    times = None if model.time is None else seconds(_instants(nw, frame[model.time]), said)
+    stamps = None if model.time is None else _instants(nw, frame[model.time])
+    times = None if stamps is None else seconds(stamps, said)
     z = measured([(name, frame[name].to_numpy()) for name in chosen], len(frame), said)
     u = inputs([(name, frame[name].to_numpy()) for name in given], said) if given else None
     copied = [name for name in (key, model.time) if name is not None]
@@ -119,7 +123,7 @@ def read_table(table: Any, model: Any, key: str | None) -> Rows:
         ]
         return back(kept.with_columns(series) if len(kept.columns) or hasattr(table, "index") else _put(nw, series))
 
-    return Rows(keys, times, z, u, said, like)
+    return Rows(keys, times, z, u, said, like, stamps is not None and _are_instants(stamps))
 
 
 def reasons(table: Any) -> tuple[list[str], int]:
@@ -175,6 +179,13 @@ def _instants(nw: Any, column: Any) -> np.ndarray:
     if isinstance(column.dtype, nw.Datetime) and column.dtype.time_zone is not None:
         column = column.dt.convert_time_zone("UTC").dt.replace_time_zone(None)
     return np.asarray(column.to_numpy())
+
+
+def _are_instants(stamps: np.ndarray) -> bool:
+    """Tell whether some times are dates, or text that is read as such."""
+    if stamps.dtype.kind not in "OUT":
+        return stamps.dtype.kind == "M"
+    return any(isinstance(stamp, (str, datetime, np.datetime64)) for stamp in stamps)
 
 
 def measured(columns: Sequence[tuple[str, np.ndarray]], n: int, said: Reasons) -> Array:

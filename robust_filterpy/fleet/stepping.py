@@ -224,7 +224,7 @@ def _advanced(
         # States from before a grid was kept begin one.
         new = np.isnan(grid[:, 0]) & ~np.isnan(time)
         clocks = Clocks(time, np.where(new, time, grid[:, 0]), np.where(new, 0.0, grid[:, 1]))
-    line = placed(times, starts, clocks, model.dt)
+    line = placed(times, starts, clocks, model.dt, rows.instants)
     if line.milliseconds:
         warn(
             f"time: gaps of a thousand steps of dt={model.dt:g} s; times as large as these are milliseconds since 1970 "

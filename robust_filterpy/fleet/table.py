@@ -28,21 +28,21 @@ def filter_table(
     model: Model,
     *,
     key: str = "device",
-    sort: bool = False,
+    sort: bool = True,
 ) -> Any:
     """Filter a table of many keys, each from the model's start.
 
     Parameters
     ----------
     table : DataFrame or Arrow table
-        A row for each sample; those of a key in order, whatever stands between them. Of pandas, polars, Arrow, or any
-        other kind that narwhals reads.
+        A row for each sample, in any order. Of pandas, polars, Arrow, or any other kind that narwhals reads.
     model : FilterModel or TrackerModel
         What all keys have in common, and which columns are its time, measurements and inputs.
     key : str, default "device"
         Column that says whose sample it is.
-    sort : bool, default False
-        Whether to put the samples of each key in order of time first, as an engine that has shuffled them needs.
+    sort : bool, default True
+        Whether the samples of each key are taken in order of their times. With False they are taken as they stand, and
+        one that is not later than that before it is late, as in a stream. Without times the rows have to be in order.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def filter_table(
     Warns
     -----
     UserWarning
-        If more than half of the rows have an error, as those of a shuffled table or of a column of text have.
+        If more than half of the rows have an error, as those of a column of text have.
 
     Raises
     ------
@@ -101,8 +101,10 @@ def step_table(
         What all keys have in common.
     states : States, or mapping of key to state, or Arrow table of states, or None
         What the call before returned, or its ``to_arrow()``; keys that it does not hold start.
-    table, key, sort
+    table, key
         As in `filter_table`.
+    sort : bool, default False
+        As in `filter_table`; by default a late sample is one, whether its batch or the one before has the newer.
 
     Returns
     -------
@@ -121,7 +123,7 @@ def step_table(
     rows = read_table(table, model, key)
     before = taken(states, model)
     keys = _known_ones(_Keys(*grouped(rows.keys, len(rows.z))), before, model, rows)
-    if sort and rows.times is not None:
+    if sort and rows.times is not None and _out_of_order(rows.times[keys.order], keys.starts):
         of = np.repeat(np.arange(len(keys.names)), np.diff(keys.starts))
         keys = keys._replace(order=keys.order[np.lexsort((rows.times[keys.order], of))])
     places = before.find(keys.names)
@@ -149,6 +151,15 @@ def step_table(
         for j, name in enumerate(model.columns)
     }
     return after, rows.like(outcome.kept, {**columns, "error": outcome.errors[outcome.kept]})
+
+
+def _out_of_order(times: np.ndarray, starts: np.ndarray) -> bool:
+    """Tell whether some key's samples, which stand together, are in another order than their times."""
+    with np.errstate(invalid="ignore"):
+        back = np.diff(np.where(np.isnan(times), np.inf, times)) < 0.0
+    begins = starts[1:-1]
+    back[begins[(begins > 0) & (begins < len(times))] - 1] = False
+    return bool(back.any())
 
 
 def _known_ones(keys: _Keys, before: States, model: Model, rows: Rows) -> _Keys:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import datetime, timezone
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -49,7 +50,7 @@ class Placed(NamedTuple):
     """Whether times look like milliseconds where seconds were expected."""
 
 
-def placed(times: Array | None, starts: np.ndarray, clocks: Clocks, dt: float | None) -> Placed:
+def placed(times: Array | None, starts: np.ndarray, clocks: Clocks, dt: float | None, instants: bool = False) -> Placed:
     """Return where the samples of each key stand after those before them.
 
     Parameters
@@ -64,6 +65,8 @@ def placed(times: Array | None, starts: np.ndarray, clocks: Clocks, dt: float | 
         Sampling period in seconds, which makes steps of what is missing between samples; without it each sample is
         a step. A sample belongs to the nearest step of a grid that begins with the first one, unless it lies
         half way between two; the grid follows a clock that drifts, by a twentieth of what each sample is off.
+    instants : bool, default False
+        Whether times were instants, and are named as such in UTC, rather than as seconds.
 
     Returns
     -------
@@ -85,7 +88,7 @@ def placed(times: Array | None, starts: np.ndarray, clocks: Clocks, dt: float | 
     off: dict[int, str] = {}
     milliseconds = False
     for i in np.flatnonzero(~quick).tolist():
-        line = _Line(clocks.last[i], clocks.origin[i], clocks.step[i], dt)
+        line = _Line(clocks.last[i], clocks.origin[i], clocks.step[i], dt, instants)
         for row in range(starts[i], starts[i + 1]):
             step[row] = line.place(float(times[row]), row, late, off)
         last[i], origin[i], at[i], steps[i] = line.last, line.origin, line.step, line.steps
@@ -119,11 +122,20 @@ def _each_a_step(times: Array, starts: np.ndarray, clocks: Clocks, dt: float | N
     return quick, finals
 
 
+def _as_instant(seconds: float) -> str:
+    """Return seconds since 1970 as an instant in UTC, to the microsecond; what no calendar holds as seconds."""
+    try:
+        return datetime.fromtimestamp(seconds, timezone.utc).isoformat().replace("+00:00", "Z")
+    except (OverflowError, ValueError, OSError):
+        return f"{seconds:.15g}"
+
+
 class _Line:
     """The samples of one key, one after the other."""
 
-    def __init__(self, last: float, origin: float, step: float, dt: float | None) -> None:
+    def __init__(self, last: float, origin: float, step: float, dt: float | None, instants: bool) -> None:
         """Begin where the last sample stands."""
+        self.shown = _as_instant if instants else "{:.15g}".format
         self.last, self.origin, self.step, self.dt, self.steps = float(last), float(origin), float(step), dt, 0
         self.milliseconds = False
 
@@ -133,7 +145,8 @@ class _Line:
             return -1
         if time <= self.last:
             what = "a duplicate" if time == self.last else "late"
-            late[row] = f"time: expected a sample later than the one at {self.last:.15g}, got {time:.15g}, {what}"
+            last, got = self.shown(self.last), self.shown(time)
+            late[row] = f"time: expected a sample later than the one at {last}, got {got}, {what}"
             return -1
         if self.dt is None:
             self.last, self.steps = time, self.steps + 1
@@ -146,18 +159,19 @@ class _Line:
         """Return which step of the grid a sample is."""
         place = (time - self.origin) / dt
         if not abs(place) < 1e15:
-            off[row] = f"time: expected a time that {dt:g} s is a step of, got {time:.15g}"
+            off[row] = f"time: expected a time that {dt:g} s is a step of, got {self.shown(time)}"
             return -1
         near = float(np.rint(place))
         apart, ahead = place - near, near - self.step
         if abs(apart) > JITTER:
             off[row] = (
-                f"time: expected samples within {JITTER:.0%} of dt={dt:g} s of the grid through {self.origin:.15g}, "
-                f"got {time:.15g}, {abs(apart):.2f} of it away"
+                f"time: expected samples within {JITTER:.0%} of dt={dt:g} s of the grid through "
+                f"{self.shown(self.origin)}, got {self.shown(time)}, {abs(apart):.2f} of it away"
             )
             return -1
         if ahead < 1.0:
-            late[row] = f"time: expected one sample a step of dt={dt:g} s, got {time:.15g}, too early for the next"
+            got = self.shown(time)
+            late[row] = f"time: expected one sample a step of dt={dt:g} s, got {got}, too early for the next"
             return -1
         self.milliseconds |= ahead >= 900.0 and abs(time) > _MILLISECONDS
         if ahead > _LONGEST:

@@ -119,7 +119,8 @@ def table_columns(table: Any, names: list[str]) -> list[np.ndarray]:
     missing = [name for name in names if name not in there]
     if missing:
         raise ValueError(
-            f"table: expected the columns {missing}, got {list(there)}; time=, sensor= and value= name them"
+            f"table: expected the columns {missing}, got {list(there)}; time=, sensor= and value= name them, and where "
+            f"each sensor has a column of its own, table.melt(id_vars=[..]) of pandas makes rows of them"
         )
     found = [column(name) for name in names]
     if len({len(one) for one in found}) > 1:

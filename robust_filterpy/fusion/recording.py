@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from robust_filterpy._checks import Array
+from robust_filterpy._progress import stage, stages
 from robust_filterpy._warning import warn
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.fusion._policies import series
@@ -132,7 +133,8 @@ def fused(setup: Setup, begin: Moment, start: Any, rows: Rows, smoothed: bool) -
     failed: list[tuple[str, int, str]] = []
     said: list[tuple[int, str, Verdict]] = []
     if setup.watches or setup.reacquire is not None:
-        moment, failed, said = _watched(setup, (begin, start), rows, (x, P))
+        with stages("Fusion.run", None):
+            moment, failed, said = _watched(setup, (begin, start), rows, (x, P))
         done = K
     while done < K:
         # Step by step goes what the kernel cannot: what is not linear, first readings of sensors that nobody told.
@@ -175,6 +177,7 @@ def _watched(
     said: list[tuple[int, str, Verdict]] = []
     before = of_all(layout, moment)
     for k, key in enumerate(rows.keys.tolist()):
+        stage(f"stamp {k} of {len(rows.keys)}")
         entry = line.at(key)
         entry.z[:], entry.control = rows.zs[k], rows.inputs[k]
         moment = line.until()[0]

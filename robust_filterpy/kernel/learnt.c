@@ -39,7 +39,7 @@ static PyObject *wrong(void) {
 typedef struct {
     learnt_rule rule;
     learnt_state state;
-    series_matrices z, F, Q, H, R, control; /* of one series */
+    series_matrices z, readings, F, Q, H, R, control; /* of one series */
     int n, m, update_first;
     int which; /* halves of a step: 1 its prediction, 2 its correction, 3 both */
     npy_intp first, last, every, width;
@@ -79,7 +79,7 @@ INLINE npy_intp run(const int n, const int m, learnt_job *job, double *work) {
             if (!(job->which & (corrects ? 2 : 1))) continue;
             if (corrects)
                 fine = learnt_correct(n, m, &rule, s, job->z.data + k * job->z.by_step,
-                                      job->H.data + k * job->H.by_step, job->R.data + k * job->R.by_step, weights,
+                                      job->readings.data + k * job->readings.by_step, job->H.data + k * job->H.by_step, job->R.data + k * job->R.by_step, weights,
                                       outlying, &likelihood, spare) >= 0;
             else
                 learnt_predict(n, &rule, s, job->F.data + k * job->F.by_step, job->Q.data + k * job->Q.by_step,
@@ -128,11 +128,11 @@ static npy_intp run_sized(learnt_job *job, double *work) {
 }
 
 static PyObject *learnt_steps(PyObject *self, PyObject *arguments) {
-    PyObject *rule, *standing, *z, *matrices, *rooms, *state[7], *model[5], *out[8];
+    PyObject *rule, *standing, *z, *readings, *matrices, *rooms, *state[7], *model[5], *out[8];
     Py_ssize_t first, last, every, width;
     learnt_job job = {0};
     (void)self;
-    if (!PyArg_ParseTuple(arguments, "OOOOO(nnndpni)", &rule, &standing, &z, &matrices, &rooms, &first, &last, &every,
+    if (!PyArg_ParseTuple(arguments, "OOOOOO(nnndpni)", &rule, &standing, &z, &readings, &matrices, &rooms, &first, &last, &every,
                           &job.alpha_sq, &job.update_first, &width, &job.which))
         return NULL;
     if (!take_rule(&job.rule, rule) || !take_objects(standing, 7, state) || !take_objects(matrices, 5, model) ||
@@ -145,7 +145,7 @@ static PyObject *learnt_steps(PyObject *self, PyObject *arguments) {
     const npy_intp rows = all / every;
     if (!take_copies(&job.state, &job.rule, n, m, state[0], state[1], state[2], state[6], state[3]) ||
         !(job.x = writable(state[4], 1, states)) || !(job.P = writable(state[5], 2, states)) ||
-        !take_matrices(&job.z, z, 1, all, m, 0) || !take_matrices(&job.F, model[0], 1, all, n, n) ||
+        !take_matrices(&job.z, z, 1, all, m, 0) || !take_matrices(&job.readings, readings, 1, all, m, 0) || !take_matrices(&job.F, model[0], 1, all, n, n) ||
         !take_matrices(&job.Q, model[1], 1, all, n, n) || !take_matrices(&job.H, model[2], 1, all, m, n) ||
         !take_matrices(&job.R, model[3], 1, all, m, m) ||
         (model[4] != Py_None && !take_matrices(&job.control, model[4], 1, all, n, 0)) ||
@@ -154,7 +154,7 @@ static PyObject *learnt_steps(PyObject *self, PyObject *arguments) {
         !take_room(&job.weights, out[4], 1, rows, m) || !take_room(&job.outlying, out[5], 1, rows, m) ||
         !take_room(&job.scale, out[6], 1, rows, 1) || !(job.log_likelihood = writable(out[7], 1, one)))
         return wrong();
-    job.z.by_step = m;
+    job.z.by_step = job.readings.by_step = m;
     job.n = (int)n, job.m = (int)m, job.first = first, job.last = last, job.every = every, job.width = width;
     const int copies = learnt_copies(&job.rule), K = job.rule.K;
     const size_t step = learnt_correct_work(job.n, job.m, copies, K) + learnt_predict_work(job.n, copies);

@@ -3,7 +3,7 @@
    q copies take the process noise for s_j Q. If jumps are possible there is one more for a state that has jumped, the
    candidate, whose probability is 0 while there is none. Each sensor is conditioned on by the score of its mixture of classes
    and the derivative of it, the most plausible first, under every copy. What is known of a sensor is a row of numbers:
-   [r, n, shares (K), last (K), counts (K, K), parity (4), change (4), reading (2)]. */
+   [r, n, shares (K), last (K), counts (K, K), together, parity (4), change (4), reading (2)]. */
 #ifndef ROBUST_FILTERPY_LEARNT_H
 #define ROBUST_FILTERPY_LEARNT_H
 
@@ -18,7 +18,8 @@
 #define LEARNT_PARITY_SAMPLES REAL(20.0)
 #define LEARNT_CHANGE 4               /* of changes: left of the reading, the last, their differences' scale, how many */
 #define LEARNT_READING 2              /* the last, in standard deviations of R, and one over the least change */
-#define LEARNT_TAIL (LEARNT_PARITY + LEARNT_CHANGE + LEARNT_READING)
+#define LEARNT_TAIL (1 + LEARNT_PARITY + LEARNT_CHANGE + LEARNT_READING) /* and first whether it fails with others */
+#define LEARNT_COLOUR REAL(0.99)       /* noise that never changes is an offset, of which no reading rids a filter */
 #define LEARNT_WILDEST REAL(1e6)
 #define LEARNT_FINE REAL(10.0)        /* steps of a sensor in one of its noise, from which on no reading repeats by chance */
 #define LEARNT_CHANGES REAL(50.0)      /* changes that are remembered */
@@ -207,22 +208,80 @@ INLINE void learnt_learn(const learnt_rule *const rule, const real *RESTRICT p, 
     }
 }
 
-#define learnt_parity_work(m) ((size_t)((m) * ((m) + 3)))
+/* Note a parity; return its lag-one correlation, 0 while it tells nothing. known: the last, lag-one covariance, variance,
+   how many. */
+INLINE real learnt_note_parity(real e, real *RESTRICT known) {
+    real share;
+    known[3] += 1;
+    share = real_max(1 / LEARNT_PARITY_MEMORY, 1 / known[3]);
+    if (known[3] > 6) {
+        /* An outlier is no news about the colour. */
+        const real reach = 3 * real_sqrt(known[2]);
+        e = real_min(real_max(e, -reach), reach);
+    }
+    e = real_min(real_max(e, REAL(-1e100)), REAL(1e100));
+    known[1] += share * (e * known[0] - known[1]);
+    known[2] += share * (e * e - known[2]);
+    known[0] = e;
+    return known[3] >= LEARNT_PARITY_SAMPLES && known[2] > 0 ? real_min(known[1] / known[2], LEARNT_COLOUR) : 0;
+}
 
-/* Write r of each sensor that is left, nowhere less than its parity allows, and note this sample's parity. */
-INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule, const real *RESTRICT z,
-                         const real *RESTRICT H, const real *RESTRICT R, const real *RESTRICT left,
-                         real *RESTRICT memory, real *RESTRICT r, real *RESTRICT work) {
+/* Write what a reading of all sensors that are left leaves of the variance that each sees of the state, as a part of it.
+   left_over (m, m), row (m): scratch. */
+INLINE void learnt_kept(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
+                        const real *RESTRICT H, const real *RESTRICT R, const real *RESTRICT left, const real *RESTRICT r,
+                        real *RESTRICT kept, real *RESTRICT left_over, real *RESTRICT row) {
+    real total = 0;
+    for (int c = 0; c < rule->q; c++) total += s->p[c];
+    for (int i = 0; i < m; i++) kept[i] = 0;
+    for (int i = 0; i < m * m; i++) left_over[i] = 0;
+    for (int c = 0; c < rule->q; c++)
+        for (int i = 0; i < m; i++)
+            for (int k = 0; k < n; k++) kept[i] += s->p[c] / total * H[i * n + k] * s->x[c * n + k];
+    for (int c = 0; c < rule->q; c++) {
+        const real *RESTRICT x = s->x + c * n, *RESTRICT P = s->P + c * n * n, weight = s->p[c] / total;
+        for (int i = 0; i < m; i++) {
+            row[i] = -kept[i];
+            for (int k = 0; k < n; k++) row[i] += H[i * n + k] * x[k];
+        }
+        for (int i = 0; i < m; i++)
+            for (int k = 0; k < n; k++) {
+                real sum = 0;
+                for (int o = 0; o < n; o++) sum += P[k * n + o] * H[i * n + o];
+                for (int j = 0; j < m; j++) left_over[i * m + j] += weight * sum * H[j * n + k];
+            }
+        for (int i = 0; i < m; i++)
+            for (int j = 0; j < m; j++) left_over[i * m + j] += weight * row[i] * row[j];
+    }
+    for (int i = 0; i < m; i++) kept[i] = left_over[i * m + i];
+    for (int j = 0; j < m; j++) {
+        const real whole = left_over[j * m + j] + r[j] * R[j * m + j];
+        if (!(left[j] > 0 && whole > 0)) continue;
+        real_copy(m, left_over + j * m, row);
+        for (int i = 0; i < m; i++)
+            for (int k = 0; k < m; k++) left_over[i * m + k] -= row[i] * row[k] / whole;
+    }
+    for (int i = 0; i < m; i++)
+        kept[i] = kept[i] > 0 ? real_min(real_max(left_over[i * m + i] / kept[i], 0), 1) : 1;
+}
+
+#define learnt_parity_work(m) ((size_t)((m) * ((m) + 5)))
+
+/* Let r of each sensor that is left be nowhere less than its parity allows, and that of white noise which would leave the
+   state as uncertain as noise with its colour; note this sample's parity. */
+INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
+                         const real *RESTRICT z, const real *RESTRICT H, const real *RESTRICT R,
+                         const real *RESTRICT left, real *RESTRICT r, real *RESTRICT work) {
     const int width = learnt_width(rule->K);
     real *RESTRICT rest = work, *RESTRICT unit = rest + m * m, *RESTRICT column = unit + m, *RESTRICT out = column + m;
-    int count = 0;
-    for (int i = 0; i < m; i++) r[i] = rule->learns ? memory[i * width] : 1;
+    real *RESTRICT colour = out + m, *RESTRICT correlation = colour + m;
+    int count = 0, coloured = 0;
     for (int i = 0; i < m; i++) {
         unit[i] = left[i] > 0 ? real_sqrt(r[i] * R[i * m + i]) : 1;
         if (!(unit[i] > 0)) return;
         count += left[i] > 0;
     }
-    if (count < 2 || !rule->learns) return;
+    if (count < 2) return;
     for (int i = 0; i < m; i++)
         for (int j = 0; j < m; j++) rest[i * m + j] = i == j && left[i] > 0 ? 1 : 0;
     /* What is left of the space of measurements when the state's part is taken out, direction by direction. */
@@ -242,8 +301,9 @@ INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule
             for (int j = 0; j < m; j++) rest[i * m + j] -= out[i] * out[j] / length;
     }
     for (int i = 0; i < m; i++) {
-        real *RESTRICT known = memory + i * width + width - LEARNT_TAIL;
-        real e = 0, variance = 0, share;
+        real *RESTRICT known = s->memory + i * width + width - LEARNT_TAIL + 1;
+        real e = 0, variance = 0;
+        colour[i] = 0;
         if (!(left[i] > 0 && rest[i * m + i] > LEARNT_REDUNDANT)) continue;
         for (int j = 0; j < m; j++) {
             real sum = 0;
@@ -256,23 +316,19 @@ INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule
         }
         e /= real_sqrt(variance);
         if (!real_is_finite(e)) continue;
-        known[3] += 1;
-        share = real_max(1 / LEARNT_PARITY_MEMORY, 1 / known[3]);
-        if (known[3] > 6) {
-            /* An outlier is no news about the colour. */
-            const real reach = 3 * real_sqrt(known[2]);
-            e = real_min(real_max(e, -reach), reach);
-        }
-        e = real_min(real_max(e, REAL(-1e100)), REAL(1e100));
-        known[1] += share * (e * known[0] - known[1]);
-        known[2] += share * (e * e - known[2]);
-        known[0] = e;
-        if (known[3] >= LEARNT_PARITY_SAMPLES && known[2] > 0) {
-            const real slope = (known[1] / known[2] - LEARNT_PARITY_FROM) / LEARNT_PARITY_OVER;
-            const real colour = real_min(real_max(slope, 0), 1);
+        correlation[i] = learnt_note_parity(e, known);
+        colour[i] = real_min(real_max((correlation[i] - LEARNT_PARITY_FROM) / LEARNT_PARITY_OVER, 0), 1);
+        if (colour[i] > 0) {
             const real least = real_min(real_max(known[2], REAL(1e-8)), 1);
-            if (colour > 0) r[i] = real_max(r[i], real_exp((1 - colour) * real_log(r[i]) + colour * real_log(least)));
+            r[i] = real_max(r[i], real_exp((1 - colour[i]) * real_log(r[i]) + colour[i] * real_log(least)));
+            coloured = 1;
         }
+    }
+    if (!coloured) return;
+    learnt_kept(n, m, rule, s, H, R, left, r, column, rest, out);
+    for (int i = 0; i < m; i++) {
+        const real part = correlation[i] * column[i];
+        if (colour[i] > 0) r[i] *= real_exp(colour[i] * real_log((1 + part) / (1 - part)));
     }
 }
 
@@ -306,11 +362,11 @@ INLINE void learnt_note(const real z, const real r, const int follows, real *RES
 /* Whether a sensor is stuck: it repeats its last reading to the last bit, though its noise is white and in fine steps, and
    asks for a jump of the copies that have not jumped. */
 INLINE int learnt_stuck(const int n, const learnt_rule *const rule, const learnt_state *const s, const real z,
-                        const real *RESTRICT h, const real R, const real *RESTRICT known) {
+                        const real said, const real *RESTRICT h, const real R, const real *RESTRICT known) {
     const real *RESTRICT reading = known + learnt_width(rule->K) - LEARNT_READING;
     const real scale = reading[2 - LEARNT_CHANGE], r = known[0];
     real total = 0, mean = 0, seen = 0, asks;
-    if (!(rule->learns && R > 0 && learnt_reading(z, R) == reading[0] && scale * scale >= r)) return 0;
+    if (!(rule->learns && R > 0 && learnt_reading(said, R) == reading[0] && scale * scale >= r)) return 0;
     if (!(real_abs(reading[1]) * real_sqrt(r) >= LEARNT_FINE)) return 0;
     for (int c = 0; c < rule->q; c++) total += s->p[c];
     for (int turn = 0; turn < 2; turn++)
@@ -330,15 +386,15 @@ INLINE int learnt_stuck(const int n, const learnt_rule *const rule, const learnt
 /* Let r of each sensor be no more than eight times what the differences of unforeseen changes from reading to reading
    show, of which white noise makes 6 r; note this change. */
 INLINE void learnt_changes(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
-                           const real *RESTRICT z, const real *RESTRICT H, const real *RESTRICT R,
-                           const real *RESTRICT left, real *RESTRICT r) {
+                           const real *RESTRICT z, const real *RESTRICT readings, const real *RESTRICT H,
+                           const real *RESTRICT R, const real *RESTRICT left, real *RESTRICT r) {
     const int width = learnt_width(rule->K);
     for (int i = 0; i < m; i++) {
         real *RESTRICT known = s->memory + i * width, *RESTRICT tail = known + width - LEARNT_CHANGE - LEARNT_READING;
         const real before = tail[1], count = tail[3];
         real size, pace, most;
         if (!(left[i] > 0 && R[i * m + i] > 0)) continue;
-        learnt_note(learnt_reading(z[i], R[i * m + i]), known[0], count > 0, tail + LEARNT_CHANGE);
+        learnt_note(learnt_reading(readings[i], R[i * m + i]), known[0], count > 0, tail + LEARNT_CHANGE);
         tail[1] = count > 0 ? learnt_left(n, rule, s, z[i], H + i * n, R[i * m + i]) - tail[0] : 0;
         tail[3] += 1;
         if (count < 2) continue;
@@ -356,7 +412,7 @@ INLINE void learnt_changes(const int n, const int m, const learnt_rule *const ru
 }
 
 #define learnt_correct_work(n, m, copies, K) \
-    ((size_t)((copies) * ((m) * (1 + (n) + (m)) + (K) + 6) + (n) + 4 * (m) + 4 * (K)) + learnt_parity_work(m))
+    ((size_t)((copies) * ((m) * (1 + (n) + (m)) + (K) + 6) + (n) + 4 * (m) + 5 * (K) + (m) * (m)) + learnt_parity_work(m))
 
 /* What the copies are while sensor after sensor is taken. */
 typedef struct {
@@ -367,7 +423,8 @@ typedef struct {
     real *a, *b, *logs, *energy, *shares, *parts; /* (copies); parts: of its variance, noise's */
     real *direction; /* (n) scratch */
     real *left, *r, *start, *seen; /* (m) 1 where not yet used; factors of R; the largest S_ii at the beginning; scratch */
-    real *before, *usual, *after, *weights; /* (K) */
+    real *before, *usual, *after, *weights, *shared; /* (K) shared: of the class that all sensors are in, if of one */
+    real together; /* probability that they are */
 } learnt_parts;
 
 /* Let a candidate begin if an innovation asks for it, where the measurement says: as if what a sensor sees of each state
@@ -460,6 +517,69 @@ INLINE int learnt_begin(const int n, const int m, const learnt_rule *const rule,
     return 1;
 }
 
+/* What the whole innovation says of the class that all sensors are in, if they are in the same: write probabilities of
+   classes, and the probability from the samples before that they are; return whether its density, of which the log is
+   written too, is ordinary. work (2 m m + 2 m). */
+INLINE int learnt_together(const int m, const learnt_rule *const rule, const learnt_state *const s,
+                           const real *RESTRICT R, learnt_parts *const w, real *const log_density,
+                           real *RESTRICT work) {
+    const int K = rule->K, width = learnt_width(K);
+    real *RESTRICT S = work, *RESTRICT L = S + m * m, *RESTRICT y = L + m * m, *RESTRICT u = y + m;
+    real total = 0, peak = 0, shorter = 1, count = 0;
+    w->together = 0;
+    for (int c = 0; c < rule->q; c++) total += s->p[c];
+    for (int k = 0; k < K; k++) w->shared[k] = 0;
+    for (int i = 0; i < m; i++) {
+        if (!(w->left[i] > 0)) continue;
+        count += 1;
+        w->together += s->memory[i * width + width - LEARNT_TAIL];
+        learnt_predicted(K, s->memory + i * width, w->before);
+        for (int k = 0; k < K; k++) w->shared[k] += w->before[k];
+        y[i] = 0;
+        for (int c = 0; c < rule->q; c++) y[i] += s->p[c] / total * w->y[c * m + i];
+        for (int j = 0; j <= i; j++) {
+            S[i * m + j] = 0;
+            for (int c = 0; w->left[j] > 0 && c < rule->q; c++)
+                S[i * m + j] += s->p[c] / total * (w->S[(c * m + i) * m + j]
+                                                   + (w->y[c * m + i] - y[i]) * (w->y[c * m + j] - y[j]));
+        }
+    }
+    w->together /= count;
+    for (int k = K - 1; k >= 0; k--) {
+        real length = 0, log_det = 0;
+        for (int i = 0; i < m; i++) {
+            real sum = y[i];
+            if (!(w->left[i] > 0)) continue;
+            for (int j = 0; j <= i; j++) {
+                real cell = S[i * m + j], extra = R[i * m + j];
+                if (!(w->left[j] > 0)) continue;
+                if (extra != 0) cell += (rule->scales[k] - 1) * extra * (i == j ? w->r[i] : real_sqrt(w->r[i] * w->r[j]));
+                for (int o = 0; o < j; o++)
+                    if (w->left[o] > 0) cell -= L[i * m + o] * L[j * m + o];
+                if (i == j) {
+                    if (!(cell > REAL_PIVOT * S[i * m + i]) || !real_is_finite(cell)) return 0;
+                    L[i * m + i] = real_sqrt(cell);
+                    log_det += real_log(cell);
+                } else {
+                    L[i * m + j] = cell / L[j * m + j];
+                    sum -= L[i * m + j] * u[j];
+                }
+            }
+            u[i] = sum / L[i * m + i];
+            length += u[i] * u[i];
+        }
+        /* Nothing is farther than the widest class reaches. */
+        if (k == K - 1 && length > LEARNT_REACH * LEARNT_REACH) shorter = LEARNT_REACH * LEARNT_REACH / length;
+        w->after[k] = real_log(w->shared[k] / count) - REAL(0.5) * (length * shorter + log_det);
+        if (k == K - 1 || w->after[k] > peak) peak = w->after[k];
+    }
+    total = 0;
+    for (int k = 0; k < K; k++) total += w->shared[k] = real_exp(w->after[k] - peak);
+    for (int k = 0; k < K; k++) w->shared[k] /= total;
+    *log_density = peak + real_log(total) - REAL(0.5) * count * LEARNT_LOG_2PI;
+    return real_is_finite(*log_density);
+}
+
 /* The sensor with the smallest innovation in standard deviations, over all copies; -1 if none is left. */
 INLINE int learnt_next(const int m, const int copies, const real *const p, const learnt_parts *const w) {
     int best = -1, count = 0;
@@ -504,6 +624,7 @@ INLINE int learnt_scores(const int m, const learnt_rule *const rule, const int i
         if (!(total > REAL(1e-290))) return 0;
         for (int k = 0; k < K; k++) {
             given[k] /= total;
+            if (w->together > 0) given[k] += w->together * (w->shared[k] - given[k]);
             first += given[k] * w->weights[k];
         }
         for (int k = 0; k < K; k++) second += given[k] * (w->weights[k] - first) * (w->weights[k] - first);
@@ -516,16 +637,18 @@ INLINE int learnt_scores(const int m, const learnt_rule *const rule, const int i
     return 1;
 }
 
-/* Correct by what z tells, NaN where it is missing: R need not be diagonal. weights and outlying (m) are written, NaN and
+/* Correct by what z tells, NaN where it is missing: R need not be diagonal. readings: what the sensors said, where z is only
+   how far that is from what was expected, else z too. weights and outlying (m) are written, NaN and
    0 where a component told nothing, 0 and 1 where its sensor is stuck, log_density is added to. Return how many were there,
    -1 if the step is out of the ordinary; the state is spoilt then. */
 INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
-                          const real *RESTRICT z, const real *RESTRICT H, const real *RESTRICT R,
-                          real *RESTRICT weights, real *RESTRICT outlying, real *const log_density,
+                          const real *RESTRICT z, const real *RESTRICT readings, const real *RESTRICT H,
+                          const real *RESTRICT R, real *RESTRICT weights, real *RESTRICT outlying, real *const log_density,
                           real *RESTRICT work) {
     const int q = rule->q, copies = learnt_copies(rule), K = rule->K, width = learnt_width(K);
     learnt_parts w;
     int count = 0, held = 0, fresh = 0;
+    real together = 0, apart = 0;
     w.y = work;
     w.C = w.y + copies * m;
     w.S = w.C + copies * m * n;
@@ -545,13 +668,17 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
     w.usual = w.before + K;
     w.after = w.usual + K;
     w.weights = w.after + K;
+    w.shared = w.weights + K;
+    w.together = 0;
+    work = w.shared + K;
     for (int i = 0; i < m; i++) {
         int seen = 0;
         for (int k = 0; k < n; k++) seen |= H[i * n + k] != 0;
         w.left[i] = seen && z[i] == z[i] ? 1 : 0;
         weights[i] = (real)NAN;
         outlying[i] = 0;
-        if (w.left[i] > 0 && learnt_stuck(n, rule, s, z[i], H + i * n, R[i * m + i], s->memory + i * width)) {
+        if (w.left[i] > 0 &&
+            learnt_stuck(n, rule, s, z[i], readings[i], H + i * n, R[i * m + i], s->memory + i * width)) {
             w.left[i] = weights[i] = 0;
             outlying[i] = 1;
             held++;
@@ -559,14 +686,18 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
         count += w.left[i] > 0;
     }
     if (count == 0) return held;
-    learnt_sizes(n, m, rule, z, H, R, w.left, s->memory, w.r, w.weights + K);
-    if (rule->learns) learnt_changes(n, m, rule, s, z, H, R, w.left, w.r);
+    for (int i = 0; i < m; i++) w.r[i] = rule->learns ? s->memory[i * width] : 1;
+    if (rule->learns) {
+        learnt_changes(n, m, rule, s, z, readings, H, R, w.left, w.r);
+        learnt_sizes(n, m, rule, s, z, H, R, w.left, w.r, work);
+    }
     if (copies > q && s->p[q] < LEARNT_DROPPED * rule->jump) {
         s->p[q] = 0;
         learnt_normalize(q, s->p);
         fresh = 1;
     }
     if (!learnt_begin(n, m, rule, s, H, R, z, &w)) return -1;
+    if (rule->learns && count > 1 && !learnt_together(m, rule, s, R, &w, &together, work)) return -1;
     for (int turn = 0; turn < count; turn++) {
         const int i = learnt_next(m, copies, s->p, &w);
         const real noise = w.r[i] * R[i * m + i];
@@ -590,7 +721,7 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
             total += w.shares[c];
         }
         if (!(total > REAL(1e-290))) return -1;
-        *log_density += real_log(total) - REAL(0.5) * LEARNT_LOG_2PI;
+        apart += real_log(total) - REAL(0.5) * LEARNT_LOG_2PI;
         for (int k = 0; k < K; k++) w.after[k] = 0;
         for (int c = 0; c < copies; c++) {
             const real share = s->p[c] = w.shares[c] / total;
@@ -625,6 +756,15 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
                         if (w.left[k] > 0) S[o * m + k] -= g * S[i * m + k];
                 }
         }
+    }
+    *log_density += apart;
+    if (w.together > 0) {
+        /* How sensors fail may change, and a sample is worth no more than a hundred to one. */
+        const real usual = rule->begin[width - LEARNT_TAIL], before = w.together + (usual - w.together) / rule->memory;
+        const real most = real_log(LEARNT_EVIDENCE), evidence = real_min(real_max(together - apart, -most), most);
+        const real odds = before / (1 - before) * real_exp(evidence);
+        for (int i = 0; i < m; i++)
+            if (weights[i] > 0) s->memory[i * width + width - LEARNT_TAIL] = odds / (1 + odds);
     }
     if (copies > q) {
         *s->unseen = 0;

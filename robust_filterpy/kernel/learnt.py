@@ -91,7 +91,7 @@ def begin(copies: Copies, memory: Array) -> State:
     ----------
     copies : Copies
         Copies of the filter.
-    memory : ndarray, shape (m, 12 + 2 K + K^2)
+    memory : ndarray, shape (m, 13 + 2 K + K^2)
         What is known of each sensor.
 
     Returns
@@ -108,7 +108,7 @@ def begin(copies: Copies, memory: Array) -> State:
 def run(
     state: State, zs: Array, model: tuple[Any, ...], noise: NoiseClasses, process: Scales, kept: Kept,
     *, first: int = 0, last: int | None = None, every: int = 1, alpha_sq: float = 1.0, update_first: bool = False,
-    which: int = BOTH,
+    which: int = BOTH, readings: Array | None = None,
 ) -> int:  # fmt: skip
     """Take the steps of a recording as far as the kernel can, in place, and return the first that was not taken.
 
@@ -130,6 +130,8 @@ def run(
         First step, the one after the last, which are kept, fading memory, whether a step begins with its correction.
     which : int
         `PREDICTION` or `CORRECTION` alone, or `BOTH`.
+    readings : ndarray, shape (steps, m), optional
+        What the sensors said, where zs is only how far that is from what was expected.
 
     Returns
     -------
@@ -147,11 +149,12 @@ def run(
         return first
     width = 0 if kept.covariances is None else kept.covariances.shape[1]
     likelihood = np.zeros(1) if kept.log_likelihood is None else kept.log_likelihood
+    said = plain(zs if readings is None else readings)[None]
     # One series.
     given = tuple(None if a is None else plain(a)[None] for a in model)
     into = tuple(None if a is None else a[None] for a in kept[:-1])
     taken = kernel.learnt_steps(
-        what, tuple(state), plain(zs)[None], given, (*into, likelihood),
+        what, tuple(state), plain(zs)[None], said, given, (*into, likelihood),
         (first, last, every, alpha_sq, bool(update_first), width, which),
     )  # fmt: skip
     return int(taken)
@@ -204,12 +207,13 @@ def correct(
     process: Scales,
     M: Array | None = None,
     inv: Inverse | None = None,
+    readings: Array | None = None,
 ) -> tuple[Corrected, Array, Array]:
     """Correct copies of a filter by one measurement: `robust_filterpy.correction.learnt.correct`.
 
     Parameters
     ----------
-    copies, memory, z, H, R, noise, process, M, inv
+    copies, memory, z, H, R, noise, process, M, inv, readings
         As there.
 
     Returns
@@ -230,11 +234,12 @@ def correct(
         weights, outlying, likelihood = np.full((1, m), np.nan), np.zeros((1, m)), np.zeros(1)
         model = (_nothing(n), _nothing(n), H[None], R[None], None)
         into = Kept(weights=weights, outlying=outlying, log_likelihood=likelihood)
-        if run(state, z[None], model, noise, process, into, which=CORRECTION):
+        said = None if readings is None else readings[None]
+        if run(state, z[None], model, noise, process, into, which=CORRECTION, readings=said):
             moved = Copies(*state[:3], float(state.unseen[0]))
             found = Corrected(moved, state.learnt, float(likelihood[0]), weights[0], outlying[0])
             return found, state.x, state.P
-    found = learnt.correct(copies, memory, z, H, R, noise, process, M, inv)
+    found = learnt.correct(copies, memory, z, H, R, noise, process, M, inv, readings)
     return found, *side_by_side.merged(found.copies, process)
 
 

@@ -164,8 +164,8 @@ static int correct_mixture(held *h, PyObject *filter, PyObject *z, PyObject *tol
     work = work_of(stack, learnt_correct_work(n, m, learnt_copies(&f.rule), f.rule.K) + (size_t)(m * m));
     if (!work) return -1;
     fine = take_measurement(z, m, numbers_of(seen)) && is_covariance(R, m, work) &&
-           learnt_correct(n, m, &f.rule, &f.s, numbers_of(seen), H, R, numbers_of(weights), numbers_of(outlying),
-                          &likelihood, work) > 0 &&
+           learnt_correct(n, m, &f.rule, &f.s, numbers_of(seen), numbers_of(seen), H, R, numbers_of(weights),
+                          numbers_of(outlying), &likelihood, work) > 0 &&
            merge(&f, work);
     work_done(stack, work);
     /* That a sensor is stuck is said in words, by the definition. */

@@ -72,7 +72,6 @@ class Problem:
 
     def cost(self, points: Array, steps: int | None = None) -> Array:
         """Return minus the log-likelihood of the recording, or of its beginning, and of the priors, for p points."""
-        stage(f"the likelihood at {len(points)} places")
         logs_R, logs_Q, share, ratio = self.unpacked(points)
         prior = -0.5 * (np.log(ratio) - _PRIOR_LOG_RATIO) ** 2
         if self.known[0] is None:
@@ -82,24 +81,33 @@ class Problem:
 
     def ends(self) -> Ends:
         """Return where the search ends from every start, the lowest first."""
-        found = descend(self.cost, self._starts(), *self.limits)
+        name = f"stage {self._looks + 1} of {self._looks + 2}, the search"
+        found = descend(self.cost, self._starts(), *self.limits, name)
         order = np.argsort(found.costs, kind="stable")
         return Ends(*(part[order] for part in found))
+
+    @property
+    def _looks(self) -> int:
+        """How many looks `_starts` takes; the search is the next stage, what the recording determines the last."""
+        factors = self.count_R + self.count_Q
+        return len(_SHARES) + (factors if max(self.count_R, self.count_Q) > 1 else 0)
 
     def _starts(self) -> Array:
         """Return the lowest places of a grid over one factor for R and one for Q, then each factor on its own."""
         steps = min(_FIRST_LOOK, len(self.data.zs))
         log_R, log_Q = (_DECADES if count else np.zeros(1) for count in (self.count_R, self.count_Q))
         places = []
-        for share in _SHARES:
+        for k, share in enumerate(_SHARES, 1):
+            stage(f"stage {k} of {self._looks + 2}, where to start")
             grid = np.array(
                 [[*[r] * self.count_R, *[q] * self.count_Q, share, _PRIOR_LOG_RATIO] for r in log_R for q in log_Q]
             )
             values = self.cost(grid, steps).reshape(len(log_R), len(log_Q))
             places += [grid[i * len(log_Q) + j] for i, j in valleys(values, _STARTS)]
         starts = np.array(places)
-        if max(self.count_R, self.count_Q) > 1:
+        if self._looks > len(_SHARES):
             for i in range(self.count_R + self.count_Q):
+                stage(f"stage {len(_SHARES) + i + 1} of {self._looks + 2}, where to start")
                 tried = np.repeat(starts[:, None, :], len(_DECADES), axis=1)
                 tried[:, :, i] = _DECADES
                 values = self.cost(tried.reshape(-1, starts.shape[1]), steps).reshape(len(starts), -1)

@@ -15,12 +15,12 @@ from robust_filterpy.noise._search import Ends, descend
 _FIRST, _LONGER, _FITS, _MOST = 0.2, 2.0, 0.02, 30
 
 
-def held(problem: Problem, points: Array, factors: np.ndarray, at: Array) -> Ends:
+def held(problem: Problem, points: Array, factors: np.ndarray, at: Array, name: str) -> Ends:
     """Return the lowest costs when in each point one factor stands at a value."""
     rows, (low, high) = np.arange(len(points)), problem.limits
     low, high = np.tile(low, (len(points), 1)), np.tile(high, (len(points), 1))
     low[rows, factors] = high[rows, factors] = at
-    return descend(problem.cost, points, low, high)
+    return descend(problem.cost, points, low, high, name)
 
 
 def bounds(problem: Problem, ends: Ends, rise: float) -> Array:
@@ -48,7 +48,7 @@ def bounds(problem: Problem, ends: Ends, rise: float) -> Array:
             bracketed, inner[left] + part * (outer[left] - inner[left]), inner[left] + signs[left] * step[left]
         )
         at = np.clip(at, -SCALE_LIMIT, SCALE_LIMIT)
-        found = held(problem, points[left], factors[left], at)
+        found = held(problem, points[left], factors[left], at, f"{2 * count - left.size} of {2 * count} ends found")
         sizes = np.sqrt(np.maximum(found.costs - best, 0.0))
         for k, a, s, point in zip(left, at, sizes, found.points, strict=True):
             if s > goal:
@@ -70,5 +70,5 @@ def rises(problem: Problem, point: Array, cost: float, away: float) -> Array:
     points = np.tile(point, (2 * count, 1))
     points[np.arange(2 * count), factors] = at
     # Where all else may stay as it is, nothing has to be searched for.
-    costs = problem.cost(points)
-    return np.minimum(*np.reshape(np.minimum(costs, held(problem, points, factors, at).costs) - cost, (count, 2)).T)
+    costs = np.minimum(problem.cost(points), held(problem, points, factors, at, "last stage, what is determined").costs)
+    return np.minimum(*np.reshape(costs - cost, (count, 2)).T)

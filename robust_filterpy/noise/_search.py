@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robust_filterpy._checks import Array
+from robust_filterpy._progress import stage
 
 Cost = Callable[[Array], Array]
 _STEP = 1e-2
@@ -32,18 +33,19 @@ class Ends(NamedTuple):
     """Whether a further step promises nothing, shape (s,)."""
 
 
-def descend(cost: Cost, starts: Array, lower: Array, upper: Array) -> Ends:
+def descend(cost: Cost, starts: Array, lower: Array, upper: Array, name: str) -> Ends:
     """Return where the cost is least near each start, shape (s, d), within limits of shape (d,) or (s, d).
 
-    A coordinate whose limits are the same stays where they are.
+    A coordinate whose limits are the same stays where they are. The name is what progress calls the search.
     """
     points = np.clip(starts, lower, upper)
     lower, upper = np.broadcast_to(lower, points.shape), np.broadcast_to(upper, points.shape)
     values, done = cost(points), np.zeros(len(points), dtype=bool)
-    for _ in range(_MOST):
+    for step in range(1, _MOST + 1):
         left = np.flatnonzero(~done)
         if not left.size:
             break
+        stage(f"{name}: {len(points) - left.size} of {len(points)} at their ends, step {step} of at most {_MOST}")
         gradients, curvatures = _derivatives(cost, points[left])
         trials = []
         for k, g, H in zip(left, gradients, curvatures, strict=True):

@@ -116,7 +116,8 @@ class NoiseEstimate:
         if level >= 1.0:
             raise ValueError(f"level: expected a number between 0 and 1, got {_checks.shown(level)}")
         problem, ends = self._search
-        found = np.exp(bounds(problem, ends, float(gammaincinv(0.5, level))))
+        with stages("intervals", None):
+            found = np.exp(bounds(problem, ends, float(gammaincinv(0.5, level))))
         found = np.concatenate([found, np.ones((1, 2))])
         fixed, from_Q = len(found) - 1, np.where(problem.groups_Q < 0, -1, problem.groups_Q + problem.count_R)
         return NoiseIntervals(found[np.where(problem.groups_R < 0, fixed, problem.groups_R)], found[from_Q])
@@ -239,8 +240,8 @@ def estimate_noise(
     problem = Problem(data, groups_R, groups_Q, _known_outliers(contamination, scale_ratio))
     with stages("estimate_noise", None):
         ends = problem.ends()
+        loose, doubt = _doubt(problem, ends)
     logs_R, logs_Q, share, ratio = (part[0] for part in problem.unpacked(ends.points[:1]))
-    loose, doubt = _doubt(problem, ends)
     if loose:
         warn(f"estimate_noise: {doubt}; see intervals() of the result")
     likelihood = log_likelihoods(data, *(part[None] for part in (logs_R, logs_Q, share, ratio)))[0]

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks, _filterpy, _state
 from robust_filterpy._arrays import control_term, measured, noise_covariance, process_noise, state_of
+from robust_filterpy._brief import lines_of
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import GROUPINGS, Grouping
 from robust_filterpy.influence.functions import Influence, Linear
@@ -113,6 +114,19 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
         self._beliefs = [Belief(), Belief()]
         self._mixtures: list[Mixture | None] = [None, None]
         self.weights = np.empty((0, dim_z))
+
+    def __str__(self) -> str:
+        """Show where the smoother stands and what it has learnt; `repr` shows every matrix."""
+        parts = {"x": np.ravel(self.x), "std": np.sqrt(np.maximum(np.diag(self.P), 0.0))}
+        if len(self.weights):
+            parts |= {f"x, {len(self.weights) - 1} steps before": np.ravel(self.x_s), "weights": np.ravel(self.weights)}
+        for name, mixture in zip(("measurements", "process"), self._mixtures, strict=True):
+            if mixture is not None:
+                parts[f"share of outliers, {name}"] = np.ravel(mixture.contamination)
+                parts[f"size over ordinary, {name}"] = np.ravel(mixture.ratio)
+        told = "N is not set" if self.N is None else f"lag {self.N}"
+        head = f"{type(self).__name__}: {self.dim_x} states, {self.dim_z} measured, {told}; repr() shows every matrix"
+        return "\n".join([head, *lines_of(parts)])
 
     def smooth(self, z: ArrayLike | None, u: ArrayLike | None = None) -> None:
         """Take a measurement and smooth the last N + 1 steps.

@@ -7,6 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from peers.recursion import kalman
+from scipy.integrate import quad
+from scipy.linalg import expm
+from scipy.optimize import minimize_scalar
 
 
 class Case(NamedTuple):
@@ -28,14 +31,14 @@ class Case(NamedTuple):
     """Standard deviation of the measurement noise over that of R, shape (N,)."""
 
 
-def with_labels(case: Case) -> np.ndarray:
-    """Return the states of the Kalman filter that is told the size of every noise, shape (N, n)."""
+def with_labels(case: Case) -> tuple[np.ndarray, np.ndarray]:
+    """Return the states of the Kalman filter that is told the size of every noise, and their covariances."""
     x, P, path = case.x0, case.P0, np.empty_like(case.truth)
+    covariances = np.empty((*path.shape, len(x)))
     for k, z in enumerate(case.zs):
         x, P = case.F @ x, case.F @ P @ case.F.T + case.w_scale[k] ** 2 * case.Q
-        x, P = kalman(x, P, z - case.H @ x, case.H, case.v_scale[k] ** 2 * case.R)
-        path[k] = x
-    return path
+        path[k], covariances[k] = x, P = kalman(x, P, z - case.H @ x, case.H, case.v_scale[k] ** 2 * case.R)
+    return path, covariances
 
 
 def _mixture(share: float, scale: float) -> Callable[..., Any]:
@@ -164,6 +167,46 @@ def vehicle(seed: int, process: float, measurement: float, scale: float, steps: 
         x = truth[k] = F @ x + w[k] * B @ g.normal(size=2)
     zs = truth[:, :2] + v[:, None] * np.sqrt(5.0) * g.normal(size=(steps, 2))
     return Case(F, np.eye(2, 4), B @ B.T, 5.0 * I, x0, 1e-9 * np.eye(4), truth, zs, w, v)
+
+
+def manoeuvring(seed: int, steps: int = 500) -> Case:
+    """Return a plane where speed and acceleration decay, and Cauchy's noise.
+
+    The setting in which J. N. M. Neuhoefer compares nine robust filters (continental/outlier-robust-student-t-filter):
+    acceleration with a time constant of 2 s, friction of .25 a second, both coordinates read each .2 s. R is told as a
+    quarter of the mean speed squared, the noise's scale matrix is what of Cauchy's density is closest to that.
+    """
+    g, alpha, beta, dt, I = np.random.default_rng(seed), 0.5, 0.25, 0.2, np.eye(2)
+    A = np.array([[0.0, 1.0, 0.0], [0.0, -beta, 1.0], [0.0, 0.0, -alpha]])
+
+    def over(time: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return F and Q of a stretch of time (van Loan)."""
+        both = expm(time * np.block([[-A, np.diag([0.0, 0.0, 1.0])], [np.zeros((3, 3)), A.T]]))
+        F = both[3:, 3:].T
+        return np.kron(F, I), np.kron(F @ both[:3, 3:], I)
+
+    (F, Q), P0 = over(dt), over(5.0 * dt)[1]
+    root, x, truth = np.linalg.cholesky(Q), np.zeros(6), np.empty((steps, 6))
+    for k in range(steps):
+        x = truth[k] = F @ x + root @ g.standard_normal(6)
+    speed = np.hypot(*np.diff(truth[:, :2], axis=0, prepend=np.zeros((1, 2))).T).sum() / steps / dt
+    label = np.sqrt(CAUCHY / g.chisquare(1, steps))
+    zs = truth[:, :2] + 0.5 * speed * label[:, None] * g.standard_normal((steps, 2))
+    x0 = np.linalg.cholesky(P0) @ g.standard_normal(6)
+    return Case(F, np.eye(2, 6), Q, 0.25 * speed**2 * I, x0, P0, truth, zs, np.ones(steps), label)
+
+
+def _closest_scale() -> float:
+    """Return the factor of the scale matrix with which Cauchy's density of a plane is closest to the normal one."""
+
+    def apart(log_a: float) -> float:
+        integrand = lambda s: 0.5 * np.exp(-0.5 * s) * np.log1p(s * np.exp(-log_a))  # noqa: E731
+        return log_a + 1.5 * quad(integrand, 0.0, np.inf)[0]
+
+    return float(np.exp(minimize_scalar(apart, bounds=(-5.0, 2.0), method="bounded").x))
+
+
+CAUCHY = _closest_scale()
 
 
 def optimal(case: Case, density: Callable[[np.ndarray], np.ndarray], count: int = 5000) -> np.ndarray:

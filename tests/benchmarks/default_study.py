@@ -3,7 +3,8 @@
 Run ``python tests/benchmarks/default_study.py [--runs N] [--seed S] [--jobs J] [--steps N]``. The table has a row for
 each problem and a column for each filter: root mean square error over that of the Kalman filter which is told the size
 of every noise. Below it stand each filter's worst and mean ratio, and the same over the best filter of each row, since
-some problems leave more room below the labels than others.
+some problems leave more room below the labels than others. The last columns judge the covariances of some: the mean of
+d' P^-1 d / n, which is 1 if P is the error's (NEES), and how often the truth is in the 95 % region.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from adaptive_problems import Case, point, vehicle, with_labels
 from filterpy.kalman import IMMEstimator, KalmanFilter
 from joblib import Parallel, delayed
+from measuring import consistency
 from outlier_problems import gate
 
 from robust_filterpy import (
@@ -30,6 +32,8 @@ from robust_filterpy import (
 )
 
 STEPS = 800
+#: Whose covariance is judged, in two columns each.
+SHOWN = ("Kalman", "Huber", "adaptive")
 FILTERS: dict[str, Callable[[int, int], Any]] = {
     "Kalman": KalmanFilter,
     "gate": gate,
@@ -125,7 +129,7 @@ def _path(g: np.random.Generator, F: Any, root: Any, steps: int, n: int, w: Any 
 def labelled(case: Case) -> np.ndarray:
     """Return the states of the filter that is told the size of every noise, of each sensor where they differ."""
     if case.v_scale.ndim == 1:
-        return with_labels(case)
+        return with_labels(case)[0]
     kf = _filled(KalmanFilter(len(case.x0), len(case.R)), case)
     return np.asarray(kf.batch_filter(case.zs, Rs=[np.diag(s**2) @ case.R for s in case.v_scale])[0])
 
@@ -136,24 +140,24 @@ def _filled(kf: Any, case: Case, q: float = 1.0) -> Any:
     return kf
 
 
-def alone(build: Callable[[int, int], Any], case: Case) -> np.ndarray:
-    """Return the states of one filter."""
-    return np.asarray(_filled(build(len(case.x0), len(case.R)), case).batch_filter(case.zs)[0])
+def alone(build: Callable[[int, int], Any], case: Case) -> tuple[np.ndarray, np.ndarray]:
+    """Return the states of one filter, and their covariances."""
+    return _filled(build(len(case.x0), len(case.R)), case).batch_filter(case.zs)[:2]  # type: ignore[no-any-return]
 
 
-def in_imm(build: Callable[[int, int], Any], case: Case) -> np.ndarray:
-    """Return the states of an IMM of two."""
+def in_imm(build: Callable[[int, int], Any], case: Case) -> tuple[np.ndarray, np.ndarray]:
+    """Return the states of an IMM of two, and their covariances."""
     pair = [_filled(build(len(case.x0), len(case.R)), case, q) for q in (1.0, 100.0)]
     imm = IMMEstimator(pair, [0.8, 0.2], np.array([[0.98, 0.02], [0.05, 0.95]]))
-    path = np.empty_like(case.truth)
+    path, covariances = np.empty_like(case.truth), np.empty((*case.truth.shape, len(case.x0)))
     for k, z in enumerate(case.zs):
         imm.predict()
         imm.update(z)
-        path[k] = np.ravel(imm.x)
-    return path
+        path[k], covariances[k] = np.ravel(imm.x), imm.P
+    return path, covariances
 
 
-def problems(steps: int) -> dict[str, tuple[Callable[[int], Case], Callable[..., np.ndarray]]]:
+def problems(steps: int) -> dict[str, tuple[Callable[[int], Case], Callable[..., Any]]]:
     """Return how each problem is drawn and filtered."""
     kinds = ("clean", "mixture .1, scale 10", "mixture .05, scale 100", "one-sided +20, .1", "Student t(2)",
              "bursts of 5", "runs of 10 at +10", "Laplace", "uniform")  # fmt: skip
@@ -177,8 +181,8 @@ def problems(steps: int) -> dict[str, tuple[Callable[[int], Case], Callable[...,
     return {**found, "IMM of two models": (partial(agile, steps=steps), in_imm)}
 
 
-def trial(name: str, steps: int, seed: int) -> list[float]:
-    """Return everybody's root mean square error, the labels' first."""
+def trial(name: str, steps: int, seed: int) -> tuple[list[float], list[tuple[float, float]]]:
+    """Return everybody's root mean square error, the labels' first, and what P says of it, of those in `SHOWN`."""
     draw, run = problems(steps)[name]
     case = draw(seed)
 
@@ -187,7 +191,9 @@ def trial(name: str, steps: int, seed: int) -> list[float]:
         # The measured directions: H x; what is not seen has other units.
         return float(np.sqrt((((path - case.truth)[100:] @ case.H.T) ** 2).mean()))
 
-    return [error(labelled(case)), *(error(run(build, case)) for build in FILTERS.values())]
+    found = {name: run(build, case) for name, build in FILTERS.items()}
+    held = [consistency(case.truth, *found[name], 100) for name in SHOWN]
+    return [error(labelled(case)), *(error(path) for path, _ in found.values())], held
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -200,14 +206,16 @@ def main(argv: list[str] | None = None) -> None:
     args = parser.parse_args(argv)
     seeds, names = range(args.seed, args.seed + args.runs), list(problems(args.steps))
     print(f"{args.runs} runs of {args.steps} steps from seed {args.seed}\n")
-    print("| problem | " + " | ".join(FILTERS) + " |\n|" + "---|" * (len(FILTERS) + 1))
+    heads = [*FILTERS, *(f"{what} {name}" for name in SHOWN for what in ("NEES", "95 %"))]
+    print("| problem | " + " | ".join(heads) + " |\n|" + "---|" * (len(heads) + 1))
     rows = []
     for name in names:
-        found = np.array(Parallel(n_jobs=args.jobs)(delayed(trial)(name, args.steps, seed) for seed in seeds))
+        errors, held = zip(*Parallel(n_jobs=args.jobs)(delayed(trial)(name, args.steps, s) for s in seeds), strict=True)
+        found, shown = np.array(errors), np.mean(held, axis=0).ravel()
         # Geometric: one wild recording does not decide.
         ratios = np.exp(np.log(found[:, 1:] / found[:, :1]).mean(axis=0))
         rows.append(ratios)
-        print(f"| {name} | " + " | ".join(f"{value:.2f}" for value in ratios) + " |", flush=True)
+        print(f"| {name} | " + " | ".join(f"{value:.2f}" for value in [*ratios, *shown]) + " |", flush=True)
     table = np.array(rows)
     regret = table / table.min(axis=1, keepdims=True)
     for title, values in (("over the labels", table), ("over the best of the row", regret)):

@@ -1,10 +1,16 @@
-"""What several studies share: how long a call takes, and a line that says whether a target is met."""
+"""What several studies share: durations, whether a target is met, whether a covariance is that of the error."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
 from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+#: Heads of the two columns that `consistency` fills.
+CONSISTENCY = "NEES / n | within 95 %"
 
 
 def least_time(call: Callable[[], Any], repeats: int = 3) -> float:
@@ -15,6 +21,14 @@ def least_time(call: Callable[[], Any], repeats: int = 3) -> float:
         call()
         durations.append(time.perf_counter() - start)
     return min(durations)
+
+
+def consistency(truth: np.ndarray, xs: np.ndarray, Ps: np.ndarray, first: int = 0) -> tuple[float, float]:
+    """Return the mean of d' P^-1 d / n from a step on, which is 1 if P is the error's, and the share within 95 %."""
+    d = (np.asarray(xs).reshape(truth.shape) - truth)[first:]
+    squares = np.einsum("ki,ki->k", d, np.linalg.solve(np.asarray(Ps)[first:], d[..., None])[..., 0])
+    n = truth.shape[1]
+    return float(squares.mean() / n), float(np.mean(squares < chi2.ppf(0.95, n)))
 
 
 def target(what: str, value: float, limit: float, least: bool = False) -> None:

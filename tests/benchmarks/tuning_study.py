@@ -17,9 +17,10 @@ from typing import Any
 
 import numpy as np
 from adaptive_problems import Case, point, vehicle, with_labels
-from adaptive_study import PEERS, of_filter, tuned, verdict
+from adaptive_study import PEERS, Estimator, of_filter, tuned, verdict
 from filterpy.kalman import KalmanFilter
 from joblib import Parallel, delayed
+from measuring import CONSISTENCY, consistency
 from outlier_problems import gate
 
 from robust_filterpy import Contaminated, RobustKalmanFilter
@@ -50,22 +51,22 @@ def error(path: np.ndarray, case: Case) -> float:
     return float(np.sqrt(((path.reshape(case.truth.shape) - case.truth)[100:] ** 2).sum(axis=1).mean()))
 
 
-def by_tune(practice: Case) -> tuple[str, Callable[[Case], np.ndarray]]:
+def by_tune(practice: Case) -> tuple[str, Estimator]:
     """Return what `tune` chooses on a recording, and the estimates of its filter on another."""
     kf = RobustKalmanFilter(len(practice.x0), len(practice.R), grouping="joint")
     kf.F, kf.H, kf.Q, kf.R = practice.F, practice.H, 3.0 * practice.Q, 0.3 * practice.R
     kf.x, kf.P = practice.x0.copy(), practice.P0.copy()
     found = tune(kf, practice.zs)
 
-    def estimate(case: Case) -> np.ndarray:
+    def estimate(case: Case) -> tuple[np.ndarray, np.ndarray]:
         found.filter.x, found.filter.P = case.x0.copy(), case.P0.copy()
-        return np.asarray(found.filter.batch_filter(case.zs)[0])
+        return found.filter.batch_filter(case.zs)[:2]
 
     return found.kind, estimate
 
 
-def trial(seed: int, name: str) -> tuple[str, dict[str, float]]:
-    """Return what `tune` chose and everybody's error."""
+def trial(seed: int, name: str) -> tuple[str, dict[str, tuple[float, ...]]]:
+    """Return what `tune` chose and everybody's error, NEES over n and coverage."""
     draw, contamination = PROBLEMS[name]
     practice, case = draw(500_000 + seed), draw(seed)
     kind, ours = by_tune(practice)
@@ -83,24 +84,29 @@ def trial(seed: int, name: str) -> tuple[str, dict[str, float]]:
         make, grid = PEERS[peer]
         # Half of the authors' grid: the optimum is flat.
         filters[peer] = tuned(make, grid[::2])([practice], error)
-    return kind, {who: error(estimate(case), case) for who, estimate in filters.items()}
+    found = {who: estimate(case) for who, estimate in filters.items()}
+    return kind, {who: (error(xs, case), *consistency(case.truth, xs, Ps, 100)) for who, (xs, Ps) in found.items()}
 
 
 def table(name: str, args: argparse.Namespace) -> dict[str, float]:
     """Print a problem's table and return each method's ratio."""
     seeds = range(args.seed, args.seed + args.runs)
     kinds, found = zip(*Parallel(n_jobs=args.jobs)(delayed(trial)(seed, name) for seed in seeds), strict=True)
-    errors = {who: np.array([one[who] for one in found]) for who in found[0]}
+    errors = {who: np.array([one[who][0] for one in found]) for who in found[0]}
+    held = {who: np.mean([one[who][1:] for one in found], axis=0) for who in found[0]}
     print(f"\n{name}; {args.runs} runs; chosen: {dict(Counter(kinds))}\n")
-    print("| method | RMSE over labels' | 95 % interval |\n|---|---|---|")
+    print(f"| method | RMSE over labels' | 95 % interval | {CONSISTENCY} |\n|---|---|---|---|---|")
     ratios = {}
     for who, values in errors.items():
         if who != LABELS:
             ratio = bootstrap_interval((values, errors[LABELS]), "ratio", rng=args.seed)
             ratios[who] = float(ratio.estimate)
-            print(f"| {who} | {ratio.estimate:.3f} | {ratio.low:.3f} to {ratio.high:.3f} |", flush=True)
+            cells = (
+                f"{ratio.estimate:.3f} | {ratio.low:.3f} to {ratio.high:.3f} | {held[who][0]:.2f} | {held[who][1]:.2f}"
+            )
+            print(f"| {who} | {cells} |", flush=True)
     if name == "vehicle, both noises":
-        print(verdict("over Kalman", errors[TUNED].mean() / errors["Kalman"].mean(), TARGET))
+        verdict("over Kalman", errors[TUNED].mean() / errors["Kalman"].mean(), TARGET)
     return ratios
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
+from scipy.linalg import solve_discrete_lyapunov
 from scipy.stats import multivariate_normal
 from support import random_problem, spd
 
@@ -20,6 +21,8 @@ from robust_filterpy.correction.learning import (
     parity,
     predicted,
     start,
+    together,
+    weigh_together,
 )
 from robust_filterpy.correction.learnt import _inverted, correct
 
@@ -152,7 +155,7 @@ def test_transitions_are_counted_with_a_memory():
         known = learn(known, np.eye(K)[now], 1.0, 1.0, noise)
         counts *= 1.0 - 1.0 / memory
         counts[before, now] += 1.0
-    assert_allclose(known[2 + 2 * K : -10], start(K)[2 + 2 * K : -10] + counts.ravel(), rtol=1e-10)
+    assert_allclose(known[2 + 2 * K : -11], start(K)[2 + 2 * K : -11] + counts.ravel(), rtol=1e-10)
 
 
 def test_a_sample_counts_by_the_square_of_the_part_that_is_noise_and_one_is_never_forgotten():
@@ -199,7 +202,7 @@ def test_describe_reads_a_chain_that_is_known():
     counts = np.zeros((4, 4))
     counts[2, 2], counts[2, 0], counts[0, 2], counts[0, 0] = 80.0, 20.0, 20.0, 880.0
     scales = np.array([1.0, 10.0, 100.0, 1000.0])
-    learnt = np.concatenate([[4.0, 16.0], np.zeros(8), counts.ravel(), np.zeros(10)])[None]
+    learnt = np.concatenate([[4.0, 16.0], np.zeros(8), counts.ravel(), np.zeros(11)])[None]
     noise = describe(learnt, scales)
     assert noise.contamination[0] == pytest.approx(0.1) and noise.run_length[0] == pytest.approx(5.0)
     assert noise.scale_ratio[0] == pytest.approx(10.0, rel=0.01)
@@ -230,8 +233,53 @@ def test_r_of_a_sensor_that_others_contradict_with_a_colour_does_not_fall(phi, f
     learnt[:, 0] = 1e-4
     for _ in range(400):
         v = phi * v + np.sqrt(1.0 - phi * phi) * rng.normal(size=2)
-        r, learnt = ordinary_size(learnt, v, v, np.ones((2, 1)), np.eye(2))
-    assert (r > floor).all() == (phi > 0.0) and (r <= 1.0).all()
+        r, learnt = ordinary_size(learnt, v, v, v, np.zeros((2, 2)), np.ones((2, 1)), np.eye(2))
+    assert (r > floor).all() == (phi > 0.0)
+
+
+@pytest.mark.parametrize("lag", [0.5, 0.9])
+def test_coloured_noise_is_weighed_as_white_noise_that_leaves_a_filter_as_uncertain(lag):
+    """e(k) = q e(k-1) + (1 - q) v(k), v coloured: its variance, by the Lyapunov equation, over that of white noise."""
+    seen = np.full((2, 2), 0.5)
+    learnt = np.tile(start(4), (2, 1))
+    learnt[:, -10:-6] = 0.0, lag, 1.0, 1e9
+    r, _ = ordinary_size(learnt, np.zeros(2), np.zeros(2), np.zeros(2), seen, np.ones((2, 1)), np.eye(2))
+    # Two readings of variance 1 leave a half of a variance of .5.
+    q, left = 0.5, []
+    for c in (lag, 0.0):
+        into = np.array([[1.0 - q], [1.0]])
+        moves = np.array([[q, (1.0 - q) * c], [0.0, c]])
+        left.append(solve_discrete_lyapunov(moves, (1.0 - c * c) * into @ into.T)[0, 0])
+    assert_allclose(r, left[0] / left[1], rtol=1e-9)
+
+
+def test_whether_sensors_fail_together_is_learnt_and_then_they_are_judged_together():
+    rng, F, H, R = np.random.default_rng(3), np.eye(1), np.ones((3, 1)), np.eye(3)
+    for alike, expected in ((True, 1.0), (False, 0.0)):
+        copies, memory = side_by_side.start(np.zeros(1), np.eye(1), TRUSTED), NoiseClasses().start(3)
+        for _ in range(300):
+            sizes = np.where(rng.random(1 if alike else 3) < 0.1, 10.0, 1.0)
+            copies = side_by_side.predict(copies, F, 1e-2 * F, TRUSTED)
+            found = correct(copies, memory, sizes * rng.normal(size=3), H, R, NoiseClasses(), TRUSTED)
+            copies, memory = found.copies, found.memory
+        assert together(memory) == pytest.approx(expected, abs=0.05)
+        # Readings that are ordinary one by one, and impossible if they are so together.
+        z = np.array([1.5, 0.2, -9.0])
+        copies = side_by_side.predict(copies, F, 1e-2 * F, TRUSTED)
+        outlying = correct(copies, memory, z, H, R, NoiseClasses(), TRUSTED).outlier_probabilities
+        named = correct(copies, memory, z, H, R, NoiseClasses(grouping=((0, 1, 2),)), TRUSTED).outlier_probabilities
+        assert named.min() > 0.9 and outlying[2] > 0.9
+        assert (np.abs(outlying - named) < 0.1).all() if alike else (outlying[:2] < 0.1).all()
+
+
+def test_evidence_of_failing_together_is_worth_a_hundred_to_one_at_most_and_is_forgotten():
+    learnt, noise = np.tile(start(4), (2, 1)), NoiseClasses()
+    after = weigh_together(learnt, 1e9, 0.0, noise)
+    assert together(after) == pytest.approx(100.0 / 199.0)
+    assert together(weigh_together(learnt, -1e9, 0.0, noise)) == pytest.approx(0.01 / 99.01)
+    for _ in range(3000):
+        after = weigh_together(after, 0.0, 0.0, noise)
+    assert together(after) == pytest.approx(0.01, abs=1e-4)
 
 
 @pytest.mark.parametrize("slope, most", [(0.0, 16.0), (5.0, 16.0)])
@@ -241,7 +289,7 @@ def test_r_is_not_far_above_what_changes_show(slope, most):
     for k in range(200):
         y = np.array([slope * k + rng.normal()])
         learnt[0, 0] = 1e6
-        r, learnt = ordinary_size(learnt, y, y, np.eye(1), np.eye(1))
+        r, learnt = ordinary_size(learnt, y, y, y, np.zeros((1, 1)), np.eye(1), np.eye(1))
         learnt = left_over(learnt, y, np.eye(1))
         assert k > 20 or r == 1e6
     assert 1.0 <= r[0] < most and learnt[0, 0] == r[0]

@@ -112,9 +112,12 @@ def test_sensors_that_fail_together_can_be_named():
 
     told = Contaminated(0.2, 20.0)
     # Each has a size of noise of its own, which nobody learns here.
-    for noise, grouping, same in ((told, ((0, 1, 2),), "joint"), ("learnt", ((0,), (1,)), "component")):
-        for one, two in zip(run(noise, grouping), run(noise, same), strict=True):
+    for grouping, same in ((((0, 1, 2),), "joint"), (((0,), (1,)), "component")):
+        for one, two in zip(run(told, grouping), run(told, same), strict=True):
             np.testing.assert_allclose(one, two, rtol=1e-9, atol=1e-9)
+    # What is named is told: nothing is learnt of it.
+    np.testing.assert_array_equal(run("learnt", ((0,), (1,)))[0], run("learnt", ((0,), (1,), (2,)))[0])
+    assert not np.allclose(run("learnt", ((0,), (1,)))[0], run("learnt", "component")[0], rtol=1e-3)
     assert not np.allclose(run("learnt", ((0, 1),))[0], run("learnt", "component")[0], rtol=1e-3)
 
 
@@ -521,8 +524,8 @@ def test_load_order_does_not_matter():
 
 
 def test_the_probability_of_an_outlier_is_that_of_any_sensor():
-    """Two sensors that have nothing to do with each other are two filters: 1 - (1 - p_1)(1 - p_2)."""
-    both = RobustKalmanFilter(2, 2, noise=Learnt())
+    """Two sensors that are told to have nothing to do with each other are two filters: 1 - (1 - p_1)(1 - p_2)."""
+    both = RobustKalmanFilter(2, 2, noise=Learnt(), grouping=((0,), (1,)))
     each = [RobustKalmanFilter(1, 1, noise=Learnt()) for _ in range(2)]
     both.H, both.Q = np.eye(2), 0.01 * np.eye(2)
     for kf in each:

@@ -5,8 +5,9 @@ import warnings
 
 import numpy as np
 import pytest
+from filterpy.kalman import MerweScaledSigmaPoints
 
-from robust_filterpy import AdaptiveKalmanFilter, filter_series
+from robust_filterpy import AdaptiveKalmanFilter, RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter, filter_series
 from robust_filterpy.filters import StuckSensorWarning
 
 
@@ -58,6 +59,43 @@ def test_a_stuck_sensor_is_named_once_at_the_users_line(way, m):
     assert f"sensor {m - 1} is stuck" in str(one.message) and one.filename == __file__
     assert ("step 141" in str(one.message)) == (way is WAYS["recording"])
     assert ("series 1" in str(one.message)) == (way is WAYS["series"])
+
+
+def extended():
+    kf = RobustExtendedKalmanFilter(1, 1, noise="learnt")
+    return kf, lambda z: kf.update(z, lambda x: np.exp(x).reshape(1, 1), np.exp)
+
+
+def unscented():
+    points = MerweScaledSigmaPoints(1, 0.5, 2.0, 2.0)
+    kf = RobustUnscentedKalmanFilter(1, 1, 1.0, np.exp, lambda x, dt: x, points, noise="learnt")
+    return kf, kf.update
+
+
+def test_a_stuck_sensor_among_those_that_are_named_to_fail_together_is_seen():
+    zs, kf = recording(np.random.default_rng(1), 3), AdaptiveKalmanFilter(1, 3, grouping=((0, 1, 2),))
+    kf.H, kf.Q, kf.R = np.ones((3, 1)), 1e-4 * np.eye(1), np.eye(3)
+    with pytest.warns(StuckSensorWarning, match="sensor 2 is stuck"):
+        assert abs(kf.batch_filter(zs)[0][159]).item() < 0.5
+
+
+@pytest.mark.parametrize("build", [extended, unscented])
+def test_a_stuck_sensor_of_a_nonlinear_filter_is_named_and_says_nothing(build):
+    kf, update = build()
+    kf.x, kf.P, kf.Q, kf.R = np.array([1.0]), 0.1 * np.eye(1), 1e-5 * np.eye(1), 0.01 * np.eye(1)
+    zs = np.exp(1.0) + 0.1 * np.random.default_rng(3).normal(size=200)
+    zs[140:160] = 9.0
+    weights = []
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        for z in zs:
+            kf.predict()
+            update(np.array([z]))
+            weights.append(kf.weights[0])
+    (one,) = [w for w in found if w.category is StuckSensorWarning]
+    assert "sensor 0 is stuck" in str(one.message)
+    assert (np.flatnonzero(np.array(weights) == 0.0) == np.arange(141, 160)).all()
+    assert abs(kf.x[0] - 1.0) < 0.05
 
 
 @pytest.mark.filterwarnings("error::robust_filterpy.filters.StuckSensorWarning")

@@ -504,12 +504,26 @@ def test_a_bad_row_costs_one_row_and_a_bad_state_one_key():
     pd.testing.assert_frame_equal(expected[["x0", "std0"]], found.loc[good.index, ["x0", "std0"]])
 
 
-def test_a_table_that_was_shuffled_can_be_sorted():
+def test_a_table_may_be_shuffled_and_have_rows_without_a_time():
     model = FilterModel(FILTERS["linear"](), measurements=["z"], time="t")
     table = fleet()
     shuffled = table.sample(frac=1.0, random_state=1)
-    found = filter_table(shuffled, model, sort=True)
+    found = filter_table(shuffled, model)
     pd.testing.assert_frame_equal(found.sort_index(), filter_table(table, model))
+    # Between 5 and 3 stands a row of no time: the order is looked at across it.
+    gap = pd.DataFrame({"device": "a", "t": [5.0, np.nan, 3.0], "z": [0.1, 0.2, 0.3]})
+    assert filter_table(gap, model)["error"].isna().tolist() == [True, False, True]
+
+
+@pytest.mark.parametrize("zone", [None, "Europe/Berlin"])
+def test_an_error_names_instants_as_instants(zone):
+    model = FilterModel(FILTERS["linear"](), measurements=["z"], time="t")
+    when = pd.to_datetime(["2024-03-01 10:00:00.0", "2024-03-01 09:59:59.5"]).tz_localize("UTC").tz_convert(zone)
+    table = pd.DataFrame({"device": "a", "t": when, "z": [0.1, 0.2]})
+    said = "later than the one at 2024-03-01T10:00:00Z, got 2024-03-01T09:59:59.500000Z, late"
+    assert said in filter_table(table, model, sort=False)["error"][1]
+    texts = table.assign(t=[f"{one}" if zone else f"{one}Z" for one in when])
+    assert said in filter_table(texts, model, sort=False)["error"][1]
 
 
 def test_states_of_devices_that_are_gone_can_be_left_out():

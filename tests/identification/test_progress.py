@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from robust_filterpy import OutputError, RobustKalmanFilter, _progress, identify, tune
+from robust_filterpy import OutputError, RobustKalmanFilter, _progress, estimate_noise, identify, tune
 from robust_filterpy._progress import progress_bar, stage, stages
 from robust_filterpy.experiments import monte_carlo
 from robust_filterpy.identification import ARMAX, StateSpace, select_structure
@@ -35,9 +35,21 @@ def test_identify_says_what_it_is_at_once_it_takes_more_than_two_seconds(structu
 def test_a_fit_of_the_noise_says_what_it_is_at(clock, capsys):
     kf = RobustKalmanFilter(1, 1)
     kf.H[:] = 1.0
-    tune(kf, recorded()[0])
+    found = tune(kf, recorded()[0]).noise
     lines = capsys.readouterr().err.splitlines()
-    assert lines and all(line.startswith("estimate_noise: ") for line in lines)
+    assert lines and all(line.startswith("estimate_noise: ") and "stage" in line for line in lines)
+    found.intervals()
+    assert "intervals: " in capsys.readouterr().err
+
+
+def test_a_fit_of_several_factors_counts_its_stages(monkeypatch):
+    said = []
+    monkeypatch.setattr(_progress._Lines, "stage", lambda self, text: said.append(text))
+    kf = RobustKalmanFilter(2, 2)
+    kf.F, kf.H = np.eye(2), np.eye(2)
+    estimate_noise(kf, np.random.default_rng(1).normal(size=(60, 2)), R="each")
+    counted = [text.partition(",")[0] for text in said]
+    assert list(dict.fromkeys(counted)) == [*(f"stage {k} of 7" for k in range(1, 7)), "last stage"]
 
 
 @pytest.mark.parametrize("progress", [None, False])

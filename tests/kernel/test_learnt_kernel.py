@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from support import random_problem, simulate, with_
 
 from robust_filterpy import kernel
@@ -46,7 +47,7 @@ def test_every_step_is_the_definitions(noise, process, seed, dims):
 
 
 def compare(problem, zs, noise, process):
-    """Take every step by both; return the weights."""
+    """Take every step by both; return the weights, and what is known at the end."""
     F, Q, H, R, m = problem.F, problem.Q, problem.H, problem.R, zs.shape[1]
     copies, memory = side_by_side.start(problem.x[:, 0], problem.P, process), noise.start(m)
     state = begin(copies, memory)
@@ -65,17 +66,28 @@ def compare(problem, zs, noise, process):
         ]  # fmt: skip
         for theirs, mine in pairs:
             np.testing.assert_allclose(mine, theirs, rtol=1e-6, atol=1e-8)
-    return kept.weights
+    return kept.weights, memory
 
 
 def test_a_stuck_sensor_says_nothing_by_both():
     problem = with_(random_problem(3, 2, 2), H=np.eye(2), R=np.eye(2), F=np.eye(2), Q=1e-3 * np.eye(2))
     zs = np.random.default_rng(3).normal(size=(220, 2))
     zs[160:190, 0], zs[170:180, 1] = 70.0, -50.0
-    weights = compare(problem, zs, NoiseClasses(), Scales())
+    weights, _ = compare(problem, zs, NoiseClasses(), Scales())
     stuck = np.zeros((220, 2), dtype=bool)
     stuck[161:190, 0] = stuck[171:180, 1] = True
     np.testing.assert_array_equal(weights == 0.0, stuck)
+
+
+def test_a_colour_and_sensors_that_fail_together_are_learnt_by_both():
+    R = np.diag([1.0, 2.0, 0.5]) + 0.3
+    problem = with_(random_problem(4, 2, 3), H=np.array([[1.0, 0.0], [1.0, 0.5], [1.0, -0.2]]), R=R)
+    rng = np.random.default_rng(4)
+    slow = lfilter([1.0], [1.0, -0.95], rng.normal(size=(150, 3)), axis=0)
+    memory = compare(problem, slow, NoiseClasses(), Scales())[1]
+    assert (memory[:, -9] > 0.45 * memory[:, -8]).all()
+    alike = rng.normal(size=(150, 3)) * np.where(rng.random((150, 1)) < 0.1, 30.0, 1.0)
+    assert (compare(problem, alike, NoiseClasses(), Scales())[1][:, -11] > 0.9).all()
 
 
 def test_what_is_out_of_the_ordinary_is_declined_with_nothing_changed():

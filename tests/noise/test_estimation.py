@@ -65,7 +65,7 @@ def test_the_lowest_of_several_valleys_is_found_within_limits():
 
     lower, upper = np.array([-5.0, -0.5]), np.array([5.0, 5.0])
     starts = np.array([[3.0, 3.0], [-3.0, 2.0], [0.0, 0.0]])
-    found = descend(cost, starts, lower, upper)
+    found = descend(cost, starts, lower, upper, "search")
     best = found.costs.argmin()
     grid = np.stack(np.meshgrid(np.linspace(-5, 5, 1001), np.linspace(-0.5, 5, 551)), axis=-1).reshape(-1, 2)
     assert found.converged[best] and found.points[best, 0] < 0.0

@@ -69,6 +69,13 @@ def test_a_model_fits_a_screen_and_says_no_less(structure):
     assert " ".join(str(model).split()) == " ".join(repr(model).split())
 
 
+def smoother():
+    found = FixedLagSmoother(1, 1, 3)
+    for z in (0.1, 0.2, 500.0, 0.3, 0.1):
+        found.smooth(z)
+    return found
+
+
 def watched():
     fusion = Fusion(constant_velocity(dim=1, q=0.1), {name: Sensor([1.0, 0.0], R=1.0) for name in "ab"}, window=2.0)
     for k in range(40):
@@ -91,6 +98,8 @@ OBJECTS = {
     "sensor": (lambda: Sensor([1.0, 0.0], R=1.0), "delay"),
     "estimate": (lambda: watched().estimate(4.0), "a 0.2, b 0.1"),
     "forecast": (lambda: watched().forecast([4.0, 5.0]), "a, b"),
+    "smoother": (smoother, "x, 3 steps before"),
+    "fresh smoother": (lambda: FixedLagSmoother(2, 1, 3), "2 states, 1 measured, lag 3"),
     "verdict": (lambda: described("biased", since=3.0, size=5.0), "calibrate"),
 }
 

@@ -24,7 +24,7 @@ EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 # library each: tests of their own.
 SNIPPETS = {
     f"{path.stem}-{i}": text
-    for path in sorted(DOCS.glob("*.md"))
+    for path in sorted([*DOCS.glob("*.md"), *DOCS.glob("situations/*.md")])
     if path.name not in ("testing.md", "fleet.md", "adapters.md")
     for i, text in enumerate(re.findall(r"```python\n(.*?)```", path.read_text(encoding="utf-8"), flags=re.S))
 }

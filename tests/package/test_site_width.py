@@ -17,10 +17,17 @@ function clipped(element) {
   }
   return false;
 }
+// Words of a table that a reader does not see before the table is moved: a column that begins at the window's edge.
+function hidden(cell, width) {
+  const place = cell.getBoundingClientRect();
+  const name = cell.textContent.trim().slice(0, 30);
+  return place.width > 0 && place.left > width - 40 && /[a-z]{3}.* .*[a-z]{3}.* .*[a-z]{3}/.test(name);
+}
 function beyond(frame, width) {
   const elements = frame.contentDocument.querySelectorAll("article, article *");
   const reaches = (e) => e.getBoundingClientRect().right > width + 1 && e.offsetWidth > 0;
   const found = [...elements].filter((e) => reaches(e) && !clipped(e));
+  found.push(...[...frame.contentDocument.querySelectorAll("article td")].filter((cell) => hidden(cell, width)));
   return found.slice(0, 3).map((e) => `${e.tagName}.${e.className} ${Math.round(e.getBoundingClientRect().right)}`);
 }
 (async () => {
@@ -55,8 +62,11 @@ def test_the_measure_sees_what_is_too_wide(tmp_path):
     wide = '<div style="width: 900px">wide</div>'
     (tmp_path / "wide.html").write_text(f"<article>{wide}</article>")
     (tmp_path / "fine.html").write_text(f'<article><div style="overflow: auto">{wide}</div></article>')
-    wide, loaded = measured(tmp_path, ["wide.html", "fine.html"], (400, 1100))
-    assert len(wide) == 1 and wide[0].startswith("wide.html at 400") and loaded == [1] * 4
+    cells = f"<td>{'a_long_name' * 8}</td><td>three words beyond</td>"
+    table = f'<article><div style="overflow: auto"><table><tr>{cells}</tr></table></div></article>'
+    (tmp_path / "table.html").write_text(table)
+    wide, loaded = measured(tmp_path, ["wide.html", "fine.html", "table.html"], (400, 1100))
+    assert [text.partition(":")[0] for text in wide] == ["wide.html at 400", "table.html at 400"] and loaded == [1] * 6
 
 
 def test_no_page_is_wider_than_the_window(built_site):

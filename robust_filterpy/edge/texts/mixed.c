@@ -2,7 +2,7 @@
     for (int i = 0; i < N; i++) {
         next.x[i] = 0;
     }
-    if (learnt_correct(N, M, &rule, &s, y, H, model->R, weights, outlying, &likelihood, work) < 0) {
+    if (learnt_correct(N, M, &rule, &s, y, z, H, model->R, weights, outlying, &likelihood, work) < 0) {
         return ${NAME}_SINGULAR;
     }
     check = 0;

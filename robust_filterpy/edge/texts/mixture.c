@@ -43,7 +43,7 @@ ${name}_status ${name}_update(const ${name}_model *model, ${name}_state *state, 
     }
     next = *state;
     s = copies_of(&next);
-    if (learnt_correct(N, M, &rule, &s, z, model->H, model->R, weights, outlying, &likelihood, work) < 0) {
+    if (learnt_correct(N, M, &rule, &s, z, z, model->H, model->R, weights, outlying, &likelihood, work) < 0) {
         return ${NAME}_SINGULAR;
     }
     if (!learnt_merge(N, &rule, &s, next.x, next.P, work)) {

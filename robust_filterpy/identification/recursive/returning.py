@@ -16,7 +16,7 @@ from robust_filterpy.identification.recursive.state import Form, require_plausib
 
 __all__ = ["Returning", "checked"]
 
-# What a user sets, by its name in a state.
+# What a user sets, by its name in a state, and as the user gave it.
 _BY_HAND = {"Q": "Q", "F": "F", "alpha_sq": "forgetting"}
 
 
@@ -61,23 +61,31 @@ class Returning:
         -----
         The continuation is the same to the last bit, for filters that hold x and P themselves. What it has warned of is
         not in a state; a tracker's from before there was a watch in it is watched from here on. Q, F and forgetting are
-        the state's; a warning says so where it was made with others.
+        the state's; a warning says which values they replace where it was made with others.
         """
         before = self._set_by_hand()
         self._go_back(state)
         after = self._set_by_hand()
         other = [
-            word for key, word in _BY_HAND.items() if key in before and not np.array_equal(before[key], after[key])
+            f"{word} of the state, {_given(key, after[key])}, took the place of what was set, "
+            f"{_given(key, before[key])}"
+            for key, word in _BY_HAND.items()
+            if key in before and not np.array_equal(before[key], after[key])
         ]
         if other:
-            names = " and ".join(other)
-            warn(
-                f"{self._name}.restore: {names} of the state took the place of what was set; set it again after restore"
-            )
+            warn(f"{self._name}.restore: {'; '.join(other)}; set it again after restore if yours is to hold")
 
     def reset(self) -> None:
         """Go back to the start: theta, P, Q, R, F and the memory as they were when it was made."""
         self._go_back(self._initial)
+
+
+def _given(key: str, value: Any) -> str:
+    """Return a setting on a line as a user gives it: a number, which may multiply the unit matrix, or an array."""
+    number = 1.0 / np.asarray(value) if key == "alpha_sq" else np.asarray(value)
+    if number.ndim == 2 and np.array_equal(number, number[0, 0] * np.eye(len(number))):
+        number = number[0, 0]
+    return f"{number:.6g}" if number.ndim == 0 else " ".join(_checks.shown(number).split())
 
 
 def checked(

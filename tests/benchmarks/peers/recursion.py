@@ -11,16 +11,16 @@ import numpy as np
 Correction = Callable[[np.ndarray, np.ndarray, np.ndarray, Any, dict], tuple[np.ndarray, np.ndarray]]
 
 
-def filtered(case: Any, correct: Correction, q_scale: float = 1.0) -> np.ndarray:
-    """Return the corrected states of a recording, shape (N, n)."""
+def filtered(case: Any, correct: Correction, q_scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Return the corrected states of a recording and their covariances, shapes (N, n) and (N, n, n)."""
     x, P, memory = case.x0, case.P0, {}
-    path = np.empty((len(case.zs), len(x)))
+    path, covariances = np.empty((len(case.zs), len(x))), np.empty((len(case.zs), len(x), len(x)))
     for k, z in enumerate(case.zs):
         x, P = case.F @ x, case.F @ P @ case.F.T + q_scale * case.Q
         x, P = correct(x, P, z, case, memory)
         P = 0.5 * (P + P.T)
-        path[k] = x
-    return path
+        path[k], covariances[k] = x, P
+    return path, covariances
 
 
 def kalman(x: np.ndarray, P: np.ndarray, y: np.ndarray, H: np.ndarray, R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
