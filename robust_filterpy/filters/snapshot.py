@@ -13,8 +13,6 @@ import numpy as np
 from robust_filterpy import kernel
 from robust_filterpy._checks import Array
 
-__all__ = ["SLOTS", "put_back", "snapshot", "unchanged_if_refused", "whole"]
-
 #: What a robust filter keeps outside __dict__, which filterpy's Saver copies at every epoch and turns into arrays.
 SLOTS: Final = (
     *"_K _S _SI _last _share _updates _y".split(),

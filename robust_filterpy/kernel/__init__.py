@@ -34,7 +34,7 @@ from functools import lru_cache
 from importlib.util import find_spec
 from typing import Any
 
-__all__ = ["available", "missing"]
+__all__ = ["available"]
 
 
 @lru_cache(maxsize=1)
