@@ -351,8 +351,9 @@ def ordinary_size(
     """Return r of each sensor, between what its parity and its changes allow, and what is known with this sample's.
 
     A sensor that a filter follows has no innovations left: r falls until the state is that sensor, its noise included.
-    Only other sensors can tell. Where parity has a colour, r is at least parity's variance over what R says it is, but
-    never raised above 1, so that an offset between two sensors leaves the R that was told.
+    Only other sensors can tell. Where parity has a colour, r is at least parity's variance over what R says it is, as
+    far as there are independent samples of it, but never raised above 1, so that an offset between two sensors leaves
+    the R that was told.
 
     Noise with a lag-one correlation c does not average out: a filter that keeps a part q of what it knew from reading
     to reading is left with (1 + c q) / (1 - c q) times the variance that white noise leaves. It is given that r.
@@ -401,7 +402,7 @@ def ordinary_size(
 
 
 def _note_parity(known: Array, e: float) -> tuple[float, float]:
-    """Note a parity, in place; return its lag-one correlation, 0 while little is known, its variance, at most 1."""
+    """Note a parity, in place; return its lag-one correlation, 0 while little is known, and the least r for that."""
     last, lag, variance, count = known.tolist()
     count += 1.0
     share = max(1.0 / _PARITY_MEMORY, 1.0 / count)
@@ -411,8 +412,12 @@ def _note_parity(known: Array, e: float) -> tuple[float, float]:
     e = min(max(e, -1e100), 1e100)
     lag, variance = lag + share * (e * last - lag), variance + share * (e * e - variance)
     known[:] = e, lag, variance, count
-    tells = count >= _PARITY_SAMPLES and variance > 0.0
-    return min(lag / variance, _MOST_COLOUR) if tells else 0.0, min(max(variance, 1e-8), 1.0)
+    if not (count >= _PARITY_SAMPLES and variance > 0.0):
+        return 0.0, 1.0
+    correlation = min(lag / variance, _MOST_COLOUR)
+    # Samples that depend on each other are worth fewer, against R as it was told, which is worth some too.
+    worth = min(count, _PARITY_MEMORY) * (1.0 - correlation**2) / (1.0 + correlation**2)
+    return correlation, min(max(variance, 1e-8), 1.0) ** (worth / (worth + _PRIOR_R))
 
 
 def _kept(seen: Array, noise: Array) -> Array:

@@ -319,7 +319,11 @@ INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule
         correlation[i] = learnt_note_parity(e, known);
         colour[i] = real_min(real_max((correlation[i] - LEARNT_PARITY_FROM) / LEARNT_PARITY_OVER, 0), 1);
         if (colour[i] > 0) {
-            const real least = real_min(real_max(known[2], REAL(1e-8)), 1);
+            /* Samples that depend on each other are worth fewer, against R as it was told, which is worth begin[1] of them. */
+            const real square = correlation[i] * correlation[i];
+            const real worth = real_min(known[3], LEARNT_PARITY_MEMORY) * (1 - square) / (1 + square);
+            const real sure = worth / (worth + rule->begin[1]);
+            const real least = real_exp(sure * real_log(real_min(real_max(known[2], REAL(1e-8)), 1)));
             r[i] = real_max(r[i], real_exp((1 - colour[i]) * real_log(r[i]) + colour[i] * real_log(least)));
             coloured = 1;
         }
