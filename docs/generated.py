@@ -13,7 +13,7 @@ ROOT = "robust_filterpy"
 # Where a class takes over filterpy's or Python's methods, these are left out.
 FOREIGN = (
     "KalmanFilter, ExtendedKalmanFilter, UnscentedKalmanFilter, CubatureKalmanFilter, EnsembleKalmanFilter, "
-    "FixedLagSmoother, rv_continuous, tuple, dict, Mapping, Exception, object"
+    "FixedLagSmoother, rv_continuous, rv_generic, tuple, dict, Mapping, Exception, object"
 )
 #: A class with so many methods has a page of its own.
 MANY = 5

@@ -354,3 +354,9 @@ def test_a_recording_prints_on_a_screen_with_what_was_said_of_its_sensors():
     day = np.datetime64("2024-05-01T10:00", "ns")
     dated = replace(found, times=day + np.arange(500) * np.timedelta64(200, "ms"), verdicts=())
     assert repr(dated).startswith("Recording(500 stamps, 2024-05-01T10:00:00 to 2024-05-01T10:01:39.8; at the end")
+
+
+def test_a_table_with_a_column_for_each_sensor_is_told_how_to_become_one_of_readings():
+    fusion = Fusion(constant_velocity(1, 0.1), {name: Sensor([1.0, 0.0]) for name in "ab"}, 1.0)
+    with pytest.raises(ValueError, match=r"table: expected the columns \['sensor', 'value'\], .* table\.melt"):
+        fusion.run({"time": [0.0, 1.0], "a": [0.1, 0.2], "b": [0.3, 0.4]})

@@ -7,6 +7,7 @@ from scipy.signal import lfilter
 from robust_filterpy import OutputError, RobustKalmanFilter, _progress, estimate_noise, identify, tune
 from robust_filterpy._progress import progress_bar, stage, stages
 from robust_filterpy.experiments import monte_carlo
+from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
 from robust_filterpy.identification import ARMAX, StateSpace, select_structure
 
 
@@ -50,6 +51,12 @@ def test_a_fit_of_several_factors_counts_its_stages(monkeypatch):
     estimate_noise(kf, np.random.default_rng(1).normal(size=(60, 2)), R="each")
     counted = [text.partition(",")[0] for text in said]
     assert list(dict.fromkeys(counted)) == [*(f"stage {k} of 7" for k in range(1, 7)), "last stage"]
+
+
+def test_a_fusion_that_watches_tells_the_stamp_it_is_at(clock, capsys):
+    table = {"time": np.arange(20.0), "sensor": ["a"] * 20, "value": np.zeros(20)}
+    Fusion(constant_velocity(1, 0.1), {"a": Sensor([1.0, 0.0], R=1.0)}, 1.0, watch=True).run(table)
+    assert "Fusion.run: " in (said := capsys.readouterr().err) and " of 20" in said
 
 
 @pytest.mark.parametrize("progress", [None, False])
