@@ -20,6 +20,7 @@ from robust_filterpy.identification.estimation.prediction_error import Optimum, 
 from robust_filterpy.identification.estimation.starts import (
     Start,
     autocorrelation_start,
+    bounded_mean,
     disturbance_start,
     output_error_starts,
     regression_start,
@@ -202,6 +203,8 @@ def _searched(
             stage(f"{int((outliers.wrong & ~missing).sum())} outliers taken for missing, search again")
         found, _ = _maximised(model, p, noise, outliers, _FEW_MAXIMISATIONS, limits)
         p, noise = found.p, found.noise
+        if np.isnan(noise.R):
+            break
         again = found_outliers(model, p, missing, noise, outliers)
         settled = np.array_equal(again.wrong, outliers.wrong)
         outliers = again
@@ -223,6 +226,9 @@ def _maximised(
     for _ in range(turns):
         full = completed(model, p, outliers.wrong, weights)
         clear = full.conditioned & ~touched(outliers.wrong, response(model, p), model.first)
+        if not (clear.any() or (noise.known and not isinstance(noise.influence, Contaminated))):
+            # Outliers are in every residual: nothing shows the noise, and the search from another start goes on.
+            return Optimum(p, replace(noise, R=np.nan), full.residuals(p), False), full
         found = minimised(full, p, noise, full.conditioned, clear, _STEPS_BETWEEN, limits)
         moved = np.linalg.norm(found.residual - full.residuals(p))
         p, noise, weights = found.p, found.noise, found.noise.weights(found.residual)
@@ -315,15 +321,13 @@ def _starts(model: PolynomialModel, missing: Any, noise: Noise) -> Iterator[Star
     if model.structure.polynomials == simple.structure.polynomials:
         yield from starts
         return
-    best = _best_of(simple, missing, noise, starts)
+    best = _best_of(simple, missing, starts)
     yield Start("output-error model", model.from_output_error(simple.parts(best)))
     if model.nf + model.nd:
-        yield from _whitened_starts(model, simple, best, missing, noise)
+        yield from _whitened_starts(model, simple, best, missing)
 
 
-def _whitened_starts(
-    model: PolynomialModel, simple: PolynomialModel, p: Array, missing: Any, noise: Noise
-) -> Iterator[Start]:
+def _whitened_starts(model: PolynomialModel, simple: PolynomialModel, p: Array, missing: Any) -> Iterator[Start]:
     """Yield starts of a model with a disturbance, from output-error models of whitened signals."""
     known = ~missing[simple.first :]
     q = model.from_output_error(simple.parts(p))
@@ -337,14 +341,14 @@ def _whitened_starts(
         y, u = (lfilter(polynomial, [1.0], signal, axis=0)[first:] for signal in (simple.y, simple.u))
         gaps = np.convolve(missing, np.ones(first + 1))[first : missing.size] > 0.5
         filtered = PolynomialModel(simple.structure, y, u, simple.offset, simple.moving)
-        q = _best_of(filtered, gaps, noise, output_error_starts(filtered, ~gaps[filtered.first :]))
+        q = _best_of(filtered, gaps, output_error_starts(filtered, ~gaps[filtered.first :]))
         q[simple.structure.n_theta :] = 0.0
         if model.offset:
             q[simple.structure.n_theta] = np.median(simple.equation_error(q)[known])
         yield disturbance_start(name, model, model.from_output_error(simple.parts(q)), known)
 
 
-def _best_of(model: PolynomialModel, missing: Any, noise: Noise, starts: Iterator[Start]) -> Array:
-    """Return the free parameters of the best end from some starts."""
-    ends = [_searched(model, start.p, noise, missing, (start.name,), 1) for start in starts]
-    return _best_first(model, missing, ends)[0].end.p
+def _best_of(model: PolynomialModel, missing: Any, starts: Iterator[Start]) -> Array:
+    """Return the free parameters of the best of some starts as they are: another search goes on from there."""
+    known = ~missing[model.first :]
+    return min((start.p for start in starts), key=lambda p: bounded_mean(model.residuals(p)[known]))
