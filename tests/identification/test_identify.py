@@ -466,11 +466,11 @@ def test_a_search_in_which_outliers_touch_every_residual_ends_without_numpys_war
 @pytest.mark.parametrize("structure", [OutputError(2, 2), ARX(2, 2)])
 def test_an_output_in_a_unit_that_cannot_be_squared_is_refused(structure):
     y, u = output_error_data(length=300)
-    with pytest.raises(ValueError, match="up to 1e.100 in size, got 300 larger ones; take another unit"):
+    with pytest.raises(ValueError, match=r"up to 1e.100 in size, got 300 larger ones; take another unit"):
         identify(1e200 * y, u, structure)
 
 
 @pytest.mark.parametrize("y, R", [([1.0] * 99 + [10**400], None), ([1.0] * 100, 10**400)])
 def test_an_integer_beyond_all_floats_is_refused_in_words(y, R):
-    with pytest.raises(ValueError, match="expected numbers up to 1.8e308 in size, got"):
+    with pytest.raises(ValueError, match=r"expected numbers up to 1.8e308 in size, got"):
         identify(y, np.ones(100), FIR(1), R=R)
