@@ -321,13 +321,15 @@ def _starts(model: PolynomialModel, missing: Any, noise: Noise) -> Iterator[Star
     if model.structure.polynomials == simple.structure.polynomials:
         yield from starts
         return
-    best = _best_of(simple, missing, starts)
+    best = _best_of(simple, missing, noise, starts, searched=bool(model.structure.nc + model.structure.nd + model.nf))
     yield Start("output-error model", model.from_output_error(simple.parts(best)))
     if model.nf + model.nd:
-        yield from _whitened_starts(model, simple, best, missing)
+        yield from _whitened_starts(model, simple, best, missing, noise)
 
 
-def _whitened_starts(model: PolynomialModel, simple: PolynomialModel, p: Array, missing: Any) -> Iterator[Start]:
+def _whitened_starts(
+    model: PolynomialModel, simple: PolynomialModel, p: Array, missing: Any, noise: Noise
+) -> Iterator[Start]:
     """Yield starts of a model with a disturbance, from output-error models of whitened signals."""
     known = ~missing[simple.first :]
     q = model.from_output_error(simple.parts(p))
@@ -341,14 +343,19 @@ def _whitened_starts(model: PolynomialModel, simple: PolynomialModel, p: Array, 
         y, u = (lfilter(polynomial, [1.0], signal, axis=0)[first:] for signal in (simple.y, simple.u))
         gaps = np.convolve(missing, np.ones(first + 1))[first : missing.size] > 0.5
         filtered = PolynomialModel(simple.structure, y, u, simple.offset, simple.moving)
-        q = _best_of(filtered, gaps, output_error_starts(filtered, ~gaps[filtered.first :]))
+        q = _best_of(filtered, gaps, noise, output_error_starts(filtered, ~gaps[filtered.first :]))
         q[simple.structure.n_theta :] = 0.0
         if model.offset:
             q[simple.structure.n_theta] = np.median(simple.equation_error(q)[known])
         yield disturbance_start(name, model, model.from_output_error(simple.parts(q)), known)
 
 
-def _best_of(model: PolynomialModel, missing: Any, starts: Iterator[Start]) -> Array:
-    """Return the free parameters of the best of some starts as they are: another search goes on from there."""
-    known = ~missing[model.first :]
-    return min((start.p for start in starts), key=lambda p: bounded_mean(model.residuals(p)[known]))
+def _best_of(
+    model: PolynomialModel, missing: Any, noise: Noise, starts: Iterator[Start], searched: bool = True
+) -> Array:
+    """Return the free parameters of the best end from some starts; unsearched of the best start as it is."""
+    if not searched:
+        known = ~missing[model.first :]
+        return min((start.p for start in starts), key=lambda p: bounded_mean(model.residuals(p)[known]))
+    ends = [_searched(model, start.p, noise, missing, (start.name,), 1) for start in starts]
+    return _best_first(model, missing, ends)[0].end.p
