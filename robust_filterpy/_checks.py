@@ -21,6 +21,7 @@ ROUNDING = 1e-15
 # np.asarray(.., float) silently accepts text, dates and durations.
 _NO_NUMBERS = "cmMSU"
 _NO_NUMBER = (str, bytes, np.datetime64, np.timedelta64)
+_TOO_LARGE = "{}: expected numbers up to 1.8e308 in size, got {}"
 
 
 def shown(value: Any) -> str:
@@ -67,6 +68,8 @@ def real(name: str, value: Any) -> float:
         raise TypeError(f"{name}: expected a number, got {shown(value)}")
     try:
         return float(value)
+    except OverflowError:
+        raise ValueError(_TOO_LARGE.format(name, shown(value))) from None
     except (TypeError, ValueError):
         raise TypeError(f"{name}: expected a number, got {shown(value)}") from None
 
@@ -110,6 +113,8 @@ def numbers(name: str, value: Any) -> Array:
         raise TypeError(f"{name}: expected real numbers, got {shown(value)}") from None
     try:
         return np.asarray(value, dtype=float)
+    except OverflowError:
+        raise ValueError(_TOO_LARGE.format(name, shown(value))) from None
     except (TypeError, ValueError):
         raise TypeError(f"{name}: expected real numbers, got {shown(value)}") from None
 

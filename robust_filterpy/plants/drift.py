@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -81,12 +82,12 @@ def random_walk(
         return np.vstack((theta0, theta0 + np.cumsum(w, axis=0)))
     path = np.empty((n, p))
     path[0] = theta0
-    for k in range(n - 1):
-        with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(n - 1):
             step = (path[k] if transition is None else transition @ path[k]) + w[k]
-        if not np.isfinite(step).all():
-            raise ValueError(f"C: the path overflows at row {k + 1}; C has an eigenvalue outside the unit circle")
-        path[k + 1] = step if accept is None or accept(step.copy()) else path[k]
+            if transition is not None and not np.isfinite(step).all():
+                raise ValueError(f"C: the path overflows at row {k + 1}; C has an eigenvalue outside the unit circle")
+            path[k + 1] = step if accept is None or accept(step.copy()) else path[k]
     return path
 
 
@@ -136,7 +137,12 @@ class _PolesInside:
         theta = finite_vector("theta", theta)
         if theta.size < self.na:
             raise ValueError(f"theta: expected at least na={self.na} entries, got {theta.size}")
-        return is_stable((theta[: self.na] / self.radius ** np.arange(1, self.na + 1)).tolist())
+        return is_stable((theta[: self.na] / self._powers).tolist())
+
+    @cached_property
+    def _powers(self) -> Array:
+        """What takes the circle to that of radius 1."""
+        return np.asarray(self.radius ** np.arange(1, self.na + 1), dtype=float)
 
 
 def _square(name: str, value: ArrayLike, p: int) -> Array:

@@ -449,3 +449,28 @@ def test_an_output_that_is_slower_than_the_input_is_refused_where_outputs_are_re
     y[np.arange(600) % every > 0] = np.nan
     with pytest.raises(ValueError, match=r"^y: expected somewhere 3 measured samples in a row"):
         identify(y, u, structure)
+
+
+def test_a_search_in_which_outliers_touch_every_residual_ends_without_numpys_warnings():
+    rng = np.random.default_rng(5)
+    poles = np.concatenate((1.02 * np.exp([0.5j, -0.5j]), rng.uniform(0.3, 0.8, 18)))
+    a, u = np.real(np.poly(poles)), rng.choice([-1.0, 1.0], 600)
+    y = lfilter([0.0, *rng.normal(size=20)], a, u) + rng.normal(size=600)
+    y += np.where(rng.random(600) < 0.3, 10.0 * np.std(y), 0.0) * rng.normal(size=600)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        warnings.simplefilter("ignore", UserWarning)
+        assert np.isfinite(identify(y, u, ARX(20, 20)).theta).all()
+
+
+@pytest.mark.parametrize("structure", [OutputError(2, 2), ARX(2, 2)])
+def test_an_output_in_a_unit_that_cannot_be_squared_is_refused(structure):
+    y, u = output_error_data(length=300)
+    with pytest.raises(ValueError, match=r"up to 1e.100 in size, got 300 larger ones; take another unit"):
+        identify(1e200 * y, u, structure)
+
+
+@pytest.mark.parametrize("y, R", [([1.0] * 99 + [10**400], None), ([1.0] * 100, 10**400)])
+def test_an_integer_beyond_all_floats_is_refused_in_words(y, R):
+    with pytest.raises(ValueError, match=r"expected numbers up to 1.8e308 in size, got"):
+        identify(y, np.ones(100), FIR(1), R=R)

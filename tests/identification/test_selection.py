@@ -228,6 +228,33 @@ def test_what_is_taken_is_not_below_the_best_on_samples_held_out():
     assert said
 
 
+def actuator(seed, length=1024):
+    """Return input and pressure of an actuator with a valve that has a dead zone and saturates, and a springy arm."""
+    rng = np.random.default_rng([seed, 1])
+    times = rng.integers(1, 41, length)
+    u, p, x, v, y = np.repeat(rng.uniform(-1.0, 1.0, length), times)[:length], 0.0, 0.0, 0.0, np.empty(length)
+    for k in range(length):
+        y[k] = p
+        opened = np.clip(np.sign(u[k]) * max(abs(u[k]) - 0.15, 0.0), -0.6, 0.6)
+        for _ in range(5):
+            p += 0.05 * (6.0 * opened * np.sqrt(max(4.0 - np.sign(opened) * p, 0.0)) - 6.0 * v - 0.4 * p)
+            v += 0.05 * (p - 2.0 * x - 0.3 * v)
+            x += 0.05 * v
+    return y + 0.05 * np.random.default_rng([seed, 3]).normal(size=length), u
+
+
+def test_a_model_that_a_part_of_the_recording_does_not_confirm_is_not_taken():
+    # The criterion takes a fourth order whose slow pole fits the drift of this recording, and nothing of the next.
+    y, u = actuator(102)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        found = select_structure(y[:512], u[:512], na=[1, 3, 4], nk=[1, 3])
+        likeliest = identify(y[:512], u[:512], OutputError(4, 4))
+    assert likeliest.fit(y[512:], u[512:]) < 30.0
+    assert found.best.fit(y[512:], u[512:]) > 60.0
+    assert len({row.held_out_fit for row in found.rows}) > 1
+
+
 def test_a_fit_that_nobody_asked_for_is_a_dash_in_the_table():
     found = select_structure(*recorded(), na=range(1, 3), nk=[3, 4])
     untried = next(i for i, row in enumerate(found.rows) if np.isnan(row.held_out_fit))

@@ -188,3 +188,20 @@ def test_responses_are_drawn_and_tabled_and_the_model_reduced():
     assert model.reduced(2).nstates == 2
     with pytest.raises(ValueError, match="1 to 3 states"):
         model.reduced(4)
+
+
+@pytest.mark.parametrize("structure", [StateSpace(2), StateSpace(2, feedthrough=True, disturbance=True)])
+def test_a_summary_has_every_entry_with_what_was_found_beside(structure):
+    y, u = recorded(5, samples=300)
+    y[50:60, 0] = np.nan
+    model = identify(y, u, structure)
+    summary = model.summary(0.9)
+    rows = {row.name: row for row in summary.rows}
+    assert len(rows) == model.theta.size + 2
+    assert rows["B[1,0]"].estimate == model.B[1, 0] and rows["level[1]"].estimate == model.level[1]
+    assert ("K[0,1]" in rows) == ("D[0,1]" in rows) == structure.disturbance
+    assert rows["A[0,0]"].std == np.sqrt(model.P[0, 0]) and rows["level[0]"].std == model.level_std[0]
+    width = (rows["C[0,0]"].upper - rows["C[0,0]"].lower) / (model.confidence_intervals().upper - model.theta)[8]
+    assert width == pytest.approx(2.0 * 1.6449 / 1.96, rel=1e-3)
+    assert summary.facts["Samples"] == "590 of 600"
+    assert "Noise, output 1" in str(summary) and len(summary.to_frame()) == len(rows)

@@ -20,6 +20,7 @@ from robust_filterpy.identification.estimation.prediction_error import Optimum, 
 from robust_filterpy.identification.estimation.starts import (
     Start,
     autocorrelation_start,
+    bounded_mean,
     disturbance_start,
     output_error_starts,
     regression_start,
@@ -202,6 +203,8 @@ def _searched(
             stage(f"{int((outliers.wrong & ~missing).sum())} outliers taken for missing, search again")
         found, _ = _maximised(model, p, noise, outliers, _FEW_MAXIMISATIONS, limits)
         p, noise = found.p, found.noise
+        if np.isnan(noise.R):
+            break
         again = found_outliers(model, p, missing, noise, outliers)
         settled = np.array_equal(again.wrong, outliers.wrong)
         outliers = again
@@ -223,6 +226,9 @@ def _maximised(
     for _ in range(turns):
         full = completed(model, p, outliers.wrong, weights)
         clear = full.conditioned & ~touched(outliers.wrong, response(model, p), model.first)
+        if not (clear.any() or (noise.known and not isinstance(noise.influence, Contaminated))):
+            # Outliers are in every residual: nothing shows the noise, and the search from another start goes on.
+            return Optimum(p, replace(noise, R=np.nan), full.residuals(p), False), full
         found = minimised(full, p, noise, full.conditioned, clear, _STEPS_BETWEEN, limits)
         moved = np.linalg.norm(found.residual - full.residuals(p))
         p, noise, weights = found.p, found.noise, found.noise.weights(found.residual)
@@ -315,7 +321,7 @@ def _starts(model: PolynomialModel, missing: Any, noise: Noise) -> Iterator[Star
     if model.structure.polynomials == simple.structure.polynomials:
         yield from starts
         return
-    best = _best_of(simple, missing, noise, starts)
+    best = _best_of(simple, missing, noise, starts, searched=bool(model.structure.nc + model.structure.nd + model.nf))
     yield Start("output-error model", model.from_output_error(simple.parts(best)))
     if model.nf + model.nd:
         yield from _whitened_starts(model, simple, best, missing, noise)
@@ -344,7 +350,12 @@ def _whitened_starts(
         yield disturbance_start(name, model, model.from_output_error(simple.parts(q)), known)
 
 
-def _best_of(model: PolynomialModel, missing: Any, noise: Noise, starts: Iterator[Start]) -> Array:
-    """Return the free parameters of the best end from some starts."""
+def _best_of(
+    model: PolynomialModel, missing: Any, noise: Noise, starts: Iterator[Start], searched: bool = True
+) -> Array:
+    """Return the free parameters of the best end from some starts; unsearched of the best start as it is."""
+    if not searched:
+        known = ~missing[model.first :]
+        return min((start.p for start in starts), key=lambda p: bounded_mean(model.residuals(p)[known]))
     ends = [_searched(model, start.p, noise, missing, (start.name,), 1) for start in starts]
     return _best_first(model, missing, ends)[0].end.p

@@ -25,6 +25,7 @@ from robust_filterpy.influence.regression import mad_scale, robust_regression
 __all__ = [
     "Start",
     "autocorrelation_start",
+    "bounded_mean",
     "disturbance_start",
     "output_error_starts",
     "regression_start",
@@ -56,6 +57,11 @@ class Start(NamedTuple):
 
     name: str
     p: Array
+
+
+def bounded_mean(residual: Array) -> float:
+    """Return the mean size of residuals, none larger than three standard deviations of ordinary ones."""
+    return float(np.minimum(np.abs(residual), 3.0 * mad_scale(residual)).mean())
 
 
 def regression_start(model: PolynomialModel, rows: Any) -> Start:
@@ -270,8 +276,7 @@ def _steiglitz_mcbride(model: PolynomialModel, rows: Any, y: Array, f: Array) ->
             X[:, place.start + j - 1] = -np.concatenate((np.zeros(j), filtered[:-j]))[model.first :]
         f = _stabilised(np.concatenate(([1.0], lstsq(X, filtered[model.first :])[0][place])))
         p = _refitted(model, rows, f)
-        residual = np.abs(model.residuals(p)[rows])
-        mean = float(np.minimum(residual, 3.0 * mad_scale(residual)).mean())
+        mean = bounded_mean(model.residuals(p)[rows])
         if mean < least:
             best, least = p, mean
     return best

@@ -95,8 +95,9 @@ def select_structure(
     held_out : float, optional
         Share of the recording, at its end, in [0, 0.5], that the structures are compared without: what fits it worse by
         more than 1 than another, by models of the part before, is not taken, whatever its criterion. Default: the
-        criterion is of the whole recording, and the best of each size are tried again on the last quarter without it;
-        of fewer than 400 samples, or with 0, the criterion alone decides.
+        criterion is of the whole recording, and the best of each size are tried again on the last quarter without it,
+        and must stay the models that they are with it; of fewer than 400 samples, or with 0, the criterion alone
+        decides.
     progress : bool, optional
         Show a progress bar (tqdm) on standard error: True always, False never, None from 2 s on; where that is no
         terminal, None writes a line now and then instead.
@@ -125,7 +126,9 @@ def select_structure(
     excite a long impulse response, all delays are tried with all orders.
 
     The criterion takes the plant for linear and the noise for one that the structure can have. Where they are not, it
-    buys parameters that other samples do not confirm; so the part held out has the last word.
+    buys parameters that other samples do not confirm; so the part held out has the last word. It is simulated from
+    where the part before ended. The model of the whole recording must not be further from the model of the part than
+    that is from what was measured.
 
     References
     ----------
@@ -185,9 +188,10 @@ def _ranked(rows: tuple[Candidate, ...], late: dict[Structure, float]) -> tuple[
     chosen = next(row for row in rows if row.held_out_fit >= max(fits) - _BEHIND)
     if chosen is not rows[0]:
         warn(
-            f"select_structure: the criterion would take {rows[0].structure}, which fits the samples held out by "
-            f"{rows[0].held_out_fit:.0f} %; {chosen.structure} fits them by {chosen.held_out_fit:.0f} % and is taken: "
-            "the plant is not linear, or changes, or has a noise that these structures have not; see validate"
+            f"select_structure: the criterion would take {rows[0].structure}, of which a part of the recording tells "
+            f"so little of the rest that it fits new samples by {rows[0].held_out_fit:.0f} %; {chosen.structure} fits "
+            f"them by {chosen.held_out_fit:.0f} % and is taken: the plant is not linear, or changes, or has a noise "
+            "that these structures have not; see validate"
         )
     return (chosen, *(row for row in rows if row is not chosen))
 
@@ -196,10 +200,11 @@ class _Tried(NamedTuple):
     """A row of the table without its fits, and the signals that these are computed from."""
 
     row: Candidate
+    model: Model
     residual: Array
     output: Array
     held_out: tuple[Array, Array] | None
-    """Residual and output of the part that was held out."""
+    """Residual of the part that was held out, and the output that goes on from where the part before ended."""
 
 
 class _Comparison:
@@ -240,8 +245,13 @@ class _Comparison:
         b = [structure.polynomials.b[i].start for i, _, _ in acting]
         shows_delay = bool((model.theta[b] ** 2 > price * model.P.diagonal()[b]).all())
         row = Candidate(structure, value, float("nan"), likelihood, shows_delay)
-        held_out = None if self.rest is None else _signals(model, self.rest[0], self.rest[1] if acting else None)
-        self.tried[orders] = _Tried(row, residual, output, held_out)
+        held_out = None
+        if self.rest is not None:
+            held_out = _signals(model, self.rest[0], self.rest[1] if acting else None)
+            if acting:
+                # Told its motion anew, a pole next to the unit circle would fit any drift.
+                held_out = held_out[0], np.asarray(model.simulate(self.rest[1], start="continued"))
+        self.tried[orders] = _Tried(row, model, residual, output, held_out)
         self.bar.update()
 
     def _log_likelihood(self, residual: Array) -> float:
@@ -253,7 +263,11 @@ class _Comparison:
         return model.log_likelihood - 0.5 * THRESHOLDS[1] ** 2 * int((model.weights == 0.0).sum())
 
     def tried_on_rest(self, kept: int) -> dict[Structure, float]:
-        """Return how models of the first samples fit the others: the best structure of each number of parameters."""
+        """Return how the best structure of each number of parameters fits what it has not seen, in percent.
+
+        The model of the first samples misses some of the others, and the model of all samples is another one. Where it
+        is further away than that, a part of the recording does not confirm it: it may fit all of it and nothing else.
+        """
         part = _Comparison(self.grid, self.y, self.u, self.criterion, kept, self.bar)
         sizes: set[int] = set()
         for orders in sorted(self.tried, key=lambda orders: self.tried[orders].row.rank):
@@ -263,18 +277,38 @@ class _Comparison:
                 # A part may tell too little of a structure that the whole tells of.
                 with suppress(ValueError):
                     part.try_out(orders)
-        rows = part.rows() if part.tried else ()
-        return {row.structure: row.held_out_fit for row in rows if math.isfinite(row.held_out_fit)}
+        found = {}
+        for row in part.rows() if part.tried else ():
+            orders = next(orders for orders, one in part.tried.items() if one.row.structure == row.structure)
+            apart = part.apart(self.tried[orders].model, part.tried[orders].model)
+            if not math.isfinite(row.held_out_fit + apart):
+                continue
+            found[row.structure] = min(row.held_out_fit, 100.0 - apart)
+        return found
+
+    def apart(self, one: Model, other: Model) -> float:
+        """Return how far two models are apart in the part held out, in percent of what y varies there."""
+        if self.rest is None or not one.structure.n_inputs:
+            return 0.0
+        u = np.concatenate((self.u, self.rest[1]))
+        difference = (one.simulate(u) - other.simulate(u))[self.y.size :]
+        difference -= difference.mean()
+        return 100.0 - ordinary_fit(self.rest[0], self.rest[0] - difference, self.late)
+
+    @property
+    def late(self) -> Any:
+        """The ordinary samples of the part held out, by the model that misses them least."""
+        residuals = [one.held_out[0] for one in self.tried.values() if one.held_out is not None]
+        return ordinary_samples(min(residuals, key=lambda e: float(np.nanmedian(np.abs(e)))))
 
     def rows(self) -> tuple[Candidate, ...]:
         """Return the table; the ordinary samples are those of the best model."""
         best = self.tried[self.best]
         ordinary, y = ordinary_samples(best.residual), self.y[self.grid.first :]
-        rows = []
-        for row, _, output, held_out in self.tried.values():
+        late, rows = None if self.rest is None else self.late, []
+        for row, _, _, output, held_out in self.tried.values():
             row = row._replace(fit=ordinary_fit(y, output, ordinary))
-            if self.rest is not None and held_out is not None and best.held_out is not None:
-                late = ordinary_samples(best.held_out[0])
+            if self.rest is not None and held_out is not None:
                 row = row._replace(held_out_fit=ordinary_fit(self.rest[0], held_out[1], late))
             rows.append(row)
         return tuple(sorted(rows, key=lambda row: row.rank))

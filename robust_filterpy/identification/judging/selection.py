@@ -40,8 +40,9 @@ class Candidate(NamedTuple):
         Whether the first b is as many standard deviations from 0 as the criterion asks of a further parameter. Without
         it the delay of the structure is shorter than the recording shows.
     held_out_fit : float
-        Fit on the ordinary samples of the part that was held out, by the model of the part before, of the best
-        structure of its size or, with ``held_out``, of each; NaN else.
+        Fit on the ordinary samples of the part that was held out, by the model of the part before; NaN where that was
+        not tried. Without ``held_out=`` it is of the best structure of each size, and no better than the fit of the two
+        models, that of the part and that of the whole recording, to each other.
     """
 
     structure: Structure

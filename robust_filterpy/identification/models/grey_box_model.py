@@ -18,7 +18,7 @@ from robust_filterpy.identification.models.grey_box_recording import Checked, gr
 from robust_filterpy.identification.models.grey_box_residuals import GreyRecording, GreyResiduals
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.noise_of_outputs import Noises
-from robust_filterpy.identification.models.summary import Summary, summarized
+from robust_filterpy.identification.models.summary import Summary, facts_of_outputs, summarized
 from robust_filterpy.influence.regression import robust_regression
 
 __all__ = ["GreyBoxModel"]
@@ -85,12 +85,7 @@ class GreyBoxModel(Estimated):
 
     def _summarized(self, level: float) -> Summary:
         """Return the table, with what was found beside the parameters."""
-        known = int((~np.isnan(self.weights)).sum())
-        facts = {"Samples": f"{known} of {self.weights.size}", "Log-likelihood": f"{self.log_likelihood:.1f}"}
-        for j, one in enumerate(self.noise):
-            share = getattr(one.influence, "contamination", None)
-            beside = "" if share is None else f", {100 * share:.1f} % wild"
-            facts[f"Noise, output {j}"] = f"{np.sqrt(one.R):.4g}{beside}"
+        facts = facts_of_outputs(self.weights, self.log_likelihood, self.noise)
         names = self.structure.free_names
         return summarized("GreyBox", facts, names, self.theta, self.std, level, self.warning, said(self.findings))
 

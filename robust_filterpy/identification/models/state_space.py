@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
-from robust_filterpy._brief import wrapped
 from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import fill_values
 from robust_filterpy.identification.models.beginnings import held_input
+from robust_filterpy.identification.models.estimated import Estimated
 from robust_filterpy.identification.models.findings import Finding, said
 from robust_filterpy.identification.models.fit import fit_percent
 from robust_filterpy.identification.models.learnt_noise import Noise
@@ -21,6 +21,7 @@ from robust_filterpy.identification.models.signals import measured_outputs, reco
 from robust_filterpy.identification.models.state_space_residuals import StateSpaceResiduals
 from robust_filterpy.identification.models.state_space_structure import Signals, StateSpace
 from robust_filterpy.identification.models.state_space_system import StateSpaceSystem
+from robust_filterpy.identification.models.summary import Summary, facts_of_outputs, summarized
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording, table
 from robust_filterpy.influence.regression import robust_regression
 
@@ -28,7 +29,7 @@ __all__ = ["StateSpaceModel"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class StateSpaceModel(StateSpaceSystem):
+class StateSpaceModel(StateSpaceSystem, Estimated):
     """x(k+1) = A x + B u + K e, y = C x + D u + level + e, in a balanced basis, as `identify` found it.
 
     Attributes
@@ -97,9 +98,16 @@ class StateSpaceModel(StateSpaceSystem):
             + doubt
         )
 
-    def __str__(self) -> str:
-        """Return what `repr` says, on lines that a screen holds."""
-        return wrapped(repr(self))
+    def _summarized(self, level: float) -> Summary:
+        """Return the table of all entries and the levels, with what was found beside them."""
+        facts = facts_of_outputs(self.weights, self.log_likelihood, self.noise)
+        facts["Largest pole"] = f"{np.abs(np.linalg.eigvals(self.A)).max():.4g}"
+        if self.dt is not None:
+            facts["Sampling period"] = f"{self.dt:.6g} s"
+        names = tuple(f"{name}[{i},{j}]" for name, part in self._parts.items() for i, j in np.ndindex(part.shape))
+        names += tuple(f"level[{j}]" for j in range(self.level.size))
+        theta, std = np.append(self.theta, self.level), np.append(self.std, self.level_std)
+        return summarized(str(self.structure), facts, names, theta, std, level, self.warning, said(self.findings))
 
     @property
     def R(self) -> Array:

@@ -35,9 +35,14 @@ class StateSpaceSystem(Banded):
     @property
     def theta(self) -> Array:
         """All entries of A, B, C, and D and K if there are any, shape (s,)."""
-        parts = [self.A, self.B, self.C]
-        parts += [self.D] * self.structure.feedthrough + [self.K] * self.structure.disturbance
-        return np.concatenate([part.ravel() for part in parts])
+        return np.concatenate([part.ravel() for part in self._parts.values()])
+
+    @property
+    def _parts(self) -> dict[str, Array]:
+        """The matrices that are estimated, by name, in the order of theta."""
+        parts = {"A": self.A, "B": self.B, "C": self.C}
+        parts |= {"D": self.D} if self.structure.feedthrough else {}
+        return parts | ({"K": self.K} if self.structure.disturbance else {})
 
     def to_control(self, dt: Any = "recorded") -> control.StateSpace:
         """Return the way from u to y.

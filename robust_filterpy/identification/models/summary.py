@@ -8,10 +8,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from robust_filterpy._checks import Array
+from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.results import intervals
 from robust_filterpy.identification.models.time_axis import table
 
-__all__ = ["Estimate", "Summary", "summarized"]
+__all__ = ["Estimate", "Summary", "facts_of_outputs", "summarized"]
 
 _WIDTH: Final = 78
 
@@ -111,6 +112,31 @@ class Summary:
     def __repr__(self) -> str:
         """Return the table, which is what a prompt is to show."""
         return self.to_text()
+
+
+def facts_of_outputs(weights: Array, log_likelihood: float, noise: tuple[Noise, ...]) -> dict[str, str]:
+    """Return what a summary says of a model whose outputs have each a noise.
+
+    Parameters
+    ----------
+    weights : ndarray, shape (N, p)
+        How much each sample was believed; NaN where it is missing.
+    log_likelihood : float
+        Of what is measured.
+    noise : tuple of Noise, length p
+        Of each output.
+
+    Returns
+    -------
+    dict of str to str
+    """
+    known = int((~np.isnan(weights)).sum())
+    facts = {"Samples": f"{known} of {weights.size}", "Log-likelihood": f"{log_likelihood:.1f}"}
+    for j, one in enumerate(noise):
+        share = getattr(one.influence, "contamination", None)
+        beside = "" if share is None else f", {100 * share:.1f} % wild"
+        facts[f"Noise, output {j}"] = f"{np.sqrt(one.R):.4g}{beside}"
+    return facts
 
 
 def summarized(
