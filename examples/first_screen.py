@@ -56,7 +56,7 @@ def rms(error: np.ndarray) -> float:
 
 
 def draw(position, readings, is_outlier, tracks, path: Path) -> None:
-    """Draw 900 by 380 pixels: truth, readings, both filters and their errors."""
+    """Draw 900 by 475 pixels: truth, readings, both filters and their errors."""
     import matplotlib.pyplot as plt
 
     figure, axis = plt.subplots(figsize=(7.2, 3.8), dpi=125, layout="constrained")

@@ -26,6 +26,7 @@ from robust_filterpy.correction import learning
 from robust_filterpy.correction.copies import Copies, Scales
 from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.options import Grouping
+from robust_filterpy.correction.standardization import SingularInnovationError
 from robust_filterpy.correction.whitening import Inverse, singular_error, standardize
 
 __all__ = ["Corrected", "correct"]
@@ -233,10 +234,14 @@ def _slow(probabilities: Array, means: Array, covariances: Array, process: Scale
     return side_by_side.collapse(slow, means[:q], covariances[:q])
 
 
-def _shared(y: Array, S: Array, N: Array, known: Array, noise: NoiseClasses, inv: Inverse | None) -> _Shared:
+def _shared(y: Array, S: Array, N: Array, known: Array, noise: NoiseClasses, inv: Inverse | None) -> _Shared | None:
     """Return what an innovation says if all sensors are in the same class: y (m,), S and ordinary noise N (m, m)."""
     before = _chance(learning.predicted, known, noise)[None]
-    found = _scores(y[None], S[None], N, before, noise.scales, inv)
+    try:
+        found = _scores(y[None], S[None], N, before, noise.scales, inv)
+    except SingularInnovationError:
+        # Where noise drowns in what is not known of the state, each sensor still tells of it, and all together nothing.
+        return None
     return _Shared(found.given[0], float(found.log_densities[0]), learning.together(known))
 
 

@@ -186,5 +186,5 @@ def test_first_figure_is_small_and_wide_enough():
 
     path = EXAMPLES / "figures" / "first_screen.png"
     height, width = image.imread(path).shape[:2]
-    assert (width, height) == (900, 380)
+    assert (width, height) == (900, 475)
     assert path.stat().st_size < 120_000

@@ -15,7 +15,12 @@ import numpy as np
 from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import fill_values
 from robust_filterpy.identification.models.findings import Finding, of_fill_values
-from robust_filterpy.identification.models.signals import measured_output, measured_outputs, recorded_input
+from robust_filterpy.identification.models.signals import (
+    measured_output,
+    measured_outputs,
+    recorded_input,
+    require_squares,
+)
 from robust_filterpy.identification.models.state_space_structure import Signals
 from robust_filterpy.identification.models.structures import Structure, input_columns
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording
@@ -81,6 +86,7 @@ def recordings(structure: Structure | Signals, y: Any, u: Any, groups: Any = Non
             axis.require_period(axes[0].dt)
         axes.append(axis)
         output = measured_outputs(one, structure.n_outputs) if isinstance(structure, Signals) else measured_output(one)
+        require_squares(output)
         signal = _inputs(structure, other, len(output))
         kept, found = _without_gaps(structure, output, signal, "" if len(told) == 1 else f"recording {i}: ")
         parts += kept

@@ -58,7 +58,7 @@ def measured_output(y: Any) -> Array:
         raise ValueError(f"y: expected a recording of shape (N,), N >= 1, got shape {output.shape}")
     if np.isinf(output).any():
         raise ValueError(f"y: expected finite numbers or NaN (missing), got inf in sample {np.isinf(output).argmax()}")
-    return _clipped(output)
+    return np.clip(output, -LARGEST, LARGEST)
 
 
 def measured_outputs(y: Any, n_outputs: int) -> Array:
@@ -72,17 +72,16 @@ def measured_outputs(y: Any, n_outputs: int) -> Array:
         raise ValueError(
             f"y: expected finite numbers or NaN (missing), got inf in sample {np.isinf(output).any(axis=1).argmax()}"
         )
-    return _clipped(output)
+    return np.clip(output, -LARGEST, LARGEST)
 
 
-def _clipped(output: Array) -> Array:
-    """Return an output whose wild values are as large as numbers that can be squared, or raise if most are larger."""
-    large = np.abs(output) > LARGEST
+def require_squares(output: Array) -> None:
+    """Raise if most values of an output are larger than numbers that can be squared, and so were all made alike."""
+    large = np.abs(output) >= LARGEST
     if 2 * large.sum() > (~np.isnan(output)).sum():
         raise ValueError(
             f"y: expected numbers up to {LARGEST:g} in size, got {large.sum()} larger ones; take another unit"
         )
-    return np.clip(output, -LARGEST, LARGEST)
 
 
 def operating_point(u: Array) -> Array:
