@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._documentation import STOPPED, pointer
 from robust_filterpy._warning import warn
 
-__all__ = ["CorrelatedInnovationsWarning", "judges", "look_at_recording", "look_at_signs"]
+__all__ = ["CorrelatedInnovationsWarning", "Signs", "judges", "look_at_recording", "look_at_signs"]
 
 #: Updates of a period, those of them that are looked at (when a start is over, before a short recording is), and how
 #: many signs must be kept: a fair coin does that once in six hundred thousand periods.
@@ -29,7 +28,7 @@ class CorrelatedInnovationsWarning(UserWarning):
     """
 
 
-class _Signs:
+class Signs:
     """Count for each sensor how often its innovation has the sign of the one before."""
 
     def __init__(self, m: int) -> None:
@@ -49,36 +48,40 @@ class _Signs:
         return next((i for i, kept in enumerate(self.kept) if kept >= _KEPT), None)
 
 
-_counted: WeakKeyDictionary[Any, _Signs] = WeakKeyDictionary()
-
-
 def judges(updates: int) -> bool:
     """Return whether the update of this number may give a warning."""
     return updates % _PERIOD == _LAST
 
 
-def look_at_signs(kf: Any, last: Any, updates: int) -> None:
+def look_at_signs(kf: Any, signs: Signs | None, last: Any, updates: int) -> Signs | None:
     """Count the signs of a correction's innovations now and then, and warn if they hardly ever change.
 
     Parameters
     ----------
     kf : RobustKalmanFilter
         Whose correction it is.
+    signs : Signs or None
+        What was counted before.
     last : Mixed or Correction
         The correction.
     updates : int
         How many the filter has had, this one among them.
+
+    Returns
+    -------
+    Signs or None
+        What is counted now.
     """
     place = updates % _PERIOD
     if not _FIRST <= place <= _LAST:
-        return
-    y = innovation_of(last)
-    signs = _counted.get(kf)
+        return signs
+    y = _innovation_of(last)
     if signs is None or place == _FIRST or len(signs.last) != len(y):
-        signs = _counted[kf] = _Signs(len(y))
+        signs = Signs(len(y))
     signs.count(y)
     if place == _LAST:
         _judge(kf, signs, "")
+    return signs
 
 
 def look_at_recording(kf: Any, y: Array, first: int) -> None:
@@ -95,7 +98,7 @@ def look_at_recording(kf: Any, y: Array, first: int) -> None:
     """
     seen = np.flatnonzero(~np.isnan(y).all(axis=1))
     for begin in range(0, len(seen), _PERIOD):
-        signs = _Signs(y.shape[1])
+        signs = Signs(y.shape[1])
         window = seen[begin + _FIRST - 1 : begin + _LAST].tolist()
         for k in window:
             signs.count(y[k].tolist())
@@ -103,14 +106,14 @@ def look_at_recording(kf: Any, y: Array, first: int) -> None:
             _judge(kf, signs, f": step {first + window[-1]}")
 
 
-def innovation_of(last: Any) -> list[float]:
+def _innovation_of(last: Any) -> list[float]:
     """Return the innovation of a correction, NaN where missing."""
     if hasattr(last, "prior_x"):
         return (last.z - last.H.dot(last.prior_x)).tolist()  # type: ignore[no-any-return]
     return np.where(np.isnan(last.weights), np.nan, last.y).tolist()  # type: ignore[no-any-return]
 
 
-def _judge(kf: Any, signs: _Signs, where: str) -> None:
+def _judge(kf: Any, signs: Signs, where: str) -> None:
     """Warn, once for each kind of filter, if the signs of a sensor's innovations hardly ever change."""
     kind, sensor = (type(kf).__name__, int(kf.dim_x), int(kf.dim_z)), signs.keeper()
     if sensor is None or kind in _kinds:

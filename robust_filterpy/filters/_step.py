@@ -8,7 +8,7 @@ from typing import Any
 from robust_filterpy import kernel
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.filters._correlated import judges, look_at_signs
+from robust_filterpy.filters._correlated import Signs, judges, look_at_signs
 from robust_filterpy.filters._outlier_share import EVERY, Share
 from robust_filterpy.filters.snapshot import put_back, snapshot
 
@@ -40,6 +40,7 @@ class StepMixin:
     _choices: Choices
     _policy: Any
     _share: Share
+    _signs: Signs | None
     _last: Any
     _updates: int
 
@@ -81,18 +82,12 @@ class StepMixin:
 
     def _watched(self, z: Any, R: Any) -> bool:
         """Take a correction under noise that is learnt, and look now and then at the signs of innovations."""
-        # A warning that is made an error refuses the call: nothing may have changed then.
         before = snapshot(self) if judges(self._updates + 1) else None
         if not _extension.correct_mixture(self, z, R):
             return False
         self._updates += 1
         if self._counts_clipped:
-            try:
-                look_at_signs(self, self._last, self._updates)
-            except BaseException:
-                if before is not None:
-                    put_back(self, before)
-                raise
+            self._signs = self._looked(before, look_at_signs, self, self._signs, self._last, self._updates)
         return True
 
     def _counted(self, step: Any, *given: Any) -> bool:
@@ -100,16 +95,19 @@ class StepMixin:
         if not self._counts_clipped:
             return bool(step(self, *given))
         looks = (self._updates + 1) % EVERY == 0
-        # A warning that is made an error refuses the call: nothing may have changed then.
         before = snapshot(self) if looks and self._share.fills(self.dim_z) else None
         if not step(self, *given):
             return False
         self._updates += 1
         if looks:
-            try:
-                self._share.look(self, self._arrays())
-            except BaseException:
-                if before is not None:
-                    put_back(self, before)
-                raise
+            self._looked(before, lambda: self._share.look(self, self._arrays()))
         return True
+
+    def _looked(self, before: tuple[Any, ...] | None, look: Callable[..., Any], *given: Any) -> Any:
+        """Look at a correction; a warning that is made an error refuses the call, and then nothing has changed."""
+        try:
+            return look(*given)
+        except BaseException:
+            if before is not None:
+                put_back(self, before)
+            raise

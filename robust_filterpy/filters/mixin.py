@@ -13,7 +13,7 @@ from robust_filterpy._arrays import state_of
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.filters._correlated import look_at_signs
+from robust_filterpy.filters._correlated import Signs, look_at_signs
 from robust_filterpy.filters._options import OptionsMixin
 from robust_filterpy.filters._outlier_share import EVERY, Share
 from robust_filterpy.filters._parts import log_density
@@ -66,6 +66,7 @@ class RobustFilterMixin(OptionsMixin, PrintingMixin, StepMixin, StateMixin):
     _SI: Any
     _last: Any
     _share: Share
+    _signs: Signs | None
     x_post: Array
     P_post: Array
     _kept: Any
@@ -97,7 +98,7 @@ class RobustFilterMixin(OptionsMixin, PrintingMixin, StepMixin, StateMixin):
         self._policy = policy_of(influence, scaling, information, grouping, noise, process, patience)
         self._require_possible(self._policy)
         self._choices, self._last, self._outlier_probability = self._policy.choices, None, 0.0
-        self._share, self._updates, self._process_scales = Share(), 0, None
+        self._share, self._signs, self._updates, self._process_scales = Share(), None, 0, None
         self._kept = self._y = self._S = self._SI = self._K = None
         # The kernel takes arrays of the right shape, from the first measurement on.
         self._keep_sensors(Customs(self._policy.begin(dim_z), {}))
@@ -148,7 +149,7 @@ class RobustFilterMixin(OptionsMixin, PrintingMixin, StepMixin, StateMixin):
         if self._policy.noise is not None:
             look_for_stuck(self, last.weights)
             if self._counts_clipped:
-                look_at_signs(self, last, self._updates)
+                self._signs = look_at_signs(self, self._signs, last, self._updates)
         # Under a mixture psi follows from probabilities, and by custom from what is usual: no share is expected there.
         expected = self._policy.noise is None and self._choices.scaling == "innovation"
         if expected and self._counts_clipped and self._updates % EVERY == 0:

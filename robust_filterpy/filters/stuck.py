@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from typing import Any
-from weakref import WeakSet
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -12,7 +12,8 @@ from robust_filterpy._warning import warn
 
 __all__ = ["StuckSensorWarning"]
 
-_told: WeakSet[Any] = WeakSet()
+# By id: a filter of the user's may not be hashable.
+_told: WeakValueDictionary[int, Any] = WeakValueDictionary()
 
 
 class StuckSensorWarning(UserWarning):
@@ -37,12 +38,12 @@ def look_for_stuck(kf: Any, weights: Array, first: int | None = None) -> None:
         Step of a recording that the first row belongs to.
     """
     stuck = np.argwhere(np.atleast_2d(weights) == 0.0)
-    if len(stuck) and kf not in _told:
+    if len(stuck) and _told.get(id(kf)) is not kf:
         step, sensor = stuck[0].tolist()
         name = type(kf).__name__
         say_stuck(name if first is None else f"{name}: step {first + step}", sensor)
         # Where a warning is an error, the call is refused, and may be made again.
-        _told.add(kf)
+        _told[id(kf)] = kf
 
 
 def say_stuck(where: str, sensor: int) -> None:

@@ -126,3 +126,20 @@ def test_nothing_is_said_of_sensors_in_coarse_steps_counters_held_samples_and_si
     }  # fmt: skip
     for zs in quiet.values():
         online(zs[:, None])
+
+
+class Comparable(AdaptiveKalmanFilter):
+    """A filter that two of can be compared, and that is not hashable therefore."""
+
+    def __eq__(self, other):
+        return bool((self.x == other.x).all())
+
+
+def test_a_filter_of_a_class_that_is_not_hashable_is_looked_at_too():
+    zs = recording(np.random.default_rng(1))
+    kf = Comparable(1, 1)
+    kf.H, kf.Q = np.ones((1, 1)), 1e-4 * np.eye(1)
+    with pytest.warns(StuckSensorWarning, match="sensor 0 is stuck"):
+        for z in zs:
+            kf.predict()
+            kf.update(z)
