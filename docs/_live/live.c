@@ -38,15 +38,15 @@ int live_default(const int steps, const double told, const double threshold) {
 int live_learnt(const int steps, const double told) {
     const double R[m * m] = {told};
     enum { COPIES = LEARNT_Q + 1, WIDTH = learnt_width(LEARNT_K) };
-    double means[COPIES * n], covariances[COPIES * n * n], p[COPIES], unseen = LEARNT_UNSEEN, known[WIDTH];
+    double means[COPIES * n], covariances[COPIES * n * n], belief[(COPIES + 2) * n], known[WIDTH];
     double x[n] = {0}, P[n * n], weight, outlying, likelihood = 0;
     const learnt_rule rule = {LEARNT_Q, LEARNT_K, PROCESS, SCALES, BEGIN, LEARNT_STAY, LEARNT_JUMP,
                               LEARNT_MEMORY, LEARNT_R_MEMORY, 1};
-    learnt_state s = {means, covariances, p, &unseen, known};
+    learnt_state s = {means, covariances, belief, known};
     for (int i = 0; i < COPIES; i++) {
         real_copy(n, x, means + i * n), real_copy(n * n, START, covariances + i * n * n);
-        p[i] = PROBABILITIES[i];
     }
+    real_copy((COPIES + 2) * n, BELIEF, belief);
     real_copy(WIDTH, BEGIN, known);
     for (int k = 0; k < steps; k++) {
         learnt_predict(n, &rule, &s, F, Q, NULL, 1, work);

@@ -58,12 +58,13 @@ def began(rules: Rules, given: SeriesArguments, learnt: ArrayLike | None) -> dic
         stands["spread"] = np.tile(spread.begin(m), (series, 1, 1))
     process = rules.process
     if process.count > 1:
-        begin = copies.start(np.zeros(n), np.zeros((n, n)), process)
+        patterns, which = np.unique(given.P != 0.0, axis=0, return_inverse=True)
+        beliefs = [copies.start(np.zeros(n), pattern, process).belief for pattern in patterns]
         stands |= {
             "means": np.repeat(given.x[:, None], process.count, axis=1),
             "covariances": np.repeat(given.P[:, None], process.count, axis=1),
-            "shares": np.tile(begin.probabilities, (series, 1)), "unseen": np.full(series, begin.unseen),
-        }  # fmt: skip
+            "belief": np.array(beliefs)[which.ravel()],
+        }
     if rules.classes is not None and rules.classes.learns:
         stands["learnt"] = _learnt(rules.classes, learnt, series, m)
     return stands
@@ -93,14 +94,11 @@ def continued(rules: Rules, given: SeriesArguments, state: Mapping[str, Any]) ->
                 "series, noise= and process="
             )
         stands[name] = value
-    shares, unseen = stands.get("shares", np.ones((1, 1))), stands.get("unseen", np.zeros(1))
-    if not ((shares >= 0.0).all() and np.allclose(shares.sum(axis=1), 1.0)):
-        raise ValueError("state['shares']: expected numbers >= 0 that sum to 1 for each series")
-    if not ((unseen >= 0.0) & (unseen <= 1.0)).all():
-        raise ValueError("state['unseen']: expected a number between 0 and 1 for each series")
+    if "belief" in stands:
+        copies.require_belief("state['belief']", stands["belief"])
     if rules.classes is not None and "learnt" in stands:
         stands["learnt"] = _learnt(rules.classes, stands["learnt"], len(given.x), given.z.shape[2])
-    if not np.isfinite(stands.get("spread", unseen)).all():
+    if not np.isfinite(stands.get("spread", 0.0)).all():
         raise ValueError("state['spread']: expected finite numbers, got NaN or infinity")
     return stands
 

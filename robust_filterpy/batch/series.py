@@ -12,6 +12,8 @@ from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array
 from robust_filterpy.batch._standing import Rules, began, continued, refuse, rules_of
 from robust_filterpy.batch.arguments import SeriesArguments, series_arguments, spread, threads
+from robust_filterpy.correction import copies
+from robust_filterpy.correction.copies import Copies
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.filters.kalman import RobustKalmanFilter
@@ -40,7 +42,7 @@ class FilteredSeries(NamedTuple):
         was missing.
     outlier_probability : ndarray, shape (S, K), or None
         Under ``noise=``, the probability that a component of the measurement was an outlier.
-    process_scale : ndarray, shape (S, K), or None
+    process_scale : ndarray, shape (S, K, n), or None
         Under ``noise=``, the mean factor of Q in the step before the measurement.
     state : dict of str to ndarray
         Where each series stands after its last step, what `RobustKalmanFilter.state` calls so with the series in front:
@@ -172,7 +174,7 @@ def filter_series(
     )  # fmt: skip
     rules = rules_of(kf)
     stands = began(rules, given, learnt) if state is None else continued(rules, given, state)
-    shown = Shown(*(np.empty(kept.means.shape[:2]) for _ in range(2))) if rules.classes else Shown(None, None)
+    shown = Shown(np.empty(kept.means.shape[:2]), np.empty(kept.means.shape)) if rules.classes else Shown(None, None)
     by_kernel = _by_psi if rules.classes is None else _by_classes
     n_threads = threads(n_threads)
     for s, start in enumerate(by_kernel(rules, given, stands, shown, n_threads).tolist()):
@@ -187,7 +189,7 @@ def filter_series(
 
 
 class Shown(NamedTuple):
-    """What a filter under noise= shows besides, (series, kept step) each."""
+    """What a filter under noise= shows besides, (series, kept step), and of the scale (series, kept step, n)."""
 
     outlier_probability: Array | None
     process_scale: Array | None
@@ -219,17 +221,16 @@ def _by_classes(
 
     def one(s: int) -> int:
         x, P = stands["x"][s], stands["P"][s]
-        at = {name: array[s : s + 1] if name == "unseen" else array[s] for name, array in stands.items()}
-        start = learnt_kernel.State(
-            at.get("means", x[None].copy()), at.get("covariances", P[None].copy()), at.get("shares", np.ones(1)),
-            at.get("learnt", classes.start(given.z.shape[2])), x, P, at.get("unseen", np.zeros(1)),
-        )  # fmt: skip
+        at = {name: array[s] for name, array in stands.items()}
+        kept_apart = [at[name] for name in ("means", "covariances", "belief") if name in at]
+        side = Copies(*kept_apart) if kept_apart else copies.start(x, P, rules.process)
+        start = learnt_kernel.State(*side, at.get("learnt", classes.start(given.z.shape[2])), x, P)
         outlier_probability, scale = (None if column is None else column[s] for column in shown)
         outlying = None if outlier_probability is None else np.zeros((len(outlier_probability), given.z.shape[2]))
         width = kept.covariances[s].size and (len(kept.covariances[s]), -1)
         into = learnt_kernel.Kept(
             kept.means[s], kept.covariances[s].reshape(width) if width else None, None, None, kept.weights[s],
-            outlying, None if scale is None else scale[:, None], kept.log_likelihood[s : s + 1],
+            outlying, scale, kept.log_likelihood[s : s + 1],
         )  # fmt: skip
         model = (*(array[s % len(array)] for array in given.model), None)
         taken = learnt_kernel.run(start, given.z[s], model, classes, rules.process, into, every=given.every)

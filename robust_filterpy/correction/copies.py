@@ -7,6 +7,11 @@ measurement is no evidence for it, and no later one is worth more than a hundred
 however wild. It is hidden until it is more likely than not (`merged`), taken over when it is all but certain
 (`settled`) and dropped when it has lost, so that there is one at a time. A start is a jump from a guess: the first
 candidate begins with a probability of .2.
+
+States of which none moves, or is measured, with another's are parts of their own: the axes of a point that moves, a
+box's centre and its shape. Each part has its own probabilities of the copies, its own jumps and its own candidate, so
+that a part whose Q is too large says nothing of the others. Where F, Q, P, H or R couple two parts, they become one
+(`coupled`), with the scales that are likely in both, and stay one.
 """
 
 from __future__ import annotations
@@ -16,11 +21,15 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 
-__all__ = ["Copies", "Scales", "collapse", "far_off", "merged", "predict", "settled", "start", "with_candidate"]
+__all__ = [
+    "Copies", "Scales", "collapse", "coupled", "far_off", "merged", "predict", "require_belief", "settled", "slow",
+    "start", "with_candidate",
+]  # fmt: skip
 
 # Chance that the state is not where the start says.
 _START = 0.2
@@ -94,6 +103,18 @@ class Scales:
         np.fill_diagonal(moves, self.stay)
         return moves
 
+    @property
+    def begin(self) -> Array:
+        """Probabilities of the copies before the first step, shape (count,)."""
+        q = len(self.scales)
+        # The first scale is where a process starts, the others have the chance of one change.
+        probabilities = np.zeros(self.count)
+        probabilities[:q] = 1.0 / self.dwell
+        probabilities[0] = 1.0
+        if self.probabilities is not None:
+            probabilities[:q] = self.probabilities
+        return np.asarray(probabilities / probabilities.sum())
+
 
 class Copies(NamedTuple):
     """The copies: those of the scales of Q, then, if there are jumps, the candidate."""
@@ -102,10 +123,24 @@ class Copies(NamedTuple):
     """Means, shape (q, n)."""
     P: Array
     """Covariances, shape (q, n, n)."""
-    probabilities: Array
-    """Shape (q,), with sum 1; that of the candidate is 0 while there is none."""
-    unseen: float
-    """Chance that the state has jumped since the last measurement."""
+    belief: Array
+    """Shape (q + 2, n): for each state the probabilities of the copies in its part, the chance that the part has jumped
+    since its last measurement, and the first state of the part."""
+
+    @property
+    def probabilities(self) -> Array:
+        """Shape (q, n), each column with sum 1; that of the candidate is 0 where there is none."""
+        return self.belief[:-2]
+
+    @property
+    def unseen(self) -> Array:
+        """Chance that the part of a state has jumped since its last measurement, shape (n,)."""
+        return np.asarray(self.belief[-2])
+
+    @property
+    def parts(self) -> Array:
+        """The first state of each state's part, shape (n,)."""
+        return np.asarray(self.belief[-1])
 
 
 def start(x: Array, P: Array, process: Scales) -> Copies:
@@ -124,15 +159,91 @@ def start(x: Array, P: Array, process: Scales) -> Copies:
     -------
     Copies
     """
-    q, count = len(process.scales), process.count
-    # The first scale is where a process starts, the others have the chance of one change.
-    probabilities = np.zeros(count)
-    probabilities[:q] = 1.0 / process.dwell
-    probabilities[0] = 1.0
-    if process.probabilities is not None:
-        probabilities[:q] = process.probabilities
-    probabilities /= probabilities.sum()
-    return Copies(np.tile(x, (count, 1)), np.tile(P, (count, 1, 1)), probabilities, _START if count > q else 0.0)
+    n, count = len(x), process.count
+    belief = np.empty((count + 2, n))
+    belief[:-2] = process.begin[:, None]
+    belief[-2] = _START if process.jump > 0.0 else 0.0
+    # A process that draws its scale anew in each step draws one for all.
+    belief[-1] = np.arange(n) if process.probabilities is None else 0.0
+    return coupled(Copies(np.tile(x, (count, 1)), np.tile(P, (count, 1, 1)), belief), P, process)
+
+
+def coupled(copies: Copies, links: Array, process: Scales) -> Copies:
+    """Return the copies, parts that are linked as one: with the scales that are likely in both, without a candidate.
+
+    Parameters
+    ----------
+    copies : Copies
+        With parts.
+    links : ndarray, shape (n, n)
+        Not 0 where two states depend on each other.
+    process : Scales
+        Which copies there are.
+
+    Returns
+    -------
+    Copies
+    """
+    parts, q = copies.parts, len(process.scales)
+    if not parts.any():
+        return copies
+    _, labels = connected_components((links != 0.0) | (parts[:, None] == parts), directed=False)
+    belief = copies.belief.copy()
+    for label in np.unique(labels):
+        states = np.flatnonzero(labels == label)
+        heads = np.unique(parts[states]).astype(int)
+        if len(heads) < 2:
+            continue
+        # What was likely at first is counted once.
+        likely = np.prod(belief[:q, heads] / process.begin[:q, None], axis=1) * process.begin[:q]
+        belief[:-2, states] = 0.0
+        belief[:q, states] = (likely / likely.sum())[:, None]
+        belief[-2, states], belief[-1, states] = belief[-2, heads].max(), heads[0]
+    return copies._replace(belief=belief)
+
+
+def require_belief(name: str, belief: Array) -> None:
+    """Raise if this is no `Copies.belief`, or several in front of each other.
+
+    Parameters
+    ----------
+    name : str
+        What the error calls it.
+    belief : ndarray, shape (..., q + 2, n)
+        From a stored state.
+
+    Raises
+    ------
+    ValueError
+        If probabilities are none, or a part has no first state.
+    """
+    probabilities, unseen, parts = belief[..., :-2, :], belief[..., -2, :], belief[..., -1, :]
+    if not ((probabilities >= 0.0).all() and np.allclose(probabilities.sum(axis=-2), 1.0)):
+        raise ValueError(f"{name}: expected probabilities >= 0 of the copies that sum to 1 for each state")
+    if not ((unseen >= 0.0) & (unseen <= 1.0)).all():
+        raise ValueError(f"{name}: expected a chance of a jump between 0 and 1 for each state, got {unseen}")
+    n = belief.shape[-1]
+    if not (np.isin(parts, np.arange(n)).all() and (np.take_along_axis(parts, parts.astype(int), -1) == parts).all()):
+        raise ValueError(f"{name}: expected the first state of each state's part, got {parts}")
+
+
+def slow(copies: Copies, process: Scales) -> Array:
+    """Return the probabilities of the scales of Q if nothing has jumped.
+
+    Parameters
+    ----------
+    copies : Copies
+        With probabilities.
+    process : Scales
+        Which copies there are.
+
+    Returns
+    -------
+    ndarray, shape (q, n)
+        With a column for each state, and sums of 1.
+    """
+    found = copies.belief[: len(process.scales)]
+    return np.asarray(found / found.sum(axis=0))
 
 
 def predict(
@@ -159,34 +270,37 @@ def predict(
     -------
     Copies
     """
-    x, P, probabilities, unseen = copies
-    q, scales = len(process.scales), np.array(process.scales)
-    slow = probabilities[:q]
+    x, P, belief = copies = coupled(copies, (F != 0.0) | (Q != 0.0), process)
+    q, scales = len(process.scales), np.array(process.scales)[:, None] * np.ones(len(F))
+    belief = belief.copy()
     # Row j: where copy j comes from.
-    origin = (slow[:, None] * process.moves).T
-    shares = origin.sum(axis=1)
-    mixed_x, mixed_P = collapse(origin / shares[:, None], x[None, :q], P[None, :q])
+    origin = process.moves.T[:, :, None] * belief[:q]
+    belief[:q] = origin.sum(axis=1)
+    mixed_x, mixed_P = collapse(origin / belief[:q, None], x[None, :q], P[None, :q], copies.parts)
     if process.jump > 0.0:
-        usual = np.exp(shares @ np.log(scales) / shares.sum())
-        scales, shares = np.append(scales, usual), np.append(shares, probabilities[q])
-        mixed_x, mixed_P = np.concatenate([mixed_x, x[q:]]), np.concatenate([mixed_P, P[q:]])
-        unseen += process.jump * (1.0 - unseen)
+        usual = np.exp(np.log(process.scales) @ belief[:q] / belief[:q].sum(axis=0))
+        # Where there is no candidate its place follows the first copy.
+        there = belief[q] > 0.0
+        candidate = np.where(there, x[q], mixed_x[0]), np.where(there[:, None] & there, P[q], mixed_P[0])
+        scales = np.concatenate([scales, usual[None]])
+        mixed_x, mixed_P = np.concatenate([mixed_x, candidate[0][None]]), np.concatenate([mixed_P, candidate[1][None]])
+        belief[-2] += process.jump * (1.0 - belief[-2])
     moved = mixed_x @ F.T
+    root = np.sqrt(scales)
     return Copies(
         moved if Bu is None else moved + Bu,
-        alpha_sq * (F @ mixed_P @ F.T) + scales[:, None, None] * Q,
-        shares,
-        unseen,
+        alpha_sq * (F @ mixed_P @ F.T) + root[:, :, None] * root[:, None, :] * Q,
+        belief,
     )
 
 
-def with_candidate(copies: Copies, z: Array, H: Array, noise: Array, process: Scales) -> tuple[Copies, bool]:
-    """Return the copies, with a candidate if there is none and an innovation asks for one, and whether it is new.
+def with_candidate(copies: Copies, z: Array, H: Array, noise: Array, process: Scales) -> tuple[Copies, Array]:
+    """Return the copies, a candidate in each part that has none and an innovation asks for one, and where it is new.
 
     Parameters
     ----------
     copies : Copies
-        Before the correction.
+        Before the correction, coupled as H has it.
     z : ndarray, shape (m,)
         Measurement, finite.
     H : ndarray, shape (m, n)
@@ -199,30 +313,36 @@ def with_candidate(copies: Copies, z: Array, H: Array, noise: Array, process: Sc
     Returns
     -------
     copies : Copies
-    new : bool
+    new : ndarray of bool, shape (n,)
+        Which states are of a part whose candidate, if any, is new.
     """
-    x, P, probabilities, unseen = copies
-    q = len(process.scales)
-    if process.jump == 0.0 or probabilities[q] >= _DROPPED * process.jump:
-        return copies, False
-    slow = probabilities[:q] / probabilities[:q].sum()
-    at, spread = collapse(slow, x[:q], P[:q])
-    chance = 0.0
+    (x, P, belief), q, parts = copies, len(process.scales), copies.parts
+    new = np.isin(parts, parts[(H != 0.0).any(axis=0)])
+    if process.jump == 0.0:
+        return copies, np.zeros(len(parts), dtype=bool)
+    new &= belief[q] < _DROPPED * process.jump
+    belief, shares = belief.copy(), slow(copies, process)
+    at, spread = collapse(shares, x[:q], P[:q], parts)
+    chance = np.zeros(len(parts))
     for _ in z:
         y, asks = _asked(at, spread, z, H, noise)
+        asks[~(H != 0.0)[:, new].any(axis=1)] = 0.0
         i = int(np.argmax(asks))
         if not asks[i] > _ASKS:
             break
         # What the sensor sees of each state, as if they were independent: the others keep what they have.
-        chance, d = unseen, spread.diagonal() * H[i]
+        own = parts == parts[np.argmax(H[i] != 0.0)]
+        chance[own], d = belief[-2, own], spread.diagonal() * H[i]
         d = d / (H[i] @ d)
         at, spread = at + y[i] * d, spread + _AROUND * noise[i] * np.outer(d, d)
+    belief[:q, new] = ((1.0 - chance) * shares)[:, new]
+    belief[q, new], belief[-2, new] = chance[new], 0.0
+    within = new[:, None] & new
     return Copies(
-        np.concatenate([x[:q], at[None]]),
-        np.concatenate([P[:q], spread[None]]),
-        np.append((1.0 - chance) * slow, chance),
-        0.0,
-    ), True
+        np.concatenate([x[:q], np.where(new, at, x[q])[None]]),
+        np.concatenate([P[:q], np.where(within, spread, P[q])[None]]),
+        belief,
+    ), new
 
 
 def far_off(copies: Copies, z: Array, H: Array, noise: Array, process: Scales) -> Array:
@@ -237,10 +357,9 @@ def far_off(copies: Copies, z: Array, H: Array, noise: Array, process: Scales) -
     -------
     ndarray of bool, shape (m,)
     """
-    x, P, probabilities, _ = copies
     q = len(process.scales)
-    slow = probabilities[:q] / probabilities[:q].sum()
-    return np.asarray(_asked(*collapse(slow, x[:q], P[:q]), z, H, noise)[1] > _ASKS)
+    at = collapse(slow(copies, process), copies.x[:q], copies.P[:q], copies.parts)
+    return np.asarray(_asked(*at, z, H, noise)[1] > _ASKS)
 
 
 def _asked(at: Array, spread: Array, z: Array, H: Array, noise: Array) -> tuple[Array, Array]:
@@ -253,13 +372,15 @@ def _asked(at: Array, spread: Array, z: Array, H: Array, noise: Array) -> tuple[
     return y, asks
 
 
-def settled(copies: Copies, process: Scales) -> Copies:
+def settled(copies: Copies, seen: Array, process: Scales) -> Copies:
     """Return the copies after a correction: a candidate that is all but certain is where every copy goes on from.
 
     Parameters
     ----------
     copies : Copies
         Copies after the correction.
+    seen : ndarray of bool, shape (n,)
+        Which states are of a part that was measured.
     process : Scales
         Which copies there are.
 
@@ -267,12 +388,16 @@ def settled(copies: Copies, process: Scales) -> Copies:
     -------
     Copies
     """
-    x, P, probabilities, _ = copies
-    q = len(process.scales)
-    if process.jump == 0.0 or not probabilities[q] > _TAKEN:
-        return copies._replace(unseen=0.0)
-    slow = np.append(probabilities[:q] / probabilities[:q].sum(), 0.0)
-    return Copies(np.tile(x[q], (q + 1, 1)), np.tile(P[q], (q + 1, 1, 1)), slow, 0.0)
+    (x, P, belief), q = copies, len(process.scales)
+    if process.jump == 0.0:
+        return copies
+    belief = belief.copy()
+    belief[-2, seen] = 0.0
+    taken = belief[q] > _TAKEN
+    if taken.any():
+        belief[:q, taken], belief[q, taken] = slow(copies, process)[:, taken], 0.0
+        x, P = np.where(taken, x[q], x), np.where(taken[:, None] & taken, P[q], P)
+    return Copies(x, P, belief)
 
 
 def merged(copies: Copies, process: Scales) -> tuple[Array, Array]:
@@ -290,40 +415,42 @@ def merged(copies: Copies, process: Scales) -> tuple[Array, Array]:
     mean : ndarray, shape (n,)
     covariance : ndarray, shape (n, n)
     """
-    x, P, p, _ = copies
-    q = len(process.scales)
-    if process.jump > 0.0 and not p[q] > 0.5:
-        x, P, p = x[:q], P[:q], p[:q] / p[:q].sum()
-    return collapse(p, x, P)
+    x, P, p, q = copies.x, copies.P, copies.probabilities, len(process.scales)
+    if process.jump > 0.0:
+        hidden = np.concatenate([slow(copies, process), np.zeros((1, p.shape[1]))])
+        p = np.where(p[q] > 0.5, p, hidden)
+    return collapse(p, x, P, copies.parts)
 
 
-def collapse(probabilities: Array, means: Array, covariances: Array) -> tuple[Array, Array]:
-    """Return mean and covariance of a mixture, over the last axis of probabilities.
+def collapse(probabilities: Array, means: Array, covariances: Array, parts: Array) -> tuple[Array, Array]:
+    """Return mean and covariance of a mixture of h copies, in each part with probabilities of its own.
 
     Parameters
     ----------
-    probabilities : ndarray, shape (..., h)
-        Weights, with sum 1.
+    probabilities : ndarray, shape (..., h, n)
+        Weights of the copies in the part of each state, with sum 1 over h.
     means : ndarray, shape (..., h, n)
-        Means of the parts.
+        Means of the copies.
     covariances : ndarray, shape (..., h, n, n)
         Their covariances.
+    parts : ndarray, shape (n,)
+        Equal numbers where states are of one part.
 
     Returns
     -------
     mean : ndarray, shape (..., n)
         Overall mean.
     covariance : ndarray, shape (..., n, n)
-        Overall covariance, that of the means among each other included.
+        Overall covariance, that of the means among each other included; 0 between parts.
 
     Examples
     --------
-    >>> mean, covariance = collapse(np.array([0.5, 0.5]), np.array([[-1.0], [1.0]]), np.ones((2, 1, 1)))
-    >>> mean, covariance
+    >>> halves, variances = np.full((2, 1), 0.5), np.ones((2, 1, 1))
+    >>> collapse(halves, np.array([[-1.0], [1.0]]), variances, np.zeros(1))
     (array([0.]), array([[2.]]))
     """
-    weights = probabilities[..., None]
-    mean = (weights * means).sum(axis=-2)
+    mean = (probabilities * means).sum(axis=-2)
     apart = means - mean[..., None, :]
-    within = (weights[..., None] * covariances).sum(axis=-3)
-    return mean, within + np.swapaxes(apart * weights, -1, -2) @ apart
+    within = (probabilities[..., None] * covariances).sum(axis=-3)
+    among = np.swapaxes(apart * probabilities, -1, -2) @ apart
+    return mean, np.where(parts[:, None] == parts, within + among, 0.0)

@@ -59,6 +59,8 @@ SCALES = (1.0, 10.0, 100.0, 1e3)
 # The prior: ten samples of a chain with 15 % outliers whose class stays with probability 3/4, else is drawn anew; R is
 # worth 20 samples. On 20 kinds of noise a half or the double of each changes most errors by 1 %.
 _PRIOR_SAMPLES, _PRIOR_OUTLIERS, _PRIOR_STAY, _PRIOR_R = 10.0, 0.15, 0.75, 20.0
+# Noise of a tenth of the variance, and how much likelier it must have been, 1e4 to 1, to be taken over.
+_LESS_SCALE, _LOG_LESS = 0.1, math.log(1e3)
 # Chance that sensors fail together, and what a sample is worth as evidence of it at most, 100 to 1.
 _PRIOR_TOGETHER, _LOG_EVIDENCE = 0.01, math.log(100.0)
 # Samples for which parity is remembered; the standard error of its correlation is then .07. From a correlation of two
@@ -76,7 +78,7 @@ _WILDEST = 1e6
 # Steps of a sensor in a standard deviation of its noise from which on it does not repeat itself by chance.
 _FINE = 10.0
 # Numbers of a row that tell of failing together, of parity, of changes and of readings.
-_TOGETHER, _PARITY, _CHANGE, _READING, _TAIL = -11, slice(-10, -6), slice(-6, -2), slice(-2, None), 11
+_TOGETHER, _LESS, _PARITY, _CHANGE, _READING, _TAIL = -12, -11, slice(-10, -6), slice(-6, -2), slice(-2, None), 12
 # A sensor is redundant if the others leave at least this part of its variance unexplained by the state.
 _REDUNDANT = 1e-6
 
@@ -148,7 +150,7 @@ class NoiseClasses:
 
         Parameters
         ----------
-        learnt : array_like, shape (1 or more, 13 + 2 K + K^2)
+        learnt : array_like, shape (1 or more, 14 + 2 K + K^2)
             A row for each sensor.
         dim_z : int
             Number of sensors.
@@ -197,7 +199,7 @@ def start(classes: int, probabilities: Sequence[float] | None = None) -> Array:
 
     Returns
     -------
-    ndarray, shape (13 + 2 K + K^2,)
+    ndarray, shape (14 + 2 K + K^2,)
         As the head of this module orders it.
     """
     return _start(classes, None if probabilities is None else tuple(probabilities)).copy()
@@ -221,7 +223,7 @@ def predicted(known: Array, classes: int) -> Array:
 
     Parameters
     ----------
-    known : ndarray, shape (13 + 2 K + K^2,)
+    known : ndarray, shape (14 + 2 K + K^2,)
         What is known of the sensor.
     classes : int
         K.
@@ -239,7 +241,7 @@ def usual(known: Array, classes: int) -> Array:
 
     Parameters
     ----------
-    known : ndarray, shape (13 + 2 K + K^2,)
+    known : ndarray, shape (14 + 2 K + K^2,)
         What is known of the sensor.
     classes : int
         K.
@@ -252,17 +254,19 @@ def usual(known: Array, classes: int) -> Array:
     return np.asarray(counts.sum(axis=0) / counts.sum())
 
 
-def learn(known: Array, posterior: Array, energy: float, part: float, noise: NoiseClasses) -> Array:
+def learn(known: Array, posterior: Array, r: float, excess: float, part: float, noise: NoiseClasses) -> Array:
     """Return what is known after one sample.
 
     Parameters
     ----------
-    known : ndarray, shape (13 + 2 K + K^2,)
+    known : ndarray, shape (14 + 2 K + K^2,)
         What was known of the sensor.
     posterior : ndarray, shape (K,)
         Probabilities of the sample's classes.
-    energy : float
-        E[v^2 | class 0]/R, in the mean over the components of a group.
+    r : float
+        Of the sensor, as this sample was weighed with.
+    excess : float
+        y^2/S - 1 of the innovation under class 0, in the mean over the components of a group.
     part : float
         Share of the innovation's variance that is ordinary noise, likewise.
     noise : NoiseClasses
@@ -270,7 +274,7 @@ def learn(known: Array, posterior: Array, energy: float, part: float, noise: Noi
 
     Returns
     -------
-    ndarray, shape (13 + 2 K + K^2,)
+    ndarray, shape (14 + 2 K + K^2,)
 
     Notes
     -----
@@ -283,8 +287,11 @@ def learn(known: Array, posterior: Array, energy: float, part: float, noise: Noi
     ordinary = float(posterior[0])
     # One sample is never forgotten, else r would reel where it can hardly be seen.
     after[1] = 1.0 + (1.0 - 1.0 / noise.r_memory) * (known[1] - 1.0) + ordinary * part * part
-    after[0] += ordinary * (energy - known[0]) / after[1]
+    after[0] += ordinary * (r * (1.0 + part * excess) - known[0]) / after[1]
     after[0] = min(max(after[0], 1e-8), 1e8)
+    after[_LESS] = max(known[_LESS] + ordinary * _for_less(part, excess), 0.0)
+    if after[_LESS] > _LOG_LESS:
+        after[0], after[1], after[_LESS] = max(_LESS_SCALE * after[0], 1e-8), _PRIOR_R, 0.0
     after[2 : 2 + K] += 1.0 / noise.r_memory * (posterior - known[2 : 2 + K])
     last, counts = _chain(known, K)
     joint = (last / counts.sum(axis=1))[:, None] * counts
@@ -301,6 +308,12 @@ def learn(known: Array, posterior: Array, energy: float, part: float, noise: Noi
     return after
 
 
+def _for_less(part: float, excess: float) -> float:
+    """Return how much likelier an innovation is, in logarithms, if noise has a tenth of the variance."""
+    less = (1.0 - _LESS_SCALE) * part
+    return -0.5 * (math.log1p(-less) + (1.0 + excess) * less / (1.0 - less))
+
+
 def _chain(known: Array, K: int) -> tuple[Array, Array]:
     """Return the probabilities of the last sample's class and the counts, shapes (K,) and (K, K)."""
     return known[2 + K : 2 + 2 * K], known[2 + 2 * K : -_TAIL].reshape(K, K)
@@ -311,7 +324,7 @@ def together(learnt: Array) -> float:
 
     Parameters
     ----------
-    learnt : ndarray, shape (m, 13 + 2 K + K^2)
+    learnt : ndarray, shape (m, 14 + 2 K + K^2)
         What is known of each sensor.
 
     Returns
@@ -326,7 +339,7 @@ def weigh_together(learnt: Array, log_together: float, log_apart: float, noise: 
 
     Parameters
     ----------
-    learnt : ndarray, shape (m, 13 + 2 K + K^2)
+    learnt : ndarray, shape (m, 14 + 2 K + K^2)
         What is known of each sensor.
     log_together, log_apart : float
         Logarithms of the sample's densities.
@@ -335,7 +348,7 @@ def weigh_together(learnt: Array, log_together: float, log_apart: float, noise: 
 
     Returns
     -------
-    ndarray, shape (m, 13 + 2 K + K^2)
+    ndarray, shape (m, 14 + 2 K + K^2)
     """
     known, before = learnt.copy(), together(learnt)
     before += (_PRIOR_TOGETHER - before) / noise.memory
@@ -360,7 +373,7 @@ def ordinary_size(
 
     Parameters
     ----------
-    learnt : ndarray, shape (m, 13 + 2 K + K^2)
+    learnt : ndarray, shape (m, 14 + 2 K + K^2)
         What is known of each sensor.
     readings : ndarray, shape (m,)
         What the sensors said.
@@ -379,7 +392,7 @@ def ordinary_size(
     -------
     r : ndarray, shape (m,)
         Factors of R for this sample.
-    learnt : ndarray, shape (m, 13 + 2 K + K^2)
+    learnt : ndarray, shape (m, 14 + 2 K + K^2)
         What is known, with this sample's parity and change.
     """
     r, learnt, coloured = learnt[:, 0].copy(), learnt.copy(), []
@@ -462,7 +475,7 @@ def repeated(learnt: Array, z: Array, R: Array) -> Array:
 
     Parameters
     ----------
-    learnt : ndarray, shape (m, 13 + 2 K + K^2)
+    learnt : ndarray, shape (m, 14 + 2 K + K^2)
         What is known of each sensor.
     z : ndarray, shape (m,)
         What the sensors said.
@@ -496,7 +509,7 @@ def left_over(learnt: Array, rest: Array, R: Array) -> Array:
 
     Parameters
     ----------
-    learnt : ndarray, shape (m, 13 + 2 K + K^2)
+    learnt : ndarray, shape (m, 14 + 2 K + K^2)
         What is known of each sensor.
     rest : ndarray, shape (m,)
         z - H x.
@@ -505,7 +518,7 @@ def left_over(learnt: Array, rest: Array, R: Array) -> Array:
 
     Returns
     -------
-    ndarray, shape (m, 13 + 2 K + K^2)
+    ndarray, shape (m, 14 + 2 K + K^2)
     """
     learnt = learnt.copy()
     for i in np.flatnonzero(R.diagonal() > 0.0):
@@ -558,7 +571,7 @@ def describe(learnt: Array, scales: Array, sensors: int = 1) -> LearntNoise:
 
     Parameters
     ----------
-    learnt : ndarray, shape (g, 13 + 2 K + K^2)
+    learnt : ndarray, shape (g, 14 + 2 K + K^2)
         A row for each sensor that fails on its own.
     scales : ndarray, shape (K,)
         Factors of the variance.

@@ -72,7 +72,9 @@ class _Part(NamedTuple):
     S: Array
     """(q, m, m)"""
     probabilities: Array
-    """(q,)"""
+    """Of the copies in the part that each sensor sees, (q, m)."""
+    parts: Array
+    """Which part that is, (m,)."""
 
 
 class _Shared(NamedTuple):
@@ -172,15 +174,19 @@ def correct(
     z, H, R, M = z[part], H[part], R[np.ix_(part, part)], None if M is None else M[:, part]
     memory, rows = memory.copy(), np.zeros(len(part), dtype=int) if joint else part
     r = memory[rows, 0]
-    if follows:
-        at, spread = _slow(copies.probabilities, copies.x, copies.P, process)
-        r, memory[part] = learning.ordinary_size(memory[part], readings[part], z, z - H @ at, H @ spread @ H.T, H, R)
-    copies, fresh = side_by_side.with_candidate(copies, z, H, r * R.diagonal(), process)
-    now, N = _begin(copies, z, H, R, r, M)
-    first, log_density, shared = now.S, 0.0, None
-    if alike and len(part) > 1:
-        shared = _shared(*_slow(now.probabilities, now.y, now.S, process), N, memory[part], noise, inv)
     groups = _groups(part, noise.grouping)
+    copies = side_by_side.coupled(copies, _links(H, R, M, groups), process)
+    if follows:
+        at, spread = _slow(copies, process)
+        r, memory[part] = learning.ordinary_size(memory[part], readings[part], z, z - H @ at, H @ spread @ H.T, H, R)
+    copies, new = side_by_side.with_candidate(copies, z, H, r * R.diagonal(), process)
+    now, N = _begin(copies, z, H, R, r, M)
+    first, log_density, shared, belief = now.S, 0.0, None, copies.belief.copy()
+    if alike and len(part) > 1:
+        q = len(process.scales)
+        shares = now.probabilities[:q] / now.probabilities[:q].sum(axis=0)
+        innovation = side_by_side.collapse(shares, now.y[:q], now.S[:q], now.parts)
+        shared = _shared(*innovation, N, memory[part], noise, inv)
     while groups:
         group = groups.pop(_most_plausible(now, groups))
         own = rows[group[:1]] if joint else rows[group]
@@ -191,23 +197,26 @@ def correct(
         before = np.tile(_chance(learning.predicted, memory[own], noise), (len(now.x), 1))
         before[len(process.scales) :] = _chance(learning.usual, memory[own], noise)
         found = _scores(now.y[:, group], S, N[group[:, None], group], before, noise.scales, inv, joint, shared)
-        shares, log_total = _weighed(now.probabilities, found.log_densities, len(process.scales), fresh)
+        own_part, fresh = now.parts[group[0]], bool(new[int(now.parts[group[0]])])
+        shares, log_total = _weighed(now.probabilities[:, group[0]], found.log_densities, len(process.scales), fresh)
         posterior = shares @ found.given
         if noise.learns:
             ordinary = shares * found.given[:, 0]
             energies, parts = (ordinary @ a / max(float(ordinary.sum()), 1e-300) for a in found[4:])
             for k, row in enumerate(own):
-                energy = r[group[k]] * float(energies[k])
-                memory[row] = learning.learn(memory[row], posterior, energy, float(parts[k]), noise)
+                noisy = float(parts[k])
+                excess = (float(energies[k]) - 1.0) / noisy if noisy > 0.0 else 0.0
+                memory[row] = learning.learn(memory[row], posterior, float(r[group[k]]), excess, noisy, noise)
         log_density += log_total
         weights[part[group]], outlying[part[group]] = posterior @ (1.0 / np.array(noise.scales)), 1.0 - posterior[0]
         now = _taken(now, group, found, shares)
-    corrected = Copies(now.x, 0.5 * (now.P + np.swapaxes(now.P, 1, 2)), now.probabilities, 0.0)
-    corrected = side_by_side.settled(corrected, process)
+        belief[:-2, copies.parts == own_part] = shares[:, None]
+    corrected = Copies(now.x, 0.5 * (now.P + np.swapaxes(now.P, 1, 2)), belief)
+    corrected = side_by_side.settled(corrected, np.isin(copies.parts, now.parts), process)
     if shared is not None:
         memory[part] = learning.weigh_together(memory[part], shared.log_density, log_density, noise)
     if follows:
-        at = _slow(corrected.probabilities, corrected.x, corrected.P, process)[0]
+        at = _slow(corrected, process)[0]
         memory[part] = learning.left_over(memory[part], z - H @ at, R)
     return Corrected(corrected, memory, log_density, weights, outlying)
 
@@ -227,11 +236,20 @@ def _chance(of: Any, known: Array, noise: NoiseClasses) -> Array:
     return np.asarray(np.mean([of(row, len(noise.scales)) for row in known], axis=0))
 
 
-def _slow(probabilities: Array, means: Array, covariances: Array, process: Scales) -> tuple[Array, Array]:
+def _links(H: Array, R: Array, M: Array | None, groups: list[np.ndarray]) -> Array:
+    """Return which states a measurement couples, (n, n): those of one sensor, of correlated ones, of a group."""
+    sees, together = (H != 0.0).astype(float), (R != 0.0).astype(float)
+    for group in groups:
+        together[np.ix_(group, group)] = 1.0
+    if M is not None:
+        sees += (M != 0.0).T
+    return np.asarray(sees.T @ together @ sees)
+
+
+def _slow(copies: Copies, process: Scales) -> tuple[Array, Array]:
     """Return mean and covariance over the copies that have not jumped."""
     q = len(process.scales)
-    slow = probabilities[:q] / probabilities[:q].sum()
-    return side_by_side.collapse(slow, means[:q], covariances[:q])
+    return side_by_side.collapse(side_by_side.slow(copies, process), copies.x[:q], copies.P[:q], copies.parts)
 
 
 def _shared(y: Array, S: Array, N: Array, known: Array, noise: NoiseClasses, inv: Inverse | None) -> _Shared | None:
@@ -257,7 +275,8 @@ def _begin(copies: Copies, z: Array, H: Array, R: Array, r: Array, M: Array | No
     if M is not None:
         C, cross = C + M * root, H @ (M * root)
         S = S + cross + cross.T
-    return _Part(copies.x, P, y, C, S, copies.probabilities), N
+    seen = np.argmax(H != 0.0, axis=1)
+    return _Part(copies.x, P, y, C, S, copies.probabilities[:, seen], copies.parts[seen]), N
 
 
 def _limited(P: Array, H: Array, noise: Array) -> Array:
@@ -278,7 +297,7 @@ def _most_plausible(now: _Part, groups: list[np.ndarray]) -> int:
     if len(groups) == 1:
         return 0
     sensors = np.concatenate(groups)
-    y, variances, p = now.y[:, sensors], now.S[:, sensors, sensors], now.probabilities[:, None]
+    y, variances, p = now.y[:, sensors], now.S[:, sensors, sensors], now.probabilities[:, sensors]
     unit = np.maximum(np.abs(y).max(axis=0), 1e-100)
     mean = (p * (y / unit)).sum(axis=0)
     spread = (p * (variances / unit / unit + (y / unit - mean) ** 2)).sum(axis=0)
@@ -338,7 +357,8 @@ def _taken(now: _Part, group: np.ndarray, found: _Scores, shares: Array) -> _Par
         now.y - (S @ a[..., None])[..., 0],
         now.C - C @ bS,
         now.S - S @ bS,
-        shares,
+        np.where(now.parts == now.parts[group[0]], shares[:, None], now.probabilities),
+        now.parts,
     )
 
 

@@ -64,7 +64,7 @@ def _mixed(kf: RobustExtendedKalmanFilter, name: str) -> Described:
     found = described_mixture(kf, name)
     needs = """    learnt_state s;
     real work[learnt_correct_work(N, M, 1, CLASSES)] = {0};
-    real weights[M], outlying[M], whole = 1, unseen = 0, likelihood = 0;"""
+    real weights[M], outlying[M], belief[3 * N] = {0}, likelihood = 0;"""
     return replace(
         found, headers=("real", "prediction", "learnt"), parts={**found.parts, "correction": "mixed.c"},
         start={field: found.start[field] for field in ("x", "P", "memory")},

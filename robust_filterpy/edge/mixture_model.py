@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from robust_filterpy._arrays import state_of
+from robust_filterpy.correction.copies import start as start_of_copies
+from robust_filterpy.correction.policies import process_scales
 from robust_filterpy.edge.filter_model import finite, matrices, matrix_values, require_own, sensor_memory, symmetric
 from robust_filterpy.edge.text import Described
 from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
@@ -40,13 +42,13 @@ def described_mixture(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name:
     process, scales, begin = np.split(rule[_HEAD:], [q, q + K])
     model = matrices(kf)
     # One copy, which is x and P themselves, is not kept apart.
-    kept: dict[str, Any] = {"means": x.reshape(1, n), "covariances": P[None], "shares": np.ones(1), "unseen": 0.0}
-    kept |= kf.state()
-    copies, width = len(kept["shares"]), len(begin)
+    one = start_of_copies(x.ravel(), P, process_scales(None))
+    kept: dict[str, Any] = {"means": one.x, "covariances": one.P, "belief": one.belief} | kf.state()
+    copies, width = len(kept["means"]), len(begin)
     start = {
         "x": finite("x", x.ravel(), (n,)), "P": symmetric("P", P), "means": finite("x", kept["means"], (copies, n)),
         "covariances": np.concatenate([symmetric("P", one) for one in kept["covariances"]]),
-        "shares": kept["shares"], "unseen": float(kept["unseen"]),
+        "belief": kept["belief"].ravel(),
         "memory": finite("memory", sensor_memory(kf, "learnt"), (m, width)),
     }  # fmt: skip
     stay, jump, remembered, r_remembered = rule[2:6]
@@ -63,8 +65,7 @@ def described_mixture(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name:
                 f"    {name}_real {declared};"
                 for declared in (
                     f"means[{copies} * {n}]", f"covariances[{copies} * {n} * {n}]",
-                    f"shares[{copies}]; /* their probabilities */",
-                    "unseen; /* chance that the state has jumped since the last measurement */",
+                    f"belief[{copies + 2} * {n}]; /* for each state: how likely each copy, a jump; its part */",
                 )
             ).replace("*/;", "*/") + "\n" + memory_field((m, width), name),
             "remark": f"A step that Python leaves to its definition is refused, {name.upper()}_SINGULAR.",

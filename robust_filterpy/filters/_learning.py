@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy._arrays import noise_covariance
 from robust_filterpy._checks import Array
+from robust_filterpy.correction.copies import slow
 from robust_filterpy.correction.learning import LearntNoise, describe
 from robust_filterpy.correction.spread import SPREAD, WEIGHT
 from robust_filterpy.filters._bounded import Bounded
@@ -24,6 +25,7 @@ class LearningMixin:
     # Not a literal: a type checker would then believe that there is no __dict__ at all.
     __slots__ = tuple(())
 
+    dim_x: int
     dim_z: int
     _policy: Any
     _kept: Any
@@ -106,7 +108,7 @@ class LearningMixin:
         """Under ``noise=Learnt(..)``, what is known of the noise: a small array, r (a factor of R) first.
 
         Keep it, or assign it to another filter with the same R, grouping and scales of noise, which then starts with
-        it. Shape (1 or sensors, 13 + 2 K + K^2); a copy. None where no noise is learnt.
+        it. Shape (1 or sensors, 14 + 2 K + K^2); a copy. None where no noise is learnt.
         """
         return self._memory.copy() if self._learns_noise else None
 
@@ -139,16 +141,23 @@ class LearningMixin:
 
     @property
     def process_probabilities(self) -> Array | None:
-        """Under ``noise=``, the probability of each scale of the process, shape (q,); None without."""
+        """Under ``noise=``, the probability of each scale of Q for each state, shape (q, dim_x); None without.
+
+        States that neither the model nor a sensor couples have their own, the others of one part the same.
+        """
         if type(self._policy) is not Mixture:
             return None
         if self._kept is None:
-            return np.ones(1)
-        shares = self._kept.probabilities[: len(self._policy.scales.scales)]
-        return np.asarray(shares / shares.sum())
+            return np.ones((1, self.dim_x))
+        return slow(self._kept.copies, self._policy.scales)
 
     @property
-    def process_scale(self) -> float:
-        """Mean factor of Q in the step before the last measurement, given that measurement; 1 if Q is taken as told."""
+    def process_scale(self) -> Array:
+        """Mean factor of each state's Q in the step before the last measurement, given that measurement.
+
+        Shape (dim_x,), equal for states of one part; 1 if Q is taken as told.
+        """
         probabilities = self.process_probabilities
-        return 1.0 if probabilities is None else float(probabilities @ self._policy.scales.scales)
+        if probabilities is None:
+            return np.ones(self.dim_x)
+        return np.asarray(np.array(self._policy.scales.scales) @ probabilities)

@@ -17,7 +17,7 @@ from scipy.linalg import block_diag
 from robust_filterpy._checks import Array
 from robust_filterpy._state import Shape
 from robust_filterpy.correction import copies as side_by_side
-from robust_filterpy.correction.copies import Copies, Scales, merged
+from robust_filterpy.correction.copies import Copies, Scales
 from robust_filterpy.correction.definition import Innovation, innovation_moments, nothing_observed
 from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.options import Choices, Grouping
@@ -39,19 +39,17 @@ class Kept(NamedTuple):
     """Shape (q, n)."""
     covariances: Array
     """Shape (q, n, n)."""
-    probabilities: Array
-    """Shape (q,)."""
+    belief: Array
+    """Which of them are likely, in which part of the state, shape (q + 2, n)."""
     x: Array
     """Shape (n,)."""
     P: Array
     """Shape (n, n)."""
-    unseen: float = 0.0
-    """Chance that the state has jumped since the last measurement."""
 
     @property
     def copies(self) -> Copies:
         """The copies alone."""
-        return Copies(self.means, self.covariances, self.probabilities, self.unseen)
+        return Copies(*self[:3])
 
 
 @dataclass(frozen=True)
@@ -106,21 +104,21 @@ class Mixture:
 
     def start(self, x: Array, P: Array, sensors: int) -> Kept | None:
         """Return the copies, all at x, P; None where there is but one."""
-        return self._merged(side_by_side.start(x, P, self.scales)) if self.scales.count > 1 else None
+        return Kept(*side_by_side.start(x, P, self.scales), x, P) if self.scales.count > 1 else None
 
     def current(self, kept: Kept | None, x: Array, P: Array) -> Kept:
         """Return the copies; all of them at x, P if these have been assigned from outside."""
         if kept is None:
-            return Kept(x[None], P[None], np.ones(1), x, P)
+            return Kept(*side_by_side.start(x, P, self.scales), x, P)
         if x.tobytes() == kept.x.tobytes() and P.tobytes() == kept.P.tobytes():
             return kept
-        count, shares, scales = len(kept.probabilities), kept.probabilities.copy(), len(self.scales.scales)
-        if count > scales:
-            # Where the program puts the state there is no candidate.
-            shares[scales:] = 0.0
-            shares /= shares.sum()
+        count, belief, scales = len(kept.means), kept.belief.copy(), len(self.scales.scales)
+        # Where the program puts the state there is no candidate.
+        belief[scales:count] = 0.0
+        belief[:scales] = side_by_side.slow(kept.copies, self.scales)
         x, P = x.copy(), P.copy()
-        return Kept(np.tile(x, (count, 1)), np.tile(P, (count, 1, 1)), shares, x, P, kept.unseen)
+        copies = Copies(np.tile(x, (count, 1)), np.tile(P, (count, 1, 1)), belief)
+        return Kept(*side_by_side.coupled(copies, P, self.scales), x, P)
 
     def predicted(
         self, kept: Kept | None, x: Array, P: Array, F: Array, Q: Array, Bu: Array | None, alpha_sq: float
@@ -128,7 +126,8 @@ class Mixture:
         """Return x and P of all copies after a prediction: mixed as the scale may have changed, then moved."""
         control = None if Bu is None else Bu.ravel()
         now = self.current(kept, x.ravel(), P).copies
-        after = _kept(*half_step.predict(now, F, Q, self.scales, control, alpha_sq))
+        copies, *merged_to = half_step.predict(now, F, Q, self.scales, control, alpha_sq)
+        after = Kept(*copies, *merged_to)
         return after.x.reshape(x.shape).copy(), after.P.copy(), None if kept is None else after
 
     def corrected(
@@ -142,7 +141,7 @@ class Mixture:
         if np.isnan(found.weights).all():
             ordinary = ordinary_noise(R, known.memory)
             return nothing_observed(x, P, H.dot(P).dot(H.T) + ordinary, len(H)), known.kept
-        after = _kept(found.copies, *merged_to)
+        after = Kept(*found.copies, *merged_to)
         record = Mixed(
             after.x.copy(), after.P.copy(), *found[1:], kept.x.copy(), kept.P.copy(), H.copy(), R.copy(), M, z,
             known.memory, together=self._named,
@@ -164,8 +163,7 @@ class Mixture:
         n, m = len(x), len(y)
         y = np.where(H.any(axis=1), y, np.nan)
         whole, states = np.hstack((H, np.eye(m)[:, : len(curvature)])), block_diag(P, curvature)
-        start = np.zeros((1, n + len(curvature)))
-        prior = Copies(start, states[None], np.ones(1), 0.0)
+        prior = side_by_side.start(np.zeros(n + len(curvature)), states, process_scales(None))
         found, *_ = half_step.correct(prior, known.memory, y, whole, R, self.classes, self.scales, None, inv, readings)
         unexplained = curvature if curvature.size else np.zeros((m, m))
         if np.isnan(found.weights).all():
@@ -184,35 +182,21 @@ class Mixture:
         if kept is None:
             return {}
         now = self.current(kept, x, P)
-        arrays = {"means": now.means, "covariances": now.covariances, "shares": now.probabilities}
-        return {**arrays, "unseen": np.array(now.unseen)}
+        return {"means": now.means, "covariances": now.covariances, "belief": now.belief}
 
     def shapes(self, n: int) -> dict[str, Shape]:
         """Return the shapes of these."""
         q = self.scales.count
         if q == 1:
             return {}
-        return {"means": (q, n), "covariances": (q, n, n), "shares": (q,), "unseen": ()}
+        return {"means": (q, n), "covariances": (q, n, n), "belief": (q + 2, n)}
 
     def resumed(self, found: dict[str, Array], x: Array, P: Array) -> Kept | None:
         """Return the copies of a state, if their probabilities are some."""
         if self.scales.count == 1:
             return None
-        shares, unseen = found["shares"], float(found["unseen"])
-        if (shares < 0.0).any() or not np.isclose(shares.sum(), 1.0):
-            raise ValueError(f"state: expected shares >= 0 that sum to 1, got {shares}")
-        if not 0.0 <= unseen <= 1.0:
-            raise ValueError(f"state: expected unseen in [0, 1], got {unseen}")
-        return Kept(found["means"], found["covariances"], shares, x.copy(), P.copy(), unseen)
-
-    def _merged(self, copies: Copies) -> Kept:
-        """Return copies together with what they merge to."""
-        return _kept(copies, *merged(copies, self.scales))
-
-
-def _kept(copies: Copies, x: Array, P: Array) -> Kept:
-    """Return copies together with what they merge to."""
-    return Kept(*copies[:3], x, P, copies.unseen)
+        side_by_side.require_belief("state: belief", found["belief"])
+        return Kept(found["means"], found["covariances"], found["belief"], x.copy(), P.copy())
 
 
 class Mixed(NamedTuple):

@@ -177,7 +177,7 @@ class RecordingMixin(RobustFilterMixin):
         flat, weights = (len(means), -1), np.ones(steps.zs.shape[1:])
         into = learnt.Kept(
             means, covariances.reshape(flat), means_p, covariances_p.reshape(flat), weights=weights,
-            scale=None if steps.scales is None else steps.scales[:, None],
+            scale=steps.scales,
         )  # fmt: skip
         model = tuple(array[0] for array in steps.model)
         taken = learnt.run(
@@ -186,8 +186,7 @@ class RecordingMixin(RobustFilterMixin):
         if taken > k:
             # What else a step leaves in the filter, the filter's own next step sets anew.
             self.x, self.P = state.x.reshape(x.shape).copy(), state.P.copy()
-            copies = Copies(*state[:3], float(state.unseen[0]))
-            self._kept = None if self._kept is None else Kept(*copies[:3], state.x, state.P, copies.unseen)
+            self._kept = None if self._kept is None else Kept(*state[:3], state.x, state.P)
             self._learn(state.learnt, len(state.learnt))
             look_for_stuck(self, weights[k:taken], k)
             if means_p.shape[1] and self._counts_clipped:

@@ -591,7 +591,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
             As in `predict` and `update`, with the step named. After these, an interrupt, or an error of the saver or
             of psi, the filter is as it was before the call; what the saver has kept by then it keeps.
         """
-        scales = np.empty(len(zs)) if self.process is not None and hasattr(zs, "__len__") else None
+        scales = np.empty((len(zs), self.dim_x)) if self.process is not None and hasattr(zs, "__len__") else None
         by_kernel = saver is None and self._steps_are_own()
         found = self._filter_recording(Given(zs, Fs, Qs, Hs, Rs, Bs, us), update_first, saver, by_kernel, scales)
         self._process_scales = scales
@@ -640,10 +640,10 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
 
         Notes
         -----
-        Under ``process=`` Q of step k is `process_scale` times the ordinary Q where Xs ends with the filter's state
-        after the last `batch_filter` of that length. A loop over `predict` and `update` hands over ``Qs`` itself: the
-        ordinary Q times `process_scale` after each update. A jump would otherwise be smoothed away, before and after
-        it.
+        Under ``process=`` Q of step k is the ordinary Q times the roots of `process_scale`, from both sides, where Xs
+        ends with the filter's state after the last `batch_filter` of that length. A loop over `predict` and `update`
+        hands over ``Qs`` itself: ``np.outer(root, root) * Q`` with ``root = kf.process_scale ** 0.5`` after each
+        update. A jump would otherwise be smoothed away, before and after it.
         """
         n = self.dim_x
         Xs, Ps = _checks.numbers("Xs", Xs), _checks.numbers("Ps", Ps)
@@ -661,7 +661,11 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         scales = self._process_scales
         if scales is not None and len(scales) == len(Xs) > 0 and np.array_equal(np.ravel(Xs[-1]), np.ravel(self.x)):
             nominal = [self.Q] * len(scales) if Qs is None else Qs
-            Qs = [s * (process_noise(Q, None, n) + np.zeros((n, n))) for s, Q in zip(scales, nominal, strict=False)]
+            roots = np.sqrt(scales)
+            Qs = [
+                np.outer(root, root) * (process_noise(Q, None, n) + np.zeros((n, n)))
+                for root, Q in zip(roots, nominal, strict=False)
+            ]
         smoothed: tuple[Array, Array, Array, Array] = super().rts_smoother(Xs, Ps, Fs, Qs, inv)
         return smoothed
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from robust_filterpy import _state
 from robust_filterpy._checks import Array
+from robust_filterpy.correction.copies import require_belief
 from robust_filterpy.fusion._doubts import Doubt
 from robust_filterpy.fusion._first_readings import TRIAL
 from robust_filterpy.fusion._policies import State
@@ -48,8 +49,8 @@ def state(timeline: Timeline, clock: Clock, counts: Any, outcomes: tuple[str, ..
     watched = _watched(timeline) if timeline.setup.watches else {}
     doubted = {} if timeline.setup.reacquire is None else {"doubt": _of_doubt(timeline.base.doubt)}
     return _state.labelled("Fusion", {
-        "x": base.x, "P": base.P, "means": base.means, "covariances": base.covariances, "shares": base.probabilities,
-        "memory": base.memory, "unseen": base.unseen, "sizes": base.sizes, "u": base.u, "trial": base.trial,
+        "x": base.x, "P": base.P, "means": base.means, "covariances": base.covariances, "belief": base.belief,
+        "memory": base.memory, "sizes": base.sizes, "u": base.u, "trial": base.trial,
         "kind": _KINDS.index(clock.kind), "base": _split([] if timeline.base_key is None else [timeline.base_key]),
         "keys": _split(timeline.keys), "z": timeline.readings(),
         "controls": np.array(controls).reshape(len(controls), p),
@@ -84,8 +85,8 @@ def restored(like: Timeline, found: Any, outcomes: tuple[str, ...]) -> tuple[Tim
     q, (n, M), names = len(base.means), (layout.n, layout.size), layout.names
     p, width = like.setup.motion.dim_u, base.memory.shape[1]
     needed: dict[str, _state.Shape] = {
-        "x": (n,), "P": (n, n), "means": (q, n), "covariances": (q, n, n), "shares": (q,), "memory": (M, width),
-        "unseen": (), "sizes": (M,), "u": (p,), "trial": (M, TRIAL), "kind": (),
+        "x": (n,), "P": (n, n), "means": (q, n), "covariances": (q, n, n), "belief": (q + 2, n),
+        "memory": (M, width), "sizes": (M,), "u": (p,), "trial": (M, TRIAL), "kind": (),
         "base": (None, 2), "keys": (None, 2), "z": (None, M),
         "controls": (None, p), "controlled": (None,), "spoke": (None, len(names)), "earlier_known": (len(names),),
         "earlier": (len(names), 2), "counts": (len(names), len(outcomes)),
@@ -107,8 +108,10 @@ def restored(like: Timeline, found: Any, outcomes: tuple[str, ...]) -> tuple[Tim
         raise _state.StateError("state: expected as many z, controls and spoke as keys, and at most one base")
     if got["kind"] not in range(3):
         raise _state.StateError(f"state: expected kind 0, 1 or 2, got {got['kind']}")
-    if not ((got["shares"] >= 0.0).all() and np.isclose(got["shares"].sum(), 1.0)):
-        raise _state.StateError(f"state: expected shares >= 0 that sum to 1, got {got['shares']}")
+    try:
+        require_belief("state: belief", got["belief"])
+    except ValueError as error:
+        raise _state.StateError(str(error)) from None
     clock = Clock(_KINDS[int(got["kind"])])
     keys, start = _joined(got["keys"], clock.kind), _joined(got["base"], clock.kind)
     if any(b <= a for a, b in zip(start[:1] + keys[:-1], keys, strict=False)) and (start[:1] + keys) != sorted(
@@ -117,7 +120,7 @@ def restored(like: Timeline, found: Any, outcomes: tuple[str, ...]) -> tuple[Tim
         raise _state.StateError("state: expected keys that ascend, after base")
     none = np.full(M, np.nan)
     stood = State(
-        got["means"], got["covariances"], got["shares"], got["memory"], got["x"], got["P"], float(got["unseen"]),
+        got["means"], got["covariances"], got["belief"], got["memory"], got["x"], got["P"],
         got["sizes"], got["u"], got["trial"],
     )  # fmt: skip
     doubt = _doubt_of(got.get("doubt", np.zeros(0)), like, clock.kind)
@@ -174,7 +177,7 @@ def _unflat(row: Array, like: Timeline, kind: str) -> Moment:
     innovation, deviation = taken(base.innovation), taken(base.deviation)
     numbers = {name: taken(value) for name, value in zip(Watch._fields, base.watch, strict=True) if name not in _STAMPS}
     known = taken(np.zeros((len(like.setup.layout.parties) + 2, 3)))
-    whole = [state.means, state.covariances, state.probabilities, state.memory, state.x, state.P, state.unseen, known]
+    whole = [state.means, state.covariances, state.belief, state.memory, state.x, state.P, known]
     whole += [value for name, value in numbers.items() if name != "tests"]
     if not all(np.isfinite(part).all() for part in whole):
         raise _state.StateError("state: expected finite numbers in moments, got NaN")

@@ -20,6 +20,7 @@ from robust_filterpy.correction.copies import Copies, Scales
 from robust_filterpy.correction.definition import Innovation, correct, correct_by_custom, innovation_moments
 from robust_filterpy.correction.learning import NoiseClasses, describe, usual
 from robust_filterpy.correction.options import Choices
+from robust_filterpy.correction.policies import process_scales
 from robust_filterpy.fusion._first_readings import none_yet
 from robust_filterpy.kernel import learnt as learnt_kernel
 from robust_filterpy.kernel import series as series_kernel
@@ -35,16 +36,14 @@ class State(NamedTuple):
     """Of the copies that differ in what they take the process for, (q, n)."""
     covariances: Array
     """(q, n, n)"""
-    probabilities: Array
-    """(q,)"""
+    belief: Array
+    """Which of them are likely, in which part of the state, (q + 2, n)."""
     memory: Array
     """What is known of each component's noise, (M, ..)."""
     x: Array
     """Mean of all, (n,)."""
     P: Array
     """Its covariance, (n, n)."""
-    unseen: float
-    """Chance that the state has jumped since the last measurement."""
     sizes: Array
     """Variance that stands for R where nobody told it, NaN until it is known, 1 elsewhere, (M,)."""
     u: Array
@@ -98,7 +97,7 @@ class Policy(Protocol):
 
 def _copies(state: State) -> Copies:
     """Return the copies of a state."""
-    return Copies(*state[:3], state.unseen)
+    return Copies(*state[:3])
 
 
 class LearntNoise:
@@ -119,7 +118,7 @@ class LearntNoise:
     def start(self, x: Array, P: Array, sizes: Array, u: Array) -> State:
         """Return the state before anything has happened."""
         M, begun = len(sizes), side_by_side.start(x, P, self.doubt)
-        return State(*begun[:3], self.noise.start(M), x, P, begun.unseen, sizes, u, none_yet(M))
+        return State(*begun, self.noise.start(M), x, P, sizes, u, none_yet(M))
 
     def predicted(self, state: State, F: Array, Q: Array, drift: Array) -> State:
         """Return the state after a stretch of time."""
@@ -137,12 +136,11 @@ class LearntNoise:
 
     def _taken(self, stands: learnt_kernel.State, state: State) -> State:
         """Return where the kernel stands as a state."""
-        copies = Copies(*stands[:3], float(stands.unseen[0]))
-        return self._of(copies, stands.x, stands.P, state)._replace(memory=stands.learnt)
+        return self._of(Copies(*stands[:3]), stands.x, stands.P, state)._replace(memory=stands.learnt)
 
     def _of(self, copies: Copies, x: Array, P: Array, state: State) -> State:
         """Return copies, and x and P that they merge to, as a state."""
-        return State(*copies[:3], state.memory, x, P, copies.unseen, state.sizes, state.u, state.trial)
+        return State(*copies, state.memory, x, P, state.sizes, state.u, state.trial)
 
     def factors(self, state: State) -> Array:
         """Return what a component's ordinary noise is over R, in variance, as learnt."""
@@ -159,8 +157,7 @@ class LearntNoise:
 
     def process(self, state: State) -> float:
         """Return the factor of Q that is thought likely."""
-        shares = state.probabilities[: len(self.doubt.scales)]
-        return float(np.exp(shares @ np.log(self.doubt.scales) / shares.sum()))
+        return float(np.exp(np.mean(np.log(self.doubt.scales) @ side_by_side.slow(_copies(state), self.doubt))))
 
     def kernel(self, zs: Array, model: tuple[Array, ...], into: Steps) -> Advance:
         """Return what takes the kernel's steps, as many as it can."""
@@ -191,7 +188,8 @@ class BoundedInfluence:
 
     def start(self, x: Array, P: Array, sizes: Array, u: Array) -> State:
         """Return the state before anything has happened."""
-        return State(x[None], P[None], np.ones(1), spread.begin(len(sizes)), x, P, 0.0, sizes, u, none_yet(len(sizes)))
+        one = side_by_side.start(x, P, process_scales(None))
+        return State(*one, spread.begin(len(sizes)), x, P, sizes, u, none_yet(len(sizes)))
 
     def predicted(self, state: State, F: Array, Q: Array, drift: Array) -> State:
         """Return the state after a stretch of time."""

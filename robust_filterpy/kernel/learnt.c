@@ -19,14 +19,22 @@ int take_rule(learnt_rule *rule, PyObject *object) {
     return length == HEAD + rule->q + rule->K + learnt_width(rule->K);
 }
 
+/* Whether each part is named by its first state. */
+int are_parts(const double *part, npy_intp n) {
+    for (npy_intp i = 0; i < n; i++)
+        if (!(part[i] >= 0 && part[i] <= (double)i && part[(npy_intp)part[i]] == part[i] && part[i] == floor(part[i])))
+            return 0;
+    return 1;
+}
+
 /* The copies and what is known of m sensors; m < 0: of none. Return whether the arrays are that. */
 static int take_copies(learnt_state *s, const learnt_rule *rule, npy_intp n, npy_intp m, PyObject *x, PyObject *P,
-                      PyObject *p, PyObject *unseen, PyObject *memory) {
+                      PyObject *p, PyObject *memory) {
     const npy_intp copies = learnt_copies(rule), means[2] = {copies, n}, covariances[3] = {copies, n, n};
-    const npy_intp one[1] = {1}, known[2] = {m, learnt_width(rule->K)};
-    s->x = writable(x, 2, means), s->P = writable(P, 3, covariances), s->p = writable(p, 1, &copies);
-    s->unseen = writable(unseen, 1, one), s->memory = m < 0 ? NULL : writable(memory, 2, known);
-    return s->x && s->P && s->p && s->unseen && (m < 0 || s->memory);
+    const npy_intp beliefs[2] = {copies + 2, n}, known[2] = {m, learnt_width(rule->K)};
+    s->x = writable(x, 2, means), s->P = writable(P, 3, covariances), s->p = writable(p, 2, beliefs);
+    s->memory = m < 0 ? NULL : writable(memory, 2, known);
+    return s->x && s->P && s->p && (m < 0 || s->memory) && are_parts(learnt_part((int)n, rule, s), n);
 }
 
 static PyObject *wrong(void) {
@@ -58,21 +66,19 @@ static void keep(const learnt_job *job, npy_intp row, double *means, double *cov
 /* Take steps until one is out of the ordinary; return the first that was not taken. */
 INLINE npy_intp run(const int n, const int m, learnt_job *job, double *work) {
     const learnt_rule rule = job->rule;
-    const int copies = learnt_copies(&rule), known = m * learnt_width(rule.K);
-    double *const kept = work, *weights = kept + copies * (n * n + n + 1) + known + 1 + n + n * n;
+    const int copies = learnt_copies(&rule), known = m * learnt_width(rule.K), beliefs = learnt_beliefs(n, &rule);
+    double *const kept = work, *const p = kept + copies * (n * n + n), *const memory = p + beliefs;
+    double *const x = memory + known, *const P = x + n, *const weights = P + n * n;
     double *const outlying = weights + m, *const spare = outlying + m;
     learnt_state *const s = &job->state;
-    const learnt_state before = {kept, kept + copies * n, kept + copies * (n + n * n),
-                                 kept + copies * (n + n * n + 1) + known, kept + copies * (n + n * n + 1)};
-    double *const x = before.unseen + 1, *const P = x + n;
+    const learnt_state before = {kept, kept + copies * n, p, memory};
     for (npy_intp k = job->first; k < job->last; k++) {
         const npy_intp row = (k + 1) / job->every - 1;
         const int kept_step = (k + 1) % job->every == 0;
         int fine = 1;
         double likelihood = 0;
         real_copy(copies * n, s->x, before.x), real_copy(copies * n * n, s->P, before.P);
-        real_copy(copies, s->p, before.p), real_copy(known, s->memory, before.memory);
-        *before.unseen = *s->unseen;
+        real_copy(beliefs, s->p, before.p), real_copy(known, s->memory, before.memory);
         real_copy(n, job->x, x), real_copy(n * n, job->P, P);
         for (int half = 0; half < 2 && fine; half++) {
             const int corrects = (half == 0) == job->update_first;
@@ -93,18 +99,19 @@ INLINE npy_intp run(const int n, const int m, learnt_job *job, double *work) {
         }
         if (!fine) {
             real_copy(copies * n, before.x, s->x), real_copy(copies * n * n, before.P, s->P);
-            real_copy(copies, before.p, s->p), real_copy(known, before.memory, s->memory);
-            *s->unseen = *before.unseen;
+            real_copy(beliefs, before.p, s->p), real_copy(known, before.memory, s->memory);
             real_copy(n, x, job->x), real_copy(n * n, P, job->P);
             return k;
         }
         *job->log_likelihood += likelihood;
         if (kept_step && job->which & 2) {
-            double slow = 0, total = 0;
             if (job->weights) real_copy(m, weights, job->weights + row * m);
             if (job->outlying) real_copy(m, outlying, job->outlying + row * m);
-            for (int c = 0; c < rule.q; c++) slow += s->p[c], total += s->p[c] * rule.process[c];
-            if (job->scale) job->scale[row] = total / slow;
+            for (int i = 0; job->scale && i < n; i++) {
+                double slow = 0, total = 0;
+                for (int c = 0; c < rule.q; c++) slow += s->p[c * n + i], total += s->p[c * n + i] * rule.process[c];
+                job->scale[row * n + i] = total / slow;
+            }
         }
     }
     return job->last;
@@ -128,14 +135,14 @@ static npy_intp run_sized(learnt_job *job, double *work) {
 }
 
 static PyObject *learnt_steps(PyObject *self, PyObject *arguments) {
-    PyObject *rule, *standing, *z, *readings, *matrices, *rooms, *state[7], *model[5], *out[8];
+    PyObject *rule, *standing, *z, *readings, *matrices, *rooms, *state[6], *model[5], *out[8];
     Py_ssize_t first, last, every, width;
     learnt_job job = {0};
     (void)self;
     if (!PyArg_ParseTuple(arguments, "OOOOOO(nnndpni)", &rule, &standing, &z, &readings, &matrices, &rooms, &first, &last, &every,
                           &job.alpha_sq, &job.update_first, &width, &job.which))
         return NULL;
-    if (!take_rule(&job.rule, rule) || !take_objects(standing, 7, state) || !take_objects(matrices, 5, model) ||
+    if (!take_rule(&job.rule, rule) || !take_objects(standing, 6, state) || !take_objects(matrices, 5, model) ||
         !take_objects(rooms, 8, out) || !is_array(z, 3) || !is_array(state[0], 2))
         return wrong();
     const npy_intp all = PyArray_DIM((PyArrayObject *)z, 1), m = PyArray_DIM((PyArrayObject *)z, 2);
@@ -143,7 +150,7 @@ static PyObject *learnt_steps(PyObject *self, PyObject *arguments) {
     if (n < 1 || m < 1 || n > 1000 || m > 1000 || every < 1 || first < 0 || last < first || last > all) return wrong();
     if (width != 0 && width != n && width != n * n) return wrong();
     const npy_intp rows = all / every;
-    if (!take_copies(&job.state, &job.rule, n, m, state[0], state[1], state[2], state[6], state[3]) ||
+    if (!take_copies(&job.state, &job.rule, n, m, state[0], state[1], state[2], state[3]) ||
         !(job.x = writable(state[4], 1, states)) || !(job.P = writable(state[5], 2, states)) ||
         !take_matrices(&job.z, z, 1, all, m, 0) || !take_matrices(&job.readings, readings, 1, all, m, 0) || !take_matrices(&job.F, model[0], 1, all, n, n) ||
         !take_matrices(&job.Q, model[1], 1, all, n, n) || !take_matrices(&job.H, model[2], 1, all, m, n) ||
@@ -152,13 +159,13 @@ static PyObject *learnt_steps(PyObject *self, PyObject *arguments) {
         !take_room(&job.means, out[0], 1, rows, n) || !take_room(&job.covariances, out[1], 1, rows, width) ||
         !take_room(&job.means_p, out[2], 1, rows, n) || !take_room(&job.covariances_p, out[3], 1, rows, width) ||
         !take_room(&job.weights, out[4], 1, rows, m) || !take_room(&job.outlying, out[5], 1, rows, m) ||
-        !take_room(&job.scale, out[6], 1, rows, 1) || !(job.log_likelihood = writable(out[7], 1, one)))
+        !take_room(&job.scale, out[6], 1, rows, n) || !(job.log_likelihood = writable(out[7], 1, one)))
         return wrong();
     job.z.by_step = job.readings.by_step = m;
     job.n = (int)n, job.m = (int)m, job.first = first, job.last = last, job.every = every, job.width = width;
     const int copies = learnt_copies(&job.rule), K = job.rule.K;
     const size_t step = learnt_correct_work(job.n, job.m, copies, K) + learnt_predict_work(job.n, copies);
-    const size_t kept = (size_t)(copies * (n * n + n + 1) + m * learnt_width(K) + 1 + n + n * n + 2 * m);
+    const size_t kept = (size_t)((copies + 1) * (n * n + n) + (copies + 2) * n + m * learnt_width(K) + 2 * m);
     double *const work = PyMem_Malloc((step + kept) * sizeof(double));
     if (!work) return PyErr_NoMemory();
     Py_BEGIN_ALLOW_THREADS;

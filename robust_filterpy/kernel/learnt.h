@@ -18,7 +18,9 @@
 #define LEARNT_PARITY_SAMPLES REAL(20.0)
 #define LEARNT_CHANGE 4               /* of changes: left of the reading, the last, their differences' scale, how many */
 #define LEARNT_READING 2              /* the last, in standard deviations of R, and one over the least change */
-#define LEARNT_TAIL (1 + LEARNT_PARITY + LEARNT_CHANGE + LEARNT_READING) /* and first whether it fails with others */
+#define LEARNT_TAIL (2 + LEARNT_PARITY + LEARNT_CHANGE + LEARNT_READING) /* and first whether it fails with others */
+#define LEARNT_LESS REAL(0.1)
+#define LEARNT_FOR_LESS REAL(6.9077552789821371)
 #define LEARNT_COLOUR REAL(0.99)       /* noise that never changes is an offset, of which no reading rids a filter */
 #define LEARNT_WILDEST REAL(1e6)
 #define LEARNT_FINE REAL(10.0)        /* steps of a sensor in one of its noise, from which on no reading repeats by chance */
@@ -52,89 +54,135 @@ typedef struct {
 typedef struct {
     real *x;      /* (copies, n) */
     real *P;      /* (copies, n, n) */
-    real *p;      /* (copies) */
-    real *unseen; /* chance that the state has jumped since the last measurement */
+    real *p;      /* (copies + 2, n): for each state the probabilities of the copies in its part, the chance that the part
+                     has jumped since its last measurement, and the first state of the part */
     real *memory; /* (m, width) */
 } learnt_state;
 
 INLINE int learnt_copies(const learnt_rule *const rule) { return rule->jump > 0 ? rule->q + 1 : rule->q; }
 
+/* Numbers of a state's p. */
+INLINE int learnt_beliefs(const int n, const learnt_rule *const rule) { return (learnt_copies(rule) + 2) * n; }
+
+INLINE real *learnt_unseen(const int n, const learnt_rule *const rule, const learnt_state *const s) {
+    return s->p + learnt_copies(rule) * n;
+}
+
+INLINE real *learnt_part(const int n, const learnt_rule *const rule, const learnt_state *const s) {
+    return s->p + (learnt_copies(rule) + 1) * n;
+}
+
 #define learnt_width(K) (2 + 2 * (K) + (K) * (K) + LEARNT_TAIL)
 
-/* Whether it is more likely than not that the state has jumped. */
-INLINE int learnt_jumped(const learnt_rule *const rule, const real *const p) {
-    return rule->jump > 0 && p[rule->q] > REAL(0.5);
-}
-
-INLINE void learnt_normalize(const int count, real *RESTRICT p) {
+/* Let the probabilities of state i, count of them, n apart, add to 1. */
+INLINE void learnt_normalize(const int n, const int i, const int count, real *RESTRICT p) {
     real total = 0;
-    for (int c = 0; c < count; c++) total += p[c];
-    for (int c = 0; c < count; c++) p[c] /= total;
+    for (int c = 0; c < count; c++) total += p[c * n + i];
+    for (int c = 0; c < count; c++) p[c * n + i] /= total;
 }
 
-/* Mean and covariance of a mixture of h parts whose weights add to 1. */
+/* Let the parts of two states be one: with the scales that are likely in both, what was likely at first counted once, and
+   without a candidate. */
+INLINE void learnt_join(const int n, const learnt_rule *const rule, learnt_state *const s, const int i, const int k) {
+    real *RESTRICT part = learnt_part(n, rule, s), *RESTRICT unseen = learnt_unseen(n, rule, s), *RESTRICT p = s->p;
+    const real low = real_min(part[i], part[k]), high = real_max(part[i], part[k]);
+    if (low == high) return;
+    const int one = (int)low, other = (int)high;
+    for (int c = 0; c < rule->q; c++) p[c * n + one] *= p[c * n + other] / (c > 0 ? 1 - rule->stay : 1);
+    learnt_normalize(n, one, rule->q, p);
+    if (rule->jump > 0) p[rule->q * n + one] = 0;
+    unseen[one] = real_max(unseen[one], unseen[other]);
+    for (int o = 0; o < n; o++) {
+        if (!(part[o] == low || part[o] == high)) continue;
+        for (int c = 0; c < learnt_copies(rule); c++) p[c * n + o] = p[c * n + one];
+        unseen[o] = unseen[one], part[o] = low;
+    }
+}
+
+/* Mean and covariance of a mixture of h copies, whose weights (h, n) in the part of each state add to 1. */
 INLINE void learnt_collapse(const int n, const int h, const real *RESTRICT weights, const real *RESTRICT means,
-                            const real *RESTRICT covariances, real *RESTRICT x, real *RESTRICT P) {
+                            const real *RESTRICT covariances, const real *RESTRICT part, real *RESTRICT x,
+                            real *RESTRICT P) {
     for (int i = 0; i < n; i++) x[i] = 0;
     for (int i = 0; i < n * n; i++) P[i] = 0;
     for (int c = 0; c < h; c++)
-        for (int i = 0; i < n; i++) x[i] += weights[c] * means[c * n + i];
+        for (int i = 0; i < n; i++) x[i] += weights[c * n + i] * means[c * n + i];
     for (int c = 0; c < h; c++) {
-        const real w = weights[c];
         const real *RESTRICT from = covariances + c * n * n, *RESTRICT mean = means + c * n;
-        if (!(w > 0)) continue;
         for (int i = 0; i < n; i++) {
-            const real apart = mean[i] - x[i];
-            for (int j = 0; j < n; j++) P[i * n + j] += w * (from[i * n + j] + apart * (mean[j] - x[j]));
+            const real w = weights[c * n + i], apart = mean[i] - x[i];
+            if (!(w > 0)) continue;
+            for (int j = 0; j < n; j++)
+                if (part[i] == part[j]) P[i * n + j] += w * (from[i * n + j] + apart * (mean[j] - x[j]));
         }
     }
 }
 
-INLINE size_t learnt_merge_work(const int copies) { return (size_t)copies; }
+/* Mean and covariance over the copies that have not jumped; work (q n). */
+INLINE void learnt_slow(const int n, const learnt_rule *const rule, const learnt_state *const s, real *RESTRICT x,
+                        real *RESTRICT P, real *RESTRICT work) {
+    real_copy(rule->q * n, s->p, work);
+    for (int i = 0; i < n; i++) learnt_normalize(n, i, rule->q, work);
+    learnt_collapse(n, rule->q, work, s->x, s->P, learnt_part(n, rule, s), x, P);
+}
+
+#define learnt_merge_work(n, copies) ((size_t)((n) * (copies)))
 
 /* Mean and covariance of the state; a jump is hidden until it is more likely than not. Return whether they are finite. */
 INLINE int learnt_merge(const int n, const learnt_rule *const rule, const learnt_state *const s, real *RESTRICT x,
                         real *RESTRICT P, real *RESTRICT work) {
-    const int shown = learnt_jumped(rule, s->p) || !(rule->jump > 0) ? learnt_copies(rule) : rule->q;
-    real total = 0, check = 0;
-    for (int c = 0; c < shown; c++) total += s->p[c];
-    for (int c = 0; c < shown; c++) work[c] = s->p[c] / total;
-    learnt_collapse(n, shown, work, s->x, s->P, x, P);
+    const int q = rule->q, copies = learnt_copies(rule);
+    real check = 0;
+    real_copy(copies * n, s->p, work);
+    for (int i = 0; i < n; i++) {
+        if (copies > q && !(work[q * n + i] > REAL(0.5))) work[q * n + i] = 0;
+        learnt_normalize(n, i, copies, work);
+    }
+    learnt_collapse(n, copies, work, s->x, s->P, learnt_part(n, rule, s), x, P);
     for (int i = 0; i < n; i++) check += real_abs(x[i]) + real_abs(P[i * n + i]);
     return real_is_finite(check);
 }
 
-#define learnt_predict_work(n, copies) ((size_t)((copies) * (2 + (n) + (n) * (n)) + (n) * (n)))
+#define learnt_predict_work(n, copies) ((size_t)((copies) * ((n) * (3 + (n))) + (n) * (n)))
 
 /* Predict: mixed as the scale of the process may have changed, then moved. control is B u, or NULL. */
 INLINE void learnt_predict(const int n, const learnt_rule *const rule, learnt_state *const s, const real *RESTRICT F,
                            const real *RESTRICT Q, const real *control, const real alpha_sq, real *RESTRICT work) {
     const int q = rule->q, copies = learnt_copies(rule);
     const real other = (1 - rule->stay) / (real)(q > 1 ? q - 1 : 1);
-    real *RESTRICT p = work, *RESTRICT origin = p + copies, *RESTRICT x = origin + copies, *RESTRICT P = x + copies * n;
-    real *RESTRICT FP = P + copies * n * n;
-    real slow = 0, usual = 0;
+    int moved = q;
+    real *RESTRICT p = work, *RESTRICT origin = p + copies * n, *RESTRICT x = origin + copies * n;
+    real *RESTRICT P = x + copies * n, *RESTRICT FP = P + copies * n * n;
+    real *RESTRICT part = learnt_part(n, rule, s), *RESTRICT unseen = learnt_unseen(n, rule, s);
+    for (int i = 0; i < n; i++)
+        for (int k = 0; k < n; k++)
+            if (part[i] != part[k] && (F[i * n + k] != 0 || Q[i * n + k] != 0)) learnt_join(n, rule, s, i, k);
     for (int j = 0; j < q; j++) {
-        p[j] = 0;
-        for (int i = 0; i < q; i++) p[j] += origin[i] = s->p[i] * (i == j ? rule->stay : other);
-        for (int i = 0; i < q; i++) origin[i] /= p[j];
-        learnt_collapse(n, q, origin, s->x, s->P, x + j * n, P + j * n * n);
+        for (int o = 0; o < n; o++) {
+            p[j * n + o] = 0;
+            for (int i = 0; i < q; i++)
+                p[j * n + o] += origin[i * n + o] = s->p[i * n + o] * (i == j ? rule->stay : other);
+            for (int i = 0; i < q; i++) origin[i * n + o] /= p[j * n + o];
+        }
+        learnt_collapse(n, q, origin, s->x, s->P, part, x + j * n, P + j * n * n);
     }
-    if (copies > q) {
-        p[q] = s->p[q];
-        real_copy(n, s->x + q * n, x + q * n);
-        real_copy(n * n, s->P + q * n * n, P + q * n * n);
-        for (int j = 0; j < q; j++) slow += p[j];
-        for (int j = 0; j < q; j++) usual += p[j] / slow * real_log(rule->process[j]);
-        usual = real_exp(usual);
-        *s->unseen += rule->jump * (1 - *s->unseen);
+    for (int i = 0; copies > q && i < n; i++) {
+        /* In parts without a candidate its place follows the first copy. */
+        const int there = s->p[q * n + i] > 0;
+        real slow = 0, usual = 0;
+        moved = there ? copies : moved;
+        p[q * n + i] = s->p[q * n + i];
+        x[q * n + i] = there ? s->x[q * n + i] : x[i];
+        real_copy(n, (there ? s->P + q * n * n : P) + i * n, P + (q * n + i) * n);
+        for (int j = 0; j < q; j++) slow += p[j * n + i];
+        for (int j = 0; j < q; j++) usual += p[j * n + i] / slow * real_log(rule->process[j]);
+        origin[i] = real_sqrt(real_exp(usual));
+        unseen[i] += rule->jump * (1 - unseen[i]);
     }
-    for (int j = 0; j < copies; j++) {
-        const real scale = j < q ? rule->process[j] : usual;
+    real_copy(copies * n, p, s->p);
+    for (int j = 0; j < moved; j++) {
         const real *RESTRICT mean = x + j * n, *RESTRICT from = P + j * n * n;
         real *RESTRICT to = s->P + j * n * n;
-        s->p[j] = p[j];
-        if (!(p[j] > 0)) continue;
         for (int i = 0; i < n; i++) {
             real sum = 0;
             for (int k = 0; k < n; k++) sum += F[i * n + k] * mean[k];
@@ -149,7 +197,9 @@ INLINE void learnt_predict(const int n, const learnt_rule *const rule, learnt_st
             for (int k = 0; k <= i; k++) {
                 real sum = 0;
                 for (int o = 0; o < n; o++) sum += FP[i * n + o] * F[k * n + o];
-                to[i * n + k] = to[k * n + i] = alpha_sq * sum + scale * Q[i * n + k];
+                /* Parts differ in their scales, and no Q is between them. */
+                to[i * n + k] = to[k * n + i] =
+                    alpha_sq * sum + (j < q ? rule->process[j] : origin[i] * origin[k]) * Q[i * n + k];
             }
     }
 }
@@ -171,21 +221,29 @@ INLINE void learnt_usual(const int K, const real *RESTRICT known, real *RESTRICT
     const real *RESTRICT counts = known + 2 + 2 * K;
     for (int j = 0; j < K; j++) p[j] = 0;
     for (int i = 0; i < K * K; i++) p[i % K] += counts[i];
-    learnt_normalize(K, p);
+    learnt_normalize(1, 0, K, p);
 }
 
 /* Learn from a sample: p the probabilities of its classes, before those that were predicted, energy E[v^2 | class 0]/R, part
    the share of its variance that is noise. */
 INLINE void learnt_learn(const learnt_rule *const rule, const real *RESTRICT p, const real *RESTRICT before,
-                         const real energy, const real part, real *RESTRICT known) {
+                         const real r, const real excess, const real part, real *RESTRICT known) {
     const int K = rule->K, width = learnt_width(K);
     real *RESTRICT shares = known + 2, *RESTRICT last = shares + K, *RESTRICT counts = last + K;
     const real *RESTRICT prior = rule->begin + 2 + 2 * K;
-    const real keep = 1 - 1 / rule->memory;
+    const real keep = 1 - 1 / rule->memory, less = (1 - LEARNT_LESS) * part;
+    real *RESTRICT for_less = known + width - LEARNT_TAIL + 1;
     /* Of what is noise by a part it tells the square of that. One sample is never forgotten, else r would reel. */
     known[1] = 1 + (1 - 1 / rule->r_memory) * (known[1] - 1) + p[0] * part * part;
-    known[0] += p[0] * (energy - known[0]) / known[1];
+    known[0] += p[0] * (r * (1 + part * excess) - known[0]) / known[1];
     known[0] = real_min(real_max(known[0], REAL(1e-8)), REAL(1e8));
+    *for_less -= p[0] * REAL(0.5) * (real_log(1 - less) + (1 + excess) * less / (1 - less));
+    *for_less = real_max(*for_less, 0);
+    if (*for_less > LEARNT_FOR_LESS) {
+        known[0] = real_max(LEARNT_LESS * known[0], REAL(1e-8));
+        known[1] = rule->begin[1];
+        *for_less = 0;
+    }
     for (int j = 0; j < K; j++) shares[j] += 1 / rule->r_memory * (p[j] - shares[j]);
     for (int i = 0; i < K; i++) {
         real total = 0;
@@ -226,33 +284,21 @@ INLINE real learnt_note_parity(real e, real *RESTRICT known) {
     return known[3] >= LEARNT_PARITY_SAMPLES && known[2] > 0 ? real_min(known[1] / known[2], LEARNT_COLOUR) : 0;
 }
 
-/* Write what a reading of all sensors that are left leaves of the variance that each sees of the state, as a part of it.
-   left_over (m, m), row (m): scratch. */
-INLINE void learnt_kept(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
-                        const real *RESTRICT H, const real *RESTRICT R, const real *RESTRICT left, const real *RESTRICT r,
-                        real *RESTRICT kept, real *RESTRICT left_over, real *RESTRICT row) {
-    real total = 0;
-    for (int c = 0; c < rule->q; c++) total += s->p[c];
-    for (int i = 0; i < m; i++) kept[i] = 0;
+/* Write what a reading of all sensors that are left leaves of the variance that each sees of the state, of which spread is
+   the covariance, as a part of it. left_over (m, m), row (m): scratch. */
+INLINE void learnt_kept(const int n, const int m, const real *RESTRICT spread, const real *RESTRICT H,
+                        const real *RESTRICT R, const real *RESTRICT left, const real *RESTRICT r, real *RESTRICT kept,
+                        real *RESTRICT left_over, real *RESTRICT row) {
     for (int i = 0; i < m * m; i++) left_over[i] = 0;
-    for (int c = 0; c < rule->q; c++)
-        for (int i = 0; i < m; i++)
-            for (int k = 0; k < n; k++) kept[i] += s->p[c] / total * H[i * n + k] * s->x[c * n + k];
-    for (int c = 0; c < rule->q; c++) {
-        const real *RESTRICT x = s->x + c * n, *RESTRICT P = s->P + c * n * n, weight = s->p[c] / total;
-        for (int i = 0; i < m; i++) {
-            row[i] = -kept[i];
-            for (int k = 0; k < n; k++) row[i] += H[i * n + k] * x[k];
-        }
-        for (int i = 0; i < m; i++)
-            for (int k = 0; k < n; k++) {
+    for (int i = 0; i < m; i++)
+        for (int k = 0; k < n; k++) {
+            if (H[i * n + k] == 0) continue;
+            for (int j = 0; j < m; j++) {
                 real sum = 0;
-                for (int o = 0; o < n; o++) sum += P[k * n + o] * H[i * n + o];
-                for (int j = 0; j < m; j++) left_over[i * m + j] += weight * sum * H[j * n + k];
+                for (int o = 0; o < n; o++) sum += spread[k * n + o] * H[j * n + o];
+                left_over[i * m + j] += H[i * n + k] * sum;
             }
-        for (int i = 0; i < m; i++)
-            for (int j = 0; j < m; j++) left_over[i * m + j] += weight * row[i] * row[j];
-    }
+        }
     for (int i = 0; i < m; i++) kept[i] = left_over[i * m + i];
     for (int j = 0; j < m; j++) {
         const real whole = left_over[j * m + j] + r[j] * R[j * m + j];
@@ -270,8 +316,8 @@ INLINE void learnt_kept(const int n, const int m, const learnt_rule *const rule,
 /* Let r of each sensor that is left be nowhere less than its parity allows, and that of white noise which would leave the
    state as uncertain as noise with its colour; note this sample's parity. */
 INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
-                         const real *RESTRICT z, const real *RESTRICT H, const real *RESTRICT R,
-                         const real *RESTRICT left, real *RESTRICT r, real *RESTRICT work) {
+                         const real *RESTRICT spread, const real *RESTRICT z, const real *RESTRICT H,
+                         const real *RESTRICT R, const real *RESTRICT left, real *RESTRICT r, real *RESTRICT work) {
     const int width = learnt_width(rule->K);
     real *RESTRICT rest = work, *RESTRICT unit = rest + m * m, *RESTRICT column = unit + m, *RESTRICT out = column + m;
     real *RESTRICT colour = out + m, *RESTRICT correlation = colour + m;
@@ -301,7 +347,7 @@ INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule
             for (int j = 0; j < m; j++) rest[i * m + j] -= out[i] * out[j] / length;
     }
     for (int i = 0; i < m; i++) {
-        real *RESTRICT known = s->memory + i * width + width - LEARNT_TAIL + 1;
+        real *RESTRICT known = s->memory + i * width + width - LEARNT_TAIL + 2;
         real e = 0, variance = 0;
         colour[i] = 0;
         if (!(left[i] > 0 && rest[i * m + i] > LEARNT_REDUNDANT)) continue;
@@ -329,24 +375,18 @@ INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule
         }
     }
     if (!coloured) return;
-    learnt_kept(n, m, rule, s, H, R, left, r, column, rest, out);
+    learnt_kept(n, m, spread, H, R, left, r, column, rest, out);
     for (int i = 0; i < m; i++) {
         const real part = correlation[i] * column[i];
         if (colour[i] > 0) r[i] *= real_exp(colour[i] * real_log((1 + part) / (1 - part)));
     }
 }
 
-/* What the mean of the copies that have not jumped leaves of a reading, in standard deviations of R, at most a million. */
-INLINE real learnt_left(const int n, const learnt_rule *const rule, const learnt_state *const s, const real z,
-                        const real *RESTRICT h, const real variance) {
-    real sum = 0, total = 0;
-    for (int c = 0; c < rule->q; c++) {
-        real predicted = 0;
-        for (int k = 0; k < n; k++) predicted += h[k] * s->x[c * n + k];
-        sum += s->p[c] * predicted;
-        total += s->p[c];
-    }
-    return real_min(real_max((z - sum / total) / real_sqrt(variance), -LEARNT_WILDEST), LEARNT_WILDEST);
+/* What x leaves of a reading, in standard deviations of R, at most a million. */
+INLINE real learnt_left(const int n, const real *RESTRICT x, const real z, const real *RESTRICT h, const real variance) {
+    real rest = z;
+    for (int k = 0; k < n; k++) rest -= h[k] * x[k];
+    return real_min(real_max(rest / real_sqrt(variance), -LEARNT_WILDEST), LEARNT_WILDEST);
 }
 
 /* A reading in the standard deviations that R gives, finite however small R is. */
@@ -365,32 +405,25 @@ INLINE void learnt_note(const real z, const real r, const int follows, real *RES
 
 /* Whether a sensor is stuck: it repeats its last reading to the last bit, though its noise is white and in fine steps, and
    asks for a jump of the copies that have not jumped. */
-INLINE int learnt_stuck(const int n, const learnt_rule *const rule, const learnt_state *const s, const real z,
-                        const real said, const real *RESTRICT h, const real R, const real *RESTRICT known) {
+INLINE int learnt_stuck(const int n, const learnt_rule *const rule, const real *RESTRICT at, const real *RESTRICT spread,
+                        const real z, const real said, const real *RESTRICT h, const real R, const real *RESTRICT known) {
     const real *RESTRICT reading = known + learnt_width(rule->K) - LEARNT_READING;
     const real scale = reading[2 - LEARNT_CHANGE], r = known[0];
-    real total = 0, mean = 0, seen = 0, asks;
+    real rest = z, seen = 0, asks;
     if (!(rule->learns && R > 0 && learnt_reading(said, R) == reading[0] && scale * scale >= r)) return 0;
     if (!(real_abs(reading[1]) * real_sqrt(r) >= LEARNT_FINE)) return 0;
-    for (int c = 0; c < rule->q; c++) total += s->p[c];
-    for (int turn = 0; turn < 2; turn++)
-        for (int c = 0; c < rule->q; c++) {
-            real predicted = 0, spread = 0;
-            for (int k = 0; k < n; k++) {
-                predicted += h[k] * s->x[c * n + k];
-                for (int j = 0; j < n; j++) spread += h[k] * s->P[(c * n + k) * n + j] * h[j];
-            }
-            if (turn == 0) mean += s->p[c] / total * predicted;
-            else seen += s->p[c] / total * (spread + (predicted - mean) * (predicted - mean));
-        }
-    asks = (z - mean) * (z - mean) / (seen + r * R);
+    for (int k = 0; k < n; k++) {
+        rest -= h[k] * at[k];
+        for (int j = 0; j < n; j++) seen += h[k] * spread[k * n + j] * h[j];
+    }
+    asks = rest * rest / (seen + r * R);
     return seen > 0 && asks > LEARNT_ASKS && asks < LEARNT_FARTHEST;
 }
 
 /* Let r of each sensor be no more than eight times what the differences of unforeseen changes from reading to reading
    show, of which white noise makes 6 r; note this change. */
 INLINE void learnt_changes(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
-                           const real *RESTRICT z, const real *RESTRICT readings, const real *RESTRICT H,
+                           const real *RESTRICT at, const real *RESTRICT z, const real *RESTRICT readings, const real *RESTRICT H,
                            const real *RESTRICT R, const real *RESTRICT left, real *RESTRICT r) {
     const int width = learnt_width(rule->K);
     for (int i = 0; i < m; i++) {
@@ -399,7 +432,7 @@ INLINE void learnt_changes(const int n, const int m, const learnt_rule *const ru
         real size, pace, most;
         if (!(left[i] > 0 && R[i * m + i] > 0)) continue;
         learnt_note(learnt_reading(readings[i], R[i * m + i]), known[0], count > 0, tail + LEARNT_CHANGE);
-        tail[1] = count > 0 ? learnt_left(n, rule, s, z[i], H + i * n, R[i * m + i]) - tail[0] : 0;
+        tail[1] = count > 0 ? learnt_left(n, at, z[i], H + i * n, R[i * m + i]) - tail[0] : 0;
         tail[3] += 1;
         if (count < 2) continue;
         size = real_abs(tail[1] - before) / LEARNT_QUANTILE;
@@ -416,7 +449,8 @@ INLINE void learnt_changes(const int n, const int m, const learnt_rule *const ru
 }
 
 #define learnt_correct_work(n, m, copies, K) \
-    ((size_t)((copies) * ((m) * (1 + (n) + (m)) + (K) + 6) + (n) + 4 * (m) + 5 * (K) + (m) * (m)) + learnt_parity_work(m))
+    ((size_t)((copies) * ((m) * (1 + (n) + (m)) + (K) + 6 + (n)) + (n) * (2 + (n)) + 6 * (m) + 5 * (K) + (m) * (m)) + \
+     learnt_parity_work(m))
 
 /* What the copies are while sensor after sensor is taken. */
 typedef struct {
@@ -425,17 +459,20 @@ typedef struct {
     real *S;     /* (copies, m, m) */
     real *given; /* (copies, K) probabilities of the classes */
     real *a, *b, *logs, *energy, *shares, *parts; /* (copies); parts: of its variance, noise's */
+    real *at, *spread; /* (n), (n, n) mean and covariance over the copies that have not jumped */
     real *direction; /* (n) scratch */
     real *left, *r, *start, *seen; /* (m) 1 where not yet used; factors of R; the largest S_ii at the beginning; scratch */
+    real *head, *fresh; /* (m) first state of the part that a sensor sees; whether a candidate there is new */
     real *before, *usual, *after, *weights, *shared; /* (K) shared: of the class that all sensors are in, if of one */
     real together; /* probability that they are */
 } learnt_parts;
 
-/* Let a candidate begin if an innovation asks for it, where the measurement says: as if what a sensor sees of each state
-   were independent, so that the others keep what they have. */
+/* Let a candidate begin in each part where an innovation asks for it, where the measurement says: as if what a sensor sees
+   of each state were independent, so that the others keep what they have. */
 INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
                          const real *RESTRICT H, const real *RESTRICT R, const learnt_parts *const w) {
     const int q = rule->q;
+    const real *RESTRICT part = learnt_part(n, rule, s), *RESTRICT unseen = learnt_unseen(n, rule, s);
     real *RESTRICT x = s->x + q * n, *RESTRICT P = s->P + q * n * n;
     real *RESTRICT y = w->y + q * m, *RESTRICT C = w->C + q * m * n, *RESTRICT S = w->S + q * m * m;
     int turns = 0;
@@ -445,12 +482,14 @@ INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule
         int i = -1;
         for (int j = 0; j < m; j++) {
             const real asks = y[j] * y[j] / (S[j * m + j] + w->r[j] * R[j * m + j]);
-            if (w->left[j] > 0 && S[j * m + j] > 0 && asks < LEARNT_FARTHEST && asks > most) most = asks, i = j;
+            if (w->left[j] > 0 && w->fresh[j] > 0 && S[j * m + j] > 0 && asks < LEARNT_FARTHEST && asks > most)
+                most = asks, i = j;
         }
         if (i < 0) return;
-        if (turn == 0) {
-            for (int c = 0; c < q; c++) s->p[c] *= 1 - *s->unseen;
-            s->p[q] = *s->unseen;
+        for (int o = 0; o < n; o++) {
+            if (part[o] != w->head[i] || s->p[q * n + o] > 0) continue;
+            for (int c = 0; c < q; c++) s->p[c * n + o] *= 1 - unseen[o];
+            s->p[q * n + o] = unseen[o];
         }
         for (int k = 0; k < n; k++) w->direction[k] = P[k * n + k] * H[i * n + k];
         for (int j = 0; j < m; j++) {
@@ -471,13 +510,49 @@ INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule
     }
 }
 
-/* Begin a correction: innovations and their moments, the fresh copy as wide as they ask for. Return whether ordinary. */
+/* Let what a measurement couples be one part: the states that a sensor sees, those of correlated sensors. Say of each
+   sensor which part it sees. */
+INLINE void learnt_couple(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
+                          const real *RESTRICT H, const real *RESTRICT R, const learnt_parts *const w) {
+    const real *RESTRICT part = learnt_part(n, rule, s);
+    for (int i = 0; i < m; i++) {
+        int first = 0;
+        if (!(w->left[i] > 0)) continue;
+        while (H[i * n + first] == 0) first++;
+        for (int k = first + 1; k < n; k++)
+            if (H[i * n + k] != 0) learnt_join(n, rule, s, first, k);
+        w->head[i] = (real)first;
+        for (int j = 0; j < i; j++)
+            if (w->left[j] > 0 && R[i * m + j] != 0) learnt_join(n, rule, s, first, (int)w->head[j]);
+    }
+    for (int i = 0; i < m; i++)
+        if (w->left[i] > 0) w->head[i] = part[(int)w->head[i]];
+}
+
+/* Drop candidates that have lost: in their place a new one may begin, where all others are. */
+INLINE void learnt_refresh(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
+                           const learnt_parts *const w) {
+    const int q = rule->q, jumps = rule->jump > 0;
+    const real *RESTRICT part = learnt_part(n, rule, s);
+    for (int i = 0; i < m; i++)
+        if (w->left[i] > 0) w->fresh[i] = jumps && s->p[q * n + (int)w->head[i]] < LEARNT_DROPPED * rule->jump;
+    for (int o = 0; jumps && o < n; o++) {
+        int drops = 0;
+        for (int i = 0; i < m; i++) drops |= w->left[i] > 0 && w->head[i] == part[o] && w->fresh[i] > 0;
+        if (!drops) continue;
+        s->p[q * n + o] = 0;
+        learnt_normalize(n, o, q, s->p);
+        s->x[q * n + o] = w->at[o];
+        for (int k = 0; k < n; k++) s->P[(q * n + o) * n + k] = w->spread[o * n + k];
+    }
+}
+
+/* Begin a correction: innovations and their moments, fresh candidates where they ask for them. Return whether ordinary. */
 INLINE int learnt_begin(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
                         const real *RESTRICT H, const real *RESTRICT R, const real *RESTRICT z,
                         const learnt_parts *const w) {
-    const int q = rule->q, copies = learnt_copies(rule), fresh = copies > q && s->p[q] == 0;
+    const int copies = learnt_copies(rule);
     real check = 0;
-    if (fresh) learnt_collapse(n, q, s->p, s->x, s->P, s->x + q * n, s->P + q * n * n);
     for (int c = 0; c < copies; c++) {
         const real *RESTRICT x = s->x + c * n, *RESTRICT P = s->P + c * n * n;
         real *RESTRICT C = w->C + c * m * n, *RESTRICT S = w->S + c * m * m, *RESTRICT y = w->y + c * m;
@@ -505,7 +580,7 @@ INLINE int learnt_begin(const int n, const int m, const learnt_rule *const rule,
             const real noise = w->r[i] * R[i * m + i];
             if (w->left[i] > 0 && noise > 0 && w->S[c * m * m + i * m + i] > LEARNT_WIDEST * noise) return 0;
         }
-    if (fresh) learnt_widen(n, m, rule, s, H, R, w);
+    if (rule->jump > 0) learnt_widen(n, m, rule, s, H, R, w);
     for (int c = 0; c < copies; c++)
         for (int i = 0; i < m; i++) {
             real *RESTRICT S = w->S + c * m * m;
@@ -524,27 +599,29 @@ INLINE int learnt_begin(const int n, const int m, const learnt_rule *const rule,
 /* What the whole innovation says of the class that all sensors are in, if they are in the same: write probabilities of
    classes, and the probability from the samples before that they are; return whether its density, of which the log is
    written too, is ordinary. work (2 m m + 2 m). */
-INLINE int learnt_together(const int m, const learnt_rule *const rule, const learnt_state *const s,
+INLINE int learnt_together(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
                            const real *RESTRICT R, learnt_parts *const w, real *const log_density,
                            real *RESTRICT work) {
     const int K = rule->K, width = learnt_width(K);
     real *RESTRICT S = work, *RESTRICT L = S + m * m, *RESTRICT y = L + m * m, *RESTRICT u = y + m;
     real total = 0, peak = 0, shorter = 1, count = 0;
     w->together = 0;
-    for (int c = 0; c < rule->q; c++) total += s->p[c];
     for (int k = 0; k < K; k++) w->shared[k] = 0;
     for (int i = 0; i < m; i++) {
+        const real *const p = s->p + (int)w->head[i];
+        real slow = 0;
         if (!(w->left[i] > 0)) continue;
+        for (int c = 0; c < rule->q; c++) slow += p[c * n];
         count += 1;
         w->together += s->memory[i * width + width - LEARNT_TAIL];
         learnt_predicted(K, s->memory + i * width, w->before);
         for (int k = 0; k < K; k++) w->shared[k] += w->before[k];
         y[i] = 0;
-        for (int c = 0; c < rule->q; c++) y[i] += s->p[c] / total * w->y[c * m + i];
+        for (int c = 0; c < rule->q; c++) y[i] += p[c * n] / slow * w->y[c * m + i];
         for (int j = 0; j <= i; j++) {
             S[i * m + j] = 0;
-            for (int c = 0; w->left[j] > 0 && c < rule->q; c++)
-                S[i * m + j] += s->p[c] / total * (w->S[(c * m + i) * m + j]
+            for (int c = 0; w->left[j] > 0 && w->head[i] == w->head[j] && c < rule->q; c++)
+                S[i * m + j] += p[c * n] / slow * (w->S[(c * m + i) * m + j]
                                                    + (w->y[c * m + i] - y[i]) * (w->y[c * m + j] - y[j]));
         }
     }
@@ -585,7 +662,8 @@ INLINE int learnt_together(const int m, const learnt_rule *const rule, const lea
 }
 
 /* The sensor with the smallest innovation in standard deviations, over all copies; -1 if none is left. */
-INLINE int learnt_next(const int m, const int copies, const real *const p, const learnt_parts *const w) {
+INLINE int learnt_next(const int n, const int m, const int copies, const learnt_state *const s,
+                       const learnt_parts *const w) {
     int best = -1, count = 0;
     real least = 0;
     for (int i = 0; i < m; i++)
@@ -595,10 +673,11 @@ INLINE int learnt_next(const int m, const int copies, const real *const p, const
     for (int i = 0; i < m; i++) {
         real mean = 0, variance = 0;
         if (!(w->left[i] > 0)) continue;
-        for (int c = 0; c < copies; c++) mean += p[c] * w->y[c * m + i];
+        const real *const p = s->p + (int)w->head[i];
+        for (int c = 0; c < copies; c++) mean += p[c * n] * w->y[c * m + i];
         for (int c = 0; c < copies; c++) {
             const real apart = w->y[c * m + i] - mean;
-            variance += p[c] * (w->S[c * m * m + i * m + i] + apart * apart);
+            variance += p[c * n] * (w->S[c * m * m + i * m + i] + apart * apart);
         }
         mean = mean * mean / variance;
         if (best < 0 || mean < least) best = i, least = mean;
@@ -650,8 +729,9 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
                           const real *RESTRICT R, real *RESTRICT weights, real *RESTRICT outlying, real *const log_density,
                           real *RESTRICT work) {
     const int q = rule->q, copies = learnt_copies(rule), K = rule->K, width = learnt_width(K);
+    const real *RESTRICT part = learnt_part(n, rule, s);
     learnt_parts w;
-    int count = 0, held = 0, fresh = 0;
+    int count = 0, held = 0;
     real together = 0, apart = 0;
     w.y = work;
     w.C = w.y + copies * m;
@@ -663,18 +743,23 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
     w.energy = w.logs + copies;
     w.shares = w.energy + copies;
     w.parts = w.shares + copies;
-    w.direction = w.parts + copies;
+    w.at = w.parts + copies;
+    w.spread = w.at + n;
+    w.direction = w.spread + n * n;
     w.left = w.direction + n;
     w.r = w.left + m;
     w.start = w.r + m;
     w.seen = w.start + m;
-    w.before = w.seen + m;
+    w.head = w.seen + m;
+    w.fresh = w.head + m;
+    w.before = w.fresh + m;
     w.usual = w.before + K;
     w.after = w.usual + K;
     w.weights = w.after + K;
     w.shared = w.weights + K;
     w.together = 0;
     work = w.shared + K;
+    learnt_slow(n, rule, s, w.at, w.spread, work);
     for (int i = 0; i < m; i++) {
         int seen = 0;
         for (int k = 0; k < n; k++) seen |= H[i * n + k] != 0;
@@ -682,7 +767,7 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
         weights[i] = (real)NAN;
         outlying[i] = 0;
         if (w.left[i] > 0 &&
-            learnt_stuck(n, rule, s, z[i], readings[i], H + i * n, R[i * m + i], s->memory + i * width)) {
+            learnt_stuck(n, rule, w.at, w.spread, z[i], readings[i], H + i * n, R[i * m + i], s->memory + i * width)) {
             w.left[i] = weights[i] = 0;
             outlying[i] = 1;
             held++;
@@ -691,22 +776,21 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
     }
     if (count == 0) return held;
     for (int i = 0; i < m; i++) w.r[i] = rule->learns ? s->memory[i * width] : 1;
+    learnt_couple(n, m, rule, s, H, R, &w);
     if (rule->learns) {
-        learnt_changes(n, m, rule, s, z, readings, H, R, w.left, w.r);
-        learnt_sizes(n, m, rule, s, z, H, R, w.left, w.r, work);
+        learnt_slow(n, rule, s, w.at, w.spread, work);
+        learnt_changes(n, m, rule, s, w.at, z, readings, H, R, w.left, w.r);
+        learnt_sizes(n, m, rule, s, w.spread, z, H, R, w.left, w.r, work);
     }
-    if (copies > q && s->p[q] < LEARNT_DROPPED * rule->jump) {
-        s->p[q] = 0;
-        learnt_normalize(q, s->p);
-        fresh = 1;
-    }
+    learnt_refresh(n, m, rule, s, &w);
     if (!learnt_begin(n, m, rule, s, H, R, z, &w)) return -1;
-    if (rule->learns && count > 1 && !learnt_together(m, rule, s, R, &w, &together, work)) return -1;
+    if (rule->learns && count > 1 && !learnt_together(n, m, rule, s, R, &w, &together, work)) return -1;
     for (int turn = 0; turn < count; turn++) {
-        const int i = learnt_next(m, copies, s->p, &w);
+        const int i = learnt_next(n, m, copies, s, &w);
+        const real *const p = s->p + (int)w.head[i];
         const real noise = w.r[i] * R[i * m + i];
         real *RESTRICT known = s->memory + i * width;
-        real total = 0, others = 0, evidence = 0, ordinary = 0, energy = 0, part = 0, weight = 0;
+        real total = 0, others = 0, evidence = 0, ordinary = 0, energy = 0, noisy = 0, weight = 0;
         learnt_predicted(K, known, w.before);
         learnt_usual(K, known, w.usual);
         if (!learnt_scores(m, rule, i, noise, &w)) return -1;
@@ -714,32 +798,36 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
             /* A candidate is made to fit what it begins with, which is no evidence for it; nor is a sample that is wild to
                all others worth more than a hundred. */
             for (int c = 0; c < q; c++) {
-                others += real_max(s->p[c], REAL(1e-300));
-                evidence += real_max(s->p[c], REAL(1e-300)) * w.logs[c];
+                others += real_max(p[c * n], REAL(1e-300));
+                evidence += real_max(p[c * n], REAL(1e-300)) * w.logs[c];
             }
             evidence /= others;
-            w.logs[q] = fresh ? evidence : real_min(w.logs[q], LEARNT_EVIDENCE * evidence);
+            w.logs[q] = w.fresh[i] > 0 ? evidence : real_min(w.logs[q], LEARNT_EVIDENCE * evidence);
         }
         for (int c = 0; c < copies; c++) {
-            w.shares[c] = (c < q ? real_max(s->p[c], REAL(1e-300)) : s->p[c]) * w.logs[c];
+            w.shares[c] = (c < q ? real_max(p[c * n], REAL(1e-300)) : p[c * n]) * w.logs[c];
             total += w.shares[c];
         }
         if (!(total > REAL(1e-290))) return -1;
         apart += real_log(total) - REAL(0.5) * LEARNT_LOG_2PI;
         for (int k = 0; k < K; k++) w.after[k] = 0;
         for (int c = 0; c < copies; c++) {
-            const real share = s->p[c] = w.shares[c] / total;
+            const real share = w.shares[c] / total;
+            for (int o = 0; o < n; o++)
+                if (part[o] == w.head[i]) s->p[c * n + o] = share;
             for (int k = 0; k < K; k++) w.after[k] += share * w.given[c * K + k];
             ordinary += share * w.given[c * K];
             energy += share * w.given[c * K] * w.energy[c];
-            part += share * w.given[c * K] * w.parts[c];
+            noisy += share * w.given[c * K] * w.parts[c];
         }
         for (int k = 0; k < K; k++) weight += w.after[k] / rule->scales[k];
         weights[i] = weight;
         outlying[i] = 1 - w.after[0];
         ordinary = real_max(ordinary, REAL(1e-300));
-        if (rule->learns)
-            learnt_learn(rule, w.after, w.before, w.r[i] * energy / ordinary, part / ordinary, known);
+        if (rule->learns) {
+            noisy /= ordinary;
+            learnt_learn(rule, w.after, w.before, w.r[i], noisy > 0 ? (energy / ordinary - 1) / noisy : 0, noisy, known);
+        }
         w.left[i] = 0;
         for (int c = 0; c < copies; c++) {
             real *RESTRICT x = s->x + c * n, *RESTRICT P = s->P + c * n * n, *RESTRICT S = w.S + c * m * m;
@@ -770,23 +858,26 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
         for (int i = 0; i < m; i++)
             if (weights[i] > 0) s->memory[i * width + width - LEARNT_TAIL] = odds / (1 + odds);
     }
-    if (copies > q) {
-        *s->unseen = 0;
-        if (s->p[q] > LEARNT_TAKEN) {
-            s->p[q] = 0;
-            learnt_normalize(q, s->p);
-            for (int c = 0; c < q; c++) {
-                real_copy(n, s->x + q * n, s->x + c * n);
-                real_copy(n * n, s->P + q * n * n, s->P + c * n * n);
-            }
+    for (int o = 0; copies > q && o < n; o++) {
+        for (int i = 0; i < m; i++)
+            if (weights[i] > 0 && w.head[i] == part[o]) learnt_unseen(n, rule, s)[o] = 0;
+        if (!(s->p[q * n + o] > LEARNT_TAKEN)) continue;
+        s->p[q * n + o] = 0;
+        learnt_normalize(n, o, q, s->p);
+        for (int c = 0; c < q; c++) {
+            s->x[c * n + o] = s->x[q * n + o];
+            for (int k = 0; k < n; k++)
+                if (part[k] == part[o]) s->P[(c * n + o) * n + k] = s->P[(q * n + o) * n + k];
         }
     }
-    if (rule->learns)
+    if (rule->learns) {
+        learnt_slow(n, rule, s, w.at, w.spread, work);
         for (int i = 0; i < m; i++) {
             real *RESTRICT rest = s->memory + i * width + width - LEARNT_CHANGE - LEARNT_READING;
             if (weights[i] > 0 && R[i * m + i] > 0)
-                *rest = learnt_left(n, rule, s, z[i], H + i * n, R[i * m + i]);
+                *rest = learnt_left(n, w.at, z[i], H + i * n, R[i * m + i]);
         }
+    }
     return count + held;
 }
 

@@ -30,16 +30,14 @@ class State(NamedTuple):
     """(q, n)"""
     covariances: Array
     """(q, n, n)"""
-    probabilities: Array
-    """(q,)"""
+    belief: Array
+    """(q + 2, n)"""
     learnt: Array
     """(m, ..)"""
     x: Array
     """Mean of all, (n,)."""
     P: Array
     """Its covariance, (n, n)."""
-    unseen: Array
-    """Chance of a jump since the last measurement, (1,)."""
 
 
 class Kept(NamedTuple):
@@ -54,7 +52,7 @@ class Kept(NamedTuple):
     outlying: Array | None = None
     """(rows, m), as weights."""
     scale: Array | None = None
-    """(rows, 1)"""
+    """(rows, n)"""
     log_likelihood: Array | None = None
     """(1,), added to."""
 
@@ -91,7 +89,7 @@ def begin(copies: Copies, memory: Array) -> State:
     ----------
     copies : Copies
         Copies of the filter.
-    memory : ndarray, shape (m, 13 + 2 K + K^2)
+    memory : ndarray, shape (m, 14 + 2 K + K^2)
         What is known of each sensor.
 
     Returns
@@ -99,10 +97,7 @@ def begin(copies: Copies, memory: Array) -> State:
     State
     """
     n = copies.x.shape[1]
-    return State(
-        copies.x.copy(), copies.P.copy(), copies.probabilities.copy(), memory.copy(), np.zeros(n), np.zeros((n, n)),
-        np.array([copies.unseen]),
-    )  # fmt: skip
+    return State(*(part.copy() for part in copies), memory.copy(), np.zeros(n), np.zeros((n, n)))
 
 
 def run(
@@ -192,7 +187,7 @@ def predict(
     state = begin(copies, _SENSOR)
     model = (F[None], Q[None], np.zeros((1, 1, n)), np.ones((1, 1, 1)), None if Bu is None else Bu[None])
     if run(state, np.full((1, 1), np.nan), model, _NOISE, process, Kept(), alpha_sq=alpha_sq, which=PREDICTION):
-        return Copies(*state[:3], float(state.unseen[0])), state.x, state.P
+        return Copies(*state[:3]), state.x, state.P
     moved = side_by_side.predict(copies, F, Q, process, Bu, alpha_sq)
     return moved, *side_by_side.merged(moved, process)
 
@@ -236,8 +231,7 @@ def correct(
         into = Kept(weights=weights, outlying=outlying, log_likelihood=likelihood)
         said = None if readings is None else readings[None]
         if run(state, z[None], model, noise, process, into, which=CORRECTION, readings=said):
-            moved = Copies(*state[:3], float(state.unseen[0]))
-            found = Corrected(moved, state.learnt, float(likelihood[0]), weights[0], outlying[0])
+            found = Corrected(Copies(*state[:3]), state.learnt, float(likelihood[0]), weights[0], outlying[0])
             return found, state.x, state.P
     found = learnt.correct(copies, memory, z, H, R, noise, process, M, inv, readings)
     return found, *side_by_side.merged(found.copies, process)

@@ -7,7 +7,6 @@ typedef struct {
     learnt_rule rule;
     learnt_state s;
     filter_state now;
-    double unseen;
     PyObject *kept; /* as the filter has it: a tuple, or None where there is one copy */
     PyObject *x, *P; /* priors that nobody writes to */
     PyObject *means, *covariances, *p, *x_next, *P_next;
@@ -29,45 +28,44 @@ static PyObject *copied(held *h, const double *numbers, int ndim, npy_intp first
 /* Read x, P and the copies; whether all is ordinary, -1 with an exception. x or P that have been assigned from outside are
    for the definition. given: dim_x, x, P, _kept; rule: of the policy. */
 static int take_mixture(held *h, PyObject *const given[4], PyObject *rule, mixture *f) {
-    const double *means, *covariances, *p, one = 1;
-    npy_intp copies, n, shape[3];
+    const double *means, *covariances, *p;
+    npy_intp copies, n, shape[3], beliefs[2];
     if (!take_rule(&f->rule, rule) || !take_filter(given[0], given[1], given[2], &f->now) || f->now.n > 1000) return 0;
     n = shape[1] = shape[2] = f->now.n;
     copies = shape[0] = learnt_copies(&f->rule);
+    beliefs[0] = copies + 2, beliefs[1] = n;
     f->kept = given[3];
     if (f->kept == Py_None) {
         if (copies != 1) return 0;
-        means = f->now.x, covariances = f->now.P, p = &one, f->unseen = 0;
+        means = f->now.x, covariances = f->now.P, p = NULL;
         f->x = copied(h, f->now.x, 1, n, 0);
         f->P = f->x ? copied(h, f->now.P, 2, n, n) : NULL;
         if (!f->P) return -1;
     } else {
-        PyObject *unseen;
         const double *x, *P;
-        if (!PyTuple_Check(f->kept) || PyTuple_Size(f->kept) != 6) return 0;
+        if (!PyTuple_Check(f->kept) || PyTuple_Size(f->kept) != 5) return 0;
         means = writable(PyTuple_GetItem(f->kept, 0), 2, shape);
         covariances = writable(PyTuple_GetItem(f->kept, 1), 3, shape);
-        p = writable(PyTuple_GetItem(f->kept, 2), 1, shape);
+        p = writable(PyTuple_GetItem(f->kept, 2), 2, beliefs);
         f->x = PyTuple_GetItem(f->kept, 3), f->P = PyTuple_GetItem(f->kept, 4);
-        unseen = PyTuple_GetItem(f->kept, 5);
         x = vector_of(f->x, n), P = matrix_of(f->P, n, n);
-        if (!means || !covariances || !p || !x || !P || !PyFloat_Check(unseen)) return 0;
-        f->unseen = PyFloat_AsDouble(unseen);
+        if (!means || !covariances || !p || !x || !P || !are_parts(p + (copies + 1) * n, n)) return 0;
         if (memcmp(x, f->now.x, (size_t)n * sizeof *x) || memcmp(P, f->now.P, (size_t)(n * n) * sizeof *P)) return 0;
     }
     f->means = array_of(h, 2, copies, n, 0);
     f->covariances = f->means ? array_of(h, 3, copies, n, n) : NULL;
-    f->p = f->covariances ? array_of(h, 1, copies, 0, 0) : NULL;
+    f->p = f->covariances ? array_of(h, 2, copies + 2, n, 0) : NULL;
     f->x_next = f->p ? array_of(h, 1, n, 0, 0) : NULL;
     f->P_next = f->x_next ? array_of(h, 2, n, n, 0) : NULL;
     f->x_set = f->P_next ? array_of(h, f->now.ndim, n, 1, 0) : NULL;
     f->P_set = f->x_set ? array_of(h, 2, n, n, 0) : NULL;
     if (!f->P_set) return -1;
     f->s.x = numbers_of(f->means), f->s.P = numbers_of(f->covariances), f->s.p = numbers_of(f->p);
-    f->s.unseen = &f->unseen, f->s.memory = NULL;
+    f->s.memory = NULL;
     real_copy((int)(copies * n), means, f->s.x);
     real_copy((int)(copies * n * n), covariances, f->s.P);
-    real_copy((int)copies, p, f->s.p);
+    /* Of one copy there is one part. */
+    for (npy_intp i = 0; i < (copies + 2) * n; i++) f->s.p[i] = p ? p[i] : i < n;
     return 1;
 }
 
@@ -82,8 +80,8 @@ static int merge(mixture *f, double *work) {
 /* What the filter is to keep after the step: a tuple of the same kind, or None. */
 static PyObject *next_kept(held *h, const mixture *f) {
     if (f->kept == Py_None) return Py_None;
-    return hold(h, PyObject_CallFunction((PyObject *)Py_TYPE(f->kept), "OOOOOd", f->means, f->covariances, f->p, f->x_next,
-                                         f->P_next, f->unseen));
+    return hold(h, PyObject_CallFunction((PyObject *)Py_TYPE(f->kept), "OOOOO", f->means, f->covariances, f->p, f->x_next,
+                                         f->P_next));
 }
 
 /* Set x, P, their copies and what is kept; whether that went well. */

@@ -1,5 +1,6 @@
-    s = (learnt_state){next.x, next.P, &whole, &unseen, next.memory};
+    s = (learnt_state){next.x, next.P, belief, next.memory};
     for (int i = 0; i < N; i++) {
+        belief[i] = 1;
         next.x[i] = 0;
     }
     if (learnt_correct(N, M, &rule, &s, y, z, H, model->R, weights, outlying, &likelihood, work) < 0) {

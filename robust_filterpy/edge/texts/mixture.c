@@ -3,7 +3,7 @@ $classes
 
 static learnt_state copies_of(${name}_state *const state)
 {
-    const learnt_state s = {state->means, state->covariances, state->shares, &state->unseen, state->memory};
+    const learnt_state s = {state->means, state->covariances, state->belief, state->memory};
     return s;
 }
 
