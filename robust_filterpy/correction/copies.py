@@ -6,7 +6,8 @@ three standard deviations, at the place that the measurement tells (`with_candid
 measurement is no evidence for it, and no later one is worth more than a hundred to one, so that samples have to agree,
 however wild. It is hidden until it is more likely than not (`merged`), taken over when it is all but certain
 (`settled`) and dropped when it has lost, so that there is one at a time. A start is a jump from a guess: the first
-candidate begins with a probability of .2.
+candidate begins with a probability of .2, and since all of P was guessed, with all of it as many times as wide as the
+first innovation asks for.
 
 States of which none moves, or is measured, with another's are parts of their own: the axes of a point that moves, a
 box's centre and its shape. Each part has its own probabilities of the copies, its own jumps and its own candidate, so
@@ -334,6 +335,8 @@ def with_candidate(copies: Copies, z: Array, H: Array, noise: Array, process: Sc
         own = parts == parts[np.argmax(H[i] != 0.0)]
         chance[own], d = belief[-2, own], spread.diagonal() * H[i]
         d = d / (H[i] @ d)
+        if belief[-2, own].min() >= _START:
+            spread = _wider(spread, y[i], H[i], noise[i], own)
         at, spread = at + y[i] * d, spread + _AROUND * noise[i] * np.outer(d, d)
     belief[:q, new] = ((1.0 - chance) * shares)[:, new]
     belief[q, new], belief[-2, new] = chance[new], 0.0
@@ -343,6 +346,14 @@ def with_candidate(copies: Copies, z: Array, H: Array, noise: Array, process: Sc
         np.concatenate([P[:q], np.where(within, spread, P[q])[None]]),
         belief,
     ), new
+
+
+def _wider(spread: Array, y: float, h: Array, noise: float, own: Array) -> Array:
+    """Return a covariance that explains an innovation, as P in another unit would, less what that innovation tells."""
+    seen = h @ spread @ h
+    spread = np.where(own[:, None] & own, max((y * y - noise) / seen, 1.0), 1.0) * spread
+    C = spread @ h
+    return np.asarray(spread - np.outer(C, C) / (h @ C))
 
 
 def far_off(copies: Copies, z: Array, H: Array, noise: Array, process: Scales) -> Array:

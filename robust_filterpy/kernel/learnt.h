@@ -32,6 +32,7 @@
 #define LEARNT_ASKS REAL(9.0)         /* squared standard deviations from which an innovation asks for a jump */
 #define LEARNT_WIDEST REAL(1e12)       /* a state less certain than a sensor's noise by this is left to the definition */
 #define LEARNT_FARTHEST REAL(1e24)     /* and to which it can tell where to */
+#define LEARNT_START REAL(0.2)        /* chance that the state is not where the start says */
 #define LEARNT_AROUND REAL(100.0)     /* variances of its noise within which a sensor tells where a jump went */
 #define LEARNT_EVIDENCE REAL(100.0)   /* a sample is not worth more for a jump */
 #define LEARNT_TAKEN REAL(0.999)      /* a candidate that is so probable is taken over */
@@ -467,6 +468,28 @@ typedef struct {
     real together; /* probability that they are */
 } learnt_parts;
 
+/* Let a candidate's covariance, and with it C and S, explain what sensor i says, as P in another unit would, less what that
+   tells. */
+INLINE void learnt_wider(const int n, const int m, const int q, const int i, const real noise, const real *RESTRICT part,
+                         const learnt_parts *const w, real *RESTRICT P) {
+    real *RESTRICT C = w->C + q * m * n, *RESTRICT S = w->S + q * m * m, *RESTRICT column = w->start;
+    const real y = w->y[q * m + i], whole = S[i * m + i], factor = real_max((y * y - noise) / whole, 1);
+    for (int j = 0; j < m; j++) column[j] = w->head[j] == w->head[i] ? S[j * m + i] : 0;
+    for (int o = 0; o < n; o++)
+        for (int k = 0; k < n; k++)
+            if (part[o] == w->head[i] && part[k] == w->head[i])
+                P[o * n + k] = factor * (P[o * n + k] - C[i * n + o] * C[i * n + k] / whole);
+    for (int j = 0; j < m; j++)
+        for (int k = 0; k < m; k++)
+            if (w->left[j] > 0 && w->left[k] > 0 && w->head[j] == w->head[i] && w->head[k] == w->head[i])
+                S[j * m + k] = factor * (S[j * m + k] - column[j] * column[k] / whole);
+    for (int j = 0; j < m; j++)
+        for (int k = 0; k < n; k++)
+            if (w->left[j] > 0 && j != i && w->head[j] == w->head[i] && part[k] == w->head[i])
+                C[j * n + k] = factor * (C[j * n + k] - column[j] * C[i * n + k] / whole);
+    for (int k = 0; k < n; k++) C[i * n + k] = 0;
+}
+
 /* Let a candidate begin in each part where an innovation asks for it, where the measurement says: as if what a sensor sees
    of each state were independent, so that the others keep what they have. */
 INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
@@ -479,7 +502,7 @@ INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule
     for (int i = 0; i < m; i++) turns += w->left[i] > 0;
     for (int turn = 0; turn < turns; turn++) {
         real most = LEARNT_ASKS, more, step;
-        int i = -1;
+        int i = -1, first = 0;
         for (int j = 0; j < m; j++) {
             const real asks = y[j] * y[j] / (S[j * m + j] + w->r[j] * R[j * m + j]);
             if (w->left[j] > 0 && w->fresh[j] > 0 && S[j * m + j] > 0 && asks < LEARNT_FARTHEST && asks > most)
@@ -487,7 +510,9 @@ INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule
         }
         if (i < 0) return;
         for (int o = 0; o < n; o++) {
-            if (part[o] != w->head[i] || s->p[q * n + o] > 0) continue;
+            if (part[o] != w->head[i]) continue;
+            first = unseen[o] >= LEARNT_START;
+            if (s->p[q * n + o] > 0) continue;
             for (int c = 0; c < q; c++) s->p[c * n + o] *= 1 - unseen[o];
             s->p[q * n + o] = unseen[o];
         }
@@ -496,6 +521,7 @@ INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule
             w->seen[j] = 0;
             for (int k = 0; k < n; k++) w->seen[j] += H[j * n + k] * w->direction[k];
         }
+        if (first) learnt_wider(n, m, q, i, w->r[i] * R[i * m + i], part, w, P);
         more = LEARNT_AROUND * w->r[i] * R[i * m + i] / w->seen[i] / w->seen[i];
         step = y[i] / w->seen[i];
         for (int k = 0; k < n; k++) {
