@@ -16,6 +16,9 @@ LEAST = 10
 # As in `robust_filterpy.correction.merging`: beyond so many standard deviations of the widest hypothesis no part of the
 # noise model says anything, and a sentinel value weighs no more than any other outlier.
 _REACH = 8.0
+# By how much the first readings, in units of what they are, may be known better than P says before P is narrowed; and
+# how many readings for each state.
+_WIDE, _FIRST_READINGS = 1e4, 4
 # The density falls again where an innovation was shortened to less than a tenth: a state that jumps stays believable.
 _TAIL = 10.0
 
@@ -41,6 +44,8 @@ class Recording(NamedTuple):
     """Shape (1 or N, m, m)."""
     alpha_sq: float
     """Fading memory, >= 1."""
+    log_narrowed: float = 0.0
+    """What is added to each log-likelihood, because P is narrower than the filter's."""
 
     def first(self, steps: int) -> Recording:
         """Return the beginning of the recording."""
@@ -113,7 +118,40 @@ def _checked(data: Recording) -> Recording:
     for name in ("F", "H", "Q"):
         if not np.isfinite(getattr(data, name)).all():
             raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
-    return data
+    return _narrowed(data)
+
+
+def _narrowed(data: Recording) -> Recording:
+    """Narrow P where it is a hundred times as wide as the first readings are large, or wider.
+
+    It tells nothing there but costs digits: next to a variance of 1e13 one of .01 is lost in rounding.
+    """
+    n = len(data.x)
+    steps = min(_FIRST_READINGS * n, len(data.zs))
+    F, H = (np.broadcast_to(a, (len(data.zs), *a.shape[1:])) for a in (data.F, data.H))
+    x, moved, rows, apart = data.x, np.eye(n), np.empty((steps, H.shape[1], n)), np.empty((steps, H.shape[1]))
+    with np.errstate(all="ignore"):
+        for k in range(steps):
+            x, moved = F[k] @ x + data.inputs[k], F[k] @ moved
+            rows[k], apart[k] = H[k] @ moved, np.abs(data.zs[k] - H[k] @ x)
+        known = np.isfinite(apart)
+        # The median: one of them may be wild.
+        unit = np.array(
+            [np.median(a[there]) if there.any() else 0.0 for a, there in zip(apart.T, known.T, strict=True)]
+        )
+        rows = (rows / np.where(unit > 0.0, unit, np.inf)[:, None])[known]
+        values, axes = np.linalg.eigh(data.P)
+        root = axes * np.sqrt(np.maximum(values, 0.0))
+        told = rows @ root
+        if not np.isfinite(told).all():
+            return data
+        _, sizes, axes = np.linalg.svd(told, full_matrices=True)
+    wide = np.ones(n)
+    wide[: len(sizes)] = np.minimum(1.0, _WIDE**0.5 / np.maximum(sizes, 1e-300))
+    if wide.min() == 1.0:
+        return data
+    root = root @ (axes.T * wide)
+    return data._replace(P=root @ root.T, log_narrowed=float(np.log(wide).sum()))
 
 
 def scaled(covariance: Array, logs: Array) -> Array:
@@ -163,7 +201,7 @@ def log_likelihoods(data: Recording, logs_R: Array, logs_Q: Array, share: Array,
         apart = moved - mean
         x = x + mean
         P = (weights[..., None, None] * (left + apart[..., :, None] * apart[..., None, :])).sum(axis=0)
-    return np.where(np.isfinite(total), total, -np.inf)
+    return np.where(np.isfinite(total), total + data.log_narrowed, -np.inf)
 
 
 def _conditioned(P: Array, y: Array, rows: Array, own: Array, sizes: Array) -> tuple[Array, Array, Array, Array]:

@@ -214,6 +214,9 @@ def estimate_noise(
     A weak prior, worth ten samples, keeps the contamination and the ratio where there are no outliers. What lies
     beyond 8 standard deviations of outliers counts as 8.
 
+    An initial covariance whose deviations are a hundred times as large as the first readings tells nothing more, but
+    costs digits. It is narrowed to that, and ``log_likelihood`` is given as if it had not been.
+
     With ``Qs`` or ``Rs``, R and Q of the result are those of the filter, scaled.
 
     Examples

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from peers.recursion import kalman
-from scipy.integrate import quad
+from peers.recursion import filtered, kalman
+from peers.student_t import closest_scale
 from scipy.linalg import expm
-from scipy.optimize import minimize_scalar
+from scipy.stats import chi2
 
 
 class Case(NamedTuple):
@@ -169,6 +169,10 @@ def vehicle(seed: int, process: float, measurement: float, scale: float, steps: 
     return Case(F, np.eye(2, 4), B @ B.T, 5.0 * I, x0, 1e-9 * np.eye(4), truth, zs, w, v)
 
 
+#: Of Cauchy's density in a plane the scale matrix that is closest to a covariance, over that.
+CAUCHY = closest_scale(2, 1.0)
+
+
 def manoeuvring(seed: int, steps: int = 500) -> Case:
     """Return a plane where speed and acceleration decay, and Cauchy's noise.
 
@@ -196,17 +200,26 @@ def manoeuvring(seed: int, steps: int = 500) -> Case:
     return Case(F, np.eye(2, 6), Q, 0.25 * speed**2 * I, x0, P0, truth, zs, np.ones(steps), label)
 
 
-def _closest_scale() -> float:
-    """Return the factor of the scale matrix with which Cauchy's density of a plane is closest to the normal one."""
+def with_density(case: Case) -> tuple[np.ndarray, np.ndarray]:
+    """Return the states of `manoeuvring` by a filter that is told the noise's density, and their covariances.
 
-    def apart(log_a: float) -> float:
-        integrand = lambda s: 0.5 * np.exp(-0.5 * s) * np.log1p(s * np.exp(-log_a))  # noqa: E731
-        return log_a + 1.5 * quad(integrand, 0.0, np.inf)[0]
+    Cauchy's density is that of normal noises of many sizes; what each of them leads to is merged by moments.
+    """
+    sizes = 0.1 * np.geomspace(1.0, 1e9, 19)
+    shares = np.diff(np.concatenate([[0.0], chi2.sf(CAUCHY / np.sqrt(sizes[1:] * sizes[:-1]), 1), [1.0]]))
 
-    return float(np.exp(minimize_scalar(apart, bounds=(-5.0, 2.0), method="bounded").x))
+    def correct(x: np.ndarray, P: np.ndarray, z: np.ndarray, case: Case, memory: dict) -> tuple[np.ndarray, np.ndarray]:
+        y, C = z - case.H @ x, P @ case.H.T
+        inverses = np.linalg.inv(case.H @ C + sizes[:, None, None] * case.R)
+        logs = np.log(shares) - 0.5 * np.einsum("i,kij,j->k", y, inverses, y) + 0.5 * np.linalg.slogdet(inverses)[1]
+        weights = np.exp(logs - logs.max())
+        weights /= weights.sum()
+        moves = inverses @ y @ C.T
+        mean = weights @ moves
+        left = C @ np.tensordot(weights, inverses, 1) @ C.T
+        return x + mean, P - left + ((moves - mean).T * weights) @ (moves - mean)
 
-
-CAUCHY = _closest_scale()
+    return filtered(case, correct)
 
 
 def optimal(case: Case, density: Callable[[np.ndarray], np.ndarray], count: int = 5000) -> np.ndarray:

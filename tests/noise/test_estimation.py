@@ -347,3 +347,23 @@ def test_noise_that_is_next_to_nothing_is_never_the_most_likely():
     logs = np.array([0.0, -10.0, -20.0, -30.0])[:, None]
     found = log_likelihoods(data, logs * np.ones(3), logs * np.ones(2), np.full(4, 0.4), np.full(4, 3.0))
     assert (np.diff(found) < -100.0).all()
+
+
+@pytest.mark.parametrize("wide", [1e12, 1e14, 1e200])
+def test_an_initial_covariance_far_wider_than_the_recording_costs_no_digits(wide):
+    """Next to 1e14 an R of .01 is lost in rounding: the fit was biased, or ended in a LinAlgError."""
+    rng, zs = np.random.default_rng(5), np.empty(200)
+    x = np.array([100.0, 1.0])
+    for k in range(len(zs)):
+        x = np.array([[1.0, 1.0], [0.0, 1.0]]) @ x + 0.01 * np.array([0.5, 1.0]) * rng.standard_normal()
+        zs[k] = x[0] + 0.1 * rng.standard_normal()
+    found = []
+    for P in (1e7, wide):
+        kf = KalmanFilter(2, 1)
+        kf.F, kf.H, kf.P = np.array([[1.0, 1.0], [0.0, 1.0]]), np.eye(1, 2), P * np.eye(2)
+        kf.Q, kf.R = np.outer([0.5, 1.0], [0.5, 1.0]), np.eye(1)
+        found.append(estimate_noise(kf, zs))
+    assert found[1].R[0, 0] == pytest.approx(found[0].R[0, 0], rel=1e-3)
+    assert found[1].Q[1, 1] == pytest.approx(found[0].Q[1, 1], rel=1e-3)
+    # Two states that nobody knew: each is less likely by the width of what it was drawn from.
+    assert found[1].log_likelihood == pytest.approx(found[0].log_likelihood - np.log(wide / 1e7), abs=0.01)
