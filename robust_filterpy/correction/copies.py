@@ -224,7 +224,8 @@ def require_belief(name: str, belief: Array) -> None:
     if not ((unseen >= 0.0) & (unseen <= 1.0)).all():
         raise ValueError(f"{name}: expected a chance of a jump between 0 and 1 for each state, got {unseen}")
     n = belief.shape[-1]
-    if not (np.isin(parts, np.arange(n)).all() and (np.take_along_axis(parts, parts.astype(int), -1) == parts).all()):
+    first = np.isin(parts, np.arange(n)) & (parts <= np.arange(n))
+    if not (first.all() and (np.take_along_axis(parts, parts.astype(int), -1) == parts).all()):
         raise ValueError(f"{name}: expected the first state of each state's part, got {parts}")
 
 

@@ -19,14 +19,6 @@ int take_rule(learnt_rule *rule, PyObject *object) {
     return length == HEAD + rule->q + rule->K + learnt_width(rule->K);
 }
 
-/* Whether each part is named by its first state. */
-int are_parts(const double *part, npy_intp n) {
-    for (npy_intp i = 0; i < n; i++)
-        if (!(part[i] >= 0 && part[i] <= (double)i && part[(npy_intp)part[i]] == part[i] && part[i] == floor(part[i])))
-            return 0;
-    return 1;
-}
-
 /* The copies and what is known of m sensors; m < 0: of none. Return whether the arrays are that. */
 static int take_copies(learnt_state *s, const learnt_rule *rule, npy_intp n, npy_intp m, PyObject *x, PyObject *P,
                       PyObject *p, PyObject *memory) {
@@ -34,7 +26,7 @@ static int take_copies(learnt_state *s, const learnt_rule *rule, npy_intp n, npy
     const npy_intp beliefs[2] = {copies + 2, n}, known[2] = {m, learnt_width(rule->K)};
     s->x = writable(x, 2, means), s->P = writable(P, 3, covariances), s->p = writable(p, 2, beliefs);
     s->memory = m < 0 ? NULL : writable(memory, 2, known);
-    return s->x && s->P && s->p && (m < 0 || s->memory) && are_parts(learnt_part((int)n, rule, s), n);
+    return s->x && s->P && s->p && (m < 0 || s->memory) && learnt_has_parts((int)n, rule, s);
 }
 
 static PyObject *wrong(void) {

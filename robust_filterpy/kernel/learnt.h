@@ -75,6 +75,15 @@ INLINE real *learnt_part(const int n, const learnt_rule *const rule, const learn
 
 #define learnt_width(K) (2 + 2 * (K) + (K) * (K) + LEARNT_TAIL)
 
+/* Whether each part is named by its first state. */
+INLINE int learnt_has_parts(const int n, const learnt_rule *const rule, const learnt_state *const s) {
+    const real *const part = learnt_part(n, rule, s);
+    for (int i = 0; i < n; i++)
+        if (!(part[i] >= 0 && part[i] <= (real)i && part[i] == (real)(int)part[i] && part[(int)part[i]] == part[i]))
+            return 0;
+    return 1;
+}
+
 /* Let the probabilities of state i, count of them, n apart, add to 1. */
 INLINE void learnt_normalize(const int n, const int i, const int count, real *RESTRICT p) {
     real total = 0;
@@ -85,7 +94,7 @@ INLINE void learnt_normalize(const int n, const int i, const int count, real *RE
 /* Let the parts of two states be one: with the scales that are likely in both, what was likely at first counted once, and
    without a candidate. */
 INLINE void learnt_join(const int n, const learnt_rule *const rule, learnt_state *const s, const int i, const int k) {
-    real *RESTRICT part = learnt_part(n, rule, s), *RESTRICT unseen = learnt_unseen(n, rule, s), *RESTRICT p = s->p;
+    real *const part = learnt_part(n, rule, s), *const unseen = learnt_unseen(n, rule, s), *const p = s->p;
     const real low = real_min(part[i], part[k]), high = real_max(part[i], part[k]);
     if (low == high) return;
     const int one = (int)low, other = (int)high;
@@ -154,7 +163,7 @@ INLINE void learnt_predict(const int n, const learnt_rule *const rule, learnt_st
     int moved = q;
     real *RESTRICT p = work, *RESTRICT origin = p + copies * n, *RESTRICT x = origin + copies * n;
     real *RESTRICT P = x + copies * n, *RESTRICT FP = P + copies * n * n;
-    real *RESTRICT part = learnt_part(n, rule, s), *RESTRICT unseen = learnt_unseen(n, rule, s);
+    real *const part = learnt_part(n, rule, s), *const unseen = learnt_unseen(n, rule, s);
     for (int i = 0; i < n; i++)
         for (int k = 0; k < n; k++)
             if (part[i] != part[k] && (F[i * n + k] != 0 || Q[i * n + k] != 0)) learnt_join(n, rule, s, i, k);
@@ -258,12 +267,12 @@ INLINE void learnt_learn(const learnt_rule *const rule, const real *RESTRICT p, 
     for (int j = 0; j < K; j++) last[j] = p[j];
     /* Ordinary is what most samples are. */
     if (K > 1 && shares[0] < REAL(0.5)) {
-        const real r = known[0];
+        const real size = known[0];
         real below = shares[0];
         int k = 0;
         while (below < REAL(0.5) && k < K - 1) below += shares[++k];
         real_copy(width - LEARNT_TAIL, rule->begin, known);
-        known[0] = r * rule->scales[k];
+        known[0] = size * rule->scales[k];
     }
 }
 
@@ -495,7 +504,7 @@ INLINE void learnt_wider(const int n, const int m, const int q, const int i, con
 INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
                          const real *RESTRICT H, const real *RESTRICT R, const learnt_parts *const w) {
     const int q = rule->q;
-    const real *RESTRICT part = learnt_part(n, rule, s), *RESTRICT unseen = learnt_unseen(n, rule, s);
+    const real *const part = learnt_part(n, rule, s), *const unseen = learnt_unseen(n, rule, s);
     real *RESTRICT x = s->x + q * n, *RESTRICT P = s->P + q * n * n;
     real *RESTRICT y = w->y + q * m, *RESTRICT C = w->C + q * m * n, *RESTRICT S = w->S + q * m * m;
     int turns = 0;
@@ -540,7 +549,7 @@ INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule
    sensor which part it sees. */
 INLINE void learnt_couple(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
                           const real *RESTRICT H, const real *RESTRICT R, const learnt_parts *const w) {
-    const real *RESTRICT part = learnt_part(n, rule, s);
+    const real *const part = learnt_part(n, rule, s);
     for (int i = 0; i < m; i++) {
         int first = 0;
         if (!(w->left[i] > 0)) continue;
@@ -559,7 +568,7 @@ INLINE void learnt_couple(const int n, const int m, const learnt_rule *const rul
 INLINE void learnt_refresh(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
                            const learnt_parts *const w) {
     const int q = rule->q, jumps = rule->jump > 0;
-    const real *RESTRICT part = learnt_part(n, rule, s);
+    const real *const part = learnt_part(n, rule, s);
     for (int i = 0; i < m; i++)
         if (w->left[i] > 0) w->fresh[i] = jumps && s->p[q * n + (int)w->head[i]] < LEARNT_DROPPED * rule->jump;
     for (int o = 0; jumps && o < n; o++) {
@@ -755,7 +764,7 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
                           const real *RESTRICT R, real *RESTRICT weights, real *RESTRICT outlying, real *const log_density,
                           real *RESTRICT work) {
     const int q = rule->q, copies = learnt_copies(rule), K = rule->K, width = learnt_width(K);
-    const real *RESTRICT part = learnt_part(n, rule, s);
+    const real *const part = learnt_part(n, rule, s);
     learnt_parts w;
     int count = 0, held = 0;
     real together = 0, apart = 0;

@@ -49,7 +49,7 @@ static int take_mixture(held *h, PyObject *const given[4], PyObject *rule, mixtu
         p = writable(PyTuple_GetItem(f->kept, 2), 2, beliefs);
         f->x = PyTuple_GetItem(f->kept, 3), f->P = PyTuple_GetItem(f->kept, 4);
         x = vector_of(f->x, n), P = matrix_of(f->P, n, n);
-        if (!means || !covariances || !p || !x || !P || !are_parts(p + (copies + 1) * n, n)) return 0;
+        if (!means || !covariances || !p || !x || !P) return 0;
         if (memcmp(x, f->now.x, (size_t)n * sizeof *x) || memcmp(P, f->now.P, (size_t)(n * n) * sizeof *P)) return 0;
     }
     f->means = array_of(h, 2, copies, n, 0);
@@ -66,7 +66,7 @@ static int take_mixture(held *h, PyObject *const given[4], PyObject *rule, mixtu
     real_copy((int)(copies * n * n), covariances, f->s.P);
     /* Of one copy there is one part. */
     for (npy_intp i = 0; i < (copies + 2) * n; i++) f->s.p[i] = p ? p[i] : i < n;
-    return 1;
+    return learnt_has_parts((int)n, &f->rule, &f->s);
 }
 
 static int merge(mixture *f, double *work) {

@@ -17,7 +17,6 @@ int take_filter(PyObject *dim_x, PyObject *x, PyObject *P, filter_state *s);
 int set_state(held *h, PyObject *filter, PyObject *x, PyObject *P, enum attribute x_too, enum attribute P_too);
 int take_control(PyObject *B, PyObject *u, npy_intp n, double **control);
 int take_measurement(PyObject *object, npy_intp m, double *z);
-int are_parts(const double *part, npy_intp n);
 int take_rule(learnt_rule *rule, PyObject *object); /* from the array of robust_filterpy.kernel.learnt.rule */
 
 #endif

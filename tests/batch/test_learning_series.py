@@ -155,8 +155,8 @@ def test_a_state_that_does_not_fit_is_refused():
         learning(zs, *model, state=state, process=None)
     with pytest.raises(ValueError, match="state: expected x, P, spread in it"):
         learning(zs, *model, state=state, noise=None, process=None)
-    with pytest.raises(ValueError, match=r"state\['shares'\]: .* sum to 1"):
-        learning(zs, *model, state={**state, "shares": 2.0 * state["shares"]})
+    with pytest.raises(ValueError, match=r"state\['belief'\]: .* sum to 1"):
+        learning(zs, *model, state={**state, "belief": 2.0 * state["belief"]})
     with pytest.raises(ValueError, match="learnt: expected"):
         learning(zs, *model, state={**state, "learnt": -state["learnt"]})
     with pytest.raises(ValueError, match="x0"):

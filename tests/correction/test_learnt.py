@@ -112,7 +112,9 @@ def test_sensors_that_fail_together_are_one_vector(grouping):
         means.append(K @ y)
         covariances.append(P - K @ H @ P)
         weights.append(share * multivariate_normal.pdf(y, cov=S))
-    mean, covariance = collapse(np.array(weights) / sum(weights), np.array(means), np.array(covariances))
+    mean, covariance = collapse(
+        np.tile(np.array(weights)[:, None] / sum(weights), 3), np.array(means), np.array(covariances), np.zeros(3)
+    )
     assert_allclose(found.copies.x[0], mean, rtol=1e-9)
     assert_allclose(found.copies.P[0], covariance, rtol=1e-8, atol=1e-11)
     assert found.log_density == pytest.approx(np.log(sum(weights)))
@@ -152,10 +154,10 @@ def test_transitions_are_counted_with_a_memory():
     labels = np.concatenate([[0], rng.choice(K, 60, p=[0.8, 0.1, 0.1])])
     known, counts = certain(K), np.zeros((K, K))
     for before, now in itertools.pairwise(labels):
-        known = learn(known, np.eye(K)[now], 1.0, 1.0, noise)
+        known = learn(known, np.eye(K)[now], 1.0, 0.0, 1.0, noise)
         counts *= 1.0 - 1.0 / memory
         counts[before, now] += 1.0
-    assert_allclose(known[2 + 2 * K : -11], start(K)[2 + 2 * K : -11] + counts.ravel(), rtol=1e-10)
+    assert_allclose(known[2 + 2 * K : -12], start(K)[2 + 2 * K : -12] + counts.ravel(), rtol=1e-10)
 
 
 def test_a_sample_counts_by_the_square_of_the_part_that_is_noise_and_one_is_never_forgotten():
@@ -164,11 +166,11 @@ def test_a_sample_counts_by_the_square_of_the_part_that_is_noise_and_one_is_neve
     for part in (1.0, 0.2, 1e-9):
         known = start(4)
         for _ in range(2000):
-            known = learn(known, ordinary, known[0], part, noise)
+            known = learn(known, ordinary, known[0], 0.0, part, noise)
         counts[part] = known[1]
     assert counts == pytest.approx({1.0: 51.0, 0.2: 3.0, 1e-9: 1.0})
     # E[v^2] of an innovation that is all noise, nine times as large.
-    assert learn(start(4), ordinary, 9.0, 1.0, noise)[0] == pytest.approx(1.0 + 8.0 / (1.0 + 0.98 * 19.0 + 1.0))
+    assert learn(start(4), ordinary, 1.0, 8.0, 1.0, noise)[0] == pytest.approx(1.0 + 8.0 / (1.0 + 0.98 * 19.0 + 1.0))
 
 
 def test_a_sensor_whose_noise_hides_in_the_motion_is_learnt_beside_one_that_takes_turns_with_it():
@@ -189,7 +191,7 @@ def test_when_ordinary_samples_are_few_r_starts_from_the_class_of_the_median():
     known, begin = start(4), start(4)
     known[0] = 0.3
     for _ in range(200):
-        known = learn(known, np.array([0.05, 0.15, 0.75, 0.05]), 1.0, 1.0, NoiseClasses())
+        known = learn(known, np.array([0.05, 0.15, 0.75, 0.05]), 1.0, 0.0, 1.0, NoiseClasses())
         if known[0] > 10.0:
             break
     # Class 2 had 100 times the variance; everything else is as before the first sample.
@@ -202,7 +204,7 @@ def test_describe_reads_a_chain_that_is_known():
     counts = np.zeros((4, 4))
     counts[2, 2], counts[2, 0], counts[0, 2], counts[0, 0] = 80.0, 20.0, 20.0, 880.0
     scales = np.array([1.0, 10.0, 100.0, 1000.0])
-    learnt = np.concatenate([[4.0, 16.0], np.zeros(8), counts.ravel(), np.zeros(11)])[None]
+    learnt = np.concatenate([[4.0, 16.0], np.zeros(8), counts.ravel(), np.zeros(12)])[None]
     noise = describe(learnt, scales)
     assert noise.contamination[0] == pytest.approx(0.1) and noise.run_length[0] == pytest.approx(5.0)
     assert noise.scale_ratio[0] == pytest.approx(10.0, rel=0.01)
@@ -299,7 +301,7 @@ def test_collapse_has_the_moments_of_a_sample():
     rng = np.random.default_rng(4)
     shares, means, roots = np.array([0.2, 0.5, 0.3]), rng.normal(size=(3, 2)), rng.normal(size=(3, 2, 2))
     covariances = roots @ roots.transpose(0, 2, 1)
-    mean, covariance = collapse(shares, means, covariances)
+    mean, covariance = collapse(np.tile(shares[:, None], 2), means, covariances, np.zeros(2))
     labels = rng.choice(3, 200_000, p=shares)
     sample = means[labels] + (roots[labels] @ rng.normal(size=(len(labels), 2, 1)))[..., 0]
     error = 5.0 * np.sqrt(np.diag(covariance) / len(labels))
@@ -310,12 +312,12 @@ def test_collapse_has_the_moments_of_a_sample():
 def test_copies_mix_as_the_scale_changes():
     """Two copies, one step, by the law of total probability."""
     process = Scales((1.0, 9.0), dwell=4.0, jump=0.0)
-    copies = Copies(np.array([[0.0], [2.0]]), np.array([[[1.0]], [[3.0]]]), np.array([0.6, 0.4]), 0.0)
+    copies = Copies(np.array([[0.0], [2.0]]), np.array([[[1.0]], [[3.0]]]), np.array([[0.6], [0.4], [0.0], [0.0]]))
     found = side_by_side.predict(copies, np.array([[2.0]]), np.eye(1), process)
     joint = np.array([0.6, 0.4])[:, None] * np.array([[0.75, 0.25], [0.25, 0.75]])
-    assert_allclose(found.probabilities, joint.sum(axis=0))
+    assert_allclose(found.probabilities[:, 0], joint.sum(axis=0))
     for j, scale in enumerate(process.scales):
-        mean, covariance = collapse(joint[:, j] / joint[:, j].sum(), copies.x, copies.P)
+        mean, covariance = collapse(joint[:, j, None] / joint[:, j].sum(), copies.x, copies.P, np.zeros(1))
         assert_allclose(found.x[j], 2.0 * mean)
         assert_allclose(found.P[j], 4.0 * covariance + scale)
 

@@ -57,7 +57,7 @@ class InC:
         self.library = ctypes.CDLL(str(folder / "one.so"))
         self.model = ctypes.c_char.in_dll(self.library, "one_default")
         n, m, kept = kf.dim_x, kf.dim_z, kf._policy.current(kf._kept, np.ravel(kf.x), kf.P)
-        size = n + n * n + kept.means.size + kept.covariances.size + len(kept.means) + 1 + kf._policy.begin(m).size
+        size = n + n * n + sum(part.size for part in kept[:3]) + kf._policy.begin(m).size
         self.state = (ctypes.c_double * size)(*(ctypes.c_double * size).in_dll(self.library, "one_start"))
         self.n, self.shown = n, (ctypes.c_double * (3 * m))()
 

@@ -99,7 +99,7 @@ def test_one_step_is_the_exact_posterior_over_all_scales(grouping, dim_z):
     np.testing.assert_allclose(kf.P, np.tensordot(weights, covariances, 1) + spread, rtol=1e-8, atol=1e-11)
     assert kf.log_likelihood == pytest.approx(logsumexp(logs), rel=1e-10)
     assert kf.outlier_probability == pytest.approx(1 - weights.reshape(3, 4)[:, 0].sum(), rel=1e-9)
-    np.testing.assert_allclose(kf.process_probabilities, weights.reshape(3, 4).sum(axis=1), rtol=1e-9)
+    np.testing.assert_allclose(kf.process_probabilities[:, 0], weights.reshape(3, 4).sum(axis=1), rtol=1e-9)
 
 
 def test_sensors_that_fail_together_can_be_named():
@@ -228,7 +228,7 @@ def test_the_scale_of_the_process_is_found(scale):
     kf = make(AdaptiveKalmanFilter, problem, 1)
     kf.batch_filter(zs)
     assert kf.process_scale == pytest.approx(scale, rel=0.5)
-    assert kf.process_probabilities.sum() == pytest.approx(1.0)
+    assert kf.process_probabilities.sum(axis=0) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("jump", [10.0, 100.0])
@@ -308,8 +308,10 @@ def test_a_sensor_without_noise_is_believed_and_teaches_nothing(variances, group
 @pytest.mark.parametrize("name, spoilt, match", [
     ("learnt", lambda a: -a, "learnt: expected finite numbers >= 0"),
     ("learnt", lambda a: 2.0 * a, "learnt: expected probabilities"),
-    ("shares", lambda a: a - 1.0, "state: expected shares >= 0 that sum to 1"),
-    ("shares", lambda a: 0.0 * a, "state: expected shares >= 0 that sum to 1"),
+    ("belief", lambda a: a - 1.0, "state: belief: expected probabilities >= 0 of the copies that sum to 1"),
+    ("belief", lambda a: 0.0 * a, "state: belief: expected probabilities >= 0 of the copies that sum to 1"),
+    ("belief", lambda a: np.vstack((a[:-2], a[-2:] + 7.0)), "state: belief: expected a chance of a jump"),
+    ("belief", lambda a: np.vstack((a[:-1], a[-1:] + 1.0)), "state: belief: expected the first state of each"),
 ])  # fmt: skip
 def test_a_state_that_holds_no_probabilities_is_refused(name, spoilt, match):
     kf = make(AdaptiveKalmanFilter, cart(), 1)

@@ -116,7 +116,7 @@ def test_one_step_is_the_exact_posterior_of_four_hypotheses(seed):
         np.testing.assert_allclose(found, cov, rtol=1e-8, atol=1e-10)
     assert kf.log_likelihood == pytest.approx(log_likelihood, rel=1e-9)
     assert kf.outlier_probability == pytest.approx(bad, rel=1e-8)
-    assert kf.process_probabilities[1] == pytest.approx(jumped, rel=1e-8)
+    assert kf.process_probabilities[1, 0] == pytest.approx(jumped, rel=1e-8)
     # What the measurement has spoken about is over.
     w = BOTH["process"]
     larger = (1 + w.contamination * (w.scale_ratio**2 - 1)) * problem.Q
@@ -298,21 +298,22 @@ def test_two_sided_starts_over_from_an_assigned_state():
     kf.P = 3.0 * np.eye(2)
     kf.predict()
     np.testing.assert_allclose(kf.x, problem.F @ x)
-    scales = kf.process_scale
+    scales = kf.process_scale[0]
     np.testing.assert_allclose(kf.P, 3.0 * problem.F @ problem.F.T + scales * problem.Q)
 
 
 def test_two_sided_with_a_linear_psi_is_filterpys_interacting_multiple_models():
     problem, scales, dwell = cart(), (1.0, 30.0, 100.0), 8.0
-    ours = make(two_sided, problem, noise=NONE, process=Scales(scales, dwell, jump=0.0))
+    process = Scales(scales, dwell, jump=0.0)
+    ours = make(two_sided, problem, noise=NONE, process=process)
     moves = np.full((3, 3), 0.5 / dwell) + (1 - 1.5 / dwell) * np.eye(3)
     bank = [make(KalmanFilter, with_(problem, Q=s * problem.Q)) for s in scales]
-    theirs = IMMEstimator(bank, ours.process_probabilities, moves)
+    theirs = IMMEstimator(bank, process.begin, moves)
     for z in simulate(with_(problem, Q=9 * problem.Q), 60, 2)[0]:
         # Only after the update: what theirs shows between the two weighs the models by their old probabilities.
         ours.predict(), theirs.predict()
         ours.update(z), theirs.update(z)
-        np.testing.assert_allclose(ours.process_probabilities, theirs.mu, rtol=1e-8)
+        np.testing.assert_allclose(ours.process_probabilities[:, 0], theirs.mu, rtol=1e-8)
         np.testing.assert_allclose(ours.x, theirs.x, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(ours.P, theirs.P, rtol=1e-8)
 
@@ -323,8 +324,8 @@ def test_two_sided_probabilities_name_the_scale_of_the_process():
         kf = make(two_sided, problem, 1)
         zs = simulate(with_(problem, Q=scale * problem.Q), 400, 3)[0]
         advance(kf, zs)
-        assert kf.process_probabilities[kf.process.scales.index(scale)] > 0.5
-        assert kf.process_probabilities.sum() == pytest.approx(1.0)
+        assert kf.process_probabilities[kf.process.scales.index(scale), 0] > 0.5
+        assert kf.process_probabilities.sum(axis=0) == pytest.approx(1.0)
 
 
 def test_an_imm_of_these_filters_runs():

@@ -54,9 +54,9 @@ def test_it_is_filterpys_smoother_with_Q_times_the_scale_of_each_step(kind):
         scales.append(loop.process_scale)
         states.append(loop.x)
         spreads.append(loop.P)
-    assert min(scales) >= 0.9 and max(scales) > 10.0
+    assert np.min(scales) >= 0.9 and np.max(scales) > 10.0
     by_hand = KalmanFilter.rts_smoother(
-        loop, np.array(states), np.array(spreads), Qs=[scale * LEVEL.Q for scale in scales]
+        loop, np.array(states), np.array(spreads), Qs=[np.outer(s, s) * LEVEL.Q for s in np.sqrt(scales)]
     )
     for one, other in zip(kf.rts_smoother(means, covariances), by_hand, strict=True):
         np.testing.assert_array_equal(one, other)

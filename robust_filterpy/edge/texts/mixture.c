@@ -19,6 +19,9 @@ $control
 $control_sum
     next = *state;
     s = copies_of(&next);
+    if (!learnt_has_parts(N, &rule, &s)) {
+        return ${NAME}_BAD_ARGUMENT;
+    }
     learnt_predict(N, &rule, &s, model->F, model->Q, $control_given, $alpha_sq, work);
     if (!learnt_merge(N, &rule, &s, next.x, next.P, work)) {
         return ${NAME}_NOT_FINITE;
@@ -43,6 +46,9 @@ ${name}_status ${name}_update(const ${name}_model *model, ${name}_state *state, 
     }
     next = *state;
     s = copies_of(&next);
+    if (!learnt_has_parts(N, &rule, &s)) {
+        return ${NAME}_BAD_ARGUMENT;
+    }
     if (learnt_correct(N, M, &rule, &s, z, z, model->H, model->R, weights, outlying, &likelihood, work) < 0) {
         return ${NAME}_SINGULAR;
     }
