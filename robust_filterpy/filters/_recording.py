@@ -9,7 +9,6 @@ import numpy as np
 
 from robust_filterpy._arrays import measurement_rows, noise_covariance, process_noise, stack, state_of
 from robust_filterpy._checks import Array, all_covariances, entries, shown
-from robust_filterpy.correction.copies import Copies
 from robust_filterpy.filters._correlated import look_at_recording
 from robust_filterpy.filters._mixture import Kept
 from robust_filterpy.filters.mixin import RobustFilterMixin

@@ -812,8 +812,8 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
     if (count == 0) return held;
     for (int i = 0; i < m; i++) w.r[i] = rule->learns ? s->memory[i * width] : 1;
     learnt_couple(n, m, rule, s, H, R, &w);
+    learnt_slow(n, rule, s, w.at, w.spread, work);
     if (rule->learns) {
-        learnt_slow(n, rule, s, w.at, w.spread, work);
         learnt_changes(n, m, rule, s, w.at, z, readings, H, R, w.left, w.r);
         learnt_sizes(n, m, rule, s, w.spread, z, H, R, w.left, w.r, work);
     }

@@ -9,6 +9,7 @@ import pytest
 from filterpy.common import Saver
 from filterpy.kalman import KalmanFilter
 from scipy.integrate import quad
+from scipy.linalg import block_diag
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 from support import TOLD, cart, load, make, random_problem, simulate, with_, without_kernel
@@ -571,3 +572,95 @@ def test_what_is_learnt_of_a_reading_beyond_all_numbers_can_be_handed_on():
         kf.update(z)
     twin.learnt = kf.learnt
     np.testing.assert_array_equal(twin.learnt, kf.learnt)
+
+
+def uncoupled():
+    """Two problems in one state: a point with a speed and its sensor, a level with two sensors."""
+    one, other = random_problem(21, 2, 1), random_problem(22, 1, 2)
+    whole = {name: block_diag(getattr(one, name), getattr(other, name)) for name in ("F", "Q", "H", "R", "P")}
+    return one, other, with_(random_problem(23, 3, 3), x=np.vstack((one.x, other.x)), **whole)
+
+
+def test_states_that_nothing_couples_are_filtered_as_by_filters_of_their_own():
+    """Each has its own scale of Q, its own jumps and its own start; noise that is told couples nothing."""
+    options = {"noise": Contaminated(0.1, 100.0), "process": Scales()}
+    one, other, whole = uncoupled()
+    filters = [make(RobustKalmanFilter, problem, 1, **options) for problem in (whole, one, other)]
+    zs = simulate(whole, 150, 3, contamination=0.1, size=10.0)[0] + [200.0, 0.0, 0.0]
+    zs[100:, 1:] += 90.0
+    for z in zs:
+        for kf, part in zip(filters, (z, z[:1], z[1:]), strict=True):
+            kf.predict()
+            kf.update(part)
+    both, first, second = filters
+    np.testing.assert_allclose(np.ravel(both.x), np.r_[np.ravel(first.x), np.ravel(second.x)], rtol=1e-9, atol=1e-11)
+    np.testing.assert_allclose(both.P, block_diag(first.P, second.P), rtol=1e-8, atol=1e-11)
+    scales = np.r_[first.process_scale, second.process_scale]
+    np.testing.assert_allclose(both.process_scale, scales, rtol=1e-8)
+
+
+def test_a_sensor_that_couples_two_parts_makes_one_of_them_for_good():
+    whole = uncoupled()[2]
+    kf = make(RobustKalmanFilter, whole, 1, noise="learnt", process="scales")
+    kf.predict()
+    kf.update(np.ones(3))
+    assert len(np.unique(kf.process_probabilities, axis=1).T) == 2
+    kf.predict()
+    kf.update([0.5, 0.1, np.nan], H=np.array([[1.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]))
+    kf.predict()
+    kf.update(np.ones(3))
+    assert len(np.unique(kf.process_probabilities, axis=1).T) == 1
+
+
+def test_a_box_whose_shape_hardly_moves_is_followed_for_as_long_as_it_is_there():
+    """SORT's numbers: the ratio of the sides is known a thousand times better than R and Q say."""
+    ratios = []
+    for seed in range(5):
+        g, steps = np.random.default_rng(seed), 400
+        F, H = np.eye(7), np.eye(4, 7)
+        F[[0, 1, 2], [4, 5, 6]] = 1.0
+        problem = with_(
+            random_problem(1, 7, 4), F=F, H=H, Q=np.diag([1.0, 1, 1, 1, 0.01, 0.01, 1e-4]),
+            R=np.diag([1.0, 1, 10, 10]), P=np.diag([10.0] * 4 + [1e4] * 3),
+        )  # fmt: skip
+        speed = np.cumsum(0.3 * g.normal(size=(steps, 2)), axis=0) + g.uniform(-8, 8, 2)
+        truth = np.column_stack((500.0 + np.cumsum(speed, axis=0), np.tile([3000.0, 0.4], (steps, 1))))
+        zs = truth + g.normal(size=(steps, 4)) * [2.0, 2.0, 150.0, 0.01]
+        problem = with_(problem, x=np.r_[zs[0], np.zeros(3)][:, None])
+        errors = []
+        for cls in (AdaptiveKalmanFilter, KalmanFilter):
+            path = advance(make(cls, problem, 1), zs)
+            errors.append(np.mean((path[20:, :2] - truth[20:, :2]) ** 2))
+        ratios.append(errors[0] / errors[1])
+    # With one scale of Q for all of the state it was 50 and more.
+    assert max(ratios) < 1.5
+
+
+def test_a_sensor_ten_times_better_than_told_is_known_in_a_few_dozen_samples_and_others_are_believed():
+    falls = []
+    for seed in range(40):
+        g = np.random.default_rng(seed)
+        for sigma in (0.1, 1.0):
+            kf = AdaptiveKalmanFilter(1, 1)
+            kf.F = kf.H = np.eye(1)
+            kf.Q *= 1e-4
+            for z in sigma * g.normal(size=60) + np.cumsum(0.01 * g.normal(size=60)):
+                kf.predict()
+                kf.update(z)
+            falls.append(kf.learnt[0, 0])
+    better, right = np.reshape(falls, (40, 2)).T
+    assert np.median(better) < 0.03 and (better < 0.1).mean() > 0.9 and (right > 0.25).all()
+
+
+def test_a_start_that_the_first_reading_contradicts_is_doubted_with_its_speed():
+    """A ball at 300 and 15 a step, for a filter that starts at 0 with a standard deviation of 3 of each."""
+    problem = with_(
+        cart(), F=np.array([[1.0, 1.0], [0.0, 1.0]]), H=np.eye(1, 2), Q=1e-3 * np.eye(2), R=np.eye(1),
+        P=9.0 * np.eye(2), x=np.zeros((2, 1)),
+    )  # fmt: skip
+    kf = make(AdaptiveKalmanFilter, problem, 1)
+    truth = 300.0 + 15.0 * np.arange(12)
+    for z in truth + np.random.default_rng(1).normal(size=12):
+        kf.predict()
+        kf.update(z)
+    assert np.abs(np.ravel(kf.x) - [truth[-1], 15.0]).max() < 3.0

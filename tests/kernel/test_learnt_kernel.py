@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 from scipy.signal import lfilter
 from support import random_problem, simulate, with_
 
@@ -115,3 +116,22 @@ def test_arrays_that_do_not_fit_are_refused():
                   state._replace(P=state.P[:, ::-1])):  # fmt: skip
         with pytest.raises(ValueError, match="matching shapes"):
             run(wrong, zs, model, noise, process, Kept())
+
+
+@pytest.mark.parametrize("noise, process", OPTIONS)
+@pytest.mark.parametrize("couples", ["nothing", "R", "H", "F"])
+def test_parts_that_nothing_couples_are_apart_by_both(couples, noise, process):
+    one, other = random_problem(11, 2, 1), random_problem(12, 3, 2)
+    whole = {name: block_diag(getattr(one, name), getattr(other, name)) for name in ("F", "Q", "H", "R", "P")}
+    if couples == "R":
+        whole["R"][0, 1] = whole["R"][1, 0] = 0.1
+    elif couples != "nothing":
+        whole[couples][0, 2] = 0.2
+    problem = with_(random_problem(13, 5, 3), x=np.zeros((5, 1)), **whole)
+    # A start that is far off, a jump of one part, gaps: each part has its own candidate.
+    zs = simulate(problem, 80, 5, contamination=0.1, size=20.0)[0] + [300.0, 0.0, 0.0]
+    zs[40:, 1:] -= 150.0
+    zs[np.random.default_rng(6).random(zs.shape) < 0.2] = np.nan
+    compare(problem, zs, noise, process)
+    parts = begin(side_by_side.start(problem.x[:, 0], problem.P, process), noise.start(3)).belief[-1]
+    np.testing.assert_array_equal(parts, [0, 0, 2, 2, 2])
