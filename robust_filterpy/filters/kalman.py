@@ -110,8 +110,9 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         with. None without.
     outlier_probability : float
         Under `noise`, the probability that a component of the last measurement was an outlier.
-    process_probabilities, process_scale : ndarray, float
-        Under `process`, the probability of each scale of Q, and the mean scale.
+    process_probabilities, process_scale : ndarray, shapes (q, dim_x) and (dim_x,)
+        Under `process`, the probability of each scale of Q for each state, and the mean scale; states that neither the
+        model nor a sensor couples have their own.
 
     Raises
     ------
