@@ -296,7 +296,7 @@ def predict(
     )
 
 
-def with_candidate(copies: Copies, z: Array, H: Array, noise: Array, process: Scales) -> tuple[Copies, Array]:
+def with_candidate(copies: Copies, z: Array, H: Array, noise: Array, process: Scales) -> tuple[Copies, np.ndarray]:
     """Return the copies, a candidate in each part that has none and an innovation asks for one, and where it is new.
 
     Parameters
@@ -349,10 +349,11 @@ def with_candidate(copies: Copies, z: Array, H: Array, noise: Array, process: Sc
     ), new
 
 
-def _wider(spread: Array, y: float, h: Array, noise: float, own: Array) -> Array:
+def _wider(spread: Array, y: float, h: Array, noise: float, own: np.ndarray) -> Array:
     """Return a covariance that explains an innovation, as P in another unit would, less what that innovation tells."""
     seen = h @ spread @ h
-    spread = np.where(own[:, None] & own, max((y * y - noise) / seen, 1.0), 1.0) * spread
+    times = max(float((y * y - noise) / seen), 1.0)
+    spread = np.where(own[:, None] & own, times, 1.0) * spread
     C = spread @ h
     return np.asarray(spread - np.outer(C, C) / (h @ C))
 
@@ -384,7 +385,7 @@ def _asked(at: Array, spread: Array, z: Array, H: Array, noise: Array) -> tuple[
     return y, asks
 
 
-def settled(copies: Copies, seen: Array, process: Scales) -> Copies:
+def settled(copies: Copies, seen: np.ndarray, process: Scales) -> Copies:
     """Return the copies after a correction: a candidate that is all but certain is where every copy goes on from.
 
     Parameters

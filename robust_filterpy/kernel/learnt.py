@@ -97,7 +97,8 @@ def begin(copies: Copies, memory: Array) -> State:
     State
     """
     n = copies.x.shape[1]
-    return State(*(part.copy() for part in copies), memory.copy(), np.zeros(n), np.zeros((n, n)))
+    x, P, belief = copies
+    return State(x.copy(), P.copy(), belief.copy(), memory.copy(), np.zeros(n), np.zeros((n, n)))
 
 
 def run(
