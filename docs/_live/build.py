@@ -1,6 +1,6 @@
 """Write docs/_static/live_filter.js: the kernel with the numbers of one problem as WebAssembly, and a recording for it.
 
-Needs clang and lld for wasm32: ``python docs/_live/build.py`` after a change of the kernel.
+Needs clang and lld for wasm32, and binaryen: ``python docs/_live/build.py`` after a change of the kernel.
 """
 
 import base64
@@ -94,6 +94,8 @@ def main() -> None:
         (folder / "numbers.h").write_text(numbers())
         command = ["clang", *FLAGS.split(), f"-I{folder}", f"-I{KERNEL}", "-o", folder / "live.wasm", HERE / "live.c"]
         subprocess.run(command, check=True)
+        small = ["wasm-opt", "-Oz", "--enable-bulk-memory", folder / "live.wasm", "-o", folder / "live.wasm"]
+        subprocess.run(small, check=True)
         wasm = base64.b64encode((folder / "live.wasm").read_bytes()).decode()
     signals = dict(zip(("truth", "clean", "measured"), (signal.tolist() for signal in recording()), strict=True))
     values = {"made_from": fingerprint(), "wasm": wasm, **signals}
