@@ -28,10 +28,11 @@ MATH = """
 double sqrt(double), fabs(double), exp(double), log(double), hypot(double, double), copysign(double, double);
 """
 EXPORTS = ("kalman", "default", "learnt", "z", "position")
-FLAGS = (
-    "--target=wasm32 -std=c99 -Os -fno-math-errno -mbulk-memory -nostdlib -Wl,--no-entry -Wl,--strip-all "
-    "-Wl,--allow-undefined " + " ".join(f"-Wl,--export=live_{name}" for name in EXPORTS)
+COMPILE = "clang --target=wasm32 -std=c99 -Os -fno-math-errno -mbulk-memory -nostdlib -c -o live.o"
+LINK = "wasm-ld --no-entry --strip-all --allow-undefined live.o -o live.wasm " + " ".join(
+    f"--export=live_{name}" for name in EXPORTS
 )
+SHRINK = "wasm-opt -Oz --enable-bulk-memory live.wasm -o live.wasm"
 
 
 def live_filter(cls, **options):
@@ -92,10 +93,12 @@ def main() -> None:
         folder = Path(name)
         (folder / "math.h").write_text(MATH)
         (folder / "numbers.h").write_text(numbers())
-        command = ["clang", *FLAGS.split(), f"-I{folder}", f"-I{KERNEL}", "-o", folder / "live.wasm", HERE / "live.c"]
-        subprocess.run(command, check=True)
-        small = ["wasm-opt", "-Oz", "--enable-bulk-memory", folder / "live.wasm", "-o", folder / "live.wasm"]
-        subprocess.run(small, check=True)
+        for command in (
+            [*COMPILE.split(), f"-I{folder}", f"-I{KERNEL}", HERE / "live.c"],
+            LINK.split(),
+            SHRINK.split(),
+        ):
+            subprocess.run(command, check=True, cwd=folder)
         wasm = base64.b64encode((folder / "live.wasm").read_bytes()).decode()
     signals = dict(zip(("truth", "clean", "measured"), (signal.tolist() for signal in recording()), strict=True))
     values = {"made_from": fingerprint(), "wasm": wasm, **signals}
