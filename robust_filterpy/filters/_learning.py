@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.copies import slow
@@ -31,6 +33,7 @@ class LearningMixin:
     _kept: Any
     _memory: Array
     _other_sensors: dict[bytes, Array]
+    _named_sensors: dict[str, Array]
     _outlier_probability: float
 
     def _known_sensors(self) -> Customs:
@@ -70,6 +73,23 @@ class LearningMixin:
             named = (passed, getattr(self, "H", None)) if passed is not None and len(begin) == m else ()
             customs = customs.updated(memory, begin, *named)
         self._keep_sensors(customs)
+
+    def _spoken(self, sensor: str | int | None, correct: Callable[[], None]) -> None:
+        """Correct by a sensor that is named, None for those that their places or rows of H tell."""
+        if sensor is None:
+            correct()
+            return
+        if not isinstance(sensor, (str, int)) or isinstance(sensor, bool):
+            raise TypeError(f"sensor: expected a name or a number, got {_checks.shown(sensor)}")
+        known, name = self._known_sensors(), str(sensor)
+        self._keep_sensors(Customs(self._named_sensors.get(name, self._policy.begin(self.dim_z)), {}))
+        try:
+            correct()
+            spoken = self._memory
+        finally:
+            self._keep_sensors(known)
+        if self._policy.learns:
+            self._named_sensors = {**self._named_sensors, name: spoken}
 
     @property
     def _learns_spread(self) -> bool:
@@ -117,6 +137,7 @@ class LearningMixin:
         if not self._learns_noise:
             raise AttributeError(f"learnt: expected a filter with noise=Learnt(..), got noise={self._policy.noise!r}")
         self._memory, self._other_sensors = self._policy.classes.checked(value, self.dim_z), {}
+        self._named_sensors = {}
 
     @property
     def noise_learnt(self) -> LearntNoise | None:
@@ -125,6 +146,17 @@ class LearningMixin:
             return None
         classes = self._policy.classes
         return describe(self._memory, np.array(classes.scales), self.dim_z if classes.grouping == "joint" else 1)
+
+    @property
+    def sensors_learnt(self) -> dict[str, LearntNoise] | None:
+        """Under ``noise=Learnt(..)``, what has been learnt of each sensor that `update` was told by `sensor`."""
+        if not self._learns_noise:
+            return None
+        classes = self._policy.classes
+        return {
+            name: describe(known, np.array(classes.scales), len(known) if classes.grouping == "joint" else 1)
+            for name, known in self._named_sensors.items()
+        }
 
     @property
     def R_learnt(self) -> Array | None:

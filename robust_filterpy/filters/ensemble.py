@@ -162,7 +162,7 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
         self.x_prior, self.P_prior = self.x.copy(), self.P.copy()
 
     @whole
-    def update(self, z: ArrayLike | None, R: Any = None) -> None:
+    def update(self, z: ArrayLike | None, R: Any = None, *, sensor: str | int | None = None) -> None:
         """Correct the members by a measurement whose influence is bounded.
 
         Parameters
@@ -171,14 +171,20 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
             Measurement; NaN marks a missing component, None a missing measurement.
         R : array_like, shape (dim_z, dim_z), or scalar, optional
             Noise covariance for this call, otherwise ``self.R``. A scalar here means R I.
+        sensor : str or int, optional
+            Whose reading it is, where several sensors take turns, as in `RobustKalmanFilter.update`; else its place in
+            z tells.
 
         Raises
         ------
-        ValueError
+        ValueError, TypeError
             If a shape does not fit, z is infinite or R not a covariance; nothing has changed then.
         SingularInnovationError, NotPositiveDefiniteError
             As in `RobustKalmanFilter.update`.
         """
+        if sensor is not None:
+            self._spoken(sensor, lambda: RobustEnsembleKalmanFilter.update(self, z, R))
+            return
         if z is None:
             self._skip()
             return

@@ -181,6 +181,8 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         args: Any = (),
         hx_args: Any = (),
         residual: Callable[[Any, Any], Any] = np.subtract,
+        *,
+        sensor: str | int | None = None,
     ) -> None:
         """Correct the state by a measurement whose influence is bounded.
 
@@ -198,14 +200,21 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
             Further arguments of HJacobian and Hx; anything else than a tuple is the only one.
         residual : callable, default numpy.subtract
             ``residual(z, Hx(x))``, for measurements that do not subtract (angles).
+        sensor : str or int, optional
+            Whose reading it is, where several sensors take turns, as in `RobustKalmanFilter.update`; else its place in
+            z tells.
 
         Raises
         ------
-        ValueError
+        ValueError, TypeError
             If a shape does not fit, z is infinite or R not positive definite; nothing has changed then.
         SingularInnovationError, NotPositiveDefiniteError
             As in `RobustKalmanFilter.update`.
         """
+        if sensor is not None:
+            given = (z, HJacobian, Hx, R, args, hx_args, residual)
+            self._spoken(sensor, lambda: RobustExtendedKalmanFilter.update(self, *given))
+            return
         if z is None or (type(z) is not np.ndarray and np.ndim(z) == 0 and measured(z, 1) is None):
             self._skip()
             return

@@ -104,10 +104,10 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         What psi leaves of y, in the unit of z, so that x_post == x_prior + K @ y_bounded.
     refused, recoveries : int
         Under `patience`, how many refused measurements agree so far, and how often P was widened.
-    R_learnt, noise_learnt, learnt : ndarray, LearntNoise, ndarray
+    R_learnt, noise_learnt, learnt, sensors_learnt : ndarray, LearntNoise, ndarray, dict of str to LearntNoise
         Under ``noise=Learnt(..)``, what has been learnt: the covariance of ordinary noise, contamination and scale of
         outliers and length of their runs with standard errors, and all of it as an array that another filter can begin
-        with. None without.
+        with; the second for each sensor that ``update(.., sensor=)`` names. None without.
     outlier_probability : float
         Under `noise`, the probability that a component of the last measurement was an outlier.
     process_probabilities, process_scale : ndarray, shapes (q, dim_x) and (dim_x,)
@@ -130,10 +130,10 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
     ``log_likelihood`` is that of the least favourable density, linear in \\|e\\| beyond the threshold, with S as told.
 
     Under "learnt" nothing is an outlier before there is a custom: the very first reading is believed as the Kalman
-    filter believes it. Sensors that take turns through ``update(z, R, H)`` are told apart by their rows of H. Where
-    redundant sensors contradict one of them, the rest is charged to it as noise of its own; where a sensor's
-    innovations keep their sign and height four times in a row and nobody contradicts, P grows and the state jumps. S
-    and K are then those of the grown P.
+    filter believes it. Sensors that take turns through ``update(z, R, H)`` are told apart by their rows of H, or by
+    ``sensor=``. Where redundant sensors contradict one of them, the rest is charged to it as noise of its own; where a
+    sensor's innovations keep their sign and height four times in a row and nobody contradicts, P grows and the state
+    jumps. S and K are then those of the grown P.
 
     NaN (or None, or a masked entry) in z is a missing component: the others are used; y, e, y_bounded and the
     columns of K are 0 there. A measurement that is missing altogether is ``update(None)``, with log-likelihood 0.
@@ -299,7 +299,9 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
             raise ValueError(f"alpha: expected a finite number >= 1, got {_checks.shown(value)}")
         self._alpha_sq = float(value) ** 2
 
-    def update(self, z: ArrayLike | None, R: Any = None, H: ArrayLike | None = None) -> None:
+    def update(
+        self, z: ArrayLike | None, R: Any = None, H: ArrayLike | None = None, *, sensor: str | int | None = None
+    ) -> None:
         """Correct the state by a measurement whose influence is bounded (paper 37, 39, 42, 44, 47, 49).
 
         Parameters
@@ -310,17 +312,23 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
             Noise covariance for this call, otherwise ``self.R``. A scalar here means R I.
         H : array_like, shape (m, dim_x), optional
             Measurement matrix for this call, otherwise ``self.H``; z and R then have its height m.
+        sensor : str or int, optional
+            Whose reading it is, where several sensors take turns: what is learnt of noise (or of how large innovations
+            usually are) belongs to it. Without, a sensor is told by its place in z, or by its row of an H that is
+            passed; two that see the same through one row would have one noise.
 
         Raises
         ------
-        ValueError
+        ValueError, TypeError
             If a shape does not fit, z is infinite or R not positive definite; nothing has changed then.
         SingularInnovationError
             If S is singular and ``self.inv`` is numpy's inverse.
         NotPositiveDefiniteError
             If scaling is "unit" and P would become indefinite.
         """
-        if not self._correct_by_kernel(z, R, H, None):
+        if sensor is not None:
+            self._spoken(sensor, lambda: RobustKalmanFilter.update(self, z, R, H))
+        elif not self._correct_by_kernel(z, R, H, None):
             self._correct(z, R, H, None)
 
     def update_correlated(self, z: ArrayLike | None, R: Any = None, H: ArrayLike | None = None) -> None:

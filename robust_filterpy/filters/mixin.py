@@ -72,6 +72,7 @@ class RobustFilterMixin(OptionsMixin, PrintingMixin, StepMixin, StateMixin):
     _kept: Any
     _memory: Array
     _other_sensors: dict[bytes, Array]
+    _named_sensors: dict[str, Array]
     _outlier_probability: float
     _policy: Any
     #: One number for each step of the last recording, None before one.
@@ -102,6 +103,7 @@ class RobustFilterMixin(OptionsMixin, PrintingMixin, StepMixin, StateMixin):
         self._kept = self._y = self._S = self._SI = self._K = None
         # The kernel takes arrays of the right shape, from the first measurement on.
         self._keep_sensors(Customs(self._policy.begin(dim_z), {}))
+        self._named_sensors = {}
 
     def _start(self) -> None:
         """Let what is kept beside x and P begin at them; called at the end of a constructor."""

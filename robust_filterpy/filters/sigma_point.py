@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from typing import Any
 
@@ -264,19 +265,30 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
         hx : callable, optional
             Measurement function for this call; z and R have the length of what it returns.
         **hx_args : dict
-            Further arguments of hx.
+            Further arguments of hx. ``sensor=``, a name or a number, tells whose reading it is, where several sensors
+            take turns, as in `RobustKalmanFilter.update`; hx has it, too, if it takes an argument of that name.
 
         Raises
         ------
-        ValueError
+        ValueError, TypeError
             If a shape does not fit, z is infinite or R not positive definite; nothing has changed then.
         SingularInnovationError, NotPositiveDefiniteError
             As in `RobustKalmanFilter.update`.
         """
+        hx = self.hx if hx is None else hx
+        if "sensor" in hx_args:
+            sensor, takes = hx_args["sensor"], _takes(hx, "sensor")
+            handed = hx_args if takes else {name: value for name, value in hx_args.items() if name != "sensor"}
+            if not takes or isinstance(sensor, (str, int)):
+                self._spoken(sensor, lambda: self._update(z, R, UT, hx, handed))
+                return
+        self._update(z, R, UT, hx, hx_args)
+
+    def _update(self, z: Any, R: Any, UT: Callable[..., Any] | None, hx: Callable[..., Any], hx_args: Any) -> None:
+        """Correct by one sensor."""
         if z is None:
             self._skip()
             return
-        hx = self.hx if hx is None else hx
         sigmas_h = _rows("hx", [hx(s.copy(), **hx_args) for s in self.sigmas_f])
         R = noise_covariance(self.R, R, sigmas_h.shape[1])
         make = transformed if UT is None else UT
@@ -414,7 +426,7 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
             super().predict(dt, fx_args)
             require_finite(x=self.x, P=self.P)
 
-    def update(self, z: ArrayLike | None, R: Any = None, hx_args: Any = ()) -> None:
+    def update(self, z: ArrayLike | None, R: Any = None, hx_args: Any = (), *, sensor: str | int | None = None) -> None:
         """Correct the state by a measurement whose influence is bounded.
 
         Parameters
@@ -425,14 +437,20 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
             Noise covariance for this call, otherwise ``self.R``. A scalar here means R I.
         hx_args : tuple
             Further arguments of hx.
+        sensor : str or int, optional
+            Whose reading it is, where several sensors take turns, as in `RobustKalmanFilter.update`; else its place in
+            z tells.
 
         Raises
         ------
-        ValueError
+        ValueError, TypeError
             If a shape does not fit, z is infinite or R not positive definite; nothing has changed then.
         SingularInnovationError, NotPositiveDefiniteError
             As in `RobustKalmanFilter.update`.
         """
+        if sensor is not None:
+            self._spoken(sensor, lambda: RobustCubatureKalmanFilter.update(self, z, R, hx_args))
+            return
         if z is None:
             self._skip()
             return
@@ -476,6 +494,14 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
             self.update(z, R)
 
         return self._filtered(zs, {"Rs": Rs, "dts": dts}, step, saver)
+
+
+def _takes(function: Callable[..., Any], name: str) -> bool:
+    """Return whether a function has an argument of that name."""
+    try:
+        return name in inspect.signature(function).parameters
+    except (TypeError, ValueError):
+        return False
 
 
 def _rows(name: str, values: list[Any]) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any, ClassVar, Final
 
 import numpy as np
@@ -119,6 +120,7 @@ class StateMixin(LearningMixin):
         """Return the shapes of what is known of the sensors: at each place of z, and by the rows of an H passed."""
         name, width = self._sensors_name, self._memory.shape[1]
         by_row: dict[str, _state.Shape] = {"sensors": (None, self.dim_x), f"sensors_{name}": (None, width)}
+        by_row |= {"named": (None,), f"named_{name}": (None, width)}
         return by_row if name == "learnt" else {name: (None, width), **by_row}
 
     def _sensors_in_state(self) -> dict[str, Array]:
@@ -128,6 +130,9 @@ class StateMixin(LearningMixin):
         if customs.rows:
             known["sensors"] = np.array([np.frombuffer(key) for key in customs.rows])
             known[f"sensors_{name}"] = np.array(list(customs.rows.values()))
+        if self._named_sensors:
+            known["named"] = _state.spelt(json.dumps({one: len(rows) for one, rows in self._named_sensors.items()}))
+            known[f"named_{name}"] = np.vstack(list(self._named_sensors.values()))
         return known
 
     def _moving(self) -> dict[str, Any]:
@@ -150,10 +155,12 @@ class StateMixin(LearningMixin):
         if name == "learnt":
             # Sensors may have joined since.
             places = self._policy.classes.checked(places, min(self.dim_z, len(places)))
+        named = _by_name(found, f"named_{name}")
         kept = self._policy.resumed(found, np.ravel(found["x"]), found["P"])
         self.x, self.P, self._kept = found["x"], found["P"], kept
         self._show_nothing()
         self._keep_sensors(Customs(places, {row.tobytes(): one for row, one in zip(rows, memories, strict=True)}))
+        self._named_sensors = named
         for key, name in self._settings.items():
             if key in found:
                 value = found[key]
@@ -168,6 +175,21 @@ class StateMixin(LearningMixin):
         self.x_prior, self.x_post = self.x.copy(), self.x.copy()
         self.P_prior, self.P_post = self.P.copy(), self.P.copy()
         self._log_likelihood = self._likelihood = self._mahalanobis = None
+
+
+def _by_name(found: dict[str, Array], key: str) -> dict[str, Array]:
+    """Return what a state knows of the sensors that have names."""
+    if "named" not in found:
+        return {}
+    try:
+        rows = {str(name): int(m) for name, m in json.loads(_state.read(found["named"])).items()}
+    except (ValueError, AttributeError, TypeError):
+        rows = {}
+    memories = found.get(key, np.zeros((0, 1)))
+    if not rows or min(rows.values()) < 1 or sum(rows.values()) != len(memories):
+        raise _state.StateError(f"state: expected the names of {len(memories)} sensors in named, got others")
+    ends = np.cumsum(list(rows.values()))[:-1]
+    return dict(zip(rows, np.split(memories, ends), strict=True))
 
 
 # For what keeps states of a filter apart from it, such as a tracker or a fleet.

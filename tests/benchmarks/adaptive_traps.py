@@ -26,6 +26,21 @@ from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "learnt_noise.md"
 BEGIN, END = "% traps: made by tests/benchmarks/adaptive_traps.py", "% traps: end"
 STEPS, FROM = 600, 100
+
+
+class Named(AdaptiveKalmanFilter):
+    """Told by `update` whose reading each is, where two take turns."""
+
+    def batch_filter(self, zs: Any, *given: Any, **named: Any) -> Any:
+        """Filter by `predict` and `update`."""
+        steps = []
+        for k, z in enumerate(zs):
+            self.predict()
+            self.update(z, sensor=k % 2)
+            steps.append((self.x, self.P))
+        return tuple(map(np.array, zip(*steps, strict=True)))
+
+
 FILTERS: dict[str, Callable[[int, int], Any]] = {
     "adaptive": AdaptiveKalmanFilter,
     "Kalman": KalmanFilter,
@@ -37,8 +52,9 @@ OPTIONS: dict[str, Callable[[int, int], Any]] = {
     '`grouping="joint"`': partial(AdaptiveKalmanFilter, grouping="joint"),
     "`process=Scales(jump=1e-4)`": partial(AdaptiveKalmanFilter, process=Scales(jump=1e-4)),
     "`process=Scales((1, 30, 900), dwell=20)`": partial(AdaptiveKalmanFilter, process=Scales((1, 30, 900), dwell=20)),
+    "`update(z, sensor=k % 2)`": Named,
 }
-GATE, JOINT, JUMPS, STEPPING = OPTIONS
+GATE, JOINT, JUMPS, STEPPING, NAMED = OPTIONS
 
 
 class Trap(NamedTuple):
@@ -279,7 +295,7 @@ Measure = Callable[[Trap, np.ndarray, np.ndarray], float]
 #: What it is called, how it is drawn, what is measured, what it is aimed at, and which option is tried beside.
 ROWS: list[tuple[str, Callable[[int], Trap], Measure, float, str | None]] = [
     ("sensors in turn, sigma 5 and .1, as NaN rows: error", in_turn, error, 1.15, None),
-    ("the same through one row: error", one_row, error, 1.15, None),
+    ("the same through one row: error", one_row, error, 1.15, NAMED),
     ("coloured .9, 2 sensors: error", partial(coloured, sensors=2, lag=0.9), error, 1.04, None),
     ("coloured .98, 4 sensors: error", partial(coloured, sensors=4, lag=0.98), error, 1.15, None),
     ("the same: coverage", partial(coloured, sensors=4, lag=0.98), coverage, 0.75, None),

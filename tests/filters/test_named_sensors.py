@@ -1,0 +1,189 @@
+"""`update(z, sensor=..)`: sensors that take turns each have a noise of their own, in every filter."""
+
+import copy
+import json
+
+import numpy as np
+import pytest
+from filterpy.kalman import MerweScaledSigmaPoints
+from support import cart, load, needs_kernel, without_kernel
+
+from robust_filterpy import AdaptiveKalmanFilter, RobustKalmanFilter, _state
+from robust_filterpy.correction.spread import SPREAD
+from robust_filterpy.filters.ensemble import RobustEnsembleKalmanFilter
+from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
+from robust_filterpy.filters.sigma_point import RobustCubatureKalmanFilter, RobustUnscentedKalmanFilter
+
+SIGMAS = {"gps": 5.0, "wheel": 0.1}
+F, H, Q = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]]), 0.01 * np.array([[0.25, 0.5], [0.5, 1.0]])
+
+
+def hx(x):
+    return x[:1]
+
+
+def fx(x, dt):
+    return F @ x
+
+
+def linear(cls, **options):
+    kf = cls(2, 1, **options)
+    kf.F, kf.H = F, H
+    return kf
+
+
+FILTERS = {
+    "default": lambda: linear(RobustKalmanFilter),
+    "adaptive": lambda: linear(AdaptiveKalmanFilter),
+    "linear": lambda: linear(RobustKalmanFilter, noise="learnt"),
+    "extended": lambda: RobustExtendedKalmanFilter(2, 1, noise="learnt"),
+    "unscented": lambda: RobustUnscentedKalmanFilter(
+        2, 1, 1.0, hx, fx, MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0), noise="learnt"
+    ),
+    "cubature": lambda: RobustCubatureKalmanFilter(2, 1, 1.0, hx, fx, noise="learnt"),
+    "ensemble": lambda: RobustEnsembleKalmanFilter(np.zeros(2), 10.0 * np.eye(2), 1, 1.0, 100, hx, fx),
+}
+
+
+@pytest.fixture(params=FILTERS)
+def kf(request):
+    made = FILTERS[request.param]()
+    made.Q, made.R = Q, np.eye(1)
+    if request.param == "ensemble":
+        made.rng = np.random.default_rng(0)
+    else:
+        made.P = 10.0 * np.eye(2)
+    if request.param == "extended":
+        made.F = F
+    return made
+
+
+def correct(kf, z, **named):
+    if isinstance(kf, RobustExtendedKalmanFilter):
+        kf.update(z, lambda x: H, lambda x: H @ x, **named)
+    else:
+        kf.update(z, **named)
+
+
+def drawn(seed, steps=400):
+    g = np.random.default_rng(seed)
+    x, found = np.zeros(2), []
+    for k in range(steps):
+        x = F @ x + 0.1 * np.array([0.5, 1.0]) * g.normal()
+        name = list(SIGMAS)[k % 2]
+        found.append((x.copy(), name, x[0] + SIGMAS[name] * g.normal()))
+    return found
+
+
+def run(kf, readings, named=True):
+    path = []
+    for _, name, z in readings:
+        kf.predict()
+        correct(kf, z, **({"sensor": name} if named else {}))
+        path.append(np.ravel(kf.x).copy())
+    return np.array(path)
+
+
+def test_each_has_a_noise_of_its_own(kf):
+    run(kf, drawn(0))
+    if kf.noise is None:
+        assert kf.sensors_learnt is None
+        memory = kf._named_sensors
+        assert memory["gps"][0, SPREAD] > 2.0 * memory["wheel"][0, SPREAD] and np.isnan(kf.spread).all()
+        return
+    known = kf.sensors_learnt
+    assert list(known) == list(SIGMAS)
+    assert 12.0 < known["gps"].r[0] < 50.0 and 0.001 < known["wheel"].r[0] < 0.1
+    # Nothing was read by a sensor without a name.
+    np.testing.assert_array_equal(kf.R_learnt, np.eye(1))
+
+
+def test_a_call_that_is_refused_has_not_happened(kf):
+    run(kf, drawn(1, 20))
+    before = kf.state()
+    for bad, error in (({"sensor": [1]}, TypeError), ({"sensor": True}, TypeError), ({"sensor": 1.5}, TypeError)):
+        with pytest.raises(error, match="sensor: expected a name or a number"):
+            correct(kf, 1.0, **bad)
+    with pytest.raises(ValueError, match="z: expected a finite number"):
+        correct(kf, np.inf, sensor="gps")
+    for name, value in kf.state().items():
+        np.testing.assert_array_equal(value, before[name], err_msg=name)
+
+
+def test_a_state_has_what_is_known_of_them_and_a_copy_too(kf):
+    readings = drawn(2, 60)
+    run(kf, readings[:40])
+    twin, other = copy.deepcopy(kf), copy.deepcopy(kf)
+    other._named_sensors = {}
+    other.restore(kf.state())
+    expected = run(kf, readings[40:])
+    np.testing.assert_array_equal(run(twin, readings[40:]), expected)
+    np.testing.assert_allclose(run(other, readings[40:]), expected, rtol=1e-12)
+
+
+def test_names_and_memories_of_a_state_have_to_fit(kf):
+    run(kf, drawn(3, 10))
+    state = kf.state()
+    for names in ("none", "[1]", "{}", json.dumps({"gps": 7}), json.dumps({"gps": 0, "wheel": 2})):
+        with pytest.raises(_state.StateError, match="names of 2 sensors"):
+            kf.restore({**state, "named": _state.spelt(names)})
+
+
+def test_a_name_costs_nothing_that_rows_of_their_own_do_not():
+    """Error, over two rows with NaN for the one that has nothing to say, and without names."""
+    errors = dict.fromkeys(("rows", "names", "none"), 0.0)
+    for seed in range(10, 16):
+        readings = drawn(seed, 600)
+        truth = np.array([x for x, *_ in readings])
+        for way in errors:
+            kf = AdaptiveKalmanFilter(2, 2 if way == "rows" else 1)
+            kf.F, kf.H, kf.Q, kf.P = F, np.vstack([H] * kf.dim_z), Q, 10.0 * np.eye(2)
+            if way == "rows":
+                zs = np.full((600, 2), np.nan)
+                zs[np.arange(600), np.arange(600) % 2] = [z for *_, z in readings]
+                path = kf.batch_filter(zs)[0][:, :, 0]
+            else:
+                path = run(kf, readings, way == "names")
+            errors[way] += np.mean((path - truth)[100:, 0] ** 2)
+    assert errors["names"] < 1.1 * errors["rows"] < 0.2 * errors["none"]
+
+
+@pytest.mark.parametrize("option", [{}, {"noise": "learnt", "process": "scales"}])
+def test_the_kernel_and_the_definition_learn_the_same(option, monkeypatch):
+    needs_kernel()
+    readings = drawn(4, 150)
+    by_kernel = linear(RobustKalmanFilter, **option)
+    expected = run(by_kernel, readings)
+    without_kernel(monkeypatch)
+    by_definition = linear(RobustKalmanFilter, **option)
+    np.testing.assert_allclose(run(by_definition, readings), expected, rtol=1e-8, atol=1e-10)
+    for name, known in by_kernel._named_sensors.items():
+        np.testing.assert_allclose(by_definition._named_sensors[name], known, rtol=1e-7, atol=1e-10)
+
+
+def test_vectors_of_other_heights_by_their_names():
+    kf = load(AdaptiveKalmanFilter(2, 1), cart())
+    g = np.random.default_rng(0)
+    for _ in range(300):
+        kf.predict()
+        kf.update(4.0 * g.normal(), sensor="one")
+        kf.update(g.normal(size=2) * [1.0, 0.1], R=np.eye(2), H=np.eye(2), sensor="both")
+    known = kf.sensors_learnt
+    assert known["one"].r.shape == (1,) and known["both"].r.shape == (2,)
+    assert known["one"].r[0] > 5.0 > 2.0 > known["both"].r[0] > 0.3 > known["both"].r[1]
+
+
+def test_an_hx_with_an_argument_of_that_name_has_it_too():
+    handed = []
+
+    def measured(x, sensor=None):
+        handed.append(sensor)
+        return x[:1]
+
+    kf = RobustUnscentedKalmanFilter(2, 1, 1.0, measured, fx, MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0), noise="learnt")
+    kf.predict()
+    kf.update(1.0, sensor="gps")
+    assert set(handed) == {"gps"} and list(kf.sensors_learnt) == ["gps"]
+    # What is no name is hx's alone, as in filterpy.
+    kf.update(1.0, sensor=(3.0, 4.0))
+    assert handed[-1] == (3.0, 4.0) and list(kf.sensors_learnt) == ["gps"]
