@@ -257,4 +257,3 @@ def completed(model: PolynomialModel, p: Array, unknown: Any, weights: Array) ->
             y[samples][unknown[samples]] += found.correction
             spread += found.spread()
     return CompletedModel(model, y, spread)
-
