@@ -12,7 +12,7 @@
 * `starts`: where to begin without a guess,
 * `prediction_error`: the search for the least robust loss,
 * `cleaning`: outliers that the regressor holds,
-* `missing`: outputs that it holds and nobody measured,
+* `missing`: outputs that it holds and nobody measured; `neighbours`: the algebra of what couples them,
 * `search`: all of these together, and which of several ends to believe;
 * `limits`: parameters that are fixed, or between bounds;
 * `focus`: a fit that counts one band of frequencies;
