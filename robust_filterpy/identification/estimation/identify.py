@@ -278,6 +278,11 @@ def _of_outputs(
 ) -> StateSpaceModel | GreyBoxModel:
     """Return a state-space or physical model, or raise if it is asked for what it does not take."""
     names, kind = ("offset", "R", "trend", "fixed", "bounds", "focus"), type(structure).__name__
+    trend = others[names.index("trend")]
+    if isinstance(structure, StateSpace) and trend is not None:
+        # Its outputs have levels.
+        _checks.option("trend", trend, TRENDS[1:])
+        others = (*others[:2], None, *others[3:])
     for name, value, only in zip(names, others, (True, *[None] * 5), strict=True):
         if value is not only and name in ("fixed", "bounds"):
             mend = "GreyBox(.., fixed=, bounds=) has its own" if kind == "GreyBox" else "its matrices have no names"
@@ -292,4 +297,4 @@ def _of_outputs(
         return identified_grey_box(y, u, structure, t, influence)
     if t is not None:
         raise ValueError("t: expected None for a StateSpace, whose samples are equally far apart; take a GreyBox")
-    return identified_state_space(y, u, structure, influence, groups)
+    return identified_state_space(y, u, structure, influence, groups, trend or "breaks")

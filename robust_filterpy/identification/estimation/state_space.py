@@ -10,6 +10,7 @@ from scipy.linalg import cholesky, solve_discrete_lyapunov, svd
 
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
+from robust_filterpy.identification.estimation.outputs import Outputs
 from robust_filterpy.identification.estimation.prediction_error import minimised, sandwich
 from robust_filterpy.identification.estimation.recordings import Recordings, recordings
 from robust_filterpy.identification.estimation.subspace import Start, impulse_start, predictor_start
@@ -17,7 +18,7 @@ from robust_filterpy.identification.estimation.threads import one_thread
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.noise_of_outputs import Noises
 from robust_filterpy.identification.models.several_recordings import ends_of
-from robust_filterpy.identification.models.signals import operating_point
+from robust_filterpy.identification.models.signals import fingerprint, operating_point
 from robust_filterpy.identification.models.state_space import StateSpaceModel
 from robust_filterpy.identification.models.state_space_residuals import Matrices, StateSpaceResiduals
 from robust_filterpy.identification.models.state_space_structure import Signals, StateSpace
@@ -63,7 +64,12 @@ class _Found(NamedTuple):
 
 
 def identified_state_space(
-    y: Any, u: Any, structure: StateSpace, influence: Influence | None = None, groups: Any = None
+    y: Any,
+    u: Any,
+    structure: StateSpace,
+    influence: Influence | None = None,
+    groups: Any = None,
+    trend: str = "breaks",
 ) -> StateSpaceModel:
     """Find a state-space model of recordings of several outputs.
 
@@ -79,6 +85,8 @@ def identified_state_space(
         Loss; default: learnt, for each output.
     groups : array_like, shape (N,), optional
         Labels of recordings.
+    trend : {"constant", "line", "breaks"}, default "breaks"
+        What level each output has.
 
     Returns
     -------
@@ -89,10 +97,35 @@ def identified_state_space(
     ValueError, TypeError
         If the recordings do not fit, are too short, an output is constant or the inputs do not excite.
     """
-    signals = Signals.of(y, u)
-    told = recordings(signals, y, u, groups)
-    ends = ends_of(told.begins, len(told.y))
-    spans = [slice(b, e) for b, e in zip(told.begins, ends, strict=True)]
+    told = recordings(Signals.of(y, u), y, u, groups)
+    spans = [slice(b, e) for b, e in zip(told.begins, ends_of(told.begins, len(told.y)), strict=True)]
+
+    def find(y: Array, u: Array) -> StateSpaceModel:
+        return _modelled(told._replace(y=y, u=u), spans, structure, influence)
+
+    def each(y: Array, u: Array, of: Any) -> Array:
+        return np.concatenate([of(y[part], u[part]) for part in spans])
+
+    whole = Outputs(told.y, told.u, spans, find, lambda model, y, u: each(y, u, model.free_run), told.axis.index)
+    with one_thread():
+        model, levels, findings = whole.beside_levels(find(told.y, told.u), trend)
+        model, u, outliers = whole.beside_input_outliers(model, levels)
+        y = told.y - levels
+        beside = whole._replace(u=u).left(
+            each(y, u, model.free_run), each(y, u, model.residuals), model.operating_point, structure.feedthrough,
+            "K is unbiased only as far as it is right about the noise" if structure.disturbance
+            else "it is biased by that unless the noise is white: disturbance=True models the noise",
+        )  # fmt: skip
+    # A model of inputs that were held back leaves what these did.
+    beside = tuple(one for one in beside if not outliers or one.kind != "another plant")
+    trends = tuple((fingerprint(told.y[part]), levels[part]) for part in spans if levels[part].any())
+    return replace(model, findings=(*told.findings, *findings, *outliers, *beside), trends=trends)
+
+
+def _modelled(
+    told: Recordings, spans: list[slice], structure: StateSpace, influence: Influence | None
+) -> StateSpaceModel:
+    """Return the model of recordings as they are."""
     rest = operating_point(told.u)
     units = _Units.of(told, spans, told.u - rest)
     parts = [(units.outputs(told.y, part), (told.u[part] - rest) / units.u) for part in spans]
@@ -100,15 +133,14 @@ def identified_state_space(
     orders = structure.orders
     _require_informative(structure, parts, known, min(orders))
     tried: list[_Found] = []
-    with one_thread():
-        for n in orders:
-            if tried and not _enough(structure, parts, known, n):
-                break
-            tried.append(_searched(structure, n, parts, known, influence))
-            best = int(np.argmin([found.criterion for found in tried]))
-            if len(tried) - 1 - best == _PATIENCE:
-                break
-        model = _in_units(tried[best], units, told, spans, known, rest, structure)
+    for n in orders:
+        if tried and not _enough(structure, parts, known, n):
+            break
+        tried.append(_searched(structure, n, parts, known, influence))
+        best = int(np.argmin([found.criterion for found in tried]))
+        if len(tried) - 1 - best == _PATIENCE:
+            break
+    model = _in_units(tried[best], units, told, spans, known, rest, structure)
     return replace(model, orders=tuple((n, found.criterion) for n, found in zip(orders, tried, strict=False)))
 
 
@@ -306,7 +338,7 @@ def _in_units(
         P=P[:s, :s], level_std=np.sqrt(np.maximum(P.diagonal()[last], 0.0)),
         noise=tuple(replace(one, R=one.R * total) for one in scaled), weights=weights.reshape(-1, p),
         log_likelihood=noise.log_likelihood(residual[rows]), warning=_doubt(found), end=model.states(q, -1)[-1],
-        operating_point=rest, dt=told.axis.dt, findings=told.findings, levels=levels,
+        operating_point=rest, dt=told.axis.dt, levels=levels,
     )  # fmt: skip
 
 

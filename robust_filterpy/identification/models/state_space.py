@@ -17,7 +17,7 @@ from robust_filterpy.identification.models.findings import Finding, said
 from robust_filterpy.identification.models.fit import fit_percent
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.noise_of_outputs import Noises
-from robust_filterpy.identification.models.signals import measured_outputs, recorded_input
+from robust_filterpy.identification.models.signals import fingerprint, measured_outputs, recorded_input
 from robust_filterpy.identification.models.state_space_residuals import StateSpaceResiduals
 from robust_filterpy.identification.models.state_space_structure import Signals, StateSpace
 from robust_filterpy.identification.models.state_space_system import StateSpaceSystem
@@ -63,6 +63,9 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
         Level of each recording.
     orders : tuple of (int, float)
         The orders that were tried, and the information criterion of each.
+    trends : tuple of (int, ndarray)
+        Fingerprint of each recording whose levels break, and these, 0 at its end, shape (N, p): methods that are given
+        the same y take them off it, and put them back.
     """
 
     structure: StateSpace
@@ -84,6 +87,7 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
     findings: tuple[Finding, ...] = ()
     levels: Array = field(default_factory=lambda: np.zeros((0, 0)))
     orders: tuple[tuple[int, float], ...] = ()
+    trends: tuple[tuple[int, Array], ...] = ()
 
     def __repr__(self) -> str:
         """Show orders, poles and noise."""
@@ -188,8 +192,8 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
             If they do not fit, or steps is no positive integer.
         """
         steps = _checks.count("steps", steps, 1)
-        axis, _, found = self._from(y, u, steps)
-        return self._labelled(axis, found)
+        axis, measured, found = self._from(y, u, steps)
+        return self._labelled(axis, found + self.own_trend(measured))
 
     def free_run(self, y: ArrayLike, u: ArrayLike) -> Array:
         """Compute the outputs from inputs alone, beginning with the state that y tells.
@@ -208,8 +212,8 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
         ValueError
             If they do not fit.
         """
-        axis, _, found = self._from(y, u, alone=True)
-        return self._labelled(axis, found)
+        axis, measured, found = self._from(y, u, alone=True)
+        return self._labelled(axis, found + self.own_trend(measured))
 
     def residuals(self, y: ArrayLike, u: ArrayLike) -> Array:
         """Return measured less predicted outputs.
@@ -230,7 +234,7 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
             If they do not fit.
         """
         axis, measured, found = self._from(y, u)
-        return self._labelled(axis, measured - found)
+        return self._labelled(axis, measured - found - self.own_trend(measured))
 
     def fit(self, y: ArrayLike, u: ArrayLike) -> Array:
         """Compute how well the model's output, from inputs alone, agrees with a recording.
@@ -251,7 +255,22 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
             If they do not fit, or an output is constant.
         """
         _, measured, found = self._from(y, u, alone=True)
-        return np.atleast_1d(fit_percent(measured, found))
+        return np.atleast_1d(fit_percent(measured, found + self.own_trend(measured)))
+
+    def own_trend(self, y: Array) -> Any:
+        """Return the levels that were taken off checked outputs, if they are a recording of the model's; else 0.
+
+        Parameters
+        ----------
+        y : ndarray, shape (N, p)
+            Outputs from `checked`.
+
+        Returns
+        -------
+        ndarray, shape (N, p), or float
+        """
+        known = {(number, levels.shape): levels for number, levels in self.trends}
+        return known.get((fingerprint(y), y.shape), 0.0) if known else 0.0
 
     def checked(self, y: Any, u: Any) -> tuple[Array, Array]:
         """Return outputs, NaN where they are missing or filled, and inputs from their operating point.
@@ -292,7 +311,7 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
         q : ndarray
         """
         known = ~np.isnan(y)
-        model = self._residuals(np.nan_to_num(y), u)
+        model = self._residuals(np.nan_to_num(y - self.own_trend(y)), u)
         noise = Noises(self.noise, np.tile(np.arange(len(self.C)), len(y)))
         model.weights = [np.zeros(y.shape) if alone else known.astype(float)]
         q, n, rows = self._packed(model, np.zeros(len(self.A))), len(self.A), known.ravel()
