@@ -43,6 +43,8 @@ class Outputs(NamedTuple):
         alone(model, y, u) gives its outputs from inputs alone, shape (N, p).
     index : pandas.Index or None
         Times of the samples of a single recording.
+    sampled : bool
+        Whether the samples are equally far apart.
     """
 
     y: Array
@@ -51,6 +53,7 @@ class Outputs(NamedTuple):
     find: Callable[[Array, Array], Any]
     alone: Callable[[Any, Array, Array], Array]
     index: Any = None
+    sampled: bool = True
 
     def beside_levels(self, plain: Any, trend: str) -> tuple[Any, Array, tuple[Finding, ...]]:
         """Find the model beside levels that break.
@@ -59,8 +62,8 @@ class Outputs(NamedTuple):
         ----------
         plain : model
             Of the outputs as they are.
-        trend : {"constant", "line", "breaks"}
-            What level each output has.
+        trend : {"none", "constant", "line", "breaks"}
+            What each output has beside that.
 
         Returns
         -------
@@ -70,10 +73,11 @@ class Outputs(NamedTuple):
         findings : tuple of Finding
         """
         y, line, none = self.y, trend == "line", np.zeros(self.y.shape)
-        if trend == "constant":
+        if trend in ("none", "constant"):
             return plain, none, ()
         stage("steps and ramps of the levels of y")
-        model, found, levels = plain, self._levels(self._of_impulses(), line), none
+        model, levels = plain, none
+        found = self._levels(self._of_impulses() if self.sampled else y - self.alone(plain, y, self.u), line)
         before = None
         for _ in range(_ROUNDS):
             times = {place: [(b.kind, b.time) for b in one.breaks] for place, one in found.items()}

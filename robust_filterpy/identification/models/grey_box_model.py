@@ -18,6 +18,7 @@ from robust_filterpy.identification.models.grey_box_recording import Checked, gr
 from robust_filterpy.identification.models.grey_box_residuals import GreyRecording, GreyResiduals
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.noise_of_outputs import Noises
+from robust_filterpy.identification.models.signals import trend_of
 from robust_filterpy.identification.models.summary import Summary, facts_of_outputs, summarized
 from robust_filterpy.influence.regression import robust_regression
 
@@ -58,6 +59,8 @@ class GreyBoxModel(Estimated):
         What makes the estimate doubtful; empty if nothing does.
     findings : tuple of Finding
         What the recording has beside the model.
+    trends : tuple of (int, ndarray)
+        As of a `StateSpaceModel`.
     """
 
     structure: GreyBox
@@ -71,6 +74,7 @@ class GreyBoxModel(Estimated):
     untold: tuple[tuple[str, ...], ...]
     warning: str
     findings: tuple[Finding, ...] = ()
+    trends: tuple[tuple[int, Array], ...] = ()
 
     @property
     def R(self) -> Array:
@@ -79,9 +83,9 @@ class GreyBoxModel(Estimated):
 
     def __repr__(self) -> str:
         """Show the estimated parameters with their standard deviations."""
-        return f"GreyBoxModel({self._valued(self.structure.free_names)})" + (
-            f"; doubtful: {self.warning}" if self.warning else ""
-        )
+        beside = f"; found: {said(self.findings)}" if self.findings else ""
+        doubt = f"; doubtful: {self.warning}" if self.warning else ""
+        return f"GreyBoxModel({self._valued(self.structure.free_names)})" + beside + doubt
 
     def _summarized(self, level: float) -> Summary:
         """Return the table, with what was found beside the parameters."""
@@ -248,10 +252,12 @@ class GreyBoxModel(Estimated):
                 f"u: expected the inputs that f takes, got {told.recording.u.shape[1]} of them ({error})"
             ) from None
         rows, free = told.known.ravel(), self.structure.start == "free"
+        own = trend_of(self.trends, np.where(told.known, told.recording.y, np.nan))
+        recording = told.recording._replace(y=told.recording.y - own)
         noise = Noises(self.noise, np.tile(np.arange(shape[1]), shape[0])[rows])
         ends: list[Any] = []
         for start in (*self.starts, self.structure.x0) if free else (self.structure.x0,):
-            model = self.structure.residuals_of([told.recording], start[None], free)
+            model = self.structure.residuals_of([recording], start[None], free)
             z = np.concatenate((model.p.free(self.theta), model.x.free(start) if free else []))
             if model.settled(z):
                 z = _likeliest(model, z, noise, rows) if free else z

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any
 from zlib import crc32
 
@@ -149,3 +150,21 @@ def fingerprint(y: Array) -> int:
     int
     """
     return crc32(np.ascontiguousarray(y).tobytes())
+
+
+def trend_of(known: Iterable[tuple[int, Array]], y: Array) -> Array:
+    """Return what was taken off a recording, 0 if it is not known again.
+
+    Parameters
+    ----------
+    known : iterable of (int, ndarray)
+        Fingerprint of each recording that is known, and what was taken off it.
+    y : ndarray, shape (N,) or (N, p)
+        Output, NaN where it is missing.
+
+    Returns
+    -------
+    ndarray, of the shape of `y`
+    """
+    found = {(number, trend.shape): trend for number, trend in known if trend.size}
+    return found.get((fingerprint(y), y.shape), np.zeros(y.shape)) if found else np.zeros(y.shape)

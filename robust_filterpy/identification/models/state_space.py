@@ -17,11 +17,11 @@ from robust_filterpy.identification.models.findings import Finding, said
 from robust_filterpy.identification.models.fit import fit_percent
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.noise_of_outputs import Noises
-from robust_filterpy.identification.models.signals import fingerprint, measured_outputs, recorded_input
+from robust_filterpy.identification.models.signals import measured_outputs, recorded_input, trend_of
 from robust_filterpy.identification.models.state_space_residuals import StateSpaceResiduals
 from robust_filterpy.identification.models.state_space_structure import Signals, StateSpace
 from robust_filterpy.identification.models.state_space_system import StateSpaceSystem
-from robust_filterpy.identification.models.summary import Summary, facts_of_outputs, summarized
+from robust_filterpy.identification.models.summary import Summary, facts_of_outputs, focus_text, summarized
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording, table
 from robust_filterpy.influence.regression import robust_regression
 
@@ -66,6 +66,8 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
     trends : tuple of (int, ndarray)
         Fingerprint of each recording whose levels break, and these, 0 at its end, shape (N, p): methods that are given
         the same y take them off it, and put them back.
+    focus : tuple of float or None
+        Band in rad/s (rad a sample without dt) that the fit has counted; None: all frequencies.
     """
 
     structure: StateSpace
@@ -88,6 +90,7 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
     levels: Array = field(default_factory=lambda: np.zeros((0, 0)))
     orders: tuple[tuple[int, float], ...] = ()
     trends: tuple[tuple[int, Array], ...] = ()
+    focus: tuple[float, float] | None = None
 
     def __repr__(self) -> str:
         """Show orders, poles and noise."""
@@ -106,6 +109,8 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
         """Return the table of all entries and the levels, with what was found beside them."""
         facts = facts_of_outputs(self.weights, self.log_likelihood, self.noise)
         facts["Largest pole"] = f"{np.abs(np.linalg.eigvals(self.A)).max():.4g}"
+        if self.focus is not None:
+            facts["Focus"] = focus_text(self.focus, self.dt)
         if self.dt is not None:
             facts["Sampling period"] = f"{self.dt:.6g} s"
         names = tuple(f"{name}[{i},{j}]" for name, part in self._parts.items() for i, j in np.ndindex(part.shape))
@@ -193,7 +198,7 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
         """
         steps = _checks.count("steps", steps, 1)
         axis, measured, found = self._from(y, u, steps)
-        return self._labelled(axis, found + self.own_trend(measured))
+        return self._labelled(axis, found + trend_of(self.trends, measured))
 
     def free_run(self, y: ArrayLike, u: ArrayLike) -> Array:
         """Compute the outputs from inputs alone, beginning with the state that y tells.
@@ -213,7 +218,7 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
             If they do not fit.
         """
         axis, measured, found = self._from(y, u, alone=True)
-        return self._labelled(axis, found + self.own_trend(measured))
+        return self._labelled(axis, found + trend_of(self.trends, measured))
 
     def residuals(self, y: ArrayLike, u: ArrayLike) -> Array:
         """Return measured less predicted outputs.
@@ -234,7 +239,7 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
             If they do not fit.
         """
         axis, measured, found = self._from(y, u)
-        return self._labelled(axis, measured - found - self.own_trend(measured))
+        return self._labelled(axis, measured - found - trend_of(self.trends, measured))
 
     def fit(self, y: ArrayLike, u: ArrayLike) -> Array:
         """Compute how well the model's output, from inputs alone, agrees with a recording.
@@ -255,22 +260,7 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
             If they do not fit, or an output is constant.
         """
         _, measured, found = self._from(y, u, alone=True)
-        return np.atleast_1d(fit_percent(measured, found + self.own_trend(measured)))
-
-    def own_trend(self, y: Array) -> Any:
-        """Return the levels that were taken off checked outputs, if they are a recording of the model's; else 0.
-
-        Parameters
-        ----------
-        y : ndarray, shape (N, p)
-            Outputs from `checked`.
-
-        Returns
-        -------
-        ndarray, shape (N, p), or float
-        """
-        known = {(number, levels.shape): levels for number, levels in self.trends}
-        return known.get((fingerprint(y), y.shape), 0.0) if known else 0.0
+        return np.atleast_1d(fit_percent(measured, found + trend_of(self.trends, measured)))
 
     def checked(self, y: Any, u: Any) -> tuple[Array, Array]:
         """Return outputs, NaN where they are missing or filled, and inputs from their operating point.
@@ -311,7 +301,7 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
         q : ndarray
         """
         known = ~np.isnan(y)
-        model = self._residuals(np.nan_to_num(y - self.own_trend(y)), u)
+        model = self._residuals(np.nan_to_num(y - trend_of(self.trends, y)), u)
         noise = Noises(self.noise, np.tile(np.arange(len(self.C)), len(y)))
         model.weights = [np.zeros(y.shape) if alone else known.astype(float)]
         q, n, rows = self._packed(model, np.zeros(len(self.A))), len(self.A), known.ravel()
