@@ -14,11 +14,11 @@ from robust_filterpy.identification.estimation.prediction_error import minimised
 from robust_filterpy.identification.models.findings import Finding
 from robust_filterpy.identification.models.grey_box import GreyBox
 from robust_filterpy.identification.models.grey_box_model import GreyBoxModel
-from robust_filterpy.identification.models.grey_box_recording import grey_recording
+from robust_filterpy.identification.models.grey_box_recording import grey_recording, require_inputs
 from robust_filterpy.identification.models.grey_box_residuals import GreyRecording, GreyResiduals
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.noise_of_outputs import Noises
-from robust_filterpy.identification.models.signals import fingerprint, operating_point
+from robust_filterpy.identification.models.signals import are_several, fingerprint, operating_point
 from robust_filterpy.influence.functions import Huber, Influence
 
 __all__ = ["identified_grey_box"]
@@ -127,12 +127,19 @@ def _modelled(
 
 def _recordings(y: Any, u: Any, t: Any) -> tuple[list[GreyRecording], list[Any], tuple[Finding, ...]]:
     """Return what was recorded, checked, and which outputs are measured."""
-    several = isinstance(y, (list, tuple)) and all(np.ndim(one) > 0 and np.shape(one)[0] > 1 for one in y)
-    ys, us, ts = (part if several else [part] for part in (y, u, t))
-    us, ts = ([None] * len(ys) if part is None else part for part in (us, ts))
-    if len(us) != len(ys) or len(ts) != len(ys):
-        raise ValueError(f"u, t: expected {len(ys)} recordings like y, got {len(us)} and {len(ts)}")
-    checked = [grey_recording(*one, i) for i, one in enumerate(zip(ys, us, ts, strict=True))]
+    told = {"y": y, "u": u, "t": t}
+    for name, part in told.items():
+        if part is None or not are_several(y, u):
+            told[name] = [part] * (len(y) if are_several(y, u) else 1)
+        elif not isinstance(part, (list, tuple)) or len(part) != len(y):
+            got = len(part) if isinstance(part, (list, tuple)) else type(part).__name__
+            raise ValueError(f"{name}: expected a list of {len(y)} recordings like y, got {got}")
+    parts = zip(told["y"], told["u"], told["t"], strict=True)
+    checked = [grey_recording(*one, i) for i, one in enumerate(parts)]
+    for name in ("y", "u"):
+        widths = [getattr(one.recording, name).shape[1] for one in checked]
+        if len(set(widths)) > 1:
+            raise ValueError(f"{name}: expected recordings of equally many columns, got {widths}")
     findings = tuple(found for one in checked for found in one.findings)
     return [one.recording for one in checked], [one.known for one in checked], findings
 
@@ -140,6 +147,7 @@ def _recordings(y: Any, u: Any, t: Any) -> tuple[list[GreyRecording], list[Any],
 def _require_functions(structure: GreyBox, one: GreyRecording) -> None:
     """Raise unless f and h return what they should."""
     p = np.array([*structure.p0.values()])
+    require_inputs(structure, one, p)
     for name, function, size in (("f", structure.f, structure.x0.size), ("h", structure.h, one.y.shape[1])):
         found = structure.x0 if function is None else np.asarray(function(structure.x0, one.u[0], p), dtype=float)
         if np.size(found) != size:

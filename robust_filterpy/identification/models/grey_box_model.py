@@ -14,7 +14,7 @@ from robust_filterpy.identification.models.estimated import Estimated
 from robust_filterpy.identification.models.findings import Finding, said
 from robust_filterpy.identification.models.fit import fit_percent
 from robust_filterpy.identification.models.grey_box import GreyBox
-from robust_filterpy.identification.models.grey_box_recording import Checked, grey_recording
+from robust_filterpy.identification.models.grey_box_recording import Checked, grey_recording, require_inputs
 from robust_filterpy.identification.models.grey_box_residuals import GreyRecording, GreyResiduals
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.noise_of_outputs import Noises
@@ -133,10 +133,16 @@ class GreyBoxModel(Estimated):
         if times.ndim != 1 or (np.diff(times) <= 0.0).any() or not np.isfinite(times).all():
             raise ValueError("t: expected times that increase, of shape (N,)")
         signal = np.zeros((times.size, 0)) if u is None else _checks.numbers("u", u).reshape(len(np.asarray(u)), -1)
-        if len(signal) != times.size or not np.isfinite(signal).all():
-            raise ValueError(f"u: expected {times.size} finite samples like t, got {len(signal)}")
-        start = self.starts[0] if x0 is None else _checks.numbers("x0", x0)
+        if len(signal) != times.size:
+            raise ValueError(f"u: expected {times.size} samples like t, got {len(signal)}")
+        if not np.isfinite(signal).all():
+            k = int(np.argmin(np.isfinite(signal).all(axis=1)))
+            raise ValueError(f"u: expected finite numbers, got {signal[k]} in sample {k}; fill in what acted")
+        start = self.starts[0] if x0 is None else np.atleast_1d(_checks.numbers("x0", x0))
+        if start.shape != self.structure.x0.shape:
+            raise ValueError(f"x0: expected {self.structure.x0.size} states, got shape {start.shape}")
         told = GreyRecording(times, np.zeros((times.size, len(self.noise))), signal)
+        require_inputs(self.structure, told, np.array([*self.p.values()]))
         model = self.structure.residuals_of([told], start[None], False)
         z = model.p.free(self.theta)
         if not model.settled(z):
@@ -245,12 +251,7 @@ class GreyBoxModel(Estimated):
         shape, p = told.known.shape, np.array([*self.p.values()])
         if shape[1] != len(self.noise):
             raise ValueError(f"y: expected {len(self.noise)} output(s), as the model has, got {shape[1]}")
-        try:
-            self.structure.f(self.structure.x0, told.recording.u[0], p)
-        except (IndexError, ValueError) as error:
-            raise ValueError(
-                f"u: expected the inputs that f takes, got {told.recording.u.shape[1]} of them ({error})"
-            ) from None
+        require_inputs(self.structure, told.recording, p)
         rows, free = told.known.ravel(), self.structure.start == "free"
         own = trend_of(self.trends, np.where(told.known, told.recording.y, np.nan))
         recording = told.recording._replace(y=told.recording.y - own)
