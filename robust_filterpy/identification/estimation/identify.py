@@ -128,7 +128,8 @@ def identify(
         Variance of the ordinary noise, in the unit of y squared, if it is known.
     trend : {"none", "constant", "line", "breaks"}, optional
         What level y has beside the model: none (as ``offset=False``), a constant, a straight line, or a constant with
-        steps and ramps wherever the recording shows them. Default: "breaks", for a structure with inputs.
+        steps and ramps wherever the recording shows them. Default: "breaks", for a structure with inputs. Outputs of
+        states have a constant at least, those of physics none beside their equations.
     groups : array_like, shape (N,), optional
         A label for each sample: those with the same one are a recording.
     t : array_like, shape (N,), optional
@@ -142,7 +143,8 @@ def identify(
     focus : (float, float), optional
         Band of frequencies in rad/s (rad a sample, if no index tells the sampling period) that the fit counts, None for
         an edge at 0 or pi/dt: for a model smaller than its plant, where it has to be right. Outliers and gaps are
-        replaced before anything is filtered. For a structure with inputs, and one recording.
+        replaced before anything is filtered. For a structure with inputs, states without disturbance among them, and
+        one recording.
     progress : bool, optional
         Write on standard error, less and less often, what the search is at: True from the beginning, False never, None
         from 2 s on.
