@@ -274,7 +274,19 @@ def held_back(u: Array) -> tuple[Array, Any]:
 
 
 def input_outliers(places: Any, gain: float) -> Finding:
-    """Return in words that inputs in some samples are held at the value before, with twice the log-likelihood of it."""
+    """Return in words that inputs in some samples are held at the value before.
+
+    Parameters
+    ----------
+    places : ndarray of int
+        These samples.
+    gain : float
+        Twice the log-likelihood that it explains.
+
+    Returns
+    -------
+    Finding
+    """
     text = (
         f"u has {places.size} values unlike the others that y does not follow: the model is of the values before "
         "them, held; give u as it acted"

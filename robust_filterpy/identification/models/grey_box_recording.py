@@ -100,6 +100,11 @@ def require_inputs(structure: Any, one: GreyRecording, p: Array) -> None:
         The recording.
     p : ndarray
         Parameters.
+
+    Raises
+    ------
+    ValueError
+        If f or h cannot do with them.
     """
     for name, function in (("f", structure.f), ("h", structure.h)):
         try:
