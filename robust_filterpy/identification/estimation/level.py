@@ -261,7 +261,7 @@ def held_back(u: Array) -> tuple[Array, Any]:
     Returns
     -------
     u : ndarray, shape (N, n_inputs)
-    places : ndarray of int
+    places : ndarray of int, shape (n,)
         None, if there are none.
     """
     u, far = u.copy(), np.zeros(u.shape, dtype=bool)
@@ -278,7 +278,7 @@ def input_outliers(places: Any, gain: float) -> Finding:
 
     Parameters
     ----------
-    places : ndarray of int
+    places : ndarray of int, shape (n,)
         These samples.
     gain : float
         Twice the log-likelihood that it explains.

@@ -98,7 +98,7 @@ def require_inputs(structure: Any, one: GreyRecording, p: Array) -> None:
         The equations.
     one : GreyRecording
         The recording.
-    p : ndarray
+    p : ndarray, shape (k,)
         Parameters.
 
     Raises
