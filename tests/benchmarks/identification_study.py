@@ -26,7 +26,7 @@ from padasip.filters import FilterRLS
 
 from robust_filterpy import ARX, Huber, Linear, OutputError, ParameterTracker, identify
 from robust_filterpy.correction.contaminated import Contaminated
-from robust_filterpy.identification import BoxJenkins
+from robust_filterpy.identification import BoxJenkins, StateSpace
 from robust_filterpy.identification.estimation.prediction_error import minimised
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
@@ -446,7 +446,7 @@ def focus(arguments):
     """How far off a model that is too small is within a band, and whether intervals of one that is not hold."""
     w = np.linspace(*BAND, 30)
     truth = scipy.signal.freqz(*LARGE, w)[1]
-    for structure in (OutputError(1, 1), ARX(1, 1), BoxJenkins(1, 1, 1, 1)):
+    for structure in (OutputError(1, 1), ARX(1, 1), BoxJenkins(1, 1, 1, 1), StateSpace(1)):
         for share in (0.0, 0.1):
             off = {None: [], (None, BAND[1]): []}
             for plant in range(arguments.plants):

@@ -66,7 +66,9 @@ def identify(
     structure: StateSpace,
     *,
     influence: Influence | None = None,
+    trend: str | None = None,
     groups: ArrayLike | None = None,
+    focus: tuple[float | None, float | None] | None = None,
     progress: bool | None = None,
 ) -> StateSpaceModel: ...
 
@@ -78,6 +80,7 @@ def identify(
     structure: GreyBox,
     *,
     influence: Influence | None = None,
+    trend: str | None = None,
     t: ArrayLike | None = None,
     progress: bool | None = None,
 ) -> GreyBoxModel: ...
@@ -125,7 +128,8 @@ def identify(
         Variance of the ordinary noise, in the unit of y squared, if it is known.
     trend : {"none", "constant", "line", "breaks"}, optional
         What level y has beside the model: none (as ``offset=False``), a constant, a straight line, or a constant with
-        steps and ramps wherever the recording shows them. Default: "breaks", for a structure with inputs.
+        steps and ramps wherever the recording shows them. Default: "breaks", for a structure with inputs. Outputs of
+        states have a constant at least, those of physics none beside their equations.
     groups : array_like, shape (N,), optional
         A label for each sample: those with the same one are a recording.
     t : array_like, shape (N,), optional
@@ -139,7 +143,8 @@ def identify(
     focus : (float, float), optional
         Band of frequencies in rad/s (rad a sample, if no index tells the sampling period) that the fit counts, None for
         an edge at 0 or pi/dt: for a model smaller than its plant, where it has to be right. Outliers and gaps are
-        replaced before anything is filtered. For a structure with inputs, and one recording.
+        replaced before anything is filtered. For a structure with inputs, states without disturbance among them, and
+        one recording.
     progress : bool, optional
         Write on standard error, less and less often, what the search is at: True from the beginning, False never, None
         from 2 s on.
@@ -192,10 +197,10 @@ def identify(
     """
     found: Model | StateSpaceModel | GreyBoxModel
     with stages("identify", progress):
+        told = _Told(influence, offset, R, trend, groups, t, fixed, bounds, focus)
         if isinstance(structure, (StateSpace, GreyBox)):
-            found = _of_outputs(y, u, structure, influence, groups, t, offset, R, trend, fixed, bounds, focus)
+            found = _of_outputs(y, u, structure, told)
         else:
-            told = _Told(influence, offset, R, trend, groups, t, fixed, bounds, focus)
             found = _of_polynomials(y, u, structure, told)
     for words in (said(found.findings), found.warning):
         if words:
@@ -204,7 +209,7 @@ def identify(
 
 
 class _Told(NamedTuple):
-    """What a structure of polynomials may be told."""
+    """What a structure may be told."""
 
     influence: Any
     offset: Any
@@ -273,23 +278,27 @@ def _in_recording(problem: Problem, recorded: Recordings, chosen: str) -> tuple[
     return found, findings if outliers else (*findings, *unlike_in_parts(problem, recorded.y, found))
 
 
-def _of_outputs(
-    y: Any, u: Any, structure: StateSpace | GreyBox, influence: Any, groups: Any, t: Any, *others: Any
-) -> StateSpaceModel | GreyBoxModel:
+def _of_outputs(y: Any, u: Any, structure: StateSpace | GreyBox, told: _Told) -> StateSpaceModel | GreyBoxModel:
     """Return a state-space or physical model, or raise if it is asked for what it does not take."""
-    names, kind = ("offset", "R", "trend", "fixed", "bounds", "focus"), type(structure).__name__
-    for name, value, only in zip(names, others, (True, *[None] * 5), strict=True):
-        if value is not only and name in ("fixed", "bounds"):
-            mend = "GreyBox(.., fixed=, bounds=) has its own" if kind == "GreyBox" else "its matrices have no names"
-            raise ValueError(f"{name}: expected None for a {kind}, got {_checks.shown(value)}; {mend}")
-        if value is not only:
-            raise ValueError(f"{name}: expected {only} for a {kind}, which says itself what y has, got {value!r}")
+    physical, kind, influence = isinstance(structure, GreyBox), type(structure).__name__, told.influence
+    own = "GreyBox(.., fixed=, bounds=) has its own" if physical else "its matrices have no names"
+    kept = {
+        "offset": (True, "it says itself what y has"), "R": (None, "it learns the noise of each output"),
+        "fixed": (None, own), "bounds": (None, own), "focus": (None, "equations have no band" if physical else ""),
+    }  # fmt: skip
+    for name, (only, mend) in kept.items():
+        value = getattr(told, name)
+        if mend and value is not only:
+            raise ValueError(f"{name}: expected {only} for a {kind}, got {_checks.shown(value)}; {mend}")
+    # Outputs of states have levels; those of physics have none but what the equations say.
+    levels = tuple(one for one in TRENDS if one != ("constant" if physical else "none"))
+    trend = "breaks" if told.trend is None else _checks.option("trend", told.trend, levels)
     if influence is not None and not isinstance(influence, Influence):
         raise TypeError(f"influence: expected an influence function such as Huber(), got {_checks.shown(influence)}")
     if isinstance(structure, GreyBox):
-        if groups is not None:
+        if told.groups is not None:
             raise ValueError("groups: expected None for a GreyBox; give lists of y, u and t")
-        return identified_grey_box(y, u, structure, t, influence)
-    if t is not None:
+        return identified_grey_box(y, u, structure, told.t, influence, trend)
+    if told.t is not None:
         raise ValueError("t: expected None for a StateSpace, whose samples are equally far apart; take a GreyBox")
-    return identified_state_space(y, u, structure, influence, groups)
+    return identified_state_space(y, u, structure, influence, told.groups, trend, told.focus)

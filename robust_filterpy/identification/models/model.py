@@ -24,9 +24,9 @@ from robust_filterpy.identification.models.polynomial_model import Parts, Polyno
 from robust_filterpy.identification.models.prediction import cleaned_residuals, predicted
 from robust_filterpy.identification.models.regressor import Layout, Memory
 from robust_filterpy.identification.models.responses import Responses
-from robust_filterpy.identification.models.signals import fingerprint, recorded_input, recorded_output
+from robust_filterpy.identification.models.signals import recorded_input, recorded_output, trend_of
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.models.summary import Summary, summarized
+from robust_filterpy.identification.models.summary import Summary, focus_text, summarized
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording
 from robust_filterpy.influence.regression import robust_regression
 
@@ -189,7 +189,7 @@ class Model(EstimatedPolynomials, Responses):
         if self.levels.size:
             facts["Recordings"] = f"{self.levels.size}, each with a level"
         if self.focus is not None:
-            facts["Focus"] = f"{self.focus[0]:.4g} to {self.focus[1]:.4g} rad/{'sample' if self.dt is None else 's'}"
+            facts["Focus"] = focus_text(self.focus, self.dt)
         if self.dt is not None:
             facts["Sampling period"] = f"{self.dt:.6g} s"
         return summarized(str(self.structure), facts, names, theta, std, level, self.warning, said(self.findings))
@@ -459,8 +459,7 @@ class Model(EstimatedPolynomials, Responses):
 
     def _own_trend(self, y: Array) -> Array:
         """Return the trend of a checked output: that of the recording if it is the same one, else 0."""
-        known = {(number, trend.size): trend for number, trend in ((self.fingerprint, self.trend), *self.recordings)}
-        return known.get((fingerprint(y), y.size), np.zeros(y.size))
+        return trend_of(((self.fingerprint, self.trend), *self.recordings), y)
 
     def _equation_error(self, model: PolynomialModel, known: Any) -> Array:
         """Return A y - B/F u - d from the first sample that has a regressor on."""
