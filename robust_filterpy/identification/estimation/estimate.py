@@ -232,9 +232,9 @@ def _as_model(
     jacobian, shown = known_part(model, end)
     # What is held has no variance, and what the others then have.
     jacobian[:, held] = 0.0
-    P, bent = np.where(held | held[:, None], 0.0, sandwich(jacobian, shown, noise, problem.carried)), False
+    P, way = np.where(held | held[:, None], 0.0, sandwich(jacobian, shown, noise, problem.carried)), ""
     if problem.carried is None and not (end.outliers.wrong.any() and response(model, p).size > 1):
-        P, bent = profiled(model, p, noise, rows, P, held, others)
+        P, way = profiled(model, p, noise, rows, P, held, others)
     weights = np.full(missing.size, np.nan)
     weights[model.first :] = noise.weights(residual)
     weights[end.outliers.wrong] = 0.0
@@ -256,7 +256,8 @@ def _as_model(
         endings=(),
         warning="",
         memory=filled_memory(*(model.of(-1, p) if isinstance(model, SeveralRecordings) else (model, p))),
-        profiled=bent,
+        profiled=way != "",
+        sampled=way == "sampled likelihood",
     )
 
 
