@@ -471,7 +471,7 @@ def focus(arguments):
 
 
 def intervals(arguments):
-    """How often intervals of 95 % hold a parameter, and bands the magnitude; how many intervals are found in which way."""
+    """How often intervals of 95 % hold a parameter, and bands the magnitude; how many are found in which way."""
     omega = np.linspace(0.05, 3.0, 40)
     for order in arguments.orders:
         inside, banded, walls, bent, drawn = [], [], [], 0, 0

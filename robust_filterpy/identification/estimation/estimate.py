@@ -65,6 +65,8 @@ class Problem(NamedTuple):
         Where theta may be.
     carried : ndarray or None
         Impulse response of the filter that makes the residuals of white noise; None: they are white.
+    sampled : bool
+        Whether models may be drawn from the likelihood, for their covariance.
     """
 
     structure: Structure
@@ -78,6 +80,7 @@ class Problem(NamedTuple):
     begins: tuple[int, ...] = (0,)
     limits: Limits | None = None
     carried: Array | None = None
+    sampled: bool = True
 
     @property
     def spans(self) -> tuple[slice, ...]:
@@ -234,7 +237,7 @@ def _as_model(
     jacobian[:, held] = 0.0
     P, way = np.where(held | held[:, None], 0.0, sandwich(jacobian, shown, noise, problem.carried)), ""
     if problem.carried is None and not (end.outliers.wrong.any() and response(model, p).size > 1):
-        P, way = profiled(model, p, noise, rows, P, held, others)
+        P, way = profiled(model, p, noise, rows, P, held, others, problem.sampled)
     weights = np.full(missing.size, np.nan)
     weights[model.first :] = noise.weights(residual)
     weights[end.outliers.wrong] = 0.0

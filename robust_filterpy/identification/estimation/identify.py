@@ -55,6 +55,7 @@ def identify(
     fixed: Mapping[str, float] | None = None,
     bounds: Mapping[str, Any] | None = None,
     focus: tuple[float | None, float | None] | None = None,
+    sampled: bool = True,
     progress: bool | None = None,
 ) -> Model: ...
 
@@ -97,6 +98,7 @@ def identify(
     fixed: Mapping[str, float] | None = None,
     bounds: Mapping[str, Any] | None = None,
     focus: tuple[float | None, float | None] | None = None,
+    sampled: bool = True,
     progress: bool | None = None,
 ) -> Model | StateSpaceModel | GreyBoxModel:
     """Find the model of a recording with outliers, from nothing but the recording.
@@ -140,6 +142,10 @@ def identify(
         Band of frequencies in rad/s (rad a sample, if no index tells the sampling period) that the fit counts, None for
         an edge at 0 or pi/dt: for a model smaller than its plant, where it has to be right. Outliers and gaps are
         replaced before anything is filtered. For a structure with inputs, and one recording.
+    sampled : bool, default True
+        Whether P comes from models drawn from the likelihood where the loss is not quadratic and a pole that a zero
+        nearly cancels may be at other places, which takes seconds; False: from its profile, for a model that is one of
+        many. For structures of polynomials.
     progress : bool, optional
         Write on standard error, less and less often, what the search is at: True from the beginning, False never, None
         from 2 s on.
@@ -193,9 +199,9 @@ def identify(
     found: Model | StateSpaceModel | GreyBoxModel
     with stages("identify", progress):
         if isinstance(structure, (StateSpace, GreyBox)):
-            found = _of_outputs(y, u, structure, influence, groups, t, offset, R, trend, fixed, bounds, focus)
+            found = _of_outputs(y, u, structure, influence, groups, t, offset, R, trend, fixed, bounds, focus, sampled)
         else:
-            told = _Told(influence, offset, R, trend, groups, t, fixed, bounds, focus)
+            told = _Told(influence, offset, R, trend, groups, t, fixed, bounds, focus, sampled)
             found = _of_polynomials(y, u, structure, told)
     for words in (said(found.findings), found.warning):
         if words:
@@ -215,6 +221,7 @@ class _Told(NamedTuple):
     fixed: Any
     bounds: Any
     focus: Any
+    sampled: Any
 
 
 def _of_polynomials(y: Any, u: Any, structure: Any, told: _Told) -> Model:
@@ -229,6 +236,8 @@ def _of_polynomials(y: Any, u: Any, structure: Any, told: _Told) -> Model:
         raise TypeError(f"influence: expected an influence function such as Huber(), got {got}")
     if not isinstance(offset, (bool, np.bool_)):
         raise TypeError(f"offset: expected True or False, got {_checks.shown(offset)}")
+    if not isinstance(told.sampled, (bool, np.bool_)):
+        raise TypeError(f"sampled: expected True or False, got {_checks.shown(told.sampled)}")
     if trend is not None:
         _checks.option("trend", trend, TRENDS)
         if not offset and trend != "none":
@@ -241,7 +250,7 @@ def _of_polynomials(y: Any, u: Any, structure: Any, told: _Told) -> Model:
     problem = Problem(
         structure, signal, operating_point(signal) if moves else np.zeros(signal.shape[1]), told.influence, has_offset,
         None if told.R is None else _checks.positive("R", told.R), dt, begins=recorded.begins,
-        limits=limits if limits.any else None,
+        limits=limits if limits.any else None, sampled=bool(told.sampled),
     )  # fmt: skip
     # Noise that is summed up has steps of its own.
     chosen = trend or ("breaks" if moves and not structure.integrated else "constant")
@@ -277,8 +286,8 @@ def _of_outputs(
     y: Any, u: Any, structure: StateSpace | GreyBox, influence: Any, groups: Any, t: Any, *others: Any
 ) -> StateSpaceModel | GreyBoxModel:
     """Return a state-space or physical model, or raise if it is asked for what it does not take."""
-    names, kind = ("offset", "R", "trend", "fixed", "bounds", "focus"), type(structure).__name__
-    for name, value, only in zip(names, others, (True, *[None] * 5), strict=True):
+    names, kind = ("offset", "R", "trend", "fixed", "bounds", "focus", "sampled"), type(structure).__name__
+    for name, value, only in zip(names, others, (True, *[None] * 5, True), strict=True):
         if value is not only and name in ("fixed", "bounds"):
             mend = "GreyBox(.., fixed=, bounds=) has its own" if kind == "GreyBox" else "its matrices have no names"
             raise ValueError(f"{name}: expected None for a {kind}, got {_checks.shown(value)}; {mend}")

@@ -37,7 +37,14 @@ _TURNS: Final = 2
 
 
 def profiled(
-    model: PolynomialModel, p: Array, noise: Noise, rows: Any, P: Array, held: Any, others: list[tuple[float, Array]]
+    model: PolynomialModel,
+    p: Array,
+    noise: Noise,
+    rows: Any,
+    P: Array,
+    held: Any,
+    others: list[tuple[float, Array]],
+    sampled: bool,
 ) -> tuple[Array, str]:
     """Return the covariance of the free parameters, wider where the loss bends, and how it was found.
 
@@ -57,6 +64,8 @@ def profiled(
         Parameters without a variance.
     others : list of (float, ndarray), each of shape (n,)
         Other ends: how much less likely each is, and its free parameters.
+    sampled : bool
+        Whether models may be drawn from the likelihood.
 
     Returns
     -------
@@ -75,7 +84,12 @@ def profiled(
     if (reach <= 1.0).all() and not close:
         return P, ""
     sections = Sections.of(loss.polynomials(p))
-    if len(sections.places) > 1 and sections.are_stable(sections.values) and not held[loss.polynomial].any():
+    if (
+        sampled
+        and len(sections.places) > 1
+        and sections.are_stable(sections.values)
+        and not held[loss.polynomial].any()
+    ):
         begins = [(0.0, sections), *((excess, Sections.of(loss.polynomials(end))) for excess, end in close)]
         begins = [(excess, each) for excess, each in begins if each.are_stable(each.values)]
         return wandered(loss.best, p, own, begins), "sampled likelihood"
@@ -114,6 +128,7 @@ class _Loss(NamedTuple):
     p: Array
     noise: Noise
     rows: Any
+    weights: Array
     counted: float
     bent: Any
     linear: Any
@@ -128,7 +143,7 @@ class _Loss(NamedTuple):
         residual = model.residuals(p)[rows]
         square = max(float(np.mean(noise.psi(residual) ** 2)), np.finfo(float).tiny)
         counted = noise.slope(residual) / square * (1.0 - model.n / residual.size)
-        return cls(model, p, noise, rows, counted, bent & ~held, ~bent & ~held, bent)
+        return cls(model, p, noise, rows, noise.weights(residual), counted, bent & ~held, ~bent & ~held, bent)
 
     def polynomials(self, p: Array) -> list[Array]:
         """Return those of C, D and F that have roots, in the order in which they stand in p."""
@@ -142,8 +157,7 @@ class _Loss(NamedTuple):
 
     def best(self, bent: Array) -> Place:
         """Return the least loss for these C, D and F, where it is, and how sure what is linear is there."""
-        p = self.p.copy()
-        weights = self.noise.weights(self.model.residuals(p)[self.rows])
+        p, weights = self.p.copy(), self.weights
         p[self.bent] = bent
         if not self.model.is_stable(p):
             return Place(np.inf, p, lambda: np.zeros((p.size, p.size)))

@@ -23,7 +23,7 @@ from robust_filterpy._checks import Array
 __all__ = ["Place", "Sections", "wandered"]
 
 # Of so many steps in all the first share only leads away from where the walk begins.
-_STEPS: Final = 4000
+_STEPS: Final = 8000
 _BEGINNING: Final = 0.2
 # How often a pair jumps; a small step is of all poles as often as of one pair.
 _JUMPS: Final = 0.4
@@ -59,7 +59,7 @@ class Sections(NamedTuple):
     ----------
     degrees : tuple of tuple of int
         Of the factors of each polynomial.
-    values : ndarray
+    values : ndarray, shape (k,)
         Coefficients of all factors, without the leading ones.
     """
 
@@ -72,7 +72,7 @@ class Sections(NamedTuple):
 
         Parameters
         ----------
-        polynomials : list of ndarray
+        polynomials : list of ndarray, each of shape (degree + 1,)
             With their leading 1.
 
         Returns
@@ -100,12 +100,12 @@ class Sections(NamedTuple):
 
         Parameters
         ----------
-        values : ndarray
+        values : ndarray, shape (k,)
             Of the factors.
 
         Returns
         -------
-        ndarray
+        ndarray, shape (k,)
         """
         found, places = [], iter(self.places)
         for degrees in self.degrees:
@@ -120,7 +120,7 @@ class Sections(NamedTuple):
 
         Parameters
         ----------
-        values : ndarray
+        values : ndarray, shape (k,)
             Of the factors.
 
         Returns
