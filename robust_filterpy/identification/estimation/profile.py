@@ -6,7 +6,7 @@ is linear in the residuals (B, A, the constant, the start) at its best there: th
 rises more slowly than a quadratic, the axis becomes as long as the farther of the two places at which it has risen by
 2. Other ends that are nearly as likely count by their odds.
 
-With three poles or more, those that nearly cancel may be at other places, of which this tells nothing: there the
+With two pairs of poles or more, those that nearly cancel may be at other places, of which this tells nothing: there the
 likelihood is walked through instead (`wandering`).
 """
 
@@ -17,6 +17,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from robust_filterpy._checks import Array
+from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.wandering import Place, Sections, wandered
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
@@ -92,6 +93,7 @@ def profiled(
     ):
         begins = [(0.0, sections), *((excess, Sections.of(loss.polynomials(end))) for excess, end in close)]
         begins = [(excess, each) for excess, each in begins if each.are_stable(each.values)]
+        stage("models drawn from the likelihood, for their covariance")
         return wandered(loss.best, p, own, begins), "sampled likelihood"
     longer = axes * np.maximum(reach, 1.0)[:, None]
     wider = longer.T @ longer
