@@ -18,6 +18,7 @@
 * `limits`: parameters that are fixed, or between bounds;
 * `focus`, `focus_of_states`: a fit that counts one band of frequencies;
 * `profile`: intervals where the loss is not quadratic;
+* `wandering`: and where cancelling poles may be anywhere;
 * `wraps`: an output that comes back at the other end of its range;
 * `threads`: one thread of linear algebra, since the matrices are small.
 

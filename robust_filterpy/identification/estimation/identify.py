@@ -55,6 +55,7 @@ def identify(
     fixed: Mapping[str, float] | None = None,
     bounds: Mapping[str, Any] | None = None,
     focus: tuple[float | None, float | None] | None = None,
+    sampled: bool = True,
     progress: bool | None = None,
 ) -> Model: ...
 
@@ -100,6 +101,7 @@ def identify(
     fixed: Mapping[str, float] | None = None,
     bounds: Mapping[str, Any] | None = None,
     focus: tuple[float | None, float | None] | None = None,
+    sampled: bool = True,
     progress: bool | None = None,
 ) -> Model | StateSpaceModel | GreyBoxModel:
     """Find the model of a recording with outliers, from nothing but the recording.
@@ -145,6 +147,10 @@ def identify(
         an edge at 0 or pi/dt: for a model smaller than its plant, where it has to be right. Outliers and gaps are
         replaced before anything is filtered. For a structure with inputs, states without disturbance among them, and
         one recording.
+    sampled : bool, default True
+        Whether P comes from models drawn from the likelihood where the loss is not quadratic and a pole that a zero
+        nearly cancels may be at other places, which takes seconds; False: from its profile, for a model that is one of
+        many. For structures of polynomials.
     progress : bool, optional
         Write on standard error, less and less often, what the search is at: True from the beginning, False never, None
         from 2 s on.
@@ -197,7 +203,7 @@ def identify(
     """
     found: Model | StateSpaceModel | GreyBoxModel
     with stages("identify", progress):
-        told = _Told(influence, offset, R, trend, groups, t, fixed, bounds, focus)
+        told = _Told(influence, offset, R, trend, groups, t, fixed, bounds, focus, sampled)
         if isinstance(structure, (StateSpace, GreyBox)):
             found = _of_outputs(y, u, structure, told)
         else:
@@ -220,6 +226,7 @@ class _Told(NamedTuple):
     fixed: Any
     bounds: Any
     focus: Any
+    sampled: Any
 
 
 def _of_polynomials(y: Any, u: Any, structure: Any, told: _Told) -> Model:
@@ -234,6 +241,8 @@ def _of_polynomials(y: Any, u: Any, structure: Any, told: _Told) -> Model:
         raise TypeError(f"influence: expected an influence function such as Huber(), got {got}")
     if not isinstance(offset, (bool, np.bool_)):
         raise TypeError(f"offset: expected True or False, got {_checks.shown(offset)}")
+    if not isinstance(told.sampled, (bool, np.bool_)):
+        raise TypeError(f"sampled: expected True or False, got {_checks.shown(told.sampled)}")
     if trend is not None:
         _checks.option("trend", trend, TRENDS)
         if not offset and trend != "none":
@@ -246,7 +255,7 @@ def _of_polynomials(y: Any, u: Any, structure: Any, told: _Told) -> Model:
     problem = Problem(
         structure, signal, operating_point(signal) if moves else np.zeros(signal.shape[1]), told.influence, has_offset,
         None if told.R is None else _checks.positive("R", told.R), dt, begins=recorded.begins,
-        limits=limits if limits.any else None,
+        limits=limits if limits.any else None, sampled=bool(told.sampled),
     )  # fmt: skip
     # Noise that is summed up has steps of its own.
     chosen = trend or ("breaks" if moves and not structure.integrated else "constant")
@@ -285,6 +294,7 @@ def _of_outputs(y: Any, u: Any, structure: StateSpace | GreyBox, told: _Told) ->
     kept = {
         "offset": (True, "it says itself what y has"), "R": (None, "it learns the noise of each output"),
         "fixed": (None, own), "bounds": (None, own), "focus": (None, "equations have no band" if physical else ""),
+        "sampled": (True, "its P is the curvature at the minimum"),
     }  # fmt: skip
     for name, (only, mend) in kept.items():
         value = getattr(told, name)

@@ -237,7 +237,7 @@ class _Comparison:
         with warnings.catch_warnings():
             # A structure with too many parameters leaves the model open; the best one warns again.
             warnings.simplefilter("ignore", UserWarning)
-            model = identify(y, u, structure, progress=False)
+            model = identify(y, u, structure, sampled=False, progress=False)
         residual, output = (signal[before:] for signal in _signals(model, y, u))
         likelihood = self._cleaned_likelihood(model) if structure.na + structure.nd else self._log_likelihood(residual)
         price = _CRITERIA[self.criterion](self.samples)

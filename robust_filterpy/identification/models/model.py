@@ -107,8 +107,11 @@ class Model(EstimatedPolynomials, Responses):
     focus : tuple of float or None
         Band in rad/s (rad a sample without dt) that the fit has counted; None: all frequencies.
     profiled : bool
-        Whether P is that of the profile of the likelihood: the loss is not quadratic within two standard deviations, or
-        another end is nearly as likely.
+        Whether P is that of the likelihood: the loss is not quadratic within two standard deviations, or another end is
+        nearly as likely.
+    sampled : bool
+        Whether P is then that of models drawn from the likelihood, rather than of its profile: two pairs of poles or
+        more, where one that nearly cancels may be at other places.
 
     Notes
     -----
@@ -139,6 +142,7 @@ class Model(EstimatedPolynomials, Responses):
     recordings: tuple[tuple[int, Array], ...] = ()
     focus: tuple[float, float] | None = None
     profiled: bool = False
+    sampled: bool = False
 
     def __repr__(self) -> str:
         """Show the parameters with their standard deviations."""
@@ -185,7 +189,7 @@ class Model(EstimatedPolynomials, Responses):
             facts["Scale ratio"] = f"{self.noise.influence.scale_ratio:.3g}"
         facts |= {"Log-likelihood": f"{self.log_likelihood:.1f}", "Fit, 1 step": f"{self.own_fit:.2f} %"}
         if self.profiled:
-            facts["Intervals"] = "profile likelihood"
+            facts["Intervals"] = "sampled likelihood" if self.sampled else "profile likelihood"
         if self.levels.size:
             facts["Recordings"] = f"{self.levels.size}, each with a level"
         if self.focus is not None:

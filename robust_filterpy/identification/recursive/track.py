@@ -161,6 +161,8 @@ def _with_model(form: Form, now: State, i: int, start: ColdStart) -> tuple[State
                 structure,
                 offset=form.has_offset,
                 R=None if now.scale[i, 3] else float(now.scale[i, 0]),
+                # The samples to come wait.
+                sampled=False,
             )
     except ValueError as error:
         failure = str(error)
