@@ -185,7 +185,7 @@ def _trouble(residuals: Array, signals: Array, usual: Array, has_offset: bool) -
     covariances = covariances if covariances[0] > 0.0 else now
     found = dependence(residuals, signals, whitening=whitening_of(covariances))
     if found.found and found.share > SHARE + anyway:
-        return _ANOTHER.format(_SPAN, 100 * found.share), usual
+        return _ANOTHER.format(_SPAN, 100 * float(found.share)), usual
     moved = _moved(residuals[~np.isnan(residuals)], covariances) if has_offset else ""
     if moved or (found.share > 0.5 * SHARE + anyway and usual[0]):
         return moved, usual
