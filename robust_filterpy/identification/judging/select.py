@@ -267,8 +267,15 @@ class _Comparison:
 
         The model of the first samples misses some of the others, and the model of all samples is another one. Where it
         is further away than that, a part of the recording does not confirm it: it may fit all of it and nothing else.
+        What no part tells of another is no matter of orders: a trend is taken off as the best model of all samples has
+        it, and inputs that did not act as they were read tell nothing here.
         """
-        part = _Comparison(self.grid, self.y, self.u, self.criterion, kept, self.bar)
+        model, y = self.tried[self.best].model, self.y.copy()
+        if any(one.kind == "input outliers" for one in model.findings):
+            return {}
+        if model.trend.size:
+            y -= np.pad(model.trend, (y.size - model.trend.size, 0), mode="edge")
+        part = _Comparison(self.grid, y, self.u, self.criterion, kept, self.bar)
         sizes: set[int] = set()
         for orders in sorted(self.tried, key=lambda orders: self.tried[orders].row.rank):
             size = self.tried[orders].row.structure.n_theta

@@ -137,7 +137,7 @@ def _looked(
             news += said
     if watched.size:
         signals = np.concatenate((shown.prediction[watched, :, None], u[watched]), axis=2)
-        followed, lost = now.followed.looked(watched, shown.residual[watched], signals)
+        followed, lost = now.followed.looked(watched, shown.residual[watched], signals, form.has_offset)
         now = now._replace(followed=followed)
         for i, trouble in lost:
             start = ColdStart.of(form.structure.n_theta, form.structure.n_inputs, int(now.samples[i]))
