@@ -119,14 +119,17 @@ def said(readings):
     return [(name, verdict.fault) for _, name, verdict in made().run(table).verdicts if verdict.fault != "silent"]
 
 
-@pytest.mark.parametrize("seed", [21, 22])
+@pytest.mark.parametrize("seed", [21, 22, 30])
 def test_noise_that_carries_over_from_reading_to_reading_accuses_nobody(seed):
     readings, places = recording(seed, lambda t, x, v, last: x + v, 100.0)
     carried, coloured = dict.fromkeys(RATES, 0.0), []
     for (name, t, z), x in zip(readings, places, strict=True):
         carried[name] = 0.6 * carried[name] + 0.8 * (z - x)
         coloured.append((name, t, x + carried[name]))
-    assert not said(coloured)
+    # Who departs is only looked at more closely, which a third of such recordings bring about, and is healthy soon.
+    faults = said(coloured)
+    assert {fault for _, fault in faults} <= {"departs", "healthy"}
+    assert all(fault == "healthy" for fault in dict(faults).values())
 
 
 @pytest.mark.parametrize("seed", [23, 24])
