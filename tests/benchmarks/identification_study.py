@@ -26,7 +26,7 @@ from padasip.filters import FilterRLS
 
 from robust_filterpy import ARX, Huber, Linear, OutputError, ParameterTracker, identify
 from robust_filterpy.correction.contaminated import Contaminated
-from robust_filterpy.identification import BoxJenkins
+from robust_filterpy.identification import BoxJenkins, StateSpace
 from robust_filterpy.identification.estimation.prediction_error import minimised
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
@@ -446,7 +446,7 @@ def focus(arguments):
     """How far off a model that is too small is within a band, and whether intervals of one that is not hold."""
     w = np.linspace(*BAND, 30)
     truth = scipy.signal.freqz(*LARGE, w)[1]
-    for structure in (OutputError(1, 1), ARX(1, 1), BoxJenkins(1, 1, 1, 1)):
+    for structure in (OutputError(1, 1), ARX(1, 1), BoxJenkins(1, 1, 1, 1), StateSpace(1)):
         for share in (0.0, 0.1):
             off = {None: [], (None, BAND[1]): []}
             for plant in range(arguments.plants):
@@ -471,16 +471,26 @@ def focus(arguments):
 
 
 def intervals(arguments):
-    """How often intervals of 95 % hold a parameter, 10 % outliers, and in how many models the loss is not quadratic."""
+    """How often intervals of 95 % hold a parameter, and bands the magnitude; how many are found in which way."""
+    omega = np.linspace(0.05, 3.0, 40)
     for order in arguments.orders:
-        inside, bent = [], 0
+        inside, banded, walls, bent, drawn = [], [], [], 0, 0
         for plant in range(arguments.plants):
             truth, y, u, _, _ = recording(arguments.seed, order, plant, 0.1)
+            wall = time.perf_counter()
             model = identify(y, u, OutputError(order, order), progress=False)
+            walls.append(time.perf_counter() - wall)
             inside.append(np.mean(np.abs(model.theta - truth) < 1.96 * model.std))
-            bent += model.profiled
-        spread = np.std(inside) / len(inside) ** 0.5
-        print(f"order {order}: {np.mean(inside):.3f} +- {spread:.3f}, profile in {bent} of {len(inside)}", flush=True)
+            whole = np.append(0.0, truth[order:]), np.append(1.0, truth[:order])
+            magnitude, found = np.abs(scipy.signal.freqz(*whole, omega)[1]), model.frequency_response(omega, dt=1.0)
+            banded.append(np.mean((found.magnitude_lower <= magnitude) & (magnitude <= found.magnitude_upper)))
+            bent, drawn = bent + model.profiled, drawn + model.sampled
+        means = [f"{np.mean(each):.3f} +- {np.std(each) / len(each) ** 0.5:.3f}" for each in (inside, banded)]
+        print(
+            f"order {order}: parameters {means[0]}, bands {means[1]}; sampled {drawn}, profile {bent - drawn} of "
+            f"{len(inside)}; median time {np.median(walls):.1f} s",
+            flush=True,
+        )
 
 
 PARTS = {

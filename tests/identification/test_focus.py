@@ -145,7 +145,9 @@ def test_the_band_is_in_the_unit_of_the_index():
         (OutputError(1, 1), (None, 1e-4), ValueError, "settles within a quarter"),
         (OutputError(1, 1), (None, "1"), TypeError, "focus"),
         (Structure(na=1, nb=1, nf=1), BAND, ValueError, "A or F alone"),
-        (StateSpace(1), BAND, ValueError, "focus: expected None for a StateSpace"),
+        (StateSpace(), BAND, ValueError, "focus: expected a StateSpace with a number of states"),
+        (StateSpace(1, disturbance=True), BAND, ValueError, "focus: expected a StateSpace without disturbance"),
+        (StateSpace(1), (0.5, 0.1), ValueError, "low < high"),
     ],
 )
 def test_what_has_no_band_is_refused(structure, focus, error, words):
@@ -160,5 +162,30 @@ def test_structures_without_dynamics_and_several_recordings_are_refused():
         identify(y, None, AR(1), focus=BAND)
     with pytest.raises(ValueError, match="no dynamics"):
         identify(y, u[:, None], LinearRegression(1), focus=BAND)
-    with pytest.raises(ValueError, match="one recording"):
-        identify([y, y], [u, u], OutputError(1, 1), focus=BAND)
+    for structure in (OutputError(1, 1), StateSpace(1)):
+        with pytest.raises(ValueError, match="one recording"):
+            identify([y, y], [u, u], structure, focus=BAND)
+
+
+def test_states_of_several_outputs_are_right_within_the_band():
+    y, u = recording(21, 1000)
+    other = 0.5 * lfilter(B, A, u) + 0.05 * np.random.default_rng([21, 1]).normal(size=1000)
+    other[200:210] = np.nan
+    whole, model = (identify(np.column_stack((y, other)), u, StateSpace(1), focus=band) for band in (None, BAND))
+    one = identify(y, u, StateSpace(1), focus=BAND)
+    assert far_off(one, 0.005, 0.1) < min(0.02, 0.7 * far_off(identify(y, u, StateSpace(1)), 0.005, 0.1))
+    assert far_off(model, 0.005, 0.1) < far_off(whole, 0.005, 0.1)
+    assert model.focus == (0.0, 0.1) and "0 to 0.1 rad/sample" in str(model.summary()) and whole.focus is None
+    # The level is that of the recording, and K is none.
+    np.testing.assert_allclose(model.level, [3.0, 0.0], atol=0.05)
+    np.testing.assert_array_equal(model.K, 0.0)
+
+
+def test_intervals_of_states_hold_though_filtered_residuals_carry_over():
+    inside = []
+    for seed in range(10):
+        y, u = recording(100 + seed, 400, a=np.array([1.0, -0.8]), b=np.array([0.0, 1.0]))
+        model = identify(y, u, StateSpace(1), focus=(None, 0.3), trend="constant")
+        step = model.step_response(2)
+        inside += [abs(model.A[0, 0] - 0.8) < 1.96 * model.std[0], step.lower[1] < 1.0 < step.upper[1]]
+    assert np.mean(inside) >= 0.8

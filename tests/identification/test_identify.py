@@ -16,6 +16,7 @@ from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError, identify
 from robust_filterpy.identification.estimation import prediction_error
 from robust_filterpy.identification.estimation.cleaning import THRESHOLDS, _even
+from robust_filterpy.identification.estimation.starts import output_error_starts
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 
@@ -474,3 +475,14 @@ def test_an_output_in_a_unit_that_cannot_be_squared_is_refused(structure):
 def test_an_integer_beyond_all_floats_is_refused_in_words(y, R):
     with pytest.raises(ValueError, match=r"expected numbers up to 1.8e308 in size, got"):
         identify(y, np.ones(100), FIR(1), R=R)
+
+
+def test_starts_of_high_order_are_numbers():
+    # The prefilter of Steiglitz and McBride with twenty poles at .8 had some beyond 1, by rounding, and overflowed.
+    rng = np.random.default_rng(0)
+    u = binary(rng, 6000)
+    y = lfilter(B, A, u) + 0.1 * rng.normal(size=u.size)
+    model = PolynomialModel(OutputError(20, 20), y, u[:, None], True)
+    starts = list(output_error_starts(model, np.ones(u.size - model.first, dtype=bool)))
+    assert len(starts) > 4
+    assert all(np.isfinite(start.p).all() for start in starts)

@@ -278,3 +278,19 @@ def test_fill_values_are_said_and_are_findings_of_the_best_model():
     with pytest.warns(UserWarning, match=r"^select_structure: y has -9999 \(15 samples\)"):
         found = select_structure(y, u, na=[1], nk=[1], progress=False)
     assert [one.kind for one in found.best.findings] == ["fill value"] and "-9999" in repr(found.best)
+
+
+@pytest.mark.parametrize("broken", ["step", "input outliers"])
+def test_what_breaks_in_the_recording_takes_no_orders_from_it(broken):
+    rng = np.random.default_rng(6)
+    u = rng.choice([-1.0, 1.0], 800)
+    y = lfilter([0.0, *B], A, u) + lfilter([1.0], A, 0.1 * rng.normal(size=800))
+    if broken == "step":
+        y[590:] += 20.0  # shortly before the part that is held out
+    else:
+        u = np.where(rng.random(800) < 0.04, 10.0 * rng.normal(size=800), u + 1e6)
+    with pytest.warns(UserWarning, match="steps by|unlike the others") as caught:
+        found = select_structure(y, u, ARX, na=[1, 2], nk=[1], progress=False)
+    assert found.best.structure == ARX(2, 2)
+    assert not any("the criterion would take" in str(each.message) for each in caught)
+    assert np.isnan([row.held_out_fit for row in found.rows]).all() == (broken == "input outliers")

@@ -7,8 +7,8 @@ import pytest
 from scipy.signal import lfilter
 
 from robust_filterpy.identification import ARX, FIR, OutputError, ParameterTracker
-from robust_filterpy.identification.models.dependence import dependence
-from robust_filterpy.identification.recursive.watch import LostTrackerWarning
+from robust_filterpy.identification.models.dependence import autocovariances, dependence
+from robust_filterpy.identification.recursive.watch import LostTrackerWarning, _moved
 
 A, B = np.array([1.0, -1.5, 0.7]), np.array([0.0, 1.0, 0.5])
 THETA = np.array([-1.5, 0.7, 1.0, 0.5])
@@ -206,3 +206,56 @@ def test_a_step_in_the_samples_of_the_first_model_is_taken_off_and_said():
     with pytest.warns(LostTrackerWarning, match=r"of its first 400 samples: the level of y steps by 7.* at sample 250"):
         tracker.run(y, u)
     np.testing.assert_allclose(tracker.theta[:4], THETA, atol=0.1)
+
+
+# A level that moves after the first model.
+
+
+def quiet(seed, length=1600, size=1.0):
+    """Return a recording in which nothing changes but, halfway, the size of the noise."""
+    rng = np.random.default_rng([33, seed])
+    u = rng.choice([-1.0, 1.0], length).repeat((1, 5, 20)[seed % 3])[:length]
+    noise = np.where(rng.random(length) < 0.1, 10.0, 1.0) * rng.normal(size=length)
+    return lfilter(B, A, u), 0.3 * np.where(np.arange(length) < length // 2, 1.0, size) * noise, u
+
+
+@pytest.mark.parametrize("structure, change", [(OutputError(2, 2), "step"), (ARX(2, 2), "ramp")], ids=str)
+def test_a_level_that_moves_is_said_and_the_model_is_found_again(structure, change):
+    y, noise, u = quiet(0)
+    noise = noise if structure.nf else lfilter([1.0], A, noise)
+    k = np.arange(y.size)
+    moved = 4.0 * np.std(y) * ((k >= 1000) if change == "step" else np.maximum(k - 600, 0) / 1000)
+    tracker = ParameterTracker(structure)
+    with pytest.warns(LostTrackerWarning, match="the level of y is no longer the model's: .* off zero.*starts anew"):
+        tracker.run(y + noise + moved, u)
+    np.testing.assert_allclose(tracker.theta[:4], THETA, atol=0.15)
+
+
+@pytest.mark.parametrize("structure", [OutputError(2, 2), ARX(2, 2)], ids=str)
+def test_a_level_that_stays_is_not_said(structure):
+    for seed in range(6):
+        y, noise, u = quiet(seed, size=3.0)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", LostTrackerWarning)
+            ParameterTracker(structure).run(y + (noise if structure.nf else lfilter([1.0], A, noise)), u)
+
+
+def test_residuals_off_zero_are_told_from_chance():
+    # White, coloured, outliers on one side, gaps.
+    rng = np.random.default_rng(34)
+    for colour, one_sided, gaps in [(0.0, 0.0, 0.0), (0.4, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.3)]:
+        for _ in range(100):
+            e = rng.normal(size=600) + np.where(rng.random(600) < one_sided, 10.0, 0.0) * np.abs(rng.normal(size=600))
+            e = lfilter([1.0], [1.0, -colour], e)
+            usual = np.mean([autocovariances(e[k : k + 120]) for k in range(0, 480, 120)], axis=0)
+            late = e[480:][rng.random(120) >= gaps]
+            assert not _moved(late, usual)
+            assert "residuals in a row lie about" in _moved(late + 8.0, usual)
+
+
+def test_what_a_model_without_a_constant_leaves_off_zero_is_no_moved_level():
+    y, noise, u = quiet(1, 1000)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        ParameterTracker(OutputError(2, 2), offset=False).run(y + noise + 0.3, u)
+    assert not [each for each in caught if "the level of y" in str(each.message)]

@@ -65,6 +65,8 @@ class Problem(NamedTuple):
         Where theta may be.
     carried : ndarray or None
         Impulse response of the filter that makes the residuals of white noise; None: they are white.
+    sampled : bool
+        Whether models may be drawn from the likelihood, for their covariance.
     """
 
     structure: Structure
@@ -78,6 +80,7 @@ class Problem(NamedTuple):
     begins: tuple[int, ...] = (0,)
     limits: Limits | None = None
     carried: Array | None = None
+    sampled: bool = True
 
     @property
     def spans(self) -> tuple[slice, ...]:
@@ -232,9 +235,9 @@ def _as_model(
     jacobian, shown = known_part(model, end)
     # What is held has no variance, and what the others then have.
     jacobian[:, held] = 0.0
-    P, bent = np.where(held | held[:, None], 0.0, sandwich(jacobian, shown, noise, problem.carried)), False
+    P, way = np.where(held | held[:, None], 0.0, sandwich(jacobian, shown, noise, problem.carried)), ""
     if problem.carried is None and not (end.outliers.wrong.any() and response(model, p).size > 1):
-        P, bent = profiled(model, p, noise, rows, P, held, others)
+        P, way = profiled(model, p, noise, rows, P, held, others, problem.sampled)
     weights = np.full(missing.size, np.nan)
     weights[model.first :] = noise.weights(residual)
     weights[end.outliers.wrong] = 0.0
@@ -256,7 +259,8 @@ def _as_model(
         endings=(),
         warning="",
         memory=filled_memory(*(model.of(-1, p) if isinstance(model, SeveralRecordings) else (model, p))),
-        profiled=bent,
+        profiled=way != "",
+        sampled=way == "sampled likelihood",
     )
 
 

@@ -17,7 +17,7 @@ from robust_filterpy.identification.models.findings import Finding
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.influence.regression import mad_scale
 
-__all__ = ["with_feedback"]
+__all__ = ["feedback", "with_feedback"]
 
 _PAST: Final = 16
 _RESIDUALS: Final = 6
@@ -43,17 +43,45 @@ def with_feedback(problem: Problem, y: Array, model: Model) -> tuple[Finding, ..
     structure = model.structure
     if not structure.inputs or structure.takes_phi:
         return ()
-    # Where u moves y at once nobody can tell which of the two follows the other.
-    lags = range(int(min(nk for _, nk in structure.inputs) == 0), _RESIDUALS + 1)
-    pasts, wanted = [], []
+    parts = []
     for i, part in enumerate(problem.spans):
-        u = problem.alone(i).u - problem.rest
+        u = problem.alone(i).u
+        parts.append((u - problem.rest, model.residuals(y[part], u)[:, None]))
+    models_noise = structure.na + structure.nc + structure.nd > 0
+    meaning = (
+        f"{structure} is unbiased only as far as its noise model is right: validate it, and try more c's and d's"
+        if models_noise
+        else f"{structure} is biased by that unless the noise is white: BoxJenkins or ARMAX model the noise"
+    )
+    return feedback(parts, min(nk for _, nk in structure.inputs) == 0, meaning)
+
+
+def feedback(parts: list[tuple[Array, Array]], direct: bool, meaning: str) -> tuple[Finding, ...]:
+    """Find out whether inputs follow the residuals of any model.
+
+    Parameters
+    ----------
+    parts : list of (ndarray, shape (N, m); ndarray, shape (N, p))
+        Inputs from where they rest, and residuals, NaN where there are none, of each recording.
+    direct : bool
+        Whether u may move y at once: nobody can tell then which of the two follows the other.
+    meaning : str
+        What a closed loop means for the model.
+
+    Returns
+    -------
+    tuple of Finding
+        One, or none.
+    """
+    lags = range(int(direct), _RESIDUALS + 1)
+    pasts, wanted = [], []
+    for u, left in parts:
         if len(u) <= 2 * _PAST:
             continue
-        residual = _ordinary(model.residuals(y[part], problem.alone(i).u))
+        residual = np.column_stack([_ordinary(one) for one in left.T])
         rows = np.arange(_PAST, len(u))
         before = [u[rows - lag] for lag in range(1, _PAST + 1)]
-        told = np.column_stack([residual[rows - j] for j in lags])
+        told = np.hstack([residual[rows - j] for j in lags])
         pasts.append((np.hstack((*before, np.ones((rows.size, 1)))), told))
         wanted.append(u[rows])
     if not pasts:
@@ -74,18 +102,12 @@ def with_feedback(problem: Problem, y: Array, model: Model) -> tuple[Finding, ..
     if not found.any():
         return ()
     which = ", ".join(str(j) for j in np.flatnonzero(found))
-    models_noise = structure.na + structure.nc + structure.nd > 0
-    meaning = (
-        f"{structure} is unbiased only as far as its noise model is right: validate it, and try more c's and d's"
-        if models_noise
-        else f"{structure} is biased by that unless the noise is white: BoxJenkins or ARMAX model the noise"
-    )
     text = (
         f"input {which} follows what y did before, {100 * float(share.max()):.0f} % of what is new in it: the "
         f"recording comes from a closed loop; {meaning}"
     )
     evidence = float(-2.0 * np.log(np.maximum(chance.min(), np.finfo(float).tiny)))
-    return (Finding("closed loop", text, evidence, (0, y.size)),)
+    return (Finding("closed loop", text, evidence, (0, sum(len(u) for u, _ in parts))),)
 
 
 def _ordinary(residual: Array) -> Array:

@@ -29,7 +29,7 @@ from robust_filterpy.identification.models.findings import Finding
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.structures import Structure
 
-__all__ = ["band", "dynamics_of", "focused"]
+__all__ = ["band", "band_filter", "dynamics_of", "focused"]
 
 _ORDER: Final = 2
 # The filter's memory ends where so much of its impulse response's energy has been, and is this part of the recording at
@@ -115,7 +115,7 @@ def focused(
     resting = found.level + gains @ at
     clean = np.where(trust > 0.0, expected + trust * (measured - expected), expected)
     output, signal = np.nan_to_num(clean - resting, nan=0.0), problem.u - found.operating_point
-    sos, settled = _filter(edges, problem.dt or 1.0, y.size)
+    sos, settled = band_filter(edges, problem.dt or 1.0, y.size)
     noise = parts.d
     if problem.structure.integrated:
         # Noise that is summed up is most of what there is at low frequencies.
@@ -175,8 +175,29 @@ def _places(structure: Structure) -> Any:
     return np.concatenate([np.arange(part.start, part.stop) for part in parts])
 
 
-def _filter(edges: tuple[float, float], dt: float, size: int) -> tuple[Array, int]:
-    """Return L as sections, and how many samples its memory has; or raise if the recording is shorter."""
+def band_filter(edges: tuple[float, float], dt: float, size: int) -> tuple[Array, int]:
+    """Return L, and how many samples its memory has.
+
+    Parameters
+    ----------
+    edges : (float, float)
+        From `band`.
+    dt : float
+        Sampling period in s.
+    size : int
+        Samples of the recording.
+
+    Returns
+    -------
+    sos : ndarray
+        L as sections of second order.
+    settled : int
+
+    Raises
+    ------
+    ValueError
+        If the recording is too short for it.
+    """
     low, high = edges
     kind = "lowpass" if low == 0.0 else "highpass" if high >= np.pi / dt else "bandpass"
     corners = {"lowpass": high, "highpass": low, "bandpass": edges}[kind]

@@ -9,14 +9,16 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
+from robust_filterpy.identification.estimation.outputs import Outputs
 from robust_filterpy.identification.estimation.prediction_error import minimised, sandwich
 from robust_filterpy.identification.models.findings import Finding
 from robust_filterpy.identification.models.grey_box import GreyBox
 from robust_filterpy.identification.models.grey_box_model import GreyBoxModel
-from robust_filterpy.identification.models.grey_box_recording import grey_recording
+from robust_filterpy.identification.models.grey_box_recording import grey_recording, require_inputs
 from robust_filterpy.identification.models.grey_box_residuals import GreyRecording, GreyResiduals
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.noise_of_outputs import Noises
+from robust_filterpy.identification.models.signals import are_several, fingerprint, operating_point
 from robust_filterpy.influence.functions import Huber, Influence
 
 __all__ = ["identified_grey_box"]
@@ -31,7 +33,12 @@ _PART: Final = 0.3
 
 
 def identified_grey_box(
-    y: Any, u: Any, structure: GreyBox, t: Any = None, influence: Influence | None = None
+    y: Any,
+    u: Any,
+    structure: GreyBox,
+    t: Any = None,
+    influence: Influence | None = None,
+    trend: str = "breaks",
 ) -> GreyBoxModel:
     """Find the parameters of a physical model.
 
@@ -47,6 +54,8 @@ def identified_grey_box(
         Times in s. Default: those of the index.
     influence : Influence, optional
         Loss; default: learnt, for each output.
+    trend : {"none", "line", "breaks"}, default "breaks"
+        What each output has beside the equations.
 
     Returns
     -------
@@ -57,9 +66,42 @@ def identified_grey_box(
     ValueError, TypeError
         If the recordings or what f and h return do not fit, or the equations overflow with the first guesses.
     """
-    told, known, findings = _recordings(y, u, t)
-    starts = np.repeat(structure.x0[None], len(told), axis=0)
+    told, known, found = _recordings(y, u, t)
     _require_functions(structure, told[0])
+    ends = np.cumsum([len(one.y) for one in told])
+    spans = [slice(int(end) - len(one.y), int(end)) for one, end in zip(told, ends, strict=True)]
+
+    def of(y: Array, u: Array) -> list[GreyRecording]:
+        return [one._replace(y=np.nan_to_num(y[part]), u=u[part]) for one, part in zip(told, spans, strict=True)]
+
+    def find(y: Array, u: Array) -> GreyBoxModel:
+        return _modelled(structure, of(y, u), known, influence)
+
+    def alone(model: GreyBoxModel, y: Array, u: Array) -> Array:
+        equations = structure.residuals_of(of(y, u), model.starts, False)
+        z = equations.p.free(model.theta)
+        equations.settled(z)
+        return np.concatenate([one.y for one in equations.recordings]) - equations.residuals(z).reshape(y.shape)
+
+    outputs = np.concatenate([np.where(good, one.y, np.nan) for one, good in zip(told, known, strict=True)])
+    inputs = np.concatenate([one.u for one in told])
+    whole = Outputs(outputs, inputs, spans, find, alone, sampled=all(one.is_sampled for one in told))
+    model, levels, findings = whole.beside_levels(find(outputs, inputs), trend)
+    model, held, outliers = whole.beside_input_outliers(model, levels)
+    output = alone(model, outputs - levels, held)
+    beside = whole._replace(u=held).left(
+        output, outputs - levels - output, operating_point(held), True, "the parameters are biased by that"
+    )
+    beside = tuple(one for one in beside if not outliers or one.kind != "another plant")
+    trends = tuple((fingerprint(outputs[part]), levels[part]) for part in spans if levels[part].any())
+    return replace(model, findings=(*found, *findings, *outliers, *beside), trends=trends)
+
+
+def _modelled(
+    structure: GreyBox, told: list[GreyRecording], known: list[Any], influence: Influence | None
+) -> GreyBoxModel:
+    """Return the model of recordings as they are."""
+    starts = np.repeat(structure.x0[None], len(told), axis=0)
     model = structure.residuals_of(told, starts, structure.start == "free")
     z = np.concatenate((model.p.free(model.p.centre), np.zeros(model.n - model.k)))
     if not model.settled(z):
@@ -80,17 +122,24 @@ def identified_grey_box(
     stage("noise learnt, search again")
     learnt = end.noise if influence is not None else end.noise.learnt()
     end = minimised(model, end.p, learnt, rows, rows)
-    return _as_model(structure, model, end, rows, findings)
+    return _as_model(structure, model, end, rows)
 
 
 def _recordings(y: Any, u: Any, t: Any) -> tuple[list[GreyRecording], list[Any], tuple[Finding, ...]]:
     """Return what was recorded, checked, and which outputs are measured."""
-    several = isinstance(y, (list, tuple)) and all(np.ndim(one) > 0 and np.shape(one)[0] > 1 for one in y)
-    ys, us, ts = (part if several else [part] for part in (y, u, t))
-    us, ts = ([None] * len(ys) if part is None else part for part in (us, ts))
-    if len(us) != len(ys) or len(ts) != len(ys):
-        raise ValueError(f"u, t: expected {len(ys)} recordings like y, got {len(us)} and {len(ts)}")
-    checked = [grey_recording(*one, i) for i, one in enumerate(zip(ys, us, ts, strict=True))]
+    told = {"y": y, "u": u, "t": t}
+    for name, part in told.items():
+        if part is None or not are_several(y, u):
+            told[name] = [part] * (len(y) if are_several(y, u) else 1)
+        elif not isinstance(part, (list, tuple)) or len(part) != len(y):
+            got = len(part) if isinstance(part, (list, tuple)) else type(part).__name__
+            raise ValueError(f"{name}: expected a list of {len(y)} recordings like y, got {got}")
+    parts = zip(told["y"], told["u"], told["t"], strict=True)
+    checked = [grey_recording(*one, i) for i, one in enumerate(parts)]
+    for name in ("y", "u"):
+        widths = [getattr(one.recording, name).shape[1] for one in checked]
+        if len(set(widths)) > 1:
+            raise ValueError(f"{name}: expected recordings of equally many columns, got {widths}")
     findings = tuple(found for one in checked for found in one.findings)
     return [one.recording for one in checked], [one.known for one in checked], findings
 
@@ -98,6 +147,7 @@ def _recordings(y: Any, u: Any, t: Any) -> tuple[list[GreyRecording], list[Any],
 def _require_functions(structure: GreyBox, one: GreyRecording) -> None:
     """Raise unless f and h return what they should."""
     p = np.array([*structure.p0.values()])
+    require_inputs(structure, one, p)
     for name, function, size in (("f", structure.f, structure.x0.size), ("h", structure.h, one.y.shape[1])):
         found = structure.x0 if function is None else np.asarray(function(structure.x0, one.u[0], p), dtype=float)
         if np.size(found) != size:
@@ -107,9 +157,7 @@ def _require_functions(structure: GreyBox, one: GreyRecording) -> None:
             raise ValueError(f"{name}: expected finite numbers with p0 and x0, got {found}")
 
 
-def _as_model(
-    structure: GreyBox, model: GreyResiduals, end: Any, rows: Any, findings: tuple[Finding, ...]
-) -> GreyBoxModel:
+def _as_model(structure: GreyBox, model: GreyResiduals, end: Any, rows: Any) -> GreyBoxModel:
     """Return what was found, with what the recording cannot tell."""
     z, noise, k = end.p, end.noise, model.k
     residual, J = model.residuals(z)[rows], model.jacobian(z)[rows]
@@ -134,7 +182,7 @@ def _as_model(
             doubt.append(f"{name} is at its bound, {values[name]:.4g}")
     return GreyBoxModel(
         structure, values, theta, P, starts, tuple(replace(one, R=one.R * total) for one in noise.parts),
-        weights.reshape(-1, len(noise.parts)), noise.log_likelihood(residual), untold, "; ".join(doubt), findings,
+        weights.reshape(-1, len(noise.parts)), noise.log_likelihood(residual), untold, "; ".join(doubt),
     )  # fmt: skip
 
 

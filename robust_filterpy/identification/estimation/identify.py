@@ -55,6 +55,7 @@ def identify(
     fixed: Mapping[str, float] | None = None,
     bounds: Mapping[str, Any] | None = None,
     focus: tuple[float | None, float | None] | None = None,
+    sampled: bool = True,
     progress: bool | None = None,
 ) -> Model: ...
 
@@ -66,7 +67,9 @@ def identify(
     structure: StateSpace,
     *,
     influence: Influence | None = None,
+    trend: str | None = None,
     groups: ArrayLike | None = None,
+    focus: tuple[float | None, float | None] | None = None,
     progress: bool | None = None,
 ) -> StateSpaceModel: ...
 
@@ -78,6 +81,7 @@ def identify(
     structure: GreyBox,
     *,
     influence: Influence | None = None,
+    trend: str | None = None,
     t: ArrayLike | None = None,
     progress: bool | None = None,
 ) -> GreyBoxModel: ...
@@ -97,6 +101,7 @@ def identify(
     fixed: Mapping[str, float] | None = None,
     bounds: Mapping[str, Any] | None = None,
     focus: tuple[float | None, float | None] | None = None,
+    sampled: bool = True,
     progress: bool | None = None,
 ) -> Model | StateSpaceModel | GreyBoxModel:
     """Find the model of a recording with outliers, from nothing but the recording.
@@ -125,7 +130,8 @@ def identify(
         Variance of the ordinary noise, in the unit of y squared, if it is known.
     trend : {"none", "constant", "line", "breaks"}, optional
         What level y has beside the model: none (as ``offset=False``), a constant, a straight line, or a constant with
-        steps and ramps wherever the recording shows them. Default: "breaks", for a structure with inputs.
+        steps and ramps wherever the recording shows them. Default: "breaks", for a structure with inputs. Outputs of
+        states have a constant at least, those of physics none beside their equations.
     groups : array_like, shape (N,), optional
         A label for each sample: those with the same one are a recording.
     t : array_like, shape (N,), optional
@@ -139,7 +145,12 @@ def identify(
     focus : (float, float), optional
         Band of frequencies in rad/s (rad a sample, if no index tells the sampling period) that the fit counts, None for
         an edge at 0 or pi/dt: for a model smaller than its plant, where it has to be right. Outliers and gaps are
-        replaced before anything is filtered. For a structure with inputs, and one recording.
+        replaced before anything is filtered. For a structure with inputs, states without disturbance among them, and
+        one recording.
+    sampled : bool, default True
+        Whether P comes from models drawn from the likelihood where the loss is not quadratic and a pole that a zero
+        nearly cancels may be at other places, which takes seconds; False: from its profile, for a model that is one of
+        many. For structures of polynomials.
     progress : bool, optional
         Write on standard error, less and less often, what the search is at: True from the beginning, False never, None
         from 2 s on.
@@ -192,10 +203,10 @@ def identify(
     """
     found: Model | StateSpaceModel | GreyBoxModel
     with stages("identify", progress):
+        told = _Told(influence, offset, R, trend, groups, t, fixed, bounds, focus, sampled)
         if isinstance(structure, (StateSpace, GreyBox)):
-            found = _of_outputs(y, u, structure, influence, groups, t, offset, R, trend, fixed, bounds, focus)
+            found = _of_outputs(y, u, structure, told)
         else:
-            told = _Told(influence, offset, R, trend, groups, t, fixed, bounds, focus)
             found = _of_polynomials(y, u, structure, told)
     for words in (said(found.findings), found.warning):
         if words:
@@ -204,7 +215,7 @@ def identify(
 
 
 class _Told(NamedTuple):
-    """What a structure of polynomials may be told."""
+    """What a structure may be told."""
 
     influence: Any
     offset: Any
@@ -215,6 +226,7 @@ class _Told(NamedTuple):
     fixed: Any
     bounds: Any
     focus: Any
+    sampled: Any
 
 
 def _of_polynomials(y: Any, u: Any, structure: Any, told: _Told) -> Model:
@@ -229,6 +241,8 @@ def _of_polynomials(y: Any, u: Any, structure: Any, told: _Told) -> Model:
         raise TypeError(f"influence: expected an influence function such as Huber(), got {got}")
     if not isinstance(offset, (bool, np.bool_)):
         raise TypeError(f"offset: expected True or False, got {_checks.shown(offset)}")
+    if not isinstance(told.sampled, (bool, np.bool_)):
+        raise TypeError(f"sampled: expected True or False, got {_checks.shown(told.sampled)}")
     if trend is not None:
         _checks.option("trend", trend, TRENDS)
         if not offset and trend != "none":
@@ -241,7 +255,7 @@ def _of_polynomials(y: Any, u: Any, structure: Any, told: _Told) -> Model:
     problem = Problem(
         structure, signal, operating_point(signal) if moves else np.zeros(signal.shape[1]), told.influence, has_offset,
         None if told.R is None else _checks.positive("R", told.R), dt, begins=recorded.begins,
-        limits=limits if limits.any else None,
+        limits=limits if limits.any else None, sampled=bool(told.sampled),
     )  # fmt: skip
     # Noise that is summed up has steps of its own.
     chosen = trend or ("breaks" if moves and not structure.integrated else "constant")
@@ -273,23 +287,28 @@ def _in_recording(problem: Problem, recorded: Recordings, chosen: str) -> tuple[
     return found, findings if outliers else (*findings, *unlike_in_parts(problem, recorded.y, found))
 
 
-def _of_outputs(
-    y: Any, u: Any, structure: StateSpace | GreyBox, influence: Any, groups: Any, t: Any, *others: Any
-) -> StateSpaceModel | GreyBoxModel:
+def _of_outputs(y: Any, u: Any, structure: StateSpace | GreyBox, told: _Told) -> StateSpaceModel | GreyBoxModel:
     """Return a state-space or physical model, or raise if it is asked for what it does not take."""
-    names, kind = ("offset", "R", "trend", "fixed", "bounds", "focus"), type(structure).__name__
-    for name, value, only in zip(names, others, (True, *[None] * 5), strict=True):
-        if value is not only and name in ("fixed", "bounds"):
-            mend = "GreyBox(.., fixed=, bounds=) has its own" if kind == "GreyBox" else "its matrices have no names"
-            raise ValueError(f"{name}: expected None for a {kind}, got {_checks.shown(value)}; {mend}")
-        if value is not only:
-            raise ValueError(f"{name}: expected {only} for a {kind}, which says itself what y has, got {value!r}")
+    physical, kind, influence = isinstance(structure, GreyBox), type(structure).__name__, told.influence
+    own = "GreyBox(.., fixed=, bounds=) has its own" if physical else "its matrices have no names"
+    kept = {
+        "offset": (True, "it says itself what y has"), "R": (None, "it learns the noise of each output"),
+        "fixed": (None, own), "bounds": (None, own), "focus": (None, "equations have no band" if physical else ""),
+        "sampled": (True, "its P is the curvature at the minimum"),
+    }  # fmt: skip
+    for name, (only, mend) in kept.items():
+        value = getattr(told, name)
+        if mend and value is not only:
+            raise ValueError(f"{name}: expected {only} for a {kind}, got {_checks.shown(value)}; {mend}")
+    # Outputs of states have levels; those of physics have none but what the equations say.
+    levels = tuple(one for one in TRENDS if one != ("constant" if physical else "none"))
+    trend = "breaks" if told.trend is None else _checks.option("trend", told.trend, levels)
     if influence is not None and not isinstance(influence, Influence):
         raise TypeError(f"influence: expected an influence function such as Huber(), got {_checks.shown(influence)}")
     if isinstance(structure, GreyBox):
-        if groups is not None:
+        if told.groups is not None:
             raise ValueError("groups: expected None for a GreyBox; give lists of y, u and t")
-        return identified_grey_box(y, u, structure, t, influence)
-    if t is not None:
+        return identified_grey_box(y, u, structure, told.t, influence, trend)
+    if told.t is not None:
         raise ValueError("t: expected None for a StateSpace, whose samples are equally far apart; take a GreyBox")
-    return identified_state_space(y, u, structure, influence, groups)
+    return identified_state_space(y, u, structure, influence, told.groups, trend, told.focus)

@@ -24,6 +24,9 @@ __all__ = [
     "beside_trend",
     "break_finding",
     "endless_pole",
+    "held_back",
+    "input_outliers",
+    "unlike",
     "unlike_in_parts",
     "without_endless_motion",
 ]
@@ -157,11 +160,9 @@ def unlike_in_parts(problem: Problem, y: Array, model: Model) -> tuple[Finding, 
     tuple of Finding
         One, from the first of these parts to the last, or none.
     """
-    span = max(_LEAST_PART, min(y.size // _PARTS, _MOST_PART))
-    if not model.structure.n_inputs or model.structure.takes_phi or y.size < 2 * span:
+    parts = _parts(y.size)
+    if not model.structure.n_inputs or model.structure.takes_phi or len(parts) < 2:
         return ()
-    begins = np.arange(y.size % span, y.size - span + 1, span)
-    parts = begins[:, None] + np.arange(span)
     whole = cleaned(model, y, problem.u)
     if whole is None:
         prediction = model.predict(y, problem.u)
@@ -179,17 +180,44 @@ def unlike_in_parts(problem: Problem, y: Array, model: Model) -> tuple[Finding, 
             # Predictions from outputs as measured carry their outliers to the residuals: what u alone makes does not.
             prediction[own] = (model.simulate(problem.u) + _trend(model, y))[own]
     signals = np.column_stack((np.nan_to_num(prediction - _trend(model, y) - model.level), problem.u - problem.rest))
+    return unlike(residual, signals)
+
+
+def unlike(residual: Array, signals: Array) -> tuple[Finding, ...]:
+    """Find the parts of a recording in which what any model leaves follows the inputs.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (N,)
+        What it leaves of an output; NaN where there is nothing.
+    signals : ndarray, shape (N, k)
+        What it makes of the inputs, and these, from their rest.
+
+    Returns
+    -------
+    tuple of Finding
+        One, from the first of these parts to the last, or none.
+    """
+    parts = _parts(residual.size)
+    if len(parts) < 2:
+        return ()
     found = dependence(residual[parts], signals[parts], whitening=whitening_of(autocovariances(residual)))
     if not found.found.any():
         return ()
-    where = begins[found.found]
-    first, last = int(where[0]), int(where[-1] + span)
+    where = parts[found.found]
+    first, last = int(where[0, 0]), int(where[-1, -1]) + 1
     text = (
         f"between samples {first} and {last} up to {100 * float(found.share.max()):.0f} % of what the model leaves "
         "follow u: the plant is another one there, a sensor is stuck, or the structure is too small"
     )
     evidence = float(-2.0 * np.log(np.maximum(found.chance.min(), np.finfo(float).tiny)))
     return (Finding("another plant", text, evidence, (first, last)),)
+
+
+def _parts(samples: int) -> Any:
+    """Return the samples of each part of a recording, equally many, up to its end."""
+    span = max(_LEAST_PART, min(samples // _PARTS, _MOST_PART))
+    return np.arange(samples % span, samples - span + 1, span)[:, None] + np.arange(span)
 
 
 def beside_input_outliers(problem: Problem, y: Array, model: Model) -> tuple[Model, tuple[Finding, ...]]:
@@ -207,16 +235,9 @@ def beside_input_outliers(problem: Problem, y: Array, model: Model) -> tuple[Mod
     model : Model
     findings : tuple of Finding
     """
-    u = problem.u.copy()
-    if not u.shape[1] or model.structure.takes_phi:
+    u, places = (problem.u, np.zeros(0)) if model.structure.takes_phi else held_back(problem.u)
+    if not places.size:
         return model, ()
-    far = np.column_stack([_odd(column) for column in u.T])
-    if not far.any():
-        return model, ()
-    for column, odd in zip(u.T, far.T, strict=True):
-        # The last ordinary value before each; at the beginning the first one.
-        last = np.maximum.accumulate(np.where(odd, -1, np.arange(odd.size)))
-        column[:] = column[np.where(last < 0, int(np.argmin(odd)), last)]
     stage("the model without outliers of u")
     try:
         rest = operating_point(u) if problem.offset else problem.rest
@@ -226,13 +247,51 @@ def beside_input_outliers(problem: Problem, y: Array, model: Model) -> tuple[Mod
     gain = 2.0 * (other.log_likelihood - model.log_likelihood)
     if gain < PRICE * np.log(y.size):
         return model, ()
-    places = np.flatnonzero(far.any(axis=1))
+    return replace(other, trend=model.trend, fingerprint=model.fingerprint), (input_outliers(places, gain),)
+
+
+def held_back(u: Array) -> tuple[Array, Any]:
+    """Return inputs with the value before in the place of each that is unlike the others, and in which samples.
+
+    Parameters
+    ----------
+    u : ndarray, shape (N, n_inputs)
+        Inputs.
+
+    Returns
+    -------
+    u : ndarray, shape (N, n_inputs)
+    places : ndarray of int, shape (n,)
+        None, if there are none.
+    """
+    u, far = u.copy(), np.zeros(u.shape, dtype=bool)
+    for j, column in enumerate(u.T):
+        odd = far[:, j] = _odd(column)
+        # The last ordinary value before each; at the beginning the first one.
+        last = np.maximum.accumulate(np.where(odd, -1, np.arange(odd.size)))
+        column[:] = column[np.where(last < 0, int(np.argmin(odd)), last)]
+    return u, np.flatnonzero(far.any(axis=1))
+
+
+def input_outliers(places: Any, gain: float) -> Finding:
+    """Return in words that inputs in some samples are held at the value before.
+
+    Parameters
+    ----------
+    places : ndarray of int, shape (n,)
+        These samples.
+    gain : float
+        Twice the log-likelihood that it explains.
+
+    Returns
+    -------
+    Finding
+    """
     text = (
         f"u has {places.size} values unlike the others that y does not follow: the model is of the values before "
         "them, held; give u as it acted"
     )
-    found = Finding("input outliers", text, gain, (int(places[0]), int(places[-1]) + 1))
-    return replace(other, trend=model.trend, fingerprint=model.fingerprint), (found,)
+    return Finding("input outliers", text, gain, (int(places[0]), int(places[-1]) + 1))
 
 
 def _odd(u: Array) -> Any:

@@ -9,13 +9,16 @@ again, climbs the likelihood of what is measured (Dempster, Laird and Rubin 1977
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
-from scipy.sparse import csc_array, csr_array
-from scipy.sparse.linalg import splu
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.signal import lfilter
+from scipy.sparse import csr_array
 
 from robust_filterpy._checks import Array
+from robust_filterpy.identification.estimation.neighbours import Neighbours
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 
 __all__ = ["CompletedModel", "Unknowns", "completed", "response", "touched"]
@@ -24,8 +27,10 @@ _LONGEST: Final = 200
 _SMALL: Final = 1e-3
 # What an unknown sample may add to a residual that still shows the noise, as a share.
 _LEAST_TOUCH: Final = 0.2
-# So many columns of an inverse show its sums along the diagonals.
-_MOST_COLUMNS: Final = 500
+# What is added to the diagonal of the normal equations.
+_RIDGE: Final = 1e-9
+# So many numbers are worked on at a time.
+_MOST_NUMBERS: Final = 20_000
 
 
 class Unknowns:
@@ -53,70 +58,100 @@ class Unknowns:
     """
 
     def __init__(self, base: Array, h: Array, unknown: Any, weights: Array, first: int) -> None:
-        """Solve the normal equations, which are banded."""
-        self.places = np.flatnonzero(unknown) - first
-        self.correction, self.residual = np.zeros((0, *base.shape[1:])), base
-        self._h, self._weights, self._first = h, weights, first
-        self._H = _delayed(h, self.places, len(base))
-        if self.places.size:
-            weighted = csc_array(self._H.multiply(weights[:, None]))
-            # An unknown sample that no residual shows stays as it is.
-            each = np.arange(self.places.size)
-            ridge = csc_array((np.full(each.size, 1e-9), (each, each)))
-            self._gram = splu(csc_array(self._H.T @ weighted + ridge))
-            self.correction = self._gram.solve(-(weighted.T @ base))
-            self.residual = base + self._H @ self.correction
+        """Solve the normal equations, which couple unknown samples less than L apart."""
+        self._places, self._h, self._weights, self._first = np.flatnonzero(unknown), h, weights, first
+        self._size = first + len(base)
+        padded = np.concatenate((np.zeros(first), weights, np.zeros(h.size)))
+        # Weights of the residuals from each sample on, and products of h with itself by delay.
+        self._later = sliding_window_view(padded, h.size)
+        self._products = sliding_window_view(np.concatenate((h, np.zeros(h.size))), h.size)[:-1] * h
+        self._corrected = np.zeros((self._size, *base.shape[1:]))
+        self.residual = base
+        if self._places.size:
+            self._normal = self._equations()
+            self._corrected[self._places] = -self._normal.solve(self._pull(base)[self._places])
+            self.residual = base + lfilter(h, [1.0], self._corrected, axis=0)[first:]
+        self.correction = self._corrected[self._places]
 
     def deviations(self) -> tuple[Array, Array]:
         """Return how far each sample is from what all others say of it, and how precisely they do; in units of 1/R."""
-        size = self._first + len(self.residual)
-        H = _delayed(self._h, np.arange(size) - self._first, len(self.residual))
-        pull = H.T @ (self._weights * self.residual)
-        precision = (H * H).T @ self._weights
-        if self.places.size:
-            cross = csr_array(H.T @ csc_array(self._H.multiply(self._weights[:, None])))
-            inverse = self._gram.solve(np.eye(self.places.size))
-            precision = precision - np.asarray(cross.multiply(cross @ inverse).sum(axis=1)).ravel()
-        deviation = pull / np.maximum(precision, 1e-9)
-        if self.places.size:
-            at = self.places + self._first
-            deviation[at], precision[at] = self.correction, 1.0 / np.maximum(np.diag(inverse), 1e-9)
+        coupled = self._later[: self._size] @ self._products.T
+        precision = coupled[:, 0]
+        if self._places.size:
+            precision = precision - self._explained(
+                self._h.size - 1, lambda k, p: coupled[np.maximum(k, p), np.minimum(np.abs(k - p), self._h.size - 1)]
+            )
+        deviation = self._pull(self.residual) / np.maximum(precision, 1e-9)
+        if self._places.size:
+            deviation[self._places] = self.correction
+            precision[self._places] = 1.0 / np.maximum(self._normal.inverse[0], 1e-9)
         return deviation, precision
 
     def leverages(self) -> Array:
         """Return the share of the variance of each residual that the choice of the unknowns takes away, shape (N,)."""
-        shares, rows_of = np.zeros(len(self.residual)), csr_array(self._H)
-        for start in range(0, self.places.size, _MOST_COLUMNS):
-            some = np.arange(start, min(start + _MOST_COLUMNS, self.places.size))
-            unit = np.zeros((self.places.size, some.size))
-            unit[some, np.arange(some.size)] = 1.0
-            near = slice(max(self.places[some[0]], 0), max(self.places[some[-1]] + self._h.size, 0))
-            effect = rows_of[near] @ self._gram.solve(unit)
-            shares[near] += rows_of[near][:, some].multiply(effect).sum(axis=1)
-        return np.minimum(shares * self._weights, 1.0)
+        if not self._places.size:
+            return np.zeros(len(self.residual))
+        shares = self._explained(0, lambda k, p: self._h[np.clip(k - p, 0, self._h.size - 1)])
+        return np.minimum(shares[self._first :] * self._weights, 1.0)
 
     def beyond(self) -> Array:
         """Return what the corrections add to the residuals after the last one, shape (L - 1,)."""
-        last, length = len(self.residual), self._h.size
-        recent = self.places > last - length
-        after = _delayed(self._h, self.places[recent] - last + length, 2 * length)
-        return np.asarray(after @ self.correction[recent])[length : 2 * length - 1]
+        last = self._h.size - 1
+        recent = np.concatenate((np.zeros(last), self._corrected))[self._size :]
+        return np.convolve(recent, self._h)[last:] if last else recent
 
     def spread(self) -> Array:
         """Return K: what pairs of unknowns add to the expected sum of squares, by their delays to a residual."""
-        length, places = self._h.size, self.places
-        chosen = np.unique(np.linspace(0, places.size - 1, min(places.size, _MOST_COLUMNS)).astype(int))
-        unit = np.zeros((places.size, chosen.size))
-        unit[chosen, np.arange(chosen.size)] = 1.0
-        apart = places[chosen] - places[:, None]
-        near = (apart >= 0) & (apart < length)
-        covariances, delays, later = self._gram.solve(unit)[near], apart[near], places[chosen][np.nonzero(near)[1]]
-        weights = np.concatenate((np.zeros(self._first), self._weights, np.zeros(length)))
+        length, places = self._h.size, self._places
+        covariances = self._normal.inverse
+        pairs = [np.arange(places.size - d) for d in range(min(len(covariances), places.size))]
+        values = np.concatenate([covariances[d, i] for d, i in enumerate(pairs)])
+        later = np.concatenate([i + d for d, i in enumerate(pairs)])
+        apart = places[later] - places[np.concatenate(pairs)]
+        near = apart < length
+        by_delay = csr_array((values[near], (apart[near], later[near])), shape=(length, places.size))
+        summed = by_delay @ self._later[places]
         K = np.zeros((length, length))
         for s in range(length):
-            seen = covariances * weights[later + self._first + s]
-            K[s:, s] = np.bincount(delays, seen, length)[: length - s]
-        return np.asarray((np.tril(K) + np.tril(K, -1).T) * places.size / chosen.size)
+            K[s:, s] = summed[: length - s, s]
+        return np.asarray(np.tril(K) + np.tril(K, -1).T)
+
+    def _equations(self) -> Neighbours:
+        """Return H'WH of the unknowns."""
+        places, length = self._places, self._h.size
+        coupled = self._later[places] @ self._products.T
+        # What couples one sample to two unknowns reaches twice as far as what couples these.
+        reach = int((np.searchsorted(places, places + 2 * length - 1) - np.arange(places.size)).max())
+        band = np.zeros((reach, places.size))
+        for d in range(reach):
+            apart = places[d:] - places[: places.size - d]
+            near = np.flatnonzero(apart < length)
+            band[d, near] = coupled[near + d, apart[near]]
+        # An unknown sample that no residual shows stays as it is.
+        band[0] += _RIDGE
+        return Neighbours(band, np.concatenate(([True], np.diff(places) >= length)))
+
+    def _pull(self, residual: Array) -> Array:
+        """Return H'W times residuals, for each sample."""
+        weighted = np.concatenate((np.zeros((self._first, *residual.shape[1:])), (self._weights * residual.T).T))
+        return np.asarray(lfilter(self._h, [1.0], weighted[::-1], axis=0)[::-1])
+
+    def _explained(self, ahead: int, coupling: Callable[[Any, Any], Array]) -> Array:
+        """Return c' G^-1 c for each sample, where c(k, p) couples it to unknowns from L - 1 before to some after it."""
+        places, covariances, found = self._places, self._normal.inverse, np.zeros(self._size)
+        low, high = (np.searchsorted(places, np.arange(self._size) + by) for by in (1 - self._h.size, ahead + 1))
+        # Samples that are near to equally many unknowns go together.
+        near = np.argsort(high - low, kind="stable")[np.count_nonzero(high == low) :]
+        for k in np.array_split(near, near.size * int((high - low).max()) // _MOST_NUMBERS + 1):
+            width = int((high - low)[k].max())
+            i = low[k, None] + np.arange(width)
+            inside, i = i < high[k, None], np.minimum(i, places.size - 1)
+            c = np.where(inside, coupling(k[:, None], places[i]), 0.0)
+            for d in range(width):
+                left, right = c[:, : width - d], c[:, d:]
+                once = np.einsum("ij,ij,ij->i", left, right, covariances[d][i[:, : width - d]])
+                found[k] += 2.0 * once if d else once
+        return found
 
 
 class CompletedModel:
@@ -222,11 +257,3 @@ def completed(model: PolynomialModel, p: Array, unknown: Any, weights: Array) ->
             y[samples][unknown[samples]] += found.correction
             spread += found.spread()
     return CompletedModel(model, y, spread)
-
-
-def _delayed(h: Array, places: Any, length: int) -> Any:
-    """Return the sparse matrix whose columns hold h from each place on, cut to rows 0 .. length - 1."""
-    rows = (places[:, None] + np.arange(h.size)).ravel()
-    columns, values = np.repeat(np.arange(places.size), h.size), np.tile(h, places.size)
-    inside = (rows >= 0) & (rows < length)
-    return csc_array((values[inside], (rows[inside], columns[inside])), shape=(length, places.size))

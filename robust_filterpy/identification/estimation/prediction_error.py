@@ -144,7 +144,7 @@ def sandwich(jacobian: Array, residual: Array, noise: _Noise, carried: Array | N
     noise : Noise or Noises
         Their noise.
     carried : ndarray, shape (K,), optional
-        h, the impulse response of a filter that makes these of white noise.
+        h, the impulse response of a filter that makes these of white noise, those of each output by itself.
 
     Returns
     -------
@@ -162,6 +162,9 @@ def sandwich(jacobian: Array, residual: Array, noise: _Noise, carried: Array | N
         effect *= psi / np.sqrt(slope)
     else:
         effect *= np.sqrt(slope / noise.variance)
-        effect = fftconvolve(effect, carried[None, ::-1], axes=1)
-        effect *= np.sqrt(np.mean(residual**2) / np.sum(carried**2))
+        rows = [slice(None)] if isinstance(noise, Noise) else [noise.which == j for j in range(len(noise.parts))]
+        effect = np.hstack([
+            fftconvolve(effect[:, own], carried[None, ::-1], axes=1) * np.sqrt(np.mean(residual[own] ** 2))
+            for own in rows
+        ]) / np.linalg.norm(carried)  # fmt: skip
     return np.asarray(residual.size / (residual.size - int(kept.sum())) * (effect @ effect.T))

@@ -16,6 +16,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import fill_values
 from robust_filterpy.identification.models.findings import Finding, of_fill_values
 from robust_filterpy.identification.models.signals import (
+    are_several,
     measured_output,
     measured_outputs,
     recorded_input,
@@ -98,7 +99,7 @@ def recordings(structure: Structure | Signals, y: Any, u: Any, groups: Any = Non
     if len(told) < len(parts):
         text = f"gaps of more than {LONG_GAP} samples in u: {len(parts)} recordings, each with a level and a start"
         findings.append(Finding("gap", text, float("nan"), (0, len(measured))))
-    elif len(told) > 1 and groups is None and not _several(y):
+    elif len(told) > 1 and groups is None and not are_several(y, u):
         text = f"{len(told) - 1} jumps of the time axis: {len(parts)} recordings, each with a level and a start"
         findings.append(Finding("gap", text, float("nan"), (0, len(measured))))
     ends = np.cumsum([len(one) for one, _ in parts])
@@ -110,16 +111,9 @@ def recordings(structure: Structure | Signals, y: Any, u: Any, groups: Any = Non
     )  # fmt: skip
 
 
-def _several(y: Any) -> bool:
-    """Tell a list of recordings from one recording: its entries have samples of their own."""
-    if not isinstance(y, (list, tuple)) or len(y) == 0:
-        return False
-    return all(np.ndim(one) > 0 for one in y) and any(np.shape(one)[0] > 1 for one in y)
-
-
 def _listed(y: Any, u: Any) -> list[tuple[Any, Any]] | None:
     """Return several recordings that came as lists, None if it is one."""
-    if not _several(y):
+    if not are_several(y, u):
         return None
     if u is None:
         return [(one, None) for one in y]

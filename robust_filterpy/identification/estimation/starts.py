@@ -36,8 +36,10 @@ __all__ = [
 _LENGTHS: Final = (30, 80, 200)
 # A model with poles that the data do not show is found from one with fewer, the others at 0.
 _FEWER_POLES: Final = 2
-# Where the poles of the first prefilters are.
+# Where the poles of the first prefilters are, and how many at the most: rounding scatters the roots of a polynomial
+# with many equal ones, beyond the unit circle for 20 at .8.
 _POLES: Final = (0.0, 0.8)
+_MOST_EQUAL_POLES: Final = 10
 _ITERATIONS: Final = 15
 _LARGEST_RADIUS: Final = 0.995
 # More samples make no better start.
@@ -197,7 +199,9 @@ def output_error_starts(model: PolynomialModel, rows: Any) -> Iterator[Start]:
             name = f"impulse response of {length} samples, {order} poles"
             yield Start(name, _refitted(model, rows, _reduced(model, responses, order)))
     for pole in _POLES:
-        f = np.asarray(np.poly(np.full(model.nf, pole)), dtype=float)
+        f = np.zeros(model.nf + 1)
+        together = min(model.nf, _MOST_EQUAL_POLES)
+        f[: together + 1] = np.poly(np.full(together, pole))
         yield Start(f"Steiglitz-McBride from poles at {pole:g}", _steiglitz_mcbride(model, rows, completed, f))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -10,6 +11,10 @@ from scipy.linalg import cholesky, solve_discrete_lyapunov, svd
 
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
+from robust_filterpy.identification.estimation.focus import band
+from robust_filterpy.identification.estimation.focus_of_states import focused_states, require_focus
+from robust_filterpy.identification.estimation.limits import Limits
+from robust_filterpy.identification.estimation.outputs import Outputs
 from robust_filterpy.identification.estimation.prediction_error import minimised, sandwich
 from robust_filterpy.identification.estimation.recordings import Recordings, recordings
 from robust_filterpy.identification.estimation.subspace import Start, impulse_start, predictor_start
@@ -17,7 +22,7 @@ from robust_filterpy.identification.estimation.threads import one_thread
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.noise_of_outputs import Noises
 from robust_filterpy.identification.models.several_recordings import ends_of
-from robust_filterpy.identification.models.signals import operating_point
+from robust_filterpy.identification.models.signals import fingerprint, operating_point
 from robust_filterpy.identification.models.state_space import StateSpaceModel
 from robust_filterpy.identification.models.state_space_residuals import Matrices, StateSpaceResiduals
 from robust_filterpy.identification.models.state_space_structure import Signals, StateSpace
@@ -63,7 +68,13 @@ class _Found(NamedTuple):
 
 
 def identified_state_space(
-    y: Any, u: Any, structure: StateSpace, influence: Influence | None = None, groups: Any = None
+    y: Any,
+    u: Any,
+    structure: StateSpace,
+    influence: Influence | None = None,
+    groups: Any = None,
+    trend: str = "breaks",
+    focus: Any = None,
 ) -> StateSpaceModel:
     """Find a state-space model of recordings of several outputs.
 
@@ -79,6 +90,10 @@ def identified_state_space(
         Loss; default: learnt, for each output.
     groups : array_like, shape (N,), optional
         Labels of recordings.
+    trend : {"constant", "line", "breaks"}, default "breaks"
+        What level each output has.
+    focus : (float, float), optional
+        Band that counts, as of `identify`.
 
     Returns
     -------
@@ -89,27 +104,95 @@ def identified_state_space(
     ValueError, TypeError
         If the recordings do not fit, are too short, an output is constant or the inputs do not excite.
     """
-    signals = Signals.of(y, u)
-    told = recordings(signals, y, u, groups)
-    ends = ends_of(told.begins, len(told.y))
-    spans = [slice(b, e) for b, e in zip(told.begins, ends, strict=True)]
-    rest = operating_point(told.u)
-    units = _Units.of(told, spans, told.u - rest)
-    parts = [(units.outputs(told.y, part), (told.u[part] - rest) / units.u) for part in spans]
-    known = [~np.isnan(told.y[part]) for part in spans]
+    told = recordings(Signals.of(y, u), y, u, groups)
+    spans = [slice(b, e) for b, e in zip(told.begins, ends_of(told.begins, len(told.y)), strict=True)]
+
+    edges = None if focus is None else band(focus, told.axis.dt)
+    if edges is not None:
+        require_focus(structure, len(spans))
+
+    def find(y: Array, u: Array) -> StateSpaceModel:
+        return _modelled(told._replace(y=y, u=u), spans, structure, influence)
+
+    def filtered(y: Array, u: Array, h: Array) -> StateSpaceModel:
+        return _modelled(told._replace(y=y, u=u), [slice(0, len(y))], structure, influence, h)
+
+    def each(y: Array, u: Array, of: Any) -> Array:
+        return np.concatenate([of(y[part], u[part]) for part in spans])
+
+    whole = Outputs(told.y, told.u, spans, find, lambda model, y, u: each(y, u, model.free_run), told.axis.index)
+    with one_thread():
+        model, levels, findings = whole.beside_levels(find(told.y, told.u), trend)
+        model, u, outliers = whole.beside_input_outliers(model, levels)
+        y = told.y - levels
+        if edges is not None:
+            held = partial(_held, told._replace(y=y, u=u), spans, influence)
+            model = focused_states(y, u, model, edges, filtered, held)
+        beside = whole._replace(u=u).left(
+            each(y, u, model.free_run), each(y, u, model.residuals), model.operating_point, structure.feedthrough,
+            "K is unbiased only as far as it is right about the noise" if structure.disturbance
+            else "it is biased by that unless the noise is white: disturbance=True models the noise",
+        )  # fmt: skip
+    # A model of inputs that were held back leaves what these did.
+    beside = tuple(one for one in beside if not outliers or one.kind != "another plant")
+    trends = tuple((fingerprint(told.y[part]), levels[part]) for part in spans if levels[part].any())
+    return replace(model, findings=(*told.findings, *findings, *outliers, *beside), trends=trends)
+
+
+def _modelled(
+    told: Recordings,
+    spans: list[slice],
+    structure: StateSpace,
+    influence: Influence | None,
+    carried: Array | None = None,
+) -> StateSpaceModel:
+    """Return the model of recordings as they are, whose residuals are white or carry over as a filter says."""
+    rest, units, parts, known = _scaled(told, spans)
     orders = structure.orders
     _require_informative(structure, parts, known, min(orders))
     tried: list[_Found] = []
-    with one_thread():
-        for n in orders:
-            if tried and not _enough(structure, parts, known, n):
-                break
-            tried.append(_searched(structure, n, parts, known, influence))
-            best = int(np.argmin([found.criterion for found in tried]))
-            if len(tried) - 1 - best == _PATIENCE:
-                break
-        model = _in_units(tried[best], units, told, spans, known, rest, structure)
+    for n in orders:
+        if tried and not _enough(structure, parts, known, n):
+            break
+        tried.append(_searched(structure, n, parts, known, influence))
+        best = int(np.argmin([found.criterion for found in tried]))
+        if len(tried) - 1 - best == _PATIENCE:
+            break
+    T = _balancing(tried[best].model.matrices(tried[best].q))
+    model = _in_units(tried[best], T, units, told, spans, known, rest, structure, carried)
     return replace(model, orders=tuple((n, found.criterion) for n, found in zip(orders, tried, strict=False)))
+
+
+def _held(told: Recordings, spans: list[slice], influence: Influence | None, of: StateSpaceModel) -> StateSpaceModel:
+    """Return the model of recordings with the dynamics of another one: levels, starts, noise."""
+    rest, units, parts, known = _scaled(told, spans)
+    model = StateSpaceResiduals(len(of.A), parts, of.structure.feedthrough, False)
+    rows, zero = np.concatenate([good.ravel() for good in known]), np.zeros
+    matrices = Matrices(
+        of.A, of.B * units.u, of.C / units.y[:, None], of.D * units.u / units.y[:, None], of.K * units.y,
+        zero(model.order), zero(model.outputs),
+    )  # fmt: skip
+    q = model.packed(matrices, zero((len(spans), model.outputs)), zero((len(spans), model.order)))
+    limits = Limits(q[: model.shared], q[: model.shared])
+    begun = _descended(model, Start("held", q), _first_noise(model, rows, influence), rows, limits)
+    found = _settled(begun, influence, limits)
+    return replace(
+        _in_units(found, np.eye(model.order), units, told, spans, known, rest, of.structure), orders=of.orders
+    )
+
+
+def _scaled(told: Recordings, spans: list[slice]) -> tuple[Array, _Units, list[tuple[Array, Array]], list[Any]]:
+    """Return where inputs rest, the units, recordings in these, and what of them is measured."""
+    rest = operating_point(told.u)
+    units = _Units.of(told, spans, told.u - rest)
+    parts = [(units.outputs(told.y, part), (told.u[part] - rest) / units.u) for part in spans]
+    return rest, units, parts, [~np.isnan(told.y[part]) for part in spans]
+
+
+def _first_noise(model: StateSpaceResiduals, rows: Any, influence: Influence | None) -> Noises:
+    """Return the noise of each residual that counts to begin with."""
+    which = np.concatenate([np.tile(np.arange(model.outputs), len(y)) for y, _ in model.recordings])[rows]
+    return Noises(tuple(Noise(influence or Huber(), 1.0, False, _LEAST) for _ in range(model.outputs)), which)
 
 
 class _Units(NamedTuple):
@@ -184,8 +267,7 @@ def _searched(structure: StateSpace, n: int, parts: Any, known: Any, influence: 
     """Search from every start."""
     model = StateSpaceResiduals(n, parts, structure.feedthrough, False)
     rows = np.concatenate([good.ravel() for good in known])
-    which = np.concatenate([np.tile(np.arange(model.outputs), len(y)) for y, _ in parts])[rows]
-    first = Noises(tuple(Noise(influence or Huber(), 1.0, False, _LEAST) for _ in range(model.outputs)), which)
+    first = _first_noise(model, rows, influence)
     stage(f"{n} states, search from impulse responses")
     starts = [start for lags in _LENGTHS if (start := impulse_start(model, known, lags)) is not None]
     ends = [_descended(model, start, first, rows) for start in starts]
@@ -205,18 +287,20 @@ def _searched(structure: StateSpace, n: int, parts: Any, known: Any, influence: 
     return _with_disturbance(structure, found, known, influence)
 
 
-def _descended(model: StateSpaceResiduals, start: Start, noise: Noises, rows: Any) -> _Found:
+def _descended(
+    model: StateSpaceResiduals, start: Start, noise: Noises, rows: Any, limits: Limits | None = None
+) -> _Found:
     """Return where a few steps from a start lead."""
-    end = minimised(model, start.q, noise, rows, rows, _FIRST_STEPS)
+    end = minimised(model, start.q, noise, rows, rows, _FIRST_STEPS, limits)
     return _Found(model, end.p, end.noise.learnt().refitted(end.residual[rows], 30), rows, end.converged)
 
 
-def _settled(found: _Found, influence: Influence | None) -> _Found:
+def _settled(found: _Found, influence: Influence | None, limits: Limits | None = None) -> _Found:
     """Return where the search ends with the noise learnt, or with the loss that was asked for."""
     noise = found.noise
     if influence is not None:
         noise = noise._replace(parts=tuple(replace(one, influence=influence) for one in noise.parts))
-    end = minimised(found.model, found.q, noise, found.rows, found.rows)
+    end = minimised(found.model, found.q, noise, found.rows, found.rows, limits=limits)
     return found._replace(q=end.p, noise=end.noise, converged=end.converged)
 
 
@@ -274,11 +358,18 @@ def _weigh(found: _Found, known: Any) -> None:
 
 
 def _in_units(
-    found: _Found, units: _Units, told: Recordings, spans: Any, known: Any, rest: Array, structure: StateSpace
+    found: _Found,
+    T: Array,
+    units: _Units,
+    told: Recordings,
+    spans: Any,
+    known: Any,
+    rest: Array,
+    structure: StateSpace,
+    carried: Array | None = None,
 ) -> StateSpaceModel:
-    """Return the model in a balanced basis, for the recordings as they were measured."""
+    """Return the model in another basis, for the recordings as they were measured."""
     one, n, p = found.model.matrices(found.q), found.model.order, found.model.outputs
-    T = _balancing(one)
     inverse = np.linalg.inv(T)
     own = found.q[found.model.shared :].reshape(len(spans), -1)
     Sy, Su = units.y, 1.0 / units.u
@@ -295,7 +386,7 @@ def _in_units(
     residual = model.residuals(q)
     scaled = tuple(replace(one, R=one.R * Sy[j] ** 2) for j, one in enumerate(found.noise.parts))
     noise = found.noise._replace(parts=scaled)
-    P = sandwich(model.jacobian(q)[rows], residual[rows], noise)
+    P = sandwich(model.jacobian(q)[rows], residual[rows], noise, carried)
     weights = np.full(residual.size, np.nan)
     weights[rows] = noise.weights(residual[rows])
     total = rows.sum() / max(rows.sum() - found.free, 1)
@@ -306,7 +397,7 @@ def _in_units(
         P=P[:s, :s], level_std=np.sqrt(np.maximum(P.diagonal()[last], 0.0)),
         noise=tuple(replace(one, R=one.R * total) for one in scaled), weights=weights.reshape(-1, p),
         log_likelihood=noise.log_likelihood(residual[rows]), warning=_doubt(found), end=model.states(q, -1)[-1],
-        operating_point=rest, dt=told.axis.dt, findings=told.findings, levels=levels,
+        operating_point=rest, dt=told.axis.dt, levels=levels,
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from robust_filterpy.identification.estimation.estimate import Problem
 from robust_filterpy.identification.models.findings import Finding
 from robust_filterpy.identification.models.model import Model
 
-__all__ = ["with_wraps"]
+__all__ = ["with_wraps", "wraps"]
 
 # A jump goes over so much of the range, its neighbours over no more than the other, and the model misses so much of it.
 _JUMP: Final = 0.7
@@ -35,9 +35,25 @@ def with_wraps(problem: Problem, y: Array, model: Model) -> tuple[Finding, ...]:
     tuple of Finding
         One, or none.
     """
+    return wraps(y, model.residuals(y, problem.u)) if model.structure.n_inputs else ()
+
+
+def wraps(y: Array, residual: Array) -> tuple[Finding, ...]:
+    """Find out whether an output wraps round, from what any model leaves of it.
+
+    Parameters
+    ----------
+    y, residual : ndarray, shape (N,)
+        Output, and what is left of it; NaN where it is missing.
+
+    Returns
+    -------
+    tuple of Finding
+        One, or none.
+    """
     low, high = np.nanquantile(y, [0.005, 0.995])
     size = float(high - low)
-    if not size > 0.0 or y.size < 4 or not model.structure.n_inputs:
+    if not size > 0.0 or y.size < 4:
         return ()
     change = np.abs(np.nan_to_num(np.diff(y), nan=np.inf)) / size
     within = (y >= low - 0.02 * size) & (y <= high + 0.02 * size)
@@ -46,7 +62,7 @@ def with_wraps(problem: Problem, y: Array, model: Model) -> tuple[Finding, ...]:
     if at.size < _FEWEST:
         return ()
     # A plant that switches jumps too, and its model with it.
-    missed = np.abs(np.nan_to_num(model.residuals(y, problem.u)[at])) > _MISSED * size
+    missed = np.abs(np.nan_to_num(residual[at])) > _MISSED * size
     if missed.sum() < _FEWEST or missed.mean() < _MOST:
         return ()
     text = (

@@ -174,12 +174,16 @@ def compare(
     for name, model in found.items():
         axis, signals = signals_for(model, y, u, t)
         index, residuals[name] = axis.index, _columns(model.residuals(*signals))
-        measured = np.column_stack([recorded_output(column) for column in _columns(y).T])
+        measured = np.column_stack([recorded_output(column) for column in _columns(_checks.numbers("y", y)).T])
         alone = isinstance(model, (StateSpaceModel, GreyBoxModel)) or model.structure.n_inputs
         outputs[name] = _columns(model.free_run(*signals)) if alone else measured - residuals[name]
     shared = ~np.any(np.isnan(list(residuals.values())), axis=0)
     if not shared.any(axis=0).all():
         raise ValueError("y: expected measured samples that all models predict, got none; record more")
+    for j, (own, good) in enumerate(zip(measured.T, shared.T, strict=True)):
+        if np.ptp(own[good]) == 0.0:
+            which = f" of output {j}" if measured.shape[1] > 1 else ""
+            raise ValueError(f"y: expected samples{which} that differ, found a constant: its fit is undefined")
     ordinary = np.zeros(shared.shape, dtype=bool)
     for j, good in enumerate(shared.T):
         closest = min(residuals.values(), key=lambda left: float(np.median(np.abs(left[good, j]))))

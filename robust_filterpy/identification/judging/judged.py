@@ -11,11 +11,11 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.estimation.cleaning import Cleaned, cleaned
 from robust_filterpy.identification.models.grey_box_model import GreyBoxModel
+from robust_filterpy.identification.models.grey_box_recording import ANY_TIMES
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.signals import recorded_output
 from robust_filterpy.identification.models.state_space import StateSpaceModel
-from robust_filterpy.identification.models.state_space_structure import Signals
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording
 from robust_filterpy.identification.models.transfer_model import as_model
 
@@ -27,8 +27,6 @@ _LONGEST_REACH: Final = 50
 _LEAST_CLEAR: Final = 0.1
 # Times whose steps differ by less than this share are equally far apart.
 _EQUAL: Final = 0.05
-# Of samples that may come at any time.
-_ANY_TIMES: Final = Signals(0, 0, takes_phi=True)
 
 
 def any_model(name: str, given: Any, y: Any, u: Any) -> Any:
@@ -43,7 +41,7 @@ def any_model(name: str, given: Any, y: Any, u: Any) -> Any:
 def signals_for(model: Any, y: Any, u: Any, t: Any) -> tuple[TimeAxis, tuple[Any, ...]]:
     """Return the time axis of a recording, and its signals as the methods of a model take them; or raise."""
     if isinstance(model, GreyBoxModel):
-        return recording(_ANY_TIMES, y=y, u=u)[0], (y, u, t)
+        return recording(ANY_TIMES, y=y, u=u)[0], (y, u, t)
     if t is not None:
         steps = np.diff(_checks.numbers("t", t))
         if steps.shape != (len(y) - 1,):

@@ -237,7 +237,7 @@ class _Comparison:
         with warnings.catch_warnings():
             # A structure with too many parameters leaves the model open; the best one warns again.
             warnings.simplefilter("ignore", UserWarning)
-            model = identify(y, u, structure, progress=False)
+            model = identify(y, u, structure, sampled=False, progress=False)
         residual, output = (signal[before:] for signal in _signals(model, y, u))
         likelihood = self._cleaned_likelihood(model) if structure.na + structure.nd else self._log_likelihood(residual)
         price = _CRITERIA[self.criterion](self.samples)
@@ -267,8 +267,15 @@ class _Comparison:
 
         The model of the first samples misses some of the others, and the model of all samples is another one. Where it
         is further away than that, a part of the recording does not confirm it: it may fit all of it and nothing else.
+        What no part tells of another is no matter of orders: a trend is taken off as the best model of all samples has
+        it, and inputs that did not act as they were read tell nothing here.
         """
-        part = _Comparison(self.grid, self.y, self.u, self.criterion, kept, self.bar)
+        model, y = self.tried[self.best].model, self.y.copy()
+        if any(one.kind == "input outliers" for one in model.findings):
+            return {}
+        if model.trend.size:
+            y -= np.pad(model.trend, (y.size - model.trend.size, 0), mode="edge")
+        part = _Comparison(self.grid, y, self.u, self.criterion, kept, self.bar)
         sizes: set[int] = set()
         for orders in sorted(self.tried, key=lambda orders: self.tried[orders].row.rank):
             size = self.tried[orders].row.structure.n_theta

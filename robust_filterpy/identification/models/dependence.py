@@ -10,14 +10,14 @@ from scipy.stats import f as fisher
 from robust_filterpy._checks import Array
 from robust_filterpy.influence.regression import mad_scale
 
-__all__ = ["SHARE", "Dependence", "autocovariances", "dependence", "level_and_scale", "whitening_of"]
+__all__ = ["CLIP", "SHARE", "Dependence", "autocovariances", "dependence", "level_and_scale", "whitening_of"]
 
 # A residual follows u if that much of it does, and a model that is right shows as much in so few windows.
 SHARE: Final = 0.25
 _LAGS: Final = 16
 _CHANCE: Final = 1e-8
-# Residuals beyond so many robust standard deviations count as that.
-_CLIP: Final = 2.0
+#: Residuals beyond so many robust standard deviations count as that.
+CLIP: Final = 2.0
 
 
 class Dependence(NamedTuple):
@@ -76,7 +76,7 @@ def dependence(
     count = known.sum(axis=-1)
     r = np.where(known, r, 0.0)
     level, scale = level_and_scale(r, known)
-    clipped = np.where(known, np.clip(r - level[..., None], -_CLIP * scale[..., None], _CLIP * scale[..., None]), 0.0)
+    clipped = np.where(known, np.clip(r - level[..., None], -CLIP * scale[..., None], CLIP * scale[..., None]), 0.0)
     weight = known / np.maximum(count, 1)[..., None]
     clipped = np.where(known, clipped - (clipped * weight).sum(axis=-1)[..., None], 0.0)
     centred = columns - np.einsum("...n,...nj->...j", weight, columns)[..., None, :]
@@ -128,7 +128,7 @@ def autocovariances(residuals: Array) -> Array:
     known = ~np.isnan(residuals)
     level = np.median(residuals[known]) if known.any() else 0.0
     scale = mad_scale(residuals[known] - level) if known.any() else 0.0
-    e = np.where(known, np.clip((residuals - level) / (scale or 1.0), -_CLIP, _CLIP), 0.0)
+    e = np.where(known, np.clip((residuals - level) / (scale or 1.0), -CLIP, CLIP), 0.0)
     return np.array([e[j:] @ e[: e.size - j] for j in range(3)]) / e.size
 
 

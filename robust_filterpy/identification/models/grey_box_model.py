@@ -14,10 +14,11 @@ from robust_filterpy.identification.models.estimated import Estimated
 from robust_filterpy.identification.models.findings import Finding, said
 from robust_filterpy.identification.models.fit import fit_percent
 from robust_filterpy.identification.models.grey_box import GreyBox
-from robust_filterpy.identification.models.grey_box_recording import Checked, grey_recording
+from robust_filterpy.identification.models.grey_box_recording import Checked, grey_recording, require_inputs
 from robust_filterpy.identification.models.grey_box_residuals import GreyRecording, GreyResiduals
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.noise_of_outputs import Noises
+from robust_filterpy.identification.models.signals import trend_of
 from robust_filterpy.identification.models.summary import Summary, facts_of_outputs, summarized
 from robust_filterpy.influence.regression import robust_regression
 
@@ -58,6 +59,8 @@ class GreyBoxModel(Estimated):
         What makes the estimate doubtful; empty if nothing does.
     findings : tuple of Finding
         What the recording has beside the model.
+    trends : tuple of (int, ndarray)
+        As of a `StateSpaceModel`.
     """
 
     structure: GreyBox
@@ -71,6 +74,7 @@ class GreyBoxModel(Estimated):
     untold: tuple[tuple[str, ...], ...]
     warning: str
     findings: tuple[Finding, ...] = ()
+    trends: tuple[tuple[int, Array], ...] = ()
 
     @property
     def R(self) -> Array:
@@ -79,9 +83,9 @@ class GreyBoxModel(Estimated):
 
     def __repr__(self) -> str:
         """Show the estimated parameters with their standard deviations."""
-        return f"GreyBoxModel({self._valued(self.structure.free_names)})" + (
-            f"; doubtful: {self.warning}" if self.warning else ""
-        )
+        beside = f"; found: {said(self.findings)}" if self.findings else ""
+        doubt = f"; doubtful: {self.warning}" if self.warning else ""
+        return f"GreyBoxModel({self._valued(self.structure.free_names)})" + beside + doubt
 
     def _summarized(self, level: float) -> Summary:
         """Return the table, with what was found beside the parameters."""
@@ -129,10 +133,16 @@ class GreyBoxModel(Estimated):
         if times.ndim != 1 or (np.diff(times) <= 0.0).any() or not np.isfinite(times).all():
             raise ValueError("t: expected times that increase, of shape (N,)")
         signal = np.zeros((times.size, 0)) if u is None else _checks.numbers("u", u).reshape(len(np.asarray(u)), -1)
-        if len(signal) != times.size or not np.isfinite(signal).all():
-            raise ValueError(f"u: expected {times.size} finite samples like t, got {len(signal)}")
-        start = self.starts[0] if x0 is None else _checks.numbers("x0", x0)
+        if len(signal) != times.size:
+            raise ValueError(f"u: expected {times.size} samples like t, got {len(signal)}")
+        if not np.isfinite(signal).all():
+            k = int(np.argmin(np.isfinite(signal).all(axis=1)))
+            raise ValueError(f"u: expected finite numbers, got {signal[k]} in sample {k}; fill in what acted")
+        start = self.starts[0] if x0 is None else np.atleast_1d(_checks.numbers("x0", x0))
+        if start.shape != self.structure.x0.shape:
+            raise ValueError(f"x0: expected {self.structure.x0.size} states, got shape {start.shape}")
         told = GreyRecording(times, np.zeros((times.size, len(self.noise))), signal)
+        require_inputs(self.structure, told, np.array([*self.p.values()]))
         model = self.structure.residuals_of([told], start[None], False)
         z = model.p.free(self.theta)
         if not model.settled(z):
@@ -241,17 +251,14 @@ class GreyBoxModel(Estimated):
         shape, p = told.known.shape, np.array([*self.p.values()])
         if shape[1] != len(self.noise):
             raise ValueError(f"y: expected {len(self.noise)} output(s), as the model has, got {shape[1]}")
-        try:
-            self.structure.f(self.structure.x0, told.recording.u[0], p)
-        except (IndexError, ValueError) as error:
-            raise ValueError(
-                f"u: expected the inputs that f takes, got {told.recording.u.shape[1]} of them ({error})"
-            ) from None
+        require_inputs(self.structure, told.recording, p)
         rows, free = told.known.ravel(), self.structure.start == "free"
+        own = trend_of(self.trends, np.where(told.known, told.recording.y, np.nan))
+        recording = told.recording._replace(y=told.recording.y - own)
         noise = Noises(self.noise, np.tile(np.arange(shape[1]), shape[0])[rows])
         ends: list[Any] = []
         for start in (*self.starts, self.structure.x0) if free else (self.structure.x0,):
-            model = self.structure.residuals_of([told.recording], start[None], free)
+            model = self.structure.residuals_of([recording], start[None], free)
             z = np.concatenate((model.p.free(self.theta), model.x.free(start) if free else []))
             if model.settled(z):
                 z = _likeliest(model, z, noise, rows) if free else z

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -12,8 +12,14 @@ from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import fill_values
 from robust_filterpy.identification.models.findings import Finding, of_fill_values
 from robust_filterpy.identification.models.grey_box_residuals import GreyRecording
+from robust_filterpy.identification.models.signals import require_squares
+from robust_filterpy.identification.models.state_space_structure import Signals
+from robust_filterpy.identification.models.time_axis import recording
 
-__all__ = ["Checked", "grey_recording"]
+__all__ = ["ANY_TIMES", "Checked", "grey_recording", "require_inputs"]
+
+#: Of samples that may come at any time.
+ANY_TIMES: Final = Signals(0, 0, takes_phi=True)
 
 
 class Checked(NamedTuple):
@@ -57,7 +63,9 @@ def grey_recording(y: Any, u: Any, t: Any, i: int = 0) -> Checked:
     ValueError
         If they do not fit.
     """
+    axis, y, u = recording(ANY_TIMES, y=y, u=u)
     output = _columns("y", y)
+    require_squares(output)
     if np.isinf(output).any():
         raise ValueError("y: expected finite numbers or NaN (missing), got inf")
     fills = [fill_values(column) for column in output.T]
@@ -77,8 +85,35 @@ def grey_recording(y: Any, u: Any, t: Any, i: int = 0) -> Checked:
         signal = np.take_along_axis(signal, last, axis=0)
         text = f"u is missing in {int(gaps.any(axis=1).sum())} samples of recording {i}: held at the value before"
         findings.append(Finding("gap", text, float("nan"), (0, len(signal))))
-    times = _times(y, t, len(output))
+    times = _times(axis.index, t, len(output))
     return Checked(GreyRecording(times, np.nan_to_num(output), signal), ~np.isnan(output), tuple(findings))
+
+
+def require_inputs(structure: Any, one: GreyRecording, p: Array) -> None:
+    """Raise unless equations take the inputs of a recording.
+
+    Parameters
+    ----------
+    structure : GreyBox
+        The equations.
+    one : GreyRecording
+        The recording.
+    p : ndarray, shape (k,)
+        Parameters.
+
+    Raises
+    ------
+    ValueError
+        If f or h cannot do with them.
+    """
+    for name, function in (("f", structure.f), ("h", structure.h)):
+        try:
+            if function is not None:
+                function(structure.x0, one.u[0], p)
+        except (IndexError, ValueError, TypeError) as error:
+            raise ValueError(
+                f"u: expected the inputs that {name} takes, got {one.u.shape[1]} of them ({error})"
+            ) from None
 
 
 def _columns(name: str, signal: Any) -> Array:
@@ -90,11 +125,11 @@ def _columns(name: str, signal: Any) -> Array:
     return found
 
 
-def _times(y: Any, t: Any, length: int) -> Array:
+def _times(index: Any, t: Any, length: int) -> Array:
     """Return the times of a recording in s, from 0 on, or raise."""
     if t is None:
-        index, pd = getattr(y, "index", None), sys.modules.get("pandas")
-        if pd is None or index is None or callable(index):
+        pd = sys.modules.get("pandas")
+        if pd is None or index is None:
             raise ValueError("t: expected the times of the samples in s, or a pandas index that has them, got None")
         is_time = isinstance(index, (pd.DatetimeIndex, pd.TimedeltaIndex))
         t = (index - index[0]).total_seconds() if is_time else index

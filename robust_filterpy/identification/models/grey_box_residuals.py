@@ -19,6 +19,8 @@ _DIFFERENCE: Final = 1e-5
 _MOST_STEPS: Final = 128
 # Twice as many steps change an output by less than this share of its size.
 _ACCURATE: Final = 1e-4
+# Steps of time that differ by less than this share are the same.
+_EQUAL: Final = 0.05
 
 
 class GreyRecording(NamedTuple):
@@ -37,6 +39,12 @@ class GreyRecording(NamedTuple):
     t: Array
     y: Array
     u: Array
+
+    @property
+    def is_sampled(self) -> bool:
+        """Whether the samples are equally far apart."""
+        steps = np.diff(self.t)
+        return bool(np.ptp(steps) <= _EQUAL * np.median(steps)) if steps.size else True
 
 
 class Scale(NamedTuple):
@@ -122,13 +130,14 @@ class GreyResiduals:
 
     def settled(self, z: Array) -> bool:
         """Take as many steps as the equations need; False if they need too many."""
-        size = np.concatenate([one.y for one in self.recordings]).std(axis=0)
         before = None
         while self.steps <= _MOST_STEPS:
             now = [self._outputs(z[:, None], i)[:, :, 0] for i in range(len(self.recordings))]
             if before is not None and all(np.isfinite(one).all() for one in now):
                 change = [np.abs(a - b).max(axis=0) for a, b in zip(now, before, strict=True)]
-                if (np.max(change, axis=0) <= _ACCURATE * size).all():
+                # Of what is computed too: a simulation has no measured outputs.
+                size = np.std([np.concatenate([one.y for one in self.recordings]), np.concatenate(now)], axis=1)
+                if (np.max(change, axis=0) <= _ACCURATE * size.max(axis=0)).all():
                     self.steps = max(self.steps // 2, 1)
                     return True
             before = now if all(np.isfinite(one).all() for one in now) else None

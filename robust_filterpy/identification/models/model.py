@@ -24,9 +24,9 @@ from robust_filterpy.identification.models.polynomial_model import Parts, Polyno
 from robust_filterpy.identification.models.prediction import cleaned_residuals, predicted
 from robust_filterpy.identification.models.regressor import Layout, Memory
 from robust_filterpy.identification.models.responses import Responses
-from robust_filterpy.identification.models.signals import fingerprint, recorded_input, recorded_output
+from robust_filterpy.identification.models.signals import recorded_input, recorded_output, trend_of
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.models.summary import Summary, summarized
+from robust_filterpy.identification.models.summary import Summary, focus_text, summarized
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording
 from robust_filterpy.influence.regression import robust_regression
 
@@ -107,8 +107,11 @@ class Model(EstimatedPolynomials, Responses):
     focus : tuple of float or None
         Band in rad/s (rad a sample without dt) that the fit has counted; None: all frequencies.
     profiled : bool
-        Whether P is that of the profile of the likelihood: the loss is not quadratic within two standard deviations, or
-        another end is nearly as likely.
+        Whether P is that of the likelihood: the loss is not quadratic within two standard deviations, or another end is
+        nearly as likely.
+    sampled : bool
+        Whether P is then that of models drawn from the likelihood, rather than of its profile: two pairs of poles or
+        more, where one that nearly cancels may be at other places.
 
     Notes
     -----
@@ -139,6 +142,7 @@ class Model(EstimatedPolynomials, Responses):
     recordings: tuple[tuple[int, Array], ...] = ()
     focus: tuple[float, float] | None = None
     profiled: bool = False
+    sampled: bool = False
 
     def __repr__(self) -> str:
         """Show the parameters with their standard deviations."""
@@ -185,11 +189,11 @@ class Model(EstimatedPolynomials, Responses):
             facts["Scale ratio"] = f"{self.noise.influence.scale_ratio:.3g}"
         facts |= {"Log-likelihood": f"{self.log_likelihood:.1f}", "Fit, 1 step": f"{self.own_fit:.2f} %"}
         if self.profiled:
-            facts["Intervals"] = "profile likelihood"
+            facts["Intervals"] = "sampled likelihood" if self.sampled else "profile likelihood"
         if self.levels.size:
             facts["Recordings"] = f"{self.levels.size}, each with a level"
         if self.focus is not None:
-            facts["Focus"] = f"{self.focus[0]:.4g} to {self.focus[1]:.4g} rad/{'sample' if self.dt is None else 's'}"
+            facts["Focus"] = focus_text(self.focus, self.dt)
         if self.dt is not None:
             facts["Sampling period"] = f"{self.dt:.6g} s"
         return summarized(str(self.structure), facts, names, theta, std, level, self.warning, said(self.findings))
@@ -459,8 +463,7 @@ class Model(EstimatedPolynomials, Responses):
 
     def _own_trend(self, y: Array) -> Array:
         """Return the trend of a checked output: that of the recording if it is the same one, else 0."""
-        known = {(number, trend.size): trend for number, trend in ((self.fingerprint, self.trend), *self.recordings)}
-        return known.get((fingerprint(y), y.size), np.zeros(y.size))
+        return trend_of(((self.fingerprint, self.trend), *self.recordings), y)
 
     def _equation_error(self, model: PolynomialModel, known: Any) -> Array:
         """Return A y - B/F u - d from the first sample that has a regressor on."""

@@ -6,14 +6,17 @@ of the samples after it. In its place stands prediction + weight x residual, the
 output. With A D = 1 + g_1 q^-1 + .. the residuals follow from
 
     r(k) = [D (A y - B/F u - d)](k) - sum_j (g_j (1 - w(k-j)) + c_j w(k-j)) r(k-j).
+
+A weight depends on its residual and so on the weights before it. Many samples are predicted together with the weights
+as they are, these are computed anew, and so on: each turn settles at least one sample more, and usually dozens.
 """
 
 from __future__ import annotations
 
-import math
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.linalg.blas import dtbsv
 from scipy.signal import lfilter
 
 from robust_filterpy._checks import Array
@@ -22,7 +25,10 @@ from robust_filterpy.identification.models.polynomial_model import Parts
 
 __all__ = ["CleanedResiduals", "cleaned_residuals", "predicted"]
 
-_IMPULSE_SAMPLES = 500
+_IMPULSE_SAMPLES: Final = 500
+# Samples that are predicted together, and what a weight or a variance may still move by, as a share.
+_TOGETHER: Final = 1000
+_SETTLED: Final = 1e-12
 
 
 class CleanedResiduals(NamedTuple):
@@ -58,25 +64,37 @@ def cleaned_residuals(parts: Parts, equation_error: Array, known: Array, noise: 
     -------
     CleanedResiduals
     """
-    g = np.convolve(parts.a, parts.d)[1:]
-    order = max(g.size, parts.c.size - 1)
-    gs, cs = ([*values, *[0.0] * (order - len(values))] for values in (g.tolist(), parts.c[1:].tolist()))
+    order = max(parts.a.size + parts.d.size - 1, parts.c.size) - 1
+    g, c = (np.pad(p[1:], (1, order + 1 - p.size)) for p in (np.convolve(parts.a, parts.d), parts.c))
     # In units of R, what an innovation that was not believed adds to the variance of the next residuals, and its limit.
-    added = [(a - c) ** 2 for a, c in zip(gs, cs, strict=True)]
+    added = (g - c) ** 2
     impulse = np.concatenate(([1.0], np.zeros(_IMPULSE_SAMPLES)))
-    limit = float(np.sum(np.square(lfilter(parts.c, np.concatenate(([1.0], g)), impulse))))
-    past, beliefs, doubts = [0.0] * order, [1.0] * order, [0.0] * order
-    residuals, weights = [], []
-    driving = lfilter(parts.d, [1.0], equation_error)
-    for v, measured in zip(driving.tolist(), known.tolist(), strict=True):
-        r = v - sum((a * (1.0 - w) + c * w) * s for a, c, w, s in zip(gs, cs, beliefs, past, strict=True))
-        variance = min(1.0 + sum(x * y for x, y in zip(added, doubts, strict=True)), limit)
-        weight = float(noise.weights(np.array(r / math.sqrt(variance)))) if measured else 0.0
-        residuals.append(r)
-        weights.append(weight)
-        past, beliefs = [r, *past[:-1]], [weight, *beliefs[:-1]]
-        doubts = [(1.0 - weight) ** 2 * variance, *doubts[:-1]]
-    return CleanedResiduals(np.array(residuals), np.array(weights))
+    limit = float(np.sum(np.square(lfilter(parts.c, np.concatenate(([1.0], g[1:])), impulse))))
+    driving, size = lfilter(parts.d, [1.0], equation_error), known.size
+    # With what stands for samples before the first.
+    residuals, variances = np.zeros(order + size), np.ones(order + size)
+    weights = np.concatenate((np.ones(order), known))
+    settled = 0
+    while settled < size:
+        before, now = slice(settled, settled + order), slice(settled + order, settled + order + _TOGETHER)
+        r, w = residuals[before], weights[before]
+        here = slice(settled, settled + _TOGETHER)
+        target, measured, tried, variance = driving[here].copy(), known[here], weights[now], variances[now]
+        earlier = np.convolve(r * (1.0 - w), g)[order:] + np.convolve(r * w, c)[order:]
+        target[:order] -= earlier[: target.size]
+        band = np.multiply.outer(g, 1.0 - tried) + np.multiply.outer(c, tried)
+        # Of a model far from stable numbers overflow, at times only until weights are settled.
+        with np.errstate(over="ignore", invalid="ignore"):
+            residual = dtbsv(order, band, target, lower=1, diag=1)
+            both = slice(before.start, now.stop)
+            doubts = (1.0 - weights[both]) ** 2 * variances[both]
+            changed = np.minimum(1.0 + np.convolve(added, doubts)[order : order + target.size], limit)
+            weight = np.where(measured, np.nan_to_num(noise.weights(residual / np.sqrt(changed))), 0.0)
+        moved = (np.abs(weight - tried) > _SETTLED) | (np.abs(changed - variance) > _SETTLED * changed)
+        # The first that moved depends on none that did.
+        residuals[now], weights[now], variances[now] = residual, weight, changed
+        settled += int(moved.argmax()) + 1 if moved.any() else target.size
+    return CleanedResiduals(residuals[order:], weights[order:])
 
 
 def predicted(parts: Parts, y: Array, found: CleanedResiduals, steps: int) -> Array:

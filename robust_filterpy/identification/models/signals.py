@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any
 from zlib import crc32
 
@@ -75,8 +76,28 @@ def measured_outputs(y: Any, n_outputs: int) -> Array:
     return np.clip(output, -LARGEST, LARGEST)
 
 
+def are_several(y: Any, u: Any = None) -> bool:
+    """Tell a list of recordings from one recording: its entries have samples of their own, as those of u have.
+
+    Parameters
+    ----------
+    y, u : array_like or list of these
+        Outputs and inputs as they came.
+
+    Returns
+    -------
+    bool
+    """
+    if not isinstance(y, (list, tuple)) or len(y) == 0 or not all(np.ndim(one) > 0 for one in y):
+        return False
+    if isinstance(u, (list, tuple)) and any(one is not None and np.ndim(one) == 0 for one in u):
+        return False
+    return any(np.shape(one)[0] > 1 for one in y)
+
+
 def require_squares(output: Array) -> None:
-    """Raise if most values of an output are larger than numbers that can be squared, and so were all made alike."""
+    """Raise if an output is too small to be squared, or most of it too large, and so was all made alike."""
+    _require_size("y", output)
     large = np.abs(output) >= LARGEST
     if 2 * large.sum() > (~np.isnan(output)).sum():
         raise ValueError(
@@ -108,7 +129,18 @@ def recorded_input(structure: Any, u: Any, length: int | None) -> Array:
     if length is not None and len(signal) != length:
         raise ValueError(f"u: expected {length} samples like y, got {len(signal)}")
     _require_finite(signal)
+    for column in signal.T:
+        _require_size("u", column)
     return signal
+
+
+def _require_size(name: str, signal: Array) -> None:
+    """Raise if all of a signal is too small to be squared, though not 0."""
+    size = float(np.nanmax(np.abs(signal), initial=0.0))
+    if 0.0 < size < 1.0 / LARGEST:
+        raise ValueError(
+            f"{name}: expected numbers of {1.0 / LARGEST:g} and more in size, got up to {size:.3g}; take another unit"
+        )
 
 
 def recorded_variance(R: Any, length: int) -> Array:
@@ -149,3 +181,21 @@ def fingerprint(y: Array) -> int:
     int
     """
     return crc32(np.ascontiguousarray(y).tobytes())
+
+
+def trend_of(known: Iterable[tuple[int, Array]], y: Array) -> Array:
+    """Return what was taken off a recording, 0 if it is not known again.
+
+    Parameters
+    ----------
+    known : iterable of (int, ndarray)
+        Fingerprint of each recording that is known, and what was taken off it.
+    y : ndarray, shape (N,) or (N, p)
+        Output, NaN where it is missing.
+
+    Returns
+    -------
+    ndarray, of the shape of `y`
+    """
+    found = {(number, trend.shape): trend for number, trend in known if trend.size}
+    return found.get((fingerprint(y), y.shape), np.zeros(y.shape)) if found else np.zeros(y.shape)

@@ -17,11 +17,11 @@ from robust_filterpy.identification.models.findings import Finding, said
 from robust_filterpy.identification.models.fit import fit_percent
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.noise_of_outputs import Noises
-from robust_filterpy.identification.models.signals import measured_outputs, recorded_input
+from robust_filterpy.identification.models.signals import measured_outputs, recorded_input, trend_of
 from robust_filterpy.identification.models.state_space_residuals import StateSpaceResiduals
 from robust_filterpy.identification.models.state_space_structure import Signals, StateSpace
 from robust_filterpy.identification.models.state_space_system import StateSpaceSystem
-from robust_filterpy.identification.models.summary import Summary, facts_of_outputs, summarized
+from robust_filterpy.identification.models.summary import Summary, facts_of_outputs, focus_text, summarized
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording, table
 from robust_filterpy.influence.regression import robust_regression
 
@@ -63,6 +63,11 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
         Level of each recording.
     orders : tuple of (int, float)
         The orders that were tried, and the information criterion of each.
+    trends : tuple of (int, ndarray)
+        Fingerprint of each recording whose levels break, and these, 0 at its end, shape (N, p): methods that are given
+        the same y take them off it, and put them back.
+    focus : tuple of float or None
+        Band in rad/s (rad a sample without dt) that the fit has counted; None: all frequencies.
     """
 
     structure: StateSpace
@@ -84,6 +89,8 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
     findings: tuple[Finding, ...] = ()
     levels: Array = field(default_factory=lambda: np.zeros((0, 0)))
     orders: tuple[tuple[int, float], ...] = ()
+    trends: tuple[tuple[int, Array], ...] = ()
+    focus: tuple[float, float] | None = None
 
     def __repr__(self) -> str:
         """Show orders, poles and noise."""
@@ -102,6 +109,8 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
         """Return the table of all entries and the levels, with what was found beside them."""
         facts = facts_of_outputs(self.weights, self.log_likelihood, self.noise)
         facts["Largest pole"] = f"{np.abs(np.linalg.eigvals(self.A)).max():.4g}"
+        if self.focus is not None:
+            facts["Focus"] = focus_text(self.focus, self.dt)
         if self.dt is not None:
             facts["Sampling period"] = f"{self.dt:.6g} s"
         names = tuple(f"{name}[{i},{j}]" for name, part in self._parts.items() for i, j in np.ndindex(part.shape))
@@ -188,8 +197,8 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
             If they do not fit, or steps is no positive integer.
         """
         steps = _checks.count("steps", steps, 1)
-        axis, _, found = self._from(y, u, steps)
-        return self._labelled(axis, found)
+        axis, measured, found = self._from(y, u, steps)
+        return self._labelled(axis, found + trend_of(self.trends, measured))
 
     def free_run(self, y: ArrayLike, u: ArrayLike) -> Array:
         """Compute the outputs from inputs alone, beginning with the state that y tells.
@@ -208,8 +217,8 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
         ValueError
             If they do not fit.
         """
-        axis, _, found = self._from(y, u, alone=True)
-        return self._labelled(axis, found)
+        axis, measured, found = self._from(y, u, alone=True)
+        return self._labelled(axis, found + trend_of(self.trends, measured))
 
     def residuals(self, y: ArrayLike, u: ArrayLike) -> Array:
         """Return measured less predicted outputs.
@@ -230,7 +239,7 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
             If they do not fit.
         """
         axis, measured, found = self._from(y, u)
-        return self._labelled(axis, measured - found)
+        return self._labelled(axis, measured - found - trend_of(self.trends, measured))
 
     def fit(self, y: ArrayLike, u: ArrayLike) -> Array:
         """Compute how well the model's output, from inputs alone, agrees with a recording.
@@ -251,7 +260,7 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
             If they do not fit, or an output is constant.
         """
         _, measured, found = self._from(y, u, alone=True)
-        return np.atleast_1d(fit_percent(measured, found))
+        return np.atleast_1d(fit_percent(measured, found + trend_of(self.trends, measured)))
 
     def checked(self, y: Any, u: Any) -> tuple[Array, Array]:
         """Return outputs, NaN where they are missing or filled, and inputs from their operating point.
@@ -292,7 +301,7 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
         q : ndarray
         """
         known = ~np.isnan(y)
-        model = self._residuals(np.nan_to_num(y), u)
+        model = self._residuals(np.nan_to_num(y - trend_of(self.trends, y)), u)
         noise = Noises(self.noise, np.tile(np.arange(len(self.C)), len(y)))
         model.weights = [np.zeros(y.shape) if alone else known.astype(float)]
         q, n, rows = self._packed(model, np.zeros(len(self.A))), len(self.A), known.ravel()

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robust_filterpy import _checks
+from robust_filterpy.identification.models.signals import are_several
 
 __all__ = ["Signals", "StateSpace"]
 
@@ -73,6 +74,10 @@ class Signals(NamedTuple):
     n_outputs: int
     takes_phi: bool = False
 
+    def __str__(self) -> str:
+        """Return what they are."""
+        return f"a model of {self.n_inputs} input(s) and {self.n_outputs} output(s)"
+
     @property
     def inputs(self) -> Any:
         """A place for each input."""
@@ -93,8 +98,11 @@ class Signals(NamedTuple):
         """
         if u is None:
             raise ValueError("u: expected a recording of the inputs for a state-space model, got None")
-        several = isinstance(y, (list, tuple)) and all(np.ndim(one) > 0 and np.shape(one)[0] > 1 for one in y)
-        first, second = (y[0], u[0]) if several and len(y) else (y, u)
+        several = are_several(y, u)
+        if several and not (isinstance(u, (list, tuple)) and len(u) == len(y)):
+            got = len(u) if isinstance(u, (list, tuple)) else type(u).__name__
+            raise ValueError(f"u: expected a list of {len(y)} recordings like y, got {got}")
+        first, second = (y[0], u[0]) if several else (y, u)
         shapes = np.shape(first), np.shape(second)
         for name, shape in zip("yu", shapes, strict=True):
             if len(shape) not in (1, 2):

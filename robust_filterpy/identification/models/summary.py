@@ -12,7 +12,7 @@ from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.results import intervals
 from robust_filterpy.identification.models.time_axis import table
 
-__all__ = ["Estimate", "Summary", "facts_of_outputs", "summarized"]
+__all__ = ["Estimate", "Summary", "facts_of_outputs", "focus_text", "summarized"]
 
 _WIDTH: Final = 78
 
@@ -182,3 +182,20 @@ def summarized(
     columns = (column.tolist() for column in (theta, std, z, lower, upper))
     rows = tuple(Estimate(*row) for row in zip(names, *columns, strict=True))
     return Summary(title, facts, rows, float(level), warning, found)
+
+
+def focus_text(focus: tuple[float, float], dt: float | None) -> str:
+    """Return a band of frequencies in words.
+
+    Parameters
+    ----------
+    focus : (float, float)
+        Its edges.
+    dt : float or None
+        Sampling period in s.
+
+    Returns
+    -------
+    str
+    """
+    return f"{focus[0]:.4g} to {focus[1]:.4g} rad/{'sample' if dt is None else 's'}"

@@ -137,7 +137,7 @@ def _looked(
             news += said
     if watched.size:
         signals = np.concatenate((shown.prediction[watched, :, None], u[watched]), axis=2)
-        followed, lost = now.followed.looked(watched, shown.residual[watched], signals)
+        followed, lost = now.followed.looked(watched, shown.residual[watched], signals, form.has_offset)
         now = now._replace(followed=followed)
         for i, trouble in lost:
             start = ColdStart.of(form.structure.n_theta, form.structure.n_inputs, int(now.samples[i]))
@@ -161,6 +161,8 @@ def _with_model(form: Form, now: State, i: int, start: ColdStart) -> tuple[State
                 structure,
                 offset=form.has_offset,
                 R=None if now.scale[i, 3] else float(now.scale[i, 0]),
+                # The samples to come wait.
+                sampled=False,
             )
     except ValueError as error:
         failure = str(error)

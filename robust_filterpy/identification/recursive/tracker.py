@@ -135,7 +135,8 @@ class ParameterTracker(Returning, Standing):
         Once, if the start found no model or one that leaves what follows the inputs (the structure does not fit), most
         samples look like outliers, the guard acts all the time, R wanders, or an offset is not modelled. Whenever
         residuals follow the inputs otherwise than at the start, since the plant has become another one or the sensor is
-        stuck: a tracker that found its model itself, or has it from `identify`, then starts anew.
+        stuck, or stay off zero, since the level of y has moved: a tracker that found its model itself, or has it from
+        `identify`, then starts anew.
 
     Notes
     -----

@@ -9,12 +9,14 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.dependence import (
+    CLIP,
     SHARE,
     autocovariances,
     dependence,
     level_and_scale,
     whitening_of,
 )
+from robust_filterpy.influence.regression import mad_scale
 
 __all__ = ["Followed", "LostTrackerWarning", "News", "Windows"]
 
@@ -30,6 +32,10 @@ _OFFSET: Final = 2.0
 # in the whole of one after their sum.
 _SPAN: Final = 120
 _PERIOD: Final = 40
+# A level has moved if so many residuals in a row, or more, are so many standard deviations of their mean off zero: with
+# 30 % outliers, all on one side, quiet runs reach 5.6.
+_IN_A_ROW: Final = 20
+_MOVED: Final = 7.0
 # Of the autocovariances of ordinary residuals, how much each look renews.
 _PACE: Final = 0.15
 # R may follow noise that changes, not over this factor.
@@ -130,7 +136,7 @@ class Followed(NamedTuple):
         after.usual[i] = *kept, max(shares)
         return after, float(np.mean(shares)) if np.mean([one.found for one in found]) > 0.5 else 0.0
 
-    def looked(self, which: np.ndarray, residuals: Array, signals: Array) -> tuple[Followed, News]:
+    def looked(self, which: np.ndarray, residuals: Array, signals: Array, has_offset: bool) -> tuple[Followed, News]:
         """Return it with samples of some actuators, at most `waits`, and of which the model is another plant's.
 
         Parameters
@@ -141,6 +147,8 @@ class Followed(NamedTuple):
             NaN where y is missing.
         signals : ndarray, shape (k, N, n_signals)
             What a residual follows that does not come from noise.
+        has_offset : bool
+            Whether the models have a constant: what those without one leave may be off zero.
 
         Returns
         -------
@@ -154,9 +162,9 @@ class Followed(NamedTuple):
         seen[which] += residuals.shape[1]
         news: News = []
         for i in which[(seen[which] % _PERIOD == 0) & (seen[which] >= _SPAN)].tolist():
-            share, usual[i] = _followed_share(rows[i, :, 0], rows[i, :, 1:], usual[i])
-            if share:
-                news.append((i, _ANOTHER.format(_SPAN, 100 * share)))
+            trouble, usual[i] = _trouble(rows[i, :, 0], rows[i, :, 1:], usual[i], has_offset)
+            if trouble:
+                news.append((i, trouble))
         return Followed(seen, usual, rows), news
 
 
@@ -164,24 +172,45 @@ _ANOTHER: Final = (
     "the plant is no longer the model's: over the last {} samples {:.0f} % of the residuals' variance follow the "
     "inputs (a gain, sign or pole has changed, or the sensor is stuck)"
 )
+_OFF: Final = (
+    "the level of y is no longer the model's: {} residuals in a row lie about {:.3g} off zero with a scatter of {:.2g} "
+    "(the sensor drifts or is another one, or something acts that u does not tell)"
+)
 
 
-def _followed_share(residuals: Array, signals: Array, usual: Array) -> tuple[float, Array]:
-    """Return how much of residuals follows the signals, 0 if that is usual or chance, and what is usual then."""
+def _trouble(residuals: Array, signals: Array, usual: Array, has_offset: bool) -> tuple[str, Array]:
+    """Return why the model is another plant's, nothing if what it leaves is usual or chance, and what is usual then."""
     covariances, anyway = usual[:3], usual[3]
     now = autocovariances(residuals)
     covariances = covariances if covariances[0] > 0.0 else now
     found = dependence(residuals, signals, whitening=whitening_of(covariances))
     if found.found and found.share > SHARE + anyway:
-        return float(found.share), usual
-    if found.share > 0.5 * SHARE + anyway and usual[0]:
-        return 0.0, usual
+        return _ANOTHER.format(_SPAN, 100 * float(found.share)), usual
+    moved = _moved(residuals[~np.isnan(residuals)], covariances) if has_offset else ""
+    if moved or (found.share > 0.5 * SHARE + anyway and usual[0]):
+        return moved, usual
     # What is usual follows slowly, and not what is half suspicious already, nor by itself to where it would hide that.
     now = np.array([*now, max(float(found.share), 0.0)])
     before = np.array([*covariances, anyway])
     after = before + _PACE * (now - before)
     after[3] = after[3] if anyway > SHARE else min(after[3], max(anyway, 0.5 * SHARE))
-    return 0.0, after
+    return "", after
+
+
+def _moved(residuals: Array, covariances: Array) -> str:
+    """Say which residuals in a row are off zero by more than chance, nothing if none are."""
+    scale = mad_scale(residuals - np.median(residuals)) if residuals.size >= _SPAN // 2 else 0.0
+    if not scale > 0.0:
+        return ""
+    sums = np.append(0.0, np.cumsum(np.clip(residuals / scale, -CLIP, CLIP)))
+    first, last = np.triu_indices(sums.size, _IN_A_ROW)
+    n = last - first
+    # Of noise that is still alike two samples later nobody knows how long it stays so.
+    r0, r1, r2 = np.maximum(covariances, 0.0)
+    variance = (r0 + 2.0 * r1 + 2.0 * r2) * n + 0.1 * r2 * n**2
+    chance = np.abs(sums[last] - sums[first]) / np.sqrt(np.maximum(variance, np.finfo(float).tiny))
+    k = int(chance.argmax())
+    return _OFF.format(n[k], np.median(residuals[first[k] : last[k]]), scale) if chance[k] > _MOVED else ""
 
 
 class Windows(NamedTuple):

@@ -1,0 +1,123 @@
+"""Unknown outputs among neighbours, predictions through outliers: the numbers of the plain algebra, in less work."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import lfilter
+
+from robust_filterpy import Contaminated
+from robust_filterpy.identification.estimation.missing import Unknowns
+from robust_filterpy.identification.estimation.neighbours import Neighbours
+from robust_filterpy.identification.models.learnt_noise import Noise
+from robust_filterpy.identification.models.polynomial_model import Parts
+from robust_filterpy.identification.models.prediction import cleaned_residuals
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(1, 40), st.integers(1, 8), st.floats(0.0, 1.0), st.integers(0, 2**32 - 1))
+def test_neighbours_solve_and_invert_as_the_whole_matrix_does(m, reach, share, seed):
+    rng = np.random.default_rng(seed)
+    begins = rng.random(m) < share
+    begins[0] = True
+    chain = np.cumsum(begins)
+    i, j = np.indices((m, m))
+    band = rng.normal(size=(reach, m))
+    band[0] += 4.0 * reach
+    G = np.where((chain[i] == chain[j]) & (np.abs(i - j) < reach), band[np.abs(i - j) % reach, np.minimum(i, j)], 0.0)
+    right, inverse, found = rng.normal(size=(m, 3)), np.linalg.inv(G), Neighbours(band, begins)
+    np.testing.assert_allclose(found.solve(right), inverse @ right, atol=1e-12)
+    np.testing.assert_allclose(found.solve(right[:, 0]), inverse @ right[:, 0], atol=1e-12)
+    for d in range(min(reach, m)):
+        np.testing.assert_allclose(found.inverse[d, : m - d], np.diag(inverse, d), atol=1e-12)
+
+
+def _problem(rng, samples, length, share, gap):
+    """Return a response, unknown samples, weights, residuals, and the dense matrix of all samples."""
+    h = np.concatenate(([1.0], rng.normal(size=length - 1) * 0.8 ** np.arange(1, length)))
+    first = length - 1
+    unknown = rng.random(samples + first) < share
+    unknown[40 : 40 + gap] = True
+    weights = rng.uniform(0.2, 1.0, samples)
+    H = np.array([lfilter(h, [1.0], row)[first:] for row in np.eye(samples + first)]).T
+    return h, first, unknown, weights, rng.normal(size=samples), H
+
+
+@pytest.mark.parametrize(("length", "share", "gap"), [(1, 0.2, 0), (3, 0.1, 0), (3, 0.4, 30), (25, 0.1, 12)])
+def test_unknown_samples_are_those_of_least_squares(length, share, gap):
+    h, first, unknown, weights, base, H = _problem(np.random.default_rng(1), 300, length, share, gap)
+    found, X = Unknowns(base, h, unknown, weights, first), H[:, unknown]
+    covariance = np.linalg.inv(X.T @ (X * weights[:, None]) + 1e-9 * np.eye(X.shape[1]))
+    correction = -covariance @ X.T @ (weights * base)
+    np.testing.assert_allclose(found.correction, correction, atol=1e-6 * np.abs(correction).max())
+    np.testing.assert_allclose(found.residual, base + X @ correction, atol=1e-6)
+    np.testing.assert_allclose(found.leverages(), np.einsum("ki,ij,kj->k", X, covariance, X) * weights, atol=1e-6)
+    deviation, precision = found.deviations()
+    for k in range(0, unknown.size, 7):
+        # All but this sample and the unknown ones are taken as they are.
+        others = np.append(np.flatnonzero(unknown & (np.arange(unknown.size) != k)), k)
+        Y = H[:, others]
+        normal = Y.T @ (Y * weights[:, None])
+        if np.linalg.cond(normal) < 1e8:
+            whole = np.linalg.inv(normal)
+            moved = -whole @ Y.T @ (weights * base)
+            assert precision[k] == pytest.approx(1.0 / whole[-1, -1], rel=1e-4)
+            assert deviation[k] == pytest.approx((1.0 if unknown[k] else -1.0) * moved[-1], rel=1e-4, abs=1e-6)
+
+
+def test_the_uncertainty_of_unknown_samples_is_summed_over_all_of_them():
+    h, first, unknown, weights, base, H = _problem(np.random.default_rng(2), 1500, 4, 0.45, 0)
+    places, X = np.flatnonzero(unknown) - first, H[:, unknown]
+    assert places.size > 600
+    covariance = np.linalg.inv(X.T @ (X * weights[:, None]) + 1e-9 * np.eye(places.size))
+    K = np.zeros((4, 4))
+    for k, weight in enumerate(weights):
+        near = np.flatnonzero((places <= k) & (places > k - 4))
+        at = k - places[near]
+        K[np.ix_(at, at)] += weight * covariance[np.ix_(near, near)]
+    np.testing.assert_allclose(Unknowns(base, h, unknown, weights, first).spread(), K, rtol=1e-5)
+
+
+class _Counted(Noise):
+    """Noise that counts how often it is asked."""
+
+    calls = 0
+
+    def weights(self, residual):
+        """Return the weights."""
+        _Counted.calls += 1
+        return super().weights(residual)
+
+
+@pytest.mark.parametrize(
+    ("a", "c", "d", "gap"),
+    [([-1.5, 0.7], [], [], 0), ([-0.5], [0.6], [], 200), ([], [0.3], [-0.9], 20), ([-1.2, 0.3, 0.1], [], [0.4], 0)],
+)
+def test_predictions_made_together_are_those_made_one_by_one(a, c, d, gap):
+    rng, samples = np.random.default_rng(3), 2500
+    parts = Parts(*(np.array(p) for p in ([1.0, *a], [], [1.0], [1.0, *c], [1.0, *d])), 0.0, np.zeros(0))
+    error = lfilter(parts.c, parts.d, rng.normal(size=samples))
+    wild = np.where(rng.random(samples) < 0.05, 30.0, 0.0) * rng.normal(size=samples)
+    error += np.convolve(wild, parts.a)[:samples]
+    known = np.ones(samples, dtype=bool)
+    known[700 : 700 + gap] = False
+    noise = _Counted(Contaminated(0.05, 30.0), 1.0, known=True)
+    _Counted.calls = 0
+    found = cleaned_residuals(parts, error, known, noise)
+    assert _Counted.calls < samples / 5
+    g = np.convolve(parts.a, parts.d)[1:]
+    order = max(g.size, len(c))
+    g, c = (np.concatenate((p, np.zeros(order - len(p)))) for p in (g, c))
+    limit = np.sum(lfilter(np.append(1.0, c), np.append(1.0, g), np.append(1.0, np.zeros(500))) ** 2)
+    driving, r, w, variance = lfilter(parts.d, [1.0], error), *np.zeros((2, samples)), np.ones(samples)
+    for k in range(samples):
+        before = k - 1 - np.arange(min(order, k))
+        j = np.arange(before.size)
+        r[k] = driving[k] - np.sum((g[j] * (1.0 - w[before]) + c[j] * w[before]) * r[before])
+        added = (g[j] - c[j]) ** 2 * (1.0 - w[before]) ** 2 * variance[before]
+        variance[k] = min(1.0 + added.sum(), limit)
+        w[k] = Noise.weights(noise, r[k] / np.sqrt(variance[k])) if known[k] else 0.0
+    np.testing.assert_allclose(found.residual, r, atol=1e-6)
+    np.testing.assert_allclose(found.weights, w, atol=1e-6)
