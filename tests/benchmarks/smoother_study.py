@@ -1,7 +1,8 @@
 """Compare smoothers under outliers of the measurement and of the process, with a convex solver, and in time.
 
 Run ``python tests/benchmarks/smoother_study.py [--runs N] [--jobs J] [--seed S] [--table NAME]``; each table says which
-problem, how many runs, and gives 95 % bootstrap intervals over the runs, which all smoothers share. The table "convex"
+problem, how many runs, and gives 95 % bootstrap intervals over the runs, which all smoothers share, and whether P is
+right: the normalized estimation error squared (NEES) over n, and coverage of the region of .95. The table "convex"
 needs cvxpy. Targets: cart, learnt 1.00 / 1.08 / 1.33 / 1.03; vehicle 1.12; convex, difference 1e-6 and 50 times faster;
 speed, 6 compiled filter passes.
 """
@@ -20,6 +21,7 @@ from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter, MerweScaledSigma
 from measuring import least_time
 from outlier_problems import Recording, prepared, vehicle
 from outlier_tables import print_tables
+from scipy.stats import chi2
 
 from robust_filterpy import (
     Contaminated,
@@ -37,6 +39,30 @@ from robust_filterpy.experiments import bootstrap_interval, monte_carlo
 from robust_filterpy.smoothing import FixedLagSmoother, smooth_series
 
 LABELS = "told the labels, RTS"
+#: States and their covariances, None where a smoother gives none.
+Path = tuple[np.ndarray, np.ndarray | None]
+#: An error; the normalized estimation error squared over its mean, and the share of states within the region of .95.
+Judged = np.ndarray
+
+
+def path(smoothed: Any) -> Path:
+    """Return the states of a smoother's result and their covariances."""
+    return smoothed.x, smoothed.P
+
+
+def distance(apart: np.ndarray) -> float:
+    """Return the root mean square distance."""
+    return float(np.sqrt((apart**2).sum(axis=1).mean()))
+
+
+def judged(truth: np.ndarray, x: np.ndarray, P: np.ndarray | None, error: Callable[[np.ndarray], float]) -> Judged:
+    """Return how far off a smoother is, and whether it knows that."""
+    apart = x.reshape(truth.shape) - truth
+    if P is None:
+        return np.array([error(apart), np.nan, np.nan])
+    squares = np.einsum("ki,ki->k", apart, np.linalg.solve(P, apart[..., None])[..., 0])
+    n = truth.shape[1]
+    return np.array([error(apart), squares.mean() / n, (squares < chi2.ppf(0.95, n)).mean()])
 
 
 def cart(rng: np.random.Generator, contamination: float, scale: float, steps: int = 200) -> Recording:
@@ -52,12 +78,12 @@ def cart(rng: np.random.Generator, contamination: float, scale: float, steps: in
     return Recording(F, H, Q, np.eye(1), np.zeros(2), P0, truth, zs, none, bad)
 
 
-def told(data: Recording, jumped: float, outlier: float) -> np.ndarray:
-    """Return the states of the smoother that is told which noises are large, and how much."""
+def told(data: Recording, jumped: float, outlier: float) -> Path:
+    """Return what the smoother makes of it that is told which noises are large, and how much."""
     Qs = data.Q * np.where(data.jumps, jumped**2, 1.0)[:, None, None]
     Rs = data.R * np.where(data.outliers, outlier**2, 1.0)[:, None, None]
     kf = KalmanFilter(len(data.x0), len(data.R))
-    return smooth(exactly(kf, data), data.zs, influence=Linear(), Qs=Qs, Rs=Rs).x
+    return path(smooth(exactly(kf, data), data.zs, influence=Linear(), Qs=Qs, Rs=Rs))
 
 
 def exactly(kf: Any, data: Recording) -> Any:
@@ -67,15 +93,15 @@ def exactly(kf: Any, data: Recording) -> Any:
     return kf
 
 
-def passed_and_smoothed(kf: Any, data: Recording) -> np.ndarray:
+def passed_and_smoothed(kf: Any, data: Recording) -> Path:
     """Return what the backward pass of Rauch, Tung and Striebel makes of a filter's estimates."""
     kf = prepared(kf, data)
     means, covariances, _, _ = kf.batch_filter(list(data.zs))
-    return kf.rts_smoother(means, covariances)[0]
+    return kf.rts_smoother(means, covariances)[:2]
 
 
-def cart_trial(rng: np.random.Generator, contamination: float, scale: float) -> dict[str, float]:
-    """Return each smoother's mean square error of the position."""
+def cart_trial(rng: np.random.Generator, contamination: float, scale: float) -> dict[str, Judged]:
+    """Return each smoother's mean square error of the position, NEES and coverage."""
     data = cart(rng, contamination, scale)
     kf = exactly(RobustKalmanFilter(2, 1), data)
     live = FixedLagSmoother(2, 1)
@@ -85,18 +111,18 @@ def cart_trial(rng: np.random.Generator, contamination: float, scale: float) -> 
         "Huber filter + RTS": passed_and_smoothed(RobustKalmanFilter(2, 1), data),
         "Tukey filter + RTS": passed_and_smoothed(RobustKalmanFilter(2, 1, influence=TukeyBiweight()), data),
         "Student t(4) filter + RTS": passed_and_smoothed(RobustKalmanFilter(2, 1, influence=StudentT()), data),
-        "smooth, Huber (convex optimum)": smooth(kf, data.zs, influence=Huber()).x,
-        "smooth, Student t(4)": smooth(kf, data.zs, influence=StudentT()).x,
-        "smooth, Tukey": smooth(kf, data.zs, influence=TukeyBiweight()).x,
-        "smooth, learnt (default)": smooth(kf, data.zs).x,
-        "live, lag 20, learnt": live.smooth_batch(data.zs, 20)[0],
+        "smooth, Huber (convex optimum)": path(smooth(kf, data.zs, influence=Huber())),
+        "smooth, Student t(4)": path(smooth(kf, data.zs, influence=StudentT())),
+        "smooth, Tukey": path(smooth(kf, data.zs, influence=TukeyBiweight())),
+        "smooth, learnt (default)": path(smooth(kf, data.zs)),
+        "live, lag 20, learnt": (live.smooth_batch(data.zs, 20)[0], None),
         LABELS: told(data, 1.0, scale),
     }
-    return {name: float(np.mean((x[:, 0] - data.truth[:, 0]) ** 2)) for name, x in states.items()}
+    return {name: judged(data.truth, *one, lambda d: float(np.mean(d[:, 0] ** 2))) for name, one in states.items()}
 
 
-def vehicle_trial(rng: np.random.Generator, process: float, measurement: float) -> dict[str, float]:
-    """Return each smoother's root mean square error of the state."""
+def vehicle_trial(rng: np.random.Generator, process: float, measurement: float) -> dict[str, Judged]:
+    """Return each smoother's root mean square error of the state, NEES and coverage."""
     data = vehicle(rng, process, measurement, 1000)
     noise = {"noise": Contaminated(measurement, 10.0), "process": Contaminated(process, 10.0)}
     kf = exactly(RobustKalmanFilter(4, 2, grouping="joint"), data)
@@ -109,12 +135,12 @@ def vehicle_trial(rng: np.random.Generator, process: float, measurement: float) 
         "two-sided filter + RTS": passed_and_smoothed(
             RobustKalmanFilter(4, 2, noise=Contaminated(), process=Scales((1, 10, 100), jump=0), grouping="joint"), data
         ),
-        "smooth, Student t(4), both noises": smooth(kf, data.zs, influence=StudentT(), process=StudentT()).x,
-        "smooth, learnt (default)": smooth(kf, data.zs).x,
-        "smooth, learnt, both noises": smooth(kf, data.zs, process=None).x,
+        "smooth, Student t(4), both noises": path(smooth(kf, data.zs, influence=StudentT(), process=StudentT())),
+        "smooth, learnt (default)": path(smooth(kf, data.zs)),
+        "smooth, learnt, both noises": path(smooth(kf, data.zs, process=None)),
         LABELS: told(data, 10.0, 10.0),
     }
-    return {name: float(np.sqrt(((x - data.truth) ** 2).sum(axis=1).mean())) for name, x in states.items()}
+    return {name: judged(data.truth, *one, distance) for name, one in states.items()}
 
 
 SIGMA = np.array([10.0, 0.005])
@@ -138,7 +164,7 @@ def turned(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return y
 
 
-def radar_trial(rng: np.random.Generator, contamination: float, steps: int = 200) -> dict[str, float]:
+def radar_trial(rng: np.random.Generator, contamination: float, steps: int = 200) -> dict[str, Judged]:
     """Return each smoother's root mean square error of the position: range and bearing with glint."""
     F = np.kron(np.eye(2), [[1.0, 0.5], [0.0, 1.0]])
     Q = 0.5 * np.kron(np.eye(2), [[0.5**3 / 3, 0.5**2 / 2], [0.5**2 / 2, 0.5]])
@@ -161,20 +187,21 @@ def radar_trial(rng: np.random.Generator, contamination: float, steps: int = 200
     functions: dict[str, Any] = {"HJacobian": polar_jacobian, "Hx": polar, "residual": turned}
     Rs = [np.diag(SIGMA**2) * (225.0 if bad else 1.0) for bad in glint]
     live = ready(RobustExtendedKalmanFilter(4, 2, grouping="joint"))
-    live.F, path = F, []
+    live.F, means, covariances = F, [], []
     for z in zs:
         live.predict()
         live.update(z, polar_jacobian, polar, residual=turned)
-        path.append(live.x.copy())
+        means.append(live.x)
+        covariances.append(live.P)
     states = {
-        "extended, Huber, filter": np.array(path),
-        "extended, not robust": smooth(extended, zs, influence=Linear(), **functions).x,
-        "extended, Student t(4)": smooth(extended, zs, influence=StudentT(), grouping="joint", **functions).x,
-        "extended, learnt": smooth(extended, zs, grouping="joint", **functions).x,
-        "unscented, learnt": smooth(unscented, zs, grouping="joint").x,
-        LABELS: smooth(extended, zs, influence=Linear(), Rs=Rs, **functions).x,
+        "extended, Huber, filter": (np.array(means), np.array(covariances)),
+        "extended, not robust": path(smooth(extended, zs, influence=Linear(), **functions)),
+        "extended, Student t(4)": path(smooth(extended, zs, influence=StudentT(), grouping="joint", **functions)),
+        "extended, learnt": path(smooth(extended, zs, grouping="joint", **functions)),
+        "unscented, learnt": path(smooth(unscented, zs, grouping="joint")),
+        LABELS: path(smooth(extended, zs, influence=Linear(), Rs=Rs, **functions)),
     }
-    return {name: float(np.sqrt(((x - truth)[:, [0, 2]] ** 2).sum(axis=1).mean())) for name, x in states.items()}
+    return {name: judged(truth, *one, lambda d: distance(d[:, [0, 2]])) for name, one in states.items()}
 
 
 def ratios(title: str, trial: Callable[..., Any], runs: int, seed: int, jobs: int) -> None:
@@ -182,10 +209,12 @@ def ratios(title: str, trial: Callable[..., Any], runs: int, seed: int, jobs: in
     start = time.perf_counter()
     found = monte_carlo(trial, runs, seed=seed, n_jobs=jobs).stacked()
     print(f"\n{title}\n{runs} runs, seed {seed}, {time.perf_counter() - start:.0f} s; error over that of: {LABELS}\n")
-    print("| smoother | ratio | 95 % interval |\n|---|---|---|")
+    print("| smoother | ratio | 95 % interval | NEES/n | coverage |\n|---|---|---|---|---|")
     for name, values in found.items():
-        interval = bootstrap_interval((values, found[LABELS]), "ratio", rng=seed)
-        print(f"| {name} | {interval.estimate:.3f} | {interval.low:.3f} to {interval.high:.3f} |")
+        interval = bootstrap_interval((values[:, 0], found[LABELS][:, 0]), "ratio", rng=seed)
+        nees, inside = np.mean(values[:, 1:], axis=0)
+        spread = f"{interval.low:.3f} to {interval.high:.3f}"
+        print(f"| {name} | {interval.estimate:.3f} | {spread} | {nees:.2f} | {inside:.3f} |")
 
 
 def cart_table(runs: int, seed: int, jobs: int) -> None:
