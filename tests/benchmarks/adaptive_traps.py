@@ -3,7 +3,8 @@
 Run ``python tests/benchmarks/adaptive_traps.py [--runs N] [--seed S] [--rows A B] [--write-page]``. Each row has a
 figure and what it is aimed at: a root mean square error over that of the Kalman filter which is told the covariances of
 every step (where the noise has a colour: told R and Q), the share of states within the 95 % region, or steps until the
-estimate is back. --rows makes those from A to before B; --write-page puts all of them into docs/learnt_noise.md.
+estimate is back; beside each the adaptive filter's NEES over n and coverage. --rows makes those from A to before B;
+--write-page puts all of them into docs/learnt_noise.md.
 """
 
 from __future__ import annotations
@@ -278,11 +279,21 @@ def error(trap: Trap, xs: np.ndarray, Ps: np.ndarray) -> float:
     return float(np.sqrt(np.mean((xs - trap.truth)[min(FROM, len(xs) // 10) :, 0] ** 2)))
 
 
+def _squares(trap: Trap, xs: np.ndarray, Ps: np.ndarray) -> np.ndarray:
+    """Return the square of each error in units of its covariance."""
+    late = slice(min(FROM, len(xs) // 10), None)
+    d = (xs - trap.truth)[late]
+    return np.einsum("ki,ki->k", d, np.linalg.solve(Ps[late], d[..., None])[..., 0])
+
+
 def coverage(trap: Trap, xs: np.ndarray, Ps: np.ndarray) -> float:
     """Return the share of states within the 95 % region."""
-    d = (xs - trap.truth)[FROM:]
-    squares = np.einsum("ki,ki->k", d, np.linalg.solve(Ps[FROM:], d[..., None])[..., 0])
-    return float(np.mean(squares < chi2.ppf(0.95, d.shape[1])))
+    return float(np.mean(_squares(trap, xs, Ps) < chi2.ppf(0.95, len(trap.x0))))
+
+
+def nees(trap: Trap, xs: np.ndarray, Ps: np.ndarray) -> float:
+    """Return the normalized estimation error squared over the number of states, 1 if P is right."""
+    return float(np.mean(_squares(trap, xs, Ps)) / len(trap.x0))
 
 
 def steps_back(trap: Trap, xs: np.ndarray, Ps: np.ndarray, at: int = 0) -> float:
@@ -319,32 +330,42 @@ ROWS: list[tuple[str, Callable[[int], Trap], Measure, float, str | None]] = [
 
 def row(
     draw: Callable[[int], Trap], measure: Measure, option: str | None, seeds: range, title: str
-) -> dict[str, float]:
-    """Return everybody's figure: a ratio of pooled errors, a mean share, or a median number of steps."""
+) -> tuple[dict[str, float], list[float]]:
+    """Return everybody's figure, and the adaptive filter's NEES and coverage.
+
+    A figure is a ratio of pooled errors, a mean share, or a median number of steps.
+    """
     filters = {**FILTERS, **({option: OPTIONS[option]} if option else {})}
     found: dict[str, list[float]] = {name: [] for name in ["told all", *filters]}
+    held = []
     for seed in seeds:
         trap = draw(seed)
         found["told all"].append(measure(trap, *filtered(KalmanFilter, trap, knows=True)))
         for name, build in filters.items():
-            found[name].append(measure(trap, *filtered(build, trap)))
+            path = filtered(build, trap)
+            found[name].append(measure(trap, *path))
+            if name == "adaptive":
+                held.append((nees(trap, *path), coverage(trap, *path)))
+    kept = np.mean(held, axis=0).tolist()
     if measure is error:
         pooled = {name: float(np.sqrt(np.mean(np.square(values)))) for name, values in found.items()}
         over = pooled[GATE if "gate's" in title else "Kalman" if "filterpy's" in title else "told all"]
-        return {name: value / over for name, value in pooled.items()}
+        return {name: value / over for name, value in pooled.items()}, kept
     middle = np.mean if measure is coverage else np.median
-    return {name: float(middle(values)) for name, values in found.items()}
+    return {name: float(middle(values)) for name, values in found.items()}, kept
 
 
 def table(seeds: range, rows: slice) -> str:
     """Return all rows; a target is compared with the adaptive filter as it comes."""
-    lines = ["| trap | " + " | ".join(FILTERS) + " | target | | beside |", "|---" * (len(FILTERS) + 4) + "|"]
+    heads = ["trap", *FILTERS, "target", "", "NEES, 95 %", "beside"]
+    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
     for title, draw, measure, target, option in ROWS[rows]:
-        found = row(draw, measure, option, seeds, title)
+        found, (worth, inside) = row(draw, measure, option, seeds, title)
         met = found["adaptive"] >= target if measure is coverage else found["adaptive"] <= target
         cells = [f"**{found[n]:.2f}**" if n == "adaptive" else f"{found[n]:.2f}" for n in FILTERS]
         tried = f"{found[option]:.2f}, {option}" if option else ""
-        lines.append(f"| {title} | {' | '.join(cells)} | {target:g} | {'met' if met else 'missed'} | {tried} |")
+        aim = f"{target:g} | {'met' if met else 'missed'} | {worth:.2f}, {inside:.2f}"
+        lines.append(f"| {title} | {' | '.join(cells)} | {aim} | {tried} |")
         print(lines[-1], flush=True)
     return "\n".join(lines)
 
