@@ -179,7 +179,7 @@ class StateMixin(LearningMixin):
 
 def _by_name(found: dict[str, Array], key: str) -> dict[str, Array]:
     """Return what a state knows of the sensors that have names."""
-    if "named" not in found:
+    if not np.size(found.get("named", ())):
         return {}
     try:
         rows = {str(name): int(m) for name, m in json.loads(_state.read(found["named"])).items()}

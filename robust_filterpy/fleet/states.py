@@ -229,7 +229,7 @@ class States(Mapping[Any, dict[str, Array]]):
 
 
 #: Entries that a state may lack: nothing has been learnt of a sensor yet.
-_UNKNOWN = ("spread", "sensors", "sensors_spread", "filter_spread")
+_UNKNOWN = ("spread", "sensors", "sensors_spread", "named", "named_spread", "filter_spread")
 #: Entries that a fleet adds to a state, and their shapes.
 FLEET: dict[str, _state.Shape] = {
     "time": (1,), "grid": (2,), "input": (None,), "refused": (2,), "model": (1,),

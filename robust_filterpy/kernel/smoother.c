@@ -41,7 +41,8 @@ static int take_result(double **found, PyObject *object, int ndim, npy_intp seri
 
 static PyObject *smooth(PyObject *self, PyObject *arguments) {
     PyObject *groups[3], *model[7], *weighting[3], *out[8];
-    smoother_job job = {0};
+    double sharpest = 0;
+    smoother_job job = {.sharpest = &sharpest};
     (void)self;
     if (!take_objects(arguments, 3, groups) || !take_objects(groups[0], 7, model) ||
         !take_objects(groups[1], 3, weighting) || !take_objects(groups[2], 8, out) || !is_array(model[4], 3) ||
@@ -78,7 +79,7 @@ static PyObject *smooth(PyObject *self, PyObject *arguments) {
         Py_END_ALLOW_THREADS;
         PyMem_Free(work);
     }
-    Py_RETURN_NONE;
+    return PyFloat_FromDouble(sharpest);
 refused:
     PyErr_SetString(PyExc_ValueError, "smooth: expected C-contiguous arrays of float64 of matching shapes, as "
                                       "robust_filterpy.smoothing.linear_pass makes them");
@@ -86,5 +87,5 @@ refused:
 }
 
 PyMethodDef smoother_functions[] = {
-    {"smooth", smooth, METH_VARARGS, "Smooth some series once: (model, weighting, results), as linear_pass has them."},
+    {"smooth", smooth, METH_VARARGS, "Smooth some series once: (model, weighting, results), as linear_pass has them; return how sharp a measurement was."},
     {NULL, NULL, 0, NULL}};

@@ -23,6 +23,7 @@ typedef struct {
     real *spread;                          /* (series, steps, m, m) H P_s H', or NULL */
     real *score, *information;             /* (series, steps, r), (.., r, r) G's, G'L G, or NULL; wants spread */
     real *x, *P, *x_first, *P_first;       /* smoothed states, those before the first step; or NULL; want spread */
+    real *sharpest;                        /* the most that a measurement told next to what was known: d H P H' */
 } smoother_job;
 
 /* What a pass works on: one series' filtered h x and P h, and scratch. */
@@ -55,9 +56,9 @@ INLINE const real *smoother_at(const series_matrices *const of, const ptrdiff_t 
     return of->data + s * of->by_series + k * of->by_step;
 }
 
-/* Take in the factor exp(-d e^2/2 - o e) of e = z - h x: correct x and P in place. Return whether it was a sharp one,
-   for which, and whenever joseph says so, P takes Joseph's form. rows: 2 n. */
-INLINE int smoother_take(const int n, const real *RESTRICT h, const real z, const real d, const real o,
+/* Take in the factor exp(-d e^2/2 - o e) of e = z - h x: correct x and P in place. Return how sharp it was, d h P h';
+   for a sharp one, and whenever joseph says so, P takes Joseph's form. rows: 2 n. */
+INLINE real smoother_take(const int n, const real *RESTRICT h, const real z, const real d, const real o,
                          const int joseph, real *RESTRICT x, real *RESTRICT P, real *RESTRICT rows) {
     real *RESTRICT p = rows, *RESTRICT k = rows + n;
     real predicted = 0, variance = 0;
@@ -71,7 +72,7 @@ INLINE int smoother_take(const int n, const real *RESTRICT h, const real z, cons
     const real left = 1 / (1 + d * variance), gain = (d * (z - predicted) + o) * left, taken = d * left;
     for (int i = 0; i < n; i++) x[i] += p[i] * gain;
     correction_shrink(n, taken, p, P);
-    if (!(d * variance > SMOOTHER_SHARP) && !joseph) return 0;
+    if (!(d * variance > SMOOTHER_SHARP) && !joseph) return d * variance;
     for (int i = 0; i < n; i++) {
         k[i] = 0;
         for (int j = 0; j < n; j++) k[i] += P[i * n + j] * h[j];
@@ -80,15 +81,14 @@ INLINE int smoother_take(const int n, const real *RESTRICT h, const real z, cons
     /* Both halves alike: k is p times rounding. */
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++) P[i * n + j] += REAL(0.5) * (k[i] * p[j] + k[j] * p[i]);
-    return 1;
+    return d * variance;
 }
 
-/* Filter series s; return whether there was a sharp measurement. */
-INLINE int smoother_forward(const int n, const int m, const smoother_job *const job, const ptrdiff_t s,
+/* Filter series s; return how sharp the sharpest measurement was. */
+INLINE real smoother_forward(const int n, const int m, const smoother_job *const job, const ptrdiff_t s,
                             smoother_room *const room) {
     const int r = job->r;
-    int sharp = 0;
-    real scale = 1;
+    real sharp = 0, scale = 1;
     real_copy(n, smoother_at(&job->x0, s, 0), room->x);
     real_copy(n * n, smoother_at(&job->P0, s, 0), room->P);
     for (ptrdiff_t k = 0; k < job->steps; k++) {
@@ -109,7 +109,8 @@ INLINE int smoother_forward(const int n, const int m, const smoother_job *const 
         real_swap(&room->x, &room->x_next), real_swap(&room->P, &room->P_next);
         for (int v = 0; v < m; v++)
             if (d[v] != 0 || o[v] != 0)
-                sharp |= smoother_take(n, H + v * n, z[v], d[v], o[v], 0, room->x, room->P, room->rows);
+                sharp = real_max(
+                    sharp, smoother_take(n, H + v * n, z[v], d[v], o[v], 0, room->x, room->P, room->rows));
         for (int v = 0; v < m; v++) {
             real *RESTRICT ph = room->PH + (k * m + v) * n, total = 0;
             for (int i = 0; i < n; i++) ph[i] = 0;
@@ -128,9 +129,28 @@ INLINE int smoother_forward(const int n, const int m, const smoother_job *const 
     return sharp;
 }
 
+/* Write H x_s and V = H P_s H' from x_s and P_s themselves. */
+CALLED void smoother_seen(const int n, const int m, const real *H, const real *x, const real *P, real *fitted,
+                          smoother_room *const room) {
+    for (int v = 0; v < m; v++) {
+        real *const p = room->rows;
+        fitted[v] = 0;
+        for (int i = 0; i < n; i++) {
+            fitted[v] += H[v * n + i] * x[i];
+            p[i] = 0;
+            for (int j = 0; j < n; j++) p[i] += P[i * n + j] * H[v * n + j];
+        }
+        for (int u = 0; u <= v; u++) {
+            real total = 0;
+            for (int i = 0; i < n; i++) total += H[u * n + i] * p[i];
+            room->V[u * m + v] = room->V[v * m + u] = total;
+        }
+    }
+}
+
 /* Write V = H P_s H' and B = H P L of a step into room, P_s being the smoothed covariance. */
 INLINE void smoother_spread(const int n, const int m, const real *RESTRICT H, const real *RESTRICT PH,
-                            const real *RESTRICT L, smoother_room *const room, real *RESTRICT spread) {
+                            const real *RESTRICT L, smoother_room *const room) {
     real *RESTRICT B = room->B, *RESTRICT V = room->V;
     for (int v = 0; v < m; v++) {
         for (int i = 0; i < n; i++) B[v * n + i] = 0;
@@ -142,7 +162,6 @@ INLINE void smoother_spread(const int n, const int m, const real *RESTRICT H, co
             V[u * m + v] = V[v * m + u] = total;
         }
     }
-    real_copy(m * m, V, spread);
 }
 
 /* s += H'(d e + o) and, where L is wanted, L += H'(d - d V d) H - H'd B - B'd H; fitted is H x_s. */
@@ -263,9 +282,11 @@ INLINE void smoother_backward(const int n, const int m, const smoother_job *cons
             fitted[v] = room->Hx[k * m + v];
             for (int i = 0; i < n; i++) fitted[v] += PH[v * n + i] * room->x[i];
         }
-        if (job->spread) smoother_spread(n, m, H, PH, room->P, room, job->spread + at * m * m);
+        if (job->spread) smoother_spread(n, m, H, PH, room->P, room);
         smoother_gather(n, m, H, smoother_at(&job->z, s, k), smoother_at(&job->d, s, k), smoother_at(&job->o, s, k),
                         fitted, job->spread != NULL, room->x, room->P, room);
+        if (job->x && careful) smoother_seen(n, m, H, job->x + at * n, job->P + at * n * n, fitted, room);
+        if (job->spread) real_copy(m * m, room->V, job->spread + at * m * m);
         if (job->score)
             smoother_process(n, job->r, smoother_at(&job->G, s, k), room->x, room->P, job->score + at * job->r,
                              job->information + at * job->r * job->r, room->rows);
@@ -287,7 +308,9 @@ INLINE void smoother_span(const int n, const int m, const smoother_job *const jo
                           const ptrdiff_t high, real *work) {
     smoother_room room = smoother_begin(job->steps, n, m, job->r, work);
     for (ptrdiff_t s = low; s < high; s++) {
-        const int careful = smoother_forward(n, m, job, s, &room) && job->x;
+        const real sharp = smoother_forward(n, m, job, s, &room);
+        const int careful = sharp > SMOOTHER_SHARP && job->x;
+        *job->sharpest = real_max(*job->sharpest, sharp);
         smoother_backward(n, m, job, s, careful, &room);
         if (!job->x) continue;
         real *const x = job->x_first + s * n, *const P = job->P_first + s * n * n;

@@ -13,7 +13,8 @@ linear and nonlinear dynamic systems, 1963; P. de Jong, Journal of the American 
 
 Next to a diffuse P the last line loses the digits of P_s: there P - P L P is the difference of large numbers. So states
 and covariances, once they are wanted, come from the information filter run backward, whose result corrects x and P as a
-measurement would (D. C. Fraser and J. E. Potter, IEEE Transactions on Automatic Control 14, 1969).
+measurement would (D. C. Fraser and J. E. Potter, IEEE Transactions on Automatic Control 14, 1969), and e and V from
+them. They are wanted, whoever asks, where a measurement tells very much more than was known, as after a gap in front.
 
 Every array has the axes (series, step) in front, of length 1 where one matrix serves all of them.
 """
@@ -29,6 +30,10 @@ from robust_filterpy._checks import Array
 from robust_filterpy.kernel.series import plain
 
 __all__ = ["Model", "Smooth", "Weighting", "smoothing_pass"]
+
+
+# From this d H P H' on V is no more than rounding, unless it is that of the smoothed states.
+_SHARP = 1e6
 
 
 class Model(NamedTuple):
@@ -102,7 +107,7 @@ def smoothing_pass(
     spread : bool
         Whether H P_s H' is wanted; without it a pass takes half of the time, and neither of the following is to be had.
     states, process : bool
-        Whether x and P, and score and information, are wanted.
+        Whether x and P, and score and information, are wanted. x and P come unasked where they are the only way.
     into : Smooth, optional
         What an earlier pass of this kind returned, to be written over: fresh memory costs a sixth of a long pass.
 
@@ -111,14 +116,21 @@ def smoothing_pass(
     Smooth
     """
     out = _room(model, weighting, spread, states, process) if into is None else into
+    sharpest = _passed(model, weighting, out)
+    if sharpest > _SHARP and out.spread.shape[1] and not out.x.shape[1]:
+        out = _room(model, weighting, True, True, process)
+        _passed(model, weighting, out)
+    return out
+
+
+def _passed(model: Model, weighting: Weighting, out: Smooth) -> float:
+    """Write what a pass returns; return the most that a measurement told next to what was known, d H P H'."""
     extension = kernel.extension()
     if extension is None:
-        _by_definition(model, weighting, out)
-    else:
-        given = model._replace(x0=model.x0[:, None], P0=model.P0[:, None])
-        weights = weighting._replace(process_scale=weighting.process_scale[..., None])
-        extension.smooth(tuple(map(plain, given)), tuple(map(plain, weights)), tuple(out))
-    return out
+        return _by_definition(model, weighting, out)
+    given = model._replace(x0=model.x0[:, None], P0=model.P0[:, None])
+    weights = weighting._replace(process_scale=weighting.process_scale[..., None])
+    return float(extension.smooth(tuple(map(plain, given)), tuple(map(plain, weights)), tuple(out)))
 
 
 def _room(model: Model, weighting: Weighting, spread: bool, states: bool, process: bool) -> Smooth:
@@ -133,19 +145,23 @@ def _room(model: Model, weighting: Weighting, spread: bool, states: bool, proces
     )  # fmt: skip
 
 
-def _by_definition(model: Model, weighting: Weighting, out: Smooth) -> None:
-    """Smooth all series, step by step."""
+def _by_definition(model: Model, weighting: Weighting, out: Smooth) -> float:
+    """Smooth all series, step by step, and return the most that a measurement told next to what was known."""
     d, o, q = weighting
     series, steps = q.shape
     n = model.F.shape[-1]
     means, covariances = np.empty((series, steps, n)), np.empty((series, steps, n, n))
     x = np.broadcast_to(model.x0, (series, n))
     P = np.broadcast_to(model.P0, (series, n, n))
+    sharpest = 0.0
     for k in range(steps):
         F, G, c, H = _at(model, k)
         x = _times(F, x) + c
         P = F @ P @ _t(F) + q[:, k, None, None] * (G @ _t(G))
-        x, P = _corrected(x, P, H, model.z[:, k], d[:, k], o[:, k])
+        for v in range(H.shape[-2]):
+            one = H[..., v : v + 1, :]
+            sharpest = max(sharpest, float((d[:, k, v, None, None] * (one @ P @ _t(one))).max(initial=0.0)))
+            x, P = _corrected(x, P, one, model.z[:, k, v : v + 1], d[:, k, v : v + 1], o[:, k, v : v + 1])
         means[:, k], covariances[:, k] = x, P
     s, L = np.zeros((series, n)), np.zeros((series, n, n))
     later = np.zeros((series, n)), np.zeros((series, n, n))
@@ -159,9 +175,10 @@ def _by_definition(model: Model, weighting: Weighting, out: Smooth) -> None:
         B = L @ PH
         fitted = _times(H, x) + _times(_t(PH), s)
         V = H @ PH - _t(PH) @ B
-        out.fitted[:, k] = fitted
+        wanted = out.x.shape[1]
+        out.fitted[:, k] = _times(H, out.x[:, k]) if wanted else fitted
         if out.spread.shape[1]:
-            out.spread[:, k] = V
+            out.spread[:, k] = H @ out.P[:, k] @ _t(H) if wanted else V
         dH = d[:, k, :, None] * H
         s = s + _times(_t(H), d[:, k] * (model.z[:, k] - fitted) + o[:, k])
         L = L + _t(H) @ dH - _t(dH) @ V @ dH - _t(dH) @ _t(B) - B @ dH
@@ -172,6 +189,7 @@ def _by_definition(model: Model, weighting: Weighting, out: Smooth) -> None:
     if out.x.shape[1]:
         x0, P0 = np.broadcast_to(model.x0, (series, n)), np.broadcast_to(model.P0, (series, n, n))
         out.x0[:], out.P0[:] = _combined(x0, P0, *later)
+    return sharpest
 
 
 def _corrected(x: Array, P: Array, H: Array, z: Array | float, d: Array, o: Array) -> tuple[Array, Array]:

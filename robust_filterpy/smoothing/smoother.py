@@ -24,7 +24,7 @@ from robust_filterpy.smoothing.nonlinear import Trajectory, is_nonlinear, nonlin
 from robust_filterpy.smoothing.recording import Recording, linear_recording, problem
 from robust_filterpy.smoothing.rules import Learnt, Ordinary, Psi, checked_influence
 from robust_filterpy.smoothing.starts import doubted_stretches, log_probability
-from robust_filterpy.smoothing.sweeps import Rule, ordinary, reweighted
+from robust_filterpy.smoothing.sweeps import Rule, reweighted
 
 __all__ = ["Smoothed", "smooth", "smooth_series"]
 
@@ -309,13 +309,14 @@ def _smoothed(
 def _read_otherwise(
     recording: Recording, s: int, found: Smoothed, odd: list[str], options: tuple[Any, Any, bool, int]
 ) -> None:
-    """Put what another start leads to in the place of series s, if it is more probable."""
+    """Put what is found without a stretch in the place of series s, if it is more probable."""
     alone = _alone(recording, s)
     left_out = (np.nan_to_num(found.weights[s], nan=1.0) < 0.5).any(axis=-1)
-    starts = doubted_stretches(alone, left_out)
-    best = _probability(alone, found, s) if starts else np.inf
-    for start in starts:
-        other, of_other = _searched(alone, *options, None, start)
+    stretches = doubted_stretches(alone, left_out)
+    best = _probability(alone, found, s) if stretches else np.inf
+    for stretch in stretches:
+        other, of_other = _searched(_without(alone, stretch), *options)
+        other.weights[0][stretch[:, None] & alone.observed[0]] = 0.0
         probability = _probability(alone, other, 0)
         if probability > best + _CLEARLY:
             best, odd[s] = probability, of_other[0]
@@ -334,6 +335,14 @@ def _alone(recording: Recording, s: int) -> Recording:
     return Recording(type(recording.model)(*map(one, recording.model)), *map(one, recording[1:]))
 
 
+def _without(alone: Recording, stretch: np.ndarray) -> Recording:
+    """Return a recording of one series in which a stretch is missing."""
+    there, model = ~stretch[:, None], alone.model
+    return alone._replace(
+        model=model._replace(z=model.z * there, H=model.H * there[..., None]), observed=alone.observed & there
+    )
+
+
 def _probability(alone: Recording, found: Smoothed, s: int) -> float:
     """Return the log probability of what was found for series s."""
     outliers = np.nan_to_num(found.weights[s], nan=1.0) < 0.5
@@ -349,9 +358,8 @@ def _searched(
     joint: bool,
     limit: int,
     trajectory: Trajectory | None = None,
-    start: Array | None = None,
 ) -> tuple[Smoothed, list[str]]:
-    """Return what one search finds, from the usual start or from weights (steps, 1); and what of Q and R is odd."""
+    """Return what one search finds, and what of Q and R is odd."""
     measurement = measurement_rule(influence, joint, recording.observed)
     doubt = process_rule(process, recording.driven)
     newton = trajectory is None and isinstance(doubt, Ordinary)
@@ -359,11 +367,7 @@ def _searched(
         fit = minimised(recording.model, recording.observed, influence, joint, limit)
         weights = np.where(recording.observed, fit.weighting.precision, np.nan)
     else:
-        begin = None
-        if start is not None:
-            begin = ordinary(recording.observed)
-            begin = begin._replace(precision=begin.precision * start)
-        fit = reweighted(recording.model, recording.observed, measurement, doubt, limit, trajectory, begin)
+        fit = reweighted(recording.model, recording.observed, measurement, doubt, limit, trajectory)
         weights = measurement.weights
     x = fit.smooth.x if trajectory is None else trajectory.x[None, 1:]
     if not np.isfinite(x).all():

@@ -1,9 +1,10 @@
-"""Other places to start from, where a recording can be read in two ways, and which reading is the more probable.
+"""Where a recording can be read in two ways: what else may be left out, and which reading is the more probable.
 
 A burst that lasts as long as what is before it can be followed, and the good samples around it left out: the search
 that doubts single samples comes to rest there as well. What the search left out in a row, and where readings jump, cuts
-the recording into stretches; each stretch is doubted as a whole, everything else believed, and the search begins anew.
-Of what is found the most probable is kept: density of the measurements together with which of them are outliers.
+the recording into stretches; one after the other is taken for missing, and what is left is searched. Of what is found
+the most probable is kept: density of the measurements together with which of them are outliers. Samples that are left
+out in a row may share one offset, which a burst has and good samples taken for bad ones do not.
 """
 
 from __future__ import annotations
@@ -21,32 +22,28 @@ from robust_filterpy.smoothing.recording import Recording
 # Outliers in a row, at least, and how many such rows chance may have made; how many stretches are doubted at most, the
 # longest first.
 _ROW, _CHANCE, _STRETCHES = 5, 0.01, 6
-# Times the typical change from reading to reading that is a jump; the weight of what a start doubts.
-_JUMP, _DOUBTED = 8.0, 1e-3
+# Times the typical change from reading to reading that is a jump; times an outlier's size that an offset may have.
+_JUMP, _OFFSET = 8.0, 10.0
 _TYPICAL = 0.6745
 
 
-def doubted_stretches(recording: Recording, outliers: np.ndarray) -> list[Array]:
-    """Return weights to start from, each (steps, 1), for one series; none where outliers come one by one.
+def doubted_stretches(recording: Recording, outliers: np.ndarray) -> list[np.ndarray]:
+    """Return what else may be left out of one series, each (steps,) of bool; nothing where outliers come one by one.
 
     outliers (steps,): which samples a search from the usual start has left out.
     """
-    rows = _rows(outliers)
-    if not len(rows):
+    if not len(_rows(outliers)):
         return []
-    steps = len(outliers)
+    rows, steps = _rows(outliers, by_chance=True), len(outliers)
     jumps = _jumps(recording)
     inside = np.concatenate([jumps[(begin <= jumps) & (jumps <= end)] for begin, end in rows])
     stretches = set()
     for cuts in (inside, rows.ravel(), np.concatenate([inside, rows.ravel()])):
         cuts = np.unique(np.concatenate([[0, steps], cuts])).tolist()
         stretches |= {(a, b) for a, b in itertools.pairwise(cuts) if _ROW <= b - a <= steps // 2}
-    starts = []
-    for begin, end in sorted(stretches, key=lambda pair: pair[0] - pair[1])[:_STRETCHES]:
-        start = np.ones((steps, 1))
-        start[begin:end] = _DOUBTED
-        starts.append(start)
-    return starts
+    longest = sorted(stretches, key=lambda pair: pair[0] - pair[1])[:_STRETCHES]
+    places = np.arange(steps)
+    return [(begin <= places) & (places < end) for begin, end in longest]
 
 
 def log_probability(recording: Recording, outliers: Array, jumps: Array, noise: Array, process: Array) -> float:
@@ -54,34 +51,72 @@ def log_probability(recording: Recording, outliers: Array, jumps: Array, noise: 
 
     outliers (steps, m), jumps (steps,): which measurements, and which steps of the process, are large; noise (2, m)
     and process (2,): share of the large ones and their standard deviation over that of the others.
+
+    Outliers in a row either have nothing to do with each other, or one offset and ordinary noise: whatever is more
+    probable, row by row.
     """
     F, G, c, H, z, x0, P0 = recording.model
     if c.any():
         z = z - _moved_by(c, F, H, z.shape[1])
     there = recording.observed.astype(bool)
     scale = np.where(jumps, process[1] ** 2, 1.0)[None, :, None, None]
-    R = np.where(outliers, noise[1] ** 2, 1.0)[..., None] * np.eye(z.shape[2])
+    z, Q = np.where(there, z, np.nan), scale * (G @ G.swapaxes(-1, -2))
+    taken: list[tuple[int, int, int]] = []
+    best = _density(z, F, H, Q, outliers, noise, x0, P0, taken)
+    for i, large in enumerate(outliers.T):
+        for begin, end in _rows(large).tolist():
+            found = _density(z, F, H, Q, outliers, noise, x0, P0, [*taken, (i, begin, end)])
+            if found > best:
+                best, taken = found, [*taken, (i, begin, end)]
+    return best + sum(map(_labels, outliers.T, there[0].T, noise[0])) + _labels(jumps, np.True_, process[0])
+
+
+def _density(
+    z: Array, F: Array, H: Array, Q: Array, outliers: Array, noise: Array, x0: Array, P0: Array,
+    offsets: list[tuple[int, int, int]],
+) -> float:  # fmt: skip
+    """Return log p(z | which are outliers); offsets: component, begin and end of rows that have one each."""
+    (steps, m), n, more = outliers.shape, F.shape[-1], len(offsets)
+    large = outliers.copy()
+    F = np.block(
+        [
+            [F, np.zeros((*F.shape[:-1], more))],
+            [np.zeros((*F.shape[:-2], more, n)), np.broadcast_to(np.eye(more), (*F.shape[:-2], more, more))],
+        ]
+    )
+    H = np.concatenate([np.broadcast_to(H, (1, steps, m, n)), np.zeros((1, steps, m, more))], axis=-1)
+    for k, (i, begin, end) in enumerate(offsets):
+        H[0, begin:end, i, n + k] = _OFFSET * noise[1, i]
+        large[begin:end, i] = False
+    Q, P0 = (np.pad(a, [(0, 0)] * (a.ndim - 2) + [(0, more)] * 2) for a in (Q, P0))
+    P0[..., range(n, n + more), range(n, n + more)] = 1.0
+    R = np.where(large, noise[1] ** 2, 1.0)[..., None] * np.eye(m)
     found = filter_series(
-        np.where(there, z, np.nan), F, H, scale * (G @ G.swapaxes(-1, -2)), R[None], x0, P0,
+        z, F, H, Q, R[None], np.pad(x0, [(0, 0)] * (x0.ndim - 1) + [(0, more)]), P0,
         influence=Linear(), keep="last", covariance="none",
     )  # fmt: skip
-    return float(found.log_likelihood[0]) + _labels(outliers, there[0], noise[0]) + _labels(jumps, True, process[0])
+    return float(found.log_likelihood[0])
 
 
-def _labels(large: Array, there: Array | bool, share: Array) -> float:
-    """Return the log probability of these being large and the others not; 0 for a share that was not learnt."""
-    each = np.where(large, np.log(share), np.log1p(-share))
-    return float(np.where(there & np.isfinite(each), each, 0.0).sum())
+def _labels(large: Array, there: Array | np.bool_, share: Array) -> float:
+    """Return the log probability of these being large and the others not, as a Markov chain; 0 if none was learnt."""
+    if not np.isfinite(np.log(share)) or not np.isfinite(np.log1p(-share)):
+        return 0.0
+    large = large[np.broadcast_to(there, large.shape)]
+    from_to = np.zeros((2, 2))
+    np.add.at(from_to, (large[:-1].astype(int), large[1:].astype(int)), 1.0)
+    chances = (from_to + 1.0) / (from_to + 1.0).sum(axis=1, keepdims=True)
+    return float((from_to * np.log(chances)).sum())
 
 
-def _rows(outliers: np.ndarray) -> np.ndarray:
+def _rows(outliers: np.ndarray, by_chance: bool = False) -> np.ndarray:
     """Return where rows of outliers begin and end, (rows, 2); one good sample does not end a row."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], outliers.astype(int), [0]]))).reshape(-1, 2)
     if len(edges):
         apart = np.flatnonzero(edges[1:, 0] - edges[:-1, 1] > 1) + 1
         edges = np.stack([edges[np.append(0, apart), 0], edges[np.append(apart, len(edges)) - 1, 1]], axis=1)
     # Of independent outliers, steps share^length rows begin anywhere; a row may have gaps of one.
-    steps, share = len(outliers), min(float(outliers.mean()), 0.5)
+    steps, share = len(outliers), 0.0 if by_chance else min(float(outliers.mean()), 0.5)
     share *= 2.0 - share
     length = max(_ROW, math.log(_CHANCE / steps) / math.log(share)) if share > 0.0 else _ROW
     return edges[edges[:, 1] - edges[:, 0] >= length]

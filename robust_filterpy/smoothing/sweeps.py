@@ -66,6 +66,7 @@ def reweighted(
         if unused is not None and bool(unused.x.shape[1]) != soon:
             unused = None
         smooth = smoothing_pass(model, weighting, states=soon, process=doubted or soon, into=unused)
+        soon = soon or bool(smooth.x.shape[1])
         moved = np.full(series, np.inf) if before is None else _moved(smooth, before.fitted, observed)
         if trajectory is not None:
             model, moved = trajectory.advanced(smooth)

@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
+from support import without_kernel
 
 from robust_filterpy import Huber, Linear, smooth
 from robust_filterpy.smoothing import smooth_series
@@ -31,15 +32,38 @@ def walk(seed, steps=300, q=0.05):
 
 
 @pytest.mark.parametrize("grouping", ["component", "joint"])
-@pytest.mark.parametrize("length, off", [(20, 20.0), (50, 70.0), (50, 300.0)])
-def test_a_burst_after_ten_good_samples_is_not_followed(length, off, grouping):
+@pytest.mark.parametrize("q", [0.05, 0.1])
+@pytest.mark.parametrize("length, off", [(20, 20.0), (50, 20.0), (50, 70.0), (50, 300.0), (80, 70.0)])
+def test_a_burst_after_ten_good_samples_is_not_followed(length, off, q, grouping):
     for seed in range(40, 44):
-        truth, zs = walk(seed)
+        truth, zs = walk(seed, q=q)
         zs[10 : 10 + length] += off
-        found = smooth(plane(), zs, grouping=grouping)
+        found = smooth(plane(q), zs, grouping=grouping)
+        assert (found.weights[10 : 10 + length] < 0.5).all()
         error = found.x[:, [0, 2], 0] - truth
         sd = np.sqrt(found.P[:, [0, 2], [0, 2]])
         assert np.abs(error / sd).max() < 6.0
+
+
+@pytest.mark.parametrize("gap", [100, 400])
+@pytest.mark.parametrize("P0", [1e4, 1e6, 1e8])
+def test_a_sensor_that_starts_late_is_smoothed_from_where_it_starts(P0, gap, monkeypatch):
+    """What is known then is next to nothing: variances of residuals were differences of large numbers, and negative."""
+    for seed in range(3):
+        truth, zs = walk(seed, 600)
+        rng = np.random.default_rng(seed)
+        zs += np.where(rng.random(zs.shape) < 0.1, 50.0 * rng.normal(size=zs.shape), 0.0)
+        zs[:gap] = np.nan
+        kf = plane()
+        kf.P = P0 * np.eye(4)
+        late = smooth(kf, zs)
+        error = (late.x[gap:, [0, 2], 0] - truth[gap:]) / np.sqrt(late.P[gap:, [0, 2], [0, 2]])
+        assert np.abs(error).max() < 6.0
+        if seed == 0 and gap == 100:
+            without_kernel(monkeypatch)
+            by_definition = smooth(kf, zs)
+            monkeypatch.undo()
+            np.testing.assert_allclose(by_definition.x[gap:], late.x[gap:], rtol=1e-4, atol=1e-4)
 
 
 def test_of_many_series_each_is_read_for_itself():
