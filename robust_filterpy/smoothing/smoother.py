@@ -319,7 +319,12 @@ def _read_otherwise(
         other.weights[0][stretch[:, None] & alone.observed[0]] = 0.0
         probability = _probability(alone, other, 0)
         if probability > best + _CLEARLY:
-            best, odd[s] = probability, of_other[0]
+            other.contamination[0] += (1.0 - other.contamination[0]) * stretch.mean()
+            out = stretch | (np.nan_to_num(other.weights[0], nan=1.0) < 0.5).any(axis=-1)
+            ends = np.flatnonzero(np.diff(out, prepend=False, append=False))
+            row = ends[np.searchsorted(ends, np.argmax(stretch), side="right") - 1 :]
+            words = f"samples {row[0]} to {row[1] - 1} are left out, all in a row"
+            best, odd[s] = probability, "; ".join([words, *filter(None, of_other)])
             for field in fields(Smoothed):
                 whole = getattr(found, field.name)
                 if isinstance(whole, np.ndarray):

@@ -4,7 +4,8 @@ A burst that lasts as long as what is before it can be followed, and the good sa
 that doubts single samples comes to rest there as well. What the search left out in a row, and where readings jump, cuts
 the recording into stretches; one after the other is taken for missing, and what is left is searched. Of what is found
 the most probable is kept: density of the measurements together with which of them are outliers. Samples that are left
-out in a row may share one offset, which a burst has and good samples taken for bad ones do not.
+out in a row may share one offset, which a burst has and good samples taken for bad ones do not; but not what lasts for
+long, or from or to an end of the recording, which the state itself may have done.
 """
 
 from __future__ import annotations
@@ -22,8 +23,9 @@ from robust_filterpy.smoothing.recording import Recording
 # Outliers in a row, at least, and how many such rows chance may have made; how many stretches are doubted at most, the
 # longest first.
 _ROW, _CHANCE, _STRETCHES = 5, 0.01, 6
-# Times the typical change from reading to reading that is a jump; times an outlier's size that an offset may have.
-_JUMP, _OFFSET = 8.0, 10.0
+# Times the typical change from reading to reading that is a jump; times an outlier's size that an offset may have, and
+# the share of a recording for which it may last.
+_JUMP, _OFFSET, _LASTS = 8.0, 10.0, 0.25
 _TYPICAL = 0.6745
 
 
@@ -61,14 +63,34 @@ def log_probability(recording: Recording, outliers: Array, jumps: Array, noise: 
     there = recording.observed.astype(bool)
     scale = np.where(jumps, process[1] ** 2, 1.0)[None, :, None, None]
     z, Q = np.where(there, z, np.nan), scale * (G @ G.swapaxes(-1, -2))
-    taken: list[tuple[int, int, int]] = []
-    best = _density(z, F, H, Q, outliers, noise, x0, P0, taken)
-    for i, large in enumerate(outliers.T):
-        for begin, end in _rows(large).tolist():
-            found = _density(z, F, H, Q, outliers, noise, x0, P0, [*taken, (i, begin, end)])
-            if found > best:
-                best, taken = found, [*taken, (i, begin, end)]
-    return best + sum(map(_labels, outliers.T, there[0].T, noise[0])) + _labels(jumps, np.True_, process[0])
+    rows = [(i, begin, end) for i, large in enumerate(outliers.T) for begin, end in _bursts(large)]
+    bursts: list[tuple[int, int, int]] = []
+    best = -math.inf
+    for more in ([], *([row] for row in rows)):
+        tried = [*bursts, *more]
+        alone = outliers & ~_inside(tried, outliers.shape)
+        found = _density(z, F, H, Q, alone, noise, x0, P0, tried)
+        # A burst is as likely as one outlier.
+        found += _labels(alone, there[0] & ~_inside(tried, alone.shape), noise[0])
+        found += sum(float(np.log(noise[0, i])) for i, *_ in tried)
+        if found > best:
+            best, bursts = found, tried
+    return best + _labels(jumps, np.ones(len(jumps), dtype=bool), process[0])
+
+
+def _bursts(large: np.ndarray) -> list[list[int]]:
+    """Return the rows of outliers that may have one offset: where they begin and end."""
+    steps = len(large)
+    rows: list[list[int]] = _rows(large).tolist()
+    return [[begin, end] for begin, end in rows if 0 < begin and end < steps and end - begin <= _LASTS * steps]
+
+
+def _inside(rows: list[tuple[int, int, int]], shape: tuple[int, ...]) -> np.ndarray:
+    """Return which samples of which components are in one of the rows."""
+    found = np.zeros(shape, dtype=bool)
+    for i, begin, end in rows:
+        found[begin:end, i] = True
+    return found
 
 
 def _density(
@@ -77,7 +99,6 @@ def _density(
 ) -> float:  # fmt: skip
     """Return log p(z | which are outliers); offsets: component, begin and end of rows that have one each."""
     (steps, m), n, more = outliers.shape, F.shape[-1], len(offsets)
-    large = outliers.copy()
     F = np.block(
         [
             [F, np.zeros((*F.shape[:-1], more))],
@@ -87,10 +108,9 @@ def _density(
     H = np.concatenate([np.broadcast_to(H, (1, steps, m, n)), np.zeros((1, steps, m, more))], axis=-1)
     for k, (i, begin, end) in enumerate(offsets):
         H[0, begin:end, i, n + k] = _OFFSET * noise[1, i]
-        large[begin:end, i] = False
     Q, P0 = (np.pad(a, [(0, 0)] * (a.ndim - 2) + [(0, more)] * 2) for a in (Q, P0))
     P0[..., range(n, n + more), range(n, n + more)] = 1.0
-    R = np.where(large, noise[1] ** 2, 1.0)[..., None] * np.eye(m)
+    R = np.where(outliers, noise[1] ** 2, 1.0)[..., None] * np.eye(m)
     found = filter_series(
         z, F, H, Q, R[None], np.pad(x0, [(0, 0)] * (x0.ndim - 1) + [(0, more)]), P0,
         influence=Linear(), keep="last", covariance="none",
@@ -98,15 +118,10 @@ def _density(
     return float(found.log_likelihood[0])
 
 
-def _labels(large: Array, there: Array | np.bool_, share: Array) -> float:
-    """Return the log probability of these being large and the others not, as a Markov chain; 0 if none was learnt."""
-    if not np.isfinite(np.log(share)) or not np.isfinite(np.log1p(-share)):
-        return 0.0
-    large = large[np.broadcast_to(there, large.shape)]
-    from_to = np.zeros((2, 2))
-    np.add.at(from_to, (large[:-1].astype(int), large[1:].astype(int)), 1.0)
-    chances = (from_to + 1.0) / (from_to + 1.0).sum(axis=1, keepdims=True)
-    return float((from_to * np.log(chances)).sum())
+def _labels(large: Array, there: Array, share: Array) -> float:
+    """Return the log probability of these being large and the others not; 0 for a share that was not learnt."""
+    each = np.where(large, np.log(share), np.log1p(-share))
+    return float(np.where(there & np.isfinite(each), each, 0.0).sum())
 
 
 def _rows(outliers: np.ndarray, by_chance: bool = False) -> np.ndarray:
