@@ -21,7 +21,7 @@ model is too simple, has large innovations and even changes, and does not learn 
 White noise in steps of at most a tenth of it does not give the same number twice. A sensor of that kind that repeats
 its last reading, far from the prediction, is stuck, and tells nothing of the state (`repeated`). The least change from
 reading to reading tells how fine its steps are, so that counters, coarse sensors and recordings without noise are
-believed.
+believed. No reading that repeats the one before tells of r, else it would fall to nothing where steps are coarse.
 
 All that is known of a sensor is one row of numbers, ``[r, n, shares (K), last (K), counts (K, K), together, parity (4),
 change (4), reading (2)]``: r stands on n ordinary samples; the shares of the classes of late; the probabilities of the
@@ -285,11 +285,13 @@ def learn(known: Array, posterior: Array, r: float, excess: float, part: float, 
     """
     K, after, begin = len(posterior), known.copy(), start(len(posterior))
     ordinary = float(posterior[0])
-    # One sample is never forgotten, else r would reel where it can hardly be seen.
-    after[1] = 1.0 + (1.0 - 1.0 / noise.r_memory) * (known[1] - 1.0) + ordinary * part * part
-    after[0] += ordinary * (r * (1.0 + part * excess) - known[0]) / after[1]
-    after[0] = min(max(after[0], 1e-8), 1e8)
-    after[_LESS] = max(known[_LESS] + ordinary * _for_less(part, excess), 0.0)
+    # A reading that repeats the one before tells that steps are coarse, or the sensor held, not how large its noise is.
+    if not np.signbit(known[-1]):
+        # One sample is never forgotten, else r would reel where it can hardly be seen.
+        after[1] = 1.0 + (1.0 - 1.0 / noise.r_memory) * (known[1] - 1.0) + ordinary * part * part
+        after[0] += ordinary * (r * (1.0 + part * excess) - known[0]) / after[1]
+        after[0] = min(max(after[0], 1e-8), 1e8)
+        after[_LESS] = max(known[_LESS] + ordinary * _for_less(part, excess), 0.0)
     if after[_LESS] > _LOG_LESS:
         after[0], after[1], after[_LESS] = max(_LESS_SCALE * after[0], 1e-8), _PRIOR_R, 0.0
     after[2 : 2 + K] += 1.0 / noise.r_memory * (posterior - known[2 : 2 + K])

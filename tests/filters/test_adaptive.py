@@ -652,6 +652,30 @@ def test_a_sensor_ten_times_better_than_told_is_known_in_a_few_dozen_samples_and
     assert np.median(better) < 0.03 and (better < 0.1).mean() > 0.9 and (right > 0.25).all()
 
 
+@pytest.mark.parametrize(
+    "step, sigma, drift, rests, most",
+    [(1.0, 0.3, 0.02, 0, 1.3), (1.0, 0.2, 0.1, 0, 1.3), (0.0, 1.0, 0.2, 150, 1.6)],
+    ids=["coarse steps", "coarse steps of a state that moves", "a sensor that reads 0 at rest"],
+)
+def test_readings_that_repeat_themselves_do_not_teach_that_a_sensor_has_no_noise(step, sigma, drift, rests, most):
+    """Noise that is in between the steps is not seen; r fell by decades with each dozen equal readings."""
+    errors = []
+    for seed in range(4):
+        g = np.random.default_rng(seed)
+        truth = np.cumsum(np.where(np.arange(400)[:, None] < rests, 0.0, drift * g.normal(size=(400, 2))), axis=0) + 0.3
+        zs = truth + sigma * g.normal(size=(400, 2))
+        zs[:rests] = 0.0
+        zs = step * np.round(zs / step) if step else zs
+        problem = with_(
+            random_problem(1, 2, 2), F=np.eye(2), H=np.eye(2), Q=drift**2 * np.eye(2), P=10.0 * np.eye(2),
+            R=(sigma**2 + step**2 / 12.0) * np.eye(2), x=np.zeros((2, 1)),
+        )  # fmt: skip
+        paths = [advance(make(cls, problem, 1), zs) for cls in (AdaptiveKalmanFilter, KalmanFilter)]
+        errors.append([np.mean((path - truth) ** 2) for path in paths])
+    ours, theirs = np.sum(errors, axis=0)
+    assert ours < most * theirs
+
+
 def test_a_start_that_the_first_reading_contradicts_is_doubted_with_its_speed():
     """A ball at 300 and 15 a step, for a filter that starts at 0 with a standard deviation of 3 of each."""
     problem = with_(

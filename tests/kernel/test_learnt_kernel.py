@@ -80,6 +80,13 @@ def test_a_stuck_sensor_says_nothing_by_both():
     np.testing.assert_array_equal(weights == 0.0, stuck)
 
 
+def test_readings_that_repeat_themselves_teach_nothing_of_r_by_both():
+    problem = with_(random_problem(3, 2, 2), H=np.eye(2), R=np.eye(2), F=np.eye(2), Q=1e-3 * np.eye(2))
+    zs = np.round(np.random.default_rng(7).normal(size=(120, 2)) * [0.4, 0.0])
+    _, memory = compare(problem, zs, NoiseClasses(), Scales())
+    assert 0.1 < memory[0, 0] < 1.0 and memory[1, 0] > 0.9
+
+
 def test_a_colour_and_sensors_that_fail_together_are_learnt_by_both():
     R = np.diag([1.0, 2.0, 0.5]) + 0.3
     problem = with_(random_problem(4, 2, 3), H=np.array([[1.0, 0.0], [1.0, 0.5], [1.0, -0.2]]), R=R)
