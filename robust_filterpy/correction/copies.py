@@ -38,6 +38,10 @@ _START = 0.2
 _ASKS, _FARTHEST = 3.0, 1e12
 # In variances of its noise: within that the sensor tells where a jump went.
 _AROUND = 100.0
+# Of a variance that a sensor has told, so much is left where its noise is next to none: less is rounding.
+_LEFT = 1e-10
+# Of a scale that one of two parts contradicts, at least so much is left where they become one.
+_UNLIKELY = 1e-30
 # A candidate that is so probable is taken over; one whose probability is this part of a jump's is dropped.
 _TAKEN, _DROPPED = 0.999, 0.01
 
@@ -195,8 +199,9 @@ def coupled(copies: Copies, links: Array, process: Scales) -> Copies:
         heads = np.unique(parts[states]).astype(int)
         if len(heads) < 2:
             continue
-        # What was likely at first is counted once.
+        # What was likely at first is counted once. Parts may contradict each other beyond what a number can say.
         likely = np.prod(belief[:q, heads] / process.begin[:q, None], axis=1) * process.begin[:q]
+        likely = np.maximum(likely, _UNLIKELY)
         belief[:-2, states] = 0.0
         belief[:q, states] = (likely / likely.sum())[:, None]
         belief[-2, states], belief[-1, states] = belief[-2, heads].max(), heads[0]

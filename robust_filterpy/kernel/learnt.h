@@ -34,6 +34,8 @@
 #define LEARNT_FARTHEST REAL(1e24)     /* and to which it can tell where to */
 #define LEARNT_START REAL(0.2)        /* chance that the state is not where the start says */
 #define LEARNT_AROUND REAL(100.0)     /* variances of its noise within which a sensor tells where a jump went */
+#define LEARNT_LEFT (REAL_PIVOT * 1000) /* of a variance that a sensor has told, this part is left: less is rounding */
+#define LEARNT_UNLIKELY REAL(1e-30)   /* of a scale that one of two parts contradicts, left where they become one */
 #define LEARNT_EVIDENCE REAL(100.0)   /* a sample is not worth more for a jump */
 #define LEARNT_TAKEN REAL(0.999)      /* a candidate that is so probable is taken over */
 #define LEARNT_DROPPED REAL(0.01)     /* one whose probability is this part of a jump's is dropped */
@@ -98,7 +100,8 @@ INLINE void learnt_join(const int n, const learnt_rule *const rule, learnt_state
     const real low = real_min(part[i], part[k]), high = real_max(part[i], part[k]);
     if (low == high) return;
     const int one = (int)low, other = (int)high;
-    for (int c = 0; c < rule->q; c++) p[c * n + one] *= p[c * n + other] / (c > 0 ? 1 - rule->stay : 1);
+    for (int c = 0; c < rule->q; c++)
+        p[c * n + one] = real_max(p[c * n + one] * p[c * n + other] / (c > 0 ? 1 - rule->stay : 1), LEARNT_UNLIKELY);
     learnt_normalize(n, one, rule->q, p);
     if (rule->jump > 0) p[rule->q * n + one] = 0;
     unseen[one] = real_max(unseen[one], unseen[other]);

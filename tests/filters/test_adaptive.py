@@ -612,6 +612,19 @@ def test_a_sensor_that_couples_two_parts_makes_one_of_them_for_good():
     assert len(np.unique(kf.process_probabilities, axis=1).T) == 1
 
 
+def test_parts_that_contradict_each_other_utterly_become_one_all_the_same():
+    process = Scales()
+    kf = make(RobustKalmanFilter, with_(uncoupled()[2], F=np.eye(3)), 1, noise="learnt", process=process)
+    state = kf.state()
+    sure = np.full((5, 2), 1e-200)
+    sure[1, 0] = sure[4, 1] = 1.0
+    state["belief"][:5] = sure[:, [0, 0, 1]]
+    kf.restore(state)
+    kf.F = np.ones((3, 3))
+    kf.predict()
+    assert np.isfinite(kf.x).all() and np.isfinite(kf.P).all() and np.allclose(kf.process_probabilities.sum(axis=0), 1.0)
+
+
 def test_a_box_whose_shape_hardly_moves_is_followed_for_as_long_as_it_is_there():
     """SORT's numbers: the ratio of the sides is known a thousand times better than R and Q say."""
     ratios = []
