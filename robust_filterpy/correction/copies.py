@@ -360,7 +360,7 @@ def _wider(spread: Array, y: float, h: Array, noise: float, own: np.ndarray) -> 
     times = max(float((y * y - noise) / seen), 1.0)
     spread = np.where(own[:, None] & own, times, 1.0) * spread
     C = spread @ h
-    return np.asarray(spread - np.outer(C, C) / (h @ C))
+    return np.asarray(spread - (1.0 - _LEFT) * np.outer(C, C) / (h @ C))
 
 
 def far_off(copies: Copies, z: Array, H: Array, noise: Array, process: Scales) -> Array:

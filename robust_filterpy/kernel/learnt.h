@@ -489,20 +489,21 @@ INLINE void learnt_wider(const int n, const int m, const int q, const int i, con
                          const learnt_parts *const w, real *RESTRICT P) {
     real *RESTRICT C = w->C + q * m * n, *RESTRICT S = w->S + q * m * m, *RESTRICT column = w->start;
     const real y = w->y[q * m + i], whole = S[i * m + i], factor = real_max((y * y - noise) / whole, 1);
+    const real told = (1 - LEARNT_LEFT) / whole;
     for (int j = 0; j < m; j++) column[j] = w->head[j] == w->head[i] ? S[j * m + i] : 0;
     for (int o = 0; o < n; o++)
         for (int k = 0; k < n; k++)
             if (part[o] == w->head[i] && part[k] == w->head[i])
-                P[o * n + k] = factor * (P[o * n + k] - C[i * n + o] * C[i * n + k] / whole);
+                P[o * n + k] = factor * (P[o * n + k] - C[i * n + o] * C[i * n + k] * told);
     for (int j = 0; j < m; j++)
         for (int k = 0; k < m; k++)
             if (w->left[j] > 0 && w->left[k] > 0 && w->head[j] == w->head[i] && w->head[k] == w->head[i])
-                S[j * m + k] = factor * (S[j * m + k] - column[j] * column[k] / whole);
+                S[j * m + k] = factor * (S[j * m + k] - column[j] * column[k] * told);
     for (int j = 0; j < m; j++)
         for (int k = 0; k < n; k++)
             if (w->left[j] > 0 && j != i && w->head[j] == w->head[i] && part[k] == w->head[i])
-                C[j * n + k] = factor * (C[j * n + k] - column[j] * C[i * n + k] / whole);
-    for (int k = 0; k < n; k++) C[i * n + k] = 0;
+                C[j * n + k] = factor * (C[j * n + k] - column[j] * C[i * n + k] * told);
+    for (int k = 0; k < n; k++) C[i * n + k] *= factor * LEARNT_LEFT;
 }
 
 /* Let a candidate begin in each part where an innovation asks for it, where the measurement says: as if what a sensor sees
@@ -646,6 +647,7 @@ INLINE int learnt_together(const int n, const int m, const learnt_rule *const ru
     const int K = rule->K, width = learnt_width(K);
     real *RESTRICT S = work, *RESTRICT L = S + m * m, *RESTRICT y = L + m * m, *RESTRICT u = y + m;
     real total = 0, peak = 0, shorter = 1, count = 0;
+    int noisy = 0;
     w->together = 0;
     for (int k = 0; k < K; k++) w->shared[k] = 0;
     for (int i = 0; i < m; i++) {
@@ -654,6 +656,7 @@ INLINE int learnt_together(const int n, const int m, const learnt_rule *const ru
         if (!(w->left[i] > 0)) continue;
         for (int c = 0; c < rule->q; c++) slow += p[c * n];
         count += 1;
+        noisy |= R[i * m + i] > 0;
         w->together += s->memory[i * width + width - LEARNT_TAIL];
         learnt_predicted(K, s->memory + i * width, w->before);
         for (int k = 0; k < K; k++) w->shared[k] += w->before[k];
@@ -691,7 +694,7 @@ INLINE int learnt_together(const int n, const int m, const learnt_rule *const ru
             length += u[i] * u[i];
         }
         /* Nothing is farther than the widest class reaches. */
-        if (k == K - 1 && length > LEARNT_REACH * LEARNT_REACH) shorter = LEARNT_REACH * LEARNT_REACH / length;
+        if (k == K - 1 && noisy && length > LEARNT_REACH * LEARNT_REACH) shorter = LEARNT_REACH * LEARNT_REACH / length;
         w->after[k] = real_log(w->shared[k] / count) - REAL(0.5) * (length * shorter + log_det);
         if (k == K - 1 || w->after[k] > peak) peak = w->after[k];
     }
@@ -736,7 +739,8 @@ INLINE int learnt_scores(const int m, const learnt_rule *const rule, const int i
         real *RESTRICT given = w->given + c * K;
         real y = w->y[c * m + i], reach, total = 0, first = 0, second = 0;
         if (!(S > REAL_PIVOT * w->start[i]) || !real_is_finite(S)) return 0;
-        reach = LEARNT_REACH * real_sqrt(S + (rule->scales[K - 1] - 1) * noise);
+        /* A sensor without noise is right however far off. */
+        reach = noise > 0 ? LEARNT_REACH * real_sqrt(S + (rule->scales[K - 1] - 1) * noise) : REAL_MAX;
         y = real_min(real_max(y, -reach), reach);
         for (int k = 0; k < K; k++) {
             const real precision = 1 / (S + (rule->scales[k] - 1) * noise);

@@ -306,6 +306,21 @@ def test_a_sensor_without_noise_is_believed_and_teaches_nothing(variances, group
     assert (kf.learnt[-1, 0] == 1.0) == (grouping == "component" or m == 1)
 
 
+@pytest.mark.parametrize("kernel", [True, False])
+@pytest.mark.parametrize("noise", [0.0, 1e-6])
+def test_sensors_next_to_without_noise_are_believed_wherever_the_start_is(noise, kernel, monkeypatch):
+    """The start's covariance less what such a reading tells is rounding; nothing is beyond what a sensor may say."""
+    if not kernel:
+        without_kernel(monkeypatch)
+    for seed in range(20):
+        problem = with_(random_problem(seed, 3, 2), R=noise * np.eye(2), P=np.eye(3))
+        kf = make(AdaptiveKalmanFilter, problem, 1)
+        zs = simulate(with_(problem, x=problem.x + 300.0 * np.random.default_rng(seed).normal(size=(3, 1))), 8, seed)[0]
+        advance(kf, zs)
+        np.testing.assert_allclose(kf.H @ np.ravel(kf.x), zs[-1], atol=0.02)
+        assert noise or np.allclose(kf.H @ np.ravel(kf.x), zs[-1])
+
+
 @pytest.mark.parametrize("name, spoilt, match", [
     ("learnt", lambda a: -a, "learnt: expected finite numbers >= 0"),
     ("learnt", lambda a: 2.0 * a, "learnt: expected probabilities"),
@@ -689,11 +704,12 @@ def test_readings_that_repeat_themselves_do_not_teach_that_a_sensor_has_no_noise
     assert ours < most * theirs
 
 
-def test_a_start_that_the_first_reading_contradicts_is_doubted_with_its_speed():
-    """A ball at 300 and 15 a step, for a filter that starts at 0 with a standard deviation of 3 of each."""
+@pytest.mark.parametrize("speed", [9.0, 1000.0], ids=["as well known as its place", "hardly known"])
+def test_a_start_that_the_first_reading_contradicts_is_doubted_with_its_speed(speed):
+    """A ball at 300 and 15 a step, for a filter that starts at 0; what of that is speed the first reading cannot tell."""
     problem = with_(
         cart(), F=np.array([[1.0, 1.0], [0.0, 1.0]]), H=np.eye(1, 2), Q=1e-3 * np.eye(2), R=np.eye(1),
-        P=9.0 * np.eye(2), x=np.zeros((2, 1)),
+        P=np.diag([9.0, speed]), x=np.zeros((2, 1)),
     )  # fmt: skip
     kf = make(AdaptiveKalmanFilter, problem, 1)
     truth = 300.0 + 15.0 * np.arange(12)
