@@ -246,12 +246,16 @@ INLINE void learnt_learn(const learnt_rule *const rule, const real *RESTRICT p, 
     const real *RESTRICT prior = rule->begin + 2 + 2 * K;
     const real keep = 1 - 1 / rule->memory, less = (1 - LEARNT_LESS) * part;
     real *RESTRICT for_less = known + width - LEARNT_TAIL + 1;
-    /* A reading that repeats the one before tells that steps are coarse, or the sensor held, not how large its noise is. */
-    if (real_copysign(1, known[width - 1]) > 0) {
+    /* A reading that repeats the one before tells of the noise only that it is less than a step: nothing, unless steps are
+       fine, and it is no independent sample of white noise. */
+    const int again = real_copysign(1, known[width - 1]) < 0;
+    if (!again || real_abs(known[width - 1]) * real_sqrt(known[0]) >= LEARNT_FINE) {
         /* Of what is noise by a part it tells the square of that. One sample is never forgotten, else r would reel. */
         known[1] = 1 + (1 - 1 / rule->r_memory) * (known[1] - 1) + p[0] * part * part;
         known[0] += p[0] * (r * (1 + part * excess) - known[0]) / known[1];
         known[0] = real_min(real_max(known[0], REAL(1e-8)), REAL(1e8));
+    }
+    if (!again) {
         *for_less -= p[0] * REAL(0.5) * (real_log(1 - less) + (1 + excess) * less / (1 - less));
         *for_less = real_max(*for_less, 0);
     }
