@@ -285,8 +285,8 @@ def learn(known: Array, posterior: Array, r: float, excess: float, part: float, 
     """
     K, after, begin = len(posterior), known.copy(), start(len(posterior))
     ordinary = float(posterior[0])
-    # A reading that repeats the one before tells of the noise only that it is less than a step: nothing, unless steps are
-    # fine, and it is no independent sample of white noise.
+    # A reading that repeats the one before tells of the noise only that it is less than a step: nothing, unless steps
+    # are fine, and it is no independent sample of white noise.
     again = bool(np.signbit(known[-1]))
     if not again or abs(known[-1]) * math.sqrt(known[0]) >= _FINE:
         # One sample is never forgotten, else r would reel where it can hardly be seen.

@@ -38,7 +38,7 @@
 #define LEARNT_UNLIKELY REAL(1e-30)   /* of a scale that one of two parts contradicts, left where they become one */
 #define LEARNT_EVIDENCE REAL(100.0)   /* a sample is not worth more for a jump */
 #define LEARNT_TAKEN REAL(0.999)      /* a candidate that is so probable is taken over */
-#define LEARNT_DROPPED REAL(0.01)     /* one whose probability is this part of a jump's is dropped */
+#define LEARNT_DROPPED REAL(0.01)     /* one whose probability is this part of a jump's is dropped, or is this where parts join */
 
 /* What a filter is told of its noises. */
 typedef struct {
@@ -94,16 +94,24 @@ INLINE void learnt_normalize(const int n, const int i, const int count, real *RE
 }
 
 /* Let the parts of two states be one: with the scales that are likely in both, what was likely at first counted once, and
-   without a candidate. */
+   a candidate of either, which in the part that has none follows the first copy. */
 INLINE void learnt_join(const int n, const learnt_rule *const rule, learnt_state *const s, const int i, const int k) {
     real *const part = learnt_part(n, rule, s), *const unseen = learnt_unseen(n, rule, s), *const p = s->p;
     const real low = real_min(part[i], part[k]), high = real_max(part[i], part[k]);
     if (low == high) return;
-    const int one = (int)low, other = (int)high;
-    for (int c = 0; c < rule->q; c++)
+    const int one = (int)low, other = (int)high, q = rule->q;
+    real jumped = rule->jump > 0 ? real_max(p[q * n + one], p[q * n + other]) : 0;
+    if (jumped < LEARNT_DROPPED) jumped = 0;
+    for (int o = 0; jumped > 0 && o < n; o++) {
+        if (!(part[o] == low || part[o] == high) || p[q * n + o] >= LEARNT_DROPPED) continue;
+        s->x[q * n + o] = s->x[o];
+        real_copy(n, s->P + o * n, s->P + (q * n + o) * n);
+    }
+    for (int c = 0; c < q; c++)
         p[c * n + one] = real_max(p[c * n + one] * p[c * n + other] / (c > 0 ? 1 - rule->stay : 1), LEARNT_UNLIKELY);
-    learnt_normalize(n, one, rule->q, p);
-    if (rule->jump > 0) p[rule->q * n + one] = 0;
+    learnt_normalize(n, one, q, p);
+    for (int c = 0; c < q; c++) p[c * n + one] *= 1 - jumped;
+    if (rule->jump > 0) p[q * n + one] = jumped;
     unseen[one] = real_max(unseen[one], unseen[other]);
     for (int o = 0; o < n; o++) {
         if (!(part[o] == low || part[o] == high)) continue;
