@@ -643,13 +643,16 @@ def test_a_start_that_is_doubted_stays_so_where_a_sensor_couples_two_parts(off):
             assert k < 2 or np.abs(np.ravel(kf.x) - off).max() < 4.0
 
 
-def test_parts_that_contradict_each_other_utterly_become_one_all_the_same():
-    process = Scales()
-    kf = make(RobustKalmanFilter, with_(uncoupled()[2], F=np.eye(3)), 1, noise="learnt", process=process)
+@pytest.mark.parametrize("kernel", [True, False])
+def test_parts_that_contradict_each_other_utterly_become_one_all_the_same(kernel, monkeypatch):
+    if not kernel:
+        without_kernel(monkeypatch)
+    apart = {name: np.eye(3) for name in ("F", "Q", "H", "R", "P")}
+    kf = make(AdaptiveKalmanFilter, with_(random_problem(1, 3, 3), **apart), 1)
     state = kf.state()
-    sure = np.full((5, 2), 1e-200)
-    sure[1, 0] = sure[4, 1] = 1.0
-    state["belief"][:5] = sure[:, [0, 0, 1]]
+    # Each is certain of a scale that the others rule out.
+    state["belief"][:5] = 1e-200
+    state["belief"][[1, 4, 2], [0, 1, 2]] = 1.0
     kf.restore(state)
     kf.F = np.ones((3, 3))
     kf.predict()
