@@ -12,7 +12,7 @@ first innovation asks for.
 States of which none moves, or is measured, with another's are parts of their own: the axes of a point that moves, a
 box's centre and its shape. Each part has its own probabilities of the copies, its own jumps and its own candidate, so
 that a part whose Q is too large says nothing of the others. Where F, Q, P, H or R couple two parts, they become one
-(`coupled`), with the scales that are likely in both, and stay one.
+(`coupled`), with the scales that are likely in both and a candidate of either, and stay one.
 """
 
 from __future__ import annotations
@@ -38,7 +38,12 @@ _START = 0.2
 _ASKS, _FARTHEST = 3.0, 1e12
 # In variances of its noise: within that the sensor tells where a jump went.
 _AROUND = 100.0
-# A candidate that is so probable is taken over; one whose probability is this part of a jump's is dropped.
+# Of a variance that a sensor has told, so much is left where its noise is next to none: less is rounding.
+_LEFT = 1e-10
+# Of a scale that one of two parts contradicts, at least so much is left where they become one.
+_UNLIKELY = 1e-30
+# A candidate that is so probable is taken over; one whose probability is this part of a jump's is dropped, or is this
+# where its part becomes one with another.
 _TAKEN, _DROPPED = 0.999, 0.01
 
 
@@ -170,7 +175,7 @@ def start(x: Array, P: Array, process: Scales) -> Copies:
 
 
 def coupled(copies: Copies, links: Array, process: Scales) -> Copies:
-    """Return the copies, parts that are linked as one: with the scales that are likely in both, without a candidate.
+    """Return the copies, parts that are linked as one: with the scales that are likely in both, a candidate of either.
 
     Parameters
     ----------
@@ -186,21 +191,31 @@ def coupled(copies: Copies, links: Array, process: Scales) -> Copies:
     Copies
     """
     parts, q = copies.parts, len(process.scales)
-    if not parts.any():
+    linked, together = links != 0.0, parts[:, None] == parts
+    # As in all but a few steps; the search takes a hundred times as long.
+    if not (linked & ~together).any():
         return copies
-    _, labels = connected_components((links != 0.0) | (parts[:, None] == parts), directed=False)
-    belief = copies.belief.copy()
+    _, labels = connected_components(linked | together, directed=False)
+    x, P, belief = copies.x.copy(), copies.P.copy(), copies.belief.copy()
     for label in np.unique(labels):
         states = np.flatnonzero(labels == label)
         heads = np.unique(parts[states]).astype(int)
         if len(heads) < 2:
             continue
-        # What was likely at first is counted once.
+        # What was likely at first is counted once. Parts may contradict each other beyond what a number can say.
         likely = np.prod(belief[:q, heads] / process.begin[:q, None], axis=1) * process.begin[:q]
-        belief[:-2, states] = 0.0
-        belief[:q, states] = (likely / likely.sum())[:, None]
+        likely = np.maximum(likely, _UNLIKELY)
+        jumped = belief[q:-2, heads].max(initial=0.0)
+        if jumped >= _DROPPED:
+            # In the part that has no candidate it follows the first copy.
+            none = states[belief[q, states] < _DROPPED]
+            x[q, none], P[q, none] = x[0, none], P[0, none]
+        else:
+            jumped = 0.0
+        belief[:q, states] = ((1.0 - jumped) * likely / likely.sum())[:, None]
+        belief[q:-2, states] = jumped
         belief[-2, states], belief[-1, states] = belief[-2, heads].max(), heads[0]
-    return copies._replace(belief=belief)
+    return Copies(x, P, belief)
 
 
 def require_belief(name: str, belief: Array) -> None:
@@ -355,7 +370,7 @@ def _wider(spread: Array, y: float, h: Array, noise: float, own: np.ndarray) -> 
     times = max(float((y * y - noise) / seen), 1.0)
     spread = np.where(own[:, None] & own, times, 1.0) * spread
     C = spread @ h
-    return np.asarray(spread - np.outer(C, C) / (h @ C))
+    return np.asarray(spread - (1.0 - _LEFT) * np.outer(C, C) / (h @ C))
 
 
 def far_off(copies: Copies, z: Array, H: Array, noise: Array, process: Scales) -> Array:

@@ -21,7 +21,7 @@ model is too simple, has large innovations and even changes, and does not learn 
 White noise in steps of at most a tenth of it does not give the same number twice. A sensor of that kind that repeats
 its last reading, far from the prediction, is stuck, and tells nothing of the state (`repeated`). The least change from
 reading to reading tells how fine its steps are, so that counters, coarse sensors and recordings without noise are
-believed.
+believed. Unless steps are fine, no reading that repeats the one before tells of r, which would fall to nothing.
 
 All that is known of a sensor is one row of numbers, ``[r, n, shares (K), last (K), counts (K, K), together, parity (4),
 change (4), reading (2)]``: r stands on n ordinary samples; the shares of the classes of late; the probabilities of the
@@ -285,11 +285,16 @@ def learn(known: Array, posterior: Array, r: float, excess: float, part: float, 
     """
     K, after, begin = len(posterior), known.copy(), start(len(posterior))
     ordinary = float(posterior[0])
-    # One sample is never forgotten, else r would reel where it can hardly be seen.
-    after[1] = 1.0 + (1.0 - 1.0 / noise.r_memory) * (known[1] - 1.0) + ordinary * part * part
-    after[0] += ordinary * (r * (1.0 + part * excess) - known[0]) / after[1]
-    after[0] = min(max(after[0], 1e-8), 1e8)
-    after[_LESS] = max(known[_LESS] + ordinary * _for_less(part, excess), 0.0)
+    # A reading that repeats the one before tells of the noise only that it is less than a step: nothing, unless steps
+    # are fine, and it is no independent sample of white noise.
+    again = bool(np.signbit(known[-1]))
+    if not again or abs(known[-1]) * math.sqrt(known[0]) >= _FINE:
+        # One sample is never forgotten, else r would reel where it can hardly be seen.
+        after[1] = 1.0 + (1.0 - 1.0 / noise.r_memory) * (known[1] - 1.0) + ordinary * part * part
+        after[0] += ordinary * (r * (1.0 + part * excess) - known[0]) / after[1]
+        after[0] = min(max(after[0], 1e-8), 1e8)
+    if not again:
+        after[_LESS] = max(known[_LESS] + ordinary * _for_less(part, excess), 0.0)
     if after[_LESS] > _LOG_LESS:
         after[0], after[1], after[_LESS] = max(_LESS_SCALE * after[0], 1e-8), _PRIOR_R, 0.0
     after[2 : 2 + K] += 1.0 / noise.r_memory * (posterior - known[2 : 2 + K])

@@ -155,7 +155,8 @@ def correct(
     -----
     Groups are taken one after the other, the most plausible first by the moments of all copies together, so that the
     order of the sensors in z does not matter. What H does not see says nothing, and nothing is learnt from it.
-    An innovation beyond 8 standard deviations of the widest class is shortened to 8: it has no place in the model.
+    An innovation beyond 8 standard deviations of the widest class is shortened to 8, it has no place in the model; not
+    that of a sensor without noise.
     """
     m, joint = len(z), noise.grouping == "joint"
     alike = noise.learns and noise.grouping == "component"
@@ -311,7 +312,9 @@ def _scores(
 ) -> _Scores:  # fmt: skip
     """Return score, information and likelihoods: y (q, g), S (q, g, g), N (g, g) ordinary noise, before (q, K)."""
     inverses, log_dets = _inverted(S[:, None] + (np.array(scales) - 1.0)[:, None, None] * N, inv)
-    y = _shortened(np.broadcast_to(y[:, None], log_dets.shape + y.shape[1:]), inverses)
+    y = np.broadcast_to(y[:, None], log_dets.shape + y.shape[1:])
+    # A sensor without noise is right however far off.
+    y = _shortened(y, inverses) if N.any() else y
     pulls = (inverses @ y[..., None])[..., 0]
     logs = np.log(before) - 0.5 * ((pulls * y).sum(axis=2) + log_dets + y.shape[2] * _LOG_2PI)
     peaks = logs.max(axis=1)

@@ -34,9 +34,11 @@
 #define LEARNT_FARTHEST REAL(1e24)     /* and to which it can tell where to */
 #define LEARNT_START REAL(0.2)        /* chance that the state is not where the start says */
 #define LEARNT_AROUND REAL(100.0)     /* variances of its noise within which a sensor tells where a jump went */
+#define LEARNT_LEFT (REAL_PIVOT * 1000) /* of a variance that a sensor has told, this part is left: less is rounding */
+#define LEARNT_UNLIKELY REAL(1e-30)   /* of a scale that one of two parts contradicts, left where they become one */
 #define LEARNT_EVIDENCE REAL(100.0)   /* a sample is not worth more for a jump */
 #define LEARNT_TAKEN REAL(0.999)      /* a candidate that is so probable is taken over */
-#define LEARNT_DROPPED REAL(0.01)     /* one whose probability is this part of a jump's is dropped */
+#define LEARNT_DROPPED REAL(0.01)     /* one whose probability is this part of a jump's is dropped, or is this where parts join */
 
 /* What a filter is told of its noises. */
 typedef struct {
@@ -92,15 +94,24 @@ INLINE void learnt_normalize(const int n, const int i, const int count, real *RE
 }
 
 /* Let the parts of two states be one: with the scales that are likely in both, what was likely at first counted once, and
-   without a candidate. */
+   a candidate of either, which in the part that has none follows the first copy. */
 INLINE void learnt_join(const int n, const learnt_rule *const rule, learnt_state *const s, const int i, const int k) {
     real *const part = learnt_part(n, rule, s), *const unseen = learnt_unseen(n, rule, s), *const p = s->p;
     const real low = real_min(part[i], part[k]), high = real_max(part[i], part[k]);
     if (low == high) return;
-    const int one = (int)low, other = (int)high;
-    for (int c = 0; c < rule->q; c++) p[c * n + one] *= p[c * n + other] / (c > 0 ? 1 - rule->stay : 1);
-    learnt_normalize(n, one, rule->q, p);
-    if (rule->jump > 0) p[rule->q * n + one] = 0;
+    const int one = (int)low, other = (int)high, q = rule->q;
+    real jumped = rule->jump > 0 ? real_max(p[q * n + one], p[q * n + other]) : 0;
+    if (jumped < LEARNT_DROPPED) jumped = 0;
+    for (int o = 0; jumped > 0 && o < n; o++) {
+        if (!(part[o] == low || part[o] == high) || p[q * n + o] >= LEARNT_DROPPED) continue;
+        s->x[q * n + o] = s->x[o];
+        real_copy(n, s->P + o * n, s->P + (q * n + o) * n);
+    }
+    for (int c = 0; c < q; c++)
+        p[c * n + one] = real_max(p[c * n + one] * p[c * n + other] / (c > 0 ? 1 - rule->stay : 1), LEARNT_UNLIKELY);
+    learnt_normalize(n, one, q, p);
+    for (int c = 0; c < q; c++) p[c * n + one] *= 1 - jumped;
+    if (rule->jump > 0) p[q * n + one] = jumped;
     unseen[one] = real_max(unseen[one], unseen[other]);
     for (int o = 0; o < n; o++) {
         if (!(part[o] == low || part[o] == high)) continue;
@@ -243,12 +254,19 @@ INLINE void learnt_learn(const learnt_rule *const rule, const real *RESTRICT p, 
     const real *RESTRICT prior = rule->begin + 2 + 2 * K;
     const real keep = 1 - 1 / rule->memory, less = (1 - LEARNT_LESS) * part;
     real *RESTRICT for_less = known + width - LEARNT_TAIL + 1;
-    /* Of what is noise by a part it tells the square of that. One sample is never forgotten, else r would reel. */
-    known[1] = 1 + (1 - 1 / rule->r_memory) * (known[1] - 1) + p[0] * part * part;
-    known[0] += p[0] * (r * (1 + part * excess) - known[0]) / known[1];
-    known[0] = real_min(real_max(known[0], REAL(1e-8)), REAL(1e8));
-    *for_less -= p[0] * REAL(0.5) * (real_log(1 - less) + (1 + excess) * less / (1 - less));
-    *for_less = real_max(*for_less, 0);
+    /* A reading that repeats the one before tells of the noise only that it is less than a step: nothing, unless steps are
+       fine, and it is no independent sample of white noise. */
+    const int again = real_copysign(1, known[width - 1]) < 0;
+    if (!again || real_abs(known[width - 1]) * real_sqrt(known[0]) >= LEARNT_FINE) {
+        /* Of what is noise by a part it tells the square of that. One sample is never forgotten, else r would reel. */
+        known[1] = 1 + (1 - 1 / rule->r_memory) * (known[1] - 1) + p[0] * part * part;
+        known[0] += p[0] * (r * (1 + part * excess) - known[0]) / known[1];
+        known[0] = real_min(real_max(known[0], REAL(1e-8)), REAL(1e8));
+    }
+    if (!again) {
+        *for_less -= p[0] * REAL(0.5) * (real_log(1 - less) + (1 + excess) * less / (1 - less));
+        *for_less = real_max(*for_less, 0);
+    }
     if (*for_less > LEARNT_FOR_LESS) {
         known[0] = real_max(LEARNT_LESS * known[0], REAL(1e-8));
         known[1] = rule->begin[1];
@@ -483,20 +501,21 @@ INLINE void learnt_wider(const int n, const int m, const int q, const int i, con
                          const learnt_parts *const w, real *RESTRICT P) {
     real *RESTRICT C = w->C + q * m * n, *RESTRICT S = w->S + q * m * m, *RESTRICT column = w->start;
     const real y = w->y[q * m + i], whole = S[i * m + i], factor = real_max((y * y - noise) / whole, 1);
+    const real told = (1 - LEARNT_LEFT) / whole;
     for (int j = 0; j < m; j++) column[j] = w->head[j] == w->head[i] ? S[j * m + i] : 0;
     for (int o = 0; o < n; o++)
         for (int k = 0; k < n; k++)
             if (part[o] == w->head[i] && part[k] == w->head[i])
-                P[o * n + k] = factor * (P[o * n + k] - C[i * n + o] * C[i * n + k] / whole);
+                P[o * n + k] = factor * (P[o * n + k] - C[i * n + o] * C[i * n + k] * told);
     for (int j = 0; j < m; j++)
         for (int k = 0; k < m; k++)
             if (w->left[j] > 0 && w->left[k] > 0 && w->head[j] == w->head[i] && w->head[k] == w->head[i])
-                S[j * m + k] = factor * (S[j * m + k] - column[j] * column[k] / whole);
+                S[j * m + k] = factor * (S[j * m + k] - column[j] * column[k] * told);
     for (int j = 0; j < m; j++)
         for (int k = 0; k < n; k++)
             if (w->left[j] > 0 && j != i && w->head[j] == w->head[i] && part[k] == w->head[i])
-                C[j * n + k] = factor * (C[j * n + k] - column[j] * C[i * n + k] / whole);
-    for (int k = 0; k < n; k++) C[i * n + k] = 0;
+                C[j * n + k] = factor * (C[j * n + k] - column[j] * C[i * n + k] * told);
+    for (int k = 0; k < n; k++) C[i * n + k] *= factor * LEARNT_LEFT;
 }
 
 /* Let a candidate begin in each part where an innovation asks for it, where the measurement says: as if what a sensor sees
@@ -640,6 +659,7 @@ INLINE int learnt_together(const int n, const int m, const learnt_rule *const ru
     const int K = rule->K, width = learnt_width(K);
     real *RESTRICT S = work, *RESTRICT L = S + m * m, *RESTRICT y = L + m * m, *RESTRICT u = y + m;
     real total = 0, peak = 0, shorter = 1, count = 0;
+    int noisy = 0;
     w->together = 0;
     for (int k = 0; k < K; k++) w->shared[k] = 0;
     for (int i = 0; i < m; i++) {
@@ -648,6 +668,7 @@ INLINE int learnt_together(const int n, const int m, const learnt_rule *const ru
         if (!(w->left[i] > 0)) continue;
         for (int c = 0; c < rule->q; c++) slow += p[c * n];
         count += 1;
+        noisy |= R[i * m + i] > 0;
         w->together += s->memory[i * width + width - LEARNT_TAIL];
         learnt_predicted(K, s->memory + i * width, w->before);
         for (int k = 0; k < K; k++) w->shared[k] += w->before[k];
@@ -685,7 +706,7 @@ INLINE int learnt_together(const int n, const int m, const learnt_rule *const ru
             length += u[i] * u[i];
         }
         /* Nothing is farther than the widest class reaches. */
-        if (k == K - 1 && length > LEARNT_REACH * LEARNT_REACH) shorter = LEARNT_REACH * LEARNT_REACH / length;
+        if (k == K - 1 && noisy && length > LEARNT_REACH * LEARNT_REACH) shorter = LEARNT_REACH * LEARNT_REACH / length;
         w->after[k] = real_log(w->shared[k] / count) - REAL(0.5) * (length * shorter + log_det);
         if (k == K - 1 || w->after[k] > peak) peak = w->after[k];
     }
@@ -730,7 +751,8 @@ INLINE int learnt_scores(const int m, const learnt_rule *const rule, const int i
         real *RESTRICT given = w->given + c * K;
         real y = w->y[c * m + i], reach, total = 0, first = 0, second = 0;
         if (!(S > REAL_PIVOT * w->start[i]) || !real_is_finite(S)) return 0;
-        reach = LEARNT_REACH * real_sqrt(S + (rule->scales[K - 1] - 1) * noise);
+        /* A sensor without noise is right however far off. */
+        reach = noise > 0 ? LEARNT_REACH * real_sqrt(S + (rule->scales[K - 1] - 1) * noise) : REAL_MAX;
         y = real_min(real_max(y, -reach), reach);
         for (int k = 0; k < K; k++) {
             const real precision = 1 / (S + (rule->scales[k] - 1) * noise);

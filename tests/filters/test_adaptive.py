@@ -306,6 +306,21 @@ def test_a_sensor_without_noise_is_believed_and_teaches_nothing(variances, group
     assert (kf.learnt[-1, 0] == 1.0) == (grouping == "component" or m == 1)
 
 
+@pytest.mark.parametrize("kernel", [True, False])
+@pytest.mark.parametrize("noise", [0.0, 1e-6])
+def test_sensors_next_to_without_noise_are_believed_wherever_the_start_is(noise, kernel, monkeypatch):
+    """The start's covariance less what such a reading tells is rounding; nothing is beyond what a sensor may say."""
+    if not kernel:
+        without_kernel(monkeypatch)
+    for seed in range(20):
+        problem = with_(random_problem(seed, 3, 2), R=noise * np.eye(2), P=np.eye(3))
+        kf = make(AdaptiveKalmanFilter, problem, 1)
+        zs = simulate(with_(problem, x=problem.x + 300.0 * np.random.default_rng(seed).normal(size=(3, 1))), 8, seed)[0]
+        advance(kf, zs)
+        np.testing.assert_allclose(kf.H @ np.ravel(kf.x), zs[-1], atol=0.02)
+        assert noise or np.allclose(kf.H @ np.ravel(kf.x), zs[-1])
+
+
 @pytest.mark.parametrize("name, spoilt, match", [
     ("learnt", lambda a: -a, "learnt: expected finite numbers >= 0"),
     ("learnt", lambda a: 2.0 * a, "learnt: expected probabilities"),
@@ -612,6 +627,39 @@ def test_a_sensor_that_couples_two_parts_makes_one_of_them_for_good():
     assert len(np.unique(kf.process_probabilities, axis=1).T) == 1
 
 
+@pytest.mark.parametrize("off", [(75.0, -40.0), (75.0, 0.0)])
+def test_a_start_that_is_doubted_stays_so_where_a_sensor_couples_two_parts(off):
+    """Readings of both, then of sum and difference: what the first has begun is not to be begun anew."""
+    problem = with_(
+        random_problem(1, 2, 2), F=np.eye(2), H=np.eye(2), Q=0.01 * np.eye(2), R=np.eye(2), P=np.eye(2),
+        x=np.zeros((2, 1)),
+    )  # fmt: skip
+    for seed in range(10):
+        kf, noise = make(AdaptiveKalmanFilter, problem, 1), np.random.default_rng(seed).normal(size=(5, 2))
+        for k in range(5):
+            H = np.array([[1.0, 1.0], [1.0, -1.0]]) if k == 1 else np.eye(2)
+            kf.predict()
+            kf.update(H @ off + noise[k], H=H)
+            assert k < 2 or np.abs(np.ravel(kf.x) - off).max() < 4.0
+
+
+@pytest.mark.parametrize("kernel", [True, False])
+def test_parts_that_contradict_each_other_utterly_become_one_all_the_same(kernel, monkeypatch):
+    if not kernel:
+        without_kernel(monkeypatch)
+    apart = {name: np.eye(3) for name in ("F", "Q", "H", "R", "P")}
+    kf = make(AdaptiveKalmanFilter, with_(random_problem(1, 3, 3), **apart), 1)
+    state = kf.state()
+    # Each is certain of a scale that the others rule out.
+    state["belief"][:5] = 1e-200
+    state["belief"][[1, 4, 2], [0, 1, 2]] = 1.0
+    kf.restore(state)
+    kf.F = np.ones((3, 3))
+    kf.predict()
+    assert np.isfinite(kf.x).all() and np.isfinite(kf.P).all()
+    np.testing.assert_allclose(kf.process_probabilities.sum(axis=0), 1.0)
+
+
 def test_a_box_whose_shape_hardly_moves_is_followed_for_as_long_as_it_is_there():
     """SORT's numbers: the ratio of the sides is known a thousand times better than R and Q say."""
     ratios = []
@@ -652,11 +700,36 @@ def test_a_sensor_ten_times_better_than_told_is_known_in_a_few_dozen_samples_and
     assert np.median(better) < 0.03 and (better < 0.1).mean() > 0.9 and (right > 0.25).all()
 
 
-def test_a_start_that_the_first_reading_contradicts_is_doubted_with_its_speed():
-    """A ball at 300 and 15 a step, for a filter that starts at 0 with a standard deviation of 3 of each."""
+@pytest.mark.parametrize(
+    "step, sigma, drift, rests, most",
+    [(1.0, 0.3, 0.02, 0, 1.3), (1.0, 0.2, 0.1, 0, 1.3), (0.0, 1.0, 0.2, 150, 1.6)],
+    ids=["coarse steps", "coarse steps of a state that moves", "a sensor that reads 0 at rest"],
+)
+def test_readings_that_repeat_themselves_do_not_teach_that_a_sensor_has_no_noise(step, sigma, drift, rests, most):
+    """Noise that is in between the steps is not seen; r fell by decades with each dozen equal readings."""
+    errors = []
+    for seed in range(4):
+        g = np.random.default_rng(seed)
+        truth = np.cumsum(np.where(np.arange(400)[:, None] < rests, 0.0, drift * g.normal(size=(400, 2))), axis=0) + 0.3
+        zs = truth + sigma * g.normal(size=(400, 2))
+        zs[:rests] = 0.0
+        zs = step * np.round(zs / step) if step else zs
+        problem = with_(
+            random_problem(1, 2, 2), F=np.eye(2), H=np.eye(2), Q=drift**2 * np.eye(2), P=10.0 * np.eye(2),
+            R=(sigma**2 + step**2 / 12.0) * np.eye(2), x=np.zeros((2, 1)),
+        )  # fmt: skip
+        paths = [advance(make(cls, problem, 1), zs) for cls in (AdaptiveKalmanFilter, KalmanFilter)]
+        errors.append([np.mean((path - truth) ** 2) for path in paths])
+    ours, theirs = np.sum(errors, axis=0)
+    assert ours < most * theirs
+
+
+@pytest.mark.parametrize("speed", [9.0, 1000.0], ids=["as well known as its place", "hardly known"])
+def test_a_start_that_the_first_reading_contradicts_is_doubted_with_its_speed(speed):
+    """A ball at 300 and 15 a step, for a filter that starts at 0; one reading cannot tell what of it is speed."""
     problem = with_(
         cart(), F=np.array([[1.0, 1.0], [0.0, 1.0]]), H=np.eye(1, 2), Q=1e-3 * np.eye(2), R=np.eye(1),
-        P=9.0 * np.eye(2), x=np.zeros((2, 1)),
+        P=np.diag([9.0, speed]), x=np.zeros((2, 1)),
     )  # fmt: skip
     kf = make(AdaptiveKalmanFilter, problem, 1)
     truth = 300.0 + 15.0 * np.arange(12)

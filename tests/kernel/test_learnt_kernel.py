@@ -47,14 +47,15 @@ def test_every_step_is_the_definitions(noise, process, seed, dims):
     compare(*recording(seed, dims, diagonal=seed % 2 == 0), noise, process)
 
 
-def compare(problem, zs, noise, process):
-    """Take every step by both; return the weights, and what is known at the end."""
-    F, Q, H, R, m = problem.F, problem.Q, problem.H, problem.R, zs.shape[1]
+def compare(problem, zs, noise, process, passed=()):
+    """Take every step by both, some with an H of its own; return the weights, and what is known at the end."""
+    F, Q, R, m = problem.F, problem.Q, problem.R, zs.shape[1]
     copies, memory = side_by_side.start(problem.x[:, 0], problem.P, process), noise.start(m)
     state = begin(copies, memory)
     kept = Kept(weights=np.empty((len(zs), m)), outlying=np.empty((len(zs), m)), log_likelihood=np.zeros(1))
     total = 0.0
     for k, z in enumerate(zs):
+        H = dict(passed).get(k, problem.H)
         copies = side_by_side.predict(copies, F, Q, process)
         found = correct(copies, memory, z, H, R, noise, process)
         copies, memory, total = found.copies, found.memory, total + found.log_density
@@ -78,6 +79,25 @@ def test_a_stuck_sensor_says_nothing_by_both():
     stuck = np.zeros((220, 2), dtype=bool)
     stuck[161:190, 0] = stuck[171:180, 1] = True
     np.testing.assert_array_equal(weights == 0.0, stuck)
+
+
+def test_readings_that_repeat_themselves_teach_nothing_of_r_by_both():
+    problem = with_(random_problem(3, 2, 2), H=np.eye(2), R=np.eye(2), F=np.eye(2), Q=1e-3 * np.eye(2))
+    zs = np.round(np.random.default_rng(7).normal(size=(120, 2)) * [0.4, 0.0])
+    _, memory = compare(problem, zs, NoiseClasses(), Scales())
+    assert 0.1 < memory[0, 0] < 1.0 and memory[1, 0] > 0.9
+
+
+@pytest.mark.parametrize("start", [(75.0, -40.0), (75.0, 0.0), (0.0, 0.0)])
+def test_a_candidate_lives_on_where_its_part_becomes_one_with_another_by_both(start):
+    problem = with_(
+        random_problem(3, 3, 3), F=np.eye(3), H=np.eye(3), R=np.eye(3), Q=1e-2 * np.eye(3), P=np.eye(3),
+        x=np.zeros((3, 1)),
+    )  # fmt: skip
+    both = np.array([[1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
+    zs = np.random.default_rng(8).normal(size=(20, 3)) + [*start, 0.0]
+    zs[1] = both @ zs[1]
+    compare(problem, zs, NoiseClasses(), Scales(), [(1, both)])
 
 
 def test_a_colour_and_sensors_that_fail_together_are_learnt_by_both():
