@@ -24,6 +24,8 @@ from robust_filterpy.influence.functions import Huber, Influence
 __all__ = ["identified_grey_box"]
 
 _FIRST_STEPS: Final = 30
+# R of each output is at least this share of its variance.
+_LEAST: Final = 1e-24
 # A direction along which a standard deviation is this share of the parameters is one that the recording cannot tell.
 _UNTOLD: Final = 0.5
 # Of a direction that nothing depends on, by this share of the best one, nothing is known at all.
@@ -114,7 +116,10 @@ def _modelled(
         raise ValueError(f"y: expected at least {2 * model.n} measured samples, got {int(rows.sum())}")
     p = told[0].y.shape[1]
     which = np.concatenate([np.tile(np.arange(p), len(one.y)) for one in told])[rows]
-    noise = Noises(tuple(Noise(influence or Huber(), 1.0, False, 1e-300) for _ in range(p)), which)
+    # Without noise R would end at 0.
+    sizes = np.nanstd(np.concatenate([np.where(good, one.y, np.nan) for one, good in zip(told, known, strict=True)]), 0)
+    least = np.maximum(_LEAST * sizes**2, np.finfo(float).tiny)
+    noise = Noises(tuple(Noise(influence or Huber(), 1.0, False, float(one)) for one in least), which)
     stage("search from the first guesses")
     end = minimised(model, z, noise, rows, rows, _FIRST_STEPS)
     model.steps = 1

@@ -12,7 +12,7 @@ from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.cleaning import cleaned
 from robust_filterpy.identification.estimation.estimate import Problem, estimated
 from robust_filterpy.identification.estimation.trend import PRICE, Trend, impulse_output, piecewise_level
-from robust_filterpy.identification.models.dependence import autocovariances, dependence, whitening_of
+from robust_filterpy.identification.models.dependence import LAGS, autocovariances, dependence, whitening_of
 from robust_filterpy.identification.models.findings import Finding
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.signals import fingerprint, operating_point
@@ -51,6 +51,8 @@ _STAYS: Final = 5.0
 _PARTS: Final = 8
 _LEAST_PART: Final = 120
 _MOST_PART: Final = 400
+# Samples of a part for each lag of the inputs.
+_EACH_LAG: Final = 7
 # A part in which outliers leave less than this share clear is judged as it was measured.
 _LEAST_CLEAR: Final = 0.5
 
@@ -145,7 +147,7 @@ def endless_pole(model: Model, samples: int) -> float | None:
     return slowest if model.structure.n_inputs and abs(1.0 - slowest) * samples < _ENDLESS else None
 
 
-def unlike_in_parts(problem: Problem, y: Array, model: Model) -> tuple[Finding, ...]:
+def unlike_in_parts(problem: Problem, y: Array, model: Model, others: bool = False) -> tuple[Finding, ...]:
     """Find the parts of a recording in which what the model leaves follows the inputs.
 
     Parameters
@@ -154,14 +156,16 @@ def unlike_in_parts(problem: Problem, y: Array, model: Model) -> tuple[Finding, 
         As in `beside_trend`.
     model : Model
         Of this recording.
+    others : bool, default False
+        Whether it is of other recordings too.
 
     Returns
     -------
     tuple of Finding
         One, from the first of these parts to the last, or none.
     """
-    parts = _parts(y.size)
-    if not model.structure.n_inputs or model.structure.takes_phi or len(parts) < 2:
+    parts = _parts(y.size, others)
+    if not model.structure.n_inputs or model.structure.takes_phi or not len(parts):
         return ()
     whole = cleaned(model, y, problem.u)
     if whole is None:
@@ -180,10 +184,10 @@ def unlike_in_parts(problem: Problem, y: Array, model: Model) -> tuple[Finding, 
             # Predictions from outputs as measured carry their outliers to the residuals: what u alone makes does not.
             prediction[own] = (model.simulate(problem.u) + _trend(model, y))[own]
     signals = np.column_stack((np.nan_to_num(prediction - _trend(model, y) - model.level), problem.u - problem.rest))
-    return unlike(residual, signals)
+    return unlike(residual, signals, others)
 
 
-def unlike(residual: Array, signals: Array) -> tuple[Finding, ...]:
+def unlike(residual: Array, signals: Array, others: bool = False) -> tuple[Finding, ...]:
     """Find the parts of a recording in which what any model leaves follows the inputs.
 
     Parameters
@@ -192,16 +196,19 @@ def unlike(residual: Array, signals: Array) -> tuple[Finding, ...]:
         What it leaves of an output; NaN where there is nothing.
     signals : ndarray, shape (N, k)
         What it makes of the inputs, and these, from their rest.
+    others : bool, default False
+        Whether the model is of other recordings too.
 
     Returns
     -------
     tuple of Finding
         One, from the first of these parts to the last, or none.
     """
-    parts = _parts(residual.size)
-    if len(parts) < 2:
+    parts = _parts(residual.size, others)
+    if not len(parts):
         return ()
-    found = dependence(residual[parts], signals[parts], whitening=whitening_of(autocovariances(residual)))
+    lags = min(LAGS, parts.shape[1] // _EACH_LAG)
+    found = dependence(residual[parts], signals[parts], lags, whitening_of(autocovariances(residual)))
     if not found.found.any():
         return ()
     where = parts[found.found]
@@ -214,10 +221,13 @@ def unlike(residual: Array, signals: Array) -> tuple[Finding, ...]:
     return (Finding("another plant", text, evidence, (first, last)),)
 
 
-def _parts(samples: int) -> Any:
-    """Return the samples of each part of a recording, equally many, up to its end."""
+def _parts(samples: int, others: bool) -> Any:
+    """Return the samples of each part of a recording, equally many, up to its end; none if a model is of it alone."""
     span = max(_LEAST_PART, min(samples // _PARTS, _MOST_PART))
-    return np.arange(samples % span, samples - span + 1, span)[:, None] + np.arange(span)
+    if others:
+        span = min(span, samples)
+    found = np.arange(samples % span, samples - span + 1, span)[:, None] + np.arange(span)
+    return found if others or len(found) > 1 else found[:0]
 
 
 def beside_input_outliers(problem: Problem, y: Array, model: Model) -> tuple[Model, tuple[Finding, ...]]:

@@ -156,7 +156,7 @@ class Outputs(NamedTuple):
         for i, part in enumerate(self.spans):
             for j, (own, e) in enumerate(zip(output[part].T, residual[part].T, strict=True)):
                 signals = np.column_stack((own - own.mean(), self.u[part] - rest))
-                found += self._named(i, j, [*wraps(self.y[part, j], e), *unlike(e, signals)])
+                found += self._named(i, j, [*wraps(self.y[part, j], e), *unlike(e, signals, len(self.spans) > 1)])
         if self.u.shape[1]:
             parts = [(self.u[part] - rest, residual[part]) for part in self.spans]
             found += feedback(parts, direct, meaning)

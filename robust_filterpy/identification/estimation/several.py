@@ -56,7 +56,7 @@ def of_several(problem: Problem, y: Array, trend: str) -> tuple[Model, tuple[Fin
     known_again = tuple((fingerprint(y[part]), own + levels[part]) for part, (_, own) in again)
     model = replace(model, recordings=known_again)
     for i, part in enumerate(problem.spans):
-        unlike = () if outliers else unlike_in_parts(problem.alone(i), y[part], model)
+        unlike = () if outliers else unlike_in_parts(problem.alone(i), y[part], model, True)
         findings = (*findings, *(_of_recording(i, one) for one in unlike))
     return model, (*findings, *outliers)
 

@@ -24,10 +24,11 @@ from robust_filterpy.identification.models.polynomial_model import Parts, Polyno
 from robust_filterpy.identification.models.prediction import cleaned_residuals, predicted
 from robust_filterpy.identification.models.regressor import Layout, Memory
 from robust_filterpy.identification.models.responses import Responses
-from robust_filterpy.identification.models.signals import recorded_input, recorded_output, trend_of
+from robust_filterpy.identification.models.signals import measured_output, recorded_input, trend_of
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.summary import Summary, focus_text, summarized
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording
+from robust_filterpy.identification.models.unmeasured import measurements
 from robust_filterpy.influence.regression import robust_regression
 
 __all__ = ["Ending", "Model"]
@@ -305,7 +306,7 @@ class Model(EstimatedPolynomials, Responses):
         steps = count("steps", steps, 1)
         axis, y, u = self._recording(y, u)
         prediction = self._predicted(*self.prepared(y, u), steps)
-        return axis.series(prediction + self._own_trend(recorded_output(y)), "prediction")
+        return axis.series(prediction + self._own_trend(self._measured(y, u)[0]), "prediction")
 
     def _predicted(self, model: PolynomialModel, known: Any, steps: int) -> Array:
         """Return the prediction of each output of a checked recording."""
@@ -336,7 +337,7 @@ class Model(EstimatedPolynomials, Responses):
             If y or u does not fit.
         """
         axis, y, u = self._recording(y, u)
-        return axis.series(recorded_output(y) - self.predict(y, u), "residual")
+        return axis.series(self._measured(y, u)[0] - self.predict(y, u), "residual")
 
     def fit(self, y: ArrayLike, u: ArrayLike) -> float:
         """Compute how well the model's output, from inputs alone, agrees with a recording.
@@ -358,7 +359,7 @@ class Model(EstimatedPolynomials, Responses):
             If y or u does not fit, y is constant, or the model overflows.
         """
         _, y, u = self._recording(y, u)
-        measured, free = recorded_output(y), self.free_run(y, u)
+        measured, free = self._measured(y, u)[0], self.free_run(y, u)
         return fit_percent(np.where(np.isnan(free), np.nan, measured), np.nan_to_num(free))
 
     def free_run(self, y: ArrayLike, u: ArrayLike | None) -> Array:
@@ -380,7 +381,8 @@ class Model(EstimatedPolynomials, Responses):
             If y or u does not fit, or the model overflows.
         """
         axis, y, u = self._recording(y, u)
-        return axis.series(self._from_inputs(*self.prepared(y, u)) + self._own_trend(recorded_output(y)), "free run")
+        output = self._from_inputs(*self.prepared(y, u)) + self._own_trend(self._measured(y, u)[0])
+        return axis.series(output, "free run")
 
     def prepared(self, y: Any, u: Any) -> tuple[PolynomialModel, Any]:
         """Return a checked recording without its own trend, ready for what estimates or judges.
@@ -402,9 +404,8 @@ class Model(EstimatedPolynomials, Responses):
         ValueError, TypeError
             If y or u does not fit, or is too short for one regressor.
         """
-        output = recorded_output(y)
+        output, signal = self._measured(y, u)
         output = output - self._own_trend(output)
-        signal = recorded_input(self.structure, u, output.size)
         known = ~np.isnan(output)
         model = PolynomialModel(self.structure, np.where(known, output, self.level), signal, True)
         if output.size <= model.first:
@@ -438,6 +439,12 @@ class Model(EstimatedPolynomials, Responses):
         return recorded.with_output(output)
 
     # Helpers.
+
+    def _measured(self, y: Any, u: Any) -> tuple[Array, Array]:
+        """Return a checked output, NaN where it is no measurement, and the inputs."""
+        output = measured_output(y)
+        signal = recorded_input(self.structure, u, output.size)
+        return measurements(output, signal)[0], signal
 
     def _memory_at(self, start: Any, layout: Layout) -> Memory:
         """Return the past signals with which a simulation begins, or raise."""

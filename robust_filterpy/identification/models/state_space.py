@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy._fill_values import fill_values
 from robust_filterpy.identification.models.beginnings import held_input
 from robust_filterpy.identification.models.estimated import Estimated
 from robust_filterpy.identification.models.findings import Finding, said
@@ -23,6 +22,7 @@ from robust_filterpy.identification.models.state_space_structure import Signals,
 from robust_filterpy.identification.models.state_space_system import StateSpaceSystem
 from robust_filterpy.identification.models.summary import Summary, facts_of_outputs, focus_text, summarized
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording, table
+from robust_filterpy.identification.models.unmeasured import measurements
 from robust_filterpy.influence.regression import robust_regression
 
 __all__ = ["StateSpaceModel"]
@@ -263,7 +263,7 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
         return np.atleast_1d(fit_percent(measured, found + trend_of(self.trends, measured)))
 
     def checked(self, y: Any, u: Any) -> tuple[Array, Array]:
-        """Return outputs, NaN where they are missing or filled, and inputs from their operating point.
+        """Return outputs, NaN where they are missing, filled or stuck, and inputs from their operating point.
 
         Parameters
         ----------
@@ -280,8 +280,9 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
         ValueError
             If they do not fit.
         """
-        measured = np.column_stack([fill_values(one).signal for one in measured_outputs(y, len(self.C)).T])
-        return measured, recorded_input(self._signals, u, len(measured)) - self.operating_point
+        outputs = measured_outputs(y, len(self.C))
+        signal = recorded_input(self._signals, u, len(outputs))
+        return measurements(outputs, signal)[0], signal - self.operating_point
 
     def started(self, y: Array, u: Array, alone: bool = False) -> tuple[StateSpaceResiduals, Array]:
         """Return residuals and free parameters of a recording whose start it tells.
