@@ -88,15 +88,13 @@ def identified_grey_box(
     outputs = np.concatenate([np.where(good, one.y, np.nan) for one, good in zip(told, known, strict=True)])
     inputs = np.concatenate([one.u for one in told])
     whole = Outputs(outputs, inputs, spans, find, alone, sampled=all(one.is_sampled for one in told))
-    model, levels, findings = whole.beside_levels(find(outputs, inputs), trend)
-    model, held, outliers = whole.beside_input_outliers(model, levels)
-    output = alone(model, outputs - levels, held)
-    beside = whole._replace(u=held).left(
-        output, outputs - levels - output, operating_point(held), True, "the parameters are biased by that"
+    best = whole.beside(trend)
+    levels, output = best.levels, alone(best.model, outputs - best.levels, best.u)
+    left = whole.left(
+        best, output, outputs - levels - output, operating_point(best.u), True, "the parameters are biased by that"
     )
-    beside = tuple(one for one in beside if not outliers or one.kind != "another plant")
     trends = tuple((fingerprint(outputs[part]), levels[part]) for part in spans if levels[part].any())
-    return replace(model, findings=(*found, *findings, *outliers, *beside), trends=trends)
+    return replace(best.model, findings=(*found, *best.findings, *left), trends=trends)
 
 
 def _modelled(

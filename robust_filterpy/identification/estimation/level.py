@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -15,17 +16,16 @@ from robust_filterpy.identification.estimation.trend import PRICE, Trend, impuls
 from robust_filterpy.identification.models.dependence import LAGS, autocovariances, dependence, whitening_of
 from robust_filterpy.identification.models.findings import Finding
 from robust_filterpy.identification.models.model import Model
-from robust_filterpy.identification.models.signals import fingerprint, operating_point
+from robust_filterpy.identification.models.signals import fingerprint
 from robust_filterpy.influence.regression import mad_scale
 
 __all__ = [
     "TRENDS",
+    "Beside",
     "beside_input_outliers",
     "beside_trend",
     "break_finding",
     "endless_pole",
-    "held_back",
-    "input_outliers",
     "unlike",
     "unlike_in_parts",
     "without_endless_motion",
@@ -41,7 +41,7 @@ _SLOW: Final = 0.995
 _SMALL: Final = 0.05
 _ENDLESS: Final = 0.1
 # An input is far outside beyond so many half widths of four fifths of its values, or off the levels that nine tenths of
-# them have, of which there are at most so many; so many are no accident.
+# them have, of which there are at most so many, each with more samples than these.
 _FAR_INPUT: Final = 3.2
 _MOST_LEVELS: Final = 20
 _FEWEST: Final = 4
@@ -55,6 +55,30 @@ _MOST_PART: Final = 400
 _EACH_LAG: Final = 7
 # A part in which outliers leave less than this share clear is judged as it was measured.
 _LEAST_CLEAR: Final = 0.5
+
+
+class Beside(NamedTuple):
+    """A model beside whatever else a recording has.
+
+    Attributes
+    ----------
+    model : Model, StateSpaceModel or GreyBoxModel
+        The model.
+    findings : tuple of Finding
+        Of what is beside it.
+    levels : ndarray, shape (N, p)
+        What was taken off several outputs.
+    u : ndarray, shape (N, n_inputs)
+        Inputs that it is of.
+    held : bool
+        Whether some of these are held back.
+    """
+
+    model: Any
+    findings: tuple[Finding, ...]
+    levels: Any = None
+    u: Any = None
+    held: bool = False
 
 
 def beside_trend(problem: Problem, y: Array, trend: str, index: Any) -> tuple[Model, tuple[Finding, ...]]:
@@ -230,50 +254,46 @@ def _parts(samples: int, others: bool) -> Any:
     return found if others or len(found) > 1 else found[:0]
 
 
-def beside_input_outliers(problem: Problem, y: Array, model: Model) -> tuple[Model, tuple[Finding, ...]]:
-    """Find the model again with values of u far outside the others held back, and keep it if it is much likelier.
-
-    Parameters
-    ----------
-    problem, y
-        As in `beside_trend`.
-    model : Model
-        Of this recording.
-
-    Returns
-    -------
-    model : Model
-    findings : tuple of Finding
-    """
-    u, places = (problem.u, np.zeros(0)) if model.structure.takes_phi else held_back(problem.u)
-    if not places.size:
-        return model, ()
-    stage("the model without outliers of u")
-    try:
-        rest = operating_point(u) if problem.offset else problem.rest
-        other = estimated(problem._replace(u=u, rest=rest), y - _trend(model, y))
-    except ValueError:
-        return model, ()
-    gain = 2.0 * (other.log_likelihood - model.log_likelihood)
-    if gain < PRICE * np.log(y.size):
-        return model, ()
-    return replace(other, trend=model.trend, fingerprint=model.fingerprint), (input_outliers(places, gain),)
-
-
-def held_back(u: Array) -> tuple[Array, Any]:
-    """Return inputs with the value before in the place of each that is unlike the others, and in which samples.
+def beside_input_outliers(u: Array, find: Callable[[Array], Beside]) -> Beside:
+    """Find the model of inputs, and that with values far outside the others held back, and take it if much likelier.
 
     Parameters
     ----------
     u : ndarray, shape (N, n_inputs)
         Inputs.
+    find : callable
+        find(u) gives the model of such inputs, with its ``log_likelihood``, beside what its outputs have.
 
     Returns
     -------
-    u : ndarray, shape (N, n_inputs)
-    places : ndarray of int, shape (n,)
-        None, if there are none.
+    Beside
+
+    Notes
+    -----
+    Both ways from the beginning: what an outlier of u leaves looks like steps of the level, or like slow motion.
     """
+    told = find(u)._replace(u=u)
+    other, places = _held_back(u)
+    if not places.size:
+        return told
+    stage("the model without outliers of u")
+    try:
+        held = find(other)
+    except ValueError:
+        return told
+    gain = 2.0 * (held.model.log_likelihood - told.model.log_likelihood)
+    if gain < PRICE * np.log(len(u)) * (1 + _breaks(held.findings) - _breaks(told.findings)):
+        return told
+    return held._replace(u=other, held=True, findings=(*held.findings, _input_outliers(places, gain)))
+
+
+def _breaks(findings: tuple[Finding, ...]) -> int:
+    """Return how many steps and ramps were found."""
+    return sum(one.kind in ("step", "ramp") for one in findings)
+
+
+def _held_back(u: Array) -> tuple[Array, Any]:
+    """Return inputs with the value before in the place of each that is unlike the others, and in which samples."""
     u, far = u.copy(), np.zeros(u.shape, dtype=bool)
     for j, column in enumerate(u.T):
         odd = far[:, j] = _odd(column)
@@ -283,20 +303,8 @@ def held_back(u: Array) -> tuple[Array, Any]:
     return u, np.flatnonzero(far.any(axis=1))
 
 
-def input_outliers(places: Any, gain: float) -> Finding:
-    """Return in words that inputs in some samples are held at the value before.
-
-    Parameters
-    ----------
-    places : ndarray of int, shape (n,)
-        These samples.
-    gain : float
-        Twice the log-likelihood that it explains.
-
-    Returns
-    -------
-    Finding
-    """
+def _input_outliers(places: Any, gain: float) -> Finding:
+    """Return in words that inputs in some samples are held at the value before."""
     text = (
         f"u has {places.size} values unlike the others that y does not follow: the model is of the values before "
         "them, held; give u as it acted"
@@ -312,7 +320,7 @@ def _odd(u: Array) -> Any:
     common = counts > max(_FEWEST, u.size // 200)
     if common.sum() <= _MOST_LEVELS and counts[common].sum() >= 0.9 * u.size:
         odd |= ~common[which]
-    return odd & (odd.sum() >= _FEWEST and high > low)
+    return odd & (high > low)
 
 
 def _trend(model: Model, y: Array) -> Array:

@@ -122,21 +122,18 @@ def identified_state_space(
 
     whole = Outputs(told.y, told.u, spans, find, lambda model, y, u: each(y, u, model.free_run), told.axis.index)
     with one_thread():
-        model, levels, findings = whole.beside_levels(find(told.y, told.u), trend)
-        model, u, outliers = whole.beside_input_outliers(model, levels)
-        y = told.y - levels
+        best = whole.beside(trend)
+        model, y, u = best.model, told.y - best.levels, best.u
         if edges is not None:
             held = partial(_held, told._replace(y=y, u=u), spans, influence)
             model = focused_states(y, u, model, edges, filtered, held)
-        beside = whole._replace(u=u).left(
-            each(y, u, model.free_run), each(y, u, model.residuals), model.operating_point, structure.feedthrough,
+        left = whole.left(
+            best, each(y, u, model.free_run), each(y, u, model.residuals), model.operating_point, structure.feedthrough,
             "K is unbiased only as far as it is right about the noise" if structure.disturbance
             else "it is biased by that unless the noise is white: disturbance=True models the noise",
         )  # fmt: skip
-    # A model of inputs that were held back leaves what these did.
-    beside = tuple(one for one in beside if not outliers or one.kind != "another plant")
-    trends = tuple((fingerprint(told.y[part]), levels[part]) for part in spans if levels[part].any())
-    return replace(model, findings=(*told.findings, *findings, *outliers, *beside), trends=trends)
+    trends = tuple((fingerprint(told.y[part]), best.levels[part]) for part in spans if best.levels[part].any())
+    return replace(model, findings=(*told.findings, *best.findings, *left), trends=trends)
 
 
 def _modelled(

@@ -1,7 +1,7 @@
 """What of recorded outputs is no measurement: fill values, a sensor that is stuck, a copy of another signal.
 
-A measured output has noise, and hardly ever the same number twice. A number that most samples have, while the others are
-all different, is no rounding; and if inputs moved as much then as at other times, it is no rest of the plant either. A
+A measured output has noise, and hardly ever the same number twice. A number that most samples have, while the others
+are all different, is no rounding; and if inputs moved as much then as at other times, it is no rest of the plant. A
 robust estimate takes the majority for the plant, so such samples are taken for missing.
 """
 
@@ -26,8 +26,9 @@ _LEAST_OTHERS: Final = 12
 # An input that moves by less than this share of its usual motion, so many samples before or less, may hold the output.
 _MOVES: Final = 0.25
 _LAGS: Final = 16
-# A copy moves with its original in this share of the samples in which one of the two moves, and in so many.
+# A copy moves with its original in this share of the samples in which one of the two moves.
 _COPIED: Final = 0.9
+# Motion in fewer samples tells nothing of stuck sensors and copies.
 _FEWEST: Final = 8
 _EQUAL: Final = 1e-9
 
@@ -61,31 +62,35 @@ def measurements(y: Array, u: Array) -> tuple[Array, tuple[Finding, ...]]:
         found += [one._replace(text=f"output {j}: " * several + one.text) for one in (*of_fill_values(fills), *held)]
     for j, column in enumerate(columns):
         others = [*((f"output {i}", one) for i, one in enumerate(columns[:j])), *_named(u)]
-        found += [one for name, other in others for one in _copied(f"output {j}" if several else "y", column, name, other)]
+        own = f"output {j}" if several else "y"
+        found += [one for name, other in others for one in _copied(own, column, name, other)]
     return np.column_stack(columns).reshape(y.shape), tuple(found)
 
 
 def _without_held(y: Array, u: Array, where: str) -> tuple[Array, list[Finding]]:
     """Return an output with NaN where its sensor is stuck, and that in words."""
     known = ~np.isnan(y)
-    values, which, counts = np.unique(y[known], return_inverse=True, return_counts=True)
+    values, counts = np.unique(y[known], return_counts=True)
     often = counts >= max(_OFTEN, _OFTEN_SHARE * known.sum())
     others = int(known.sum() - counts[often].sum())
-    if not often.any() or (~often).sum() < _DIFFERENT * others or not u.shape[1]:
+    few = others < _LEAST_OTHERS
+    # Of a few numbers that are all often nobody can say that they are no rounding.
+    if not often.any() or (~often).sum() < _DIFFERENT * others or (few and often.sum() > 1):
         return y, []
     found, signal = [], y.copy()
     for value, count in zip(values[often], counts[often], strict=True):
         held = y == value
         if not _moves(u, held):
             continue
-        if others < _LEAST_OTHERS:
+        if few:
+            got = f"{value:.6g} in {count} of {known.sum()} samples" if others else "the same value throughout"
             raise ValueError(
-                f"y: expected an output that varies, got {value:.6g} in {count} of {known.sum()} samples{where} while u "
-                "moves: the sensor is stuck, or at its limit"
+                f"y: expected an output that varies, got {got}{where}: the sensor is stuck, or at its limit"
             )
+        told = ", whatever u does," if u.shape[1] else ""
         text = (
-            f"y is {value:.6g} in {count} of {known.sum()} samples, whatever u does, and hardly any other number twice: "
-            "the sensor is stuck, or at its limit; taken for missing"
+            f"y is {value:.6g} in {count} of {known.sum()} samples{told} and hardly any other number "
+            "twice: the sensor is stuck, at its limit or in a dead band; taken for missing"
         )
         places = np.flatnonzero(held)
         found.append(Finding("stuck", text, float("nan"), (int(places[0]), int(places[-1]) + 1)))
@@ -95,19 +100,18 @@ def _without_held(y: Array, u: Array, where: str) -> tuple[Array, list[Finding]]
 
 def _moves(u: Array, held: Any) -> bool:
     """Tell whether every input moves as usual in, and some samples before, those in which an output is held."""
-    for column in u.T:
-        usual = _motion(column)
-        least = min(
-            (_motion(column[: held.size - lag][held[lag:]]) for lag in range(_LAGS + 1) if held[lag:].any()), default=0.0
-        )
-        if 0.0 < usual and least < _MOVES * usual:
-            return False
-    return True
+    if not u.shape[1]:
+        return True
+    if (held[1:] & (np.diff(u, axis=0) != 0.0).any(axis=1)).sum() < _FEWEST:
+        return False
+    before = [(u[: held.size - lag], held[lag:]) for lag in range(_LAGS + 1)]
+    least = np.min([_motion(acted[rows]) for acted, rows in before if rows.any()], axis=0)
+    return not (least < _MOVES * _motion(u)).any()
 
 
-def _motion(u: Array) -> float:
-    """Return how far samples are from their median in the mean."""
-    return float(np.abs(u - np.median(u)).mean())
+def _motion(u: Array) -> Array:
+    """Return how far samples of each input are from their median in the mean."""
+    return np.abs(u - np.median(u, axis=0)).mean(axis=0)
 
 
 def _named(u: Array) -> list[tuple[str, Array]]:
