@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +22,7 @@ from robust_filterpy.identification.models.fit import fit_percent
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.polynomial_model import Parts, PolynomialModel
 from robust_filterpy.identification.models.prediction import cleaned_residuals, predicted
+from robust_filterpy.identification.models.reduction import balancing, observer_form, truncated
 from robust_filterpy.identification.models.regressor import Layout, Memory
 from robust_filterpy.identification.models.responses import Responses
 from robust_filterpy.identification.models.signals import measured_output, recorded_input, trend_of
@@ -30,6 +31,9 @@ from robust_filterpy.identification.models.summary import Summary, focus_text, s
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording
 from robust_filterpy.identification.models.unmeasured import measurements
 from robust_filterpy.influence.regression import robust_regression
+
+if TYPE_CHECKING:
+    import control
 
 __all__ = ["Ending", "Model"]
 
@@ -222,6 +226,38 @@ class Model(EstimatedPolynomials, Responses):
         matrices, delays = realized(self.structure, self.theta)
         roots = partial(coefficients.poles, self.structure)
         return continuous(matrices, delays, self.dt if dt is None else dt, self.theta, self.P, roots, level)
+
+    def reduced(self, n: int) -> control.StateSpace:
+        """Return a system with fewer states: balanced, and those that do least are left out.
+
+        Parameters
+        ----------
+        n : int
+            How many states are left, 1 to those that there are; each sample of dead time is one.
+
+        Returns
+        -------
+        control.StateSpace
+
+        Raises
+        ------
+        ValueError
+            If there are not so many, there is no input, or the model is unstable.
+        """
+        structure = self.structure
+        if structure.takes_phi or not structure.inputs:
+            raise ValueError(f"{structure}: expected a model with an input, this one has no states to be left out")
+        if not self._stable(self.theta):
+            raise ValueError("theta: expected a stable model, whose states can be balanced")
+        a = coefficients.denominator(structure, self.theta)[1:]
+        order = max(a.size, *(nk + nb - 1 for nb, nk in structure.inputs))
+        numerators = np.zeros((structure.n_inputs, order + 1))
+        for row, place, (nb, nk) in zip(numerators, structure.polynomials.b, structure.inputs, strict=True):
+            row[nk : nk + nb] = self.theta[place]
+        A, B, C, D = observer_form(np.pad(a, (0, order - a.size)), numerators)
+        T = balancing(A, B, C)
+        balanced = np.linalg.solve(T, A @ T), np.linalg.solve(T, B), C @ T, D
+        return truncated(balanced, n, coefficients.period("recorded", self.dt))
 
     # Its outputs.
 

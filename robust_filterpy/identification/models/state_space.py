@@ -123,23 +123,6 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
         """Variance of the ordinary noise of each output, shape (p,)."""
         return np.array([one.R for one in self.noise])
 
-    def to_frame(self) -> Any:
-        """Return poles, their sizes and standard deviations as a pandas DataFrame.
-
-        Returns
-        -------
-        pandas.DataFrame
-            A row for each pole: real, imag, size, std_real, std_imag.
-
-        Raises
-        ------
-        ImportError
-            If pandas is not installed.
-        """
-        found = self.poles()
-        columns = {"real": found.values.real, "imag": found.values.imag, "size": np.abs(found.values)}
-        return table(columns | found.columns(), range(1, len(self.A) + 1), "pole")
-
     def simulate(self, u: ArrayLike, start: Any = "rest") -> Array:
         """Run the model on inputs alone.
 
