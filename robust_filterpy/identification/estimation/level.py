@@ -51,10 +51,12 @@ _STAYS: Final = 5.0
 _PARTS: Final = 8
 _LEAST_PART: Final = 120
 _MOST_PART: Final = 400
-# Samples of a part for each lag of the inputs.
-_EACH_LAG: Final = 7
-# A part in which outliers leave less than this share clear is judged as it was measured.
+# Samples of a short recording for each lag of the inputs.
+_EACH_LAG: Final = 12
+# A part in which outliers leave less than this share clear is judged as it was measured; less is enough where the model
+# is of other recordings too, of which one may be of another plant in all of its samples.
 _LEAST_CLEAR: Final = 0.5
+_LEAST_CLEAR_BESIDE: Final = 0.75
 
 
 class Beside(NamedTuple):
@@ -199,7 +201,8 @@ def unlike_in_parts(problem: Problem, y: Array, model: Model, others: bool = Fal
         # A part that is nearly all outliers is of another plant, whatever replaces them.
         told = ~np.isnan(y) & (np.arange(y.size) >= whole.prepared.first)
         clear = whole.clear & told
-        own = parts[clear[parts].sum(axis=1) < _LEAST_CLEAR * told[parts].sum(axis=1)].ravel()
+        least = _LEAST_CLEAR_BESIDE if others else _LEAST_CLEAR
+        own = parts[clear[parts].sum(axis=1) < least * told[parts].sum(axis=1)].ravel()
         clear[own] = False
         residual = np.where(clear, whole.residual, np.nan)
         prediction = whole.prepared.y + _trend(model, y) - whole.residual
@@ -231,7 +234,7 @@ def unlike(residual: Array, signals: Array, others: bool = False) -> tuple[Findi
     parts = _parts(residual.size, others)
     if not len(parts):
         return ()
-    lags = min(LAGS, parts.shape[1] // _EACH_LAG)
+    lags = min(LAGS, parts.shape[1] // _EACH_LAG) if others else LAGS
     found = dependence(residual[parts], signals[parts], lags, whitening_of(autocovariances(residual)))
     if not found.found.any():
         return ()

@@ -28,7 +28,7 @@ def observer_form(a: Array, numerators: Array) -> tuple[Array, Array, Array, Arr
 
     Returns
     -------
-    A, B, C, D : ndarray
+    A, B, C, D : ndarray, shape (n, n), (n, m), (1, n), (1, m)
     """
     n = a.size
     A, C = np.zeros((n, n)), np.zeros((1, n))
@@ -42,7 +42,7 @@ def balancing(A: Array, B: Array, C: Array) -> Array:
 
     Parameters
     ----------
-    A, B, C : ndarray
+    A, B, C : ndarray, shape (n, n), (n, m), (p, n)
         Matrices.
 
     Returns
@@ -67,7 +67,7 @@ def truncated(matrices: tuple[Any, Any, Any, Any], n: Any, dt: Any) -> control.S
 
     Parameters
     ----------
-    matrices : tuple of ndarray
+    matrices : tuple of ndarray, shape (k, k), (k, m), (p, k), (p, m)
         A, B, C, D.
     n : int
         How many states are left.
