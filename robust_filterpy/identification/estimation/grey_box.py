@@ -19,6 +19,7 @@ from robust_filterpy.identification.models.grey_box_residuals import GreyRecordi
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.noise_of_outputs import Noises
 from robust_filterpy.identification.models.signals import are_several, fingerprint, operating_point
+from robust_filterpy.identification.models.unmeasured import require_motion
 from robust_filterpy.influence.functions import Huber, Influence
 
 __all__ = ["identified_grey_box"]
@@ -144,6 +145,8 @@ def _recordings(y: Any, u: Any, t: Any) -> tuple[list[GreyRecording], list[Any],
         if len(set(widths)) > 1:
             raise ValueError(f"{name}: expected recordings of equally many columns, got {widths}")
     findings = tuple(found for one in checked for found in one.findings)
+    for one in checked:
+        require_motion(np.where(one.known, one.recording.y, np.nan), one.recording.u)
     return [one.recording for one in checked], [one.known for one in checked], findings
 
 

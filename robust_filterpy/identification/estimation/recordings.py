@@ -24,7 +24,7 @@ from robust_filterpy.identification.models.signals import (
 from robust_filterpy.identification.models.state_space_structure import Signals
 from robust_filterpy.identification.models.structures import Structure, input_columns
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording
-from robust_filterpy.identification.models.unmeasured import measurements
+from robust_filterpy.identification.models.unmeasured import measurements, require_motion
 
 __all__ = ["LONG_GAP", "Recordings", "recordings"]
 
@@ -95,7 +95,9 @@ def recordings(structure: Structure | Signals, y: Any, u: Any, groups: Any = Non
     if not parts:
         raise ValueError("u: expected some samples with an input, got none")
     signal = np.concatenate([one for _, one in parts])
-    measured, lies = measurements(np.concatenate([one for one, _ in parts]), signal)
+    measured = np.concatenate([one for one, _ in parts])
+    require_motion(measured, signal)
+    measured, lies = measurements(measured, signal)
     if len(told) < len(parts):
         text = f"gaps of more than {LONG_GAP} samples in u: {len(parts)} recordings, each with a level and a start"
         findings.append(Finding("gap", text, float("nan"), (0, len(measured))))

@@ -15,7 +15,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import fill_values
 from robust_filterpy.identification.models.findings import Finding, of_fill_values
 
-__all__ = ["measurements"]
+__all__ = ["measurements", "require_motion"]
 
 # A number that so many samples have, and such a share of them, is often; the others differ if this share of them does.
 _OFTEN: Final = 20
@@ -47,17 +47,12 @@ def measurements(y: Array, u: Array) -> tuple[Array, tuple[Finding, ...]]:
     -------
     y : ndarray, of the shape of `y`
     findings : tuple of Finding
-
-    Raises
-    ------
-    ValueError
-        If a sensor is stuck in nearly all samples.
     """
     columns, found = [], []
     several = y.ndim > 1 and y.shape[1] > 1
     for j, column in enumerate(y.reshape(len(y), -1).T):
         fills = fill_values(column)
-        signal, held = _without_held(fills.signal, u, f" in output {j}" * several)
+        signal, held = _without_held(fills.signal, u)
         columns.append(signal)
         found += [one._replace(text=f"output {j}: " * several + one.text) for one in (*of_fill_values(fills), *held)]
     for j, column in enumerate(columns):
@@ -67,35 +62,59 @@ def measurements(y: Array, u: Array) -> tuple[Array, tuple[Finding, ...]]:
     return np.column_stack(columns).reshape(y.shape), tuple(found)
 
 
-def _without_held(y: Array, u: Array, where: str) -> tuple[Array, list[Finding]]:
+def require_motion(y: Array, u: Array) -> None:
+    """Raise if a sensor is stuck in nearly all samples, so that the others tell no dynamics.
+
+    Parameters
+    ----------
+    y : ndarray, shape (N,) or (N, p)
+        Outputs, NaN where one is missing.
+    u : ndarray, shape (N, m)
+        Inputs.
+
+    Raises
+    ------
+    ValueError
+        If it is.
+    """
+    columns = y.reshape(len(y), -1).T
+    for j, column in enumerate(columns):
+        signal = fill_values(column).signal
+        values, others = _held(signal, u)
+        if values.size and others < _LEAST_OTHERS:
+            many = f"{values[0]:.6g} in {(signal == values[0]).sum()} of {(~np.isnan(signal)).sum()} samples"
+            got = (many if others else "the same value throughout") + f" in output {j}" * (len(columns) > 1)
+            raise ValueError(f"y: expected an output that varies, got {got}: the sensor is stuck, or at its limit")
+
+
+def _without_held(y: Array, u: Array) -> tuple[Array, list[Finding]]:
     """Return an output with NaN where its sensor is stuck, and that in words."""
+    values, others = _held(y, u)
+    if others < _LEAST_OTHERS:
+        return y, []
+    found, signal, known = [], y.copy(), int((~np.isnan(y)).sum())
+    told = ", whatever u does," if u.shape[1] else ""
+    for value in values:
+        places = np.flatnonzero(y == value)
+        text = (
+            f"y is {value:.6g} in {places.size} of {known} samples{told} and hardly any other number twice: the sensor "
+            "is stuck, at its limit or in a dead band; taken for missing"
+        )
+        found.append(Finding("stuck", text, float("nan"), (int(places[0]), int(places[-1]) + 1)))
+        signal[places] = np.nan
+    return signal, found
+
+
+def _held(y: Array, u: Array) -> tuple[Array, int]:
+    """Return the numbers at which an output is stuck, and how many samples have no number that is as often."""
     known = ~np.isnan(y)
     values, counts = np.unique(y[known], return_counts=True)
     often = counts >= max(_OFTEN, _OFTEN_SHARE * known.sum())
     others = int(known.sum() - counts[often].sum())
-    few = others < _LEAST_OTHERS
     # Of a few numbers that are all often nobody can say that they are no rounding.
-    if not often.any() or (~often).sum() < _DIFFERENT * others or (few and often.sum() > 1):
-        return y, []
-    found, signal = [], y.copy()
-    for value, count in zip(values[often], counts[often], strict=True):
-        held = y == value
-        if not _moves(u, held):
-            continue
-        if few:
-            got = f"{value:.6g} in {count} of {known.sum()} samples" if others else "the same value throughout"
-            raise ValueError(
-                f"y: expected an output that varies, got {got}{where}: the sensor is stuck, or at its limit"
-            )
-        told = ", whatever u does," if u.shape[1] else ""
-        text = (
-            f"y is {value:.6g} in {count} of {known.sum()} samples{told} and hardly any other number "
-            "twice: the sensor is stuck, at its limit or in a dead band; taken for missing"
-        )
-        places = np.flatnonzero(held)
-        found.append(Finding("stuck", text, float("nan"), (int(places[0]), int(places[-1]) + 1)))
-        signal[held] = np.nan
-    return signal, found
+    if (~often).sum() < _DIFFERENT * others or (others < _LEAST_OTHERS and often.sum() > 1):
+        return values[:0], others
+    return np.array([value for value in values[often] if _moves(u, y == value)]), others
 
 
 def _moves(u: Array, held: Any) -> bool:
