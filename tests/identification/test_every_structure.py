@@ -31,7 +31,7 @@ A, B = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5]
 LAG = np.exp(-0.3)
 OMEGA = np.array([0.01, 0.5, 2.0])
 # Fewer tell no step of the level from the dynamics.
-SAMPLES, STEPPED = 120, 204
+STEPPED = 204
 
 
 def lag(x, u, p):
@@ -60,12 +60,14 @@ STRUCTURES = {
     "driven states": StateSpace(2, disturbance=True),
     "physics": PHYSICS,
 }
+OF_OUTPUTS = ("states", "states of two outputs", "driven states", "physics")
 # What costs most to be found has one pole.
 SMALL = [STRUCTURES[name] for name in ("ARMAX", "BoxJenkins", "integrated")]
 
 
-def recorded(name, seed=0, samples=SAMPLES):
-    """A recording with a tenth of outliers that the structure can have made."""
+def recorded(name, seed=0, samples=None):
+    """A recording with a tenth of outliers that the structure can have made, as long as is cheap."""
+    samples = samples or (120 if name in OF_OUTPUTS else 180)
     rng = np.random.default_rng([seed, 61])
     u = np.repeat(rng.choice([-1.0, 1.0], (samples // 3, 2)), 3, axis=0)
     wild = np.where(rng.random((samples, 2)) < 0.1, 10.0, 1.0)
@@ -95,7 +97,7 @@ def found(name):
     return identify(y, u, STRUCTURES[name], **timed(name, y), progress=False), y, u
 
 
-def moved(name, change, samples=SAMPLES, **options):
+def moved(name, change, samples=None, **options):
     """A model of a recording that is changed."""
     y, u = recorded(name, 1, samples)
     y, u = change(y.copy(), None if u is None else u.copy())
@@ -158,15 +160,17 @@ ABILITIES = {
     "level step": lambda name: moved(name, steps, STEPPED),
     "operating point": lambda name: moved(name, far),
     "gap in u": lambda name: moved(name, gap_in_u),
-    "groups": lambda name: moved(name, same, groups=2 * np.arange(SAMPLES) // SAMPLES),
+    "groups": lambda name: moved(name, same, groups=np.arange(len(recorded(name)[0])) // 60),
     "fixed": lambda name: moved(name, same, fixed={named(name): -1.2}),
     "bounds": lambda name: moved(name, same, bounds={named(name): (-3.0, 3.0)}),
     "focus": lambda name: moved(name, same, focus=(None, 1.5)),
     "no trend": lambda name: moved(name, same, trend="none"),
     "constant": lambda name: moved(name, same, trend="constant"),
-    "line": lambda name: moved(name, same, STEPPED, trend="line"),
+    "line": lambda name: moved(name, same, STEPPED if name in OF_OUTPUTS else None, trend="line"),
     "several": several,
-    "times": lambda name: identify(*recorded(name), STRUCTURES[name], t=np.arange(SAMPLES) / 1.0, progress=False),
+    "times": lambda name: (
+        found(name)[0] if name == "physics" else identify(*recorded(name), STRUCTURES[name], t=np.arange(180) / 1.0)
+    ),
     "from rest": simulated,
     "continued": lambda name: simulated(name, start="continued"),
     "residuals": lambda name: judged(name, lambda m, y, u, **t: m.residuals(y, u, **t)),
@@ -281,9 +285,9 @@ def test_nothing_is_found_in_an_ordinary_recording():
 def test_physics_beside_a_step_and_inputs_that_it_does_not_follow():
     y, u = recorded("physics", 3, STEPPED)
     rng = np.random.default_rng(6)
-    read = np.where(rng.random(90) < 0.08, 50.0 * rng.normal(size=90), u[:90])
+    read = np.where(rng.random(120) < 0.08, 50.0 * rng.normal(size=120), u[:120])
     stepped = y + 15.0 * (np.arange(STEPPED) >= STEPPED // 2)
-    for told, acted, words in ((stepped, u, "steps by"), (y[:90], read, "unlike the others")):
+    for told, acted, words in ((stepped, u, "steps by"), (y[:120], read, "unlike the others")):
         with pytest.warns(UserWarning, match=words):
             model = identify(told, acted, PHYSICS, t=np.arange(len(told)) / 1.0)
         assert model.p["rate"] == pytest.approx(0.3, abs=0.03) and model.p["gain"] == pytest.approx(2.0, abs=0.1)
