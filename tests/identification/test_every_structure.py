@@ -62,7 +62,7 @@ STRUCTURES = {
 }
 OF_OUTPUTS = ("states", "states of two outputs", "driven states", "physics")
 # What costs most to be found has one pole.
-SMALL = [STRUCTURES[name] for name in ("ARMAX", "BoxJenkins", "integrated")]
+SMALL = ("ARMAX", "BoxJenkins", "integrated")
 
 
 def recorded(name, seed=0, samples=None):
@@ -76,7 +76,7 @@ def recorded(name, seed=0, samples=None):
         return lfilter([1.0, 0.4], [1.0, -1.2, 0.6], rng.normal(size=samples)) + noise[:, 0], None
     if name == "physics":
         return lfilter([0.0, 2.0 * (1.0 - LAG)], [1.0, -LAG], u[:, 0]) + noise[:, 0], u[:, 0]
-    if STRUCTURES[name] in SMALL:
+    if name in SMALL:
         return lfilter([0.0, 0.5], [1.0, -0.8], u[:, 0]) + noise[:, 0], u[:, 0]
     y = lfilter(B, [1.0] if name == "FIR" else A, u[:, 0])
     if name == "two inputs":
