@@ -24,6 +24,7 @@ from robust_filterpy.plotting.figures import (
 from robust_filterpy.plotting.responses import plot_bode, plot_poles
 
 # What the `plot()` of a result draws, which is how these are asked for.
+from robust_filterpy.plotting.responses import plot_noise_spectrum as plot_noise_spectrum
 from robust_filterpy.plotting.responses import plot_step as plot_step
 from robust_filterpy.plotting.workbench import plot_comparison as plot_comparison
 from robust_filterpy.plotting.workbench import plot_structure_selection as plot_structure_selection

@@ -1,4 +1,4 @@
-"""Pictures of a model's dynamics: frequency and step response, poles and zeros, with how sure they are.
+"""Pictures of a model's dynamics: frequency and step response, noise, poles and zeros, with how sure they are.
 
 matplotlib is imported when something is drawn.
 """
@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
-from robust_filterpy.identification import Model, ParameterTracker
-from robust_filterpy.identification.models.response_records import FrequencyResponse, StepResponse
+from robust_filterpy.identification import Model, ParameterTracker, StateSpaceModel
+from robust_filterpy.identification.models.response_records import FrequencyResponse, NoiseSpectrum, StepResponse
 from robust_filterpy.plotting._style import COLOURS, STYLES, legend_outside, line_of, one_axes, several_axes
 
 if TYPE_CHECKING:
@@ -25,13 +25,14 @@ _FAR: Final = 3.0
 
 
 def plot_bode(
-    models: Any, omega: ArrayLike | None = None, *, level: float = 0.95, which: int = 0, axes: Any = None
-) -> Any:
+    models: Any, omega: ArrayLike | None = None, *, level: float = 0.95, which: int = 0, output: int = 0,
+    axes: Any = None,
+) -> Any:  # fmt: skip
     """Draw the frequency responses of models with their bands.
 
     Parameters
     ----------
-    models : Model, ParameterTracker, FrequencyResponse or mapping of str to these
+    models : Model, StateSpaceModel, ParameterTracker, FrequencyResponse or mapping of str to these
         Models by name; one alone is named by its structure.
     omega : array_like, shape (n,), optional
         Frequencies in rad/s, or in rad/sample if the models have no sampling period; in (0, pi/dt]. Default: the three
@@ -40,6 +41,8 @@ def plot_bode(
         Probability of the bands, at each frequency.
     which : int, default 0
         Which input.
+    output : int, default 0
+        Which output of a StateSpaceModel.
     axes : sequence of two matplotlib.axes.Axes, optional
         Where to draw magnitude and phase.
 
@@ -55,19 +58,18 @@ def plot_bode(
     TypeError
         If models are no models.
     """
-    named = _named(models, (Model, ParameterTracker, FrequencyResponse))
+    named = _named(models, (Model, StateSpaceModel, ParameterTracker, FrequencyResponse))
     periods = {name: getattr(model, "dt", None) for name, model in named.items()}
     if len({dt is None for dt in periods.values()}) > 1:
         raise ValueError(f"models: expected all with or all without a sampling period, got {periods}")
-    found = {name: _response(name, model, omega, level) for name, model in named.items()}
+    found = {name: _response(name, model, omega, level, output) for name, model in named.items()}
     rows = {name: _of_input(name, response, which) for name, response in found.items()}
     axes = several_axes(axes, 2, 1, (7.5, 5.0), sharex=True)
     for place, (name, (magnitude, phase)) in enumerate(rows.items()):
-        w, look = found[name].omega, line_of(place)
+        w, look, label = found[name].omega, line_of(place), _band_label(found[name].level, place)
         with np.errstate(divide="ignore"):
             decibels = 20.0 * np.log10(magnitude)
         for ax, (line, low, high) in ((axes[0], decibels), (axes[1], np.degrees(phase))):
-            label = f"{100 * found[name].level:.4g} % band" if place == 0 else "_nolegend_"
             ax.fill_between(w, low, high, color=look["color"], alpha=0.2, linewidth=0, label=label)
             ax.plot(w, line, linewidth=1.4, label=name, **look)
     axes[0].set_ylabel("magnitude [dB]")
@@ -84,17 +86,19 @@ def plot_bode(
     return axes
 
 
-def plot_poles(models: Any, *, level: float = 0.95, which: int = 0, ax: Axes | None = None) -> Axes:
+def plot_poles(models: Any, *, level: float = 0.95, which: int = 0, output: int = 0, ax: Axes | None = None) -> Axes:
     """Draw poles and zeros of models, with the regions where they may lie.
 
     Parameters
     ----------
-    models : Model, ParameterTracker or mapping of str to these
+    models : Model, StateSpaceModel, ParameterTracker or mapping of str to these
         Models by name; one alone is named by its structure.
     level : float, default 0.95
         Probability of each region.
     which : int, default 0
         Which input's zeros; a model without input has none.
+    output : int, default 0
+        To which output of a StateSpaceModel.
     ax : matplotlib.axes.Axes, optional
         Where to draw.
 
@@ -113,13 +117,13 @@ def plot_poles(models: Any, *, level: float = 0.95, which: int = 0, ax: Axes | N
     -----
     Poles and zeros at the origin, which only delay, are left out, and zeros further than 3 from it stand outside.
     """
-    named = _named(models, (Model, ParameterTracker))
+    named = _named(models, (Model, StateSpaceModel, ParameterTracker))
     found = {}
     for name, model in named.items():
         _require_started(name, model)
         found[name] = [("poles", "x", model.poles(level))]
-        if model.structure.inputs:
-            found[name].append(("zeros", "o", model.zeros(level, input=which)))
+        if isinstance(model, StateSpaceModel) or model.structure.inputs:
+            found[name].append(("zeros", "o", model.zeros(level, input=which, **_to(model, output))))
     ax = one_axes(ax, (7.0, 4.8))
     turn = np.linspace(0.0, 2.0 * np.pi, 200)
     ax.plot(np.cos(turn), np.sin(turn), color="black", linewidth=0.8, label="unit circle")
@@ -163,8 +167,7 @@ def plot_step(response: StepResponse, *, ax: Axes | None = None) -> Axes:
     ax = one_axes(ax)
     rows = [np.atleast_2d(values) for values in (response.response, response.lower, response.upper)]
     for place, (line, low, high) in enumerate(zip(*rows, strict=True)):
-        look = line_of(place)
-        label = f"{100 * response.level:.4g} % band" if place == 0 else "_nolegend_"
+        look, label = line_of(place), _band_label(response.level, place)
         ax.fill_between(response.time, low, high, step="post", color=look["color"], alpha=0.2, linewidth=0, label=label)
         name = "response" if len(rows[0]) == 1 else f"input {place}"
         ax.step(response.time, line, where="post", linewidth=1.4, label=name, **look)
@@ -174,13 +177,47 @@ def plot_step(response: StepResponse, *, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def _response(name: str, model: Any, omega: Any, level: float) -> FrequencyResponse:
+def plot_noise_spectrum(spectrum: NoiseSpectrum, *, ax: Axes | None = None) -> Axes:
+    """Draw the power spectral density of what the noise does to an output, with its band.
+
+    Parameters
+    ----------
+    spectrum : NoiseSpectrum
+        What `noise_spectrum` returned.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+    """
+    ax, look = one_axes(ax), line_of(0)
+    band = {"color": look["color"], "alpha": 0.2, "linewidth": 0, "label": _band_label(spectrum.level, 0)}
+    ax.fill_between(spectrum.omega, spectrum.lower, spectrum.upper, **band)
+    ax.plot(spectrum.omega, spectrum.density, linewidth=1.4, label="density", **look)
+    ax.set(xscale="log", yscale="log", xlabel="frequency [rad/s]", ylabel="noise of the output [y² per Hz]")
+    ax.grid(True, which="both", color="0.9", linewidth=0.5)
+    legend_outside(ax)
+    return ax
+
+
+def _band_label(level: float, place: int) -> str:
+    """Return what the legend says of a band, once."""
+    return f"{100 * level:.4g} % band" if place == 0 else "_nolegend_"
+
+
+def _to(model: Any, output: int) -> dict[str, int]:
+    """Return the argument that names an output, for a model that has several."""
+    return {"output": output} if isinstance(model, StateSpaceModel) else {}
+
+
+def _response(name: str, model: Any, omega: Any, level: float, output: int) -> FrequencyResponse:
     """Return the frequency response of a model."""
     if isinstance(model, FrequencyResponse):
         return model
     _require_started(name, model)
     w = np.geomspace(1e-3, 1.0, _POINTS) * np.pi / (model.dt or 1.0) if omega is None else np.sort(omega)
-    return model.frequency_response(w, level)
+    return model.frequency_response(w, level=level, **_to(model, output))
 
 
 def _of_input(name: str, response: FrequencyResponse, which: int) -> tuple[Any, Any]:

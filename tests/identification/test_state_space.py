@@ -106,7 +106,7 @@ def test_several_recordings_and_tables():
     timed = identify(*tables, StateSpace(3))
     assert timed.dt == 0.5
     assert timed.simulate(tables[1]).index.equals(index)
-    assert len(timed.to_frame()) == 3
+    assert len(timed.poles().to_frame()) == 3
 
 
 def test_one_output_and_one_input_without_a_second_axis():

@@ -22,7 +22,7 @@ from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.model import Ending, Model
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.identification.models.several_recordings import SeveralRecordings, ends_of
-from robust_filterpy.identification.models.signals import fingerprint
+from robust_filterpy.identification.models.signals import fingerprint, operating_point
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.influence.regression import mad_scale
@@ -86,6 +86,12 @@ class Problem(NamedTuple):
     def spans(self) -> tuple[slice, ...]:
         """The samples of each recording."""
         return tuple(slice(b, e) for b, e in zip(self.begins, ends_of(self.begins, len(self.u)), strict=True))
+
+    def of_inputs(self, u: Array) -> Problem:
+        """Return the problem with other values of the inputs in some samples."""
+        if u is self.u:
+            return self
+        return self._replace(u=u, rest=operating_point(u) if self.offset else self.rest)
 
     def alone(self, i: int) -> Problem:
         """Return the problem of one of several recordings."""

@@ -19,11 +19,14 @@ from robust_filterpy.identification.models.grey_box_residuals import GreyRecordi
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.noise_of_outputs import Noises
 from robust_filterpy.identification.models.signals import are_several, fingerprint, operating_point
+from robust_filterpy.identification.models.unmeasured import require_motion
 from robust_filterpy.influence.functions import Huber, Influence
 
 __all__ = ["identified_grey_box"]
 
 _FIRST_STEPS: Final = 30
+# R of each output is at least this share of its variance.
+_LEAST: Final = 1e-24
 # A direction along which a standard deviation is this share of the parameters is one that the recording cannot tell.
 _UNTOLD: Final = 0.5
 # Of a direction that nothing depends on, by this share of the best one, nothing is known at all.
@@ -86,15 +89,13 @@ def identified_grey_box(
     outputs = np.concatenate([np.where(good, one.y, np.nan) for one, good in zip(told, known, strict=True)])
     inputs = np.concatenate([one.u for one in told])
     whole = Outputs(outputs, inputs, spans, find, alone, sampled=all(one.is_sampled for one in told))
-    model, levels, findings = whole.beside_levels(find(outputs, inputs), trend)
-    model, held, outliers = whole.beside_input_outliers(model, levels)
-    output = alone(model, outputs - levels, held)
-    beside = whole._replace(u=held).left(
-        output, outputs - levels - output, operating_point(held), True, "the parameters are biased by that"
+    best = whole.beside(trend)
+    levels, output = best.levels, alone(best.model, outputs - best.levels, best.u)
+    left = whole.left(
+        best, output, outputs - levels - output, operating_point(best.u), True, "the parameters are biased by that"
     )
-    beside = tuple(one for one in beside if not outliers or one.kind != "another plant")
     trends = tuple((fingerprint(outputs[part]), levels[part]) for part in spans if levels[part].any())
-    return replace(model, findings=(*found, *findings, *outliers, *beside), trends=trends)
+    return replace(best.model, findings=(*found, *best.findings, *left), trends=trends)
 
 
 def _modelled(
@@ -114,7 +115,10 @@ def _modelled(
         raise ValueError(f"y: expected at least {2 * model.n} measured samples, got {int(rows.sum())}")
     p = told[0].y.shape[1]
     which = np.concatenate([np.tile(np.arange(p), len(one.y)) for one in told])[rows]
-    noise = Noises(tuple(Noise(influence or Huber(), 1.0, False, 1e-300) for _ in range(p)), which)
+    # Without noise R would end at 0.
+    sizes = np.nanstd(np.concatenate([np.where(good, one.y, np.nan) for one, good in zip(told, known, strict=True)]), 0)
+    least = np.maximum(_LEAST * sizes**2, np.finfo(float).tiny)
+    noise = Noises(tuple(Noise(influence or Huber(), 1.0, False, float(one)) for one in least), which)
     stage("search from the first guesses")
     end = minimised(model, z, noise, rows, rows, _FIRST_STEPS)
     model.steps = 1
@@ -141,6 +145,8 @@ def _recordings(y: Any, u: Any, t: Any) -> tuple[list[GreyRecording], list[Any],
         if len(set(widths)) > 1:
             raise ValueError(f"{name}: expected recordings of equally many columns, got {widths}")
     findings = tuple(found for one in checked for found in one.findings)
+    for one in checked:
+        require_motion(np.where(one.known, one.recording.y, np.nan), one.recording.u)
     return [one.recording for one in checked], [one.known for one in checked], findings
 
 

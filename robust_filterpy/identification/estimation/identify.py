@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
+from robust_filterpy._checks import Array
 from robust_filterpy._progress import stages
 from robust_filterpy._warning import warn
 from robust_filterpy.identification.estimation.estimate import Problem
@@ -18,6 +19,7 @@ from robust_filterpy.identification.estimation.focus import band, dynamics_of, f
 from robust_filterpy.identification.estimation.grey_box import identified_grey_box
 from robust_filterpy.identification.estimation.level import (
     TRENDS,
+    Beside,
     beside_input_outliers,
     beside_trend,
     unlike_in_parts,
@@ -280,11 +282,17 @@ def _in_recording(problem: Problem, recorded: Recordings, chosen: str) -> tuple[
     """Return the model beside whatever else a recording has, and that."""
     if len(problem.begins) > 1:
         return of_several(problem, recorded.y, chosen)
-    found, findings = beside_trend(problem, recorded.y, chosen, recorded.axis.index)
-    found, more = without_endless_motion(problem, recorded.y, found)
-    found, outliers = beside_input_outliers(problem, recorded.y, found)
-    findings = (*findings, *more, *outliers, *with_wraps(problem, recorded.y, found))
-    return found, findings if outliers else (*findings, *unlike_in_parts(problem, recorded.y, found))
+
+    def find(u: Array) -> Beside:
+        acted = problem.of_inputs(u)
+        found, findings = beside_trend(acted, recorded.y, chosen, recorded.axis.index)
+        found, more = without_endless_motion(acted, recorded.y, found)
+        return Beside(found, (*findings, *more))
+
+    # A row of the caller's regressor is no input that is held.
+    best = find(problem.u) if problem.structure.takes_phi else beside_input_outliers(problem.u, find)
+    findings = (*best.findings, *with_wraps(problem, recorded.y, best.model))
+    return best.model, findings if best.held else (*findings, *unlike_in_parts(problem, recorded.y, best.model))
 
 
 def _of_outputs(y: Any, u: Any, structure: StateSpace | GreyBox, told: _Told) -> StateSpaceModel | GreyBoxModel:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -12,20 +13,19 @@ from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.cleaning import cleaned
 from robust_filterpy.identification.estimation.estimate import Problem, estimated
 from robust_filterpy.identification.estimation.trend import PRICE, Trend, impulse_output, piecewise_level
-from robust_filterpy.identification.models.dependence import autocovariances, dependence, whitening_of
+from robust_filterpy.identification.models.dependence import LAGS, autocovariances, dependence, whitening_of
 from robust_filterpy.identification.models.findings import Finding
 from robust_filterpy.identification.models.model import Model
-from robust_filterpy.identification.models.signals import fingerprint, operating_point
+from robust_filterpy.identification.models.signals import fingerprint
 from robust_filterpy.influence.regression import mad_scale
 
 __all__ = [
     "TRENDS",
+    "Beside",
     "beside_input_outliers",
     "beside_trend",
     "break_finding",
     "endless_pole",
-    "held_back",
-    "input_outliers",
     "unlike",
     "unlike_in_parts",
     "without_endless_motion",
@@ -41,7 +41,7 @@ _SLOW: Final = 0.995
 _SMALL: Final = 0.05
 _ENDLESS: Final = 0.1
 # An input is far outside beyond so many half widths of four fifths of its values, or off the levels that nine tenths of
-# them have, of which there are at most so many; so many are no accident.
+# them have, of which there are at most so many, each with more samples than these.
 _FAR_INPUT: Final = 3.2
 _MOST_LEVELS: Final = 20
 _FEWEST: Final = 4
@@ -51,8 +51,36 @@ _STAYS: Final = 5.0
 _PARTS: Final = 8
 _LEAST_PART: Final = 120
 _MOST_PART: Final = 400
-# A part in which outliers leave less than this share clear is judged as it was measured.
+# Samples of a short recording for each lag of the inputs.
+_EACH_LAG: Final = 12
+# A part in which outliers leave less than this share clear is judged as it was measured; less is enough where the model
+# is of other recordings too, of which one may be of another plant in all of its samples.
 _LEAST_CLEAR: Final = 0.5
+_LEAST_CLEAR_BESIDE: Final = 0.75
+
+
+class Beside(NamedTuple):
+    """A model beside whatever else a recording has.
+
+    Attributes
+    ----------
+    model : Model, StateSpaceModel or GreyBoxModel
+        The model.
+    findings : tuple of Finding
+        Of what is beside it.
+    levels : ndarray, shape (N, p)
+        What was taken off several outputs.
+    u : ndarray, shape (N, n_inputs)
+        Inputs that it is of.
+    held : bool
+        Whether some of these are held back.
+    """
+
+    model: Any
+    findings: tuple[Finding, ...]
+    levels: Any = None
+    u: Any = None
+    held: bool = False
 
 
 def beside_trend(problem: Problem, y: Array, trend: str, index: Any) -> tuple[Model, tuple[Finding, ...]]:
@@ -145,7 +173,7 @@ def endless_pole(model: Model, samples: int) -> float | None:
     return slowest if model.structure.n_inputs and abs(1.0 - slowest) * samples < _ENDLESS else None
 
 
-def unlike_in_parts(problem: Problem, y: Array, model: Model) -> tuple[Finding, ...]:
+def unlike_in_parts(problem: Problem, y: Array, model: Model, others: bool = False) -> tuple[Finding, ...]:
     """Find the parts of a recording in which what the model leaves follows the inputs.
 
     Parameters
@@ -154,14 +182,16 @@ def unlike_in_parts(problem: Problem, y: Array, model: Model) -> tuple[Finding, 
         As in `beside_trend`.
     model : Model
         Of this recording.
+    others : bool, default False
+        Whether it is of other recordings too.
 
     Returns
     -------
     tuple of Finding
         One, from the first of these parts to the last, or none.
     """
-    parts = _parts(y.size)
-    if not model.structure.n_inputs or model.structure.takes_phi or len(parts) < 2:
+    parts = _parts(y.size, others)
+    if not model.structure.n_inputs or model.structure.takes_phi or not len(parts):
         return ()
     whole = cleaned(model, y, problem.u)
     if whole is None:
@@ -171,7 +201,8 @@ def unlike_in_parts(problem: Problem, y: Array, model: Model) -> tuple[Finding, 
         # A part that is nearly all outliers is of another plant, whatever replaces them.
         told = ~np.isnan(y) & (np.arange(y.size) >= whole.prepared.first)
         clear = whole.clear & told
-        own = parts[clear[parts].sum(axis=1) < _LEAST_CLEAR * told[parts].sum(axis=1)].ravel()
+        least = _LEAST_CLEAR_BESIDE if others else _LEAST_CLEAR
+        own = parts[clear[parts].sum(axis=1) < least * told[parts].sum(axis=1)].ravel()
         clear[own] = False
         residual = np.where(clear, whole.residual, np.nan)
         prediction = whole.prepared.y + _trend(model, y) - whole.residual
@@ -180,10 +211,10 @@ def unlike_in_parts(problem: Problem, y: Array, model: Model) -> tuple[Finding, 
             # Predictions from outputs as measured carry their outliers to the residuals: what u alone makes does not.
             prediction[own] = (model.simulate(problem.u) + _trend(model, y))[own]
     signals = np.column_stack((np.nan_to_num(prediction - _trend(model, y) - model.level), problem.u - problem.rest))
-    return unlike(residual, signals)
+    return unlike(residual, signals, others)
 
 
-def unlike(residual: Array, signals: Array) -> tuple[Finding, ...]:
+def unlike(residual: Array, signals: Array, others: bool = False) -> tuple[Finding, ...]:
     """Find the parts of a recording in which what any model leaves follows the inputs.
 
     Parameters
@@ -192,16 +223,19 @@ def unlike(residual: Array, signals: Array) -> tuple[Finding, ...]:
         What it leaves of an output; NaN where there is nothing.
     signals : ndarray, shape (N, k)
         What it makes of the inputs, and these, from their rest.
+    others : bool, default False
+        Whether the model is of other recordings too.
 
     Returns
     -------
     tuple of Finding
         One, from the first of these parts to the last, or none.
     """
-    parts = _parts(residual.size)
-    if len(parts) < 2:
+    parts = _parts(residual.size, others)
+    if not len(parts):
         return ()
-    found = dependence(residual[parts], signals[parts], whitening=whitening_of(autocovariances(residual)))
+    lags = min(LAGS, parts.shape[1] // _EACH_LAG) if others else LAGS
+    found = dependence(residual[parts], signals[parts], lags, whitening_of(autocovariances(residual)))
     if not found.found.any():
         return ()
     where = parts[found.found]
@@ -214,56 +248,55 @@ def unlike(residual: Array, signals: Array) -> tuple[Finding, ...]:
     return (Finding("another plant", text, evidence, (first, last)),)
 
 
-def _parts(samples: int) -> Any:
-    """Return the samples of each part of a recording, equally many, up to its end."""
+def _parts(samples: int, others: bool) -> Any:
+    """Return the samples of each part of a recording, equally many, up to its end; none if a model is of it alone."""
     span = max(_LEAST_PART, min(samples // _PARTS, _MOST_PART))
-    return np.arange(samples % span, samples - span + 1, span)[:, None] + np.arange(span)
+    if others:
+        span = min(span, samples)
+    found = np.arange(samples % span, samples - span + 1, span)[:, None] + np.arange(span)
+    return found if others or len(found) > 1 else found[:0]
 
 
-def beside_input_outliers(problem: Problem, y: Array, model: Model) -> tuple[Model, tuple[Finding, ...]]:
-    """Find the model again with values of u far outside the others held back, and keep it if it is much likelier.
-
-    Parameters
-    ----------
-    problem, y
-        As in `beside_trend`.
-    model : Model
-        Of this recording.
-
-    Returns
-    -------
-    model : Model
-    findings : tuple of Finding
-    """
-    u, places = (problem.u, np.zeros(0)) if model.structure.takes_phi else held_back(problem.u)
-    if not places.size:
-        return model, ()
-    stage("the model without outliers of u")
-    try:
-        rest = operating_point(u) if problem.offset else problem.rest
-        other = estimated(problem._replace(u=u, rest=rest), y - _trend(model, y))
-    except ValueError:
-        return model, ()
-    gain = 2.0 * (other.log_likelihood - model.log_likelihood)
-    if gain < PRICE * np.log(y.size):
-        return model, ()
-    return replace(other, trend=model.trend, fingerprint=model.fingerprint), (input_outliers(places, gain),)
-
-
-def held_back(u: Array) -> tuple[Array, Any]:
-    """Return inputs with the value before in the place of each that is unlike the others, and in which samples.
+def beside_input_outliers(u: Array, find: Callable[[Array], Beside]) -> Beside:
+    """Find the model of inputs, and that with values far outside the others held back, and take it if much likelier.
 
     Parameters
     ----------
     u : ndarray, shape (N, n_inputs)
         Inputs.
+    find : callable
+        find(u) gives the model of such inputs, with its ``log_likelihood``, beside what its outputs have.
 
     Returns
     -------
-    u : ndarray, shape (N, n_inputs)
-    places : ndarray of int, shape (n,)
-        None, if there are none.
+    Beside
+
+    Notes
+    -----
+    Both ways from the beginning: what an outlier of u leaves looks like steps of the level, or like slow motion.
     """
+    told = find(u)._replace(u=u)
+    other, places = _held_back(u)
+    if not places.size:
+        return told
+    stage("the model without outliers of u")
+    try:
+        held = find(other)
+    except ValueError:
+        return told
+    gain = 2.0 * (held.model.log_likelihood - told.model.log_likelihood)
+    if gain < PRICE * np.log(len(u)) * (1 + _breaks(held.findings) - _breaks(told.findings)):
+        return told
+    return held._replace(u=other, held=True, findings=(*held.findings, _input_outliers(places, gain)))
+
+
+def _breaks(findings: tuple[Finding, ...]) -> int:
+    """Return how many steps and ramps were found."""
+    return sum(one.kind in ("step", "ramp") for one in findings)
+
+
+def _held_back(u: Array) -> tuple[Array, Any]:
+    """Return inputs with the value before in the place of each that is unlike the others, and in which samples."""
     u, far = u.copy(), np.zeros(u.shape, dtype=bool)
     for j, column in enumerate(u.T):
         odd = far[:, j] = _odd(column)
@@ -273,20 +306,8 @@ def held_back(u: Array) -> tuple[Array, Any]:
     return u, np.flatnonzero(far.any(axis=1))
 
 
-def input_outliers(places: Any, gain: float) -> Finding:
-    """Return in words that inputs in some samples are held at the value before.
-
-    Parameters
-    ----------
-    places : ndarray of int, shape (n,)
-        These samples.
-    gain : float
-        Twice the log-likelihood that it explains.
-
-    Returns
-    -------
-    Finding
-    """
+def _input_outliers(places: Any, gain: float) -> Finding:
+    """Return in words that inputs in some samples are held at the value before."""
     text = (
         f"u has {places.size} values unlike the others that y does not follow: the model is of the values before "
         "them, held; give u as it acted"
@@ -302,7 +323,7 @@ def _odd(u: Array) -> Any:
     common = counts > max(_FEWEST, u.size // 200)
     if common.sum() <= _MOST_LEVELS and counts[common].sum() >= 0.9 * u.size:
         odd |= ~common[which]
-    return odd & (odd.sum() >= _FEWEST and high > low)
+    return odd & (high > low)
 
 
 def _trend(model: Model, y: Array) -> Array:

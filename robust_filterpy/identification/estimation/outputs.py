@@ -14,7 +14,7 @@ import numpy as np
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.feedback import feedback
-from robust_filterpy.identification.estimation.level import break_finding, held_back, input_outliers, unlike
+from robust_filterpy.identification.estimation.level import Beside, beside_input_outliers, break_finding, unlike
 from robust_filterpy.identification.estimation.trend import PRICE, Trend, impulse_output, piecewise_level
 from robust_filterpy.identification.estimation.wraps import wraps
 from robust_filterpy.identification.models.findings import Finding
@@ -55,26 +55,27 @@ class Outputs(NamedTuple):
     index: Any = None
     sampled: bool = True
 
-    def beside_levels(self, plain: Any, trend: str) -> tuple[Any, Array, tuple[Finding, ...]]:
-        """Find the model beside levels that break.
+    def beside(self, trend: str) -> Beside:
+        """Find the model beside levels that break and outliers of the inputs.
 
         Parameters
         ----------
-        plain : model
-            Of the outputs as they are.
         trend : {"none", "constant", "line", "breaks"}
-            What each output has beside that.
+            What each output has beside a model.
 
         Returns
         -------
-        model : model
-        levels : ndarray, shape (N, p)
-            What was taken off, 0 in the last sample of each recording.
-        findings : tuple of Finding
+        Beside
+            Its levels are 0 in the last sample of each recording.
         """
+        return beside_input_outliers(self.u, lambda u: self._replace(u=u)._beside_levels(trend))
+
+    def _beside_levels(self, trend: str) -> Beside:
+        """Return the model beside levels that break."""
+        plain = self.find(self.y, self.u)
         y, line, none = self.y, trend == "line", np.zeros(self.y.shape)
         if trend in ("none", "constant"):
-            return plain, none, ()
+            return Beside(plain, (), none)
         stage("steps and ramps of the levels of y")
         model, levels = plain, none
         found = self._levels(self._of_impulses() if self.sampled else y - self.alone(plain, y, self.u), line)
@@ -82,7 +83,7 @@ class Outputs(NamedTuple):
         for _ in range(_ROUNDS):
             times = {place: [(b.kind, b.time) for b in one.breaks] for place, one in found.items()}
             if not any(times.values()):
-                return plain, none, ()
+                return Beside(plain, (), none)
             if times == before:
                 break
             before, breaks = times, found
@@ -94,49 +95,23 @@ class Outputs(NamedTuple):
         count = sum(len(one.breaks) for one in breaks.values())
         gain = 2.0 * (model.log_likelihood - plain.log_likelihood)
         if not line and gain < PRICE * np.log(len(y)) * count:
-            return plain, none, ()
+            return Beside(plain, (), none)
         findings = []
         for (i, j), one in breaks.items():
             part = self.spans[i]
             said = [break_finding(b, self.index, gain, part.stop - part.start, self.u[part]) for b in one.breaks]
             findings += self._named(i, j, said)
-        return model, levels, () if line else tuple(findings)
+        return Beside(model, () if line else tuple(findings), levels)
 
-    def beside_input_outliers(self, model: Any, levels: Array) -> tuple[Any, Array, tuple[Finding, ...]]:
-        """Find the model again with values of u far outside the others held back, and keep it if it is much likelier.
-
-        Parameters
-        ----------
-        model : model
-            Of the inputs as they are.
-        levels : ndarray, shape (N, p)
-            What is taken off the outputs.
-
-        Returns
-        -------
-        model : model
-        u : ndarray, shape (N, m)
-            Inputs that it is of.
-        findings : tuple of Finding
-        """
-        u, places = held_back(self.u)
-        if not places.size:
-            return model, self.u, ()
-        stage("the model without outliers of u")
-        try:
-            other = self.find(self.y - levels, u)
-        except ValueError:
-            return model, self.u, ()
-        gain = 2.0 * (other.log_likelihood - model.log_likelihood)
-        if gain < PRICE * np.log(len(u)):
-            return model, self.u, ()
-        return other, u, (input_outliers(places, gain),)
-
-    def left(self, output: Array, residual: Array, rest: Array, direct: bool, meaning: str) -> tuple[Finding, ...]:
+    def left(
+        self, best: Beside, output: Array, residual: Array, rest: Array, direct: bool, meaning: str
+    ) -> tuple[Finding, ...]:
         """Find what a model leaves: another plant, wraps, feedback.
 
         Parameters
         ----------
+        best : Beside
+            The model.
         output : ndarray, shape (N, p)
             What it makes of the inputs alone.
         residual : ndarray, shape (N, p)
@@ -155,10 +130,12 @@ class Outputs(NamedTuple):
         found: list[Finding] = []
         for i, part in enumerate(self.spans):
             for j, (own, e) in enumerate(zip(output[part].T, residual[part].T, strict=True)):
-                signals = np.column_stack((own - own.mean(), self.u[part] - rest))
-                found += self._named(i, j, [*wraps(self.y[part, j], e), *unlike(e, signals)])
-        if self.u.shape[1]:
-            parts = [(self.u[part] - rest, residual[part]) for part in self.spans]
+                signals = np.column_stack((own - own.mean(), best.u[part] - rest))
+                # A model of inputs that are held back leaves what these did.
+                more = () if best.held else unlike(e, signals, len(self.spans) > 1)
+                found += self._named(i, j, [*wraps(self.y[part, j], e), *more])
+        if best.u.shape[1]:
+            parts = [(best.u[part] - rest, residual[part]) for part in self.spans]
             found += feedback(parts, direct, meaning)
         return tuple(found)
 

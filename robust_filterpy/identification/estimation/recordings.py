@@ -13,8 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from robust_filterpy._checks import Array
-from robust_filterpy._fill_values import fill_values
-from robust_filterpy.identification.models.findings import Finding, of_fill_values
+from robust_filterpy.identification.models.findings import Finding
 from robust_filterpy.identification.models.signals import (
     are_several,
     measured_output,
@@ -25,6 +24,7 @@ from robust_filterpy.identification.models.signals import (
 from robust_filterpy.identification.models.state_space_structure import Signals
 from robust_filterpy.identification.models.structures import Structure, input_columns
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording
+from robust_filterpy.identification.models.unmeasured import measurements, require_motion
 
 __all__ = ["LONG_GAP", "Recordings", "recordings"]
 
@@ -39,7 +39,7 @@ class Recordings(NamedTuple):
     Attributes
     ----------
     y : ndarray, shape (N,) or (N, n_outputs)
-        Output, NaN where it is missing or has a fill value.
+        Output, NaN where it is missing, has a fill value or is stuck.
     u : ndarray, shape (N, n_inputs)
         Input, without gaps.
     begins : tuple of int
@@ -47,7 +47,7 @@ class Recordings(NamedTuple):
     axis : TimeAxis
         Of a single one; of several only the sampling period.
     findings : tuple of Finding
-        Fill values, gaps.
+        Fill values, stuck sensors, copies, gaps.
     """
 
     y: Array
@@ -94,8 +94,10 @@ def recordings(structure: Structure | Signals, y: Any, u: Any, groups: Any = Non
         findings += found
     if not parts:
         raise ValueError("u: expected some samples with an input, got none")
+    signal = np.concatenate([one for _, one in parts])
     measured = np.concatenate([one for one, _ in parts])
-    fills = [fill_values(column) for column in (measured.T if measured.ndim == 2 else [measured])]
+    require_motion(measured, signal)
+    measured, lies = measurements(measured, signal)
     if len(told) < len(parts):
         text = f"gaps of more than {LONG_GAP} samples in u: {len(parts)} recordings, each with a level and a start"
         findings.append(Finding("gap", text, float("nan"), (0, len(measured))))
@@ -104,11 +106,7 @@ def recordings(structure: Structure | Signals, y: Any, u: Any, groups: Any = Non
         findings.append(Finding("gap", text, float("nan"), (0, len(measured))))
     ends = np.cumsum([len(one) for one, _ in parts])
     axis = axes[0] if len(told) == len(parts) == 1 else TimeAxis(None, axes[0].dt)
-    return Recordings(
-        np.column_stack([fill.signal for fill in fills]) if measured.ndim == 2 else fills[0].signal,
-        np.concatenate([signal for _, signal in parts]), (0, *(int(e) for e in ends[:-1])), axis,
-        (*(one for fill in fills for one in of_fill_values(fill)), *findings),
-    )  # fmt: skip
+    return Recordings(measured, signal, (0, *(int(e) for e in ends[:-1])), axis, (*lies, *findings))
 
 
 def _listed(y: Any, u: Any) -> list[tuple[Any, Any]] | None:

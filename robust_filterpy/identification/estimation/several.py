@@ -10,6 +10,7 @@ import numpy as np
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.estimation.estimate import Problem, estimated
 from robust_filterpy.identification.estimation.level import (
+    Beside,
     beside_input_outliers,
     break_finding,
     endless_pole,
@@ -44,21 +45,25 @@ def of_several(problem: Problem, y: Array, trend: str) -> tuple[Model, tuple[Fin
     findings : tuple of Finding
         Each names its recording.
     """
+    best = beside_input_outliers(problem.u, lambda u: _beside_outputs(problem.of_inputs(u), y, trend))
+    model, findings = best.model, best.findings
+    for i, part in enumerate(problem.spans):
+        unlike = () if best.held else unlike_in_parts(problem.alone(i), y[part], model, True)
+        findings = (*findings, *(_of_recording(i, one) for one in unlike))
+    return model, findings
+
+
+def _beside_outputs(problem: Problem, y: Array, trend: str) -> Beside:
+    """Return the model beside levels that break, and without a motion that never dies."""
     model, levels, findings = _beside_levels(problem, y, trend)
-    left = y - levels
     slowest = endless_pole(model, max(part.stop - part.start for part in problem.spans))
     if slowest is not None:
-        model = estimated(problem._replace(moving=False), left)
+        model = estimated(problem._replace(moving=False), y - levels)
         text = f"a pole at {slowest:.6g} would keep a motion beyond every recording: each begins at rest"
         findings = (*findings, Finding("slow start", text, float("nan"), (0, y.size)))
-    model, outliers = beside_input_outliers(problem, left, model)
     again = zip(problem.spans, model.recordings, strict=True)
     known_again = tuple((fingerprint(y[part]), own + levels[part]) for part, (_, own) in again)
-    model = replace(model, recordings=known_again)
-    for i, part in enumerate(problem.spans):
-        unlike = () if outliers else unlike_in_parts(problem.alone(i), y[part], model)
-        findings = (*findings, *(_of_recording(i, one) for one in unlike))
-    return model, (*findings, *outliers)
+    return Beside(replace(model, recordings=known_again), findings)
 
 
 def _beside_levels(problem: Problem, y: Array, trend: str) -> tuple[Model, Array, tuple[Finding, ...]]:

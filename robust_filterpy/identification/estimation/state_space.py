@@ -7,7 +7,6 @@ from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from scipy.linalg import cholesky, solve_discrete_lyapunov, svd
 
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
@@ -21,6 +20,7 @@ from robust_filterpy.identification.estimation.subspace import Start, impulse_st
 from robust_filterpy.identification.estimation.threads import one_thread
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.noise_of_outputs import Noises
+from robust_filterpy.identification.models.reduction import balancing
 from robust_filterpy.identification.models.several_recordings import ends_of
 from robust_filterpy.identification.models.signals import fingerprint, operating_point
 from robust_filterpy.identification.models.state_space import StateSpaceModel
@@ -122,21 +122,18 @@ def identified_state_space(
 
     whole = Outputs(told.y, told.u, spans, find, lambda model, y, u: each(y, u, model.free_run), told.axis.index)
     with one_thread():
-        model, levels, findings = whole.beside_levels(find(told.y, told.u), trend)
-        model, u, outliers = whole.beside_input_outliers(model, levels)
-        y = told.y - levels
+        best = whole.beside(trend)
+        model, y, u = best.model, told.y - best.levels, best.u
         if edges is not None:
             held = partial(_held, told._replace(y=y, u=u), spans, influence)
             model = focused_states(y, u, model, edges, filtered, held)
-        beside = whole._replace(u=u).left(
-            each(y, u, model.free_run), each(y, u, model.residuals), model.operating_point, structure.feedthrough,
+        left = whole.left(
+            best, each(y, u, model.free_run), each(y, u, model.residuals), model.operating_point, structure.feedthrough,
             "K is unbiased only as far as it is right about the noise" if structure.disturbance
             else "it is biased by that unless the noise is white: disturbance=True models the noise",
         )  # fmt: skip
-    # A model of inputs that were held back leaves what these did.
-    beside = tuple(one for one in beside if not outliers or one.kind != "another plant")
-    trends = tuple((fingerprint(told.y[part]), levels[part]) for part in spans if levels[part].any())
-    return replace(model, findings=(*told.findings, *findings, *outliers, *beside), trends=trends)
+    trends = tuple((fingerprint(told.y[part]), best.levels[part]) for part in spans if best.levels[part].any())
+    return replace(model, findings=(*told.findings, *best.findings, *left), trends=trends)
 
 
 def _modelled(
@@ -158,7 +155,8 @@ def _modelled(
         best = int(np.argmin([found.criterion for found in tried]))
         if len(tried) - 1 - best == _PATIENCE:
             break
-    T = _balancing(tried[best].model.matrices(tried[best].q))
+    one = tried[best].model.matrices(tried[best].q)
+    T = balancing(one.A, one.B, one.C)
     model = _in_units(tried[best], T, units, told, spans, known, rest, structure, carried)
     return replace(model, orders=tuple((n, found.criterion) for n, found in zip(orders, tried, strict=False)))
 
@@ -399,20 +397,6 @@ def _in_units(
         log_likelihood=noise.log_likelihood(residual[rows]), warning=_doubt(found), end=model.states(q, -1)[-1],
         operating_point=rest, dt=told.axis.dt, levels=levels,
     )  # fmt: skip
-
-
-def _balancing(one: Matrices) -> Array:
-    """Return the basis in which each state is as easy to reach as to see; the identity where there is none."""
-    try:
-        reached = solve_discrete_lyapunov(one.A, one.B @ one.B.T)
-        seen = solve_discrete_lyapunov(one.A.T, one.C.T @ one.C)
-        jitter = 1e-13 * np.eye(len(one.A))
-        L = cholesky(reached + jitter * np.trace(reached), lower=True)
-        M = cholesky(seen + jitter * np.trace(seen), lower=True)
-        _, values, right = svd(M.T @ L)
-        return np.asarray(L @ right.T / np.sqrt(values))
-    except (np.linalg.LinAlgError, ValueError):
-        return np.eye(len(one.A))
 
 
 def _doubt(found: _Found) -> str:

@@ -32,13 +32,14 @@ from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.judging.grid import Grid, Kind, Orders
 from robust_filterpy.identification.judging.selection import Candidate, ImpulseResponse, Selection
 from robust_filterpy.identification.models.constructors import FIR, OutputError
-from robust_filterpy.identification.models.findings import of_fill_values, said
+from robust_filterpy.identification.models.findings import said
 from robust_filterpy.identification.models.fit import ordinary_fit, ordinary_samples
 from robust_filterpy.identification.models.learnt_noise import likelihood_of_mixture
 from robust_filterpy.identification.models.model import Model
-from robust_filterpy.identification.models.signals import filled_output, recorded_input
+from robust_filterpy.identification.models.signals import measured_output, recorded_input
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.time_axis import recording
+from robust_filterpy.identification.models.unmeasured import measurements
 from robust_filterpy.influence.regression import mad_scale
 
 __all__ = ["select_structure"]
@@ -150,11 +151,11 @@ def select_structure(
     _checks.option("criterion", criterion, _CRITERIA)
     grid = Grid.of(kind, {"na": na, "nb": nb, "nc": nc, "nd": nd, "nf": nf, "nk": nk}, u is not None)
     axis, y, u = recording(None, y=y, u=u)
-    filled = filled_output(y)
-    measured, fills = filled.signal, of_fill_values(filled)
-    if fills:
-        warn(f"select_structure: {said(fills)}")
-    signal = np.zeros((measured.size, 0)) if u is None else _inputs(u, measured.size)
+    output = measured_output(y)
+    signal = np.zeros((output.size, 0)) if u is None else _inputs(u, output.size)
+    measured, lies = measurements(output, signal)
+    if lies:
+        warn(f"select_structure: {said(lies)}")
     grid = grid.of_inputs(signal.shape[1])
     share = (0.0 if measured.size < _LEAST_HELD else _HELD) if held_out is None else _checks.real("held_out", held_out)
     if not 0.0 <= share <= 0.5:
@@ -175,7 +176,8 @@ def select_structure(
     rows = _ranked(comparison.rows(), late)
     structure = rows[0].structure
     model = identify(measured, None if u is None else signal, structure, progress=False)
-    model = replace(model, dt=axis.dt, findings=(*fills, *model.findings))
+    missing = (one for one in lies if one.kind != "copy")
+    model = replace(model, dt=axis.dt, findings=(*missing, *model.findings))
     return Selection(rows, model, criterion, comparison.samples, responses)
 
 

@@ -11,14 +11,15 @@
 * `state_space_structure`, `state_space`, `state_space_system`, `state_space_residuals`: several outputs; their poles
   and responses.
 * `noise_of_outputs`: noise of each of them.
-* `continuous`: the system in continuous time whose samples a model gives.
+* `continuous`: the system in continuous time whose samples a model gives; `reduction`: one with fewer states.
 * `grey_box`, `grey_box_model`, `grey_box_recording`, `grey_box_residuals`: equations in continuous time, and the model
   that is found.
 * `prediction`: predictions through outliers.
 * `learnt_noise`: the noise that residuals show.
 * `model`: what `identify` returns.
 * `transfer_model`: a transfer function of python-control in the place of a model.
-* `findings`: what a recording has beside a model: fill values, level steps, ..
+* `findings`: what a recording has beside a model: fill values, level steps, ..; `unmeasured`: which of its samples are
+  no measurements.
 * `dependence`: what is left of a model that follows its inputs.
 * `fit`: how well a model agrees with a recording.
 * `responses`: responses, poles and zeros of a model or tracker, as `response_records`; with bands by `banded` and

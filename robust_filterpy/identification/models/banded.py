@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.models.response_records import FrequencyResponse, StepResponse
+from robust_filterpy.identification.models.response_records import FrequencyResponse, NoiseSpectrum, StepResponse
 from robust_filterpy.identification.models.uncertainty import bands
 
 __all__ = ["Banded"]
@@ -70,6 +70,19 @@ class Banded:
         low, high, sampled = bands(self._stable, self.theta, self.P, of, level, rng)
         one, time = _squeezed, period * np.arange(length, dtype=float)
         return StepResponse(time, one(center), one(center + low), one(center + high), float(level), one(sampled))
+
+    def _banded_density(
+        self, of: _Rows, size: Any, samples: Any, w: Array, period: float, level: float, rng: Any
+    ) -> NoiseSpectrum:
+        """Return a density, of which `of` gives the logarithm for rows [theta, logarithm of a factor of each R]."""
+        # R is known as well as a variance from so many samples.
+        spread = 2.0 / np.atleast_1d(samples)
+        n, whole = len(self.theta), np.concatenate((self.theta, np.zeros(spread.size)))
+        joint = np.diag(np.concatenate((np.zeros(n), spread)))
+        joint[:n, :n] = self.P
+        center = size * period * np.exp(of(whole[None])[0])
+        low, high, sampled = bands(self._stable, whole, joint, of, level, rng)
+        return NoiseSpectrum(w, center, center * np.exp(low), center * np.exp(high), float(level), period, sampled)
 
 
 def _squeezed(rows: Any) -> Any:

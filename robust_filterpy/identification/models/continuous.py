@@ -11,6 +11,7 @@ from scipy.linalg import logm
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.models import coefficients
+from robust_filterpy.identification.models.reduction import observer_form
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.time_axis import table
 from robust_filterpy.identification.models.uncertainty import Regions, regions
@@ -157,23 +158,15 @@ def realized(structure: Structure, theta: Array) -> tuple[tuple[Array, Array, Ar
     if structure.takes_phi or not structure.inputs:
         raise ValueError(f"{structure}: expected a model with an input, this one has no way from u to y")
     a = coefficients.denominator(structure, theta)[1:]
-    n, m = a.size, structure.n_inputs
-    A, B, D = np.zeros((n, n)), np.zeros((n, m)), np.zeros((1, m))
-    if n:
-        A[:, 0], A[: n - 1, 1:] = -a, np.eye(n - 1)
-    delays = []
+    n, delays = a.size, []
+    numerators = np.zeros((structure.n_inputs, n + 1))
     for i, (place, (nb, nk)) in enumerate(zip(structure.polynomials.b, structure.inputs, strict=True)):
         least = min(nk, 1)
-        b = np.zeros(n + 1)
         if least + nb > n + 1:
             raise ValueError(
                 f"nb: expected at most {n + 1 - least} b's beside {n} poles, got {nb} for input {i}: more have poles "
                 "at 0, which nothing in continuous time has; identify one with more poles or fewer b's"
             )
-        b[least : least + nb] = theta[place]
-        D[0, i] = b[0]
-        B[:, i] = b[1:] - a * b[0]
+        numerators[i, least : least + nb] = theta[place]
         delays.append(max(nk - 1, 0))
-    C = np.zeros((1, n))
-    C[0, :1] = 1.0
-    return (A, B, C, D), delays
+    return observer_form(a, numerators), delays

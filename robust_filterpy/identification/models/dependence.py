@@ -10,11 +10,12 @@ from scipy.stats import f as fisher
 from robust_filterpy._checks import Array
 from robust_filterpy.influence.regression import mad_scale
 
-__all__ = ["CLIP", "SHARE", "Dependence", "autocovariances", "dependence", "level_and_scale", "whitening_of"]
+__all__ = ["CLIP", "LAGS", "SHARE", "Dependence", "autocovariances", "dependence", "level_and_scale", "whitening_of"]
 
 # A residual follows u if that much of it does, and a model that is right shows as much in so few windows.
 SHARE: Final = 0.25
-_LAGS: Final = 16
+#: How many samples of the inputs to look back at.
+LAGS: Final = 16
 _CHANCE: Final = 1e-8
 #: Residuals beyond so many robust standard deviations count as that.
 CLIP: Final = 2.0
@@ -41,7 +42,7 @@ class Dependence(NamedTuple):
 
 
 def dependence(
-    residuals: Array, inputs: Array, lags: int = _LAGS, whitening: tuple[float, ...] | None = None
+    residuals: Array, inputs: Array, lags: int = LAGS, whitening: tuple[float, ...] | None = None
 ) -> Dependence:
     """Regress clipped residuals of a window on the inputs of the same window and before.
 

@@ -83,6 +83,28 @@ class Estimated:
         """
         return self._summarized(level)
 
+    def to_frame(self, level: float = 0.95) -> Any:
+        """Return the parameters as a pandas DataFrame, the table of `summary`.
+
+        Parameters
+        ----------
+        level : float, default 0.95
+            As in `confidence_intervals`.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each: estimate, std, z, lower, upper.
+
+        Raises
+        ------
+        ValueError
+            If level is no probability.
+        ImportError
+            If pandas is not installed.
+        """
+        return self.summary(level).to_frame()
+
     def _summarized(self, level: float) -> Summary:
         """Return the table, with the facts that there are."""
         raise NotImplementedError

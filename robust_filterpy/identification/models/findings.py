@@ -15,7 +15,7 @@ class Finding(NamedTuple):
     Attributes
     ----------
     kind : str
-        "fill value", "step", "ramp", "slow start", "another plant", "input outliers", "gap", "wraps",
+        "fill value", "stuck", "copy", "step", "ramp", "slow start", "another plant", "input outliers", "gap", "wraps",
         "closed loop".
     text : str
         In words, with time and size.

@@ -93,21 +93,6 @@ class GreyBoxModel(Estimated):
         names = self.structure.free_names
         return summarized("GreyBox", facts, names, self.theta, self.std, level, self.warning, said(self.findings))
 
-    def to_frame(self) -> Any:
-        """Return the estimated parameters as a pandas DataFrame.
-
-        Returns
-        -------
-        pandas.DataFrame
-            A row for each: estimate, std, z, lower, upper.
-
-        Raises
-        ------
-        ImportError
-            If pandas is not installed.
-        """
-        return self.summary().to_frame()
-
     def simulate(self, u: ArrayLike | None, t: ArrayLike, x0: ArrayLike | None = None) -> Array:
         """Run the model on inputs alone.
 
@@ -150,6 +135,28 @@ class GreyBoxModel(Estimated):
                 "f: expected outputs that are finite; the equations are unstable or too stiff between samples"
             )
         return -model.residuals(z).reshape(times.size, -1)
+
+    def predict(self, y: ArrayLike, u: ArrayLike | None, t: ArrayLike | None = None, steps: int = 1) -> Array:
+        """Predict each output of a recording: from inputs alone, however far ahead, since equations have no noise.
+
+        Parameters
+        ----------
+        y, u, t
+            As in `free_run`.
+        steps : int, default 1
+            How many samples ahead, which is all the same.
+
+        Returns
+        -------
+        ndarray, shape (N, n_outputs)
+
+        Raises
+        ------
+        ValueError, TypeError
+            If they do not fit, the equations overflow, or steps is no positive integer.
+        """
+        _checks.count("steps", steps, 1)
+        return self.free_run(y, u, t)
 
     def free_run(self, y: ArrayLike, u: ArrayLike | None, t: ArrayLike | None = None) -> Array:
         """Compute the outputs from inputs alone, beginning with the states that y tells.

@@ -9,12 +9,12 @@ import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy._fill_values import fill_values
-from robust_filterpy.identification.models.findings import Finding, of_fill_values
+from robust_filterpy.identification.models.findings import Finding
 from robust_filterpy.identification.models.grey_box_residuals import GreyRecording
 from robust_filterpy.identification.models.signals import require_squares
 from robust_filterpy.identification.models.state_space_structure import Signals
 from robust_filterpy.identification.models.time_axis import recording
+from robust_filterpy.identification.models.unmeasured import measurements
 
 __all__ = ["ANY_TIMES", "Checked", "grey_recording", "require_inputs"]
 
@@ -32,7 +32,7 @@ class Checked(NamedTuple):
     known : ndarray of bool, shape (N, p)
         Which outputs are measured.
     findings : tuple of Finding
-        Fill values and gaps.
+        Fill values, stuck sensors, copies and gaps.
     """
 
     recording: GreyRecording
@@ -68,9 +68,6 @@ def grey_recording(y: Any, u: Any, t: Any, i: int = 0) -> Checked:
     require_squares(output)
     if np.isinf(output).any():
         raise ValueError("y: expected finite numbers or NaN (missing), got inf")
-    fills = [fill_values(column) for column in output.T]
-    findings = [found for fill in fills for found in of_fill_values(fill)]
-    output = np.column_stack([fill.signal for fill in fills])
     for j, column in enumerate(output.T):
         if np.isnan(column).all():
             raise ValueError(f"y: expected some measured samples of output {j} in recording {i}, got none")
@@ -79,14 +76,15 @@ def grey_recording(y: Any, u: Any, t: Any, i: int = 0) -> Checked:
         raise ValueError(f"u: expected {len(output)} samples like y, got {len(signal)}")
     if np.isinf(signal).any() or np.isnan(signal[:1]).any():
         raise ValueError("u: expected finite numbers, the first of them measured")
-    gaps = np.isnan(signal)
+    gaps, findings = np.isnan(signal), []
     if gaps.any():
         last = np.maximum.accumulate(np.where(gaps, 0, np.arange(len(signal))[:, None]), axis=0)
         signal = np.take_along_axis(signal, last, axis=0)
         text = f"u is missing in {int(gaps.any(axis=1).sum())} samples of recording {i}: held at the value before"
         findings.append(Finding("gap", text, float("nan"), (0, len(signal))))
     times = _times(axis.index, t, len(output))
-    return Checked(GreyRecording(times, np.nan_to_num(output), signal), ~np.isnan(output), tuple(findings))
+    output, lies = measurements(output, signal)
+    return Checked(GreyRecording(times, np.nan_to_num(output), signal), ~np.isnan(output), (*lies, *findings))
 
 
 def require_inputs(structure: Any, one: GreyRecording, p: Array) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,13 +22,18 @@ from robust_filterpy.identification.models.fit import fit_percent
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.polynomial_model import Parts, PolynomialModel
 from robust_filterpy.identification.models.prediction import cleaned_residuals, predicted
+from robust_filterpy.identification.models.reduction import balancing, observer_form, truncated
 from robust_filterpy.identification.models.regressor import Layout, Memory
 from robust_filterpy.identification.models.responses import Responses
-from robust_filterpy.identification.models.signals import recorded_input, recorded_output, trend_of
+from robust_filterpy.identification.models.signals import measured_output, recorded_input, trend_of
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.summary import Summary, focus_text, summarized
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording
+from robust_filterpy.identification.models.unmeasured import measurements
 from robust_filterpy.influence.regression import robust_regression
+
+if TYPE_CHECKING:
+    import control
 
 __all__ = ["Ending", "Model"]
 
@@ -222,6 +227,38 @@ class Model(EstimatedPolynomials, Responses):
         roots = partial(coefficients.poles, self.structure)
         return continuous(matrices, delays, self.dt if dt is None else dt, self.theta, self.P, roots, level)
 
+    def reduced(self, n: int) -> control.StateSpace:
+        """Return a system with fewer states: balanced, and those that do least are left out.
+
+        Parameters
+        ----------
+        n : int
+            How many states are left, 1 to those that there are; each sample of dead time is one.
+
+        Returns
+        -------
+        control.StateSpace
+
+        Raises
+        ------
+        ValueError
+            If there are not so many, there is no input, or the model is unstable.
+        """
+        structure = self.structure
+        if structure.takes_phi or not structure.inputs:
+            raise ValueError(f"{structure}: expected a model with an input, this one has no states to be left out")
+        if not self._stable(self.theta):
+            raise ValueError("theta: expected a stable model, whose states can be balanced")
+        a = coefficients.denominator(structure, self.theta)[1:]
+        order = max(a.size, *(nk + nb - 1 for nb, nk in structure.inputs))
+        numerators = np.zeros((structure.n_inputs, order + 1))
+        for row, place, (nb, nk) in zip(numerators, structure.polynomials.b, structure.inputs, strict=True):
+            row[nk : nk + nb] = self.theta[place]
+        A, B, C, D = observer_form(np.pad(a, (0, order - a.size)), numerators)
+        T = balancing(A, B, C)
+        balanced = np.linalg.solve(T, A @ T), np.linalg.solve(T, B), C @ T, D
+        return truncated(balanced, n, coefficients.period("recorded", self.dt))
+
     # Its outputs.
 
     def simulate(self, u: ArrayLike, start: str | tuple[Any, Any] = "rest") -> Array:
@@ -305,7 +342,7 @@ class Model(EstimatedPolynomials, Responses):
         steps = count("steps", steps, 1)
         axis, y, u = self._recording(y, u)
         prediction = self._predicted(*self.prepared(y, u), steps)
-        return axis.series(prediction + self._own_trend(recorded_output(y)), "prediction")
+        return axis.series(prediction + self._own_trend(self._measured(y, u)[0]), "prediction")
 
     def _predicted(self, model: PolynomialModel, known: Any, steps: int) -> Array:
         """Return the prediction of each output of a checked recording."""
@@ -336,7 +373,7 @@ class Model(EstimatedPolynomials, Responses):
             If y or u does not fit.
         """
         axis, y, u = self._recording(y, u)
-        return axis.series(recorded_output(y) - self.predict(y, u), "residual")
+        return axis.series(self._measured(y, u)[0] - self.predict(y, u), "residual")
 
     def fit(self, y: ArrayLike, u: ArrayLike) -> float:
         """Compute how well the model's output, from inputs alone, agrees with a recording.
@@ -358,7 +395,7 @@ class Model(EstimatedPolynomials, Responses):
             If y or u does not fit, y is constant, or the model overflows.
         """
         _, y, u = self._recording(y, u)
-        measured, free = recorded_output(y), self.free_run(y, u)
+        measured, free = self._measured(y, u)[0], self.free_run(y, u)
         return fit_percent(np.where(np.isnan(free), np.nan, measured), np.nan_to_num(free))
 
     def free_run(self, y: ArrayLike, u: ArrayLike | None) -> Array:
@@ -380,7 +417,8 @@ class Model(EstimatedPolynomials, Responses):
             If y or u does not fit, or the model overflows.
         """
         axis, y, u = self._recording(y, u)
-        return axis.series(self._from_inputs(*self.prepared(y, u)) + self._own_trend(recorded_output(y)), "free run")
+        output = self._from_inputs(*self.prepared(y, u)) + self._own_trend(self._measured(y, u)[0])
+        return axis.series(output, "free run")
 
     def prepared(self, y: Any, u: Any) -> tuple[PolynomialModel, Any]:
         """Return a checked recording without its own trend, ready for what estimates or judges.
@@ -402,9 +440,8 @@ class Model(EstimatedPolynomials, Responses):
         ValueError, TypeError
             If y or u does not fit, or is too short for one regressor.
         """
-        output = recorded_output(y)
+        output, signal = self._measured(y, u)
         output = output - self._own_trend(output)
-        signal = recorded_input(self.structure, u, output.size)
         known = ~np.isnan(output)
         model = PolynomialModel(self.structure, np.where(known, output, self.level), signal, True)
         if output.size <= model.first:
@@ -438,6 +475,12 @@ class Model(EstimatedPolynomials, Responses):
         return recorded.with_output(output)
 
     # Helpers.
+
+    def _measured(self, y: Any, u: Any) -> tuple[Array, Array]:
+        """Return a checked output, NaN where it is no measurement, and the inputs."""
+        output = measured_output(y)
+        signal = recorded_input(self.structure, u, output.size)
+        return measurements(output, signal)[0], signal
 
     def _memory_at(self, start: Any, layout: Layout) -> Memory:
         """Return the past signals with which a simulation begins, or raise."""

@@ -145,7 +145,7 @@ class StepResponse(Pictured):
 
 
 @dataclass(frozen=True, eq=False)
-class NoiseSpectrum:
+class NoiseSpectrum(Pictured):
     """Power spectral density of what the noise does to y, with pointwise bands.
 
     Attributes
@@ -161,6 +161,8 @@ class NoiseSpectrum:
     sampled : ndarray of bool, shape (n,)
         Where the bands are those of sampled parameters.
     """
+
+    picture = "plot_noise_spectrum"
 
     omega: Array
     density: Array

@@ -16,7 +16,7 @@ from robust_filterpy.identification.models.banded import Banded
 from robust_filterpy.identification.models.guard import is_stable
 from robust_filterpy.identification.models.response_records import FrequencyResponse, NoiseSpectrum, StepResponse
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.models.uncertainty import Regions, bands, regions
+from robust_filterpy.identification.models.uncertainty import Regions, regions
 
 __all__ = ["Responses"]
 
@@ -121,19 +121,13 @@ class Responses(Banded):
             If a frequency, level or dt does not fit.
         """
         (w, period, delays), places = self._frequencies(omega, dt), self.structure.polynomials
-        # R is known as well as a variance from so many samples.
-        n, spread = len(self.theta), 2.0 / self._noise_samples
-        joint = np.zeros((n + 1, n + 1))
-        joint[:n, :n], joint[n, n] = self.P, spread
+        n = len(self.theta)
 
         def logarithm(thetas: Array) -> Array:
             c, a, d = (_at(thetas, part, delays) for part in (places.c, places.a, places.d))
             return 2.0 * (np.log(np.abs(c)) - np.log(np.abs(a)) - np.log(np.abs(d))) + thetas[:, n:]
 
-        whole = np.append(self.theta, 0.0)
-        center = self.R * period * np.exp(logarithm(whole[None])[0])
-        lower, upper, sampled = bands(self._stable, whole, joint, logarithm, level, rng)
-        return NoiseSpectrum(w, center, center * np.exp(lower), center * np.exp(upper), float(level), period, sampled)
+        return self._banded_density(logarithm, self.R, self._noise_samples, w, period, level, rng)
 
     def poles(self, level: float = 0.95, rng: Any = None) -> Regions:
         """Return the poles, the roots of A or F, with regions.

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy._fill_values import fill_values
 from robust_filterpy.identification.models.beginnings import held_input
 from robust_filterpy.identification.models.estimated import Estimated
 from robust_filterpy.identification.models.findings import Finding, said
@@ -23,6 +22,7 @@ from robust_filterpy.identification.models.state_space_structure import Signals,
 from robust_filterpy.identification.models.state_space_system import StateSpaceSystem
 from robust_filterpy.identification.models.summary import Summary, facts_of_outputs, focus_text, summarized
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording, table
+from robust_filterpy.identification.models.unmeasured import measurements
 from robust_filterpy.influence.regression import robust_regression
 
 __all__ = ["StateSpaceModel"]
@@ -122,23 +122,6 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
     def R(self) -> Array:
         """Variance of the ordinary noise of each output, shape (p,)."""
         return np.array([one.R for one in self.noise])
-
-    def to_frame(self) -> Any:
-        """Return poles, their sizes and standard deviations as a pandas DataFrame.
-
-        Returns
-        -------
-        pandas.DataFrame
-            A row for each pole: real, imag, size, std_real, std_imag.
-
-        Raises
-        ------
-        ImportError
-            If pandas is not installed.
-        """
-        found = self.poles()
-        columns = {"real": found.values.real, "imag": found.values.imag, "size": np.abs(found.values)}
-        return table(columns | found.columns(), range(1, len(self.A) + 1), "pole")
 
     def simulate(self, u: ArrayLike, start: Any = "rest") -> Array:
         """Run the model on inputs alone.
@@ -263,7 +246,7 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
         return np.atleast_1d(fit_percent(measured, found + trend_of(self.trends, measured)))
 
     def checked(self, y: Any, u: Any) -> tuple[Array, Array]:
-        """Return outputs, NaN where they are missing or filled, and inputs from their operating point.
+        """Return outputs, NaN where they are missing, filled or stuck, and inputs from their operating point.
 
         Parameters
         ----------
@@ -280,8 +263,9 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
         ValueError
             If they do not fit.
         """
-        measured = np.column_stack([fill_values(one).signal for one in measured_outputs(y, len(self.C)).T])
-        return measured, recorded_input(self._signals, u, len(measured)) - self.operating_point
+        outputs = measured_outputs(y, len(self.C))
+        signal = recorded_input(self._signals, u, len(outputs))
+        return measurements(outputs, signal)[0], signal - self.operating_point
 
     def started(self, y: Array, u: Array, alone: bool = False) -> tuple[StateSpaceResiduals, Array]:
         """Return residuals and free parameters of a recording whose start it tells.

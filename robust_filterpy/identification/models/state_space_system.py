@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +12,8 @@ from robust_filterpy._checks import Array
 from robust_filterpy.identification.models import coefficients
 from robust_filterpy.identification.models.banded import Banded
 from robust_filterpy.identification.models.continuous import ContinuousModel, continuous
-from robust_filterpy.identification.models.response_records import FrequencyResponse, StepResponse
+from robust_filterpy.identification.models.reduction import truncated
+from robust_filterpy.identification.models.response_records import FrequencyResponse, NoiseSpectrum, StepResponse
 from robust_filterpy.identification.models.state_space_structure import StateSpace
 from robust_filterpy.identification.models.uncertainty import Regions, regions
 
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
     import control
 
 __all__ = ["StateSpaceSystem"]
+
+# A zero as far out is rounding of one at infinity.
+_INFINITE: Final = 1e6
 
 
 class StateSpaceSystem(Banded):
@@ -31,6 +35,8 @@ class StateSpaceSystem(Banded):
     C: Array
     D: Array
     K: Array
+    R: Any
+    weights: Array
 
     @property
     def theta(self) -> Array:
@@ -77,12 +83,7 @@ class StateSpaceSystem(Banded):
         ValueError
             If there are not so many.
         """
-        import control
-
-        if _checks.count("n", n, 1) > len(self.A):
-            raise ValueError(f"n: expected 1 to {len(self.A)} states, got {n}")
-        A, B, C = self.A[:n, :n], self.B[:n], self.C[:, :n]
-        return control.ss(A, B, C, self.D, coefficients.period("recorded", self.dt))
+        return truncated((self.A, self.B, self.C, self.D), n, coefficients.period("recorded", self.dt))
 
     def to_continuous(self, dt: float | None = None, level: float = 0.95) -> ContinuousModel:
         """Return the system in continuous time whose samples this model gives, with inputs held between them.
@@ -133,6 +134,87 @@ class StateSpaceSystem(Banded):
             self.theta[part], self.P[part, part], lambda t: np.linalg.eigvals(t.reshape(n, n)).astype(complex), level,
             rng,
         )  # fmt: skip
+
+    def zeros(
+        self, level: float = 0.95, rng: Any = None, input: int | None = None, output: int | None = None
+    ) -> Regions:
+        """Return the transmission zeros, as python-control computes them, with regions.
+
+        Parameters
+        ----------
+        level : float, default 0.95
+            Probability of each region.
+        rng : numpy.random.Generator or int, optional
+            Where a region is sampled.
+        input, output : int, optional
+            The way from one input to one output; default: of all together.
+
+        Returns
+        -------
+        Regions
+
+        Raises
+        ------
+        ValueError
+            If there is no such input or output, level is no probability, or there are not as many outputs as inputs and
+            slycot, by which python-control finds their zeros, is not installed.
+        """
+        import control
+
+        p, m = self.D.shape
+        if input is not None and _checks.count("input", input) >= m:
+            raise ValueError(f"input: expected 0 to {m - 1}, got {input}")
+        rows = slice(None) if output is None else [self._output(output)]
+        columns = slice(None) if input is None else [input]
+
+        def roots(theta: Array) -> Any:
+            A, B, C, D = self._matrices(theta)
+            found = control.ss(A, B[:, columns], C[rows], D[rows][:, columns], True).zeros()
+            return found[np.abs(found) < _INFINITE]
+
+        try:
+            return regions(self.theta, self.P, roots, level, rng)
+        except NotImplementedError:
+            raise ValueError(
+                f"zeros: expected as many outputs as inputs, got {p} and {m}, for which python-control needs slycot; "
+                "install it, or name input= and output="
+            ) from None
+
+    def noise_spectrum(
+        self, omega: ArrayLike, output: int = 0, level: float = 0.95, dt: float | None = None, rng: Any = None
+    ) -> NoiseSpectrum:
+        """Return the power spectral density of what the ordinary noise does to one output, with bands.
+
+        Parameters
+        ----------
+        omega, output, level, dt, rng
+            As in `frequency_response`.
+
+        Returns
+        -------
+        NoiseSpectrum
+            Flat without a disturbance.
+
+        Raises
+        ------
+        ValueError
+            If an argument is out of range.
+        """
+        (w, period, delays), which, n = self._frequencies(omega, dt), self._output(output), self.theta.size
+        p = len(self.C)
+
+        def logarithm(rows: Array) -> Array:
+            found = np.empty((len(rows), w.size))
+            for row, theta in zip(found, rows, strict=True):
+                A, _, C, _ = self._matrices(theta)
+                K = theta[n - self.K.size : n].reshape(self.K.shape) if self.structure.disturbance else self.K
+                shifted = np.eye(len(A)) / delays[:, None, None] - A
+                H = C[which] @ np.linalg.solve(shifted, np.broadcast_to(K, (w.size, *K.shape))) + np.eye(p)[which]
+                row[:] = np.log(np.square(np.abs(H)) @ (self.R * np.exp(theta[n:])))
+            return found
+
+        samples = np.maximum(np.nansum(self.weights, axis=0), 1.0)
+        return self._banded_density(logarithm, 1.0, samples, w, period, level, rng)
 
     def frequency_response(
         self, omega: ArrayLike, output: int = 0, level: float = 0.95, dt: float | None = None, rng: Any = None

@@ -1,0 +1,142 @@
+"""What a control engineer asks any identified model for: zeros, spectra of noise, fewer states, tables, pictures."""
+
+import sys
+
+import control
+import matplotlib
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_lyapunov
+from scipy.signal import lfilter, welch
+
+from robust_filterpy import plotting
+from robust_filterpy.identification import ARX, FIR, GreyBox, OutputError, StateSpace, identify
+
+matplotlib.use("Agg")
+A, B = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5]
+
+
+def recording(seed=0, samples=400, inputs=1):
+    rng = np.random.default_rng([93, seed])
+    u = rng.choice([-1.0, 1.0], (samples, inputs))
+    y = np.column_stack((lfilter(B, A, u[:, 0]), lfilter([0.0, 0.5, 0.2], A, u[:, -1])))
+    return rng, y, u
+
+
+@pytest.fixture(scope="module")
+def driven():
+    """Two outputs whose states are driven by noise, and their model."""
+    rng, y, u = recording(1, 1000)
+    y = y + lfilter([1.0], [1.0, -0.8], 0.3 * rng.normal(size=y.shape), axis=0)
+    return identify(y, u, StateSpace(4, disturbance=True)), y, u
+
+
+@pytest.fixture(scope="module")
+def square():
+    rng, y, u = recording(2, inputs=2)
+    y[:, 0] += lfilter([0.0, 0.3, 0.2], A, u[:, 1])
+    return identify(y + 0.05 * rng.normal(size=y.shape), u, StateSpace(4)), y, u
+
+
+def test_zeros_of_states_are_python_controls(square):
+    model = square[0]
+    system = model.to_control()
+    np.testing.assert_allclose(np.sort(model.zeros().values), np.sort(system.zeros()), rtol=1e-9)
+    way = control.ss(model.A, model.B[:, [1]], model.C[[0]], model.D[[0]][:, [1]], True)
+    found = model.zeros(input=1, output=0)
+    np.testing.assert_allclose(found.values, way.zeros()[np.abs(way.zeros()) < 1e6], rtol=1e-9)
+    near = np.abs(found.values + 2.0 / 3.0).argmin()
+    assert found.contains(np.full(found.values.size, -2.0 / 3.0 + 0j))[near] and found.std[near, 0] > 0.0
+    with pytest.raises(ValueError, match="input: expected 0 to 1, got 2"):
+        model.zeros(input=2)
+
+
+def test_zeros_of_more_outputs_than_inputs_need_slycot_or_a_way(driven, monkeypatch):
+    monkeypatch.setitem(sys.modules, "slycot", None)
+    with pytest.raises(ValueError, match="python-control needs slycot; install it, or name input= and output="):
+        driven[0].zeros()
+    assert np.abs(driven[0].zeros(input=0, output=0).values + 0.5).min() < 0.1
+
+
+def test_the_noise_spectrum_of_states_is_that_of_what_inputs_leave(driven):
+    model, y, u = driven
+    w = np.linspace(0.2, 3.0, 15)
+    for output in (0, 1):
+        found = model.noise_spectrum(w, output)
+        left = y[:, output] - model.free_run(y, u)[:, output]
+        f, power = welch(left, nperseg=128, return_onesided=False)
+        expected = np.interp(w / (2.0 * np.pi), f[:64], power[:64])
+        np.testing.assert_allclose(np.log(found.density), np.log(expected), atol=0.7)
+        true = 0.09 / np.abs(1.0 - 0.8 * np.exp(-1j * w)) ** 2
+        assert ((found.lower < true) & (true < found.upper)).mean() > 0.8
+    # Its power is that of the innovations where there is no disturbance.
+    plain = identify(*recording(3)[1:], StateSpace(2)).noise_spectrum([0.1, 2.0], 1)
+    np.testing.assert_allclose(plain.density[0], plain.density[1])
+    with pytest.raises(ValueError, match="output: expected 0 to 1"):
+        model.noise_spectrum(w, 2)
+
+
+@pytest.mark.parametrize(
+    "structure", [OutputError(2, 2, 3), ARX(3, 2), OutputError(2, (2, 1), (1, 4)), FIR(3)], ids=str
+)
+def test_all_states_of_a_reduced_model_are_the_model_and_fewer_come_near(structure):
+    rng, y, u = recording(4, inputs=structure.n_inputs)
+    y = np.roll(y[:, 0], 2) + 0.05 * rng.normal(size=400)
+    model = identify(y, u, structure)
+    order = max([structure.na + structure.nf, *(nk + nb - 1 for nb, nk in structure.inputs)])
+    w = np.linspace(0.1, 3.0, 20)
+    exact = np.atleast_2d(model.frequency_response(w).response)
+    whole, fewer = model.reduced(order), model.reduced(order - 1)
+    np.testing.assert_allclose(whole(np.exp(1j * w), squeeze=False)[0], exact, atol=1e-5)
+    assert fewer.nstates == order - 1 and fewer.dt is True
+    # The error of balanced truncation is at most twice the Hankel singular value that is left out.
+    reached = solve_discrete_lyapunov(whole.A, whole.B @ whole.B.T)
+    seen = solve_discrete_lyapunov(whole.A.T, whole.C.T @ whole.C)
+    least = np.sqrt(np.linalg.eigvals(reached @ seen).real.min().clip(0.0))
+    error = fewer(np.exp(1j * w), squeeze=False)[0] - exact
+    assert np.linalg.norm(error, axis=0).max() <= 2.0 * least + 1e-5
+    with pytest.raises(ValueError, match=f"n: expected 1 to {order} states"):
+        model.reduced(order + 1)
+
+
+def test_a_model_without_input_or_unstable_is_not_reduced():
+    rng = np.random.default_rng(5)
+    y = lfilter([1.0], A, rng.normal(size=200))
+    with pytest.raises(ValueError, match="expected a model with an input"):
+        identify(y, None, ARX(2, 0)).reduced(1)
+    u = rng.choice([-1.0, 1.0], 60)
+    grows = lfilter([0.0, 1.0], [1.0, -1.1], u) + 0.01 * rng.normal(size=60)
+    with pytest.raises(ValueError, match="expected a stable model"):
+        identify(grows, u, ARX(1, 1)).reduced(1)
+
+
+def test_each_kind_of_model_has_the_same_table_and_predicts(square):
+    y, u = square[1][:120], square[2][:120]
+    t = np.arange(120) * 1.0
+    physics = GreyBox(lambda x, u, p: [p[0] * (p[1] * u[0] - x[0])], {"rate": 0.3, "gain": 1.0}, x0=[0.0])
+    first = lfilter([0.0, 0.26], [1.0, -0.74], u[:, 0]) + 0.05 * np.random.default_rng(6).normal(size=120)
+    grey = identify(first, u[:, 0], physics, t=t)
+    for model in (square[0], identify(y[:, 0], u, OutputError(2, (2, 2))), grey):
+        frame = model.to_frame()
+        assert list(frame.columns) == ["estimate", "std", "z", "lower", "upper"] and len(frame) >= model.theta.size
+        np.testing.assert_array_equal(frame["estimate"].iloc[: model.theta.size], model.theta)
+        assert (model.to_frame(0.5)["upper"] <= frame["upper"]).all()
+    # A physical model has no noise between samples: it predicts from inputs alone.
+    np.testing.assert_array_equal(grey.predict(first, u[:, 0], t, 5), grey.free_run(first, u[:, 0], t))
+    with pytest.raises(ValueError, match="steps"):
+        grey.predict(first, u[:, 0], t, 0)
+
+
+def test_pictures_of_states(driven, square):
+    magnitude, _ = plotting.plot_bode({"it": square[0]}, [0.1, 1.0], which=1, output=1)
+    expected = square[0].frequency_response([0.1, 1.0], output=1).magnitude[1]
+    np.testing.assert_allclose(magnitude.lines[0].get_ydata(), 20.0 * np.log10(expected))
+    ax = plotting.plot_poles({"it": square[0]}, output=1, which=1)
+    drawn = {line.get_label(): line.get_xdata() + 1j * np.asarray(line.get_ydata()) for line in ax.lines}
+    np.testing.assert_allclose(drawn["zeros, it"], square[0].zeros(input=1, output=1).values)
+    found = driven[0].noise_spectrum(np.geomspace(0.01, 3.0, 20), 1)
+    ax = found.plot()
+    np.testing.assert_array_equal(ax.lines[0].get_ydata(), found.density)
+    assert ax.get_xscale() == ax.get_yscale() == "log"
+    plt.close("all")

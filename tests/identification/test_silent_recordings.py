@@ -1,0 +1,170 @@
+"""Recordings that once passed without a word: each is modelled right, refused in words, or said to be what it is."""
+
+import warnings
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from robust_filterpy.identification import (
+    AR,
+    ARX,
+    FIR,
+    GreyBox,
+    OutputError,
+    StateSpace,
+    identify,
+    select_structure,
+    validate,
+)
+
+A, B, SECOND = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5], [0.0, 0.5, 0.2]
+LAG = np.exp(-0.3)
+PHYSICS = GreyBox(lambda x, u, p: [p[0] * (p[1] * u[0] - x[0])], {"rate": 0.4, "gain": 1.5}, x0=[0.0])
+STRUCTURES = {"output error": OutputError(2, 2), "ARX": ARX(2, 2), "states": StateSpace(2), "physics": PHYSICS}
+
+
+def recording(name, seed, samples=240):
+    """A recording that the structure can have made, a tenth of it outliers: output, or several, input, gain at rest."""
+    rng = np.random.default_rng([94, seed])
+    u = np.repeat(rng.choice([-1.0, 1.0], samples // 3 + 1), 3)[:samples]
+    noise = 0.1 * np.where(rng.random((samples, 2)) < 0.1, 10.0, 1.0) * rng.normal(size=(samples, 2))
+    if name == "physics":
+        return rng, lfilter([0.0, 2.0 * (1.0 - LAG)], [1.0, -LAG], u) + noise[:, 0], u, 2.0
+    if name == "states":
+        return rng, np.column_stack((lfilter(SECOND, A, u), lfilter(B, A, u))) + noise, u, 7.5
+    noise = lfilter([1.0], A, noise[:, 0]) if name == "ARX" else noise[:, 0]
+    return rng, lfilter(B, A, u) + noise, u, 7.5
+
+
+def timed(y):
+    """When the samples were taken, of one recording or of several."""
+    return [np.arange(len(one)) * 1.0 for one in y] if isinstance(y, list) else np.arange(len(y)) * 1.0
+
+
+def modelled(name, y, u):
+    return identify(y, u, STRUCTURES[name], progress=False, **({"t": timed(y)} if name == "physics" else {}))
+
+
+def gain(name, model):
+    """What the last output does in the end after a unit step."""
+    if name == "physics":
+        return model.p["gain"]
+    return float(model.step_response(150, **({"output": 1} if name == "states" else {})).response[-1])
+
+
+def last(y):
+    return y[:, -1] if y.ndim > 1 else y
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_a_sensor_that_is_stuck_in_most_samples_is_taken_for_missing(name):
+    _, y, u, expected = recording(name, 1)
+    last(y)[24:216] = last(y)[24]
+    with pytest.warns(UserWarning, match=r"y is .* in 192 of 240 samples, whatever u does, .*: the sensor is stuck"):
+        model = modelled(name, y, u)
+    # Of 48 samples with a tenth of outliers.
+    assert gain(name, model) == pytest.approx(expected, rel=0.2)
+    found = model.findings[0]
+    assert (found.kind, found.place) == ("stuck", (24, 216)) and "stuck" in repr(model)
+    # Methods that get the recording know it too.
+    left = model.residuals(y, u, *([timed(y)] if name == "physics" else []))
+    assert np.isnan(last(left)[24:216]).all() and np.isnan(left).sum() == 192 + np.isnan(left[:24]).sum()
+
+
+def test_a_sensor_that_is_stuck_here_and_there_or_without_an_input_is_said_too():
+    rng, y, u, expected = recording("states", 2)
+    y[rng.random(240) < 0.7, 1] = 0.123
+    with pytest.warns(UserWarning, match="output 1: y is 0.123 in"):
+        assert gain("states", modelled("states", y, u)) == pytest.approx(expected, rel=0.05)
+    alone = lfilter([1.0], A, rng.normal(size=400))
+    alone[100:350] = alone[100]
+    with pytest.warns(UserWarning, match="in 250 of 400 samples and hardly"):
+        model = identify(alone, None, AR(2))
+    np.testing.assert_allclose(model.theta, A[1:], atol=4.0 * model.std.max())
+    with pytest.warns(UserWarning, match="select_structure: y is 0.123 in"):
+        assert select_structure(y[:, 1], u, OutputError, na=[2], nb=[2]).best.findings[0].kind == "stuck"
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_a_sensor_that_is_always_stuck_is_refused(name):
+    _, y, u, _ = recording(name, 3)
+    last(y)[5:] = last(y)[5]
+    with pytest.raises(ValueError, match=r"y: expected an output that varies, got .* in 235 of 240 samples"):
+        modelled(name, y, u)
+
+
+def ordinary(seed):
+    """Outputs that rest, are rounded, switched or small: nothing of that is a sensor that is stuck."""
+    rng = np.random.default_rng([95, seed])
+    u = np.repeat((rng.random(80) < 0.2) * 1.0, 3)
+    y = lfilter([0.0, 0.3], [1.0, -0.7], u)
+    noise = 0.05 * rng.normal(size=240)
+    flow = np.concatenate(([0.0], u[:-1])) * (1.0 + noise)  # exactly 0 where the valve was closed
+    yield from ((y, u), (y + noise, u), (np.round(y + noise, 1), u), (np.round(3.0 * y) / 3.0, u), (flow, u))
+    yield (y > 0.5) * 1.0 + 0.01 * np.round(20.0 * noise), u
+
+
+def test_outputs_that_rest_or_are_rounded_are_not_stuck():
+    for seed in range(4):
+        for y, u in ordinary(seed):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                assert not {"stuck", "copy"} & {one.kind for one in identify(y, u, FIR(3)).findings}
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_a_copy_of_another_signal_is_said(name):
+    rng, y, u, _ = recording(name, 4, 60)
+    if name == "states":
+        wild = np.where(rng.random(60) < 0.03, 3.0, 0.0)
+        with pytest.warns(UserWarning, match="output 1 moves exactly as 1.8 times output 0 does: one is a copy"):
+            modelled(name, np.column_stack((y[:, 0], 1.8 * y[:, 0] + 32.0 + wild)), u)
+        y[:, 1] = u
+    else:
+        y = u.copy()
+    with pytest.warns(UserWarning, match="moves exactly as u does: one is a copy of the other"):
+        assert "copy" in {one.kind for one in modelled(name, y, u).findings}
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_a_short_recording_of_another_plant_in_a_list_is_said(name):
+    parts = [recording(name, 5 + i, 120)[1:3] for i in range(3)]
+    same = [y for y, _ in parts]
+    # The gain is twice as large in the second.
+    other = [y * (2.0 if i == 1 else 1.0) for i, y in enumerate(same)]
+    inputs = [u for _, u in parts]
+    with pytest.warns(UserWarning, match=r"recording [0-2]: .*follow u: the plant is another one there"):
+        modelled(name, other, inputs)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert modelled(name, same, inputs).findings == ()
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_a_few_wild_inputs_are_held_back_and_not_taken_for_another_plant_or_a_step(name):
+    rng, y, u, expected = recording(name, 8, 150)
+    read = u.copy()
+    read[[40, 100, 101]] = [60.0, -45.0, 20.0]
+    with pytest.warns(UserWarning, match="u has 3 values unlike the others"):
+        model = modelled(name, y, read)
+    assert [one.kind for one in model.findings] == ["input outliers"]
+    assert gain(name, model) == pytest.approx(expected, rel=0.05)
+    if name == "physics":
+        return
+    # A pulse that acted is no outlier.
+    noise = 0.1 * rng.normal(size=(150, 2))
+    acted = lfilter(B, A, read) + (lfilter([1.0], A, noise[:, 0]) if name == "ARX" else noise[:, 0])
+    if name == "states":
+        acted = np.column_stack((lfilter(SECOND, A, read) + noise[:, 1], acted))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert gain(name, modelled(name, acted, read)) == pytest.approx(expected, rel=0.05)
+
+
+def test_what_is_stuck_is_not_judged():
+    _, y, u, _ = recording("states", 9)
+    y[60:180, 1] = y[60, 1]
+    with pytest.warns(UserWarning, match="stuck"):
+        model = modelled("states", y, u)
+    assert validate(model, y, u).verdict == "nothing is left in the residuals" and (model.fit(y, u) > 90.0).all()
