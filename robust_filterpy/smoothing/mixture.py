@@ -27,8 +27,8 @@ CONTAMINATION_LIMITS = (0.005, 0.49)
 RATIO_LIMITS = (3.0, 1e4)
 # Square of the distance at which an outlier is none that the mixture knows of.
 _REACH = 64.0
-
-
+# What the others tell of a noise is the difference of two numbers: at least so much of them, less is rounding.
+_PIVOT = 1e-9
 # Factor of each step of the learning, in logarithms; it converges below 2 (R. Salakhutdinov and S. Roweis, Adaptive
 # overrelaxed bound optimization methods, 2003). Takes a fifth fewer sweeps than 1.
 _LONGER = 1.4
@@ -135,7 +135,7 @@ def _judged(
     e: Array, V: Array, d: Array, o: Array, mixture: Mixture, counted: np.ndarray, temperature: Array
 ) -> tuple[np.ndarray, ...]:
     """Judge residuals e with variances V of some steps: return the fields of the verdict, and d and o."""
-    apart = 1.0 - d * V
+    apart = np.maximum(1.0 - d * V, _PIVOT)
     cavity = V / apart
     rest = (e + V * o) / apart
     ratio2 = mixture.variance
@@ -184,7 +184,7 @@ def judge_measurements(
         logs.append(-0.5 * (square + log_det - (m - size) * np.log(s)))
         likely.append(square)
         kept = np.diagonal(solved[..., 1:], axis1=-2, axis2=-1)
-        squares.append(((s * solved[..., 0]) ** 2 + s - s * s * kept) * counted)
+        squares.append(np.maximum((s * solved[..., 0]) ** 2 + s - s * s * kept, 0.0) * counted)
     size = np.maximum(size, 1)
     p = expit(mixture.log_odds + logs[1] - logs[0])
     impossible = likely[1] > _REACH * size
@@ -206,7 +206,7 @@ def judge_steps(score: Array, information: Array, now: Array, mixture: Mixture, 
         solved, log_det = eliminated(M, np.concatenate([score[..., None], information], axis=-1))
         logs.append(0.5 * (more * (score * solved[..., 0]).sum(axis=-1, keepdims=True) - log_det))
         there = np.diagonal(solved[..., 1:], axis1=-2, axis2=-1)
-        squares.append(((s * solved[..., 0]) ** 2 + s - s * s * there) * counted)
+        squares.append(np.maximum((s * solved[..., 0]) ** 2 + s - s * s * there, 0.0) * counted)
     size = np.maximum(counted.sum(axis=-1, keepdims=True), 1)
     p = expit(mixture.log_odds + logs[1] - logs[0])
     return Verdict(p, squares[1].sum(axis=-1, keepdims=True) / size, np.zeros(p.shape, dtype=bool))
@@ -221,6 +221,7 @@ def eliminated(M: Array, right: Array) -> tuple[Array, Array]:
     M = np.array(np.moveaxis(M, (-2, -1), (0, 1)), order="C")
     right = np.array(np.moveaxis(right, (-2, -1), (0, 1)), order="C")
     for j in range(k):
+        M[j, j] = np.maximum(M[j, j], _PIVOT)
         for i in range(j + 1, k):
             factor = M[i, j] / M[j, j]
             M[i, j:] -= factor * M[j, j:]

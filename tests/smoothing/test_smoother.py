@@ -318,3 +318,18 @@ def test_nothing_measured_is_the_prediction():
 def test_before_a_recording_one_sample_in_ten_is_believed_to_be_an_outlier_of_eight_times_the_size():
     assert Belief().mixture == (pytest.approx(0.1), pytest.approx(8.0))
     assert Belief().sized == 2.0
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize("seed", [10, 15, 40, 45, 50, 110])
+def test_a_process_whose_noise_is_told_far_too_small_is_smoothed_as_one_that_jumps(seed):
+    """Its scale is learnt as 1e8: what everything else says of a noise is a difference, and was below zero then."""
+    rng = np.random.default_rng(seed)
+    n, m, steps = 3, int(rng.integers(1, 4)), int(rng.choice([6, 80, 300]))
+    F = np.eye(n) + np.triu(rng.random((n, n)), 1)
+    kf = RobustKalmanFilter(n, m)
+    kf.F, kf.H, kf.P = F, rng.normal(size=(m, n)), 1e6 * np.eye(n)
+    kf.Q, kf.R = np.diag(10.0 ** rng.uniform(-6, -2, n)), np.diag(10.0 ** rng.uniform(-4, -2, m))
+    zs = rng.normal(size=(steps, m)) + np.cumsum(30.0 * (rng.random((steps, 1)) < 0.1) * rng.normal(size=(steps, 1)), 0)
+    found = smooth(kf, zs, process=None)
+    assert np.isfinite(found.x).all() and np.isfinite(found.P).all() and (np.einsum("kii->ki", found.P) > 0.0).all()
