@@ -30,6 +30,8 @@ __all__ = ["Smoothed", "smooth", "smooth_series"]
 
 # By how many nats another reading of a recording has to be more probable.
 _CLEARLY = 0.5
+# Of the largest variance of a state: one that is so far below zero is lost.
+_ROUNDING = 1e-3
 
 
 @dataclass(frozen=True)
@@ -315,7 +317,11 @@ def _read_otherwise(
     stretches = doubted_stretches(alone, left_out)
     best = _probability(alone, found, s) if stretches else np.inf
     for stretch in stretches:
-        other, of_other = _searched(_without(alone, stretch), *options)
+        try:
+            other, of_other = _searched(_without(alone, stretch), *options)
+        except ValueError:
+            # Without these samples the states are beyond what numbers hold; then they are needed.
+            continue
         other.weights[0][stretch[:, None] & alone.observed[0]] = 0.0
         probability = _probability(alone, other, 0)
         if probability > best + _CLEARLY:
@@ -377,6 +383,12 @@ def _searched(
     x = fit.smooth.x if trajectory is None else trajectory.x[None, 1:]
     if not np.isfinite(x).all():
         raise ValueError("F: expected a model whose states stay finite, got overflow; check F and the length of zs")
+    variances = np.einsum("...ii->...i", fit.smooth.P)
+    if (variances < -_ROUNDING * np.abs(variances).max(axis=(0, 1))).any():
+        raise ValueError(
+            "F: expected a model whose covariances numbers can hold, got negative variances: states grow out of sight, "
+            "or P is far too wide; check F, the length of zs and P"
+        )
     series, _, m = recording.observed.shape
     process_weights = np.ones(weights.shape[:2])
     if isinstance(doubt, Learnt):

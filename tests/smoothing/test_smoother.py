@@ -333,3 +333,16 @@ def test_a_process_whose_noise_is_told_far_too_small_is_smoothed_as_one_that_jum
     zs = rng.normal(size=(steps, m)) + np.cumsum(30.0 * (rng.random((steps, 1)) < 0.1) * rng.normal(size=(steps, 1)), 0)
     found = smooth(kf, zs, process=None)
     assert np.isfinite(found.x).all() and np.isfinite(found.P).all() and (np.einsum("kii->ki", found.P) > 0.0).all()
+
+
+def test_variances_that_are_lost_in_rounding_are_refused():
+    """A state that nothing measures grows by 1.02 a step for 900 steps: 1e15 times its variance at the beginning."""
+    kf = RobustKalmanFilter(3, 2)
+    kf.F, kf.H = 1.02 * np.eye(3), np.array([[1.0, -0.5, 0.3], [0.2, 1.0, -0.8]])
+    kf.Q, kf.P = np.diag([0.1, 2e-4, 2e-5]), 1e6 * np.eye(3)
+    x, zs, rng = np.ones(3), np.empty((900, 2)), np.random.default_rng(0)
+    for k in range(900):
+        x = kf.F @ x + np.sqrt(np.diag(kf.Q)) * rng.normal(size=3)
+        zs[k] = kf.H @ x + rng.normal(size=2)
+    with pytest.raises(ValueError, match="F: expected a model"):
+        smooth(kf, zs)
