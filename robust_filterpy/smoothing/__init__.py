@@ -6,7 +6,7 @@
 * `rules`: what is made of the residuals: weights of a psi, or learnt noise.
 * `mixture`: contamination and size of outliers, learnt along the way.
 * `sweeps`: pass after pass until the estimate stays.
-* `starts`: other places to start from, and which result is the most probable.
+* `readings`: what else of a recording may be left out, and which reading of it is the most probable.
 * `fit`: whether Q and R fit the recording.
 * `convex`: the optimum for a psi that never falls, by Newton's method.
 * `nonlinear`: extended, unscented and cubature filters, made linear about the smoothed trajectory.

@@ -21,9 +21,9 @@ from robust_filterpy.influence.functions import Influence, Linear
 from robust_filterpy.smoothing.convex import is_convex, minimised
 from robust_filterpy.smoothing.fit import misfits
 from robust_filterpy.smoothing.nonlinear import Trajectory, is_nonlinear, nonlinear_trajectory
+from robust_filterpy.smoothing.readings import doubted_stretches, log_probability
 from robust_filterpy.smoothing.recording import Recording, linear_recording, problem
 from robust_filterpy.smoothing.rules import Learnt, Ordinary, Psi, checked_influence
-from robust_filterpy.smoothing.starts import doubted_stretches, log_probability
 from robust_filterpy.smoothing.sweeps import Rule, reweighted
 
 __all__ = ["Smoothed", "smooth", "smooth_series"]
@@ -160,12 +160,15 @@ def smooth(
     -----
     UserWarning
         If zs has fill values, which are named; if Q and R do not fit the recording: what is left of the measurements,
-        or the process noise found, has a variance of less than .4 or more than 2.5 times what they say, beyond chance.
+        or the process noise found, has a variance of less than .4 or more than 2.5 times what they say, beyond chance,
+        or a stretch of samples is left out (Notes).
 
     Notes
     -----
-    Where noise is learnt and outliers come in rows, the search begins anew from stretches that are doubted as a whole
-    (a burst after a few good samples can be followed), and the most probable result is kept; for linear filters.
+    Where noise is learnt and outliers come in rows, the recording is also smoothed without one stretch or another (a
+    burst after a few good samples can be followed), and the most probable result is kept; for linear filters. A burst
+    within the recording, a quarter of it at most, may have an offset of its own. A state that moves as Q does not
+    allow, and comes back, looks the same: if it may, ``process=None`` lets it jump.
 
     Q and R are believed. Where they are guesses, ``kf = estimate_noise(kf, zs).apply(kf)`` fits them first.
 

@@ -99,17 +99,12 @@ def _density(
 ) -> float:  # fmt: skip
     """Return log p(z | which are outliers); offsets: component, begin and end of rows that have one each."""
     (steps, m), n, more = outliers.shape, F.shape[-1], len(offsets)
-    F = np.block(
-        [
-            [F, np.zeros((*F.shape[:-1], more))],
-            [np.zeros((*F.shape[:-2], more, n)), np.broadcast_to(np.eye(more), (*F.shape[:-2], more, more))],
-        ]
-    )
     H = np.concatenate([np.broadcast_to(H, (1, steps, m, n)), np.zeros((1, steps, m, more))], axis=-1)
     for k, (i, begin, end) in enumerate(offsets):
         H[0, begin:end, i, n + k] = _OFFSET * noise[1, i]
-    Q, P0 = (np.pad(a, [(0, 0)] * (a.ndim - 2) + [(0, more)] * 2) for a in (Q, P0))
-    P0[..., range(n, n + more), range(n, n + more)] = 1.0
+    F, Q, P0 = (np.pad(a, [(0, 0)] * (a.ndim - 2) + [(0, more)] * 2) for a in (F, Q, P0))
+    for kept in (F, P0):
+        kept[..., range(n, n + more), range(n, n + more)] = 1.0
     R = np.where(outliers, noise[1] ** 2, 1.0)[..., None] * np.eye(m)
     found = filter_series(
         z, F, H, Q, R[None], np.pad(x0, [(0, 0)] * (x0.ndim - 1) + [(0, more)]), P0,
