@@ -23,6 +23,7 @@ from robust_filterpy import (
     RobustKalmanFilter,
     Scales,
 )
+from robust_filterpy.correction import copies
 
 # How probable the classes are before anything has been seen.
 SHARES = np.array([0.85, 0.05, 0.05, 0.05])
@@ -658,6 +659,13 @@ def test_parts_that_contradict_each_other_utterly_become_one_all_the_same(kernel
     kf.predict()
     assert np.isfinite(kf.x).all() and np.isfinite(kf.P).all()
     np.testing.assert_allclose(kf.process_probabilities.sum(axis=0), 1.0)
+    # Coupled at once, before a step has mixed the copies.
+    n, scales = 200, Scales()
+    many = copies.start(np.zeros(n), np.eye(n), scales)
+    many.belief[:5] = 1e-6
+    many.belief[np.arange(n) % 5, np.arange(n)] = 1.0
+    one = copies.coupled(many, np.ones((n, n)), scales)
+    np.testing.assert_allclose(one.belief[:6].sum(axis=0), 1.0)
 
 
 def test_a_box_whose_shape_hardly_moves_is_followed_for_as_long_as_it_is_there():
