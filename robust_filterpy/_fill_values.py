@@ -65,9 +65,10 @@ def fill_values(signal: Array) -> FillValues:
     Notes
     -----
     A value counts if it occurs in .2 % of the samples, three at least; is further from the nearest 98 % of the others
-    than these are from one another, and than 8 of their robust standard deviations; and has no neighbour. Rounded and
-    saturated signals, a rest at 0, on and off are left alone: their repeated values have neighbours, lie within the
-    width of the others, or leave too few different others. A wild value that does not repeat is an outlier, not a fill.
+    than these are from one another, and than 8 of their robust standard deviations; has no neighbour; and is mostly
+    entered from these others and left to them at once. Rounded and saturated signals, a rest at 0, on and off are left
+    alone: their repeated values have neighbours, lie within the width of the others, are left on a way (a step
+    response), or leave too few different others. A wild value that does not repeat is an outlier, not a fill.
 
     Examples
     --------
@@ -86,7 +87,7 @@ def fill_values(signal: Array) -> FillValues:
     for i in np.flatnonzero(repeated)[np.argsort(-distance[repeated])]:
         # What repeats as far out as this one may be another fill value, and says nothing of the width of the rest.
         rest = ~(repeated & (distance >= 0.5 * distance[i]))
-        if rest.sum() < _LEAST_DIFFERENT or not _is_far(values[i], values[rest], counts[rest]):
+        if rest.sum() < _LEAST_DIFFERENT or not _is_far(known, values[i], values[rest], counts[rest]):
             break
         found.append(int(i))
     if not found or len(found) > _MOST_VALUES:
@@ -149,8 +150,8 @@ def _table(rows: Any) -> Array:
     return np.array([gap if row is None else np.asarray(row, dtype=float) for row in rows])
 
 
-def _is_far(value: float, others: Array, counts: Array) -> bool:
-    """Tell whether a value lies far outside the others, which are sorted and occur so often."""
+def _is_far(known: Array, value: float, others: Array, counts: Array) -> bool:
+    """Tell whether a value of a signal lies far outside the others, which are sorted and occur so often, beside them."""
     places = np.cumsum(counts) - 0.5 * counts
     low, middle, high = np.interp(counts.sum() * np.array([0.01, 0.5, 0.99]), places, others)
     deviations = np.abs(others - middle)
@@ -160,4 +161,9 @@ def _is_far(value: float, others: Array, counts: Array) -> bool:
     # More than half of the others at one value: their width is all that is known.
     away = max(_FAR * scale, high - low)
     alone = float(np.abs(others - value).min()) > _FAR * scale
-    return alone and bool(value > high + away or value < low - away)
+    if not (alone and bool(value > high + away or value < low - away)):
+        return False
+    # Samples before and after the stretches of the value.
+    borders = np.flatnonzero(np.diff(known == value))
+    beside = np.where(known[borders] == value, known[borders + 1], known[borders])
+    return 2 * int(((beside >= low) & (beside <= high)).sum()) >= beside.size

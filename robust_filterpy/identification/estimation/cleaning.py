@@ -44,6 +44,8 @@ _WILD: Final = 1e3
 _LARGE: Final = 1e2
 # If no wrong sample touches at least this share of the residuals, these show the noise.
 _LEAST_CLEAR: Final = 0.1
+# Residuals of a start, in units of y, that are not larger are no outliers.
+_OF_A_START: Final = 1e-6
 
 
 class Outliers(NamedTuple):
@@ -93,6 +95,8 @@ def found_outliers(
     threshold = THRESHOLDS[1] if before is None else before.threshold
     if h.size == 1 or not noise.has_outliers:
         return Outliers(wrong, counts, threshold)
+    # A recording that mostly rests does not tell how far off the parameters of a start are.
+    least = max(noise.least**0.5, _OF_A_START if before is None else 0.0)
     wrong |= _wild(model, p, residual, h.size) if before is None else before.wrong
     deviations = []
     for part, _ in model.pieces:
@@ -101,7 +105,7 @@ def found_outliers(
             offset, stop = (first if start == part.start else 0), min(start + _BLOCK, part.stop)
             samples, rows = slice(start + first - offset, stop + first), slice(start, stop)
             unknowns, d = _judged(
-                residual[rows], h, wrong[samples], missing[samples], counts[rows], offset, threshold, R
+                residual[rows], h, wrong[samples], missing[samples], counts[rows], offset, threshold, R, least
             )
             deviations.append(d)
             # What is unknown at the end of a block reaches into the next.
@@ -203,8 +207,9 @@ def _even(deviations: Array) -> float:
 
 
 def _judged(
-    base: Array, h: Array, wrong: Any, missing: Any, counts: Any, first: int, threshold: float, R: float | None
-) -> tuple[Unknowns, Array]:
+    base: Array, h: Array, wrong: Any, missing: Any, counts: Any, first: int, threshold: float, R: float | None,
+    least: float,
+) -> tuple[Unknowns, Array]:  # fmt: skip
     """Mark the outliers of a block in ``wrong`` and ``counts``; return what is unknown, and deviations."""
     near, output = 2 * _similar(h) + 1, np.zeros(wrong.size)
     for turn in range(_MOST_ROUNDS):
@@ -214,6 +219,7 @@ def _judged(
         scale = mad_scale(residual[clear if clear.sum() > 0.2 * base.size else counts]) if R is None else R**0.5
         if scale < _ROUNDING:
             break
+        scale = max(scale, least)
         deviation, precision = unknowns.deviations()
         output = np.where(precision > _VAGUE, np.abs(deviation) * np.sqrt(np.maximum(precision, 0.0)) / scale, 0.0)
         output[:first] = 0.0

@@ -17,7 +17,7 @@ from robust_filterpy.identification.estimation.profile import profiled
 from robust_filterpy.identification.estimation.search import End, ends, known_part
 from robust_filterpy.identification.estimation.threads import one_thread
 from robust_filterpy.identification.models.beginnings import filled_memory, resting_level
-from robust_filterpy.identification.models.fit import ordinary_fit, ordinary_samples
+from robust_filterpy.identification.models.fit import ROUNDING, least_variance, ordinary_fit, ordinary_samples
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.model import Ending, Model
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
@@ -25,7 +25,7 @@ from robust_filterpy.identification.models.several_recordings import SeveralReco
 from robust_filterpy.identification.models.signals import fingerprint, operating_point
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.influence.functions import Influence
-from robust_filterpy.influence.regression import mad_scale
+from robust_filterpy.influence.regression import size_of
 
 __all__ = ["Problem", "estimated"]
 
@@ -33,6 +33,14 @@ __all__ = ["Problem", "estimated"]
 # the model open.
 _CLOSE: Final = 3.0
 _APART: Final = 5.0
+
+# A direction of theta that moves no residual by more than this share of the others is not determined, nor is a parameter
+# that is more of it than this.
+_FLAT: Final = 1e-10
+_PART: Final = 0.1
+
+# Residuals of a sensor that rounds are not smaller than this share of what its steps make of them: y has few values.
+_EXACT: Final = 0.01
 
 # In units of its scale, a larger output is as wild as this one; its loss would hide all others in rounding.
 _LARGEST: Final = 1e10
@@ -144,13 +152,14 @@ def estimated(problem: Problem, y: Array) -> Model:
     with one_thread():
         told = problem.limits
         limits = None if told is None else told.times(1.0 / units.factor(structure))
-        ranked = ends(model, missing, problem.influence, None if known is None else known / units.y**2, limits)
-    best = ranked[0].end
+        R, least = None if known is None else known / units.y**2, least_variance(y, units.y)
+        ranked = ends(model, missing, problem.influence, R, limits, least)
+    best = _exact(ranked[0].end)
     output = _output(model, best)
     endings = tuple(Ending(end.starts, excess, _apart(output, _output(model, end))) for end, excess in ranked)
     # What the noise makes of the output of any model with so many parameters.
     unsure = 100.0 * np.sqrt(structure.n_theta * best.noise.R / best.rows.sum()) / np.std(output)
-    doubt = _doubt(best, endings, max(_APART, 2.0 * unsure))
+    doubt = _without_noise(model, best) or _doubt(best, endings, max(_APART, 2.0 * unsure))
     recorded = problem.residuals_of(best.y * units.y + units.centre, signal)
     # Where an outlier stood in the regressor: what was measured, less what stands there now.
     replaced = np.where(best.outliers.wrong & ~missing, y - recorded.y, 0.0)
@@ -191,9 +200,8 @@ class _Units(NamedTuple):
         values = (y - centre)[~np.isnan(y)]
         if values.size == 0:
             values = np.zeros(1)
-        scale = mad_scale(values) or float(np.abs(values).mean())
         size = np.sqrt(np.mean(np.square(u), axis=0))
-        return cls(centre, scale or 1.0, np.where(size > 0.0, size, 1.0), tuple(part.start for part in spans))
+        return cls(centre, size_of(values) or 1.0, np.where(size > 0.0, size, 1.0), tuple(part.start for part in spans))
 
     def normal_output(self, y: Array) -> Array:
         """Return y from its centre in its scale, 0 where it is missing."""
@@ -236,8 +244,8 @@ def _as_model(
     at, residual = n + len(model.pieces) - 1, model.residuals(p)
     # One parameter more is one residual less to tell of the noise.
     samples = int(rows.sum())
-    found = end.noise.R * unit**2
-    noise = replace(end.noise, R=found)
+    noise = end.noise.times(unit)
+    found = noise.R
     jacobian, shown = known_part(model, end)
     # What is held has no variance, and what the others then have.
     jacobian[:, held] = 0.0
@@ -335,7 +343,7 @@ def _as_measured(noise: Noise, residual: Array, replaced: Array, known: Any) -> 
 
 def _own_fit(y: Array, residual: Array, rows: Any) -> float:
     """Return the fit of the prediction on the ordinary samples among those that count."""
-    return ordinary_fit(y, y - residual, ordinary_samples(np.where(rows, residual, np.nan)))
+    return ordinary_fit(y, y - residual, ordinary_samples(np.where(rows, residual, np.nan), y))
 
 
 def _apart(best: Array, other: Array) -> float:
@@ -354,6 +362,36 @@ def _output(model: PolynomialModel, end: End) -> Array:
     return np.asarray(lfilter([1.0], model.parts(p).a, model.undisturbed(p)))
 
 
+def _exact(best: End) -> End:
+    """Return the end with the noise that it shows, if the recording has few values and all of them are explained."""
+    left = best.residual[best.rows]
+    if np.square(left).max() > _EXACT * best.noise.least:
+        return best
+    return best._replace(noise=replace(best.noise, least=ROUNDING**2).settled(left))
+
+
+def _without_noise(model: PolynomialModel, best: End) -> str:
+    """Say which parameters a recording that the model explains to rounding does not tell, or nothing."""
+    structure = model.structure
+    if not best.noise.is_rounding:
+        return ""
+    jacobian = model.jacobian(best.p)[best.rows]
+    size = np.linalg.norm(jacobian, axis=0)
+    _, values, directions = np.linalg.svd(jacobian / np.where(size > 0.0, size, 1.0), full_matrices=False)
+    free = np.abs(directions[values < _FLAT * values[0]]).max(axis=0, initial=0.0) > _PART
+    places = np.flatnonzero(free[: structure.n_theta] & (size[: structure.n_theta] > 0.0))
+    said = []
+    if places.size:
+        names = ", ".join(structure.names[i] for i in places)
+        said.append(
+            f"{names} are not determined by a recording without noise: what the polynomials have in common changes no "
+            "output; take a smaller structure"
+        )
+    if structure.nc + structure.nd:
+        said.append("y has no noise but rounding: the coefficients of C and D are its")
+    return "; ".join(said)
+
+
 def _doubt(best: End, endings: tuple[Ending, ...], apart: float) -> str:
     """Say what makes the estimate doubtful, or nothing."""
     for starts, excess, difference in endings[1:]:
@@ -363,6 +401,6 @@ def _doubt(best: End, endings: tuple[Ending, ...], apart: float) -> str:
                 f"outputs differ by {difference:.0f} %; a longer recording, a more exciting input or a smaller "
                 f"structure would decide. The other was found from: {', '.join(starts)}"
             )
-    if not best.converged:
+    if not (best.converged or best.noise.is_rounding):
         return "the search did not settle; the structure may have more parameters than the recording tells of"
     return ""

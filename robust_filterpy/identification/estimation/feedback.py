@@ -41,7 +41,8 @@ def with_feedback(problem: Problem, y: Array, model: Model) -> tuple[Finding, ..
         One, or none.
     """
     structure = model.structure
-    if not structure.inputs or structure.takes_phi:
+    # What is rounding alone did not go back to the input.
+    if not structure.inputs or structure.takes_phi or model.noise.is_rounding:
         return ()
     parts = []
     for i, part in enumerate(problem.spans):

@@ -12,6 +12,7 @@ from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.outputs import Outputs
 from robust_filterpy.identification.estimation.prediction_error import minimised, sandwich
 from robust_filterpy.identification.models.findings import Finding
+from robust_filterpy.identification.models.fit import ROUNDING
 from robust_filterpy.identification.models.grey_box import GreyBox
 from robust_filterpy.identification.models.grey_box_model import GreyBoxModel
 from robust_filterpy.identification.models.grey_box_recording import grey_recording, require_inputs
@@ -25,8 +26,6 @@ from robust_filterpy.influence.functions import Huber, Influence
 __all__ = ["identified_grey_box"]
 
 _FIRST_STEPS: Final = 30
-# R of each output is at least this share of its variance.
-_LEAST: Final = 1e-24
 # A direction along which a standard deviation is this share of the parameters is one that the recording cannot tell.
 _UNTOLD: Final = 0.5
 # Of a direction that nothing depends on, by this share of the best one, nothing is known at all.
@@ -117,7 +116,7 @@ def _modelled(
     which = np.concatenate([np.tile(np.arange(p), len(one.y)) for one in told])[rows]
     # Without noise R would end at 0.
     sizes = np.nanstd(np.concatenate([np.where(good, one.y, np.nan) for one, good in zip(told, known, strict=True)]), 0)
-    least = np.maximum(_LEAST * sizes**2, np.finfo(float).tiny)
+    least = np.maximum(ROUNDING**2 * sizes**2, np.finfo(float).tiny)
     noise = Noises(tuple(Noise(influence or Huber(), 1.0, False, float(one)) for one in least), which)
     stage("search from the first guesses")
     end = minimised(model, z, noise, rows, rows, _FIRST_STEPS)

@@ -106,7 +106,8 @@ def beside_trend(problem: Problem, y: Array, trend: str, index: Any) -> tuple[Mo
     plain = estimated(problem, y)
     line = trend == "line"
     searched = line or (trend == "breaks" and np.count_nonzero(~np.isnan(y)) >= _LEAST_SAMPLES)
-    if not searched or not plain.structure.n_inputs:
+    # What is explained to rounding has no level beside it.
+    if not searched or not plain.structure.n_inputs or (plain.noise.is_rounding and not line):
         return plain, ()
     stage("steps and ramps of the level of y")
     best, kept, least = plain, None, plain.log_likelihood
@@ -191,7 +192,7 @@ def unlike_in_parts(problem: Problem, y: Array, model: Model, others: bool = Fal
         One, from the first of these parts to the last, or none.
     """
     parts = _parts(y.size, others)
-    if not model.structure.n_inputs or model.structure.takes_phi or not len(parts):
+    if not model.structure.n_inputs or model.structure.takes_phi or not len(parts) or model.noise.is_rounding:
         return ()
     whole = cleaned(model, y, problem.u)
     if whole is None:

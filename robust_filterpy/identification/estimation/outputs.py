@@ -74,7 +74,7 @@ class Outputs(NamedTuple):
         """Return the model beside levels that break."""
         plain = self.find(self.y, self.u)
         y, line, none = self.y, trend == "line", np.zeros(self.y.shape)
-        if trend in ("none", "constant"):
+        if trend in ("none", "constant") or (not line and all(one.is_rounding for one in plain.noise)):
             return Beside(plain, (), none)
         stage("steps and ramps of the levels of y")
         model, levels = plain, none
@@ -132,9 +132,11 @@ class Outputs(NamedTuple):
             for j, (own, e) in enumerate(zip(output[part].T, residual[part].T, strict=True)):
                 signals = np.column_stack((own - own.mean(), best.u[part] - rest))
                 # A model of inputs that are held back leaves what these did.
-                more = () if best.held else unlike(e, signals, len(self.spans) > 1)
+                quiet = best.held or best.model.noise[j].is_rounding
+                more = () if quiet else unlike(e, signals, len(self.spans) > 1)
                 found += self._named(i, j, [*wraps(self.y[part, j], e), *more])
-        if best.u.shape[1]:
+        # Of what is rounding alone nothing went back to the input.
+        if best.u.shape[1] and not all(one.is_rounding for one in best.model.noise):
             parts = [(best.u[part] - rest, residual[part]) for part in self.spans]
             found += feedback(parts, direct, meaning)
         return tuple(found)

@@ -27,6 +27,7 @@ from robust_filterpy.identification.estimation.starts import (
     whitened,
 )
 from robust_filterpy.identification.models.constructors import OutputError
+from robust_filterpy.identification.models.fit import ROUNDING
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.identification.models.several_recordings import SeveralRecordings
@@ -54,8 +55,6 @@ _SHOWN: Final = 5
 _MOST_SEARCHED: Final = 4000
 _HOPELESS: Final = 30.0
 
-# Variance of the noise, of an output of unit size, that is rounding.
-_LEAST: Final = 1e-24
 
 
 class End(NamedTuple):
@@ -99,8 +98,9 @@ class Ranked(NamedTuple):
 
 
 def ends(
-    model: PolynomialModel, missing: Any, influence: Influence | None, R: float | None, limits: Limits | None = None
-) -> list[Ranked]:
+    model: PolynomialModel, missing: Any, influence: Influence | None, R: float | None, limits: Limits | None = None,
+    least: float = ROUNDING**2,
+) -> list[Ranked]:  # fmt: skip
     """Search from every start.
 
     Parameters
@@ -115,6 +115,8 @@ def ends(
         Variance of the noise, if it is known.
     limits : Limits, optional
         Where theta may be.
+    least : float, default 1e-24
+        R never becomes smaller.
 
     Returns
     -------
@@ -122,8 +124,8 @@ def ends(
         Ends that differ, the best first.
     """
     if model.na and not model.nf and model.y.size > 2 * _MOST_SEARCHED and len(model.pieces) == 1:
-        return _ends_of_long(model, missing, influence, R, limits)
-    noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, _LEAST)
+        return _ends_of_long(model, missing, influence, R, limits, least)
+    noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, least)
     turns = _FIRST_CLEANINGS if influence is None else _MOST_CLEANINGS
     found = [_searched(model, s.p, noise, missing, (s.name,), turns, limits) for s in _starts(model, missing, noise)]
     ranked = _best_first(model, missing, found, limits)
@@ -135,7 +137,7 @@ def ends(
 
 
 def _ends_of_long(
-    model: PolynomialModel, missing: Any, influence: Influence | None, R: float | None, limits: Limits | None
+    model: PolynomialModel, missing: Any, influence: Influence | None, R: float | None, limits: Limits | None, least: float
 ) -> list[Ranked]:
     """Search from every start in the middle of a long recording, and from what is found there in all of it."""
     begin = (model.y.size - _MOST_SEARCHED) // 2
@@ -143,11 +145,11 @@ def _ends_of_long(
     inner = PolynomialModel(model.structure, model.y[part], model.u[part], model.offset, model.moving)
     try:
         require_informative(inner, missing[part])
-        ranked = ends(inner, missing[part], influence, R, limits)
+        ranked = ends(inner, missing[part], influence, R, limits, least)
     except ValueError:
         # The middle tells nothing: an input that stood still there, or a gap.
         inner = PolynomialModel(model.structure, model.y, model.u, model.offset, model.moving)
-        noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, _LEAST)
+        noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, least)
         starts = list(_starts(model, missing, noise))
         ranked = [Ranked(_searched(model, s.p, noise, missing, (s.name,), 1, limits), 0.0) for s in starts]
         if influence is None:

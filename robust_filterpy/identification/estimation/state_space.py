@@ -18,6 +18,7 @@ from robust_filterpy.identification.estimation.prediction_error import minimised
 from robust_filterpy.identification.estimation.recordings import Recordings, recordings
 from robust_filterpy.identification.estimation.subspace import Start, impulse_start, predictor_start
 from robust_filterpy.identification.estimation.threads import one_thread
+from robust_filterpy.identification.models.fit import least_variance
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.noise_of_outputs import Noises
 from robust_filterpy.identification.models.reduction import balancing
@@ -27,7 +28,7 @@ from robust_filterpy.identification.models.state_space import StateSpaceModel
 from robust_filterpy.identification.models.state_space_residuals import Matrices, StateSpaceResiduals
 from robust_filterpy.identification.models.state_space_structure import Signals, StateSpace
 from robust_filterpy.influence.functions import Huber, Influence
-from robust_filterpy.influence.regression import mad_scale
+from robust_filterpy.influence.regression import size_of
 
 __all__ = ["identified_state_space"]
 
@@ -37,7 +38,6 @@ _FIRST_STEPS: Final = 12
 _TURNS: Final = 4
 # Orders tried after the best one.
 _PATIENCE: Final = 2
-_LEAST: Final = 1e-24
 _BELIEVED: Final = 0.5
 _RANK: Final = 1e-9
 
@@ -190,7 +190,8 @@ def _scaled(told: Recordings, spans: list[slice]) -> tuple[Array, _Units, list[t
 def _first_noise(model: StateSpaceResiduals, rows: Any, influence: Influence | None) -> Noises:
     """Return the noise of each residual that counts to begin with."""
     which = np.concatenate([np.tile(np.arange(model.outputs), len(y)) for y, _ in model.recordings])[rows]
-    return Noises(tuple(Noise(influence or Huber(), 1.0, False, _LEAST) for _ in range(model.outputs)), which)
+    outputs = np.concatenate([y for y, _ in model.recordings]).T
+    return Noises(tuple(Noise(influence or Huber(), 1.0, False, least_variance(y, 1.0)) for y in outputs), which)
 
 
 class _Units(NamedTuple):
@@ -215,7 +216,7 @@ class _Units(NamedTuple):
         for j in range(told.y.shape[1]):
             values = np.concatenate([told.y[part, j] - centres[i, j] for i, part in enumerate(spans)])
             values = values[~np.isnan(values)]
-            size = mad_scale(values) or float(np.abs(values).mean())
+            size = size_of(values)
             if size <= 1e-12 * float(np.abs(centres[:, j]).max()):
                 raise ValueError(f"y: expected outputs that vary, got the same value throughout in output {j}")
             sizes.append(size)
@@ -382,7 +383,7 @@ def _in_units(
     model.weights = found.model.weights
     q, rows = model.packed(matrices, levels, starts), found.rows
     residual = model.residuals(q)
-    scaled = tuple(replace(one, R=one.R * Sy[j] ** 2) for j, one in enumerate(found.noise.parts))
+    scaled = tuple(one.times(size) for one, size in zip(found.noise.parts, Sy, strict=True))
     noise = found.noise._replace(parts=scaled)
     P = sandwich(model.jacobian(q)[rows], residual[rows], noise, carried)
     weights = np.full(residual.size, np.nan)
@@ -412,6 +413,6 @@ def _doubt(found: _Found) -> str:
             f"the recording tells {told} of {expected} parameters: the order {found.model.order} may be more than it "
             'shows, StateSpace("auto") finds one'
         )
-    if not found.converged:
+    if not (found.converged or all(one.is_rounding for one in found.noise.parts)):
         return "the search did not settle; the order may be more than the recording tells of"
     return ""

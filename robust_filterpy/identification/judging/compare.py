@@ -187,7 +187,7 @@ def compare(
     ordinary = np.zeros(shared.shape, dtype=bool)
     for j, good in enumerate(shared.T):
         closest = min(residuals.values(), key=lambda left: float(np.median(np.abs(left[good, j]))))
-        ordinary[:, j] = ordinary_samples(np.where(good, closest[:, j], np.nan))
+        ordinary[:, j] = ordinary_samples(np.where(good, closest[:, j], np.nan), measured[:, j])
     rows = []
     for name, output in outputs.items():
         pairs = ((output, ordinary), (measured - residuals[name], ordinary), (output, shared))

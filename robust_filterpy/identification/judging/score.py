@@ -89,7 +89,8 @@ class Score(NamedTuple):
                 shift[j], e[:, j] = middle, e[:, j] - middle
             if not same:
                 noise = _of_recording(noise, e[rows, j])
-            v[rows, j] = noise.psi(e[rows, j])
+            # What is left of a recording without noise is rounding, which is alike from sample to sample.
+            v[rows, j] = 0.0 if noise.is_rounding else noise.psi(e[rows, j])
             v[rows, j] -= v[rows, j].mean() if judged.levelled else 0.0
             slope[j] = noise.slope(e[rows, j])
             J[:, j] /= np.sqrt(noise.R)

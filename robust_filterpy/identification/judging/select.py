@@ -308,12 +308,13 @@ class _Comparison:
     def late(self) -> Any:
         """The ordinary samples of the part held out, by the model that misses them least."""
         residuals = [one.held_out[0] for one in self.tried.values() if one.held_out is not None]
-        return ordinary_samples(min(residuals, key=lambda e: float(np.nanmedian(np.abs(e)))))
+        return ordinary_samples(min(residuals, key=lambda e: float(np.nanmedian(np.abs(e)))), self.rest[0])
 
     def rows(self) -> tuple[Candidate, ...]:
         """Return the table; the ordinary samples are those of the best model."""
         best = self.tried[self.best]
-        ordinary, y = ordinary_samples(best.residual), self.y[self.grid.first :]
+        y = self.y[self.grid.first :]
+        ordinary = ordinary_samples(best.residual, y)
         late, rows = None if self.rest is None else self.late, []
         for row, _, _, output, held_out in self.tried.values():
             row = row._replace(fit=ordinary_fit(y, output, ordinary))

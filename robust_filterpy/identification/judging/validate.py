@@ -297,7 +297,7 @@ def _of_output(
         kernel = white if whiteness.p_value >= 1.0 - level else covariances(v, lags)
         cross, cross_bound, independence = score.tested(j, inputs, kernel, level)
     y, known = judged.y[:, j], ~np.isnan(judged.residual[:, j])
-    ordinary = ordinary_samples(judged.residual[:, j])
+    ordinary = ordinary_samples(judged.residual[:, j], y)
     fits = tuple(
         Fit(kind, ordinary_fit(y, output[:, j], ordinary), ordinary_fit(y, output[:, j], known))
         for kind, output in outputs.items()

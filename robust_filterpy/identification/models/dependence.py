@@ -8,6 +8,7 @@ import numpy as np
 from scipy.stats import f as fisher
 
 from robust_filterpy._checks import Array
+from robust_filterpy.identification.models.fit import ROUNDING
 from robust_filterpy.influence.regression import mad_scale
 
 __all__ = ["CLIP", "LAGS", "SHARE", "Dependence", "autocovariances", "dependence", "level_and_scale", "whitening_of"]
@@ -51,7 +52,7 @@ def dependence(
     residuals : ndarray, shape (.., n)
         NaN where y is missing.
     inputs : ndarray, shape (.., n, n_inputs)
-        The inputs.
+        What the model makes of the inputs, in the unit of the residuals, and the inputs.
     lags : int, default 16
         How many samples of the inputs to look back at, shared by several inputs.
     whitening : tuple of float, optional
@@ -67,7 +68,7 @@ def dependence(
     -----
     A model that is right leaves nothing of u in its residuals, however large the noise has become and however slow u
     is; after a change of gain, sign or pole, and while a sensor is stuck, they follow u. Clipped at 2 robust standard
-    deviations, an outlier counts little.
+    deviations, an outlier counts little. Residuals that are rounding of the model's output follow nothing.
     """
     n, k = inputs.shape[-2:]
     lags = max(lags // max(k, 1), 2)
@@ -95,7 +96,9 @@ def dependence(
     followed = np.einsum("...nj,...j->...n", columns, weights)
     total = (clipped**2).sum(axis=-1)
     freedom = count - rank - 1
-    enough = (total > 0.0) & (freedom >= rank) & (rank > 0) & (count >= n // 2)
+    output = inputs[..., 0] - np.median(inputs[..., 0], axis=-1)[..., None]
+    enough = scale > ROUNDING * np.abs(output).max(axis=-1)
+    enough &= (total > 0.0) & (freedom >= rank) & (rank > 0) & (count >= n // 2)
     raw = np.where(enough, explained / np.where(total > 0.0, total, 1.0), 0.0)
     odds = raw / np.maximum(rank, 1) / (np.maximum(1.0 - raw, 1e-12) / np.maximum(freedom, 1))
     # Of the residuals as they are: what is sure may still be small.

@@ -8,12 +8,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy._checks import Array
-from robust_filterpy.influence.regression import mad_scale
+from robust_filterpy.influence.regression import mad_scale, size_of
 
-__all__ = ["fit_percent", "ordinary_fit", "ordinary_samples"]
+__all__ = ["ROUNDING", "fit_percent", "least_variance", "ordinary_fit", "ordinary_samples"]
+
+#: What a model leaves of an output, in units of its size, that is rounding and tells nothing.
+ROUNDING: Final = 1e-12
 
 # Within so many standard deviations of the ordinary noise a sample is an ordinary one.
 _ORDINARY: Final = 3.0
+# Share of the range of an output within which two values are the same.
+_EQUAL: Final = 1e-9
 
 
 def fit_percent(y: ArrayLike, y_model: ArrayLike, axis: int = 0) -> Any:
@@ -53,21 +58,56 @@ def fit_percent(y: ArrayLike, y_model: ArrayLike, axis: int = 0) -> Any:
     mean = np.where(present, measured, 0.0).sum(axis=axis, keepdims=True) / np.maximum(count, 1)
     spread = np.linalg.norm(np.where(present, measured - mean, 0.0), axis=axis)
     missed = np.linalg.norm(np.where(present, measured - model, 0.0), axis=axis)
-    # The mean of equal numbers need not be that number to the last bit.
     scale = np.max(np.where(present, np.abs(measured), 0.0), axis=axis, initial=0.0)
-    if np.any(spread <= 4 * np.finfo(float).eps * scale * np.sqrt(count.squeeze(axis))):
+    if np.any(spread <= _constant(scale) * np.sqrt(count.squeeze(axis))):
         raise ValueError("y: expected samples that differ, found a constant output; its fit is undefined")
     fit = 100 * (1 - missed / spread)
     return fit if fit.ndim else float(fit)
 
 
-def ordinary_samples(residual: Array) -> Any:
+def _constant(scale: Any) -> Any:
+    """Return the standard deviation of equal numbers of a size: their mean need not be that number to the last bit."""
+    return 4 * np.finfo(float).eps * scale
+
+
+def least_variance(y: Array, size: float) -> float:
+    """Return what the noise of an output has at least, in units of a size: rounding, of numbers or of its sensor.
+
+    Parameters
+    ----------
+    y : ndarray, shape (N,)
+        NaN where it is missing.
+    size : float
+        Of y, > 0.
+
+    Returns
+    -------
+    float
+        A variance; a sensor in steps of q has q^2/12.
+    """
+    return max(ROUNDING**2, (_resolution(y) / size) ** 2 / 12.0)
+
+
+def _resolution(y: Array) -> float:
+    """Return the least step between the values of an output that is rounded, 0 if it does not repeat its values."""
+    values, counts = np.unique(y[~np.isnan(y)], return_counts=True)
+    if 2 * values.size > counts.sum() or values.size < 2:
+        return 0.0
+    gaps, repeated = np.diff(values), counts > 1
+    # Numbers that are equal but for rounding, as 0.1 + 0.2 and 0.3, are one value.
+    steps = gaps[(repeated[1:] | repeated[:-1]) & (gaps > _EQUAL * (values[-1] - values[0]))]
+    return float(steps.min(initial=np.inf)) if steps.size else 0.0
+
+
+def ordinary_samples(residual: Array, y: Array) -> Any:
     """Tell which samples are ordinary: within three standard deviations of the noise, known by its median.
 
     Parameters
     ----------
     residual : ndarray, shape (N,)
         Measured less predicted output; NaN where there is none.
+    y : ndarray, shape (N,)
+        Measured output: what is rounding of its variation is ordinary.
 
     Returns
     -------
@@ -76,12 +116,11 @@ def ordinary_samples(residual: Array) -> Any:
 
     Examples
     --------
-    >>> ordinary_samples(np.array([0.1, -0.1, 0.2, 9.0, np.nan]))
+    >>> ordinary_samples(np.array([0.1, -0.1, 0.2, 9.0, np.nan]), np.array([4.0, 2.0, 4.0, 2.0, 4.0]))
     array([ True,  True,  True, False, False])
     """
-    known = residual[~np.isnan(residual)]
-    scale = mad_scale(known) if known.size else 0.0
-    # With a scale of 0, more than half of the residuals are 0; these are the ordinary ones.
+    known, measured = residual[~np.isnan(residual)], y[~np.isnan(y)]
+    scale = max(mad_scale(known), ROUNDING * size_of(measured - np.median(measured))) if known.size else 0.0
     return np.abs(np.where(np.isnan(residual), np.inf, residual)) <= _ORDINARY * scale
 
 
@@ -107,6 +146,6 @@ def ordinary_fit(y: Array, y_model: Array, ordinary: Any) -> float:
     29.3
     """
     counts = ordinary & ~np.isnan(y) & ~np.isnan(y_model)
-    if counts.sum() < 2 or np.ptp(y[counts]) == 0.0:
+    if counts.sum() < 2 or np.std(y[counts]) <= _constant(np.abs(y[counts]).max()):
         return float("nan")
     return float(fit_percent(y[counts], y_model[counts]))

@@ -65,6 +65,15 @@ class Noise:
         """Return `refitted` after so many steps that more would hardly move it."""
         return self.refitted(residual, SETTLING_STEPS)
 
+    def times(self, size: float) -> Noise:
+        """Return the noise of residuals that are so many times as large."""
+        return replace(self, R=self.R * size**2, least=self.least * size**2)
+
+    @property
+    def is_rounding(self) -> bool:
+        """Whether there is no noise: R is the least that it may be, but for the degrees of freedom."""
+        return not self.known and self.R <= 2.0 * self.least
+
     @property
     def has_outliers(self) -> bool:
         """Whether a large residual has less weight than a small one: not for `Linear`."""

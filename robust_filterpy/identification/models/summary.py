@@ -84,7 +84,8 @@ class Summary:
         lines += ["-" * _WIDTH, f"{'':<12}{'estimate':>14}{'std':>13}{'z':>11}{lower:>14}{upper:>14}", "-" * _WIDTH]
         for name, estimate, std, z, low, high in self.rows:
             # A parameter that is told, or stands at a bound, or was not estimated, has nothing to be doubted.
-            sure = f"{'held':>13}" if std == 0.0 else f"{std:>13.3g}{z:>11.1f}{low:>14.5g}{high:>14.5g}"
+            short = f"{z:.1f}" if abs(z) < 1e6 else f"{z:.1e}"
+            sure = f"{'held':>13}" if std == 0.0 else f"{std:>13.3g}{short:>11}{low:>14.5g}{high:>14.5g}"
             lines.append(f"{name:<12}{estimate:>14.5g}{sure}")
         words = {"Found": self.found, "Doubtful": self.warning}
         return "\n".join([*lines, "=" * _WIDTH, *(f"{name}: {text}" for name, text in words.items() if text)])
