@@ -151,7 +151,7 @@ def _table(rows: Any) -> Array:
 
 
 def _is_far(known: Array, value: float, others: Array, counts: Array) -> bool:
-    """Tell whether a value of a signal lies far outside the others, which are sorted and occur so often, beside them."""
+    """Tell whether a value lies far outside the others, sorted, which occur so often, and in the signal beside them."""
     places = np.cumsum(counts) - 0.5 * counts
     low, middle, high = np.interp(counts.sum() * np.array([0.01, 0.5, 0.99]), places, others)
     deviations = np.abs(others - middle)

@@ -13,8 +13,11 @@ from robust_filterpy.influence.functions import Huber
 
 # Of a normal distribution the median absolute deviation is its standard deviation over this.
 _MAD_TO_SCALE: Final = 1.482602218505602
-# A signal that is mostly at rest is as large as this share of where it stays for so many samples in a row.
-_AT_REST, _IN_A_ROW = 0.01, 9
+# The median of a signal that mostly rests is rounding if it is within so many steps of it, or such a part of what
+# moves: it is then taken for as large as this share of where it stays for so many samples in a row.
+_STEPS, _NOTHING, _AT_REST, _IN_A_ROW = 10.0, 1e-7, 0.01, 9
+# Share of the range of a signal within which two values are the same.
+_EQUAL: Final = 1e-9
 # Share of the clipping level of the output below which no residual is weighed down.
 _LEAST: Final = 0.002
 
@@ -25,7 +28,7 @@ def mad_scale(residual: Array) -> float:
 
 
 def size_of(signal: Array) -> float:
-    """Return how large a signal is about 0: by its median, but not next to nothing if it only rests for most of the time.
+    """Return how large a signal is about 0: by its median, unless that is rounding since it mostly rests.
 
     Parameters
     ----------
@@ -36,9 +39,49 @@ def size_of(signal: Array) -> float:
     -------
     float
     """
-    # Wild values that come one by one do not pass the filter.
-    moving = np.quantile(np.abs(median_filter(signal, _IN_A_ROW, mode="nearest")), 0.99)
-    return max(mad_scale(signal), _AT_REST * float(moving)) or float(np.abs(signal).mean())
+    usual, moving = mad_scale(signal), moving_size(signal)
+    if usual > _STEPS * resolution(signal) and usual > _NOTHING * moving:
+        return usual
+    return max(usual, _AT_REST * moving) or float(np.abs(signal).mean())
+
+
+def moving_size(signal: Array) -> float:
+    """Return how large a signal becomes about 0 where it moves; wild values that come one by one do not count.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (N,)
+        In the order of time; N >= 1.
+
+    Returns
+    -------
+    float
+    """
+    return float(np.quantile(np.abs(median_filter(signal, _IN_A_ROW, mode="nearest")), 0.99))
+
+
+def resolution(signal: Array) -> float:
+    """Return the least step between the values of a signal that is rounded, 0 if it does not repeat its values.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (N,)
+        Without gaps.
+
+    Returns
+    -------
+    float
+    """
+    values, counts = np.unique(signal, return_counts=True)
+    if 2 * values.size > counts.sum() or values.size < 2:
+        return 0.0
+    gaps, repeated = np.diff(values), counts > 1
+    # Numbers that are equal but for rounding, as 0.1 + 0.2 and 0.3, are one value.
+    apart = gaps > _EQUAL * (values[-1] - values[0])
+    # Single values between may be of another kind, but where nothing else repeats beside another they are all there is.
+    both, either = repeated[1:] & repeated[:-1], repeated[1:] | repeated[:-1]
+    steps = gaps[apart & (both if (both & apart).any() else either)]
+    return float(steps.min()) if steps.size else 0.0
 
 
 def robust_regression(X: Array, y: Array, steps: int = 10) -> Array:

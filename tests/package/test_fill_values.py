@@ -79,3 +79,13 @@ def test_smoother_and_noise_estimate_are_those_with_gaps():
     with pytest.warns(UserWarning, match=r"9.97e\+36"):
         noise = estimate_noise(kf, filled)
     np.testing.assert_array_equal(noise.R, estimate_noise(kf, gaps).R)
+
+
+@pytest.mark.parametrize("digits", [None, 2, 1])
+@pytest.mark.parametrize("pole", [0.5, 0.9, 0.99])
+def test_the_rest_before_a_step_is_no_fill_value(pole, digits):
+    u = np.zeros(800)
+    u[50:] = 1.0
+    y = lfilter([0.0, 1.0 - pole], [1.0, -pole], u)
+    y = y if digits is None else y.round(digits)
+    assert fill_values(y).signal is y

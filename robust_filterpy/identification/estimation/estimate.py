@@ -34,8 +34,8 @@ __all__ = ["Problem", "estimated"]
 _CLOSE: Final = 3.0
 _APART: Final = 5.0
 
-# A direction of theta that moves no residual by more than this share of the others is not determined, nor is a parameter
-# that is more of it than this.
+# A direction of theta that moves no residual by more than this share of the others is not determined, nor is a
+# parameter of which it is more than this.
 _FLAT: Final = 1e-10
 _PART: Final = 0.1
 

@@ -137,8 +137,9 @@ def ends(
 
 
 def _ends_of_long(
-    model: PolynomialModel, missing: Any, influence: Influence | None, R: float | None, limits: Limits | None, least: float
-) -> list[Ranked]:
+    model: PolynomialModel, missing: Any, influence: Influence | None, R: float | None, limits: Limits | None,
+    least: float,
+) -> list[Ranked]:  # fmt: skip
     """Search from every start in the middle of a long recording, and from what is found there in all of it."""
     begin = (model.y.size - _MOST_SEARCHED) // 2
     part = slice(begin, begin + _MOST_SEARCHED)

@@ -308,7 +308,8 @@ class _Comparison:
     def late(self) -> Any:
         """The ordinary samples of the part held out, by the model that misses them least."""
         residuals = [one.held_out[0] for one in self.tried.values() if one.held_out is not None]
-        return ordinary_samples(min(residuals, key=lambda e: float(np.nanmedian(np.abs(e)))), self.rest[0])
+        closest = min(residuals, key=lambda e: float(np.nanmedian(np.abs(e))))
+        return ordinary_samples(closest, self.rest[0] if self.rest is not None else closest)
 
     def rows(self) -> tuple[Candidate, ...]:
         """Return the table; the ordinary samples are those of the best model."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy._checks import Array
-from robust_filterpy.influence.regression import mad_scale, size_of
+from robust_filterpy.influence.regression import mad_scale, moving_size, resolution, size_of
 
 __all__ = ["ROUNDING", "fit_percent", "least_variance", "ordinary_fit", "ordinary_samples"]
 
@@ -17,8 +17,8 @@ ROUNDING: Final = 1e-12
 
 # Within so many standard deviations of the ordinary noise a sample is an ordinary one.
 _ORDINARY: Final = 3.0
-# Share of the range of an output within which two values are the same.
-_EQUAL: Final = 1e-9
+# What arithmetic loses of the largest values of a recording that else rests.
+_NUMBERS: Final = 1e-14
 
 
 def fit_percent(y: ArrayLike, y_model: ArrayLike, axis: int = 0) -> Any:
@@ -85,18 +85,9 @@ def least_variance(y: Array, size: float) -> float:
     float
         A variance; a sensor in steps of q has q^2/12.
     """
-    return max(ROUNDING**2, (_resolution(y) / size) ** 2 / 12.0)
-
-
-def _resolution(y: Array) -> float:
-    """Return the least step between the values of an output that is rounded, 0 if it does not repeat its values."""
-    values, counts = np.unique(y[~np.isnan(y)], return_counts=True)
-    if 2 * values.size > counts.sum() or values.size < 2:
-        return 0.0
-    gaps, repeated = np.diff(values), counts > 1
-    # Numbers that are equal but for rounding, as 0.1 + 0.2 and 0.3, are one value.
-    steps = gaps[(repeated[1:] | repeated[:-1]) & (gaps > _EQUAL * (values[-1] - values[0]))]
-    return float(steps.min(initial=np.inf)) if steps.size else 0.0
+    known = y[~np.isnan(y)]
+    numbers = _NUMBERS * moving_size(known - np.median(known)) if known.size else 0.0
+    return max(ROUNDING**2, (resolution(known) / size) ** 2 / 12.0, (numbers / size) ** 2)
 
 
 def ordinary_samples(residual: Array, y: Array) -> Any:

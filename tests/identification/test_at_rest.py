@@ -1,0 +1,112 @@
+"""Recordings that mostly rest, are rounded by their sensor, or have no noise: step tests, pulses, simulations."""
+
+import warnings
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from robust_filterpy.identification import (
+    ARMAX,
+    ARX,
+    OutputError,
+    StateSpace,
+    compare,
+    identify,
+    validate,
+)
+from robust_filterpy.identification.models.fit import fit_percent
+from robust_filterpy.influence.regression import mad_scale, resolution, size_of
+
+B, A = [0.0, 1.0, 0.5], [1.0, -1.5, 0.7]
+FRESH = np.random.default_rng(0).choice([-1.0, 1.0], 300)
+
+
+def driven(kind, digits=None, steps=600):
+    u = np.zeros(steps)
+    if kind == "step":
+        u[50:] = 1.0
+    elif kind == "pulse":
+        u[50:70] = 1.0
+    else:
+        u = np.where(np.arange(steps) // 100 % 2, 1.0, 0.0)
+    y = lfilter(B, A, u)
+    return (y if digits is None else y.round(digits)), u
+
+
+def fresh_fit(model):
+    response = model.simulate(FRESH) - model.simulate(np.zeros(FRESH.size))
+    return fit_percent(lfilter(B, A, FRESH), np.ravel(response))
+
+
+@pytest.mark.parametrize("structure", [ARX(2, 2), OutputError(2, 2), StateSpace(2)], ids=["arx", "oe", "states"])
+@pytest.mark.parametrize("kind", ["step", "pulse", "square"])
+@pytest.mark.parametrize("digits, least", [(None, 99.999), (2, 99.8), (1, 98.5)])
+def test_what_moves_for_a_while_is_no_outlier(structure, kind, digits, least):
+    y, u = driven(kind, digits)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        model = identify(y, u, structure, progress=False)
+    assert not model.findings
+    assert fresh_fit(model) > least
+
+
+def test_steps_of_a_sensor_bound_its_noise():
+    y, u = driven("step", 1)
+    model = identify(y, u, OutputError(2, 2))
+    assert 0.1**2 / 12.0 <= model.noise.R < 0.1**2 / 6.0
+    assert model.noise.is_rounding
+    # The truth within the interval that this noise makes.
+    assert (np.abs(model.theta - [-1.5, 0.7, 1.0, 0.5]) < 3.0 * model.std).all()
+
+
+def test_a_recording_without_noise_leaves_nothing_to_be_judged():
+    rng = np.random.default_rng(1)
+    u = rng.choice([-1.0, 1.0], 600)
+    y = lfilter(B, A, u)
+    models = {str(s): identify(y, u, s) for s in (ARX(2, 2), OutputError(2, 2))}
+    for model in models.values():
+        assert not model.findings and not model.warning
+        np.testing.assert_allclose(model.theta, [-1.5, 0.7, 1.0, 0.5], rtol=1e-12)
+        assert validate(model, y, u).verdict == "nothing is left in the residuals"
+        assert all(len(line) <= 78 for line in str(model.summary()).splitlines())
+    assert min(row.fit for row in compare(models, y, u).rows) > 99.999
+    # A wrong model of it leaves much.
+    wrong = identify(y, u, OutputError(1, 1), trend="constant")
+    assert validate(wrong, y, u).verdict != "nothing is left in the residuals"
+
+
+def test_of_few_values_that_are_explained_the_steps_are_no_noise():
+    u = np.random.default_rng(2).choice([-1.0, 1.0], 400)
+    model = identify(lfilter([0.0, 2.0], [1.0], u), u, OutputError(0, 1))
+    assert model.noise.R < 1e-20
+
+
+def test_parameters_that_no_noise_tells_apart_are_named():
+    u = np.random.default_rng(1).choice([-1.0, 1.0], 600)
+    y = lfilter(B, A, u)
+    with pytest.warns(UserWarning, match=r"a1, a2, a3, .*not determined by a recording without noise"):
+        identify(y, u, ARX(3, 3))
+    with pytest.warns(UserWarning, match="no noise but rounding: the coefficients of C and D"):
+        identify(y, u, ARMAX(2, 2, 1))
+
+
+def test_size_is_that_of_what_moves_where_the_median_rests():
+    rng = np.random.default_rng(0)
+    noisy = rng.normal(size=1000)
+    wild = np.where(rng.random(1000) < 0.1, 1e9, noisy)
+    for signal in (noisy, wild, noisy.round(1), np.where(np.arange(1000) == 500, 1e30, noisy)):
+        assert size_of(signal) == mad_scale(signal)
+    y = driven("pulse")[0]
+    assert mad_scale(y) < 1e-9 and size_of(y) > 0.03
+    assert size_of(driven("pulse", 1)[0]) > 0.03
+    assert size_of(np.zeros(50)) == 0.0
+
+
+@pytest.mark.parametrize("step", [1.0, 0.1, 1e-3])
+def test_resolution_is_the_step_of_a_sensor(step):
+    rng = np.random.default_rng(0)
+    signal = step * np.round(20.0 * rng.normal(size=3000))
+    signal[::97] = 5.0 * step * rng.normal(size=signal[::97].size)
+    assert resolution(signal) == pytest.approx(step)
+    assert resolution(rng.normal(size=100)) == 0.0 and resolution(np.ones(9)) == 0.0
