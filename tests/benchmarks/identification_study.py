@@ -487,8 +487,8 @@ def intervals(arguments):
             bent, drawn = bent + model.profiled, drawn + model.sampled
         means = [f"{np.mean(each):.3f} +- {np.std(each) / len(each) ** 0.5:.3f}" for each in (inside, banded)]
         print(
-            f"order {order}, contamination {share}: parameters {means[0]}, bands {means[1]}; sampled {drawn}, profile {bent - drawn} of "
-            f"{len(inside)}; median time {np.median(walls):.1f} s",
+            f"order {order}, contamination {share}: parameters {means[0]}, bands {means[1]}; sampled {drawn}, "
+            f"profile {bent - drawn} of {len(inside)}; median time {np.median(walls):.1f} s",
             flush=True,
         )
 
