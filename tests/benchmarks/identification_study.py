@@ -473,10 +473,10 @@ def focus(arguments):
 def intervals(arguments):
     """How often intervals of 95 % hold a parameter, and bands the magnitude; how many are found in which way."""
     omega = np.linspace(0.05, 3.0, 40)
-    for order in arguments.orders:
+    for order, share in ((order, share) for order in arguments.orders for share in arguments.shares):
         inside, banded, walls, bent, drawn = [], [], [], 0, 0
         for plant in range(arguments.plants):
-            truth, y, u, _, _ = recording(arguments.seed, order, plant, 0.1)
+            truth, y, u, _, _ = recording(arguments.seed, order, plant, share)
             wall = time.perf_counter()
             model = identify(y, u, OutputError(order, order), progress=False)
             walls.append(time.perf_counter() - wall)
@@ -487,8 +487,8 @@ def intervals(arguments):
             bent, drawn = bent + model.profiled, drawn + model.sampled
         means = [f"{np.mean(each):.3f} +- {np.std(each) / len(each) ** 0.5:.3f}" for each in (inside, banded)]
         print(
-            f"order {order}: parameters {means[0]}, bands {means[1]}; sampled {drawn}, profile {bent - drawn} of "
-            f"{len(inside)}; median time {np.median(walls):.1f} s",
+            f"order {order}, contamination {share}: parameters {means[0]}, bands {means[1]}; sampled {drawn}, "
+            f"profile {bent - drawn} of {len(inside)}; median time {np.median(walls):.1f} s",
             flush=True,
         )
 
@@ -514,6 +514,7 @@ if __name__ == "__main__":
     parser.add_argument("--plants", type=int, default=100)
     parser.add_argument("--orders", type=int, nargs="*", default=[2, 3, 4, 6])
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--shares", type=float, nargs="*", default=[0.0, 0.1], help="contaminations of `intervals`")
     given = parser.parse_args()
     # Doubtful models count like the others.
     warnings.simplefilter("ignore", UserWarning)

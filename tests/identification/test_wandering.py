@@ -26,7 +26,7 @@ def test_a_factor_with_a_root_outside_is_not_stable():
 
 def test_where_the_likelihood_says_nothing_every_stable_pair_is_as_likely():
     sections = Sections.of([np.array([1.0, 0.0, 0.0])])
-    flat = wandered(lambda f: Place(0.0, f, lambda: np.zeros((2, 2))), np.zeros(2), np.eye(2), [(0.0, sections)])
+    flat = wandered(lambda f: Place(0.0, f, lambda: np.zeros((2, 2))), np.zeros(2), np.eye(2), [sections])
     # Of the triangle with the corners (-2, 1), (2, 1) and (0, -1): mean squares 2/3 and 1/3.
     assert_allclose(flat, np.diag([2.0 / 3.0, 1.0 / 3.0]), atol=0.05)
 
@@ -39,9 +39,24 @@ def test_of_a_normal_likelihood_p_is_its_covariance_and_that_of_what_is_linear()
         return Place(0.5 * (f - center) @ inverse @ (f - center), np.append(f, 7.0), lambda: np.diag([0, 0, 0, 4.0]))
 
     sections = Sections.of([np.append(1.0, center[:2]), np.append(1.0, center[2:])])
-    P = wandered(at, np.append(center, 7.0), covariance, [(0.0, sections)])
+    P = wandered(at, np.append(center, 7.0), covariance, [sections])
     assert_allclose(P[:3, :3] / 0.02**2, np.eye(3), atol=0.35)
     assert_allclose(P[3], [0.0, 0.0, 0.0, 4.0])
+
+
+def test_a_place_behind_a_barrier_counts_by_its_share():
+    places, width, shares = np.array([[-0.5, 0.2, 0.1, 0.1], [-0.35, 0.35, 0.25, -0.05]]), 0.03, np.array([0.6, 0.4])
+
+    def at(f):
+        distances = 0.5 * np.square((f - places) / width).sum(axis=1)
+        return Place(-np.logaddexp(*(np.log(shares) - distances)), f, lambda: np.zeros((4, 4)))
+
+    sections = Sections.of([np.append(1.0, places[0])])
+    P = wandered(at, places[0], width**2 * np.eye(4), [sections])
+    apart = (P.diagonal() - width**2) / (places[1] - places[0]) ** 2
+    # Draws follow each other: of the share of the other place some 25 count.
+    assert_allclose(apart, shares[1], atol=5.0 * np.sqrt(shares.prod() / 25.0))
+    assert (apart > 0.1).all()
 
 
 @pytest.fixture(scope="module")

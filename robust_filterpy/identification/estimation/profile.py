@@ -33,6 +33,8 @@ _FARTHEST: Final = 16.0
 _HALVINGS: Final = 6
 # Ends so much less likely than the best count beside it.
 _CLOSE: Final = 4.0
+# A walk may begin at an end that is less likely still, since it leaves it.
+_WORTH_A_WALK: Final = 10.0
 # Weights of the residuals and what is linear take turns.
 _TURNS: Final = 2
 
@@ -91,9 +93,9 @@ def profiled(
         and sections.are_stable(sections.values)
         and not held[loss.polynomial].any()
     ):
-        begins = [(0.0, sections), *((excess, Sections.of(loss.polynomials(end))) for excess, end in close)]
-        begins = [(excess, each) for excess, each in begins if each.are_stable(each.values)]
+        begins = [sections, *(Sections.of(loss.polynomials(end)) for excess, end in others if excess < _WORTH_A_WALK)]
         stage("models drawn from the likelihood, for their covariance")
+        begins = [each for each in begins if each.are_stable(each.values)]
         return wandered(loss.best, p, own, begins), "sampled likelihood"
     longer = axes * np.maximum(reach, 1.0)[:, None]
     wider = longer.T @ longer

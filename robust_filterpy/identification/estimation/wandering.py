@@ -7,6 +7,10 @@ a little, one pair moves a little, or one pair jumps to any place within the uni
 residuals is at its best for these poles, with its own covariance there. P is the mean square distance from the
 estimate.
 
+One walk alone stays in one place for thousands of steps. So there are several, each through a flatter likelihood than
+the one before, and neighbours exchange their places with the probability that leaves both as they should be
+(replica exchange; Geyer, Computing Science and Statistics 23, 1991). Only the first counts.
+
 Before the recording each pair is as likely at one place as at another, as coefficients of its factor (1 + a/q + b/q^2);
 what is linear has a density as wide as the recording, so that the least loss alone weighs the poles (Zellner's prior).
 """
@@ -22,9 +26,11 @@ from robust_filterpy._checks import Array
 
 __all__ = ["Place", "Sections", "wandered"]
 
-# Of so many steps in all the first share only leads away from where the walk begins.
-_STEPS: Final = 8000
+# Of so many steps in all the first share only leads away from where the walks begin.
+_STEPS: Final = 10000
 _BEGINNING: Final = 0.2
+# A walk at temperature T is through the likelihood to the power 1/T, where what lies between two places is no barrier.
+_TEMPERATURES: Final = (1.0, 2.0, 4.0, 8.0)
 # How often a pair jumps; a small step is of all poles as often as of one pair.
 _JUMPS: Final = 0.4
 # Small steps have sizes of 10 to these powers, in standard deviations by linearization (none of which counts as more
@@ -130,7 +136,7 @@ class Sections(NamedTuple):
         return all(_is_inside(values[place]) for place in self.places)
 
 
-def wandered(at: Callable[[Array], Place], p: Array, covariance: Array, begins: list[tuple[float, Sections]]) -> Array:
+def wandered(at: Callable[[Array], Place], p: Array, covariance: Array, begins: list[Sections]) -> Array:
     """Return the mean square distance of the free parameters from the estimate.
 
     Parameters
@@ -141,8 +147,8 @@ def wandered(at: Callable[[Array], Place], p: Array, covariance: Array, begins: 
         The estimate.
     covariance : ndarray, shape (k, k)
         Of these coefficients, by linearization.
-    begins : list of (float, Sections)
-        Where walks begin: how much less likely each is than the estimate, and its factors.
+    begins : list of Sections
+        Where walks begin, the first at the estimate; of the same degrees.
 
     Returns
     -------
@@ -150,28 +156,25 @@ def wandered(at: Callable[[Array], Place], p: Array, covariance: Array, begins: 
     """
     # Always the same draws, so that a recording gives the same P twice.
     rng = np.random.default_rng(0)
-    odds = np.exp([-excess for excess, _ in begins])
-    found = np.zeros((p.size, p.size))
-    for share, (_, sections) in zip(odds / odds.sum(), begins, strict=True):
-        found += share * _walked(at, p, _steps_of(sections, covariance), sections, _STEPS // len(begins), rng)
-    return found
-
-
-def _walked(
-    at: Callable[[Array], Place], p: Array, small: Array, sections: Sections, steps: int, rng: np.random.Generator
-) -> Array:
-    """Return the mean square distance from p along one walk."""
-    x = sections.values
-    here, total, counted, stays = at(sections.multiplied(x)), np.zeros((p.size, p.size)), 0, 0
-    for step in range(steps):
-        new = _next(x, small, sections, rng)
-        there = at(sections.multiplied(new)) if sections.are_stable(new) else None
-        if there is not None and np.log(rng.random()) < here.loss - there.loss:
-            total += stays * _square(here, p) if stays else 0.0
-            x, here, stays = new, there, 0
-        if step >= _BEGINNING * steps:
-            stays, counted = stays + 1, counted + 1
-    return (total + stays * _square(here, p)) / max(counted, 1)
+    sections = begins[0]
+    values = [begins[k % len(begins)].values for k in range(len(_TEMPERATURES))]
+    places = [at(sections.multiplied(each)) for each in values]
+    small, turns = _steps_of(sections, covariance), _STEPS // len(_TEMPERATURES)
+    total, counted = np.zeros((p.size, p.size)), 0
+    for turn in range(turns):
+        for k, temperature in enumerate(_TEMPERATURES):
+            new = _next(values[k], temperature**0.5 * small, sections, rng)
+            there = at(sections.multiplied(new)) if sections.are_stable(new) else None
+            if there is not None and temperature * np.log(rng.random()) < places[k].loss - there.loss:
+                values[k], places[k] = new, there
+        for k in range(turn % 2, len(places) - 1, 2):
+            colder, hotter = (1.0 / temperature for temperature in _TEMPERATURES[k : k + 2])
+            if np.log(rng.random()) < (places[k].loss - places[k + 1].loss) * (colder - hotter):
+                values[k : k + 2] = values[k : k + 2][::-1]
+                places[k : k + 2] = places[k : k + 2][::-1]
+        if turn >= _BEGINNING * turns:
+            total, counted = total + _square(places[0], p), counted + 1
+    return total / counted
 
 
 def _next(x: Array, small: Array, sections: Sections, rng: np.random.Generator) -> Array:
