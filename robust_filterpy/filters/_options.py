@@ -6,25 +6,21 @@ from collections.abc import Callable
 from typing import Any
 
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
+from robust_filterpy.filters._held import Held
 from robust_filterpy.filters._mixture import Mixture
 from robust_filterpy.filters._policy import Policy, policy_of
 from robust_filterpy.filters._sensors import Customs
 from robust_filterpy.influence.functions import Influence
 
 
-class OptionsMixin:
+class OptionsMixin(Held):
     """Show the choices that a policy was made of, and make another policy where one is set."""
 
-    # Not a literal: a type checker would then believe that there is no __dict__ at all.
-    __slots__ = tuple(())
+    __slots__ = ()
 
     #: Whether a kind of filter takes ``process=``; only bounded influence is there for members of an ensemble.
     _takes_process, _takes_mixtures = True, True
 
-    dim_z: int
-    _policy: Any
-    _choices: Choices
-    _kept: Any
     _keep_sensors: Callable[[Customs], None]
     _start: Callable[[], None]
 

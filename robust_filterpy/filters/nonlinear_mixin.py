@@ -21,17 +21,6 @@ class NonlinearFilterMixin(RobustFilterMixin):
     # A model of the process as a function has no scale of Q to doubt.
     _takes_process = False
 
-    inv: Any
-    dim_x: int
-    P: Array
-    _K: Any
-    z: Any
-    x_post: Array
-    P_post: Array
-    _y: Any
-    _S: Any
-    _SI: Any
-
     def _corrected(
         self, P: Array, z: Array, y: Array, C: Array, S: Array | None, R: Array, residual: Callable[[Any, Any], Any],
         shape: tuple[int, ...],

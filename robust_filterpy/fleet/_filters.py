@@ -70,7 +70,7 @@ def plain(kf: Any, update: Mapping[str, Any]) -> Plain | None:
     if not all((a == a.T).all() for a in (Q, R, P)):
         return None
     B = None if kf.B is None or np.ndim(kf.B) != 2 else _checks.numbers("B", kf.B)
-    model = Model(*(a[None, None] for a in (F, Q, H, R)), np.zeros((1, 1, n)))
+    model = Model(F[None, None], Q[None, None], H[None, None], R[None, None], np.zeros((1, 1, n)))
     return Plain(kf.choices, model, B, float(kf.state()["alpha_sq"]))
 
 
@@ -102,18 +102,17 @@ def advance(kf: Any, update: Mapping[str, Any], series: Plain | None, work: Work
         return
     x, P, memory = _moving(work)
     good = np.isfinite(x).all(axis=1) & _checks.are_covariances(P, _checks.GATHERED, _checks.ROUNDING)
-    if memory is not None:
-        good &= np.isfinite(memory).all(axis=(1, 2))
+    good &= np.isfinite(memory).all(axis=(1, 2))
     for i in np.flatnonzero(~good).tolist():
         _explain(copy.deepcopy(kf), work, i)
     for rows in _groups(good, steps, kf):
         _together(series, kf, update, work, rows)
 
 
-def _moving(work: Work) -> tuple[Array, Array, Array | None]:
+def _moving(work: Work) -> tuple[Array, Array, Array]:
     """Return x, without the axis of a column, P and what is known of the sensors of all keys, to be written into."""
     x, P = work.entries["x"], work.entries["P"]
-    return x.reshape(-1, P.shape[-1]), P, work.entries.get("spread")
+    return x.reshape(-1, P.shape[-1]), P, work.entries.get("spread", np.zeros((len(x), 0, 0)))
 
 
 def _explain(worker: Any, work: Work, i: int) -> None:
@@ -192,17 +191,20 @@ def _together(series: Plain, kf: Any, update: Mapping[str, Any], work: Work, row
         np.empty((len(rows), 0, n, n)), np.empty((len(rows), steps, m)), np.zeros(len(rows)),
     )  # fmt: skip
 
+    moving, learns = _moving(work), "spread" in work.entries
+
     def by_kernel(own: slice, k: int) -> np.ndarray:
         """Take steps of some keys from one on and return the first that the kernel declines, of each."""
         keys, out = rows[own], Output(*(a[own] for a in kept))
         model = series.model._replace(Bu=Bu if len(Bu) == 1 else Bu[own])
-        moving = [a if a is None else a[keys] for a in _moving(work)]
+        # Copies, since what is written to a part of a fancy index is lost.
+        x, P, memory = (whole[keys] for whole in moving)
         done = kernel.filter_series(
-            series.choices, z[own], model, *moving[:2], out, memory=moving[2], alpha_sq=series.alpha_sq, start=k
-        )
-        for whole, part in zip(_moving(work), moving, strict=True):
-            if whole is not None:
-                whole[keys] = part
+            series.choices, z[own], model, x, P, out,
+            memory=memory if learns else None, alpha_sq=series.alpha_sq, start=k,
+        )  # fmt: skip
+        for whole, part in zip(moving, (x, P, memory), strict=True):
+            whole[keys] = part
         taken = slice(k, int(done.max()))
         std = np.sqrt(np.maximum(out.covariances[:, taken, 0], 0.0))
         work.columns[every[own, taken]] = np.concatenate((out.means[:, taken], std, out.weights[:, taken]), axis=2)
