@@ -20,7 +20,7 @@ from robust_filterpy.filters._policy import policy_of
 from robust_filterpy.filters._printing import PrintingMixin
 from robust_filterpy.filters._sensors import Customs
 from robust_filterpy.filters._step import StepMixin
-from robust_filterpy.filters.snapshot import SLOTS
+from robust_filterpy.filters.snapshot import SLOTS, whole
 from robust_filterpy.filters.states import StateMixin
 from robust_filterpy.filters.stuck import look_for_stuck
 from robust_filterpy.kernel.moments import Taken
@@ -52,6 +52,9 @@ class RobustFilterMixin(OptionsMixin, PrintingMixin, StepMixin, StateMixin):
     """
 
     __slots__ = SLOTS
+
+    #: Whether z is a column after `update(None)` though x is none, as filterpy has it.
+    _none_is_column = False
 
     def _set_policy(self, dim_z: int, *choices: Any) -> None:
         """Check and keep what was chosen, as `policy_of` takes it; called before filterpy's constructor."""
@@ -120,6 +123,33 @@ class RobustFilterMixin(OptionsMixin, PrintingMixin, StepMixin, StateMixin):
         """Look whether most corrections of a recording clip, whose weights and innovations have shape (N, m)."""
         if self._counts_clipped:
             self._share.look_at_recording(self, weights, y)
+
+    def _keep(self, last: Any, kept: Any, z: Array, passed: Array | None = None) -> None:
+        """Write a correction and the measurement it came from, z of shape (m,), into the attributes."""
+        column = np.ndim(self.x) == 2
+        self._learn(last.memory, len(z), passed)
+        self._look(last)
+        self.x = last.x[:, None] if column else last.x
+        self.P, self._last, self._kept = last.P, last, kept
+        self._outlier_probability = getattr(last, "outlier_probability", 0.0)
+        self.z = z[:, None] if column else z
+        self._y = self._S = self._SI = self._K = None
+        self._as_posterior()
+
+    @whole
+    def _skip(self) -> None:
+        """Do what filterpy does for update(None), and forget the last innovation."""
+        m, column = self.dim_z, np.ndim(self.x) != 1
+        self.z = np.full((m, 1) if column or self._none_is_column else m, None)
+        self.y = np.zeros((m, 1) if column else m)
+        # S, SI and K stay: those that were asked for, and those that the last correction tells on request.
+        self._last, self._outlier_probability = self._emptied(), 0.0
+        self._as_posterior()
+
+    def _as_posterior(self) -> None:
+        """Show x and P as what a correction has made of them, and let its likelihood be computed anew."""
+        self.x_post, self.P_post = np.copy(self.x), np.copy(self.P)
+        self._log_likelihood = self._likelihood = self._mahalanobis = None
 
     def _emptied(self) -> _Emptied | None:
         """Return the last correction with nothing observed: the scaling stays, the innovation is forgotten."""

@@ -132,8 +132,8 @@ def step_table(
         column[known] = before.columns[name][places[known]]
     entries["model"][:] = model.fingerprint
     outcome = advance(model, entries, known, rows, keys.order, keys.starts)
-    for row, sentence in outcome.told.items() if rows.keys is not None else ():
-        own = rows.keys[row]
+    for row, sentence in outcome.told.items():
+        own = NOBODY if rows.keys is None else rows.keys[row]
         if own is not NOBODY:
             outcome.told[row] = f"{key} {(own.item() if isinstance(own, np.generic) else own)!r}: {sentence}"
     outcome.moved[list(outcome.refused)] = False
