@@ -37,6 +37,8 @@ class OptionsMixin(Held):
     def _choose(self, **changes: Any) -> None:
         """Go on with other choices; a mixture that becomes another one starts to learn anew."""
         old = self._policy
+        for name in {"influence", "scaling", "information"} & changes.keys() if old.noise is not None else ():
+            raise AttributeError(f"{name}: follows from noise={old.noise!r}; set noise=None before")
         chosen = {"grouping": old.choices.grouping, "noise": old.noise, "process": old.process}
         if old.noise is None and changes.get("noise") is None:
             chosen |= {name: getattr(old.choices, name) for name in ("influence", "scaling", "information")}
@@ -97,7 +99,6 @@ class OptionsMixin(Held):
 
     @influence.setter
     def influence(self, value: Influence) -> None:
-        self._require_bounded("influence")
         self._choose(influence=value)
 
     @property
@@ -107,7 +108,6 @@ class OptionsMixin(Held):
 
     @scaling.setter
     def scaling(self, value: Scaling) -> None:
-        self._require_bounded("scaling")
         self._choose(scaling=value)
 
     @property
@@ -117,13 +117,7 @@ class OptionsMixin(Held):
 
     @information.setter
     def information(self, value: Information) -> None:
-        self._require_bounded("information")
         self._choose(information=value)
-
-    def _require_bounded(self, name: str) -> None:
-        """Raise where psi follows from the noise."""
-        if self.noise is not None:
-            raise AttributeError(f"{name}: follows from noise={self.noise!r}; set noise=None before")
 
     @property
     def grouping(self) -> Grouping:
