@@ -131,7 +131,8 @@ def _alone(
     try:
         worker.restore({**settings, **{name: work.entries[name][i] for name in moved_shapes(worker)}})
     except REFUSED as error:
-        work.stopped[i] = -1, str(error)
+        # After some steps by the kernel: its rounding may leave no covariance where R is singular and nothing moves.
+        work.stopped[i] = first or -1, str(error)
         return False
     for k in range(work.bounds[i] + first, work.bounds[i] + stop):
         if not _step(worker, update, work, i, k):
