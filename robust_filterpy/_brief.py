@@ -18,9 +18,9 @@ def brief(record: Any) -> str:
     return "\n".join([type(record).__name__, *lines_of({name: getattr(record, name) for name in names})])
 
 
-def wrapped(text: str) -> str:
+def wrapped(text: str, indent: str = "    ") -> str:
     """Return a sentence on lines that a screen holds."""
-    return textwrap.fill(text, _WIDE, subsequent_indent="    ", break_on_hyphens=False, break_long_words=False)
+    return textwrap.fill(text, _WIDE, subsequent_indent=indent, break_on_hyphens=False, break_long_words=False)
 
 
 def lines_of(parts: dict[str, Any]) -> list[str]:

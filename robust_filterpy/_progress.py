@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Iterator
@@ -75,22 +76,12 @@ def stages(name: str, progress: bool | None) -> Iterator[None]:
 
     A call inside another one has nothing to tell: what it is for is what the outer one says.
     """
-    inner = _running.get() is not None or progress is False
-    token = _running.set(_Silent() if inner else _Lines(name, after=0.0 if progress else _SHORT))
+    silent = _running.get() is not None or progress is False
+    token = _running.set(_Lines(name, after=math.inf if silent else 0.0 if progress else _SHORT))
     try:
         yield
     finally:
         _running.reset(token)
-
-
-class _Silent(_Lines):
-    """Stages of a call inside another one."""
-
-    def __init__(self) -> None:
-        """Have nothing to begin."""
-
-    def stage(self, text: str) -> None:
-        """Ignore a stage."""
 
 
 def stage(text: str) -> None:

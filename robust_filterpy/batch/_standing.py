@@ -3,84 +3,66 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy._checks import Array, numbers
 from robust_filterpy.batch.arguments import SeriesArguments
-from robust_filterpy.correction import copies, spread
-from robust_filterpy.correction.copies import Scales
+from robust_filterpy.correction import copies
 from robust_filterpy.correction.learning import NoiseClasses
-from robust_filterpy.correction.options import Choices
-from robust_filterpy.correction.policies import noise_classes, process_scales
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 
-__all__ = ["Rules", "began", "continued", "refuse", "rules_of"]
+__all__ = ["began", "continued", "refuse"]
 
 # What becomes NaN where a series is refused; what was learnt of its noise stays.
 _LOST = ("x", "P", "means", "covariances")
 
 
-class Rules(NamedTuple):
-    """What judges the measurements of all series: psi, or classes of noise and copies of the state."""
-
-    choices: Choices | None
-    classes: NoiseClasses | None
-    process: Scales
-
-
-def rules_of(kf: RobustKalmanFilter) -> Rules:
-    """Return the rules that a filter follows."""
-    if kf.noise is None:
-        return Rules(Choices(kf.influence, kf.scaling, kf.information, kf.grouping), None, process_scales(None))
-    return Rules(None, noise_classes(kf.noise, kf.grouping), process_scales(kf.process))
-
-
-def began(rules: Rules, given: SeriesArguments, learnt: ArrayLike | None) -> dict[str, Array]:
+def began(kf: RobustKalmanFilter, given: SeriesArguments, learnt: ArrayLike | None) -> dict[str, Array]:
     """Return where series stand that begin, or raise.
 
     Parameters
     ----------
-    rules : Rules
-        What judges their measurements.
+    kf : RobustKalmanFilter
+        Whose policy judges their measurements.
     given : SeriesArguments
         x and P of each series.
     learnt : array_like, shape (g, w) or (series, g, w), optional
         What is known of the noise.
     """
     (series, n), m = given.x.shape, given.z.shape[2]
-    stands = {"x": given.x, "P": given.P}
-    if learnt is not None and (rules.classes is None or not rules.classes.learns):
+    policy: Any = kf.policy
+    stands, is_mixture = {"x": given.x, "P": given.P}, kf.noise is not None
+    if learnt is not None and not (is_mixture and policy.learns):
         raise ValueError("learnt: expected none without noise=Learnt(..), got some")
-    if rules.choices is not None and rules.choices.by_custom:
-        stands["spread"] = np.tile(spread.begin(m), (series, 1, 1))
-    process = rules.process
-    if process.count > 1:
+    if policy.learns and not is_mixture:
+        stands["spread"] = np.tile(policy.begin(m), (series, 1, 1))
+    if is_mixture and policy.scales.count > 1:
         patterns, which = np.unique(given.P != 0.0, axis=0, return_inverse=True)
-        beliefs = [copies.start(np.zeros(n), pattern, process).belief for pattern in patterns]
+        beliefs = [copies.start(np.zeros(n), pattern, policy.scales).belief for pattern in patterns]
         stands |= {
-            "means": np.repeat(given.x[:, None], process.count, axis=1),
-            "covariances": np.repeat(given.P[:, None], process.count, axis=1),
+            "means": np.repeat(given.x[:, None], policy.scales.count, axis=1),
+            "covariances": np.repeat(given.P[:, None], policy.scales.count, axis=1),
             "belief": np.array(beliefs)[which.ravel()],
         }
-    if rules.classes is not None and rules.classes.learns:
-        stands["learnt"] = _learnt(rules.classes, learnt, series, m)
+    if policy.learns and is_mixture:
+        stands["learnt"] = _learnt(policy.classes, learnt, series, m)
     return stands
 
 
-def continued(rules: Rules, given: SeriesArguments, state: Mapping[str, Any]) -> dict[str, Array]:
+def continued(kf: RobustKalmanFilter, given: SeriesArguments, state: Mapping[str, Any]) -> dict[str, Array]:
     """Return a copy of where an earlier part of the same series has ended, or raise.
 
     Parameters
     ----------
-    rules, given
+    kf, given
         As in `began`.
     state : mapping of str to ndarray
         What `filter_series` returned as state.
     """
-    stands = began(rules, given, None)
+    stands = began(kf, given, None)
     if set(state) != set(stands):
         raise ValueError(
             f"state: expected {', '.join(stands)} in it, got {', '.join(state)}; it goes on with the same noise=, "
@@ -96,8 +78,9 @@ def continued(rules: Rules, given: SeriesArguments, state: Mapping[str, Any]) ->
         stands[name] = value
     if "belief" in stands:
         copies.require_belief("state['belief']", stands["belief"])
-    if rules.classes is not None and "learnt" in stands:
-        stands["learnt"] = _learnt(rules.classes, stands["learnt"], len(given.x), given.z.shape[2])
+    if "learnt" in stands:
+        policy: Any = kf.policy
+        stands["learnt"] = _learnt(policy.classes, stands["learnt"], len(given.x), given.z.shape[2])
     if not np.isfinite(stands.get("spread", 0.0)).all():
         raise ValueError("state['spread']: expected finite numbers, got NaN or infinity")
     return stands

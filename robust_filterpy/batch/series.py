@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array
-from robust_filterpy.batch._standing import Rules, began, continued, refuse, rules_of
+from robust_filterpy.batch._standing import began, continued, refuse
 from robust_filterpy.batch.arguments import SeriesArguments, series_arguments, spread, threads
 from robust_filterpy.correction import copies
 from robust_filterpy.correction.copies import Copies
@@ -172,15 +172,14 @@ def filter_series(
         given.x.shape[1], m, influence=influence, scaling=scaling, information=information, grouping=grouping,
         noise=noise, process=process,
     )  # fmt: skip
-    rules = rules_of(kf)
-    stands = began(rules, given, learnt) if state is None else continued(rules, given, state)
-    shown = Shown(np.empty(kept.means.shape[:2]), np.empty(kept.means.shape)) if rules.classes else Shown(None, None)
-    by_kernel = _by_psi if rules.classes is None else _by_classes
-    n_threads = threads(n_threads)
-    for s, start in enumerate(by_kernel(rules, given, stands, shown, n_threads).tolist()):
+    is_mixture = kf.noise is not None
+    stands = began(kf, given, learnt) if state is None else continued(kf, given, state)
+    shown = Shown(np.empty(kept.means.shape[:2]), np.empty(kept.means.shape)) if is_mixture else Shown(None, None)
+    by_kernel = _by_classes if is_mixture else _by_psi
+    for s, start in enumerate(by_kernel(kf.policy, given, stands, shown, threads(n_threads)).tolist()):
         if start < steps:
             _by_filter(kf, given, stands, shown, s, start)
-    stuck = np.argwhere(kept.weights == 0.0) if rules.classes else np.zeros((0, 3), dtype=int)
+    stuck = np.argwhere(kept.weights == 0.0) if is_mixture else np.zeros((0, 3), dtype=int)
     if len(stuck):
         say_stuck(f"filter_series: series {stuck[0, 0]}", int(stuck[0, 2]))
     return FilteredSeries(
@@ -195,10 +194,10 @@ class Shown(NamedTuple):
     process_scale: Array | None
 
 
-def _by_psi(rules: Rules, given: SeriesArguments, stands: dict[str, Array], shown: Shown, n_threads: int) -> np.ndarray:
+def _by_psi(policy: Any, given: SeriesArguments, stands: dict[str, Array], shown: Shown, n_threads: int) -> np.ndarray:
     """Run the kernel, which lets go of the interpreter, on threads; return how many steps of each were taken."""
-    choices, (F, Q, H, R) = rules.choices, given.model
-    if choices is None or not kernel.serves(choices) or not given.z.size:
+    choices, (F, Q, H, R) = policy.choices, given.model
+    if not kernel.serves(choices) or not given.z.size:
         return np.zeros(len(given.z), dtype=int)
     model = Model(F, Q, H, R, np.zeros((1, 1, given.x.shape[1])))
 
@@ -212,18 +211,16 @@ def _by_psi(rules: Rules, given: SeriesArguments, stands: dict[str, Array], show
 
 
 def _by_classes(
-    rules: Rules, given: SeriesArguments, stands: dict[str, Array], shown: Shown, n_threads: int
+    policy: Any, given: SeriesArguments, stands: dict[str, Array], shown: Shown, n_threads: int
 ) -> np.ndarray:
     """Do the same under classes of noise."""
-    classes, kept = rules.classes, given.kept
-    if classes is None:
-        return np.zeros(len(given.z), dtype=int)
+    classes, kept = policy.classes, given.kept
 
     def one(s: int) -> int:
         x, P = stands["x"][s], stands["P"][s]
         at = {name: array[s] for name, array in stands.items()}
         kept_apart = [at[name] for name in ("means", "covariances", "belief") if name in at]
-        side = Copies(*kept_apart) if kept_apart else copies.start(x, P, rules.process)
+        side = Copies(*kept_apart) if kept_apart else copies.start(x, P, policy.scales)
         start = learnt_kernel.State(*side, at.get("learnt", classes.start(given.z.shape[2])), x, P)
         outlier_probability, scale = (None if column is None else column[s] for column in shown)
         outlying = None if outlier_probability is None else np.zeros((len(outlier_probability), given.z.shape[2]))
@@ -233,7 +230,7 @@ def _by_classes(
             outlying, scale, kept.log_likelihood[s : s + 1],
         )  # fmt: skip
         model = (*(array[s % len(array)] for array in given.model), None)
-        taken = learnt_kernel.run(start, given.z[s], model, classes, rules.process, into, every=given.every)
+        taken = learnt_kernel.run(start, given.z[s], model, classes, policy.scales, into, every=given.every)
         if outlying is not None:
             rows = slice(0, taken // given.every)
             outlier_probability[rows] = 1.0 - np.prod(1.0 - outlying[rows], axis=1)  # type: ignore[index]

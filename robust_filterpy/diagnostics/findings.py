@@ -8,12 +8,12 @@ is no linear model to repair (an unscented filter's Saver), the innovations alon
 from __future__ import annotations
 
 import math
-import textwrap
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from robust_filterpy._brief import wrapped
 from robust_filterpy._checks import Array, fraction
 from robust_filterpy._documentation import FOLLOWS, SMALL, STOPPED, pointer
 from robust_filterpy._progress import stages
@@ -26,8 +26,6 @@ from robust_filterpy.diagnostics.statistics import Band
 _SEARCHED = 4000
 # Recordings up to here may be too short to show a wrong noise.
 _SHORT = 500
-# Columns of what is printed.
-_WIDTH = 100
 # Where the documentation has the remedy; the words of the other causes are all there is to say.
 _SECTIONS = {
     **dict.fromkeys(("R too large", "Q too large", "R and Q too large", "S too large", "more outliers"), FOLLOWS),
@@ -130,11 +128,12 @@ class Diagnosis:
 
     def __str__(self) -> str:
         """Say the causes, then the figures of each sensor."""
-        lines = [_filled(finding.text) for finding in self.findings] or ["Nothing unusual."]
+        lines = [wrapped(finding.text, "  ") for finding in self.findings] or ["Nothing unusual."]
         if not np.any(self.observed):
             lines = ["Nothing was measured, so that nothing can be said."]
         elif self.unseen:
-            lines.append(_filled(f"In {self.samples} samples these would not have shown: {', '.join(self.unseen)}."))
+            unseen = ", ".join(self.unseen)
+            lines.append(wrapped(f"In {self.samples} samples these would not have shown: {unseen}.", "  "))
         for i in range(len(self.observed)):
             low, high = self.clipped_expected[i]
             # Learnt noise has no threshold, so that nothing is known beforehand.
@@ -146,7 +145,7 @@ class Diagnosis:
                 f"ordinary innovations {self.scale[i]:.2g} sigma; successive ones correlated "
                 f"{self.autocorrelation[i]:+.2f} (p={self.whiteness[i]:.2g})"
             )
-            lines.append(_filled(text, "    "))
+            lines.append(wrapped(text))
         nis = self.nis
         lines.append(
             f"  normalised innovation squared of unclipped samples {nis.mean:.2f} "
@@ -154,7 +153,7 @@ class Diagnosis:
         )
         sections = [_SECTIONS[cause] for cause in self.causes if cause in _SECTIONS]
         if sections:
-            lines.append(_filled(f"Remedies: {pointer(*sections)}."))
+            lines.append(wrapped(f"Remedies: {pointer(*sections)}.", "  "))
         return "\n".join(lines)
 
 
@@ -224,11 +223,6 @@ def diagnose(  # what filterpy's `batch_filter` takes, and two words
         if contamination is not None:
             recording = replace(recording, contamination=fraction("contamination", contamination))
         return _diagnosis(recording)
-
-
-def _filled(text: str, indent: str = "  ") -> str:
-    """Return a text in lines that fit a screen."""
-    return textwrap.fill(text, _WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 def _recorded(source: Any, zs: Any, per_step: dict[str, Any]) -> FilterRecord:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -60,17 +61,13 @@ def table(declaration: str, entries: Mapping[str, Any], precision: str) -> str:
 
 def _rows(name: str, matrix: Array, precision: str) -> list[str]:
     """Return the numbers of a matrix, each row on lines of its own."""
-    lines = []
-    for row in matrix:
-        line = _INDENT * 2
-        for value in row:
-            text = number(name, value, precision) + ", "
-            if len(line + text) > _WIDTH:
-                lines.append(line.rstrip())
-                line = _INDENT * 2
-            line += text
-        lines.append(line.rstrip())
-    return lines
+    return [
+        textwrap.fill(
+            " ".join(f"{number(name, value, precision)}," for value in row), _WIDTH - 1,
+            initial_indent=_INDENT * 2, subsequent_indent=_INDENT * 2, break_on_hyphens=False,
+        )
+        for row in matrix
+    ]  # fmt: skip
 
 
 def number(name: str, value: float, precision: str) -> str:
@@ -94,9 +91,4 @@ def number(name: str, value: float, precision: str) -> str:
 
 def comment(text: str) -> str:
     """Return a text that stands in a comment, wrapped with its stars."""
-    lines = [""]
-    for word in text.split():
-        if len(lines[-1]) + len(word) > _WIDTH:
-            lines.append("")
-        lines[-1] = f"{lines[-1]} {word}".strip()
-    return "\n * ".join(lines)
+    return "\n * ".join(textwrap.wrap(text, _WIDTH + 1, break_long_words=False, break_on_hyphens=False))

@@ -25,7 +25,7 @@ __all__ = ["Bounded", "finite_product"]
 
 @dataclass(frozen=True)
 class Bounded:
-    """Correct by psi; the contract is `robust_filterpy.filters._policy.Policy`."""
+    """Correct by psi; how a filter uses it: `robust_filterpy.filters._policy`."""
 
     choices: Choices
     patience: int | None = None

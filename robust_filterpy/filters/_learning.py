@@ -15,26 +15,17 @@ from robust_filterpy.correction.copies import slow
 from robust_filterpy.correction.learning import LearntNoise, describe
 from robust_filterpy.correction.spread import SPREAD, WEIGHT
 from robust_filterpy.filters._bounded import Bounded
+from robust_filterpy.filters._held import Held
 from robust_filterpy.filters._insistence import Insistence
 from robust_filterpy.filters._mixture import Mixture, ordinary_noise
 from robust_filterpy.filters._policy import Known
-from robust_filterpy.filters._sensors import Customs
+from robust_filterpy.filters._sensors import Customs, sensor_keys
 
 
-class LearningMixin:
+class LearningMixin(Held):
     """Hold the memory of the sensors, hand it to a policy and take it back."""
 
-    # Not a literal: a type checker would then believe that there is no __dict__ at all.
-    __slots__ = tuple(())
-
-    dim_x: int
-    dim_z: int
-    _policy: Any
-    _kept: Any
-    _memory: Array
-    _other_sensors: dict[bytes, Array]
-    _named_sensors: dict[str, Array]
-    _outlier_probability: float
+    __slots__ = ()
 
     def _known_sensors(self) -> Customs:
         """Return what is known of the sensors; the array alone is what the kernel reads and replaces."""
@@ -49,11 +40,17 @@ class LearningMixin:
         learns = self._policy.learns
         if learns and passed is None and first + m <= len(self._memory):
             return Known(self._memory[first : first + m], self._kept)
+        begin, keys = self._sensors_of(m, passed, first)
+        return Known(self._known_sensors().of(begin, keys) if learns else begin, self._kept)
+
+    def _sensors_of(self, m: int, passed: Array | None, first: int) -> tuple[Array, list[Any]]:
+        """Return memories without any knowledge, and what tells the m sensors: their places, or their rows of an H."""
         begin = self._policy.begin(first + m)
-        if not learns:
-            return Known(begin[first:], self._kept)
-        named = (passed, getattr(self, "H", None)) if passed is not None and len(begin) == m else ()
-        return Known(self._known_sensors().of(begin, *named)[first if len(begin) > 1 else 0 :], self._kept)
+        if len(begin) < first + m:
+            # All of them fail together.
+            return begin, [0]
+        places = list(range(first, first + m))
+        return begin[first:], places if passed is None else sensor_keys(passed, getattr(self, "H", None))
 
     def _learn(self, memory: Array | None, m: int, passed: Array | None = None, first: int = 0) -> None:
         """Keep what a correction by m sensors has taught, named as in `_known`."""
@@ -64,15 +61,7 @@ class LearningMixin:
             places[first : first + m] = memory
             self._memory = places
             return
-        begin, customs = self._policy.begin(first + m), self._known_sensors()
-        if first:
-            places = customs.of(self._policy.begin(max(len(customs.places), first + m))).copy()
-            places[first if len(places) > 1 else 0 :][: len(memory)] = memory
-            customs = Customs(places, customs.rows)
-        else:
-            named = (passed, getattr(self, "H", None)) if passed is not None and len(begin) == m else ()
-            customs = customs.updated(memory, begin, *named)
-        self._keep_sensors(customs)
+        self._keep_sensors(self._known_sensors().updated(memory, *self._sensors_of(m, passed, first)))
 
     def _spoken(self, sensor: str | int | None, correct: Callable[[], None]) -> None:
         """Correct by a sensor that is named, None for those that their places or rows of H tell."""

@@ -54,7 +54,7 @@ class Kept(NamedTuple):
 
 @dataclass(frozen=True)
 class Mixture:
-    """Correct by the score of the innovation; the contract is `robust_filterpy.filters._policy.Policy`."""
+    """Correct by the score of the innovation; how a filter uses it: `robust_filterpy.filters._policy`."""
 
     noise: Contaminated | Learnt
     process: Contaminated | Scales | None = None

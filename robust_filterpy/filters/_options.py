@@ -6,25 +6,21 @@ from collections.abc import Callable
 from typing import Any
 
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
+from robust_filterpy.filters._held import Held
 from robust_filterpy.filters._mixture import Mixture
 from robust_filterpy.filters._policy import Policy, policy_of
 from robust_filterpy.filters._sensors import Customs
 from robust_filterpy.influence.functions import Influence
 
 
-class OptionsMixin:
+class OptionsMixin(Held):
     """Show the choices that a policy was made of, and make another policy where one is set."""
 
-    # Not a literal: a type checker would then believe that there is no __dict__ at all.
-    __slots__ = tuple(())
+    __slots__ = ()
 
     #: Whether a kind of filter takes ``process=``; only bounded influence is there for members of an ensemble.
     _takes_process, _takes_mixtures = True, True
 
-    dim_z: int
-    _policy: Any
-    _choices: Choices
-    _kept: Any
     _keep_sensors: Callable[[Customs], None]
     _start: Callable[[], None]
 
@@ -41,6 +37,8 @@ class OptionsMixin:
     def _choose(self, **changes: Any) -> None:
         """Go on with other choices; a mixture that becomes another one starts to learn anew."""
         old = self._policy
+        for name in {"influence", "scaling", "information"} & changes.keys() if old.noise is not None else ():
+            raise AttributeError(f"{name}: follows from noise={old.noise!r}; set noise=None before")
         chosen = {"grouping": old.choices.grouping, "noise": old.noise, "process": old.process}
         if old.noise is None and changes.get("noise") is None:
             chosen |= {name: getattr(old.choices, name) for name in ("influence", "scaling", "information")}
@@ -101,7 +99,6 @@ class OptionsMixin:
 
     @influence.setter
     def influence(self, value: Influence) -> None:
-        self._require_bounded("influence")
         self._choose(influence=value)
 
     @property
@@ -111,7 +108,6 @@ class OptionsMixin:
 
     @scaling.setter
     def scaling(self, value: Scaling) -> None:
-        self._require_bounded("scaling")
         self._choose(scaling=value)
 
     @property
@@ -121,13 +117,7 @@ class OptionsMixin:
 
     @information.setter
     def information(self, value: Information) -> None:
-        self._require_bounded("information")
         self._choose(information=value)
-
-    def _require_bounded(self, name: str) -> None:
-        """Raise where psi follows from the noise."""
-        if self.noise is not None:
-            raise AttributeError(f"{name}: follows from noise={self.noise!r}; set noise=None before")
 
     @property
     def grouping(self) -> Grouping:

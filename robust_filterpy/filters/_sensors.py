@@ -8,7 +8,7 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 
-__all__ = ["Customs"]
+__all__ = ["Customs", "sensor_keys"]
 
 # So many sensors that take turns through `update(z, R, H)` are told apart; the one that was met longest ago gives way.
 _MOST = 32
@@ -26,36 +26,19 @@ class Customs(NamedTuple):
     rows: dict[bytes, Array]
     """Of those that were met in an H that was passed, by its row, each of shape (w,)."""
 
-    def of(self, begin: Array, passed: Array | None = None, own: Any = None) -> Array:
-        """Return the memories of m sensors, shape (m, w).
-
-        Parameters
-        ----------
-        begin : ndarray, shape (m, w)
-            Memories of sensors of which nothing is known.
-        passed : ndarray, shape (m, n), optional
-            An H that was passed to `update`; its rows tell the sensors.
-        own : array_like, optional
-            The filter's H, whose rows belong to places.
-        """
-        if passed is None and len(self.places) == len(begin):
-            return self.places
+    def of(self, begin: Array, keys: list[Any]) -> Array:
+        """Return the memories of some sensors, begin where nothing is known; keys as `sensor_keys` makes them."""
         found = begin.copy()
-        for i, key in enumerate(_keys(len(begin), passed, own)):
-            if isinstance(key, bytes) and key in self.rows:
+        for i, key in enumerate(keys):
+            place = i if isinstance(key, bytes) else key
+            if key in self.rows:
                 found[i] = self.rows[key]
-            else:
-                place = i if isinstance(key, bytes) else key
-                if place < len(self.places):
-                    found[i] = self.places[place]
+            elif place < len(self.places):
+                found[i] = self.places[place]
         return found
 
-    def updated(self, memory: Array, begin: Array, passed: Array | None = None, own: Any = None) -> Customs:
+    def updated(self, memory: Array, begin: Array, keys: list[Any]) -> Customs:
         """Return these with the memories of some sensors replaced, named as in `of`."""
-        m = len(memory)
-        keys = _keys(m, passed, own)
-        if m == len(self.places) and keys == list(range(m)):
-            return Customs(memory, self.rows)
         places, rows = self.places.copy(), dict(self.rows)
         for i, (key, one) in enumerate(zip(keys, memory, strict=True)):
             place = i if isinstance(key, bytes) else key
@@ -70,10 +53,9 @@ class Customs(NamedTuple):
         return Customs(places, rows)
 
 
-def _keys(m: int, passed: Array | None, own: Any) -> list[Any]:
-    """Return for each sensor its place, or the bytes of its row."""
-    if passed is None:
-        return list(range(m))
+def sensor_keys(passed: Array, own: Any) -> list[Any]:
+    """Return what tells each sensor of an H that was passed: its place in the filter's own, or the bytes of its row."""
+    m = len(passed)
     known = {}
     if np.ndim(own) == 2 and np.shape(own)[1] == passed.shape[1]:
         known = {row.tobytes(): i for i, row in reversed(list(enumerate(np.asarray(own, dtype=float))))}

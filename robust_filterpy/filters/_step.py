@@ -6,10 +6,10 @@ from collections.abc import Callable
 from typing import Any
 
 from robust_filterpy import kernel
-from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.filters._correlated import Signs, judges, look_at_signs
-from robust_filterpy.filters._outlier_share import EVERY, Share
+from robust_filterpy.filters._correlated import judges, look_at_signs
+from robust_filterpy.filters._held import Held
+from robust_filterpy.filters._outlier_share import EVERY
 from robust_filterpy.filters.snapshot import put_back, snapshot
 
 _extension = kernel.extension()
@@ -22,11 +22,10 @@ def is_own(cls: type, base: type) -> bool:
     return all(getattr(cls, name) is getattr(base, name) for name in _METHODS)
 
 
-class StepMixin:
+class StepMixin(Held):
     """Take a step by the kernel and say whether it was taken; where not, nothing has changed."""
 
-    # Not a literal: a type checker would then believe that there is no __dict__ at all.
-    __slots__ = tuple(())
+    __slots__ = ()
 
     #: Whether the kernel's linear steps are this class's.
     _by_kernel = False
@@ -35,14 +34,7 @@ class StepMixin:
     #: Whether nobody else watches how often the filter clips.
     _counts_clipped = True
 
-    dim_z: int
     _arrays: Callable[[], Correction | None]
-    _choices: Choices
-    _policy: Any
-    _share: Share
-    _signs: Signs | None
-    _last: Any
-    _updates: int
 
     def _predict_by_kernel(self, u: Any) -> bool:
         """Predict by F."""

@@ -303,7 +303,7 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         """
 
         def step(z: Any, R: Any, u: Any) -> None:
-            self.predict(0 if u is None else u)
+            self.predict() if u is None else self.predict(u)
             self.update(z, HJacobian, Hx, R, args, hx_args, residual)
 
         return self._filtered(zs, {"Rs": Rs, "us": us}, step, saver)

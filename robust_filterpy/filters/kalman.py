@@ -360,20 +360,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
             return
         passed = None if H is own else H
         last, kept = regardless(self._corrected, x, P, values, H, R, M, self._known(len(H), passed))
-        self._learn(last.memory, len(H), passed)
-        self._look(last)
-        x_post, P_post = last.x, last.P
-        if x.ndim == 1:
-            values = np.atleast_1d(values)
-        else:
-            values = np.array([[values]]) if len(H) == 1 else values[:, None]
-            if x_post.ndim == 1:
-                x_post = x_post[:, None]
-        self.x, self.P, self.z, self._last, self._kept = x_post, P_post, values, last, kept
-        self._outlier_probability = getattr(last, "outlier_probability", 0.0)
-        self._y = self._S = self._SI = self._K = None
-        self.x_post, self.P_post = x_post.copy(), P_post.copy()
-        self._log_likelihood = self._likelihood = self._mahalanobis = None
+        self._keep(last, kept, np.atleast_1d(values), passed)
 
     def _measurement(self, z: Any, R: Any, H: Any, M: Any, n: int) -> tuple[Array, Array, Any, Any]:
         """Return checked H, R, z (a float, an array of shape (m,), or None if all is missing) and M."""
@@ -400,16 +387,6 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         return self._policy.corrected(  # type: ignore[no-any-return]
             known, x.ravel(), P, np.atleast_1d(values), H, R, M, self._inverse
         )
-
-    def _skip(self) -> None:
-        """Do what filterpy does for update(None), and forget the last innovation."""
-        m = self.dim_z
-        self.z = np.full((m, 1) if np.ndim(self.x) != 1 else m, None)
-        self.x_post, self.P_post = np.copy(self.x), np.copy(self.P)
-        self.y = np.zeros((m, 1) if np.ndim(self.x) != 1 else m)
-        # S, SI and K stay: those that were asked for, and those that the last correction tells on request.
-        self._last, self._outlier_probability = self._emptied(), 0.0
-        self._log_likelihood = self._likelihood = self._mahalanobis = None
 
     def get_update(self, z: ArrayLike | None = None) -> tuple[Array, Array]:
         """Return what `update` would make of x and P, and change nothing.
@@ -551,8 +528,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
             self._kept, self._outlier_probability = kept, getattr(found, "outlier_probability", 0.0)
         self.z = (z if None in z.tolist() else z.astype(float)).reshape((m, 1) if x.ndim == 2 else m)
         self._y, self._K, self.S, self.SI = None, None, S, SI
-        self.x_post, self.P_post = self.x.copy(), self.P.copy()
-        self._log_likelihood = self._likelihood = self._mahalanobis = None
+        self._as_posterior()
 
     def _whole_memory(self) -> Array | None:
         """Return what is known of all sensors of z under scaling "learnt", None where nothing is learnt."""

@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from robust_filterpy._arrays import state_of
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.filters._correlated import Signs, look_at_signs
+from robust_filterpy.filters._correlated import look_at_signs
 from robust_filterpy.filters._options import OptionsMixin
 from robust_filterpy.filters._outlier_share import EVERY, Share
 from robust_filterpy.filters._parts import log_density
@@ -21,15 +20,11 @@ from robust_filterpy.filters._policy import policy_of
 from robust_filterpy.filters._printing import PrintingMixin
 from robust_filterpy.filters._sensors import Customs
 from robust_filterpy.filters._step import StepMixin
-from robust_filterpy.filters.snapshot import SLOTS
+from robust_filterpy.filters.snapshot import SLOTS, whole
 from robust_filterpy.filters.states import StateMixin
 from robust_filterpy.filters.stuck import look_for_stuck
-from robust_filterpy.influence.functions import Influence
 from robust_filterpy.kernel.moments import Taken
 from robust_filterpy.kernel.record import correction_of, weights_of
-
-if TYPE_CHECKING:
-    from robust_filterpy._filterpy import Assigned
 
 _DEFAULT_INVERSE = np.linalg.inv
 Inverse = Callable[[Array], Array]
@@ -58,45 +53,12 @@ class RobustFilterMixin(OptionsMixin, PrintingMixin, StepMixin, StateMixin):
 
     __slots__ = SLOTS
 
-    x: Assigned
-    dim_z: int
-    _K: Any
-    _y: Any
-    _S: Any
-    _SI: Any
-    _last: Any
-    _share: Share
-    _signs: Signs | None
-    x_post: Array
-    P_post: Array
-    _kept: Any
-    _memory: Array
-    _other_sensors: dict[bytes, Array]
-    _named_sensors: dict[str, Array]
-    _outlier_probability: float
-    _policy: Any
-    #: One number for each step of the last recording, None before one.
-    _process_scales: Array | None
-    _updates: int
-    inv: Inverse
-    _choices: Choices
-    _log_likelihood: float | None
-    _likelihood: float | None
-    _mahalanobis: float | None
+    #: Whether z is a column after `update(None)` though x is none, as filterpy has it.
+    _none_is_column = False
 
-    def _set_policy(
-        self,
-        dim_z: int,
-        influence: Influence,
-        scaling: Scaling | None,
-        information: Information,
-        grouping: Grouping,
-        noise: Any = None,
-        process: Any = None,
-        patience: int | None = None,
-    ) -> None:
-        """Check and keep what was chosen; called before filterpy's constructor."""
-        self._policy = policy_of(influence, scaling, information, grouping, noise, process, patience)
+    def _set_policy(self, dim_z: int, *choices: Any) -> None:
+        """Check and keep what was chosen, as `policy_of` takes it; called before filterpy's constructor."""
+        self._policy = policy_of(*choices)
         self._require_possible(self._policy)
         self._choices, self._last, self._outlier_probability = self._policy.choices, None, 0.0
         self._share, self._signs, self._updates, self._process_scales = Share(), None, 0, None
@@ -161,6 +123,33 @@ class RobustFilterMixin(OptionsMixin, PrintingMixin, StepMixin, StateMixin):
         """Look whether most corrections of a recording clip, whose weights and innovations have shape (N, m)."""
         if self._counts_clipped:
             self._share.look_at_recording(self, weights, y)
+
+    def _keep(self, last: Any, kept: Any, z: Array, passed: Array | None = None) -> None:
+        """Write a correction and the measurement it came from, z of shape (m,), into the attributes."""
+        column = np.ndim(self.x) == 2
+        self._learn(last.memory, len(z), passed)
+        self._look(last)
+        self.x = last.x[:, None] if column else last.x
+        self.P, self._last, self._kept = last.P, last, kept
+        self._outlier_probability = getattr(last, "outlier_probability", 0.0)
+        self.z = z[:, None] if column else z
+        self._y = self._S = self._SI = self._K = None
+        self._as_posterior()
+
+    @whole
+    def _skip(self) -> None:
+        """Do what filterpy does for update(None), and forget the last innovation."""
+        m, column = self.dim_z, np.ndim(self.x) != 1
+        self.z = np.full((m, 1) if column or self._none_is_column else m, None)
+        self.y = np.zeros((m, 1) if column else m)
+        # S, SI and K stay: those that were asked for, and those that the last correction tells on request.
+        self._last, self._outlier_probability = self._emptied(), 0.0
+        self._as_posterior()
+
+    def _as_posterior(self) -> None:
+        """Show x and P as what a correction has made of them, and let its likelihood be computed anew."""
+        self.x_post, self.P_post = np.copy(self.x), np.copy(self.P)
+        self._log_likelihood = self._likelihood = self._mahalanobis = None
 
     def _emptied(self) -> _Emptied | None:
         """Return the last correction with nothing observed: the scaling stays, the innovation is forgotten."""

@@ -11,26 +11,16 @@ from robust_filterpy._arrays import measured
 from robust_filterpy._checks import Array, described, numbers
 from robust_filterpy.correction.definition import Innovation, innovation_moments
 from robust_filterpy.filters.mixin import RobustFilterMixin
-from robust_filterpy.filters.snapshot import unchanged_if_refused, whole
+from robust_filterpy.filters.snapshot import unchanged_if_refused
 from robust_filterpy.kernel import moments
 
 
 class NonlinearFilterMixin(RobustFilterMixin):
-    """Keep a correction in filterpy's attributes."""
+    """Correct by an innovation, and run through a recording step by step."""
 
     # A model of the process as a function has no scale of Q to doubt.
     _takes_process = False
-
-    inv: Any
-    dim_x: int
-    P: Array
-    _K: Any
-    z: Any
-    x_post: Array
-    P_post: Array
-    _y: Any
-    _S: Any
-    _SI: Any
+    _none_is_column = True
 
     def _corrected(
         self, P: Array, z: Array, y: Array, C: Array, S: Array | None, R: Array, residual: Callable[[Any, Any], Any],
@@ -63,18 +53,6 @@ class NonlinearFilterMixin(RobustFilterMixin):
             known, np.zeros(len(P)), P, Innovation(z, y, C, S, R, H), self._inverse, difference
         )
 
-    def _keep(self, last: Any, kept: Any, z: Array) -> None:
-        """Write a correction and the measurement it came from, z of shape (m,), into the attributes."""
-        column = np.ndim(self.x) == 2
-        self._learn(last.memory, len(z))
-        self._look(last)
-        self.x = last.x[:, None] if column else last.x
-        self.P, self._last, self._kept = last.P, last, kept
-        self._outlier_probability = getattr(last, "outlier_probability", 0.0)
-        self._K = None
-        self.z = z[:, None] if column else z
-        self._forget()
-
     def _filtered(self, zs: Any, columns: dict[str, Any], step: Callable[..., None], saver: Any) -> tuple[Array, Array]:
         """Do a step for each measurement, with what each of the columns has for it; all of them or none."""
         if not hasattr(zs, "__len__"):
@@ -102,24 +80,6 @@ class NonlinearFilterMixin(RobustFilterMixin):
                 error.args = (f"step {k}: {error}", *error.args[1:])
                 raise
         return means, covariances
-
-    @whole
-    def _skip(self) -> None:
-        """Do what filterpy does for update(None), and forget the last innovation."""
-        m = self.dim_z
-        self.z = np.array([[None] * m]).T
-        self.y = np.zeros((m, 1) if np.ndim(self.x) == 2 else m)
-        S, SI = self._S, self._SI
-        self._last, self._outlier_probability = self._emptied(), 0.0
-        self._forget()
-        # What nobody asked for follows from the last correction on request.
-        self._S, self._SI = S, SI
-
-    def _forget(self) -> None:
-        """Let everything that follows from the last correction be computed anew."""
-        self.x_post, self.P_post = np.copy(self.x), np.copy(self.P)
-        self._y = self._S = self._SI = None
-        self._log_likelihood = self._likelihood = self._mahalanobis = None
 
 
 def innovation_of(

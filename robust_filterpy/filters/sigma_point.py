@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable
 from typing import Any
 
@@ -277,7 +276,7 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
         """
         hx = self.hx if hx is None else hx
         if "sensor" in hx_args:
-            sensor, takes = hx_args["sensor"], _takes(hx, "sensor")
+            sensor, takes = hx_args["sensor"], _checks.takes(hx, "sensor")
             handed = hx_args if takes else {name: value for name, value in hx_args.items() if name != "sensor"}
             if not takes or isinstance(sensor, (str, int)):
                 self._spoken(sensor, lambda: self._update(z, R, UT, hx, handed))
@@ -494,14 +493,6 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
             self.update(z, R)
 
         return self._filtered(zs, {"Rs": Rs, "dts": dts}, step, saver)
-
-
-def _takes(function: Callable[..., Any], name: str) -> bool:
-    """Return whether a function has an argument of that name."""
-    try:
-        return name in inspect.signature(function).parameters
-    except (TypeError, ValueError):
-        return False
 
 
 def _rows(name: str, values: list[Any]) -> Array:

@@ -26,17 +26,7 @@ class StateMixin(LearningMixin):
     over in `_go_on`.
     """
 
-    # Not a literal: a type checker would then believe that there is no __dict__ at all.
-    __slots__ = tuple(())
-
-    dim_x: int
-    x: Any
-    P: Any
-    noise: Any
-    policy: Any
-    _log_likelihood: float | None
-    _likelihood: float | None
-    _mahalanobis: float | None
+    __slots__ = ()
 
     #: What else the filter's behaviour depends on: name in a state, attribute. A state without it leaves it as it is.
     _settings: ClassVar[dict[str, str]] = {"Q": "Q", "R": "R"}
@@ -114,7 +104,7 @@ class StateMixin(LearningMixin):
     @property
     def _sensors_name(self) -> str:
         """What the memory of the sensors is called in a state."""
-        return "spread" if self.noise is None else "learnt"
+        return "spread" if self._policy.noise is None else "learnt"
 
     def _sensor_shapes(self) -> dict[str, _state.Shape]:
         """Return the shapes of what is known of the sensors: at each place of z, and by the rows of an H passed."""
@@ -202,7 +192,8 @@ def settings_of(kf: StateMixin) -> dict[str, Any]:
 
 def moved_shapes(kf: StateMixin) -> dict[str, _state.Shape]:
     """Return the shapes of what a step moves, what is usual of the sensors among it."""
-    known = {**kf._sensor_shapes(), "spread": (kf.dim_z, NUMBERS)} if kf.noise is None and kf.policy.learns else {}
+    by_custom = kf._policy.noise is None and kf._policy.learns
+    known = {**kf._sensor_shapes(), "spread": (kf.dim_z, NUMBERS)} if by_custom else {}
     return {**kf._needed(), "x": np.shape(kf.x), **known}
 
 

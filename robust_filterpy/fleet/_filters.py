@@ -7,8 +7,7 @@ every step that the kernel can take is the kernel's, and the definition takes si
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator, Mapping
-from functools import partial
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -51,20 +50,10 @@ class Plain(NamedTuple):
     """A `RobustKalmanFilter` as the kernel takes it."""
 
     choices: Choices
-    F: Array
-    Q: Array
-    H: Array
-    R: Array
+    model: Model
+    """With no input."""
     B: Array | None
     alpha_sq: float
-
-    def through(self, z: Array, Bu: Array, moving: Moving, kept: Output, start: int = 0) -> np.ndarray:
-        """Advance keys in place and return the first step of each that the kernel has not taken."""
-        model = Model(self.F[None, None], self.Q[None, None], self.H[None, None], self.R[None, None], Bu)
-        return kernel.filter_series(
-            self.choices, z, model, moving.x, moving.P, kept,
-            memory=moving.memory, alpha_sq=self.alpha_sq, start=start,
-        )  # fmt: skip
 
 
 def plain(kf: Any, update: Mapping[str, Any]) -> Plain | None:
@@ -81,33 +70,8 @@ def plain(kf: Any, update: Mapping[str, Any]) -> Plain | None:
     if not all((a == a.T).all() for a in (Q, R, P)):
         return None
     B = None if kf.B is None or np.ndim(kf.B) != 2 else _checks.numbers("B", kf.B)
-    return Plain(kf.choices, F, Q, H, R, B, float(kf.state()["alpha_sq"]))
-
-
-class Moving(NamedTuple):
-    """What steps move of some keys, advanced in place."""
-
-    x: Array
-    """(keys, n)"""
-    P: Array
-    """(keys, n, n)"""
-    memory: Array | None
-    """What is known of the sensors, (keys, m, 10); None if nothing is learnt of them."""
-
-    def of(self, s: int) -> Moving:
-        """Return that of one key, the same numbers."""
-        return Moving(*(None if a is None else a[s : s + 1] for a in self))  # type: ignore[arg-type]
-
-    def lend(self, kf: Any) -> None:
-        """Let a filter stand where the one key stands."""
-        known: dict[str, Array] = {} if self.memory is None else {"spread": self.memory[0]}
-        kf.restore({"x": self.x[0].reshape(np.shape(kf.x)), "P": self.P[0], **known})
-
-    def take(self, kf: Any) -> None:
-        """Let the one key stand where a filter stands."""
-        self.x[0], self.P[0] = np.ravel(kf.x), kf.P
-        if self.memory is not None:
-            self.memory[0] = kf.state().get("spread", 0.0)
+    model = Model(F[None, None], Q[None, None], H[None, None], R[None, None], np.zeros((1, 1, n)))
+    return Plain(kf.choices, model, B, float(kf.state()["alpha_sq"]))
 
 
 def require_consistent(kf: Any, update: Mapping[str, Any]) -> None:
@@ -130,26 +94,25 @@ def start(kf: Any) -> dict[str, Array]:
 
 def advance(kf: Any, update: Mapping[str, Any], series: Plain | None, work: Work) -> None:
     """Take the steps of all keys; kf stays as it is."""
+    steps = np.diff(work.bounds)
     if series is None:
-        worker = copy.deepcopy(kf)
-        settings = kf.state()
-        for i in range(len(work.bounds) - 1):
-            _alone(worker, update, settings, work, i)
+        worker, settings = copy.deepcopy(kf), kf.state()
+        for i in range(len(steps)):
+            _alone(worker, settings, update, work, i, 0, int(steps[i]))
         return
-    # Written into in place, without the axis of a column.
-    x, P = work.entries["x"].reshape(-1, kf.dim_x), work.entries["P"]
-    memory = work.entries.get("spread")
+    x, P, memory = _moving(work)
     good = np.isfinite(x).all(axis=1) & _checks.are_covariances(P, _checks.GATHERED, _checks.ROUNDING)
-    if memory is not None:
-        good &= np.isfinite(memory).all(axis=(1, 2))
+    good &= np.isfinite(memory).all(axis=(1, 2))
     for i in np.flatnonzero(~good).tolist():
         _explain(copy.deepcopy(kf), work, i)
-    for rows in _groups(good, np.diff(work.bounds), kf):
-        own = Moving(x[rows], P[rows], None if memory is None else memory[rows])
-        _together(series, kf, update, work, own, rows)
-        x[rows], P[rows] = own.x, own.P
-        if memory is not None:
-            memory[rows] = own.memory
+    for rows in _groups(good, steps, kf):
+        _together(series, kf, update, work, rows)
+
+
+def _moving(work: Work) -> tuple[Array, Array, Array]:
+    """Return x, without the axis of a column, P and what is known of the sensors of all keys, to be written into."""
+    x, P = work.entries["x"], work.entries["P"]
+    return x.reshape(-1, P.shape[-1]), P, work.entries.get("spread", np.zeros((len(x), 0, 0)))
 
 
 def _explain(worker: Any, work: Work, i: int) -> None:
@@ -161,20 +124,23 @@ def _explain(worker: Any, work: Work, i: int) -> None:
         work.stopped[i] = -1, str(error)
 
 
-def _alone(worker: Any, update: Mapping[str, Any], settings: Mapping[str, Array], work: Work, i: int) -> None:
-    """Take the steps of one key by the filter's own methods."""
+def _alone(
+    worker: Any, settings: Mapping[str, Array], update: Mapping[str, Any], work: Work, i: int, first: int, stop: int
+) -> bool:
+    """Take some of the steps of one key by the filter's own methods; return whether it can go on."""
     try:
         worker.restore({**settings, **{name: work.entries[name][i] for name in moved_shapes(worker)}})
     except REFUSED as error:
-        work.stopped[i] = -1, str(error)
-        return
-    first = work.bounds[i]
-    for k in range(first, work.bounds[i + 1]):
+        # After some steps by the kernel: its rounding may leave no covariance where R is singular and nothing moves.
+        work.stopped[i] = first or -1, str(error)
+        return False
+    for k in range(work.bounds[i] + first, work.bounds[i] + stop):
         if not _step(worker, update, work, i, k):
             break
         work.columns[k] = _shown(worker)
     for name, value in start(worker).items():
         work.entries[name][i] = value
+    return i not in work.stopped
 
 
 def _shown(worker: Any) -> Array:
@@ -213,47 +179,43 @@ def _groups(good: np.ndarray, steps: np.ndarray, kf: Any) -> Iterator[np.ndarray
             yield from (members[first : first + share] for first in range(0, len(members), share))
 
 
-def _together(series: Plain, kf: Any, update: Mapping[str, Any], work: Work, moving: Moving, rows: np.ndarray) -> None:
-    """Advance keys with equally many steps."""
-    n, m = len(series.F), len(series.H)
-    first, steps = work.bounds[rows], int(work.bounds[rows[0] + 1] - work.bounds[rows[0]])
-    every = first[:, None] + np.arange(steps)
-    z = work.z[every]
-    if work.u is None or series.B is None:
-        Bu = np.zeros((1, 1, n))
-    else:
+def _together(series: Plain, kf: Any, update: Mapping[str, Any], work: Work, rows: np.ndarray) -> None:
+    """Advance keys with equally many steps: by the kernel, and each step that it declines by the filter's methods."""
+    n, m = kf.dim_x, kf.dim_z
+    steps = int(work.bounds[rows[0] + 1] - work.bounds[rows[0]])
+    every = work.bounds[rows][:, None] + np.arange(steps)
+    z, Bu = work.z[every], series.model.Bu
+    if work.u is not None and series.B is not None:
         Bu = np.ascontiguousarray(work.u[every] @ series.B.T)
     kept = Output(
         np.empty((len(rows), steps, n)), np.empty((len(rows), steps, 1, n)), np.empty((len(rows), 0, n)),
         np.empty((len(rows), 0, n, n)), np.empty((len(rows), steps, m)), np.zeros(len(rows)),
     )  # fmt: skip
-    done = series.through(z, Bu, moving, kept)
+
+    moving, learns = _moving(work), "spread" in work.entries
+
+    def by_kernel(own: slice, k: int) -> np.ndarray:
+        """Take steps of some keys from one on and return the first that the kernel declines, of each."""
+        keys, out = rows[own], Output(*(a[own] for a in kept))
+        model = series.model._replace(Bu=Bu if len(Bu) == 1 else Bu[own])
+        # Copies, since what is written to a part of a fancy index is lost.
+        x, P, memory = (whole[keys] for whole in moving)
+        done = kernel.filter_series(
+            series.choices, z[own], model, x, P, out,
+            memory=memory if learns else None, alpha_sq=series.alpha_sq, start=k,
+        )  # fmt: skip
+        for whole, part in zip(moving, (x, P, memory), strict=True):
+            whole[keys] = part
+        taken = slice(k, int(done.max()))
+        std = np.sqrt(np.maximum(out.covariances[:, taken, 0], 0.0))
+        work.columns[every[own, taken]] = np.concatenate((out.means[:, taken], std, out.weights[:, taken]), axis=2)
+        return done
+
+    done = by_kernel(slice(None), 0)
     declined = np.flatnonzero(done < steps).tolist()
     # A copy takes a third of a single step.
     worker = copy.deepcopy(kf) if declined else kf
     for s in declined:
-        one, part = moving.of(s), Output(*(a[s : s + 1] for a in kept))
-        onwards = partial(series.through, z[s : s + 1], Bu if len(Bu) == 1 else Bu[s : s + 1], one, part)
-        _mixed(worker, update, work, int(rows[s]), int(done[s]), one, part, onwards)
-    # A name for each, since what is assigned to a part of a fancy index is lost.
-    found = np.concatenate((kept.means, np.sqrt(np.maximum(kept.covariances[:, :, 0], 0.0)), kept.weights), axis=2)
-    work.columns[every] = found
-
-
-def _mixed(
-    worker: Any, update: Mapping[str, Any], work: Work, i: int, k: int, moving: Moving, kept: Output,
-    onwards: Callable[[int], np.ndarray],
-) -> None:  # fmt: skip
-    """Go on with one key from step k, which the kernel has declined: that step by the definition, then the kernel."""
-    steps, n = kept.means.shape[1:]
-    while k < steps:
-        moving.lend(worker)
-        if not _step(worker, update, work, i, int(work.bounds[i]) + k):
-            return
-        row = _shown(worker)
-        kept.means[0, k], kept.covariances[0, k, 0] = row[:n], np.diagonal(worker.P)
-        kept.weights[0, k] = row[2 * n :]
-        moving.take(worker)
-        k += 1
-        if k < steps:
-            k = int(onwards(k)[0])
+        k = int(done[s])
+        while k < steps and _alone(worker, {}, update, work, int(rows[s]), k, k + 1):
+            k = int(by_kernel(slice(s, s + 1), k + 1)[0])

@@ -32,10 +32,18 @@ class Outcome(NamedTuple):
     """What the model gives for each row, shape (N, c), NaN where it was refused."""
     kept: np.ndarray
     """Rows that were not dropped."""
-    errors: np.ndarray
-    """What is wrong with each row, or None, shape (N,)."""
+    told: Reasons
+    """What is wrong with rows."""
     refused: dict[int, str]
     """Keys whose states were refused, and why."""
+
+    @property
+    def errors(self) -> np.ndarray:
+        """What is wrong with each row that was not dropped, or None."""
+        found = np.full(len(self.columns), None, dtype=object)
+        for row, text in self.told.items():
+            found[row] = text
+        return found[self.kept]
 
 
 def step(model: Model | Fusion, state: Mapping[str, Any] | None, batch: Any) -> tuple[dict[str, Array] | None, Any]:
@@ -104,12 +112,12 @@ def step(model: Model | Fusion, state: Mapping[str, Any] | None, batch: Any) -> 
         for name, value in before.items():
             entries[name][0] = value
     _, order, starts = grouped(None, len(rows.z))
-    outcome = advance(model, entries, np.array([before is not None]), rows, order, starts, lambda i, text: text)
+    outcome = advance(model, entries, np.array([before is not None]), rows, order, starts)
     if 0 in outcome.refused:
         raise _state.StateError(outcome.refused[0])
     after = States(model.label, [], outcome.entries).row(0) if outcome.moved[0] else None
     columns = {name: outcome.columns[outcome.kept, j] for j, name in enumerate(model.columns)}
-    return after, rows.like(outcome.kept, {**columns, "error": outcome.errors[outcome.kept]})
+    return after, rows.like(outcome.kept, {**columns, "error": outcome.errors})
 
 
 def owned(model: Model, state: Any) -> dict[str, Array]:
@@ -152,16 +160,14 @@ class Batch(NamedTuple):
     """The key of each."""
     drops: bool
     """Whether late samples are left out without a word."""
-    named: Any
     clocks: Clocks
     """Of the keys before."""
     line: Placed
 
 
 def advance(
-    model: Model, entries: dict[str, np.ndarray], known: np.ndarray, rows: Rows, order: np.ndarray,
-    starts: np.ndarray, named: Any,
-) -> Outcome:  # fmt: skip
+    model: Model, entries: dict[str, np.ndarray], known: np.ndarray, rows: Rows, order: np.ndarray, starts: np.ndarray
+) -> Outcome:
     """Take the samples of many keys, whose states are written over.
 
     Parameters
@@ -176,15 +182,13 @@ def advance(
         Samples in the order of the batch.
     order, starts : ndarray of int
         The rows in the order of the keys, and where each key's begin; rows of nobody are not among them.
-    named : callable
-        From a key's number and a sentence to what stands in ``error``.
 
     Returns
     -------
     Outcome
     """
     if model.expires is None or rows.times is None or not len(order):
-        return _advanced(model, entries, known, rows, order, starts, named)
+        return _advanced(model, entries, known, rows, order, starts)
     ages = silences(rows.times[order], starts, entries["time"][:, 0])
     anew = np.flatnonzero(ages > model.expires)
     for place in anew.tolist():
@@ -199,7 +203,7 @@ def advance(
     lives = {name: column[of] for name, column in entries.items()}
     for name, column in started(model, int(fresh.sum())).items():
         lives[name][fresh] = column
-    found = _advanced(model, lives, known[of] & ~fresh, rows, order, parts, named)
+    found = _advanced(model, lives, known[of] & ~fresh, rows, order, parts)
     standing = np.flatnonzero(found.moved & ~np.isin(np.arange(len(of)), list(found.refused)))
     last = dict(zip(of[standing].tolist(), standing.tolist(), strict=True))
     for name, column in entries.items():
@@ -211,9 +215,8 @@ def advance(
 
 
 def _advanced(
-    model: Model, entries: dict[str, np.ndarray], known: np.ndarray, rows: Rows, order: np.ndarray,
-    starts: np.ndarray, named: Any,
-) -> Outcome:  # fmt: skip
+    model: Model, entries: dict[str, np.ndarray], known: np.ndarray, rows: Rows, order: np.ndarray, starts: np.ndarray
+) -> Outcome:
     """Take the samples of many keys, none of which starts anew among them."""
     of = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
     z, u = rows.z[order], None if rows.u is None else rows.u[order]
@@ -230,7 +233,7 @@ def _advanced(
             f"time: gaps of a thousand steps of dt={model.dt:g} s; times as large as these are milliseconds since 1970 "
             f"as a rule, divide them by 1000",
         )
-    batch = Batch(rows, order, starts, of, model.late == "drop", named, clocks, line)
+    batch = Batch(rows, order, starts, of, model.late == "drop", clocks, line)
     work, at, held = _steps(model, entries, batch, z, u)
     model.advance(work)
     return _gathered(model, known, batch, work, at, held)
@@ -320,17 +323,12 @@ def _gathered(model: Model, known: np.ndarray, batch: Batch, work: Work, at: np.
     if batch.drops:
         kept[order[list(line.late)]] = False
     _count(entries, batch, taken, said, refused)
-    errors = np.full(len(rows.z), None, dtype=object)
-    for row, text in rows.said.items():
-        errors[row] = text
+    told = dict(rows.said)
     for place, text in said.items():
-        row = int(order[place])
-        errors[row] = text if errors[row] is None else f"{errors[row]}; {text}"
-    for row in np.flatnonzero(errors != None).tolist() if (rows.said or said) else ():  # noqa: E711
-        errors[row] = batch.named(row, errors[row])
+        say(told, int(order[place]), text)
     _keep(batch, work, at, held)
     moved = known | (np.bincount(batch.of[taken], minlength=len(known)) > 0)
-    return Outcome(entries, moved, columns, np.flatnonzero(kept), errors, refused)
+    return Outcome(entries, moved, columns, np.flatnonzero(kept), told, refused)
 
 
 def _count(

@@ -131,14 +131,11 @@ def step_table(
     for name, column in entries.items():
         column[known] = before.columns[name][places[known]]
     entries["model"][:] = model.fingerprint
-
-    def named(row: int, sentence: str) -> str:
-        """Return what is wrong with a row, with its key."""
-        own = None if rows.keys is None else rows.keys[row]
-        own = own.item() if isinstance(own, np.generic) else own
-        return sentence if own is NOBODY else f"{key} {own!r}: {sentence}"
-
-    outcome = advance(model, entries, known, rows, keys.order, keys.starts, named)
+    outcome = advance(model, entries, known, rows, keys.order, keys.starts)
+    for row, sentence in outcome.told.items():
+        own = NOBODY if rows.keys is None else rows.keys[row]
+        if own is not NOBODY:
+            outcome.told[row] = f"{key} {(own.item() if isinstance(own, np.generic) else own)!r}: {sentence}"
     outcome.moved[list(outcome.refused)] = False
     names, moved = keys.names, np.flatnonzero(outcome.moved)
     if len(moved) < len(names):
@@ -150,7 +147,7 @@ def step_table(
         name: outcome.columns[:, j] if every else outcome.columns[outcome.kept, j]
         for j, name in enumerate(model.columns)
     }
-    return after, rows.like(outcome.kept, {**columns, "error": outcome.errors[outcome.kept]})
+    return after, rows.like(outcome.kept, {**columns, "error": outcome.errors})
 
 
 def _out_of_order(times: np.ndarray, starts: np.ndarray) -> bool:

@@ -26,7 +26,7 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 
-__all__ = ["Found", "Stretch", "corrected", "judged", "stacked"]
+__all__ = ["Found", "Stretch", "corrected", "judged"]
 
 # Chance of a fault of one kind at a reading, shared among its sizes; of a manoeuvre that Q does not know at a stamp.
 _FAULT, _MANOEUVRE = 1e-5, 1e-4
@@ -247,8 +247,3 @@ def corrected(x: Array, P: Array, z: Any, h: Array, r: Array, scales: Array, sha
     x += a[:, None] * C
     P -= b[:, None, None] * C[:, :, None] * C[:, None, :]
     return np.asarray(peak + np.log(total))
-
-
-def stacked(rows: list[tuple[Any, ...]]) -> tuple[Array, ...]:
-    """Return what is known of each moment as stacks."""
-    return tuple(np.array(column) for column in zip(*rows, strict=True))

@@ -23,23 +23,12 @@ from robust_filterpy.fusion._stepping import Setup, covariance, moved
 from robust_filterpy.fusion._times import Clock
 from robust_filterpy.fusion.results import Forecast
 
-__all__ = ["Bands", "bands", "forecast"]
+__all__ = ["bands", "forecast"]
 
 # Stamps at the very beginning whose bands say nothing, and how many scores the learnt mixture is worth.
 _BEGINNING, _WORTH = 10, 5.0
 # Limits of what the scores may say about the variance of the signal.
 _FACTORS = np.log([1e-2, 1e3])
-
-
-class Bands(NamedTuple):
-    """Middle and half widths of all components at one moment."""
-
-    middle: Array
-    """(M,)"""
-    signal: Array
-    """(M,)"""
-    readings: Array
-    """(M,); NaN where the noise is not known yet."""
 
 
 class _Ahead(NamedTuple):
@@ -103,7 +92,7 @@ def forecast(line: Any, clock: Clock, state: State, at: float | int, times: Any,
     return Forecast(wanted, by_sensor(middle), *ends)
 
 
-def bands(line: Any, state: State, seconds: float, level: float) -> Bands:
+def bands(line: Any, state: State, seconds: float, level: float) -> tuple[Array, Array, Array]:
     """Return the bands some seconds after the last entry.
 
     Parameters
@@ -119,7 +108,8 @@ def bands(line: Any, state: State, seconds: float, level: float) -> Bands:
 
     Returns
     -------
-    Bands
+    middle, signal, readings : ndarray, shape (M,)
+        Middle and half widths of all components; the last is NaN where the noise is not known yet.
     """
     setup: Setup = line.setup
     scales, now = setup.policy.classes(state)[0], _ahead(setup, moved(setup, state, seconds))
@@ -141,7 +131,7 @@ def bands(line: Any, state: State, seconds: float, level: float) -> Bands:
         readings[c] *= max(float(np.quantile(scores, rank)), 1e-3) ** trust
         seen = now.spread[c] / (now.spread[c] + now.r[c])
         signal[c] *= _factor(np.abs(apart[there, c]), past, scales) ** (0.5 * trust * seen)
-    return Bands(now.middle, signal, readings)
+    return now.middle, signal, readings
 
 
 def _ahead(setup: Setup, state: State) -> _Ahead:

@@ -8,7 +8,7 @@ every sensor has a noise, or a custom, of its own.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -67,34 +67,6 @@ class Steps(NamedTuple):
 Advance = Callable[[State, int], tuple[State, int]]
 
 
-class Policy(Protocol):
-    """What a fusion asks of a filter."""
-
-    def start(self, x: Array, P: Array, sizes: Array, u: Array) -> State:
-        """Return the state before anything has happened."""
-
-    def predicted(self, state: State, F: Array, Q: Array, drift: Array) -> State:
-        """Return the state after a stretch of time."""
-
-    def weighed(self, state: State, z: Array, H: Array, R: Array, learns: Any) -> tuple[State, Array]:
-        """Return the state after the readings of one moment, and their weights; learns: of whom noise is learnt."""
-
-    def factors(self, state: State) -> Array:
-        """Return what a component's ordinary noise is over R, in variance, as learnt, (M,)."""
-
-    def contamination(self, state: State) -> Array:
-        """Return the share of outliers of each component, (M,); NaN where none is learnt."""
-
-    def classes(self, state: State) -> tuple[Array, Array]:
-        """Return the factors of ordinary noise's variance that outliers may have, (C,), and their shares, (M, C)."""
-
-    def process(self, state: State) -> float:
-        """Return the factor of Q that is thought likely."""
-
-    def kernel(self, zs: Array, model: tuple[Array, ...], into: Steps) -> Advance:
-        """Return what takes the kernel's steps from one on, as many as it can, model being F, Q, drift, H, R."""
-
-
 def _copies(state: State) -> Copies:
     """Return the copies of a state."""
     return Copies(*state[:3])
@@ -127,16 +99,12 @@ class LearntNoise:
         return found
 
     def weighed(self, state: State, z: Array, H: Array, R: Array, learns: Any) -> tuple[State, Array]:
-        """Return the state after the readings of one moment, and their weights."""
+        """Return the state after the readings of one moment, and their weights; learns: of whom noise is learnt."""
         one, x, P = learnt_kernel.correct(_copies(state), state.memory, z, H, R, self.noise, self.doubt)
         memory = one.memory
         if not np.all(learns):
             memory = np.where(np.asarray(learns)[:, None], memory, state.memory)
         return self._of(one.copies, x, P, state)._replace(memory=memory), one.weights
-
-    def _taken(self, stands: learnt_kernel.State, state: State) -> State:
-        """Return where the kernel stands as a state."""
-        return self._of(Copies(*stands[:3]), stands.x, stands.P, state)._replace(memory=stands.learnt)
 
     def _of(self, copies: Copies, x: Array, P: Array, state: State) -> State:
         """Return copies, and x and P that they merge to, as a state."""
@@ -167,7 +135,9 @@ class LearntNoise:
         def advance(state: State, first: int) -> tuple[State, int]:
             stands = learnt_kernel.begin(_copies(state), state.memory)
             reached = learnt_kernel.run(stands, zs, (F, Q, H, R, drift), self.noise, self.doubt, kept, first=first)
-            return (self._taken(stands, state) if reached > first else state), reached
+            if reached > first:
+                state = self._of(Copies(*stands[:3]), stands.x, stands.P, state)._replace(memory=stands.learnt)
+            return state, reached
 
         return advance
 
@@ -258,6 +228,10 @@ class BoundedInfluence:
             return state._replace(x=x[0], P=P[0], means=x, covariances=P, memory=memory[0]), int(reached[0])
 
         return advance
+
+
+#: What a fusion asks of a filter. Both have the methods that `LearntNoise` has.
+Policy: TypeAlias = LearntNoise | BoundedInfluence
 
 
 def series(

@@ -261,7 +261,7 @@ def _stretch(line: Any, first: int, last: int, worth: Array) -> Stretch:
         seen = setup.layout.seen_from(moved.F @ before.state.x + moved.drift, entry.z)
         rows.append((*moved, Clock.between(start, entry.key), seen.z, seen.H))
         before, key = entry.moment or before, entry.key
-    F, Q, drift, seconds_, z, H = _faults.stacked(rows)
+    F, Q, drift, seconds_, z, H = (np.array(column) for column in zip(*rows, strict=True))
     state = line.stands(first)[0].state
     R = covariance(setup.layout, state.sizes).diagonal()
     scales, shares = setup.policy.classes(state)

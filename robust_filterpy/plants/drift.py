@@ -9,7 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robust_filterpy._checks import Array, count, finite_vector, numbers, positive
+from robust_filterpy._checks import Array, count, finite_vector, matrix, numbers, positive
+from robust_filterpy._checks import covariance as require_covariance
 from robust_filterpy.identification.models.guard import is_stable
 
 #: Mean of theta in section 4 of the paper: na = nb = 4, nk = 1, poles .867 +- .139j and -.411 +- .363j.
@@ -70,8 +71,12 @@ def random_walk(
     """
     theta0 = finite_vector("theta0", theta0)
     p, n = theta0.size, count("n", n, 1)
-    covariance = _covariance(Q, p)
-    transition = None if C is None else _square("C", C, p)
+    covariance = numbers("Q", Q)
+    covariance = matrix("Q", covariance * np.eye(p) if covariance.ndim == 0 else covariance, (p, p), f"{p} parameters")
+    require_covariance("Q", covariance)
+    transition = None if C is None else matrix("C", C, (p, p), f"{p} parameters")
+    if transition is not None and not np.isfinite(transition).all():
+        raise ValueError("C: expected finite numbers, got NaN or infinity among them")
     if accept is not None and not callable(accept):
         raise TypeError(f"accept: expected a function of theta or None, got {accept!r}; stable(na) makes one")
     if accept is not None and not accept(theta0.copy()):
@@ -143,25 +148,3 @@ class _PolesInside:
     def _powers(self) -> Array:
         """What takes the circle to that of radius 1."""
         return np.asarray(self.radius ** np.arange(1, self.na + 1), dtype=float)
-
-
-def _square(name: str, value: ArrayLike, p: int) -> Array:
-    """Return value as a finite (p, p) array or raise."""
-    found = numbers(name, value)
-    if found.shape != (p, p):
-        raise ValueError(f"{name}: expected shape ({p}, {p}) for {p} parameters, got {found.shape}")
-    if not np.isfinite(found).all():
-        raise ValueError(f"{name}: expected finite numbers, got NaN or infinity among them")
-    return found
-
-
-def _covariance(Q: ArrayLike, p: int) -> Array:
-    """Return Q, or a number's multiple of I, as a covariance matrix or raise."""
-    found = numbers("Q", Q)
-    found = _square("Q", found * np.eye(p) if found.ndim == 0 else found, p)
-    if not np.allclose(found, found.T, rtol=1e-8, atol=0.0):
-        raise ValueError("Q: expected a symmetric matrix, got one that differs from its transpose")
-    least, most = np.linalg.eigvalsh(found)[[0, -1]]
-    if least < -1e-10 * max(most, -least):
-        raise ValueError(f"Q: expected a positive semidefinite matrix, got one with the eigenvalue {least:.3g}")
-    return found

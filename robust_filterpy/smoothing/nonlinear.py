@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from filterpy.kalman import CubatureKalmanFilter, ExtendedKalmanFilter, UnscentedKalmanFilter
@@ -34,29 +34,6 @@ class Tangent(NamedTuple):
     rest: Array
 
 
-class NonlinearModel(Protocol):
-    """What a nonlinear filter and its recording amount to."""
-
-    kf: Any
-    n: int
-    m: int
-
-    def difference(self, a: Array, b: Array) -> Array:
-        """Return a - b of two states."""
-
-    def moved(self, x: Array, dx: Array) -> Array:
-        """Return x + dx."""
-
-    def transition(self, k: int, x: Array, P: Array) -> Tangent:
-        """Return the state that follows x at step k."""
-
-    def measurement(self, k: int, x: Array, P: Array) -> tuple[Array, Tangent]:
-        """Return z less its prediction at x, NaN where missing, and the prediction."""
-
-    def filtered(self) -> tuple[Array, Array]:
-        """Return the states and covariances of a robust filter, (N, n) and (N, n, n)."""
-
-
 def is_nonlinear(kf: Any) -> bool:
     """Return whether a filter is one of those that this file is for."""
     return isinstance(kf, (ExtendedKalmanFilter, UnscentedKalmanFilter, CubatureKalmanFilter))
@@ -73,7 +50,8 @@ def nonlinear_trajectory(
     for name, values in (("Rs", Rs), ("us", us), ("dts", dts)):
         if values is not None and np.ndim(values) and len(values) < len(zs):
             raise ValueError(f"{name}: expected an entry for each of the {len(zs)} measurements, got {len(values)}")
-    model: NonlinearModel
+    Rs, us, dts = (v if v is None or np.ndim(v) == 0 else v[: len(zs)] for v in (Rs, us, dts))
+    model: Extended | SigmaPoints
     if isinstance(kf, ExtendedKalmanFilter):
         if not callable(functions[0]) or not callable(functions[1]):
             raise TypeError("HJacobian, Hx: expected the functions that an ExtendedKalmanFilter's update takes")
@@ -86,7 +64,7 @@ def nonlinear_trajectory(
 class Trajectory:
     """The nominal trajectory, and the linear problem about it."""
 
-    def __init__(self, model: NonlinearModel, Q: Array, R: Array) -> None:
+    def __init__(self, model: Extended | SigmaPoints, Q: Array, R: Array) -> None:
         """Start from what a robust filter finds; Q and R have the axis of steps in front."""
         self.model, self.Q, self.R = model, Q, R
         # filterpy's unscented filter hides its dim_x.
@@ -157,15 +135,8 @@ class Extended:
 
     def filtered(self) -> tuple[Array, Array]:
         """Run a robust filter."""
-        kf = _robust_copy(self.kf)
-        means, covariances = [], []
-        for k, z in enumerate(self.zs):
-            kf.predict(*(() if self.us is None else (self.us[k],)))
-            R = None if self.Rs is None else self.Rs[k]
-            kf.update(z, self.HJacobian, self.Hx, R, self.args, self.hx_args, self.residual)
-            means.append(np.ravel(kf.x).copy())
-            covariances.append(kf.P.copy())
-        return np.array(means), np.array(covariances)
+        functions = self.HJacobian, self.Hx, self.Rs, self.us, self.args, self.hx_args, self.residual
+        return _robust_copy(self.kf).batch_filter(self.zs, *functions)  # type: ignore[no-any-return]
 
 
 class SigmaPoints:
@@ -204,14 +175,7 @@ class SigmaPoints:
 
     def filtered(self) -> tuple[Array, Array]:
         """Run a robust filter."""
-        kf = _robust_copy(self.kf)
-        means, covariances = [], []
-        for k, z in enumerate(self.zs):
-            kf.predict(self.dts if np.ndim(self.dts) == 0 else self.dts[k])
-            kf.update(z, None if self.Rs is None else self.Rs[k])
-            means.append(np.ravel(kf.x).copy())
-            covariances.append(kf.P.copy())
-        return np.array(means), np.array(covariances)
+        return _robust_copy(self.kf).batch_filter(self.zs, self.Rs, self.dts)  # type: ignore[no-any-return]
 
     def _regression(self, function: Any, x: Array, P: Array, mean: Any, residual: Any) -> Tangent:
         """Return the linear regression of a function on a state with this mean and covariance, by sigma points."""

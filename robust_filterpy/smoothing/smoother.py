@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._brief import brief
-from robust_filterpy._checks import Array, numbers
+from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import without_fill_values
 from robust_filterpy._warning import warn
-from robust_filterpy.batch.arguments import leading
+from robust_filterpy.batch.arguments import series_arguments
 from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.correction.options import GROUPINGS, Choices, Grouping
 from robust_filterpy.influence.functions import Influence, Linear
@@ -262,27 +262,12 @@ def smooth_series(
     >>> found.x.shape, found.converged
     ((2, 4, 2), array([ True,  True]))
     """
-    z = numbers("zs", zs)
-    if z.ndim != 3 or 0 in z.shape:
-        mend = "; use zs[:, :, None] for series of one sensor, zs[None] for one series" if z.ndim == 2 else ""
-        raise ValueError(f"zs: expected shape (series, steps, dim_z), none of them 0, got {z.shape}{mend}")
-    if np.isinf(z).any():
-        raise ValueError("zs: expected finite numbers or NaN (missing), got infinity")
-    z = np.array([without_fill_values(f"zs[{i}]", each)[0] for i, each in enumerate(z)])
-    series, steps, m = z.shape
-    x0, P0 = numbers("x0", x0), numbers("P0", P0)
-    n = x0.shape[-1] if x0.ndim else 1
-    if x0.shape not in ((n,), (series, n)) or n == 0:
-        mend = "; use x0.ravel()" if x0.ndim == 2 and x0.shape[1] == 1 else ""
-        raise ValueError(f"x0: expected shape (dim_x,) or ({series}, dim_x), got {x0.shape}{mend}")
-    if P0.shape not in ((n, n), (series, n, n)):
-        raise ValueError(f"P0: expected shape {(n, n)} or {(series, n, n)} for dim_x={n}, got {P0.shape}")
-    F, H, Q, R = (
-        leading(name, value, shape, series, steps)
-        for name, value, shape in (("F", F, (n, n)), ("H", H, (m, n)), ("Q", Q, (n, n)), ("R", R, (m, m)))
-    )
-    c = np.zeros((1, 1, n))
-    recording = problem(F, Q, c, H, R, z, x0.reshape(-1, n), P0.reshape(-1, n, n))
+    if 0 in np.shape(zs):
+        raise ValueError(f"zs: expected shape (series, steps, dim_z), none of them 0, got {np.shape(zs)}")
+    given = series_arguments(zs, F, H, Q, R, x0, P0, keep="last", covariance="none", refused="raise")
+    z = np.array([without_fill_values(f"zs[{i}]", each)[0] for i, each in enumerate(given.z)])
+    F_, Q_, H_, R_ = given.model
+    recording = problem(F_, Q_, np.zeros((1, 1, given.x.shape[1])), H_, R_, z, given.x, given.P)
     return _smoothed(recording, influence, process, grouping, max_sweeps)
 
 

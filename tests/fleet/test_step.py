@@ -693,3 +693,21 @@ def test_a_column_of_lists_is_read_row_by_row_whatever_their_lengths():
     # Four numbers are two rows of two, but not as three and one.
     with pytest.raises(ValueError, match="reshape"):
         _ragged(pa.array([[1.0, 2.0, 3.0], [4.0]], pa.list_(pa.float64())), [2])
+
+
+def test_a_key_whose_covariance_is_lost_in_rounding_stops_alone():
+    # Exact sensors of a state at rest: P is rounding, and the step after an absurd reading is for the definition.
+    rng = np.random.default_rng(0)
+    kf = RobustKalmanFilter(2, 2, scaling="innovation")
+    kf.F, kf.H, kf.Q = np.array([[1.0, 0.5], [0.0, 1.0]]), np.array([[1.0, 0.0], [1.0, 1e-9]]), np.zeros((2, 2))
+    kf.R, kf.P = np.diag([1e-3, 0.0]), 1e-3 * np.eye(2)
+    z = rng.normal(size=(60, 2))
+    z[rng.random((60, 2)) < 0.05] = 1e290
+    a, b = z.repeat(2, axis=0).T
+    table = pd.DataFrame({"device": ["lost", "other"] * 60, "a": a, "b": b})
+    table.loc[table.device == "other", ["a", "b"]] = np.nan
+    _, output = step_table(FilterModel(kf, measurements=["a", "b"]), None, table)
+    lost, other = (output[output.device == device] for device in ("lost", "other"))
+    assert other.x0.notna().all() and other.error.isna().all()
+    assert lost.x0.iloc[:5].notna().all() and lost.x0.iloc[-1:].isna().all()
+    assert "state: P: expected a positive semidefinite matrix" in lost.error.iloc[-1]

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import inspect
-from typing import Any
-
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from robust_filterpy._checks import Array
+from robust_filterpy._checks import Array, takes
 from robust_filterpy.testing.assertions.bounds import deviations, furthest
 from robust_filterpy.testing.checks.bench import OLD, Promise, not_applicable, promise
 from robust_filterpy.testing.checks.filter_subject import FilterSubject
@@ -74,7 +71,7 @@ def control_input_moves_the_prediction(subject: FilterSubject) -> None:
     """x_prior = F x + B u, P_prior does not depend on u, and a prediction that is given no u has none."""
     model = subject.model(dim_u=2)
     kf, still = subject.new(model), subject.new(model)
-    if not hasattr(kf, "B") or not _takes(kf.predict, "u"):
+    if not hasattr(kf, "B") or not takes(kf.predict, "u"):
         raise not_applicable("has no B, or predict() takes no u")
     u = np.array([0.7, -1.3])
     runs.predict(kf, u)
@@ -298,11 +295,3 @@ def _ratio(got: Array, wanted: Array) -> str:
 def _list(values: Array) -> str:
     """Return numbers in print."""
     return ", ".join(f"{value:.3g}" for value in values)
-
-
-def _takes(function: Any, name: str) -> bool:
-    """Tell whether a function has a parameter of this name."""
-    try:
-        return name in inspect.signature(function).parameters
-    except (TypeError, ValueError):
-        return False

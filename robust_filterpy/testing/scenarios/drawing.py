@@ -177,9 +177,7 @@ def _draw_states(
 
 def _normal(rng: np.random.Generator, size: int, covariance: Array) -> Array:
     """Draw normal vectors with a covariance that may be singular."""
-    values, vectors = np.linalg.eigh(covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    return np.asarray(rng.standard_normal((size, len(covariance))) @ root.T)
+    return rng.multivariate_normal(np.zeros(len(covariance)), covariance, size, method="eigh")
 
 
 class _LabelKnowing:
