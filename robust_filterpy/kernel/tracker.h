@@ -85,6 +85,11 @@ INLINE real tracker_spread(const int n, const real *RESTRICT phi, const real *RE
     return total;
 }
 
+/* Whether an innovation nu is one that a cleaned regressor replaces, phi being what it was predicted from. */
+INLINE int tracker_is_far(const int n, const real nu, const real *RESTRICT phi, const real *RESTRICT P, const real r) {
+    return real_abs(nu) > TRACKER_CLEANED * real_sqrt(real_max(tracker_spread(n, phi, P), 0) + r);
+}
+
 /* Put a value, or a row of n, in front of past ones; the oldest goes. */
 INLINE void tracker_push(const int count, real *past, const real newest) {
     for (int i = count - 1; i > 0; i--) past[i] = past[i - 1];
@@ -265,15 +270,16 @@ INLINE int tracker_step(const tracker_layout *const l, const int n, const tracke
         real explained = predicted;
         for (int i = 0; i < l->na; i++) explained += (s->measured[i] - s->outputs[i]) * x[l->a + i];
         for (int i = l->na; i < past; i++) explained += (s->measured[i] - s->outputs[i]) * x[l->d + i - l->na];
-        if (explained != predicted) {
-            S = real_max(tracker_spread(n, phi, P), 0) + r;
-            again = real_abs(y - predicted) > TRACKER_CLEANED * real_sqrt(S) &&
-                    real_abs(y - explained) < real_abs(y - predicted);
+        if (explained != predicted && tracker_is_far(n, y - predicted, phi, P, r)) {
+            real_copy(n, phi, rest);
+            real_copy(l->na, s->measured, rest + l->a);
+            real_copy(l->nd, s->measured + l->na, rest + l->d);
+            /* Each by its own variance: a wild output explains no other wild one by being as far out. */
+            again = !tracker_is_far(n, y - explained, rest, P, r);
         }
         if (again) {
             predicted = explained;
-            real_copy(l->na, s->measured, phi + l->a);
-            real_copy(l->nd, s->measured + l->na, phi + l->d);
+            real_copy(n, rest, phi);
         }
     }
     if (filtered && (rule->guard != GUARD_NONE || tracker_are_stable(l, n, x, rest))) {

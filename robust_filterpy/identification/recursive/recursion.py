@@ -54,8 +54,9 @@ class Recursion:
         if self.cleans and known and not np.array_equal(outputs, memory.measured):
             other = H.copy()
             other[0, layout.outputs] = memory.measured
-            S, explained = variance(H, kf.P, r), other.dot(x).item()
-            if abs(y - predicted) > CLEANED_FROM * math.sqrt(S) and abs(y - explained) < abs(y - predicted):
+            explained = other.dot(x).item()
+            # Each by its own variance: a wild output explains no other wild one by being as far out.
+            if is_far(y - predicted, H, kf.P, r) and not is_far(y - explained, other, kf.P, r):
                 H, outputs, predicted = other, memory.measured, explained
         G = H
         if self.filtered:
@@ -118,6 +119,11 @@ def _followed(kf: Any, scale: NoiseScale, R: float, nu: float, S: float) -> Nois
     if scale.samples < EARLY and found > R:
         kf.P = kf.P * (found / R)
     return scale._replace(samples=samples)
+
+
+def is_far(nu: float, phi: Array, P: Array, r: float) -> bool:
+    """Tell whether an innovation is one that a cleaned regressor replaces."""
+    return abs(nu) > CLEANED_FROM * math.sqrt(variance(phi, P, r))
 
 
 def variance(phi: Array, P: Array, r: float) -> float:
