@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks, _state
 from robust_filterpy._brief import lines_of
 from robust_filterpy._checks import Array
-from robust_filterpy._documentation import STOPPED, pointer
 from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Information, Scaling
 from robust_filterpy.filters.states import go_on_beside, kept_beside
@@ -37,7 +36,6 @@ from robust_filterpy.identification.recursive.returning import Returning, checke
 from robust_filterpy.identification.recursive.standing import Standing
 from robust_filterpy.identification.recursive.state import Form, State, at_rest
 from robust_filterpy.identification.recursive.tuned import TunedTracker, tuned
-from robust_filterpy.identification.recursive.watch import LostTrackerWarning
 from robust_filterpy.influence.functions import Influence
 
 __all__ = ["ParameterTracker"]
@@ -245,9 +243,10 @@ class ParameterTracker(Returning, Standing):
         layout = Layout(structure.with_constant(), structure.n_inputs) if has_offset else Layout(structure)
         places = np.arange(layout.n)
         own = np.delete(places, structure.constant_place) if has_offset else places
-        cleans = self._regressor == "cleaned" and structure.na + structure.nd > 0
+        judges = self._regressor == "cleaned"
+        cleans = judges and structure.na + structure.nd > 0
         self.structure = structure
-        self.form = Form(structure, layout, own, has_offset, cleans, np.array([gradient]), np.array([guard]))
+        self.form = Form(structure, layout, own, has_offset, cleans, judges, np.array([gradient]), np.array([guard]))
         choices = {"influence": influence, "scaling": scaling, "information": information}
         self.filter = kf = setup.make_filter(layout.n, filter, choices)
         setup.configure(kf, structure, own, self._given)
@@ -487,8 +486,8 @@ class ParameterTracker(Returning, Standing):
         R = None if R is None else R[None]
         now, out, news = track.advance(self.form, self._using(recorded), self.now, y[None], u[None], R)
         self._take_over(now)
-        for _, trouble in news:
-            warn(f"ParameterTracker: {trouble}; {pointer(STOPPED)}", LostTrackerWarning)
+        for one in news:
+            warn(f"ParameterTracker: {one.said}", one.category)
         return Columns(*(column[0] for column in out))
 
     def _take_over(self, now: State) -> None:
