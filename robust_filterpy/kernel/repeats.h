@@ -5,17 +5,19 @@
 
 #include "real.h"
 
-#define REPEATS_FINE REAL(10.0)    /* steps of a sensor in one of its noise, from which on no reading repeats by chance */
+#define REPEATS_FINE REAL(10.0)    /* steps of a sensor in one of its noise, beyond which none repeats by chance */
 #define REPEATS_CHANGES REAL(50.0) /* changes that are remembered */
 #define REPEATS_QUANTILE REAL(1.0364333894937898) /* .7 of a normal |x| is below it */
 
-/* What is left of the reading, the last change, the scale of their differences, how many; the last reading, and one over
-   the least change, with a minus sign if the last reading repeated the one before. */
-enum repeats_row { REPEATS_LEFT, REPEATS_CHANGE, REPEATS_SCALE, REPEATS_COUNT, REPEATS_LAST, REPEATS_STEP, REPEATS_WIDTH };
+/* What is left of the reading, the last change, the scale of their differences, how many; the last reading, and one
+   over the least change, with a minus sign if the last reading repeated the one before. */
+enum repeats_row {
+    REPEATS_LEFT, REPEATS_CHANGE, REPEATS_SCALE, REPEATS_COUNT, REPEATS_LAST, REPEATS_STEP, REPEATS_WIDTH
+};
 
-/* Note a reading, r being the variance of its noise, and how fine the steps of its sensor are. One that goes on after it
-   has repeated itself reads in coarse steps, or only now and then. A single small change is chance: it halves the steps
-   that were known at most. */
+/* Note a reading, r being the variance of its noise, and how fine the steps of its sensor are. One that goes on after
+   it has repeated itself reads in coarse steps, or only now and then. A single small change is chance: it halves the
+   steps that were known at most. */
 INLINE void repeats_note_reading(const real z, const real r, real *RESTRICT row) {
     const real change = real_abs(z - row[REPEATS_LAST]), fine = real_max(row[REPEATS_STEP], 0);
     const real most = 2 * real_max(fine, 1 / real_sqrt(r));

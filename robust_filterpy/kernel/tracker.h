@@ -1,8 +1,9 @@
 /* One sample of the recursive identification: robust_filterpy.identification.recursive.recursion in C.
 
-   Predict theta, predict y from phi, leave out a sensor that is stuck, look again at outputs that were replaced, correct theta along the gradient, follow
-   R, restrain an unstable step, remember. What is out of the ordinary (an overflow, a "unit" correction that takes off
-   more than there is, a sample that tells very much unless P may be mended) is declined, and nothing has changed. */
+   Predict theta, predict y from phi, leave out a sensor that is stuck, look again at outputs that were replaced,
+   correct theta along the gradient, follow R, restrain an unstable step, remember. What is out of the ordinary (an
+   overflow, a "unit" correction that takes off more than there is, a sample that tells very much unless P may be
+   mended) is declined, and nothing has changed. */
 #ifndef ROBUST_FILTERPY_TRACKER_H
 #define ROBUST_FILTERPY_TRACKER_H
 
@@ -288,12 +289,15 @@ INLINE int tracker_step(const tracker_layout *const l, const int n, const tracke
         real explained = predicted;
         for (int i = 0; i < l->na; i++) explained += (s->measured[i] - s->outputs[i]) * x[l->a + i];
         for (int i = l->na; i < past; i++) explained += (s->measured[i] - s->outputs[i]) * x[l->d + i - l->na];
-        if (explained != predicted && tracker_is_far(n, y - predicted, phi, P, r)) {
+        if (explained != predicted && real_abs(y - explained) < real_abs(y - predicted) &&
+            tracker_is_far(n, y - predicted, phi, P, r)) {
             real_copy(n, phi, rest);
             real_copy(l->na, s->measured, rest + l->a);
             real_copy(l->nd, s->measured + l->na, rest + l->d);
-            /* Each by its own variance: a wild output explains no other wild one by being as far out. */
-            again = !tracker_is_far(n, y - explained, rest, P, r);
+            /* Wild outputs explain no other wild one by being about as far out. Outputs that were replaced by what a
+               wrong theta predicted run away, and those as measured are the smaller ones. */
+            again = real_max(tracker_spread(n, rest, P), 0) <= real_max(tracker_spread(n, phi, P), 0) ||
+                    !tracker_is_far(n, y - explained, rest, P, r);
         }
         if (again) {
             predicted = explained;

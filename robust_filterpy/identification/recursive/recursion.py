@@ -60,9 +60,12 @@ class Recursion:
             other = H.copy()
             other[0, layout.outputs] = memory.measured
             explained = other.dot(x).item()
-            # Each by its own variance: a wild output explains no other wild one by being as far out.
-            if is_far(y - predicted, H, kf.P, r) and not is_far(y - explained, other, kf.P, r):
-                H, outputs, predicted = other, memory.measured, explained
+            if is_far(y - predicted, H, kf.P, r) and abs(y - explained) < abs(y - predicted):
+                # Wild outputs explain no other wild one by being about as far out. Outputs that were replaced by what
+                # a wrong theta predicted run away, and those as measured are the smaller ones.
+                smaller = variance(other, kf.P, r) <= variance(H, kf.P, r)
+                if smaller or not is_far(y - explained, other, kf.P, r):
+                    H, outputs, predicted = other, memory.measured, explained
         G = H
         if self.filtered:
             past, newest = np.ravel(x), H[0] * layout.precedes_noise
