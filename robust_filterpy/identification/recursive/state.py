@@ -237,6 +237,9 @@ def require_plausible(found: Mapping[str, Array]) -> None:
             ("watch", "whole numbers of samples >= 0", whole),
             ("watch", "a variance >= 0", variance >= 0.0),
         ]
+    if "readings" in found:
+        counts = found["readings"][..., [2, 3, repeats.WIDTH]]
+        conditions.append(("readings", "a scale and counts >= 0", counts >= 0.0))
     for name, what, good in conditions:
         if not good.all():
             raise _state.StateError(f"state: expected {what} in {name}, got {_checks.shown(found[name])}")
