@@ -18,9 +18,9 @@ The changes from reading to reading that a filter has not foreseen differ from e
 variance of 6 r and more. So r is never above eight times what they show: a filter that has lost the state, or whose
 model is too simple, has large innovations and even changes, and does not learn that its sensor is bad.
 
-A sensor that repeats its last reading though its noise is white and in fine steps (`robust_filterpy.correction.repeats`),
-far from the prediction, is stuck, and tells nothing of the state (`repeated`). Unless steps are fine, no reading that
-repeats the one before tells of r, which would fall to nothing.
+A sensor that repeats its last reading though its noise is white and in fine steps
+(`robust_filterpy.correction.repeats`), far from the prediction, is stuck, and tells nothing of the state (`repeated`).
+Unless steps are fine, no reading that repeats the one before tells of r, which would fall to nothing.
 
 All that is known of a sensor is one row of numbers, ``[r, n, shares (K), last (K), counts (K, K), together, parity (4),
 change (4), reading (2)]``: r stands on n ordinary samples; the shares of the classes of late; the probabilities of the

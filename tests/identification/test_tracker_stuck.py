@@ -1,4 +1,4 @@
-"""What a stuck sensor says while a tracker runs counts as missing, once it is seen, and sensors that repeat are believed."""
+"""What a stuck sensor says while a tracker runs counts as missing; sensors that repeat themselves are believed."""
 
 import warnings
 

@@ -176,7 +176,8 @@ class State(NamedTuple):
         followed = Followed.restored(watch[:, 2:], found.get("followed", np.zeros((n, 0, self.followed.rows.shape[2]))))
         return State(
             found["theta"], found["P"], Memory(*(found[name] for name in Memory._fields)),
-            np.column_stack((R, rule[:, 2:5])), found.get("readings", np.zeros((n, READINGS))), rule[:, 0].copy(), rule[:, 1].copy(), rule[:, 5] > 0.0,
+            np.column_stack((R, rule[:, 2:5])), found.get("readings", np.zeros((n, READINGS))),
+            rule[:, 0].copy(), rule[:, 1].copy(), rule[:, 5] > 0.0,
             watch[:, 0] > 0.0, samples, starts, followed, self.windows.emptied(),
         )  # fmt: skip
 
@@ -211,7 +212,8 @@ def at_rest(form: Form, theta: Array, P: Array, scale: Array, samples: int, told
     starts = {} if told else {i: ColdStart.of(structure.n_theta, structure.n_inputs, samples) for i in range(n)}
     windup = WINDUP * np.maximum(np.trace(P, axis1=1, axis2=2), 1e-300)
     return State(
-        theta, P, past, scale, np.zeros((n, READINGS)), np.zeros(n), windup, np.full(n, told), np.full(n, not told), np.full(n, samples), starts,
+        theta, P, past, scale, np.zeros((n, READINGS)), np.zeros(n),
+        windup, np.full(n, told), np.full(n, not told), np.full(n, samples), starts,
         Followed.none(n, form.n_signals), Windows.none(n),
     )  # fmt: skip
 

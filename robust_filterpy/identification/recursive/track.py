@@ -73,7 +73,8 @@ def advance(
     y and R (n, N), u (n, N, n_inputs), y NaN where it is missing, R None for that of the state.
     """
     n, length = y.shape
-    out, said, k = Columns.empty(n, length, form.layout.n), [], 0
+    said: News = []
+    out, k = Columns.empty(n, length, form.layout.n), 0
     while k < length:
         watched = _watched(form, using, now)
         waits = [now.followed.waits(watched), *(max(start.waits, 1) for start in now.starts.values())]
@@ -210,9 +211,10 @@ def _usual(form: Form, now: State, i: int, start: ColdStart, model: Model) -> tu
     followed, share = now.followed.begun(i, start.y - prediction, signals)
     now = now._replace(followed=followed)
     odd = {one.kind: one.text for one in model.findings}
-    windows, news = now.windows, []
-    if "stuck" in odd:
-        windows, news = windows.with_stuck(np.arange(len(now.begun)) == i, f"of its first samples: {odd['stuck']}")
+    stuck = "stuck" in odd
+    windows, news = now.windows.with_stuck(
+        stuck & (np.arange(len(now.begun)) == i), f"of its first samples: {odd['stuck'] if stuck else ''}"
+    )
     taken = [text for kind, text in odd.items() if kind in _SAID or (kind == "another plant" and not share)]
     if not (share or taken):
         return now._replace(windows=windows), news

@@ -89,7 +89,8 @@ class ParameterTracker(Returning, Standing):
         Which outputs an ARX, ARMAX, AR, ARMA or BoxJenkins has in its regressor: those measured, or the prediction in
         the place of those further than 3 standard deviations from it (the filter-cleaner of Masreliez and Martin),
         unless the outputs as measured explain the next sample. Default: "cleaned" with a start, "measured" with
-        ``start=0``, as in the paper. No difference for other structures.
+        ``start=0``, as in the paper. For other structures the difference is that under "cleaned" a sensor that is stuck
+        counts as missing.
     R_memory : int, default 150
         Number of samples that an R which is followed remembers.
     forgetting : float, optional
@@ -135,6 +136,10 @@ class ParameterTracker(Returning, Standing):
         residuals follow the inputs otherwise than at the start, since the plant has become another one or the sensor is
         stuck, or stay off zero, since the level of y has moved: a tracker that found its model itself, or has it from
         `identify`, then starts anew.
+    StuckSensorWarning
+        Once, if y repeats its last value to the last bit, more than three standard deviations from the prediction,
+        though its noise is white and in fine steps: it then counts as missing for as long as it does. Also if the
+        start's own samples hold a value as `identify` says.
 
     Notes
     -----
@@ -512,6 +517,7 @@ class ParameterTracker(Returning, Standing):
         Returns
         -------
         dict of str to ndarray
+            readings: what is known of the steps of y, (7,);
             theta and P, with the constant where there is one; the signals in memory: outputs (na,), inputs, residuals
             (nc,), gradients, measured (na,); enabled; recursion: centre of y, limit of tr P, samples, mean and memory
             of R, whether a model was found, samples until the next look; start: y and u kept for it, (L, 1 + n_inputs);
