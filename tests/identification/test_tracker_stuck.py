@@ -15,11 +15,11 @@ A, B, LENGTH = np.array([1.0, -1.5, 0.7]), np.array([0.0, 1.0, 0.5]), 900
 STRUCTURES = [ARX(2, 2), OutputError(2, 2), ARMAX(2, 2, 1), BoxJenkins(2, 1, 1, 2)]
 
 
-def recording(structure, seed=1, hold=1, length=LENGTH):
+def recording(structure, seed=1, length=LENGTH, size=0.3):
     """A recording with 10 % outliers."""
     rng = np.random.default_rng([41, seed])
-    u = rng.choice([-1.0, 1.0], length).repeat(hold)[:length]
-    noise = 0.3 * np.where(rng.random(length) < 0.1, 10.0, 1.0) * rng.normal(size=length)
+    u = rng.choice([-1.0, 1.0], length)
+    noise = size * np.where(rng.random(length) < 0.1, 10.0, 1.0) * rng.normal(size=length)
     return lfilter(B, A, u) + (lfilter([1.0], A, noise) if structure.na else noise), u
 
 
@@ -152,11 +152,22 @@ def test_after_a_long_gap_nothing_is_lost():
 
 
 def test_wild_outputs_explain_no_other_wild_one():
-    rng = np.random.default_rng(5)
-    y, u = recording(ARX(2, 2), 5, length=1500)
+    y, u = recording(ARX(2, 2), 5)
     model = identify(y[:400], u[:400], ARX(2, 2))
-    wild = np.where(rng.random(1500) < 0.06, 1e6 * rng.normal(size=1500), y)
+    wild = y.copy()
+    # The first predicts 1.5e6 for the second: nearer than what the model predicts from outputs that are ordinary.
+    size = 1e6 * np.random.default_rng(7).uniform(1.0, 2.0, 12)
+    wild[420::40], wild[421::40] = size, 0.9 * size
     clean, spoilt = ParameterTracker(model), ParameterTracker(model)
     clean.run(y[400:], u[400:])
     spoilt.run(wild[400:], u[400:])
-    assert np.abs(spoilt.theta - clean.theta).max() < 0.03
+    assert np.abs(spoilt.theta - clean.theta).max() < 0.02
+
+
+def test_a_sensor_that_gets_stuck_as_soon_as_there_is_a_model_is_seen():
+    # That moves by a hundred times its noise, so that neighbours tell little of how fine its steps are.
+    y, u = recording(OutputError(2, 2), 6, size=0.03)
+    y[210:300] = y[210]
+    with pytest.warns(StuckSensorWarning):
+        result = ParameterTracker(OutputError(2, 2), start=200).run(y[:400], u[:400])
+    assert np.isnan(result.residual[215:300]).all()
