@@ -18,10 +18,9 @@ The changes from reading to reading that a filter has not foreseen differ from e
 variance of 6 r and more. So r is never above eight times what they show: a filter that has lost the state, or whose
 model is too simple, has large innovations and even changes, and does not learn that its sensor is bad.
 
-White noise in steps of at most a tenth of it does not give the same number twice. A sensor of that kind that repeats
-its last reading, far from the prediction, is stuck, and tells nothing of the state (`repeated`). The least change from
-reading to reading tells how fine its steps are, so that counters, coarse sensors and recordings without noise are
-believed. Unless steps are fine, no reading that repeats the one before tells of r, which would fall to nothing.
+A sensor that repeats its last reading though its noise is white and in fine steps
+(`robust_filterpy.correction.repeats`), far from the prediction, is stuck, and tells nothing of the state (`repeated`).
+Unless steps are fine, no reading that repeats the one before tells of r, which would fall to nothing.
 
 All that is known of a sensor is one row of numbers, ``[r, n, shares (K), last (K), counts (K, K), together, parity (4),
 change (4), reading (2)]``: r stands on n ordinary samples; the shares of the classes of late; the probabilities of the
@@ -47,6 +46,7 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
+from robust_filterpy.correction import repeats
 from robust_filterpy.correction.options import Grouping, checked_grouping
 
 __all__ = [
@@ -68,17 +68,14 @@ _PRIOR_TOGETHER, _LOG_EVIDENCE = 0.01, math.log(100.0)
 _PARITY_MEMORY, _PARITY_FROM, _PARITY_OVER, _PARITY_SAMPLES = 200.0, 0.15, 0.30, 20.0
 # Noise that never changes is an offset, of which no reading rids a filter.
 _MOST_COLOUR = 0.99
-# Changes are remembered for 50 readings and tell something from the twentieth on. Their scale is the quantile of .7 by
-# recursion, here of a normal |x|: outliers hardly move it, nor do readings that are held for three samples.
-_CHANGES, _FIRST_CHANGES, _QUANTILE = 50.0, 20.0, 1.0364333894937898
+# Changes tell something from the twentieth on.
+_FIRST_CHANGES = 20.0
 # The most that r may be over the variance of their differences, of which white noise makes 6 r.
 _MOST = 8.0 / 6.0
 # Standard deviations beyond which a reading is as far as any other.
 _WILDEST = 1e6
-# Steps of a sensor in a standard deviation of its noise from which on it does not repeat itself by chance.
-_FINE = 10.0
-# Numbers of a row that tell of failing together, of parity, of changes and of readings.
-_TOGETHER, _LESS, _PARITY, _CHANGE, _READING, _TAIL = -12, -11, slice(-10, -6), slice(-6, -2), slice(-2, None), 12
+# Numbers of a row that tell of failing together, of parity, of changes and readings.
+_TOGETHER, _LESS, _PARITY, _READINGS, _TAIL = -12, -11, slice(-10, -6), slice(-repeats.WIDTH, None), 12
 # A sensor is redundant if the others leave at least this part of its variance unexplained by the state.
 _REDUNDANT = 1e-6
 
@@ -288,7 +285,7 @@ def learn(known: Array, posterior: Array, r: float, excess: float, part: float, 
     # A reading that repeats the one before tells of the noise only that it is less than a step: nothing, unless steps
     # are fine, and it is no independent sample of white noise.
     again = bool(np.signbit(known[-1]))
-    if not again or abs(known[-1]) * math.sqrt(known[0]) >= _FINE:
+    if not again or abs(known[-1]) * math.sqrt(known[0]) >= repeats.FINE:
         # One sample is never forgotten, else r would reel where it can hardly be seen.
         after[1] = 1.0 + (1.0 - 1.0 / noise.r_memory) * (known[1] - 1.0) + ordinary * part * part
         after[0] += ordinary * (r * (1.0 + part * excess) - known[0]) / after[1]
@@ -403,8 +400,7 @@ def ordinary_size(
     r, learnt, coloured = learnt[:, 0].copy(), learnt.copy(), []
     readings = _in_deviations(readings, R)
     for own in np.flatnonzero(R.diagonal() > 0.0):
-        _note_reading(learnt[own], float(readings[own]))
-        most = _note_change(learnt[own, _CHANGE], _bounded(y[own] / R[own, own] ** 0.5))
+        most = _note(learnt[own, _READINGS], float(readings[own]), r[own], _bounded(y[own] / R[own, own] ** 0.5))
         r[own], learnt[own, 0] = min(r[own], most), min(learnt[own, 0], most)
     for i, e in parity(z, H, R, r):
         correlation, least = _note_parity(learnt[i, _PARITY], e)
@@ -448,31 +444,12 @@ def _kept(seen: Array, noise: Array) -> Array:
     return np.clip(np.where(own > 0.0, left.diagonal() / np.where(own > 0.0, own, 1.0), 1.0), 0.0, 1.0)
 
 
-def _note_change(known: Array, y: float) -> float:
-    """Let a change move the scale of their differences, in place; return the most that r may be."""
-    rest, before, scale, count = known.tolist()
-    known[1], known[3] = y - rest if count else 0.0, count + 1.0
-    if count < 2.0:
-        return math.inf
-    size = abs(known[1] - before) / _QUANTILE
-    pace = 2.0 * max(1.0 / (count - 1.0), 1.0 / _CHANGES)
-    # Up or down by a pace, but never beyond what was seen.
-    moved = min(size, scale * math.exp(0.7 * pace)) if size > scale else max(size, scale * math.exp(-0.3 * pace))
-    known[2] = moved if count > 2.0 else size
-    return max(1.0, moved**2 * _MOST) if count > _FIRST_CHANGES else math.inf
-
-
-def _note_reading(known: Array, z: float) -> None:
-    """Note a reading, and how fine the steps of its sensor are, in place."""
-    r, count, last, fine = known[[0, -3, -2, -1]].tolist()
-    change = abs(z - last)
-    if count and change == 0.0:
-        known[-1] = -abs(fine)
-    elif count:
-        # A sensor that goes on after it has repeated itself reads in coarse steps, or only now and then. A single small
-        # change is chance: it halves the steps that were known at most.
-        known[-1] = max(fine, 0.0, min(1.0 / change, 2.0 * max(fine, r**-0.5)))
-    known[-2] = z
+def _note(row: Array, z: float, r: float, y: float) -> float:
+    """Note a reading and its innovation, in place; return the most that r may be."""
+    repeats.note_reading(row, z, r)
+    repeats.note_change(row, y)
+    scale, count = row[2:4].tolist()
+    return max(1.0, scale**2 * _MOST) if count > _FIRST_CHANGES + 1.0 else math.inf
 
 
 def repeated(learnt: Array, z: Array, R: Array) -> Array:
@@ -491,10 +468,7 @@ def repeated(learnt: Array, z: Array, R: Array) -> Array:
     -------
     ndarray of bool, shape (m,)
     """
-    r, scale, (last, fine) = learnt[:, 0], learnt[:, _CHANGE][:, 2], learnt[:, _READING].T
-    again = last == _in_deviations(z, R)
-    # White noise makes 6 r. What changes less is no noise: there a repeated reading means that the state rests.
-    return np.asarray(again & (scale**2 >= r) & (np.abs(fine) * np.sqrt(r) >= _FINE))
+    return repeats.again(learnt[:, _READINGS], _in_deviations(z, R), learnt[:, 0])
 
 
 def _in_deviations(z: Array, R: Array) -> Array:
@@ -527,7 +501,7 @@ def left_over(learnt: Array, rest: Array, R: Array) -> Array:
     """
     learnt = learnt.copy()
     for i in np.flatnonzero(R.diagonal() > 0.0):
-        learnt[i, _CHANGE][0] = _bounded(rest[i] / R[i, i] ** 0.5)
+        learnt[i, _READINGS][0] = _bounded(rest[i] / R[i, i] ** 0.5)
     return learnt
 
 

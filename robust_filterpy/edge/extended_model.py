@@ -66,7 +66,7 @@ def _mixed(kf: RobustExtendedKalmanFilter, name: str) -> Described:
     real work[learnt_correct_work(N, M, 1, CLASSES)] = {0};
     real weights[M], outlying[M], belief[3 * N] = {0}, likelihood = 0;"""
     return replace(
-        found, headers=("real", "prediction", "learnt"), parts={**found.parts, "correction": "mixed.c"},
+        found, headers=("real", "prediction", "repeats", "learnt"), parts={**found.parts, "correction": "mixed.c"},
         start={field: found.start[field] for field in ("x", "P", "memory")},
         values={
             **found.values, "correction_needs": needs, "rule": "", "refusal": "", "copies_fields": "",

@@ -54,7 +54,7 @@ def described_mixture(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name:
     stay, jump, remembered, r_remembered = rule[2:6]
     return Described(
         f"{name}: {type(kf).__name__}(dim_x={n}, dim_z={m}), noise={kf.noise!r}, process={kf.process!r}",
-        ("real", "learnt"), "mixture",
+        ("real", "repeats", "learnt"), "mixture",
         matrix_values(model, name)
         | {
             "copies": str(copies), "q": str(q), "K": str(K), "process": _numbers(process), "scales": _numbers(scales),

@@ -29,6 +29,7 @@ _MEANT: Final = {
     "R": "variance of the ordinary noise",
     "R_memory": "number of samples that R remembers",
     "R_mean": "mean of min(e^2, 4) where R is right",
+    "readings": "what is known of the steps of y",
     "centre": "taken off y, so that the constant is small",
     "theta": "the parameters",
     "P": "their covariance, symmetric",
@@ -71,7 +72,7 @@ def described_tracker(tracker: ParameterTracker, name: str) -> Described:
     }
     return Described(
         f"{name}: ParameterTracker({tracker.structure}), {shown(choices)}",
-        ("real", "psi", "prediction", "correction", "mend", "tracker"), "tracker",
+        ("real", "psi", "prediction", "correction", "mend", "repeats", "tracker"), "tracker",
         {**values, "model_fields": _declared(model, name), "state_fields": _declared(start, name)},
         {**model, **influence_fields(choices)}, {**start, "enabled": int(tracker.enabled)},
     )  # fmt: skip
@@ -102,6 +103,8 @@ def _start(tracker: ParameterTracker) -> dict[str, Any]:
     if tracker.now.scale[0, 3]:
         start |= {"R": tracker.R, "R_samples": float(tracker.now.scale[0, 1])}
     filtered = tracker.form.layout.is_filtered and tracker.gradient == "filtered"
+    if tracker.form.judges:
+        start["readings"] = state["readings"]
     past = ("outputs", "measured", "inputs", "residuals", "undisturbed", *(("prefiltered", "gradients") * filtered))
     return start | {name: state[name] for name in past if state[name].size}
 
@@ -135,7 +138,8 @@ def _values(tracker: ParameterTracker, model: dict[str, Any], start: dict[str, A
         "inputs_or_one": str(max(structure.n_inputs, 1)), "places": "\n".join(places),
         "layout": ", ".join([*map(str, counts), *(one if own else "NULL" for one, own in lists.items())]),
         "filtered": str(int(filtered)), "guard": f"GUARD_{tracker.guard.upper()}",
-        "cleans": str(int(tracker.form.cleans)), "followed": "\n".join(followed),
+        "cleans": str(int(tracker.form.cleans)), "judges": str(int(tracker.form.judges)),
+        "followed": "\n".join(followed),
         "fields": "\n".join([*fields, "    next.scale = scale;"]),
         "minus_centre": " - model->centre" if tracker.form.has_offset else "",
         "plus_centre": " + model->centre" if tracker.form.has_offset else "",

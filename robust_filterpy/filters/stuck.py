@@ -20,8 +20,9 @@ class StuckSensorWarning(UserWarning):
     """Say that a sensor repeats its last reading to the last bit, far from where a filter under ``noise=`` expects it.
 
     While it does, its readings count as missing: weight 0, outlier probability 1. Given once for each filter. Under
-    ``grouping="joint"``, which keeps no sensor apart, none is seen: name them, ``grouping=((0, 1, 2),)``. To switch it
-    off: ``warnings.simplefilter("ignore", robust_filterpy.filters.StuckSensorWarning)``.
+    ``grouping="joint"``, which keeps no sensor apart, none is seen: name them, ``grouping=((0, 1, 2),)``. A
+    `ParameterTracker` and a `TrackerBank` say it of y, from the third such reading in a row, and leave residual and
+    weight NaN. To switch it off: ``warnings.simplefilter("ignore", robust_filterpy.filters.StuckSensorWarning)``.
     """
 
 

@@ -8,6 +8,7 @@
 #define ROBUST_FILTERPY_LEARNT_H
 
 #include "real.h"
+#include "repeats.h"
 
 #define LEARNT_REACH REAL(8.0)        /* standard deviations of the widest class that an innovation counts for */
 #define LEARNT_LOG_2PI REAL(1.8378770664093454836)
@@ -16,18 +17,13 @@
 #define LEARNT_PARITY_FROM REAL(0.15)
 #define LEARNT_PARITY_OVER REAL(0.30)
 #define LEARNT_PARITY_SAMPLES REAL(20.0)
-#define LEARNT_CHANGE 4               /* of changes: left of the reading, the last, their differences' scale, how many */
-#define LEARNT_READING 2              /* the last, in standard deviations of R, and one over the least change */
-#define LEARNT_TAIL (2 + LEARNT_PARITY + LEARNT_CHANGE + LEARNT_READING) /* and first whether it fails with others */
+#define LEARNT_TAIL (2 + LEARNT_PARITY + REPEATS_WIDTH) /* first whether it fails with others */
 #define LEARNT_LESS REAL(0.1)
 #define LEARNT_FOR_LESS REAL(6.9077552789821371)
 #define LEARNT_COLOUR REAL(0.99)       /* noise that never changes is an offset, of which no reading rids a filter */
 #define LEARNT_WILDEST REAL(1e6)
-#define LEARNT_FINE REAL(10.0)        /* steps of a sensor in one of its noise, from which on no reading repeats by chance */
-#define LEARNT_CHANGES REAL(50.0)      /* changes that are remembered */
 #define LEARNT_FIRST_CHANGES REAL(20.0)
 #define LEARNT_MOST REAL(8.0) / 6      /* r at most, over the variance of the differences of changes */
-#define LEARNT_QUANTILE REAL(1.0364333894937898) /* .7 of a normal |x| is below it */
 #define LEARNT_REDUNDANT REAL(1e-6)
 #define LEARNT_ASKS REAL(9.0)         /* squared standard deviations from which an innovation asks for a jump */
 #define LEARNT_WIDEST REAL(1e12)       /* a state less certain than a sensor's noise by this is left to the definition */
@@ -257,7 +253,7 @@ INLINE void learnt_learn(const learnt_rule *const rule, const real *RESTRICT p, 
     /* A reading that repeats the one before tells of the noise only that it is less than a step: nothing, unless steps are
        fine, and it is no independent sample of white noise. */
     const int again = real_copysign(1, known[width - 1]) < 0;
-    if (!again || real_abs(known[width - 1]) * real_sqrt(known[0]) >= LEARNT_FINE) {
+    if (!again || real_abs(known[width - 1]) * real_sqrt(known[0]) >= REPEATS_FINE) {
         /* Of what is noise by a part it tells the square of that. One sample is never forgotten, else r would reel. */
         known[1] = 1 + (1 - 1 / rule->r_memory) * (known[1] - 1) + p[0] * part * part;
         known[0] += p[0] * (r * (1 + part * excess) - known[0]) / known[1];
@@ -422,24 +418,14 @@ INLINE real learnt_reading(const real z, const real R) {
     return real_min(real_max(z / real_sqrt(R), -REAL_MAX), REAL_MAX);
 }
 
-/* Note a reading, and how fine the steps of its sensor are. One that goes on after it has repeated itself reads in coarse
-   steps, or only now and then. A single small change is chance: it halves the steps that were known at most. */
-INLINE void learnt_note(const real z, const real r, const int follows, real *RESTRICT reading) {
-    const real change = real_abs(z - reading[0]), fine = real_max(reading[1], 0);
-    const real most = 2 * real_max(fine, 1 / real_sqrt(r));
-    if (follows) reading[1] = change == 0 ? -real_abs(reading[1]) : real_max(fine, real_min(1 / change, most));
-    reading[0] = z;
-}
-
 /* Whether a sensor is stuck: it repeats its last reading to the last bit, though its noise is white and in fine steps, and
    asks for a jump of the copies that have not jumped. */
 INLINE int learnt_stuck(const int n, const learnt_rule *const rule, const real *RESTRICT at, const real *RESTRICT spread,
                         const real z, const real said, const real *RESTRICT h, const real R, const real *RESTRICT known) {
-    const real *RESTRICT reading = known + learnt_width(rule->K) - LEARNT_READING;
-    const real scale = reading[2 - LEARNT_CHANGE], r = known[0];
+    const real r = known[0];
     real rest = z, seen = 0, asks;
-    if (!(rule->learns && R > 0 && learnt_reading(said, R) == reading[0] && scale * scale >= r)) return 0;
-    if (!(real_abs(reading[1]) * real_sqrt(r) >= LEARNT_FINE)) return 0;
+    if (!(rule->learns && R > 0)) return 0;
+    if (!repeats_again(learnt_reading(said, R), r, known + learnt_width(rule->K) - REPEATS_WIDTH)) return 0;
     for (int k = 0; k < n; k++) {
         rest -= h[k] * at[k];
         for (int j = 0; j < n; j++) seen += h[k] * spread[k * n + j] * h[j];
@@ -455,22 +441,13 @@ INLINE void learnt_changes(const int n, const int m, const learnt_rule *const ru
                            const real *RESTRICT R, const real *RESTRICT left, real *RESTRICT r) {
     const int width = learnt_width(rule->K);
     for (int i = 0; i < m; i++) {
-        real *RESTRICT known = s->memory + i * width, *RESTRICT tail = known + width - LEARNT_CHANGE - LEARNT_READING;
-        const real before = tail[1], count = tail[3];
-        real size, pace, most;
+        real *RESTRICT known = s->memory + i * width, *RESTRICT row = known + width - REPEATS_WIDTH;
+        real most;
         if (!(left[i] > 0 && R[i * m + i] > 0)) continue;
-        learnt_note(learnt_reading(readings[i], R[i * m + i]), known[0], count > 0, tail + LEARNT_CHANGE);
-        tail[1] = count > 0 ? learnt_left(n, at, z[i], H + i * n, R[i * m + i]) - tail[0] : 0;
-        tail[3] += 1;
-        if (count < 2) continue;
-        size = real_abs(tail[1] - before) / LEARNT_QUANTILE;
-        pace = 2 * real_max(1 / (count - 1), 1 / LEARNT_CHANGES);
-        /* Up or down by a pace, but never beyond what was seen. */
-        if (count < 3) tail[2] = size;
-        else if (size > tail[2]) tail[2] = real_min(size, tail[2] * real_exp(REAL(0.7) * pace));
-        else tail[2] = real_max(size, tail[2] * real_exp(REAL(-0.3) * pace));
-        if (!(count > LEARNT_FIRST_CHANGES)) continue;
-        most = real_max(1, tail[2] * tail[2] * LEARNT_MOST);
+        repeats_note_reading(learnt_reading(readings[i], R[i * m + i]), known[0], row);
+        repeats_note_change(learnt_left(n, at, z[i], H + i * n, R[i * m + i]), row);
+        if (!(row[REPEATS_COUNT] > LEARNT_FIRST_CHANGES + 1)) continue;
+        most = real_max(1, row[REPEATS_SCALE] * row[REPEATS_SCALE] * LEARNT_MOST);
         r[i] = real_min(r[i], most);
         known[0] = real_min(known[0], most);
     }
@@ -930,7 +907,7 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
     if (rule->learns) {
         learnt_slow(n, rule, s, w.at, w.spread, work);
         for (int i = 0; i < m; i++) {
-            real *RESTRICT rest = s->memory + i * width + width - LEARNT_CHANGE - LEARNT_READING;
+            real *RESTRICT rest = s->memory + i * width + width - REPEATS_WIDTH;
             if (weights[i] > 0 && R[i * m + i] > 0)
                 *rest = learnt_left(n, w.at, z[i], H + i * n, R[i * m + i]);
         }

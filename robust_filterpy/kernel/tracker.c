@@ -13,11 +13,11 @@ typedef struct {
     tracker_layout layout;
     series_matrices options, F, Q; /* (8), (n, n), (n, n) of each actuator or of all; one step */
     const double *alpha_sq, *windup, *centre;
-    const npy_intp *flags; /* (actuators, 4): filtered, guard, cleans, learns */
+    const npy_intp *flags; /* (actuators, 5): filtered, guard, cleans, learns, judges */
     npy_intp actuators, samples;
     signal y, u, R;        /* R has no data where none is told */
-    double *state[10];     /* the arrays of tracker_state in its order */
-    npy_intp sizes[10];
+    double *state[11];     /* the arrays of tracker_state in its order */
+    npy_intp sizes[11];
     double *theta, *variance, *prediction, *residual, *weights; /* what is written, (actuators, samples, ..) */
     npy_intp *guard, *done;
 } job;
@@ -30,14 +30,14 @@ static int is_identity(const int n, const double *F) {
 
 /* Take an actuator through its samples; n is a constant where this is inlined. */
 INLINE void one_actuator(const job *const j, const int n, const npy_intp i, double *const work) {
-    const npy_intp *const flags = j->flags + 4 * i;
+    const npy_intp *const flags = j->flags + 5 * i;
     const double *const F = j->F.data + i * j->F.by_series;
     tracker_rule rule = {.filtered = flags[0] != 0, .guard = (int)flags[1], .cleans = flags[2] != 0,
-                         .learns = flags[3] != 0, .F = is_identity(n, F) ? NULL : F,
+                         .learns = flags[3] != 0, .judges = flags[4] != 0, .F = is_identity(n, F) ? NULL : F,
                          .Q = j->Q.data + i * j->Q.by_series, .alpha_sq = j->alpha_sq[i], .windup = j->windup[i]};
-    double *at[10];
-    for (int a = 0; a < 10; a++) at[a] = j->state[a] + i * j->sizes[a];
-    const tracker_state state = {at[0], at[1], at[2], at[3], at[4], at[5], at[6], at[7], at[8], at[9]};
+    double *at[11];
+    for (int a = 0; a < 11; a++) at[a] = j->state[a] + i * j->sizes[a];
+    const tracker_state state = {at[0], at[1], at[2], at[3], at[4], at[5], at[6], at[7], at[8], at[9], at[10]};
     npy_intp k = 0;
     j->done[i] = 0;
     if (!rule_of_numbers(j->options.data + i * j->options.by_series, &rule.correction)) return;
@@ -124,13 +124,13 @@ static int take_layout(PyObject *object, const int n, const npy_intp width, trac
 }
 
 static PyObject *track(PyObject *self, PyObject *arguments) {
-    PyObject *groups[6], *told[7], *signals[3], *state[10], *out[6], *layout, *y, *u, *R;
+    PyObject *groups[6], *told[7], *signals[3], *state[11], *out[6], *layout, *y, *u, *R;
     job j = {0};
     double *work = NULL;
     int *room = NULL;
     (void)self;
     if (!take_objects(arguments, 6, groups) || !take_objects(groups[1], 7, told) ||
-        !take_objects(groups[2], 3, signals) || !take_objects(groups[3], 10, state) || !take_objects(groups[4], 6, out))
+        !take_objects(groups[2], 3, signals) || !take_objects(groups[3], 11, state) || !take_objects(groups[4], 6, out))
         goto refused;
     layout = groups[0], y = signals[0], u = signals[1], R = signals[2];
     if (!is_array(y, 2) || !is_array(state[0], 2) || !is_array(u, 3) || !is_array(layout, 1)) goto refused;
@@ -147,9 +147,10 @@ static PyObject *track(PyObject *self, PyObject *arguments) {
     {
         const tracker_layout *const l = &j.layout;
         const npy_intp past = l->na + l->nd, rows = l->nf > l->nd ? l->nf : l->nd;
-        const npy_intp shapes[10][3] = {{0, n, 0}, {0, n, n}, {0, past, 0}, {0, past, 0}, {0, l->length, 0},
-                                        {0, l->nc, 0}, {0, l->nf, 0}, {0, rows, n}, {0, l->nc, n}, {0, 4, 0}};
-        for (int a = 0; a < 10; a++) {
+        const npy_intp shapes[11][3] = {{0, n, 0}, {0, n, n}, {0, past, 0}, {0, past, 0}, {0, l->length, 0},
+                                        {0, l->nc, 0}, {0, l->nf, 0}, {0, rows, n}, {0, l->nc, n}, {0, 4, 0},
+                                        {0, TRACKER_READINGS, 0}};
+        for (int a = 0; a < 11; a++) {
             const npy_intp shape[3] = {j.actuators, shapes[a][1], shapes[a][2]};
             const int ndim = a == 1 || a == 7 || a == 8 ? 3 : 2;
             j.sizes[a] = shape[1] * (ndim == 3 ? shape[2] : 1);
@@ -160,7 +161,7 @@ static PyObject *track(PyObject *self, PyObject *arguments) {
     {
         const npy_intp wide[3] = {j.actuators, j.samples, n};
         j.alpha_sq = vector_of(told[3], j.actuators), j.windup = vector_of(told[4], j.actuators);
-        j.centre = vector_of(told[5], j.actuators), j.flags = integers(told[6], j.actuators, 4);
+        j.centre = vector_of(told[5], j.actuators), j.flags = integers(told[6], j.actuators, 5);
         j.theta = writable(out[0], 3, wide), j.variance = writable(out[1], 3, wide);
         j.prediction = writable(out[2], 2, wide), j.residual = writable(out[3], 2, wide);
         j.weights = writable(out[4], 2, wide), j.guard = integers(out[5], j.actuators, j.samples);

@@ -1,14 +1,16 @@
 /* One sample of the recursive identification: robust_filterpy.identification.recursive.recursion in C.
 
-   Predict theta, predict y from phi, look again at outputs that were replaced, correct theta along the gradient, follow
-   R, restrain an unstable step, remember. What is out of the ordinary (an overflow, a "unit" correction that takes off
-   more than there is, a sample that tells very much unless P may be mended) is declined, and nothing has changed. */
+   Predict theta, predict y from phi, leave out a sensor that is stuck, look again at outputs that were replaced,
+   correct theta along the gradient, follow R, restrain an unstable step, remember. What is out of the ordinary (an
+   overflow, a "unit" correction that takes off more than there is, a sample that tells very much unless P may be
+   mended) is declined, and nothing has changed. */
 #ifndef ROBUST_FILTERPY_TRACKER_H
 #define ROBUST_FILTERPY_TRACKER_H
 
 #include "correction.h"
 #include "mend.h"
 #include "prediction.h"
+#include "repeats.h"
 
 #define TRACKER_LARGEST REAL_PRODUCT /* size of a signal, whose square must not overflow */
 #ifdef ROBUST_FILTERPY_FLOAT
@@ -20,6 +22,7 @@
 #endif
 #define TRACKER_CLEANED REAL(3.0)    /* standard deviations from which on an output is replaced in phi */
 #define TRACKER_EARLY REAL(20.0)     /* samples up to which P grows with R */
+#define TRACKER_READINGS (REPEATS_WIDTH + 1)
 #define TRACKER_HALVINGS 30          /* 2^-30 of a step is none */
 
 /* Why a sample was declined. */
@@ -41,6 +44,7 @@ typedef struct {
 typedef struct {
     correction_rule correction;
     int filtered, guard, cleans, learns; /* gradient filtered; enum guard; phi holds cleaned outputs; theta moves */
+    int judges;                          /* whether a sensor may be found to be stuck */
     int mends;                           /* a sample that tells very much is taken, and P mended */
     const real *F, *Q;                   /* (n, n); F is NULL for I */
     real alpha_sq, windup;               /* P is multiplied by it, up to this trace */
@@ -56,6 +60,7 @@ typedef struct {
     real *prefiltered;        /* (max(nf, nd), n) past phi through 1/F */
     real *gradients;          /* (nc, n) derivatives of past predictions */
     real *scale;              /* (4) R, samples it stands on, mean of min(e^2, 4), samples to remember; 0: R stays */
+    real *readings;           /* (TRACKER_READINGS) of repeats.h, and for how many samples the sensor has been stuck */
 } tracker_state;
 
 typedef struct {
@@ -83,6 +88,21 @@ INLINE real tracker_spread(const int n, const real *RESTRICT phi, const real *RE
     real total = 0;
     for (int i = 0; i < n; i++) total += phi[i] * tracker_dot(n, P + i * n, phi);
     return total;
+}
+
+/* Whether an innovation nu is one that a cleaned regressor replaces, phi being what it was predicted from. */
+INLINE int tracker_is_far(const int n, const real nu, const real *RESTRICT phi, const real *RESTRICT P, const real r) {
+    return real_abs(nu) > TRACKER_CLEANED * real_sqrt(real_max(tracker_spread(n, phi, P), 0) + r);
+}
+
+/* Note a reading that was not left out and what was not foreseen of it; r is the variance of its noise. */
+INLINE void tracker_note(const real y, const real nu, const real r, real *RESTRICT readings) {
+    /* While a sensor was stuck it has told nothing of its steps. */
+    if (readings[REPEATS_WIDTH] > 0) readings[REPEATS_STEP] = real_abs(readings[REPEATS_STEP]);
+    readings[REPEATS_WIDTH] = 0;
+    repeats_note_reading(y, r, readings);
+    repeats_note_change(nu, readings);
+    readings[REPEATS_LEFT] = nu;
 }
 
 /* Put a value, or a row of n, in front of past ones; the oldest goes. */
@@ -230,13 +250,13 @@ INLINE int tracker_step(const tracker_layout *const l, const int n, const tracke
                         tracker_sample *const sample, real *work) {
     real *const x = work, *const P = x + n, *const W = P + n * n, *const phi = W + 2 * n * n, *const g = phi + n;
     real *const chi = g + n, *const C = chi + n, *const rest = C + n; /* rest: 3 n */
-    const int known = y == y, past = l->na + l->nd, rows = l->nf > l->nd ? l->nf : l->nd;
+    const int past = l->na + l->nd, rows = l->nf > l->nd ? l->nf : l->nd;
     const int feeds_back = l->nf + l->nc > 0;
     const int filtered = rule->filtered && l->nf + l->nc + l->nd > 0;
     const real r = told == told ? told : s->scale[0];
     real trace = 0, predicted, S = r, before = 0, alone = 0, after, believed;
     real grown = 1, tempered = 1, scale[4];
-    int again = 0, outlying = 0, sharp = 0;
+    int known = y == y, again = 0, outlying = 0, sharp = 0, stuck = 0;
     sample->refused = TRACKER_NOT_FINITE;
     tracker_regressor(l, s, u, phi);
     for (int i = 0; i < n; i++) trace += s->P[i * n + i];
@@ -257,7 +277,11 @@ INLINE int tracker_step(const tracker_layout *const l, const int n, const tracke
     predicted = tracker_dot(n, phi, x);
     if (!(trace < REAL_MAX && real_abs(predicted) < REAL_ORDINARY)) return 0;
     sample->prediction = predicted;
-    sample->residual = y - predicted;
+    if (rule->judges && known && repeats_again(y, r, s->readings))
+        stuck = s->readings[REPEATS_WIDTH] > 0 || tracker_is_far(n, y - predicted, phi, P, r);
+    /* What is stuck counts as missing. */
+    known = known && !stuck;
+    sample->residual = known ? y - predicted : (real)NAN;
     sample->weight = (real)NAN;
     sample->guard = 0;
     if (rule->cleans && known) {
@@ -265,15 +289,19 @@ INLINE int tracker_step(const tracker_layout *const l, const int n, const tracke
         real explained = predicted;
         for (int i = 0; i < l->na; i++) explained += (s->measured[i] - s->outputs[i]) * x[l->a + i];
         for (int i = l->na; i < past; i++) explained += (s->measured[i] - s->outputs[i]) * x[l->d + i - l->na];
-        if (explained != predicted) {
-            S = real_max(tracker_spread(n, phi, P), 0) + r;
-            again = real_abs(y - predicted) > TRACKER_CLEANED * real_sqrt(S) &&
-                    real_abs(y - explained) < real_abs(y - predicted);
+        if (explained != predicted && real_abs(y - explained) < real_abs(y - predicted) &&
+            tracker_is_far(n, y - predicted, phi, P, r)) {
+            real_copy(n, phi, rest);
+            real_copy(l->na, s->measured, rest + l->a);
+            real_copy(l->nd, s->measured + l->na, rest + l->d);
+            /* Wild outputs explain no other wild one by being about as far out. Outputs that were replaced by what a
+               wrong theta predicted run away, and those as measured are the smaller ones. */
+            again = real_max(tracker_spread(n, rest, P), 0) <= real_max(tracker_spread(n, phi, P), 0) ||
+                    !tracker_is_far(n, y - explained, rest, P, r);
         }
         if (again) {
             predicted = explained;
-            real_copy(l->na, s->measured, phi + l->a);
-            real_copy(l->nd, s->measured + l->na, phi + l->d);
+            real_copy(n, rest, phi);
         }
     }
     if (filtered && (rule->guard != GUARD_NONE || tracker_are_stable(l, n, x, rest))) {
@@ -322,6 +350,8 @@ INLINE int tracker_step(const tracker_layout *const l, const int n, const tracke
     for (int i = l->na; i < l->c; i++) alone += phi[i] * x[i];
     for (int i = 0; i < l->c; i++) before += phi[i] * x[i];
     before = tracker_bounded(before);
+    if (stuck) s->readings[REPEATS_WIDTH] += 1;
+    else if (rule->judges && known) tracker_note(y, y - predicted, r, s->readings);
     tracker_push(l->nf, s->undisturbed, -tracker_bounded(alone));
     if (again) real_copy(past, s->measured, s->outputs);
     tracker_push(l->na, s->outputs, -believed);

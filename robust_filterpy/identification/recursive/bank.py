@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks, _state
 from robust_filterpy._brief import lines_of
 from robust_filterpy._checks import Array, numbers
-from robust_filterpy._documentation import STOPPED, pointer
 from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Information, Scaling
 from robust_filterpy.identification.models import coefficients
@@ -25,7 +24,7 @@ from robust_filterpy.identification.recursive.recursion import GRADIENTS, Gradie
 from robust_filterpy.identification.recursive.returning import Returning
 from robust_filterpy.identification.recursive.state import at_rest
 from robust_filterpy.identification.recursive.tracker import START, ParameterTracker, continued
-from robust_filterpy.identification.recursive.watch import LostTrackerWarning, News
+from robust_filterpy.identification.recursive.watch import News
 from robust_filterpy.influence.functions import Influence
 
 __all__ = ["TrackerBank"]
@@ -86,7 +85,7 @@ class TrackerBank(Returning):
 
     Warns
     -----
-    LostTrackerWarning
+    LostTrackerWarning, StuckSensorWarning
         As `ParameterTracker`; the message names the actuators.
 
     Notes
@@ -417,12 +416,9 @@ class TrackerBank(Returning):
 
     def _say(self, news: News) -> None:
         """Warn of what is wrong, once for all actuators of which it is the same."""
-        for trouble in dict.fromkeys(trouble for _, trouble in news):
-            some = np.isin(np.arange(self.n), [i for i, each in news if each == trouble])
-            warn(
-                f"TrackerBank: {bank_setup.actuators(some)}: {trouble}; {pointer(STOPPED)}",
-                LostTrackerWarning,
-            )
+        for said, category in dict.fromkeys((one.said, one.category) for one in news):
+            some = np.isin(np.arange(self.n), [one.actuator for one in news if one.said == said])
+            warn(f"TrackerBank: {bank_setup.actuators(some)}: {said}", category)
 
     def _matrices(self, name: str) -> Array:
         """Return F or Q, which the user may have changed, with the axis (1 or n) in front."""

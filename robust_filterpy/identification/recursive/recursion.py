@@ -1,7 +1,7 @@
 """The recursion of one actuator, one sample after the other: the definition that the kernel is held to.
 
-One sample: predict theta, predict y from phi, look again at outputs that were replaced, correct theta along the
-gradient, restrain an unstable step, follow R, remember.
+One sample: predict theta, predict y from phi, leave out a sensor that is stuck, look again at outputs that were
+replaced, correct theta along the gradient, restrain an unstable step, follow R, remember.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import Any, Final, Literal, TypeAlias
 import numpy as np
 
 from robust_filterpy._checks import Array
+from robust_filterpy.correction import repeats
 from robust_filterpy.identification.models.guard import are_stable, restrained
 from robust_filterpy.identification.models.regressor import CLEANED_FROM, Memory, bounded, gradient, pushed
 from robust_filterpy.identification.models.results import Sample
@@ -34,6 +35,7 @@ class Recursion:
     def __init__(self, form: Form, i: int, kf: Any, now: State, row: int, enabled: bool) -> None:
         """Go on from a row of a state, which is that of actuator i."""
         self.filter, self.layout, self.cleans, self.enabled = kf, form.layout, form.cleans, enabled
+        self.judges, self.readings = form.judges, now.readings[row].copy()
         self.guard, self.filtered = str(form.guard[i]), form.gradient[i] == "filtered" and form.layout.is_filtered
         self.memory, self.windup = Memory(*(a[row] for a in now.past)), float(now.windup[row])
         self.scale = NoiseScale(*now.scale[row, 1:].tolist())
@@ -51,12 +53,19 @@ class Recursion:
         x = kf.x
         shown = predicted = H.dot(x).item()
         r = setup.noise_variance(kf) if R is None else R
+        stuck = known and self.judges and self._is_stuck(y, predicted, H, r)
+        # What is stuck counts as missing.
+        known = known and not stuck
         if self.cleans and known and not np.array_equal(outputs, memory.measured):
             other = H.copy()
             other[0, layout.outputs] = memory.measured
-            S, explained = variance(H, kf.P, r), other.dot(x).item()
-            if abs(y - predicted) > CLEANED_FROM * math.sqrt(S) and abs(y - explained) < abs(y - predicted):
-                H, outputs, predicted = other, memory.measured, explained
+            explained = other.dot(x).item()
+            if is_far(y - predicted, H, kf.P, r) and abs(y - explained) < abs(y - predicted):
+                # Wild outputs explain no other wild one by being about as far out. Outputs that were replaced by what
+                # a wrong theta predicted run away, and those as measured are the smaller ones.
+                smaller = variance(other, kf.P, r) <= variance(H, kf.P, r)
+                if smaller or not is_far(y - explained, other, kf.P, r):
+                    H, outputs, predicted = other, memory.measured, explained
         G = H
         if self.filtered:
             past, newest = np.ravel(x), H[0] * layout.precedes_noise
@@ -74,6 +83,10 @@ class Recursion:
             moved, event = restrained(np.ravel(kf.x), old, layout.stable, self.guard)
             if event:
                 kf.x = moved.reshape(np.shape(kf.x))
+        if stuck:
+            self.readings[repeats.WIDTH] += 1.0
+        elif known and self.judges:
+            note(self.readings, y, y - predicted, r)
         theta, phi = np.ravel(kf.x), H[0]
         believed = bounded(predicted) if not known or (self.cleans and outlying) else y
         before = bounded(phi[layout.before_noise].dot(theta[layout.before_noise]).item())
@@ -87,7 +100,13 @@ class Recursion:
             prefiltered=prefiltered,
             gradients=gradients,
         )
-        return Sample(shown, y - shown, weight, event)
+        return Sample(shown, y - shown if known else math.nan, weight, event)
+
+    def _is_stuck(self, y: float, predicted: float, H: Array, r: float) -> bool:
+        """Tell whether the sensor repeats itself far from what was predicted, or has done so since."""
+        if not repeats.again(self.readings[: repeats.WIDTH], np.array(y), np.array(r)):
+            return False
+        return self.readings[repeats.WIDTH] > 0.0 or is_far(y - predicted, H, self.filter.P, r)
 
 
 def _corrected(kf: Any, G: Array, y: float, predicted: float, R: float | None, r: float, filtered: bool) -> float:
@@ -118,6 +137,22 @@ def _followed(kf: Any, scale: NoiseScale, R: float, nu: float, S: float) -> Nois
     if scale.samples < EARLY and found > R:
         kf.P = kf.P * (found / R)
     return scale._replace(samples=samples)
+
+
+def note(readings: Array, y: float, nu: float, r: float) -> None:
+    """Note in place a reading that was not left out and what was not foreseen of it."""
+    row = readings[: repeats.WIDTH]
+    if readings[repeats.WIDTH]:
+        # While a sensor was stuck it has told nothing of its steps.
+        row[-1], readings[repeats.WIDTH] = abs(row[-1]), 0.0
+    repeats.note_reading(row, y, r)
+    repeats.note_change(row, nu)
+    row[0] = nu
+
+
+def is_far(nu: float, phi: Array, P: Array, r: float) -> bool:
+    """Tell whether an innovation is one that a cleaned regressor replaces."""
+    return abs(nu) > CLEANED_FROM * math.sqrt(variance(phi, P, r))
 
 
 def variance(phi: Array, P: Array, r: float) -> float:

@@ -12,7 +12,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._warning import warn
 from robust_filterpy.identification.models.guard import are_stable
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.recursive.state import Form, require_plausible
+from robust_filterpy.identification.recursive.state import READINGS, Form, require_plausible
 
 __all__ = ["Returning", "checked"]
 
@@ -118,6 +118,7 @@ def checked(
     shapes |= {"start": (None, signals)} if "start" in state else {}
     if "watch" in state or "followed" in state:
         shapes |= {"watch": (None,), "followed": (None, 1 + signals)}
+    shapes |= {"readings": (READINGS,)} if "readings" in state else {}
     whole = {name: (*axes, *shape) for name, shape in shapes.items()}
     found = _state.checked(state, None, {**whole, **needed}, optional, ("start", "followed"))
     for name, least in (("R", "> 0"), ("alpha_sq", ">= 1")):

@@ -12,15 +12,18 @@ import numpy as np
 
 from robust_filterpy import _checks, _state
 from robust_filterpy._checks import Array
+from robust_filterpy.correction import repeats
 from robust_filterpy.identification.models.regressor import Layout, Memory
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive.start import ColdStart
 from robust_filterpy.identification.recursive.watch import Followed, Windows
 
-__all__ = ["WINDUP", "Form", "State", "at_rest", "require_plausible"]
+__all__ = ["READINGS", "WINDUP", "Form", "State", "at_rest", "require_plausible"]
 
 #: With forgetting and no excitation P grows without end; at so many times its first trace it stops.
 WINDUP = 1e8
+#: What is known of the readings, and for how many samples the sensor has been stuck.
+READINGS = repeats.WIDTH + 1
 
 
 class Form(NamedTuple):
@@ -33,6 +36,8 @@ class Form(NamedTuple):
     has_offset: bool
     cleans: bool
     """Whether the regressor holds cleaned outputs."""
+    judges: bool
+    """Whether outputs are judged at all, so that a sensor may be found to be stuck."""
     gradient: np.ndarray
     """"filtered" or "pseudolinear", (n,)."""
     guard: np.ndarray
@@ -57,6 +62,9 @@ class State(NamedTuple):
     past: Memory
     scale: Array
     """R and the fields of `NoiseScale`, (n, 4)."""
+    readings: Array
+    """What is known of the readings, as in `correction.repeats`, and for how many samples the sensor has been stuck,
+    (n, 7)."""
     centre: Array
     """What is taken off the outputs, so that the constant is small, (n,)."""
     windup: Array
@@ -75,7 +83,8 @@ class State(NamedTuple):
     def copied(self) -> State:
         """Return it with copies of what a sample moves, to be written into."""
         past = Memory(*(a.copy() for a in self.past))
-        return self._replace(theta=self.theta.copy(), P=self.P.copy(), scale=self.scale.copy(), past=past)
+        return self._replace(theta=self.theta.copy(), P=self.P.copy(), scale=self.scale.copy(),
+            readings=self.readings.copy(), past=past)  # fmt: skip
 
     def rows(self, which: np.ndarray) -> State:
         """Return the state of some actuators, in arrays of its own.
@@ -136,7 +145,7 @@ class State(NamedTuple):
         rows = self.followed.rows[:, self.followed.rows.shape[1] - shown :]
         return {
             "theta": self.theta, "P": self.P, **self.past._asdict(), "recursion": rule, "start": recorded, "kept": kept,
-            "watch": watch, "followed": rows,
+            "watch": watch, "followed": rows, "readings": self.readings,
         }  # fmt: skip
 
     def restored(self, found: Mapping[str, Array], R: Array) -> State:
@@ -167,12 +176,13 @@ class State(NamedTuple):
         followed = Followed.restored(watch[:, 2:], found.get("followed", np.zeros((n, 0, self.followed.rows.shape[2]))))
         return State(
             found["theta"], found["P"], Memory(*(found[name] for name in Memory._fields)),
-            np.column_stack((R, rule[:, 2:5])), rule[:, 0].copy(), rule[:, 1].copy(), rule[:, 5] > 0.0,
+            np.column_stack((R, rule[:, 2:5])), found.get("readings", np.zeros((n, READINGS))),
+            rule[:, 0].copy(), rule[:, 1].copy(), rule[:, 5] > 0.0,
             watch[:, 0] > 0.0, samples, starts, followed, self.windows.emptied(),
         )  # fmt: skip
 
 
-_ARRAYS = ("theta", "P", "scale", "centre", "windup", "begun", "restarts", "samples")
+_ARRAYS = ("theta", "P", "scale", "readings", "centre", "windup", "begun", "restarts", "samples")
 
 
 def at_rest(form: Form, theta: Array, P: Array, scale: Array, samples: int, told: bool) -> State:
@@ -202,7 +212,8 @@ def at_rest(form: Form, theta: Array, P: Array, scale: Array, samples: int, told
     starts = {} if told else {i: ColdStart.of(structure.n_theta, structure.n_inputs, samples) for i in range(n)}
     windup = WINDUP * np.maximum(np.trace(P, axis1=1, axis2=2), 1e-300)
     return State(
-        theta, P, past, scale, np.zeros(n), windup, np.full(n, told), np.full(n, not told), np.full(n, samples), starts,
+        theta, P, past, scale, np.zeros((n, READINGS)), np.zeros(n),
+        windup, np.full(n, told), np.full(n, not told), np.full(n, samples), starts,
         Followed.none(n, form.n_signals), Windows.none(n),
     )  # fmt: skip
 
@@ -228,6 +239,9 @@ def require_plausible(found: Mapping[str, Array]) -> None:
             ("watch", "whole numbers of samples >= 0", whole),
             ("watch", "a variance >= 0", variance >= 0.0),
         ]
+    if "readings" in found:
+        counts = found["readings"][..., [2, 3, repeats.WIDTH]]
+        conditions.append(("readings", "a scale and counts >= 0", counts >= 0.0))
     for name, what, good in conditions:
         if not good.all():
             raise _state.StateError(f"state: expected {what} in {name}, got {_checks.shown(found[name])}")

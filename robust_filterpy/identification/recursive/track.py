@@ -15,18 +15,20 @@ import numpy as np
 
 from robust_filterpy import kernel
 from robust_filterpy._checks import Array
+from robust_filterpy.correction import repeats
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.models.guard import GUARDS
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.regressor import LARGEST
 from robust_filterpy.identification.models.results import Columns
+from robust_filterpy.identification.models.unmeasured import measurements
 from robust_filterpy.identification.recursive import setup
 from robust_filterpy.identification.recursive.handover import gone_on
-from robust_filterpy.identification.recursive.recursion import Recursion
+from robust_filterpy.identification.recursive.recursion import Recursion, note
 from robust_filterpy.identification.recursive.start import ColdStart
-from robust_filterpy.identification.recursive.state import Form, State
-from robust_filterpy.identification.recursive.watch import News
+from robust_filterpy.identification.recursive.state import READINGS, Form, State
+from robust_filterpy.identification.recursive.watch import News, Trouble, long_held
 from robust_filterpy.kernel.series import SCALINGS, plain, rule
 
 # So many samples at most go to the definition before the kernel has another try.
@@ -71,16 +73,22 @@ def advance(
     y and R (n, N), u (n, N, n_inputs), y NaN where it is missing, R None for that of the state.
     """
     n, length = y.shape
-    out, said, k = Columns.empty(n, length, form.layout.n), [], 0
+    said: News = []
+    out, k = Columns.empty(n, length, form.layout.n), 0
     while k < length:
         watched = _watched(form, using, now)
         waits = [now.followed.waits(watched), *(max(start.waits, 1) for start in now.starts.values())]
         part = slice(k, min(k + min(waits), length))
+        before = now.readings[:, -1]
         if not now.begun.all():
             _only_look_on(now, y, part, out)
         if now.begun.any():
             now = _Stretch(form, using, now, (y, u, R), out).through(part)
         shown = Columns(*(column[:, part] for column in out))
+        left_out = np.isnan(shown.residual) & ~np.isnan(y[:, part])
+        if left_out.any():
+            windows, news = now.windows.with_stuck(long_held(left_out, before))
+            now, said = now._replace(windows=windows), said + news
         windows, news = now.windows.seen(shown.weights, shown.guard, shown.residual, now.scale[:, 0], form.has_offset)
         said += news
         now, news = _looked(form, using, now._replace(windows=windows), watched, y[:, part], u[:, part], shown)
@@ -139,12 +147,13 @@ def _looked(
         signals = np.concatenate((shown.prediction[watched, :, None], u[watched]), axis=2)
         followed, lost = now.followed.looked(watched, shown.residual[watched], signals, form.has_offset)
         now = now._replace(followed=followed)
-        for i, trouble in lost:
+        for i, trouble, _ in lost:
             start = ColdStart.of(form.structure.n_theta, form.structure.n_inputs, int(now.samples[i]))
             now = now._replace(
                 starts={**now.starts, i: start}, followed=now.followed.forgotten(i), windows=now.windows.forgotten(i)
             )
-            news.append((i, f"{trouble}; it starts anew, and theta may jump when a model of the next samples is found"))
+            anew = f"{trouble}; it starts anew, and theta may jump when a model of the next samples is found"
+            news.append(Trouble(i, anew))
     return now, news
 
 
@@ -168,6 +177,7 @@ def _with_model(form: Form, now: State, i: int, start: ColdStart) -> tuple[State
         failure = str(error)
     else:
         failure, now = "", gone_on(form, now, i, model)
+        now = _with_readings(now, i, start, model)
     others = {j: other for j, other in now.starts.items() if j != i}
     if start.is_last_look and not failure:
         now = now._replace(starts=others)
@@ -180,6 +190,20 @@ def _with_model(form: Form, now: State, i: int, start: ColdStart) -> tuple[State
     return now._replace(windows=windows), news
 
 
+def _with_readings(now: State, i: int, start: ColdStart, model: Model) -> State:
+    """Learn from a model's own recording how fine the steps of the sensor are, and how white its noise."""
+    y, R, row = measurements(start.y, start.u)[0] - now.centre[i], float(now.scale[i, 0]), np.zeros(READINGS)
+    nu = start.y - model.predict(start.y, start.u if model.structure.n_inputs else None)
+    steps = np.diff(np.unique(y[~np.isnan(y)]))
+    if steps.size:
+        row[repeats.WIDTH - 1] = 1.0 / max(float(steps.min()), 1e-290)
+    for k in np.flatnonzero(~np.isnan(y + nu)).tolist():
+        note(row, float(y[k]), float(nu[k]), R)
+    readings = now.readings.copy()
+    readings[i] = row
+    return now._replace(readings=readings)
+
+
 def _usual(form: Form, now: State, i: int, start: ColdStart, model: Model) -> tuple[State, News]:
     """Learn from a model's own recording what is usual; say what is odd in that recording already."""
     prediction = model.predict(start.y, start.u)
@@ -187,9 +211,13 @@ def _usual(form: Form, now: State, i: int, start: ColdStart, model: Model) -> tu
     followed, share = now.followed.begun(i, start.y - prediction, signals)
     now = now._replace(followed=followed)
     odd = {one.kind: one.text for one in model.findings}
+    stuck = "stuck" in odd
+    windows, news = now.windows.with_stuck(
+        stuck & (np.arange(len(now.begun)) == i), f"of its first samples: {odd['stuck'] if stuck else ''}"
+    )
     taken = [text for kind, text in odd.items() if kind in _SAID or (kind == "another plant" and not share)]
     if not (share or taken):
-        return now, []
+        return now._replace(windows=windows), news
     sentence = (
         f"of its first {start.y.size} samples: {'; '.join(taken)}"
         if taken
@@ -199,8 +227,8 @@ def _usual(form: Form, now: State, i: int, start: ColdStart, model: Model) -> tu
             "select_structure"
         )
     )
-    windows, news = now.windows.without_model(i, sentence)
-    return now._replace(windows=windows), news
+    windows, more = windows.without_model(i, sentence)
+    return now._replace(windows=windows), news + more
 
 
 # Through the samples.
@@ -243,9 +271,9 @@ class _Stretch:
             return part.start + done
         y, u, R = self.signals
         own = here if len(here) < len(y) else slice(None)
-        flags = np.empty((len(here), 4), dtype=np.intp)
+        flags = np.empty((len(here), 5), dtype=np.intp)
         flags[:, 0], flags[:, 1] = form.gradient[own] == "filtered", [GUARDS.index(name) for name in form.guard[own]]
-        flags[:, 2], flags[:, 3] = form.cleans, using.enabled[own]
+        flags[:, 2], flags[:, 3], flags[:, 4] = form.cleans, using.enabled[own], form.judges
         rules = np.stack([rule(choice) for choice in using.choices])  # type: ignore[misc]
         shared = [(a if len(a) == 1 else a[own])[:, None] for a in (rules, using.F, using.Q)]
         written = [np.ascontiguousarray(column[own, part]) for column in self.out]
@@ -253,7 +281,7 @@ class _Stretch:
             form.layout.numbers,
             (*map(plain, (*shared, using.alpha_sq[own], now.windup[rows], now.centre[rows])), flags),
             (y[own, part], u[own, part], None if R is None else R[own, part]),
-            tuple(a[rows] for a in (now.theta, now.P, *now.past, now.scale)), tuple(written), done,
+            tuple(a[rows] for a in (now.theta, now.P, *now.past, now.scale, now.readings)), tuple(written), done,
         )  # fmt: skip
         for column, block in zip(self.out, written, strict=True):
             column[own, part] = block
@@ -289,6 +317,6 @@ class _Stretch:
             error.args = (f"{self.using.place(k, i)}{error}", *error.args[1:])
             raise
         now.theta[row], now.P[row] = np.ravel(kf.x), kf.P
-        now.scale[row] = setup.told_variance(kf), *one.scale
+        now.scale[row], now.readings[row] = (setup.told_variance(kf), *one.scale), one.readings
         for stack, value in zip(now.past, one.memory, strict=True):
             stack[row] = value

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks, _state
 from robust_filterpy._brief import lines_of
 from robust_filterpy._checks import Array
-from robust_filterpy._documentation import STOPPED, pointer
 from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Information, Scaling
 from robust_filterpy.filters.states import go_on_beside, kept_beside
@@ -37,7 +36,6 @@ from robust_filterpy.identification.recursive.returning import Returning, checke
 from robust_filterpy.identification.recursive.standing import Standing
 from robust_filterpy.identification.recursive.state import Form, State, at_rest
 from robust_filterpy.identification.recursive.tuned import TunedTracker, tuned
-from robust_filterpy.identification.recursive.watch import LostTrackerWarning
 from robust_filterpy.influence.functions import Influence
 
 __all__ = ["ParameterTracker"]
@@ -91,7 +89,8 @@ class ParameterTracker(Returning, Standing):
         Which outputs an ARX, ARMAX, AR, ARMA or BoxJenkins has in its regressor: those measured, or the prediction in
         the place of those further than 3 standard deviations from it (the filter-cleaner of Masreliez and Martin),
         unless the outputs as measured explain the next sample. Default: "cleaned" with a start, "measured" with
-        ``start=0``, as in the paper. No difference for other structures.
+        ``start=0``, as in the paper. For other structures the difference is that under "cleaned" a sensor that is stuck
+        counts as missing.
     R_memory : int, default 150
         Number of samples that an R which is followed remembers.
     forgetting : float, optional
@@ -137,6 +136,10 @@ class ParameterTracker(Returning, Standing):
         residuals follow the inputs otherwise than at the start, since the plant has become another one or the sensor is
         stuck, or stay off zero, since the level of y has moved: a tracker that found its model itself, or has it from
         `identify`, then starts anew.
+    StuckSensorWarning
+        Once, if y repeats its last value to the last bit, more than three standard deviations from the prediction,
+        though its noise is white and in fine steps: it then counts as missing for as long as it does. Also if the
+        start's own samples hold a value as `identify` says.
 
     Notes
     -----
@@ -245,9 +248,10 @@ class ParameterTracker(Returning, Standing):
         layout = Layout(structure.with_constant(), structure.n_inputs) if has_offset else Layout(structure)
         places = np.arange(layout.n)
         own = np.delete(places, structure.constant_place) if has_offset else places
-        cleans = self._regressor == "cleaned" and structure.na + structure.nd > 0
+        judges = self._regressor == "cleaned"
+        cleans = judges and structure.na + structure.nd > 0
         self.structure = structure
-        self.form = Form(structure, layout, own, has_offset, cleans, np.array([gradient]), np.array([guard]))
+        self.form = Form(structure, layout, own, has_offset, cleans, judges, np.array([gradient]), np.array([guard]))
         choices = {"influence": influence, "scaling": scaling, "information": information}
         self.filter = kf = setup.make_filter(layout.n, filter, choices)
         setup.configure(kf, structure, own, self._given)
@@ -487,8 +491,8 @@ class ParameterTracker(Returning, Standing):
         R = None if R is None else R[None]
         now, out, news = track.advance(self.form, self._using(recorded), self.now, y[None], u[None], R)
         self._take_over(now)
-        for _, trouble in news:
-            warn(f"ParameterTracker: {trouble}; {pointer(STOPPED)}", LostTrackerWarning)
+        for one in news:
+            warn(f"ParameterTracker: {one.said}", one.category)
         return Columns(*(column[0] for column in out))
 
     def _take_over(self, now: State) -> None:
@@ -513,6 +517,7 @@ class ParameterTracker(Returning, Standing):
         Returns
         -------
         dict of str to ndarray
+            readings: what is known of the steps of y, (7,);
             theta and P, with the constant where there is one; the signals in memory: outputs (na,), inputs, residuals
             (nc,), gradients, measured (na,); enabled; recursion: centre of y, limit of tr P, samples, mean and memory
             of R, whether a model was found, samples until the next look; start: y and u kept for it, (L, 1 + n_inputs);

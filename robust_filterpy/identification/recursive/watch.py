@@ -8,6 +8,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from robust_filterpy._checks import Array
+from robust_filterpy._documentation import STOPPED, pointer
+from robust_filterpy.filters.stuck import StuckSensorWarning
 from robust_filterpy.identification.models.dependence import (
     CLIP,
     SHARE,
@@ -18,7 +20,7 @@ from robust_filterpy.identification.models.dependence import (
 )
 from robust_filterpy.influence.regression import mad_scale
 
-__all__ = ["Followed", "LostTrackerWarning", "News", "Windows"]
+__all__ = ["Followed", "LostTrackerWarning", "News", "Trouble", "Windows", "long_held"]
 
 # Samples that are judged together.
 _WINDOW: Final = 200
@@ -41,12 +43,28 @@ _PACE: Final = 0.15
 # R may follow noise that changes, not over this factor.
 _WANDERING: Final = 1e4
 
-#: What is to be said of which actuator.
-News = list[tuple[int, str]]
+# A sensor that is stuck for fewer samples is left out without a word: an outlier may give the same number twice.
+_HELD: Final = 3
 
 
 class LostTrackerWarning(UserWarning):
     """A tracker that has stopped following its plant."""
+
+
+class Trouble(NamedTuple):
+    """What is to be said of an actuator."""
+
+    actuator: int
+    text: str
+    category: type[UserWarning] = LostTrackerWarning
+
+    @property
+    def said(self) -> str:
+        """The sentence, and where to read on."""
+        return f"{self.text}; {pointer(STOPPED)}" if self.category is LostTrackerWarning else self.text
+
+
+News = list[Trouble]
 
 
 class Followed(NamedTuple):
@@ -153,7 +171,7 @@ class Followed(NamedTuple):
         Returns
         -------
         after : Followed
-        news : list of tuple of int and str
+        news : list of Trouble
             Which actuators have lost their plants, in words.
         """
         seen, usual, rows = self.seen.copy(), self.usual.copy(), self.rows.copy()
@@ -164,7 +182,7 @@ class Followed(NamedTuple):
         for i in which[(seen[which] % _PERIOD == 0) & (seen[which] >= _SPAN)].tolist():
             trouble, usual[i] = _trouble(rows[i, :, 0], rows[i, :, 1:], usual[i], has_offset)
             if trouble:
-                news.append((i, trouble))
+                news.append(Trouble(i, trouble))
         return Followed(seen, usual, rows), news
 
 
@@ -180,6 +198,9 @@ _OFF: Final = (
 
 def _trouble(residuals: Array, signals: Array, usual: Array, has_offset: bool) -> tuple[str, Array]:
     """Return why the model is another plant's, nothing if what it leaves is usual or chance, and what is usual then."""
+    if np.isnan(residuals).sum() > _SPAN // 2:
+        # A gap is neither unusual nor what is usual from now on.
+        return "", usual
     covariances, anyway = usual[:3], usual[3]
     now = autocovariances(residuals)
     covariances = covariances if covariances[0] > 0.0 else now
@@ -213,6 +234,32 @@ def _moved(residuals: Array, covariances: Array) -> str:
     return _OFF.format(n[k], np.median(residuals[first[k] : last[k]]), scale) if chance[k] > _MOVED else ""
 
 
+_STUCK: Final = (
+    "y repeats its last value to the last bit, more than three standard deviations from its prediction: the sensor is "
+    "stuck, at its limit or in a dead band; it counts as missing for as long as it does"
+)
+
+
+def long_held(left_out: np.ndarray, before: Array) -> np.ndarray:
+    """Return which sensors were stuck for more than a few samples in a row.
+
+    Parameters
+    ----------
+    left_out : ndarray of bool, shape (n, N)
+        Samples that were left out since a sensor was stuck.
+    before : ndarray, shape (n,)
+        For how many samples each had been stuck before.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
+    earlier = before[:, None] >= np.arange(_HELD - 1, 0, -1)
+    row = np.concatenate((earlier, left_out), axis=1)
+    n = row.shape[1] - _HELD + 1
+    return np.logical_and.reduce([row[:, k : k + n] for k in range(_HELD)]).any(axis=1)
+
+
 class Windows(NamedTuple):
     """The last samples, until there are enough to judge them, and what has been said, of n actuators."""
 
@@ -222,22 +269,22 @@ class Windows(NamedTuple):
     """R when it was first judged, NaN before, (n,)."""
     spoken: np.ndarray
     spoken_of_start: np.ndarray
+    spoken_of_stuck: np.ndarray
 
     @classmethod
     def none(cls, n: int) -> Windows:
         """Return them before the first sample."""
-        return cls(np.zeros((n, 0, 3)), np.full(n, np.nan), np.zeros(n, dtype=bool), np.zeros(n, dtype=bool))
+        return cls(np.zeros((n, 0, 3)), np.full(n, np.nan), *(np.zeros(n, dtype=bool) for _ in range(3)))
 
     def emptied(self) -> Windows:
         """Return them with no samples; what has been said stays said."""
-        fresh = Windows.none(len(self.R))
-        return fresh._replace(spoken=self.spoken, spoken_of_start=self.spoken_of_start)
+        return self._replace(**{name: getattr(Windows.none(len(self.R)), name) for name in ("recent", "R")})
 
     def forgotten(self, i: int) -> Windows:
         """Return them with nothing seen of an actuator, for another model."""
         recent, R, spoken = self.recent.copy(), self.R.copy(), self.spoken.copy()
         recent[i], R[i], spoken[i] = np.nan, np.nan, False
-        return Windows(recent, R, spoken, self.spoken_of_start)
+        return self._replace(recent=recent, R=R, spoken=spoken)
 
     def without_model(self, i: int, trouble: str) -> tuple[Windows, News]:
         """Return them and why the start has found no model, unless that has been said.
@@ -252,11 +299,30 @@ class Windows(NamedTuple):
         Returns
         -------
         after : Windows
-        news : list of tuple of int and str
+        news : list of Trouble
         """
         spoken = self.spoken_of_start.copy()
         spoken[i] = True
-        return self._replace(spoken_of_start=spoken), [] if self.spoken_of_start[i] else [(i, trouble)]
+        return self._replace(spoken_of_start=spoken), [] if self.spoken_of_start[i] else [Trouble(i, trouble)]
+
+    def with_stuck(self, stuck: np.ndarray, text: str = _STUCK) -> tuple[Windows, News]:
+        """Return them and which sensors are stuck, unless that has been said of an actuator.
+
+        Parameters
+        ----------
+        stuck : ndarray of bool, shape (n,)
+            Which of them.
+        text : str, optional
+            What was seen.
+
+        Returns
+        -------
+        after : Windows
+        news : list of Trouble
+        """
+        new = np.flatnonzero(stuck & ~self.spoken_of_stuck).tolist()
+        news = [Trouble(i, text, StuckSensorWarning) for i in new]
+        return (self._replace(spoken_of_stuck=self.spoken_of_stuck | stuck) if new else self), news
 
     def seen(
         self, weights: Array, guard: np.ndarray, residuals: Array, R: Array, has_offset: bool
@@ -279,7 +345,7 @@ class Windows(NamedTuple):
         Returns
         -------
         after : Windows
-        news : list of tuple of int and str
+        news : list of Trouble
             What is wrong, once for each actuator.
         """
         if self.spoken.all():
@@ -294,8 +360,8 @@ class Windows(NamedTuple):
         first = np.where(np.isnan(self.R) & judged.any(axis=1), R, self.R)
         news = _judged(windows, known, judged & ~self.spoken[:, None], R, first, has_offset)
         spoken = self.spoken.copy()
-        spoken[[i for i, _ in news]] = True
-        return Windows(recent, first, spoken, self.spoken_of_start), news
+        spoken[[one.actuator for one in news]] = True
+        return self._replace(recent=recent, R=first, spoken=spoken), news
 
 
 def _judged(windows: Array, known: np.ndarray, judged: np.ndarray, R: Array, first: Array, has_offset: bool) -> News:
@@ -330,5 +396,5 @@ def _judged(windows: Array, known: np.ndarray, judged: np.ndarray, R: Array, fir
             said = (
                 f"R went from {first[i]:.3g} to {R[i]:.3g}: theta does not follow the plant, or the sensor has changed"
             )
-        news.append((i, said))
+        news.append(Trouble(i, said))
     return news
