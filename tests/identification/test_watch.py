@@ -194,8 +194,8 @@ def test_a_state_from_before_the_usual_share_was_kept_is_taken():
     tracker.run(y[:600], u[:600])
     state = tracker.state()
     tracker.restore({**state, "watch": state["watch"][:6]})
-    assert tracker.state()["watch"].shape == (7,)
-    with pytest.raises(ValueError, match="watch of 7 numbers"):
+    assert tracker.state()["watch"].shape == (8,)
+    with pytest.raises(ValueError, match="watch of 8 numbers"):
         tracker.restore({**state, "watch": state["watch"][:3]})
 
 

@@ -18,7 +18,7 @@ ROUNDING: Final = 1e-12
 # Within so many standard deviations of the ordinary noise a sample is an ordinary one.
 _ORDINARY: Final = 3.0
 # What arithmetic loses of the largest values of a recording that else rests.
-_NUMBERS: Final = 1e-14
+_NUMBERS: Final = 3e-14
 
 
 def fit_percent(y: ArrayLike, y_model: ArrayLike, axis: int = 0) -> Any:

@@ -166,7 +166,7 @@ class State(NamedTuple):
         """
         n = len(self.theta)
         rule = found["recursion"]
-        watch = found.get("watch", np.column_stack((self.restarts, self.samples, np.zeros((n, 5)))))
+        watch = found.get("watch", np.column_stack((self.restarts, self.samples, np.zeros((n, 6)))))
         recorded, kept = found["start"], found.get("kept", np.full(n, found["start"].shape[1]))
         samples = watch[:, 1].astype(int)
         starts = {}
@@ -219,7 +219,7 @@ def at_rest(form: Form, theta: Array, P: Array, scale: Array, samples: int, told
 
 
 def require_plausible(found: Mapping[str, Array]) -> None:
-    """Raise unless what recursions of actuators keep, (.., 7), and their watch, (.., 7), can be what `arrays` gave."""
+    """Raise unless what recursions of actuators keep, (.., 7), and their watch, (.., 8), can be what `arrays` gave."""
     _, limit, samples, mean, memory, begun, waits = np.moveaxis(found["recursion"], -1, 0)
     conditions = [
         ("recursion", "a limit of tr P > 0", limit > 0.0),
@@ -229,9 +229,9 @@ def require_plausible(found: Mapping[str, Array]) -> None:
         ("recursion", "a whole number of samples until the next look, or -1", (waits >= -1.0) & (waits % 1.0 == 0.0)),
     ]
     if "watch" in found:
-        # Format 1 began without the share that follows the inputs anyway.
-        if found["watch"].shape[-1] not in (6, 7):
-            raise _state.StateError(f"state: expected watch of 7 numbers, got {found['watch'].shape[-1]}")
+        # Format 1 began without the share that follows the inputs anyway, and without what is rounding.
+        if found["watch"].shape[-1] not in (6, 7, 8):
+            raise _state.StateError(f"state: expected watch of 8 numbers, got {found['watch'].shape[-1]}")
         restarts, looks, seen, variance = np.moveaxis(found["watch"], -1, 0)[:4]
         whole = (looks >= 1.0) & (seen >= 0.0) & (looks % 1.0 == 0.0) & (seen % 1.0 == 0.0)
         conditions += [

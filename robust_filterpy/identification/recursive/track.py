@@ -89,7 +89,9 @@ def advance(
         if left_out.any():
             windows, news = now.windows.with_stuck(long_held(left_out, before))
             now, said = now._replace(windows=windows), said + news
-        windows, news = now.windows.seen(shown.weights, shown.guard, shown.residual, now.scale[:, 0], form.has_offset)
+        windows, news = now.windows.seen(
+            shown.weights, shown.guard, shown.residual, now.scale[:, 0], form.has_offset, now.followed.usual[:, -1]
+        )
         said += news
         now, news = _looked(form, using, now._replace(windows=windows), watched, y[:, part], u[:, part], shown)
         said += news

@@ -18,7 +18,8 @@ from robust_filterpy.identification.models.dependence import (
     level_and_scale,
     whitening_of,
 )
-from robust_filterpy.influence.regression import mad_scale
+from robust_filterpy.identification.models.fit import least_variance
+from robust_filterpy.influence.regression import mad_scale, size_of
 
 __all__ = ["Followed", "LostTrackerWarning", "News", "Trouble", "Windows", "long_held"]
 
@@ -38,6 +39,10 @@ _PERIOD: Final = 40
 # 30 % outliers, all on one side, quiet runs reach 5.6.
 _IN_A_ROW: Final = 20
 _MOVED: Final = 7.0
+# Where so many residuals are no more than rounding, the plant rests or has no noise, and they tell nothing.
+_NEARLY_ALL: Final = 0.9
+# Numbers that are usual of an actuator.
+_USUAL: Final = 5
 # Of the autocovariances of ordinary residuals, how much each look renews.
 _PACE: Final = 0.15
 # R may follow noise that changes, not over this factor.
@@ -73,7 +78,8 @@ class Followed(NamedTuple):
     seen: np.ndarray
     """How many samples, (n,)."""
     usual: Array
-    """Of ordinary residuals the autocovariances and how much of them follows the inputs anyway, (n, 4)."""
+    """Of ordinary residuals the autocovariances, how much of them follows the inputs anyway, and what is no more than
+    rounding, of the sensor or of numbers, (n, 5)."""
     rows: Array
     """The last residuals, and the predictions and inputs of the same samples, (n, _SPAN, 1 + n_signals)."""
 
@@ -92,15 +98,15 @@ class Followed(NamedTuple):
         -------
         Followed
         """
-        return cls(np.zeros(n, dtype=int), np.zeros((n, 4)), np.zeros((n, _SPAN, 1 + n_signals)))
+        return cls(np.zeros(n, dtype=int), np.zeros((n, _USUAL)), np.zeros((n, _SPAN, 1 + n_signals)))
 
     @classmethod
     def restored(cls, numbers: Array, rows: Array) -> Followed:
-        """Return it from samples seen and what is usual, (n, 4 or 5), and rows of the last samples, (n, L, ..).
+        """Return it from samples seen and what is usual, (n, 4 to 6), and rows of the last samples, (n, L, ..).
 
         Parameters
         ----------
-        numbers : ndarray, shape (n, 4) or (n, 5)
+        numbers : ndarray, shape (n, 4) to (n, 6)
             Samples seen, and what is usual.
         rows : ndarray, shape (n, L, 1 + n_signals)
             The last samples.
@@ -112,7 +118,7 @@ class Followed(NamedTuple):
         whole = np.zeros((len(rows), _SPAN, rows.shape[2]))
         last = rows[:, -_SPAN:]
         whole[:, _SPAN - last.shape[1] :] = last
-        usual = np.zeros((len(rows), 4))
+        usual = np.zeros((len(rows), _USUAL))
         usual[:, : numbers.shape[1] - 1] = numbers[:, 1:]
         return cls(numbers[:, 0].astype(int), usual, whole)
 
@@ -148,10 +154,13 @@ class Followed(NamedTuple):
         after = self.forgotten(i)
         if not windows or np.isnan(residuals).all():
             return after, 0.0
+        after.usual[i, -1] = rounding = _rounding(residuals + signals[:, 0])
+        if _tells_nothing(residuals, rounding):
+            return after, 0.0
         kept = np.mean([autocovariances(residuals[window]) for window in windows], axis=0)
         found = [dependence(residuals[w], signals[w], whitening=whitening_of(kept)) for w in windows]
         shares = [max(float(one.share), 0.0) for one in found]
-        after.usual[i] = *kept, max(shares)
+        after.usual[i, :-1] = *kept, max(shares)
         return after, float(np.mean(shares)) if np.mean([one.found for one in found]) > 0.5 else 0.0
 
     def looked(self, which: np.ndarray, residuals: Array, signals: Array, has_offset: bool) -> tuple[Followed, News]:
@@ -198,8 +207,8 @@ _OFF: Final = (
 
 def _trouble(residuals: Array, signals: Array, usual: Array, has_offset: bool) -> tuple[str, Array]:
     """Return why the model is another plant's, nothing if what it leaves is usual or chance, and what is usual then."""
-    if np.isnan(residuals).sum() > _SPAN // 2:
-        # A gap is neither unusual nor what is usual from now on.
+    if np.isnan(residuals).sum() > _SPAN // 2 or _tells_nothing(residuals, usual[-1]):
+        # A gap is neither unusual nor what is usual from now on, and so is rounding.
         return "", usual
     covariances, anyway = usual[:3], usual[3]
     now = autocovariances(residuals)
@@ -215,7 +224,19 @@ def _trouble(residuals: Array, signals: Array, usual: Array, has_offset: bool) -
     before = np.array([*covariances, anyway])
     after = before + _PACE * (now - before)
     after[3] = after[3] if anyway > SHARE else min(after[3], max(anyway, 0.5 * SHARE))
-    return "", after
+    return "", np.append(after, usual[-1])
+
+
+def _rounding(y: Array) -> float:
+    """Return what of an output is no more than rounding: the steps of its sensor, or what arithmetic loses."""
+    known = y[~np.isnan(y)]
+    size = size_of(known - np.median(known)) or 1.0
+    return float(size * np.sqrt(12.0 * least_variance(known, size)))
+
+
+def _tells_nothing(residuals: Array, rounding: float) -> bool:
+    """Tell whether residuals, of which some are known, are but for outliers no more than rounding."""
+    return bool(np.nanquantile(np.abs(residuals), _NEARLY_ALL) <= rounding)
 
 
 def _moved(residuals: Array, covariances: Array) -> str:
@@ -325,7 +346,7 @@ class Windows(NamedTuple):
         return (self._replace(spoken_of_stuck=self.spoken_of_stuck | stuck) if new else self), news
 
     def seen(
-        self, weights: Array, guard: np.ndarray, residuals: Array, R: Array, has_offset: bool
+        self, weights: Array, guard: np.ndarray, residuals: Array, R: Array, has_offset: bool, rounding: Array
     ) -> tuple[Windows, News]:
         """Return them with samples (n, N), R (n,) after these, and what is wrong, in words, once for each actuator.
 
@@ -341,6 +362,8 @@ class Windows(NamedTuple):
             Noise variances after them.
         has_offset : bool
             Whether the model has a constant.
+        rounding : ndarray, shape (n,)
+            Residuals that are not larger tell nothing.
 
         Returns
         -------
@@ -355,8 +378,11 @@ class Windows(NamedTuple):
         if not count:
             return self._replace(recent=recent), []
         windows, recent = recent[:, : count * _WINDOW].reshape(n, count, _WINDOW, 3), recent[:, count * _WINDOW :]
-        known = ~np.isnan(windows[..., 0])
+        known, R = ~np.isnan(windows[..., 0]), np.maximum(R, rounding**2 / 12.0)
         judged = known.sum(axis=2) >= _WINDOW // 2
+        # Residuals of a plant that rests, or has no noise, are rounding.
+        quiet = known & (np.abs(np.nan_to_num(windows[..., 2])) <= rounding[:, None, None])
+        judged &= quiet.sum(axis=2) < _NEARLY_ALL * known.sum(axis=2)
         first = np.where(np.isnan(self.R) & judged.any(axis=1), R, self.R)
         news = _judged(windows, known, judged & ~self.spoken[:, None], R, first, has_offset)
         spoken = self.spoken.copy()
