@@ -77,11 +77,11 @@ RULES: dict[str, tuple[tuple[str, str], ...]] = {
     "a tenth of r, by Page's sum": (("*for_less > LEARNT_FOR_LESS", "0"),),
     "repeats teach nothing of r": (("real_copysign(1, known[width - 1]) < 0", "0"),),
     "repeats teach where steps are fine": (
-        ("real_abs(known[width - 1]) * real_sqrt(known[0]) >= LEARNT_FINE", "0"),
+        ("real_abs(known[width - 1]) * real_sqrt(known[0]) >= REPEATS_FINE", "0"),
     ),
     "stuck sensors are left out": (("seen > 0 && asks > LEARNT_ASKS && asks < LEARNT_FARTHEST", "0"),),
-    "only after changes like white noise": (("scale * scale >= r", "1"),),
-    "r is capped by changes": (("real_max(1, tail[2] * tail[2] * LEARNT_MOST)", "REAL_MAX"),),
+    "only after changes like white noise": (("row[REPEATS_SCALE] * row[REPEATS_SCALE] >= r", "1"),),
+    "r is capped by changes": (("real_max(1, row[REPEATS_SCALE] * row[REPEATS_SCALE] * LEARNT_MOST)", "REAL_MAX"),),
     "parity: a floor of r": (
         ("real_max(r[i], real_exp((1 - colour[i]) * real_log(r[i]) + colour[i] * real_log(least)))", "r[i]"),
     ),
@@ -104,15 +104,16 @@ NAMES = {
 
 def edits(rules: dict[str, tuple[tuple[str, str], ...]]) -> list[tuple[Path, int, str, str, str]]:
     """Return for `kernel_mutations.build` the lines with each rule and, as that is chosen, without it."""
-    path, found = HEADERS / "learnt.h", []
-    lines = path.read_text().split("\n")
+    texts = {HEADERS / name: (HEADERS / name).read_text().split("\n") for name in ("learnt.h", "repeats.h")}
+    found = []
     for k, (name, changes) in enumerate(rules.items(), 1):
         for old, new in changes:
-            at = [i for i, line in enumerate(lines) if old in line]
+            at = [(path, i) for path, lines in texts.items() for i, line in enumerate(lines) if old in line]
             if len(at) != 1:
-                raise SystemExit(f"{name}: expected one line of learnt.h with {old!r}, found {len(at)}; mend RULES")
-            lines[at[0]] = lines[at[0]].replace(old, f"(MUTATION({k}) ? ({new}) : ({old}))")
-            found.append((path, at[0], old, new, lines[at[0]]))
+                raise SystemExit(f"{name}: expected one line of the kernel with {old!r}, found {len(at)}; mend RULES")
+            (path, i), = at
+            texts[path][i] = texts[path][i].replace(old, f"(MUTATION({k}) ? ({new}) : ({old}))")
+            found.append((path, i, old, new, texts[path][i]))
     return found
 
 
