@@ -91,6 +91,7 @@ RULES: dict[str, tuple[tuple[str, str], ...]] = {
 }  # fmt: skip
 #: What tests, by the name of one, see of a rule that no row needs.
 TESTED = {
+    "it is hidden while less likely than not": "test_a_jump_that_nothing_confirms_does_not_show",
     "then all of P was guessed": "test_a_start_that_the_first_reading_contradicts_is_doubted_with_its_speed",
     "shortened to 8 deviations (here to 30)": "test_r_does_not_depend_on_how_wild_an_outlier_is",
     "repeats teach where steps are fine": "test_a_sensor_that_repeats_itself_far_off_is_stuck_and_says_nothing",

@@ -745,3 +745,18 @@ def test_a_start_that_the_first_reading_contradicts_is_doubted_with_its_speed(sp
         kf.predict()
         kf.update(z)
     assert np.abs(np.ravel(kf.x) - [truth[-1], 15.0]).max() < 3.0
+
+
+@pytest.mark.parametrize("defined", [False, True], ids=["kernel", "definition"])
+@pytest.mark.parametrize("wild", [2e5, 5e5])
+def test_a_jump_that_nothing_confirms_does_not_show(defined, wild, monkeypatch):
+    """One wild reading is hardly ever a jump: its candidate, as far off as it, adds nothing to x and P."""
+    if defined:
+        without_kernel(monkeypatch)
+    kf = make(AdaptiveKalmanFilter, cart(), 1)
+    advance(kf, 0.1 * np.arange(100) + np.random.default_rng(0).normal(size=100))
+    before, P = np.ravel(kf.x).copy(), kf.P.copy()
+    kf.predict()
+    kf.update(before[0] + wild)
+    assert np.abs(np.ravel(kf.x) - before).max() < 1.0
+    assert kf.P[0, 0] < 5.0 * P[0, 0]
