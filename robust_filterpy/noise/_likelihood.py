@@ -164,31 +164,38 @@ def log_likelihoods(data: Recording, logs_R: Array, logs_Q: Array, share: Array,
     """Return the log-likelihood of the recording for each of p candidates, which advance together.
 
     Each step merges two hypotheses, ordinary or outlier, by moments: the noise-matched filter of
-    `robust_filterpy.filters.gaussian_sum`, for many noise models at once.
+    `robust_filterpy.filters.gaussian_sum`, for many noise models at once. The candidates are the last axis of every
+    array, which numpy is quickest with.
     """
-    p = len(share)
-    F, H, Q, R = (np.broadcast_to(a, (len(data.zs), *a.shape[1:])) for a in (data.F, data.H, data.Q, data.R))
-    x, P = np.tile(data.x, (p, 1)), np.tile(data.P, (p, 1, 1))
+    p, n = len(share), len(data.x)
+    F, Q = (np.broadcast_to(a, (len(data.zs), *a.shape[1:])) for a in (data.F, data.Q))
+    x, P = np.tile(data.x[:, None], p), np.tile(data.P[..., None], p)
     with np.errstate(divide="ignore"):
         log_share = np.stack([np.log1p(-share), np.log(share)])
-    sizes = np.stack([np.ones(p), ratio**2])
-    driven = scaled(data.Q[0], logs_Q)
+    sizes, root = np.stack([np.ones(p), ratio**2]), np.exp(0.5 * logs_Q.T)
+    factors = root[:, None] * root
+    driven = data.Q[0][..., None] * factors
+    sensors: dict[bytes, _Sensors] = {}
     total = np.zeros(p)
     for k, (z, w) in enumerate(zip(data.zs, data.inputs, strict=True)):
-        x = x @ F[k].T + w
-        P = data.alpha_sq * (F[k] @ P @ F[k].T) + (driven if len(data.Q) == 1 else scaled(Q[k], logs_Q))
-        part = np.flatnonzero(z == z)
-        if part.size == 0:
+        x = F[k] @ x + w[:, None]
+        P = data.alpha_sq * (F[k] @ (F[k] @ P.reshape(n, -1)).reshape(P.shape))
+        P += driven if len(data.Q) == 1 else Q[k][..., None] * factors
+        seen = z == z
+        if not seen.any():
             continue
-        # Rows whose noises are independent, with the variances `own`, whatever the factors are.
-        own, axes = np.linalg.eigh(R[k][np.ix_(part, part)])
-        rows = axes.T / np.exp(0.5 * logs_R[:, None, part])
-        y = (rows @ (z[part] - x @ H[k, part].T)[..., None])[..., 0]
+        if len(data.H) == len(data.R) == 1:
+            if (which := seen.tobytes()) not in sensors:
+                sensors[which] = _seen(data, 0, seen, logs_R)
+            part, H, own, axes, rows, log_size = sensors[which]
+        else:
+            part, H, own, axes, rows, log_size = _seen(data, k, seen, logs_R)
+        y = (axes * (z[part, None] - H @ x)).sum(axis=1)
         # The square of a sentinel value may overflow.
-        unit = np.maximum(np.abs(y).max(axis=1), 1e100) / 1e100
-        squares, logs, moved, left = _conditioned(P, y / unit[:, None], rows @ H[k, part], np.maximum(own, 0.0), sizes)
+        unit = np.maximum(np.abs(y).max(axis=0), 1e100) / 1e100
+        squares, logs, moved, left = _conditioned(P, y / unit, rows, own, sizes)
         shorter = np.minimum(unit, _REACH / np.sqrt(np.maximum(squares[1], 1e-300)))
-        logs = log_share - 0.5 * (squares * shorter**2 + logs + logs_R[:, part].sum(axis=1))
+        logs = log_share - 0.5 * (squares * shorter**2 + logs + log_size)
         top = logs.max(axis=0)
         weights = np.exp(logs - top)
         norm = weights.sum(axis=0)
@@ -196,29 +203,58 @@ def log_likelihoods(data: Recording, logs_R: Array, logs_Q: Array, share: Array,
         total += top + np.log(norm) - 0.5 * part.size * np.log(2.0 * np.pi)
         total += (part.size + 1.0) * np.minimum(np.log(_TAIL * shorter / unit), 0.0)
         weights /= norm
-        moved = moved * shorter[:, None]
-        mean = (weights[..., None] * moved).sum(axis=0)
-        apart = moved - mean
-        x = x + mean
-        P = (weights[..., None, None] * (left + apart[..., :, None] * apart[..., None, :])).sum(axis=0)
+        moved = moved * shorter
+        # Two hypotheses: their mean, and what they differ by.
+        between = moved[1] - moved[0]
+        x = x + moved[0] + weights[1] * between
+        P = weights[0] * left[0] + weights[1] * left[1]
+        P += (weights[0] * weights[1] * between)[:, None] * between
     return np.where(np.isfinite(total), total + data.log_narrowed, -np.inf)
+
+
+class _Sensors(NamedTuple):
+    """Sensors of one step, combined to rows whose noises are independent."""
+
+    part: np.ndarray
+    """Which of them are not missing."""
+    H: Array
+    """Shape (m, n)."""
+    own: Array
+    """Variances of the rows, whatever the factors are, shape (m,)."""
+    axes: Array
+    """The rows over the sensors, shape (m, m, p)."""
+    rows: Array
+    """The rows over the states, shape (m, n, p)."""
+    log_size: Array
+    """By how much the determinant is larger than that of `own`, shape (p,)."""
+
+
+def _seen(data: Recording, k: int, seen: np.ndarray, logs_R: Array) -> _Sensors:
+    """Return the sensors of a step, with their noises told apart."""
+    part = np.flatnonzero(seen)
+    H, R = data.H[min(k, len(data.H) - 1), part], data.R[min(k, len(data.R) - 1)]
+    own, axes = np.linalg.eigh(R[np.ix_(part, part)])
+    axes = axes.T[..., None] * np.exp(-0.5 * logs_R.T[part])
+    rows, log_size = np.einsum("ijp,jn->inp", axes, H), logs_R.T[part].sum(axis=0)
+    return _Sensors(part, H, np.maximum(own, 0.0), axes, rows, log_size)
 
 
 def _conditioned(P: Array, y: Array, rows: Array, own: Array, sizes: Array) -> tuple[Array, Array, Array, Array]:
     """Condition on one row after another, under each hypothesis: exact also where R is next to nothing.
 
-    y (p, m) and rows (p, m, n): innovations and their rows of H; own (m,) times sizes (h, p): their variances. Returns
-    the sums of squares and of log variances, (h, p), by how much x moves, (h, p, n), and its covariance, (h, p, n, n).
+    y (m, p) and rows (m, n, p): innovations and their rows of H; own (m,) times sizes (h, p): their variances. Returns
+    the sums of squares and of log variances, (h, p), by how much x moves, (h, n, p), and its covariance, (h, n, n, p).
     """
-    left, moved = np.repeat(P[None], len(sizes), axis=0), np.zeros((*sizes.shape, P.shape[-1]))
+    left, moved = np.repeat(P[None], len(sizes), axis=0), np.zeros((len(sizes), *rows.shape[1:]))
     squares, logs = np.zeros(sizes.shape), np.zeros(sizes.shape)
     for i, variance in enumerate(own):
-        row = rows[:, i]
-        c = (left @ row[:, :, None])[..., 0]
-        s = np.maximum((c * row).sum(axis=-1), 0.0) + variance * sizes
-        e = y[:, i] - (moved * row).sum(axis=-1)
+        row = rows[i]
+        c = np.einsum("hijp,jp->hip", left, row)
+        s = np.maximum((c * row).sum(axis=1), 0.0) + variance * sizes
+        e = y[i] - (moved * row).sum(axis=1)
         squares += e * e / s
         logs += np.log(s)
-        moved += c * (e / s)[..., None]
-        left -= c[..., :, None] * (c / s[..., None])[..., None, :]
+        gain = c / s[:, None]
+        moved += gain * e[:, None]
+        left -= c[:, :, None] * gain[:, None]
     return squares, logs, moved, left

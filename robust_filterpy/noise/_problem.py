@@ -19,6 +19,8 @@ RATIO_LIMITS = (np.log(3.0), np.log(1e4))
 # Where the search begins: decades of both factors, few and many outliers, and what is left of the best places.
 _DECADES, _SHARES, _STARTS = np.log(10.0) * np.arange(-5.0, 6.0), np.array([-7.0, -2.2]), 4
 _FIRST_LOOK = 400
+# Between the places of a grid of decades.
+_FINER = np.log(10.0) * np.linspace(-0.8, 0.8, 9)
 # The prior: ten ordinary samples, and outliers of ten times the size within a factor of e.
 _PRIOR_ORDINARY, _PRIOR_LOG_RATIO = 10.0, np.log(10.0)
 
@@ -89,27 +91,50 @@ class Problem:
     @property
     def _looks(self) -> int:
         """How many looks `_starts` takes; the search is the next stage, what the recording determines the last."""
-        factors = self.count_R + self.count_Q
-        return len(_SHARES) + (factors if max(self.count_R, self.count_Q) > 1 else 0)
+        return 1 + (self.count_R + self.count_Q if max(self.count_R, self.count_Q) > 1 else 0)
 
     def _starts(self) -> Array:
         """Return the lowest places of a grid over one factor for R and one for Q, then each factor on its own."""
         steps = min(_FIRST_LOOK, len(self.data.zs))
+        stage(f"stage 1 of {self._looks + 2}, where to start")
         log_R, log_Q = (_DECADES if count else np.zeros(1) for count in (self.count_R, self.count_Q))
         places = []
-        for k, share in enumerate(_SHARES, 1):
-            stage(f"stage {k} of {self._looks + 2}, where to start")
+        for share in _SHARES if self.known[0] is None else _SHARES[:1]:
             grid = np.array(
                 [[*[r] * self.count_R, *[q] * self.count_Q, share, _PRIOR_LOG_RATIO] for r in log_R for q in log_Q]
             )
             values = self.cost(grid, steps).reshape(len(log_R), len(log_Q))
-            places += [grid[i * len(log_Q) + j] for i, j in valleys(values, _STARTS)]
+            grid = grid.reshape(*values.shape, -1)
+            if values.size > values.shape[0] > 1:
+                grid, values = self._along_ratios(grid, values, steps)
+            places += [grid[at] for at in valleys(values, _STARTS)]
         starts = np.array(places)
-        if self._looks > len(_SHARES):
+        if self._looks > 1:
             for i in range(self.count_R + self.count_Q):
-                stage(f"stage {len(_SHARES) + i + 1} of {self._looks + 2}, where to start")
+                stage(f"stage {2 + i} of {self._looks + 2}, where to start")
                 tried = np.repeat(starts[:, None, :], len(_DECADES), axis=1)
                 tried[:, :, i] = _DECADES
                 values = self.cost(tried.reshape(-1, starts.shape[1]), steps).reshape(len(starts), -1)
                 starts = tried[range(len(starts)), values.argmin(axis=1)]
         return np.asarray(starts)
+
+    def _along_ratios(self, grid: Array, values: Array, steps: int) -> tuple[Array, Array]:
+        """Return for each ratio of Q to R where the cost is lowest, and the cost.
+
+        The floor of a valley bends round where both noises count alike, and a grid that hits it here and misses it there
+        shows hills that are none.
+        """
+        ratios = range(1 - values.shape[0], values.shape[1])
+        lows = [np.diagonal(values, ratio).argmin() for ratio in ratios]
+        lines = np.array([np.diagonal(grid, ratio)[:, low] for ratio, low in zip(ratios, lows, strict=True)])
+        offsets = np.zeros((len(_FINER), grid.shape[-1]))
+        offsets[:, :-2] = _FINER[:, None]
+        tried = lines[:, None] + offsets
+        found = self.cost(tried.reshape(-1, grid.shape[-1]), steps).reshape(len(lines), -1)
+        rows, low = np.arange(len(lines)), np.clip(found.argmin(axis=1), 1, len(_FINER) - 2)
+        # The vertex of the parabola through the lowest and its neighbours.
+        before, here, after = (found[rows, low + shift] for shift in (-1, 0, 1))
+        shift = np.clip(0.5 * (before - after) / np.maximum(before - 2 * here + after, 1e-9), -1.0, 1.0)
+        lines = tried[rows, low]
+        lines[:, :-2] += ((_FINER[1] - _FINER[0]) * shift)[:, None]
+        return lines, here - 0.25 * (before - after) * shift
