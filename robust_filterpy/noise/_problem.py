@@ -105,7 +105,7 @@ class Problem:
             )
             values = self.cost(grid, steps).reshape(len(log_R), len(log_Q))
             grid = grid.reshape(*values.shape, -1)
-            if values.size > values.shape[0] > 1:
+            if self.count_R and self.count_Q:
                 grid, values = self._along_ratios(grid, values, steps)
             places += [grid[at] for at in valleys(values, _STARTS)]
         starts = np.array(places)
@@ -121,8 +121,8 @@ class Problem:
     def _along_ratios(self, grid: Array, values: Array, steps: int) -> tuple[Array, Array]:
         """Return for each ratio of Q to R where the cost is lowest, and the cost.
 
-        The floor of a valley bends round where both noises count alike, and a grid that hits it here and misses it there
-        shows hills that are none.
+        The floor of a valley bends round where both noises count alike, and a grid that hits it here and misses it
+        there shows hills that are none.
         """
         ratios = range(1 - values.shape[0], values.shape[1])
         lows = [np.diagonal(values, ratio).argmin() for ratio in ratios]
