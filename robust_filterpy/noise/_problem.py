@@ -105,7 +105,7 @@ class Problem:
             )
             values = self.cost(grid, steps).reshape(len(log_R), len(log_Q))
             grid = grid.reshape(*values.shape, -1)
-            if values.size > values.shape[0] > 1:
+            if self.count_R and self.count_Q:
                 grid, values = self._along_ratios(grid, values, steps)
             places += [grid[at] for at in valleys(values, _STARTS)]
         starts = np.array(places)
