@@ -105,9 +105,10 @@ class Problem:
             )
             values = self.cost(grid, steps).reshape(len(log_R), len(log_Q))
             grid = grid.reshape(*values.shape, -1)
+            places += [grid[at] for at in valleys(values, _STARTS)]
             if self.count_R and self.count_Q:
                 grid, values = self._along_ratios(grid, values, steps)
-            places += [grid[at] for at in valleys(values, _STARTS)]
+                places += [grid[at] for at in valleys(values, _STARTS)]
         starts = np.array(places)
         if self._looks > 1:
             for i in range(self.count_R + self.count_Q):

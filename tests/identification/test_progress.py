@@ -50,7 +50,7 @@ def test_a_fit_of_several_factors_counts_its_stages(monkeypatch):
     kf.F, kf.H = np.eye(2), np.eye(2)
     estimate_noise(kf, np.random.default_rng(1).normal(size=(60, 2)), R="each")
     counted = [text.partition(",")[0] for text in said]
-    assert list(dict.fromkeys(counted)) == [*(f"stage {k} of 7" for k in range(1, 7)), "last stage"]
+    assert list(dict.fromkeys(counted)) == [*(f"stage {k} of 6" for k in range(1, 6)), "last stage"]
 
 
 def test_a_fusion_that_watches_tells_the_stamp_it_is_at(clock, capsys):
