@@ -10,6 +10,7 @@ from robust_filterpy.identification import (
     ARMAX,
     ARX,
     OutputError,
+    ParameterTracker,
     StateSpace,
     compare,
     identify,
@@ -110,3 +111,13 @@ def test_resolution_is_the_step_of_a_sensor(step):
     signal[::97] = 5.0 * step * rng.normal(size=signal[::97].size)
     assert resolution(signal) == pytest.approx(step)
     assert resolution(rng.normal(size=100)) == 0.0 and resolution(np.ones(9)) == 0.0
+
+
+@pytest.mark.parametrize("kind", ["step", "pulse"])
+def test_a_tracker_at_rest_is_not_lost(kind):
+    y, u = driven(kind, 2)
+    tracker = ParameterTracker(OutputError(2, 2))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        tracker.run(y, u)
+    np.testing.assert_allclose(tracker.theta[:4], [-1.5, 0.7, 1.0, 0.5], atol=0.02)
