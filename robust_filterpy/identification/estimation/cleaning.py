@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.contaminated import START
-from robust_filterpy.identification.estimation.missing import Unknowns, completed, response, touched
+from robust_filterpy.identification.estimation.missing import CompletedModel, Unknowns, response, touched
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
@@ -156,12 +156,12 @@ def cleaned(model: Model, y: Any, u: Any) -> Cleaned | None:
         return None
     p, first = np.concatenate((model.theta, [model.offset])), prepared.first
     found = found_outliers(prepared, p, ~known, model.noise)
-    full = completed(prepared, p, found.wrong, found.counts.astype(float))
+    full = CompletedModel(prepared, found.wrong, found.counts.astype(float))
     clear = ~touched(found.wrong, response(prepared, p), first)
     clear = clear if (clear & known[first:]).sum() >= _LEAST_CLEAR * known.sum() else known[first:]
     before = np.zeros(first)
     residual = np.concatenate((before, full.residuals(p)))
-    return Cleaned(prepared.with_output(full.y), residual, np.concatenate((before > 0.0, clear)))
+    return Cleaned(prepared.with_output(full.output(p)), residual, np.concatenate((before > 0.0, clear)))
 
 
 def _wild(model: PolynomialModel, p: Array, residual: Array, reach: int) -> Any:
@@ -222,7 +222,6 @@ def _judged(
         scale = max(scale, least)
         deviation, precision = unknowns.deviations()
         output = np.where(precision > _VAGUE, np.abs(deviation) * np.sqrt(np.maximum(precision, 0.0)) / scale, 0.0)
-        output[:first] = 0.0
         noise = np.concatenate((np.zeros(first), np.where(counts, np.abs(residual) / scale, 0.0)))
         either = _decided(np.maximum(np.where(wrong, 0.0, output), noise))
         peak = (either > threshold) & (either >= maximum_filter1d(either, near))
@@ -230,8 +229,6 @@ def _judged(
         new = peak & ~wrong & (output > 1.000001 * noise)
         ordinary = -_decided(np.where(wrong & ~missing, -output, -np.inf))
         back = (ordinary < threshold) & (ordinary <= minimum_filter1d(ordinary, near)) & (turn < _MOST_ROUNDS // 2)
-        # Nothing tells of those before the first residual but how far out they are.
-        back[:first] = False
         again = ~counts & (np.abs(residual) < threshold * scale)
         if not (peak.any() or back.any() or again.any()):
             break

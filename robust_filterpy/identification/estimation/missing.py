@@ -10,7 +10,7 @@ again, climbs the likelihood of what is measured (Dempster, Laird and Rubin 1977
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -21,7 +21,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.identification.estimation.neighbours import Neighbours
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 
-__all__ = ["CompletedModel", "Unknowns", "completed", "response", "touched"]
+__all__ = ["CompletedModel", "Unknowns", "response", "touched"]
 
 _LONGEST: Final = 200
 _SMALL: Final = 1e-3
@@ -69,9 +69,17 @@ class Unknowns:
         self.residual = base
         if self._places.size:
             self._normal = self._equations()
-            self._corrected[self._places] = -self._normal.solve(self._pull(base)[self._places])
-            self.residual = base + lfilter(h, [1.0], self._corrected, axis=0)[first:]
+            self._corrected, self.residual = self._least(base)
         self.correction = self._corrected[self._places]
+
+    def within(self, base: Array) -> Array:
+        """Return what the unknown samples leave of other residuals that depend on them in the same way."""
+        return self._least(base)[1] if self._places.size else base
+
+    @property
+    def log_det(self) -> float:
+        """Log of the determinant of the normal equations."""
+        return self._normal.log_det if self._places.size else 0.0
 
     def deviations(self) -> tuple[Array, Array]:
         """Return how far each sample is from what all others say of it, and how precisely they do; in units of 1/R."""
@@ -131,6 +139,12 @@ class Unknowns:
         band[0] += _RIDGE
         return Neighbours(band, np.concatenate(([True], np.diff(places) >= length)))
 
+    def _least(self, base: Array) -> tuple[Array, Array]:
+        """Return the corrections of all samples for the least sum of squares, and the residuals with them."""
+        corrected = np.zeros((self._size, *base.shape[1:]))
+        corrected[self._places] = -self._normal.solve(self._pull(base)[self._places])
+        return corrected, base + lfilter(self._h, [1.0], corrected, axis=0)[self._first :]
+
     def _pull(self, residual: Array) -> Array:
         """Return H'W times residuals, for each sample."""
         weighted = np.concatenate((np.zeros((self._first, *residual.shape[1:])), (self._weights * residual.T).T))
@@ -155,38 +169,85 @@ class Unknowns:
 
 
 class CompletedModel:
-    """A model with an interpolated output, and what is uncertain about that.
+    """A model with outputs of which some are unknown: for any parameters those of the least sum of squares.
 
     Parameters
     ----------
     model : PolynomialModel
-        The model.
-    y : ndarray, shape (N,)
-        The output, interpolated.
-    spread : ndarray, shape (L, L)
-        K of `Unknowns`.
+        With any numbers in the unknown samples.
+    unknown : ndarray of bool, shape (N,)
+        Which samples are unknown.
+    weights : ndarray, shape (N - first,)
+        Weights of the residuals.
     """
 
-    def __init__(self, model: PolynomialModel, y: Array, spread: Array) -> None:
-        """Take a root of K, and the model of an impulse, whose residuals are h."""
-        full = model.with_output(y)
-        self.y, self.conditioned, self.n = y, full.conditioned, full.n
-        self.residuals, self.jacobian, self.is_stable = full.residuals, full.jacobian, full.is_stable
-        self._structure, self._nf = model.structure, model.nf
-        values, vectors = np.linalg.eigh(spread)
-        self._root = (vectors * np.sqrt(np.maximum(values, 0.0))).T
-        impulse = np.zeros(model.first + len(spread))
-        impulse[model.first] = 1.0
-        nothing = np.zeros((impulse.size, model.u.shape[1]))
-        self._impulse = PolynomialModel(model.structure, impulse, nothing, False)
+    def __init__(self, model: PolynomialModel, unknown: Any, weights: Array) -> None:
+        """Interpolate where it is asked for."""
+        self.model, self.unknown, self.weights = model, unknown, weights
+        self.conditioned, self.n, self.is_stable = model.conditioned, model.n, model.is_stable
+        self._latest: _Interpolated | None = None
 
-    def uncertainty(self, p: Array) -> tuple[Array, Array]:
-        """Return the further residuals in units of sqrt(R), shape (L,), and their derivatives, shape (L, n)."""
-        n = self._structure.n_theta
-        q = np.concatenate((p[:n], np.zeros(self._nf)))
-        derivatives = np.zeros((len(self._root), self.n))
-        derivatives[:, :n] = self._root @ self._impulse.jacobian(q)[:, :n]
-        return self._root @ self._impulse.residuals(q), derivatives
+    def output(self, p: Array) -> Array:
+        """Return the output with its unknown samples interpolated, shape (N,)."""
+        return self._at(p).y
+
+    def residuals(self, p: Array) -> Array:
+        """Return the residuals of the interpolated output."""
+        return self._at(p).residual
+
+    def jacobian(self, p: Array) -> Array:
+        """Return the derivatives of the residuals, less what corrections of the unknown samples explain of them."""
+        at = self._at(p)
+        derivatives = self.model.with_output(at.y).jacobian(p)
+        for rows, unknowns in at.pieces:
+            derivatives[rows] = unknowns.within(derivatives[rows])
+        return derivatives
+
+    def uncertainty(self, p: Array) -> tuple[float, Array, Array]:
+        """Return half of log det(H'WH), and further residuals with their derivatives that make its gradient."""
+        at, h = self._at(p), response(self.model, p)
+        spread = sum((unknowns.spread() for _, unknowns in at.pieces), np.zeros((h.size, h.size)))
+        values, vectors = np.linalg.eigh(spread)
+        root = (vectors * np.sqrt(np.maximum(values, 0.0))).T
+        derivatives = np.zeros((h.size, self.n))
+        n = self.model.structure.n_theta
+        derivatives[:, :n] = root @ _impulse(self.model, h.size).jacobian(_without_start(self.model, p))[:, :n]
+        return 0.5 * sum(unknowns.log_det for _, unknowns in at.pieces), root @ h, derivatives
+
+    def _at(self, p: Array) -> _Interpolated:
+        """Return what parameters make of the unknown samples."""
+        if self._latest is None or not np.array_equal(self._latest.p, p):
+            residual, y, h, pieces = self.model.residuals(p), self.model.y.copy(), response(self.model, p), []
+            for rows, samples in self.model.pieces:
+                own = self.unknown[samples]
+                if own.any():
+                    found = Unknowns(residual[rows], h, own, self.weights[rows], self.model.first)
+                    y[samples][own] += found.correction
+                    residual[rows] = found.residual
+                    pieces.append((rows, found))
+            self._latest = _Interpolated(p.copy(), y, residual, pieces)
+        return self._latest
+
+
+class _Interpolated(NamedTuple):
+    """What some parameters make of the unknown samples of each recording."""
+
+    p: Array
+    y: Array
+    residual: Array
+    pieces: list[tuple[slice, Unknowns]]
+
+
+def _impulse(model: PolynomialModel, length: int) -> PolynomialModel:
+    """Return the model of an impulse, whose residuals are h."""
+    impulse = np.zeros(model.first + length)
+    impulse[model.first] = 1.0
+    return PolynomialModel(model.structure, impulse, np.zeros((impulse.size, model.u.shape[1])), False)
+
+
+def _without_start(model: PolynomialModel, p: Array) -> Array:
+    """Return the free parameters of the model of an impulse."""
+    return np.concatenate((p[: model.structure.n_theta], np.zeros(model.nf)))
 
 
 def response(model: PolynomialModel, p: Array) -> Array:
@@ -203,11 +264,7 @@ def response(model: PolynomialModel, p: Array) -> Array:
     -------
     ndarray, shape (L,)
     """
-    impulse = np.zeros(model.first + min(_LONGEST, model.y.size))
-    impulse[model.first] = 1.0
-    nothing = np.zeros((impulse.size, model.u.shape[1]))
-    q = np.concatenate((p[: model.structure.n_theta], np.zeros(model.nf)))
-    h = PolynomialModel(model.structure, impulse, nothing, False).residuals(q)
+    h = _impulse(model, min(_LONGEST, model.y.size)).residuals(_without_start(model, p))
     return h[: np.flatnonzero(np.abs(h) > _SMALL)[-1] + 1]
 
 
@@ -229,31 +286,3 @@ def touched(unknown: Any, h: Array, first: int) -> Any:
     """
     reach = np.flatnonzero(np.abs(h) > _LEAST_TOUCH)[-1] + 1
     return np.convolve(unknown, np.ones(reach))[first : unknown.size] > 0.5
-
-
-def completed(model: PolynomialModel, p: Array, unknown: Any, weights: Array) -> CompletedModel:
-    """Return the model with its unknown outputs interpolated, and how uncertain they are.
-
-    Parameters
-    ----------
-    model : PolynomialModel
-        With any numbers in the unknown samples.
-    p : ndarray, shape (n,)
-        Free parameters to interpolate with.
-    unknown : ndarray of bool, shape (N,)
-        Which samples are unknown.
-    weights : ndarray, shape (N - first,)
-        Weights of the residuals.
-
-    Returns
-    -------
-    CompletedModel
-    """
-    residual, h, y = model.residuals(p), response(model, p), model.y.copy()
-    spread = np.zeros((h.size, h.size))
-    for rows, samples in model.pieces:
-        if unknown[samples].any():
-            found = Unknowns(residual[rows], h, unknown[samples], weights[rows], model.first)
-            y[samples][unknown[samples]] += found.correction
-            spread += found.spread()
-    return CompletedModel(model, y, spread)

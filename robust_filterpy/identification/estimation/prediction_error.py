@@ -85,14 +85,14 @@ def minimised(
     for _ in range(most_steps):
         noise = noise.refitted(residual[clear])
         root = np.sqrt(noise.weights(residual[rows]) / noise.variance)
-        further, derivatives = model.uncertainty(p)
+        uncertain, further, derivatives = model.uncertainty(p)
         jacobian = np.concatenate((model.jacobian(p)[rows] * root[:, None], derivatives))
         target = np.concatenate((root * residual[rows], further))
         if limits is not None:
             jacobian[:, limits.held(p, jacobian.T @ target)] = 0.0
         size = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
         size[size == 0.0] = 1.0
-        cost = noise.cost(residual[rows]) + 0.5 * further @ further
+        cost = noise.cost(residual[rows]) + uncertain
         triangle = np.asarray(np.linalg.qr(np.column_stack((jacobian / size, target)), mode="r"))
         if not np.isfinite(triangle).all():
             # A model far from stable has derivatives that overflow; the search from another start goes on.
@@ -103,8 +103,7 @@ def minimised(
             trial = p - step / size if limits is None else limits.inside(p - step / size)
             if model.is_stable(trial):
                 new = model.residuals(trial)
-                further, _ = model.uncertainty(trial)
-                if np.isfinite(new).all() and noise.cost(new[rows]) + 0.5 * further @ further < cost:
+                if np.isfinite(new).all() and noise.cost(new[rows]) + model.uncertainty(trial)[0] < cost:
                     taken = trial, new
                     break
             damping = max(4.0 * damping, 1e-6)

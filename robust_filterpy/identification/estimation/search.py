@@ -15,7 +15,7 @@ from robust_filterpy.correction.contaminated import START, Contaminated
 from robust_filterpy.identification.estimation.cleaning import Outliers, found_outliers
 from robust_filterpy.identification.estimation.excitation_check import require_informative
 from robust_filterpy.identification.estimation.limits import Limits
-from robust_filterpy.identification.estimation.missing import CompletedModel, Unknowns, completed, response, touched
+from robust_filterpy.identification.estimation.missing import CompletedModel, Unknowns, response, touched
 from robust_filterpy.identification.estimation.prediction_error import Optimum, minimised
 from robust_filterpy.identification.estimation.starts import (
     Start,
@@ -43,7 +43,7 @@ _FIRST_CLEANINGS: Final = 2
 # less than this share.
 _FEW_MAXIMISATIONS: Final = 3
 _MOST_MAXIMISATIONS: Final = 30
-_STEPS_BETWEEN: Final = 2
+_STEPS_BETWEEN: Final = 20
 _SETTLED: Final = 1e-5
 # Ends whose residuals differ by less than this share of their size are the same.
 _SAME: Final = 1e-3
@@ -215,7 +215,8 @@ def _searched(
             break
     found, full = _maximised(model, p, noise, outliers, _MOST_MAXIMISATIONS, limits)
     rows = _counting(full, full is model, outliers.wrong)
-    return End(starts, found.p, found.noise, full.y, outliers, rows, found.residual, found.converged)
+    y = full.y if isinstance(full, PolynomialModel) else full.output(found.p)
+    return End(starts, found.p, found.noise, y, outliers, rows, found.residual, found.converged)
 
 
 def _maximised(
@@ -227,13 +228,14 @@ def _maximised(
         return minimised(model, p, noise, rows, rows, limits=limits), model
     weights = outliers.counts.astype(float)
     for _ in range(turns):
-        full = completed(model, p, outliers.wrong, weights)
+        full = CompletedModel(model, outliers.wrong, weights)
         clear = full.conditioned & ~touched(outliers.wrong, response(model, p), model.first)
         if not (clear.any() or (noise.known and not isinstance(noise.influence, Contaminated))):
             # Outliers are in every residual: nothing shows the noise, and the search from another start goes on.
             return Optimum(p, replace(noise, R=np.nan), full.residuals(p), False), full
+        before = full.residuals(p)
         found = minimised(full, p, noise, full.conditioned, clear, _STEPS_BETWEEN, limits)
-        moved = np.linalg.norm(found.residual - full.residuals(p))
+        moved = np.linalg.norm(found.residual - before)
         p, noise, weights = found.p, found.noise, found.noise.weights(found.residual)
         if moved <= _SETTLED * np.linalg.norm(found.residual):
             break

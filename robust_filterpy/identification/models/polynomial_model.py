@@ -130,9 +130,9 @@ class PolynomialModel:
         parts, v = self.parts(p), self.equation_error(p)
         return v if parts.c.size == parts.d.size == 1 else np.asarray(lfilter(parts.d, parts.c, v))
 
-    def uncertainty(self, p: Array) -> tuple[Array, Array]:
-        """Return further residuals for what is uncertain about y, and their derivatives: none, y is known."""
-        return np.zeros(0), np.zeros((0, self.n))
+    def uncertainty(self, p: Array) -> tuple[float, Array, Array]:
+        """Return what is uncertain about y, further residuals for it, their derivatives: nothing, y is known."""
+        return 0.0, np.zeros(0), np.zeros((0, self.n))
 
     def equation_error(self, p: Array) -> Array:
         """Return A y - w - d from sample ``first`` on."""
