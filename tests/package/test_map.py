@@ -11,7 +11,7 @@ PACKAGE = Path(robust_filterpy.__file__).parent
 MAP = (Path(__file__).parents[2] / "docs/map.md").read_text(encoding="utf-8")
 #: Ten questions: words by which a reader looks the answer up, the file, and what stands in it.
 QUESTIONS = {
-    "Where is a gap in y filled?": ("missing", "identification/estimation/missing.py", "def completed"),
+    "Where is a gap in y filled?": ("missing", "identification/estimation/missing.py", "class CompletedModel"),
     "What happens when a tracker is lost?": ("lost", "identification/recursive/watch.py", "LostTrackerWarning"),
     "Who believes that the state has jumped, under patience=?": ("jump", "filters/_insistence.py", "def jump_of"),
     "Where is the weight of a reading computed?": ("weighed", "correction/definition.py", "def correct"),

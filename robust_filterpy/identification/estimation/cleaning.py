@@ -44,6 +44,8 @@ _WILD: Final = 1e3
 _LARGE: Final = 1e2
 # If no wrong sample touches at least this share of the residuals, these show the noise.
 _LEAST_CLEAR: Final = 0.1
+# A variance of an outlier that is so small a share of what its residuals show is none.
+_NOTHING: Final = 1e-3
 # Residuals of a start, in units of y, that are not larger are no outliers.
 _OF_A_START: Final = 1e-6
 
@@ -104,13 +106,15 @@ def found_outliers(
             # The samples before the first residual of a recording belong to its first block.
             offset, stop = (first if start == part.start else 0), min(start + _BLOCK, part.stop)
             samples, rows = slice(start + first - offset, stop + first), slice(start, stop)
-            unknowns, d = _judged(
-                residual[rows], h, wrong[samples], missing[samples], counts[rows], offset, threshold, R, least
-            )
-            deviations.append(d)
+            block = _Block(residual[rows], h, missing[samples], offset, threshold, R, least)
+            best = block.judged(wrong[samples], counts[rows])
+            if (best.wrong & ~block.missing).any():
+                best = block.better(best, block.judged(*block.unmixed(best)))
+            wrong[samples], counts[rows] = best.wrong, best.counts
+            deviations.append(best.deviations)
             # What is unknown at the end of a block reaches into the next.
             tail = residual[stop : part.stop][: h.size - 1]
-            tail += unknowns.beyond()[: tail.size]
+            tail += best.unknowns.beyond()[: tail.size]
     return Outliers(wrong, counts, _even(np.concatenate(deviations)))
 
 
@@ -206,36 +210,120 @@ def _even(deviations: Array) -> float:
     return float(np.interp(odds, _EVEN_ODDS, _EVEN_THRESHOLDS))
 
 
-def _judged(
-    base: Array, h: Array, wrong: Any, missing: Any, counts: Any, first: int, threshold: float, R: float | None,
-    least: float,
-) -> tuple[Unknowns, Array]:  # fmt: skip
-    """Mark the outliers of a block in ``wrong`` and ``counts``; return what is unknown, and deviations."""
-    near, output = 2 * _similar(h) + 1, np.zeros(wrong.size)
-    for turn in range(_MOST_ROUNDS):
-        unknowns = Unknowns(base, h, wrong, counts.astype(float), first)
-        residual = unknowns.residual
-        clear = counts & ~touched(wrong, h, first)
-        scale = mad_scale(residual[clear if clear.sum() > 0.2 * base.size else counts]) if R is None else R**0.5
-        if scale < _ROUNDING:
-            break
-        scale = max(scale, least)
-        deviation, precision = unknowns.deviations()
-        output = np.where(precision > _VAGUE, np.abs(deviation) * np.sqrt(np.maximum(precision, 0.0)) / scale, 0.0)
-        noise = np.concatenate((np.zeros(first), np.where(counts, np.abs(residual) / scale, 0.0)))
-        either = _decided(np.maximum(np.where(wrong, 0.0, output), noise))
-        peak = (either > threshold) & (either >= maximum_filter1d(either, near))
-        # Of the last sample one residual alone tells, and either kind of outlier explains it: then it is the noise's.
-        new = peak & ~wrong & (output > 1.000001 * noise)
-        ordinary = -_decided(np.where(wrong & ~missing, -output, -np.inf))
-        back = (ordinary < threshold) & (ordinary <= minimum_filter1d(ordinary, near)) & (turn < _MOST_ROUNDS // 2)
-        again = ~counts & (np.abs(residual) < threshold * scale)
-        if not (peak.any() or back.any() or again.any()):
-            break
-        wrong[new], wrong[back] = True, False
-        counts[(peak & ~new)[first:]] = False
-        counts[again] = True
-    return Unknowns(base, h, wrong, counts.astype(float), first), output[~missing & (output > 0.0)]
+class _Found(NamedTuple):
+    """Outliers of a block, the unknowns that they make, and how far each sample is from what the others say of it."""
+
+    wrong: Any
+    counts: Any
+    scale: float
+    unknowns: Unknowns
+    deviations: Array
+
+
+class _Block(NamedTuple):
+    """Residuals of one stretch of a recording, in which outliers are looked for.
+
+    Attributes
+    ----------
+    base : ndarray, shape (N,)
+        Residuals with any numbers in the unknown samples.
+    h : ndarray, shape (L,)
+        Response of the residuals to a sample.
+    missing : ndarray of bool, shape (first + N,)
+        Which samples are missing.
+    first : int
+        Sample that the first residual belongs to.
+    threshold : float
+        Standard deviations that make an outlier.
+    R : float or None
+        Variance of the noise, if it is known.
+    least : float
+        Its standard deviation is no smaller.
+    """
+
+    base: Array
+    h: Array
+    missing: Any
+    first: int
+    threshold: float
+    R: float | None
+    least: float
+
+    def judged(self, wrong: Any, counts: Any) -> _Found:
+        """Return the outliers found from some on: the largest of each neighbourhood, one after the other."""
+        near, output, wrong, counts = 2 * _similar(self.h) + 1, np.zeros(wrong.size), wrong.copy(), counts.copy()
+        for turn in range(_MOST_ROUNDS):
+            unknowns = self.unknowns(wrong, counts.astype(float))
+            residual = unknowns.residual
+            clear = counts & ~touched(wrong, self.h, self.first)
+            shown = residual[clear if clear.sum() > 0.2 * residual.size else counts]
+            scale = mad_scale(shown) if self.R is None else self.R**0.5
+            if scale < _ROUNDING:
+                break
+            scale = max(scale, self.least)
+            deviation, precision = unknowns.deviations()
+            output = np.where(precision > _VAGUE, np.abs(deviation) * np.sqrt(np.maximum(precision, 0.0)) / scale, 0.0)
+            noise = np.concatenate((np.zeros(self.first), np.where(counts, np.abs(residual) / scale, 0.0)))
+            either = _decided(np.maximum(np.where(wrong, 0.0, output), noise))
+            peak = (either > self.threshold) & (either >= maximum_filter1d(either, near))
+            # Of the last sample one residual alone tells, and either kind of outlier explains it: then it is the
+            # noise's.
+            new = peak & ~wrong & (output > 1.000001 * noise)
+            ordinary = -_decided(np.where(wrong & ~self.missing, -output, -np.inf))
+            back = (ordinary < self.threshold) & (ordinary <= minimum_filter1d(ordinary, near))
+            back &= turn < _MOST_ROUNDS // 2
+            again = ~counts & (np.abs(residual) < self.threshold * scale)
+            if not (peak.any() or back.any() or again.any()):
+                break
+            wrong[new], wrong[back] = True, False
+            counts[(peak & ~new)[self.first :]] = False
+            counts[again] = True
+        unknowns = self.unknowns(wrong, counts.astype(float))
+        return _Found(wrong, counts, scale, unknowns, output[~self.missing & (output > 0.0)])
+
+    def unmixed(self, found: _Found) -> tuple[Any, Any]:
+        """Return wrong samples and residuals that count, whose patterns may hide each other: looked for all at once.
+
+        Each sample near outliers has a variance of its own around what the others say. The likelihood of what is
+        measured is largest with most of these at 0 (Tipping, Journal of Machine Learning Research 1, 2001; the steps
+        are MacKay's, Neural Computation 4, 1992).
+        """
+        R, wrong, counts, unknowns = found.scale**2, found.wrong.copy(), found.counts.copy(), found.unknowns
+        large = ~counts | (np.abs(unknowns.residual) > self.threshold * found.scale)
+        # Whatever depends on the same residuals as an outlier, or may have made one large.
+        unsure = wrong | np.concatenate((np.zeros(self.first, dtype=bool), large))
+        near = np.convolve(unsure, np.ones(2 * self.h.size - 1), "same") > 0.5
+        variance, nothing = 1.0 * near, _NOTHING * R / float(self.h @ self.h)
+        variance[wrong] = np.maximum(unknowns.correction**2, 1.0)
+        variance[self.missing] = np.inf
+        far = self.missing.copy()
+        for _ in range(_MOST_ROUNDS):
+            wrong, before = variance > nothing, (counts, far)
+            prior: Array = R / variance[wrong]
+            unknowns = self.unknowns(wrong, counts.astype(float), prior)
+            uncertain, square = R * unknowns.variance, unknowns.correction**2
+            shown = np.clip(1.0 - uncertain / variance[wrong], _NOTHING, 1.0)
+            counts, far = np.abs(unknowns.residual) < self.threshold * found.scale, self.missing.copy()
+            far[wrong] |= square > self.threshold**2 * uncertain
+            variance[wrong] = np.where(self.missing[wrong], np.inf, square / shown)
+            if np.array_equal(counts, before[0]) and np.array_equal(far, before[1]):
+                break
+        return far, counts
+
+    def unknowns(self, wrong: Any, weights: Array, prior: Array | None = None) -> Unknowns:
+        """Return the wrong samples as unknowns."""
+        return Unknowns(self.base, self.h, wrong, weights, self.first, prior)
+
+    def better(self, one: _Found, other: _Found) -> _Found:
+        """Return which leaves less, with what each outlier costs."""
+        scale = min(one.scale, other.scale)
+
+        def cost(found: _Found) -> float:
+            rest = found.unknowns.residual[found.counts] / scale
+            outliers = (found.wrong & ~self.missing).sum() + (~found.counts).sum()
+            return float(rest @ rest + self.threshold**2 * outliers)
+
+        return min(one, other, key=cost)
 
 
 def _decided(statistic: Array) -> Array:

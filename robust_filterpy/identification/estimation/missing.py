@@ -1,15 +1,17 @@
-"""Missing outputs in a model that has measured outputs in its regressor, by expectation and maximisation.
+"""Missing outputs in a model that has measured outputs in its regressor: eliminated.
 
 With y in some samples unknown, the residuals r = r_0 + H x have a part in their corrections x, H made of the impulse
 response h of A D/C. Given the parameters, x has the mean -(H'H)^-1 H' r_0, which interpolates, and the covariance
-R (H'H)^-1. The expected sum of squares of the residuals is that of the interpolated output plus R h' K h, where K sums
-(H'H)^-1 over pairs of unknowns by their delays to a residual: a few further residuals. To minimise it, and interpolate
-again, climbs the likelihood of what is measured (Dempster, Laird and Rubin 1977). Residuals may have weights.
+R (H'H)^-1. What is measured has -log of its likelihood r'r/(2 R) + log det(H'H)/2 with these corrections, chosen anew
+for any parameters (variable projection: Golub and Pereyra, SIAM Journal on Numerical Analysis 10, 1973). The gradient
+of the second term is that of h' K h/2, where K sums (H'H)^-1 over pairs of unknowns by their delays to a residual: a
+few further residuals. Residuals may have weights.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -38,8 +40,8 @@ class Unknowns:
 
     Parameters
     ----------
-    base : ndarray, shape (N,) or (N, n)
-        Residuals with any numbers in the unknown samples; or several columns that depend on them in the same way.
+    base : ndarray, shape (N,)
+        Residuals with any numbers in the unknown samples.
     h : ndarray, shape (L,)
         Response of the residuals to a sample.
     unknown : ndarray of bool, shape (first + N,)
@@ -48,16 +50,20 @@ class Unknowns:
         Weights of the residuals.
     first : int
         Sample that the first residual belongs to.
+    prior : ndarray, shape (m,), optional
+        What is known of each correction beforehand: R over the variance that it has around 0.
 
     Attributes
     ----------
-    correction : ndarray, shape (m,) or (m, n)
+    correction : ndarray, shape (m,)
         What the least sum of squares adds to each unknown sample.
-    residual : ndarray, shape of base
+    residual : ndarray, shape (N,)
         Residuals with that.
     """
 
-    def __init__(self, base: Array, h: Array, unknown: Any, weights: Array, first: int) -> None:
+    def __init__(
+        self, base: Array, h: Array, unknown: Any, weights: Array, first: int, prior: Array | None = None
+    ) -> None:
         """Solve the normal equations, which couple unknown samples less than L apart."""
         self._places, self._h, self._weights, self._first = np.flatnonzero(unknown), h, weights, first
         self._size = first + len(base)
@@ -65,12 +71,12 @@ class Unknowns:
         # Weights of the residuals from each sample on, and products of h with itself by delay.
         self._later = sliding_window_view(padded, h.size)
         self._products = sliding_window_view(np.concatenate((h, np.zeros(h.size))), h.size)[:-1] * h
-        self._corrected = np.zeros((self._size, *base.shape[1:]))
-        self.residual = base
+        self._corrected = np.zeros(self._size)
+        self.correction, self.residual = np.zeros(0), base
         if self._places.size:
-            self._normal = self._equations()
-            self._corrected, self.residual = self._least(base)
-        self.correction = self._corrected[self._places]
+            self._normal = self._equations(prior)
+            self.correction, self.residual = self._least(base)
+            self._corrected[self._places] = self.correction
 
     def within(self, base: Array) -> Array:
         """Return what the unknown samples leave of other residuals that depend on them in the same way."""
@@ -80,6 +86,11 @@ class Unknowns:
     def log_det(self) -> float:
         """Log of the determinant of the normal equations."""
         return self._normal.log_det if self._places.size else 0.0
+
+    @property
+    def variance(self) -> Array:
+        """What the others leave uncertain of each unknown sample, in units of R, shape (m,)."""
+        return self._normal.inverse[0] if self._places.size else np.zeros(0)
 
     def deviations(self) -> tuple[Array, Array]:
         """Return how far each sample is from what all others say of it, and how precisely they do; in units of 1/R."""
@@ -92,7 +103,7 @@ class Unknowns:
         deviation = self._pull(self.residual) / np.maximum(precision, 1e-9)
         if self._places.size:
             deviation[self._places] = self.correction
-            precision[self._places] = 1.0 / np.maximum(self._normal.inverse[0], 1e-9)
+            precision[self._places] = 1.0 / np.maximum(self.variance, 1e-9)
         return deviation, precision
 
     def leverages(self) -> Array:
@@ -124,7 +135,15 @@ class Unknowns:
             K[s:, s] = summed[: length - s, s]
         return np.asarray(np.tril(K) + np.tril(K, -1).T)
 
-    def _equations(self) -> Neighbours:
+    @cached_property
+    def _pattern(self) -> csr_array:
+        """H, what one unit more in each unknown sample adds to each residual, shape (N, m)."""
+        rows = self._places - self._first + np.arange(self._h.size)[:, None]
+        inside = (rows >= 0) & (rows < self._weights.size)
+        delay, column = np.nonzero(inside)
+        return csr_array((self._h[delay], (rows[inside], column)), (self._weights.size, self._places.size))
+
+    def _equations(self, prior: Array | None) -> Neighbours:
         """Return H'WH of the unknowns."""
         places, length = self._places, self._h.size
         coupled = self._later[places] @ self._products.T
@@ -136,19 +155,18 @@ class Unknowns:
             near = np.flatnonzero(apart < length)
             band[d, near] = coupled[near + d, apart[near]]
         # An unknown sample that no residual shows stays as it is.
-        band[0] += _RIDGE
+        band[0] += _RIDGE if prior is None else np.maximum(prior, _RIDGE)
         return Neighbours(band, np.concatenate(([True], np.diff(places) >= length)))
 
     def _least(self, base: Array) -> tuple[Array, Array]:
-        """Return the corrections of all samples for the least sum of squares, and the residuals with them."""
-        corrected = np.zeros((self._size, *base.shape[1:]))
-        corrected[self._places] = -self._normal.solve(self._pull(base)[self._places])
-        return corrected, base + lfilter(self._h, [1.0], corrected, axis=0)[self._first :]
+        """Return the corrections of the unknown samples for the least sum of squares, and the residuals with them."""
+        correction = -self._normal.solve(self._pattern.T @ (self._weights * base.T).T)
+        return correction, base + self._pattern @ correction
 
     def _pull(self, residual: Array) -> Array:
         """Return H'W times residuals, for each sample."""
-        weighted = np.concatenate((np.zeros((self._first, *residual.shape[1:])), (self._weights * residual.T).T))
-        return np.asarray(lfilter(self._h, [1.0], weighted[::-1], axis=0)[::-1])
+        weighted = np.concatenate((np.zeros(self._first), self._weights * residual))
+        return np.asarray(lfilter(self._h, [1.0], weighted[::-1])[::-1])
 
     def _explained(self, ahead: int, coupling: Callable[[Any, Any], Array]) -> Array:
         """Return c' G^-1 c for each sample, where c(k, p) couples it to unknowns from L - 1 before to some after it."""
@@ -203,8 +221,12 @@ class CompletedModel:
             derivatives[rows] = unknowns.within(derivatives[rows])
         return derivatives
 
-    def uncertainty(self, p: Array) -> tuple[float, Array, Array]:
-        """Return half of log det(H'WH), and further residuals with their derivatives that make its gradient."""
+    def half_log_det(self, p: Array) -> float:
+        """Return half of log det(H'WH): what the unknown samples add to -log of the likelihood of the others."""
+        return 0.5 * sum(unknowns.log_det for _, unknowns in self._at(p).pieces)
+
+    def further(self, p: Array) -> tuple[Array, Array]:
+        """Return further residuals, shape (L,), and their derivatives, which make the gradient of `half_log_det`."""
         at, h = self._at(p), response(self.model, p)
         spread = sum((unknowns.spread() for _, unknowns in at.pieces), np.zeros((h.size, h.size)))
         values, vectors = np.linalg.eigh(spread)
@@ -212,7 +234,7 @@ class CompletedModel:
         derivatives = np.zeros((h.size, self.n))
         n = self.model.structure.n_theta
         derivatives[:, :n] = root @ _impulse(self.model, h.size).jacobian(_without_start(self.model, p))[:, :n]
-        return 0.5 * sum(unknowns.log_det for _, unknowns in at.pieces), root @ h, derivatives
+        return root @ h, derivatives
 
     def _at(self, p: Array) -> _Interpolated:
         """Return what parameters make of the unknown samples."""

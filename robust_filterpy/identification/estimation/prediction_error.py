@@ -14,6 +14,7 @@ from scipy.signal import fftconvolve
 
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.estimation.limits import Limits
+from robust_filterpy.identification.estimation.missing import CompletedModel
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.noise_of_outputs import Noises
 
@@ -57,13 +58,14 @@ def minimised(
     clear: Array,
     most_steps: int = _MOST_STEPS,
     limits: Limits | None = None,
+    precision: float = 0.0,
 ) -> Optimum:
     """Minimise the loss of the residuals from p on.
 
     Parameters
     ----------
     model : PolynomialModel
-        Gives ``residuals(p)``, ``jacobian(p)``, ``uncertainty(p)`` and ``is_stable(p)``.
+        Gives ``residuals(p)``, ``jacobian(p)`` and ``is_stable(p)``; a `CompletedModel` also what is unknown.
     p : ndarray, shape (n,)
         Where to begin, stable.
     noise : Noise or Noises
@@ -76,23 +78,28 @@ def minimised(
         Ends the search.
     limits : Limits, optional
         Where the parameters may be, as p is.
+    precision : float, default 0.0
+        A step of so many standard deviations of the parameters is small.
 
     Returns
     -------
     Optimum
     """
+    unknown = model if isinstance(model, CompletedModel) else None
     residual, damping = model.residuals(p), 1e-3
     for _ in range(most_steps):
         noise = noise.refitted(residual[clear])
         root = np.sqrt(noise.weights(residual[rows]) / noise.variance)
-        uncertain, further, derivatives = model.uncertainty(p)
-        jacobian = np.concatenate((model.jacobian(p)[rows] * root[:, None], derivatives))
-        target = np.concatenate((root * residual[rows], further))
+        jacobian, target = model.jacobian(p)[rows] * root[:, None], root * residual[rows]
+        cost = noise.cost(residual[rows])
+        if unknown is not None:
+            further, derivatives = unknown.further(p)
+            jacobian, target = np.concatenate((jacobian, derivatives)), np.concatenate((target, further))
+            cost += unknown.half_log_det(p)
         if limits is not None:
             jacobian[:, limits.held(p, jacobian.T @ target)] = 0.0
         size = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
         size[size == 0.0] = 1.0
-        cost = noise.cost(residual[rows]) + uncertain
         triangle = np.asarray(np.linalg.qr(np.column_stack((jacobian / size, target)), mode="r"))
         if not np.isfinite(triangle).all():
             # A model far from stable has derivatives that overflow; the search from another start goes on.
@@ -103,7 +110,8 @@ def minimised(
             trial = p - step / size if limits is None else limits.inside(p - step / size)
             if model.is_stable(trial):
                 new = model.residuals(trial)
-                if np.isfinite(new).all() and noise.cost(new[rows]) + model.uncertainty(trial)[0] < cost:
+                price = noise.cost(new[rows]) + (0.0 if unknown is None else unknown.half_log_det(trial))
+                if np.isfinite(new).all() and price < cost:
                     taken = trial, new
                     break
             damping = max(4.0 * damping, 1e-6)
@@ -111,7 +119,7 @@ def minimised(
             return Optimum(p, noise, residual, True)
         p, residual = taken
         damping = max(damping / 10.0, 1e-12)
-        if change <= _PRECISION * np.linalg.norm(target):
+        if change <= max(_PRECISION * np.linalg.norm(target), precision):
             return Optimum(p, noise.refitted(residual[clear]), residual, True)
     return Optimum(p, noise.refitted(residual[clear]), residual, False)
 

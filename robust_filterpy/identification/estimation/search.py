@@ -37,14 +37,11 @@ from robust_filterpy.influence.regression import mad_scale
 __all__ = ["End", "Ranked", "ends", "known_part"]
 
 # An outlier in the regressor changes the residuals, and these show which samples are outliers.
-_MOST_CLEANINGS: Final = 10
-_FIRST_CLEANINGS: Final = 2
-# Unknown samples and parameters determine each other: so many turns of so many steps, or until the residuals move by
-# less than this share.
-_FEW_MAXIMISATIONS: Final = 3
-_MOST_MAXIMISATIONS: Final = 30
-_STEPS_BETWEEN: Final = 20
+# Where few of them are known yet, parameters that follow the others go astray: the first steps are few.
+# Residuals may move by less than this share between two turns of weights and parameters.
 _SETTLED: Final = 1e-5
+# Parameters within so many standard deviations of the optimum tell which samples are outliers.
+_NEAR: Final = 0.1
 # Ends whose residuals differ by less than this share of their size are the same.
 _SAME: Final = 1e-3
 # Residuals for each parameter that must show the noise.
@@ -55,6 +52,21 @@ _SHOWN: Final = 5
 _MOST_SEARCHED: Final = 4000
 _HOPELESS: Final = 30.0
 
+
+
+class _Effort(NamedTuple):
+    """How often outliers are looked for, steps of the parameters in between, turns of weights and steps at the end."""
+
+    cleanings: int
+    steps: int
+    turns: int
+
+
+_ROUGH: Final = _Effort(4, 2, 1)
+_FULL: Final = _Effort(10, 10, 10)
+# From where the search in a part of the recording ended.
+_AGAIN: Final = _Effort(2, 10, 10)
+_ONCE: Final = _Effort(1, 2, 1)
 
 
 class End(NamedTuple):
@@ -126,13 +138,10 @@ def ends(
     if model.na and not model.nf and model.y.size > 2 * _MOST_SEARCHED and len(model.pieces) == 1:
         return _ends_of_long(model, missing, influence, R, limits, least)
     noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, least)
-    turns = _FIRST_CLEANINGS if influence is None else _MOST_CLEANINGS
-    found = [_searched(model, s.p, noise, missing, (s.name,), turns, limits) for s in _starts(model, missing, noise)]
-    ranked = _best_first(model, missing, found, limits)
-    if influence is not None:
-        return ranked
-    mixed = [(end, replace(end.noise, influence=START)) for end, _ in ranked]
-    found = [_searched(model, end.p, noise, missing, end.starts, _MOST_CLEANINGS, limits) for end, noise in mixed]
+    found = [_searched(model, s.p, noise, missing, (s.name,), _ROUGH, limits) for s in _starts(model, missing, noise)]
+    loss = START if influence is None else influence
+    rough = [(end, replace(end.noise, influence=loss)) for end, _ in _best_first(model, missing, found, limits)]
+    found = [_searched(model, end.p, noise, missing, end.starts, _FULL, limits) for end, noise in rough]
     return _best_first(model, missing, found, limits)
 
 
@@ -152,12 +161,12 @@ def _ends_of_long(
         inner = PolynomialModel(model.structure, model.y, model.u, model.offset, model.moving)
         noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, least)
         starts = list(_starts(model, missing, noise))
-        ranked = [Ranked(_searched(model, s.p, noise, missing, (s.name,), 1, limits), 0.0) for s in starts]
+        ranked = [Ranked(_searched(model, s.p, noise, missing, (s.name,), _ONCE, limits), 0.0) for s in starts]
         if influence is None:
             mixed = START
             ranked = [Ranked(end._replace(noise=replace(end.noise, influence=mixed)), e) for end, e in ranked]
     chosen = [end for end, excess in ranked if excess < _HOPELESS]
-    found = [_searched(model, end.p, end.noise, missing, end.starts, _FIRST_CLEANINGS, limits) for end in chosen]
+    found = [_searched(model, end.p, end.noise, missing, end.starts, _AGAIN, limits) for end in chosen]
     return _best_first(model, missing, found, limits)
 
 
@@ -182,8 +191,8 @@ def known_part(model: PolynomialModel, end: End) -> tuple[Array, Array]:
     if h.size > 1 and end.outliers.wrong.any():
         weights = end.noise.weights(end.residual)
         for rows, samples in model.pieces:
-            unknowns = Unknowns(derivatives[rows], h, end.outliers.wrong[samples], weights[rows], model.first)
-            derivatives[rows] = unknowns.residual
+            unknowns = Unknowns(residual[rows], h, end.outliers.wrong[samples], weights[rows], model.first)
+            derivatives[rows] = unknowns.within(derivatives[rows])
             residual[rows] /= np.sqrt(np.maximum(1.0 - unknowns.leverages(), 1e-3))
     return derivatives[end.rows], residual[end.rows]
 
@@ -194,17 +203,17 @@ def _searched(
     noise: Noise,
     missing: Any,
     starts: tuple[str, ...],
-    cleanings: int,
+    effort: _Effort,
     limits: Limits | None = None,
 ) -> End:
     """Minimise the loss from p on, looking for outliers again as often as the parameters change what is one."""
     stage(f"search from: {starts[0]}")
     p = p if limits is None else limits.start(model, p)
     outliers = found_outliers(model, p, missing, noise)
-    for turn in range(cleanings):
+    for turn in range(effort.cleanings):
         if turn:
             stage(f"{int((outliers.wrong & ~missing).sum())} outliers taken for missing, search again")
-        found, _ = _maximised(model, p, noise, outliers, _FEW_MAXIMISATIONS, limits)
+        found, _ = _maximised(model, p, noise, outliers, 1, effort.steps, limits)
         p, noise = found.p, found.noise
         if np.isnan(noise.R):
             break
@@ -213,15 +222,16 @@ def _searched(
         outliers = again
         if settled:
             break
-    found, full = _maximised(model, p, noise, outliers, _MOST_MAXIMISATIONS, limits)
+    found, full = _maximised(model, p, noise, outliers, effort.turns, effort.steps, limits)
     rows = _counting(full, full is model, outliers.wrong)
     y = full.y if isinstance(full, PolynomialModel) else full.output(found.p)
     return End(starts, found.p, found.noise, y, outliers, rows, found.residual, found.converged)
 
 
 def _maximised(
-    model: PolynomialModel, p: Array, noise: Noise, outliers: Outliers, turns: int, limits: Limits | None = None
-) -> tuple[Optimum, PolynomialModel | CompletedModel]:
+    model: PolynomialModel, p: Array, noise: Noise, outliers: Outliers, turns: int, steps: int,
+    limits: Limits | None = None,
+) -> tuple[Optimum, PolynomialModel | CompletedModel]:  # fmt: skip
     """Minimise the loss with outliers in the regressor as unknowns, which take turns with the parameters."""
     if not (outliers.wrong.any() and response(model, p).size > 1):
         rows = _counting(model, True, outliers.wrong)
@@ -234,7 +244,7 @@ def _maximised(
             # Outliers are in every residual: nothing shows the noise, and the search from another start goes on.
             return Optimum(p, replace(noise, R=np.nan), full.residuals(p), False), full
         before = full.residuals(p)
-        found = minimised(full, p, noise, full.conditioned, clear, _STEPS_BETWEEN, limits)
+        found = minimised(full, p, noise, full.conditioned, clear, steps, limits, _NEAR if turns == 1 else 0.0)
         moved = np.linalg.norm(found.residual - before)
         p, noise, weights = found.p, found.noise, found.noise.weights(found.residual)
         if moved <= _SETTLED * np.linalg.norm(found.residual):
@@ -362,5 +372,5 @@ def _best_of(
     if not searched:
         known = ~missing[model.first :]
         return min((start.p for start in starts), key=lambda p: bounded_mean(model.residuals(p)[known]))
-    ends = [_searched(model, start.p, noise, missing, (start.name,), 1) for start in starts]
+    ends = [_searched(model, start.p, noise, missing, (start.name,), _ONCE) for start in starts]
     return _best_first(model, missing, ends)[0].end.p

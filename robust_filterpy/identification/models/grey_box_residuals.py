@@ -159,10 +159,6 @@ class GreyResiduals:
             parts.append(-(outputs[..., : self.n] - outputs[..., self.n :]).reshape(-1, self.n) / (2.0 * _DIFFERENCE))
         return np.concatenate(parts)
 
-    def uncertainty(self, z: Array) -> tuple[float, Array, Array]:
-        """Return what is uncertain about y, and further residuals for it: nothing."""
-        return 0.0, np.zeros(0), np.zeros((0, self.n))
-
     def is_stable(self, z: Array) -> bool:
         """Tell whether there are outputs at all: a trial that overflows is no step."""
         return bool(np.isfinite(z).all())

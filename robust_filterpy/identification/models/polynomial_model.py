@@ -130,10 +130,6 @@ class PolynomialModel:
         parts, v = self.parts(p), self.equation_error(p)
         return v if parts.c.size == parts.d.size == 1 else np.asarray(lfilter(parts.d, parts.c, v))
 
-    def uncertainty(self, p: Array) -> tuple[float, Array, Array]:
-        """Return what is uncertain about y, further residuals for it, their derivatives: nothing, y is known."""
-        return 0.0, np.zeros(0), np.zeros((0, self.n))
-
     def equation_error(self, p: Array) -> Array:
         """Return A y - w - d from sample ``first`` on."""
         parts = self.parts(p)

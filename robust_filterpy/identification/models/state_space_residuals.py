@@ -117,10 +117,6 @@ class StateSpaceResiduals:
         one = self.matrices(q)
         return bool(np.abs(np.linalg.eigvals(one.A - one.K @ one.C)).max(initial=0.0) < 1.0)
 
-    def uncertainty(self, q: Array) -> tuple[float, Array, Array]:
-        """Return what is uncertain about y, and further residuals for it: nothing."""
-        return 0.0, np.zeros(0), np.zeros((0, self.n))
-
     def residuals(self, q: Array) -> Array:
         """Return e of all recordings, shape (sum of N p,)."""
         return np.concatenate([self._own(q, i)[1].ravel() for i in range(len(self.recordings))])
