@@ -12,8 +12,7 @@ from __future__ import annotations
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from scipy.ndimage import label, maximum_filter1d, minimum_filter1d
-from scipy.signal import lfilter
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.contaminated import START
@@ -39,9 +38,6 @@ _ROUNDING: Final = 1e-12
 _VAGUE: Final = 0.1
 # Patterns this similar explain each other.
 _SIMILAR: Final = 0.2
-# A sample so many scales from what the inputs make of it is wild, a residual of so many is large.
-_WILD: Final = 1e3
-_LARGE: Final = 1e2
 # If no wrong sample touches at least this share of the residuals, these show the noise.
 _LEAST_CLEAR: Final = 0.1
 # A variance of an outlier that is so small a share of what its residuals show is none.
@@ -99,7 +95,8 @@ def found_outliers(
         return Outliers(wrong, counts, threshold)
     # A recording that mostly rests does not tell how far off the parameters of a start are.
     least = max(noise.least**0.5, _OF_A_START if before is None else 0.0)
-    wrong |= _wild(model, p, residual, h.size) if before is None else before.wrong
+    if before is not None:
+        wrong |= before.wrong
     deviations = []
     for part, _ in model.pieces:
         for start in range(part.start, part.stop, _BLOCK):
@@ -166,33 +163,6 @@ def cleaned(model: Model, y: Any, u: Any) -> Cleaned | None:
     before = np.zeros(first)
     residual = np.concatenate((before, full.residuals(p)))
     return Cleaned(prepared.with_output(full.output(p)), residual, np.concatenate((before > 0.0, clear)))
-
-
-def _wild(model: PolynomialModel, p: Array, residual: Array, reach: int) -> Any:
-    """Return the samples that lie so far out that no residual near them tells anything, shape (N,).
-
-    Where several follow each other, or one stands before the first residual, their patterns hide each other. An outlier
-    of v is as far out and stays so for a while, but has one large residual, where each wild sample has its own and
-    those after it.
-    """
-    found = np.zeros(model.y.size, dtype=bool)
-    a, error = np.concatenate(([1.0], p[model.structure.polynomials.a])), model.equation_error(p)
-    for rows, samples in model.pieces:
-        y = model.y[samples]
-        with np.errstate(over="ignore", invalid="ignore"):
-            driven = np.convolve(y[model.first - model.na :], a, "valid") - error[rows]
-            output = lfilter([1.0], a, driven)
-        off = y - np.concatenate((np.full(model.first, output[0]), output))
-        far = np.abs(off) > _WILD * mad_scale(off)
-        if not np.isfinite(off).all() or not far.any():
-            continue
-        large = np.abs(residual[rows]) > _LARGE * mad_scale(residual[rows])
-        large = np.concatenate((np.zeros(model.first, dtype=bool), large))
-        near = np.convolve(far, np.ones(reach))[: far.size] > 0.5
-        runs, count = label(near)
-        many = np.bincount(runs, large, count + 1) > np.bincount(runs, far, count + 1)
-        found[samples] = far & many[runs]
-    return found
 
 
 def _even(deviations: Array) -> float:
@@ -293,14 +263,13 @@ class _Block(NamedTuple):
         # Whatever depends on the same residuals as an outlier, or may have made one large.
         unsure = wrong | np.concatenate((np.zeros(self.first, dtype=bool), large))
         near = np.convolve(unsure, np.ones(2 * self.h.size - 1), "same") > 0.5
-        variance, nothing = 1.0 * near, _NOTHING * R / float(self.h @ self.h)
+        variance, nothing = near.astype(float), _NOTHING * R / float(self.h @ self.h)
         variance[wrong] = np.maximum(unknowns.correction**2, 1.0)
         variance[self.missing] = np.inf
         far = self.missing.copy()
         for _ in range(_MOST_ROUNDS):
             wrong, before = variance > nothing, (counts, far)
-            prior: Array = R / variance[wrong]
-            unknowns = self.unknowns(wrong, counts.astype(float), prior)
+            unknowns = self.unknowns(wrong, counts.astype(float), R / variance[wrong])
             uncertain, square = R * unknowns.variance, unknowns.correction**2
             shown = np.clip(1.0 - uncertain / variance[wrong], _NOTHING, 1.0)
             counts, far = np.abs(unknowns.residual) < self.threshold * found.scale, self.missing.copy()
