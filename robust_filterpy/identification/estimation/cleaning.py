@@ -262,7 +262,7 @@ class _Block(NamedTuple):
         large = ~counts | (np.abs(unknowns.residual) > self.threshold * found.scale)
         # Whatever depends on the same residuals as an outlier, or may have made one large.
         unsure = wrong | np.concatenate((np.zeros(self.first, dtype=bool), large))
-        near = np.convolve(unsure, np.ones(2 * self.h.size - 1), "same") > 0.5
+        near = np.convolve(unsure, np.ones(2 * self.h.size - 1))[self.h.size - 1 :][: unsure.size] > 0.5
         variance, nothing = near.astype(float), _NOTHING * R / float(self.h @ self.h)
         variance[wrong] = np.maximum(unknowns.correction**2, 1.0)
         variance[self.missing] = np.inf
