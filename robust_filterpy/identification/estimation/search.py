@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import compress
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -272,7 +273,9 @@ def _best_first(model: PolynomialModel, missing: Any, found: list[End], limits: 
             "take fewer parameters, or look for values in the recording that are no measurements and make them NaN"
         )
     # Where unknown outputs enter nearly every residual, they explain what they like, and the noise looks small.
-    found = [end for end in found if _showing(model, end) >= _SHOWN * model.n] or found
+    shown = [_showing(model, end) for end in found]
+    enough = [n >= _SHOWN * model.n for n in shown]
+    found = list(compress(found, enough if any(enough) else [n > model.n for n in shown])) or found
     likeliest = min(found, key=lambda end: end.noise.R)
     noise = likeliest.noise
     if noise.has_outliers and not isinstance(noise.influence, Contaminated):
