@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from robust_filterpy import Contaminated
+from robust_filterpy import ARX, Contaminated, identify
 from robust_filterpy.identification.estimation.missing import Unknowns
 from robust_filterpy.identification.estimation.neighbours import Neighbours
 from robust_filterpy.identification.models.learnt_noise import Noise
@@ -121,3 +121,16 @@ def test_predictions_made_together_are_those_made_one_by_one(a, c, d, gap):
         w[k] = Noise.weights(noise, r[k] / np.sqrt(variance[k])) if known[k] else 0.0
     np.testing.assert_allclose(found.residual, r, atol=1e-6)
     np.testing.assert_allclose(found.weights, w, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", [101, 109])
+def test_outliers_whose_patterns_overlap_do_not_hide_each_other(seed):
+    rng = np.random.default_rng([seed, 4])
+    poles = rng.uniform(0.3, 0.95, 10) * np.exp(1j * rng.uniform(0.1, 3.0, 10))
+    a, b, u = np.real(np.poly([*poles, *poles.conj()])), rng.normal(size=20), rng.choice([-1.0, 1.0], 4000)
+    y = lfilter([0.0, *b], a, u) + lfilter([1.0], a, 0.3 * rng.normal(size=u.size))
+    # Each residual has outliers of 21 samples in it, two of them on average.
+    y += np.where(rng.random(u.size) < 0.1, np.std(y), 0.0) * rng.normal(size=u.size)
+    model, right = identify(y, u, ARX(20, 20), progress=False), np.array([*a[1:], *b])
+    assert np.linalg.norm(model.theta - right) < 0.2 * np.linalg.norm(right)
+    assert model.R == pytest.approx(0.09, rel=0.1)
