@@ -89,5 +89,5 @@ def ordinary_mean(influence: Any) -> float:
 def _mean(scale: float) -> float:
     """Return the mean of min(s^2, 4) of a normal s with this standard deviation."""
     a = _REACH / scale
-    # s^2 below a^2 has the distribution of three degrees of freedom; as a difference it would be lost in a wide mixture.
+    # s^2 below a^2 has three degrees of freedom; as a difference it would be lost in a wide mixture.
     return scale * scale * float(gammainc(1.5, 0.5 * a * a)) + _REACH * _REACH * float(erfc(a / math.sqrt(2.0)))

@@ -175,7 +175,8 @@ class State(NamedTuple):
             part = recorded[i, recorded.shape[1] - int(kept[i]) :]
             starts[i] = ColdStart(int(samples[i]), part[:, 0], part[:, 1:], int(rule[i, 6]))
         rounding = watch[:, 7] if watch.shape[1] > 7 else np.zeros(n)
-        followed = Followed.restored(watch[:, 2:7], found.get("followed", np.zeros((n, 0, self.followed.rows.shape[2]))))
+        rows = found.get("followed", np.zeros((n, 0, self.followed.rows.shape[2])))
+        followed = Followed.restored(watch[:, 2:7], rows)
         return State(
             found["theta"], found["P"], Memory(*(found[name] for name in Memory._fields)),
             np.column_stack((R, rule[:, 2:5], rounding)), found.get("readings", np.zeros((n, READINGS))),

@@ -13,7 +13,6 @@ from robust_filterpy.filters.stuck import StuckSensorWarning
 from robust_filterpy.identification.models.dependence import (
     CLIP,
     SHARE,
-    Dependence,
     autocovariances,
     dependence,
     level_and_scale,
@@ -35,8 +34,6 @@ _OFFSET: Final = 2.0
 # in the whole of one after their sum.
 _SPAN: Final = 120
 _PERIOD: Final = 40
-# Residuals beyond so many robust standard deviations may be outliers.
-_WILD: Final = 3.0
 # A level has moved if so many residuals in a row, or more, are so many standard deviations of their mean off zero: with
 # 30 % outliers, all on one side, quiet runs reach 5.6.
 _IN_A_ROW: Final = 20
@@ -158,12 +155,10 @@ class Followed(NamedTuple):
         if not windows or np.isnan(residuals).all() or _tells_nothing(residuals, rounding):
             return after, 0.0
         kept = np.mean([autocovariances(residuals[window]) for window in windows], axis=0)
-        held = [_held_against(residuals[w], signals[w], kept) for w in windows]
-        found, shares = np.array([one.found.any() for one in held]), np.array([_share(one) for one in held])
-        mostly = bool(found.mean() > 0.5)
-        # What one window alone shows is another plant, and not usual.
-        after.usual[i] = *kept, shares[found == mostly].max()
-        return after, float(shares.mean()) if mostly else 0.0
+        found = [dependence(residuals[w], signals[w], whitening=whitening_of(kept)) for w in windows]
+        shares = [max(float(one.share), 0.0) for one in found]
+        after.usual[i] = *kept, max(shares)
+        return after, float(np.mean(shares)) if np.mean([one.found for one in found]) > 0.5 else 0.0
 
     def looked(
         self, which: np.ndarray, residuals: Array, signals: Array, has_offset: bool, rounding: Array
@@ -221,9 +216,9 @@ def _trouble(residuals: Array, signals: Array, usual: Array, has_offset: bool) -
     covariances, anyway = usual[:3], usual[3]
     now = autocovariances(residuals)
     covariances = covariances if covariances[0] > 0.0 else now
-    found = _held_against(residuals, signals, covariances)
-    share = _share(found)
-    if (found.found & (found.share > SHARE + anyway)).any():
+    found = dependence(residuals, signals, whitening=whitening_of(covariances))
+    share = max(float(found.share), 0.0)
+    if found.found and share > SHARE + anyway:
         return _ANOTHER.format(_SPAN, 100 * share), usual
     moved = _moved(residuals[~np.isnan(residuals)], covariances) if has_offset else ""
     if moved or (share > 0.5 * SHARE + anyway and usual[0]):
@@ -234,20 +229,6 @@ def _trouble(residuals: Array, signals: Array, usual: Array, has_offset: bool) -
     after = before + _PACE * (now - before)
     after[3] = after[3] if anyway > SHARE else min(after[3], max(anyway, 0.5 * SHARE))
     return "", after
-
-
-def _held_against(residuals: Array, signals: Array, covariances: Array) -> Dependence:
-    """Hold residuals against the inputs, with outliers clipped, and without them."""
-    # Many outliers hide what the others follow, but what moves only now and then looks like outliers.
-    level, scale = level_and_scale(residuals, ~np.isnan(residuals))
-    ordinary = np.where(np.abs(residuals - level) > _WILD * scale, np.nan, residuals)
-    both = np.stack((residuals, ordinary))
-    return dependence(both, np.broadcast_to(signals, (2, *signals.shape)), whitening=whitening_of(covariances))
-
-
-def _share(found: Dependence) -> float:
-    """Return how much of the residuals follows the inputs, either way."""
-    return max(float(found.share.max()), 0.0)
 
 
 def _tells_nothing(residuals: Array, rounding: float) -> bool:
