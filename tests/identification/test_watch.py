@@ -259,13 +259,3 @@ def test_what_a_model_without_a_constant_leaves_off_zero_is_no_moved_level():
         warnings.simplefilter("always")
         ParameterTracker(OutputError(2, 2), offset=False).run(y + noise + 0.3, u)
     assert not [each for each in caught if "the level of y" in str(each.message)]
-
-
-def test_outliers_of_the_noise_are_nothing_usual():
-    rng = np.random.default_rng(5)
-    u, a = rng.choice([-1.0, 1.0], 400), [1.0, -1.67, 0.72]
-    noise = np.where(rng.random(400) < 0.1, 10.0, 1.0) * rng.normal(size=400)
-    y = lfilter([0.0, -0.4, -2.5], a, u) + lfilter([1.0], a, 0.8 * noise)
-    tracker = ParameterTracker(ARX(2, 2))
-    tracker.run(y, u)
-    assert tracker.state()["watch"][6] < 0.2

@@ -17,7 +17,6 @@ from robust_filterpy import kernel
 from robust_filterpy._checks import Array
 from robust_filterpy.correction import repeats
 from robust_filterpy.correction.options import Choices
-from robust_filterpy.identification.estimation.cleaning import cleaned
 from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.models.guard import GUARDS
 from robust_filterpy.identification.models.model import Model
@@ -34,8 +33,6 @@ from robust_filterpy.kernel.series import SCALINGS, plain, rule
 
 # So many samples at most go to the definition before the kernel has another try.
 _MOST_ODD = 1024
-# So much of a recording at the least is clear of outliers, to show what is usual.
-_LEAST_CLEAR = 0.6
 # Findings in the samples of which the first model is made that are said: what these break, the samples to come may too.
 _SAID = ("step", "ramp", "input outliers")
 
@@ -216,9 +213,9 @@ def _with_readings(now: State, i: int, start: ColdStart, model: Model) -> State:
 
 def _usual(form: Form, now: State, i: int, start: ColdStart, model: Model) -> tuple[State, News]:
     """Learn from a model's own recording what is usual; say what is odd in that recording already."""
-    residual, prediction = _left_of(model, start)
+    prediction = model.predict(start.y, start.u)
     signals = np.column_stack((np.nan_to_num(prediction), start.u))
-    followed, share = now.followed.begun(i, residual, signals, float(now.scale[i, 4]))
+    followed, share = now.followed.begun(i, start.y - prediction, signals, float(now.scale[i, 4]))
     now = now._replace(followed=followed)
     odd = {one.kind: one.text for one in model.findings}
     stuck = "stuck" in odd
@@ -239,17 +236,6 @@ def _usual(form: Form, now: State, i: int, start: ColdStart, model: Model) -> tu
     )
     windows, more = windows.without_model(i, sentence)
     return now._replace(windows=windows), news + more
-
-
-def _left_of(model: Model, start: ColdStart) -> tuple[Array, Array]:
-    """Return what a model leaves of its own recording, NaN where that tells nothing, and its predictions."""
-    prediction = model.predict(start.y, start.u)
-    whole = cleaned(model, start.y, start.u)
-    if whole is None or whole.clear.mean() < _LEAST_CLEAR:
-        return start.y - prediction, prediction
-    # Predictions from past outputs take outliers of the noise for those of the sensor, and follow themselves.
-    residual = np.where(whole.clear & ~np.isnan(start.y - prediction), whole.residual, np.nan)
-    return residual, np.where(np.isnan(residual), prediction, start.y - residual)
 
 
 # Through the samples.
