@@ -29,6 +29,7 @@ _MEANT: Final = {
     "R": "variance of the ordinary noise",
     "R_memory": "number of samples that R remembers",
     "R_mean": "mean of min(e^2, 4) where R is right",
+    "R_rounding": "steps of the sensor; R is what they make at least",
     "readings": "what is known of the steps of y",
     "centre": "taken off y, so that the constant is small",
     "theta": "the parameters",
@@ -88,9 +89,9 @@ def _model(tracker: ParameterTracker) -> dict[str, Any]:
     alpha_sq = float(tracker.state()["alpha_sq"])
     if alpha_sq != 1.0:
         model |= {"alpha_sq": alpha_sq, "windup": float(tracker.now.windup[0])}
-    _, _, mean, memory = tracker.now.scale[0].tolist()
+    _, _, mean, memory, rounding = tracker.now.scale[0].tolist()
     if memory:
-        model |= {"R_memory": memory, "R_mean": mean}
+        model |= {"R_memory": memory, "R_mean": mean, "R_rounding": rounding}
     else:
         model["R"] = tracker.R
     return model | ({"centre": float(tracker.now.centre[0])} if tracker.form.has_offset else {})
@@ -129,9 +130,9 @@ def _values(tracker: ParameterTracker, model: dict[str, Any], start: dict[str, A
     own = ["    how.learns = state->enabled;", "    how.Q = model->Q;"]
     own += ["    how.F = model->F;"] * ("F" in model)
     own += ["    how.alpha_sq = model->alpha_sq;", "    how.windup = model->windup;"] * ("alpha_sq" in model)
-    scale = ("state->R", "state->R_samples", "model->R_mean", "model->R_memory")
+    scale = ("state->R", "state->R_samples", "model->R_mean", "model->R_memory", "model->R_rounding")
     fields = [f"    next.{one} = state->{one};" for one in start if one not in ("R", "R_samples")]
-    fields += [f"    scale[{i}] = {one};" for i, one in enumerate(scale if follows else ("model->R", "0", "1", "0"))]
+    fields += [f"    scale[{i}] = {one};" for i, one in enumerate(scale if follows else ("model->R", *"0100"))]
     followed = ["    state->R = scale[0];", "    state->R_samples = scale[1];"] * follows
     return {
         "n": str(tracker.form.layout.n), "inputs": str(structure.n_inputs), "names": ", ".join(name),

@@ -109,12 +109,12 @@ def robust_regression(X: Array, y: Array, steps: int = 10) -> Array:
         gram = X.T @ (X * weights[:, None])
         ridge = 1e-9 * gram.diagonal() + 1e-12 * np.trace(gram) / len(gram) + np.finfo(float).tiny
         new = solve(gram + np.diag(ridge), X.T @ (weights * target), assume_a="pos")
-        done = np.linalg.norm(X @ (new - theta)) <= 1e-3 * np.linalg.norm(y - X @ new)
-        theta, target = new, y
+        moved, theta, target = X @ (new - theta), new, y
         residual = y - X @ theta
         # Where most samples are at rest and rounded, what moves is no outlier.
         scale = max(mad_scale(residual), _LEAST * spread)
-        if done or scale == 0.0:
+        # Held against ordinary samples: beside gross errors every step is a small one.
+        if scale == 0.0 or np.linalg.norm(moved) <= 1e-3 * scale * np.sqrt(y.size):
             break
         weights = Huber().weights(residual / scale)
     return theta

@@ -148,7 +148,7 @@ static PyObject *track(PyObject *self, PyObject *arguments) {
         const tracker_layout *const l = &j.layout;
         const npy_intp past = l->na + l->nd, rows = l->nf > l->nd ? l->nf : l->nd;
         const npy_intp shapes[11][3] = {{0, n, 0}, {0, n, n}, {0, past, 0}, {0, past, 0}, {0, l->length, 0},
-                                        {0, l->nc, 0}, {0, l->nf, 0}, {0, rows, n}, {0, l->nc, n}, {0, 4, 0},
+                                        {0, l->nc, 0}, {0, l->nf, 0}, {0, rows, n}, {0, l->nc, n}, {0, 5, 0},
                                         {0, TRACKER_READINGS, 0}};
         for (int a = 0; a < 11; a++) {
             const npy_intp shape[3] = {j.actuators, shapes[a][1], shapes[a][2]};

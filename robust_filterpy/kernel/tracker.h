@@ -59,7 +59,8 @@ typedef struct {
     real *undisturbed;        /* (nf) -w */
     real *prefiltered;        /* (max(nf, nd), n) past phi through 1/F */
     real *gradients;          /* (nc, n) derivatives of past predictions */
-    real *scale;              /* (4) R, samples it stands on, mean of min(e^2, 4), samples to remember; 0: R stays */
+    real *scale;              /* (5) R, samples it stands on, mean of min(e^2, 4), samples to remember; 0: R stays,
+                                 steps of the sensor */
     real *readings;           /* (TRACKER_READINGS) of repeats.h, and for how many samples the sensor has been stuck */
 } tracker_state;
 
@@ -187,7 +188,9 @@ INLINE void tracker_follow(real *const scale, const real nu, const real S) {
     const real share = scale[0] / S, early = real_min(1, 5 / (scale[1] + 1));
     const real gain = share * real_max(REAL(1.5) / scale[3], early);
     const real surprise = real_min(nu * nu / S, 4) / scale[2] - 1;
-    scale[0] = real_max(scale[0] * real_exp(gain * surprise), 1 / REAL_ORDINARY / REAL_ORDINARY);
+    /* A plant at rest shows no noise in steps of its sensor, one that moves does. */
+    const real least = real_max(scale[4] * scale[4] / 12, 1 / REAL_ORDINARY / REAL_ORDINARY);
+    scale[0] = real_max(scale[0] * real_exp(gain * surprise), least);
     scale[1] += share;
 }
 
@@ -255,7 +258,7 @@ INLINE int tracker_step(const tracker_layout *const l, const int n, const tracke
     const int filtered = rule->filtered && l->nf + l->nc + l->nd > 0;
     const real r = told == told ? told : s->scale[0];
     real trace = 0, predicted, S = r, before = 0, alone = 0, after, believed;
-    real grown = 1, tempered = 1, scale[4];
+    real grown = 1, tempered = 1, scale[5];
     int known = y == y, again = 0, outlying = 0, sharp = 0, stuck = 0;
     sample->refused = TRACKER_NOT_FINITE;
     tracker_regressor(l, s, u, phi);
@@ -322,7 +325,7 @@ INLINE int tracker_step(const tracker_layout *const l, const int n, const tracke
         if (sharp && size * trace > TRACKER_SHARPEST * r)
             tempered = real_sqrt(TRACKER_SHARPEST / size) * real_sqrt(r / trace);
     }
-    for (int i = 0; i < 4; i++) scale[i] = s->scale[i];
+    real_copy(5, s->scale, scale);
     if (rule->learns && known) {
         const real nu = y - predicted;
         real own;

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from robust_filterpy import Contaminated
 from robust_filterpy.identification import (
     ARMAX,
     ARX,
@@ -17,7 +18,8 @@ from robust_filterpy.identification import (
     validate,
 )
 from robust_filterpy.identification.models.fit import fit_percent
-from robust_filterpy.influence.regression import mad_scale, resolution, size_of
+from robust_filterpy.identification.recursive.noise_scale import NoiseScale, followed, ordinary_mean
+from robust_filterpy.influence.regression import mad_scale, resolution, robust_regression, size_of
 
 B, A = [0.0, 1.0, 0.5], [1.0, -1.5, 0.7]
 FRESH = np.random.default_rng(0).choice([-1.0, 1.0], 300)
@@ -121,3 +123,56 @@ def test_a_tracker_at_rest_is_not_lost(kind):
         warnings.simplefilter("error")
         tracker.run(y, u)
     np.testing.assert_allclose(tracker.theta[:4], [-1.5, 0.7, 1.0, 0.5], atol=0.02)
+
+
+def test_after_a_rest_in_coarse_steps_what_moves_is_no_outlier():
+    u = np.zeros(1500)
+    u[60:110] = 1.0
+    u[1200:] = -2.0
+    y = lfilter(B, A, u).round(1)
+    tracker = ParameterTracker(OutputError(2, 2))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        result = tracker.run(y, u)
+    assert result.weights[1200:1230].min() > 0.5
+    assert tracker.R >= 0.1**2 / 12.0 * (1.0 - 1e-12)
+    # Both ways, and from a state.
+    other = ParameterTracker(OutputError(2, 2))
+    other.run(y[:600], u[:600])
+    third = ParameterTracker(OutputError(2, 2))
+    third.restore(other.state())
+    third.run(y[600:], u[600:])
+    assert third.R == tracker.R
+
+
+def test_a_model_of_a_few_samples_that_move_claims_nothing():
+    u = np.zeros(800)
+    u[188:] = 1.0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ParameterTracker(ARX(2, 2)).run((7.3 * lfilter(B, A, u)).round(2), u)
+
+
+def test_explained_to_the_last_bit_is_still_rounding_of_numbers():
+    u = np.zeros(400)
+    u[154:203] = 1.0
+    y = 7.3 * lfilter([0.0, 0.2, 0.1], [1.0, -1.7, 0.72], u)
+    assert identify(y, u, OutputError(2, 2)).noise.least > 1e-27
+
+
+def test_an_r_that_is_followed_does_not_fall_below_what_is_rounding():
+    scale = NoiseScale(samples=10.0, mean=ordinary_mean(None), memory=10.0, rounding=0.1)
+    assert followed(0.001, scale, 0.0, 0.001)[0] == 0.1**2 / 12.0
+    assert followed(0.001, scale._replace(rounding=0.0), 0.0, 0.001)[0] < 0.1**2 / 12.0
+
+
+def test_the_mean_of_a_wide_mixture_is_no_difference_of_large_numbers():
+    assert ordinary_mean(Contaminated(0.05, 5e9)) == pytest.approx(0.95 * ordinary_mean(None) + 0.05 * 4.0)
+
+
+def test_gross_errors_do_not_stop_a_robust_regression():
+    rng = np.random.default_rng(3)
+    X = rng.normal(size=(400, 5))
+    y = X @ np.arange(5.0) + 0.1 * rng.normal(size=400)
+    y[::14] = 1e6 * rng.normal(size=y[::14].size)
+    assert np.abs(robust_regression(X, y) - np.arange(5.0)).max() < 0.05

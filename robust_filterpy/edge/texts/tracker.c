@@ -16,7 +16,7 @@ ${name}_status ${name}_update(const ${name}_model *model, ${name}_state *state, 
     tracker_state next = {0};
     tracker_sample found = {0};
     real work[tracker_work(N)];
-    real scale[4];
+    real scale[5];
     if ((model == NULL) || (state == NULL) || ($inputs > 0 && u == NULL) || (real_abs(y) > REAL_MAX)) {
         return ${NAME}_BAD_ARGUMENT;
     }

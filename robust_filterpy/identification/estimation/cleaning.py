@@ -30,8 +30,8 @@ THRESHOLDS: Final = (2.5, 3.6)
 _EVEN_THRESHOLDS: Final = np.linspace(*THRESHOLDS, 101)
 _EVEN_ODDS: Final = np.exp(_EVEN_THRESHOLDS**2 / 2.0) * (_EVEN_THRESHOLDS**2 / 3.0 - 1.0)
 _MOST_ROUNDS: Final = 40
-# Outliers are looked for in so many samples at a time, for the sake of dense matrices of their number.
-_BLOCK: Final = 2000
+# Outliers are looked for in so many samples at a time, whose residuals show one scale of the noise.
+_BLOCK: Final = 10_000
 # Residuals of this size, of an output of unit size, are no noise.
 _ROUNDING: Final = 1e-12
 # Below this share of its precision a sample is not determined by the others.
@@ -106,7 +106,9 @@ def found_outliers(
             block = _Block(residual[rows], h, missing[samples], offset, threshold, R, least)
             best = block.judged(wrong[samples], counts[rows])
             if (best.wrong & ~block.missing).any():
-                best = block.better(best, block.judged(*block.unmixed(best)))
+                far, regular = block.unmixed(best)
+                if not (np.array_equal(far, best.wrong) and np.array_equal(regular, best.counts)):
+                    best = block.better(best, block.judged(far, regular))
             wrong[samples], counts[rows] = best.wrong, best.counts
             deviations.append(best.deviations)
             # What is unknown at the end of a block reaches into the next.

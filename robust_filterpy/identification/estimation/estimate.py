@@ -17,7 +17,7 @@ from robust_filterpy.identification.estimation.profile import profiled
 from robust_filterpy.identification.estimation.search import End, ends, known_part
 from robust_filterpy.identification.estimation.threads import one_thread
 from robust_filterpy.identification.models.beginnings import filled_memory, resting_level
-from robust_filterpy.identification.models.fit import ROUNDING, least_variance, ordinary_fit, ordinary_samples
+from robust_filterpy.identification.models.fit import least_variance, ordinary_fit, ordinary_samples
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.model import Ending, Model
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
@@ -154,7 +154,7 @@ def estimated(problem: Problem, y: Array) -> Model:
         limits = None if told is None else told.times(1.0 / units.factor(structure))
         R, least = None if known is None else known / units.y**2, least_variance(y, units.y)
         ranked = ends(model, missing, problem.influence, R, limits, least)
-    best = _exact(ranked[0].end)
+    best = _exact(ranked[0].end, least_variance(y, units.y, in_steps=False))
     output = _output(model, best)
     endings = tuple(Ending(end.starts, excess, _apart(output, _output(model, end))) for end, excess in ranked)
     # What the noise makes of the output of any model with so many parameters.
@@ -362,12 +362,12 @@ def _output(model: PolynomialModel, end: End) -> Array:
     return np.asarray(lfilter([1.0], model.parts(p).a, model.undisturbed(p)))
 
 
-def _exact(best: End) -> End:
+def _exact(best: End, least: float) -> End:
     """Return the end with the noise that it shows, if the recording has few values and all of them are explained."""
     left = best.residual[best.rows]
     if np.square(left).max() > _EXACT * best.noise.least:
         return best
-    return best._replace(noise=replace(best.noise, least=ROUNDING**2).settled(left))
+    return best._replace(noise=replace(best.noise, least=least).settled(left))
 
 
 def _without_noise(model: PolynomialModel, best: End) -> str:

@@ -70,7 +70,7 @@ def _constant(scale: Any) -> Any:
     return 4 * np.finfo(float).eps * scale
 
 
-def least_variance(y: Array, size: float) -> float:
+def least_variance(y: Array, size: float, in_steps: bool = True) -> float:
     """Return what the noise of an output has at least, in units of a size: rounding, of numbers or of its sensor.
 
     Parameters
@@ -79,6 +79,8 @@ def least_variance(y: Array, size: float) -> float:
         NaN where it is missing.
     size : float
         Of y, > 0.
+    in_steps : bool, default True
+        Whether few values are the steps of a sensor; else rounding is that of numbers alone.
 
     Returns
     -------
@@ -87,7 +89,8 @@ def least_variance(y: Array, size: float) -> float:
     """
     known = y[~np.isnan(y)]
     numbers = _NUMBERS * moving_size(known - np.median(known)) if known.size else 0.0
-    return max(ROUNDING**2, (resolution(known) / size) ** 2 / 12.0, (numbers / size) ** 2)
+    steps = resolution(known) if in_steps else 0.0
+    return max(ROUNDING**2, (steps / size) ** 2 / 12.0, (numbers / size) ** 2)
 
 
 def ordinary_samples(residual: Array, y: Array) -> Any:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from robust_filterpy.identification.models.model import Model
@@ -45,8 +47,12 @@ def gone_on(form: Form, now: State, i: int, model: Model) -> State:
         order = np.insert(np.arange(n), place, n)
         x, P = np.append(x, constant)[order], (J @ joint @ J.T)[np.ix_(order, order)]
     P, scale = 0.5 * (P + P.T), row.scale[0].copy()
+    # Of past outputs in the regressor, too.
+    scale[4] = math.sqrt(12.0 * model.noise.least * (1.0 + float(np.square(x[layout.a]).sum())))
     if scale[3]:
-        scale[:3] = model.R, float(model.weights.size), ordinary_mean(model.noise.influence)
+        # A recording without noise says nothing of how large it is.
+        stands_on = 0.0 if model.noise.is_rounding else float(model.weights.size)
+        scale[:3] = model.R, stands_on, ordinary_mean(model.noise.influence)
     if form.has_offset:
         f, c, d = (1.0 + float(x[part].sum()) for part in (layout.f, layout.c, layout.d))
         prefiltered = 1.0 / max(abs(f), 1e-6)

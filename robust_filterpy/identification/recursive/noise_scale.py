@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import Any, Final, NamedTuple
 
-from scipy.special import ndtr
+from scipy.special import erfc, gammainc
 
 from robust_filterpy.correction.contaminated import Contaminated
 
@@ -35,21 +35,19 @@ class NoiseScale(NamedTuple):
     """Mean of min(e^2, 4) where R is right."""
     memory: float
     """Number of samples that R is to remember; 0: R stays as it is."""
+    rounding: float
+    """Steps of the sensor, or what arithmetic loses, in the unit of y; 0: not known. R is what they make at least."""
 
 
-def followed(R: float, samples: float, mean: float, memory: float, nu: float, S: float) -> tuple[float, float]:
+def followed(R: float, scale: NoiseScale, nu: float, S: float) -> tuple[float, float]:
     """Return R after one more innovation, and how many samples it stands on.
 
     Parameters
     ----------
     R : float
         Variance of the ordinary noise, > 0.
-    samples : float
-        How many samples it stands on.
-    mean : float
-        Mean of min(e^2, 4) where R is right.
-    memory : float
-        Number of samples to remember.
+    scale : NoiseScale
+        What it stands on, memory > 0.
     nu : float
         Innovation.
     S : float
@@ -61,11 +59,13 @@ def followed(R: float, samples: float, mean: float, memory: float, nu: float, S:
     """
     # A sample whose regressor overflows tells nothing of R.
     if not S < 1e290:
-        return R, samples
+        return R, scale.samples
     share = R / S
-    gain = share * max(_PACE / memory, min(1.0, _FIRST / (samples + 1.0)))
-    surprise = min(nu * nu / S, _REACH * _REACH) / mean - 1.0
-    return max(R * math.exp(gain * surprise), 1e-290), samples + share
+    gain = share * max(_PACE / scale.memory, min(1.0, _FIRST / (scale.samples + 1.0)))
+    surprise = min(nu * nu / S, _REACH * _REACH) / scale.mean - 1.0
+    # A plant at rest shows no noise in steps of its sensor, one that moves does.
+    least = max(scale.rounding * scale.rounding / 12.0, 1e-290)
+    return max(R * math.exp(gain * surprise), least), scale.samples + share
 
 
 def ordinary_mean(influence: Any) -> float:
@@ -89,6 +89,5 @@ def ordinary_mean(influence: Any) -> float:
 def _mean(scale: float) -> float:
     """Return the mean of min(s^2, 4) of a normal s with this standard deviation."""
     a = _REACH / scale
-    inside = 2.0 * float(ndtr(a)) - 1.0
-    density = math.exp(-0.5 * a * a) / math.sqrt(2.0 * math.pi)
-    return scale * scale * (inside - 2.0 * a * density) + _REACH * _REACH * (1.0 - inside)
+    # s^2 below a^2 has three degrees of freedom; as a difference it would be lost in a wide mixture.
+    return scale * scale * float(gammainc(1.5, 0.5 * a * a)) + _REACH * _REACH * float(erfc(a / math.sqrt(2.0)))

@@ -132,7 +132,7 @@ def _corrected(kf: Any, G: Array, y: float, predicted: float, R: float | None, r
 
 def _followed(kf: Any, scale: NoiseScale, R: float, nu: float, S: float) -> NoiseScale:
     """Let the filter's R follow the size of the innovations."""
-    found, samples = followed(R, scale.samples, scale.mean, scale.memory, nu, S)
+    found, samples = followed(R, scale, nu, S)
     kf.R = np.array([[found]])
     if scale.samples < EARLY and found > R:
         kf.P = kf.P * (found / R)

@@ -109,7 +109,7 @@ class Standing(EstimatedPolynomials, Responses):
     @R.setter
     def R(self, value: float) -> None:
         self.filter.R = setup.checked_values(self.form.layout.n, R=value)["R"]
-        self._now = self._now._replace(scale=self._now.scale * [1.0, 1.0, 1.0, 0.0])
+        self._now = self._now._replace(scale=self._now.scale * [1.0, 1.0, 1.0, 0.0, 1.0])
 
     @property
     def _noise_samples(self) -> float:

@@ -61,7 +61,7 @@ class State(NamedTuple):
     P: Array
     past: Memory
     scale: Array
-    """R and the fields of `NoiseScale`, (n, 4)."""
+    """R and the fields of `NoiseScale`, (n, 5)."""
     readings: Array
     """What is known of the readings, as in `correction.repeats`, and for how many samples the sensor has been stuck,
     (n, 7)."""
@@ -139,10 +139,11 @@ class State(NamedTuple):
         recorded = np.full((n, int(kept.max(initial=0)), width - 1), np.nan)
         for i, start in self.starts.items():
             recorded[i, recorded.shape[1] - start.y.size :] = np.column_stack((start.y, start.u))
-        rule = np.column_stack((self.centre, self.windup, self.scale[:, 1:], self.begun, waits))
-        watch = np.column_stack((self.restarts, self.samples, self.followed.seen, self.followed.usual))
-        shown = min(int(self.followed.seen.max(initial=0)), self.followed.rows.shape[1])
-        rows = self.followed.rows[:, self.followed.rows.shape[1] - shown :]
+        rule = np.column_stack((self.centre, self.windup, self.scale[:, 1:4], self.begun, waits))
+        followed = self.followed
+        watch = np.column_stack((self.restarts, self.samples, followed.seen, followed.usual, self.scale[:, 4]))
+        shown = min(int(followed.seen.max(initial=0)), followed.rows.shape[1])
+        rows = followed.rows[:, followed.rows.shape[1] - shown :]
         return {
             "theta": self.theta, "P": self.P, **self.past._asdict(), "recursion": rule, "start": recorded, "kept": kept,
             "watch": watch, "followed": rows, "readings": self.readings,
@@ -173,10 +174,12 @@ class State(NamedTuple):
         for i in np.flatnonzero(rule[:, 6] >= 0).tolist():
             part = recorded[i, recorded.shape[1] - int(kept[i]) :]
             starts[i] = ColdStart(int(samples[i]), part[:, 0], part[:, 1:], int(rule[i, 6]))
-        followed = Followed.restored(watch[:, 2:], found.get("followed", np.zeros((n, 0, self.followed.rows.shape[2]))))
+        rounding = watch[:, 7] if watch.shape[1] > 7 else np.zeros(n)
+        rows = found.get("followed", np.zeros((n, 0, self.followed.rows.shape[2])))
+        followed = Followed.restored(watch[:, 2:7], rows)
         return State(
             found["theta"], found["P"], Memory(*(found[name] for name in Memory._fields)),
-            np.column_stack((R, rule[:, 2:5])), found.get("readings", np.zeros((n, READINGS))),
+            np.column_stack((R, rule[:, 2:5], rounding)), found.get("readings", np.zeros((n, READINGS))),
             rule[:, 0].copy(), rule[:, 1].copy(), rule[:, 5] > 0.0,
             watch[:, 0] > 0.0, samples, starts, followed, self.windows.emptied(),
         )  # fmt: skip
@@ -196,7 +199,7 @@ def at_rest(form: Form, theta: Array, P: Array, scale: Array, samples: int, told
         Parameters to begin with.
     P : ndarray, shape (n, d, d)
         Their covariances.
-    scale : ndarray, shape (n, 4)
+    scale : ndarray, shape (n, 5)
         R and the fields of `NoiseScale`.
     samples : int
         How many samples a start may look at.

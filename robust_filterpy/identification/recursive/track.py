@@ -89,8 +89,11 @@ def advance(
         if left_out.any():
             windows, news = now.windows.with_stuck(long_held(left_out, before))
             now, said = now._replace(windows=windows), said + news
+        # A model that is looked for still claims nothing.
+        weights = shown.weights.copy()
+        weights[list(now.starts)] = np.nan
         windows, news = now.windows.seen(
-            shown.weights, shown.guard, shown.residual, now.scale[:, 0], form.has_offset, now.followed.usual[:, -1]
+            weights, shown.guard, shown.residual, now.scale[:, 0], form.has_offset, now.scale[:, 4]
         )
         said += news
         now, news = _looked(form, using, now._replace(windows=windows), watched, y[:, part], u[:, part], shown)
@@ -147,7 +150,9 @@ def _looked(
             news += said
     if watched.size:
         signals = np.concatenate((shown.prediction[watched, :, None], u[watched]), axis=2)
-        followed, lost = now.followed.looked(watched, shown.residual[watched], signals, form.has_offset)
+        followed, lost = now.followed.looked(
+            watched, shown.residual[watched], signals, form.has_offset, now.scale[watched, 4]
+        )
         now = now._replace(followed=followed)
         for i, trouble, _ in lost:
             start = ColdStart.of(form.structure.n_theta, form.structure.n_inputs, int(now.samples[i]))
@@ -210,7 +215,7 @@ def _usual(form: Form, now: State, i: int, start: ColdStart, model: Model) -> tu
     """Learn from a model's own recording what is usual; say what is odd in that recording already."""
     prediction = model.predict(start.y, start.u)
     signals = np.column_stack((np.nan_to_num(prediction), start.u))
-    followed, share = now.followed.begun(i, start.y - prediction, signals)
+    followed, share = now.followed.begun(i, start.y - prediction, signals, float(now.scale[i, 4]))
     now = now._replace(followed=followed)
     odd = {one.kind: one.text for one in model.findings}
     stuck = "stuck" in odd

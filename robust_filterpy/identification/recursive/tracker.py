@@ -259,7 +259,7 @@ class ParameterTracker(Returning, Standing):
             setup.warn_of_default_noise(kf)
         self.enabled = True
         memory = 0.0 if R is not None or ready else float(_checks.count("R_memory", R_memory, 2))
-        scale = np.array([[setup.told_variance(kf), 0.0, ordinary_mean(None), memory]])
+        scale = np.array([[setup.told_variance(kf), 0.0, ordinary_mean(None), memory, 0.0]])
         x, covariance = np.array(kf.x, dtype=float).reshape(1, -1), np.array(kf.P, dtype=float)[None]
         self._now = at_rest(self.form, x, covariance, scale, samples or START, not samples)
         self.dt: float | None = None

@@ -18,8 +18,7 @@ from robust_filterpy.identification.models.dependence import (
     level_and_scale,
     whitening_of,
 )
-from robust_filterpy.identification.models.fit import least_variance
-from robust_filterpy.influence.regression import mad_scale, size_of
+from robust_filterpy.influence.regression import mad_scale
 
 __all__ = ["Followed", "LostTrackerWarning", "News", "Trouble", "Windows", "long_held"]
 
@@ -42,7 +41,7 @@ _MOVED: Final = 7.0
 # Where so many residuals are no more than rounding, the plant rests or has no noise, and they tell nothing.
 _NEARLY_ALL: Final = 0.9
 # Numbers that are usual of an actuator.
-_USUAL: Final = 5
+_USUAL: Final = 4
 # Of the autocovariances of ordinary residuals, how much each look renews.
 _PACE: Final = 0.15
 # R may follow noise that changes, not over this factor.
@@ -78,8 +77,7 @@ class Followed(NamedTuple):
     seen: np.ndarray
     """How many samples, (n,)."""
     usual: Array
-    """Of ordinary residuals the autocovariances, how much of them follows the inputs anyway, and what is no more than
-    rounding, of the sensor or of numbers, (n, 5)."""
+    """Of ordinary residuals the autocovariances, and how much of them follows the inputs anyway, (n, 4)."""
     rows: Array
     """The last residuals, and the predictions and inputs of the same samples, (n, _SPAN, 1 + n_signals)."""
 
@@ -102,11 +100,11 @@ class Followed(NamedTuple):
 
     @classmethod
     def restored(cls, numbers: Array, rows: Array) -> Followed:
-        """Return it from samples seen and what is usual, (n, 4 to 6), and rows of the last samples, (n, L, ..).
+        """Return it from samples seen and what is usual, (n, 4 or 5), and rows of the last samples, (n, L, ..).
 
         Parameters
         ----------
-        numbers : ndarray, shape (n, 4) to (n, 6)
+        numbers : ndarray, shape (n, 4) or (n, 5)
             Samples seen, and what is usual.
         rows : ndarray, shape (n, L, 1 + n_signals)
             The last samples.
@@ -132,7 +130,7 @@ class Followed(NamedTuple):
         seen[i], usual[i], rows[i] = 0, 0.0, 0.0
         return Followed(seen, usual, rows)
 
-    def begun(self, i: int, residuals: Array, signals: Array) -> tuple[Followed, float]:
+    def begun(self, i: int, residuals: Array, signals: Array, rounding: float) -> tuple[Followed, float]:
         """Return it with what is usual of an actuator: what its model leaves of its own recording.
 
         Parameters
@@ -143,6 +141,8 @@ class Followed(NamedTuple):
             Of the model's recording.
         signals : ndarray, shape (N, n_signals)
             Predictions and inputs of these samples.
+        rounding : float
+            Residuals that are not larger tell nothing.
 
         Returns
         -------
@@ -152,18 +152,17 @@ class Followed(NamedTuple):
         """
         windows = [slice(k - _SPAN, k) for k in range(len(residuals), _SPAN - 1, -_SPAN)]
         after = self.forgotten(i)
-        if not windows or np.isnan(residuals).all():
-            return after, 0.0
-        after.usual[i, -1] = rounding = _rounding(residuals + signals[:, 0])
-        if _tells_nothing(residuals, rounding):
+        if not windows or np.isnan(residuals).all() or _tells_nothing(residuals, rounding):
             return after, 0.0
         kept = np.mean([autocovariances(residuals[window]) for window in windows], axis=0)
         found = [dependence(residuals[w], signals[w], whitening=whitening_of(kept)) for w in windows]
         shares = [max(float(one.share), 0.0) for one in found]
-        after.usual[i, :-1] = *kept, max(shares)
+        after.usual[i] = *kept, max(shares)
         return after, float(np.mean(shares)) if np.mean([one.found for one in found]) > 0.5 else 0.0
 
-    def looked(self, which: np.ndarray, residuals: Array, signals: Array, has_offset: bool) -> tuple[Followed, News]:
+    def looked(
+        self, which: np.ndarray, residuals: Array, signals: Array, has_offset: bool, rounding: Array
+    ) -> tuple[Followed, News]:
         """Return it with samples of some actuators, at most `waits`, and of which the model is another plant's.
 
         Parameters
@@ -176,6 +175,8 @@ class Followed(NamedTuple):
             What a residual follows that does not come from noise.
         has_offset : bool
             Whether the models have a constant: what those without one leave may be off zero.
+        rounding : ndarray, shape (k,)
+            Residuals that are not larger tell nothing.
 
         Returns
         -------
@@ -188,7 +189,9 @@ class Followed(NamedTuple):
         rows[which] = np.concatenate((self.rows[which, new.shape[1] :], new), axis=1)
         seen[which] += residuals.shape[1]
         news: News = []
-        for i in which[(seen[which] % _PERIOD == 0) & (seen[which] >= _SPAN)].tolist():
+        for i, least in zip(which.tolist(), rounding.tolist(), strict=True):
+            if seen[i] % _PERIOD or seen[i] < _SPAN or _tells_nothing(rows[i, :, 0], least):
+                continue
             trouble, usual[i] = _trouble(rows[i, :, 0], rows[i, :, 1:], usual[i], has_offset)
             if trouble:
                 news.append(Trouble(i, trouble))
@@ -207,36 +210,31 @@ _OFF: Final = (
 
 def _trouble(residuals: Array, signals: Array, usual: Array, has_offset: bool) -> tuple[str, Array]:
     """Return why the model is another plant's, nothing if what it leaves is usual or chance, and what is usual then."""
-    if np.isnan(residuals).sum() > _SPAN // 2 or _tells_nothing(residuals, usual[-1]):
-        # A gap is neither unusual nor what is usual from now on, and so is rounding.
+    if np.isnan(residuals).sum() > _SPAN // 2:
+        # A gap is neither unusual nor what is usual from now on.
         return "", usual
     covariances, anyway = usual[:3], usual[3]
     now = autocovariances(residuals)
     covariances = covariances if covariances[0] > 0.0 else now
     found = dependence(residuals, signals, whitening=whitening_of(covariances))
-    if found.found and found.share > SHARE + anyway:
-        return _ANOTHER.format(_SPAN, 100 * float(found.share)), usual
+    share = max(float(found.share), 0.0)
+    if found.found and share > SHARE + anyway:
+        return _ANOTHER.format(_SPAN, 100 * share), usual
     moved = _moved(residuals[~np.isnan(residuals)], covariances) if has_offset else ""
-    if moved or (found.share > 0.5 * SHARE + anyway and usual[0]):
+    if moved or (share > 0.5 * SHARE + anyway and usual[0]):
         return moved, usual
     # What is usual follows slowly, and not what is half suspicious already, nor by itself to where it would hide that.
-    now = np.array([*now, max(float(found.share), 0.0)])
+    now = np.array([*now, share])
     before = np.array([*covariances, anyway])
     after = before + _PACE * (now - before)
     after[3] = after[3] if anyway > SHARE else min(after[3], max(anyway, 0.5 * SHARE))
-    return "", np.append(after, usual[-1])
-
-
-def _rounding(y: Array) -> float:
-    """Return what of an output is no more than rounding: the steps of its sensor, or what arithmetic loses."""
-    known = y[~np.isnan(y)]
-    size = size_of(known - np.median(known)) or 1.0
-    return float(size * np.sqrt(12.0 * least_variance(known, size)))
+    return "", after
 
 
 def _tells_nothing(residuals: Array, rounding: float) -> bool:
-    """Tell whether residuals, of which some are known, are but for outliers no more than rounding."""
-    return bool(np.nanquantile(np.abs(residuals), _NEARLY_ALL) <= rounding)
+    """Tell whether residuals are missing or, but for outliers, no more than rounding."""
+    known = np.abs(residuals[~np.isnan(residuals)])
+    return not known.size or bool(np.quantile(known, _NEARLY_ALL) <= rounding)
 
 
 def _moved(residuals: Array, covariances: Array) -> str:
