@@ -31,7 +31,7 @@ _EVEN_THRESHOLDS: Final = np.linspace(*THRESHOLDS, 101)
 _EVEN_ODDS: Final = np.exp(_EVEN_THRESHOLDS**2 / 2.0) * (_EVEN_THRESHOLDS**2 / 3.0 - 1.0)
 _MOST_ROUNDS: Final = 40
 # Outliers are looked for in so many samples at a time, whose residuals show one scale of the noise.
-_BLOCK: Final = 10_000
+_BLOCK: Final = 2000
 # Residuals of this size, of an output of unit size, are no noise.
 _ROUNDING: Final = 1e-12
 # Below this share of its precision a sample is not determined by the others.
@@ -40,6 +40,8 @@ _VAGUE: Final = 0.1
 _SIMILAR: Final = 0.2
 # If no wrong sample touches at least this share of the residuals, these show the noise.
 _LEAST_CLEAR: Final = 0.1
+# Corrections of an output of unit size are not so large but by rounding.
+_BEYOND: Final = 1e100
 # A variance of an outlier that is so small a share of what its residuals show is none.
 _NOTHING: Final = 1e-3
 # Residuals of a start, in units of y, that are not larger are no outliers.
@@ -105,7 +107,7 @@ def found_outliers(
             samples, rows = slice(start + first - offset, stop + first), slice(start, stop)
             block = _Block(residual[rows], h, missing[samples], offset, threshold, R, least)
             best = block.judged(wrong[samples], counts[rows])
-            if (best.wrong & ~block.missing).any():
+            if best.scale >= _ROUNDING and (best.wrong & ~block.missing).any():
                 far, regular = block.unmixed(best)
                 if not (np.array_equal(far, best.wrong) and np.array_equal(regular, best.counts)):
                     best = block.better(best, block.judged(far, regular))
@@ -266,13 +268,18 @@ class _Block(NamedTuple):
         unsure = wrong | np.concatenate((np.zeros(self.first, dtype=bool), large))
         near = np.convolve(unsure, np.ones(2 * self.h.size - 1))[self.h.size - 1 :][: unsure.size] > 0.5
         variance, nothing = near.astype(float), _NOTHING * R / float(self.h @ self.h)
-        variance[wrong] = np.maximum(unknowns.correction**2, 1.0)
+        variance[wrong] = np.clip(np.abs(unknowns.correction), 1.0, _BEYOND) ** 2
         variance[self.missing] = np.inf
         far = self.missing.copy()
         for _ in range(_MOST_ROUNDS):
             wrong, before = variance > nothing, (counts, far)
             unknowns = self.unknowns(wrong, counts.astype(float), R / variance[wrong])
-            uncertain, square = R * unknowns.variance, unknowns.correction**2
+            uncertain, size = R * unknowns.variance, np.abs(unknowns.correction)
+            possible = np.isfinite(unknowns.residual).all() and (uncertain >= 0.0).all() and (size < _BEYOND).all()
+            if not possible:
+                # Parameters far off make more of the samples than numbers hold.
+                return found.wrong, found.counts
+            square = size**2
             shown = np.clip(1.0 - uncertain / variance[wrong], _NOTHING, 1.0)
             counts, far = np.abs(unknowns.residual) < self.threshold * found.scale, self.missing.copy()
             far[wrong] |= square > self.threshold**2 * uncertain

@@ -66,7 +66,7 @@ class _Effort(NamedTuple):
 _ROUGH: Final = _Effort(4, 2, 1)
 _FULL: Final = _Effort(10, 10, 10)
 # From where the search in a part of the recording ended.
-_AGAIN: Final = _Effort(2, 10, 10)
+_AGAIN: Final = _Effort(1, 10, 10)
 _ONCE: Final = _Effort(1, 2, 1)
 
 
