@@ -5,6 +5,7 @@ outlier in the measurement of y(k) leaves the pattern of h = A/C in the residual
 Every sample and every residual is compared with what all others say of it, which is standard normal for an ordinary
 one; the largest in each neighbourhood is an outlier, and what is left is compared again until nothing changes (after
 Chen and Liu, Journal of the American Statistical Association 88, 1993). Samples that turn out to be ordinary come back.
+Where patterns overlap, outliers hide each other: they are also looked for all at once, and what leaves less is taken.
 """
 
 from __future__ import annotations

@@ -233,7 +233,7 @@ def _maximised(
     model: PolynomialModel, p: Array, noise: Noise, outliers: Outliers, turns: int, steps: int,
     limits: Limits | None = None,
 ) -> tuple[Optimum, PolynomialModel | CompletedModel]:  # fmt: skip
-    """Minimise the loss with outliers in the regressor as unknowns, which take turns with the parameters."""
+    """Minimise the loss with outliers in the regressor as unknowns; weights of residuals take turns with the rest."""
     if not (outliers.wrong.any() and response(model, p).size > 1):
         rows = _counting(model, True, outliers.wrong)
         return minimised(model, p, noise, rows, rows, limits=limits), model
