@@ -1,4 +1,4 @@
-"""From a model of a recording to a recursion that goes on at its end."""
+"""From what a recording says to a recursion that goes on at its end: its model, or that its gain has changed."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ import math
 
 import numpy as np
 
+from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.regressor import Memory
 from robust_filterpy.identification.recursive.noise_scale import ordinary_mean
 from robust_filterpy.identification.recursive.state import WINDUP, Form, State
 
-__all__ = ["gone_on"]
+__all__ = ["gone_on", "with_gain"]
 
 
 def gone_on(form: Form, now: State, i: int, model: Model) -> State:
@@ -68,3 +69,35 @@ def gone_on(form: Form, now: State, i: int, model: Model) -> State:
         centre=np.array([centre]), windup=np.array([windup]), begun=np.array([True]), restarts=np.array([True]),
     )  # fmt: skip
     return now.with_rows(which, begun)
+
+
+def with_gain(form: Form, now: State, i: int, g: float, u: Array) -> State:
+    """Return what becomes of actuator i by a gain that has changed: theta moves by it, and P says how surely.
+
+    Parameters
+    ----------
+    form : Form
+        What the recursion is.
+    now : State
+        All actuators as they stand.
+    i : int
+        Which of them.
+    g : float
+        How much of the model's gain is to be added to it; known to its own size, since it is of samples before the
+        change, too.
+    u : ndarray, shape (n_inputs,)
+        The inputs at which the output stays as it is.
+
+    Returns
+    -------
+    State
+    """
+    theta, P = now.theta.copy(), now.P.copy()
+    along, places = np.zeros(theta.shape[1]), form.structure.polynomials
+    for j, b in enumerate(places.b):
+        along[form.own[b]] = theta[i, form.own[b]]
+        if form.has_offset:
+            along[form.structure.constant_place] -= theta[i, form.own[b]].sum() * u[j]
+    theta[i] += g * along
+    P[i] += g**2 * np.outer(along, along)
+    return now._replace(theta=theta, P=P)

@@ -15,6 +15,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction import repeats
 from robust_filterpy.identification.models.regressor import Layout, Memory
 from robust_filterpy.identification.models.structures import Structure
+from robust_filterpy.identification.recursive import gain
 from robust_filterpy.identification.recursive.start import ColdStart
 from robust_filterpy.identification.recursive.watch import Followed, Windows
 
@@ -24,6 +25,9 @@ __all__ = ["READINGS", "WINDUP", "Form", "State", "at_rest", "require_plausible"
 WINDUP = 1e8
 #: What is known of the readings, and for how many samples the sensor has been stuck.
 READINGS = repeats.WIDTH + 1
+#: What decides about another start: whether and of how many samples, samples seen, what is usual, what is rounding, and
+#: the scores of the gain.
+WATCHED = 8 + 2 * gain.BLOCKS
 
 
 class Form(NamedTuple):
@@ -141,7 +145,7 @@ class State(NamedTuple):
             recorded[i, recorded.shape[1] - start.y.size :] = np.column_stack((start.y, start.u))
         rule = np.column_stack((self.centre, self.windup, self.scale[:, 1:4], self.begun, waits))
         followed = self.followed
-        watch = np.column_stack((self.restarts, self.samples, followed.seen, followed.usual, self.scale[:, 4]))
+        watch = np.insert(np.column_stack((self.restarts, self.samples, followed.numbers)), 7, self.scale[:, 4], axis=1)
         shown = min(int(followed.seen.max(initial=0)), followed.rows.shape[1])
         rows = followed.rows[:, followed.rows.shape[1] - shown :]
         return {
@@ -176,7 +180,7 @@ class State(NamedTuple):
             starts[i] = ColdStart(int(samples[i]), part[:, 0], part[:, 1:], int(rule[i, 6]))
         rounding = watch[:, 7] if watch.shape[1] > 7 else np.zeros(n)
         rows = found.get("followed", np.zeros((n, 0, self.followed.rows.shape[2])))
-        followed = Followed.restored(watch[:, 2:7], rows)
+        followed = Followed.restored(np.delete(watch, 7, axis=1)[:, 2:] if watch.shape[1] > 7 else watch[:, 2:], rows)
         return State(
             found["theta"], found["P"], Memory(*(found[name] for name in Memory._fields)),
             np.column_stack((R, rule[:, 2:5], rounding)), found.get("readings", np.zeros((n, READINGS))),
@@ -222,7 +226,7 @@ def at_rest(form: Form, theta: Array, P: Array, scale: Array, samples: int, told
 
 
 def require_plausible(found: Mapping[str, Array]) -> None:
-    """Raise unless what recursions of actuators keep, (.., 7), and their watch, (.., 8), can be what `arrays` gave."""
+    """Raise unless what recursions of actuators keep, (.., 7), and their watch, (.., WATCHED), may be of `arrays`."""
     _, limit, samples, mean, memory, begun, waits = np.moveaxis(found["recursion"], -1, 0)
     conditions = [
         ("recursion", "a limit of tr P > 0", limit > 0.0),
@@ -232,15 +236,16 @@ def require_plausible(found: Mapping[str, Array]) -> None:
         ("recursion", "a whole number of samples until the next look, or -1", (waits >= -1.0) & (waits % 1.0 == 0.0)),
     ]
     if "watch" in found:
-        # Format 1 began without the share that follows the inputs anyway, and without what is rounding.
-        if found["watch"].shape[-1] not in (6, 7, 8):
-            raise _state.StateError(f"state: expected watch of 8 numbers, got {found['watch'].shape[-1]}")
+        # Format 1 began without the share that follows the inputs anyway, what is rounding, and the scores of the gain.
+        if found["watch"].shape[-1] not in (6, 7, 8, WATCHED):
+            raise _state.StateError(f"state: expected watch of {WATCHED} numbers, got {found['watch'].shape[-1]}")
         restarts, looks, seen, variance = np.moveaxis(found["watch"], -1, 0)[:4]
         whole = (looks >= 1.0) & (seen >= 0.0) & (looks % 1.0 == 0.0) & (seen % 1.0 == 0.0)
         conditions += [
             ("watch", "whether it may start anew to be 0 or 1", (restarts == 0.0) | (restarts == 1.0)),
             ("watch", "whole numbers of samples >= 0", whole),
             ("watch", "a variance >= 0", variance >= 0.0),
+            ("watch", "information >= 0", found["watch"][..., 9::2] >= 0.0),
         ]
     if "readings" in found:
         counts = found["readings"][..., [2, 3, repeats.WIDTH]]

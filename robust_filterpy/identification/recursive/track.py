@@ -24,7 +24,7 @@ from robust_filterpy.identification.models.regressor import LARGEST
 from robust_filterpy.identification.models.results import Columns
 from robust_filterpy.identification.models.unmeasured import measurements
 from robust_filterpy.identification.recursive import setup
-from robust_filterpy.identification.recursive.handover import gone_on
+from robust_filterpy.identification.recursive.handover import gone_on, with_gain
 from robust_filterpy.identification.recursive.recursion import Recursion, note
 from robust_filterpy.identification.recursive.start import ColdStart
 from robust_filterpy.identification.recursive.state import READINGS, Form, State
@@ -151,15 +151,26 @@ def _looked(
     if watched.size:
         signals = np.concatenate((shown.prediction[watched, :, None], u[watched]), axis=2)
         followed, lost = now.followed.looked(
-            watched, shown.residual[watched], signals, form.has_offset, now.scale[watched, 4]
+            watched,
+            shown.residual[watched],
+            signals,
+            form.structure,
+            now.theta[watched][:, form.own],
+            form.has_offset,
+            now.scale[watched, 4],
         )
         now = now._replace(followed=followed)
-        for i, trouble, _ in lost:
+        for one in lost:
+            i = one.actuator
+            if one.gain:
+                now = with_gain(form, now, i, one.gain, followed.rows[i, :, 2:].mean(axis=0))
+                news.append(one)
+                continue
             start = ColdStart.of(form.structure.n_theta, form.structure.n_inputs, int(now.samples[i]))
             now = now._replace(
                 starts={**now.starts, i: start}, followed=now.followed.forgotten(i), windows=now.windows.forgotten(i)
             )
-            anew = f"{trouble}; it starts anew, and theta may jump when a model of the next samples is found"
+            anew = f"{one.text}; it starts anew, and theta may jump when a model of the next samples is found"
             news.append(Trouble(i, anew))
     return now, news
 

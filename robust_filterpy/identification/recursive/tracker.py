@@ -522,7 +522,8 @@ class ParameterTracker(Returning, Standing):
             (nc,), gradients, measured (na,); enabled; recursion: centre of y, limit of tr P, samples, mean and memory
             of R, whether a model was found, samples until the next look; start: y and u kept for it, (L, 1 + n_inputs);
             watch: whether it may start anew and of how many samples, samples seen, and of ordinary residuals the
-            autocovariances and how much of them follows the inputs anyway; followed: the residuals, predictions and
+            autocovariances, how much of them follows the inputs anyway and what is rounding, and score and information
+            of the gain in the last blocks; followed: the residuals, predictions and
             inputs it judges that by, (L, 2 + n_inputs);
             and the filter's Q, R, F and alpha_sq where it has them, and what else it keeps, as ``filter_..``.
             ``format``: version, and name of tracker and structure as character codes. All of float64.

@@ -18,6 +18,8 @@ from robust_filterpy.identification.models.dependence import (
     level_and_scale,
     whitening_of,
 )
+from robust_filterpy.identification.models.structures import Structure
+from robust_filterpy.identification.recursive import gain
 from robust_filterpy.influence.regression import mad_scale
 
 __all__ = ["Followed", "LostTrackerWarning", "News", "Trouble", "Windows", "long_held"]
@@ -61,6 +63,8 @@ class Trouble(NamedTuple):
     actuator: int
     text: str
     category: type[UserWarning] = LostTrackerWarning
+    gain: float = 0.0
+    """What is to be added to the model's gain, in shares of it, where that mends it."""
 
     @property
     def said(self) -> str:
@@ -80,6 +84,8 @@ class Followed(NamedTuple):
     """Of ordinary residuals the autocovariances, and how much of them follows the inputs anyway, (n, 4)."""
     rows: Array
     """The last residuals, and the predictions and inputs of the same samples, (n, _SPAN, 1 + n_signals)."""
+    scores: Array
+    """Of the gain in the last blocks of _PERIOD samples, (n, gain.BLOCKS, 2)."""
 
     @classmethod
     def none(cls, n: int, n_signals: int) -> Followed:
@@ -96,16 +102,22 @@ class Followed(NamedTuple):
         -------
         Followed
         """
-        return cls(np.zeros(n, dtype=int), np.zeros((n, _USUAL)), np.zeros((n, _SPAN, 1 + n_signals)))
+        rows, scores = np.zeros((n, _SPAN, 1 + n_signals)), np.zeros((n, gain.BLOCKS, 2))
+        return cls(np.zeros(n, dtype=int), np.zeros((n, _USUAL)), rows, scores)
+
+    @property
+    def numbers(self) -> Array:
+        """Samples seen, what is usual, and the scores, (n, 29)."""
+        return np.column_stack((self.seen, self.usual, self.scores.reshape(len(self.seen), -1)))
 
     @classmethod
     def restored(cls, numbers: Array, rows: Array) -> Followed:
-        """Return it from samples seen and what is usual, (n, 4 or 5), and rows of the last samples, (n, L, ..).
+        """Return it from its numbers, fewer from before there were so many, and rows of the last samples, (n, L, ..).
 
         Parameters
         ----------
-        numbers : ndarray, shape (n, 4) or (n, 5)
-            Samples seen, and what is usual.
+        numbers : ndarray, shape (n, 4), (n, 5) or (n, 29)
+            Samples seen, what is usual, and the scores.
         rows : ndarray, shape (n, L, 1 + n_signals)
             The last samples.
 
@@ -116,9 +128,11 @@ class Followed(NamedTuple):
         whole = np.zeros((len(rows), _SPAN, rows.shape[2]))
         last = rows[:, -_SPAN:]
         whole[:, _SPAN - last.shape[1] :] = last
-        usual = np.zeros((len(rows), _USUAL))
-        usual[:, : numbers.shape[1] - 1] = numbers[:, 1:]
-        return cls(numbers[:, 0].astype(int), usual, whole)
+        found = cls.none(len(rows), rows.shape[2] - 1)
+        every = found.numbers
+        every[:, : numbers.shape[1]] = numbers
+        scores = every[:, 1 + _USUAL :].reshape(found.scores.shape)
+        return cls(every[:, 0].astype(int), every[:, 1 : 1 + _USUAL], whole, scores)
 
     def waits(self, which: np.ndarray) -> int:
         """Return after how many samples one of some actuators is to be looked at."""
@@ -126,9 +140,10 @@ class Followed(NamedTuple):
 
     def forgotten(self, i: int) -> Followed:
         """Return it with nothing seen of an actuator."""
-        seen, usual, rows = (a.copy() for a in self)
-        seen[i], usual[i], rows[i] = 0, 0.0, 0.0
-        return Followed(seen, usual, rows)
+        found = Followed(*(a.copy() for a in self))
+        for a in found:
+            a[i] = 0
+        return found
 
     def begun(self, i: int, residuals: Array, signals: Array, rounding: float) -> tuple[Followed, float]:
         """Return it with what is usual of an actuator: what its model leaves of its own recording.
@@ -161,7 +176,14 @@ class Followed(NamedTuple):
         return after, float(np.mean(shares)) if np.mean([one.found for one in found]) > 0.5 else 0.0
 
     def looked(
-        self, which: np.ndarray, residuals: Array, signals: Array, has_offset: bool, rounding: Array
+        self,
+        which: np.ndarray,
+        residuals: Array,
+        signals: Array,
+        structure: Structure,
+        theta: Array,
+        has_offset: bool,
+        rounding: Array,
     ) -> tuple[Followed, News]:
         """Return it with samples of some actuators, at most `waits`, and of which the model is another plant's.
 
@@ -173,6 +195,10 @@ class Followed(NamedTuple):
             NaN where y is missing.
         signals : ndarray, shape (k, N, n_signals)
             What a residual follows that does not come from noise.
+        structure : Structure
+            Of the models.
+        theta : ndarray, shape (k, n_theta)
+            Their parameters.
         has_offset : bool
             Whether the models have a constant: what those without one leave may be off zero.
         rounding : ndarray, shape (k,)
@@ -184,23 +210,34 @@ class Followed(NamedTuple):
         news : list of Trouble
             Which actuators have lost their plants, in words.
         """
-        seen, usual, rows = self.seen.copy(), self.usual.copy(), self.rows.copy()
+        seen, usual, rows, scores = (a.copy() for a in self)
         new = np.concatenate((residuals[..., None], signals), axis=2)[:, -_SPAN:]
         rows[which] = np.concatenate((self.rows[which, new.shape[1] :], new), axis=1)
         seen[which] += residuals.shape[1]
         news: News = []
-        for i, least in zip(which.tolist(), rounding.tolist(), strict=True):
-            if seen[i] % _PERIOD or seen[i] < _SPAN or _tells_nothing(rows[i, :, 0], least):
+        for k, i in enumerate(which.tolist()):
+            e, shown = rows[i, :, 0], rows[i, :, 1:]
+            if seen[i] % _PERIOD or seen[i] < _SPAN or _tells_nothing(e, float(rounding[k])):
                 continue
-            trouble, usual[i] = _trouble(rows[i, :, 0], rows[i, :, 1:], usual[i], has_offset)
+            trouble, usual[i] = _trouble(e, shown, usual[i], has_offset)
+            x = gain.driven(structure, theta[k], shown[:, 0], shown[:, 1:])
+            scores[i] = *scores[i, 1:], gain.score(e, x, _PERIOD)
+            g = gain.changed(scores[i])
             if trouble:
                 news.append(Trouble(i, trouble))
-        return Followed(seen, usual, rows), news
+            elif g:
+                news.append(Trouble(i, _GAIN.format(1.0 + g, gain.BLOCKS * _PERIOD), gain=g))
+                scores[i] = 0.0
+        return Followed(seen, usual, rows, scores), news
 
 
 _ANOTHER: Final = (
     "the plant is no longer the model's: over the last {} samples {:.0f} % of the residuals' variance follow the "
     "inputs (a gain, sign or pole has changed, or the sensor is stuck)"
+)
+_GAIN: Final = (
+    "the plant is no longer the model's: its gain is {:.2g} times the model's in the mean of the last {} samples; "
+    "theta goes on with that gain, which may move by as much again"
 )
 _OFF: Final = (
     "the level of y is no longer the model's: {} residuals in a row lie about {:.3g} off zero with a scatter of {:.2g} "
