@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from robust_filterpy.identification import ARX, FIR, OutputError, ParameterTracker
+from robust_filterpy.identification import ARX, FIR, BoxJenkins, OutputError, ParameterTracker
 from robust_filterpy.identification.models.dependence import autocovariances, dependence
+from robust_filterpy.identification.recursive import gain
 from robust_filterpy.identification.recursive.watch import LostTrackerWarning, _moved
 
 A, B = np.array([1.0, -1.5, 0.7]), np.array([0.0, 1.0, 0.5])
@@ -193,9 +194,11 @@ def test_a_state_from_before_the_usual_share_was_kept_is_taken():
     tracker = ParameterTracker(OutputError(2, 2))
     tracker.run(y[:600], u[:600])
     state = tracker.state()
-    tracker.restore({**state, "watch": state["watch"][:6]})
-    assert tracker.state()["watch"].shape == (8,)
-    with pytest.raises(ValueError, match="watch of 8 numbers"):
+    for numbers in (6, 7, 8):
+        tracker.restore({**state, "watch": state["watch"][:numbers]})
+        np.testing.assert_array_equal(tracker.state()["watch"][:numbers], state["watch"][:numbers])
+        assert tracker.state()["watch"].shape == state["watch"].shape == (32,)
+    with pytest.raises(ValueError, match="watch of 32 numbers"):
         tracker.restore({**state, "watch": state["watch"][:3]})
 
 
@@ -206,6 +209,87 @@ def test_a_step_in_the_samples_of_the_first_model_is_taken_off_and_said():
     with pytest.warns(LostTrackerWarning, match=r"of its first 400 samples: the level of y steps by 7.* at sample 250"):
         tracker.run(y, u)
     np.testing.assert_allclose(tracker.theta[:4], THETA, atol=0.1)
+
+
+# A gain that changes by less than a window of residuals shows.
+
+RESONANT = np.real(np.poly([0.9 * np.exp(0.5j), 0.9 * np.exp(-0.5j), 0.8 * np.exp(1.5j), 0.8 * np.exp(-1.5j)]))
+
+
+def faint(seed, gain, constant=0.0, length=1500):
+    """Return y and u of an ARX whose gain changes after 600 samples, by a fifth of the residuals' variance."""
+    rng = np.random.default_rng([31, seed])
+    u, v = rng.choice([-1.0, 1.0], length), rng.normal(size=length) * np.where(rng.random(length) < 0.1, 10.0, 1.0)
+    driven = 1.1 * lfilter(np.append(0.0, NUMERATOR), [1.0], u) * np.where(np.arange(length) < 600, 1.0, gain)
+    return lfilter([1.0], RESONANT, driven + v), u + constant
+
+
+NUMERATOR = np.array([1.0, 0.5, -0.3, 0.2])
+
+
+@pytest.mark.parametrize("constant", [0.0, 5e6])
+@pytest.mark.parametrize("gain", [0.5, 1.5])
+def test_a_gain_that_changes_faintly_is_said_and_followed(gain, constant):
+    for seed in range(4):
+        y, u = faint(seed, gain, constant)
+        tracker = ParameterTracker(ARX(4, 4))
+        with pytest.warns(LostTrackerWarning, match="its gain is .* times the model's") as said:
+            tracker.run(y, u)
+        assert all("its gain" in str(one.message) for one in said)
+        b = tracker.theta[4:] / (1.1 * NUMERATOR)
+        # One standard deviation of a gain from 480 such samples is .08.
+        assert b @ NUMERATOR**2 / (NUMERATOR @ NUMERATOR) == pytest.approx(gain, abs=0.25)
+        assert (np.abs(tracker.theta[:4] - RESONANT[1:]) < 5.0 * tracker.std[:4]).all()
+
+
+def test_a_gain_that_does_not_change_is_not_said_to():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for seed in range(20):
+            ParameterTracker(ARX(4, 4)).run(*faint(100 + seed, 1.0))
+
+
+def test_a_tracker_that_goes_on_from_its_state_finds_the_same_gain():
+    y, u = faint(7, 1.5)
+    whole, first, second = (ParameterTracker(ARX(4, 4)) for _ in range(3))
+    with pytest.warns(LostTrackerWarning, match="its gain"):
+        whole.run(y, u)
+    first.run(y[:770], u[:770])
+    second.restore(first.state())
+    with pytest.warns(LostTrackerWarning, match="its gain"):
+        second.run(y[770:], u[770:])
+    np.testing.assert_array_equal(second.theta, whole.theta)
+
+
+def test_the_score_of_a_gain_is_that_of_its_definition():
+    rng = np.random.default_rng(32)
+    x, e = rng.normal(size=(2, 120))
+    s, i = gain.score(e, x, 40)
+    level = np.median(e)
+    clipped = np.clip(e - level, *(np.array([-2.0, 2.0]) * 1.4826 * np.median(np.abs(e - level))))
+    R = np.mean(clipped**2)
+    np.testing.assert_allclose(s, ((clipped - clipped.mean()) * (x - x.mean()))[80:].sum() / R)
+    np.testing.assert_allclose(i, ((x - x.mean()) ** 2)[80:].sum() / R)
+
+
+def test_scores_that_scatter_more_than_their_information_says_are_judged_by_their_scatter():
+    steady = np.column_stack((np.full(12, 10.0), np.full(12, 30.0)))
+    assert gain.changed(steady) == pytest.approx(1 / 3)
+    assert gain.changed(steady + np.outer((-1.0) ** np.arange(12), [40.0, 0.0])) == 0.0
+    assert gain.changed(np.vstack((steady[:5], np.zeros((7, 2))))) == 0.0
+    assert gain.changed(steady * [0.1, 1.0]) == 0.0
+
+
+def test_what_the_inputs_make_in_the_residuals_is_what_another_gain_leaves():
+    structure, u = BoxJenkins(nb=2, nc=1, nd=1, nf=2), np.random.default_rng(33).normal(size=(200, 1))
+    places, theta = structure.polynomials, np.zeros(6)
+    b, f, c, d = [1.0, 0.5], [-1.5, 0.7], [0.4], [-0.3]
+    for place, part in ((places.b[0], b), (places.f, f), (places.c, c), (places.d, d)):
+        theta[place] = part
+    driven = gain.driven(structure, theta, np.zeros(200), u)
+    at_rest = u[:, 0] - np.median(u)
+    true = lfilter(np.append(1.0, d), np.append(1.0, c), lfilter(np.append(0.0, b), np.append(1.0, f), at_rest))
+    np.testing.assert_allclose(driven[-100:], true[-100:], rtol=1e-3, atol=1e-4 * np.abs(true).max())
 
 
 # A level that moves after the first model.

@@ -135,7 +135,7 @@ class ParameterTracker(Returning, Standing):
         samples look like outliers, the guard acts all the time, R wanders, or an offset is not modelled. Whenever
         residuals follow the inputs otherwise than at the start, since the plant has become another one or the sensor is
         stuck, or stay off zero, since the level of y has moved: a tracker that found its model itself, or has it from
-        `identify`, then starts anew.
+        `identify`, then starts anew; where over 480 samples only the gain is another, it goes on with that.
     StuckSensorWarning
         Once, if y repeats its last value to the last bit, more than three standard deviations from the prediction,
         though its noise is white and in fine steps: it then counts as missing for as long as it does. Also if the
