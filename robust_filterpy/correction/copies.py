@@ -36,10 +36,8 @@ __all__ = [
 _START = 0.2
 # Standard deviations from which an innovation asks for a jump; farther than a million million it cannot tell where to.
 _ASKS, _FARTHEST = 3.0, 1e12
-# In variances of its noise: within that the sensor tells where a jump went.
-_AROUND = 100.0
-# Of a variance that a sensor has told, so much is left where its noise is next to none: less is rounding.
-_LEFT = 1e-10
+# Of the square of a jump, so much is left of its variance where a sensor has next to no noise: less is rounding.
+_LEFT = 1e-4
 # Of a scale that one of two parts contradicts, at least so much is left where they become one.
 _UNLIKELY = 1e-30
 # A candidate that is so probable is taken over; one whose probability is this part of a jump's is dropped, or is this
@@ -347,13 +345,9 @@ def with_candidate(copies: Copies, z: Array, H: Array, noise: Array, process: Sc
         i = int(np.argmax(asks))
         if not asks[i] > _ASKS:
             break
-        # What the sensor sees of each state, as if they were independent: the others keep what they have.
         own = parts == parts[np.argmax(H[i] != 0.0)]
-        chance[own], d = belief[-2, own], spread.diagonal() * H[i]
-        d = d / (H[i] @ d)
-        if belief[-2, own].min() >= _START:
-            spread = _wider(spread, y[i], H[i], noise[i], own)
-        at, spread = at + y[i] * d, spread + _AROUND * noise[i] * np.outer(d, d)
+        chance[own] = belief[-2, own]
+        at, spread = _moved(at, spread, y[i], H[i], noise[i], own)
     belief[:q, new] = ((1.0 - chance) * shares)[:, new]
     belief[q, new], belief[-2, new] = chance[new], 0.0
     within = new[:, None] & new
@@ -364,13 +358,19 @@ def with_candidate(copies: Copies, z: Array, H: Array, noise: Array, process: Sc
     ), new
 
 
-def _wider(spread: Array, y: float, h: Array, noise: float, own: np.ndarray) -> Array:
-    """Return a covariance that explains an innovation, as P in another unit would, less what that innovation tells."""
-    seen = h @ spread @ h
-    times = max(float((y * y - noise) / seen), 1.0)
-    spread = np.where(own[:, None] & own, times, 1.0) * spread
+def _moved(
+    at: Array, spread: Array, y: float, h: Array, noise: float, own: np.ndarray
+) -> tuple[Array, Array]:
+    """Return mean and covariance where a sensor says that its part of the state is."""
     C = spread @ h
-    return np.asarray(spread - (1.0 - _LEFT) * np.outer(C, C) / (h @ C))
+    seen = h @ C
+    # What the sensor sees of each state, as if they were independent: the others keep what they have.
+    d = spread.diagonal() * h
+    d = d / (h @ d)
+    # P as in a unit in which the innovation is ordinary, less what the sensor tells.
+    times = np.where(own[:, None] & own, (y * y - noise) / seen, 1.0)
+    left = noise + _LEFT * y * y
+    return at + y * d, times * (spread - np.outer(C, C) / seen) + left * np.outer(d, d)
 
 
 def far_off(copies: Copies, z: Array, H: Array, noise: Array, process: Scales) -> Array:
