@@ -339,12 +339,14 @@ def with_candidate(copies: Copies, z: Array, H: Array, noise: Array, process: Sc
     belief, shares = belief.copy(), slow(copies, process)
     at, spread = collapse(shares, x[:q], P[:q], parts)
     chance = np.zeros(len(parts))
+    heard = ~(H != 0.0)[:, new].any(axis=1)
     for _ in z:
         y, asks = _asked(at, spread, z, H, noise)
-        asks[~(H != 0.0)[:, new].any(axis=1)] = 0.0
+        asks[heard] = 0.0
         i = int(np.argmax(asks))
         if not asks[i] > _ASKS:
             break
+        heard[i] = True
         own = parts == parts[np.argmax(H[i] != 0.0)]
         chance[own] = belief[-2, own]
         at, spread = _moved(at, spread, y[i], H[i], noise[i], own)

@@ -506,17 +506,18 @@ INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule
     const real *const part = learnt_part(n, rule, s), *const unseen = learnt_unseen(n, rule, s);
     real *const x = s->x + q * n, *const P = s->P + q * n * n, *const d = w->direction;
     const real *const y = w->y + q * m, *const C = w->C + q * m * n, *const S = w->S + q * m * m;
-    int turns = 0;
-    for (int i = 0; i < m; i++) turns += w->left[i] > 0;
-    for (int turn = 0; turn < turns; turn++) {
+    real *const waits = w->start;
+    for (int i = 0; i < m; i++) waits[i] = w->left[i] > 0 && w->fresh[i] > 0;
+    for (;;) {
         real most = LEARNT_ASKS, seen = 0;
         int i = -1;
         for (int j = 0; j < m; j++) {
             const real asks = y[j] * y[j] / (S[j * m + j] + w->r[j] * R[j * m + j]);
-            if (w->left[j] > 0 && w->fresh[j] > 0 && S[j * m + j] > 0 && asks < LEARNT_FARTHEST && asks > most)
+            if (waits[j] > 0 && S[j * m + j] > 0 && asks < LEARNT_FARTHEST && asks > most)
                 most = asks, i = j;
         }
         if (i < 0) return;
+        waits[i] = 0;
         const real noise = w->r[i] * R[i * m + i], whole = S[i * m + i], square = y[i] * y[i];
         const real times = (square - noise) / whole, left = noise + LEARNT_LEFT * square;
         for (int k = 0; k < n; k++) {
