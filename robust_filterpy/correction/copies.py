@@ -36,8 +36,9 @@ __all__ = [
 _START = 0.2
 # Standard deviations from which an innovation asks for a jump; farther than a million million it cannot tell where to.
 _ASKS, _FARTHEST = 3.0, 1e12
-# Of the square of a jump, so much is left of its variance where a sensor has next to no noise: less is rounding.
-_LEFT = 1e-4
+# Standard deviations up to which a jump is counted when it is said how wide P is there, and the part of it, squared, to
+# which the sensor tells its place: of less than that, next to a sensor with no noise, rounding would be left.
+_FAR, _TOLD = 1e4, 0.01
 # Of a scale that one of two parts contradicts, at least so much is left where they become one.
 _UNLIKELY = 1e-30
 # A candidate that is so probable is taken over; one whose probability is this part of a jump's is dropped, or is this
@@ -360,19 +361,17 @@ def with_candidate(copies: Copies, z: Array, H: Array, noise: Array, process: Sc
     ), new
 
 
-def _moved(
-    at: Array, spread: Array, y: float, h: Array, noise: float, own: np.ndarray
-) -> tuple[Array, Array]:
+def _moved(at: Array, spread: Array, y: float, h: Array, noise: float, own: np.ndarray) -> tuple[Array, Array]:
     """Return mean and covariance where a sensor says that its part of the state is."""
-    C = spread @ h
-    seen = h @ C
+    seen = float(h @ spread @ h)
     # What the sensor sees of each state, as if they were independent: the others keep what they have.
     d = spread.diagonal() * h
     d = d / (h @ d)
-    # P as in a unit in which the innovation is ordinary, less what the sensor tells.
-    times = np.where(own[:, None] & own, (y * y - noise) / seen, 1.0)
-    left = noise + _LEFT * y * y
-    return at + y * d, times * (spread - np.outer(C, C) / seen) + left * np.outer(d, d)
+    # All of P is as wide as makes of the innovation one that does not ask; then by Joseph's form, since d is not C / S.
+    square = min(y * y, _FAR * _FAR * (seen + noise))
+    times = np.where(own[:, None] & own, (square / (_ASKS * _ASKS) - noise) / seen, 1.0)
+    kept = np.eye(len(h)) - np.outer(d, h)
+    return at + y * d, times * (kept @ spread @ kept.T) + (noise + _TOLD * square) * np.outer(d, d)
 
 
 def far_off(copies: Copies, z: Array, H: Array, noise: Array, process: Scales) -> Array:

@@ -28,7 +28,8 @@
 #define LEARNT_ASKS REAL(9.0)         /* squared standard deviations from which an innovation asks for a jump */
 #define LEARNT_WIDEST REAL(1e12)       /* a state less certain than a sensor's noise by this is left to the definition */
 #define LEARNT_FARTHEST REAL(1e24)     /* and to which it can tell where to */
-#define LEARNT_LEFT REAL(1e-4)        /* of a jump's square, left of its variance where a sensor has next to no noise */
+#define LEARNT_FAR REAL(1e8)          /* squared standard deviations up to which a jump says how wide P is */
+#define LEARNT_TOLD REAL(0.01)        /* part of a jump's square to which a sensor tells its place; less is rounding */
 #define LEARNT_UNLIKELY REAL(1e-30)   /* of a scale that one of two parts contradicts, left where they become one */
 #define LEARNT_EVIDENCE REAL(100.0)   /* a sample is not worth more for a jump */
 #define LEARNT_TAKEN REAL(0.999)      /* a candidate that is so probable is taken over */
@@ -497,8 +498,8 @@ INLINE real learnt_innovations(const int n, const int m, const int copy, const l
 }
 
 /* Let a candidate begin in each part where an innovation asks for it, where the measurement says: as if what a sensor sees
-   of each state were independent, so that the others keep what they have. P is as in a unit in which the innovation is
-   ordinary, less what the sensor tells. */
+   of each state were independent, so that the others keep what they have. All of P is as wide as makes of the innovation one
+   that does not ask; then by Joseph's form, since the gain is not C / S. */
 INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
                          const real *RESTRICT H, const real *RESTRICT R, const real *RESTRICT z,
                          const learnt_parts *const w) {
@@ -518,8 +519,9 @@ INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule
         }
         if (i < 0) return;
         waits[i] = 0;
-        const real noise = w->r[i] * R[i * m + i], whole = S[i * m + i], square = y[i] * y[i];
-        const real times = (square - noise) / whole, left = noise + LEARNT_LEFT * square;
+        const real noise = w->r[i] * R[i * m + i], whole = S[i * m + i];
+        const real square = real_min(y[i] * y[i], LEARNT_FAR * (whole + noise));
+        const real times = (square / LEARNT_ASKS - noise) / whole, left = noise + LEARNT_TOLD * square;
         for (int k = 0; k < n; k++) {
             d[k] = P[k * n + k] * H[i * n + k];
             seen += H[i * n + k] * d[k];
@@ -534,7 +536,8 @@ INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule
             x[o] += y[i] * d[o];
             for (int k = 0; k < n; k++)
                 if (part[k] == part[o])
-                    P[o * n + k] = times * (P[o * n + k] - C[i * n + o] * C[i * n + k] / whole) + left * d[o] * d[k];
+                    P[o * n + k] = times * (P[o * n + k] - d[o] * C[i * n + k] - d[k] * C[i * n + o])
+                                   + (times * whole + left) * d[o] * d[k];
         }
         learnt_innovations(n, m, q, s, H, z, w);
     }
