@@ -2,12 +2,11 @@
 
 q copies take the process noise for s_j Q; from one step to the next the scale stays with probability 1 - 1/dwell. One
 more, the candidate, is for a state that has jumped, to which Q says nothing. It begins where an innovation is beyond
-three standard deviations, at the place that the measurement tells (`with_candidate`). Since it is made to fit, that
-measurement is no evidence for it, and no later one is worth more than a hundred to one, so that samples have to agree,
-however wild. It is hidden until it is more likely than not (`merged`), taken over when it is all but certain
-(`settled`) and dropped when it has lost, so that there is one at a time. A start is a jump from a guess: the first
-candidate begins with a probability of .2, and since all of P was guessed, with all of it as many times as wide as the
-first innovation asks for.
+three standard deviations, at the place that the measurement tells, with a P in which it would be just three, since what
+has moved one state may have moved all (`with_candidate`). Since it is made to fit, that measurement is no evidence for
+it, and no later one is worth more than a hundred to one, so that samples have to agree, however wild. It is hidden
+until it is more likely than not (`merged`), taken over when it is all but certain (`settled`) and dropped when it has
+lost, so that there is one at a time. A start is a jump from a guess, with a probability of .2.
 
 States of which none moves, or is measured, with another's are parts of their own: the axes of a point that moves, a
 box's centre and its shape. Each part has its own probabilities of the copies, its own jumps and its own candidate, so
@@ -36,9 +35,9 @@ __all__ = [
 _START = 0.2
 # Standard deviations from which an innovation asks for a jump; farther than a million million it cannot tell where to.
 _ASKS, _FARTHEST = 3.0, 1e12
-# Standard deviations up to which a jump is counted when it is said how wide P is there, and the part of it, squared, to
-# which the sensor tells its place: of less than that, next to a sensor with no noise, rounding would be left.
-_FAR, _TOLD = 1e4, 0.01
+# A jump of more standard deviations makes P no wider, which would leave rounding. Of its square, this part is left of
+# the variance of what the sensor sees: less would be rounding, where it has next to no noise.
+_FAR, _LEFT = 1e4, 0.01
 # Of a scale that one of two parts contradicts, at least so much is left where they become one.
 _UNLIKELY = 1e-30
 # A candidate that is so probable is taken over; one whose probability is this part of a jump's is dropped, or is this
@@ -367,11 +366,11 @@ def _moved(at: Array, spread: Array, y: float, h: Array, noise: float, own: np.n
     # What the sensor sees of each state, as if they were independent: the others keep what they have.
     d = spread.diagonal() * h
     d = d / (h @ d)
-    # All of P is as wide as makes of the innovation one that does not ask; then by Joseph's form, since d is not C / S.
+    # P is so wide that the innovation does not ask any more; less what it tells by Joseph's form, as d is not C / S.
     square = min(y * y, _FAR * _FAR * (seen + noise))
     times = np.where(own[:, None] & own, (square / (_ASKS * _ASKS) - noise) / seen, 1.0)
     kept = np.eye(len(h)) - np.outer(d, h)
-    return at + y * d, times * (kept @ spread @ kept.T) + (noise + _TOLD * square) * np.outer(d, d)
+    return at + y * d, times * (kept @ spread @ kept.T) + (noise + _LEFT * square) * np.outer(d, d)
 
 
 def far_off(copies: Copies, z: Array, H: Array, noise: Array, process: Scales) -> Array:

@@ -28,8 +28,8 @@
 #define LEARNT_ASKS REAL(9.0)         /* squared standard deviations from which an innovation asks for a jump */
 #define LEARNT_WIDEST REAL(1e12)       /* a state less certain than a sensor's noise by this is left to the definition */
 #define LEARNT_FARTHEST REAL(1e24)     /* and to which it can tell where to */
-#define LEARNT_FAR REAL(1e8)          /* squared standard deviations up to which a jump says how wide P is */
-#define LEARNT_TOLD REAL(0.01)        /* part of a jump's square to which a sensor tells its place; less is rounding */
+#define LEARNT_FAR REAL(1e8)          /* squared standard deviations: a jump of more makes P no wider */
+#define LEARNT_LEFT REAL(0.01)        /* of a jump's square, left of the variance of what a sensor sees: less is rounding */
 #define LEARNT_UNLIKELY REAL(1e-30)   /* of a scale that one of two parts contradicts, left where they become one */
 #define LEARNT_EVIDENCE REAL(100.0)   /* a sample is not worth more for a jump */
 #define LEARNT_TAKEN REAL(0.999)      /* a candidate that is so probable is taken over */
@@ -498,8 +498,8 @@ INLINE real learnt_innovations(const int n, const int m, const int copy, const l
 }
 
 /* Let a candidate begin in each part where an innovation asks for it, where the measurement says: as if what a sensor sees
-   of each state were independent, so that the others keep what they have. All of P is as wide as makes of the innovation one
-   that does not ask; then by Joseph's form, since the gain is not C / S. */
+   of each state were independent, so that the others keep what they have. P is so wide that the innovation does not ask any
+   more; less what it tells by Joseph's form, as the gain is not C / S. */
 INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
                          const real *RESTRICT H, const real *RESTRICT R, const real *RESTRICT z,
                          const learnt_parts *const w) {
@@ -521,7 +521,7 @@ INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule
         waits[i] = 0;
         const real noise = w->r[i] * R[i * m + i], whole = S[i * m + i];
         const real square = real_min(y[i] * y[i], LEARNT_FAR * (whole + noise));
-        const real times = (square / LEARNT_ASKS - noise) / whole, left = noise + LEARNT_TOLD * square;
+        const real times = (square / LEARNT_ASKS - noise) / whole, left = noise + LEARNT_LEFT * square;
         for (int k = 0; k < n; k++) {
             d[k] = P[k * n + k] * H[i * n + k];
             seen += H[i * n + k] * d[k];

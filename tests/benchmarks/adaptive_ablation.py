@@ -58,7 +58,7 @@ RULES: dict[str, tuple[tuple[str, str], ...]] = {
         ("waits[j] > 0 && S[j * m + j] > 0",
          "waits[j] > 0 && S[j * m + j] > 0 && unseen[(int)w->head[j]] < REAL(0.2)"),
     ),
-    "a candidate doubts all of P": (("real_min((square - noise) / whole, LEARNT_WIDER)", "1"),),
+    "a candidate doubts all of P": (("(square / LEARNT_ASKS - noise) / whole", "1"),),
     "classes come in runs": (
         ("learnt_predicted(K, known, w.before)", "learnt_usual(K, known, w.before)"),
         ("learnt_predicted(K, s->memory + i * width, w->before)", "learnt_usual(K, s->memory + i * width, w->before)"),
