@@ -536,8 +536,8 @@ INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule
             x[o] += y[i] * d[o];
             for (int k = 0; k < n; k++)
                 if (part[k] == part[o])
-                    P[o * n + k] = times * (P[o * n + k] - d[o] * C[i * n + k] - d[k] * C[i * n + o])
-                                   + (times * whole + left) * d[o] * d[k];
+                    P[o * n + k] = times * (P[o * n + k] - (d[o] * C[i * n + k] + d[k] * C[i * n + o]))
+                                   + (times * whole + left) * (d[o] * d[k]);
         }
         learnt_innovations(n, m, q, s, H, z, w);
     }
