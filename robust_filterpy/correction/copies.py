@@ -2,12 +2,11 @@
 
 q copies take the process noise for s_j Q; from one step to the next the scale stays with probability 1 - 1/dwell. One
 more, the candidate, is for a state that has jumped, to which Q says nothing. It begins where an innovation is beyond
-three standard deviations, at the place that the measurement tells (`with_candidate`). Since it is made to fit, that
-measurement is no evidence for it, and no later one is worth more than a hundred to one, so that samples have to agree,
-however wild. It is hidden until it is more likely than not (`merged`), taken over when it is all but certain
-(`settled`) and dropped when it has lost, so that there is one at a time. A start is a jump from a guess: the first
-candidate begins with a probability of .2, and since all of P was guessed, with all of it as many times as wide as the
-first innovation asks for.
+three standard deviations, at the place that the measurement tells, with a P in which it would be just three, since what
+has moved one state may have moved all (`with_candidate`). Since it is made to fit, that measurement is no evidence for
+it, and no later one is worth more than a hundred to one, so that samples have to agree, however wild. It is hidden
+until it is more likely than not (`merged`), taken over when it is all but certain (`settled`) and dropped when it has
+lost, so that there is one at a time. A start is a jump from a guess, with a probability of .2.
 
 States of which none moves, or is measured, with another's are parts of their own: the axes of a point that moves, a
 box's centre and its shape. Each part has its own probabilities of the copies, its own jumps and its own candidate, so
@@ -36,10 +35,9 @@ __all__ = [
 _START = 0.2
 # Standard deviations from which an innovation asks for a jump; farther than a million million it cannot tell where to.
 _ASKS, _FARTHEST = 3.0, 1e12
-# In variances of its noise: within that the sensor tells where a jump went.
-_AROUND = 100.0
-# Of a variance that a sensor has told, so much is left where its noise is next to none: less is rounding.
-_LEFT = 1e-10
+# A jump of more standard deviations makes P no wider, which would leave rounding. Of its square, this part is left of
+# the variance of what the sensor sees: less would be rounding, where it has next to no noise.
+_FAR, _LEFT = 1e4, 0.01
 # Of a scale that one of two parts contradicts, at least so much is left where they become one.
 _UNLIKELY = 1e-30
 # A candidate that is so probable is taken over; one whose probability is this part of a jump's is dropped, or is this
@@ -341,19 +339,17 @@ def with_candidate(copies: Copies, z: Array, H: Array, noise: Array, process: Sc
     belief, shares = belief.copy(), slow(copies, process)
     at, spread = collapse(shares, x[:q], P[:q], parts)
     chance = np.zeros(len(parts))
+    heard = ~(H != 0.0)[:, new].any(axis=1)
     for _ in z:
         y, asks = _asked(at, spread, z, H, noise)
-        asks[~(H != 0.0)[:, new].any(axis=1)] = 0.0
+        asks[heard] = 0.0
         i = int(np.argmax(asks))
         if not asks[i] > _ASKS:
             break
-        # What the sensor sees of each state, as if they were independent: the others keep what they have.
+        heard[i] = True
         own = parts == parts[np.argmax(H[i] != 0.0)]
-        chance[own], d = belief[-2, own], spread.diagonal() * H[i]
-        d = d / (H[i] @ d)
-        if belief[-2, own].min() >= _START:
-            spread = _wider(spread, y[i], H[i], noise[i], own)
-        at, spread = at + y[i] * d, spread + _AROUND * noise[i] * np.outer(d, d)
+        chance[own] = belief[-2, own]
+        at, spread = _moved(at, spread, y[i], H[i], noise[i], own)
     belief[:q, new] = ((1.0 - chance) * shares)[:, new]
     belief[q, new], belief[-2, new] = chance[new], 0.0
     within = new[:, None] & new
@@ -364,13 +360,17 @@ def with_candidate(copies: Copies, z: Array, H: Array, noise: Array, process: Sc
     ), new
 
 
-def _wider(spread: Array, y: float, h: Array, noise: float, own: np.ndarray) -> Array:
-    """Return a covariance that explains an innovation, as P in another unit would, less what that innovation tells."""
-    seen = h @ spread @ h
-    times = max(float((y * y - noise) / seen), 1.0)
-    spread = np.where(own[:, None] & own, times, 1.0) * spread
-    C = spread @ h
-    return np.asarray(spread - (1.0 - _LEFT) * np.outer(C, C) / (h @ C))
+def _moved(at: Array, spread: Array, y: float, h: Array, noise: float, own: np.ndarray) -> tuple[Array, Array]:
+    """Return mean and covariance where a sensor says that its part of the state is."""
+    seen = float(h @ spread @ h)
+    # What the sensor sees of each state, as if they were independent: the others keep what they have.
+    d = spread.diagonal() * h
+    d = d / (h @ d)
+    # P is so wide that the innovation does not ask any more; less what it tells by Joseph's form, as d is not C / S.
+    square = min(y * y, _FAR * _FAR * (seen + noise))
+    times = np.where(own[:, None] & own, (square / (_ASKS * _ASKS) - noise) / seen, 1.0)
+    kept = np.eye(len(h)) - np.outer(d, h)
+    return at + y * d, times * (kept @ spread @ kept.T) + (noise + _LEFT * square) * np.outer(d, d)
 
 
 def far_off(copies: Copies, z: Array, H: Array, noise: Array, process: Scales) -> Array:

@@ -45,9 +45,12 @@ def described_mixture(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name:
     one = start_of_copies(x.ravel(), P, process_scales(None))
     kept: dict[str, Any] = {"means": one.x, "covariances": one.P, "belief": one.belief} | kf.state()
     copies, width = len(kept["means"]), len(begin)
+    for covariance in (P, *kept["covariances"]):
+        symmetric("P", covariance)
+    # As they stand: what is symmetric but for the last bit has to go on as it would in Python.
     start = {
-        "x": finite("x", x.ravel(), (n,)), "P": symmetric("P", P), "means": finite("x", kept["means"], (copies, n)),
-        "covariances": np.concatenate([symmetric("P", one) for one in kept["covariances"]]),
+        "x": finite("x", x.ravel(), (n,)), "P": P, "means": finite("x", kept["means"], (copies, n)),
+        "covariances": np.concatenate(kept["covariances"]),
         "belief": kept["belief"].ravel(),
         "memory": finite("memory", sensor_memory(kf, "learnt"), (m, width)),
     }  # fmt: skip

@@ -28,9 +28,8 @@
 #define LEARNT_ASKS REAL(9.0)         /* squared standard deviations from which an innovation asks for a jump */
 #define LEARNT_WIDEST REAL(1e12)       /* a state less certain than a sensor's noise by this is left to the definition */
 #define LEARNT_FARTHEST REAL(1e24)     /* and to which it can tell where to */
-#define LEARNT_START REAL(0.2)        /* chance that the state is not where the start says */
-#define LEARNT_AROUND REAL(100.0)     /* variances of its noise within which a sensor tells where a jump went */
-#define LEARNT_LEFT (REAL_PIVOT * 1000) /* of a variance that a sensor has told, this part is left: less is rounding */
+#define LEARNT_FAR REAL(1e8)          /* squared standard deviations: a jump of more makes P no wider */
+#define LEARNT_LEFT REAL(0.01)        /* of a jump's square, left of the variance of what a sensor sees: less is rounding */
 #define LEARNT_UNLIKELY REAL(1e-30)   /* of a scale that one of two parts contradicts, left where they become one */
 #define LEARNT_EVIDENCE REAL(100.0)   /* a sample is not worth more for a jump */
 #define LEARNT_TAKEN REAL(0.999)      /* a candidate that is so probable is taken over */
@@ -454,7 +453,7 @@ INLINE void learnt_changes(const int n, const int m, const learnt_rule *const ru
 }
 
 #define learnt_correct_work(n, m, copies, K) \
-    ((size_t)((copies) * ((m) * (1 + (n) + (m)) + (K) + 6 + (n)) + (n) * (2 + (n)) + 6 * (m) + 5 * (K) + (m) * (m)) + \
+    ((size_t)((copies) * ((m) * (1 + (n) + (m)) + (K) + 6 + (n)) + (n) * (2 + (n)) + 5 * (m) + 5 * (K) + (m) * (m)) + \
      learnt_parity_work(m))
 
 /* What the copies are while sensor after sensor is taken. */
@@ -465,79 +464,82 @@ typedef struct {
     real *given; /* (copies, K) probabilities of the classes */
     real *a, *b, *logs, *energy, *shares, *parts; /* (copies); parts: of its variance, noise's */
     real *at, *spread; /* (n), (n, n) mean and covariance over the copies that have not jumped */
-    real *direction; /* (n) scratch */
-    real *left, *r, *start, *seen; /* (m) 1 where not yet used; factors of R; the largest S_ii at the beginning; scratch */
+    real *direction; /* (n) in which a candidate has jumped */
+    real *left, *r, *start; /* (m) 1 where not yet used; factors of R; the largest S_ii at the beginning */
     real *head, *fresh; /* (m) first state of the part that a sensor sees; whether a candidate there is new */
     real *before, *usual, *after, *weights, *shared; /* (K) shared: of the class that all sensors are in, if of one */
     real together; /* probability that they are */
 } learnt_parts;
 
-/* Let a candidate's covariance, and with it C and S, explain what sensor i says, as P in another unit would, less what that
-   tells. */
-INLINE void learnt_wider(const int n, const int m, const int q, const int i, const real noise, const real *RESTRICT part,
-                         const learnt_parts *const w, real *RESTRICT P) {
-    real *RESTRICT C = w->C + q * m * n, *RESTRICT S = w->S + q * m * m, *RESTRICT column = w->start;
-    const real y = w->y[q * m + i], whole = S[i * m + i], factor = real_max((y * y - noise) / whole, 1);
-    const real told = (1 - LEARNT_LEFT) / whole;
-    for (int j = 0; j < m; j++) column[j] = w->head[j] == w->head[i] ? S[j * m + i] : 0;
-    for (int o = 0; o < n; o++)
-        for (int k = 0; k < n; k++)
-            if (part[o] == w->head[i] && part[k] == w->head[i])
-                P[o * n + k] = factor * (P[o * n + k] - C[i * n + o] * C[i * n + k] * told);
-    for (int j = 0; j < m; j++)
-        for (int k = 0; k < m; k++)
-            if (w->left[j] > 0 && w->left[k] > 0 && w->head[j] == w->head[i] && w->head[k] == w->head[i])
-                S[j * m + k] = factor * (S[j * m + k] - column[j] * column[k] * told);
-    for (int j = 0; j < m; j++)
-        for (int k = 0; k < n; k++)
-            if (w->left[j] > 0 && j != i && w->head[j] == w->head[i] && part[k] == w->head[i])
-                C[j * n + k] = factor * (C[j * n + k] - column[j] * C[i * n + k] * told);
-    for (int k = 0; k < n; k++) C[i * n + k] *= factor * LEARNT_LEFT;
+/* Innovations under one copy, and their covariances with the state and each other without noise; return how large they are. */
+INLINE real learnt_innovations(const int n, const int m, const int copy, const learnt_state *const s,
+                               const real *RESTRICT H, const real *RESTRICT z, const learnt_parts *const w) {
+    const real *RESTRICT x = s->x + copy * n, *RESTRICT P = s->P + copy * n * n;
+    real *RESTRICT C = w->C + copy * m * n, *RESTRICT S = w->S + copy * m * m, *RESTRICT y = w->y + copy * m;
+    real check = 0;
+    for (int i = 0; i < m; i++) {
+        real sum = 0;
+        for (int j = 0; j < n; j++) C[i * n + j] = 0;
+        for (int k = 0; k < n; k++) {
+            const real h = H[i * n + k];
+            sum += h * x[k];
+            for (int j = 0; j < n; j++) C[i * n + j] += h * P[k * n + j];
+        }
+        y[i] = w->left[i] > 0 ? z[i] - sum : 0;
+        check += real_abs(y[i]);
+    }
+    for (int i = 0; i < m; i++)
+        for (int j = 0; j <= i; j++) {
+            real sum = 0;
+            for (int k = 0; k < n; k++) sum += C[i * n + k] * H[j * n + k];
+            S[i * m + j] = S[j * m + i] = sum;
+        }
+    return check;
 }
 
 /* Let a candidate begin in each part where an innovation asks for it, where the measurement says: as if what a sensor sees
-   of each state were independent, so that the others keep what they have. */
+   of each state were independent, so that the others keep what they have. P is so wide that the innovation does not ask any
+   more; less what it tells by Joseph's form, as the gain is not C / S. */
 INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
-                         const real *RESTRICT H, const real *RESTRICT R, const learnt_parts *const w) {
+                         const real *RESTRICT H, const real *RESTRICT R, const real *RESTRICT z,
+                         const learnt_parts *const w) {
     const int q = rule->q;
     const real *const part = learnt_part(n, rule, s), *const unseen = learnt_unseen(n, rule, s);
-    real *RESTRICT x = s->x + q * n, *RESTRICT P = s->P + q * n * n;
-    real *RESTRICT y = w->y + q * m, *RESTRICT C = w->C + q * m * n, *RESTRICT S = w->S + q * m * m;
-    int turns = 0;
-    for (int i = 0; i < m; i++) turns += w->left[i] > 0;
-    for (int turn = 0; turn < turns; turn++) {
-        real most = LEARNT_ASKS, more, step;
-        int i = -1, first = 0;
+    real *const x = s->x + q * n, *const P = s->P + q * n * n, *const d = w->direction;
+    const real *const y = w->y + q * m, *const C = w->C + q * m * n, *const S = w->S + q * m * m;
+    real *const waits = w->start;
+    for (int i = 0; i < m; i++) waits[i] = w->left[i] > 0 && w->fresh[i] > 0;
+    for (;;) {
+        real most = LEARNT_ASKS, seen = 0;
+        int i = -1;
         for (int j = 0; j < m; j++) {
             const real asks = y[j] * y[j] / (S[j * m + j] + w->r[j] * R[j * m + j]);
-            if (w->left[j] > 0 && w->fresh[j] > 0 && S[j * m + j] > 0 && asks < LEARNT_FARTHEST && asks > most)
+            if (waits[j] > 0 && S[j * m + j] > 0 && asks < LEARNT_FARTHEST && asks > most)
                 most = asks, i = j;
         }
         if (i < 0) return;
+        waits[i] = 0;
+        const real noise = w->r[i] * R[i * m + i], whole = S[i * m + i];
+        const real square = real_min(y[i] * y[i], LEARNT_FAR * (whole + noise));
+        const real times = (square / LEARNT_ASKS - noise) / whole, left = noise + LEARNT_LEFT * square;
+        for (int k = 0; k < n; k++) {
+            d[k] = P[k * n + k] * H[i * n + k];
+            seen += H[i * n + k] * d[k];
+        }
+        for (int k = 0; k < n; k++) d[k] /= seen;
         for (int o = 0; o < n; o++) {
             if (part[o] != w->head[i]) continue;
-            first = unseen[o] >= LEARNT_START;
-            if (s->p[q * n + o] > 0) continue;
-            for (int c = 0; c < q; c++) s->p[c * n + o] *= 1 - unseen[o];
-            s->p[q * n + o] = unseen[o];
+            if (!(s->p[q * n + o] > 0)) {
+                for (int c = 0; c < q; c++) s->p[c * n + o] *= 1 - unseen[o];
+                s->p[q * n + o] = unseen[o];
+            }
+            x[o] += y[i] * d[o];
+            for (int k = 0; k < n; k++)
+                if (part[k] == part[o])
+                    P[o * n + k] = times * (P[o * n + k] - (d[o] * C[i * n + k] + d[k] * C[i * n + o]))
+                                   + (times * whole + left) * (d[o] * d[k]);
         }
-        for (int k = 0; k < n; k++) w->direction[k] = P[k * n + k] * H[i * n + k];
-        for (int j = 0; j < m; j++) {
-            w->seen[j] = 0;
-            for (int k = 0; k < n; k++) w->seen[j] += H[j * n + k] * w->direction[k];
-        }
-        if (first) learnt_wider(n, m, q, i, w->r[i] * R[i * m + i], part, w, P);
-        more = LEARNT_AROUND * w->r[i] * R[i * m + i] / w->seen[i] / w->seen[i];
-        step = y[i] / w->seen[i];
-        for (int k = 0; k < n; k++) {
-            x[k] += step * w->direction[k];
-            for (int j = 0; j < n; j++) P[k * n + j] += more * w->direction[k] * w->direction[j];
-        }
-        for (int j = 0; j < m; j++) {
-            if (w->left[j] > 0) y[j] -= step * w->seen[j];
-            for (int k = 0; k < n; k++) C[j * n + k] += more * w->seen[j] * w->direction[k];
-            for (int k = 0; k < m; k++) S[j * m + k] += more * w->seen[j] * w->seen[k];
-        }
+        learnt_innovations(n, m, q, s, H, z, w);
     }
 }
 
@@ -584,34 +586,14 @@ INLINE int learnt_begin(const int n, const int m, const learnt_rule *const rule,
                         const learnt_parts *const w) {
     const int copies = learnt_copies(rule);
     real check = 0;
-    for (int c = 0; c < copies; c++) {
-        const real *RESTRICT x = s->x + c * n, *RESTRICT P = s->P + c * n * n;
-        real *RESTRICT C = w->C + c * m * n, *RESTRICT S = w->S + c * m * m, *RESTRICT y = w->y + c * m;
-        for (int i = 0; i < m; i++) {
-            real sum = 0;
-            for (int j = 0; j < n; j++) C[i * n + j] = 0;
-            for (int k = 0; k < n; k++) {
-                const real h = H[i * n + k];
-                sum += h * x[k];
-                for (int j = 0; j < n; j++) C[i * n + j] += h * P[k * n + j];
-            }
-            y[i] = w->left[i] > 0 ? z[i] - sum : 0;
-            check += real_abs(y[i]);
-        }
-        for (int i = 0; i < m; i++)
-            for (int j = 0; j <= i; j++) {
-                real sum = 0;
-                for (int k = 0; k < n; k++) sum += C[i * n + k] * H[j * n + k];
-                S[i * m + j] = S[j * m + i] = sum;
-            }
-    }
+    for (int c = 0; c < copies; c++) check += learnt_innovations(n, m, c, s, H, z, w);
     if (!(check < REAL_ORDINARY)) return 0;
+    if (rule->jump > 0) learnt_widen(n, m, rule, s, H, R, z, w);
     for (int c = 0; c < copies; c++)
         for (int i = 0; i < m; i++) {
             const real noise = w->r[i] * R[i * m + i];
             if (w->left[i] > 0 && noise > 0 && w->S[c * m * m + i * m + i] > LEARNT_WIDEST * noise) return 0;
         }
-    if (rule->jump > 0) learnt_widen(n, m, rule, s, H, R, w);
     for (int c = 0; c < copies; c++)
         for (int i = 0; i < m; i++) {
             real *RESTRICT S = w->S + c * m * m;
@@ -783,8 +765,7 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
     w.left = w.direction + n;
     w.r = w.left + m;
     w.start = w.r + m;
-    w.seen = w.start + m;
-    w.head = w.seen + m;
+    w.head = w.start + m;
     w.fresh = w.head + m;
     w.before = w.fresh + m;
     w.usual = w.before + K;

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from robust_filterpy import kernel
 from robust_filterpy._checks import Array
 from robust_filterpy.correction import copies as side_by_side
 from robust_filterpy.correction import learning, learnt
@@ -14,7 +15,6 @@ from robust_filterpy.correction.copies import Copies, Scales
 from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.learnt import Corrected
 from robust_filterpy.correction.whitening import Inverse
-from robust_filterpy.kernel import extension
 from robust_filterpy.kernel.series import plain
 
 __all__ = ["Kept", "State", "begin", "correct", "predict", "rule", "run"]
@@ -138,10 +138,10 @@ def run(
     ValueError
         If an array is not what a step needs.
     """
-    kernel = extension()
+    extension = kernel.extension()
     last = len(zs) if last is None else last
     what = rule(noise, process)
-    if kernel is None or what is None:
+    if extension is None or what is None:
         return first
     width = 0 if kept.covariances is None else kept.covariances.shape[1]
     likelihood = np.zeros(1) if kept.log_likelihood is None else kept.log_likelihood
@@ -149,7 +149,7 @@ def run(
     # One series.
     given = tuple(None if a is None else plain(a)[None] for a in model)
     into = tuple(None if a is None else a[None] for a in kept[:-1])
-    taken = kernel.learnt_steps(
+    taken = extension.learnt_steps(
         what, tuple(state), plain(zs)[None], said, given, (*into, likelihood),
         (first, last, every, alpha_sq, bool(update_first), width, which),
     )  # fmt: skip

@@ -55,10 +55,10 @@ RULES: dict[str, tuple[tuple[str, str], ...]] = {
     "it knows no last class": (("c < rule->q ? w->before : w->usual", "w->before"),),
     "it is hidden while less likely than not": (("!(work[q * n + i] > REAL(0.5))", "0"),),
     "a start elsewhere, with .2": (
-        ("w->fresh[j] > 0 && S[j * m + j] > 0",
-         "w->fresh[j] > 0 && S[j * m + j] > 0 && unseen[(int)w->head[j]] < LEARNT_START"),
+        ("waits[j] > 0 && S[j * m + j] > 0",
+         "waits[j] > 0 && S[j * m + j] > 0 && unseen[(int)w->head[j]] < REAL(0.2)"),
     ),
-    "then all of P was guessed": (("unseen[o] >= LEARNT_START", "0"),),
+    "a candidate doubts all of P": (("(square / LEARNT_ASKS - noise) / whole", "1"),),
     "classes come in runs": (
         ("learnt_predicted(K, known, w.before)", "learnt_usual(K, known, w.before)"),
         ("learnt_predicted(K, s->memory + i * width, w->before)", "learnt_usual(K, s->memory + i * width, w->before)"),
@@ -92,7 +92,6 @@ RULES: dict[str, tuple[tuple[str, str], ...]] = {
 #: What tests, by the name of one, see of a rule that no row needs.
 TESTED = {
     "it is hidden while less likely than not": "test_a_jump_that_nothing_confirms_does_not_show",
-    "then all of P was guessed": "test_a_start_that_the_first_reading_contradicts_is_doubted_with_its_speed",
     "shortened to 8 deviations (here to 30)": "test_r_does_not_depend_on_how_wild_an_outlier_is",
     "repeats teach where steps are fine": "test_a_sensor_that_repeats_itself_far_off_is_stuck_and_says_nothing",
 }

@@ -184,16 +184,17 @@ def level(seed: int) -> Trap:
                 sizes[:, :, None] ** 2 * one)  # fmt: skip
 
 
-def jumping(seed: int, size: float, every: int = 200) -> Trap:
-    """The position jumps at regular times, clean measurements."""
+def jumping(seed: int, size: float, every: int = 200, speed: float = 0.0) -> Trap:
+    """The position, and the speed if told, jumps at regular times, clean measurements."""
     g = np.random.default_rng(seed)
-    trap, Qs = moving(g, 1.0), None
-    jumps, Qs = np.zeros(STEPS), trap.Qs.copy()
+    trap = moving(g, 1.0)
+    jumps, Qs = np.zeros((STEPS, 2)), trap.Qs.copy()
     at = np.arange(every, STEPS, every)
-    jumps[at], Qs[at, 0, 0] = size * np.sign(g.standard_normal(len(at))), size * size
-    truth = trap.truth.copy()
-    truth[:, 0] += np.cumsum(jumps)
-    return trap._replace(truth=truth, zs=trap.zs + np.cumsum(jumps)[:, None], Qs=Qs)
+    jumps[at], Qs[at, 0, 0] = np.sign(g.standard_normal(len(at)))[:, None] * [size, speed], size * size
+    Qs[at, 1, 1] += speed * speed
+    for k in range(1, STEPS):
+        jumps[k] += trap.F @ jumps[k - 1]
+    return trap._replace(truth=trap.truth + jumps, zs=trap.zs + jumps[:, :1], Qs=Qs)
 
 
 def wandering(seed: int) -> Trap:
@@ -318,6 +319,8 @@ ROWS: list[tuple[str, Callable[[int], Trap], Measure, float, str | None]] = [
     ("level, R = Q = var(diff z)/2, outliers: error", level, error, 1.1, None),
     ("jumps of 30 every 200: error", partial(jumping, size=30.0), error, 13.0, JUMPS),
     ("jump of 100: steps until back", partial(jumping, size=100.0), partial(steps_back, at=200), 15.0, JUMPS),
+    ("jump of 100, of 10 in speed: steps until back", partial(jumping, size=100.0, speed=10.0),
+     partial(steps_back, at=200), 15.0, JUMPS),
     ("process steps of 30 in 1 %, R wanders: error", wandering, error, 1.8, STEPPING),
     ("start 75 away, P = I: steps until back", far_start, steps_back, 2.0, None),
     ("one sensor alone stuck at 0, 30 in 200: error", stuck, error, 3.0, GATE),

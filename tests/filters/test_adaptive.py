@@ -242,6 +242,42 @@ def test_a_true_jump_is_believed(jump):
     assert error[260:].max() < 3.0
 
 
+@pytest.mark.parametrize("kernel", [True, False])
+@pytest.mark.parametrize("size", [30.0, 3e4])
+def test_a_jump_of_the_whole_state_is_believed(size, kernel, monkeypatch):
+    """What a sensor does not see has jumped as well, so the candidate is as uncertain of it."""
+    if not kernel:
+        without_kernel(monkeypatch)
+    for seed in range(20 if kernel else 4):
+        rng = np.random.default_rng(seed)
+        problem = random_problem(seed, 4, 3)
+        problem = with_(problem, F=np.eye(4) + 0.02 * rng.normal(size=(4, 4)), Q=0.01 * problem.Q)
+        zs, x = simulate(problem, 40, seed)[0], size * rng.normal(size=4)
+        for z in zs[28:]:
+            z += problem.H @ x
+            x = problem.F @ x
+        kf = make(AdaptiveKalmanFilter, problem, 1)
+        advance(kf, zs)
+        off = kf.H @ np.ravel(kf.x) - zs[-1]
+        assert np.abs(off / np.sqrt(problem.R.diagonal())).max() < 8.0, seed
+
+
+def test_a_ball_that_bounces_is_followed():
+    """Its speed jumps, which no sensor sees, and Q is next to nothing: 2.5 times the Kalman filter's error, not 9."""
+    dt, squares = 1.0 / 30.0, np.zeros(2)
+    t, w = np.arange(60) * dt, np.array([dt * dt / 2.0, dt, 1.0])
+    truth = 100.0 + 200.0 * t + 300.0 * t**2 - 1150.0 * np.maximum(t - 1.0, 0.0)
+    problem = with_(
+        random_problem(0, 3, 1), x=np.zeros((3, 1)), P=np.diag([10.0, 10.0, 1.0]), Q=np.outer(w, w), R=5.0 * np.eye(1),
+        F=np.array([[1.0, dt, dt * dt / 2.0], [0.0, 1.0, dt], [0.0, 0.0, 1.0]]), H=np.eye(1, 3),
+    )  # fmt: skip
+    for seed in range(60):
+        zs = truth + 1.5 * np.random.default_rng(seed).normal(size=60)
+        for k, cls in enumerate((AdaptiveKalmanFilter, KalmanFilter)):
+            squares[k] += np.mean((advance(make(cls, problem, 1), zs)[:, 0] - truth)[5:] ** 2)
+    assert squares[0] < 4.0 * squares[1]
+
+
 @pytest.mark.parametrize("size", [1e2, 1e6, 1e150, 1e300])
 def test_one_outlier_of_any_size_moves_the_state_little_and_r_hardly(size):
     problem, _, zs, _ = moving(6, 200)

@@ -54,7 +54,6 @@ def calls():
     with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         patch.setattr(kernel, "extension", lambda: watched)
-        patch.setattr("robust_filterpy.kernel.learnt.extension", lambda: watched)
         for n, m in ((2, 1), (3, 2)):
             problem = support.random_problem(n, n, m, 1)
             zs = support.simulate(problem, 40, n, 0.1)[0]
