@@ -83,8 +83,8 @@ def with_gain(form: Form, now: State, i: int, g: float, u: Array) -> State:
     i : int
         Which of them.
     g : float
-        How much of the model's gain is to be added to it; known to its own size, since it is of samples before the
-        change, too.
+        What is to be added to the gain, as a share of it. Its standard deviation is taken to be as large: it is a mean
+        over samples before and after the change.
     u : ndarray, shape (n_inputs,)
         The inputs at which the output stays as it is.
 

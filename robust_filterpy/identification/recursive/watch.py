@@ -226,7 +226,8 @@ class Followed(NamedTuple):
             if trouble:
                 news.append(Trouble(i, trouble))
             elif g:
-                news.append(Trouble(i, _GAIN.format(1.0 + g, gain.BLOCKS * _PERIOD), gain=g))
+                judged = int(np.count_nonzero(scores[i, :, 1])) * _PERIOD
+                news.append(Trouble(i, _GAIN.format(1.0 + g, judged), gain=g))
                 scores[i] = 0.0
         return Followed(seen, usual, rows, scores), news
 
@@ -237,7 +238,7 @@ _ANOTHER: Final = (
 )
 _GAIN: Final = (
     "the plant is no longer the model's: its gain is {:.2g} times the model's in the mean of the last {} samples; "
-    "theta goes on with that gain, which may move by as much again"
+    "theta goes on with that gain, and follows what the next samples say of it"
 )
 _OFF: Final = (
     "the level of y is no longer the model's: {} residuals in a row lie about {:.3g} off zero with a scatter of {:.2g} "
