@@ -111,7 +111,7 @@ def edits(rules: dict[str, tuple[tuple[str, str], ...]]) -> list[tuple[Path, int
             at = [(path, i) for path, lines in texts.items() for i, line in enumerate(lines) if old in line]
             if len(at) != 1:
                 raise SystemExit(f"{name}: expected one line of the kernel with {old!r}, found {len(at)}; mend RULES")
-            (path, i), = at
+            ((path, i),) = at
             texts[path][i] = texts[path][i].replace(old, f"(MUTATION({k}) ? ({new}) : ({old}))")
             found.append((path, i, old, new, texts[path][i]))
     return found

@@ -9,10 +9,12 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from robust_filterpy import ARX, Contaminated, identify
+from robust_filterpy.correction.contaminated import START
+from robust_filterpy.identification.estimation.cleaning import found_outliers
 from robust_filterpy.identification.estimation.missing import Unknowns
 from robust_filterpy.identification.estimation.neighbours import Neighbours
 from robust_filterpy.identification.models.learnt_noise import Noise
-from robust_filterpy.identification.models.polynomial_model import Parts
+from robust_filterpy.identification.models.polynomial_model import Parts, PolynomialModel
 from robust_filterpy.identification.models.prediction import cleaned_residuals
 
 
@@ -134,3 +136,17 @@ def test_outliers_whose_patterns_overlap_do_not_hide_each_other(seed):
     model, right = identify(y, u, ARX(20, 20), progress=False), np.array([*a[1:], *b])
     assert np.linalg.norm(model.theta - right) < 0.2 * np.linalg.norm(right)
     assert model.R == pytest.approx(0.09, rel=0.1)
+
+
+def test_outliers_that_hide_each_other_are_found_all_at_once():
+    a = np.real(np.poly([0.85 * np.exp(0.6j), 0.85 * np.exp(-0.6j), 0.8 * np.exp(1.6j), 0.8 * np.exp(-1.6j)]))
+    mistakes = 0
+    for seed in range(20, 24):
+        rng = np.random.default_rng(seed)
+        u, e, bad = rng.normal(size=1500), 0.1 * rng.normal(size=1500), rng.random(1500) < 0.1
+        y = lfilter([0.0, 1.0, 0.5], a, u) + lfilter([1.0], a, e) + np.where(bad, 2.0, 0.0) * rng.normal(size=1500)
+        model = PolynomialModel(ARX(4, 2), y / y.std(), u[:, None] / y.std(), False)
+        found = found_outliers(model, np.append(a[1:], [1.0, 0.5]), np.zeros(1500, bool), Noise(START, 1e-4))
+        mistakes += int((found.wrong != bad).sum() + (~found.counts).sum())
+    # One after the other 222 are mistaken, of some 630 outliers.
+    assert mistakes < 180

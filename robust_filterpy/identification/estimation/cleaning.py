@@ -32,7 +32,7 @@ _EVEN_THRESHOLDS: Final = np.linspace(*THRESHOLDS, 101)
 _EVEN_ODDS: Final = np.exp(_EVEN_THRESHOLDS**2 / 2.0) * (_EVEN_THRESHOLDS**2 / 3.0 - 1.0)
 _MOST_ROUNDS: Final = 40
 # Outliers are looked for in so many samples at a time, whose residuals show one scale of the noise.
-_BLOCK: Final = 2000
+_BLOCK: Final = 4000
 # Residuals of this size, of an output of unit size, are no noise.
 _ROUNDING: Final = 1e-12
 # Below this share of its precision a sample is not determined by the others.

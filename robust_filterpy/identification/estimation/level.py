@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from scipy.stats import norm
 
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
@@ -45,6 +46,8 @@ _ENDLESS: Final = 0.1
 _FAR_INPUT: Final = 3.2
 _MOST_LEVELS: Final = 20
 _FEWEST: Final = 4
+# So many normal ones may be as far out, on each side.
+_FARTHEST: Final = 0.05
 # An input so many deviations from 0 stays there.
 _STAYS: Final = 5.0
 # Parts of a recording that are held against its inputs, and how long one may be.
@@ -319,7 +322,9 @@ def _input_outliers(places: Any, gain: float) -> Finding:
 def _odd(u: Array) -> Any:
     """Return which values of an input are unlike the others: far outside, or off the levels that it has otherwise."""
     low, middle, high = np.quantile(u, [0.1, 0.5, 0.9])
-    odd = np.abs(u - middle) > _FAR_INPUT * max(high - middle, middle - low)
+    # Of many ordinary values some are further out.
+    far = max(_FAR_INPUT, float(norm.isf(_FARTHEST / u.size) / norm.isf(0.1)))
+    odd = np.abs(u - middle) > far * max(high - middle, middle - low)
     _, which, counts = np.unique(u, return_inverse=True, return_counts=True)
     common = counts > max(_FEWEST, u.size // 200)
     if common.sum() <= _MOST_LEVELS and counts[common].sum() >= 0.9 * u.size:

@@ -17,7 +17,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.signal import lfilter
-from scipy.sparse import csr_array
+from scipy.sparse import csc_array, csr_array
 
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.estimation.neighbours import Neighbours
@@ -136,12 +136,12 @@ class Unknowns:
         return np.asarray(np.tril(K) + np.tril(K, -1).T)
 
     @cached_property
-    def _pattern(self) -> csr_array:
-        """H, what one unit more in each unknown sample adds to each residual, shape (N, m)."""
-        rows = self._places - self._first + np.arange(self._h.size)[:, None]
-        inside = (rows >= 0) & (rows < self._weights.size)
-        delay, column = np.nonzero(inside)
-        return csr_array((self._h[delay], (rows[inside], column)), (self._weights.size, self._places.size))
+    def _pattern(self) -> csc_array:
+        """H, what one unit more in each unknown sample adds to it and to those after it, shape (first + N + L, m)."""
+        length, m = self._h.size, self._places.size
+        rows = (self._places[:, None] + np.arange(length)).ravel()
+        begins = np.arange(0, rows.size + 1, length)
+        return csc_array((np.tile(self._h, m), rows, begins), (self._size + length, m))
 
     def _equations(self, prior: Array | None) -> Neighbours:
         """Return H'WH of the unknowns."""
@@ -160,8 +160,11 @@ class Unknowns:
 
     def _least(self, base: Array) -> tuple[Array, Array]:
         """Return the corrections of the unknown samples for the least sum of squares, and the residuals with them."""
-        correction = -self._normal.solve(self._pattern.T @ (self._weights * base.T).T)
-        return correction, base + self._pattern @ correction
+        rows = slice(self._first, self._size)
+        weighted = np.zeros((self._size + self._h.size, *base.shape[1:]))
+        weighted[rows] = (self._weights * base.T).T
+        correction = -self._normal.solve(self._pattern.T @ weighted)
+        return correction, base + (self._pattern @ correction)[rows]
 
     def _pull(self, residual: Array) -> Array:
         """Return H'W times residuals, for each sample."""

@@ -28,11 +28,6 @@ class Neighbours:
         G[i, i + d] in row d, column i; of any value where i + d is in another chain.
     begins : ndarray of bool, shape (m,)
         Which rows begin a chain, the first one among them.
-
-    Attributes
-    ----------
-    log_det : float
-        log |det G|.
     """
 
     def __init__(self, band: Array, begins: Any) -> None:
@@ -50,12 +45,11 @@ class Neighbours:
             g, a, b, values = self._block[i], self._slot[i], self._slot[j], band[d, i]
             own[g[within], a[within], b[within]] = own[g[within], b[within], a[within]] = values[within]
             beside[g[~within], a[~within], b[~within]] = values[~within]
-        self._inverse, self._gain, self.log_det = np.empty_like(own), np.empty_like(own), 0.0
+        self._inverse, self._gain = np.empty_like(own), np.empty_like(own)
         for t, at in enumerate(self._turns):
             if t:
                 own[at] -= beside[at - 1].transpose(0, 2, 1) @ self._gain[at - 1]
             self._inverse[at] = np.linalg.inv(own[at])
-            self.log_det += float(np.linalg.slogdet(own[at])[1].sum())
             self._gain[at] = self._inverse[at] @ beside[at]
 
     def solve(self, right: Array) -> Array:
@@ -77,6 +71,11 @@ class Neighbours:
         for at in self._turns[:0:-1]:
             x[at - 1] -= self._gain[at - 1] @ x[at]
         return x[self._block, self._slot].reshape(right.shape)
+
+    @property
+    def log_det(self) -> float:
+        """log |det G|."""
+        return -float(np.linalg.slogdet(self._inverse)[1].sum())
 
     @cached_property
     def inverse(self) -> Array:

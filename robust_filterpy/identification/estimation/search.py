@@ -52,7 +52,8 @@ _SHOWN: Final = 5
 # of its middle; ends so much less likely there are not followed in the whole.
 _MOST_SEARCHED: Final = 4000
 _HOPELESS: Final = 30.0
-
+# Residuals that differ by no more of their scale show the same outliers, and lead to the same end.
+_UNMOVED: Final = 0.2
 
 
 class _Effort(NamedTuple):
@@ -166,8 +167,14 @@ def _ends_of_long(
         if influence is None:
             mixed = START
             ranked = [Ranked(end._replace(noise=replace(end.noise, influence=mixed)), e) for end, e in ranked]
-    chosen = [end for end, excess in ranked if excess < _HOPELESS]
-    found = [_searched(model, end.p, end.noise, missing, end.starts, _AGAIN, limits) for end in chosen]
+    chosen: list[End] = []
+    for end in (end for end, excess in ranked if excess < _HOPELESS):
+        if all(mad_scale(end.residual - other.residual) > _UNMOVED * other.noise.R**0.5 for other in chosen):
+            chosen.append(end)
+    found = []
+    for end in chosen:
+        told = Outliers(missing, np.ones(model.y.size - model.first, dtype=bool), end.outliers.threshold)
+        found.append(_searched(model, end.p, end.noise, missing, end.starts, _AGAIN, limits, told))
     return _best_first(model, missing, found, limits)
 
 
@@ -206,17 +213,19 @@ def _searched(
     starts: tuple[str, ...],
     effort: _Effort,
     limits: Limits | None = None,
+    told: Outliers | None = None,
 ) -> End:
     """Minimise the loss from p on, looking for outliers again as often as the parameters change what is one."""
     stage(f"search from: {starts[0]}")
     p = p if limits is None else limits.start(model, p)
-    outliers = found_outliers(model, p, missing, noise)
+    outliers = found_outliers(model, p, missing, noise, told)
     for turn in range(effort.cleanings):
         if turn:
             stage(f"{int((outliers.wrong & ~missing).sum())} outliers taken for missing, search again")
         found, _ = _maximised(model, p, noise, outliers, 1, effort.steps, limits)
+        moved = np.inf if told is None else mad_scale(model.residuals(found.p) - model.residuals(p))
         p, noise = found.p, found.noise
-        if np.isnan(noise.R):
+        if np.isnan(noise.R) or moved < _UNMOVED * noise.R**0.5:
             break
         again = found_outliers(model, p, missing, noise, outliers)
         settled = np.array_equal(again.wrong, outliers.wrong)

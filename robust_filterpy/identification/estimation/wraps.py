@@ -17,8 +17,9 @@ __all__ = ["with_wraps", "wraps"]
 _JUMP: Final = 0.7
 _QUIET: Final = 0.4
 _MISSED: Final = 0.3
-# So many are no accident, in which most are missed.
+# So many are no accident, in which most are missed. Of outliers beside a plant that swings some look like it in many.
 _FEWEST: Final = 4
+_ACCIDENTS: Final = 1 / 5000
 _MOST: Final = 0.5
 
 
@@ -59,7 +60,7 @@ def wraps(y: Array, residual: Array) -> tuple[Finding, ...]:
     within = (y >= low - 0.02 * size) & (y <= high + 0.02 * size)
     alone = (change[1:-1] > _JUMP) & (change[:-2] < _QUIET) & (change[2:] < _QUIET) & within[1:-2] & within[2:-1]
     at = np.flatnonzero(alone) + 2
-    if at.size < _FEWEST:
+    if at.size < max(_FEWEST, _ACCIDENTS * y.size):
         return ()
     # A plant that switches jumps too, and its model with it.
     missed = np.abs(np.nan_to_num(residual[at])) > _MISSED * size
