@@ -34,8 +34,8 @@ _RATIOS: Final = (3.0, 1e12)
 
 # Beyond so many standard deviations of the wider distribution psi goes on as for Huber's least favourable one, or a
 # single gross outlier would move everything and make all others ordinary.
-_REACH: Final = 3.0
-_WIDE: Final = Huber(_REACH)
+REACH: Final = 3.0
+_WIDE: Final = Huber(REACH)
 # Steps of expectation-maximisation after which more would hardly move it.
 SETTLING_STEPS: Final = 50
 
@@ -335,7 +335,7 @@ def maximised(
     for _ in range(steps):
         p, ratio = mixture.ordinary(residual / math.sqrt(R)), mixture.scale_ratio
         outlying = 1.0 - p
-        outliers, energy = outlying.sum(), outlying @ np.minimum(square, _REACH**2 * ratio**2 * R)
+        outliers, energy = outlying.sum(), outlying @ np.minimum(square, REACH**2 * ratio**2 * R)
         if not known:
             R = max(float(p @ square) / max(float(p.sum()), 1.0), least)
         contamination = (outliers + _PRIOR_OUTLIERS) / (residual.size + _PRIOR_SAMPLES)

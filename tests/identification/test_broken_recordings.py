@@ -41,7 +41,8 @@ def test_fill_values_are_gaps_in_any_structure(structure):
         with pytest.warns(UserWarning, match=f"y has {fill:.6g}".replace("+", r"\+")):
             model = identify(np.where(places, fill, y), u, structure)
         np.testing.assert_array_equal(model.theta, gaps.theta)
-        assert [finding.kind for finding in model.findings] == ["fill value"]
+        kinds, without = ([finding.kind for finding in one.findings] for one in (model, gaps))
+        assert kinds == ["fill value", *without]
         assert f"{fill:.6g}" in repr(model)
         assert f"{fill:.6g}" in model.summary().to_text()
 
@@ -179,6 +180,43 @@ def test_a_plant_that_changes_in_mid_recording_is_said(gain):
         assert model.findings[-1].kind == "another plant"
 
 
+def in_noise(seed, before, after, at, size):
+    """Outputs of two plants one after the other, with so many times as much noise."""
+    rng = np.random.default_rng([27, seed])
+    u = rng.choice([-1.0, 1.0], 1500)
+    clean = np.where(np.arange(1500) < at, before(u), after(u))
+    return clean + size * clean.std() * rng.normal(size=1500), u
+
+
+@pytest.mark.parametrize(("gain", "size"), [(0.5, 1.0), (0.7, 0.5), (2.0, 1.5)])
+def test_a_gain_that_changes_in_much_noise_is_said(gain, size):
+    # What follows u is a small share of what the model leaves: its score over all samples tells.
+    for seed in range(3):
+        y, u = in_noise(seed, lambda u: lfilter(B, A, u), lambda u: gain * lfilter(B, A, u), 900, size)
+        with pytest.warns(UserWarning, match="on the gain from u to y is .* times the model's|another one there"):
+            model = identify(y, u, OutputError(2, 2))
+        assert model.findings[-1].kind == "another plant"
+
+
+@pytest.mark.parametrize("slow", [1, 5])
+def test_much_noise_is_no_change_of_the_gain(slow):
+    for seed in range(4):
+        rng = np.random.default_rng([28, seed])
+        u = rng.choice([-1.0, 1.0], 1500).repeat(slow)[:1500]
+        clean = lfilter(B, A, u)
+        noise = lfilter([1.0], [1.0, -0.5], rng.normal(size=1500))
+        # Twice as much of it in the second half.
+        y = clean + clean.std() * noise / noise.std() * np.where(np.arange(1500) < 750, 0.5, 1.0)
+        assert identify(y, u, OutputError(2, 2)).findings == ()
+
+
+@pytest.mark.parametrize("seed", [0, 4])
+def test_a_pole_that_moves_in_much_noise_is_told_by_two_parts_together(seed):
+    y, u = in_noise(seed, lambda u: lfilter(B, A, u), lambda u: lfilter(B, [1.0, -1.5, 0.6], u), 750, 0.6)
+    with pytest.warns(UserWarning, match="follow u: the plant is another one there"):
+        identify(y, u, OutputError(2, 2))
+
+
 def test_an_angle_that_wraps_is_said_and_a_plant_that_switches_is_not():
     rng = np.random.default_rng(99)
     u = rng.choice([-1.0, 1.0], 800).repeat(3)[:800]
@@ -237,6 +275,29 @@ def test_outliers_of_an_input_far_from_zero_do_not_move_its_operating_point():
         model = identify(y, read, OutputError(2, 2))
     np.testing.assert_allclose(model.theta, [*A[1:], *B[1:]], atol=0.1)
     assert model.operating_point == pytest.approx([2e5], abs=2.0)
+
+
+def test_gross_errors_do_not_hide_outliers_of_the_input():
+    # Three sizes: noise, what the inputs that were not as read leave, and errors far beyond; the mixture has two.
+    for seed in range(3):
+        rng, y, u = recording(30 + seed, share=0.0)
+        y = np.where(rng.random(u.size) < 0.03, 1e5 * rng.normal(size=u.size), y)
+        read = np.where(rng.random(u.size) < 0.05, 10.0 * rng.normal(size=u.size), u)
+        with pytest.warns(UserWarning, match="u has .* values unlike the others"):
+            model = identify(y, read, OutputError(2, 2))
+        np.testing.assert_allclose(model.theta, [*A[1:], *B[1:]], atol=0.1)
+
+
+def test_outliers_of_the_input_do_not_hide_another_plant():
+    for seed in range(3):
+        rng, y, u = recording(40 + seed, share=0.0)
+        read = np.where(rng.random(u.size) < 0.03, 10.0 * rng.normal(size=u.size), u)
+        changed = y + lfilter(B, A, u) * (np.arange(y.size) >= 600)
+        for whole in (changed, [changed[:600], changed[600:]]):
+            inputs = read if whole is changed else [read[:600], read[600:]]
+            with pytest.warns(UserWarning, match="another one there"):
+                model = identify(whole, inputs, OutputError(2, 2))
+            assert {"input outliers", "another plant"} <= {one.kind for one in model.findings}
 
 
 def test_a_tracker_says_that_its_input_has_outliers():

@@ -96,3 +96,18 @@ def test_without_outliers_psi_is_the_kalman_filters():
     np.testing.assert_array_equal(Contaminated(0.0, 8.0).psi(E), E)
     np.testing.assert_array_equal(Contaminated(0.0, 8.0).rho(E), 0.5 * E**2)
     np.testing.assert_array_equal(Contaminated(0.0, 8.0).psi_deriv(E), np.ones(E.shape))
+
+
+def test_with_outliers_of_two_sizes_the_likelihood_tells_less_noise_from_more():
+    rng = np.random.default_rng(11)
+    r = np.where(rng.random(2000) < 0.1, 20.0, 1.0) * rng.normal(size=2000)
+    gross = np.where(rng.random(2000) < 0.01, 1e6, 0.0) * rng.normal(size=2000)
+    fitted = [Noise(START, mad_scale(one) ** 2).settled(one) for one in (r + gross, 10.0 * r + gross)]
+    less, more = (noise.log_likelihood(one) for noise, one in zip(fitted, (r + gross, 10.0 * r + gross), strict=True))
+    # Nearly log(10) a sample; the largest are the same in both.
+    assert less - more == pytest.approx(2000 * np.log(10.0), rel=0.05)
+
+
+def test_within_its_reach_the_likelihood_is_that_of_the_density():
+    e = np.linspace(-20.9, 20.9, 101)
+    assert Noise(MIXTURE, 1.0).log_likelihood(e) == pytest.approx(np.log(density(e)).sum(), rel=1e-7)

@@ -7,8 +7,8 @@ import pytest
 from scipy.signal import lfilter
 
 from robust_filterpy.identification import ARX, FIR, BoxJenkins, OutputError, ParameterTracker
+from robust_filterpy.identification.models import gain
 from robust_filterpy.identification.models.dependence import autocovariances, dependence
-from robust_filterpy.identification.recursive import gain
 from robust_filterpy.identification.recursive.watch import LostTrackerWarning, _moved
 
 A, B = np.array([1.0, -1.5, 0.7]), np.array([0.0, 1.0, 0.5])

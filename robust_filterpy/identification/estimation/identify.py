@@ -292,7 +292,8 @@ def _in_recording(problem: Problem, recorded: Recordings, chosen: str) -> tuple[
     # A row of the caller's regressor is no input that is held.
     best = find(problem.u) if problem.structure.takes_phi else beside_input_outliers(problem.u, find)
     findings = (*best.findings, *with_wraps(problem, recorded.y, best.model))
-    return best.model, findings if best.held else (*findings, *unlike_in_parts(problem, recorded.y, best.model))
+    acted = problem.of_inputs(best.u) if best.held else problem
+    return best.model, (*findings, *unlike_in_parts(acted, recorded.y, best.model))
 
 
 def _of_outputs(y: Any, u: Any, structure: StateSpace | GreyBox, told: _Told) -> StateSpaceModel | GreyBoxModel:

@@ -14,6 +14,7 @@ from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.cleaning import cleaned
 from robust_filterpy.identification.estimation.estimate import Problem, estimated
 from robust_filterpy.identification.estimation.trend import PRICE, Trend, impulse_output, piecewise_level
+from robust_filterpy.identification.models import gain
 from robust_filterpy.identification.models.dependence import LAGS, autocovariances, dependence, whitening_of
 from robust_filterpy.identification.models.findings import Finding
 from robust_filterpy.identification.models.model import Model
@@ -214,8 +215,11 @@ def unlike_in_parts(problem: Problem, y: Array, model: Model, others: bool = Fal
             residual[own] = model.residuals(y, problem.u)[own]
             # Predictions from outputs as measured carry their outliers to the residuals: what u alone makes does not.
             prediction[own] = (model.simulate(problem.u) + _trend(model, y))[own]
-    signals = np.column_stack((np.nan_to_num(prediction - _trend(model, y) - model.level), problem.u - problem.rest))
-    return unlike(residual, signals, others)
+    own = np.nan_to_num(prediction - _trend(model, y) - model.level)
+    found = unlike(residual, np.column_stack((own, problem.u - problem.rest)), others)
+    if found or others:
+        return found
+    return _another_gain(residual, gain.driven(model.structure, model.theta, own, problem.u))
 
 
 def unlike(residual: Array, signals: Array, others: bool = False) -> tuple[Finding, ...]:
@@ -239,17 +243,33 @@ def unlike(residual: Array, signals: Array, others: bool = False) -> tuple[Findi
     if not len(parts):
         return ()
     lags = min(LAGS, parts.shape[1] // _EACH_LAG) if others else LAGS
-    found = dependence(residual[parts], signals[parts], lags, whitening_of(autocovariances(residual)))
-    if not found.found.any():
+    whitening = whitening_of(autocovariances(residual))
+    # Two neighbours together are surer of a plant that differs from the model less.
+    for windows in (parts, np.hstack((parts[:-1], parts[1:]))):
+        found = dependence(residual[windows], signals[windows], lags, whitening) if len(windows) else None
+        if found is None or not found.found.any():
+            continue
+        where = windows[found.found]
+        first, last = int(where[0, 0]), int(where[-1, -1]) + 1
+        text = (
+            f"between samples {first} and {last} up to {100 * float(found.share.max()):.0f} % of what the model leaves "
+            "follow u: the plant is another one there, a sensor is stuck, or the structure is too small"
+        )
+        evidence = float(-2.0 * np.log(np.maximum(found.chance.min(), np.finfo(float).tiny)))
+        return (Finding("another plant", text, evidence, (first, last)),)
+    return ()
+
+
+def _another_gain(residual: Array, x: Array) -> tuple[Finding, ...]:
+    """Return in words by how much the gain of the plant changes in a recording, or nothing."""
+    sample, before, after, z = gain.broken(residual, x)
+    if not z:
         return ()
-    where = parts[found.found]
-    first, last = int(where[0, 0]), int(where[-1, -1]) + 1
     text = (
-        f"between samples {first} and {last} up to {100 * float(found.share.max()):.0f} % of what the model leaves "
-        "follow u: the plant is another one there, a sensor is stuck, or the structure is too small"
+        f"from about sample {sample} on the gain from u to y is {1.0 + after:.2f} times the model's, before "
+        f"{1.0 + before:.2f} times: the plant is another one there, or the structure is too small"
     )
-    evidence = float(-2.0 * np.log(np.maximum(found.chance.min(), np.finfo(float).tiny)))
-    return (Finding("another plant", text, evidence, (first, last)),)
+    return (Finding("another plant", text, z * z, (sample, residual.size)),)
 
 
 def _parts(samples: int, others: bool) -> Any:

@@ -131,8 +131,7 @@ class Outputs(NamedTuple):
         for i, part in enumerate(self.spans):
             for j, (own, e) in enumerate(zip(output[part].T, residual[part].T, strict=True)):
                 signals = np.column_stack((own - own.mean(), best.u[part] - rest))
-                # A model of inputs that are held back leaves what these did.
-                quiet = best.held or best.model.noise[j].is_rounding
+                quiet = best.model.noise[j].is_rounding
                 more = () if quiet else unlike(e, signals, len(self.spans) > 1)
                 found += self._named(i, j, [*wraps(self.y[part, j], e), *more])
         # Of what is rounding alone nothing went back to the input.

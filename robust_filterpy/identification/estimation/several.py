@@ -47,8 +47,9 @@ def of_several(problem: Problem, y: Array, trend: str) -> tuple[Model, tuple[Fin
     """
     best = beside_input_outliers(problem.u, lambda u: _beside_outputs(problem.of_inputs(u), y, trend))
     model, findings = best.model, best.findings
+    acted = problem.of_inputs(best.u) if best.held else problem
     for i, part in enumerate(problem.spans):
-        unlike = () if best.held else unlike_in_parts(problem.alone(i), y[part], model, True)
+        unlike = unlike_in_parts(acted.alone(i), y[part], model, True)
         findings = (*findings, *(_of_recording(i, one) for one in unlike))
     return model, findings
 

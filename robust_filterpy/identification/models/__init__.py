@@ -20,7 +20,7 @@
 * `transfer_model`: a transfer function of python-control in the place of a model.
 * `findings`: what a recording has beside a model: fill values, level steps, ..; `unmeasured`: which of its samples are
   no measurements.
-* `dependence`: what is left of a model that follows its inputs.
+* `dependence`: what is left of a model that follows its inputs; `gain`: whether its gain is still the plant's.
 * `fit`: how well a model agrees with a recording.
 * `responses`: responses, poles and zeros of a model or tracker, as `response_records`; with bands by `banded` and
   `uncertainty`.

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.contaminated import SETTLING_STEPS, START, Contaminated, maximised
+from robust_filterpy.correction.contaminated import REACH, SETTLING_STEPS, START, Contaminated, maximised
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.influence.regression import mad_scale
 
@@ -101,9 +101,18 @@ class Noise:
         return max(float(np.mean(self.influence.psi_deriv(residual / math.sqrt(self.R)))), 1e-3)
 
     def log_likelihood(self, residual: Array) -> float:
-        """Return the log-likelihood of the residuals under the density that psi is made for."""
+        """Return the log-likelihood of the residuals under the density that psi is made for.
+
+        Beyond the reach of a `Contaminated` the density falls as Cauchy's does: with outliers of two sizes the smaller
+        ones set its ratio, and the larger ones would say nothing but that.
+        """
         normalizer = getattr(self.influence, "log_normalizer", lambda dim: 0.5 * dim * math.log(2.0 * math.pi))
-        return -self.cost(residual) - residual.size * (normalizer(1) + 0.5 * math.log(self.R))
+        beyond = 0.0
+        if isinstance(self.influence, Contaminated):
+            reach = REACH * self.influence.scale_ratio * math.sqrt(self.R)
+            beyond = 2.0 * float(np.sum(np.log(np.maximum(np.abs(residual) / reach, 1.0))))
+            residual = np.clip(residual, -reach, reach)
+        return -self.cost(residual) - beyond - residual.size * (normalizer(1) + 0.5 * math.log(self.R))
 
     def _maximised(self, mixture: Contaminated, residual: Array, steps: int) -> Noise:
         """Return the noise after some steps of expectation-maximisation."""

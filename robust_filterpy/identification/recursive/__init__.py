@@ -5,7 +5,7 @@
 * `state`: what moves, immutable, for n actuators. `track`: the driver, by the kernel, else by `recursion`, the
   definition.
 * `start`: samples that a model is made of. `handover`: from a model to a recursion. `watch`: whether an actuator is
-  lost. `gain`: whether its gain has changed. `noise_scale`: an R that is followed. `conditioning`: P repaired where it
+  lost. `noise_scale`: an R that is followed. `conditioning`: P repaired where it
   has lost digits.
 * `returning`: back to a state that was kept, or to the start; `held`: what a filter holds, put back.
 * `setup`, `bank_setup`: from arguments to filters and arrays, and what is refused.

@@ -10,6 +10,7 @@ import numpy as np
 from robust_filterpy._checks import Array
 from robust_filterpy._documentation import STOPPED, pointer
 from robust_filterpy.filters.stuck import StuckSensorWarning
+from robust_filterpy.identification.models import gain
 from robust_filterpy.identification.models.dependence import (
     CLIP,
     SHARE,
@@ -19,7 +20,6 @@ from robust_filterpy.identification.models.dependence import (
     whitening_of,
 )
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.recursive import gain
 from robust_filterpy.influence.regression import mad_scale
 
 __all__ = ["Followed", "LostTrackerWarning", "News", "Trouble", "Windows", "long_held"]

@@ -19,7 +19,7 @@ from robust_filterpy.identification.models.dependence import CLIP, level_and_sca
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.identification.models.structures import Structure
 
-__all__ = ["BLOCKS", "changed", "driven", "score"]
+__all__ = ["BLOCKS", "broken", "changed", "driven", "score"]
 
 #: Blocks of samples whose scores are kept.
 BLOCKS: Final = 12
@@ -31,6 +31,12 @@ _LEAST: Final = 0.1
 # Standard deviations, by either variance. In 320 quiet runs (white, coloured and changing noise, structures that are
 # too small) gains off by _LEAST reached 3.3.
 _SURE: Final = 4.5
+# The same where every split of a recording is tried, of so many blocks; fewer tell nothing beside a split.
+_SURE_OF_ANY: Final = 5.5
+_SPLIT: Final = 16
+_BESIDE: Final = 2.5
+# Of samples in a block, at least.
+_SHORTEST: Final = 30
 
 
 def driven(structure: Structure, theta: Array, prediction: Array, u: Array) -> Array:
@@ -109,3 +115,52 @@ def changed(scores: Array) -> float:
     g, n = s.sum() / i.sum(), i.sum() ** 2 / (i @ i)
     variance = max(float(i.sum()), float(np.square(s - g * i).sum()) * n / (n - 1.0)) / i.sum() ** 2
     return float(g) if abs(g) > max(_LEAST, _SURE * np.sqrt(variance)) else 0.0
+
+
+def broken(residual: Array, x: Array) -> tuple[int, float, float, float]:
+    """Return where the gain of a plant has changed in a recording, if it has.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (N,)
+        What the model of the whole recording leaves, NaN where y is missing.
+    x : ndarray, shape (M,)
+        Of `driven`, for the last samples.
+
+    Returns
+    -------
+    sample : int
+        The first one after the change.
+    before, after : float
+        By how much of the model's the gain is another one, about 0 on both sides if it is the same.
+    z : float
+        Their difference in standard deviations, 0 if by no more than chance or too little to matter.
+    """
+    e = residual[residual.size - x.size :]
+    known = ~np.isnan(e) & np.isfinite(x)
+    span = x.size // _SPLIT
+    nothing = (residual.size, 0.0, 0.0, 0.0)
+    if span < _SHORTEST or known.sum() < x.size // 4:
+        return nothing
+    level, scale = level_and_scale(e, known)
+    clipped = np.where(known, np.clip(e - level, -CLIP * scale, CLIP * scale), 0.0)
+    R = float(clipped @ clipped) / known.sum()
+    if not R > 0.0:
+        return nothing
+    clipped, centred = (np.where(known, part - part[known].mean(), 0.0) for part in (clipped, np.where(known, x, 0.0)))
+    first = x.size - span * _SPLIT
+    blocks = (clipped * centred / R, centred * centred / R)
+    s, i = (one[first:].reshape(_SPLIT, span).sum(axis=1) for one in blocks)
+    found = nothing
+    for k in range(1, _SPLIT):
+        sides = [np.arange(_SPLIT) < k, np.arange(_SPLIT) >= k]
+        told = np.array([i[side].sum() for side in sides])
+        if min(i[side].sum() ** 2 / max(i[side] @ i[side], 1e-300) for side in sides) < _BESIDE:
+            continue
+        g = np.array([s[side].sum() for side in sides]) / told
+        left = s - np.where(sides[0], *g) * i
+        scattered = max(1.0, float(left @ left) / i.sum() * _SPLIT / (_SPLIT - 2.0))
+        z = float(np.diff(g)[0] / np.sqrt(scattered * (1.0 / told).sum()))
+        if np.abs(g).max() > _LEAST and abs(z) > max(_SURE_OF_ANY, abs(found[3])):
+            found = residual.size - x.size + first + k * span, float(g[0]), float(g[1]), z
+    return found
