@@ -72,6 +72,16 @@ def test_a_sensor_that_is_stuck_in_most_samples_is_taken_for_missing(name):
     assert np.isnan(last(left)[24:216]).all() and np.isnan(left).sum() == 192 + np.isnan(left[:24]).sum()
 
 
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_a_sensor_that_is_stuck_for_a_short_while_is_taken_for_missing(name):
+    _, y, u, expected = recording(name, 9, 700)
+    last(y)[300:366] = last(y)[300]
+    with pytest.warns(UserWarning, match="in 66 of 700 samples, whatever u does"):
+        model = modelled(name, y, u)
+    assert gain(name, model) == pytest.approx(expected, rel=0.1)
+    assert [(one.kind, one.place) for one in model.findings] == [("stuck", (300, 366))]
+
+
 def test_a_sensor_that_is_stuck_here_and_there_or_without_an_input_is_said_too():
     rng, y, u, expected = recording("states", 2)
     y[rng.random(240) < 0.7, 1] = 0.123

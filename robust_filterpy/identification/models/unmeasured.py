@@ -1,8 +1,8 @@
 """What of recorded outputs is no measurement: fill values, a sensor that is stuck, a copy of another signal.
 
-A measured output has noise, and hardly ever the same number twice. A number that most samples have, while the others
-are all different, is no rounding; and if inputs moved as much then as at other times, it is no rest of the plant. A
-robust estimate takes the majority for the plant, so such samples are taken for missing.
+A measured output has noise, and hardly ever the same number twice. A number that many samples have, or a stretch of
+them, while the others are all different, is no rounding; and if inputs moved as much then as at other times, it is no
+rest of the plant. A robust estimate takes the majority for the plant, so such samples are taken for missing.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from robust_filterpy.identification.models.findings import Finding, of_fill_valu
 
 __all__ = ["measurements", "require_motion"]
 
-# A number that so many samples have, and such a share of them, is often; the others differ if this share of them does.
+# A number that so many samples have, and such a share of them or in a row, is often; the others differ if this share of
+# them does.
 _OFTEN: Final = 20
 _OFTEN_SHARE: Final = 0.1
 _DIFFERENT: Final = 0.9
@@ -108,8 +109,10 @@ def _without_held(y: Array, u: Array) -> tuple[Array, list[Finding]]:
 def _held(y: Array, u: Array) -> tuple[Array, int]:
     """Return the numbers at which an output is stuck, and how many samples have no number that is as often."""
     known = ~np.isnan(y)
-    values, counts = np.unique(y[known], return_counts=True)
+    values, which, counts = np.unique(y[known], return_inverse=True, return_counts=True)
     often = counts >= max(_OFTEN, _OFTEN_SHARE * known.sum())
+    begins = np.flatnonzero(np.diff(which, prepend=-1))
+    often[which[begins[np.diff(begins, append=which.size) >= _OFTEN]]] = True
     others = int(known.sum() - counts[often].sum())
     # Of a few numbers that are all often nobody can say that they are no rounding.
     if (~often).sum() < _DIFFERENT * others or (others < _LEAST_OTHERS and often.sum() > 1):
