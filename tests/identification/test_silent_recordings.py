@@ -151,6 +151,24 @@ def test_a_short_recording_of_another_plant_in_a_list_is_said(name):
         assert modelled(name, same, inputs).findings == ()
 
 
+@pytest.mark.parametrize("name", [*STRUCTURES, "states with a disturbance"])
+def test_a_gain_that_changes_in_much_noise_is_said_of_every_structure(name):
+    structure = StateSpace(2, disturbance=True) if name not in STRUCTURES else STRUCTURES[name]
+    rng, y, u, _ = recording("states" if name not in STRUCTURES else name, 10, 900)
+    noise = rng.normal(size=y.shape)
+    if name == "ARX":
+        noise = lfilter([1.0], A, noise)
+    y += 0.5 * y.std() / noise.std() * noise
+    changed = np.where(np.arange(900) < 500, 1.0, 0.5).reshape(-1, *[1] * (y.ndim - 1)) * y
+    times = {"t": timed(y)} if name == "physics" else {}
+    with pytest.warns(UserWarning, match="the plant is another one there"):
+        model = identify(changed, u, structure, progress=False, **times)
+    assert {one.kind for one in model.findings} == {"another plant"}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        identify(y, u, structure, progress=False, **times)
+
+
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_a_few_wild_inputs_are_held_back_and_not_taken_for_another_plant_or_a_step(name):
     rng, y, u, expected = recording(name, 8, 150)

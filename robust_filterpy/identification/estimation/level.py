@@ -24,6 +24,7 @@ from robust_filterpy.influence.regression import mad_scale
 __all__ = [
     "TRENDS",
     "Beside",
+    "another_gain",
     "beside_input_outliers",
     "beside_trend",
     "break_finding",
@@ -219,7 +220,7 @@ def unlike_in_parts(problem: Problem, y: Array, model: Model, others: bool = Fal
     found = unlike(residual, np.column_stack((own, problem.u - problem.rest)), others)
     if found or others:
         return found
-    return _another_gain(residual, gain.driven(model.structure, model.theta, own, problem.u))
+    return another_gain(residual, gain.driven(model.structure, model.theta, own, problem.u))
 
 
 def unlike(residual: Array, signals: Array, others: bool = False) -> tuple[Finding, ...]:
@@ -260,8 +261,21 @@ def unlike(residual: Array, signals: Array, others: bool = False) -> tuple[Findi
     return ()
 
 
-def _another_gain(residual: Array, x: Array) -> tuple[Finding, ...]:
-    """Return in words by how much the gain of the plant changes in a recording, or nothing."""
+def another_gain(residual: Array, x: Array) -> tuple[Finding, ...]:
+    """Find out whether the gain of the plant changes in a recording, from all of its samples together.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (N,)
+        What the model leaves, NaN where there is nothing.
+    x : ndarray, shape (M,)
+        What it makes of the inputs, as it stands in the last M residuals (`gain.driven`).
+
+    Returns
+    -------
+    tuple of Finding
+        One, or none.
+    """
     sample, before, after, z = gain.broken(residual, x)
     if not z:
         return ()

@@ -14,7 +14,13 @@ import numpy as np
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.feedback import feedback
-from robust_filterpy.identification.estimation.level import Beside, beside_input_outliers, break_finding, unlike
+from robust_filterpy.identification.estimation.level import (
+    Beside,
+    another_gain,
+    beside_input_outliers,
+    break_finding,
+    unlike,
+)
 from robust_filterpy.identification.estimation.trend import PRICE, Trend, impulse_output, piecewise_level
 from robust_filterpy.identification.estimation.wraps import wraps
 from robust_filterpy.identification.models.findings import Finding
@@ -104,7 +110,14 @@ class Outputs(NamedTuple):
         return Beside(model, () if line else tuple(findings), levels)
 
     def left(
-        self, best: Beside, output: Array, residual: Array, rest: Array, direct: bool, meaning: str
+        self,
+        best: Beside,
+        output: Array,
+        residual: Array,
+        rest: Array,
+        direct: bool,
+        meaning: str,
+        driven: Array | None = None,
     ) -> tuple[Finding, ...]:
         """Find what a model leaves: another plant, wraps, feedback.
 
@@ -122,6 +135,8 @@ class Outputs(NamedTuple):
             Whether inputs may move outputs at once.
         meaning : str
             What a closed loop means for the model.
+        driven : ndarray, shape (N, p), optional
+            What the model makes of the inputs as it stands in the residuals. Default: `output`.
 
         Returns
         -------
@@ -133,6 +148,8 @@ class Outputs(NamedTuple):
                 signals = np.column_stack((own - own.mean(), best.u[part] - rest))
                 quiet = best.model.noise[j].is_rounding
                 more = () if quiet else unlike(e, signals, len(self.spans) > 1)
+                if not (more or quiet or len(self.spans) > 1):
+                    more = another_gain(e, own if driven is None else driven[:, j])
                 found += self._named(i, j, [*wraps(self.y[part, j], e), *more])
         # Of what is rounding alone nothing went back to the input.
         if best.u.shape[1] and not all(one.is_rounding for one in best.model.noise):

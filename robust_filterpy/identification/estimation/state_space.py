@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from scipy.signal import dlsim
 
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
@@ -127,10 +128,12 @@ def identified_state_space(
         if edges is not None:
             held = partial(_held, told._replace(y=y, u=u), spans, influence)
             model = focused_states(y, u, model, edges, filtered, held)
+        output = each(y, u, model.free_run)
         left = whole.left(
-            best, each(y, u, model.free_run), each(y, u, model.residuals), model.operating_point, structure.feedthrough,
+            best, output, each(y, u, model.residuals), model.operating_point, structure.feedthrough,
             "K is unbiased only as far as it is right about the noise" if structure.disturbance
             else "it is biased by that unless the noise is white: disturbance=True models the noise",
+            _driven(model, output),
         )  # fmt: skip
     trends = tuple((fingerprint(told.y[part]), best.levels[part]) for part in spans if best.levels[part].any())
     return replace(model, findings=(*told.findings, *best.findings, *left), trends=trends)
@@ -159,6 +162,15 @@ def _modelled(
     T = balancing(one.A, one.B, one.C)
     model = _in_units(tried[best], T, units, told, spans, known, rest, structure, carried)
     return replace(model, orders=tuple((n, found.criterion) for n, found in zip(orders, tried, strict=False)))
+
+
+def _driven(model: StateSpaceModel, output: Array) -> Array:
+    """Return an output's deviations as they stand in the innovations, shape (N, p)."""
+    deviation = output - output.mean(axis=0)
+    if not model.structure.disturbance:
+        return deviation
+    system = (model.A - model.K @ model.C, model.K, -model.C, np.eye(deviation.shape[1]), 1.0)
+    return np.asarray(dlsim(system, deviation)[1])
 
 
 def _held(told: Recordings, spans: list[slice], influence: Influence | None, of: StateSpaceModel) -> StateSpaceModel:
