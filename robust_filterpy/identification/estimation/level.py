@@ -203,6 +203,9 @@ def unlike_in_parts(problem: Problem, y: Array, model: Model, others: bool = Fal
     if whole is None:
         prediction = model.predict(y, problem.u)
         residual = y - prediction
+        if model.structure.nd:
+            # A prediction follows a level that wanders, and after a jump of it both are off together for a while.
+            prediction = model.simulate(problem.u) + _trend(model, y)
     else:
         # A part that is nearly all outliers is of another plant, whatever replaces them.
         told = ~np.isnan(y) & (np.arange(y.size) >= whole.prepared.first)
