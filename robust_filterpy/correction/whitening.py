@@ -13,10 +13,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction.standardization import SingularInnovationError, singular_error
 
 Inverse = Callable[[Array], Array]
-_LARGEST = sys.float_info.max
 _EPS = sys.float_info.epsilon
-# Up to here a product with T does not overflow.
-SAFE = 1e150
 
 
 def standardize(S: Array, scaling: str, inv: Inverse | None = None) -> tuple[Array, Array | None, Array | None]:
@@ -73,22 +70,6 @@ def standardize(S: Array, scaling: str, inv: Inverse | None = None) -> tuple[Arr
     # Exactly I where it is I: rounding must not mix the sensors.
     T = np.eye(m) if values[-1] <= 1.0 else (vectors / np.sqrt(np.maximum(values, 1.0))).dot(vectors.T)
     return T, (vectors / values).dot(vectors.T), (vectors * np.maximum(1.0 - values, 0.0)).dot(vectors.T)
-
-
-def standardized(T: Array, y: Array) -> Array:
-    """Return e = T y (paper 29), finite even where the product overflows."""
-    peak = max(map(abs, y.tolist()))
-    if peak < SAFE:
-        e = T.dot(y)
-        if math.isfinite(e.sum()):
-            return e
-    with np.errstate(over="ignore"):
-        # Columns of T are scaled by the units of the sensors: divided by them first, no product overflows alone.
-        unit = np.abs(T).max(axis=0)
-        scaled = unit * (y / peak)
-        largest = np.abs(scaled).max() or 1.0
-        e = (T / np.where(unit > 0.0, unit, 1.0)).dot(scaled / largest)
-        return np.clip(np.clip(e * largest, -_LARGEST, _LARGEST) * peak, -_LARGEST, _LARGEST)
 
 
 def _correlation_whitening(S: Array) -> Array:

@@ -84,17 +84,10 @@ def score(residuals: Array, x: Array, n: int) -> tuple[float, float]:
     -------
     score, information : float
     """
-    e, x = residuals[residuals.size - x.size :], x[max(x.size - residuals.size, 0) :]
-    known = ~np.isnan(e) & np.isfinite(x)
-    if x.size < n or known.sum() < residuals.size // 4:
+    samples = _of_samples(residuals, x)
+    if samples is None or x.size < n:
         return 0.0, 0.0
-    level, scale = level_and_scale(e, known)
-    clipped = np.where(known, np.clip(e - level, -CLIP * scale, CLIP * scale), 0.0)
-    R = float(clipped @ clipped) / known.sum()
-    if not R > 0.0:
-        return 0.0, 0.0
-    clipped, x = (np.where(known, part - part[known].mean(), 0.0)[-n:] for part in (clipped, np.where(known, x, 0.0)))
-    return float(clipped @ x) / R, float(x @ x) / R
+    return float(samples[0, -n:].sum()), float(samples[1, -n:].sum())
 
 
 def changed(scores: Array) -> float:
@@ -136,21 +129,11 @@ def broken(residual: Array, x: Array) -> tuple[int, float, float, float]:
     z : float
         Their difference in standard deviations, 0 if by no more than chance or too little to matter.
     """
-    e = residual[residual.size - x.size :]
-    known = ~np.isnan(e) & np.isfinite(x)
-    span = x.size // _SPLIT
-    nothing = (residual.size, 0.0, 0.0, 0.0)
-    if span < _SHORTEST or known.sum() < x.size // 4:
+    nothing, samples, span = (residual.size, 0.0, 0.0, 0.0), _of_samples(residual, x), x.size // _SPLIT
+    if samples is None or span < _SHORTEST:
         return nothing
-    level, scale = level_and_scale(e, known)
-    clipped = np.where(known, np.clip(e - level, -CLIP * scale, CLIP * scale), 0.0)
-    R = float(clipped @ clipped) / known.sum()
-    if not R > 0.0:
-        return nothing
-    clipped, centred = (np.where(known, part - part[known].mean(), 0.0) for part in (clipped, np.where(known, x, 0.0)))
     first = x.size - span * _SPLIT
-    blocks = (clipped * centred / R, centred * centred / R)
-    s, i = (one[first:].reshape(_SPLIT, span).sum(axis=1) for one in blocks)
+    s, i = samples[:, first:].reshape(2, _SPLIT, span).sum(axis=2)
     found = nothing
     for k in range(1, _SPLIT):
         sides = [np.arange(_SPLIT) < k, np.arange(_SPLIT) >= k]
@@ -164,3 +147,18 @@ def broken(residual: Array, x: Array) -> tuple[int, float, float, float]:
         if np.abs(g).max() > _LEAST and abs(z) > max(_SURE_OF_ANY, abs(found[3])):
             found = residual.size - x.size + first + k * span, float(g[0]), float(g[1]), z
     return found
+
+
+def _of_samples(residual: Array, x: Array) -> Array | None:
+    """Return what each sample that x tells of adds to score and information, shape (2, M); None if nearly none do."""
+    e = residual[residual.size - x.size :]
+    known = ~np.isnan(e) & np.isfinite(x)
+    if known.sum() < max(x.size // 4, 1):
+        return None
+    level, scale = level_and_scale(e, known)
+    clipped = np.where(known, np.clip(e - level, -CLIP * scale, CLIP * scale), 0.0)
+    R = float(clipped @ clipped) / known.sum()
+    if not R > 0.0:
+        return None
+    clipped, x = (np.where(known, part - part[known].mean(), 0.0) for part in (clipped, np.where(known, x, 0.0)))
+    return np.stack((clipped * x, x * x)) / R
