@@ -82,6 +82,22 @@ def test_a_sensor_that_is_stuck_for_a_short_while_is_taken_for_missing(name):
     assert [(one.kind, one.place) for one in model.findings] == [("stuck", (300, 366))]
 
 
+def test_a_dead_time_is_not_stuck_and_a_sensor_that_becomes_slow_is_said_once():
+    rng = np.random.default_rng([94, 12])
+    u = rng.choice([-1.0, 1.0], 1000)
+    y = lfilter(B, A, u) + 0.1 * rng.normal(size=1000)
+    late = lfilter([0.0] * 31 + [0.3], [1.0, -0.7], u)  # without noise: exactly 0 for 31 samples
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        identify(late, u, OutputError(1, 1, 31))
+    for begin in range(500, 1000, 25):
+        y[begin : begin + 25] = y[begin]
+    with pytest.warns(UserWarning, match="y is .* or one of .* more numbers in .* of 1000 samples, whatever u does"):
+        model = modelled("output error", y, u)
+    assert [one.kind for one in model.findings] == ["stuck"]
+    np.testing.assert_allclose(model.theta, [*A[1:], *B[1:]], atol=0.05)
+
+
 def test_a_sensor_that_is_stuck_here_and_there_or_without_an_input_is_said_too():
     rng, y, u, expected = recording("states", 2)
     y[rng.random(240) < 0.7, 1] = 0.123

@@ -22,6 +22,7 @@ __all__ = ["measurements", "require_motion"]
 _OFTEN: Final = 20
 _OFTEN_SHARE: Final = 0.1
 _DIFFERENT: Final = 0.9
+_NAMED: Final = 3
 # Fewer others tell no dynamics.
 _LEAST_OTHERS: Final = 12
 # An input that moves by less than this share of its usual motion, so many samples before or less, may hold the output.
@@ -95,11 +96,13 @@ def _without_held(y: Array, u: Array) -> tuple[Array, list[Finding]]:
         return y, []
     found, signal, known = [], y.copy(), int((~np.isnan(y)).sum())
     told = ", whatever u does," if u.shape[1] else ""
-    for value in values:
-        places = np.flatnonzero(y == value)
+    # Of many numbers one sentence.
+    for stuck in [values] if values.size > _NAMED else values[:, None]:
+        places = np.flatnonzero(np.isin(y, stuck))
+        more = f" or one of {stuck.size - 1} more numbers" if stuck.size > 1 else ""
         text = (
-            f"y is {value:.6g} in {places.size} of {known} samples{told} and hardly any other number twice: the sensor "
-            "is stuck, at its limit or in a dead band; taken for missing"
+            f"y is {stuck[0]:.6g}{more} in {places.size} of {known} samples{told} and hardly any other number twice: "
+            "the sensor is stuck, at its limit or in a dead band; taken for missing"
         )
         found.append(Finding("stuck", text, float("nan"), (int(places[0]), int(places[-1]) + 1)))
         signal[places] = np.nan
@@ -112,7 +115,8 @@ def _held(y: Array, u: Array) -> tuple[Array, int]:
     values, which, counts = np.unique(y[known], return_inverse=True, return_counts=True)
     often = counts >= max(_OFTEN, _OFTEN_SHARE * known.sum())
     begins = np.flatnonzero(np.diff(which, prepend=-1))
-    often[which[begins[np.diff(begins, append=which.size) >= _OFTEN]]] = True
+    # Not from the first sample on: until its dead time is over, a plant without noise has not moved yet.
+    often[which[begins[1:][np.diff(begins[1:], append=which.size) >= _OFTEN]]] = True
     others = int(known.sum() - counts[often].sum())
     # Of a few numbers that are all often nobody can say that they are no rounding.
     if (~often).sum() < _DIFFERENT * others or (others < _LEAST_OTHERS and often.sum() > 1):
