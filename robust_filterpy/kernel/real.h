@@ -48,10 +48,10 @@ typedef double real;
 #endif
 
 #if defined(_MSC_VER) && !defined(__clang__)
-#define INLINE static __forceinline
+#define INLINE static __inline
 #define RESTRICT __restrict
 #elif defined(__GNUC__) || defined(__clang__)
-#define INLINE static inline __attribute__((always_inline, unused))
+#define INLINE static inline __attribute__((unused))
 #define RESTRICT __restrict__
 #else
 #define INLINE static inline
