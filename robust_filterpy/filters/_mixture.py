@@ -104,7 +104,7 @@ class Mixture:
 
     def start(self, x: Array, P: Array, sensors: int) -> Kept | None:
         """Return the copies, all at x, P; None where there is but one."""
-        return Kept(*side_by_side.start(x, P, self.scales), x, P) if self.scales.count > 1 else None
+        return Kept(*side_by_side.start(x, P, self.scales), x.copy(), P.copy()) if self.scales.count > 1 else None
 
     def current(self, kept: Kept | None, x: Array, P: Array) -> Kept:
         """Return the copies; all of them at x, P if these have been assigned from outside."""
@@ -143,8 +143,8 @@ class Mixture:
             return nothing_observed(x, P, H.dot(P).dot(H.T) + ordinary, len(H)), known.kept
         after = Kept(*found.copies, *merged_to)
         record = Mixed(
-            after.x.copy(), after.P.copy(), *found[1:], kept.x.copy(), kept.P.copy(), H.copy(), R.copy(), M, z,
-            known.memory, together=self._named,
+            after.x.copy(), after.P.copy(), *found[1:], kept.x.copy(), kept.P.copy(), H.copy(), R.copy(),
+            None if M is None else M.copy(), z, known.memory, together=self._named,
         )  # fmt: skip
         return record, None if known.kept is None else after
 
@@ -173,7 +173,7 @@ class Mixture:
         covariance = found.copies.P[0, :n, :n]
         mean, covariance = x + found.copies.x[0, :n], 0.5 * (covariance + covariance.T)
         return Mixed(
-            mean, covariance, *found[1:], np.zeros(n), P.copy(), H, R.copy(), None, y, known.memory, unexplained,
+            mean, covariance, *found[1:], np.zeros(n), P.copy(), H.copy(), R.copy(), None, y, known.memory, unexplained,
             self._named,
         ), known.kept  # fmt: skip
 

@@ -1,0 +1,121 @@
+"""What a program writes into an array of a filter where it stands counts as what it assigns, in every class."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter, MerweScaledSigmaPoints
+from support import recovering, told, two_sided
+
+from robust_filterpy import (
+    AdaptiveKalmanFilter,
+    RobustCubatureKalmanFilter,
+    RobustExtendedKalmanFilter,
+    RobustKalmanFilter,
+    RobustUnscentedKalmanFilter,
+)
+
+F = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.1], [0.0, 0.0, 0.95]])
+H = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.2]])
+
+
+class Extended(RobustExtendedKalmanFilter):
+    def update(self, z):
+        super().update(z, lambda x: self.H, lambda x: self.H @ x)
+
+
+def unscented(**options):
+    points = MerweScaledSigmaPoints(3, 0.5, 2.0, 0.0)
+    return RobustUnscentedKalmanFilter(3, 2, 0.1, lambda x: H @ x, lambda x, dt: F @ x, points, **options)
+
+
+def cubature(**options):
+    return RobustCubatureKalmanFilter(3, 2, 0.1, lambda x: H @ x, lambda x, dt: F @ x, **options)
+
+
+LINEAR = (RobustKalmanFilter, partial(RobustKalmanFilter, scaling="innovation"), recovering, told, two_sided)
+LINEAR = *LINEAR, partial(RobustKalmanFilter, noise="learnt"), AdaptiveKalmanFilter
+NAMES = "default", "innovation", "recovering", "told", "two_sided", "learnt", "adaptive"
+MAKERS = {
+    **{name: partial(cls, 3, 2, 1) for name, cls in zip(NAMES, LINEAR, strict=True)},
+    "extended": partial(Extended, 3, 2, 1), "extended_learnt": partial(Extended, 3, 2, 1, noise="learnt"),
+    "unscented": unscented, "unscented_learnt": partial(unscented, noise="learnt"), "cubature": cubature,
+}  # fmt: skip
+SHOWN = "x P x_prior P_prior x_post P_post y S K weights log_likelihood".split()
+
+
+def drawn(rng, kf):
+    """Draw what is done to a filter next: a step, or a change of one of its arrays."""
+    kind = rng.integers(7)
+    if kind < 2:
+        u = None if getattr(kf, "B", None) is None or not isinstance(kf.B, np.ndarray) else rng.normal(size=1)
+        return (lambda one: one.predict(u)) if u is not None else lambda one: one.predict()
+    if kind < 4:
+        z = 3.0 * rng.normal(size=2) * (100.0 if rng.random() < 0.1 else 1.0)
+        # A sigma-point filter corrects by the points of its prediction, as often as there is one.
+        return lambda one: (hasattr(kf, "sigmas_f") and one.predict(), one.update(z))
+    name = rng.choice([name for name in "xPFHQRBM" if isinstance(getattr(kf, name, None), np.ndarray)])
+    factor = float(rng.choice([0.5, 2.0, 1000.0])) if name in "PQR" else 1.0
+    add = rng.normal(size=np.shape(getattr(kf, name))) * (0.01 if name in "FHBM" else 0.0 if name in "PQR" else 5.0)
+    place = slice(None) if name in "PQR" else slice(0, int(rng.integers(1, 3)))
+    return name, lambda array: array[place].__imul__(factor).__iadd__(add[place])
+
+
+def done(kf, change, assigns):
+    """Do it, a change by assignment or in place."""
+    if callable(change):
+        return change(kf)
+    name, write = change
+    array = getattr(kf, name)
+    array = array.copy() if assigns else array
+    write(array)
+    return setattr(kf, name, array) if assigns else None
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_a_write_in_place_is_an_assignment(name):
+    for seed in range(5):
+        rng, one, other = np.random.default_rng(seed), MAKERS[name](), MAKERS[name]()
+        for kf in (one, other):
+            kf.H, kf.F, kf.B = H.copy(), F.copy(), 0.1 * np.ones((3, 1))
+        for _ in range(40):
+            change = drawn(rng, one)
+            done(one, change, False)
+            done(other, change, True)
+            reads = SHOWN if rng.random() < 0.5 else SHOWN[:2]
+            for shown in reads:
+                found = np.asarray(getattr(one, shown, np.nan), dtype=float)
+                np.testing.assert_array_equal(found, np.asarray(getattr(other, shown, np.nan), dtype=float), shown)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_box_set_up_in_place_as_sort_does_it_follows_filterpy(name):
+    """abewley/sort, KalmanBoxTracker: x, P, Q and R are written where they stand."""
+
+    def tracker(cls):
+        kf = cls(dim_x=7, dim_z=4)
+        kf.F = np.eye(7) + np.eye(7, k=4)
+        kf.H = np.eye(4, 7)
+        kf.R[2:, 2:] *= 10.0
+        kf.P[4:, 4:] *= 1000.0
+        kf.P *= 10.0
+        kf.Q[-1, -1] *= 0.01
+        kf.Q[4:, 4:] *= 0.01
+        kf.x[:4] = box(0)
+        return kf
+
+    rng = np.random.default_rng(5)
+
+    def box(k):
+        return np.array([300.0 + 4.0 * k, 200.0 - 2.0 * k, 8000.0 + 30.0 * k, 0.5])[:, None]
+
+    ours, theirs = tracker(LINEAR[NAMES.index(name)]), tracker(KalmanFilter)
+    np.testing.assert_array_equal(ours.x, theirs.x)
+    for k in range(1, 30):
+        z = box(k) + np.array([[2.0], [2.0], [60.0], [0.005]]) * rng.normal(size=(4, 1))
+        for kf in (ours, theirs):
+            kf.predict()
+            kf.update(z)
+        if k > 3:
+            off, usual = np.abs(ours.x[:4] - box(k)), np.abs(theirs.x[:4] - box(k))
+            assert (off < usual + [[12.0], [12.0], [360.0], [0.03]]).all(), (k, off.ravel(), usual.ravel())
