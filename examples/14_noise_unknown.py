@@ -2,7 +2,8 @@
 
 The data sheet of a sensor is wrong by a factor of ten, either way; a tenth of the samples are outliers; and halfway
 the sensor wears out: its ordinary noise triples. `AdaptiveKalmanFilter` learns the variance of ordinary noise, and how
-often and how far it is exceeded, from its own innovations. `tune` fits these numbers to a recording beforehand.
+often and how far it is exceeded, from its own innovations. `estimate_noise` fits these numbers to a recording
+beforehand.
 """
 
 # %% A point that moves with a nearly constant velocity; its position is measured.
@@ -12,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from robust_filterpy import AdaptiveKalmanFilter, RobustKalmanFilter, tune
+from robust_filterpy import AdaptiveKalmanFilter, Contaminated, RobustKalmanFilter, estimate_noise
 from robust_filterpy.plotting import LOOKS
 
 STEPS, WORN = 1600, 800
@@ -55,7 +56,8 @@ def main(argv=None):
     possible = rms(told, truth)
 
     _, practice, _ = simulate(np.random.default_rng(options.seed + 1))
-    tuned = tune(moving(RobustKalmanFilter(2, 1), 10.0), practice[:WORN])
+    kf = moving(RobustKalmanFilter(2, 1, noise=Contaminated()), 10.0)
+    fitted = estimate_noise(kf, practice[:WORN])
     makes = {
         "KalmanFilter": lambda R: moving(KalmanFilter(2, 1), R),
         "RobustKalmanFilter (Huber)": lambda R: moving(RobustKalmanFilter(2, 1), R),
@@ -65,10 +67,10 @@ def main(argv=None):
     print(f"{'error over the informed filter':32}" + "".join(f"   R told x {factor:<4g}" for factor in FACTORS))
     for name, values in loss.items():
         print(f"{name:32}" + "".join(f"{value:15.2f}" for value in values))
-    worn = rms(tuned.filter.batch_filter(zs)[0], truth) / possible
+    worn = rms(fitted.apply(kf).batch_filter(zs)[0], truth) / possible
     print(
-        f"tune, told R x 10, finds from a recording of the new sensor that it is {tuned.noise.R_scale[0]:.3f} of that; "
-        f"its filter does not learn on when the sensor wears: {worn:.2f}"
+        f"estimate_noise, told R x 10, says from a recording of the new sensor that it is "
+        f"{fitted.R_scale[0]:.3f} of that; a filter with that noise does not learn on when the sensor wears: {worn:.2f}"
     )
 
     learnt, errors = follow(makes["AdaptiveKalmanFilter"], zs)

@@ -21,5 +21,4 @@ from robust_filterpy.influence import Linear as Linear
 from robust_filterpy.influence import StudentT as StudentT
 from robust_filterpy.influence import TukeyBiweight as TukeyBiweight
 from robust_filterpy.noise import estimate_noise as estimate_noise
-from robust_filterpy.noise import tune as tune
 from robust_filterpy.smoothing import smooth as smooth

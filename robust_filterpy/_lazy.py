@@ -11,7 +11,13 @@ import importlib
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
+
+#: Names that were public, and what does the same.
+_GONE = {
+    "tune": "kf = estimate_noise(kf, zs).apply(kf) fits a filter's noises, noise=Learnt() learns them while it runs",
+    "FilterBank": "filter_series(z[:, None], .., state=result.state) takes one step of many filters",
+}
 
 
 def attach(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
@@ -28,13 +34,24 @@ def attach(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], 
             return value
         rooms = [] if name.startswith("_") else _rooms(Path(file).parent, name)
         if not rooms:
-            raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        message = f"{package} has no `{name}`; it is in {' and in '.join(f'{package}.{room}' for room in rooms)}"
-        # An import statement asks first, and would put words of its own in the place of an AttributeError's.
-        imported = sys._getframe(1).f_globals.get("__name__") == "importlib._bootstrap"
-        raise (ImportError if imported else AttributeError)(message)
+            refuse(package, name)
+        refuse(package, name, f"it is in {' and in '.join(f'{package}.{room}' for room in rooms)}")
 
     return __getattr__, lambda: sorted(homes), sorted(homes)
+
+
+def refuse(package: str, name: str, mend: str = "") -> NoReturn:
+    """Raise for a name that a package does not have, and say where it is or what has taken its place."""
+    mend = mend or _GONE.get(name, "")
+    if not mend:
+        raise AttributeError(f"module {package!r} has no attribute {name!r}")
+    asking = sys._getframe(1)
+    if asking.f_globals.get("__name__") == __name__ and asking.f_back is not None:
+        asking = asking.f_back
+    # An import statement asks first, and would put words of its own in the place of an AttributeError's.
+    imported = asking.f_globals.get("__name__") == "importlib._bootstrap"
+    error = ImportError if imported else AttributeError
+    raise error(f"{package} has no `{name}`; {mend}")
 
 
 def _names(page: Path) -> dict[str, str]:

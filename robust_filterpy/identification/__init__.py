@@ -5,7 +5,7 @@
 * `recursive`: `ParameterTracker` and `TrackerBank`, sample by sample.
 * `judging`: `select_structure`, `validate`, `compare`.
 
-Imports from below: `influence`, `correction`, `kernel`, `filters`, `batch`.
+Imports from below: `influence`, `correction`, `kernel`, `filters`.
 """
 
 from __future__ import annotations

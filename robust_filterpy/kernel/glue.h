@@ -74,7 +74,7 @@ int is_symmetric(const double *a, npy_intp n);
 int is_covariance(const double *a, npy_intp n, double *work);        /* positive semidefinite; work: n n */
 int all_finite(const double *a, npy_intp count);
 
-/* The options of a filter from the array that carries them (see robust_filterpy.kernel.rule): 1 if they are that. */
+/* The options of a filter from the array that carries them (see robust_filterpy.kernel.series.rule): 1 if they are that. */
 int rule_of(PyObject *object, correction_rule *rule);
 int rule_of_numbers(const double numbers[8], correction_rule *rule);
 /* The same of a filter; 0 if the kernel does not know its options, -1 with an exception. */

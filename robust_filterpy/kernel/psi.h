@@ -1,4 +1,4 @@
-/* psi, psi' and rho of one number: robust_filterpy.influence.scalar in C. */
+/* psi, psi' and rho of one number: robust_filterpy.influence.functions in C. */
 #ifndef ROBUST_FILTERPY_PSI_H
 #define ROBUST_FILTERPY_PSI_H
 

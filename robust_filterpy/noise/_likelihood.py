@@ -13,7 +13,7 @@ from robust_filterpy._checks import Array
 
 #: Fewer measurements than this tell nothing of a variance.
 LEAST = 10
-# As in `robust_filterpy.correction.merging`: beyond so many standard deviations of the widest hypothesis no part of the
+# Beyond so many standard deviations of the widest hypothesis no part of the
 # noise model says anything, and a sentinel value weighs no more than any other outlier.
 _REACH = 8.0
 # By how much the first readings, in units of what they are, may be known better than P says before P is narrowed; and
@@ -163,8 +163,8 @@ def scaled(covariance: Array, logs: Array) -> Array:
 def log_likelihoods(data: Recording, logs_R: Array, logs_Q: Array, share: Array, ratio: Array) -> Array:
     """Return the log-likelihood of the recording for each of p candidates, which advance together.
 
-    Each step merges two hypotheses, ordinary or outlier, by moments: the noise-matched filter of
-    `robust_filterpy.filters.gaussian_sum`, for many noise models at once. The candidates are the last axis of every
+    Each step merges two hypotheses, ordinary or outlier, by moments: what `correction.copies` does
+    for one filter, for many noise models at once. The candidates are the last axis of every
     array, which numpy is quickest with.
     """
     p, n = len(share), len(data.x)

@@ -18,7 +18,6 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import Linear, RobustKalmanFilter
-from robust_filterpy.batch.bank import FilterBank
 from robust_filterpy.batch.series import filter_series
 
 SIZES = [(2, 1), (4, 1), (4, 2), (7, 4), (8, 1), (20, 5)]
@@ -31,7 +30,6 @@ TARGETS = [
     ("ours, batch", "statsmodels", [(20, 5)], 1.0),
     ("ours, series", "simdkalman", [(2, 1), (4, 1), (4, 2)], 0.2),
     ("ours, series", "simdkalman", [(7, 4), (8, 1), (20, 5)], 0.5),
-    ("ours, bank", "filterpy", [(4, 1)], 0.05),
 ]
 LINEAR, SECONDS, BYTES = 1.5, 1.0, 2e9
 
@@ -76,16 +74,6 @@ def ours_batch(p, **options):
 def ours_series(p, **options):
     """Return the last states of all series, filtered on one thread."""
     return filter_series(p.z, p.F, p.H, p.Q, p.R, p.x, p.P, n_threads=1, **options).x[:, -1]
-
-
-def ours_bank(p, **options):
-    """Return the last states of all series."""
-    bank = p.fill(FilterBank(len(p.z), p.n, p.m, **options))
-    bank.P = np.tile(p.P, (len(p.z), 1, 1))
-    for z in p.z.transpose(1, 0, 2):
-        bank.predict()
-        bank.update(z)
-    return bank.x
 
 
 def with_statsmodels(p):
@@ -140,7 +128,7 @@ def check(p) -> None:
     truth = filterpy_loop(p)
     for function in (with_statsmodels, with_simdkalman, with_pykalman):
         np.testing.assert_allclose(np.atleast_2d(function(p))[0], truth, rtol=1e-6, atol=1e-8)
-    for function in (ours_online, ours_batch, ours_series, ours_bank):
+    for function in (ours_online, ours_batch, ours_series):
         found = np.atleast_2d(function(p, influence=Linear()))[0]
         np.testing.assert_allclose(found, truth, rtol=1e-8, atol=1e-10)
 
@@ -163,7 +151,7 @@ def measured(steps: int, series: int, repeats: int) -> dict[tuple[int, int], dic
     """Return microseconds per step by size and name."""
     one = [("filterpy", filterpy_loop), ("statsmodels", with_statsmodels), ("pykalman", with_pykalman),
            ("ours, online", ours_online), ("ours, batch", ours_batch)]  # fmt: skip
-    many = [("simdkalman", with_simdkalman), ("ours, series", ours_series), ("ours, bank", ours_bank)]
+    many = [("simdkalman", with_simdkalman), ("ours, series", ours_series)]
     found = {}
     for n, m in SIZES:
         check(Problem(n, m, 2, 1200))
@@ -176,7 +164,7 @@ def measured(steps: int, series: int, repeats: int) -> dict[tuple[int, int], dic
 def table(found: dict[tuple[int, int], dict[str, float]], steps: int, series: int, repeats: int) -> str:
     """Return the table, in Markdown."""
     names = list(next(iter(found.values())))
-    heads = [f"{name} ({series})" if name in ("simdkalman", "ours, series", "ours, bank") else name for name in names]
+    heads = [f"{name} ({series})" if name in ("simdkalman", "ours, series") else name for name in names]
     lines = ["| dim_x, dim_z | " + " | ".join(heads) + " |", "|---" * (len(heads) + 1) + "|"]
     for (n, m), cost in found.items():
         cells = [f"{c:.3g} ({c / cost['filterpy']:.3f})" for c in cost.values()]

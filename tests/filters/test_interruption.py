@@ -17,7 +17,6 @@ from robust_filterpy import (
     Scales,
     TukeyBiweight,
 )
-from robust_filterpy.batch import FilterBank
 from robust_filterpy.filters.ensemble import RobustEnsembleKalmanFilter
 
 F, H = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[1.0, 0.0]])
@@ -126,26 +125,3 @@ def test_an_interrupt_leaves_no_half_step(name, call):
         make = lambda one: one.restore(later)  # noqa: E731
     half, lines = half_steps(kf, make, seen)
     assert half == [] and lines > 1
-
-
-@pytest.mark.parametrize(
-    "call",
-    [lambda bank: bank.predict(), lambda bank: bank.update([[0.5], [60.0]]), lambda bank: bank.restore(EARLIER)],
-    ids=["predict", "update", "restore"],
-)
-def test_an_interrupt_leaves_no_half_step_of_a_bank(call):
-    half, lines = half_steps(bank_at(4), call, lambda one: {**one.state(), "y": one.y, "S": one.S, "e": one.e})
-    assert half == [] and lines > 3
-
-
-def bank_at(steps):
-    """A bank after some steps."""
-    bank = FilterBank(2, dim_x=2, dim_z=1)
-    bank.F, bank.H, bank.Q = F.copy(), H.copy(), 0.01 * np.eye(2)
-    for _ in range(steps):
-        bank.predict()
-        bank.update([[0.1], [0.3]])
-    return bank
-
-
-EARLIER = bank_at(2).state()

@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from robust_filterpy import Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight, filter_series
-from robust_filterpy.batch import FilterBank
 from robust_filterpy.correction.options import GROUPINGS, INFORMATIONS
 from robust_filterpy.influence import Hampel
 
@@ -178,7 +177,7 @@ def agree(found, expected, states, what):
 
 
 def compare(seed):
-    """Require one answer of a loop, a recording, a series and a bank, with the kernel and without."""
+    """Require one answer of a loop, a recording and series, whole and step by step, with the kernel and without."""
     problem, zs, options, states = drawn(seed)
     p, n = problem, len(problem.x)
 
@@ -199,17 +198,15 @@ def compare(seed):
         result = filter_series(zs[None], p.F, p.H, p.Q, p.R, p.x.ravel(), p.P, keep="last", **options)
         return result.x[0, 0], result.P[0, 0]
 
-    def bank():
-        many = FilterBank(2, *problem.dims[:2], **options)
-        many.F, many.H, many.Q, many.R = p.F, p.H, p.Q, p.R
-        many.x, many.P = np.tile(p.x.ravel(), (2, 1)), np.tile(p.P, (2, 1, 1))
+    def steps():
+        start, model = {"x0": p.x.ravel(), "P0": p.P}, (p.F, p.H, p.Q, p.R)
         for z in zs:
-            many.predict()
-            many.update(np.tile(z, (2, 1)))
-        return many.x[1], many.P[1]
+            result = filter_series(np.tile(z, (2, 1, 1)), *model, **start, **options)
+            start = {"state": result.state}
+        return result.x[1, 0], result.P[1, 0]
 
     expected = loop(**options)
-    paths = {"loop": lambda: loop(**options), "batch": batch, "series": series, "bank": bank}
+    paths = {"loop": lambda: loop(**options), "batch": batch, "series": series, "steps": steps}
     for name, path in paths.items():
         agree(path(), expected, states, f"seed {seed}, {name}")
     with pytest.MonkeyPatch.context() as patch:

@@ -16,7 +16,6 @@ from robust_filterpy import (
     RobustUnscentedKalmanFilter,
     filter_series,
 )
-from robust_filterpy.batch import FilterBank
 
 STEPS = 40
 SIZES = [(2, 1), (3, 2), (4, 3), (5, 5)]
@@ -107,7 +106,7 @@ def test_no_other_update_does(path, method, dims):
 
 
 @pytest.mark.parametrize("dims", SIZES)
-def test_neither_does_a_recording_a_series_or_a_bank(path, dims):
+def test_neither_does_a_recording_or_a_series(path, dims):
     problem, zs, changed, others = recording(9, dims)
 
     def batch(problem, zs):
@@ -117,16 +116,7 @@ def test_neither_does_a_recording_a_series_or_a_bank(path, dims):
         p = problem
         return filter_series(np.tile(zs, (3, 1, 1)), p.F, p.H, p.Q, p.R, p.x.ravel(), p.P)[:2]
 
-    def bank(problem, zs):
-        many = FilterBank(3, *problem.dims[:2])
-        many.F, many.Q, many.H, many.R = problem.F, problem.Q, problem.H, problem.R
-        many.x, many.P = np.tile(problem.x.ravel(), (3, 1)), np.tile(problem.P, (3, 1, 1))
-        for z in zs:
-            many.predict()
-            many.update(np.tile(z, (3, 1)))
-        return many.x, many.P
-
-    for run in (batch, series, bank):
+    for run in (batch, series):
         same(run(changed, others), run(problem, zs), run.__name__)
 
 

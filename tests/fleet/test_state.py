@@ -19,7 +19,6 @@ from robust_filterpy import (
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
 )
-from robust_filterpy.batch import FilterBank
 from robust_filterpy.filters import RobustEnsembleKalmanFilter
 from robust_filterpy.fleet import pack, unpack
 from robust_filterpy.identification import ARMA, ARMAX, FIR, BoxJenkins, TrackerBank
@@ -76,12 +75,6 @@ def lagged(**options):
     return make
 
 
-def bank():
-    kf = FilterBank(3, 2, 1)
-    kf.F, kf.H, kf.Q = F, np.array([[1.0, 0.0]]), 0.01 * np.eye(2)
-    return kf
-
-
 COMES_BACK = {**RECOVERING, "patience": 3}
 FILTERS = {
     "linear": linear(RobustKalmanFilter),
@@ -102,7 +95,6 @@ FILTERS = {
     "ensemble": ensemble,
     "fixed lag": lagged(),
     "fixed lag, Kalman measurement": lagged(process=None),
-    "bank": bank,
 }
 
 
@@ -115,7 +107,7 @@ def advance(kf, z):
     if isinstance(kf, RobustExtendedKalmanFilter):
         kf.update(z, lambda x: np.array([[1.0, 0.0]]), observe)
     else:
-        kf.update(np.full((3, 1), np.nan if z is None else z) if isinstance(kf, FilterBank) else z)
+        kf.update(z)
     shown = [np.asarray(getattr(kf, name)) for name in ("x", "P", "y", "S", "weights", "log_likelihood")]
     return [*shown, *(np.asarray(getattr(kf, name, 0.0)) for name in ("outlier_probability", "process_scale"))]
 

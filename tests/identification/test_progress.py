@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from robust_filterpy import OutputError, RobustKalmanFilter, _progress, estimate_noise, identify, tune
+from robust_filterpy import OutputError, RobustKalmanFilter, _progress, estimate_noise, identify
 from robust_filterpy._progress import progress_bar, stage, stages
 from robust_filterpy.experiments import monte_carlo
 from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
@@ -36,7 +36,7 @@ def test_identify_says_what_it_is_at_once_it_takes_more_than_two_seconds(structu
 def test_a_fit_of_the_noise_says_what_it_is_at(clock, capsys):
     kf = RobustKalmanFilter(1, 1)
     kf.H[:] = 1.0
-    found = tune(kf, recorded()[0]).noise
+    found = estimate_noise(kf, recorded()[0])
     lines = capsys.readouterr().err.splitlines()
     assert lines and all(line.startswith("estimate_noise: ") and "stage" in line for line in lines)
     found.intervals()

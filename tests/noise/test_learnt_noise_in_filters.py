@@ -16,7 +16,6 @@ from robust_filterpy import (
     identify,
     robust,
     smooth,
-    tune,
 )
 
 TRUTH = Contaminated(0.15, 10.0, scale=0.5)
@@ -47,7 +46,6 @@ def identified(zs):
 LEARNT = {
     "identify": identified,
     "smooth": lambda zs: smooth(walk(), zs).noise,
-    "tune": lambda zs: tune(walk(), zs).noise.noise,
     "estimate_noise": lambda zs: estimate_noise(walk(), zs).noise,
     "fit": lambda zs: Contaminated.fit(np.diff(zs[::2])),
 }

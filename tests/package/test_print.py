@@ -11,9 +11,7 @@ from robust_filterpy import (
     estimate_noise,
     filter_series,
     smooth,
-    tune,
 )
-from robust_filterpy.batch import FilterBank
 from robust_filterpy.fleet import TrackerModel
 from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
 from robust_filterpy.fusion.verdicts import described
@@ -91,8 +89,6 @@ OBJECTS = {
     "where the parameters end": (lambda: ParameterTracker(ARX(1, 1), start=0).run(Y, U), "a1 -0.9"),
     "sample": (lambda: ParameterTracker(ARX(1, 1), start=0).update(1 / 3, 1.0), "0.333333"),
     "bank": (lambda: TrackerBank(3, ARX(1, 1), start=0), "theta"),
-    "filters": (lambda: FilterBank(5, 2, 1), "learnt"),
-    "tuned": (lambda: tune(walk(), Y[:100]), "R times"),
     "fleet": (lambda: TrackerModel(ARX(1, 1), {"start": 0}, measurements=["y"], inputs=["u"], time="t"), "ARX"),
     "motion": (lambda: constant_velocity(dim=2), "4 states"),
     "sensor": (lambda: Sensor([1.0, 0.0], R=1.0), "delay"),

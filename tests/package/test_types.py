@@ -15,7 +15,6 @@ import robust_filterpy as rf
 from filterpy.common import Q_discrete_white_noise
 
 from robust_filterpy import ARX, Huber, OutputError, ParameterTracker, RobustKalmanFilter, filter_series
-from robust_filterpy.batch import FilterBank
 from robust_filterpy.common import Saver, kinematic_kf
 from robust_filterpy.kalman import IMMEstimator, KalmanFilter, MerweScaledSigmaPoints
 from robust_filterpy.kalman.kalman_filter import KalmanFilter as SameFilter
@@ -28,7 +27,6 @@ tracker = ParameterTracker(OutputError(2, 2), R=0.25, guard="reject", gradient="
 result = tracker.run(np.zeros(10), np.zeros(10))
 theta: float = float(result.theta[-1, 0])
 interval = tracker.confidence_intervals(0.9).lower
-bank = FilterBank(10, dim_x=2, dim_z=1, grouping="joint")
 series = filter_series(np.zeros((1, 2, 1)), np.eye(1), np.eye(1), np.eye(1), np.eye(1), np.zeros(1), np.eye(1))
 series.x.sum()
 kf.x = [0.0, 1.0]
@@ -50,7 +48,6 @@ WRONG = {
     "tracker.runn(np.zeros(10))": "runn",
     'RobustKalmanFilter(2, 1, scaling="foo")': "scaling",
     'ParameterTracker(ARX(1, 1), guard="maybe")': "guard",
-    'FilterBank(10, 2, 1, grouping="together")': "grouping",
     "kf.updat(1.0)": "updat",
     "SameFilter(2, 1).RR": '"RR"',
     "kf.R = object()": "R|expression has type|[Ii]ncompatible",

@@ -27,5 +27,5 @@
 * `estimated`: what anything with parameters tells of them: intervals, a table, a transfer function.
 * `results`, `summary`: what trackers return, and parameters as a table.
 
-Imports from below: `influence`, `correction`, `filters`, `batch`.
+Imports from below: `influence`, `correction`, `filters`.
 """
