@@ -1,57 +1,45 @@
-"""Every public object explains itself: a numpydoc docstring whose parameters are those of the signature."""
+"""Whatever a front page exports explains itself, by a numpydoc docstring whose parameters are the signature's."""
 
 import dataclasses
 import importlib
 import inspect
 import pkgutil
 
-import pytest
 from numpydoc.docscrape import ClassDoc, FunctionDoc
 
 import robust_filterpy
 
-# What filterpy or scipy defines and we only override.
-INHERITED = {"kwargs"}
 
-
-def public_modules():
-    yield robust_filterpy
+def modules():
+    """Public modules, and whether each is a front page: that of a room, or of the package."""
+    yield robust_filterpy, True
     for info in pkgutil.walk_packages(robust_filterpy.__path__, "robust_filterpy."):
         if not any(part.startswith("_") for part in info.name.split(".")):
             try:
-                yield importlib.import_module(info.name)
+                yield importlib.import_module(info.name), info.ispkg
             except ModuleNotFoundError as error:
                 # An adapter to a library that is not here; where it is, its names are read too.
                 if not info.name.startswith("robust_filterpy.adapters.") or "robust_filterpy" in str(error.name):
                     raise
 
 
-def public_objects():
-    seen = set()
-    for module in public_modules():
+def listed(front):
+    """What front pages list, or what only other modules do: classes, their own public methods, and functions."""
+    exported = {front: {} for front in (True, False)}
+    for module, is_front in modules():
         # What a module does not list is for the modules of its own room.
         for name in getattr(module, "__all__", ()):
             thing = getattr(module, name)
-            if not (inspect.isclass(thing) or inspect.isfunction(thing)) or id(thing) in seen:
-                continue
-            if not thing.__module__.startswith("robust_filterpy") or "._" in thing.__module__:
-                continue
-            seen.add(id(thing))
-            yield pytest.param(thing, id=f"{thing.__module__}.{thing.__qualname__}")
-            if inspect.isclass(thing):
-                for method_name, method in vars(thing).items():
-                    method = getattr(method, "__func__", method)
-                    own = inspect.isfunction(method) and method.__module__ == thing.__module__
-                    if own and not method_name.startswith("_"):
-                        yield pytest.param(method, id=f"{thing.__module__}.{method.__qualname__}")
-
-
-def parameters(thing):
-    try:
-        signature = inspect.signature(thing)
-    except (TypeError, ValueError):
-        return []
-    return [name for name in signature.parameters if name not in {"self", "cls", "_"}]
+            ours = getattr(thing, "__module__", None) or ""
+            if (inspect.isclass(thing) or inspect.isfunction(thing)) and ours.startswith("robust_filterpy"):
+                exported[is_front][id(thing)] = thing
+    for thing in exported[front].values():
+        if front or id(thing) not in exported[True]:
+            yield thing
+            for name, method in vars(thing).items() if inspect.isclass(thing) else ():
+                method = getattr(method, "__func__", method)
+                if inspect.isfunction(method) and method.__module__ == thing.__module__ and not name.startswith("_"):
+                    yield method
 
 
 def is_result(thing):
@@ -59,33 +47,59 @@ def is_result(thing):
     return inspect.isclass(thing) and (issubclass(thing, (tuple, Exception)) or getattr(thing, "_is_protocol", False))
 
 
-@pytest.mark.parametrize("thing", list(public_objects()))
-def test_docstring_is_complete(thing):
+def parameters(thing):
+    try:
+        # **kwargs is what filterpy or scipy defines and we only pass on.
+        return set(inspect.signature(thing).parameters) - {"self", "cls", "_", "kwargs"}
+    except (TypeError, ValueError):
+        return set()
+
+
+def wrong_line(thing):
+    """What is wrong with the first line, if anything is."""
     text = inspect.getdoc(thing)
-    assert text, "no docstring"
+    if not text:
+        return "no docstring"
     first = text.splitlines()[0]
-    assert first.endswith((".", ":")), f"first line is no sentence: {first!r}"
+    return None if first.endswith((".", ":")) else f"first line is no sentence: {first!r}"
+
+
+def wrong_sections(thing):
+    """What is wrong below the first line."""
     if is_result(thing):
         return
     doc = ClassDoc(thing) if inspect.isclass(thing) else FunctionDoc(thing)
     fields = doc["Attributes"] if dataclasses.is_dataclass(thing) else []
-    documented = [
-        name.strip().lstrip("*")
-        for parameter in doc["Parameters"] + doc["Other Parameters"] + fields
-        for name in parameter.name.split(",")
-    ]
-    expected = [name for name in parameters(thing) if name not in INHERITED]
-    if not documented and len(expected) <= 1 and not inspect.isclass(thing):
-        return  # rho(e), psi(e): the sentence says it
-    assert set(documented) >= set(expected) if fields else set(documented) == set(expected), (
-        f"documented {documented}, signature {expected}"
-    )
-    for parameter in doc["Parameters"]:
-        assert parameter.type or len(parameter.name.split(",")) > 1, f"{parameter.name}: no type"
-        if "array_like" in parameter.type or ("ndarray" in parameter.type and "mapping" not in parameter.type):
-            assert "shape" in parameter.type, f"{parameter.name}: an array without its shape"
+    rows = doc["Parameters"] + doc["Other Parameters"] + fields
+    documented = {name.strip().lstrip("*") for row in rows for name in row.name.split(",")}
+    expected = parameters(thing)
+    if documented or len(expected) > 1 or inspect.isclass(thing):  # of rho(e) and psi(e) the sentence says it
+        if not (documented >= expected if fields else documented == expected):
+            yield f"documented {documented}, signature {expected}"
+    for row in doc["Parameters"]:
+        if not row.type and "," not in row.name:
+            yield f"{row.name}: no type"
+        array = "array_like" in row.type or ("ndarray" in row.type and "mapping" not in row.type)
+        if array and "shape" not in row.type:
+            yield f"{row.name}: an array without its shape"
 
 
-@pytest.mark.parametrize("module", list(public_modules()), ids=lambda module: module.__name__)
-def test_module_says_what_it_is_for(module):
-    assert module.__doc__ and len(module.__doc__.strip().splitlines()[0]) > 20
+def named(thing, wrong):
+    return f"{thing.__module__}.{thing.__qualname__}: {wrong}"
+
+
+def test_what_a_front_page_exports_has_a_complete_docstring():
+    things = list(listed(front=True))
+    wrong = [named(thing, wrong_line(thing)) for thing in things if wrong_line(thing)]
+    wrong += [named(thing, one) for thing in things for one in wrong_sections(thing)]
+    assert len(things) > 300 and not wrong, "\n".join(wrong)
+
+
+def test_what_another_module_lists_has_a_first_line():
+    wrong = [named(thing, wrong_line(thing)) for thing in listed(front=False) if wrong_line(thing)]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_modules_say_what_they_are_for():
+    silent = [module.__name__ for module, _ in modules() if len((module.__doc__ or "").strip().split("\n")[0]) <= 20]
+    assert not silent, silent
