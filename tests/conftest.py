@@ -1,5 +1,7 @@
 """Let property tests draw the same examples in every run, and put numpy's treatment of errors back."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import settings
@@ -15,3 +17,21 @@ def numpy_errors_stay_as_they_were():
     """Put it back: after an interrupt within numpy.linalg every invalid number raises "Singular matrix"."""
     with np.errstate():
         yield
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Leave to the night what a product of arguments has beyond a table of pairs: see the mark `pairwise`."""
+    products = {}
+    for item in items:
+        mark = item.get_closest_marker("pairwise")
+        if mark and hasattr(item, "callspec"):
+            product = products.setdefault(item.nodeid.partition("[")[0], {})
+            product[item] = set(itertools.combinations(sorted(item.callspec.indices.items()), *mark.args or (2,)))
+    for product in products.values():
+        left = set().union(*product.values())
+        while left:
+            best = max(product, key=lambda item: len(left & product[item]))
+            left -= product.pop(best)
+        for item in product:
+            item.add_marker(pytest.mark.nightly)

@@ -1,5 +1,6 @@
-"""Every example runs from a shell without a screen, draws a figure and comes to a conclusion."""
+"""Every example runs from a shell without a screen, draws a figure and comes to a conclusion; most of them at night."""
 
+import importlib.util
 import os
 import re
 import subprocess
@@ -24,6 +25,8 @@ SMALL = {
     "16_in_a_stream.py": ["--devices", "1000"],
     "21_physics_from_a_recording.py": ["--steps", "60"],
 }
+# One of a filter and one of a tracker run on every commit.
+QUICK = ("01_drop_in.py", "07_tracking_parameters.py")
 
 
 def name_of(script):
@@ -47,9 +50,22 @@ def test_there_are_examples():
 
 
 def test_small_settings_belong_to_a_script():
-    assert set(SMALL) <= {name_of(s) for s in SCRIPTS}
+    assert {*SMALL, *QUICK} <= {name_of(s) for s in SCRIPTS}
 
 
+def test_every_example_imports_what_it_uses(monkeypatch):
+    """And does nothing before it is asked to."""
+    for script in SCRIPTS:
+        with monkeypatch.context() as patch:
+            patch.syspath_prepend(str(script.parent))
+            spec = importlib.util.spec_from_file_location(f"example_{script.parent.name}_{script.stem}", script)
+            module = importlib.util.module_from_spec(spec)
+            patch.setitem(sys.modules, spec.name, module)
+            spec.loader.exec_module(module)
+        assert callable(module.main), name_of(script)
+
+
+@pytest.mark.nightly
 def test_the_picture_of_the_first_page_says_what_its_program_prints(tmp_path):
     """And so does the sentence below it."""
     run(EXAMPLES / "first_screen.py", "--out", tmp_path, "--seeds", 1)
@@ -62,7 +78,10 @@ def test_the_picture_of_the_first_page_says_what_its_program_prints(tmp_path):
     assert sentence.format(*numbers) in (EXAMPLES.parent / "docs" / "index.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("script", SCRIPTS, ids=name_of)
+@pytest.mark.parametrize(
+    "script",
+    [pytest.param(s, marks=[] if name_of(s) in QUICK else [pytest.mark.nightly], id=name_of(s)) for s in SCRIPTS],
+)
 def test_example_draws_a_figure_and_concludes(script, tmp_path):
     done = run(script, "--out", tmp_path, *SMALL.get(name_of(script), []))
     assert done.returncode == 0, done.stderr

@@ -35,6 +35,7 @@ def test_only_makes_the_figures_asked_for(tmp_path):
     assert {path.name for path in tmp_path.glob("*.png")} == {"fig01.png", "fig02.png", "fig07.png"}
 
 
+@pytest.mark.nightly
 def test_report_does_not_depend_on_the_number_of_jobs(tmp_path):
     reports = []
     for jobs in (1, 2):
@@ -45,16 +46,18 @@ def test_report_does_not_depend_on_the_number_of_jobs(tmp_path):
     assert "does not hold" in reports[0]
 
 
-@pytest.mark.parametrize("wrong", [("--only", 20), ("--only", 0), ("--runs", 1)])
-def test_unknown_figure_is_refused(tmp_path, wrong):
-    assert reproduce(tmp_path, *wrong).returncode == 2
-
-
 @pytest.fixture
 def paper(monkeypatch):
     """Import a module of the folder."""
     monkeypatch.syspath_prepend(str(PAPER))
     return importlib.import_module
+
+
+def test_unknown_figure_is_refused(paper, tmp_path):
+    for wrong in (("--only", "20"), ("--only", "0"), ("--runs", "1")):
+        with pytest.raises(SystemExit) as refused:
+            paper("reproduce").main([*wrong, "--out", str(tmp_path)])
+        assert refused.value.code == 2
 
 
 @pytest.fixture(params=["kernel", "definition"])
@@ -84,8 +87,9 @@ def test_filters_over_all_runs_are_the_loop_over_filterpy_and_refuse_the_same_ru
 
 
 @pytest.mark.parametrize("plant", ["SECTION4", "WELL"])
-def test_trackers_of_a_recording_are_the_loop_over_filterpy(paper, engine, plant):
+def test_trackers_of_a_recording_are_the_loop_over_filterpy(paper, engine, plant, monkeypatch):
     identification = paper("identification")
+    monkeypatch.setattr(identification, "STEPS", 300)
     found, expected = (
         identification.trial(np.random.default_rng(5), getattr(identification, plant), tracking=way)
         for way in (identification.tracked, identification.looped)
@@ -187,6 +191,7 @@ def test_response_error_is_that_of_scipy_s_frequency_response(paper):
     assert_allclose(identification._response_error(rows, theta, 2), expected, rtol=1e-10)
 
 
+@pytest.mark.nightly
 def test_comparison_with_a_loop_checks_the_numbers(paper, tmp_path):
     done = reproduce(tmp_path, "--compare-loop")
     assert done.returncode == 0, done.stderr

@@ -31,7 +31,7 @@ def signals(models, n=800, outliers=0.0, seed=0):
 
 def test_constant_model_is_found_through_outliers(servo):
     models = servo("models")
-    data = signals(models, outliers=0.1)
+    data = signals(models, n=400, outliers=0.1)
     theta = models.best_constant(data)
     # The a's and b's of such a plant are known less well than what it does.
     found = lfilter([0.0, *theta[4:]], [1.0, *theta[:4]], data.u)
@@ -82,6 +82,7 @@ def test_without_outliers_the_noise_of_every_loop_is_ordinary(servo):
     assert given.noise[given.is_outlier[:, 0], 0].std() == pytest.approx(experiment.OUTLIERS[0], rel=0.2)
 
 
+@pytest.mark.nightly
 def test_benchmark_prints_fits_and_targets():
     study = ROOT / "tests/benchmarks/servo_study.py"
     arguments = ["--seeds", "2", "--steps", "300", "--first", "10000"]

@@ -28,6 +28,8 @@ SNIPPETS = {
     if path.name not in ("testing.md", "fleet.md", "adapters.md")
     for i, text in enumerate(re.findall(r"```python\n(.*?)```", path.read_text(encoding="utf-8"), flags=re.S))
 }
+# What takes longest of them is run at night.
+LONG = ("fusion-1", "fusion-2", "broken_recordings-1", "identification-3")
 # A page that draws has one program, in one or several parts.
 DRAWN = {
     str(path.relative_to(DOCS)): "\n".join(re.sub(r"(?m)^:.*\n", "", textwrap.dedent(part)) for part in parts)
@@ -123,7 +125,9 @@ def test_no_page_is_written_in_tex(path):
     assert not re.findall(r"\$\$|\$\S[^$\n`]*\$|\\frac|\\mathrm", path.read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize("name", SNIPPETS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.nightly] if name in LONG else []) for name in SNIPPETS]
+)
 def test_program_runs(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     exec(compile(SNIPPETS[name], name, "exec"), {"__name__": "page"})
