@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import numbers
 from collections.abc import Callable, Hashable, Iterable, Sequence
-from datetime import datetime, timezone
+from datetime import datetime
 from os import PathLike
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from robust_filterpy import _checks
+from robust_filterpy import _checks, _stamps
 from robust_filterpy._checks import Array
 
 #: What is wrong with some of the rows.
@@ -105,7 +105,7 @@ def read_table(table: Any, model: Any, key: str | None) -> Rows:
             raise ValueError(f"{what}: expected {allowed[-1]} column(s) for the model, got {list(found)}")
     said: Reasons = {}
     keys = None if key is None else _keys(key, frame[key], said)
-    stamps = None if model.time is None else _instants(nw, frame[model.time])
+    stamps = None if model.time is None else _stamps.as_numpy(frame[model.time])
     times = None if stamps is None else seconds(stamps, said)
     z = measured([(name, frame[name].to_numpy()) for name in chosen], len(frame), said)
     u = inputs([(name, frame[name].to_numpy()) for name in given], said) if given else None
@@ -116,11 +116,13 @@ def read_table(table: Any, model: Any, key: str | None) -> Rows:
         kept = frame.select(copied) if len(rows) == len(frame) else frame.select(copied)[rows]
         if not copied and hasattr(table, "index"):
             kept = nw.from_native(table[[]].iloc[rows], eager_only=True)
-        kinds = {np.dtype(object): nw.String, np.dtype(float): nw.Float64}
         series = [
-            nw.new_series(name, values, kinds[values.dtype], backend=frame.implementation)
+            nw.new_series(
+                name, *((values, nw.Float64) if values.dtype == float else (values.tolist(), nw.String)),
+                backend=frame.implementation,
+            )
             for name, values in columns.items()
-        ]
+        ]  # fmt: skip
         return back(kept.with_columns(series) if len(kept.columns) or hasattr(table, "index") else _put(nw, series))
 
     return Rows(keys, times, z, u, said, like, stamps is not None and _are_instants(stamps))
@@ -172,13 +174,6 @@ def _keys(key: str, column: Any, said: Reasons) -> Sequence[Any]:
             said[row] = f"{key}: expected a name or number in each row, got {_checks.shown(name)}"
             found[row] = NOBODY
     return found
-
-
-def _instants(nw: Any, column: Any) -> np.ndarray:
-    """Return a column of times as an array, those with a time zone in UTC."""
-    if isinstance(column.dtype, nw.Datetime) and column.dtype.time_zone is not None:
-        column = column.dt.convert_time_zone("UTC").dt.replace_time_zone(None)
-    return np.asarray(column.to_numpy())
 
 
 def _are_instants(stamps: np.ndarray) -> bool:
@@ -259,53 +254,7 @@ def seconds(values: np.ndarray, said: Reasons) -> Array:
     -------
     ndarray, shape (N,)
     """
-    if values.dtype.kind in "mM":
-        return _whole(values, said)
-    if values.dtype.kind in "fiu":
-        found = values.astype(float)
-        for row in np.flatnonzero(~np.isfinite(found)).tolist():
-            say(said, row, f"time: expected a time for each sample, got {found[row]}")
-        found[~np.isfinite(found)] = np.nan
-        return found
-    found = np.full(len(values), np.nan)
-    for row, value in enumerate(values):
-        try:
-            found[row] = _instant(value)
-        except (TypeError, ValueError, OverflowError) as error:
-            why = f", {error}" if str(error).startswith("which") else ""
-            say(said, row, f"time: expected a time for each sample, got {_checks.shown(value)}{why}")
-    return found
-
-
-def _instant(value: Any) -> float:
-    """Return one time in seconds, or raise."""
-    if isinstance(value, np.datetime64) or hasattr(value, "to_datetime64"):
-        missing: Reasons = {}
-        (found,) = _whole(np.array([value if isinstance(value, np.datetime64) else value.to_datetime64()]), missing)
-        if missing:
-            raise ValueError
-        return float(found)
-    if isinstance(value, str):
-        value = datetime.fromisoformat(value.strip().replace("Z", "+00:00").replace("z", "+00:00"))
-    if isinstance(value, datetime):
-        if value.tzinfo is None:
-            raise ValueError("which has no time zone and would mean another time on every machine; use timezone.utc")
-        return value.astimezone(timezone.utc).timestamp()
-    if isinstance(value, (bool, np.bool_)):
-        raise TypeError
-    found = _number(value)
-    if not np.isfinite(found):
-        raise ValueError
-    return float(found)
-
-
-def _whole(values: np.ndarray, said: Reasons) -> Array:
-    """Return dates and durations of numpy in seconds, to the nanosecond."""
-    with np.errstate(all="ignore"):
-        nanoseconds = values.astype(f"{values.dtype.kind}8[ns]")
-    lost = np.isnat(nanoseconds)
-    for row in np.flatnonzero(lost).tolist():
-        say(said, row, f"time: expected a time for each sample, got {values[row]}")
-    whole = nanoseconds.astype(np.int64)
-    # Whole seconds first, or the nanoseconds would be rounded away.
-    return np.where(lost, np.nan, whole // 1_000_000_000 + (whole % 1_000_000_000) * 1e-9)
+    keys, wrong = _stamps.column(values, loose=True)
+    for row, sentence in wrong.items():
+        say(said, row, sentence)
+    return np.where(np.isin(np.arange(len(keys)), list(wrong)), np.nan, _stamps.seconds(keys))

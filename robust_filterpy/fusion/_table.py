@@ -9,8 +9,11 @@ import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
+from robust_filterpy._stamps import as_numpy
+from robust_filterpy._warning import warn
 from robust_filterpy.fusion._stepping import Setup
 from robust_filterpy.fusion._times import Clock
+from robust_filterpy.fusion.results import FusionWarning
 
 __all__ = ["Rows", "read", "table_columns"]
 
@@ -54,11 +57,16 @@ def read(
     layout = setup.layout
     chosen = [value] if isinstance(value, str) else list(value)
     stamps, who, *columns = table_columns(table, [time, sensor, *chosen])
-    keys = clock.keys(stamps)
+    keys, wrong = clock.keys(stamps)
     values = np.column_stack([_checks.numbers(name, column) for name, column in zip(chosen, columns, strict=True)])
     if np.isinf(values).any():
         row = int(np.flatnonzero(np.isinf(values).any(axis=1))[0])
         raise ValueError(f"value: expected finite numbers or NaN (missing), got {values[row]} in row {row}")
+    taken = np.delete(np.arange(len(keys)), list(wrong))
+    if wrong:
+        row, why = next(iter(wrong.items()))
+        warn(f"{len(wrong)} of {len(keys)} rows were left out, the first is row {row}: {why}", FusionWarning)
+        keys, who, values = keys[taken], who[taken], values[taken]
     index = _indices(layout.names, who)
     shift = np.array([s.delay for s in layout.sensors.values()])[index]
     keys = keys - (np.round(shift * 1e9).astype(np.int64) if keys.dtype == np.int64 else shift)
@@ -79,7 +87,7 @@ def read(
                 row = int(rows[np.argmax(apart)])
                 raise ValueError(
                     f"sensor {name!r}: expected one reading for each stamp, got two that differ at "
-                    f"{clock.stamp(every[where[row]].item())} (row {row}); leave one out"
+                    f"{clock.stamp(every[where[row]].item())} (row {taken[row]}); leave one out"
                 )
             duplicates += len(rows) - len(unique)
         zs[to, place] = values[rows, :m]
@@ -115,7 +123,7 @@ def table_columns(table: Any, names: list[str]) -> list[np.ndarray]:
             raise TypeError(
                 f"table: expected a data frame in memory, or a dict of columns, got {type(table).__name__}"
             ) from None
-        there, column = frame.columns, lambda name: _plain(nw, frame[name])
+        there, column = frame.columns, lambda name: as_numpy(frame[name])
     missing = [name for name in names if name not in there]
     if missing:
         raise ValueError(
@@ -126,14 +134,6 @@ def table_columns(table: Any, names: list[str]) -> list[np.ndarray]:
     if len({len(one) for one in found}) > 1:
         raise ValueError(f"table: expected columns of one length, got {[len(one) for one in found]}")
     return found
-
-
-def _plain(nw: Any, column: Any) -> np.ndarray:
-    """Return a column as numpy has it; instants in UTC."""
-    kind = column.dtype
-    if kind == nw.Datetime and getattr(kind, "time_zone", None) is not None:
-        column = column.dt.convert_time_zone("UTC").dt.replace_time_zone(None)
-    return np.asarray(column.to_numpy())
 
 
 def _indices(names: tuple[str, ...], who: np.ndarray) -> np.ndarray:
@@ -151,7 +151,9 @@ def _inputs(p: int, clock: Clock, controls: Any, dtype: Any) -> tuple[np.ndarray
         return np.zeros(0, dtype=dtype), np.zeros((0, p))
     if not isinstance(controls, tuple) or len(controls) != 2:
         raise TypeError(f"controls: expected (stamps, inputs), got {_checks.shown(controls)}")
-    keys, us = clock.keys(controls[0]), _checks.numbers("controls", controls[1])
+    (keys, wrong), us = clock.keys(controls[0]), _checks.numbers("controls", controls[1])
+    for row, why in wrong.items():
+        raise ValueError(f"controls: {why} in row {row}")
     us = us[:, None] if us.ndim == 1 else us
     if us.shape != (len(keys), p) or not np.isfinite(us).all():
         raise ValueError(f"controls: expected finite inputs of shape ({len(keys)}, {p}), got shape {us.shape}")

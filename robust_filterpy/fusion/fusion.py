@@ -136,8 +136,8 @@ class Fusion:
         self._timeline = Timeline(self._setup, self._begin, seconds, _WATCHED if watch else _HISTORY)
         self._started = None if t0 is None else self._clock.key(t0, "t0")
         self._timeline.base_key = self._started
-        if t0 is not None:
-            self._clock.decide(t0)
+        if self._started is not None:
+            self._clock.decide(self._started)
         self._counts = {name: dict.fromkeys(OUTCOMES, 0) for name in layout.names}
         #: Sensors of whose functions it was said that they fail.
         self._said: set[str] = set()
@@ -252,7 +252,7 @@ class Fusion:
         entry = line.at(key)
         entry.z[place] = z
         entry.spoke.add(sensor)
-        self._clock.decide(t)
+        self._clock.decide(key)
         outcome = "replaced" if again else "late" if late else "taken"
         self._counts[sensor][outcome] += 1
         if not late:
@@ -315,7 +315,7 @@ class Fusion:
             return "refused"
         late = bool(line.keys) and key < line.keys[-1]
         line.at(key).control = value.copy()
-        self._clock.decide(t)
+        self._clock.decide(key)
         if not late:
             self._forget()
         return "late" if late else "taken"
@@ -590,7 +590,7 @@ class Fusion:
         for k, (t, name, *z) in enumerate(zip(stamps, who.tolist(), *columns, strict=True)):
             try:
                 m = self._setup.layout.sensors[name].dim_z if name in self.sensors else len(z)
-                outcomes[k] = moving.observe(name, t.item() if isinstance(t, np.number) else t, z[:m])
+                outcomes[k] = moving.observe(name, t, z[:m])
                 found = moving.estimate()
                 known[k] = found.x, np.sqrt(found.P.diagonal())
             except (ValueError, TypeError, ArithmeticError, np.linalg.LinAlgError) as error:

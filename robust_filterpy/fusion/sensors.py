@@ -18,6 +18,8 @@ __all__ = ["OFTEN", "Layout", "Sensor", "angle"]
 
 #: Readings from which it is no accident that the sensors of a group never have the same stamp.
 OFTEN = 50
+# Seconds of delay by which the earliest instant still is one.
+_LATEST = 100 * 86400.0
 
 
 def angle(z: ArrayLike, predicted: ArrayLike) -> Array:
@@ -124,8 +126,8 @@ class Sensor:
             if not (R.diagonal() > 0.0).all():
                 raise ValueError(f"R: expected variances > 0, got {R.diagonal()}")
             object.__setattr__(self, "R", R)
-        if not (math.isfinite(_checks.real("delay", self.delay)) and self.delay >= 0.0):
-            raise ValueError(f"delay: expected finite seconds >= 0, got {self.delay!r}")
+        if not 0.0 <= _checks.real("delay", self.delay) <= _LATEST:
+            raise ValueError(f"delay: expected finite seconds >= 0, 100 days at most, got {self.delay!r}")
         if self.every is not None:
             _checks.positive("every", self.every)
         if not (self.group is None or (isinstance(self.group, str) and self.group)):

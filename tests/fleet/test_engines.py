@@ -294,9 +294,9 @@ def test_a_message_that_is_refused_is_named_and_a_late_one_dropped_and_counted()
     store, taken = Store(), StreamStep(model())
     assert taken({"t": 0.0, "z": 1.0}, store)["error"] is None
     for message, reason in (
-        ({"z": 1.0}, "a time for each sample"),
+        ({"z": 1.0}, "expected a time, got"),
         ("text", "expected a mapping"),
-        ({"t": 10**400, "z": 1.0}, "a time for each sample"),
+        ({"t": 10**400, "z": 1.0}, "expected a time, got"),
         ({"t": "2026-01-01", "z": 1.0}, "no time zone"),
     ):
         answer = taken(message, store)

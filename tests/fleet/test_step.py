@@ -256,7 +256,7 @@ def test_times_off_the_grid_and_long_silences_are_refused():
     _, output = step(timed(dt=1.0), None, [[0.0, 1.0], [1e6, 1.0], [1.0, 1.0]])
     assert "at most 100000 steps" in output["error"][1] and output["error"][2] is None
     _, output = step(timed(), None, [[0.0, 1.0], [np.nan, 1.0]])
-    assert "a time for each sample, got nan" in output["error"][1]
+    assert "expected a time, got nan" in output["error"][1]
 
 
 def test_a_grid_is_measured_from_its_beginning_and_follows_a_clock_that_drifts():

@@ -40,7 +40,7 @@ def test_a_bad_row_costs_itself_alone():
     model = Fusion(constant_velocity(1, 0.5), {"gps": Sensor([1.0, 0.0], R=1.0)}, 1.0)
     state, output = step(model, None, rows)
     assert [error is None for error in output["error"]] == [True, False, False, True]
-    assert "finite time" in output["error"][1] and "sonar" in output["error"][2]
+    assert "a time, got nan" in output["error"][1] and "sonar" in output["error"][2]
     only = {name: [column[0], column[3]] for name, column in rows.items()}
     assert pack(step(model, None, only)[0]) == pack(state)
     with pytest.raises(ValueError, match="columns"):

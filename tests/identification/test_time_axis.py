@@ -350,3 +350,10 @@ def test_a_hole_in_u_says_how_to_fill_it():
     u[7] = np.nan
     with pytest.raises(ValueError, match=r"u: .* got nan in sample 7; fill in what acted, u.ffill\(\)"):
         ParameterTracker(OutputError(1, 1)).run(np.ones(80), u)
+
+
+@pytest.mark.parametrize("kind", ["bool", "boolean"])
+def test_an_index_of_bools_is_none(kind):
+    index = pd.Index(pd.array([True, False] * 50, dtype=kind))
+    with pytest.raises(ValueError, match="expected times or numbers in the index, got bools"):
+        identify(pd.Series(1.0, index=index), pd.Series(1.0, index=index), ARX(1, 1))

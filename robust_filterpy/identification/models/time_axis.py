@@ -216,6 +216,8 @@ def _uniform(name: str, index: Any) -> float | None:
     # Months are not equally long; who gave a frequency has chosen them.
     calendar = getattr(index, "freq", None) is not None and has_times
     is_number = pd.api.types.is_numeric_dtype(index.dtype) and index.dtype.kind in "iuf"
+    if pd.api.types.is_bool_dtype(index.dtype):
+        raise ValueError(f"{name}: expected times or numbers in the index, got bools; {name}.reset_index(drop=True)")
     if len(index) < 2:
         return None
     if not (has_times or has_periods or is_number):
@@ -234,7 +236,7 @@ def _uniform(name: str, index: Any) -> float | None:
         _refuse(name, index, steps / per_second, usual / per_second, regular, has_times)
     if not has_times or not regular.all():
         return None
-    return float(place[-1] - place[0]) / ((len(place) - 1) * per_second)
+    return (float(place[-1]) - float(place[0])) / ((len(place) - 1) * per_second)
 
 
 def _refuse_unread_times(name: str, index: Any) -> None:
