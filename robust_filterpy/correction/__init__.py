@@ -9,7 +9,7 @@
 * `likelihood`: log-density of an innovation.
 * `contaminated`: `Contaminated`, the mixture of two normal distributions: drawn, told, learnt, and as a psi.
 * `policies`: what a filter is told of noise: `Contaminated`, `Learnt`, `Scales`.
-* `repeats`: whether a sensor repeats its last reading though its noise is white and in fine steps.
+* `repeats`: whether a sensor repeats its last reading though it seldom does and its noise is white.
 * `learning`: what is learnt of a sensor's noise, a mixture of classes, while a filter runs.
 * `copies`: copies of a filter that differ in what they take the process for.
 * `learnt`: the correction of copies under such noise, learnt or told.

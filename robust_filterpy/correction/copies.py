@@ -387,16 +387,18 @@ def far_off(copies: Copies, z: Array, H: Array, noise: Array, process: Scales) -
     """
     q = len(process.scales)
     at = collapse(slow(copies, process), copies.x[:q], copies.P[:q], copies.parts)
-    return np.asarray(_asked(*at, z, H, noise)[1] > _ASKS)
+    return np.asarray(_asked(*at, z, H, noise, np.inf)[1] > _ASKS)
 
 
-def _asked(at: Array, spread: Array, z: Array, H: Array, noise: Array) -> tuple[Array, Array]:
+def _asked(
+    at: Array, spread: Array, z: Array, H: Array, noise: Array, farthest: float = _FARTHEST
+) -> tuple[Array, Array]:
     """Return innovations, and how many standard deviations off each is, 0 where none can tell."""
     with np.errstate(over="ignore"):
         y = z - H @ at
     seen = ((H @ spread) * H).sum(axis=1)
     asks = np.where(seen > 0.0, np.abs(y) / np.sqrt(np.where(seen > 0.0, seen + noise, 1.0)), 0.0)
-    asks[~(asks < _FARTHEST)] = 0.0
+    asks[~(asks <= farthest)] = 0.0
     return y, asks
 
 

@@ -18,16 +18,16 @@ The changes from reading to reading that a filter has not foreseen differ from e
 variance of 6 r and more. So r is never above eight times what they show: a filter that has lost the state, or whose
 model is too simple, has large innovations and even changes, and does not learn that its sensor is bad.
 
-A sensor that repeats its last reading though its noise is white and in fine steps
+A sensor that repeats its last reading though it seldom does and its noise is white
 (`robust_filterpy.correction.repeats`), far from the prediction, is stuck, and tells nothing of the state (`repeated`).
-Unless steps are fine, no reading that repeats the one before tells of r, which would fall to nothing.
+Where repeats are usual, no reading that repeats the one before tells of r, which would fall to nothing.
 
 All that is known of a sensor is one row of numbers, ``[r, n, shares (K), last (K), counts (K, K), together, parity (4),
 change (4), reading (2)]``: r stands on n ordinary samples; the shares of the classes of late; the probabilities of the
 last sample's class; how often class i was followed by class j; the probability that it fails with the others; the last
 parity, its lag-one covariance, its variance, how many there were; what the last correction left of the reading, the
 last change and the scale of their differences, in standard deviations that R gives, and how many readings there were;
-the last reading in the same unit, and one over the least change that was seen, with a minus sign if the last reading
+the last reading in the same unit, and one over the share of readings that repeat, with a minus sign if the last reading
 repeated the one before.
 `robust_filterpy.correction.learnt` corrects a state between `predicted` and `learn`.
 """
@@ -282,10 +282,10 @@ def learn(known: Array, posterior: Array, r: float, excess: float, part: float, 
     """
     K, after, begin = len(posterior), known.copy(), start(len(posterior))
     ordinary = float(posterior[0])
-    # A reading that repeats the one before tells of the noise only that it is less than a step: nothing, unless steps
-    # are fine, and it is no independent sample of white noise.
+    # A reading that repeats the one before, as its sensor does, tells of the noise only that it is less than a step,
+    # and it is no independent sample of white noise.
     again = bool(np.signbit(known[-1]))
-    if not again or abs(known[-1]) * math.sqrt(known[0]) >= repeats.FINE:
+    if not again or -known[-1] >= repeats.RARE:
         # One sample is never forgotten, else r would reel where it can hardly be seen.
         after[1] = 1.0 + (1.0 - 1.0 / noise.r_memory) * (known[1] - 1.0) + ordinary * part * part
         after[0] += ordinary * (r * (1.0 + part * excess) - known[0]) / after[1]
@@ -400,7 +400,7 @@ def ordinary_size(
     r, learnt, coloured = learnt[:, 0].copy(), learnt.copy(), []
     readings = _in_deviations(readings, R)
     for own in np.flatnonzero(R.diagonal() > 0.0):
-        most = _note(learnt[own, _READINGS], float(readings[own]), r[own], _bounded(y[own] / R[own, own] ** 0.5))
+        most = _note(learnt[own, _READINGS], float(readings[own]), _bounded(y[own] / R[own, own] ** 0.5))
         r[own], learnt[own, 0] = min(r[own], most), min(learnt[own, 0], most)
     for i, e in parity(z, H, R, r):
         correlation, least = _note_parity(learnt[i, _PARITY], e)
@@ -444,16 +444,16 @@ def _kept(seen: Array, noise: Array) -> Array:
     return np.clip(np.where(own > 0.0, left.diagonal() / np.where(own > 0.0, own, 1.0), 1.0), 0.0, 1.0)
 
 
-def _note(row: Array, z: float, r: float, y: float) -> float:
+def _note(row: Array, z: float, y: float) -> float:
     """Note a reading and its innovation, in place; return the most that r may be."""
-    repeats.note_reading(row, z, r)
+    repeats.note_reading(row, z)
     repeats.note_change(row, y)
     scale, count = row[2:4].tolist()
     return max(1.0, scale**2 * _MOST) if count > _FIRST_CHANGES + 1.0 else math.inf
 
 
 def repeated(learnt: Array, z: Array, R: Array) -> Array:
-    """Return which sensors repeat their last reading to the last bit, though their noise is white and in fine steps.
+    """Return which sensors repeat their last reading to the last bit, though they seldom do and their noise is white.
 
     Parameters
     ----------

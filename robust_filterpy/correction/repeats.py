@@ -1,13 +1,13 @@
-"""Whether a sensor is stuck: it repeats its last reading to the last bit, though its noise is white and in fine steps.
+"""Whether a sensor is stuck: it repeats its last reading to the last bit, though it seldom does and its noise is white.
 
-White noise in steps of at most a tenth of it does not give the same number twice. The least change from reading to
-reading tells how fine the steps are, and what changes less than white noise is none, so that counters, coarse sensors,
-readings that are held and recordings without noise are believed. Whether a reading that repeats is far from where it is
-expected, and so what it is worth, is for who asks.
+How often a sensor repeats itself is learnt from its own readings: white noise in fine steps never gives the same number
+twice, one that is held for three samples repeats two in three. What changes less than white noise is none, so that
+counters, sensors at rest, readings that are held and recordings without noise are believed. Whether a reading that
+repeats is far from where it is expected, and so what it is worth, is for who asks.
 
 What is known of a sensor's readings is a row of six numbers: what the last correction left of the reading, the last
 unforeseen change and the scale of their differences, how many readings there were; the last reading, and one over the
-least change that was seen, with a minus sign if the last reading repeated the one before.
+share of readings that repeat, with a minus sign if the last reading repeated the one before.
 """
 
 from __future__ import annotations
@@ -19,20 +19,21 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 
-__all__ = ["FINE", "WIDTH", "again", "note_change", "note_reading"]
+__all__ = ["RARE", "WIDTH", "again", "note_change", "note_reading"]
 
 #: Numbers of a row.
 WIDTH: Final = 6
-#: Steps of a sensor in a standard deviation of its noise from which on it does not repeat itself by chance.
-FINE: Final = 10.0
-# Changes are remembered for 50 readings. Their scale is the quantile of .7 by recursion, here of a normal |x|: outliers
-# hardly move it, nor do readings that are held for three samples.
-_CHANGES, _QUANTILE = 50.0, 1.0364333894937898
-_LEFT, _CHANGE, _SCALE, _COUNT, _LAST, _FINE = range(WIDTH)
+#: How many readings there are to one that repeats, where that is no habit of the sensor.
+RARE: Final = 10.0
+# Changes and repeats are remembered for 50 readings, and one repeat in a thousand is as rare as none. The scale of
+# changes is the quantile of .7 by recursion, here of a normal |x|: outliers hardly move it, nor do readings that are
+# held for three samples.
+_CHANGES, _QUANTILE, _RAREST = 50.0, 1.0364333894937898, 1e-3
+_LEFT, _CHANGE, _SCALE, _COUNT, _LAST, _RARE = range(WIDTH)
 
 
-def note_reading(row: Array, z: float, r: float) -> None:
-    """Note a reading, and how fine the steps of its sensor are, in place.
+def note_reading(row: Array, z: float) -> None:
+    """Note a reading, and how often its sensor repeats itself, in place.
 
     Parameters
     ----------
@@ -40,17 +41,12 @@ def note_reading(row: Array, z: float, r: float) -> None:
         What is known of the readings.
     z : float
         The reading.
-    r : float
-        Variance of its noise, in the square of its unit.
     """
-    count, last, fine = row[[_COUNT, _LAST, _FINE]].tolist()
-    change = abs(z - last)
-    if count and change == 0.0:
-        row[_FINE] = -abs(fine)
-    elif count:
-        # A sensor that goes on after it has repeated itself reads in coarse steps, or only now and then. A single small
-        # change is chance: it halves the steps that were known at most.
-        row[_FINE] = max(fine, 0.0, min(1.0 / change, 2.0 * max(fine, r**-0.5)))
+    count, last, rare = row[[_COUNT, _LAST, _RARE]].tolist()
+    if count:
+        share = 1.0 / max(abs(rare), 1.0)
+        share = max(share + ((z == last) - share) / min(count + 1.0, _CHANGES), _RAREST)
+        row[_RARE] = (-1.0 if z == last else 1.0) / share
     row[_LAST] = z
 
 
@@ -76,7 +72,7 @@ def note_change(row: Array, y: float) -> None:
 
 
 def again(rows: Array, z: Array, r: Array) -> np.ndarray:
-    """Return which readings repeat the last one though the noise of their sensors is white and in fine steps.
+    """Return which readings repeat the last one though their sensors seldom do, and have white noise.
 
     Parameters
     ----------
@@ -93,4 +89,4 @@ def again(rows: Array, z: Array, r: Array) -> np.ndarray:
     """
     # White noise makes 6 r. What changes less is no noise: there a repeated reading means that the state rests.
     white = rows[..., _SCALE] ** 2 >= r
-    return np.asarray((z == rows[..., _LAST]) & white & (np.abs(rows[..., _FINE]) * np.sqrt(r) >= FINE))
+    return np.asarray((z == rows[..., _LAST]) & white & (np.abs(rows[..., _RARE]) >= RARE))

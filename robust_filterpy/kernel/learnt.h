@@ -249,10 +249,10 @@ INLINE void learnt_learn(const learnt_rule *const rule, const real *RESTRICT p, 
     const real *RESTRICT prior = rule->begin + 2 + 2 * K;
     const real keep = 1 - 1 / rule->memory, less = (1 - LEARNT_LESS) * part;
     real *RESTRICT for_less = known + width - LEARNT_TAIL + 1;
-    /* A reading that repeats the one before tells of the noise only that it is less than a step: nothing, unless steps are
-       fine, and it is no independent sample of white noise. */
+    /* A reading that repeats the one before, as its sensor does, tells of the noise only that it is less than a step, and it
+       is no independent sample of white noise. */
     const int again = real_copysign(1, known[width - 1]) < 0;
-    if (!again || real_abs(known[width - 1]) * real_sqrt(known[0]) >= REPEATS_FINE) {
+    if (!again || -known[width - 1] >= REPEATS_RARE) {
         /* Of what is noise by a part it tells the square of that. One sample is never forgotten, else r would reel. */
         known[1] = 1 + (1 - 1 / rule->r_memory) * (known[1] - 1) + p[0] * part * part;
         known[0] += p[0] * (r * (1 + part * excess) - known[0]) / known[1];
@@ -417,7 +417,7 @@ INLINE real learnt_reading(const real z, const real R) {
     return real_min(real_max(z / real_sqrt(R), -REAL_MAX), REAL_MAX);
 }
 
-/* Whether a sensor is stuck: it repeats its last reading to the last bit, though its noise is white and in fine steps, and
+/* Whether a sensor is stuck: it repeats its last reading to the last bit, though it seldom does and its noise is white, and
    asks for a jump of the copies that have not jumped. */
 INLINE int learnt_stuck(const int n, const learnt_rule *const rule, const real *RESTRICT at, const real *RESTRICT spread,
                         const real z, const real said, const real *RESTRICT h, const real R, const real *RESTRICT known) {
@@ -430,7 +430,7 @@ INLINE int learnt_stuck(const int n, const learnt_rule *const rule, const real *
         for (int j = 0; j < n; j++) seen += h[k] * spread[k * n + j] * h[j];
     }
     asks = rest * rest / (seen + r * R);
-    return seen > 0 && asks > LEARNT_ASKS && asks < LEARNT_FARTHEST;
+    return seen > 0 && asks > LEARNT_ASKS;
 }
 
 /* Let r of each sensor be no more than eight times what the differences of unforeseen changes from reading to reading
@@ -443,7 +443,7 @@ INLINE void learnt_changes(const int n, const int m, const learnt_rule *const ru
         real *RESTRICT known = s->memory + i * width, *RESTRICT row = known + width - REPEATS_WIDTH;
         real most;
         if (!(left[i] > 0 && R[i * m + i] > 0)) continue;
-        repeats_note_reading(learnt_reading(readings[i], R[i * m + i]), known[0], row);
+        repeats_note_reading(learnt_reading(readings[i], R[i * m + i]), row);
         repeats_note_change(learnt_left(n, at, z[i], H + i * n, R[i * m + i]), row);
         if (!(row[REPEATS_COUNT] > LEARNT_FIRST_CHANGES + 1)) continue;
         most = real_max(1, row[REPEATS_SCALE] * row[REPEATS_SCALE] * LEARNT_MOST);

@@ -1,28 +1,27 @@
-/* Whether a sensor is stuck, it repeats its last reading to the last bit, though its noise is white and in fine steps:
+/* Whether a sensor is stuck, it repeats its last reading to the last bit, though it seldom does and its noise is white:
    robust_filterpy.correction.repeats in C. What is known of its readings is a row of numbers. */
 #ifndef ROBUST_FILTERPY_REPEATS_H
 #define ROBUST_FILTERPY_REPEATS_H
 
 #include "real.h"
 
-#define REPEATS_FINE REAL(10.0)    /* steps of a sensor in one of its noise, beyond which none repeats by chance */
-#define REPEATS_CHANGES REAL(50.0) /* changes that are remembered */
+#define REPEATS_RARE REAL(10.0)    /* readings to one that repeats, where that is no habit of the sensor */
+#define REPEATS_RAREST REAL(1e-3)  /* a share of repeats that is as rare as none */
+#define REPEATS_CHANGES REAL(50.0) /* changes and repeats that are remembered */
 #define REPEATS_QUANTILE REAL(1.0364333894937898) /* .7 of a normal |x| is below it */
 
 /* What is left of the reading, the last change, the scale of their differences, how many; the last reading, and one
-   over the least change, with a minus sign if the last reading repeated the one before. */
+   over the share of readings that repeat, with a minus sign if the last reading repeated the one before. */
 enum repeats_row {
-    REPEATS_LEFT, REPEATS_CHANGE, REPEATS_SCALE, REPEATS_COUNT, REPEATS_LAST, REPEATS_STEP, REPEATS_WIDTH
+    REPEATS_LEFT, REPEATS_CHANGE, REPEATS_SCALE, REPEATS_COUNT, REPEATS_LAST, REPEATS_SELDOM, REPEATS_WIDTH
 };
 
-/* Note a reading, r being the variance of its noise, and how fine the steps of its sensor are. One that goes on after
-   it has repeated itself reads in coarse steps, or only now and then. A single small change is chance: it halves the
-   steps that were known at most. */
-INLINE void repeats_note_reading(const real z, const real r, real *RESTRICT row) {
-    const real change = real_abs(z - row[REPEATS_LAST]), fine = real_max(row[REPEATS_STEP], 0);
-    const real most = 2 * real_max(fine, 1 / real_sqrt(r));
-    if (row[REPEATS_COUNT] > 0)
-        row[REPEATS_STEP] = change == 0 ? -real_abs(row[REPEATS_STEP]) : real_max(fine, real_min(1 / change, most));
+/* Note a reading, and how often its sensor repeats itself. */
+INLINE void repeats_note_reading(const real z, real *RESTRICT row) {
+    const real again = z == row[REPEATS_LAST], count = row[REPEATS_COUNT];
+    real share = 1 / real_max(real_abs(row[REPEATS_SELDOM]), 1);
+    share = real_max(share + (again - share) / real_min(count + 1, REPEATS_CHANGES), REPEATS_RAREST);
+    if (count > 0) row[REPEATS_SELDOM] = (again > 0 ? -1 : 1) / share;
     row[REPEATS_LAST] = z;
 }
 
@@ -44,7 +43,7 @@ INLINE void repeats_note_change(const real y, real *RESTRICT row) {
 /* Whether a reading repeats the last one. White noise makes 6 r; what changes less is none. */
 INLINE int repeats_again(const real z, const real r, const real *RESTRICT row) {
     return z == row[REPEATS_LAST] && row[REPEATS_SCALE] * row[REPEATS_SCALE] >= r &&
-           real_abs(row[REPEATS_STEP]) * real_sqrt(r) >= REPEATS_FINE;
+           real_abs(row[REPEATS_SELDOM]) >= REPEATS_RARE;
 }
 
 #endif

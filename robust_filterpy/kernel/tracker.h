@@ -96,12 +96,12 @@ INLINE int tracker_is_far(const int n, const real nu, const real *RESTRICT phi, 
     return real_abs(nu) > TRACKER_CLEANED * real_sqrt(real_max(tracker_spread(n, phi, P), 0) + r);
 }
 
-/* Note a reading that was not left out and what was not foreseen of it; r is the variance of its noise. */
-INLINE void tracker_note(const real y, const real nu, const real r, real *RESTRICT readings) {
-    /* While a sensor was stuck it has told nothing of its steps. */
-    if (readings[REPEATS_WIDTH] > 0) readings[REPEATS_STEP] = real_abs(readings[REPEATS_STEP]);
+/* Note a reading that was not left out and what was not foreseen of it. */
+INLINE void tracker_note(const real y, const real nu, real *RESTRICT readings) {
+    /* While a sensor was stuck it has told nothing of its habits. */
+    if (readings[REPEATS_WIDTH] > 0) readings[REPEATS_SELDOM] = real_abs(readings[REPEATS_SELDOM]);
     readings[REPEATS_WIDTH] = 0;
-    repeats_note_reading(y, r, readings);
+    repeats_note_reading(y, readings);
     repeats_note_change(nu, readings);
     readings[REPEATS_LEFT] = nu;
 }
@@ -354,7 +354,7 @@ INLINE int tracker_step(const tracker_layout *const l, const int n, const tracke
     for (int i = 0; i < l->c; i++) before += phi[i] * x[i];
     before = tracker_bounded(before);
     if (stuck) s->readings[REPEATS_WIDTH] += 1;
-    else if (rule->judges && known) tracker_note(y, y - predicted, r, s->readings);
+    else if (rule->judges && known) tracker_note(y, y - predicted, s->readings);
     tracker_push(l->nf, s->undisturbed, -tracker_bounded(alone));
     if (again) real_copy(past, s->measured, s->outputs);
     tracker_push(l->na, s->outputs, -believed);

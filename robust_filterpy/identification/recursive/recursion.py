@@ -86,7 +86,7 @@ class Recursion:
         if stuck:
             self.readings[repeats.WIDTH] += 1.0
         elif known and self.judges:
-            note(self.readings, y, y - predicted, r)
+            note(self.readings, y, y - predicted)
         theta, phi = np.ravel(kf.x), H[0]
         believed = bounded(predicted) if not known or (self.cleans and outlying) else y
         before = bounded(phi[layout.before_noise].dot(theta[layout.before_noise]).item())
@@ -139,13 +139,13 @@ def _followed(kf: Any, scale: NoiseScale, R: float, nu: float, S: float) -> Nois
     return scale._replace(samples=samples)
 
 
-def note(readings: Array, y: float, nu: float, r: float) -> None:
+def note(readings: Array, y: float, nu: float) -> None:
     """Note in place a reading that was not left out and what was not foreseen of it."""
     row = readings[: repeats.WIDTH]
     if readings[repeats.WIDTH]:
-        # While a sensor was stuck it has told nothing of its steps.
+        # While a sensor was stuck it has told nothing of its habits.
         row[-1], readings[repeats.WIDTH] = abs(row[-1]), 0.0
-    repeats.note_reading(row, y, r)
+    repeats.note_reading(row, y)
     repeats.note_change(row, nu)
     row[0] = nu
 

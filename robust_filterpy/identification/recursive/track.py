@@ -15,7 +15,6 @@ import numpy as np
 
 from robust_filterpy import kernel
 from robust_filterpy._checks import Array
-from robust_filterpy.correction import repeats
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.models.guard import GUARDS
@@ -209,14 +208,11 @@ def _with_model(form: Form, now: State, i: int, start: ColdStart) -> tuple[State
 
 
 def _with_readings(now: State, i: int, start: ColdStart, model: Model) -> State:
-    """Learn from a model's own recording how fine the steps of the sensor are, and how white its noise."""
-    y, R, row = measurements(start.y, start.u)[0] - now.centre[i], float(now.scale[i, 0]), np.zeros(READINGS)
+    """Learn from a model's own recording how often the sensor repeats itself, and how white its noise is."""
+    y, row = measurements(start.y, start.u)[0] - now.centre[i], np.zeros(READINGS)
     nu = start.y - model.predict(start.y, start.u if model.structure.n_inputs else None)
-    steps = np.diff(np.unique(y[~np.isnan(y)]))
-    if steps.size:
-        row[repeats.WIDTH - 1] = 1.0 / max(float(steps.min()), 1e-290)
     for k in np.flatnonzero(~np.isnan(y + nu)).tolist():
-        note(row, float(y[k]), float(nu[k]), R)
+        note(row, float(y[k]), float(nu[k]))
     readings = now.readings.copy()
     readings[i] = row
     return now._replace(readings=readings)

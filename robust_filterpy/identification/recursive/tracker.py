@@ -138,7 +138,7 @@ class ParameterTracker(Returning, Standing):
         `identify`, then starts anew; where over 480 samples only the gain is another, it goes on with that.
     StuckSensorWarning
         Once, if y repeats its last value to the last bit, more than three standard deviations from the prediction,
-        though its noise is white and in fine steps: it then counts as missing for as long as it does. Also if the
+        though it seldom does and its noise is white: it then counts as missing for as long as it does. Also if the
         start's own samples hold a value as `identify` says.
 
     Notes
