@@ -17,12 +17,13 @@ from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 
 # Numbers of a rule before its scales: copies, classes, stay, jump, two memories, whether it learns.
-_HEAD = 7
+_HEAD = 9
 
 
 def mixes(kf: RobustKalmanFilter | RobustExtendedKalmanFilter) -> bool:
     """Return whether the kernel weighs what this filter's noise may have been."""
-    return kf.policy.rule is not None
+    rule = kf.policy.rule
+    return rule is not None and not rule[7:_HEAD].any()
 
 
 def memory_field(shape: tuple[int, ...], name: str) -> str:

@@ -46,8 +46,7 @@ class LearningMixin(Held):
     def _sensors_of(self, m: int, passed: Array | None, first: int) -> tuple[Array, list[Any]]:
         """Return memories without any knowledge, and what tells the m sensors: their places, or their rows of an H."""
         begin = self._policy.begin(first + m)
-        if len(begin) < first + m:
-            # All of them fail together.
+        if self._policy.noise is not None and self._choices.grouping == "joint":
             return begin, [0]
         places = list(range(first, first + m))
         return begin[first:], places if passed is None else sensor_keys(passed, getattr(self, "H", None))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -63,8 +64,9 @@ class Mixture:
     scales: Scales = field(init=False, repr=False, compare=False)
     choices: Choices = field(init=False, repr=False, compare=False)
     patience: None = field(init=False, repr=False, default=None)
-    #: What the kernel takes, None if it is not for that.
-    rule: Array | None = field(init=False, repr=False, compare=False)
+    #: What the kernel takes, and puts a correction into.
+    rule: Array = field(init=False, repr=False, compare=False)
+    record: Any = field(init=False, repr=False, compare=False)
     by_kernel = False
 
     def __post_init__(self) -> None:
@@ -78,11 +80,7 @@ class Mixture:
         ):
             object.__setattr__(self, name, value)
         object.__setattr__(self, "rule", half_step.rule(self.classes, self.scales))
-
-    @property
-    def record(self) -> type[Mixed]:
-        """What the kernel puts a correction into."""
-        return Mixed
+        object.__setattr__(self, "record", partial(Mixed, together=self._named) if self._named else Mixed)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Mixture:
         """Return self: nothing in here changes."""

@@ -36,28 +36,27 @@ class StepMixin(Held):
 
     _arrays: Callable[[], Correction | None]
 
-    def _predict_by_kernel(self, u: Any) -> bool:
+    def _predict_by_kernel(self, u: Any, B: Any, F: Any, Q: Any) -> bool:
         """Predict by F."""
         if _extension is None or not self._by_kernel:
             return False
-        if self._policy.by_kernel:
-            taken: bool = _extension.predict(self, u)
-            return taken
-        return self._policy.rule is not None and _extension.predict_mixture(self, u)
+        predict = _extension.predict if self._policy.noise is None else _extension.predict_mixture
+        return bool(predict(self, u, B, F, Q))
 
     def _predict_extended(self, u: Any, moves: bool) -> bool:
         """Predict by F, or P alone where x has been moved by a function."""
         if _extension is None:
             return False
-        return bool(_extension.predict(self, u) if moves else _extension.predict_covariance(self))
+        return bool(_extension.predict(self, u, None, None, None) if moves else _extension.predict_covariance(self))
 
     def _correct_by_kernel(self, z: Any, R: Any, H: Any, M: Any) -> bool:
         """Correct by a linear sensor."""
         if _extension is None or not self._by_kernel:
             return False
+        if self._policy.noise is not None:
+            return self._watched(z, R, H, M)
         if not self._policy.by_kernel:
-            own = H is None and M is None and self._policy.rule is not None
-            return own and self._watched(z, R)
+            return False
         if self._choices.scaling == "innovation":
             return self._counted(_extension.correct, z, R, H, M)
         taken: bool = _extension.correct(self, z, R, H, M)
@@ -72,10 +71,10 @@ class StepMixin(Held):
         taken: bool = _extension.correct_innovation(self, z, predicted, y, C, S, R)
         return taken
 
-    def _watched(self, z: Any, R: Any) -> bool:
-        """Take a correction under noise that is learnt, and look now and then at the signs of innovations."""
+    def _watched(self, z: Any, R: Any, H: Any, M: Any) -> bool:
+        """Take a correction under ``noise=``, and look now and then at the signs of innovations."""
         before = snapshot(self) if judges(self._updates + 1) else None
-        if not _extension.correct_mixture(self, z, R):
+        if not _extension.correct_mixture(self, z, R, H, M):
             return False
         self._updates += 1
         if self._counts_clipped:

@@ -217,7 +217,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         ValueError
             If a shape does not fit or Q is negative or not symmetric; nothing has changed then.
         """
-        if not (B is None and F is None and Q is None and self._predict_by_kernel(u)):
+        if not self._predict_by_kernel(u, B, F, Q):
             self._predict(u, B, F, Q)
 
     @whole
@@ -584,7 +584,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
 
     def _steps_are_own(self) -> bool:
         """Return whether the kernel's steps of a recording are this filter's, by its class, its policy and itself."""
-        serves = self._policy.by_kernel or self._policy.rule is not None
+        serves = self._policy.by_kernel or self._policy.noise is not None
         if not (self._by_kernel and serves and self._inverse is None):
             return False
         own = RobustKalmanFilter

@@ -20,7 +20,7 @@
 /* Attributes by name; the same list makes the enumeration and the interned strings. */
 #define ATTRIBUTES(X) \
     X(x) X(P) X(F) X(Q) X(H) X(R) X(B) X(z) X(dim_x) X(dim_z) X(inv) X(x_prior) X(P_prior) X(x_post) X(P_post) \
-    X(_alpha_sq) X(_choices) X(derived) X(rule) X(_memory) X(_last) X(_y) X(_S) X(_SI) X(_K) X(_log_likelihood) X(_likelihood) X(_mahalanobis) \
+    X(_alpha_sq) X(_choices) X(derived) X(rule) X(_memory) X(_other_sensors) X(_last) X(_y) X(_S) X(_SI) X(_K) X(_log_likelihood) X(_likelihood) X(_mahalanobis) \
     X(_policy) X(_kept) X(record) X(_outlier_probability)
 enum attribute {
 #define ATTRIBUTE(name) AT_##name,
@@ -32,7 +32,7 @@ extern PyObject *attribute_names[ATTRIBUTE_COUNT];
 extern PyObject *numpy_inverse; /* numpy.linalg.inv, filterpy's default for inv */
 
 /* References held during a call: no array can go away while it is worked on. */
-#define HELD_MOST 40
+#define HELD_MOST 100
 typedef struct {
     PyObject *objects[HELD_MOST];
     int count;

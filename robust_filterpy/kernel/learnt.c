@@ -6,7 +6,7 @@
 
 /* The rule from the array that robust_filterpy.kernel.learnt makes of it; return whether it is that. */
 int take_rule(learnt_rule *rule, PyObject *object) {
-    enum { HEAD = 7 };
+    enum { HEAD = 9 };
     const npy_intp length = is_array(object, 1) ? PyArray_DIM((PyArrayObject *)object, 0) : 0;
     const double *const numbers = length < HEAD ? NULL : vector_of(object, length);
     if (!numbers || !(numbers[0] >= 1 && numbers[0] < 1000 && numbers[1] >= 1 && numbers[1] < 1000)) return 0;
@@ -16,14 +16,28 @@ int take_rule(learnt_rule *rule, PyObject *object) {
     rule->process = numbers + HEAD;
     rule->scales = rule->process + rule->q;
     rule->begin = rule->scales + rule->K;
-    return length == HEAD + rule->q + rule->K + learnt_width(rule->K);
+    rule->drawn = numbers[7] != 0 ? rule->begin + learnt_width(rule->K) : NULL;
+    rule->joint = numbers[8] < 0;
+    rule->named = rule->joint || !(numbers[8] < 1000) ? 0 : (int)numbers[8];
+    rule->leads = rule->begin + learnt_width(rule->K) + (rule->drawn ? rule->q : 0);
+    if (rule->leads + rule->named != numbers + length) return 0;
+    for (int i = 0; i < rule->named; i++)
+        if (!(rule->leads[i] >= 0 && rule->leads[i] <= i)) return 0;
+    return 1;
 }
+
+size_t correct_work(const learnt_rule *rule, npy_intp n, npy_intp m) {
+    const int copies = learnt_copies(rule), grouped = rule->joint || rule->named > 0;
+    return learnt_correct_work(n, m, copies, rule->K) + (grouped ? learnt_group_work(n, m, copies, rule->K) : 0);
+}
+
+npy_intp known_rows(const learnt_rule *rule, npy_intp m) { return rule->joint ? 1 : m; }
 
 /* The copies and what is known of m sensors; m < 0: of none. Return whether the arrays are that. */
 static int take_copies(learnt_state *s, const learnt_rule *rule, npy_intp n, npy_intp m, PyObject *x, PyObject *P,
                       PyObject *p, PyObject *memory) {
     const npy_intp copies = learnt_copies(rule), means[2] = {copies, n}, covariances[3] = {copies, n, n};
-    const npy_intp beliefs[2] = {copies + 2, n}, known[2] = {m, learnt_width(rule->K)};
+    const npy_intp beliefs[2] = {copies + 2, n}, known[2] = {known_rows(rule, m), learnt_width(rule->K)};
     s->x = writable(x, 2, means), s->P = writable(P, 3, covariances), s->p = writable(p, 2, beliefs);
     s->memory = m < 0 ? NULL : writable(memory, 2, known);
     return s->x && s->P && s->p && (m < 0 || s->memory) && learnt_has_parts((int)n, rule, s);
@@ -39,7 +53,7 @@ static PyObject *wrong(void) {
 typedef struct {
     learnt_rule rule;
     learnt_state state;
-    series_matrices z, readings, F, Q, H, R, control; /* of one series */
+    series_matrices z, readings, F, Q, H, R, control, M; /* of one series */
     int n, m, update_first;
     int which; /* halves of a step: 1 its prediction, 2 its correction, 3 both */
     npy_intp first, last, every, width;
@@ -58,7 +72,7 @@ static void keep(const learnt_job *job, npy_intp row, double *means, double *cov
 /* Take steps until one is out of the ordinary; return the first that was not taken. */
 INLINE npy_intp run(const int n, const int m, learnt_job *job, double *work) {
     const learnt_rule rule = job->rule;
-    const int copies = learnt_copies(&rule), known = m * learnt_width(rule.K), beliefs = learnt_beliefs(n, &rule);
+    const int copies = learnt_copies(&rule), known = (int)known_rows(&rule, m) * learnt_width(rule.K), beliefs = learnt_beliefs(n, &rule);
     double *const kept = work, *const p = kept + copies * (n * n + n), *const memory = p + beliefs;
     double *const x = memory + known, *const P = x + n, *const weights = P + n * n;
     double *const outlying = weights + m, *const spare = outlying + m;
@@ -77,8 +91,10 @@ INLINE npy_intp run(const int n, const int m, learnt_job *job, double *work) {
             if (!(job->which & (corrects ? 2 : 1))) continue;
             if (corrects)
                 fine = learnt_correct(n, m, &rule, s, job->z.data + k * job->z.by_step,
-                                      job->readings.data + k * job->readings.by_step, job->H.data + k * job->H.by_step, job->R.data + k * job->R.by_step, weights,
-                                      outlying, &likelihood, spare) >= 0;
+                                      job->readings.data + k * job->readings.by_step,
+                                      job->H.data + k * job->H.by_step, job->R.data + k * job->R.by_step,
+                                      job->M.data ? job->M.data + k * job->M.by_step : NULL, weights, outlying,
+                                       &likelihood, spare) >= 0;
             else
                 learnt_predict(n, &rule, s, job->F.data + k * job->F.by_step, job->Q.data + k * job->Q.by_step,
                                job->control.data ? job->control.data + k * job->control.by_step : NULL, job->alpha_sq,
@@ -127,14 +143,14 @@ static npy_intp run_sized(learnt_job *job, double *work) {
 }
 
 static PyObject *learnt_steps(PyObject *self, PyObject *arguments) {
-    PyObject *rule, *standing, *z, *readings, *matrices, *rooms, *state[6], *model[5], *out[8];
+    PyObject *rule, *standing, *z, *readings, *matrices, *rooms, *state[6], *model[6], *out[8];
     Py_ssize_t first, last, every, width;
     learnt_job job = {0};
     (void)self;
     if (!PyArg_ParseTuple(arguments, "OOOOOO(nnndpni)", &rule, &standing, &z, &readings, &matrices, &rooms, &first, &last, &every,
                           &job.alpha_sq, &job.update_first, &width, &job.which))
         return NULL;
-    if (!take_rule(&job.rule, rule) || !take_objects(standing, 6, state) || !take_objects(matrices, 5, model) ||
+    if (!take_rule(&job.rule, rule) || !take_objects(standing, 6, state) || !take_objects(matrices, 6, model) ||
         !take_objects(rooms, 8, out) || !is_array(z, 3) || !is_array(state[0], 2))
         return wrong();
     const npy_intp all = PyArray_DIM((PyArrayObject *)z, 1), m = PyArray_DIM((PyArrayObject *)z, 2);
@@ -148,6 +164,7 @@ static PyObject *learnt_steps(PyObject *self, PyObject *arguments) {
         !take_matrices(&job.Q, model[1], 1, all, n, n) || !take_matrices(&job.H, model[2], 1, all, m, n) ||
         !take_matrices(&job.R, model[3], 1, all, m, m) ||
         (model[4] != Py_None && !take_matrices(&job.control, model[4], 1, all, n, 0)) ||
+        (model[5] != Py_None && !take_matrices(&job.M, model[5], 1, all, n, m)) ||
         !take_room(&job.means, out[0], 1, rows, n) || !take_room(&job.covariances, out[1], 1, rows, width) ||
         !take_room(&job.means_p, out[2], 1, rows, n) || !take_room(&job.covariances_p, out[3], 1, rows, width) ||
         !take_room(&job.weights, out[4], 1, rows, m) || !take_room(&job.outlying, out[5], 1, rows, m) ||
@@ -156,7 +173,7 @@ static PyObject *learnt_steps(PyObject *self, PyObject *arguments) {
     job.z.by_step = job.readings.by_step = m;
     job.n = (int)n, job.m = (int)m, job.first = first, job.last = last, job.every = every, job.width = width;
     const int copies = learnt_copies(&job.rule), K = job.rule.K;
-    const size_t step = learnt_correct_work(job.n, job.m, copies, K) + learnt_predict_work(job.n, copies);
+    const size_t step = correct_work(&job.rule, n, m) + learnt_predict_work(job.n, copies);
     const size_t kept = (size_t)((copies + 1) * (n * n + n) + (copies + 2) * n + m * learnt_width(K) + 2 * m);
     double *const work = PyMem_Malloc((step + kept) * sizeof(double));
     if (!work) return PyErr_NoMemory();

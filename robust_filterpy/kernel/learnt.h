@@ -46,6 +46,10 @@ typedef struct {
     real jump;           /* chance of a jump in a step, 0 for never */
     real memory, r_memory;
     int learns;          /* else the classes' probabilities are told, and r is 1 */
+    const real *drawn;   /* (q) probabilities of the scales where the process draws one anew in each step, or NULL */
+    int joint;           /* whether all sensors fail together, and what is known of them is one row */
+    int named;           /* so many sensors fail with the first one of their group .. */
+    const real *leads;   /* (named) .. whose place this is */
 } learnt_rule;
 
 /* The copies, and what is known of each sensor. */
@@ -59,6 +63,11 @@ typedef struct {
 
 INLINE int learnt_copies(const learnt_rule *const rule) { return rule->jump > 0 ? rule->q + 1 : rule->q; }
 
+/* The first sensor of those that fail with sensor i. */
+INLINE int learnt_lead(const learnt_rule *const rule, const int i) {
+    return rule->joint ? 0 : i < rule->named ? (int)rule->leads[i] : i;
+}
+
 /* Numbers of a state's p. */
 INLINE int learnt_beliefs(const int n, const learnt_rule *const rule) { return (learnt_copies(rule) + 2) * n; }
 
@@ -71,6 +80,11 @@ INLINE real *learnt_part(const int n, const learnt_rule *const rule, const learn
 }
 
 #define learnt_width(K) (2 + 2 * (K) + (K) * (K) + LEARNT_TAIL)
+
+/* What is known of sensor i. */
+INLINE real *learnt_known(const learnt_rule *const rule, const learnt_state *const s, const int i) {
+    return s->memory + (rule->joint ? 0 : i * learnt_width(rule->K));
+}
 
 /* Whether each part is named by its first state. */
 INLINE int learnt_has_parts(const int n, const learnt_rule *const rule, const learnt_state *const s) {
@@ -177,7 +191,8 @@ INLINE void learnt_predict(const int n, const learnt_rule *const rule, learnt_st
         for (int o = 0; o < n; o++) {
             p[j * n + o] = 0;
             for (int i = 0; i < q; i++)
-                p[j * n + o] += origin[i * n + o] = s->p[i * n + o] * (i == j ? rule->stay : other);
+                p[j * n + o] += origin[i * n + o] =
+                    s->p[i * n + o] * (rule->drawn ? rule->drawn[j] : i == j ? rule->stay : other);
             for (int i = 0; i < q; i++) origin[i * n + o] /= p[j * n + o];
         }
         learnt_collapse(n, q, origin, s->x, s->P, part, x + j * n, P + j * n * n);
@@ -469,7 +484,14 @@ typedef struct {
     real *head, *fresh; /* (m) first state of the part that a sensor sees; whether a candidate there is new */
     real *before, *usual, *after, *weights, *shared; /* (K) shared: of the class that all sensors are in, if of one */
     real together; /* probability that they are */
+    /* Of sensors that fail together, taken at once: their places (m), under each copy score and information (m), (m, m),
+       energy and noise's part (m); scratch. */
+    real *members, *scores, *informations, *energies, *noises, *scratch;
 } learnt_parts;
+
+/* What a correction works on besides where sensors fail together. */
+#define learnt_group_work(n, m, copies, K) \
+    ((size_t)((m) * (2 + (n)) + ((copies) + (K) + 2) * (m) * (m) + (3 * (copies) + (K)) * (m)))
 
 /* Innovations under one copy, and their covariances with the state and each other without noise; return how large they are. */
 INLINE real learnt_innovations(const int n, const int m, const int copy, const learnt_state *const s,
@@ -543,10 +565,10 @@ INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule
     }
 }
 
-/* Let what a measurement couples be one part: the states that a sensor sees, those of correlated sensors. Say of each
-   sensor which part it sees. */
+/* Let what a measurement couples be one part: the states that a sensor sees or whose error is its noise's too, those of
+   correlated sensors and of those that fail together. Say of each sensor which part it sees. */
 INLINE void learnt_couple(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
-                          const real *RESTRICT H, const real *RESTRICT R, const learnt_parts *const w) {
+                          const real *RESTRICT H, const real *RESTRICT R, const real *M, const learnt_parts *const w) {
     const real *const part = learnt_part(n, rule, s);
     for (int i = 0; i < m; i++) {
         int first = 0;
@@ -554,9 +576,12 @@ INLINE void learnt_couple(const int n, const int m, const learnt_rule *const rul
         while (H[i * n + first] == 0) first++;
         for (int k = first + 1; k < n; k++)
             if (H[i * n + k] != 0) learnt_join(n, rule, s, first, k);
+        for (int k = 0; M && k < n; k++)
+            if (M[k * m + i] != 0) learnt_join(n, rule, s, first, k);
         w->head[i] = (real)first;
         for (int j = 0; j < i; j++)
-            if (w->left[j] > 0 && R[i * m + j] != 0) learnt_join(n, rule, s, first, (int)w->head[j]);
+            if (w->left[j] > 0 && (R[i * m + j] != 0 || learnt_lead(rule, i) == learnt_lead(rule, j)))
+                learnt_join(n, rule, s, first, (int)w->head[j]);
     }
     for (int i = 0; i < m; i++)
         if (w->left[i] > 0) w->head[i] = part[(int)w->head[i]];
@@ -580,9 +605,25 @@ INLINE void learnt_refresh(const int n, const int m, const learnt_rule *const ru
     }
 }
 
+/* Add what the noise has to do with the state's error to the moments of innovations; M grows as R does. */
+CALLED void learnt_correlate(const int n, const int m, const int copies, const real *RESTRICT H, const real *RESTRICT M,
+                             const learnt_parts *const w) {
+    for (int c = 0; c < copies; c++)
+        for (int i = 0; i < m; i++) {
+            const real root = real_sqrt(w->r[i]);
+            for (int j = 0; j < m; j++) {
+                real cross = 0;
+                for (int k = 0; k < n; k++) cross += H[j * n + k] * (M[k * m + i] * root);
+                w->S[(c * m + i) * m + j] += cross;
+                w->S[(c * m + j) * m + i] += cross;
+            }
+            for (int k = 0; k < n; k++) w->C[(c * m + i) * n + k] += M[k * m + i] * root;
+        }
+}
+
 /* Begin a correction: innovations and their moments, fresh candidates where they ask for them. Return whether ordinary. */
 INLINE int learnt_begin(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
-                        const real *RESTRICT H, const real *RESTRICT R, const real *RESTRICT z,
+                        const real *RESTRICT H, const real *RESTRICT R, const real *M, const real *RESTRICT z,
                         const learnt_parts *const w) {
     const int copies = learnt_copies(rule);
     real check = 0;
@@ -602,6 +643,7 @@ INLINE int learnt_begin(const int n, const int m, const learnt_rule *const rule,
                 S[i * m + j] += i == j ? w->r[i] * R[i * m + j] : R[i * m + j] * real_sqrt(w->r[i] * w->r[j]);
             }
         }
+    if (M) learnt_correlate(n, m, copies, H, M, w);
     for (int i = 0; i < m; i++) w->start[i] = 0;
     for (int c = 0; c < copies; c++)
         for (int i = 0; i < m; i++)
@@ -676,9 +718,23 @@ INLINE int learnt_together(const int n, const int m, const learnt_rule *const ru
     return real_is_finite(*log_density);
 }
 
-/* The sensor with the smallest innovation in standard deviations, over all copies; -1 if none is left. */
-INLINE int learnt_next(const int n, const int m, const int copies, const learnt_state *const s,
+/* The square of a sensor's innovation in standard deviations, over all copies. */
+INLINE real learnt_far(const int n, const int m, const int copies, const learnt_state *const s,
+                       const learnt_parts *const w, const int i) {
+    const real *const p = s->p + (int)w->head[i];
+    real mean = 0, variance = 0;
+    for (int c = 0; c < copies; c++) mean += p[c * n] * w->y[c * m + i];
+    for (int c = 0; c < copies; c++) {
+        const real apart = w->y[c * m + i] - mean;
+        variance += p[c * n] * (w->S[c * m * m + i * m + i] + apart * apart);
+    }
+    return mean * mean / variance;
+}
+
+/* The sensor that is taken next, the least far; of those that fail together the farthest counts. */
+INLINE int learnt_next(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
                        const learnt_parts *const w) {
+    const int copies = learnt_copies(rule), grouped = rule->joint || rule->named > 0;
     int best = -1, count = 0;
     real least = 0;
     for (int i = 0; i < m; i++)
@@ -686,16 +742,13 @@ INLINE int learnt_next(const int n, const int m, const int copies, const learnt_
     if (count < 2) return best;
     best = -1;
     for (int i = 0; i < m; i++) {
-        real mean = 0, variance = 0;
+        real far;
         if (!(w->left[i] > 0)) continue;
-        const real *const p = s->p + (int)w->head[i];
-        for (int c = 0; c < copies; c++) mean += p[c * n] * w->y[c * m + i];
-        for (int c = 0; c < copies; c++) {
-            const real apart = w->y[c * m + i] - mean;
-            variance += p[c * n] * (w->S[c * m * m + i * m + i] + apart * apart);
-        }
-        mean = mean * mean / variance;
-        if (best < 0 || mean < least) best = i, least = mean;
+        far = learnt_far(n, m, copies, s, w, i);
+        for (int j = 0; grouped && j < m; j++)
+            if (w->left[j] > 0 && learnt_lead(rule, j) == learnt_lead(rule, i))
+                far = real_max(far, learnt_far(n, m, copies, s, w, j));
+        if (best < 0 || far < least) best = i, least = far;
     }
     return best;
 }
@@ -736,14 +789,180 @@ INLINE int learnt_scores(const int m, const learnt_rule *const rule, const int i
     return 1;
 }
 
-/* Correct by what z tells, NaN where it is missing: R need not be diagonal. readings: what the sensors said, where z is only
+/* Score, information and likelihood of g sensors that fail together under every copy: learnt_scores of a vector. Return
+   whether all is ordinary. log_density: of all that is likely the most, which w->logs are over. */
+CALLED int learnt_group_scores(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
+                               const real *RESTRICT R, const int g, const learnt_parts *const w,
+                               real *const log_density) {
+    const int copies = learnt_copies(rule), K = rule->K, rows = rule->joint ? 1 : g, size = rule->joint ? g : 1;
+    real *RESTRICT N = w->scratch, *RESTRICT L = N + m * m, *RESTRICT inverses = L + m * m;
+    real *RESTRICT pulls = inverses + K * m * m;
+    int noisy = 0;
+    for (int k = 0; k < K; k++) w->before[k] = w->usual[k] = 0;
+    for (int t = 0; t < rows; t++) {
+        const real *const known = learnt_known(rule, s, (int)w->members[t]);
+        learnt_predicted(K, known, w->after);
+        for (int k = 0; k < K; k++) w->before[k] += w->after[k] / (real)rows;
+        learnt_usual(K, known, w->after);
+        for (int k = 0; k < K; k++) w->usual[k] += w->after[k] / (real)rows;
+    }
+    for (int t = 0; t < g; t++)
+        for (int u = 0; u < g; u++) {
+            const int i = (int)w->members[t], j = (int)w->members[u];
+            N[t * g + u] = R[i * m + j] == 0 ? 0 : R[i * m + j] * (i == j ? w->r[i] : real_sqrt(w->r[i] * w->r[j]));
+            noisy |= N[t * g + u] != 0;
+        }
+    for (int c = 0; c < copies; c++) {
+        const real *const before = c < rule->q ? w->before : w->usual, *const y = w->y + c * m;
+        real *RESTRICT given = w->given + c * K, *RESTRICT a = w->scores + c * m, *RESTRICT b = w->informations + c * m * m;
+        real least = REAL_MAX, shorter, peak = -REAL_MAX, total = 0;
+        if (!(w->S[(c * m + (int)w->members[0]) * m + (int)w->members[0]] > REAL_PIVOT * w->start[(int)w->members[0]]))
+            return 0;
+        for (int k = 0; k < K; k++) {
+            real *RESTRICT inverse = inverses + k * g * g, *RESTRICT pull = pulls + k * g, log_det = 0, length = 0;
+            for (int t = 0; t < g; t++)
+                for (int u = 0; u <= t; u++) {
+                    const int i = (int)w->members[t], j = (int)w->members[u];
+                    const real whole = w->S[(c * m + i) * m + j] + (rule->scales[k] - 1) * N[t * g + u];
+                    real cell = whole;
+                    for (int o = 0; o < u; o++) cell -= L[t * g + o] * L[u * g + o];
+                    if (t != u) {
+                        L[t * g + u] = cell / L[u * g + u];
+                        continue;
+                    }
+                    if (!(cell > REAL_PIVOT * whole) || !real_is_finite(cell)) return 0;
+                    L[t * g + t] = real_sqrt(cell);
+                    log_det += real_log(cell);
+                }
+            /* L^-1 in its place, then the inverse. */
+            for (int t = 0; t < g; t++) {
+                for (int u = 0; u < t; u++) {
+                    real sum = 0;
+                    for (int o = u; o < t; o++) sum -= L[t * g + o] * L[o * g + u];
+                    L[t * g + u] = sum / L[t * g + t];
+                }
+                L[t * g + t] = 1 / L[t * g + t];
+            }
+            for (int t = 0; t < g; t++) {
+                pull[t] = 0;
+                for (int u = 0; u < g; u++) {
+                    real sum = 0;
+                    for (int o = t > u ? t : u; o < g; o++) sum += L[o * g + t] * L[o * g + u];
+                    inverse[t * g + u] = sum;
+                    pull[t] += sum * y[(int)w->members[u]];
+                }
+                length += pull[t] * y[(int)w->members[t]];
+            }
+            least = real_min(least, length);
+            w->weights[k] = length, w->after[k] = log_det;
+        }
+        /* A sensor without noise is right however far off. */
+        shorter = noisy && least > LEARNT_REACH * LEARNT_REACH ? LEARNT_REACH / real_sqrt(least) : 1;
+        for (int k = 0; k < K; k++) {
+            given[k] = real_log(before[k]) - REAL(0.5) * (w->weights[k] * shorter * shorter + w->after[k]);
+            peak = real_max(peak, given[k]);
+        }
+        if (!real_is_finite(peak)) return 0;
+        for (int k = 0; k < K; k++) total += given[k] = real_exp(given[k] - peak);
+        w->logs[c] = peak + real_log(total) - REAL(0.5) * (real)g * LEARNT_LOG_2PI;
+        for (int t = 0; t < g; t++) a[t] = 0;
+        for (int t = 0; t < g * g; t++) b[t] = 0;
+        for (int k = 0; k < K; k++) {
+            given[k] /= total;
+            for (int t = 0; t < g; t++) {
+                pulls[k * g + t] *= shorter;
+                a[t] += given[k] * pulls[k * g + t];
+            }
+            for (int t = 0; t < g; t++)
+                for (int u = 0; u < g; u++)
+                    b[t * g + u] += given[k] * (inverses[(k * g + t) * g + u] - pulls[k * g + t] * pulls[k * g + u]);
+        }
+        for (int t = 0; t < g; t++)
+            for (int u = 0; u < g; u++) b[t * g + u] += a[t] * a[u];
+        /* Of what is left of y under the ordinary class, and of its variance, what is noise. */
+        for (int row = 0; row < rows; row++) {
+            real expected = 0, is = 0, excess, part;
+            for (int t = row; t < row + size; t++) {
+                real pulled = 0;
+                for (int u = 0; u < g; u++) {
+                    expected += inverses[t * g + u] * N[t * g + u];
+                    pulled += pulls[u] * N[u * g + t];
+                }
+                is += pulled * pulls[t];
+            }
+            excess = expected > 0 ? is / expected - 1 : 0;
+            part = real_min(expected / (real)size, 1);
+            w->noises[c * m + row] = part;
+            w->energies[c * m + row] = real_max(1 + part * excess, 0);
+        }
+        *log_density = c == 0 ? w->logs[c] : real_max(*log_density, w->logs[c]);
+    }
+    for (int c = 0; c < copies; c++) w->logs[c] = real_exp(w->logs[c] - *log_density);
+    return 1;
+}
+
+/* Learn from what sensors that fail together have said, and take it off the copies; w->shares are these copies'. */
+CALLED void learnt_group_taken(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
+                               const int g, const learnt_parts *const w) {
+    const int copies = learnt_copies(rule), K = rule->K;
+    real *RESTRICT bC = w->scratch, *RESTRICT bS = bC + m * n;
+    for (int row = 0; rule->learns && row < (rule->joint ? 1 : g); row++) {
+        const int i = (int)w->members[row];
+        real ordinary = 0, energy = 0, noisy = 0;
+        for (int c = 0; c < copies; c++) {
+            const real weight = w->shares[c] * w->given[c * K];
+            ordinary += weight, energy += weight * w->energies[c * m + row], noisy += weight * w->noises[c * m + row];
+        }
+        ordinary = real_max(ordinary, REAL(1e-300));
+        noisy /= ordinary;
+        /* Its own chain foresaw the class, not what all of them expect together. */
+        learnt_predicted(K, learnt_known(rule, s, i), w->before);
+        learnt_learn(rule, w->after, w->before, w->r[i], noisy > 0 ? (energy / ordinary - 1) / noisy : 0, noisy,
+                     learnt_known(rule, s, i));
+    }
+    for (int t = 0; t < g; t++) w->left[(int)w->members[t]] = 0;
+    for (int c = 0; c < copies; c++) {
+        const real *RESTRICT a = w->scores + c * m, *RESTRICT b = w->informations + c * m * m;
+        real *RESTRICT x = s->x + c * n, *RESTRICT P = s->P + c * n * n, *RESTRICT y = w->y + c * m;
+        real *RESTRICT C = w->C + c * m * n, *RESTRICT S = w->S + c * m * m;
+        for (int t = 0; t < g; t++) {
+            for (int k = 0; k < n; k++) {
+                bC[t * n + k] = 0;
+                for (int u = 0; u < g; u++) bC[t * n + k] += b[t * g + u] * C[(int)w->members[u] * n + k];
+            }
+            for (int k = 0; k < m; k++) {
+                bS[t * m + k] = 0;
+                for (int u = 0; u < g; u++) bS[t * m + k] += b[t * g + u] * S[(int)w->members[u] * m + k];
+            }
+        }
+        for (int t = 0; t < g; t++) {
+            const int i = (int)w->members[t];
+            for (int j = 0; j < n; j++) {
+                x[j] += a[t] * C[i * n + j];
+                for (int k = 0; k <= j; k++) P[j * n + k] -= C[i * n + j] * bC[t * n + k];
+            }
+            for (int o = 0; o < m; o++) {
+                if (!(w->left[o] > 0)) continue;
+                y[o] -= a[t] * S[i * m + o];
+                for (int k = 0; k < n; k++) C[o * n + k] -= bS[t * m + o] * C[i * n + k];
+                for (int k = 0; k < m; k++)
+                    if (w->left[k] > 0) S[o * m + k] -= S[i * m + o] * bS[t * m + k];
+            }
+        }
+        for (int j = 0; j < n; j++)
+            for (int k = 0; k < j; k++) P[k * n + j] = P[j * n + k];
+    }
+}
+
+/* Correct by what z tells, NaN where it is missing: R need not be diagonal. M (n, m) or NULL. readings: what the sensors said, where z is only
    how far that is from what was expected, else z too. weights and outlying (m) are written, NaN and
    0 where a component told nothing, 0 and 1 where its sensor is stuck, log_density is added to. Return how many were there,
    -1 if the step is out of the ordinary; the state is spoilt then. */
 INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
                           const real *RESTRICT z, const real *RESTRICT readings, const real *RESTRICT H,
-                          const real *RESTRICT R, real *RESTRICT weights, real *RESTRICT outlying, real *const log_density,
-                          real *RESTRICT work) {
+                          const real *RESTRICT R, const real *M, real *RESTRICT weights, real *RESTRICT outlying,
+                          real *const log_density, real *RESTRICT work) {
+    const int follows = rule->learns && !rule->joint, grouped = rule->joint || rule->named > 0;
     const int q = rule->q, copies = learnt_copies(rule), K = rule->K, width = learnt_width(K);
     const real *const part = learnt_part(n, rule, s);
     learnt_parts w;
@@ -773,6 +992,12 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
     w.weights = w.after + K;
     w.shared = w.weights + K;
     w.together = 0;
+    w.members = work + learnt_correct_work(n, m, copies, K);
+    w.scores = w.members + m;
+    w.informations = w.scores + copies * m;
+    w.energies = w.informations + copies * m * m;
+    w.noises = w.energies + copies * m;
+    w.scratch = w.noises + copies * m;
     work = w.shared + K;
     learnt_slow(n, rule, s, w.at, w.spread, work);
     for (int i = 0; i < m; i++) {
@@ -781,7 +1006,7 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
         w.left[i] = seen && z[i] == z[i] ? 1 : 0;
         weights[i] = (real)NAN;
         outlying[i] = 0;
-        if (w.left[i] > 0 &&
+        if (w.left[i] > 0 && follows &&
             learnt_stuck(n, rule, w.at, w.spread, z[i], readings[i], H + i * n, R[i * m + i], s->memory + i * width)) {
             w.left[i] = weights[i] = 0;
             outlying[i] = 1;
@@ -790,25 +1015,37 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
         count += w.left[i] > 0;
     }
     if (count == 0) return held;
-    for (int i = 0; i < m; i++) w.r[i] = rule->learns ? s->memory[i * width] : 1;
-    learnt_couple(n, m, rule, s, H, R, &w);
+    for (int i = 0; i < m; i++) w.r[i] = rule->learns ? *learnt_known(rule, s, i) : 1;
+    learnt_couple(n, m, rule, s, H, R, M, &w);
     learnt_slow(n, rule, s, w.at, w.spread, work);
-    if (rule->learns) {
+    if (follows) {
         learnt_changes(n, m, rule, s, w.at, z, readings, H, R, w.left, w.r);
         learnt_sizes(n, m, rule, s, w.spread, z, H, R, w.left, w.r, work);
     }
     learnt_refresh(n, m, rule, s, &w);
-    if (!learnt_begin(n, m, rule, s, H, R, z, &w)) return -1;
-    if (rule->learns && count > 1 && !learnt_together(n, m, rule, s, R, &w, &together, work)) return -1;
-    for (int turn = 0; turn < count; turn++) {
-        const int i = learnt_next(n, m, copies, s, &w);
+    if (!learnt_begin(n, m, rule, s, H, R, M, z, &w)) return -1;
+    if (follows && !grouped && count > 1 && !learnt_together(n, m, rule, s, R, &w, &together, work)) return -1;
+    for (int turn = 0, group; turn < count; turn += group) {
+        const int i = learnt_next(n, m, rule, s, &w);
         const real *const p = s->p + (int)w.head[i];
         const real noise = w.r[i] * R[i * m + i];
-        real *RESTRICT known = s->memory + i * width;
+        real *RESTRICT known = learnt_known(rule, s, i);
         real total = 0, others = 0, evidence = 0, ordinary = 0, energy = 0, noisy = 0, weight = 0;
-        learnt_predicted(K, known, w.before);
-        learnt_usual(K, known, w.usual);
-        if (!learnt_scores(m, rule, i, noise, &w)) return -1;
+        group = 1;
+        if (grouped) {
+            group = 0;
+            for (int j = 0; j < m; j++)
+                if (w.left[j] > 0 && learnt_lead(rule, j) == learnt_lead(rule, i)) w.members[group++] = (real)j;
+        }
+        if (group > 1) {
+            real most = 0;
+            if (!learnt_group_scores(n, m, rule, s, R, group, &w, &most)) return -1;
+            apart += most + REAL(0.5) * LEARNT_LOG_2PI;
+        } else {
+            learnt_predicted(K, known, w.before);
+            learnt_usual(K, known, w.usual);
+            if (!learnt_scores(m, rule, i, noise, &w)) return -1;
+        }
         if (copies > q) {
             /* A candidate is made to fit what it begins with, which is no evidence for it; nor is a sample that is wild to
                all others worth more than a hundred. */
@@ -828,6 +1065,7 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
         for (int k = 0; k < K; k++) w.after[k] = 0;
         for (int c = 0; c < copies; c++) {
             const real share = w.shares[c] / total;
+            w.shares[c] = share;
             for (int o = 0; o < n; o++)
                 if (part[o] == w.head[i]) s->p[c * n + o] = share;
             for (int k = 0; k < K; k++) w.after[k] += share * w.given[c * K + k];
@@ -838,6 +1076,12 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
         for (int k = 0; k < K; k++) weight += w.after[k] / rule->scales[k];
         weights[i] = weight;
         outlying[i] = 1 - w.after[0];
+        if (group > 1) {
+            for (int t = 0; t < group; t++)
+                weights[(int)w.members[t]] = weight, outlying[(int)w.members[t]] = outlying[i];
+            learnt_group_taken(n, m, rule, s, group, &w);
+            continue;
+        }
         ordinary = real_max(ordinary, REAL(1e-300));
         if (rule->learns) {
             noisy /= ordinary;
@@ -885,7 +1129,7 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
                 if (part[k] == part[o]) s->P[(c * n + o) * n + k] = s->P[(q * n + o) * n + k];
         }
     }
-    if (rule->learns) {
+    if (follows) {
         learnt_slow(n, rule, s, w.at, w.spread, work);
         for (int i = 0; i < m; i++) {
             real *RESTRICT rest = s->memory + i * width + width - REPEATS_WIDTH;

@@ -58,8 +58,9 @@ class Kept(NamedTuple):
 
 
 @lru_cache(maxsize=64)
-def rule(noise: NoiseClasses, process: Scales) -> Array | None:
-    """Return what learnt.c takes: sizes and options, scales of Q, scales of R, what is known at first.
+def rule(noise: NoiseClasses, process: Scales) -> Array:
+    """Return what learnt.c takes: sizes and options, scales of Q, scales of R, what is known at first, and who fails
+    with whom.
 
     Parameters
     ----------
@@ -70,16 +71,18 @@ def rule(noise: NoiseClasses, process: Scales) -> Array | None:
 
     Returns
     -------
-    ndarray or None
-        None for what the kernel has not: sensors that fail together, probabilities of the process that are told.
+    ndarray
     """
-    if noise.grouping != "component" or process.probabilities is not None:
-        return None
+    drawn = () if process.probabilities is None else process.probabilities
+    groups: Any = () if isinstance(noise.grouping, str) else noise.grouping
+    leads = {i: min(group) for group in groups for i in group}
+    named = -1 if noise.grouping == "joint" else max(leads, default=-1) + 1
     head = [
         len(process.scales), len(noise.scales), process.stay, process.jump, noise.memory, noise.r_memory, noise.learns,
+        len(drawn) > 0, named,
     ]  # fmt: skip
     known = learning.start(len(noise.scales), noise.probabilities)
-    return np.concatenate([np.array(head, dtype=float), process.scales, noise.scales, known])
+    return np.array([*head, *process.scales, *noise.scales, *known, *drawn, *(leads.get(i, i) for i in range(named))])
 
 
 def begin(copies: Copies, memory: Array) -> State:
@@ -104,7 +107,7 @@ def begin(copies: Copies, memory: Array) -> State:
 def run(
     state: State, zs: Array, model: tuple[Any, ...], noise: NoiseClasses, process: Scales, kept: Kept,
     *, first: int = 0, last: int | None = None, every: int = 1, alpha_sq: float = 1.0, update_first: bool = False,
-    which: int = BOTH, readings: Array | None = None,
+    which: int = BOTH, readings: Array | None = None, M: Array | None = None,
 ) -> int:  # fmt: skip
     """Take the steps of a recording as far as the kernel can, in place, and return the first that was not taken.
 
@@ -117,7 +120,7 @@ def run(
     model : tuple of ndarray, shapes (N, n, n), (N, n, n), (N, m, n), (N, m, m), (N, n)
         F, Q, H, R and B u or None; N is the number of steps, or 1 where one serves all.
     noise : NoiseClasses
-        Classes; sensors that fail together are for the definition.
+        Classes.
     process : Scales
         Copies of the filter.
     kept : Kept
@@ -128,6 +131,8 @@ def run(
         `PREDICTION` or `CORRECTION` alone, or `BOTH`.
     readings : ndarray, shape (steps, m), optional
         What the sensors said, where zs is only how far that is from what was expected.
+    M : ndarray, shape (n, m), optional
+        Covariance of the state's error and the measurement noise.
 
     Returns
     -------
@@ -140,17 +145,16 @@ def run(
     """
     extension = kernel.extension()
     last = len(zs) if last is None else last
-    what = rule(noise, process)
-    if extension is None or what is None:
+    if extension is None:
         return first
     width = 0 if kept.covariances is None else kept.covariances.shape[1]
     likelihood = np.zeros(1) if kept.log_likelihood is None else kept.log_likelihood
     said = plain(zs if readings is None else readings)[None]
     # One series.
-    given = tuple(None if a is None else plain(a)[None] for a in model)
+    given = tuple(None if a is None else plain(a)[None] for a in (*model, None if M is None else M[None]))
     into = tuple(None if a is None else a[None] for a in kept[:-1])
     taken = extension.learnt_steps(
-        what, tuple(state), plain(zs)[None], said, given, (*into, likelihood),
+        rule(noise, process), tuple(state), plain(zs)[None], said, given, (*into, likelihood),
         (first, last, every, alpha_sq, bool(update_first), width, which),
     )  # fmt: skip
     return int(taken)
@@ -225,13 +229,13 @@ def correct(
     SingularInnovationError
         As there.
     """
-    if M is None and inv is None and noise.learns:
+    if inv is None:
         (m, n), state = H.shape, begin(copies, memory)
         weights, outlying, likelihood = np.full((1, m), np.nan), np.zeros((1, m)), np.zeros(1)
         model = (_nothing(n), _nothing(n), H[None], R[None], None)
         into = Kept(weights=weights, outlying=outlying, log_likelihood=likelihood)
         said = None if readings is None else readings[None]
-        if run(state, z[None], model, noise, process, into, which=CORRECTION, readings=said):
+        if run(state, z[None], model, noise, process, into, which=CORRECTION, readings=said, M=M):
             found = Corrected(Copies(*state[:3]), state.learnt, float(likelihood[0]), weights[0], outlying[0])
             return found, state.x, state.P
     found = learnt.correct(copies, memory, z, H, R, noise, process, M, inv, readings)

@@ -91,18 +91,23 @@ static int set_mixture(held *h, PyObject *filter, const mixture *f, enum attribu
            set_attribute(filter, AT__kept, kept) == 0;
 }
 
-static int predict_mixture(held *h, PyObject *filter, PyObject *u) {
+/* given_now: B, F and Q for this call, or None. */
+static int predict_mixture(held *h, PyObject *filter, PyObject *u, PyObject *const *given_now) {
     static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT__kept, AT_F, AT_Q, AT__alpha_sq, AT_B, AT__policy};
     PyObject *const *const given = h->objects;
+    PyObject *B_now, *F_now, *Q_now;
     mixture f;
     const double *F, *Q;
     double stack[STACK_WORK], *work, *control, alpha_sq;
     int fine;
     if (hold_all(h, filter, names, sizeof names / sizeof *names) < 0 || !hold_attribute(h, given[8], AT_rule)) return -1;
+    if (!(B_now = given_or(h, given_now[0], given[7])) || !(F_now = given_or(h, given_now[1], given[4])) ||
+        !(Q_now = given_or(h, given_now[2], given[5])))
+        return -1;
     fine = take_mixture(h, given, given[9], &f);
     if (fine <= 0) return fine;
     const int n = (int)f.now.n;
-    F = matrix_of(given[4], n, n), Q = covariance_of(h, given[5], n);
+    F = matrix_of(F_now, n, n), Q = covariance_of(h, Q_now, n);
     if (!Q && PyErr_Occurred()) return -1;
     if (!F || !Q || !number_of(given[6], &alpha_sq) || !is_symmetric(Q, n)) return 0;
     for (int i = 0; i < n; i++) fine = fine && Q[i * n + i] >= 0;
@@ -110,7 +115,7 @@ static int predict_mixture(held *h, PyObject *filter, PyObject *u) {
     work = work_of(stack, learnt_predict_work(n, learnt_copies(&f.rule)) + (size_t)n);
     if (!work) return -1;
     control = work;
-    fine = take_control(given[7], u, n, &control);
+    fine = take_control(B_now, u, n, &control);
     if (fine) {
         learnt_predict(n, &f.rule, &f.s, F, Q, control, alpha_sq, work + n);
         fine = merge(&f, work + n);
@@ -130,85 +135,157 @@ static int is_finite_product(const double *H, const double *x, npy_intp m, npy_i
     return 1;
 }
 
-/* R: another one for this call, or None. */
-static int correct_mixture(held *h, PyObject *filter, PyObject *z, PyObject *told) {
-    static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT__kept, AT_dim_z,
-                                           AT_inv, AT_R, AT_H, AT__memory, AT__policy};
-    PyObject *const *const given = h->objects;
-    PyObject *seen, *shown, *known, *weights, *outlying, *H_too, *R_too, *make, *record, *probability;
-    mixture f;
-    const double *H, *R, *before;
-    double stack[STACK_WORK], *work, likelihood = 0, ordinary = 1;
-    int fine;
-    if (hold_all(h, filter, names, sizeof names / sizeof *names) < 0 || !hold_attribute(h, given[9], AT_rule)) return -1;
-    make = hold_attribute(h, given[9], AT_record);
-    z = make ? as_plain(h, z) : NULL;
-    told = z ? as_plain(h, told == Py_None ? given[6] : told) : NULL;
-    if (!told) return -1;
-    fine = take_mixture(h, given, given[10], &f);
-    if (fine <= 0) return fine;
-    const int n = (int)f.now.n, m = (int)whole_number(given[4]), width = learnt_width(f.rule.K);
-    if (m < 1 || m > 1000 || given[5] != numpy_inverse || !f.rule.learns) return 0;
-    R = covariance_of(h, told, m), H = matrix_of(given[7], m, n), before = matrix_of(given[8], m, width);
-    if (!R && PyErr_Occurred()) return -1;
-    if (!R || !H || !before || !is_finite_product(H, f.now.x, m, n)) return 0;
-    /* z is shown in the shape of x, and kept as a vector. */
-    seen = array_of(h, 1, m, 0, 0);
-    known = seen ? copied(h, before, 2, m, width) : NULL;
-    weights = known ? array_of(h, 1, m, 0, 0) : NULL;
-    outlying = weights ? array_of(h, 1, m, 0, 0) : NULL;
-    if (!outlying) return -1;
-    f.s.memory = numbers_of(known);
-    work = work_of(stack, learnt_correct_work(n, m, learnt_copies(&f.rule), f.rule.K) + (size_t)(m * m));
-    if (!work) return -1;
-    fine = take_measurement(z, m, numbers_of(seen)) && is_covariance(R, m, work) &&
-           learnt_correct(n, m, &f.rule, &f.s, numbers_of(seen), numbers_of(seen), H, R, numbers_of(weights),
-                          numbers_of(outlying), &likelihood, work) > 0 &&
-           merge(&f, work);
-    work_done(stack, work);
+/* What a correction leaves besides the state. */
+typedef struct {
+    PyObject *known, *weights, *outlying;
+    double likelihood;
+} weighed;
+
+static int begin_weighed(held *h, const learnt_rule *rule, const double *before, npy_intp m, weighed *made) {
+    made->known = copied(h, before, 2, known_rows(rule, m), learnt_width(rule->K));
+    made->weights = made->known ? array_of(h, 1, m, 0, 0) : NULL;
+    made->outlying = made->weights ? array_of(h, 1, m, 0, 0) : NULL;
+    made->likelihood = 0;
+    return made->outlying != NULL;
+}
+
+/* Correct by z (m), the sensors having said `said`; whether that was ordinary. work: correct_work. */
+static int weigh(int n, int m, const learnt_rule *rule, learnt_state *s, const double *z, const double *said,
+                 const double *H, const double *R, const double *M, weighed *made, double *work) {
+    const double *const weights = numbers_of(made->weights);
+    s->memory = numbers_of(made->known);
+    if (learnt_correct(n, m, rule, s, z, said, H, R, M, numbers_of(made->weights), numbers_of(made->outlying),
+                       &made->likelihood, work) <= 0)
+        return 0;
     /* That a sensor is stuck is said in words, by the definition. */
-    for (int i = 0; i < m; i++) fine = fine && numbers_of(weights)[i] != 0;
-    if (!fine) return 0;
-    for (int i = 0; i < m; i++) ordinary *= 1 - numbers_of(outlying)[i];
-    H_too = copied(h, H, 2, m, n);
-    R_too = H_too ? copied(h, R, 2, m, m) : NULL;
-    probability = R_too ? hold(h, PyFloat_FromDouble(m == 1 ? numbers_of(outlying)[0] : 1 - ordinary)) : NULL;
-    shown = probability ? copied(h, numbers_of(seen), f.now.ndim, m, 1) : NULL;
-    record = shown ? hold(h, PyObject_CallFunction(make, "OOOdOOOOOOOOO", f.x_next, f.P_next, known, likelihood, weights,
-                                                   outlying, f.x, f.P, H_too, R_too, Py_None, seen, given[8]))
-                   : NULL;
-    if (!record || !set_mixture(h, filter, &f, AT_x_post, AT_P_post)) return -1;
-    if (set_attribute(filter, AT_z, shown) < 0 || set_attribute(filter, AT__last, record) < 0 ||
-        set_attribute(filter, AT__memory, known) < 0 || set_attribute(filter, AT__outlier_probability, probability) < 0)
+    for (int i = 0; i < m; i++)
+        if (weights[i] == 0) return 0;
+    return 1;
+}
+
+/* The probability that a component was an outlier; sensors that fail together have one. */
+static double outlier_probability(const learnt_rule *rule, int m, const double *outlying) {
+    double ordinary = 1;
+    for (int i = 0; i < m; i++) {
+        double most = outlying[i];
+        int first = 1;
+        for (int j = 0; j < m; j++)
+            if (learnt_lead(rule, j) == learnt_lead(rule, i)) most = real_max(most, outlying[j]), first &= j >= i;
+        if (first && (m == 1 || rule->joint)) return most;
+        if (first) ordinary *= 1 - most;
+    }
+    return 1 - ordinary;
+}
+
+/* Give a filter what a correction has left of it but x and P; 1, or -1 with an exception. */
+static int set_weighed(held *h, PyObject *filter, const learnt_rule *rule, int m, PyObject *z, PyObject *record,
+                       const weighed *made, const customs *c) {
+    PyObject *const probability =
+        hold(h, PyFloat_FromDouble(outlier_probability(rule, m, numbers_of(made->outlying))));
+    if (!probability || set_attribute(filter, AT_z, z) < 0 || set_attribute(filter, AT__last, record) < 0 ||
+        set_attribute(filter, AT__outlier_probability, probability) < 0)
         return -1;
+    if (c && c->m) {
+        if (!set_customs(h, filter, c, numbers_of(made->known))) return -1;
+    } else if (rule->learns && set_attribute(filter, AT__memory, made->known) < 0) {
+        return -1;
+    }
     for (enum attribute which = AT__y; which <= AT__mahalanobis; which++)
         if (set_attribute(filter, which, Py_None) < 0) return -1;
     return 1;
 }
 
+/* given_now: R and H for this call, or None; M, or None. */
+static int correct_mixture(held *h, PyObject *filter, PyObject *z, PyObject *const *given_now) {
+    static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT__kept, AT_dim_z, AT_inv,
+                                           AT_R, AT_H, AT__memory, AT__policy, AT__other_sensors};
+    PyObject *const *const given = h->objects;
+    PyObject *seen, *shown, *H_now, *R_now, *H_too, *R_too, *M_too = Py_None, *before_too, *make, *record;
+    mixture f;
+    customs c = {.m = 0};
+    weighed made;
+    const double *H, *R, *M = NULL, *before;
+    double stack[STACK_WORK], *work;
+    int fine;
+    if (hold_all(h, filter, names, sizeof names / sizeof *names) < 0 || !hold_attribute(h, given[9], AT_rule)) return -1;
+    make = hold_attribute(h, given[9], AT_record);
+    z = make ? as_plain(h, z) : NULL;
+    R_now = z ? given_or(h, given_now[0], given[6]) : NULL;
+    H_now = R_now ? given_or(h, given_now[1], given[7]) : NULL;
+    if (!H_now) return -1;
+    fine = take_mixture(h, given, given[11], &f);
+    if (fine <= 0) return fine;
+    if (!is_array(H_now, 2) || given[5] != numpy_inverse) return 0;
+    const npy_intp rows = PyArray_DIM((PyArrayObject *)H_now, 0);
+    if (rows < 1 || rows > 1000 || (given_now[1] == Py_None && rows != whole_number(given[4]))) return 0;
+    const int n = (int)f.now.n, m = (int)rows, width = learnt_width(f.rule.K);
+    R = covariance_of(h, R_now, m), H = matrix_of(H_now, m, n);
+    if (!R && PyErr_Occurred()) return -1;
+    if (!R || !H || !is_finite_product(H, f.now.x, m, n)) return 0;
+    if (given_now[2] != Py_None) {
+        M = matrix_of(given_now[2], n, m);
+        if (!M || !all_finite(M, n * m)) return 0;
+        M_too = copied(h, M, 2, n, m);
+        if (!M_too) return -1;
+    }
+    before_too = given[8];
+    if (!f.rule.learns) {
+        before_too = array_of(h, 2, known_rows(&f.rule, m), width, 0);
+        if (!before_too) return -1;
+        for (npy_intp k = 0; k < known_rows(&f.rule, m) * width; k++) numbers_of(before_too)[k] = f.rule.begin[k % width];
+    } else if (H_now != given[7] && !f.rule.joint) {
+        c = (customs){.m = m, .width = width, .places = given[8], .rows = given[10], .begin = f.rule.begin};
+        fine = take_customs(h, &c, H, given[7], n);
+        if (fine <= 0) return fine;
+        before_too = array_of(h, 2, m, width, 0);
+        if (!before_too) return -1;
+        if (!read_customs(&c, numbers_of(before_too))) return PyErr_Occurred() ? -1 : 0;
+    }
+    before = matrix_of(before_too, known_rows(&f.rule, m), width);
+    if (!before) return 0;
+    /* z is shown in the shape of x, and kept as a vector. */
+    seen = array_of(h, 1, m, 0, 0);
+    if (!seen || !begin_weighed(h, &f.rule, before, m, &made)) return -1;
+    work = work_of(stack, correct_work(&f.rule, n, m) + (size_t)(m * m));
+    if (!work) return -1;
+    fine = take_measurement(z, m, numbers_of(seen)) && is_covariance(R, m, work) &&
+           weigh(n, m, &f.rule, &f.s, numbers_of(seen), numbers_of(seen), H, R, M, &made, work) && merge(&f, work);
+    work_done(stack, work);
+    if (!fine) return 0;
+    H_too = copied(h, H, 2, m, n);
+    R_too = H_too ? copied(h, R, 2, m, m) : NULL;
+    shown = R_too ? copied(h, numbers_of(seen), f.now.ndim, m, 1) : NULL;
+    record = shown ? hold(h, PyObject_CallFunction(make, "OOOdOOOOOOOOO", f.x_next, f.P_next, made.known, made.likelihood,
+                                                   made.weights, made.outlying, f.x, f.P, H_too, R_too, M_too, seen,
+                                                   before_too))
+                   : NULL;
+    if (!record || !set_mixture(h, filter, &f, AT_x_post, AT_P_post)) return -1;
+    return set_weighed(h, filter, &f.rule, m, shown, record, &made, &c);
+}
+
 static PyObject *predict_step(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
     held h = {.count = 0};
     (void)self;
-    if (count != 2) {
-        PyErr_SetString(PyExc_TypeError, "predict_mixture: expected a filter and u");
+    if (count != 5) {
+        PyErr_SetString(PyExc_TypeError, "predict_mixture: expected a filter, u, B, F and Q");
         return NULL;
     }
-    return answer(&h, predict_mixture(&h, arguments[0], arguments[1]));
+    return answer(&h, predict_mixture(&h, arguments[0], arguments[1], arguments + 2));
 }
 
 static PyObject *correct_step(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
     held h = {.count = 0};
     (void)self;
-    if (count != 3) {
-        PyErr_SetString(PyExc_TypeError, "correct_mixture: expected a filter, z and R");
+    if (count != 5) {
+        PyErr_SetString(PyExc_TypeError, "correct_mixture: expected a filter, z, R, H and M");
         return NULL;
     }
-    return answer(&h, correct_mixture(&h, arguments[0], arguments[1], arguments[2]));
+    return answer(&h, correct_mixture(&h, arguments[0], arguments[1], arguments + 2));
 }
 
 PyMethodDef mixture_functions[] = {
     {"predict_mixture", (PyCFunction)(void (*)(void))predict_step, METH_FASTCALL,
-     "Predict the next state of a filter that learns its noise: (filter, u)."},
+     "Predict the next state of a filter under noise=: (filter, u, B, F, Q), None for its own."},
     {"correct_mixture", (PyCFunction)(void (*)(void))correct_step, METH_FASTCALL,
-     "Correct the state of a filter that learns its noise by its own H: (filter, z, R), None for its own R."},
+     "Correct the state of a filter under noise=: (filter, z, R, H, M), None for its own R and H and for no M."},
     {NULL, NULL, 0, NULL}};

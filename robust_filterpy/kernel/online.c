@@ -87,19 +87,93 @@ int take_control(PyObject *B, PyObject *u, npy_intp n, double **control) {
     return 1;
 }
 
-/* moves: whether x does too. */
-static int take_prediction(held *h, PyObject *filter, PyObject *u, int moves) {
+PyObject *given_or(held *h, PyObject *given, PyObject *own) { return as_plain(h, given == Py_None ? own : given); }
+
+/* Say which sensors the rows of an H are. */
+int take_customs(held *h, customs *c, const double *H, PyObject *own, npy_intp n) {
+    const npy_intp m = c->m, rows = is_array(own, 2) ? PyArray_DIM((PyArrayObject *)own, 0) : 0;
+    const double *const known = rows > 0 ? matrix_of(own, rows, n) : NULL;
+    const size_t size = (size_t)n * sizeof(double);
+    int same = 0;
+    if (m > CUSTOMS_NOW || !known || !PyDict_CheckExact(c->rows) || !is_array(c->places, 2) ||
+        !matrix_of(c->places, PyArray_DIM((PyArrayObject *)c->places, 0), c->width))
+        return 0;
+    for (npy_intp i = 0; i < m; i++) {
+        c->place[i] = 0, c->key[i] = NULL;
+        while (c->place[i] < rows && memcmp(H + i * n, known + c->place[i] * n, size)) c->place[i]++;
+        for (npy_intp j = 0; j < i; j++) same |= !memcmp(H + i * n, H + j * n, size);
+    }
+    for (npy_intp i = 0; i < m; i++) {
+        if (!same && c->place[i] == rows) {
+            c->key[i] = hold(h, PyBytes_FromStringAndSize((const char *)(H + i * n), (Py_ssize_t)size));
+            if (!c->key[i]) return -1;
+        }
+        /* Sensors that see exactly the same are told apart by their places. */
+        if (same || c->key[i]) c->place[i] = i;
+    }
+    return 1;
+}
+
+/* What is known of these sensors: of a row that is met for the first time what is known of its place. */
+int read_customs(const customs *c, double *memory) {
+    const npy_intp places = PyArray_DIM((PyArrayObject *)c->places, 0), width = c->width;
+    for (npy_intp i = 0; i < c->m; i++) {
+        PyObject *const row = c->key[i] ? PyDict_GetItemWithError(c->rows, c->key[i]) : NULL;
+        const double *from = row ? vector_of(row, width) : NULL;
+        if (row && !from) return 0;
+        if (!row && c->place[i] < places) from = numbers_of(c->places) + c->place[i] * width;
+        if (!from) from = c->begin;
+        for (npy_intp k = 0; k < width; k++) memory[i * width + k] = from ? from[k] : 0;
+    }
+    return 1;
+}
+
+int set_customs(held *h, PyObject *filter, const customs *c, const double *memory) {
+    const npy_intp before = PyArray_DIM((PyArrayObject *)c->places, 0), width = c->width;
+    npy_intp count = before, at = 0;
+    PyObject *places, *rows = c->rows, *first, *none;
+    for (npy_intp i = 0; i < c->m; i++) count = c->place[i] < count ? count : c->place[i] + 1;
+    places = hold(h, new_array(2, count, width));
+    if (!places) return 0;
+    real_copy((int)(before * width), numbers_of(c->places), numbers_of(places));
+    for (npy_intp k = before * width; k < count * width; k++) numbers_of(places)[k] = c->begin ? c->begin[k % width] : 0;
+    for (npy_intp i = 0; i < c->m; i++) {
+        PyObject *row;
+        real_copy((int)width, memory + i * width, numbers_of(places) + c->place[i] * width);
+        if (!c->key[i]) continue;
+        if (rows == c->rows && !(rows = hold(h, PyDict_Copy(c->rows)))) return 0;
+        row = hold(h, new_array(1, width, 0));
+        if (!row) return 0;
+        real_copy((int)width, memory + i * width, numbers_of(row));
+        /* The one that was met longest ago stands first. */
+        if (PyDict_Contains(rows, c->key[i]) == 1 && PyDict_DelItem(rows, c->key[i]) < 0) return 0;
+        if (PyDict_SetItem(rows, c->key[i], row) < 0) return 0;
+    }
+    while (rows != c->rows && PyDict_Size(rows) > CUSTOMS_MOST) {
+        at = 0;
+        if (!PyDict_Next(rows, &at, &first, &none)) return 0;
+        Py_INCREF(first);
+        if (PyDict_DelItem(rows, hold(h, first)) < 0) return 0;
+    }
+    return set_attribute(filter, AT__memory, places) == 0 && set_attribute(filter, AT__other_sensors, rows) == 0;
+}
+
+/* given: B, F and Q for this call, or None; moves: whether x does too. */
+static int take_prediction(held *h, PyObject *filter, PyObject *u, PyObject *const *given_now, int moves) {
     static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT_F, AT_Q, AT__alpha_sq, AT_B};
     PyObject *const *const given = h->objects;
     filter_state now;
     const double *F, *Q;
-    PyObject *x_next, *P_next;
+    PyObject *x_next, *P_next, *B_now, *F_now, *Q_now;
     double stack[STACK_WORK], *work, *control, alpha_sq;
     int fine = 1;
     if (hold_all(h, filter, names, sizeof names / sizeof *names) < 0) return -1;
+    if (!(B_now = given_or(h, given_now[0], given[6])) || !(F_now = given_or(h, given_now[1], given[3])) ||
+        !(Q_now = given_or(h, given_now[2], given[4])))
+        return -1;
     if (!take_filter(given[0], given[1], given[2], &now)) return 0;
-    F = matrix_of(given[3], now.n, now.n);
-    Q = covariance_of(h, given[4], now.n);
+    F = matrix_of(F_now, now.n, now.n);
+    Q = covariance_of(h, Q_now, now.n);
     if (!Q && PyErr_Occurred()) return -1;
     if (!F || !Q || !number_of(given[5], &alpha_sq) || !is_symmetric(Q, now.n)) return 0;
     for (npy_intp i = 0; i < now.n; i++) fine = fine && Q[i * now.n + i] >= 0;
@@ -109,7 +183,7 @@ static int take_prediction(held *h, PyObject *filter, PyObject *u, int moves) {
     work = P_next ? work_of(stack, predict_work((int)now.n) + (size_t)now.n) : NULL;
     if (!work) return -1;
     control = work;
-    fine = take_control(given[6], u, now.n, &control) &&
+    fine = take_control(B_now, u, now.n, &control) &&
            predict((int)now.n, now.x, now.P, F, Q, control, alpha_sq, numbers_of(x_next), numbers_of(P_next), work + now.n);
     work_done(stack, work);
     if (!fine) return 0;
@@ -120,17 +194,18 @@ static int take_prediction(held *h, PyObject *filter, PyObject *u, int moves) {
 static PyObject *predict_step(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
     held h = {.count = 0};
     (void)self;
-    if (count != 2) {
-        PyErr_SetString(PyExc_TypeError, "predict: expected a filter and u");
+    if (count != 5) {
+        PyErr_SetString(PyExc_TypeError, "predict: expected a filter, u, B, F and Q");
         return NULL;
     }
-    return answer(&h, take_prediction(&h, arguments[0], arguments[1], 1));
+    return answer(&h, take_prediction(&h, arguments[0], arguments[1], arguments + 2, 1));
 }
 
 static PyObject *covariance_step(PyObject *self, PyObject *filter) {
+    PyObject *const none[3] = {Py_None, Py_None, Py_None};
     held h = {.count = 0};
     (void)self;
-    return answer(&h, take_prediction(&h, filter, Py_None, 0));
+    return answer(&h, take_prediction(&h, filter, Py_None, none, 0));
 }
 
 /* Write a measurement into z, NaN where missing; return whether it is an ordinary one with something in it. */
@@ -178,11 +253,10 @@ static int take_more(sensors *s, npy_intp n, PyObject *M, PyObject *memory) {
     return 1;
 }
 
-/* given: R, H, M, then what take_correction has read. */
-static int take_sensors(held *h, PyObject *const given[3], PyObject *const own[5], npy_intp n, sensors *s) {
-    PyObject *const dim_z = own[0], *const inverse = own[1], *const memory = own[4];
-    PyObject *const R = as_plain(h, given[0] == Py_None ? own[2] : given[0]);
-    PyObject *const H = R ? as_plain(h, given[1] == Py_None ? own[3] : given[1]) : NULL;
+/* given: R, H, M, then what take_correction has read; c->m > 0 says that rows of an H that is passed tell the sensors. */
+static int take_sensors(held *h, PyObject *const given[3], PyObject *const own[6], npy_intp n, sensors *s, customs *c) {
+    PyObject *const dim_z = own[0], *const inverse = own[1], *memory = own[4];
+    PyObject *const R = given_or(h, given[0], own[2]), *const H = R ? given_or(h, given[1], own[3]) : NULL;
     if (!H) return -1;
     if (inverse != numpy_inverse || !is_array(H, 2)) return 0;
     s->m = PyArray_DIM((PyArrayObject *)H, 0);
@@ -190,8 +264,15 @@ static int take_sensors(held *h, PyObject *const given[3], PyObject *const own[5
     s->R = s->m > 0 && s->m <= 10000 ? covariance_of(h, R, s->m) : NULL;
     if (!s->R && PyErr_Occurred()) return -1;
     if (s->m < 1 || s->m > 10000 || !s->H || !s->R || (given[1] == Py_None && s->m != whole_number(dim_z))) return 0;
-    /* Sensors of an H that is passed are known by its rows. */
-    if (s->rule.scaling == SCALING_LEARNT && given[1] != Py_None) return 0;
+    if (s->rule.scaling == SCALING_LEARNT && given[1] != Py_None && H != own[3]) {
+        int outcome;
+        *c = (customs){.m = s->m, .width = SPREAD_NUMBERS, .places = memory, .rows = own[5], .begin = NULL};
+        outcome = take_customs(h, c, s->H, own[3], n);
+        if (outcome <= 0) return outcome;
+        memory = hold(h, new_array(2, s->m, SPREAD_NUMBERS));
+        if (!memory) return -1;
+        if (!read_customs(c, numbers_of(memory))) return PyErr_Occurred() ? -1 : 0;
+    }
     return take_more(s, n, given[2], memory);
 }
 
@@ -316,17 +397,23 @@ static int correct_innovation(const filter_state *now, const sensors *s, const m
 }
 
 /* Give a filter what a correction made; 1, or -1 with an exception. */
-static int set_corrected(held *h, PyObject *filter, const corrected *made) {
+static int set_corrected(held *h, PyObject *filter, const corrected *made, const customs *c) {
     if (!set_state(h, filter, made->x, made->P, AT_x_post, AT_P_post)) return -1;
     if (set_attribute(filter, AT_z, made->z) < 0 || set_attribute(filter, AT__last, made->record) < 0) return -1;
-    if (made->memory && set_attribute(filter, AT__memory, made->memory) < 0) return -1;
+    if (c && c->m) {
+        if (!set_customs(h, filter, c, numbers_of(made->memory))) return -1;
+    } else if (made->memory && set_attribute(filter, AT__memory, made->memory) < 0) {
+        return -1;
+    }
     for (enum attribute which = AT__y; which <= AT__mahalanobis; which++)
         if (set_attribute(filter, which, Py_None) < 0) return -1;
     return 1;
 }
 
 static int take_correction(held *h, PyObject *filter, PyObject *z, PyObject *const given[3]) {
-    static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT_dim_z, AT_inv, AT_R, AT_H, AT__memory};
+    static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT_dim_z, AT_inv, AT_R, AT_H, AT__memory,
+                                           AT__other_sensors};
+    customs c = {.m = 0};
     filter_state now;
     sensors s;
     corrected made;
@@ -334,15 +421,15 @@ static int take_correction(held *h, PyObject *filter, PyObject *z, PyObject *con
     int outcome = rule_of_filter(h, filter, &s.rule);
     if (outcome <= 0) return outcome;
     own = h->objects + h->count;
-    /* The last is for scaling "learnt" alone. */
-    if (hold_all(h, filter, names, s.rule.scaling == SCALING_LEARNT ? 8 : 7) < 0) return -1;
+    /* The last are for scaling "learnt" alone. */
+    if (hold_all(h, filter, names, s.rule.scaling == SCALING_LEARNT ? 9 : 7) < 0) return -1;
     if (!take_filter(own[0], own[1], own[2], &now)) return 0;
-    outcome = take_sensors(h, given, own + 3, now.n, &s);
+    outcome = take_sensors(h, given, own + 3, now.n, &s, &c);
     if (outcome <= 0) return outcome;
     z = as_plain(h, z);
     if (!z) return -1;
     outcome = correct_linear(h, &now, &s, z, &made);
-    return outcome > 0 ? set_corrected(h, filter, &made) : outcome;
+    return outcome > 0 ? set_corrected(h, filter, &made, &c) : outcome;
 }
 
 static PyObject *correct_step(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
@@ -387,7 +474,7 @@ static int take_innovation(held *h, PyObject *filter, PyObject *const given[6]) 
         for (npy_intp i = 0; i < s.m; i++) y[i] = numbers_of(made.z)[i] - at[i];
     }
     outcome = correct_innovation(&now, &s, &innovation, &made);
-    return outcome > 0 ? set_corrected(h, filter, &made) : outcome;
+    return outcome > 0 ? set_corrected(h, filter, &made, NULL) : outcome;
 }
 
 static PyObject *innovation_step(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
@@ -547,7 +634,7 @@ static PyObject *put_back_arrays(PyObject *self, PyObject *copied) {
 }
 
 PyMethodDef online_functions[] = {
-    {"predict", (PyCFunction)(void (*)(void))predict_step, METH_FASTCALL, "Predict a filter's next state: (filter, u)."},
+    {"predict", (PyCFunction)(void (*)(void))predict_step, METH_FASTCALL, "Predict a filter's next state: (filter, u, B, F, Q), None for its own."},
     {"predict_covariance", covariance_step, METH_O, "Predict a filter's P, and leave x where it is."},
     {"correct", (PyCFunction)(void (*)(void))correct_step, METH_FASTCALL,
      "Correct a filter's state: (filter, z, R, H, M), None for its own R and H and for no M."},

@@ -17,6 +17,23 @@ int take_filter(PyObject *dim_x, PyObject *x, PyObject *P, filter_state *s);
 int set_state(held *h, PyObject *filter, PyObject *x, PyObject *P, enum attribute x_too, enum attribute P_too);
 int take_control(PyObject *B, PyObject *u, npy_intp n, double **control);
 int take_measurement(PyObject *object, npy_intp m, double *z);
+PyObject *given_or(held *h, PyObject *given, PyObject *own); /* plain; own where given is None; NULL with an exception */
+
+/* Sensors by their places in z, or, of an H that is passed, by its rows: robust_filterpy.filters._sensors in C. */
+#define CUSTOMS_MOST 32 /* rows that are remembered */
+#define CUSTOMS_NOW 16  /* sensors at once */
+typedef struct {
+    npy_intp m, width;
+    npy_intp place[CUSTOMS_NOW];
+    PyObject *key[CUSTOMS_NOW]; /* bytes of its row, NULL where the place tells */
+    PyObject *places, *rows;     /* what is known: an array, a dictionary */
+    const double *begin;         /* (width) what is known at first; NULL: zeros */
+} customs;
+int take_customs(held *h, customs *c, const double *H, PyObject *own, npy_intp n); /* 1, 0, or -1 with an exception */
+int read_customs(const customs *c, double *memory);
+int set_customs(held *h, PyObject *filter, const customs *c, const double *memory); /* whether that went well */
 int take_rule(learnt_rule *rule, PyObject *object); /* from the array of robust_filterpy.kernel.learnt.rule */
+size_t correct_work(const learnt_rule *rule, npy_intp n, npy_intp m); /* of learnt_correct under this rule */
+npy_intp known_rows(const learnt_rule *rule, npy_intp m);             /* that tell of m sensors */
 
 #endif

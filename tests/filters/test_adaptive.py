@@ -796,3 +796,13 @@ def test_a_jump_that_nothing_confirms_does_not_show(defined, wild, monkeypatch):
     kf.update(before[0] + wild)
     assert np.abs(np.ravel(kf.x) - before).max() < 1.0
     assert kf.P[0, 0] < 5.0 * P[0, 0]
+
+
+def test_sensors_that_fail_together_have_one_noise_whatever_H_is_passed():
+    kf = AdaptiveKalmanFilter(2, 2, grouping="joint")
+    kf.F, kf.H, kf.Q, kf.R = np.eye(2), np.eye(2), 0.01 * np.eye(2), 0.1 * np.eye(2)
+    for k, z in enumerate(np.random.default_rng(0).normal(size=20)):
+        kf.predict()
+        kf.update(z, R=0.1, H=kf.H[[k % 2]])
+        assert kf.learnt.shape[0] == 1
+    kf.restore(kf.state())

@@ -179,9 +179,8 @@ def test_a_spoilt_filter_does_what_the_definition_does(monkeypatch, options):
             kf, told = ordinary(options, *[(2, 1), (3, 2), (1, 3)][seed % 3], seed)
             spoil(kf, told, g)
             for entry in ENTRIES:
-                arguments = (told["u"],) if "predict" in entry else (told["z"],)
-                more = {"correct": (told["told R"], None, None), "correct_mixture": (told["told R"],)}
-                arguments += more.get(entry, ())
+                given = (told["u"], None) if "predict" in entry else (told["z"], told["told R"])
+                arguments = (*given, None, None)
                 if extension is not None:
                     outcome([lambda e=entry, a=arguments, kf=kf: getattr(EXTENSION, e)(copy.copy(kf), *a)])
             monkeypatch.setattr(_step, "_extension", extension)
@@ -234,9 +233,7 @@ def test_a_filter_that_changes_while_it_is_read_does_no_harm(options):
         kf.__class__ = Changing
         kf.armed = np.random.default_rng(seed)
         for entry in ENTRIES:
-            arguments = {"correct": ([1.0, 2.0], None, None, None), "correct_mixture": ([1.0, 2.0], None)}.get(
-                entry, (None,)
-            )
+            arguments = (None if "predict" in entry else [1.0, 2.0], None, None, None)
             outcome([lambda e=entry, a=arguments, kf=kf: getattr(EXTENSION, e)(kf, *a)])
         moments = ([1.0, 2.0], np.ones(2), None, np.ones((2, 3)), None, None)
         outcome([lambda kf=kf, a=moments: EXTENSION.correct_innovation(kf, *a)])

@@ -14,6 +14,8 @@ support.needs_kernel()
 
 INFLUENCES = (Huber(), Linear(), Hampel(), TukeyBiweight(), StudentT())
 EXTENSION = _step._extension
+#: Nothing is passed for this call.
+NONE = (None,) * 4
 SHOWN = (
     *support.STATE, "z", "y", "S", "SI", "K", "T", "e", "weights", "clipped", "y_bounded", "spread", "log_likelihood",
     "mahalanobis",
@@ -123,7 +125,7 @@ def test_states_of_every_number_are_predicted(n):
     """The kernel takes four columns at a time where there are some, and four rows of more than eight states."""
     problem = support.random_problem(n, n, 1)
     kf = support.make(RobustKalmanFilter, problem, 1)
-    assert EXTENSION.predict(kf, None)
+    assert EXTENSION.predict(kf, *NONE)
     np.testing.assert_allclose(kf.x, problem.F @ np.ravel(problem.x), rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(kf.P, problem.F @ problem.P @ problem.F.T + problem.Q, rtol=1e-12, atol=1e-12)
 
@@ -183,14 +185,14 @@ def test_the_kernel_takes_ordinary_steps_under_learnt_noise(how):
     kf = support.make(RobustKalmanFilter, support.random_problem(1, 3, 2), **MIXTURES[how])
     # The first step begins at an x from outside.
     kf.predict()
-    assert EXTENSION.correct_mixture(kf, [1.0, 2.0], None)
-    assert EXTENSION.predict_mixture(kf, None) and EXTENSION.correct_mixture(kf, [np.nan, 2.0], None)
-    assert before_and_after(kf, lambda: EXTENSION.correct_mixture(kf, [np.nan, np.nan], None)) == (False, True)
+    assert EXTENSION.correct_mixture(kf, [1.0, 2.0], *NONE[1:])
+    assert EXTENSION.predict_mixture(kf, *NONE) and EXTENSION.correct_mixture(kf, [np.nan, 2.0], *NONE[1:])
+    assert before_and_after(kf, lambda: EXTENSION.correct_mixture(kf, [np.nan, np.nan], *NONE[1:])) == (False, True)
     kf.x = kf.x + 1.0
     if how != "one copy":
-        assert before_and_after(kf, lambda: EXTENSION.correct_mixture(kf, [1.0, 2.0], None)) == (False, True)
+        assert before_and_after(kf, lambda: EXTENSION.correct_mixture(kf, [1.0, 2.0], *NONE[1:])) == (False, True)
         kf._kept = (1.0,) * 6
-        assert before_and_after(kf, lambda: EXTENSION.predict_mixture(kf, None)) == (False, True)
+        assert before_and_after(kf, lambda: EXTENSION.predict_mixture(kf, *NONE)) == (False, True)
 
 
 @pytest.mark.parametrize("how", MIXTURES)
@@ -241,11 +243,11 @@ def test_what_is_out_of_the_ordinary_is_declined_and_nothing_changes(name, how):
     kf.predict()
     kf.update([1.0, 2.0])
     setattr(kf, name, spoilt()[how](getattr(kf, name)))
-    for call in (lambda: EXTENSION.predict(kf, None), lambda: EXTENSION.correct(kf, [1.0, 2.0], None, None, None)):
+    for call in (lambda: EXTENSION.predict(kf, *NONE), lambda: EXTENSION.correct(kf, [1.0, 2.0], *NONE[1:])):
         outcome, same = before_and_after(kf, call)
         assert outcome is True or same
     # One of the two reads each of them.
-    both = EXTENSION.predict(kf, None) and EXTENSION.correct(kf, [1.0, 2.0], None, None, None)
+    both = EXTENSION.predict(kf, *NONE) and EXTENSION.correct(kf, [1.0, 2.0], *NONE[1:])
     assert not both or (name, how) in MADE_PLAIN
 
 
@@ -260,10 +262,13 @@ def test_the_same_under_learnt_noise(name, how):
         kf._kept = value._replace(means=spoilt()[how](value.means))
     else:
         setattr(kf, name, spoilt()[how](value))
-    for call in (lambda: EXTENSION.predict_mixture(kf, None), lambda: EXTENSION.correct_mixture(kf, [1.0, 2.0], None)):
+    for call in (
+        lambda: EXTENSION.predict_mixture(kf, *NONE),
+        lambda: EXTENSION.correct_mixture(kf, [1.0, 2.0], *NONE[1:]),
+    ):
         outcome, same = before_and_after(kf, call)
         assert outcome is True or same
-    both = EXTENSION.predict_mixture(kf, None) and EXTENSION.correct_mixture(kf, [1.0, 2.0], None)
+    both = EXTENSION.predict_mixture(kf, *NONE) and EXTENSION.correct_mixture(kf, [1.0, 2.0], *NONE[1:])
     assert not both or name == "_kept" or (name, how) in MADE_PLAIN
 
 
@@ -298,7 +303,7 @@ def test_an_attribute_that_frees_arrays_while_it_is_read_does_no_harm():
 
     kf = Hostile(3, 2)
     kf.armed = True
-    assert EXTENSION.predict(kf, None) is False
+    assert EXTENSION.predict(kf, *NONE) is False
 
 
 def test_what_an_attribute_raises_is_passed_on():
@@ -313,7 +318,7 @@ def test_what_an_attribute_raises_is_passed_on():
 
     kf = Broken(2, 1)
     with pytest.raises(KeyError, match="not today"):
-        EXTENSION.predict(kf, None)
+        EXTENSION.predict(kf, *NONE)
 
 
 def test_wrong_calls_are_errors():
@@ -322,7 +327,7 @@ def test_wrong_calls_are_errors():
         with pytest.raises(TypeError):
             call()
     with pytest.raises(AttributeError):
-        EXTENSION.predict(object(), None)
+        EXTENSION.predict(object(), None, None, None, None)
 
 
 def test_threads_on_one_filter_leave_a_state_that_is_one():
@@ -348,7 +353,7 @@ def test_a_diffuse_start_that_cancels_is_for_the_definition():
     kf.H = np.array([[1.0, 0.0], [1.0, 1e-9]])
     kf.P, kf.R = 1e16 * np.eye(2), np.eye(2)
     kf.scaling = "innovation"
-    assert EXTENSION.correct(kf, [1.0, 2.0], None, None, None) is False
+    assert EXTENSION.correct(kf, [1.0, 2.0], *NONE[1:]) is False
 
 
 @pytest.mark.parametrize("R, served", [(1e-6, True), (1e-9, True), (1e-11, True), (1e-15, False)])

@@ -3,7 +3,7 @@
         belief[i] = 1;
         next.x[i] = 0;
     }
-    if (learnt_correct(N, M, &rule, &s, y, z, H, model->R, weights, outlying, &likelihood, work) < 0) {
+    if (learnt_correct(N, M, &rule, &s, y, z, H, model->R, NULL, weights, outlying, &likelihood, work) < 0) {
         return ${NAME}_SINGULAR;
     }
     check = 0;

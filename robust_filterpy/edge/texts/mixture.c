@@ -49,7 +49,7 @@ ${name}_status ${name}_update(const ${name}_model *model, ${name}_state *state, 
     if (!learnt_has_parts(N, &rule, &s)) {
         return ${NAME}_BAD_ARGUMENT;
     }
-    if (learnt_correct(N, M, &rule, &s, z, z, model->H, model->R, weights, outlying, &likelihood, work) < 0) {
+    if (learnt_correct(N, M, &rule, &s, z, z, model->H, model->R, NULL, weights, outlying, &likelihood, work) < 0) {
         return ${NAME}_SINGULAR;
     }
     if (!learnt_merge(N, &rule, &s, next.x, next.P, work)) {
