@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -76,6 +76,14 @@ class Motion:
         # The same stretch comes again and again.
         self.matrices = lru_cache(maxsize=512)(matrices)
         self.function, self.jacobian, self.together = function, jacobian, together
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the matrices of the stretches behind."""
+        return {**vars(self), "matrices": self.matrices.__wrapped__}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Begin to remember them again."""
+        vars(self).update(state, matrices=lru_cache(maxsize=512)(state["matrices"]))
 
     @property
     def is_linear(self) -> bool:
@@ -234,7 +242,7 @@ def from_continuous(A: Any, L: ArrayLike | None = None, Qc: ArrayLike = 1.0, B: 
         if not np.isfinite(value).all():
             raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
     A, driven, B = A.copy(), L @ Qc @ L.T, B.copy()
-    return Motion(n, lambda dt: _van_loan(A, driven, B, dt), B.shape[1])
+    return Motion(n, partial(_van_loan, A, driven, B), B.shape[1])
 
 
 def from_function(f: Callable[..., Any], jacobian: Callable[..., Any], Q: Any, dim_x: int, dim_u: int = 0) -> Motion:
@@ -267,16 +275,9 @@ def from_function(f: Callable[..., Any], jacobian: Callable[..., Any], Q: Any, d
         if not callable(value):
             raise TypeError(f"{name}: expected a function, got {_checks.shown(value)}")
     if not callable(Q):
-        density = _checks.matrix("Q", Q, (n, n), f"dim_x={n}").copy()
-        _checks.covariance("Q", density)
-
-    def matrices(dt: float) -> tuple[Array, Array, Array]:
-        """Return no F, Q and no B."""
-        grown = _checks.matrix("Q(dt)", Q(dt), (n, n), f"dim_x={n}") if callable(Q) else density * dt
-        _checks.covariance("Q(dt)", grown, math.inf)
-        return np.eye(n), grown, np.zeros((n, dim_u))
-
-    return Motion(n, matrices, dim_u, f, jacobian)
+        Q = _checks.matrix("Q", Q, (n, n), f"dim_x={n}").copy()
+        _checks.covariance("Q", Q)
+    return Motion(n, partial(_grown, Q, n, dim_u), dim_u, f, jacobian)
 
 
 def _integrators(dim: int, q: ArrayLike, names: tuple[str, ...], controlled: bool) -> Motion:
@@ -296,23 +297,44 @@ def _integrators(dim: int, q: ArrayLike, names: tuple[str, ...], controlled: boo
     grown = 1.0 / (powers * np.multiply.outer(factorial[rest], factorial[rest]))
     pushed = 1.0 / factorial[rest + 1]
 
-    def together(dts: Array) -> tuple[Array, Array, Array]:
-        """Return F, Q and B of all axes, for each stretch."""
-        dt = dts[:, None, None]
-        F = np.einsum("ab,tij->taibj", np.eye(dim), upper * dt ** np.maximum(ahead, 0))
-        Q = np.einsum("ab,tij->taibj", scale, grown * dt**powers)
-        B = np.einsum("ab,tij->taibj", np.eye(dim), pushed[:, None] * dt ** (rest + 1)[:, None])
-        N, n = len(dts), dim * k
-        return F.reshape(N, n, n), Q.reshape(N, n, n), B.reshape(N, n, dim)[:, :, : dim if controlled else 0]
-
-    def matrices(dt: float) -> tuple[Array, Array, Array]:
-        """Return F, Q and B of all axes."""
-        F, Q, B = together(np.array([dt]))
-        return F[0], Q[0], B[0]
-
+    together = _Chains(upper, np.maximum(ahead, 0), scale, grown, powers, pushed, rest + 1, dim if controlled else 0)
     axes = "xyz"[:dim] if dim <= 3 else [str(i) for i in range(dim)]
     spelt = tuple(f"{axis}.{name}" for axis in axes for name in names)
-    return Motion(dim * k, matrices, dim if controlled else 0, names=spelt, together=together)
+    return Motion(dim * k, together.matrices, dim if controlled else 0, names=spelt, together=together.stacks)
+
+
+class _Chains(NamedTuple):
+    """Integrators of which each drives the next, one chain for each axis: coefficients and powers of dt."""
+
+    upper: Array
+    ahead: Array
+    scale: Array
+    grown: Array
+    powers: Array
+    pushed: Array
+    reach: Array
+    dim_u: int
+
+    def stacks(self, dts: Array) -> tuple[Array, Array, Array]:
+        """Return F, Q and B of all axes, for each stretch."""
+        dt, axes = dts[:, None, None], np.eye(len(self.scale))
+        F = np.einsum("ab,tij->taibj", axes, self.upper * dt**self.ahead)
+        Q = np.einsum("ab,tij->taibj", self.scale, self.grown * dt**self.powers)
+        B = np.einsum("ab,tij->taibj", axes, self.pushed[:, None] * dt ** self.reach[:, None])
+        N, n = len(dts), len(axes) * len(self.upper)
+        return F.reshape(N, n, n), Q.reshape(N, n, n), B.reshape(N, n, len(axes))[:, :, : self.dim_u]
+
+    def matrices(self, dt: float) -> tuple[Array, Array, Array]:
+        """Return F, Q and B of all axes."""
+        F, Q, B = self.stacks(np.array([dt]))
+        return F[0], Q[0], B[0]
+
+
+def _grown(Q: Any, n: int, dim_u: int, dt: float) -> tuple[Array, Array, Array]:
+    """Return no F, Q of a stretch of time, and no B."""
+    grown = _checks.matrix("Q(dt)", Q(dt), (n, n), f"dim_x={n}") if callable(Q) else Q * dt
+    _checks.covariance("Q(dt)", grown, math.inf)
+    return np.eye(n), grown, np.zeros((n, dim_u))
 
 
 def _van_loan(A: Array, driven: Array, B: Array, dt: float) -> tuple[Array, Array, Array]:
