@@ -128,10 +128,12 @@ def read_table(table: Any, model: Any, key: str | None) -> Rows:
     return Rows(keys, times, z, u, said, like, stamps is not None and _are_instants(stamps))
 
 
-def reasons(table: Any) -> tuple[list[str], int]:
-    """Return what the column ``error`` of an output says, and of how many rows."""
+def reasons(table: Any, key: str) -> tuple[list[tuple[Any, str]], list[Any]]:
+    """Return keys and what the column ``error`` says of the rows that have one, and the keys of all rows."""
     _, frame, _ = _frame(table)
-    return frame["error"].drop_nulls().to_list(), len(frame)
+    bad = frame.filter(~frame["error"].is_null())
+    keys = frame[key].to_list() if len(bad) else []
+    return list(zip(bad[key].to_list(), bad["error"].to_list(), strict=True)), keys
 
 
 def _put(nw: Any, series: list[Any]) -> Any:

@@ -222,11 +222,11 @@ def _advanced(
     z, u = rows.z[order], None if rows.u is None else rows.u[order]
     times = None if rows.times is None else rows.times[order]
     time, grid = entries["time"][:, 0].copy(), entries["grid"].copy()
-    clocks = Clocks(time, *grid.T)
+    clocks = Clocks(time, *grid.T, entries["elsewhere"].copy())
     if model.dt is not None:
         # States from before a grid was kept begin one.
         new = np.isnan(grid[:, 0]) & ~np.isnan(time)
-        clocks = Clocks(time, np.where(new, time, grid[:, 0]), np.where(new, 0.0, grid[:, 1]))
+        clocks = clocks._replace(origin=np.where(new, time, grid[:, 0]), step=np.where(new, 0.0, grid[:, 1]))
     line = placed(times, starts, clocks, model.dt, rows.instants)
     if line.milliseconds:
         warn(
@@ -311,7 +311,7 @@ def _gathered(model: Model, known: np.ndarray, batch: Batch, work: Work, at: np.
             if k < 0 or at[place] >= bounds[i] + k:
                 at[place] = -1
                 said[place] = text
-    for place, text in {**line.off, **({} if batch.drops else line.late)}.items():
+    for place, text in {**line.off, **line.followed, **({} if batch.drops else line.late)}.items():
         said.setdefault(place, text)
     if work.missed:
         where = {int(one): place for place, one in enumerate(at.tolist()) if one in work.missed}
@@ -363,7 +363,8 @@ def _keep(batch: Batch, work: Work, at: np.ndarray, held: Array | None) -> None:
     steps, times = np.diff(work.bounds), batch.rows.times
     if times is not None:
         times = times[batch.order]
-        entries["time"][:, 0], entries["grid"][:] = line.clocks.last, np.column_stack(line.clocks[1:])
+        entries["time"][:, 0], entries["grid"][:] = line.clocks.last, np.column_stack(line.clocks[1:3])
+        entries["elsewhere"][:] = line.clocks.elsewhere
     if held is not None:
         some = steps > 0
         entries["input"][some] = held[work.bounds[1:][some] - 1]

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from robust_filterpy._fill_values import without_fill_values
 from robust_filterpy._warning import warn
 from robust_filterpy.fleet.models import Model
-from robust_filterpy.fleet.reading import NOBODY, Rows, read_table, reasons
+from robust_filterpy.fleet.reading import NOBODY, Rows, read_table, reasons, say
 from robust_filterpy.fleet.states import States, taken
 from robust_filterpy.fleet.stepping import advance, owned, started
-from robust_filterpy.fleet.timeline import grouped
+from robust_filterpy.fleet.timeline import grouped, strays
 
 
 class _Keys(NamedTuple):
@@ -54,7 +56,10 @@ def filter_table(
     Warns
     -----
     UserWarning
-        If more than half of the rows have an error, as those of a column of text have.
+        If a measurement has fill values (-9999), which repeat exactly and far outside the rest of the table, and are
+        taken for missing.
+    UserWarning
+        If more than half of the rows, or of those of a key, have an error, as those of a column of text have.
 
     Raises
     ------
@@ -77,11 +82,18 @@ def filter_table(
     >>> found["error"][3]
     "device 'b': time: expected a sample later than the one at 1, got 1, a duplicate"
     """
-    found = step_table(model, None, table, key=key, sort=sort)[1]
-    refused, count = reasons(found)
-    if 2 * len(refused) > count:
-        mend = "; sort=True puts the samples of each key in order" if refused[0].endswith(", late") else ""
-        warn(f"filter_table: {len(refused)} of {count} rows have an error, the first: {refused[0]}{mend}")
+    found = _taken(model, None, table, key, sort, whole=True)[1]
+    refused, keys = reasons(found, key)
+    bad, rows = Counter(name for name, _ in refused), Counter(keys)
+    most = [(name, why) for name, why in dict(reversed(refused)).items() if 2 * bad[name] > rows[name]]
+    if 2 * len(refused) > len(keys) or most:
+        which = ", ".join(f"{name!r} ({bad[name]} of {rows[name]})" for name, _ in most[:5])
+        first = most[0][1] if most else refused[0][1]
+        mend = "; sort=True puts the samples of each key in order" if first.endswith(", late") else ""
+        warn(
+            f"filter_table: {len(refused)} of {len(keys)} rows have an error, most of those of {len(most)} {key}(s): "
+            f"{which}; the first: {first}{mend}"
+        )
     return found
 
 
@@ -118,6 +130,11 @@ def step_table(
     ValueError, TypeError
         As in `filter_table`.
     """
+    return _taken(model, states, table, key, sort)
+
+
+def _taken(model: Model, states: Any, table: Any, key: str, sort: bool, whole: bool = False) -> tuple[States, Any]:
+    """Return states and output of the next samples of many keys, or of all that there are."""
     if not isinstance(model, Model):
         raise TypeError(f"model: expected a FilterModel or a TrackerModel, got {type(model).__name__}")
     rows = read_table(table, model, key)
@@ -126,6 +143,12 @@ def step_table(
     if sort and rows.times is not None and _out_of_order(rows.times[keys.order], keys.starts):
         of = np.repeat(np.arange(len(keys.names)), np.diff(keys.starts))
         keys = keys._replace(order=keys.order[np.lexsort((rows.times[keys.order], of))])
+    if whole:
+        rows.z[keys.order] = without_fill_values(f"{key}s' measurements", rows.z[keys.order])[0]
+    if whole and sort and model.dt is not None and rows.times is not None:
+        for row in keys.order[strays(rows.times[keys.order], keys.starts, model.dt)].tolist():
+            say(rows.said, row, f"time: expected one near the others of its {key}, got one far before them")
+            rows.times[row] = np.nan
     places = before.find(keys.names)
     entries, known = started(model, len(keys.names)), places >= 0
     for name, column in entries.items():

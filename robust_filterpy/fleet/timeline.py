@@ -18,6 +18,10 @@ JITTER: Final = 0.45
 _STILL, _FOLLOWED = 0.02, 0.05
 # A longer silence is no gap but another recording.
 _LONGEST: Final = 100_000
+# Samples one after the other by another clock after which it is the key's: of a clock so far away that nothing comes
+# from there late, and of any.
+_FOLLOWED_FAR, _FOLLOWED_NEAR = 5, 50
+_NOWHERE = (np.nan, np.nan)
 # Numbers as large as this are milliseconds since 1970, or smaller parts of a second.
 _MILLISECONDS: Final = 1e11
 
@@ -31,6 +35,8 @@ class Clocks(NamedTuple):
     """A time on the grid."""
     step: Array
     """How many steps after it the last sample stands."""
+    elsewhere: Array
+    """The last of the samples refused since then, if they follow one another, and how many they are, shape (K, 2)."""
 
 
 class Placed(NamedTuple):
@@ -46,6 +52,8 @@ class Placed(NamedTuple):
     """Rows that are not later than the one before them, and what they are."""
     off: dict[int, str]
     """Rows that lie off the grid or after too long a silence."""
+    followed: dict[int, str]
+    """Rows from which on another clock is followed, and which."""
     milliseconds: bool
     """Whether times look like milliseconds where seconds were expected."""
 
@@ -75,25 +83,31 @@ def placed(times: Array | None, starts: np.ndarray, clocks: Clocks, dt: float | 
     counts = np.diff(starts)
     step = np.arange(starts[-1]) - np.repeat(starts[:-1], counts)
     if times is None or not len(times):
-        return Placed(step, counts, clocks, {}, {}, False)
-    last, origin, at = (one.copy() for one in clocks)
+        return Placed(step, counts, clocks, {}, {}, {}, False)
+    last, origin, at, elsewhere = (one.copy() for one in clocks)
     first, filled = starts[:-1], counts > 0
     if dt is not None:
         origin[filled] = np.where(np.isnan(origin), times[np.minimum(first, len(times) - 1)], origin)[filled]
-    quick, finals = _each_a_step(times, starts, Clocks(last, origin, at), dt)
+    quick, finals = _each_a_step(times, starts, Clocks(last, origin, at, elsewhere), dt)
     steps, ends = counts.copy(), starts[1:] - 1
     last[quick] = times[ends[quick]]
-    at[quick] = finals[quick]
+    at[quick], elsewhere[quick] = finals[quick], np.nan
     late: dict[int, str] = {}
     off: dict[int, str] = {}
+    followed: dict[int, str] = {}
     milliseconds = False
     for i in np.flatnonzero(~quick).tolist():
-        line = _Line(clocks.last[i], clocks.origin[i], clocks.step[i], dt, instants)
+        line = _Line(Clocks(*(one[i] for one in clocks)), dt, instants)
         for row in range(starts[i], starts[i + 1]):
             step[row] = line.place(float(times[row]), row, late, off)
-        last[i], origin[i], at[i], steps[i] = line.last, line.origin, line.step, line.steps
+            if step[row] < 0:
+                step[row] = line.follow(float(times[row]), row, (late, off, followed))
+            else:
+                line.elsewhere = _NOWHERE
+        last[i], origin[i], at[i], elsewhere[i] = line.last, line.origin, line.step, line.elsewhere
+        steps[i] = line.steps
         milliseconds |= line.milliseconds
-    return Placed(step, steps, Clocks(last, origin, at), late, off, milliseconds)
+    return Placed(step, steps, Clocks(last, origin, at, elsewhere), late, off, followed, milliseconds)
 
 
 def _each_a_step(times: Array, starts: np.ndarray, clocks: Clocks, dt: float | None) -> tuple[np.ndarray, Array]:
@@ -133,10 +147,11 @@ def _as_instant(seconds: float) -> str:
 class _Line:
     """The samples of one key, one after the other."""
 
-    def __init__(self, last: float, origin: float, step: float, dt: float | None, instants: bool) -> None:
+    def __init__(self, stood: Clocks, dt: float | None, instants: bool) -> None:
         """Begin where the last sample stands."""
         self.shown = _as_instant if instants else "{:.15g}".format
-        self.last, self.origin, self.step, self.dt, self.steps = float(last), float(origin), float(step), dt, 0
+        self.last, self.origin, self.step = (float(one) for one in stood[:3])
+        self.elsewhere, self.dt, self.steps = tuple(stood.elsewhere.tolist()), dt, 0
         self.milliseconds = False
 
     def place(self, time: float, row: int, late: dict[int, str], off: dict[int, str]) -> int:
@@ -154,6 +169,25 @@ class _Line:
         if self.last != self.last:
             self.origin, self.step = time, -1.0
         return self._on_grid(time, row, self.dt, late, off)
+
+    def follow(self, time: float, row: int, said: tuple[dict[int, str], dict[int, str], dict[int, str]]) -> int:
+        """Return which step a sample is that was refused, -1 if it is none; a clock that was set is followed."""
+        late, off, followed = said
+        apart = np.inf if self.dt is None else _LONGEST * self.dt
+        if not (time < self.last or time - self.last > apart):
+            return -1
+        before, count = self.elsewhere
+        self.elsewhere = time, count + 1.0 if 0.0 < time - before <= apart else 1.0
+        if self.elsewhere[1] < (_FOLLOWED_NEAR if abs(time - self.last) <= apart else _FOLLOWED_FAR):
+            return -1
+        late.pop(row, None)
+        off.pop(row, None)
+        old, new = self.shown(self.last), self.shown(time)
+        followed[row] = f"time: expected one after {old}, got {new}; the clock was set, and is followed from here on"
+        self.last, self.elsewhere, self.steps = time, _NOWHERE, self.steps + 1
+        if self.dt is not None:
+            self.origin, self.step = time, 0.0
+        return self.steps - 1
 
     def _on_grid(self, time: float, row: int, dt: float, late: dict[int, str], off: dict[int, str]) -> int:
         """Return which step of the grid a sample is."""
@@ -184,6 +218,30 @@ class _Line:
             self.origin += _FOLLOWED * apart * dt
         self.last, self.step, self.steps = time, near, self.steps + int(ahead)
         return self.steps - 1
+
+
+def strays(times: Array, starts: np.ndarray, dt: float) -> np.ndarray:
+    """Return which samples, in the order of their times, lie so far before all others of their key that they are none.
+
+    Parameters
+    ----------
+    times : ndarray, shape (N,)
+        Those of a key together, in order, NaN where there is none.
+    starts : ndarray of int, shape (K + 1,)
+        First row of each key, and the end.
+    dt : float
+        Sampling period in seconds.
+
+    Returns
+    -------
+    ndarray of int
+        Fewer of a key than after which another clock is followed, and than half of its samples.
+    """
+    after = np.flatnonzero(np.diff(times) > _LONGEST * dt) + 1
+    begins = starts[np.searchsorted(starts, after, side="right") - 1]
+    ends = starts[np.searchsorted(starts, after, side="right")]
+    lone = (after > begins) & (after - begins < _FOLLOWED_FAR) & (2 * (after - begins) < ends - begins)
+    return np.unique([row for a, b in zip(begins[lone], after[lone], strict=True) for row in range(a, b)]).astype(int)
 
 
 def silences(times: Array, starts: np.ndarray, last: Array) -> Array:

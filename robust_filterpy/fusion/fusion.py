@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
+from robust_filterpy._fill_values import without_fill_values
 from robust_filterpy._warning import warn
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.fusion import _keeping
@@ -448,6 +449,9 @@ class Fusion:
         """
         rows = read(self._setup, self._clock, table, time, sensor, value, controls)
         self._say_apart(rows.zs)
+        # A sensor that is watched and stays far outside is stuck.
+        for name, place in {} if self._setup.watches else self._setup.layout.places.items():
+            rows.zs[:, place] = without_fill_values(f"sensor {name!r}", rows.zs[:, place])[0]
         return fused(self._setup, self._begin, self._started, rows, smoothed)
 
     def delays(
