@@ -362,6 +362,11 @@ def needs_kernel():
         pytest.skip("no kernel: python setup.py build_ext --inplace", allow_module_level=True)
 
 
+def draws(few, many):
+    """Give a test of a random claim `draws`, the number of its draws: on every commit, and at night."""
+    return pytest.mark.parametrize("draws", [few, pytest.param(many, marks=pytest.mark.nightly)])
+
+
 def told_tracker(structure, **options):
     """The paper's recursion from the first sample: no start, no constant, R told (1 unless given)."""
     own = {} if "filter" in options and not isinstance(options["filter"], type) else {"R": 1.0}

@@ -23,7 +23,7 @@ from robust_filterpy.influence import Hampel
 N, LENGTH = 3, 620
 STRUCTURES = [OutputError(2, 2), ARX(2, 2), ARMAX(2, 2, 1), FIR(4), BoxJenkins(1, 1, 1, 1), ARX(2, (1, 2)), ARX(2, 0)]
 # Cold starts make models, which takes time.
-SEEDS = [0, 1, 2, 3, 5, 6, *(pytest.param(seed, marks=pytest.mark.slow) for seed in [4, *range(7, 60)])]
+SEEDS = [0, 1, 2, 5, 6, *(pytest.param(seed, marks=pytest.mark.slow) for seed in [3, 4, *range(7, 60)])]
 
 
 def recording(rng, structure):

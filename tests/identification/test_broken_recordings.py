@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
+import support
 from scipy.signal import lfilter
 
 from robust_filterpy.identification import (
@@ -34,7 +35,7 @@ def recording(seed, length=1000, share=0.1):
 
 @pytest.mark.parametrize("structure", [OutputError(2, 2), ARX(2, 2), ARMAX(2, 2, 2), BoxJenkins(2, 1, 1, 2)], ids=str)
 def test_fill_values_are_gaps_in_any_structure(structure):
-    rng, y, u = recording(1, 600)
+    rng, y, u = recording(1, 300)
     places = rng.random(y.size) < 0.1
     gaps = identify(np.where(places, np.nan, y), u, structure)
     for fill in (9999.0, 9.97e36):
@@ -57,8 +58,9 @@ def test_a_tracker_takes_fill_values_for_gaps():
     np.testing.assert_array_equal(one.theta, other.theta)
 
 
-def test_wild_values_of_any_size_that_do_not_repeat_are_outliers():
-    for seed in range(3):
+@support.draws(1, 3)
+def test_wild_values_of_any_size_that_do_not_repeat_are_outliers(draws):
+    for seed in range(draws):
         rng, y, u = recording(seed)
         wild = np.where(rng.random(y.size) < 0.1, 1e7 * rng.normal(size=y.size), y)
         model = identify(wild, u, OutputError(2, 2))
@@ -169,9 +171,10 @@ def test_the_trend_is_as_asked_for():
 # Another plant in a part.
 
 
+@support.draws(1, 3)
 @pytest.mark.parametrize("gain", [-1.0, 0.5, 2.0])
-def test_a_plant_that_changes_in_mid_recording_is_said(gain):
-    for seed in range(3):
+def test_a_plant_that_changes_in_mid_recording_is_said(gain, draws):
+    for seed in range(draws):
         rng, y, u = recording(10 + seed)
         at = int(rng.integers(300, 700))
         changed = y + (gain - 1.0) * lfilter(B, A, u) * (np.arange(y.size) >= at)
@@ -188,19 +191,21 @@ def in_noise(seed, before, after, at, size):
     return clean + size * clean.std() * rng.normal(size=1500), u
 
 
+@support.draws(1, 3)
 @pytest.mark.parametrize(("gain", "size"), [(0.5, 1.0), (0.7, 0.5), (2.0, 1.5)])
-def test_a_gain_that_changes_in_much_noise_is_said(gain, size):
+def test_a_gain_that_changes_in_much_noise_is_said(gain, size, draws):
     # What follows u is a small share of what the model leaves: its score over all samples tells.
-    for seed in range(3):
+    for seed in range(draws):
         y, u = in_noise(seed, lambda u: lfilter(B, A, u), lambda u: gain * lfilter(B, A, u), 900, size)
         with pytest.warns(UserWarning, match="on the gain from u to y is .* times the model's|another one there"):
             model = identify(y, u, OutputError(2, 2))
         assert model.findings[-1].kind == "another plant"
 
 
+@support.draws(1, 4)
 @pytest.mark.parametrize("slow", [1, 5])
-def test_much_noise_is_no_change_of_the_gain(slow):
-    for seed in range(4):
+def test_much_noise_is_no_change_of_the_gain(slow, draws):
+    for seed in range(draws):
         rng = np.random.default_rng([28, seed])
         u = rng.choice([-1.0, 1.0], 1500).repeat(slow)[:1500]
         clean = lfilter(B, A, u)
@@ -258,8 +263,9 @@ def test_a_part_that_is_nearly_all_outliers_is_of_another_plant():
         identify(burst, u, ARX(2, 2))
 
 
-def test_outliers_of_the_input_are_said_and_large_inputs_are_not():
-    for seed in range(3):
+@support.draws(1, 3)
+def test_outliers_of_the_input_are_said_and_large_inputs_are_not(draws):
+    for seed in range(draws):
         rng, y, u = recording(20 + seed, share=0.0)
         read = np.where(rng.random(u.size) < 0.03, 10.0 * rng.normal(size=u.size), u)
         with pytest.warns(UserWarning, match="u has .* values unlike the others"):
@@ -277,9 +283,10 @@ def test_outliers_of_an_input_far_from_zero_do_not_move_its_operating_point():
     assert model.operating_point == pytest.approx([2e5], abs=2.0)
 
 
-def test_gross_errors_do_not_hide_outliers_of_the_input():
+@support.draws(1, 3)
+def test_gross_errors_do_not_hide_outliers_of_the_input(draws):
     # Three sizes: noise, what the inputs that were not as read leave, and errors far beyond; the mixture has two.
-    for seed in range(3):
+    for seed in range(draws):
         rng, y, u = recording(30 + seed, share=0.0)
         y = np.where(rng.random(u.size) < 0.01, 1e5 * rng.normal(size=u.size), y)
         read = np.where(rng.random(u.size) < 0.05, 10.0 * rng.normal(size=u.size), u)
@@ -288,8 +295,9 @@ def test_gross_errors_do_not_hide_outliers_of_the_input():
         np.testing.assert_allclose(model.theta, [*A[1:], *B[1:]], atol=0.1)
 
 
-def test_outliers_of_the_input_do_not_hide_another_plant():
-    for seed in range(3):
+@support.draws(1, 3)
+def test_outliers_of_the_input_do_not_hide_another_plant(draws):
+    for seed in range(draws):
         rng, y, u = recording(40 + seed, share=0.0)
         read = np.where(rng.random(u.size) < 0.03, 10.0 * rng.normal(size=u.size), u)
         changed = y + lfilter(B, A, u) * (np.arange(y.size) >= 600)
@@ -335,8 +343,9 @@ def test_a_shock_of_the_process_is_not_taken_for_wild_outputs():
     np.testing.assert_allclose(model.theta[:2], A[1:], atol=1e-4)
 
 
-def test_outliers_of_the_process_are_no_other_plant():
-    for seed in range(4):
+@support.draws(1, 4)
+def test_outliers_of_the_process_are_no_other_plant(draws):
+    for seed in range(draws):
         y, u = driven(seed, 3000)
         assert not identify(y, u, ARX(2, 2)).findings
 

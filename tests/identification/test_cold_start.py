@@ -88,7 +88,7 @@ def test_the_constant_is_the_offset_of_the_model_for_outputs_that_are_measured_t
 
 @pytest.mark.parametrize("structure", [OutputError(2, 2), ARX(2, 2), FIR(4)], ids=str)
 def test_neither_units_nor_the_level_matter(structure):
-    y, u = recording(600)
+    y, u = recording(300)
     one = ParameterTracker(structure)
     one.run(y, u)
     for factor, level in ((1e-3, 0.0), (1e3, 0.0), (1.0, 50.0)):
@@ -102,8 +102,8 @@ def test_neither_units_nor_the_level_matter(structure):
 
 def test_run_is_update_and_any_split_of_both_to_the_last_bit(monkeypatch):
     support.without_kernel(monkeypatch)
-    y, u = recording(480)
-    y[[10, 60, 300]] = np.nan
+    y, u = recording(300)
+    y[[10, 60, 250]] = np.nan
     for structure in (OutputError(2, 2), ARX(2, 2)):
         whole, steps, parts = (ParameterTracker(structure) for _ in range(3))
         result = whole.run(y, u)
@@ -121,10 +121,10 @@ def test_run_is_update_and_any_split_of_both_to_the_last_bit(monkeypatch):
 
 def test_the_kernel_follows_R_and_cleans_as_the_definition_does(monkeypatch):
     support.needs_kernel()
-    y, u = recording(1000, level=3.0)
-    y[800] = np.nan
+    y, u = recording(400, level=3.0)
+    y[350] = np.nan
     for structure in (OutputError(2, 2), ARX(2, 2), ARMAX(2, 2, 1), FIR(3)):
-        fast, slow = ParameterTracker(structure), ParameterTracker(structure)
+        fast, slow = ParameterTracker(structure, start=100), ParameterTracker(structure, start=100)
         found = fast.run(y, u)
         with monkeypatch.context() as patch:
             support.without_kernel(patch)
@@ -255,9 +255,10 @@ def test_R_follows_a_step_of_the_noise_and_stays_once_it_is_set():
 # The regressor.
 
 
-def test_cleaned_outputs_keep_outliers_out_of_the_regressor():
+@support.draws(1, 3)
+def test_cleaned_outputs_keep_outliers_out_of_the_regressor(draws):
     errors = {"measured": [], "cleaned": []}
-    for seed in range(3):
+    for seed in range(draws):
         y, u = recording(2000, share=0.0, seed=seed, sigma=0.0)
         rng = np.random.default_rng(seed)
         y = y + lfilter([1.0], A, 0.5 * rng.normal(size=2000))
@@ -303,15 +304,16 @@ def test_a_lost_tracker_says_so_once(options, change, words):
     assert len([w for w in caught if w.category is LostTrackerWarning]) == 1
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_a_tracker_that_follows_says_nothing(seed):
-    y, u = recording(1500, seed=seed, share=0.2)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", LostTrackerWarning)
-        ParameterTracker(OutputError(2, 2)).run(y, u)
-        tracker = ParameterTracker(OutputError(2, 2))
-        for k in range(700):
-            tracker.update(y[k], u[k])
+@support.draws(1, 4)
+def test_a_tracker_that_follows_says_nothing(draws):
+    for seed in range(draws):
+        y, u = recording(1500, seed=seed, share=0.2)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", LostTrackerWarning)
+            ParameterTracker(OutputError(2, 2)).run(y, u)
+            tracker = ParameterTracker(OutputError(2, 2))
+            for k in range(700):
+                tracker.update(y[k], u[k])
 
 
 # States.
