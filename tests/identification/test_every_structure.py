@@ -195,7 +195,7 @@ POLYNOMIALS = {
 # What takes minutes of a physical model is tried of one recording; its level step has a test of its own.
 COSTLY = {"level step", "gaps", "fill values", "operating point", "gap in u", "line", "several", "no trend"}
 # Each makes a model of its own: a fourth of them for each structure on every commit, the next fourth for the next.
-MADE = (*(ability for ability in ABILITIES if ability in COSTLY), "groups", "fixed", "bounds", "focus", "constant", "times")
+MADE = (*(one for one in ABILITIES if one in COSTLY), "groups", "fixed", "bounds", "focus", "constant", "times")
 
 
 def abilities(name, often):

@@ -3,7 +3,9 @@
 import numpy as np
 import pandas as pd
 import pytest
+import support
 from scipy.linalg import expm
+from scipy.stats import binom
 
 from robust_filterpy import OutputError, identify
 from robust_filterpy.identification import GreyBox, StateSpace, compare, validate
@@ -69,10 +71,11 @@ def box():
 # Right ones.
 
 
+@support.draws(4, 12)
 @pytest.mark.parametrize("outliers", [0.0, 0.1])
-def test_p_values_of_right_states_are_uniform_on_their_own_and_on_fresh_recordings(outliers):
+def test_p_values_of_right_states_are_uniform_on_their_own_and_on_fresh_recordings(outliers, draws):
     same, fresh = [], []
-    for seed in range(12):
+    for seed in range(draws):
         y, u = recorded([1, seed], outliers)
         model = identify(y, u, StateSpace(3))
         same += validate(model, y, u)
@@ -80,9 +83,9 @@ def test_p_values_of_right_states_are_uniform_on_their_own_and_on_fresh_recordin
     assert all(one.same_recording for one in same) and not any(one.same_recording for one in fresh)
     for found in (same, fresh):
         for values in ([one.whiteness.p_value for one in found], [one.independence.p_value for one in found]):
-            # Of 24 values binomial bounds of 1 in 1000.
-            assert 4 <= np.sum(np.array(values) < 0.5) <= 20
-            assert np.sum(np.array(values) < 0.05) <= 6
+            low, high = binom.interval(0.999, len(values), 0.5)
+            assert low <= np.sum(np.array(values) < 0.5) <= high
+            assert np.sum(np.array(values) < 0.05) <= binom.ppf(0.9995, len(values), 0.05)
             assert min(values) > 1e-4
     # What the fit has made zero is no evidence.
     assert max(one.independence.degrees for one in same) < 42 == fresh[0].independence.degrees

@@ -106,9 +106,10 @@ def test_without_robustness_box_and_jenkins_is_least_squares():
     np.testing.assert_allclose(model.std, np.sqrt(covariance.diagonal()), rtol=0.1)
 
 
-def test_with_noise_that_wanders_it_is_much_closer_than_an_output_error_model():
+@support.draws(1, 3)
+def test_with_noise_that_wanders_it_is_much_closer_than_an_output_error_model(draws):
     worse, better = [], []
-    for seed in range(3):
+    for seed in range(draws):
         y, u = recorded(c=[], d=[-0.98], seed=seed)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

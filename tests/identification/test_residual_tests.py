@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import support
 from scipy.signal import lfilter
 from statsmodels.stats.diagnostic import acorr_ljungbox
 
@@ -40,23 +41,25 @@ def model():
 # False alarms.
 
 
+@support.draws(60, 300)
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.2])
-def test_the_false_alarm_rate_is_nominal_for_the_true_parameters(model, share):
+def test_the_false_alarm_rate_is_nominal_for_the_true_parameters(model, share, draws):
     truth = replace(model, theta=THETA, offset=0.0, P=np.zeros((4, 4)), offset_std=0.0, offset_covariance=np.zeros(4))
-    found = [validate(truth, *recorded([1, seed], share), steps=1) for seed in range(300)]
+    found = [validate(truth, *recorded([1, seed], share), steps=1) for seed in range(draws)]
     assert_nominal([one.whiteness.p_value for one in found])
     assert_nominal([one.independence.p_value for one in found])
     outside = np.mean([np.abs(one.autocorrelation) > one.autocorrelation_bound for one in found])
-    assert abs(outside - 0.01) < 5.0 * np.sqrt(0.01 / 6000)
+    assert abs(outside - 0.01) < 5.0 * np.sqrt(0.01 / (20 * draws))
     outside = np.mean([np.abs(one.cross_correlation) > one.cross_bound for one in found])
-    assert abs(outside - 0.01) < 5.0 * np.sqrt(0.01 / 6300)
+    assert abs(outside - 0.01) < 5.0 * np.sqrt(0.01 / (21 * draws))
 
 
-@pytest.mark.parametrize("share", [0.1, *(pytest.param(share, marks=pytest.mark.slow) for share in (0.0, 0.2))])
-def test_the_false_alarm_rate_is_nominal_after_the_fit_and_on_a_fresh_recording(share):
+@support.draws(30, 150)
+@pytest.mark.parametrize("share", [0.1, *(pytest.param(share, marks=pytest.mark.nightly) for share in (0.0, 0.2))])
+def test_the_false_alarm_rate_is_nominal_after_the_fit_and_on_a_fresh_recording(share, draws):
     structure, same, fresh = FIR(3), [], []
     b = [0.0, 1.0, 0.5, 0.2]
-    for seed in range(150):
+    for seed in range(draws):
         y, u = moving(seed, share, b)
         one = identify(y, u, structure)
         same.append(validate(one, y, u, steps=1))
@@ -114,14 +117,15 @@ def test_missing_dynamics_are_named_with_their_lags():
     assert "nothing is left" in validate(identify(y, u, FIR(5)), y, u).verdict
 
 
-def test_coloured_noise_is_named_and_is_no_missing_dynamics():
+@support.draws(5, 20)
+def test_coloured_noise_is_named_and_is_no_missing_dynamics(draws):
     alarms = 0
-    for seed in range(20):
+    for seed in range(draws):
         y, u = recorded([7, seed], 0.0, 1000, noise=(1.0, -0.8))
         found = validate(identify(y, u, OutputError(2, 2)), y, u)
         assert found.verdict.split(";")[-1].strip().startswith(("the noise is not white: ", "residuals follow one"))
         alarms += "dynamics" in found.verdict
-    assert alarms <= 3
+    assert alarms <= 1 + draws // 10
 
 
 def test_bounds_hold_where_noise_and_input_are_coloured_alike():
@@ -223,11 +227,12 @@ def test_what_is_no_model_is_refused_by_name(model):
         validate(model, y, u[:-1])
 
 
+@support.draws(2, 5)
 @pytest.mark.parametrize("whose", ["process", "measurement"])
-def test_a_right_armax_is_not_condemned_for_outliers(whose):
+def test_a_right_armax_is_not_condemned_for_outliers(whose, draws):
     a, b, c = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5], [1.0, 0.7, 0.3]
     condemned = 0
-    for seed in range(5):
+    for seed in range(draws):
         rng = np.random.default_rng([77, seed])
         u, e = rng.choice([-1.0, 1.0], 1000), 0.3 * rng.normal(size=1000)
         wild = np.where(rng.random(1000) < 0.1, 3.0 * rng.normal(size=1000), 0.0)

@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
+import support
 from scipy.signal import lfilter
 
 from robust_filterpy.identification import (
@@ -131,8 +132,9 @@ def ordinary(seed):
     yield (y > 0.5) * 1.0 + 0.01 * np.round(20.0 * noise), u
 
 
-def test_outputs_that_rest_or_are_rounded_are_not_stuck():
-    for seed in range(4):
+@support.draws(1, 4)
+def test_outputs_that_rest_or_are_rounded_are_not_stuck(draws):
+    for seed in range(draws):
         for y, u in ordinary(seed):
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")

@@ -5,6 +5,7 @@ from dataclasses import replace
 import control
 import numpy as np
 import pytest
+import support
 from scipy.integrate import trapezoid
 from scipy.signal import lfilter
 from scipy.stats import norm
@@ -132,10 +133,11 @@ def test_the_noise_spectrum_has_the_power_of_the_noise():
     assert np.log(found.upper / found.density).min() == pytest.approx(Z * np.sqrt(2.0 / 4000), rel=0.25)
 
 
-def test_bands_hold_the_truth_as_often_as_they_say():
+@support.draws(20, 100)
+def test_bands_hold_the_truth_as_often_as_they_say(draws):
     truth = np.array([1.0, 0.5, -0.3])
     inside = []
-    for seed in range(100):
+    for seed in range(draws):
         model = identify(*recorded([1.0], truth, 200, seed), FIR(3))
         found, step = model.frequency_response(OMEGA[3:-3:6]), model.step_response(5)
         answer = np.abs(np.exp(-1j * np.outer(found.omega, [1, 2, 3])) @ truth)
@@ -148,8 +150,8 @@ def test_bands_hold_the_truth_as_often_as_they_say():
                 )
             )
         )
-    # Of 100 independent recordings; five standard errors of one column.
-    assert abs(np.mean(inside) - 0.95) < 5.0 * np.sqrt(0.95 * 0.05 / 100)
+    # Five standard errors of one column.
+    assert abs(np.mean(inside) - 0.95) < 5.0 * np.sqrt(0.95 * 0.05 / draws)
 
 
 def test_several_inputs_have_a_row_each():

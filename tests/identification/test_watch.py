@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
+import support
 from scipy.signal import lfilter
 
 from robust_filterpy.identification import ARX, FIR, BoxJenkins, OutputError, ParameterTracker
@@ -227,10 +228,11 @@ def faint(seed, gain, constant=0.0, length=1500):
 NUMERATOR = np.array([1.0, 0.5, -0.3, 0.2])
 
 
+@support.draws(1, 2)
 @pytest.mark.parametrize("constant", [0.0, 5e6])
 @pytest.mark.parametrize("gain", [0.5, 1.5])
-def test_a_gain_that_changes_faintly_is_said_and_followed(gain, constant):
-    for seed in range(2):
+def test_a_gain_that_changes_faintly_is_said_and_followed(gain, constant, draws):
+    for seed in range(draws):
         y, u = faint(seed, gain, constant)
         tracker = ParameterTracker(ARX(4, 4))
         with pytest.warns(LostTrackerWarning, match="its gain is .* in the mean of the last [0-9]+ samples") as said:
@@ -242,10 +244,11 @@ def test_a_gain_that_changes_faintly_is_said_and_followed(gain, constant):
         assert (np.abs(tracker.theta[:4] - RESONANT[1:]) < 5.0 * tracker.std[:4]).all()
 
 
-def test_a_gain_that_does_not_change_is_not_said_to():
+@support.draws(2, 6)
+def test_a_gain_that_does_not_change_is_not_said_to(draws):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        for seed in range(6):
+        for seed in range(draws):
             ParameterTracker(ARX(4, 4)).run(*faint(100 + seed, 1.0))
 
 
@@ -287,8 +290,9 @@ def test_an_input_that_moves_once_tells_a_gain_only_once():
     assert gain.changed(scores) == 0.0
 
 
-def test_coloured_noise_and_an_input_that_hardly_moves_are_no_other_gain():
-    for seed in range(12):
+@support.draws(3, 12)
+def test_coloured_noise_and_an_input_that_hardly_moves_are_no_other_gain(draws):
+    for seed in range(draws):
         rng = np.random.default_rng([34, seed])
         u = rng.choice([-1.0, 1.0], 10).repeat(150)
         u[:400] = rng.choice([-1.0, 1.0], 400)
@@ -334,9 +338,10 @@ def test_a_level_that_moves_is_said_and_the_model_is_found_again(structure, chan
     np.testing.assert_allclose(tracker.theta[:4], THETA, atol=0.15)
 
 
+@support.draws(2, 6)
 @pytest.mark.parametrize("structure", [OutputError(2, 2), ARX(2, 2)], ids=str)
-def test_a_level_that_stays_is_not_said(structure):
-    for seed in range(6):
+def test_a_level_that_stays_is_not_said(structure, draws):
+    for seed in range(draws):
         y, noise, u = quiet(seed, size=3.0)
         with warnings.catch_warnings():
             warnings.simplefilter("error", LostTrackerWarning)
