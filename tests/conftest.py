@@ -27,7 +27,8 @@ def pytest_collection_modifyitems(items):
         mark = item.get_closest_marker("pairwise")
         if mark and hasattr(item, "callspec"):
             product = products.setdefault(item.nodeid.partition("[")[0], {})
-            product[item] = set(itertools.combinations(sorted(item.callspec.indices.items()), *mark.args or (2,)))
+            values = sorted((name, id(value)) for name, value in item.callspec.params.items())
+            product[item] = set(itertools.combinations(values, *mark.args or (2,)))
     for product in products.values():
         left = set().union(*product.values())
         while left:

@@ -83,6 +83,7 @@ CORRECTING = {
 }
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("case", BAD_Z)
 @pytest.mark.parametrize("method", CORRECTING)
 @pytest.mark.parametrize("ndim", [1, 2])
@@ -118,6 +119,7 @@ BAD_R = {
 }
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("case", BAD_R)
 @pytest.mark.parametrize("method", ["update", "update_correlated", "get_update", "batch_filter", "update_sequential"])
 def test_r_as_an_attribute(case, method):
@@ -129,6 +131,7 @@ def test_r_as_an_attribute(case, method):
     goes_on(kf)
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("case", [*BAD_R, "negative scalar", "scalar NaN"])
 @pytest.mark.parametrize("method", ["update", "update_correlated"])
 def test_r_for_one_call(case, method):
@@ -150,6 +153,7 @@ BAD_H = {
 }
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("case", BAD_H)
 @pytest.mark.parametrize("method", ["update", "update_correlated"])
 @pytest.mark.parametrize("ndim", [1, 2])
@@ -191,6 +195,7 @@ BAD_PREDICTIONS = {
 }
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("case", BAD_PREDICTIONS)
 @pytest.mark.parametrize("method", ["predict", "get_prediction"])
 def test_predict_for_one_call(case, method):
@@ -349,6 +354,7 @@ def test_choices_are_keywords_only():
         RobustKalmanFilter(4, 2, 0, Huber())
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("size", [1e3, 1e10, 1e100, 1e154, 1e155, 1e200, 1e300, -1e300])
 @pytest.mark.parametrize("scaling", ["innovation", "bounded"])
 @pytest.mark.parametrize("ndim", [1, 2])
@@ -368,6 +374,7 @@ def test_an_enormous_measurement_is_no_bad_input(size, scaling, ndim):
         kf.predict()
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("influence", [Huber(0.5), Hampel(), TukeyBiweight(), StudentT(), StudentT(50.0)], ids=repr)
 @pytest.mark.parametrize("information", ["realized", "weight"])
 @pytest.mark.parametrize("dim_z", [1, 2])
@@ -402,6 +409,7 @@ def test_bad_r_is_told_from_a_good_one_after_it_was_written_into():
     refuse(kf, lambda kf: kf.update([0.1, 0.2]), match=r"\bR\b")
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("name", ["H", "R"])
 @pytest.mark.parametrize("dim_z", [1, 2, 4])
 @pytest.mark.parametrize("method", ["update", "get_update", "update_steadystate"])

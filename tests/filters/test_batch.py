@@ -72,6 +72,7 @@ def by_loop(kf, zs, update_first=False, **per_step):
     return [np.array(column) for column in out]
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("update_first", [False, True])
 @pytest.mark.parametrize("case", ["constant", "F", "H", "QR", "u", "Bu"])
 @pytest.mark.parametrize("ndim, dims", [(2, (4, 2, 1)), (1, (3, 1, 2))])
@@ -98,6 +99,7 @@ MIXTURES = {
 }
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("update_first", [False, True])
 @pytest.mark.parametrize("case", ["constant", "F", "QR", "u"])
 @pytest.mark.parametrize("kind", MIXTURES)

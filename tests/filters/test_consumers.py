@@ -39,6 +39,7 @@ CHOICES = [
 ]
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("choices", CHOICES, ids=str)
 @pytest.mark.parametrize("ndim", NDIMS)
 @pytest.mark.parametrize("samples", [0, 20])

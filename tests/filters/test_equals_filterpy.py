@@ -56,6 +56,7 @@ def test_equals_kalman_for_infinite_threshold_over_10000_steps(dims, influence, 
     support.assert_same_state(robust, plain, ATTRIBUTES)
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("ndim", NDIMS)
 @pytest.mark.parametrize("information", ["realized", "expected", "weight"])
 @pytest.mark.parametrize("grouping", ["component", "joint"])

@@ -61,6 +61,7 @@ def test_update_with_none(method, ndim):
     assert np.ravel(robust.z).tolist() == [None, None]
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize(
     "z",
     [[1.0, 2.0], (1, 2), [[1.0], [2.0]], [[1.0, 2.0]], np.array([1, 2]), np.array([[1.0], [2.0]])],
@@ -80,6 +81,7 @@ def test_forms_of_a_vector_measurement(z, ndim, method):
         support.assert_close(returned[0][1], returned[1][1])
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("z", [3, 3.5, np.float64(3.5), np.array(3.5), [3], (3,), [[3]], np.array([[3]])])
 @pytest.mark.parametrize("ndim", NDIMS)
 @pytest.mark.parametrize("method", ["update", "update_correlated", "update_steadystate"])

@@ -32,6 +32,7 @@ PATHS = {
 }
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("path", PATHS)
 @pytest.mark.parametrize("ndim", NDIMS)
 @pytest.mark.parametrize("influence", [Huber(), Hampel(), TukeyBiweight(), StudentT()], ids=repr)

@@ -47,6 +47,7 @@ def run(kf, zs):
     return found
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("information", ["realized", "expected", "weight"])
 @pytest.mark.parametrize("influence", [Huber(), Linear(), Hampel(), TukeyBiweight(), StudentT()], ids=repr)
@@ -63,6 +64,7 @@ def test_numpy_told_to_raise_changes_no_number(influence, information, size):
                     np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("cls", [recovering, told, two_sided, AdaptiveKalmanFilter])
 def test_nor_does_it_stop_another_filter_or_a_series(raising, cls, size):

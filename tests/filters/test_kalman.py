@@ -26,6 +26,7 @@ def robust(problem=None, ndim=2, **choices):
     return support.make(RobustKalmanFilter, problem or support.random_problem(21, 4, 2), ndim, **choices)
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("scaling", SCALINGS)
 @pytest.mark.parametrize("grouping, information", COMPONENT + JOINT)
 @pytest.mark.parametrize("ndim", NDIMS)
@@ -51,6 +52,7 @@ def test_update_with_a_norm_of_statsmodels(norm, z):
     assert np.isfinite(kf.log_likelihood)
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("influence", [Linear(), Huber(0.7), Hampel(), TukeyBiweight(), StudentT(2.5)], ids=repr)
 @pytest.mark.parametrize("scaling", SCALINGS)
 @pytest.mark.parametrize("information", ["realized", "weight"])

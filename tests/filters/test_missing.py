@@ -41,6 +41,7 @@ def test_a_missing_component_is_a_sensor_that_is_not_there(ndim, method):
         support.assert_same_state(ours, theirs, support.STATE, rtol=1e-9)
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("ndim", NDIMS)
 @pytest.mark.parametrize("scaling", ["innovation", "bounded"])
 @pytest.mark.parametrize("information", ["realized", "expected", "weight"])

@@ -76,6 +76,7 @@ def as_recording(kf, zs):
 WAYS = [online, as_recording, as_series]
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("m", [1, 2, 3])
 @pytest.mark.parametrize("factor", [1e-12, 1e-4, 100.0, 1e12])
@@ -87,6 +88,7 @@ def test_a_common_factor_of_P_Q_and_R_changes_nothing(path, way, m, factor):
     assert_allclose(scaled_P, factor * P, rtol=1e-7)
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("influence", [Huber(), Hampel(), TukeyBiweight(), StudentT()], ids=repr)
 def test_the_order_and_the_units_of_sensors_change_nothing(path, way, influence):

@@ -73,6 +73,7 @@ def by_steps(cls, problem, zs, method="update", **options):
     return [np.array(column) for column in zip(*kept, strict=True)]
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("dims", SIZES)
 @pytest.mark.parametrize("name", LINEAR)
 def test_no_linear_filter_knows_the_units_of_its_sensors(path, name, dims):
@@ -81,6 +82,7 @@ def test_no_linear_filter_knows_the_units_of_its_sensors(path, name, dims):
     same(by_steps(cls, changed, others, **options), by_steps(cls, problem, zs, **options), name)
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("dims", SIZES)
 @pytest.mark.parametrize("method", ["update_correlated", "update_steadystate", "update_sequential"])
 def test_no_other_update_does(path, method, dims):

@@ -118,6 +118,7 @@ def recording(seed=0):
     return [None if k in (5, 26) else value for k, value in enumerate(z.tolist())]
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("name", FILTERS)
 @pytest.mark.parametrize("cut", [1, 25, 33])
 def test_a_filter_goes_on_to_the_last_bit(name, cut):

@@ -55,6 +55,7 @@ def same(a, b):
 # One sample or a recording
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize(
     "options", [{}, {"Q": 1e-4}, {"forgetting": 0.97}, {"influence": Hampel()}, {"scaling": "bounded"}]
 )

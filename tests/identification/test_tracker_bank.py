@@ -103,6 +103,7 @@ def assert_is_the_loop(structure, y, u, **options):
 # The loop is the definition
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize(
     ("structure", "gradient", "guard"),
     [
@@ -120,6 +121,7 @@ def test_bank_is_the_loop(structure, gradient, guard):
     assert_is_the_loop(structure, y, u, gradient=gradient, guard=guard, R=0.25, Q=1e-4)
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("information", ["realized", "expected", "weight"])
 @pytest.mark.parametrize("scaling", ["innovation", "unit", "bounded"])
 @pytest.mark.parametrize(
@@ -219,6 +221,7 @@ def assert_steps_are_the_loop(structure, y, u, **options):
     return grown
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("gradient", ["filtered", "pseudolinear"])
 @pytest.mark.parametrize("structure", [ARX(2, 2), ARMAX(2, 2, 1), OutputError(2, 2), FIR(2)], ids=str)
 @pytest.mark.parametrize("spike", [1e8, 1e12, 1e40, 1e300])

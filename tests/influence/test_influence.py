@@ -49,12 +49,14 @@ def breaks_of(influence):
     return [getattr(influence, name) for name in ("a", "b", "c", "threshold") if hasattr(influence, name)]
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("influence", OURS, ids=ids)
 @pytest.mark.parametrize("e", [0.3, 1.2, 1.7, 3.0, 5.0, 11.0])
 def test_rho_is_the_integral_of_psi(influence, e):
     np.testing.assert_allclose(influence.rho(e), integral(influence.psi, e, breaks_of(influence)), rtol=1e-8)
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("influence", OURS, ids=ids)
 @pytest.mark.parametrize("e", [0.3, 1.2, 1.7, 3.0, 5.0, 11.0])
 def test_psi_is_the_integral_of_its_derivative(influence, e):
@@ -82,6 +84,7 @@ def test_symmetry(influence):
         np.testing.assert_allclose(even(-GRID), even(GRID), rtol=1e-14)
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("influence", OURS, ids=ids)
 @pytest.mark.parametrize("function", ["rho", "psi", "psi_deriv", "weights"])
 @pytest.mark.parametrize("shape", [(), (1,), (3,), (3, 1), (2, 3)])

@@ -53,6 +53,7 @@ AS_ONE = [
 ]
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize(("grouping", "scaling", "information"), SENSOR_BY_SENSOR + AS_ONE)
 @pytest.mark.parametrize("influence", INFLUENCES, ids=lambda f: type(f).__name__)
 def test_a_step_is_the_definition(monkeypatch, influence, grouping, scaling, information):

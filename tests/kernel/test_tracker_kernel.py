@@ -97,6 +97,7 @@ CASES = [
 ]
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("options", [{}, {"Q": 1e-4}, {"forgetting": 0.97}, {"influence": Hampel()}], ids=str)
 @pytest.mark.parametrize(("structure", "gradient", "guard"), CASES, ids=str)
 def test_the_kernel_gives_the_numbers_of_update(structure, gradient, guard, options, handed_back):
@@ -108,6 +109,7 @@ def test_the_kernel_gives_the_numbers_of_update(structure, gradient, guard, opti
     assert handed_back == ["done"] or guard == "none"
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("influence", [Linear(), Huber(), Hampel(), TukeyBiweight(), StudentT()], ids=repr)
 @pytest.mark.parametrize(("scaling", "information"), list(itertools.product(SCALINGS, INFORMATIONS)))
 def test_every_choice_of_the_filter(scaling, information, influence, handed_back):

@@ -89,6 +89,7 @@ def test_density_integrates_to_one(noise):
     assert integrate(noise.pdf, noise) == pytest.approx(1.0, abs=1e-8)
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("noise", ALL, ids=name)
 @pytest.mark.parametrize("a, b", [(-3.0, -0.4), (-0.5, 0.5), (0.1, 2.0), (1.0, 8.0)])
 def test_cdf_is_the_integral_of_the_density(noise, a, b):

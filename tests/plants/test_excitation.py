@@ -131,6 +131,7 @@ def test_identical_to_the_steps_as_printed(m):
     np.testing.assert_array_equal(receding_horizon_binary(r, 300, m), steps_as_printed(r, 300, m))
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("m", [1, 2, 4, 7])
 @pytest.mark.parametrize(
     ("r", "levels"),

@@ -68,6 +68,7 @@ def test_inputs_missing_components_singular_noise_and_a_known_start_are_the_join
     assert np.array_equal(np.isnan(found.weights), np.isnan(z))
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("influence", [Huber(0.7), HuberT(0.7), StudentT(2.0), TukeyBiweight(3.0)], ids=repr)
 @pytest.mark.parametrize("grouping", ["component", "joint"])
 def test_a_psi_gives_a_point_where_the_gradient_of_the_cost_vanishes(form, influence, grouping):

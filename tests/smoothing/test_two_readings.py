@@ -32,6 +32,7 @@ def walk(seed, steps=300, q=0.05):
     return truth, truth + rng.normal(size=truth.shape)
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("grouping", ["component", "joint"])
 @pytest.mark.parametrize("q", [0.05, 0.1])
 @pytest.mark.parametrize("length, off", [(20, 20.0), (50, 20.0), (50, 70.0), (50, 300.0)])

@@ -16,6 +16,7 @@ from robust_filterpy.testing.scenarios.runs import FilterRun, load
 KINDS = ["none", *CONTAMINATIONS, ("mixture", "missing"), {"bursts": {"length": 8}, "stuck": {}}]
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("kind", KINDS, ids=str)
 @pytest.mark.parametrize("name", MODELS)
 def test_every_model_can_be_spoilt_in_every_way(name, kind):
@@ -28,6 +29,7 @@ def test_every_model_can_be_spoilt_in_every_way(name, kind):
     assert np.isfinite(scenario.reference.x).all() and np.isfinite(scenario.reference.P).all()
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("kind", KINDS, ids=str)
 @pytest.mark.parametrize("name", PLANTS)
 def test_every_plant_can_be_spoilt_in_every_way(name, kind):
