@@ -1,24 +1,31 @@
-"""Figures of the servo study: the recording, the gain over time, and the frequency response at several instants."""
+"""Figures of the servo study: the recording, models of a few seconds of it, and the tracked gain over time."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
 import matplotlib.pyplot as plt
 import numpy as np
-from servo.experiment import DT, NOMINAL, NONE, ROBUST, SERVO, Conditions, motion
+from servo.experiment import DT, NOMINAL, NONE, ROBUST, Conditions, motion
 from servo.models import CONSTANT, EVERY, ORDER, Model, frozen_gain, gain_of, sliding_gain
 from servo.study import INSTANTS, at
 
+from robust_filterpy.identification import Model as PolynomialModel
 from robust_filterpy.plants.servo import PneumaticParameters, ServoRecording, linearize_servo
 from robust_filterpy.plotting import LOOKS
 
 STYLE = {NOMINAL: {**LOOKS["Kalman"], "linewidth": 1.1}, ROBUST: {**LOOKS["Huber"], "linewidth": 1.3}}
 BLUE = LOOKS["Huber"]["color"]
 FREQUENCIES = np.logspace(np.log10(0.3), np.log10(45), 200)  # Hz
-POSITIONS = (-0.025, 0.0, 0.025)  # m
-DRAWS = 200
+#: Models of the same seconds: of a recording whose sensor makes no error, and of the one with outliers, two ways.
+TRUTH_FIT, ROBUST_FIT, LEAST_SQUARES = "sensor without error", "robust", "least squares"
+MODEL_STYLE = {
+    TRUTH_FIT: dict(color="black", linewidth=2.4, alpha=0.55),
+    ROBUST_FIT: dict(color=BLUE, linewidth=1.3, linestyle="--"),
+    LEAST_SQUARES: dict(color=LOOKS["Kalman"]["color"], linewidth=1.1),
+}
 
 
 def draw_recording(given: Conditions, recordings: dict[str, ServoRecording], path: Path) -> None:
@@ -55,38 +62,33 @@ def draw_recording(given: Conditions, recordings: dict[str, ServoRecording], pat
     plt.close(figure)
 
 
-def draw_gain(given: Conditions, recording: ServoRecording, models: dict[str, Model], path: Path) -> None:
-    """Draw the static gain from opening to velocity beside the physics' own."""
+def draw_gain(
+    given: Conditions, recording: ServoRecording, models: dict[str, Model], path: Path, say: Callable[[str], None]
+) -> None:
+    """Draw the static gain from opening to velocity with the physics' own."""
     figure, axis = plt.subplots(figsize=(9, 4.4), layout="constrained")
     ends = np.arange(EVERY - 1, recording.t.size, EVERY)
     t, robust = recording.t[ends], models[ROBUST]
     low, high = robust.gain - 1.96 * robust.gain_std, robust.gain + 1.96 * robust.gain_std
     axis.fill_between(t, low, high, color=BLUE, alpha=0.2, label="robust, 95 % band")
-    axis.plot(t, models[NOMINAL].gain, label=NOMINAL, **STYLE[NOMINAL])
     axis.plot(t, robust.gain, label=ROBUST, **STYLE[ROBUST])
     constant = gain_of(models[CONSTANT].theta[-1], np.eye(2 * ORDER))[0]
     axis.axhline(constant, color="0.6", linestyle="--", linewidth=1, label="one constant model")
     sliding = [sliding_gain(recording, k) for k in ends]
     axis.plot(t, sliding, color="black", linewidth=1.4, label="physics, steady sliding")
     instants = [at(share, recording.t.size) for share in (0.1, *INSTANTS)]
-    frozen = [frozen_gain(given, k) for k in instants]
+    frozen = []
+    for k in instants:
+        say(f"the best linear model of the physics at {recording.t[k]:.0f} s")
+        frozen.append(frozen_gain(given, k))
     axis.plot(recording.t[instants], frozen, "o", color="black", markerfacecolor="none",
               label="physics, frozen: its best linear model")  # fmt: skip
     axis.set(xlabel="time / s", ylabel="gain / (cm/s per % of opening)", ylim=(2, 9))
     grown = sliding[-1] / sliding[0]
-    axis.set_title(f"The gain grows {grown:.1f} times: the tracked models follow, a constant one cannot")
+    axis.set_title(f"The servo's gain grows {grown:.1f} times: the tracked model follows, a constant one cannot")
     axis.legend(loc="upper left", ncols=2, fontsize=8)
     figure.savefig(path, dpi=80)
     plt.close(figure)
-
-
-class Response(NamedTuple):
-    """Frequency responses at one instant, over FREQUENCIES; cm/s per percent of opening."""
-
-    linearized: np.ndarray  # (positions, F) complex, at each of POSITIONS
-    model: np.ndarray  # (F,) complex
-    gain: np.ndarray  # (2, F) ends of the 95 % band of the model's gain, dB
-    phase: np.ndarray  # (2, F) of its phase, degrees
 
 
 def linearized(servo: PneumaticParameters, position: float, speed: float, z: np.ndarray, **physics) -> np.ndarray:
@@ -102,23 +104,6 @@ def linearized(servo: PneumaticParameters, position: float, speed: float, z: np.
     return (1 - servo.dead_band) * sum(both) / 2
 
 
-def responses(recording: ServoRecording, model: Model) -> list[Response]:
-    """Compare the model with the linearized physics at each instant."""
-    speed, rng = float(np.sqrt(np.mean(recording.velocity**2))), np.random.default_rng(0)
-    found = []
-    for share in INSTANTS:
-        k = at(share, recording.t.size)
-        physics = dict(load=recording.load[k], alpha=recording.alpha[k], beta=recording.beta[k])
-        z = np.exp(2j * np.pi * FREQUENCIES * DT)
-        curves = np.array([linearized(SERVO, y, speed, z, **physics) for y in POSITIONS])
-        draws = rng.multivariate_normal(model.theta[k], model.covariance[(k + 1) // EVERY - 1], DRAWS)
-        centre, spread = model_response(model.theta[k], z), np.array([model_response(theta, z) for theta in draws])
-        turn = np.degrees(np.unwrap(np.angle(centre)) + np.angle(spread / centre))
-        bands = (np.quantile(x, [0.025, 0.975], axis=0) for x in (decibel(spread), turn))
-        found.append(Response(curves, centre, *bands))
-    return found
-
-
 def model_response(theta: np.ndarray, z: np.ndarray) -> np.ndarray:
     """Return B/A at z."""
     delays = z ** -np.arange(1.0, ORDER + 1)[:, None]
@@ -130,26 +115,30 @@ def decibel(response: np.ndarray) -> np.ndarray:
     return 20 * np.log10(np.abs(response))
 
 
-def draw_bode(recording: ServoRecording, found: list[Response], path: Path) -> None:
-    """Draw the model with its band against the linearized servo at three instants."""
-    figure, axes = plt.subplots(2, 3, figsize=(12, 6), sharex=True, sharey="row", layout="constrained")
-    for column, (share, response) in enumerate(zip(INSTANTS, found, strict=True)):
-        top, bottom = axes[:, column]
-        for y, linear in zip(POSITIONS, response.linearized, strict=True):
-            style = dict(color="black", lw=1.8) if y == 0 else dict(color="0.6", lw=0.9)
-            label = "linearized servo, mid-stroke" if y == 0 else "linearized servo, 2.5 cm off" if y > 0 else None
-            top.plot(FREQUENCIES, decibel(linear), label=label, **style)
-            bottom.plot(FREQUENCIES, np.degrees(np.unwrap(np.angle(linear))), **style)
-        top.fill_between(FREQUENCIES, *response.gain, color=BLUE, alpha=0.2, label="robust model, 95 % band")
-        bottom.fill_between(FREQUENCIES, *response.phase, color=BLUE, alpha=0.2)
-        top.plot(FREQUENCIES, decibel(response.model), color=BLUE, ls="--", label="robust model")
-        bottom.plot(FREQUENCIES, np.degrees(np.unwrap(np.angle(response.model))), color=BLUE, ls="--")
-        k = at(share, recording.t.size)
-        top.set_title(f"t = {recording.t[k]:.1f} s, beta = {recording.beta[k]:.2f}")
-        bottom.set(xlabel="frequency / Hz", xscale="log")
-    axes[0, 0].set(ylabel="gain / dB (cm/s per % of opening)", ylim=(-25, 42))
-    axes[1, 0].set(ylabel="phase / degrees", ylim=(-420, 40))
-    figure.suptitle("The robust model, and the physics linearized about sliding without dry friction")
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
+class Identified(NamedTuple):
+    """A model of a few seconds of the recording, and its free run's fit to the true velocity there, in percent."""
+
+    model: PolynomialModel
+    fit: float
+
+
+def draw_model(models: dict[str, Identified], path: Path) -> None:
+    """Draw the step and frequency responses of models that were fitted to the same seconds."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
+    for name, (model, fit) in models.items():
+        look = dict(MODEL_STYLE[name], label=f"{name} (fit {fit:.0f} %)")
+        step, bode = model.step_response(60, dt=DT), model.frequency_response(2 * np.pi * FREQUENCIES, dt=DT)
+        left.plot(step.time, step.response, **look)
+        right.plot(FREQUENCIES, decibel(bode.magnitude), **look)
+        if name == ROBUST_FIT:
+            left.fill_between(step.time, step.lower, step.upper, color=BLUE, alpha=0.2, label="its 95 % band")
+            ends = (decibel(end) for end in (bode.magnitude_lower, bode.magnitude_upper))
+            right.fill_between(FREQUENCIES, *ends, color=BLUE, alpha=0.2)
+    left.set(xlabel="time / s", ylabel="velocity / (cm/s)", title="The valve opens by 1 %")
+    truth = models[TRUTH_FIT].model.step_response(60, dt=DT).response
+    left.set_ylim(-0.5 * truth.max(), 1.4 * truth.max())
+    right.set(xlabel="frequency / Hz", ylabel="gain / dB (cm/s per %)", xscale="log", ylim=(-25, 35))
+    right.set_title("Frequency response from valve to velocity")
+    left.legend(loc="lower right", fontsize=8)
     figure.savefig(path, dpi=80)
     plt.close(figure)

@@ -55,8 +55,12 @@ def trial(
     loops: Sequence[str] = LOOPS,
     trackers: Sequence[str] = TRACKERS,
     closed: bool = True,
+    gains: bool = True,
 ) -> Run:
-    """Drive the servo on every filter's estimate, and identify it from the recording of the robust loop."""
+    """Drive the servo on every filter's estimate, and identify it from the recording of the robust loop.
+
+    Its gain is compared with the physics' where `gains` asks for it: a fit of the frozen physics for each instant.
+    """
     given = conditions(steps, contamination, rng, encoder_outliers)
     recordings = {loop: drive(given, loop) for loop in loops}
     moved = [motion(recordings[loop], recordings[NONE]) for loop in loops]
@@ -68,7 +72,7 @@ def trial(
         if signals is valve_to_velocity:
             robust = models[ROBUST]
             drift = robust.drift
-            for k in (at(share, steps) for share in INSTANTS):
+            for k in (at(share, steps) for share in INSTANTS if gains):
                 row = (k + 1) // EVERY - 1
                 gain.append([frozen_gain(given, k), robust.gain[row], robust.gain_std[row]])
     return Run(np.array(moved), np.array(fits), np.array(gain), drift)
