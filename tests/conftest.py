@@ -12,6 +12,11 @@ settings.register_profile("search", derandomize=False)
 settings.load_profile("repeatable")
 
 
+def pytest_addoption(parser):
+    """Add ``--every N``: of the tests that are chosen only the first of every N."""
+    parser.addoption("--every", type=int, default=1, metavar="N", help="run the first of every N tests")
+
+
 @pytest.fixture(autouse=True)
 def numpy_errors_stay_as_they_were():
     """Put it back: after an interrupt within numpy.linalg every invalid number raises "Singular matrix"."""
@@ -19,9 +24,18 @@ def numpy_errors_stay_as_they_were():
         yield
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items):
-    """Leave to the night what a product of arguments has beyond a table of pairs: see the mark `pairwise`."""
+@pytest.hookimpl(hookwrapper=True)
+def pytest_collection_modifyitems(config, items):
+    """Leave to the night what a product has beyond a table of pairs; of what marks then choose take every Nth."""
+    pairs_only(items)
+    yield
+    every = config.getoption("--every")
+    config.hook.pytest_deselected(items=[item for k, item in enumerate(items) if k % every])
+    items[:] = items[::every]
+
+
+def pairs_only(items):
+    """Mark for the night what a product of arguments has beyond a table of pairs: see the mark `pairwise`."""
     products = {}
     for item in items:
         mark = item.get_closest_marker("pairwise")

@@ -16,7 +16,7 @@ SCRIPTS = sorted([*EXAMPLES.glob("*.py"), *EXAMPLES.glob("*/reproduce.py")])
 # What makes a script small; every script besides takes --out.
 SMALL = {
     "paper/reproduce.py": ["--runs", "2", "--jobs", "1", "--only", "2", "3", "5", "11"],
-    "pneumatic_servo.py": ["--steps", "300", "--seeds", "2", "--jobs", "1"],
+    "pneumatic_servo.py": ["--steps", "300", "--seeds", "2"],
     "state_estimation_study.py": ["--runs", "3", "--steps", "30", "--jobs", "1"],
     "first_screen.py": ["--seeds", "3"],
     "06_smoothing.py": ["--runs", "2"],
