@@ -54,7 +54,7 @@ class StepMixin(Held):
         if _extension is None or not self._by_kernel:
             return False
         if self._policy.noise is not None:
-            return self._watched(z, R, H, M)
+            return self._watched(_extension.correct_mixture, z, R, H, M)
         if not self._policy.by_kernel:
             return False
         if self._choices.scaling == "innovation":
@@ -64,17 +64,21 @@ class StepMixin(Held):
 
     def _stepped(self, z: Any, predicted: Any, y: Any, C: Any, S: Any, R: Any) -> bool:
         """Correct by a nonlinear sensor, by z and its prediction or by y; C and S, or H and None."""
-        if _extension is None or not (self._by_moments and self._policy.by_kernel):
+        if _extension is None or not self._by_moments:
+            return False
+        if self._policy.noise is not None:
+            return self._watched(_extension.correct_mixture_innovation, z, predicted, y, C, S, R)
+        if not self._policy.by_kernel:
             return False
         if self._choices.scaling == "innovation":
             return self._counted(_extension.correct_innovation, z, predicted, y, C, S, R)
         taken: bool = _extension.correct_innovation(self, z, predicted, y, C, S, R)
         return taken
 
-    def _watched(self, z: Any, R: Any, H: Any, M: Any) -> bool:
+    def _watched(self, step: Any, *given: Any) -> bool:
         """Take a correction under ``noise=``, and look now and then at the signs of innovations."""
         before = snapshot(self) if judges(self._updates + 1) else None
-        if not _extension.correct_mixture(self, z, R, H, M):
+        if not step(self, *given):
             return False
         self._updates += 1
         if self._counts_clipped:

@@ -1,5 +1,6 @@
 /* One step of one filter under noise that is learnt, as one call: attributes read, the step taken, attributes set. */
 #include "groups.h"
+#include "mend.h"
 #include "online.h"
 
 /* The copies of a filter, in arrays of their own that a step may change, and what they merge to. */
@@ -263,6 +264,127 @@ static int correct_mixture(held *h, PyObject *filter, PyObject *z, PyObject *con
     return set_weighed(h, filter, &f.rule, m, shown, record, &made, &c);
 }
 
+/* H (m, n) = C' P^-1, P (n, n) in units of its own and without directions in which it has no extent, and what of S such a line
+   does not explain, noise apart: curvature (m, m). work: 3 k k + k, k the larger of n and m. */
+static void regress(int n, int m, const double *P, const double *C, const double *S, const double *R, double *H,
+                    double *curvature, double *work) {
+    const int k = n > m ? n : m;
+    double *const A = work, *const V = A + k * k, *const W = V + k * k, *const unit = W + k * k, most = 0;
+    for (int i = 0; i < n; i++) unit[i] = P[i * n + i] > 0 ? sqrt(P[i * n + i]) : 1;
+    for (int i = 0; i < n * n; i++) A[i] = P[i] / (unit[i / n] * unit[i % n]);
+    mend_diagonalize(n, A, V);
+    for (int i = 0; i < n; i++) most = real_max(most, fabs(A[i * n + i]));
+    for (int i = 0; i < m * n; i++) H[i] = 0;
+    for (int o = 0; o < n; o++) {
+        if (!(fabs(A[o * n + o]) > 1e-15 * most)) continue;
+        for (int i = 0; i < m; i++) {
+            double along = 0;
+            for (int l = 0; l < n; l++) along += V[l * n + o] * (C[l * m + i] / unit[l]);
+            for (int l = 0; l < n; l++) H[i * n + l] += V[l * n + o] * along / A[o * n + o];
+        }
+    }
+    for (int i = 0; i < m * n; i++) H[i] /= unit[i % n];
+    for (int i = 0; i < m; i++)
+        for (int j = 0; j <= i; j++) {
+            double seen = 0;
+            for (int l = 0; l < n; l++) seen += H[i * n + l] * C[l * m + j];
+            W[i * m + j] = W[j * m + i] = S[i * m + j] - R[i * m + j] - seen;
+        }
+    mend_diagonalize(m, W, V);
+    for (int i = 0; i < m; i++)
+        for (int j = 0; j < m; j++) {
+            curvature[i * m + j] = 0;
+            for (int o = 0; o < m; o++) curvature[i * m + j] += V[i * m + o] * real_max(W[o * m + o], 0) * V[j * m + o];
+        }
+}
+
+/* Correct a state at 0 by a line, and by a state of its own for what the line does not explain. given_now: z, its prediction
+   or None, the innovation or None, C and S, or the Jacobian and None, R or None. */
+static int correct_innovation(held *h, PyObject *filter, PyObject *const *given_now) {
+    static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT_inv, AT_R, AT__memory, AT__policy, AT__kept};
+    PyObject *const *const given = h->objects;
+    PyObject *plain[6], *make, *seen, *y, *H, *zero, *P_too, *R_too, *curvature, *shown, *record, *x_next, *P_next;
+    learnt_rule rule;
+    filter_state now;
+    weighed made;
+    const double *C, *S, *R, *at = NULL, *before;
+    double stack[STACK_WORK], *work, single;
+    int fine;
+    if (hold_all(h, filter, names, sizeof names / sizeof *names) < 0 || !hold_attribute(h, given[6], AT_rule)) return -1;
+    make = hold_attribute(h, given[6], AT_record);
+    for (int i = 0; i < 6; i++)
+        if (!make || !(plain[i] = as_plain(h, i == 5 && given_now[5] == Py_None ? given[4] : given_now[i]))) return -1;
+    if (given[3] != numpy_inverse || given[7] != Py_None || !take_rule(&rule, given[8]) || learnt_copies(&rule) != 1 ||
+        !take_filter(given[0], given[1], given[2], &now) || !is_array(plain[3], 2))
+        return 0;
+    const int linear = plain[4] == Py_None, n = (int)now.n, width = learnt_width(rule.K);
+    const int m = (int)PyArray_DIM((PyArrayObject *)plain[3], !linear), all = linear ? n : n + m;
+    if (m < 1 || m > 1000 || n > 1000) return 0;
+    C = linear ? matrix_of(plain[3], m, n) : matrix_of(plain[3], n, m), S = linear ? NULL : matrix_of(plain[4], m, m);
+    R = covariance_of(h, plain[5], m), before = matrix_of(given[5], known_rows(&rule, m), width);
+    if (!R && PyErr_Occurred()) return -1;
+    if (!C || !R || !before || !all_finite(C, n * m) || (!linear && (!S || !is_symmetric(S, m)))) return 0;
+    seen = array_of(h, 1, m, 0, 0), y = seen ? array_of(h, 1, m, 0, 0) : NULL;
+    H = y ? copied(h, C, 2, m, n) : NULL, zero = H ? array_of(h, 1, n, 0, 0) : NULL;
+    P_too = zero ? copied(h, now.P, 2, n, n) : NULL, R_too = P_too ? copied(h, R, 2, m, m) : NULL;
+    curvature = R_too ? array_of(h, 2, m, m, 0) : NULL, x_next = curvature ? array_of(h, now.ndim, n, 1, 0) : NULL;
+    P_next = x_next ? array_of(h, 2, n, n, 0) : NULL;
+    if (!P_next || !begin_weighed(h, &rule, before, m, &made)) return -1;
+    if (!take_measurement(plain[0], m, numbers_of(seen))) return 0;
+    at = plain[1] == Py_None ? vector_of(plain[2], m)
+                             : m == 1 && number_of(plain[1], &single) ? &single : vector_of(plain[1], m);
+    if (!at || (plain[1] != Py_None && !all_finite(at, m))) return 0;
+    const size_t k = (size_t)(n > m ? n : m), own = (size_t)(all * (all + 1 + m) + 3 * all);
+    work = work_of(stack, own + correct_work(&rule, all, m) + (size_t)(m * m) + 3 * k * k + k);
+    if (!work) return -1;
+    {
+        double *const x = work, *const P = x + all, *const p = P + all * all, *const whole = p + 3 * all;
+        double *const rest = whole + m * all, *const h_of = numbers_of(H), *const bend = numbers_of(curvature);
+        learnt_state s = {x, P, p, NULL};
+        for (int i = 0; i < m * m; i++) bend[i] = 0;
+        fine = is_covariance(R, m, rest);
+        if (fine && !linear) regress(n, m, now.P, C, S, R, h_of, bend, rest);
+        for (int i = 0; i < all; i++) x[i] = 0, p[i] = 1, p[all + i] = p[2 * all + i] = 0;
+        for (int i = 0; i < all * all; i++) {
+            const int row = i / all, column = i % all;
+            P[i] = row < n && column < n ? now.P[row * n + column]
+                                         : row >= n && column >= n ? bend[(row - n) * m + column - n] : 0;
+        }
+        for (int i = 0; i < m; i++) {
+            int sees = 0;
+            for (int j = 0; j < all; j++) whole[i * all + j] = j < n ? h_of[i * n + j] : j - n == i;
+            for (int j = 0; j < n; j++) sees |= h_of[i * n + j] != 0;
+            numbers_of(y)[i] = !sees ? NAN : plain[1] == Py_None ? at[i] : numbers_of(seen)[i] - at[i];
+        }
+        fine = fine && weigh(all, m, &rule, &s, numbers_of(y), numbers_of(seen), whole, R, NULL, &made, rest);
+        for (int i = 0; i < n; i++) {
+            numbers_of(zero)[i] = 0, numbers_of(x_next)[i] = now.x[i] + x[i];
+            for (int j = 0; j < n; j++) numbers_of(P_next)[i * n + j] = 0.5 * (P[i * all + j] + P[j * all + i]);
+        }
+    }
+    work_done(stack, work);
+    if (!fine || !all_finite(numbers_of(x_next), n) || !all_finite(numbers_of(P_next), n * n)) return 0;
+    shown = copied(h, numbers_of(seen), now.ndim, m, 1);
+    x_next = shown ? x_next : NULL;
+    record = x_next ? hold(h, PyObject_CallFunction(make, "OOOdOOOOOOOOOO", copied(h, numbers_of(x_next), 1, n, 0),
+                                                    copied(h, numbers_of(P_next), 2, n, n), made.known, made.likelihood,
+                                                    made.weights, made.outlying, zero, P_too, H, R_too, Py_None, y,
+                                                    given[5], curvature))
+                    : NULL;
+    if (!record || !set_state(h, filter, x_next, P_next, AT_x_post, AT_P_post)) return -1;
+    return set_weighed(h, filter, &rule, m, shown, record, &made, NULL);
+}
+
+static PyObject *innovation_step(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
+    held h = {.count = 0};
+    (void)self;
+    if (count != 7) {
+        PyErr_SetString(PyExc_TypeError, "correct_mixture_innovation: expected a filter, z, its prediction, y, C, S and R");
+        return NULL;
+    }
+    return answer(&h, correct_innovation(&h, arguments[0], arguments + 1));
+}
+
 static PyObject *predict_step(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
     held h = {.count = 0};
     (void)self;
@@ -288,4 +410,6 @@ PyMethodDef mixture_functions[] = {
      "Predict the next state of a filter under noise=: (filter, u, B, F, Q), None for its own."},
     {"correct_mixture", (PyCFunction)(void (*)(void))correct_step, METH_FASTCALL,
      "Correct the state of a filter under noise=: (filter, z, R, H, M), None for its own R and H and for no M."},
+    {"correct_mixture_innovation", (PyCFunction)(void (*)(void))innovation_step, METH_FASTCALL,
+     "Correct the state of a filter under noise= by an innovation; arguments as of correct_innovation."},
     {NULL, NULL, 0, NULL}};
