@@ -48,7 +48,7 @@ def log_density_of_group(y: Array, S: Array, choices: Any) -> float:
     e = np.clip(T @ y, -_LARGEST, _LARGEST)
     peak = float(np.abs(e).max())
     length = min(peak * float(np.linalg.norm(e / peak)), _LARGEST) if peak > 0.0 else 0.0
-    loss = float(choices.evaluated("rho", np.array([length]))[0])
+    loss = choices.rho_of(length)
     normalizer = getattr(choices.influence, "log_normalizer", None)
     constant = 0.5 * k * math.log(2.0 * math.pi) if normalizer is None else normalizer(k)
     return float(np.log(T.diagonal()).sum()) - min(loss, _COSTLIEST) - constant

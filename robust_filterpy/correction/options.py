@@ -177,7 +177,7 @@ class Choices:
         k = len(e)
         # One sensor keeps its sign, for a psi that is not odd.
         size, direction = (float(e[0]), np.ones(1)) if k == 1 else length_and_direction(e)
-        along, psi_deriv = self._psi_of(size / s)
+        along, psi_deriv = self.psi_of(size / s)
         weight = along / (size / s) if size != 0.0 else 1.0
         if self.information == "expected":
             across = radial = _bounded(self.expected if k == 1 else expected_joint_information(self.influence, k))
@@ -192,10 +192,14 @@ class Choices:
         psi = e if weight == 1.0 else s * along * direction
         return psi, D, np.full(k, weight), np.full(k, psi_deriv), abs(size) * typical_length(k)
 
-    def _psi_of(self, length: float) -> tuple[float, float]:
+    def psi_of(self, length: float) -> tuple[float, float]:
         """Return psi and psi' of one number."""
         at = np.array([length])
         return self.evaluated("psi", at).item(), self.evaluated("psi_deriv", at).item()
+
+    def rho_of(self, length: float) -> float:
+        """Return rho of one number."""
+        return self.evaluated("rho", np.array([length])).item()
 
     def evaluated(self, name: str, e: Array) -> Array:
         """Return rho, psi or psi_deriv of e, shape (m,), by the influence function's own vectorised method.

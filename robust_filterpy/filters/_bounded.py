@@ -54,6 +54,11 @@ class Bounded:
         """Whether the kernel's steps are these."""
         return self.patience is None
 
+    @cached_property
+    def unwatched(self) -> bool:
+        """Whether nothing is looked at after a step of the kernel: whether innovations insist, or clip."""
+        return self.by_kernel and self.choices.scaling != "innovation" and self.choices.kernel_psi is not None
+
     @property
     def learns(self) -> bool:
         """Whether thresholds are in units of the spread; the Kalman filter has none."""

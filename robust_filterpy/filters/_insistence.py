@@ -9,6 +9,7 @@ have to believe in, P H' (H P H')^-1 y: what the sensors cannot see stays as cer
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import length_and_direction
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.standardization import ordered_scaling
+from robust_filterpy.kernel.record import moments_of
 
 __all__ = ["Insistence", "jump_of", "nothing_refused", "watched"]
 
@@ -36,6 +38,10 @@ class Insistence(NamedTuple):
     """How often the count has been full and P widened."""
     insisting: Array
     """The last refused innovation, NaN where there was none, shape (m,)."""
+
+    def nearer(self) -> Insistence:
+        """Return the count after an innovation that is not refused."""
+        return self._replace(refused=max(self.refused - 1, 0)) if self.refused else self
 
     def recovered(self) -> Insistence:
         """Return the count after P has been widened."""
@@ -73,9 +79,9 @@ def watched(
     if not observed.size:
         return before, False
     T = ordered_scaling(last.S, last.order, "innovation")[np.ix_(observed, observed)]
-    bound = float(np.sqrt(chdtri(observed.size, _RARE)))
+    bound = _bound(observed.size)
     if _length(T, last.y[observed]) <= bound:
-        return before._replace(refused=max(before.refused - 1, 0)), False
+        return before.nearer(), False
     agrees = False
     if before.insisting.size == last.y.size and not np.isnan(before.insisting[observed]).any():
         with np.errstate(over="ignore"):
@@ -90,6 +96,21 @@ def watched(
         return Insistence(0, before.recoveries, insisting), True
     insisting[observed] = last.y[observed]
     return Insistence(refused, before.recoveries, insisting), False
+
+
+def is_near(record: Array) -> bool:
+    """Return whether a correction of the kernel is of a whole measurement that is clearly not refused."""
+    y, S, observed = moments_of(record)
+    try:
+        return observed and float(y @ np.linalg.solve(S, y)) < 0.999 * _bound(len(y)) ** 2
+    except (np.linalg.LinAlgError, FloatingPointError):
+        return False
+
+
+@lru_cache(maxsize=64)
+def _bound(sensors: int) -> float:
+    """Return the length beyond which an innovation is refused."""
+    return float(np.sqrt(chdtri(sensors, _RARE)))
 
 
 def jump_of(last: Correction, C: Array, N: Array) -> Array | None:

@@ -5,12 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from robust_filterpy import kernel
+from robust_filterpy._arrays import noise_covariance
+from robust_filterpy._checks import Array
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters._correlated import judges, look_at_signs
 from robust_filterpy.filters._held import Held
+from robust_filterpy.filters._insistence import is_near, jump_of, watched
 from robust_filterpy.filters._outlier_share import EVERY
 from robust_filterpy.filters.snapshot import put_back, snapshot
+from robust_filterpy.kernel.record import judged_of
 
 _extension = kernel.extension()
 # What a subclass may do in its own way; then the kernel's is not that filter's.
@@ -55,25 +61,20 @@ class StepMixin(Held):
             return False
         if self._policy.noise is not None:
             return self._watched(_extension.correct_mixture, z, R, H, M)
-        if not self._policy.by_kernel:
+        if self._policy.patience is not None and M is not None:
             return False
-        if self._choices.scaling == "innovation":
-            return self._counted(_extension.correct, z, R, H, M)
-        taken: bool = _extension.correct(self, z, R, H, M)
-        return taken
+        return self._counted(_extension.correct, z, R, H, M, R=R)
 
-    def _stepped(self, z: Any, predicted: Any, y: Any, C: Any, S: Any, R: Any) -> bool:
+    def _stepped(
+        self, z: Any, predicted: Any, y: Any, C: Any, S: Any, R: Any,
+        difference: Callable[[Array, Array], Array] = np.subtract,
+    ) -> bool:  # fmt: skip
         """Correct by a nonlinear sensor, by z and its prediction or by y; C and S, or H and None."""
         if _extension is None or not self._by_moments:
             return False
         if self._policy.noise is not None:
             return self._watched(_extension.correct_mixture_innovation, z, predicted, y, C, S, R)
-        if not self._policy.by_kernel:
-            return False
-        if self._choices.scaling == "innovation":
-            return self._counted(_extension.correct_innovation, z, predicted, y, C, S, R)
-        taken: bool = _extension.correct_innovation(self, z, predicted, y, C, S, R)
-        return taken
+        return self._counted(_extension.correct_innovation, z, predicted, y, C, S, R, R=R, difference=difference)
 
     def _watched(self, step: Any, *given: Any) -> bool:
         """Take a correction under ``noise=``, and look now and then at the signs of innovations."""
@@ -85,18 +86,42 @@ class StepMixin(Held):
             self._signs = self._looked(before, look_at_signs, self, self._signs, self._last, self._updates)
         return True
 
-    def _counted(self, step: Any, *given: Any) -> bool:
-        """Take a correction, and look now and then whether most of them clip."""
-        if not self._counts_clipped:
+    def _counted(self, step: Any, *given: Any, R: Any, difference: Any = np.subtract) -> bool:
+        """Take a correction, see whether refused ones insist, and look now and then whether most of them clip."""
+        if self._policy.unwatched:
             return bool(step(self, *given))
-        looks = (self._updates + 1) % EVERY == 0
-        before = snapshot(self) if looks and self._share.fills(self.dim_z) else None
-        if not step(self, *given):
+        insists = self._policy.patience is not None
+        counts = self._counts_clipped and self._choices.scaling == "innovation"
+        looks = counts and (self._updates + 1) % EVERY == 0
+        # Psi of the user's may write into anything before it raises.
+        called = self._choices.kernel_psi is None
+        before = snapshot(self) if insists or called or (looks and self._share.fills(self.dim_z)) else None
+        if not (step(self, *given) if before is None else self._looked(before, step, self, *given)):
             return False
-        self._updates += 1
+        self._updates += counts
+        # As it was judged, before P grows.
+        judged = judged_of(self._last) if looks else None
+        if insists:
+            self._looked(before, self._insist, R, difference)
         if looks:
-            self._looked(before, lambda: self._share.look(self, self._arrays()))
+            self._looked(before, self._share.look, self, judged)
         return True
+
+    def _insist(self, R: Any, difference: Callable[[Array, Array], Array]) -> None:
+        """Count a correction that the kernel took, and widen P where refused ones have insisted for long enough."""
+        if is_near(self._last):
+            self._kept = self._kept.nearer()
+            return
+        last: Any = self._arrays()
+        kept, full = watched(self._kept, self._policy.patience, last, difference)
+        jump = None
+        if full:
+            kf: Any = self
+            jump = jump_of(last, last.C, last.S - noise_covariance(kf.R, R, len(last.y)))
+        if jump is not None:
+            self.P = last.P + jump
+            self.P_post, self._last, kept = self.P.copy(), last._replace(P=self.P), kept.recovered()
+        self._kept = kept
 
     def _looked(self, before: tuple[Any, ...] | None, look: Callable[..., Any], *given: Any) -> Any:
         """Look at a correction; a warning that is made an error refuses the call, and then nothing has changed."""

@@ -23,6 +23,7 @@ from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.policies import Contaminated, Learnt
 from robust_filterpy.filters.nonlinear_mixin import (
     NonlinearFilterMixin,
+    difference_of,
     innovation_of,
     require_finite,
 )
@@ -322,9 +323,10 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         if values is None:
             self._skip()
             return
-        if self._stepped(values, None, y, H, None, R):
+        shape = np.shape(at) or (1,)
+        if self._stepped(values, None, y, H, None, R, difference_of(residual, shape)):
             return
-        last, kept = self._corrected(P, values, y, H, None, R, residual, np.shape(at) or (1,))
+        last, kept = self._corrected(P, values, y, H, None, R, residual, shape)
         self._keep(last._replace(x=x.ravel() + last.x), kept, values)
 
     def _checked(self, H: Any, n: int) -> Array:

@@ -31,15 +31,6 @@ class NonlinearFilterMixin(RobustFilterMixin):
         C and S are the innovation's moments, or the Jacobian H and None. shape is that of a measurement as residual is
         handed it.
         """
-
-        def difference(y: Array, before: Array) -> Array:
-            """Return the difference of two innovations, as the user's measurements differ."""
-            # A copy: a residual function may write into what it is given.
-            apart = np.ravel(np.asarray(residual(y.reshape(shape).copy(), before.reshape(shape)), dtype=float))
-            if apart.size != y.size:
-                raise ValueError(f"residual: expected {y.size} number(s), got {apart}")
-            return apart
-
         known = self._known(len(y))
         if self._by_moments and self._policy.by_kernel and self._inverse is None:
             taken = moments.correct(self._choices, known.memory, P, z, y, C, S, R)
@@ -50,7 +41,7 @@ class NonlinearFilterMixin(RobustFilterMixin):
             H = C
             C, S = innovation_moments(P, H, R)
         return self._policy.corrected_by_moments(  # type: ignore[no-any-return]
-            known, np.zeros(len(P)), P, Innovation(z, y, C, S, R, H), self._inverse, difference
+            known, np.zeros(len(P)), P, Innovation(z, y, C, S, R, H), self._inverse, difference_of(residual, shape)
         )
 
     def _filtered(self, zs: Any, columns: dict[str, Any], step: Callable[..., None], saver: Any) -> tuple[Array, Array]:
@@ -80,6 +71,20 @@ class NonlinearFilterMixin(RobustFilterMixin):
                 error.args = (f"step {k}: {error}", *error.args[1:])
                 raise
         return means, covariances
+
+
+def difference_of(residual: Callable[[Any, Any], Any], shape: tuple[int, ...]) -> Callable[[Array, Array], Array]:
+    """Return the function of two innovations that says how the user's measurements differ."""
+
+    def difference(y: Array, before: Array) -> Array:
+        """Return that difference, of the size of y."""
+        # A copy: a residual function may write into what it is given.
+        apart = np.ravel(np.asarray(residual(y.reshape(shape).copy(), before.reshape(shape)), dtype=float))
+        if apart.size != y.size:
+            raise ValueError(f"residual: expected {y.size} number(s), got {apart}")
+        return apart
+
+    return difference
 
 
 def innovation_of(

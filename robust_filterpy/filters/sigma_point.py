@@ -18,6 +18,7 @@ from robust_filterpy.correction.policies import Contaminated, Learnt
 from robust_filterpy.filters._points import REDRAWS, covariance, drawn, transformed
 from robust_filterpy.filters.nonlinear_mixin import (
     NonlinearFilterMixin,
+    difference_of,
     innovation_of,
     require_finite,
 )
@@ -45,6 +46,9 @@ class _SigmaPoint(NonlinearFilterMixin):
         values, y = innovation_of(z, zp, len(S), residual, "hx")
         if values is None:
             self._skip()
+            return
+        if add is np.add and self._stepped(values, None, y, C, S, R, difference_of(residual, np.shape(zp))):
+            self.sigmas_h = sigmas_h
             return
         last, kept = self._corrected(P, values, y, C, S, R, residual, np.shape(zp))
         last = last._replace(x=np.asarray(add(x.ravel(), last.x), dtype=float))

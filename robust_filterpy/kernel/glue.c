@@ -180,7 +180,7 @@ int rule_of_numbers(const double numbers[8], correction_rule *rule) {
     if (!(numbers[0] >= PSI_LINEAR && numbers[0] <= PSI_STUDENT_T && numbers[4] >= SCALING_LEARNT &&
           numbers[4] <= SCALING_BOUNDED && numbers[5] >= INFORMATION_REALIZED && numbers[5] <= INFORMATION_WEIGHT))
         return 0;
-    *rule = (correction_rule){{(int)numbers[0], numbers[1], numbers[2], numbers[3]}, (int)numbers[4], (int)numbers[5],
+    *rule = (correction_rule){{(int)numbers[0], numbers[1], numbers[2], numbers[3], NULL, NULL}, (int)numbers[4], (int)numbers[5],
                               numbers[6], numbers[7], NULL};
     return 1;
 }
@@ -191,6 +191,24 @@ int rule_of(PyObject *object, correction_rule *rule) {
     if (joint) rule->joint = joint + 8;
     /* What joint.h can do. */
     return !joint || (rule->scaling <= SCALING_INNOVATION && rule->information != INFORMATION_EXPECTED);
+}
+
+/* psi(e) and its slope, or rho(e), by the methods of a `Choices`; NaN once one has raised. */
+static double call_choices(void *context, double e, double *slope) {
+    PyObject *const found = PyErr_Occurred() ? NULL : PyObject_CallMethod(context, slope ? "psi_of" : "rho_of", "d", e);
+    double bounded = NAN;
+    if (slope) *slope = NAN;
+    if (found && !(slope ? PyArg_ParseTuple(found, "dd", &bounded, slope) : number_of(found, &bounded))) bounded = NAN;
+    Py_XDECREF(found);
+    return bounded;
+}
+
+int called_outcome(int outcome) {
+    if (!PyErr_Occurred()) return outcome;
+    if (!PyErr_ExceptionMatches(PyExc_FloatingPointError)) return -1;
+    /* The definition asks again without numpy's errors. */
+    PyErr_Clear();
+    return 0;
 }
 
 int rule_of_filter(held *h, PyObject *filter, correction_rule *rule) {
@@ -208,6 +226,12 @@ int rule_of_filter(held *h, PyObject *filter, correction_rule *rule) {
         if (!found) return -1;
     } else {
         Py_INCREF(hold(h, found));
+    }
+    if (found == Py_None) {
+        found = PyDict_GetItemWithError(derived, attribute_names[AT_called]);
+        if (!found || !rule_of(found, rule)) return PyErr_Occurred() ? -1 : 0;
+        rule->psi = (psi_function){PSI_CALLED, 0, 0, 0, call_choices, choices};
+        return 1;
     }
     return rule_of(found, rule);
 }

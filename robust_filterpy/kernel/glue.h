@@ -20,7 +20,7 @@
 /* Attributes by name; the same list makes the enumeration and the interned strings. */
 #define ATTRIBUTES(X) \
     X(x) X(P) X(F) X(Q) X(H) X(R) X(B) X(z) X(dim_x) X(dim_z) X(inv) X(x_prior) X(P_prior) X(x_post) X(P_post) \
-    X(_alpha_sq) X(_choices) X(derived) X(rule) X(_memory) X(_other_sensors) X(_last) X(_y) X(_S) X(_SI) X(_K) X(_log_likelihood) X(_likelihood) X(_mahalanobis) \
+    X(_alpha_sq) X(_choices) X(derived) X(rule) X(called) X(_memory) X(_other_sensors) X(_last) X(_y) X(_S) X(_SI) X(_K) X(_log_likelihood) X(_likelihood) X(_mahalanobis) \
     X(_policy) X(_kept) X(record) X(_outlier_probability)
 enum attribute {
 #define ATTRIBUTE(name) AT_##name,
@@ -79,6 +79,8 @@ int rule_of(PyObject *object, correction_rule *rule);
 int rule_of_numbers(const double numbers[8], correction_rule *rule);
 /* The same of a filter; 0 if the kernel does not know its options, -1 with an exception. */
 int rule_of_filter(held *h, PyObject *filter, correction_rule *rule);
+/* The outcome of a step whose psi may have been Python's: -1 where that has raised, 0 where the definition is to ask it. */
+int called_outcome(int outcome);
 
 /* Workspace of a call: on the stack up to here, else from the heap, and then to be freed. */
 #define STACK_WORK 2048

@@ -428,7 +428,7 @@ static int take_correction(held *h, PyObject *filter, PyObject *z, PyObject *con
     if (outcome <= 0) return outcome;
     z = as_plain(h, z);
     if (!z) return -1;
-    outcome = correct_linear(h, &now, &s, z, &made);
+    outcome = called_outcome(correct_linear(h, &now, &s, z, &made));
     return outcome > 0 ? set_corrected(h, filter, &made, &c) : outcome;
 }
 
@@ -473,7 +473,7 @@ static int take_innovation(held *h, PyObject *filter, PyObject *const given[6]) 
         innovation.y = y = numbers_of(room);
         for (npy_intp i = 0; i < s.m; i++) y[i] = numbers_of(made.z)[i] - at[i];
     }
-    outcome = correct_innovation(&now, &s, &innovation, &made);
+    outcome = called_outcome(correct_innovation(&now, &s, &innovation, &made));
     return outcome > 0 ? set_corrected(h, filter, &made, NULL) : outcome;
 }
 

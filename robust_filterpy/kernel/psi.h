@@ -4,11 +4,14 @@
 
 #include "real.h"
 
-enum psi_kind { PSI_LINEAR, PSI_HUBER, PSI_HAMPEL, PSI_TUKEY, PSI_STUDENT_T };
+enum psi_kind { PSI_LINEAR, PSI_HUBER, PSI_HAMPEL, PSI_TUKEY, PSI_STUDENT_T, PSI_CALLED };
 
 typedef struct {
     int kind;     /* enum psi_kind */
     real a, b, c; /* its parameters */
+    /* PSI_CALLED: somebody else's, psi(e) and its slope, or rho(e) where slope is NULL. */
+    real (*call)(void *context, real e, real *slope);
+    void *context;
 } psi_function;
 
 /* Write psi(e), and psi'(e) into slope. */
@@ -37,6 +40,8 @@ INLINE real psi_of(const psi_function *const f, const real e, real *const slope)
         *slope = 1 / inner / inner;
         *slope = *slope * (2 * *slope - 1);
         return e / inner / inner;
+    case PSI_CALLED:
+        return f->call(f->context, e, slope);
     default:
         *slope = REAL(1.0);
         return e;
@@ -60,6 +65,8 @@ INLINE real psi_rho(const psi_function *const f, const real e) {
         return r > a ? a * a / 6 : a * a / 6 * (1 - inner * inner * inner);
     case PSI_STUDENT_T:
         return (a + 1) * real_log(real_hypot(1, e / real_sqrt(a + 1)));
+    case PSI_CALLED:
+        return f->call(f->context, e, NULL);
     default:
         return REAL(0.5) * e * e;
     }

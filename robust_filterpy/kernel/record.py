@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from robust_filterpy._checks import Array
@@ -10,7 +12,7 @@ from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.standardization import group_scaling
 from robust_filterpy.kernel.series import SCALINGS
 
-__all__ = ["correction_of", "weights_of"]
+__all__ = ["correction_of", "judged_of", "moments_of", "weights_of"]
 
 
 def correction_of(values: Array, x: Array, P: Array) -> Correction:
@@ -56,6 +58,26 @@ def weights_of(values: Array) -> Array:
     """
     m = int(values[1])
     return values[4 + 2 * m : 4 + 3 * m].copy()
+
+
+class Judged(NamedTuple):
+    """How a correction judged each sensor."""
+
+    e: Array
+    psi_deriv: Array
+
+
+def judged_of(values: Array) -> Judged:
+    """Return standardized innovations and psi' of a record."""
+    m = int(values[1])
+    return Judged(values[4 + m : 4 + 2 * m], values[4 + 3 * m : 4 + 4 * m])
+
+
+def moments_of(values: Array) -> tuple[Array, Array, bool]:
+    """Return y, S of a record, and whether every sensor was there."""
+    m = int(values[1])
+    at, weights = 4 + 8 * m, values[4 + 2 * m : 4 + 3 * m]
+    return values[4 : 4 + m], values[at : at + m * m].reshape(m, m), bool((weights == weights).all())
 
 
 def _groups(order: Array) -> list[list[int]]:

@@ -7,6 +7,7 @@ import numpy as np
 from robust_filterpy import kernel
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import GROUPINGS, Choices
+from robust_filterpy.influence.functions import Linear
 from robust_filterpy.kernel.records import Model, Output
 
 __all__ = ["JOINT_MOST", "filter_series", "plain", "rule", "serves"]
@@ -31,28 +32,34 @@ def rule(choices: Choices) -> Array | None:
     Returns
     -------
     ndarray, shape (8,), or None
-        None if the kernel does not know them. With grouping "joint" the normalizers of 1 to 16 sensors follow.
+        None if the kernel does not know them; where it is psi alone that it does not know, "called" of what is derived
+        has the rest, and a step of one filter calls psi. With grouping "joint" the normalizers of 1 to 16 sensors
+        follow.
     """
     if "rule" not in choices.derived:
-        choices.derived["rule"] = _encoded(choices)
+        by_number = choices.kernel_psi is not None
+        choices.derived["called"] = None if by_number else _encoded(choices)
+        choices.derived["rule"] = _encoded(choices) if by_number else None
     return choices.derived["rule"]  # type: ignore[no-any-return]
 
 
 def _encoded(choices: Choices) -> Array | None:
     """Return the options as numbers, None if the kernel does not know them."""
-    if choices.kernel_psi is None or choices.grouping not in GROUPINGS or choices.scaling not in SCALINGS:
+    if choices.grouping not in GROUPINGS or choices.scaling not in SCALINGS:
         return None
     joint = choices.grouping == "joint"
-    if joint and (choices.scaling not in ("learnt", "innovation") or choices.information == "expected"):
+    by_number = choices.kernel_psi is not None and choices.information != "expected"
+    if joint and not (by_number and choices.scaling in ("learnt", "innovation")):
         return None
-    kind, numbers = choices.kernel_psi
+    kind, numbers = choices.kernel_psi or ("linear", {})
     a, b, c = [*numbers.values(), 0.0, 0.0, 0.0][:3]
     # Without thresholds there is nothing to learn.
     scaling = "innovation" if choices.is_linear and choices.scaling == "learnt" else choices.scaling
     codes = _KINDS.index(kind), a, b, c, SCALINGS.index(scaling)
     information = _INFORMATIONS.index(choices.information)
     expected = choices.expected if choices.information == "expected" else 1.0
-    normalizers = [choices.influence.log_normalizer(k) for k in range(1, JOINT_MOST + 1 if joint else 2)]
+    of = getattr(choices.influence, "log_normalizer", Linear().log_normalizer)
+    normalizers = [of(k) for k in range(1, JOINT_MOST + 1 if joint else 2)]
     return np.array([*codes, information, expected, normalizers[0], *(normalizers if joint else ())], dtype=float)
 
 

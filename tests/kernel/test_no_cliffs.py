@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 import support
+from filterpy.kalman import MerweScaledSigmaPoints
 
-from robust_filterpy import RobustKalmanFilter
+from robust_filterpy import RobustExtendedKalmanFilter, RobustKalmanFilter, RobustUnscentedKalmanFilter
 from robust_filterpy.correction.policies import Contaminated
 from robust_filterpy.filters import _bounded, _mixture
+from robust_filterpy.influence.functions import TukeyBiweight
 
 TOLD, ADAPTIVE = {"noise": Contaminated(0.1, 8.0)}, {"noise": "learnt", "process": "scales"}
 OPTIONS = {
@@ -67,3 +69,96 @@ def test_a_step_of_any_option_is_the_kernels_and_the_definitions(way, options, b
         found.append((np.array(rows), kf._memory, *kf._other_sensors.values()))
     for ours, theirs in zip(*found, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-11)
+
+
+class Biweight:
+    """Tukey's biweight as somebody else's class has it."""
+
+    def rho(self, e):
+        return TukeyBiweight().rho(e)
+
+    def psi(self, e):
+        return TukeyBiweight().psi(e)
+
+    def psi_deriv(self, e):
+        return TukeyBiweight().psi_deriv(e)
+
+    def weights(self, e):
+        return TukeyBiweight().weights(e)
+
+
+@pytest.mark.parametrize("scaling", ["learnt", "innovation", "bounded"])
+@pytest.mark.parametrize("patience", [None, 4])
+def test_a_psi_of_the_users_is_called_by_the_kernel(scaling, patience, by_kernel_alone):
+    if patience and scaling == "learnt":
+        pytest.skip("patience is not for it")
+    found = []
+    for influence in (Biweight(), TukeyBiweight()):
+        kf = RobustKalmanFilter(2, 2, influence=influence, scaling=scaling, patience=patience)
+        kf.F, kf.H, kf.Q = np.array([[1.0, 0.1], [0.0, 1.0]]), np.eye(2), 0.01 * np.eye(2)
+        for z in np.random.default_rng(2).normal(size=(60, 2)) + np.repeat([[0.0], [25.0]], 30, axis=0):
+            kf.predict()
+            kf.update(z)
+        found.append([*kf.x.ravel(), *kf.P.ravel(), *kf.weights.ravel(), kf.recoveries, *kf.spread])
+    np.testing.assert_allclose(*found, rtol=1e-12)
+    assert (found[0][8] > 0) == (patience is not None)
+
+
+def test_what_a_psi_of_the_users_raises_is_passed_on_and_nothing_has_changed():
+    class Spoilt(Biweight):
+        def psi_deriv(self, e):
+            kf.x[0] = 7.0
+            raise OSError("no")
+
+    kf = RobustKalmanFilter(2, 1, influence=Spoilt())
+    kf.H[0, 0] = 1.0
+    before = kf.state()
+    with pytest.raises(OSError, match="no"):
+        kf.update(1.0)
+    for name, value in kf.state().items():
+        np.testing.assert_array_equal(value, before[name])
+
+
+def angle(a, b):
+    """Differ by an angle, as a bearing does."""
+    return (a - b + np.pi) % (2.0 * np.pi) - np.pi
+
+
+@pytest.mark.parametrize("residual", [np.subtract, angle], ids=["plain", "angle"])
+@pytest.mark.parametrize(
+    "options",
+    [{"noise": "learnt"}, {"noise": "learnt", "grouping": "joint"}, TOLD, {"patience": 3}],
+    ids=["learnt", "learnt, joint", "told", "patience"],
+)
+@pytest.mark.parametrize("kind", ["extended", "unscented"])
+def test_a_step_of_a_nonlinear_filter_is_the_kernels_and_the_definitions(
+    kind, options, residual, by_kernel_alone, monkeypatch
+):
+    points = MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0)
+
+    def h(x):
+        return np.array([np.arctan2(x[1], x[0]), np.arctan2(x[1] - 1.0, x[0] + 1.0)])
+
+    def jacobian(x):
+        rows = [(x[0], x[1]), (x[0] + 1.0, x[1] - 1.0)]
+        return np.array([[-b, a] / (a**2 + b**2) for a, b in rows])
+
+    found = []
+    for kernel in (True, False):
+        if not kernel:
+            monkeypatch.undo()
+            support.without_kernel(monkeypatch)
+        rng = np.random.default_rng(3)
+        if kind == "extended":
+            kf = RobustExtendedKalmanFilter(2, 2, **options)
+        else:
+            kf = RobustUnscentedKalmanFilter(2, 2, 1.0, h, lambda x, dt: x, points, residual_z=residual, **options)
+        kf.x, kf.P, kf.Q, kf.R = np.array([5.0, 3.0]), 0.1 * np.eye(2), 1e-3 * np.eye(2), 1e-3 * np.eye(2)
+        rows = []
+        for k in range(40):
+            z = h([5.0, 3.0]) + 0.03 * rng.normal(size=2) + [0.0, 0.5 * (k % 7 == 3 or k > 30)]
+            kf.predict()
+            kf.update(z, jacobian, h, residual=residual) if kind == "extended" else kf.update(z)
+            rows.append([*kf.x, *kf.P.ravel(), kf.log_likelihood, kf.outlier_probability, kf.recoveries])
+        found.append(np.array(rows))
+    np.testing.assert_allclose(*found, rtol=1e-7, atol=1e-9)
