@@ -183,9 +183,9 @@ def test_a_tracker_speaks_for_its_filter(filter):
     assert "ParameterTracker" in str(caught[0].message)
 
 
-def walker(cls, factor, steps=800):
+def walker(cls, factor, steps=800, seed=10002):
     """Return the error in m of the end of a walk among six far anchors, R told as so many times too small."""
-    rng, angles = np.random.default_rng(10002), np.arange(6) * np.pi / 3
+    rng, angles = np.random.default_rng(seed), np.arange(6) * np.pi / 3
     F, G, H = np.kron(np.eye(2), [[1.0, 0.1], [0.0, 1.0]]), np.kron(np.eye(2), [[0.005], [0.1]]), np.zeros((6, 4))
     H[:, 0], H[:, 2] = np.cos(angles), np.sin(angles)
     kf, x, errors = cls(4, 6), np.zeros(4), []
@@ -201,8 +201,9 @@ def walker(cls, factor, steps=800):
 # Sensor by sensor the one that fits best comes first, and R a hundred times too small loses less than it did.
 @pytest.mark.parametrize(("factor", "share"), [(100.0, 0.2), (1e4, 0.1)])
 def test_a_recovering_filter_that_is_told_a_tiny_R_says_that_it_is_lost_and_an_adaptive_one_is_not(factor, share):
+    # One that is lost depends on the last bit: of one walk its error is anything.
     with pytest.warns(OutlierShareWarning, match="RobustKalmanFilter"):
-        lost = walker(recovering, factor)
+        lost = np.median([walker(recovering, factor, 400, 20000 + seed) for seed in range(9)])
     with warnings.catch_warnings():
         warnings.simplefilter("error", OutlierShareWarning)
         learnt = walker(AdaptiveKalmanFilter, factor)
