@@ -1,4 +1,5 @@
 from robust_filterpy._version import __version__ as __version__
+from robust_filterpy._warning import RobustFilterWarning as RobustFilterWarning
 from robust_filterpy.batch import filter_series as filter_series
 from robust_filterpy.correction.contaminated import Contaminated as Contaminated
 from robust_filterpy.correction.policies import Learnt as Learnt

@@ -8,17 +8,16 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy._documentation import STOPPED, pointer
-from robust_filterpy._warning import warn
+from robust_filterpy._warning import RobustFilterWarning, warn
 
 __all__ = ["CorrelatedInnovationsWarning", "Signs", "judges", "look_at_recording", "look_at_signs"]
 
 #: Updates of a period, those of them that are looked at (when a start is over, before a short recording is), and how
 #: many signs must be kept: a fair coin does that once in six hundred thousand periods.
 _PERIOD, _FIRST, _LAST, _KEPT = 240, 9, 57, 40
-_kinds: set[tuple[str, int, int]] = set()
 
 
-class CorrelatedInnovationsWarning(UserWarning):
+class CorrelatedInnovationsWarning(RobustFilterWarning):
     """Say that the innovations of a filter under ``noise=`` keep their sign.
 
     Most often the state moves as neither the model nor Q foresees, and the estimate lags behind: a filter that learns
@@ -116,7 +115,7 @@ def _innovation_of(last: Any) -> list[float]:
 def _judge(kf: Any, signs: Signs, where: str) -> None:
     """Warn, once for each kind of filter, if the signs of a sensor's innovations hardly ever change."""
     kind, sensor = (type(kf).__name__, int(kf.dim_x), int(kf.dim_z)), signs.keeper()
-    if sensor is None or kind in _kinds:
+    if sensor is None:
         return
     warn(
         f"{kind[0]}{where}: {signs.kept[sensor]} of {signs.pairs[sensor]} innovations of sensor {sensor} have the sign "
@@ -125,6 +124,5 @@ def _judge(kf: Any, signs: Signs, where: str) -> None:
         f"robust_filterpy.diagnose tells, and {pointer(STOPPED)}. Switch this off with "
         f'warnings.simplefilter("ignore", robust_filterpy.filters.CorrelatedInnovationsWarning)',
         CorrelatedInnovationsWarning,
+        of=kind,
     )
-    # Where a warning is an error, the call is refused, and may be made again.
-    _kinds.add(kind)

@@ -8,7 +8,7 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy._documentation import SMALL, STOPPED, pointer
-from robust_filterpy._warning import warn
+from robust_filterpy._warning import RobustFilterWarning, warn, was_said
 
 __all__ = ["EVERY", "OutlierShareWarning", "Share"]
 
@@ -19,10 +19,9 @@ _NUMBERS, _UPDATES = 64, 16
 _NEARLY_ALL = 0.8
 # More than this of what psi expects unclipped is too much; half a window is only sure of more.
 _HALF, _SURER = 0.5, 0.7
-_warned: set[str] = set()
 
 
-class OutlierShareWarning(UserWarning):
+class OutlierShareWarning(RobustFilterWarning):
     """Say that a filter clipped most of its last innovations, which no sensor with some outliers explains.
 
     Given once for each class of filter in a process. To switch it off:
@@ -90,7 +89,7 @@ class Share:
 
     def _judge(self, kf: Any, share: float, least: float, numbers: int, keeps: bool, m: int) -> None:
         """Warn if too much of what psi expects unclipped is clipped, more than one jump or run of outliers clips."""
-        if share > least and type(kf).__name__ not in _warned:
+        if share > least and not was_said(OutlierShareWarning, type(kf).__name__):
             expected = _expected(kf.influence, kf.grouping, m)
             if share > expected + least * (1.0 - expected):
                 self._warn(type(kf).__name__, share, expected, numbers, keeps)
@@ -102,13 +101,13 @@ class Share:
             if keeps
             else "R is too small, or most measurements hold an outlier"
         )
-        _warned.add(name)
         warn(
             f"{name}: clipped {share:.0%} of the last {numbers} innovations looked at, where its psi expects "
             f"{expected:.0%}; most likely {cause}: robust_filterpy.diagnose tells, and "
             f"{pointer(STOPPED if keeps else SMALL)}. Switch this off with "
             f'warnings.simplefilter("ignore", robust_filterpy.OutlierShareWarning)',
             OutlierShareWarning,
+            of=name,
         )
 
 

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from typing import Any
-from weakref import WeakValueDictionary
 
 import numpy as np
 
 from robust_filterpy._checks import Array
-from robust_filterpy._warning import warn
+from robust_filterpy._warning import RobustFilterWarning, warn
 
 __all__ = ["StuckSensorWarning"]
 
-# By id: a filter of the user's may not be hashable.
-_told: WeakValueDictionary[int, Any] = WeakValueDictionary()
 
-
-class StuckSensorWarning(UserWarning):
+class StuckSensorWarning(RobustFilterWarning):
     """Say that a sensor repeats its last reading to the last bit, far from where a filter under ``noise=`` expects it.
 
     While it does, its readings count as missing: weight 0, outlier probability 1. Given once for each filter. Under
@@ -39,18 +35,17 @@ def look_for_stuck(kf: Any, weights: Array, first: int | None = None) -> None:
         Step of a recording that the first row belongs to.
     """
     stuck = np.argwhere(np.atleast_2d(weights) == 0.0)
-    if len(stuck) and _told.get(id(kf)) is not kf:
+    if len(stuck):
         step, sensor = stuck[0].tolist()
         name = type(kf).__name__
-        say_stuck(name if first is None else f"{name}: step {first + step}", sensor)
-        # Where a warning is an error, the call is refused, and may be made again.
-        _told[id(kf)] = kf
+        say_stuck(name if first is None else f"{name}: step {first + step}", sensor, kf)
 
 
-def say_stuck(where: str, sensor: int) -> None:
-    """Warn of a sensor."""
+def say_stuck(where: str, sensor: int, of: Any = None) -> None:
+    """Warn of a sensor, of a filter's once."""
     warn(
         f"{where}: sensor {sensor} is stuck: it repeats its last reading to the last bit, more than three standard "
         f"deviations from its prediction; it counts as missing (weight 0) for as long as it does",
         StuckSensorWarning,
+        of=of,
     )

@@ -6,11 +6,12 @@ from typing import Any, NamedTuple
 
 from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array
+from robust_filterpy._warning import RobustFilterWarning
 
 __all__ = ["Estimate", "Forecast", "FusionWarning", "SensorNoise"]
 
 
-class FusionWarning(UserWarning):
+class FusionWarning(RobustFilterWarning):
     """Say what a fusion cannot use, or whom it does not believe."""
 
 

@@ -8,13 +8,19 @@ import pytest
 from filterpy.common import Saver
 from filterpy.kalman import MerweScaledSigmaPoints
 
-from robust_filterpy import AdaptiveKalmanFilter, Contaminated, RobustKalmanFilter, RobustUnscentedKalmanFilter
-from robust_filterpy.filters import CorrelatedInnovationsWarning, _correlated
+from robust_filterpy import (
+    AdaptiveKalmanFilter,
+    Contaminated,
+    RobustKalmanFilter,
+    RobustUnscentedKalmanFilter,
+    _warning,
+)
+from robust_filterpy.filters import CorrelatedInnovationsWarning
 
 
 @pytest.fixture(autouse=True)
 def nobody_told(monkeypatch):
-    monkeypatch.setattr(_correlated, "_kinds", set())
+    monkeypatch.setattr(_warning, "_said", set())
 
 
 def level(m=1, **options):

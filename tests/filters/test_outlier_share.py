@@ -20,8 +20,8 @@ from robust_filterpy import (
     RobustUnscentedKalmanFilter,
     StudentT,
     TukeyBiweight,
+    _warning,
 )
-from robust_filterpy.filters import _outlier_share
 from robust_filterpy.identification import LostTrackerWarning
 
 
@@ -34,7 +34,7 @@ class ByS(RobustKalmanFilter):
 @pytest.fixture(autouse=True)
 def anew(monkeypatch):
     """Forget what has been warned of."""
-    monkeypatch.setattr(_outlier_share, "_warned", set())
+    monkeypatch.setattr(_warning, "_said", set())
 
 
 def run(problem, zs, **options):
@@ -94,7 +94,7 @@ def test_batch_filter_tells_what_steps_tell_and_keeps_quiet_where_they_do(dims, 
         problem, zs = recordings(dims, factor, 0.1)
         for gap in (slice(0, 0), slice(5, None, 4)):
             zs[gap] = np.nan
-            _outlier_share._warned.clear()
+            _warning._said.clear()
             kf = support.make(ByS, problem, **options)
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")

@@ -1,46 +1,58 @@
-"""A warning points at the line of the user, and not at one of this package's."""
+"""All that is warned of by a class has one base, and what is said once is said once of each thing."""
 
-import ast
+import gc
 import warnings
-from pathlib import Path
 
-import numpy as np
 import pytest
 
-import robust_filterpy
-from robust_filterpy import ARX, ParameterTracker, RobustKalmanFilter, identify
+from robust_filterpy import OutlierShareWarning, RobustFilterWarning, _warning
+from robust_filterpy.filters import CorrelatedInnovationsWarning, StuckSensorWarning
+from robust_filterpy.fusion import FusionWarning
+from robust_filterpy.identification import LostTrackerWarning
 
-PACKAGE = Path(robust_filterpy.__file__).parent
-
-
-def filled():
-    y = np.random.default_rng(10_001).normal(size=400)
-    y[::10] = 9999.0
-    return y
+KINDS = [OutlierShareWarning, CorrelatedInnovationsWarning, StuckSensorWarning, FusionWarning, LostTrackerWarning]
 
 
-def identified():
-    return identify(filled(), np.random.default_rng(10_002).normal(size=400), ARX(1, 1))
+class Filter:
+    """Something that hash() refuses."""
+
+    __hash__ = None
 
 
-def tracked():
-    return ParameterTracker(ARX(1, 1)).run(filled(), np.random.default_rng(10_002).normal(size=400))
+@pytest.fixture(autouse=True)
+def anew(monkeypatch):
+    monkeypatch.setattr(_warning, "_said", set())
 
 
-def with_q_of_filterpy():
-    return ParameterTracker(ARX(1, 1), filter=RobustKalmanFilter(2, 1), start=0)
+@pytest.mark.parametrize("kind", KINDS)
+def test_one_rule_switches_all_kinds_off(kind):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.simplefilter("ignore", RobustFilterWarning)
+        _warning.warn("something", kind)
+    with pytest.warns(kind):
+        _warning.warn("something", kind)
 
 
-@pytest.mark.parametrize("call", [identified, tracked, with_q_of_filterpy])
-def test_it_points_at_the_call(call):
+@pytest.mark.parametrize("of", ["RobustKalmanFilter", ("RobustKalmanFilter", 2, 1), Filter()])
+def test_it_is_said_once_of_each_thing_unless_the_call_was_refused(of):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for _ in range(2):
+            with pytest.raises(StuckSensorWarning):
+                _warning.warn("something", StuckSensorWarning, of=of)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        call()
-    assert caught and {one.filename for one in caught} == {__file__}
+        for kind in (StuckSensorWarning, StuckSensorWarning, OutlierShareWarning):
+            _warning.warn("something", kind, of=of)
+    assert [one.category for one in caught] == [StuckSensorWarning, OutlierShareWarning]
 
 
-def test_nobody_counts_frames():
-    for path in PACKAGE.rglob("*.py"):
-        if path.name not in ("_warning.py", "bench.py"):
-            calls = (node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call))
-            assert not any(keyword.arg == "stacklevel" for call in calls for keyword in call.keywords), path.name
+def test_an_object_that_is_gone_leaves_nothing_behind():
+    one = Filter()
+    with pytest.warns(StuckSensorWarning):
+        _warning.warn("something", StuckSensorWarning, of=one)
+    assert _warning.was_said(StuckSensorWarning, one) and len(_warning._said) == 1
+    del one
+    gc.collect()
+    assert not _warning._said

@@ -9,6 +9,7 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy._documentation import STOPPED, pointer
+from robust_filterpy._warning import RobustFilterWarning
 from robust_filterpy.filters.stuck import StuckSensorWarning
 from robust_filterpy.identification.models import gain
 from robust_filterpy.identification.models.dependence import (
@@ -53,7 +54,7 @@ _WANDERING: Final = 1e4
 _HELD: Final = 3
 
 
-class LostTrackerWarning(UserWarning):
+class LostTrackerWarning(RobustFilterWarning):
     """A tracker that has stopped following its plant."""
 
 
