@@ -10,6 +10,7 @@
 * `conversion`: a robust filter made of an existing one.
 * `mixin`, `nonlinear_mixin`: what these classes share, options and what a correction shows.
 * `states`: a filter that is put away and goes on later, and what else keeps its state.
+* `problem`: a recording of a linear filter, read once.
 * `snapshot`: a call that is refused has not happened.
 * `stuck`: a word where a sensor is stuck.
 

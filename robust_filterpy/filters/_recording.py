@@ -7,11 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from robust_filterpy._arrays import measurement_rows, noise_covariance, process_noise, stack, state_of
+from robust_filterpy._arrays import process_noise, state_of
 from robust_filterpy._checks import Array, all_covariances, entries, shown
 from robust_filterpy.filters._correlated import look_at_recording
 from robust_filterpy.filters._mixture import Kept
 from robust_filterpy.filters.mixin import RobustFilterMixin
+from robust_filterpy.filters.problem import read
 from robust_filterpy.filters.snapshot import unchanged_if_refused
 from robust_filterpy.filters.stuck import look_for_stuck
 from robust_filterpy.kernel import available, learnt, series
@@ -108,33 +109,28 @@ class RecordingMixin(RobustFilterMixin):
         if Hs is not None and self._policy.learns:
             return None
         try:
-            x, P = state_of(self)
-            n, steps = len(x), len(zs)
-            H = stack("H", kf.H, Hs, steps, (None, n))
-            if Hs is None and H.shape[1] != self.dim_z:
+            if not (series.serves(self._choices) if self._policy.by_kernel else available()):
                 return None
-            m = H.shape[1]
-            bounded = self._policy.by_kernel
-            if not (series.serves(self._choices) if bounded else available()):
+            # As in filterpy, without a B there is no input.
+            rows = read(kf, zs, Fs, Qs, Hs, Rs, Bs, None if kf.B is None and Bs is None else us)
+            Q, R = rows.Q, rows.R
+            if Hs is None and rows.H.shape[1] != self.dim_z:
                 return None
-            F = stack("F", kf.F, Fs, steps, (n, n))
-            Q = process_noise(kf.Q, None, n)[None] if Qs is None else stack("Q", None, Qs, steps, (n, n))
-            R = noise_covariance(kf.R, None, m)[None] if Rs is None else stack("R", None, Rs, steps, (m, m))
-            if not (_symmetric(Q) and _symmetric(R) and _symmetric(P[None]) and all_covariances(R)):
+            if not (_symmetric(Q) and _symmetric(R) and _symmetric(rows.P[None]) and all_covariances(R)):
                 return None
-            if Qs is not None and not all_covariances(Q):
+            if Qs is None:
+                process_noise(kf.Q, None, len(rows.x))
+            elif not all_covariances(Q):
                 return None
-            rows = measurement_rows(zs, m)
-            control = _control(kf.B, Bs, us, n, steps)
         except (TypeError, ValueError, AttributeError, np.linalg.LinAlgError):
             # Let the filter's own methods say what is wrong, and at which step.
             return None
-        if bounded and self._choices.scaling == "innovation":
-            kept = kept._replace(weights=np.full((1, *rows.shape), np.nan))
-        model = Model(*(np.ascontiguousarray(a, dtype=float)[None] for a in (F, Q, H, R, control)))
-        seen = np.flatnonzero(~np.isnan(rows).all(axis=1))
+        if self._policy.by_kernel and self._choices.scaling == "innovation":
+            kept = kept._replace(weights=np.full((1, *rows.zs.shape), np.nan))
+        model = Model(*(np.ascontiguousarray(a, dtype=float)[None] for a in rows[1:6]))
+        seen = np.flatnonzero(~np.isnan(rows.zs).all(axis=1))
         options = {"alpha_sq": float(self._alpha_sq), "update_first": update_first}
-        return Steps(rows[None], model, kept, options, int(seen[-1]) if len(seen) else -1, scales)
+        return Steps(rows.zs[None], model, kept, options, int(seen[-1]) if len(seen) else -1, scales)
 
     def _advance(self, steps: Steps, k: int) -> int:
         """Take steps from k on as far as the kernel can and return the next, which is the filter's.
@@ -225,17 +221,3 @@ def _symmetric(stack: Array) -> bool:
     """Return whether every matrix is symmetric to rounding, since the loops look at one half."""
     transposed = stack.transpose(0, 2, 1)
     return bool((np.abs(stack - transposed) <= 1e-13 * (np.abs(stack) + np.abs(transposed))).all())
-
-
-def _control(B: Any, Bs: Any, us: Any, n: int, steps: int) -> Array:
-    """Return B u as shape (1 or N, n)."""
-    if us is None or (B is None and Bs is None):
-        return np.zeros((1, n))
-    if Bs is None and np.ndim(B) == 0 and B == 0:
-        return np.zeros((1, n))
-    width = np.shape(B if Bs is None else Bs[0])[1]
-    matrices = stack("B", B, Bs, steps, (n, width))
-    u = measurement_rows(us[:steps] if isinstance(us, np.ndarray) else list(us)[:steps], width, "us")
-    if not np.isfinite(u).all():
-        raise ValueError("us: expected finite numbers")
-    return np.einsum("kij,kj->ki", np.broadcast_to(matrices, (steps, n, width)), u)

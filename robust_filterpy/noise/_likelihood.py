@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import copy
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from robust_filterpy import _checks
-from robust_filterpy._arrays import control_term, measured, noise_covariance, process_noise, state_of
+from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array
+from robust_filterpy.filters.problem import Problem, finite, read
 
 #: Fewer measurements than this tell nothing of a variance.
 LEAST = 10
@@ -23,37 +25,7 @@ _WIDE, _FIRST_READINGS = 1e4, 4
 _TAIL = 10.0
 
 
-class Recording(NamedTuple):
-    """A linear model with its data; matrices that stay have a first axis of length 1, the others of length N."""
-
-    zs: Array
-    """Measurements, NaN where missing, shape (N, m)."""
-    inputs: Array
-    """B u of each step, shape (N, n)."""
-    x: Array
-    """State before the first prediction, shape (n,)."""
-    P: Array
-    """Its covariance, shape (n, n)."""
-    F: Array
-    """Shape (1 or N, n, n)."""
-    H: Array
-    """Shape (1 or N, m, n)."""
-    Q: Array
-    """Shape (1 or N, n, n)."""
-    R: Array
-    """Shape (1 or N, m, m)."""
-    alpha_sq: float
-    """Fading memory, >= 1."""
-    log_narrowed: float = 0.0
-    """What is added to each log-likelihood, because P is narrower than the filter's."""
-
-    def first(self, steps: int) -> Recording:
-        """Return the beginning of the recording."""
-        names = ("zs", "inputs", "F", "H", "Q", "R")
-        return self._replace(**{name: getattr(self, name)[:steps] for name in names})
-
-
-def of_filter(kf: Any, zs: Any, us: Any, Fs: Any, Qs: Any, Hs: Any, Rs: Any) -> Recording:
+def of_filter(kf: Any, zs: Any, us: Any, Fs: Any, Qs: Any, Hs: Any, Rs: Any) -> Problem:
     """Return the model and the data of a linear filter as arrays, checked."""
     missing = [name for name in ("x", "P", "F", "H", "R", "Q", "dim_x") if not hasattr(kf, name)]
     if missing or hasattr(kf, "hx") or hasattr(kf, "points_fn"):
@@ -67,24 +39,13 @@ def of_filter(kf: Any, zs: Any, us: Any, Fs: Any, Qs: Any, Hs: Any, Rs: Any) -> 
     for name, values in {"us": us, "Fs": Fs, "Qs": Qs, "Hs": Hs, "Rs": Rs}.items():
         if values is not None and len(values) != len(zs):
             raise ValueError(f"{name}: expected {len(zs)} entries, one for each measurement, got {len(values)}")
-    x, P = state_of(kf)
-    n = len(x)
-    first = kf.H if Hs is None else Hs[0]
-    m = np.shape(first)[0] if np.ndim(first) == 2 else kf.dim_z
-    H: Any = [_checks.matrix("H", H, (m, n), f"dim_z={m}, dim_x={n}") for H in ([kf.H] if Hs is None else Hs)]
-    F: Any = [_checks.matrix("F", F, (n, n), "dim_x") for F in ([kf.F] if Fs is None else Fs)]
-    Q: Any = [process_noise(kf.Q, None, n) * np.ones((n, n))] if Qs is None else [process_noise(None, Q, n) for Q in Qs]
-    R: Any = [noise_covariance(kf.R, None, m)] if Rs is None else [noise_covariance(None, R, m) for R in Rs]
-    rows = [np.full(m, np.nan) if z is None else np.atleast_1d(measured(z, m, missing=True)) for z in zs]
-    inputs = np.zeros((len(rows), n))
-    if us is not None and kf.B is not None:
-        inputs[:] = [np.zeros(n) if u is None else control_term(kf.B, u, (n,)) for u in us]
-    data = np.array(rows, dtype=float).reshape(len(rows), m)
-    F, H, Q, R = np.array(F), np.array(H), np.array(Q), np.array(R)
-    return _checked(Recording(data, inputs, x.ravel(), P, F, H, Q, R, float(getattr(kf, "_alpha_sq", 1.0))))
+    problem = finite(read(kf, zs, Fs, Qs, Hs, Rs, None, us))
+    _checks.covariance("R", problem.R)
+    _checks.covariance("Q", problem.Q, math.inf)
+    return _checked(problem)
 
 
-def of_tracker(tracker: Any, y: Any, u: Any) -> Recording:
+def of_tracker(tracker: Any, y: Any, u: Any) -> Problem:
     """Return the linear model that the filter of a copy of a tracker sees in a recording."""
     y = _checks.numbers("zs", _checks.entries("zs", y)).ravel()
     u = np.asarray(u) if hasattr(u, "to_numpy") else u
@@ -98,17 +59,13 @@ def of_tracker(tracker: Any, y: Any, u: Any) -> Recording:
         zs.append(np.nan if np.isnan(output) else np.ravel(kf.z)[0])
     x, P = state_of(before)
     n, z = len(x), np.array(zs, dtype=float)[:, None]
-    Q = process_noise(before.Q, None, n) * np.ones((1, n, n))
-    F, H, R = (
-        np.array(before.F, dtype=float)[None],
-        np.array(rows).reshape(-1, 1, n),
-        noise_covariance(before.R, None, 1),
-    )
+    F, Q, R = np.array(before.F, dtype=float), process_noise(before.Q, None, n), noise_covariance(before.R, None, 1)
+    H, none = np.array(rows).reshape(-1, 1, n), np.zeros((1, n))
     alpha_sq = float(getattr(before, "_alpha_sq", 1.0))
-    return _checked(Recording(z, np.zeros((len(z), n)), x.ravel(), P, F, H, Q, R[None], alpha_sq))
+    return _checked(Problem(z, F[None], Q[None], H, R[None], none, x.ravel(), P, alpha_sq))
 
 
-def _checked(data: Recording) -> Recording:
+def _checked(data: Problem) -> Problem:
     """Return a recording that has something to learn from, or raise."""
     known = int((data.zs == data.zs).any(axis=1).sum())
     if known < LEAST:
@@ -121,18 +78,18 @@ def _checked(data: Recording) -> Recording:
     return _narrowed(data)
 
 
-def _narrowed(data: Recording) -> Recording:
+def _narrowed(data: Problem) -> Problem:
     """Narrow P where it is a hundred times as wide as the first readings are large, or wider.
 
     It tells nothing there but costs digits: next to a variance of 1e13 one of .01 is lost in rounding.
     """
     n = len(data.x)
     steps = min(_FIRST_READINGS * n, len(data.zs))
-    F, H = (np.broadcast_to(a, (len(data.zs), *a.shape[1:])) for a in (data.F, data.H))
+    F, H, Bu = (np.broadcast_to(a, (len(data.zs), *a.shape[1:])) for a in (data.F, data.H, data.Bu))
     x, moved, rows, apart = data.x, np.eye(n), np.empty((steps, H.shape[1], n)), np.empty((steps, H.shape[1]))
     with np.errstate(all="ignore"):
         for k in range(steps):
-            x, moved = F[k] @ x + data.inputs[k], F[k] @ moved
+            x, moved = F[k] @ x + Bu[k], F[k] @ moved
             rows[k], apart[k] = H[k] @ moved, np.abs(data.zs[k] - H[k] @ x)
         known = np.isfinite(apart)
         # The median: one of them may be wild.
@@ -160,7 +117,7 @@ def scaled(covariance: Array, logs: Array) -> Array:
     return np.asarray(root[..., :, None] * covariance * root[..., None, :])
 
 
-def log_likelihoods(data: Recording, logs_R: Array, logs_Q: Array, share: Array, ratio: Array) -> Array:
+def log_likelihoods(data: Problem, logs_R: Array, logs_Q: Array, share: Array, ratio: Array) -> Array:
     """Return the log-likelihood of the recording for each of p candidates, which advance together.
 
     Each step merges two hypotheses, ordinary or outlier, by moments: what `correction.copies` does
@@ -168,7 +125,7 @@ def log_likelihoods(data: Recording, logs_R: Array, logs_Q: Array, share: Array,
     array, which numpy is quickest with.
     """
     p, n = len(share), len(data.x)
-    F, Q = (np.broadcast_to(a, (len(data.zs), *a.shape[1:])) for a in (data.F, data.Q))
+    F, Q, Bu = (np.broadcast_to(a, (len(data.zs), *a.shape[1:])) for a in (data.F, data.Q, data.Bu))
     x, P = np.tile(data.x[:, None], p), np.tile(data.P[..., None], p)
     with np.errstate(divide="ignore"):
         log_share = np.stack([np.log1p(-share), np.log(share)])
@@ -177,7 +134,7 @@ def log_likelihoods(data: Recording, logs_R: Array, logs_Q: Array, share: Array,
     driven = data.Q[0][..., None] * factors
     sensors: dict[bytes, _Sensors] = {}
     total = np.zeros(p)
-    for k, (z, w) in enumerate(zip(data.zs, data.inputs, strict=True)):
+    for k, (z, w) in enumerate(zip(data.zs, Bu, strict=True)):
         x = F[k] @ x + w[:, None]
         P = data.alpha_sq * (F[k] @ (F[k] @ P.reshape(n, -1)).reshape(P.shape))
         P += driven if len(data.Q) == 1 else Q[k][..., None] * factors
@@ -229,7 +186,7 @@ class _Sensors(NamedTuple):
     """By how much the determinant is larger than that of `own`, shape (p,)."""
 
 
-def _seen(data: Recording, k: int, seen: np.ndarray, logs_R: Array) -> _Sensors:
+def _seen(data: Problem, k: int, seen: np.ndarray, logs_R: Array) -> _Sensors:
     """Return the sensors of a step, with their noises told apart."""
     part = np.flatnonzero(seen)
     H, R = data.H[min(k, len(data.H) - 1), part], data.R[min(k, len(data.R) - 1)]

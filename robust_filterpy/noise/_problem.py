@@ -8,7 +8,8 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
-from robust_filterpy.noise._likelihood import Recording, log_likelihoods
+from robust_filterpy.filters.problem import Problem
+from robust_filterpy.noise._likelihood import log_likelihoods
 from robust_filterpy.noise._search import Ends, descend, valleys
 
 # Log of the scale factors, logit of the contamination, log of the scale ratio: where the search may go. Outliers are
@@ -26,13 +27,13 @@ _PRIOR_ORDINARY, _PRIOR_LOG_RATIO = 10.0, np.log(10.0)
 
 
 @dataclass(frozen=True)
-class Problem:
+class NoiseFit:
     """Hold a recording, which variances share a factor, and what the user knows of the outliers.
 
     A point has the logs of R's factors, those of Q's, the logit of the contamination and the log of the scale ratio.
     """
 
-    data: Recording
+    data: Problem
     groups_R: Array
     """Factor of each sensor, -1 where there is none."""
     groups_Q: Array

@@ -8,14 +8,14 @@ from __future__ import annotations
 import numpy as np
 
 from robust_filterpy._checks import Array
-from robust_filterpy.noise._problem import SCALE_LIMIT, Problem
+from robust_filterpy.noise._problem import SCALE_LIMIT, NoiseFit
 from robust_filterpy.noise._search import Ends, descend
 
 # First step of a log factor, by how much the next one is longer, and how well the root of the cost has to fit.
 _FIRST, _LONGER, _FITS, _MOST = 0.2, 2.0, 0.02, 30
 
 
-def held(problem: Problem, points: Array, factors: np.ndarray, at: Array, name: str) -> Ends:
+def held(problem: NoiseFit, points: Array, factors: np.ndarray, at: Array, name: str) -> Ends:
     """Return the lowest costs when in each point one factor stands at a value."""
     rows, (low, high) = np.arange(len(points)), problem.limits
     low, high = np.tile(low, (len(points), 1)), np.tile(high, (len(points), 1))
@@ -23,7 +23,7 @@ def held(problem: Problem, points: Array, factors: np.ndarray, at: Array, name: 
     return descend(problem.cost, points, low, high, name)
 
 
-def bounds(problem: Problem, ends: Ends, rise: float) -> Array:
+def bounds(problem: NoiseFit, ends: Ends, rise: float) -> Array:
     """Return the logs between which each factor costs less than a rise, infinite where none is reached, (count, 2).
 
     ends: the best estimate first. Where another end is nearly as likely, the way out begins at the outermost of them.
@@ -62,7 +62,7 @@ def bounds(problem: Problem, ends: Ends, rise: float) -> Array:
     return np.where(np.isnan(outer), signs * np.inf, outer).reshape(count, 2)
 
 
-def rises(problem: Problem, point: Array, cost: float, away: float) -> Array:
+def rises(problem: NoiseFit, point: Array, cost: float, away: float) -> Array:
     """Return what it costs at least to move each factor away by its log, in the cheaper direction, (count,)."""
     count = problem.count_R + problem.count_Q
     factors = np.repeat(np.arange(count), 2)

@@ -18,7 +18,7 @@ from robust_filterpy._progress import stages
 from robust_filterpy._warning import warn
 from robust_filterpy.correction.policies import Contaminated
 from robust_filterpy.noise._likelihood import log_likelihoods, of_filter, of_tracker, scaled
-from robust_filterpy.noise._problem import LOGIT_LIMITS, SCALE_LIMIT, Problem
+from robust_filterpy.noise._problem import LOGIT_LIMITS, SCALE_LIMIT, NoiseFit
 from robust_filterpy.noise._profile import bounds, rises
 from robust_filterpy.noise._search import Ends
 
@@ -240,7 +240,7 @@ def estimate_noise(
     else:
         data = of_filter(filter, zs, us, *per_step)
     groups_R, groups_Q = _groups("R", R, data.R[0]), _groups("Q", Q, data.Q[0])
-    problem = Problem(data, groups_R, groups_Q, _known_outliers(contamination, scale_ratio))
+    problem = NoiseFit(data, groups_R, groups_Q, _known_outliers(contamination, scale_ratio))
     with stages("estimate_noise", None):
         ends = problem.ends()
         loose, doubt = _doubt(problem, ends)
@@ -266,7 +266,7 @@ def estimate_noise(
     return found
 
 
-def _doubt(problem: Problem, ends: Ends) -> tuple[list[str], str]:
+def _doubt(problem: NoiseFit, ends: Ends) -> tuple[list[str], str]:
     """Return which factors the recording does not determine, and what is doubtful in words, or nothing."""
     point = ends.points[0]
     if problem.names:

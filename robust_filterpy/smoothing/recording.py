@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robust_filterpy import _checks
-from robust_filterpy._arrays import control_term, measurement_rows, stack, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.whitening import standardize
+from robust_filterpy.filters.problem import finite, read
 from robust_filterpy.smoothing.linear_pass import Model
 
 _FURTHEST = 1e30
@@ -53,20 +53,8 @@ def linear_recording(
         raise ValueError(
             f"alpha: expected 1, got {kf.alpha}; a fading memory is no model to smooth by, raise Q instead"
         )
-    x, P = state_of(kf)
-    n = len(x)
-    H = stack("H", kf.H, Hs, None, (None, n))
-    m = H.shape[1]
-    z = measurement_rows(zs, m)
-    if np.isinf(z).any():
-        step = int(np.isinf(z).any(axis=1).argmax())
-        raise ValueError(f"zs: expected finite numbers or NaN (missing), got infinity at step {step}")
-    steps = len(z)
-    F, Q = stack("F", kf.F, Fs, steps, (n, n)), stack("Q", kf.Q, Qs, steps, (n, n))
-    H, R = stack("H", kf.H, Hs, steps, (m, n)), stack("R", kf.R, Rs, steps, (m, m))
-    c = _inputs(getattr(kf, "B", None), Bs, us, n, steps)
-    one = tuple(a[None] for a in (F, Q, c, H, R, z, x.ravel(), P))
-    return problem(*one)
+    z, F, Q, H, R, c, x, P = (part[None] for part in finite(read(kf, zs, Fs, Qs, Hs, Rs, Bs, us))[:8])
+    return problem(F, Q, c, H, R, z, x, P)
 
 
 def problem(F: Array, Q: Array, c: Array, H: Array, R: Array, z: Array, x0: Array, P0: Array) -> Recording:
@@ -126,25 +114,3 @@ def _scalings(R: Array, observed: Array) -> Array:
                     known[key][pick] = standardize(R_k[pick], "innovation")[0]
             found[s, k] = known[key]
     return found
-
-
-def _inputs(B: Any, Bs: Any, us: Any, n: int, steps: int) -> Array:
-    """Return B u of each step, (N or 1, n); None in us or Bs is no input, or the filter's own B."""
-    if us is None:
-        return np.zeros((1, n))
-    for name, values in (("us", us), ("Bs", Bs)):
-        if values is not None and (not hasattr(values, "__len__") or len(values) < steps):
-            found = len(values) if hasattr(values, "__len__") else _checks.shown(values)
-            raise ValueError(f"{name}: expected an entry for each of the {steps} measurements, got {found}")
-    if B is None and Bs is None:
-        raise ValueError("us: expected no inputs for a filter without B; set kf.B")
-    if Bs is None and isinstance(us, np.ndarray) and np.ndim(B) == 2:
-        u = measurement_rows(us[:steps], np.shape(B)[1], "us")
-        terms = u @ _checks.matrix("B", B, (n, u.shape[1]), f"dim_x={n}").T
-    else:
-        matrices = [B] * steps if Bs is None else [B if one is None else one for one in list(Bs)[:steps]]
-        inputs = [0.0 if u is None else u for u in list(us)[:steps]]
-        terms = np.array([np.zeros(n) + control_term(b, u, (n,)) for b, u in zip(matrices, inputs, strict=True)])
-    if not np.isfinite(terms).all():
-        raise ValueError("us: expected finite numbers, got NaN or infinity")
-    return terms

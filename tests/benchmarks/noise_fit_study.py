@@ -22,8 +22,9 @@ from joblib import Parallel, delayed
 from scipy.stats import ortho_group
 
 from robust_filterpy import estimate_noise
-from robust_filterpy.noise._likelihood import Recording, of_filter
-from robust_filterpy.noise._problem import Problem
+from robust_filterpy.filters.problem import Problem
+from robust_filterpy.noise._likelihood import of_filter
+from robust_filterpy.noise._problem import NoiseFit
 from robust_filterpy.noise._search import descend, valleys
 from robust_filterpy.noise.estimation import NoiseEstimate
 
@@ -65,19 +66,19 @@ def gap(seed: int, steps: int, share: float) -> float:
     # What a filter that is told the truth would make small: one cost for all.
     data = of_filter(told(model), zs, *[None] * 5)
     n, m = data.H.shape[:0:-1]
-    problem = Problem(data, np.zeros(m, dtype=int), np.zeros(n, dtype=int), (None, None))
+    problem = NoiseFit(data, np.zeros(m, dtype=int), np.zeros(n, dtype=int), (None, None))
     points = np.array([_point(one, data) for one in found])
     costs = problem.cost(points)
     return float(costs.max() - min(costs.min(), densely(problem)))
 
 
-def _point(found: NoiseEstimate, data: Recording) -> list[float]:
+def _point(found: NoiseEstimate, data: Problem) -> list[float]:
     """Return an estimate as a point of the problem of the filter that is told the truth."""
     factors = found.R[0, 0] / data.R[0, 0, 0], found.Q[0, 0] / data.Q[0, 0, 0]
     return [*np.log(factors), np.log(found.contamination / (1.0 - found.contamination)), np.log(found.scale_ratio)]
 
 
-def densely(problem: Problem) -> float:
+def densely(problem: NoiseFit) -> float:
     """Return the least cost that a dense search finds, half a decade or a factor of 3 apart."""
     decades = np.log(10.0) * np.linspace(-5.0, 5.0, 21)
     axes = decades, decades, np.array([-7.0, -3.0, -1.8, -0.6]), np.log([4.0, 12.0, 40.0])

@@ -9,7 +9,7 @@ from support import told
 
 from robust_filterpy import ARX, Contaminated, ParameterTracker, RobustKalmanFilter
 from robust_filterpy.noise._likelihood import log_likelihoods, of_filter
-from robust_filterpy.noise._problem import Problem
+from robust_filterpy.noise._problem import NoiseFit
 from robust_filterpy.noise._search import descend, valleys
 from robust_filterpy.noise.estimation import estimate_noise
 
@@ -69,7 +69,7 @@ def test_a_valley_between_the_places_of_the_grid_is_found():
     for r, q in ((1.0, 1.0), (10.0**-2.5, 10.0**0.3)):
         kf = RobustKalmanFilter(1, 1)
         kf.F, kf.H, kf.R, kf.Q, kf.P = 0.3 * np.eye(1), np.eye(1), r * np.eye(1), q * np.eye(1), 5.0 * np.eye(1)
-        problem = Problem(of_filter(kf, zs, *[None] * 5), np.zeros(1, dtype=int), np.zeros(1, dtype=int), (None, None))
+        problem = NoiseFit(of_filter(kf, zs, *[None] * 5), np.zeros(1, dtype=int), np.zeros(1, dtype=int), (None, None))
         found.append(problem.ends().costs[0])
     assert found[1] == pytest.approx(found[0], abs=0.01)
 
