@@ -364,13 +364,18 @@ def _moved(at: Array, spread: Array, y: float, h: Array, noise: float, own: np.n
     """Return mean and covariance where a sensor says that its part of the state is."""
     seen = float(h @ spread @ h)
     # What the sensor sees of each state, as if they were independent: the others keep what they have.
-    d = spread.diagonal() * h
-    d = d / (h @ d)
-    # P is so wide that the innovation does not ask any more; less what it tells by Joseph's form, as d is not C / S.
+    each = h * spread.diagonal() * h
+    d = spread.diagonal() * h / each.sum()
+    # P is so wide that the innovation does not ask any more, or would not if that state alone had moved; less what it
+    # tells by Joseph's form, as d is not C / S.
     square = min(y * y, _FAR * _FAR * (seen + noise))
-    times = np.where(own[:, None] & own, (square / (_ASKS * _ASKS) - noise) / seen, 1.0)
+    most = square / (_ASKS * _ASKS)
+    times = np.full(len(h), (most - noise) / seen)
+    beyond = each * times > most
+    times[beyond] = np.maximum(most / each[beyond], 1.0)
+    root = np.sqrt(np.where(own, times, 1.0))
     kept = np.eye(len(h)) - np.outer(d, h)
-    return at + y * d, times * (kept @ spread @ kept.T) + (noise + _LEFT * square) * np.outer(d, d)
+    return at + y * d, kept @ (root[:, None] * spread * root) @ kept.T + (noise + _LEFT * square) * np.outer(d, d)
 
 
 def far_off(copies: Copies, z: Array, H: Array, noise: Array, process: Scales) -> Array:

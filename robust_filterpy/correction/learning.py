@@ -15,8 +15,9 @@ Whether sensors fail together is learnt from how likely each sample is if all of
 in one of its own.
 
 The changes from reading to reading that a filter has not foreseen differ from each other, where noise is white, with a
-variance of 6 r and more. So r is never above eight times what they show: a filter that has lost the state, or whose
-model is too simple, has large innovations and even changes, and does not learn that its sensor is bad.
+variance of 6 r and more. So r is never above eight times what they show, unless other sensors show more: a filter that
+has lost the state, or whose model is too simple, has large innovations and even changes, and does not learn that its
+sensor is bad; a sensor that is off by the same amount all the time has, too.
 
 A sensor that repeats its last reading though it seldom does and its noise is white
 (`robust_filterpy.correction.repeats`), far from the prediction, is stuck, and tells nothing of the state (`repeated`).
@@ -78,6 +79,8 @@ _WILDEST = 1e6
 _TOGETHER, _LESS, _PARITY, _READINGS, _TAIL = -12, -11, slice(-10, -6), slice(-repeats.WIDTH, None), 12
 # A sensor is redundant if the others leave at least this part of its variance unexplained by the state.
 _REDUNDANT = 1e-6
+# Its noise is a fifth of its parity or more where the colour of that counts fully.
+_OWN = 5.0
 
 
 @dataclass(frozen=True)
@@ -361,7 +364,8 @@ def weigh_together(learnt: Array, log_together: float, log_apart: float, noise: 
 
 
 def ordinary_size(
-    learnt: Array, readings: Array, z: Array, y: Array, seen: Array, H: Array, R: Array
+    learnt: Array, readings: Array, z: Array, y: Array, seen: Array, H: Array, R: Array,
+    scales: Sequence[float] = SCALES,
 ) -> tuple[Array, Array]:
     """Return r of each sensor, between what its parity and its changes allow, and what is known with this sample's.
 
@@ -389,6 +393,8 @@ def ordinary_size(
         Measurement matrix.
     R : ndarray, shape (m, m)
         Covariance of the measurement noise as the filter was given it.
+    scales : sequence of float, length K, default (1, 10, 100, 1000)
+        Factors of the classes.
 
     Returns
     -------
@@ -397,14 +403,19 @@ def ordinary_size(
     learnt : ndarray, shape (m, 14 + 2 K + K^2)
         What is known, with this sample's parity and change.
     """
-    r, learnt, coloured = learnt[:, 0].copy(), learnt.copy(), []
+    r, learnt, coloured, K = learnt[:, 0].copy(), learnt.copy(), [], len(scales)
     readings = _in_deviations(readings, R)
     for own in np.flatnonzero(R.diagonal() > 0.0):
         most = _note(learnt[own, _READINGS], float(readings[own]), _bounded(y[own] / R[own, own] ** 0.5))
+        # What others contradict by more than its noise is no motion of the state, however even its changes.
+        most = max(most, float(learnt[own, _PARITY][2]) ** 2)
         r[own], learnt[own, 0] = min(r[own], most), min(learnt[own, 0], most)
-    for i, e in parity(z, H, R, r):
+    # Whom the others can stand in for is not who has just been far off, nor one that is followed.
+    size = learnt[:, 2 + K : 2 + 2 * K] @ np.array(scales)
+    for i, e, part in parity(z, H, R, size * np.maximum(r, 1.0)):
         correlation, least = _note_parity(learnt[i, _PARITY], e)
-        colour = min(max((correlation - _PARITY_FROM) / _PARITY_OVER, 0.0), 1.0)
+        # A colour is that of the sensor of whose noise a parity is made.
+        colour = min(max((correlation - _PARITY_FROM) / _PARITY_OVER, 0.0), 1.0) * min(_OWN * part, 1.0)
         if colour > 0.0:
             r[i] = max(r[i], r[i] ** (1.0 - colour) * least**colour)
             coloured.append((i, colour, correlation))
@@ -505,11 +516,12 @@ def left_over(learnt: Array, rest: Array, R: Array) -> Array:
     return learnt
 
 
-def parity(z: Array, H: Array, R: Array, r: Array) -> list[tuple[int, float]]:
+def parity(z: Array, H: Array, R: Array, r: Array) -> list[tuple[int, float, float]]:
     """Return for each sensor that others can stand in for by how much it differs from what they say.
 
-    In units of the standard deviation that R gives to it, as pairs (sensor, e). It does not depend on the state:
-    with G = V^-1 - V^-1 H (H' V^-1 H)^+ H' V^-1 and V = diag(r R), e_i = (G z)_i / sqrt((G R G)_ii).
+    In units of the standard deviation that R gives to it, and the share of it that is the sensor's own noise, as
+    (sensor, e, share). It does not depend on the state: with V = diag(r R) and
+    G = V^-1 - V^-1 H (H' V^-1 H)^+ H' V^-1, e_i = (G z)_i / sqrt((G R G)_ii).
     """
     variances = r * R.diagonal()
     if len(z) < 2 or not (variances > 0.0).all():
@@ -525,7 +537,11 @@ def parity(z: Array, H: Array, R: Array, r: Array) -> list[tuple[int, float]]:
     G = rest / unit[:, None] / unit
     with np.errstate(over="ignore", invalid="ignore"):
         e = G @ z / np.sqrt(((G @ R) * G).sum(axis=1))
-    return [(i, float(e[i])) for i in range(len(z)) if rest[i, i] > _REDUNDANT and np.isfinite(e[i])]
+    return [
+        (i, float(e[i]), float(rest[i, i]))
+        for i in range(len(z))
+        if rest[i, i] > _REDUNDANT and np.isfinite(e[i])
+    ]
 
 
 class LearntNoise(NamedTuple):

@@ -168,7 +168,8 @@ def correct(
         again = part[learning.repeated(memory[part], readings[part], R[np.ix_(part, part)])]
         if again.size:
             r = memory[again, 0] * R[again, again]
-            again = again[side_by_side.far_off(copies, z[again], H[again], r, process)]
+            outlier = memory[again, 2 + len(noise.scales)] < 0.5
+            again = again[outlier | side_by_side.far_off(copies, z[again], H[again], r, process)]
             part, weights[again], outlying[again] = np.setdiff1d(part, again), 0.0, 1.0
     if part.size == 0:
         return Corrected(copies, memory, 0.0, weights, outlying)
@@ -179,7 +180,9 @@ def correct(
     copies = side_by_side.coupled(copies, _links(H, R, M, groups), process)
     if follows:
         at, spread = _slow(copies, process)
-        r, memory[part] = learning.ordinary_size(memory[part], readings[part], z, z - H @ at, H @ spread @ H.T, H, R)
+        r, memory[part] = learning.ordinary_size(
+            memory[part], readings[part], z, z - H @ at, H @ spread @ H.T, H, R, noise.scales
+        )
     copies, new = side_by_side.with_candidate(copies, z, H, r * R.diagonal(), process)
     now, N = _begin(copies, z, H, R, r, M)
     first, log_density, shared, belief = now.S, 0.0, None, copies.belief.copy()

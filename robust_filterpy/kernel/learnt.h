@@ -25,6 +25,7 @@
 #define LEARNT_FIRST_CHANGES REAL(20.0)
 #define LEARNT_MOST REAL(8.0) / 6      /* r at most, over the variance of the differences of changes */
 #define LEARNT_REDUNDANT REAL(1e-6)
+#define LEARNT_OWN REAL(5.0)           /* a sensor's noise is a fifth of its parity or more where its colour counts fully */
 #define LEARNT_ASKS REAL(9.0)         /* squared standard deviations from which an innovation asks for a jump */
 #define LEARNT_WIDEST REAL(1e12)       /* a state less certain than a sensor's noise by this is left to the definition */
 #define LEARNT_FARTHEST REAL(1e24)     /* and to which it can tell where to */
@@ -361,7 +362,11 @@ INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule
     real *RESTRICT colour = out + m, *RESTRICT correlation = colour + m;
     int count = 0, coloured = 0;
     for (int i = 0; i < m; i++) {
-        unit[i] = left[i] > 0 ? real_sqrt(r[i] * R[i * m + i]) : 1;
+        /* Whom the others can stand in for is not who has just been far off, nor one that is followed. */
+        const real *const last = s->memory + i * width + 2 + rule->K;
+        real size = 0;
+        for (int k = 0; k < rule->K; k++) size += last[k] * rule->scales[k];
+        unit[i] = left[i] > 0 ? real_sqrt(size * real_max(r[i], 1) * R[i * m + i]) : 1;
         if (!(unit[i] > 0)) return;
         count += left[i] > 0;
     }
@@ -401,7 +406,9 @@ INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule
         e /= real_sqrt(variance);
         if (!real_is_finite(e)) continue;
         correlation[i] = learnt_note_parity(e, known);
+        /* A colour is that of the sensor of whose noise a parity is made. */
         colour[i] = real_min(real_max((correlation[i] - LEARNT_PARITY_FROM) / LEARNT_PARITY_OVER, 0), 1);
+        colour[i] *= real_min(LEARNT_OWN * rest[i * m + i], 1);
         if (colour[i] > 0) {
             /* Samples that depend on each other are worth fewer, against R as it was told, which is worth begin[1] of them. */
             const real square = correlation[i] * correlation[i];
@@ -433,7 +440,7 @@ INLINE real learnt_reading(const real z, const real R) {
 }
 
 /* Whether a sensor is stuck: it repeats its last reading to the last bit, though it seldom does and its noise is white, and
-   asks for a jump of the copies that have not jumped. */
+   that was an outlier, or it asks for a jump of the copies that have not jumped. */
 INLINE int learnt_stuck(const int n, const learnt_rule *const rule, const real *RESTRICT at, const real *RESTRICT spread,
                         const real z, const real said, const real *RESTRICT h, const real R, const real *RESTRICT known) {
     const real r = known[0];
@@ -445,11 +452,11 @@ INLINE int learnt_stuck(const int n, const learnt_rule *const rule, const real *
         for (int j = 0; j < n; j++) seen += h[k] * spread[k * n + j] * h[j];
     }
     asks = rest * rest / (seen + r * R);
-    return seen > 0 && asks > LEARNT_ASKS;
+    return (seen > 0 && asks > LEARNT_ASKS) || known[2 + rule->K] < REAL(0.5);
 }
 
 /* Let r of each sensor be no more than eight times what the differences of unforeseen changes from reading to reading
-   show, of which white noise makes 6 r; note this change. */
+   show, of which white noise makes 6 r, unless other sensors show more; note this change. */
 INLINE void learnt_changes(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
                            const real *RESTRICT at, const real *RESTRICT z, const real *RESTRICT readings, const real *RESTRICT H,
                            const real *RESTRICT R, const real *RESTRICT left, real *RESTRICT r) {
@@ -461,7 +468,9 @@ INLINE void learnt_changes(const int n, const int m, const learnt_rule *const ru
         repeats_note_reading(learnt_reading(readings[i], R[i * m + i]), row);
         repeats_note_change(learnt_left(n, at, z[i], H + i * n, R[i * m + i]), row);
         if (!(row[REPEATS_COUNT] > LEARNT_FIRST_CHANGES + 1)) continue;
-        most = real_max(1, row[REPEATS_SCALE] * row[REPEATS_SCALE] * LEARNT_MOST);
+        /* What others contradict by more than its noise is no motion of the state, however even its changes. */
+        const real apart = known[width - LEARNT_TAIL + 4];
+        most = real_max(real_max(1, row[REPEATS_SCALE] * row[REPEATS_SCALE] * LEARNT_MOST), apart * apart);
         r[i] = real_min(r[i], most);
         known[0] = real_min(known[0], most);
     }
@@ -521,14 +530,14 @@ INLINE real learnt_innovations(const int n, const int m, const int copy, const l
 
 /* Let a candidate begin in each part where an innovation asks for it, where the measurement says: as if what a sensor sees
    of each state were independent, so that the others keep what they have. P is so wide that the innovation does not ask any
-   more; less what it tells by Joseph's form, as the gain is not C / S. */
+   more, or would not if that state alone had moved; less what it tells by Joseph's form, as the gain is not C / S. */
 INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
                          const real *RESTRICT H, const real *RESTRICT R, const real *RESTRICT z,
                          const learnt_parts *const w) {
     const int q = rule->q;
     const real *const part = learnt_part(n, rule, s), *const unseen = learnt_unseen(n, rule, s);
     real *const x = s->x + q * n, *const P = s->P + q * n * n, *const d = w->direction;
-    const real *const y = w->y + q * m, *const C = w->C + q * m * n, *const S = w->S + q * m * m;
+    const real *const y = w->y + q * m, *const S = w->S + q * m * m;
     real *const waits = w->start;
     for (int i = 0; i < m; i++) waits[i] = w->left[i] > 0 && w->fresh[i] > 0;
     for (;;) {
@@ -541,26 +550,33 @@ INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule
         }
         if (i < 0) return;
         waits[i] = 0;
-        const real noise = w->r[i] * R[i * m + i], whole = S[i * m + i];
-        const real square = real_min(y[i] * y[i], LEARNT_FAR * (whole + noise));
-        const real times = (square / LEARNT_ASKS - noise) / whole, left = noise + LEARNT_LEFT * square;
-        for (int k = 0; k < n; k++) {
-            d[k] = P[k * n + k] * H[i * n + k];
-            seen += H[i * n + k] * d[k];
-        }
-        for (int k = 0; k < n; k++) d[k] /= seen;
+        const real noise = w->r[i] * R[i * m + i], *RESTRICT h = H + i * n;
+        const real square = real_min(y[i] * y[i], LEARNT_FAR * (S[i * m + i] + noise)), most_of = square / LEARNT_ASKS;
+        const real times = (most_of - noise) / S[i * m + i];
+        real *RESTRICT C = w->C + (q * m + i) * n, whole = 0;
+        for (int k = 0; k < n; k++) seen += h[k] * P[k * n + k] * h[k];
+        for (int k = 0; k < n; k++) d[k] = P[k * n + k] * h[k] / seen;
         for (int o = 0; o < n; o++) {
+            const real own = h[o] * h[o] * P[o * n + o];
             if (part[o] != w->head[i]) continue;
             if (!(s->p[q * n + o] > 0)) {
                 for (int c = 0; c < q; c++) s->p[c * n + o] *= 1 - unseen[o];
                 s->p[q * n + o] = unseen[o];
             }
             x[o] += y[i] * d[o];
-            for (int k = 0; k < n; k++)
-                if (part[k] == part[o])
-                    P[o * n + k] = times * (P[o * n + k] - (d[o] * C[i * n + k] + d[k] * C[i * n + o]))
-                                   + (times * whole + left) * (d[o] * d[k]);
+            /* No state is less certain than if it alone had moved. */
+            const real root = real_sqrt(own * times > most_of ? real_max(most_of / own, 1) : times);
+            for (int k = 0; k < n; k++) P[o * n + k] *= root, P[k * n + o] *= root;
         }
+        for (int k = 0; k < n; k++) {
+            C[k] = 0;
+            for (int o = 0; o < n; o++) C[k] += P[k * n + o] * h[o];
+            whole += h[k] * C[k];
+        }
+        whole += noise + LEARNT_LEFT * square;
+        for (int o = 0; o < n; o++)
+            for (int k = 0; part[o] == w->head[i] && k < n; k++)
+                if (part[k] == part[o]) P[o * n + k] += whole * (d[o] * d[k]) - (d[o] * C[k] + d[k] * C[o]);
         learnt_innovations(n, m, q, s, H, z, w);
     }
 }

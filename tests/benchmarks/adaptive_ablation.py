@@ -58,7 +58,7 @@ RULES: dict[str, tuple[tuple[str, str], ...]] = {
         ("waits[j] > 0 && S[j * m + j] > 0",
          "waits[j] > 0 && S[j * m + j] > 0 && unseen[(int)w->head[j]] < REAL(0.2)"),
     ),
-    "a candidate doubts all of P": (("(square / LEARNT_ASKS - noise) / whole", "1"),),
+    "a candidate doubts all of P": (("(most_of - noise) / S[i * m + i]", "1"),),
     "classes come in runs": (
         ("learnt_predicted(K, known, w.before)", "learnt_usual(K, known, w.before)"),
         ("learnt_predicted(K, s->memory + i * width, w->before)", "learnt_usual(K, s->memory + i * width, w->before)"),
@@ -77,7 +77,7 @@ RULES: dict[str, tuple[tuple[str, str], ...]] = {
     "a tenth of r, by Page's sum": (("*for_less > LEARNT_FOR_LESS", "0"),),
     "repeats teach nothing of r": (("real_copysign(1, known[width - 1]) < 0", "0"),),
     "repeats teach where they are rare": (("-known[width - 1] >= REPEATS_RARE", "0"),),
-    "stuck sensors are left out": (("seen > 0 && asks > LEARNT_ASKS", "0"),),
+    "stuck sensors are left out": (("(seen > 0 && asks > LEARNT_ASKS) || known[2 + rule->K] < REAL(0.5)", "0"),),
     "only after changes like white noise": (("row[REPEATS_SCALE] * row[REPEATS_SCALE] >= r", "1"),),
     "r is capped by changes": (("real_max(1, row[REPEATS_SCALE] * row[REPEATS_SCALE] * LEARNT_MOST)", "REAL_MAX"),),
     "parity: a floor of r": (

@@ -220,12 +220,12 @@ def test_parity_does_not_depend_on_the_state_and_has_the_variance_that_R_gives_i
     H, r = rng.normal(size=(4, 2)), np.array([1.0, 4.0, 0.3, 2.0])
     R = np.diag([1.0, 2.0, 3.0, 0.5])
     zs = rng.normal(size=(4000, 4)) * np.sqrt(R.diagonal())
-    found = np.array([[e for _, e in parity(z, H, R, r)] for z in zs])
+    found = np.array([[e for _, e, _ in parity(z, H, R, r)] for z in zs])
     assert_allclose(found.var(axis=0), 1.0, atol=5.0 * np.sqrt(2.0 / 4000))
     moved = parity(zs[0] + H @ np.array([30.0, -7.0]), H, R, r)
-    assert_allclose([e for _, e in moved], found[0], atol=1e-10)
+    assert_allclose([e for _, e, _ in moved], found[0], atol=1e-10)
     # Nobody can stand in for a sensor that alone sees a state.
-    assert [i for i, _ in parity(zs[0, :3], np.array([[1.0, 0], [1.0, 0], [0, 1.0]]), R[:3, :3], r[:3])] == [0, 1]
+    assert [i for i, *_ in parity(zs[0, :3], np.array([[1.0, 0], [1.0, 0], [0, 1.0]]), R[:3, :3], r[:3])] == [0, 1]
     assert parity(zs[0, :2], H[:2], R[:2, :2], r[:2]) == []
 
 
