@@ -168,7 +168,7 @@ def test_the_noise_learnt_is_that_of_the_recording():
     assert 0.05 < (model.weights < 0.5).mean() < 0.11
 
 
-@support.draws(2, 6)
+@support.draws(4, 6)
 @pytest.mark.parametrize("share", [0.02, 0.1])
 def test_outliers_in_the_regressor_cost_little(share, draws):
     ours, labels, plain = [], [], []
