@@ -65,6 +65,8 @@ def probabilities(name: str, value: Any, count: int) -> Array:
 
 def real(name: str, value: Any) -> float:
     """Return value as a float or raise."""
+    if isinstance(value, float):
+        return float(value)
     if isinstance(value, (*_NO_NUMBER, bool, np.bool_)) or np.ndim(value) != 0:
         raise TypeError(f"{name}: expected a number, got {shown(value)}")
     try:

@@ -11,7 +11,6 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction import spread
 from robust_filterpy.filters.states import StateMixin, moved_shapes
 from robust_filterpy.fleet._filters import REFUSED, Work
-from robust_filterpy.identification.models.results import Columns
 from robust_filterpy.identification.models.signals import measured_output, recorded_input
 from robust_filterpy.identification.recursive.tracker import ParameterTracker
 
@@ -19,18 +18,7 @@ from robust_filterpy.identification.recursive.tracker import ParameterTracker
 _SETTINGS = ("Q", "F", "alpha_sq", _state.LABEL)
 
 
-class EvenTracker(ParameterTracker):
-    """A tracker whose numbers do not depend, to the last bit, on how a recording is cut into batches."""
-
-    # The kernel wherever it can, single steps of the definition elsewhere.
-    _shows_last, _most_odd = False, 1
-
-    def through(self, z: Array, u: Array | None) -> Columns:
-        """Take samples as they were measured, or raise."""
-        return self._advance(measured_output(z), recorded_input(self.structure, u, len(z)), None)
-
-
-def start(tracker: EvenTracker) -> dict[str, Array]:
+def start(tracker: ParameterTracker) -> dict[str, Array]:
     """Return what a tracker's steps move, as it is; of a sensor of which nothing is known yet, zeros."""
     kf = tracker.filter
     learns = isinstance(kf, StateMixin) and "spread" in moved_shapes(kf)
@@ -38,13 +26,13 @@ def start(tracker: EvenTracker) -> dict[str, Array]:
     return {**unknown, **{name: value for name, value in tracker.state().items() if name not in _SETTINGS}}
 
 
-def shapes(tracker: EvenTracker) -> dict[str, _state.Shape]:
+def shapes(tracker: ParameterTracker) -> dict[str, _state.Shape]:
     """Return the shapes of that; how long a recording is kept for a start or watched, no one knows beforehand."""
     found: dict[str, _state.Shape] = {name: value.shape for name, value in start(tracker).items()}
     return {**found, **{name: (None, *found[name][1:]) for name in ("start", "followed")}}
 
 
-def advance(tracker: EvenTracker, work: Work) -> None:
+def advance(tracker: ParameterTracker, work: Work) -> None:
     """Take the samples of all keys."""
     settings = {name: value for name, value in tracker.state().items() if name in _SETTINGS and name != _state.LABEL}
     for i in range(len(work.bounds) - 1):
@@ -64,19 +52,20 @@ def advance(tracker: EvenTracker, work: Work) -> None:
             work.entries[name][i] = value
 
 
-def _through(tracker: EvenTracker, work: Work, first: int, stop: int) -> None:
+def _through(tracker: ParameterTracker, work: Work, first: int, stop: int) -> None:
     """Take the samples from first to stop, or raise."""
     own = tracker.form.own
     d = len(own)
     if first == stop:
         return
-    out = tracker.through(work.z[first:stop], None if work.u is None else work.u[first:stop])
+    y, u = measured_output(work.z[first:stop]), None if work.u is None else work.u[first:stop]
+    out = tracker._advance(y, recorded_input(tracker.structure, u, len(y)), None)
     columns: Any = work.columns[first:stop]
     columns[:, :d], columns[:, d : 2 * d] = out.theta[:, own], np.sqrt(np.maximum(out.variance[:, own], 0.0))
     columns[:, 2 * d :] = np.column_stack((out.prediction, out.residual, out.weights, out.guard))
 
 
-def _one_by_one(tracker: EvenTracker, work: Work, i: int) -> None:
+def _one_by_one(tracker: ParameterTracker, work: Work, i: int) -> None:
     """Take the samples of a key one by one; an output that is refused is as if missing."""
     for k in range(int(work.bounds[i]), int(work.bounds[i + 1])):
         before = tracker.state()

@@ -26,6 +26,7 @@ from robust_filterpy.fleet._filters import Work
 from robust_filterpy.fleet.states import FLEET, checked
 from robust_filterpy.fleet.timeline import POLICIES
 from robust_filterpy.identification.models.structures import Structure
+from robust_filterpy.identification.recursive.tracker import ParameterTracker
 
 #: What is done with samples that are not later than the one before them.
 Late: TypeAlias = Literal["refuse", "drop"]
@@ -366,14 +367,14 @@ class TrackerModel(Model):
             raise TypeError("options: expected the class of a filter, got an object, which trackers would share")
         self.template()
 
-    def template(self) -> _trackers.EvenTracker:
+    def template(self) -> ParameterTracker:
         """Return a tracker as it is at the start.
 
         Returns
         -------
         ParameterTracker
         """
-        return _trackers.EvenTracker(self.structure, **self.options)
+        return ParameterTracker(self.structure, **self.options)
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -410,7 +411,7 @@ class TrackerModel(Model):
         return _trackers.shapes(self._tracker)
 
     @cached_property
-    def _tracker(self) -> _trackers.EvenTracker:
+    def _tracker(self) -> ParameterTracker:
         """A tracker at the start, never advanced."""
         return self.template()
 

@@ -28,6 +28,18 @@ static int is_identity(const int n, const double *F) {
     return 1;
 }
 
+/* Whether a is finite and, but for rounding, symmetric. */
+static int is_settled(const int n, const double *a) {
+    double size = 0, apart = 0, total = 0;
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) {
+            total += fabs(a[i * n + j]);
+            size = fmax(size, fabs(a[i * n + j]));
+            apart = fmax(apart, fabs(a[i * n + j] - a[j * n + i]));
+        }
+    return total <= DBL_MAX && apart <= 1e-13 * size;
+}
+
 /* Take an actuator through its samples; n is a constant where this is inlined. */
 INLINE void one_actuator(const job *const j, const int n, const npy_intp i, double *const work) {
     const npy_intp *const flags = j->flags + 5 * i;
@@ -41,6 +53,7 @@ INLINE void one_actuator(const job *const j, const int n, const npy_intp i, doub
     npy_intp k = 0;
     j->done[i] = 0;
     if (!rule_of_numbers(j->options.data + i * j->options.by_series, &rule.correction)) return;
+    if (!is_settled(n, state.P) || !is_settled(n, rule.Q)) return;
     for (; k < j->samples; k++) {
         const double y = j->y.data[i * j->y.by_actuator + k * j->y.by_sample] - j->centre[i];
         const double told = j->R.data ? j->R.data[i * j->R.by_actuator + k * j->R.by_sample] : (double)NAN;

@@ -32,6 +32,8 @@ def one_input(structure: Structure, u: Any) -> Array:
             what = "phi" if structure.takes_phi else "input"
             raise ValueError(f"u: expected the {what} of this sample, {n_inputs} number(s), got None")
         return np.zeros(0)
+    if n_inputs == 1 and isinstance(u, float) and abs(u) <= LARGEST:
+        return np.array([u])
     values = _checks.numbers("u", u)
     if values.size != n_inputs or values.ndim > 2:
         raise ValueError(f"u: expected {n_inputs} number(s) for {structure}, got {_checks.described(values)}")

@@ -22,10 +22,11 @@ from robust_filterpy.identification.recursive import bank_setup, held, setup, tr
 from robust_filterpy.identification.recursive.bank_results import BankResult, BankSample
 from robust_filterpy.identification.recursive.recursion import GRADIENTS, Gradient, Regressor
 from robust_filterpy.identification.recursive.returning import Returning
-from robust_filterpy.identification.recursive.state import at_rest
+from robust_filterpy.identification.recursive.state import Form, State, at_rest
 from robust_filterpy.identification.recursive.tracker import START, ParameterTracker, continued
 from robust_filterpy.identification.recursive.watch import News
 from robust_filterpy.influence.functions import Influence
+from robust_filterpy.kernel.series import plain
 
 __all__ = ["TrackerBank"]
 
@@ -148,10 +149,11 @@ class TrackerBank(Returning):
             structure, theta=0.0 if told else None, start=samples, offset=offset, regressor=regressor, R_memory=R_memory
         )
         self._regressor, own = one.regressor, one.form.own
-        self.form = one.form._replace(
-            gradient=bank_setup.options("gradient", gradient, n, GRADIENTS),
-            guard=bank_setup.options("guard", guard, n, GUARDS),
-        )
+        form = one.form
+        self.form = Form.of(
+            structure, form.layout, form.has_offset, form.cleans, form.judges,
+            bank_setup.options("gradient", gradient, n, GRADIENTS), bank_setup.options("guard", guard, n, GUARDS),
+        )  # fmt: skip
         values = bank_setup.parameters(structure, 0.0 if theta is None else theta, n)
         spread = bank_setup.covariances("P", 100.0 if P is None else P, n, d)
         size = self.form.layout.n
@@ -178,6 +180,11 @@ class TrackerBank(Returning):
         return "\n".join([repr(self), *lines_of({"theta": self.theta, "std": self.std, "R": self.R})])
 
     # The models as they stand.
+
+    @property
+    def now(self) -> State:
+        """Everything that the recursion goes on from."""
+        return track.settled(self.form, self._now)[0]
 
     @property
     def theta(self) -> Array:
@@ -291,7 +298,7 @@ class TrackerBank(Returning):
             scaling=choices.scaling,
             information=choices.information,
         )
-        initial, now = (whole.rows(np.array([i])) for whole in (self._first, self._now))
+        initial, now = (whole.rows(np.array([i])) for whole in (self._first, self.now))
         continued(tracker, self._settings(i), initial, now, bool(self._enabled[i]))
         return tracker
 
@@ -325,7 +332,7 @@ class TrackerBank(Returning):
         inputs = bank_setup.inputs(self.structure, u, self.n)
         variances = None if R is None else bank_setup.variances(R, self.n)[:, None]
         signals = outputs[:, None], inputs[:, None], variances
-        now, out, news = track.advance(self.form, self._using(None), self._now, *signals)
+        now, out, news, _ = track.step(self.form, self._using(None), self._now, *signals)
         self._say(news)
         self._now = now
         return BankSample(*(column[:, 0] for column in out[2:]))
@@ -391,14 +398,12 @@ class TrackerBank(Returning):
 
     def _using(self, first: int | None) -> track.Settings:
         """Return what may have been changed since the last call; first: number of its first sample, None for one."""
-        choices = self._choices if track.serves(self._choices) else None
 
         def place(k: int, i: int) -> str:
             return f"actuator {i}: " if first is None else f"sample {first + k}: actuator {i}: "
 
-        return track.Settings(
-            choices, self._matrices("F"), self._matrices("Q"), self._alpha_sq, self._enabled, self._filter, place
-        )
+        rules, F, Q = track.rules_of(self._choices), *(plain(self._matrices(name))[:, None] for name in "FQ")
+        return track.Settings(rules, F, Q, self._alpha_sq, self._enabled, self._filter, place)
 
     def _filter(self, i: int) -> Any:
         """Return a filter of one actuator, for the definition."""
@@ -445,7 +450,7 @@ class TrackerBank(Returning):
             ``numpy.savez(file, **state)`` stores it.
         """
         settings = {**self._set_by_hand(), "enabled": self._enabled, "R": self._now.scale[:, 0]}
-        return _state.labelled(self.kind, {**self._now.arrays(), **settings})
+        return _state.labelled(self.kind, {**self.now.arrays(), **settings})
 
     def _set_by_hand(self) -> dict[str, Any]:
         """Return what the user may have set; a list as well."""

@@ -29,7 +29,7 @@ class Standing(EstimatedPolynomials, Responses):
     """What a filter with the parameters as its state, and a state of the recursion, say of the model."""
 
     structure: Structure
-    filter: Any
+    _filter: Any
     form: Form
     dt: float | None
     _now: State
@@ -48,15 +48,13 @@ class Standing(EstimatedPolynomials, Responses):
     @property
     def theta(self) -> Array:
         """Parameters, shape (n,)."""
-        return np.array(self.filter.x, dtype=float).ravel()[self.form.own]
+        return np.array(self._filter.x, dtype=float).ravel()[self.form.own]
 
     @property
     def now(self) -> State:
         """Everything that the recursion goes on from, as `TrackerBank` has it for many; theta, P and R the filter's."""
-        kf, scale = self.filter, self._now.scale.copy()
-        scale[0, 0] = setup.told_variance(kf)
-        x, P = np.array(kf.x, dtype=float).reshape(1, -1), np.array(kf.P, dtype=float)[None]
-        return self._now._replace(theta=x, P=P, scale=scale)
+        now = self._from_filter()
+        return track.settled(self.form, now._replace(theta=now.theta.copy(), P=now.P.copy()))[0]
 
     @property
     def offset(self) -> float:
@@ -73,7 +71,7 @@ class Standing(EstimatedPolynomials, Responses):
     @property
     def _constant(self) -> float:
         """Constant in phi' theta, for outputs from the centre."""
-        return float(np.ravel(self.filter.x)[self.structure.constant_place]) if self.form.has_offset else 0.0
+        return float(np.ravel(self._filter.x)[self.structure.constant_place]) if self.form.has_offset else 0.0
 
     @property
     def _rest_gains(self) -> tuple[float, float]:
@@ -89,26 +87,26 @@ class Standing(EstimatedPolynomials, Responses):
     @property
     def P(self) -> Array:
         """Covariance of the parameters, shape (n, n)."""
-        return np.array(self.filter.P, dtype=float)[np.ix_(self.form.own, self.form.own)]
+        return np.array(self._filter.P, dtype=float)[np.ix_(self.form.own, self.form.own)]
 
     @property
     def Q(self) -> Array:
         """Covariance of a step of theta (paper 8), shape (n, n); may be set, to a number q for q I."""
-        return np.array(self.filter.Q, dtype=float)[np.ix_(self.form.own, self.form.own)]
+        return np.array(self._filter.Q, dtype=float)[np.ix_(self.form.own, self.form.own)]
 
     @Q.setter
     def Q(self, value: ArrayLike) -> None:
         own = self.form.own
-        self.filter.Q = setup.embedded(self.filter.Q, own, setup.checked_values(len(own), Q=value)["Q"])
+        self._filter.Q = setup.embedded(self._filter.Q, own, setup.checked_values(len(own), Q=value)["Q"])
 
     @property
     def R(self) -> float:
         """Variance of the ordinary noise, as it is followed; may be set, and is then no longer followed."""
-        return setup.noise_variance(self.filter)
+        return setup.noise_variance(self._filter)
 
     @R.setter
     def R(self, value: float) -> None:
-        self.filter.R = setup.checked_values(self.form.layout.n, R=value)["R"]
+        self._filter.R = setup.checked_values(self.form.layout.n, R=value)["R"]
         self._now = self._now._replace(scale=self._now.scale * [1.0, 1.0, 1.0, 0.0, 1.0])
 
     @property
@@ -119,21 +117,21 @@ class Standing(EstimatedPolynomials, Responses):
     @property
     def F(self) -> Array:
         """Transition matrix C of (9), shape (n, n); may be set."""
-        return np.array(self.filter.F, dtype=float)[np.ix_(self.form.own, self.form.own)]
+        return np.array(self._filter.F, dtype=float)[np.ix_(self.form.own, self.form.own)]
 
     @F.setter
     def F(self, value: ArrayLike) -> None:
         own = self.form.own
-        self.filter.F = setup.embedded(self.filter.F, own, setup.checked_values(len(own), F=value)["F"])
+        self._filter.F = setup.embedded(self._filter.F, own, setup.checked_values(len(own), F=value)["F"])
 
     @property
     def forgetting(self) -> float:
         """Forgetting factor, in (0, 1]; may be set."""
-        return float(getattr(self.filter, "alpha", 1.0)) ** -2
+        return float(getattr(self._filter, "alpha", 1.0)) ** -2
 
     @forgetting.setter
     def forgetting(self, value: float) -> None:
-        setup.forget(self.filter, value)
+        setup.forget(self._filter, value)
 
     @property
     def std(self) -> Array:
@@ -167,7 +165,7 @@ class Standing(EstimatedPolynomials, Responses):
         """
         setup.require_next_input(self.structure, u)
         values = np.zeros(self.structure.n_inputs) if u is None else one_input(self.structure, u)
-        using = self._using(False)._replace(F=setup.matrix_of(self.filter, "F", np.eye(self.form.layout.n))[None])
+        using = self._using()._replace(F=setup.matrix_of(self._filter, "F", np.eye(self.form.layout.n))[None, None])
         return float(track.predicted(self.form, using, self.now, values[None])[0])
 
     def simulate(self, u: ArrayLike, *, continued: bool = False) -> Array:
@@ -195,7 +193,7 @@ class Standing(EstimatedPolynomials, Responses):
         signal = recorded_input(self.structure, u, None)
         if continued:
             layout, signal = self.form.layout, self.form.with_constant(signal)
-            x, memory, level = np.ravel(self.filter.x), Memory(*(a[0] for a in self._now.past)), self._now.centre[0]
+            x, memory, level = np.ravel(self._filter.x), Memory(*(a[0] for a in self._now.past)), self._now.centre[0]
         else:
             layout = Layout(self.structure)
             x, memory, level = self.theta, Memory.at_rest(layout), self.level
@@ -225,6 +223,10 @@ class Standing(EstimatedPolynomials, Responses):
         """
         return fit_percent(y, y_model)
 
-    def _using(self, recorded: bool) -> track.Settings:
-        """Return what may have been changed since the last call; recorded: whether the kernel may serve."""
+    def _using(self, first: int | None = None) -> track.Settings:
+        """Return what may have been changed since the last call."""
+        raise NotImplementedError
+
+    def _from_filter(self) -> State:
+        """Return the state with theta, P and R as the filter has them now."""
         raise NotImplementedError

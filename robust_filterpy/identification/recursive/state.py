@@ -14,12 +14,13 @@ from robust_filterpy import _checks, _state
 from robust_filterpy._checks import Array
 from robust_filterpy.correction import repeats
 from robust_filterpy.identification.models import gain
+from robust_filterpy.identification.models.guard import GUARDS
 from robust_filterpy.identification.models.regressor import Layout, Memory
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive.start import ColdStart
 from robust_filterpy.identification.recursive.watch import Followed, Windows
 
-__all__ = ["READINGS", "WINDUP", "Form", "State", "at_rest", "require_plausible"]
+__all__ = ["READINGS", "WINDUP", "Form", "State", "Unjudged", "at_rest", "require_plausible"]
 
 #: With forgetting and no excitation P grows without end; at so many times its first trace it stops.
 WINDUP = 1e8
@@ -46,6 +47,27 @@ class Form(NamedTuple):
     """"filtered" or "pseudolinear", (n,)."""
     guard: np.ndarray
     """One of `GUARDS`, (n,)."""
+    flags: np.ndarray
+    """What the kernel is to do, (n, 5): gradient filtered, guard, cleans, learns (written by the driver), judges."""
+
+    @classmethod
+    def of(
+        cls,
+        structure: Structure,
+        layout: Layout,
+        has_offset: bool,
+        cleans: bool,
+        judges: bool,
+        gradient: Any,
+        guard: Any,
+    ) -> Form:
+        """Return the form of n actuators, gradient and guard being arrays (n,) of words."""
+        places = np.arange(layout.n)
+        own = np.delete(places, structure.constant_place) if has_offset else places
+        flags = np.empty((len(guard), 5), dtype=np.intp)
+        flags[:, 0], flags[:, 1] = gradient == "filtered", [GUARDS.index(name) for name in guard]
+        flags[:, 2], flags[:, 3], flags[:, 4] = cleans, True, judges
+        return cls(structure, layout, own, has_offset, cleans, judges, gradient, guard, flags)
 
     @property
     def n_signals(self) -> int:
@@ -55,6 +77,22 @@ class Form(NamedTuple):
     def with_constant(self, u: Array) -> Array:
         """Return inputs (.., n_inputs) with the constant, where phi has one."""
         return np.concatenate((u, np.ones((*u.shape[:-1], 1))), axis=-1) if self.has_offset else u
+
+
+class Unjudged(NamedTuple):
+    """Samples that came one by one and wait to be looked at together."""
+
+    samples: tuple[tuple[Any, ...], ...] = ()
+    """y, u, prediction, residual, weight and guard of each, with the axes (n, 1)."""
+    due: int = 0
+    """After how many the next look at anything is."""
+    looked_at: int = 0
+    """After how many the next look at starts and at what residuals follow is."""
+    watched: Any = None
+    """The actuators that start anew if their residuals follow the inputs."""
+    enabled: bytes = b""
+    stuck: Any = None
+    """For how many samples each sensor had been stuck before."""
 
 
 class State(NamedTuple):
@@ -83,12 +121,18 @@ class State(NamedTuple):
     """The actuators that look for a model."""
     followed: Followed
     windows: Windows
+    unjudged: Unjudged = Unjudged()
 
     def copied(self) -> State:
         """Return it with copies of what a sample moves, to be written into."""
-        past = Memory(*(a.copy() for a in self.past))
-        return self._replace(theta=self.theta.copy(), P=self.P.copy(), scale=self.scale.copy(),
-            readings=self.readings.copy(), past=past)  # fmt: skip
+        past = Memory(*[a.copy() for a in self.past])
+        return State(self.theta.copy(), self.P.copy(), past, self.scale.copy(), self.readings.copy(), *self[5:])
+
+    def viewed(self, rows: slice) -> State:
+        """Return some actuators in the same arrays, for what moves with a sample."""
+        past = Memory(*(a[rows] for a in self.past))
+        arrays = {name: getattr(self, name)[rows] for name in _ARRAYS}
+        return self._replace(**arrays, past=past)
 
     def rows(self, which: np.ndarray) -> State:
         """Return the state of some actuators, in arrays of its own.

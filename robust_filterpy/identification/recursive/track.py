@@ -17,7 +17,6 @@ from robust_filterpy import kernel
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.identification.estimation.identify import identify
-from robust_filterpy.identification.models.guard import GUARDS
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.regressor import LARGEST
 from robust_filterpy.identification.models.results import Columns
@@ -26,12 +25,11 @@ from robust_filterpy.identification.recursive import setup
 from robust_filterpy.identification.recursive.handover import gone_on, with_gain
 from robust_filterpy.identification.recursive.recursion import Recursion, note
 from robust_filterpy.identification.recursive.start import ColdStart
-from robust_filterpy.identification.recursive.state import READINGS, Form, State
+from robust_filterpy.identification.recursive.state import READINGS, Form, State, Unjudged
 from robust_filterpy.identification.recursive.watch import News, Trouble, long_held
-from robust_filterpy.kernel.series import SCALINGS, plain, rule
+from robust_filterpy.kernel.series import SCALINGS, rule
 
-# So many samples at most go to the definition before the kernel has another try.
-_MOST_ODD = 1024
+_LEARNT = float(SCALINGS.index("learnt"))
 # Findings in the samples of which the first model is made that are said: what these break, the samples to come may too.
 _SAID = ("step", "ramp", "input outliers")
 
@@ -39,10 +37,10 @@ _SAID = ("step", "ramp", "input outliers")
 class Settings(NamedTuple):
     """What may be changed between two calls, and is then as it is for a whole call."""
 
-    choices: tuple[Choices, ...] | None
-    """Options of the correction, one for all or one each; None where the kernel does not serve."""
+    rules: Array | None
+    """Options of the correction, (1 or n, 1, 8); None where the kernel does not serve."""
     F: Array
-    """(1 or n, d, d); the definition takes those of the filters."""
+    """(1 or n, 1, d, d); the definition takes those of the filters."""
     Q: Array
     alpha_sq: Array
     """(n,)"""
@@ -52,16 +50,65 @@ class Settings(NamedTuple):
     """The filter of an actuator, for the definition."""
     place: Callable[[int, int], str]
     """How an error names a sample of an actuator."""
-    most_odd: int = _MOST_ODD
-    shows_last: bool = False
-    """Whether the filter is to show the last samples: the definition takes them."""
 
 
-def serves(choices: tuple[Choices, ...]) -> bool:
-    """Return whether the kernel takes samples under these options: a tracker's spread is not learnt, R is."""
-    learnt = float(SCALINGS.index("learnt"))
-    rules = (rule(choice) for choice in choices)
-    return kernel.extension() is not None and all(one is not None and one[4] != learnt for one in rules)
+def rules_of(choices: tuple[Choices, ...]) -> Array | None:
+    """Return the options for the kernel, None where it does not serve: a tracker's spread is not learnt, R is."""
+    rules = [rule(choice) for choice in choices]
+    if kernel.extension() is None or any(one is None or one[4] == _LEARNT for one in rules):
+        return None
+    return np.array(rules)[:, None]
+
+
+def settled(form: Form, now: State) -> tuple[State, News]:
+    """Return a state that has looked at the samples that wait for it, and what is to be said of them."""
+    waiting = now.unjudged
+    if not waiting.samples:
+        return now, []
+    parts = [np.concatenate(part, axis=1) for part in zip(*waiting.samples, strict=True)]
+    y, u, shown = parts[0], parts[1], Columns(*(parts[0], parts[0], *parts[2:]))
+    return _judged(form, now._replace(unjudged=Unjudged()), waiting, y, u, shown)
+
+
+def step(
+    form: Form, using: Settings, now: State, y: Array, u: Array, R: Array | None
+) -> tuple[State, Columns, News, bool]:
+    """Return what `advance` does of one sample, N = 1, and whether the kernel has taken it for all actuators.
+
+    What is looked at from time to time waits until that is due.
+    """
+    news: News = []
+    waiting = now.unjudged
+    if waiting.samples and waiting.enabled != using.enabled.tobytes():
+        now, news = settled(form, now)
+        waiting = now.unjudged
+    if using.rules is None or (now.starts and not now.begun.all()):
+        now, out, more = advance(form, using, now, y, u, R)
+        return now, out, news + more, False
+    if not waiting.samples:
+        waiting = _begun(form, using, now)
+    u = u.copy()
+    n, d = now.theta.shape
+    wide, narrow = (n, 1, d), (n, 1)
+    numbers = map(np.empty, (wide, wide, narrow, narrow, narrow))
+    out = Columns._make((*numbers, np.empty(narrow, dtype=np.int64)))
+    moved = now.copied()
+    done = _by_kernel(form, using, moved, (y, u, R), out)
+    by_kernel = 0 not in done.tolist()
+    if not by_kernel:
+        moved = _Stretch(form, using, now, (y, u, R), out).through(slice(0, 1))
+    samples = (*waiting.samples, (y, u, *out[2:]))
+    now = State(*moved[:-1], Unjudged(samples, *waiting[1:]))
+    # Of a sensor that is stuck the user hears at once.
+    if len(samples) >= waiting.due or (form.judges and any(now.readings[:, -1].tolist())):
+        now, more = settled(form, now)
+        news += more
+    return now, out, news, by_kernel
+
+
+def shown(form: Form, using: Settings, now: State, signals: tuple[Array, Array, Array | None]) -> None:
+    """Take one sample by the definition, so that the filter shows it."""
+    _Stretch(form, using, now, signals, Columns.empty(1, 1, form.layout.n)).through(slice(0, 1))
 
 
 def advance(
@@ -71,31 +118,18 @@ def advance(
 
     y and R (n, N), u (n, N, n_inputs), y NaN where it is missing, R None for that of the state.
     """
-    n, length = y.shape
-    said: News = []
-    out, k = Columns.empty(n, length, form.layout.n), 0
+    length = y.shape[1]
+    now, said = settled(form, now)
+    out, k = Columns.empty(*y.shape, form.layout.n), 0
     while k < length:
-        watched = _watched(form, using, now)
-        waits = [now.followed.waits(watched), *(max(start.waits, 1) for start in now.starts.values())]
-        part = slice(k, min(k + min(waits), length))
-        before = now.readings[:, -1]
+        waiting = _begun(form, using, now)
+        part = slice(k, min(k + waiting.looked_at, length))
         if not now.begun.all():
             _only_look_on(now, y, part, out)
         if now.begun.any():
             now = _Stretch(form, using, now, (y, u, R), out).through(part)
         shown = Columns(*(column[:, part] for column in out))
-        left_out = np.isnan(shown.residual) & ~np.isnan(y[:, part])
-        if left_out.any():
-            windows, news = now.windows.with_stuck(long_held(left_out, before))
-            now, said = now._replace(windows=windows), said + news
-        # A model that is looked for still claims nothing.
-        weights = shown.weights.copy()
-        weights[list(now.starts)] = np.nan
-        windows, news = now.windows.seen(
-            weights, shown.guard, shown.residual, now.scale[:, 0], form.has_offset, now.scale[:, 4]
-        )
-        said += news
-        now, news = _looked(form, using, now._replace(windows=windows), watched, y[:, part], u[:, part], shown)
+        now, news = _judged(form, now, waiting, y[:, part], u[:, part], shown)
         said += news
         k = part.stop
     return now, out, said
@@ -107,7 +141,7 @@ def predicted(form: Form, using: Settings, now: State, u: Array) -> Array:
     phi = past.regressor(form.layout, past.with_input(form.layout, u))
     wound_up = (using.alpha_sq != 1.0) & (np.einsum("ijj->i", now.P) > now.windup)
     with np.errstate(over="ignore", invalid="ignore"):
-        moved = (using.F @ now.theta[:, :, None])[:, :, 0]
+        moved = (using.F[:, 0] @ now.theta[:, :, None])[:, :, 0]
         theta = np.where((using.enabled & ~wound_up)[:, None], moved, now.theta)
         y = np.nan_to_num(np.einsum("ij,ij->i", phi, theta), posinf=LARGEST, neginf=-LARGEST)
     y = np.clip(y, -LARGEST, LARGEST) + now.centre
@@ -119,13 +153,31 @@ def predicted(form: Form, using: Settings, now: State, u: Array) -> Array:
 # From one look to the next.
 
 
-def _watched(form: Form, using: Settings, now: State) -> np.ndarray:
-    """Return the actuators that start anew if their residuals follow the inputs."""
-    mask = now.restarts & using.enabled
-    if not mask.any() or not form.structure.n_inputs:
-        return np.zeros(0, dtype=int)
+def _begun(form: Form, using: Settings, now: State) -> Unjudged:
+    """Return what is to be known before the first of some samples to look at them together."""
+    mask = now.restarts & using.enabled & bool(form.structure.n_inputs)
     mask[list(now.starts)] = False
-    return np.flatnonzero(mask)
+    watched = np.flatnonzero(mask)
+    looked_at = min([now.followed.waits(watched), *(max(start.waits, 1) for start in now.starts.values())])
+    due = min(looked_at, now.windows.waits)
+    return Unjudged((), due, looked_at, watched, using.enabled.tobytes(), now.readings[:, -1])
+
+
+def _judged(form: Form, now: State, waiting: Unjudged, y: Array, u: Array, shown: Columns) -> tuple[State, News]:
+    """Return what samples that have been taken say of sensors, models and starts."""
+    said: News = []
+    left_out = np.isnan(shown.residual) & ~np.isnan(y)
+    if left_out.any():
+        windows, news = now.windows.with_stuck(long_held(left_out, waiting.stuck))
+        now, said = now._replace(windows=windows), said + news
+    # A model that is looked for still claims nothing.
+    weights = shown.weights.copy()
+    weights[list(now.starts)] = np.nan
+    windows, news = now.windows.seen(
+        weights, shown.guard, shown.residual, now.scale[:, 0], form.has_offset, now.scale[:, 4]
+    )
+    now, more = _looked(form, now._replace(windows=windows), waiting, y, u, shown)
+    return now, said + news + more
 
 
 def _only_look_on(now: State, y: Array, part: slice, out: Columns) -> None:
@@ -136,15 +188,14 @@ def _only_look_on(now: State, y: Array, part: slice, out: Columns) -> None:
         out.residual[i, part] = y[i, part] - out.prediction[i, part]
 
 
-def _looked(
-    form: Form, using: Settings, now: State, watched: np.ndarray, y: Array, u: Array, shown: Columns
-) -> tuple[State, News]:
+def _looked(form: Form, now: State, waiting: Unjudged, y: Array, u: Array, shown: Columns) -> tuple[State, News]:
     """Return what these samples make of the starts, and of those that turn out to be lost."""
     news: News = []
+    watched, enabled = waiting.watched, np.frombuffer(waiting.enabled, dtype=bool)
     for i, start in list(now.starts.items()):
         start = start.added(y[i], u[i])
         now = now._replace(starts={**now.starts, i: start})
-        if using.enabled[i] and start.waits <= 0:
+        if enabled[i] and start.waits <= 0:
             now, said = _with_model(form, now, i, start)
             news += said
     if watched.size:
@@ -248,6 +299,22 @@ def _usual(form: Form, now: State, i: int, start: ColdStart, model: Model) -> tu
 # Through the samples.
 
 
+def _by_kernel(
+    form: Form, using: Settings, now: State, signals: tuple[Array, Array, Array | None], out: Columns
+) -> Any:
+    """Advance arrays in place, and return how many samples of each actuator the kernel has taken."""
+    done = np.zeros(len(now.theta), dtype=np.intp)
+    flags = form.flags
+    if not all(using.enabled.tolist()):
+        flags = flags.copy()
+        flags[:, 3] = using.enabled
+    kernel.extension().track(
+        form.layout.numbers, (using.rules, using.F, using.Q, using.alpha_sq, now.windup, now.centre, flags), signals,
+        (now.theta, now.P, *now.past, now.scale, now.readings), tuple(out), done,
+    )  # fmt: skip
+    return done
+
+
 class _Stretch:
     """The actuators that have begun, on their way from one look to the next."""
 
@@ -260,58 +327,36 @@ class _Stretch:
         self.now = now.copied() if now.begun.all() else now.rows(self.which)
 
     def through(self, part: slice) -> State:
-        """Take samples: by the kernel, and what that declines, or the filter is to show, by the definition."""
-        stops = self._last_shown(part)
-        done = self._by_kernel(slice(part.start, stops[0]), slice(None))
+        """Take samples: by the kernel, and those that it declines by the definition."""
+        done = np.full(len(self.which), part.start)
+        if self.using.rules is not None:
+            done += self._by_kernel(part, slice(None))
         for row in np.flatnonzero(done < part.stop).tolist():
-            self._finish(row, int(done[row]), stops)
+            k = int(done[row])
+            while k < part.stop:
+                until = part.stop if self.using.rules is None else k + 1
+                self._by_definition(row, slice(k, until))
+                k = until
+                if k < part.stop:
+                    k += int(self._by_kernel(slice(k, part.stop), slice(row, row + 1))[0])
         return self.now if self.before.begun.all() else self.before.with_rows(self.which, self.now)
 
-    def _last_shown(self, part: slice) -> list[int]:
-        """Return before which samples the kernel stops, since the filter is to show them, and the end."""
-        y = self.signals[0]
-        if not self.using.shows_last or part.stop < y.shape[1]:
-            return [part.stop]
-        if part.stop - part.start == 1:
-            return [part.start, part.stop]
-        known = part.start + np.flatnonzero(y[0, part] == y[0, part])
-        return [*sorted({*known[-1:].tolist(), part.stop - 1}), part.stop]
-
     def _by_kernel(self, part: slice, rows: slice) -> np.ndarray:
-        """Advance actuators and return the first sample of each that is left to the definition."""
-        form, using, now, here = self.form, self.using, self.now, self.which[rows]
-        done = np.zeros(len(here), dtype=np.intp)
-        if using.choices is None or part.start >= part.stop:
-            return part.start + done
-        y, u, R = self.signals
+        """Advance some actuators, and return how many samples of each the kernel has taken."""
+        here, (y, u, R) = self.which[rows], self.signals
         own = here if len(here) < len(y) else slice(None)
-        flags = np.empty((len(here), 5), dtype=np.intp)
-        flags[:, 0], flags[:, 1] = form.gradient[own] == "filtered", [GUARDS.index(name) for name in form.guard[own]]
-        flags[:, 2], flags[:, 3], flags[:, 4] = form.cleans, using.enabled[own], form.judges
-        rules = np.stack([rule(choice) for choice in using.choices])  # type: ignore[misc]
-        shared = [(a if len(a) == 1 else a[own])[:, None] for a in (rules, using.F, using.Q)]
-        written = [np.ascontiguousarray(column[own, part]) for column in self.out]
-        kernel.extension().track(
-            form.layout.numbers,
-            (*map(plain, (*shared, using.alpha_sq[own], now.windup[rows], now.centre[rows])), flags),
-            (y[own, part], u[own, part], None if R is None else R[own, part]),
-            tuple(a[rows] for a in (now.theta, now.P, *now.past, now.scale, now.readings)), tuple(written), done,
+        shared: Any = ((name, getattr(self.using, name)) for name in ("rules", "F", "Q"))
+        using = self.using._replace(
+            alpha_sq=self.using.alpha_sq[own], enabled=self.using.enabled[own],
+            **{name: a if len(a) == 1 else a[own] for name, a in shared},
         )  # fmt: skip
+        now = self.now if len(here) == len(self.which) else self.now.viewed(rows)
+        written = Columns(*(np.ascontiguousarray(column[own, part]) for column in self.out))
+        signals = y[own, part], u[own, part], None if R is None else R[own, part]
+        done = _by_kernel(self.form._replace(flags=self.form.flags[own]), using, now, signals, written)
         for column, block in zip(self.out, written, strict=True):
             column[own, part] = block
-        return part.start + done
-
-    def _finish(self, row: int, k: int, stops: list[int]) -> None:
-        """Take the rest of one actuator's samples: the definition those that are declined or to be shown."""
-        end, odd, kernel_serves = stops[-1], 1, self.using.choices is not None
-        while k < end:
-            shown, stop = k in stops[:-1], next(stop for stop in stops if stop > k)
-            until = min(k + (1 if shown else odd), stop) if kernel_serves else end
-            self._by_definition(row, slice(k, until))
-            k = until
-            if kernel_serves and k not in stops:
-                k = int(self._by_kernel(slice(until, stop), slice(row, row + 1))[0])
-                odd = 1 if k - until >= odd else min(2 * odd, self.using.most_odd)
+        return done
 
     def _by_definition(self, row: int, part: slice) -> None:
         """Take samples of one actuator by the definition."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import operator
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -36,13 +38,18 @@ from robust_filterpy.identification.recursive.returning import Returning, checke
 from robust_filterpy.identification.recursive.standing import Standing
 from robust_filterpy.identification.recursive.state import Form, State, at_rest
 from robust_filterpy.identification.recursive.tuned import TunedTracker, tuned
+from robust_filterpy.identification.recursive.watch import News
 from robust_filterpy.influence.functions import Influence
+from robust_filterpy.kernel.series import plain
 
 __all__ = ["ParameterTracker"]
 
 #: Samples that a tracker looks at before it takes a stand: OutputError(4, 4) with 10 % outliers needs about as many.
 START = 400
 
+# What of a filter the replay of a sample must leave as it was.
+_SET = ("x", "P", "R", "F", "Q", "_alpha_sq")
+_NONE = np.empty(0)
 # So many parameters are printed with a line for each.
 _SHOWN = 12
 
@@ -111,7 +118,8 @@ class ParameterTracker(Returning, Standing):
     structure : Structure
         As given.
     filter : filter object
-        The filter; Q, R, F and forgetting are read from it and written to it.
+        The filter; Q, R, F and forgetting are read from it and written to it. Its x, P and R are always those of the
+        last sample; what it shows of its last correction (y, S, K, weights, ..) is made when this attribute is read.
     form : Form
         What its recursion is, for what takes the recursion elsewhere (C, a fleet).
     enabled : bool
@@ -246,14 +254,13 @@ class ParameterTracker(Returning, Standing):
         self._regressor = default if regressor is None else _checks.option("regressor", regressor, REGRESSORS)
         has_offset = setup.has_offset(offset, structure, model, bool(samples))
         layout = Layout(structure.with_constant(), structure.n_inputs) if has_offset else Layout(structure)
-        places = np.arange(layout.n)
-        own = np.delete(places, structure.constant_place) if has_offset else places
         judges = self._regressor == "cleaned"
         cleans = judges and structure.na + structure.nd > 0
         self.structure = structure
-        self.form = Form(structure, layout, own, has_offset, cleans, judges, np.array([gradient]), np.array([guard]))
+        self.form = Form.of(structure, layout, has_offset, cleans, judges, np.array([gradient]), np.array([guard]))
+        own = self.form.own
         choices = {"influence": influence, "scaling": scaling, "information": information}
-        self.filter = kf = setup.make_filter(layout.n, filter, choices)
+        self._filter = kf = setup.make_filter(layout.n, filter, choices)
         setup.configure(kf, structure, own, self._given)
         if ready and Q is None:
             setup.warn_of_default_noise(kf)
@@ -268,6 +275,10 @@ class ParameterTracker(Returning, Standing):
             # What is given goes before what was found.
             setup.configure(kf, structure, own, {"theta": theta, "P": P})
             self.dt = model.dt
+        # A program may look at its own filter without asking the tracker.
+        self._shows_at_once = ready
+        self._unshown: list[tuple[Any, ...]] = []
+        self._used: tuple[tuple[Any, ...], track.Settings] | None = None
         self._initial = self.state()
         # The last time that a recording told, and how many samples came after it.
         self._time: tuple[Any, int] | None = None
@@ -328,13 +339,13 @@ class ParameterTracker(Returning, Standing):
         LinAlgError
             If the filter refuses the sample; nothing has changed then.
         """
-        variance = None if R is None else np.array([_checks.positive("R", R)])
-        output, values = np.array([one_output(y)]), one_input(self.structure, u)[None]
+        variance = None if R is None else np.array([[_checks.positive("R", R)]])
+        output, values = np.array([[one_output(y)]]), one_input(self.structure, u)[None, None]
         before = self._held()
         try:
-            out, time = self._advance(output, values, variance, False), self._time
+            out, time = self._stepped(self._using(), output, values, variance), self._time
             self._time = None if time is None else (time[0], time[1] + 1)
-            return Sample(*(column[0].item() for column in out[2:]))
+            return Sample(*map(np.ndarray.item, out[2:]))  # type: ignore[arg-type]
         except BaseException:
             self._put_back(before)
             raise
@@ -377,7 +388,8 @@ class ParameterTracker(Returning, Standing):
         A state holds no time: after `restore` and `reset` a recording may begin at any.
 
         Where the kernel serves (`robust_filterpy.kernel`) and the filter is a `RobustKalmanFilter` as it
-        comes with an influence function of this package, the numbers agree with those of `update` to rounding.
+        comes with an influence function of this package, a sample takes a few microseconds; the numbers are those of
+        `update` to the last bit.
         """
         axis, y, u, R = recording(self.structure, y=y, u=u, R=R)
         axis.require_period(self.dt)
@@ -470,44 +482,115 @@ class ParameterTracker(Returning, Standing):
             )
         return last, 0
 
-    #: Whether the filter shows its last samples; how many samples the definition takes at most before the kernel tries.
-    _shows_last, _most_odd = True, 1024
-
-    def _using(self, recorded: bool) -> track.Settings:
-        """Return what may have been changed since the last call; recorded: whether the kernel may serve."""
-        kf, n = self.filter, self.form.layout.n
-        choices = (kf.choices,) if recorded and setup.is_plain(kf, n) else None
-        if choices is not None and not track.serves(choices):
-            choices = None
-        F, Q = (kf.F[None], kf.Q[None]) if choices else (np.empty(0), np.empty(0))
-        alpha_sq = np.array([float(getattr(kf, "alpha", 1.0)) ** 2])
-        return track.Settings(
-            choices, F, Q, alpha_sq, np.array([bool(self.enabled)]), lambda i: kf,
-            lambda k, i: f"sample {k}: " if recorded else "", self._most_odd, self._shows_last,
+    def _using(self, first: int | None = None) -> track.Settings:
+        """Return what may have been changed since the last call; first: number of a recording's first sample."""
+        kf, n = self._filter, self.form.layout.n
+        rules = None
+        if setup.is_plain(kf, n):
+            settings = kf.F, kf.Q, kf._alpha_sq, kf.policy, bool(self.enabled), first
+            # What a sample depends on is made anew where something else has been set.
+            if self._used is not None and all(map(operator.is_, self._used[0], settings)):
+                return self._used[1]
+            rules = track.rules_of((kf.choices,))
+        F, Q = (_NONE, _NONE) if rules is None else (plain(kf.F)[None, None], plain(kf.Q)[None, None])
+        alpha_sq = np.array([float(getattr(kf, "_alpha_sq", 1.0))])
+        using = track.Settings(
+            rules, F, Q, alpha_sq, np.array([bool(self.enabled)]), lambda i: self.filter,
+            lambda k, i: "" if first is None else f"sample {first + k}: ",
         )  # fmt: skip
+        self._used = None if rules is None or F.base is not kf.F or Q.base is not kf.Q else (settings, using)
+        return using
 
-    def _advance(self, y: Array, u: Array, R: Array | None, recorded: bool = True) -> Columns:
-        """Take checked samples; the caller undoes what is refused or interrupted."""
-        R = None if R is None else R[None]
-        now, out, news = track.advance(self.form, self._using(recorded), self.now, y[None], u[None], R)
-        self._take_over(now)
+    def _advance(self, y: Array, u: Array, R: Array | None) -> Columns:
+        """Take the checked samples of a recording; the caller undoes what is refused or interrupted."""
+        y, u, R = y[None], u[None], None if R is None else R[None]
+        # The filter shows the last measured sample, and the last.
+        known = np.flatnonzero(y[0] == y[0])[-1:].tolist()
+        stops = sorted({0, *known, *(k + 1 for k in known), y.shape[1] - 1, y.shape[1]})
+        parts = []
+        for k, stop in pairwise(stops):
+            signals = y[:, k:stop], u[:, k:stop], None if R is None else R[:, k:stop]
+            if k + 1 == stop and k in (*known, y.shape[1] - 1):
+                parts.append(self._stepped(self._using(k), *signals))
+                continue
+            now, out, news = track.advance(self.form, self._using(k), self._from_filter(), *signals)
+            self._take_over(now)
+            self._say(news)
+            parts.append(out)
+        return Columns(*(np.concatenate(column, axis=1)[0] for column in zip(*parts, strict=True)))
+
+    def _stepped(self, using: track.Settings, y: Array, u: Array, R: Array | None) -> Columns:
+        """Take one checked sample; the caller undoes what is refused or interrupted."""
+        kf, before = self._filter, self._from_filter()
+        now, out, news, by_kernel = track.step(self.form, using, before, y, u, R)
+        if by_kernel:
+            kf.x, kf.P = now.theta[0].reshape(kf.x.shape).copy(), now.P[0].copy()
+            if now.scale[0, 0] != before.scale[0, 0]:
+                kf.R = now.scale[:1, :1].copy()
+            self._now = now
+            # S and K stay what the last measured sample made them.
+            kept = self._unshown[:1] if y[0, 0] != y[0, 0] else []
+            self._unshown = [*kept, (before, using, y, u, R)]
+            if self._shows_at_once:
+                self._show()
+        else:
+            self._take_over(now)
+        if news:
+            self._say(news)
+        return out
+
+    @property
+    def filter(self) -> Any:
+        """The filter. What it shows of its last correction (y, S, K, weights, ..) is made when this is read."""
+        if self._unshown:
+            self._show()
+        return self._filter
+
+    def _show(self) -> None:
+        """Let the filter show its last correction, which the kernel has made: take it again by the definition."""
+        kf, pending, self._unshown = self._filter, self._unshown, []
+        now = {name: getattr(kf, name) for name in _SET}
+        for before, using, y, u, R in pending:
+            kf.F, kf.Q, kf._alpha_sq = using.F[0, 0], using.Q[0, 0], using.alpha_sq.item()
+            # The size of its R is that of before, too.
+            kf.R = before.scale[:1, :1].copy()
+            try:
+                using = using._replace(rules=None, filter_of=lambda i: kf, place=lambda k, i: "")
+                track.shown(self.form, using, before, (y, u, R))
+            except (ValueError, np.linalg.LinAlgError):
+                kf._show_nothing()
+        for name, value in now.items():
+            setattr(kf, name, value)
+        kf.x_post, kf.P_post = kf.x.copy(), kf.P.copy()
+
+    def _from_filter(self) -> State:
+        """Return the state with theta, P and R as the filter has them now."""
+        kf, now = self._filter, self._now
+        r, x, P = setup.told_variance(kf), kf.x, kf.P
+        if r != now.scale[0, 0]:
+            scale = now.scale.copy()
+            scale[0, 0] = r
+            now = now._replace(scale=scale)
+        return now._replace(theta=np.asarray(x, dtype=float).reshape(1, -1), P=np.asarray(P, dtype=float)[None])
+
+    def _say(self, news: News) -> None:
+        """Warn of what is wrong."""
         for one in news:
             warn(f"ParameterTracker: {one.said}", one.category)
-        return Columns(*(column[0] for column in out))
 
     def _take_over(self, now: State) -> None:
         """Go on from another state."""
-        setup.load(self.filter, now.theta[0], now.P[0], float(now.scale[0, 0]))
+        setup.load(self._filter, now.theta[0], now.P[0], float(now.scale[0, 0]))
         self._now = now
 
     def _held(self) -> tuple[Any, ...]:
         """Return what a call changes."""
-        return held.Kept(self.filter), self._now, self._time, self.dt
+        return held.Kept(self._filter), self._now, self._time, self.dt, self._unshown
 
     def _put_back(self, before: tuple[Any, ...]) -> None:
         """Undo what was refused, or interrupted."""
-        kept, self._now, self._time, self.dt = before
-        kept.put_back(self.filter)
+        kept, self._now, self._time, self.dt, self._unshown = before
+        kept.put_back(self._filter)
 
     # Interruption.
 
@@ -530,22 +613,22 @@ class ParameterTracker(Returning, Standing):
             ``numpy.savez(file, **state)`` stores it.
         """
         arrays = {name: value[0] for name, value in self.now.arrays().items() if name != "kept"}
-        arrays |= {"enabled": np.array(bool(self.enabled)), **held.settings(self.filter), **kept_beside(self.filter)}
+        arrays |= {"enabled": np.array(bool(self.enabled)), **held.settings(self._filter), **kept_beside(self._filter)}
         return _state.labelled(self.kind, arrays)
 
     def _set_by_hand(self) -> dict[str, Any]:
         """Return what the user may have set of the filter."""
-        return held.settings(self.filter)
+        return held.settings(self._filter)
 
     def _go_back(self, state: Any) -> None:
         """Take over a state, or raise; nothing has changed then."""
         _state.require_kind(state, self.kind)
-        settings = {name: value.shape for name, value in held.settings(self.filter).items()}
+        settings = {name: value.shape for name, value in held.settings(self._filter).items()}
         found = checked(state, self.form, (), {}, settings)
         go_on_beside(self.filter, found["theta"], found["P"], state)
         held.apply_settings(self.filter, found)
         arrays = {name: value[None] for name, value in found.items()}
-        self._take_over(self._now.restored(arrays, np.array([setup.told_variance(self.filter)])))
+        self._take_over(self._now.restored(arrays, np.array([setup.told_variance(self._filter)])))
         self.enabled, self._time = bool(found["enabled"]), None
 
     def replaced(self, *, Q: ArrayLike | None = None, forgetting: float | None = None) -> ParameterTracker:
@@ -567,7 +650,7 @@ class ParameterTracker(Returning, Standing):
         values = {name: value for name, value in {"Q": Q, "forgetting": forgetting}.items() if value is not None}
         for name, value in values.items():
             setattr(found, name, value)
-        settings = held.settings(found.filter)
+        settings = held.settings(found._filter)
         kept = {name: settings[name] for name in ("Q", "alpha_sq") if name in settings}
         found._initial, found._given = found._initial | kept, found._given | values
         return found
@@ -575,7 +658,7 @@ class ParameterTracker(Returning, Standing):
 
 def continued(tracker: ParameterTracker, settings: dict[str, Array], initial: State, now: State, enabled: bool) -> None:
     """Let a tracker go on from now, and go back to initial when it is reset, both with these settings of its filter."""
-    held.apply_settings(tracker.filter, settings)
+    held.apply_settings(tracker._filter, settings)
     for state in (initial, now):
         tracker._take_over(state)
         tracker._initial = tracker._initial if state is now else tracker.state()

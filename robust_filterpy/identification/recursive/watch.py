@@ -334,6 +334,11 @@ class Windows(NamedTuple):
         """Return them before the first sample."""
         return cls(np.zeros((n, 0, 3)), np.full(n, np.nan), *(np.zeros(n, dtype=bool) for _ in range(3)))
 
+    @property
+    def waits(self) -> int:
+        """After how many samples the next window is full."""
+        return _WINDOW - self.recent.shape[1] % _WINDOW
+
     def emptied(self) -> Windows:
         """Return them with no samples; what has been said stays said."""
         return self._replace(**{name: getattr(Windows.none(len(self.R)), name) for name in ("recent", "R")})

@@ -1,0 +1,193 @@
+"""Samples that come one by one: the numbers of `run` to the last bit, and states that were stored before."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import support
+from filterpy.kalman import KalmanFilter
+
+from robust_filterpy import RobustKalmanFilter
+from robust_filterpy.identification import ARX, FIR, OutputError, ParameterTracker, TrackerBank
+from robust_filterpy.identification.models.results import TrackingResult
+from robust_filterpy.identification.recursive.watch import LostTrackerWarning
+
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
+STATES = Path(__file__).parent / "states"
+
+
+def recording(n=460, seed=5):
+    """An output-error recording with outliers and gaps."""
+    rng = np.random.default_rng(seed)
+    u, w = rng.choice([-1.0, 1.0], n), np.zeros(n)
+    for k in range(2, n):
+        w[k] = 1.5 * w[k - 1] - 0.7 * w[k - 2] + u[k - 1] + 0.5 * u[k - 2]
+    y = w + np.where(rng.random(n) < 0.1, 1.0, 0.1) * rng.normal(size=n)
+    y[rng.random(n) < 0.02] = np.nan
+    return y, u
+
+
+def one_by_one(tracker, y, u):
+    """What `update` gives, in the columns of a recording."""
+    samples = []
+    for k in range(len(y)):
+        samples.append((*tracker.update(y[k], u[k]), tracker.theta, tracker.std))
+    prediction, residual, weights, guard, theta, std = map(np.array, zip(*samples, strict=True))
+    return theta, std, prediction, residual, weights, guard
+
+
+MADE = [
+    lambda: ParameterTracker(OutputError(2, 2), start=200),
+    lambda: ParameterTracker(ARX(2, 2), start=200),
+    lambda: ParameterTracker(ARX(2, 2), theta=0.0, P=1.0, R=0.01, Q=1e-6),
+    lambda: ParameterTracker(OutputError(2, 2), start=0, forgetting=0.99, offset=True),
+    lambda: ParameterTracker(FIR(3), start=0, filter=KalmanFilter, R=0.01),
+    lambda: ParameterTracker(FIR(3), start=0, filter=RobustKalmanFilter(3, 1), R=0.01, Q=0.0),
+]
+
+
+@pytest.mark.parametrize("make", MADE)
+def test_update_gives_the_numbers_of_run_to_the_last_bit(make):
+    y, u = recording()
+    # Samples that the kernel leaves to the definition; a sensor that is stuck.
+    y[[120, 300]] = 1e9, -1e12
+    y[350:358] = y[350] + 3.0
+    one, other = make(), make()
+    columns = one_by_one(other, y, u)
+    # A model that is made of the samples so far is in the next row.
+    looks = np.isin(np.arange(1, len(y) + 1), [25, 50, 100, 200])
+    for name, found, expected in zip(TrackingResult._fields, one.run(y, u), columns, strict=True):
+        rows = ~looks if name in ("theta", "std") else slice(None)
+        np.testing.assert_array_equal(found[rows], expected[rows], err_msg=name)
+    for name, value in one.state().items():
+        np.testing.assert_array_equal(other.state()[name], value, err_msg=name)
+
+
+def test_a_bank_that_goes_sample_by_sample_is_its_run_to_the_last_bit():
+    y, u = recording(300)
+    y, u = np.stack((y, 2.0 * y), axis=1), np.stack((u, u), axis=1)
+    one, other = (TrackerBank(2, ARX(2, 2), start=100) for _ in range(2))
+    other.enabled[1] = one.enabled[1] = False
+    result = one.run(y, u)
+    for k in range(len(y)):
+        other.update(y[k], u[k])
+        if k + 1 not in (25, 50, 100):
+            np.testing.assert_array_equal(other.theta, result.theta[k])
+    for name, value in one.state().items():
+        np.testing.assert_array_equal(other.state()[name], value, err_msg=name)
+
+
+def test_the_samples_that_wait_for_a_look_are_in_a_state():
+    y, u = recording()
+    one, other = (ParameterTracker(OutputError(2, 2), start=100) for _ in range(2))
+    for k in range(330):
+        one.update(y[k], u[k])
+    restored = ParameterTracker(OutputError(2, 2), start=100)
+    restored.restore(one.state())
+    other.run(y[:330], u[:330])
+    for tracker in (one, restored):
+        for name, value in other.state().items():
+            np.testing.assert_array_equal(tracker.state()[name], value, err_msg=name)
+
+
+def test_a_plant_that_changes_is_said_at_the_same_sample():
+    y, u = recording(700, seed=6)
+    y[450:] = -y[450:]
+    said = []
+    for call in ("update", "run"):
+        tracker = ParameterTracker(OutputError(2, 2), start=200)
+        for k in range(len(y)):
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                tracker.update(y[k], u[k]) if call == "update" else tracker.run(y[k : k + 1], u[k : k + 1])
+            said += [(call, k, str(one.message)) for one in caught if issubclass(one.category, LostTrackerWarning)]
+    first, second = ([row[1:] for row in said if row[0] == call] for call in ("update", "run"))
+    assert first and first == second
+
+
+def test_the_filter_shows_its_last_correction():
+    y, u = recording(60)
+    y[-3:] = np.nan
+    made = [support.told_tracker(ARX(2, 2), R=0.01) for _ in range(3)]
+    names = "H x_prior P_prior x_post P_post z y S SI K e weights".split()
+    # The last one shows each sample when it comes, by the definition.
+    made[2].filter.predict = made[2].filter.predict
+    for tracker in made[1:]:
+        for k in range(60):
+            tracker.update(y[k], u[k])
+    made[0].run(y, u)
+    for name in names:
+        expected = np.array(getattr(made[2].filter, name), dtype=float)
+        for tracker in made[:2]:
+            found = np.array(getattr(tracker.filter, name), dtype=float)
+            np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9, err_msg=name)
+
+
+def test_a_filter_of_ones_own_is_up_to_date_without_the_tracker():
+    y, u = recording(60)
+    kf = RobustKalmanFilter(4, 1)
+    tracker = ParameterTracker(ARX(2, 2), filter=kf, R=0.01, Q=0.0)
+    for k in range(50):
+        sample = tracker.update(y[k], u[k])
+        np.testing.assert_array_equal(kf.x[:, 0], tracker.theta)
+        if y[k] == y[k]:
+            np.testing.assert_allclose(kf.y.item(), sample.residual, rtol=1e-9, atol=1e-12)
+
+
+def test_what_is_set_between_two_samples_counts():
+    y, u = recording(80)
+    one, other = (support.told_tracker(ARX(2, 2), R=0.01) for _ in range(2))
+    other.filter.predict = other.filter.predict
+    for k in range(80):
+        for tracker in (one, other):
+            if k == 20:
+                tracker.Q = 1e-4
+            if k == 30:
+                tracker.filter.P[:] *= 4.0
+            if k == 40:
+                tracker.filter.x[1] += 0.5
+            if k == 50:
+                tracker.forgetting, tracker.R = 0.97, 0.04
+            tracker.enabled = not 60 <= k < 65
+            tracker.update(y[k], u[k])
+        np.testing.assert_allclose(one.theta, other.theta, rtol=1e-8, atol=1e-10)
+        np.testing.assert_allclose(one.P, other.P, rtol=1e-8, atol=1e-14)
+
+
+# Stored before this file was written, by the release that was then current.
+
+
+def kinds():
+    """What each stored state belongs to."""
+    return {
+        "tracker": ParameterTracker(OutputError(2, 2)),
+        "tracker_paper": ParameterTracker(ARX(2, 2), start=0, Q=1e-6, R=0.01, forgetting=0.995),
+        "tracker_kalman": ParameterTracker(ARX(2, 2), filter=KalmanFilter, start=0, R=0.01),
+        "bank": TrackerBank(2, ARX(1, 1), start=100),
+    }
+
+
+@pytest.mark.parametrize("kind", list(kinds()))
+def test_a_state_that_was_stored_before_goes_on(kind):
+    y, u = recording()
+    with np.load(STATES / f"{kind}.npz") as file:
+        state = dict(file)
+    expected = state.pop("theta_after")
+    tracker = kinds()[kind]
+    tracker.restore(state)
+    if kind == "bank":
+        y, u = np.stack((y, 2.0 * y), axis=1), np.stack((u, u), axis=1)
+    for name, value in tracker.state().items():
+        np.testing.assert_array_equal(value, state[name], err_msg=name)
+    np.testing.assert_allclose(tracker.run(y[430:], u[430:]).theta[-1], expected, rtol=1e-9)
+
+
+def test_matrices_in_any_order_of_memory_serve():
+    y, u = recording(60)
+    F = np.asfortranarray(0.99 * np.eye(4) + np.triu(np.full((4, 4), 0.01), 1))
+    one, other = (ParameterTracker(ARX(2, 2), start=0, R=0.01) for _ in range(2))
+    bank = TrackerBank(1, ARX(2, 2), start=0, R=0.01)
+    one.filter.F, other.filter.F, bank.F = F, F.copy(order="C"), F
+    for k in range(60):
+        assert one.update(y[k], u[k])[0] == other.update(y[k], u[k])[0] == bank.update(y[k : k + 1], u[k])[0][0]
