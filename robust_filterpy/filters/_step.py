@@ -35,8 +35,6 @@ class StepMixin(Held):
 
     #: Whether the kernel's linear steps are this class's.
     _by_kernel = False
-    #: Whether a nonlinear correction may be: an ensemble asks for more than a record of the kernel keeps.
-    _by_moments = True
     #: Whether nobody else watches how often the filter clips.
     _counts_clipped = True
 
@@ -70,7 +68,7 @@ class StepMixin(Held):
         difference: Callable[[Array, Array], Array] = np.subtract,
     ) -> bool:  # fmt: skip
         """Correct by a nonlinear sensor, by z and its prediction or by y; C and S, or H and None."""
-        if _extension is None or not self._by_moments:
+        if _extension is None:
             return False
         if self._policy.noise is not None:
             return self._watched(_extension.correct_mixture_innovation, z, predicted, y, C, S, R)

@@ -94,9 +94,6 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
 
     _takes_process = _takes_mixtures = False
 
-    # How much each sensor has told is asked for, which a record of the kernel does not keep.
-    _by_moments = False
-
     def __init__(
         self,
         x: ArrayLike,
@@ -199,7 +196,8 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
             return
         apart, seen = self.sigmas - self.x, predicted - mean
         C, S = apart.T @ seen / (self.N - 1), seen.T @ seen / (self.N - 1) + R
-        last, kept = self._corrected(self.P, values, y, C, S, R, np.subtract, (m,))
+        found, kept = self._corrected(self.P, values, y, C, S, R, np.subtract, (m,))
+        last = found if isinstance(found, Correction) else found.as_arrays()._replace(memory=found.memory)
         require_finite(x=self.x + last.x)
         noise = self.rng.multivariate_normal(np.zeros(m), R, self.N)
         self.sigmas = self.sigmas + last.x + (noise - seen) @ self._shrinking(last, C).T

@@ -32,7 +32,7 @@ class NonlinearFilterMixin(RobustFilterMixin):
         handed it.
         """
         known = self._known(len(y))
-        if self._by_moments and self._policy.by_kernel and self._inverse is None:
+        if self._policy.by_kernel and self._inverse is None:
             taken = moments.correct(self._choices, known.memory, P, z, y, C, S, R)
             if taken is not None:
                 return taken, known.kept
