@@ -18,7 +18,9 @@ from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.whitening import Inverse
 from robust_filterpy.filters._insistence import Insistence, jump_of, nothing_refused, watched
-from robust_filterpy.kernel import moments
+from robust_filterpy.kernel import moments, series
+from robust_filterpy.kernel.records import Kept as Rows
+from robust_filterpy.kernel.records import State
 
 __all__ = ["Bounded", "finite_product"]
 
@@ -115,6 +117,19 @@ class Bounded:
         C = C if H is None else P @ H.T
         jump = jump_of(last, C, S - R if H is None else H @ C)
         return (last, kept) if jump is None else (last._replace(P=last.P + jump), kept.recovered())
+
+    def standing(self, kept: Any, x: Array, P: Array, memory: Array) -> State:
+        """Return where a recording begins, in arrays of its own."""
+        none = np.empty((0, len(x)))
+        return State(none, none[:, :, None], none, memory.copy(), x.copy(), P.copy())
+
+    def kept_of(self, kept: Any, state: State) -> Any:
+        """Return what is kept besides where a recording has come to."""
+        return kept
+
+    def advance(self, state: State, zs: Array, model: tuple[Any, ...], into: Rows, **how: Any) -> int:
+        """Take the steps of a recording as far as the kernel can, and return the first that was not taken."""
+        return series.run(self.choices, state, zs, model, into, **how)
 
     def entries(self, kept: Insistence | None, x: Array, P: Array) -> dict[str, Array]:
         """Return the count and the refused innovation that the next one is compared with."""

@@ -29,6 +29,8 @@ from robust_filterpy.correction.whitening import Inverse
 from robust_filterpy.filters._bounded import finite_product
 from robust_filterpy.influence.functions import Huber
 from robust_filterpy.kernel import learnt as half_step
+from robust_filterpy.kernel.records import Kept as Rows
+from robust_filterpy.kernel.records import State
 
 __all__ = ["Kept", "Mixture", "ordinary_noise"]
 
@@ -174,6 +176,18 @@ class Mixture:
             mean, covariance, *found[1:], np.zeros(n), P.copy(), H.copy(), R.copy(), None, y, known.memory, unexplained,
             self._named,
         ), known.kept  # fmt: skip
+
+    def standing(self, kept: Kept | None, x: Array, P: Array, memory: Array) -> State:
+        """Return where a recording begins, in arrays of its own."""
+        return half_step.begin(self.current(kept, x, P).copies, memory)
+
+    def kept_of(self, kept: Kept | None, state: State) -> Kept | None:
+        """Return what is kept besides where a recording has come to."""
+        return None if kept is None else Kept(*state[:3], state.x, state.P)
+
+    def advance(self, state: State, zs: Array, model: tuple[Any, ...], into: Rows, **how: Any) -> int:
+        """Take the steps of a recording as far as the kernel can, and return the first that was not taken."""
+        return half_step.run(state, zs, model, self.classes, self.scales, into, **how)
 
     def entries(self, kept: Kept | None, x: Array, P: Array) -> dict[str, Array]:
         """Return the copies as arrays of a state."""

@@ -10,13 +10,12 @@ import numpy as np
 from robust_filterpy._arrays import process_noise, state_of
 from robust_filterpy._checks import Array, all_covariances, entries, shown
 from robust_filterpy.filters._correlated import look_at_recording
-from robust_filterpy.filters._mixture import Kept
 from robust_filterpy.filters.mixin import RobustFilterMixin
 from robust_filterpy.filters.problem import read
 from robust_filterpy.filters.snapshot import unchanged_if_refused
 from robust_filterpy.filters.stuck import look_for_stuck
-from robust_filterpy.kernel import available, learnt, series
-from robust_filterpy.kernel.records import Model, Output
+from robust_filterpy.kernel import available, series
+from robust_filterpy.kernel.records import Kept
 
 
 class Given(NamedTuple):
@@ -35,15 +34,15 @@ class Steps(NamedTuple):
     """Steps of a recording as the kernel takes them, and where they leave what becomes of the filter."""
 
     zs: Array
-    """Measurements, shape (1, N, m)."""
-    model: Model
-    kept: Output
+    """Measurements, shape (N, m)."""
+    model: tuple[Array, ...]
+    """F, Q, H, R, B u, one a step or one for all."""
+    kept: Any
+    """A `robust_filterpy.kernel.records.Kept`."""
     options: dict[str, Any]
     """How far memory fades, and whether a step corrects first."""
     last_seen: int
     """The last step with a measurement, -1 if there is none."""
-    scales: Array | None
-    """Where the process scale of each step is noted, shape (N,), None if nowhere."""
 
 
 class RecordingMixin(RobustFilterMixin):
@@ -71,11 +70,8 @@ class RecordingMixin(RobustFilterMixin):
         covariances, covariances_p = np.zeros((n, dim_x, dim_x)), np.zeros((n, dim_x, dim_x))
         steps = None
         if by_kernel and n:
-            kept = Output(
-                means.reshape(1, n, dim_x), covariances[None], means_p.reshape(1, n, dim_x), covariances_p[None],
-                np.empty((1, 0, 0)), np.zeros(1),
-            )  # fmt: skip
-            steps = self._prepared(given, kept, bool(update_first), scales)
+            kept = Kept(*(a.reshape(n, -1) for a in (means, covariances, means_p, covariances_p)), scale=scales)
+            steps = self._prepared(given, kept, bool(update_first))
         k = 0
         with unchanged_if_refused(self):
             try:
@@ -101,7 +97,7 @@ class RecordingMixin(RobustFilterMixin):
                 raise
             return means, covariances, means_p, covariances_p
 
-    def _prepared(self, given: Given, kept: Output, update_first: bool, scales: Array | None) -> Steps | None:
+    def _prepared(self, given: Given, kept: Kept, update_first: bool) -> Steps | None:
         """Return the steps of a recording for the kernel, None if the call is for the filter's own methods."""
         zs, Fs, Qs, Hs, Rs, Bs, us = given
         kf: Any = self
@@ -125,78 +121,47 @@ class RecordingMixin(RobustFilterMixin):
         except (TypeError, ValueError, AttributeError, np.linalg.LinAlgError):
             # Let the filter's own methods say what is wrong, and at which step.
             return None
-        if self._policy.by_kernel and self._choices.scaling == "innovation":
-            kept = kept._replace(weights=np.full((1, *rows.zs.shape), np.nan))
-        model = Model(*(np.ascontiguousarray(a, dtype=float)[None] for a in rows[1:6]))
+        kept = kept._replace(weights=np.full(rows.zs.shape, np.nan))
+        model = tuple(np.ascontiguousarray(a, dtype=float) for a in rows[1:6])
         seen = np.flatnonzero(~np.isnan(rows.zs).all(axis=1))
         options = {"alpha_sq": float(self._alpha_sq), "update_first": update_first}
-        return Steps(rows.zs[None], model, kept, options, int(seen[-1]) if len(seen) else -1, scales)
+        return Steps(rows.zs, model, kept, options, int(seen[-1]) if len(seen) else -1)
 
     def _advance(self, steps: Steps, k: int) -> int:
         """Take steps from k on as far as the kernel can and return the next, which is the filter's.
 
         The filter's own are the last step and the last with a measurement: what they leave in it stays.
         """
-        last = steps.last_seen if k <= steps.last_seen else steps.zs.shape[1] - 1
+        last = steps.last_seen if k <= steps.last_seen else len(steps.zs) - 1
         if k >= last:
             return k
-        return self._advance_bounded(steps, k, last) if self._policy.by_kernel else self._advance_mixed(steps, k, last)
-
-    def _advance_bounded(self, steps: Steps, k: int, last: int) -> int:
-        """Take steps from k to last - 1 as far as the kernel can, and return the next."""
-        x, P = state_of(self)
-        state, covariance = x.reshape(1, -1).copy(), P[None].copy()
-        memory = self._known(steps.zs.shape[2]).memory[None].copy() if self._learns_spread else None
-        taken = int(
-            series.filter_series(
-                self._choices, steps.zs, steps.model, state, covariance, steps.kept, memory=memory, start=k, stop=last,
-                **steps.options,
-            )[0]
-        )  # fmt: skip
-        if taken > k:
-            # What else a step leaves in the filter, the filter's own next step sets anew.
-            self.x, self.P = state[0].reshape(x.shape), covariance[0]
-            if memory is not None:
-                self._learn(memory[0], len(memory[0]))
+        policy, (x, P), weights = self._policy, state_of(self), steps.kept.weights
+        state = policy.standing(self._kept, x.ravel(), P, self._known(steps.zs.shape[1]).memory)
+        taken: int = policy.advance(state, steps.zs, steps.model, steps.kept, first=k, last=last, **steps.options)
+        if taken == k:
+            return k
+        # What else a step leaves in the filter, the filter's own next step sets anew.
+        self.x, self.P = state.x.reshape(x.shape).copy(), state.P.copy()
+        self._kept = policy.kept_of(self._kept, state)
+        self._learn(state.learnt, len(state.learnt))
+        if policy.noise is None:
             if self._choices.scaling == "innovation":
-                self._look_back(steps.kept.weights[0, k:taken], _innovations(steps, k, taken))
-        return taken
-
-    def _advance_mixed(self, steps: Steps, k: int, last: int) -> int:
-        """Do the same under ``noise=``."""
-        policy = self._policy
-        x, P = state_of(self)
-        now = policy.current(self._kept, x.ravel(), P)
-        state = learnt.begin(now.copies, self._known(steps.zs.shape[2]).memory)
-        means, covariances, means_p, covariances_p = (array[0] for array in steps.kept[:4])
-        flat, weights = (len(means), -1), np.ones(steps.zs.shape[1:])
-        into = learnt.Kept(
-            means, covariances.reshape(flat), means_p, covariances_p.reshape(flat), weights=weights,
-            scale=steps.scales,
-        )  # fmt: skip
-        model = tuple(array[0] for array in steps.model)
-        taken = learnt.run(
-            state, steps.zs[0], model, policy.classes, policy.scales, into, first=k, last=last, **steps.options
-        )
-        if taken > k:
-            # What else a step leaves in the filter, the filter's own next step sets anew.
-            self.x, self.P = state.x.reshape(x.shape).copy(), state.P.copy()
-            self._kept = None if self._kept is None else Kept(*state[:3], state.x, state.P)
-            self._learn(state.learnt, len(state.learnt))
-            look_for_stuck(self, weights[k:taken], k)
-            if means_p.shape[1] and self._counts_clipped:
-                look_at_recording(self, _innovations(steps, k, taken), k)
+                self._look_back(weights[k:taken], _innovations(steps, k, taken))
+            return taken
+        look_for_stuck(self, weights[k:taken], k)
+        if self._counts_clipped:
+            look_at_recording(self, _innovations(steps, k, taken), k)
         return taken
 
 
 def _innovations(steps: Steps, first: int, last: int) -> Array:
     """Return the innovations of steps that have been taken, but for what was missing."""
-    means = steps.kept.means_p[0, first:last]
+    means = steps.kept.means_p[first:last]
     if steps.options["update_first"]:
         # A step's prediction comes after its correction, and the next corrects it.
         means = np.concatenate([means[:1], means[:-1]])
-    H = np.broadcast_to(steps.model.H[0], (steps.zs.shape[1], *steps.model.H.shape[2:]))[first:last]
-    return steps.zs[0, first:last] - np.einsum("kij,kj->ki", H, means)
+    H = np.broadcast_to(steps.model[2], (len(steps.zs), *steps.model[2].shape[1:]))[first:last]
+    return steps.zs[first:last] - np.einsum("kij,kj->ki", H, means)
 
 
 def _columns(given: Given) -> list[Any]:

@@ -9,11 +9,11 @@ from robust_filterpy.correction.policies import (
     Contaminated,
     Learnt,
     Scales,
-    noise_classes,
     noise_policy,
     process_policy,
-    process_scales,
 )
+from robust_filterpy.filters._bounded import Bounded
+from robust_filterpy.filters._mixture import Mixture
 from robust_filterpy.fusion._policies import BoundedInfluence, LearntNoise, Policy
 from robust_filterpy.fusion.sensors import Layout
 from robust_filterpy.influence.functions import Influence
@@ -45,12 +45,12 @@ def policy_of(layout: Layout, noise: Any, process: Any, influence: Influence | N
         if isinstance(noise, Contaminated):
             _require_told(layout, "noise that is told")
         # All sensors stand in one vector, in which each fails on its own, or a group together.
-        classes = noise_classes(Learnt() if noise is None else noise, layout.grouping)
-        return LearntNoise(classes, process_scales(Scales() if process is None else process))
+        told = Learnt() if noise is None else noise
+        return LearntNoise(Mixture(told, Scales() if process is None else process, layout.grouping))
     if noise is not None or process is not None:
         raise ValueError("influence: expected neither noise nor process beside it")
     _require_told(layout, "influence")
-    return BoundedInfluence(Choices(influence, grouping=layout.grouping))
+    return BoundedInfluence(Bounded(Choices(influence, grouping=layout.grouping)))
 
 
 def _require_told(layout: Layout, why: str) -> None:

@@ -7,7 +7,6 @@ every sensor has a noise, or a custom, of its own.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -17,14 +16,15 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction import copies as side_by_side
 from robust_filterpy.correction import spread
 from robust_filterpy.correction.copies import Copies, Scales
-from robust_filterpy.correction.definition import Innovation, correct, correct_by_custom, innovation_moments
-from robust_filterpy.correction.learning import NoiseClasses, describe, usual
-from robust_filterpy.correction.options import Choices
+from robust_filterpy.correction.learning import describe, usual
 from robust_filterpy.correction.policies import process_scales
+from robust_filterpy.correction.result import Correction
+from robust_filterpy.filters._mixture import Mixture
+from robust_filterpy.filters._policy import Known
 from robust_filterpy.fusion._first_readings import none_yet
 from robust_filterpy.kernel import learnt as learnt_kernel
-from robust_filterpy.kernel import series as series_kernel
-from robust_filterpy.kernel.records import Model, Output
+from robust_filterpy.kernel.record import weights_of
+from robust_filterpy.kernel.records import Kept
 
 __all__ = ["BoundedInfluence", "LearntNoise", "Policy", "State", "series"]
 
@@ -63,34 +63,50 @@ class Steps(NamedTuple):
     """(N, M)"""
 
 
-#: From a state, and the step that it stands before, to where the kernel came.
-Advance = Callable[[State, int], tuple[State, int]]
-
-
 def _copies(state: State) -> Copies:
     """Return the copies of a state."""
     return Copies(*state[:3])
 
 
-class LearntNoise:
-    """Copies side by side under noise that is a mixture of classes, learnt or told (`correction.learnt`).
+class _Judged:
+    """What both policies are: a filter's policy and the copies that it begins with.
 
     Parameters
     ----------
-    noise : NoiseClasses
-        Classes of measurement noise.
-    process : Scales
-        What the process may be.
+    judge : robust_filterpy.filters policy
+        What judges the measurements of a filter.
     """
 
-    def __init__(self, noise: NoiseClasses, process: Scales) -> None:
-        """Keep the choices."""
-        self.noise, self.doubt = noise, process
+    doubt: Scales = process_scales(None)
+
+    def __init__(self, judge: Any) -> None:
+        """Keep it."""
+        self.judge = judge
 
     def start(self, x: Array, P: Array, sizes: Array, u: Array) -> State:
         """Return the state before anything has happened."""
         M, begun = len(sizes), side_by_side.start(x, P, self.doubt)
-        return State(*begun, self.noise.start(M), x, P, sizes, u, none_yet(M))
+        return State(*begun, self.judge.begin(M), x, P, sizes, u, none_yet(M))
+
+    def advance(self, state: State, zs: Array, model: tuple[Array, ...], into: Kept, first: int) -> tuple[State, int]:
+        """Take steps as far as the kernel can, and return where it came."""
+        stands = learnt_kernel.begin(_copies(state), state.memory)
+        stands.x[:], stands.P[:] = state.x, state.P
+        reached = self.judge.advance(stands, zs, model, into, first=first)
+        return (self._reached(stands, state) if reached > first else state), reached
+
+    def _reached(self, stands: learnt_kernel.State, state: State) -> State:
+        """Return where the kernel came, as a state."""
+        raise NotImplementedError
+
+
+class LearntNoise(_Judged):
+    """Copies side by side under noise that is a mixture of classes, learnt or told (`filters._mixture.Mixture`)."""
+
+    def __init__(self, judge: Mixture) -> None:
+        """Keep the choices."""
+        super().__init__(judge)
+        self.noise, self.doubt = judge.classes, judge.scales
 
     def predicted(self, state: State, F: Array, Q: Array, drift: Array) -> State:
         """Return the state after a stretch of time."""
@@ -127,79 +143,49 @@ class LearntNoise:
         """Return the factor of Q that is thought likely."""
         return float(np.exp(np.mean(np.log(self.doubt.scales) @ side_by_side.slow(_copies(state), self.doubt))))
 
-    def kernel(self, zs: Array, model: tuple[Array, ...], into: Steps) -> Advance:
-        """Return what takes the kernel's steps, as many as it can."""
-        F, Q, drift, H, R = model
-        kept = learnt_kernel.Kept(into.x, into.P.reshape(len(zs), -1), weights=into.weights)
-
-        def advance(state: State, first: int) -> tuple[State, int]:
-            stands = learnt_kernel.begin(_copies(state), state.memory)
-            reached = learnt_kernel.run(stands, zs, (F, Q, H, R, drift), self.noise, self.doubt, kept, first=first)
-            if reached > first:
-                state = self._of(Copies(*stands[:3]), stands.x, stands.P, state)._replace(memory=stands.learnt)
-            return state, reached
-
-        return advance
+    def _reached(self, stands: learnt_kernel.State, state: State) -> State:
+        """Return where the kernel came, as a state."""
+        return self._of(Copies(*stands[:3]), stands.x, stands.P, state)._replace(memory=stands.learnt)
 
 
-class BoundedInfluence:
-    """One state and a bounded influence function, by custom or as told (`correction.definition`).
-
-    Parameters
-    ----------
-    choices : Choices
-        Influence function, scaling, information, grouping.
-    """
-
-    def __init__(self, choices: Choices) -> None:
-        """Keep the choices."""
-        self.choices = choices
-        self.by_custom = choices.scaling == "learnt" and not choices.is_linear
-
-    def start(self, x: Array, P: Array, sizes: Array, u: Array) -> State:
-        """Return the state before anything has happened."""
-        one = side_by_side.start(x, P, process_scales(None))
-        return State(*one, spread.begin(len(sizes)), x, P, sizes, u, none_yet(len(sizes)))
+class BoundedInfluence(_Judged):
+    """One state and a bounded influence function, by custom or as told (`filters._bounded.Bounded`)."""
 
     def predicted(self, state: State, F: Array, Q: Array, drift: Array) -> State:
         """Return the state after a stretch of time."""
-        x, P = F @ state.x + drift, F @ state.P @ F.T + Q
-        P = 0.5 * (P + P.T)
+        x, P, _ = self.judge.predicted(None, state.x, state.P, F, Q, drift, 1.0)
         require_finite_prediction(x, P)
-        return state._replace(x=x, P=P, means=x[None], covariances=P[None])
+        return self._at(x, P, state)
 
     def weighed(self, state: State, z: Array, H: Array, R: Array, learns: Any) -> tuple[State, Array]:
         """Return the state after the readings of one moment, and their weights."""
-        part = np.flatnonzero(~np.isnan(z))
-        weights, H, R, memory = np.full(len(z), np.nan), H[part], R[np.ix_(part, part)], state.memory
-        y, choices = z[part] - H @ state.x, self._of_those(part)
-        C, S = innovation_moments(state.P, H, R)
-        if self.by_custom:
-            found = correct_by_custom(memory[part], state.x, state.P, Innovation(z[part], y, C, S, R, H), choices)
-            memory = memory.copy()
-            memory[part] = np.where(np.broadcast_to(learns, len(z))[part, None], found.memory, memory[part])
-        else:
-            found = correct(state.x, state.P, y, C, S, choices)
-        weights[part] = found.weights
-        state = state._replace(x=found.x, P=found.P, means=found.x[None], covariances=found.P[None], memory=memory)
-        return state, weights
+        seen = ~np.isnan(z)
+        if not seen.any():
+            return state, np.full(len(z), np.nan)
+        found, _ = self.judge.corrected(Known(state.memory, None), state.x, state.P, z, H, R, None, None)
+        if self.judge.learns:
+            keeps = (seen & np.broadcast_to(learns, len(z)))[:, None]
+            state = state._replace(memory=np.where(keeps, found.memory, state.memory))
+        weights = found.weights if isinstance(found, Correction) else weights_of(found.record)
+        return self._at(found.x, found.P, state), weights
 
-    def _of_those(self, part: np.ndarray) -> Choices:
-        """Return the choices with the groups of those that have spoken."""
-        if self.choices.grouping == "component":
-            return self.choices
-        groups = [tuple(np.flatnonzero(np.isin(part, group)).tolist()) for group in self.choices.grouping]
-        return self.choices.changed(grouping=tuple(group for group in groups if group))
+    def _at(self, x: Array, P: Array, state: State) -> State:
+        """Return a state elsewhere."""
+        return state._replace(x=x, P=P, means=x[None], covariances=P[None])
+
+    def _reached(self, stands: learnt_kernel.State, state: State) -> State:
+        """Return where the kernel came, as a state."""
+        return self._at(stands.x, stands.P, state)._replace(memory=stands.learnt)
 
     def factors(self, state: State) -> Array:
         """Return what a component's innovations are over what was told, in variance, as learnt."""
         known = state.memory[:, spread.WEIGHT] > 0
-        return np.where(known & self.by_custom, state.memory[:, spread.SPREAD] ** 2, 1.0)
+        return np.where(known & self.judge.learns, state.memory[:, spread.SPREAD] ** 2, 1.0)
 
     def contamination(self, state: State) -> Array:
         """Return the share of far innovations of each component, NaN where none is learnt."""
         known = state.memory[:, spread.WEIGHT] > 0
-        return np.where(known & self.by_custom, state.memory[:, spread.SHARE], np.nan)
+        return np.where(known & self.judge.learns, state.memory[:, spread.SHARE], np.nan)
 
     def classes(self, state: State) -> tuple[Array, Array]:
         """Return the factors of ordinary noise's variance that outliers may have, and their shares."""
@@ -209,25 +195,6 @@ class BoundedInfluence:
     def process(self, state: State) -> float:
         """Return the factor of Q that is thought likely."""
         return 1.0
-
-    def kernel(self, zs: Array, model: tuple[Array, ...], into: Steps) -> Advance:
-        """Return what takes the kernel's steps, as many as it can."""
-        F, Q, drift, H, R = model
-        n = into.x.shape[1]
-        kept = Output(into.x[None], into.P[None], np.empty((1, 0, n)), np.empty((1, 0, n, n)), into.weights[None],
-                      np.zeros(1))  # fmt: skip
-        stacks = Model(F[None], Q[None], H[None], R[None], drift[None])
-
-        def advance(state: State, first: int) -> tuple[State, int]:
-            if not series_kernel.serves(self.choices):
-                return state, first
-            x, P, memory = state.x[None].copy(), state.P[None].copy(), state.memory[None].copy()
-            reached = series_kernel.filter_series(
-                self.choices, zs[None], stacks, x, P, kept, memory=memory, start=first
-            )  # fmt: skip
-            return state._replace(x=x[0], P=P[0], means=x, covariances=P, memory=memory[0]), int(reached[0])
-
-        return advance
 
 
 #: What a fusion asks of a filter. Both have the methods that `LearntNoise` has.
@@ -255,13 +222,13 @@ def series(
     x, P, weights : ndarray, shape (N, n), (N, n, n), (N, M)
     state : State
     """
-    n, model, first = len(state.x), (F, Q, drift, H, R), 0
+    n, model, first = len(state.x), (F, Q, H, R, drift), 0
     steps = Steps(np.empty((len(zs), n)), np.empty((len(zs), n, n)), np.empty(zs.shape))
-    advance = policy.kernel(zs, model, steps)
+    into = Kept(steps.x, steps.P.reshape(len(zs), n * n), weights=steps.weights)
     while first < len(zs):
-        state, reached = advance(state, first)
+        state, reached = policy.advance(state, zs, model, into, first)
         if reached == first:
-            F_k, Q_k, drift_k, H_k, R_k = (part[first % len(part)] for part in model)
+            F_k, Q_k, H_k, R_k, drift_k = (part[first % len(part)] for part in model)
             moved = policy.predicted(state, F_k, Q_k, drift_k)
             state, steps.weights[first] = policy.weighed(moved, zs[first], H_k, R_k, True)
             steps.x[first], steps.P[first], reached = state.x, state.P, first + 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -15,46 +15,13 @@ from robust_filterpy.correction.copies import Copies, Scales
 from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.learnt import Corrected
 from robust_filterpy.correction.whitening import Inverse
+from robust_filterpy.kernel.records import Kept, State
 from robust_filterpy.kernel.series import plain
 
 __all__ = ["Kept", "State", "begin", "correct", "predict", "rule", "run"]
 
 #: Which half of a step is taken.
 PREDICTION, CORRECTION, BOTH = 1, 2, 3
-
-
-class State(NamedTuple):
-    """Where a recording stands; arrays that a run changes in place."""
-
-    means: Array
-    """(q, n)"""
-    covariances: Array
-    """(q, n, n)"""
-    belief: Array
-    """(q + 2, n)"""
-    learnt: Array
-    """(m, ..)"""
-    x: Array
-    """Mean of all, (n,)."""
-    P: Array
-    """Its covariance, (n, n)."""
-
-
-class Kept(NamedTuple):
-    """What a run writes into, a row for each kept step; None where nothing is wanted."""
-
-    means: Array | None = None
-    covariances: Array | None = None
-    """(rows, n n) or, for the diagonals, (rows, n); as covariances_p."""
-    means_p: Array | None = None
-    covariances_p: Array | None = None
-    weights: Array | None = None
-    outlying: Array | None = None
-    """(rows, m), as weights."""
-    scale: Array | None = None
-    """(rows, n)"""
-    log_likelihood: Array | None = None
-    """(1,), added to."""
 
 
 @lru_cache(maxsize=64)

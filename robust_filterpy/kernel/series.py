@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from robust_filterpy import kernel
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import GROUPINGS, Choices
 from robust_filterpy.influence.functions import Linear
-from robust_filterpy.kernel.records import Model, Output
+from robust_filterpy.kernel.records import Kept, Model, Output, State
 
-__all__ = ["JOINT_MOST", "filter_series", "plain", "rule", "serves"]
+__all__ = ["JOINT_MOST", "filter_series", "plain", "rule", "run", "serves"]
 
 # As psi.h and correction.h number them, too.
 _KINDS = ("linear", "huber", "hampel", "tukey", "student_t")
@@ -137,6 +139,37 @@ def filter_series(
         (start, zs.shape[1] if stop is None else stop, low, high, float(alpha_sq), bool(update_first), every), width,
     )  # fmt: skip
     return done
+
+
+def run(
+    choices: Choices, state: State, zs: Array, model: tuple[Any, ...], kept: Kept,
+    *, first: int = 0, last: int | None = None, alpha_sq: float = 1.0, update_first: bool = False,
+) -> int:  # fmt: skip
+    """Take the steps of one recording as far as the kernel can, in place, and return the first that was not taken.
+
+    Parameters
+    ----------
+    choices : Choices
+        Influence function, scaling, information, grouping.
+    state, zs, model, kept, first, last, alpha_sq, update_first
+        As `robust_filterpy.kernel.learnt.run` takes them.
+
+    Returns
+    -------
+    int
+    """
+    if not serves(choices):
+        return first
+    done, n = np.full(1, first, dtype=np.intp), len(state.x)
+    last = len(zs) if last is None else last
+    width = 0 if kept.covariances is None else kept.covariances.shape[1]
+    matrices = (*model[:4], np.zeros((1, n)) if model[4] is None else model[4])
+    kernel.extension().filter_series(
+        rule(choices), plain(zs)[None], tuple(plain(a)[None] for a in matrices), state.x[None], state.P[None],
+        state.learnt[None], tuple(None if a is None else a[None] for a in kept[:5]), np.zeros(1), done,
+        (first, last, 0, 1, alpha_sq, bool(update_first), 1), width,
+    )  # fmt: skip
+    return int(done[0])
 
 
 def plain(array: Array) -> Array:

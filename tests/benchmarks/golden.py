@@ -218,8 +218,8 @@ def nonlinear_cases():
 
 def others():
     """Yield smoothers, fusion, fleet."""
-    for name in ("default", "learnt", "told", "adaptive"):
-        options = {k: v for k, v in OPTIONS[name].items() if k in ("noise", "process")}
+    for name in ("default", "learnt", "told", "adaptive", "tukey"):
+        options = {k: v for k, v in OPTIONS[name].items() if k in ("noise", "process", "influence")}
 
         def fused(options=options):
             sensors = {

@@ -6,7 +6,7 @@ import support
 from filterpy.common import Saver
 
 from robust_filterpy import Contaminated, Huber, RobustKalmanFilter
-from robust_filterpy.kernel import learnt, series
+from robust_filterpy.filters import _bounded, _mixture
 
 support.needs_kernel()
 
@@ -16,30 +16,24 @@ N = 1500
 @pytest.fixture
 def count(monkeypatch):
     """Count the steps that the kernel took, so that no test passes because they were not used."""
-    taken = []
-    filter_series = series.filter_series
-
-    def counting(*args, start=0, **kwargs):
-        done = filter_series(*args, start=start, **kwargs)
-        taken.append(int(done[0]) - start)
-        return done
-
-    monkeypatch.setattr(series, "filter_series", counting)
-    return taken
+    return counted(monkeypatch, _bounded.Bounded)
 
 
 @pytest.fixture
 def count_mixture(monkeypatch):
-    """Count the steps that the kernel took in a call of several: one alone is a half step of the filter's own."""
-    taken, run = [], learnt.run
+    """Count them under noise=."""
+    return counted(monkeypatch, _mixture.Mixture)
 
-    def counting(state, zs, *args, first=0, **kwargs):
-        done = run(state, zs, *args, first=first, **kwargs)
-        if len(zs) > 1:
-            taken.append(done - first)
+
+def counted(monkeypatch, policy):
+    taken, advance = [], policy.advance
+
+    def counting(*args, first=0, **kwargs):
+        done = advance(*args, first=first, **kwargs)
+        taken.append(done - first)
         return done
 
-    monkeypatch.setattr(learnt, "run", counting)
+    monkeypatch.setattr(policy, "advance", counting)
     return taken
 
 
