@@ -6,7 +6,6 @@ assigns x or P from outside has assigned it to every copy.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -32,7 +31,7 @@ from robust_filterpy.kernel import learnt as half_step
 from robust_filterpy.kernel.records import Kept as Rows
 from robust_filterpy.kernel.records import State
 
-__all__ = ["Kept", "Mixture", "ordinary_noise"]
+__all__ = ["Kept", "Mixture", "any_outlier", "ordinary_noise"]
 
 
 class Kept(NamedTuple):
@@ -245,13 +244,7 @@ class Mixed(NamedTuple):
     @property
     def outlier_probability(self) -> float:
         """Probability that a component was an outlier; sensors that fail together have one."""
-        outlying: list[float] = self.outlier_probabilities.tolist()
-        if len(self.memory) == 1:
-            return max(outlying)
-        groups = [[outlying[i] for i in group if i < len(outlying)] for group in self.together]
-        named = {i for group in self.together for i in group}
-        each = [p for i, p in enumerate(outlying) if i not in named] + [max(group, default=0.0) for group in groups]
-        return 1.0 - math.prod(1.0 - p for p in each)
+        return float(any_outlier(self.outlier_probabilities, "joint" if len(self.memory) == 1 else self.together))
 
     def as_arrays(self) -> Correction:
         """Return everything that a correction shows, of the merged prior and ordinary noise as it was learnt before."""
@@ -275,6 +268,16 @@ class Mixed(NamedTuple):
             self.x, self.P, C, y, S, score, T.T.dot(T), e, weights, psi_deriv, order, "innovation",
             self.log_density,
         )  # fmt: skip
+
+
+def any_outlier(outlying: Array, grouping: Any) -> Array:
+    """Return the probability that any sensor, the last axis, was an outlier; those that fail together have one."""
+    m = outlying.shape[-1]
+    named = [range(m)] if grouping == "joint" else [] if grouping == "component" else grouping
+    leads = {i: min(group) for group in named for i in group}
+    places = [[i for i in range(m) if leads.get(i, i) == lead] for lead in range(m)]
+    each = [outlying[..., group].max(axis=-1) for group in places if group]
+    return np.asarray(each[0] if len(each) == 1 else 1.0 - np.prod([1.0 - p for p in each], axis=0))
 
 
 def ordinary_noise(R: Array, memory: Array) -> Array:

@@ -78,10 +78,10 @@ def test_series_are_a_loop_over_filters(options, served, monkeypatch):
     assert_same(learning(zs, *arguments(problem), **options), by_filters(problem, zs, **options))
 
 
-@pytest.mark.parametrize("why", ["joint", "correlated"])
+@pytest.mark.parametrize("why", ["joint", "groups", "correlated"])
 def test_so_are_sensors_that_have_to_do_with_each_other(why):
     problem, zs = problem_and_series()
-    grouping = "joint" if why == "joint" else "component"
+    grouping = {"joint": "joint", "groups": ((0, 1),), "correlated": "component"}[why]
     if why == "correlated":
         problem = support.with_(problem, R=problem.R + 0.1)
     found = learning(zs, *arguments(problem), grouping=grouping)
