@@ -2,7 +2,7 @@
 
     python tests/benchmarks/identification_study.py [part ..] [--plants 100] [--orders 2 3 4 6] [--seed 0]
 
-Parts: intervals, tracker, drifting, noise_scale, regressors, plants, noise, sampling, invariance, time, arx, focus.
+Parts: intervals, tracker, drifting, noise_scale, regressors, plants, noise, sampling, invariance, time, arx.
 
 Beside it: the estimate that starts at the truth, the one that knows which samples are outliers, scipy's
 `least_squares(loss="soft_l1")` from a naive start, filterpy's Kalman filter in the tracker, and padasip's recursive
@@ -26,7 +26,6 @@ from padasip.filters import FilterRLS
 
 from robust_filterpy import ARX, Huber, Linear, OutputError, ParameterTracker, identify
 from robust_filterpy.correction.contaminated import Contaminated
-from robust_filterpy.identification import BoxJenkins, StateSpace
 from robust_filterpy.identification.estimation.prediction_error import minimised
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
@@ -438,38 +437,6 @@ def regressors(arguments):
             target("tracker, cleaned, over label-knowing", rms["cleaned"] / rms["label-knowing"], 1.3)
 
 
-# A slow pole, and a resonance that a model of first order has no room for; and the band that is asked for.
-LARGE, BAND = (np.array([0.0, 0.02, 0.05]), np.convolve([1.0, -0.95], [1.0, -1.2, 0.8])), (0.005, 0.1)
-
-
-def focus(arguments):
-    """How far off a model that is too small is within a band, and whether intervals of one that is not hold."""
-    w = np.linspace(*BAND, 30)
-    truth = scipy.signal.freqz(*LARGE, w)[1]
-    for structure in (OutputError(1, 1), ARX(1, 1), BoxJenkins(1, 1, 1, 1), StateSpace(1)):
-        for share in (0.0, 0.1):
-            off = {None: [], (None, BAND[1]): []}
-            for plant in range(arguments.plants):
-                rng = np.random.default_rng([arguments.seed, 31, plant])
-                u, v = rng.normal(size=1500), 0.05 * rng.normal(size=1500)
-                y = 3.0 + scipy.signal.lfilter(*LARGE, u) + v * np.where(rng.random(1500) < share, 20.0, 1.0)
-                for band, errors in off.items():
-                    model = identify(y, u, structure, focus=band, progress=False)
-                    found = np.ravel(model.frequency_response(w, dt=1.0).response)
-                    errors.append(np.sqrt(np.mean(np.abs(found / truth - 1.0) ** 2)))
-            without, with_it = (float(np.median(errors)) for errors in off.values())
-            print(f"{structure}, contamination {share}: off by {without:.3f}, with the focus {with_it:.3f}", flush=True)
-    for band in ((0.1, 0.8), (None, 0.3)):
-        inside = []
-        for plant in range(arguments.plants):
-            rng = np.random.default_rng([arguments.seed, 32, plant])
-            u, v = rng.normal(size=500), 0.05 * rng.normal(size=500)
-            y = scipy.signal.lfilter([0.0, 1.0], [1.0, -0.8], u) + v * np.where(rng.random(500) < 0.1, 20.0, 1.0)
-            model = identify(y, u, OutputError(1, 1), focus=band, progress=False)
-            inside.append(np.abs(model.theta - [-0.8, 1.0]) < 1.96 * model.std)
-        print(f"OutputError(1, 1) of its own plant, focus {band}: intervals of 95 % hold {np.mean(inside):.2f}")
-
-
 def intervals(arguments):
     """How often intervals of 95 % hold a parameter, and bands the magnitude; how many are found in which way."""
     omega = np.linspace(0.05, 3.0, 40)
@@ -505,7 +472,6 @@ PARTS = {
     "invariance": invariance,
     "time": seconds,
     "arx": arx,
-    "focus": focus,
 }
 
 if __name__ == "__main__":

@@ -163,7 +163,6 @@ ABILITIES = {
     "groups": lambda name: moved(name, same, groups=np.arange(len(recorded(name)[0])) // 60),
     "fixed": lambda name: moved(name, same, fixed={named(name): -1.2}),
     "bounds": lambda name: moved(name, same, bounds={named(name): (-3.0, 3.0)}),
-    "focus": lambda name: moved(name, same, focus=(None, 1.5)),
     "no trend": lambda name: moved(name, same, trend="none"),
     "constant": lambda name: moved(name, same, trend="constant"),
     "line": lambda name: moved(name, same, STEPPED if name in OF_OUTPUTS else None, trend="line"),

@@ -9,12 +9,14 @@ import numpy as np
 from scipy.signal import lfilter
 
 from robust_filterpy._checks import Array
+from robust_filterpy.identification.estimation.colour import evidence
 from robust_filterpy.identification.estimation.excitation_check import require_informative
+from robust_filterpy.identification.estimation.levelled import Levelled
 from robust_filterpy.identification.estimation.limits import Limits
 from robust_filterpy.identification.estimation.missing import response
 from robust_filterpy.identification.estimation.prediction_error import sandwich
 from robust_filterpy.identification.estimation.profile import profiled
-from robust_filterpy.identification.estimation.search import End, ends, known_part
+from robust_filterpy.identification.estimation.search import End, Ranked, ends, known_part, searched_again
 from robust_filterpy.identification.estimation.threads import one_thread
 from robust_filterpy.identification.models.beginnings import filled_memory, resting_level
 from robust_filterpy.identification.models.fit import least_variance, ordinary_fit, ordinary_samples
@@ -27,7 +29,7 @@ from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.influence.regression import size_of
 
-__all__ = ["Problem", "estimated"]
+__all__ = ["Estimated", "Problem", "estimated"]
 
 # Two ends as close in log-likelihood, and so far apart in output (percent, and twice what the noise explains), leave
 # the model open.
@@ -71,8 +73,6 @@ class Problem(NamedTuple):
         First sample of each recording, for several that follow each other.
     limits : Limits or None
         Where theta may be.
-    carried : ndarray or None
-        Impulse response of the filter that makes the residuals of white noise; None: they are white.
     sampled : bool
         Whether models may be drawn from the likelihood, for their covariance.
     """
@@ -87,7 +87,6 @@ class Problem(NamedTuple):
     moving: bool = True
     begins: tuple[int, ...] = (0,)
     limits: Limits | None = None
-    carried: Array | None = None
     sampled: bool = True
 
     @property
@@ -124,7 +123,25 @@ class Problem(NamedTuple):
         return SeveralRecordings(self.structure, y, u, self.offset, self.moving, self.begins)
 
 
-def estimated(problem: Problem, y: Array) -> Model:
+class Estimated(NamedTuple):
+    """A model, and where the search ended.
+
+    Attributes
+    ----------
+    model : Model
+        For the recording as it was measured.
+    p : ndarray, shape (n,)
+        Free parameters, of inputs from their operating point.
+    sizes : ndarray, shape (k,)
+        Of the levels that were found with it.
+    """
+
+    model: Model
+    p: Array
+    sizes: Array
+
+
+def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: Array | None = None) -> Estimated:
     """Find the model of an output; its ``warning`` says what is doubtful.
 
     Parameters
@@ -133,10 +150,14 @@ def estimated(problem: Problem, y: Array) -> Model:
         What is to be found.
     y : ndarray, shape (N,)
         Output, NaN where it is missing.
+    columns : ndarray, shape (N, k), optional
+        Levels whose sizes are found with the model, 0 in the last sample of each recording.
+    begin : ndarray, shape (n,), optional
+        Free parameters to begin from. Default: from several starts, the levels left out until the end.
 
     Returns
     -------
-    Model
+    Estimated
 
     Raises
     ------
@@ -153,7 +174,9 @@ def estimated(problem: Problem, y: Array) -> Model:
         told = problem.limits
         limits = None if told is None else told.times(1.0 / units.factor(structure))
         R, least = None if known is None else known / units.y**2, least_variance(y, units.y)
-        ranked = ends(model, missing, problem.influence, R, limits, least)
+        at = None if begin is None else units.forth(model, begin)
+        ranked = ends(model, missing, problem.influence, R, limits, least, at)
+        model, ranked = _with_levels(model, missing, ranked, columns, limits)
     best = _exact(ranked[0].end, least_variance(y, units.y, in_steps=False))
     output = _output(model, best)
     endings = tuple(Ending(end.starts, excess, _apart(output, _output(model, end))) for end, excess in ranked)
@@ -170,16 +193,32 @@ def estimated(problem: Problem, y: Array) -> Model:
         held = limits.held(best.p, model.jacobian(best.p)[best.rows].T @ best.noise.psi(best.residual[best.rows]))
         doubt = "; ".join(words for words in (doubt, _at_limits(structure, held, limits)) if words)
     others = [(excess, units.back(model, end.p)) for end, excess in ranked[1:]]
-    found = _as_model(problem, recorded, best._replace(p=p), units.y, missing, replaced, held, others)
+    whole = recorded if columns is None else Levelled(recorded, columns)
+    found = _as_model(problem, whole, best._replace(p=p), units.y, missing, replaced, held, others)
     found = replace(found, dt=problem.dt, endings=endings, warning=doubt)
+    sizes, p = p[recorded.n :], p[: recorded.n]
+    recorded = recorded if columns is None else recorded.with_output(recorded.y - columns @ sizes)
     if not isinstance(recorded, SeveralRecordings):
-        return _with_inputs_from_zero(found, recorded, p, problem.rest)
+        return Estimated(_with_inputs_from_zero(found, recorded, p, problem.rest), p, sizes)
     several = range(len(problem.begins))
     levels = np.array([resting_level(one.parts(q)) for one, q in (recorded.of(i, p) for i in several)])
     found = _with_inputs_from_zero(found, *recorded.of(-1, p), problem.rest)
     own = [np.full(y[part].size, level - levels[-1]) for part, level in zip(problem.spans, levels, strict=True)]
     known_again = tuple((fingerprint(y[part]), trend) for part, trend in zip(problem.spans, own, strict=True))
-    return replace(found, levels=levels + (found.level - levels[-1]), recordings=known_again)
+    found = replace(found, levels=levels + (found.level - levels[-1]), recordings=known_again)
+    return Estimated(found, p, sizes)
+
+
+def _with_levels(
+    model: PolynomialModel, missing: Any, ranked: list[Ranked], columns: Array | None, limits: Limits | None
+) -> tuple[Any, list[Ranked]]:
+    """Return the model and the ends of its search with the sizes of levels among the free parameters, from 0 on."""
+    if columns is None:
+        return model, ranked
+    whole, sizes = Levelled(model, columns), np.zeros(columns.shape[1])
+    best, *others = [one._replace(end=one.end._replace(p=np.concatenate((one.end.p, sizes)))) for one in ranked]
+    end = searched_again(whole, best.end, missing, limits)
+    return whole, [best._replace(end=end), *others]
 
 
 class _Units(NamedTuple):
@@ -224,10 +263,20 @@ class _Units(NamedTuple):
             p[n : n + len(self.begins)] += self.centre[list(self.begins)] * (1.0 + p[places.a].sum())
         return p
 
+    def forth(self, model: PolynomialModel, p: Array) -> Array:
+        """Return the free parameters in these units for those of the recording as it was measured."""
+        places, n = model.structure.polynomials, model.structure.n_theta
+        p = p.copy()
+        if model.offset:
+            p[n : n + len(self.begins)] -= self.centre[list(self.begins)] * (1.0 + p[places.a].sum())
+        p[:n] /= self.factor(model.structure)
+        p[n:] /= self.y
+        return p
+
 
 def _as_model(
     problem: Problem,
-    model: PolynomialModel,
+    model: Any,
     end: End,
     unit: float,
     missing: Any,
@@ -249,14 +298,16 @@ def _as_model(
     jacobian, shown = known_part(model, end)
     # What is held has no variance, and what the others then have.
     jacobian[:, held] = 0.0
-    P, way = np.where(held | held[:, None], 0.0, sandwich(jacobian, shown, noise, problem.carried)), ""
-    if problem.carried is None and not (end.outliers.wrong.any() and response(model, p).size > 1):
-        P, way = profiled(model, p, noise, rows, P, held, others, problem.sampled)
+    P, colour = sandwich(jacobian, shown, noise, n)
+    P, way = np.where(held | held[:, None], 0.0, P), ""
+    if not (end.outliers.wrong.any() and response(model, p).size > 1):
+        P, way = profiled(model, p, noise, rows, P, held, others, problem.sampled, colour)
     weights = np.full(missing.size, np.nan)
     weights[model.first :] = noise.weights(residual)
     weights[end.outliers.wrong] = 0.0
     weights[missing] = np.nan
     offset = float(p[at]) if model.offset else 0.0
+    inner, q = model.inner(p) if isinstance(model, Levelled) else (model, p)
     total = problem.R or found * samples / (samples - model.n + held.sum())
     return Model(
         structure=structure,
@@ -266,14 +317,16 @@ def _as_model(
         offset_std=_offset_std(P, jacobian, at) if model.offset else 0.0,
         offset_covariance=P[:n, at] if model.offset else np.zeros(n),
         has_offset=model.offset,
-        own_fit=_own_fit(model.y[model.first :], residual, rows),
+        own_fit=_own_fit(inner.y[model.first :], residual, rows),
         noise=_as_measured(replace(noise, R=total), residual, replaced[model.first :], ~missing[model.first :]),
         weights=weights,
         log_likelihood=noise.log_likelihood(residual[rows]),
         endings=(),
         warning="",
-        memory=filled_memory(*(model.of(-1, p) if isinstance(model, SeveralRecordings) else (model, p))),
+        memory=filled_memory(*(inner.of(-1, q) if isinstance(inner, SeveralRecordings) else (inner, q))),
         profiled=way != "",
+        colour=colour,
+        evidence=evidence(noise, residual, rows),
         sampled=way == "sampled likelihood",
     )
 
@@ -353,11 +406,11 @@ def _apart(best: Array, other: Array) -> float:
     return difference if np.isfinite(difference) else np.inf
 
 
-def _output(model: PolynomialModel, end: End) -> Array:
+def _output(model: Any, end: End) -> Array:
     """Return what a model makes of the inputs alone, or without any what it predicts."""
     if not model.inputs:
         return end.y[model.first :] - end.residual
-    p = end.p.copy()
+    p = end.p[: model.n - getattr(model, "columns", np.zeros((0, 0))).shape[1]].copy()
     p[model.structure.n_theta :] = 0.0
     return np.asarray(lfilter([1.0], model.parts(p).a, model.undisturbed(p)))
 

@@ -9,6 +9,8 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
+from robust_filterpy.identification.estimation.colour import evidence_of_outputs
+from robust_filterpy.identification.estimation.level import of_impulses
 from robust_filterpy.identification.estimation.outputs import Outputs
 from robust_filterpy.identification.estimation.prediction_error import minimised, sandwich
 from robust_filterpy.identification.models.findings import Finding
@@ -87,7 +89,14 @@ def identified_grey_box(
 
     outputs = np.concatenate([np.where(good, one.y, np.nan) for one, good in zip(told, known, strict=True)])
     inputs = np.concatenate([one.u for one in told])
-    whole = Outputs(outputs, inputs, spans, find, alone, sampled=all(one.is_sampled for one in told))
+
+    def judged(model: GreyBoxModel, y: Array, u: Array) -> float:
+        return evidence_of_outputs(model.noise, y - alone(model, y, u), spans)
+
+    def starts(y: Array, u: Array, plain: GreyBoxModel) -> list[Array]:
+        return [of_impulses(y, u, spans) if all(one.is_sampled for one in told) else alone(plain, y, u)]
+
+    whole = Outputs(outputs, inputs, spans, find, alone, judged, starts)
     best = whole.beside(trend)
     levels, output = best.levels, alone(best.model, outputs - best.levels, best.u)
     left = whole.left(
@@ -167,7 +176,8 @@ def _as_model(structure: GreyBox, model: GreyResiduals, end: Any, rows: Any) -> 
     z, noise, k = end.p, end.noise, model.k
     residual, J = model.residuals(z)[rows], model.jacobian(z)[rows]
     slope = model.p.slope(z[:k])
-    P = sandwich(J, residual, noise)[:k, :k] * np.outer(slope, slope)
+    P, colour = sandwich(J, residual, noise, k)
+    P = P[:k, :k] * np.outer(slope, slope)
     theta = model.p.parameters(z[:k])
     weights = np.full(rows.size, np.nan)
     weights[rows] = noise.weights(residual)
@@ -187,7 +197,7 @@ def _as_model(structure: GreyBox, model: GreyResiduals, end: Any, rows: Any) -> 
             doubt.append(f"{name} is at its bound, {values[name]:.4g}")
     return GreyBoxModel(
         structure, values, theta, P, starts, tuple(replace(one, R=one.R * total) for one in noise.parts),
-        weights.reshape(-1, len(noise.parts)), noise.log_likelihood(residual), untold, "; ".join(doubt),
+        weights.reshape(-1, len(noise.parts)), noise.log_likelihood(residual), untold, "; ".join(doubt), colour=colour,
     )  # fmt: skip
 
 

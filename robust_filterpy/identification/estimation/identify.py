@@ -13,28 +13,29 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stages
 from robust_filterpy._warning import warn
-from robust_filterpy.identification.estimation.estimate import Problem
+from robust_filterpy.identification.estimation.estimate import Problem, estimated
 from robust_filterpy.identification.estimation.feedback import with_feedback
-from robust_filterpy.identification.estimation.focus import band, dynamics_of, focused
 from robust_filterpy.identification.estimation.grey_box import identified_grey_box
 from robust_filterpy.identification.estimation.level import (
     TRENDS,
     Beside,
     beside_input_outliers,
-    beside_trend,
+    output_of,
+    undisturbed_outputs,
     unlike_in_parts,
     without_endless_motion,
+    without_leverage,
 )
 from robust_filterpy.identification.estimation.limits import Limits
+from robust_filterpy.identification.estimation.outputs import Outputs
 from robust_filterpy.identification.estimation.recordings import Recordings, recordings
-from robust_filterpy.identification.estimation.several import of_several
 from robust_filterpy.identification.estimation.state_space import identified_state_space
 from robust_filterpy.identification.estimation.wraps import with_wraps
 from robust_filterpy.identification.models.findings import Finding, said
 from robust_filterpy.identification.models.grey_box import GreyBox
 from robust_filterpy.identification.models.grey_box_model import GreyBoxModel
 from robust_filterpy.identification.models.model import Model
-from robust_filterpy.identification.models.signals import operating_point
+from robust_filterpy.identification.models.signals import fingerprint, operating_point
 from robust_filterpy.identification.models.state_space import StateSpaceModel
 from robust_filterpy.identification.models.state_space_structure import StateSpace
 from robust_filterpy.identification.models.structures import Structure
@@ -56,7 +57,6 @@ def identify(
     groups: ArrayLike | None = None,
     fixed: Mapping[str, float] | None = None,
     bounds: Mapping[str, Any] | None = None,
-    focus: tuple[float | None, float | None] | None = None,
     sampled: bool = True,
     progress: bool | None = None,
 ) -> Model: ...
@@ -71,7 +71,6 @@ def identify(
     influence: Influence | None = None,
     trend: str | None = None,
     groups: ArrayLike | None = None,
-    focus: tuple[float | None, float | None] | None = None,
     progress: bool | None = None,
 ) -> StateSpaceModel: ...
 
@@ -102,7 +101,6 @@ def identify(
     t: ArrayLike | None = None,
     fixed: Mapping[str, float] | None = None,
     bounds: Mapping[str, Any] | None = None,
-    focus: tuple[float | None, float | None] | None = None,
     sampled: bool = True,
     progress: bool | None = None,
 ) -> Model | StateSpaceModel | GreyBoxModel:
@@ -144,11 +142,6 @@ def identify(
     bounds : dict of str to (float, float), optional
         Between which numbers others are, None or inf for no limit: ``{"b1": (0, None)}``. A parameter that ends at a
         bound is named by ``warning``.
-    focus : (float, float), optional
-        Band of frequencies in rad/s (rad a sample, if no index tells the sampling period) that the fit counts, None for
-        an edge at 0 or pi/dt: for a model smaller than its plant, where it has to be right. Outliers and gaps are
-        replaced before anything is filtered. For a structure with inputs, states without disturbance among them, and
-        one recording.
     sampled : bool, default True
         Whether P comes from models drawn from the likelihood where the loss is not quadratic and a pole that a zero
         nearly cancels may be at other places, which takes seconds; False: from its profile, for a model that is one of
@@ -186,9 +179,10 @@ def identify(
     pattern they leave, and taken for missing (`cleaning`).
 
     What the model does not explain, but repeats, lasts or never dies, is a finding: fill values are taken for missing,
-    steps and ramps of the level are taken off (`trend`; each must explain 6 log N in units of twice the
-    log-likelihood), and a motion from the beginning that would outlast the recording is left out. The level is that at
-    the end. Methods of the model that are given the same y take the trend off it and put it back.
+    steps and ramps of the level are taken off (`trend`; each must explain 6 log N in units of twice the log-likelihood
+    of residuals with their colour, see `colour`), and a motion from the beginning that would outlast the recording is
+    left out. The level is that at the end. Methods of the model that are given the same y take the trend off it and put
+    it back.
 
     Examples
     --------
@@ -205,7 +199,7 @@ def identify(
     """
     found: Model | StateSpaceModel | GreyBoxModel
     with stages("identify", progress):
-        told = _Told(influence, offset, R, trend, groups, t, fixed, bounds, focus, sampled)
+        told = _Told(influence, offset, R, trend, groups, t, fixed, bounds, sampled)
         if isinstance(structure, (StateSpace, GreyBox)):
             found = _of_outputs(y, u, structure, told)
         else:
@@ -227,7 +221,6 @@ class _Told(NamedTuple):
     t: Any
     fixed: Any
     bounds: Any
-    focus: Any
     sampled: Any
 
 
@@ -261,39 +254,60 @@ def _of_polynomials(y: Any, u: Any, structure: Any, told: _Told) -> Model:
     )  # fmt: skip
     # Noise that is summed up has steps of its own.
     chosen = trend or ("breaks" if moves and not structure.integrated else "constant")
-    edges = None if told.focus is None else _band(told.focus, problem)
-    # The R of the plant's noise is not that of what a smaller model leaves.
-    found, findings = _in_recording(problem if edges is None else problem._replace(R=None), recorded, chosen)
-    if edges is not None:
-        found, findings = focused(problem, recorded.y, found, edges, lambda held: _in_recording(held, recorded, chosen))
+    found, findings = _in_recording(problem, recorded, chosen)
     findings = (*recorded.findings, *findings, *with_feedback(problem, recorded.y, found))
     return replace(found, findings=findings)
 
 
-def _band(focus: Any, problem: Problem) -> tuple[float, float]:
-    """Return the edges of the band that counts, or raise where there is none to count."""
-    dynamics_of(problem.structure)
-    if len(problem.begins) > 1:
-        raise ValueError("focus: expected one recording without long gaps; identify the longest one alone")
-    return band(focus, problem.dt)
-
-
 def _in_recording(problem: Problem, recorded: Recordings, chosen: str) -> tuple[Model, tuple[Finding, ...]]:
     """Return the model beside whatever else a recording has, and that."""
-    if len(problem.begins) > 1:
-        return of_several(problem, recorded.y, chosen)
+    y, spans = recorded.y, problem.spans
+    several = len(spans) > 1
 
-    def find(u: Array) -> Beside:
-        acted = problem.of_inputs(u)
-        found, findings = beside_trend(acted, recorded.y, chosen, recorded.axis.index)
-        found, more = without_endless_motion(acted, recorded.y, found)
-        return Beside(found, (*findings, *more))
+    def find(y: Array, u: Array) -> Model:
+        return estimated(problem.of_inputs(u), y[:, 0]).model
+
+    def joint(y: Array, u: Array, levels: Array, columns: list[Array], begin: Any) -> tuple[Model, Array, Array]:
+        at = np.column_stack([one[:, 0] for one in columns])
+        found = estimated(problem.of_inputs(u), (y - levels)[:, 0], at, begin)
+        return found.model, levels + (at @ found.sizes)[:, None], found.p
+
+    def alone(model: Model, y: Array, u: Array) -> Array:
+        return np.concatenate([output_of(model, y[part, 0], u[part]) for part in spans])[:, None]
+
+    def starts(y: Array, u: Array, plain: Model) -> Any:
+        return (one[:, None] for one in undisturbed_outputs(problem.of_inputs(u), y[:, 0], plain))
+
+    def judged(model: Model, y: Array, u: Array) -> float:
+        return model.evidence
+
+    def settled(best: Beside) -> Beside:
+        return without_endless_motion(problem.of_inputs(best.u), y, best)
+
+    whole = Outputs(y[:, None], problem.u, spans, find, alone, judged, starts, joint, recorded.axis.index, settled)
+
+    def beside(u: Array) -> Beside:
+        if not problem.structure.n_inputs:
+            return Beside(find(whole.y, u), (), np.zeros(whole.y.shape), u)
+        return whole._replace(u=u).beside_levels(chosen)
 
     # A row of the caller's regressor is no input that is held.
-    best = find(problem.u) if problem.structure.takes_phi else beside_input_outliers(problem.u, find)
-    findings = (*best.findings, *with_wraps(problem, recorded.y, best.model))
+    rows = problem.structure.takes_phi
+    best = without_leverage(problem, y) if rows else beside_input_outliers(problem.u, beside)
+    model, findings, levels = best.model, best.findings, best.levels[:, 0]
     acted = problem.of_inputs(best.u) if best.held else problem
-    return best.model, (*findings, *unlike_in_parts(acted, recorded.y, best.model))
+    if several:
+        again = zip(spans, model.recordings, strict=True)
+        known_again = tuple((fingerprint(y[part]), own + levels[part]) for part, (_, own) in again)
+        model = replace(model, recordings=known_again)
+        for i, part in enumerate(spans):
+            unlike = unlike_in_parts(acted.alone(i), y[part], model, True)
+            findings = (*findings, *(one._replace(text=f"recording {i}: {one.text}") for one in unlike))
+        return model, findings
+    if levels.any():
+        model = replace(model, trend=levels, fingerprint=fingerprint(y))
+    findings = (*findings, *with_wraps(problem, y, model))
+    return model, (*findings, *unlike_in_parts(acted, y, model))
 
 
 def _of_outputs(y: Any, u: Any, structure: StateSpace | GreyBox, told: _Told) -> StateSpaceModel | GreyBoxModel:
@@ -302,12 +316,12 @@ def _of_outputs(y: Any, u: Any, structure: StateSpace | GreyBox, told: _Told) ->
     own = "GreyBox(.., fixed=, bounds=) has its own" if physical else "its matrices have no names"
     kept = {
         "offset": (True, "it says itself what y has"), "R": (None, "it learns the noise of each output"),
-        "fixed": (None, own), "bounds": (None, own), "focus": (None, "equations have no band" if physical else ""),
+        "fixed": (None, own), "bounds": (None, own),
         "sampled": (True, "its P is the curvature at the minimum"),
     }  # fmt: skip
     for name, (only, mend) in kept.items():
         value = getattr(told, name)
-        if mend and value is not only:
+        if value is not only:
             raise ValueError(f"{name}: expected {only} for a {kind}, got {_checks.shown(value)}; {mend}")
     # Outputs of states have levels; those of physics have none but what the equations say.
     levels = tuple(one for one in TRENDS if one != ("constant" if physical else "none"))
@@ -320,4 +334,4 @@ def _of_outputs(y: Any, u: Any, structure: StateSpace | GreyBox, told: _Told) ->
         return identified_grey_box(y, u, structure, told.t, influence, trend)
     if told.t is not None:
         raise ValueError("t: expected None for a StateSpace, whose samples are equally far apart; take a GreyBox")
-    return identified_state_space(y, u, structure, influence, told.groups, trend, told.focus)
+    return identified_state_space(y, u, structure, influence, told.groups, trend)

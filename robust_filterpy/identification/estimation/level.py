@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
@@ -13,31 +13,32 @@ from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.cleaning import cleaned
 from robust_filterpy.identification.estimation.estimate import Problem, estimated
-from robust_filterpy.identification.estimation.trend import PRICE, Trend, impulse_output, piecewise_level
+from robust_filterpy.identification.estimation.trend import PRICE, impulse_output
 from robust_filterpy.identification.models import gain
 from robust_filterpy.identification.models.dependence import LAGS, autocovariances, dependence, whitening_of
 from robust_filterpy.identification.models.findings import Finding
 from robust_filterpy.identification.models.model import Model
-from robust_filterpy.identification.models.signals import fingerprint
 from robust_filterpy.influence.regression import mad_scale
 
 __all__ = [
+    "LEAST_SAMPLES",
     "TRENDS",
     "Beside",
     "another_gain",
     "beside_input_outliers",
-    "beside_trend",
     "break_finding",
-    "endless_pole",
+    "of_impulses",
+    "output_of",
+    "undisturbed_outputs",
     "unlike",
     "unlike_in_parts",
     "without_endless_motion",
+    "without_leverage",
 ]
 
 TRENDS: Final = ("none", "constant", "line", "breaks")
-# In fewer samples a step and the dynamics cannot be told apart.
-_LEAST_SAMPLES: Final = 200
-_ROUNDS: Final = 3
+#: In fewer samples a step and the dynamics cannot be told apart.
+LEAST_SAMPLES: Final = 200
 # A pole that leaves so much after the impulse response of `impulse_output` calls for a model of the differences.
 _SLOW: Final = 0.995
 # Motion counts if its size in the second half is this share of y's; it never dies if (1 - |pole|) N is below the other.
@@ -52,6 +53,8 @@ _FEWEST: Final = 4
 _FARTHEST: Final = 0.05
 # An input so many deviations from 0 stays there.
 _STAYS: Final = 5.0
+# What rows far outside make of y is off by so many deviations where they are wrong.
+_LEVERAGE: Final = 5.0
 # Parts of a recording that are held against its inputs, and how long one may be.
 _PARTS: Final = 8
 _LEAST_PART: Final = 120
@@ -79,6 +82,8 @@ class Beside(NamedTuple):
         Inputs that it is of.
     held : bool
         Whether some of these are held back.
+    evidence : float
+        Log-likelihood with the colour of the residuals.
     """
 
     model: Any
@@ -86,10 +91,11 @@ class Beside(NamedTuple):
     levels: Any = None
     u: Any = None
     held: bool = False
+    evidence: float = float("nan")
 
 
-def beside_trend(problem: Problem, y: Array, trend: str, index: Any) -> tuple[Model, tuple[Finding, ...]]:
-    """Find the model of an output and of its trend.
+def without_endless_motion(problem: Problem, y: Array, best: Beside) -> Beside:
+    """Find the model again from rest if what was in motion when the recording began would outlast it.
 
     Parameters
     ----------
@@ -97,68 +103,31 @@ def beside_trend(problem: Problem, y: Array, trend: str, index: Any) -> tuple[Mo
         What is to be found.
     y : ndarray, shape (N,)
         Output, NaN where it is missing.
-    trend : str
-        One of TRENDS.
-    index : pandas.Index or None
-        Times of the samples, to name breaks by.
+    best : Beside
+        The model of these, and their levels.
 
     Returns
     -------
-    model : Model
-        With the trend, where there is one.
-    findings : tuple of Finding
+    Beside
     """
-    plain = estimated(problem, y)
-    line = trend == "line"
-    searched = line or (trend == "breaks" and np.count_nonzero(~np.isnan(y)) >= _LEAST_SAMPLES)
-    # What is explained to rounding has no level beside it.
-    if not searched or not plain.structure.n_inputs or (plain.noise.is_rounding and not line):
-        return plain, ()
-    stage("steps and ramps of the level of y")
-    best, kept, least = plain, None, plain.log_likelihood
-    for output in _starts(problem, y, plain):
-        found, level = _alternated(problem, y, output, line)
-        price = 0.5 * PRICE * np.log(y.size) * len(level.breaks)
-        if found is not None and (line or found.log_likelihood - price > least):
-            best, kept, least = found, level, found.log_likelihood - price
-    if kept is None:
-        return plain, ()
-    gain = 2.0 * (best.log_likelihood - plain.log_likelihood)
-    model = replace(best, trend=kept.values, fingerprint=fingerprint(y))
-    return model, () if line else tuple(break_finding(one, index, gain, y.size, problem.u) for one in kept.breaks)
-
-
-def without_endless_motion(problem: Problem, y: Array, model: Model) -> tuple[Model, tuple[Finding, ...]]:
-    """Find the model again from rest if what was in motion when the recording began would outlast it.
-
-    Parameters
-    ----------
-    problem, y
-        As in `beside_trend`.
-    model : Model
-        Of this recording.
-
-    Returns
-    -------
-    model : Model
-    findings : tuple of Finding
-    """
-    slowest = endless_pole(model, y.size)
+    model, own = best.model, y - best.levels[:, 0]
+    slowest = endless_pole(model, max(part.stop - part.start for part in problem.spans))
     if slowest is None:
-        return model, ()
-    late = slice(y.size // 2, None)
-    motion = model.free_run(y, problem.u)[late] - model.simulate(problem.u)[late] - _trend(model, y)[late]
-    if np.sqrt(np.mean(np.square(motion))) < _SMALL * np.nanstd(y):
-        return model, ()
+        return best
+    if len(problem.begins) == 1:
+        late = slice(y.size // 2, None)
+        motion = model.free_run(own, problem.u)[late] - model.simulate(problem.u)[late]
+        if np.sqrt(np.mean(np.square(motion))) < _SMALL * np.nanstd(y):
+            return best
     stage("the model from rest")
-    still = estimated(problem._replace(moving=False), y - _trend(model, y))
-    still = replace(still, trend=model.trend, fingerprint=model.fingerprint)
+    still = estimated(problem._replace(moving=False), own).model
     text = (
         f"a pole at {slowest:.6g} would keep what was in motion when y began beyond its {y.size} samples, which cannot "
         "tell it from none: the model begins at rest"
     )
     evidence = 2.0 * (still.log_likelihood - model.log_likelihood)
-    return still, (Finding("slow start", text, evidence, (0, y.size)),)
+    found = Finding("slow start", text, evidence, (0, y.size))
+    return best._replace(model=still, evidence=still.evidence, findings=(*best.findings, found))
 
 
 def endless_pole(model: Model, samples: int) -> float | None:
@@ -179,13 +148,86 @@ def endless_pole(model: Model, samples: int) -> float | None:
     return slowest if model.structure.n_inputs and abs(1.0 - slowest) * samples < _ENDLESS else None
 
 
+def undisturbed_outputs(problem: Problem, y: Array, plain: Model) -> Iterator[Array]:
+    """Yield outputs of a recording that no level disturbs, shape (N,), NaN where nothing tells them.
+
+    Parameters
+    ----------
+    problem, y
+        As in `without_endless_motion`.
+    plain : Model
+        Beside a constant level.
+
+    Yields
+    ------
+    ndarray, shape (N,)
+    """
+    yield of_impulses(y[:, None], problem.u, problem.spans)[:, 0]
+    parts = plain.parts
+    slow = np.abs(np.roots(np.convolve(parts.a, parts.f))).max(initial=0.0) > _SLOW
+    if slow and len(problem.begins) == 1:
+        try:
+            differences = problem._replace(u=np.diff(problem.u, axis=0), rest=np.zeros(problem.rest.size))
+            found = estimated(differences, np.diff(y)).model
+        except ValueError:
+            return
+        yield replace(found, operating_point=problem.rest).simulate(problem.u)
+
+
+def of_impulses(y: Array, u: Array, spans: Any) -> Array:
+    """Return what long impulse responses make of the inputs, NaN where a recording is too short to tell.
+
+    Parameters
+    ----------
+    y : ndarray, shape (N, p)
+        Outputs, NaN where one is missing.
+    u : ndarray, shape (N, m)
+        Inputs.
+    spans : sequence of slice
+        Samples of each recording.
+
+    Returns
+    -------
+    ndarray, shape (N, p)
+    """
+    found = np.full(y.shape, np.nan)
+    for part in spans:
+        for j, own in enumerate(y[part].T):
+            if u.shape[1] and np.count_nonzero(~np.isnan(own)) >= LEAST_SAMPLES:
+                found[part, j] = impulse_output(own, u[part])
+    return found
+
+
+def output_of(model: Model, y: Array, u: Array) -> Array:
+    """Return a model's output, with the motion in which it began if that dies.
+
+    Parameters
+    ----------
+    model : Model
+        Of the recording.
+    y : ndarray, shape (N,)
+        Output less its level, NaN where it is missing.
+    u : ndarray, shape (N, n_inputs)
+        Input.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+    """
+    rest, run = model.simulate(u), model.free_run(y, u)
+    motion, known = run - rest, ~np.isnan(run)
+    late = motion[y.size // 2 :]
+    dies = np.sqrt(np.mean(np.square(late))) < _SMALL * mad_scale(y[~np.isnan(y)] - np.nanmedian(y))
+    return np.where(known & dies, np.nan_to_num(run), rest)
+
+
 def unlike_in_parts(problem: Problem, y: Array, model: Model, others: bool = False) -> tuple[Finding, ...]:
     """Find the parts of a recording in which what the model leaves follows the inputs.
 
     Parameters
     ----------
     problem, y
-        As in `beside_trend`.
+        As in `without_endless_motion`.
     model : Model
         Of this recording.
     others : bool, default False
@@ -325,10 +367,52 @@ def beside_input_outliers(u: Array, find: Callable[[Array], Beside]) -> Beside:
         held = find(other)
     except ValueError:
         return told
-    gain = 2.0 * (held.model.log_likelihood - told.model.log_likelihood)
+    gain = 2.0 * (held.evidence - told.evidence)
     if gain < PRICE * np.log(len(u)) * (1 + _breaks(held.findings) - _breaks(told.findings)):
         return told
     return held._replace(u=other, held=True, findings=(*held.findings, _input_outliers(places, gain)))
+
+
+def without_leverage(problem: Problem, y: Array) -> Beside:
+    """Find the linear regression on the caller's rows, those left out that lie far outside and that y does not follow.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of a structure that takes rows.
+    y : ndarray, shape (N,)
+        Output, NaN where it is missing.
+
+    Returns
+    -------
+    Beside
+    """
+
+    def beside(y: Array) -> Beside:
+        return Beside(estimated(problem, y).model, (), np.zeros((y.size, 1)), problem.u)
+
+    far = np.column_stack([_outside(column) for column in problem.u.T]).any(axis=1)
+    if not far.any():
+        return beside(y)
+    try:
+        model = beside(np.where(far, np.nan, y)).model
+    except ValueError:
+        return beside(y)
+    sure = model.R + np.einsum("ij,jk,ik->i", problem.u, model.P, problem.u)
+    left = y - problem.u @ model.theta - model.offset
+    places = np.flatnonzero(far & (np.abs(left) > _LEVERAGE * np.sqrt(sure)))
+    # Outliers of y hit these as often as any other.
+    if places.size <= 2.0 * getattr(model.noise.influence, "contamination", 0.0) * far.sum():
+        return beside(y)
+    text = (
+        f"u has {places.size} rows far outside the others that y does not follow: they do not count; what was "
+        "measured wrongly there is u"
+    )
+    found = Finding(
+        "input outliers", text, float(np.sum(left[places] ** 2 / sure[places])), (int(places[0]), int(places[-1]) + 1)
+    )
+    spoilt = np.isin(np.arange(y.size), places)
+    return beside(np.where(spoilt, np.nan, y))._replace(findings=(found,))
 
 
 def _breaks(findings: tuple[Finding, ...]) -> int:
@@ -358,58 +442,24 @@ def _input_outliers(places: Any, gain: float) -> Finding:
 
 def _odd(u: Array) -> Any:
     """Return which values of an input are unlike the others: far outside, or off the levels that it has otherwise."""
-    low, middle, high = np.quantile(u, [0.1, 0.5, 0.9])
-    # Of many ordinary values some are further out.
-    far = max(_FAR_INPUT, float(norm.isf(_FARTHEST / u.size) / norm.isf(0.1)))
-    odd = np.abs(u - middle) > far * max(high - middle, middle - low)
+    odd = _outside(u)
     _, which, counts = np.unique(u, return_inverse=True, return_counts=True)
     common = counts > max(_FEWEST, u.size // 200)
     if common.sum() <= _MOST_LEVELS and counts[common].sum() >= 0.9 * u.size:
         odd |= ~common[which]
-    return odd & (high > low)
+    return odd & (np.ptp(np.quantile(u, [0.1, 0.9])) > 0.0)
+
+
+def _outside(u: Array) -> Any:
+    """Return which values of an input are far outside the others, of many of which some are further out."""
+    low, middle, high = np.quantile(u, [0.1, 0.5, 0.9])
+    far = max(_FAR_INPUT, float(norm.isf(_FARTHEST / u.size) / norm.isf(0.1)))
+    return (np.abs(u - middle) > far * max(high - middle, middle - low)) & (high > low)
 
 
 def _trend(model: Model, y: Array) -> Array:
     """Return the trend of a model's recording, 0 if it has none."""
     return model.trend if model.trend.size else np.zeros(y.size)
-
-
-def _starts(problem: Problem, y: Array, plain: Model) -> Any:
-    """Yield outputs that no level disturbs."""
-    yield impulse_output(y, problem.u)
-    parts = plain.parts
-    if np.abs(np.roots(np.convolve(parts.a, parts.f))).max(initial=0.0) > _SLOW:
-        try:
-            differences = problem._replace(u=np.diff(problem.u, axis=0), rest=np.zeros(problem.rest.size))
-            found = estimated(differences, np.diff(y))
-        except ValueError:
-            return
-        yield replace(found, operating_point=problem.rest).simulate(problem.u)
-
-
-def _alternated(problem: Problem, y: Array, output: Array, line: bool) -> tuple[Model | None, Trend]:
-    """Find level and model in turns until the breaks stay where they are."""
-    level, model, before = Trend(np.zeros(y.size), ()), None, None
-    for _ in range(_ROUNDS):
-        now = piecewise_level(y - output, line=line)
-        times = [(b.kind, b.time) for b in now.breaks]
-        if not times:
-            return None, now
-        if times == before and not line:
-            break
-        level, before = now, times
-        model = estimated(problem, y - level.values)
-        output = _output_of(model, y - level.values, problem.u)
-    return model, level
-
-
-def _output_of(model: Model, y: Array, u: Array) -> Array:
-    """Return a model's output, with the motion in which it began if that dies."""
-    rest, run = model.simulate(u), model.free_run(y, u)
-    motion, known = run - rest, ~np.isnan(run)
-    late = motion[y.size // 2 :]
-    dies = np.sqrt(np.mean(np.square(late))) < _SMALL * mad_scale(y[~np.isnan(y)] - np.nanmedian(y))
-    return np.where(known & dies, np.nan_to_num(run), rest)
 
 
 def break_finding(found: Any, index: Any, gain: float, samples: int, u: Array) -> Finding:

@@ -15,20 +15,19 @@ from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.feedback import feedback
 from robust_filterpy.identification.estimation.level import (
+    LEAST_SAMPLES,
     Beside,
     another_gain,
     beside_input_outliers,
     break_finding,
     unlike,
 )
-from robust_filterpy.identification.estimation.trend import PRICE, Trend, impulse_output, piecewise_level
+from robust_filterpy.identification.estimation.trend import PRICE, Break, Trend, piecewise_level
 from robust_filterpy.identification.estimation.wraps import wraps
 from robust_filterpy.identification.models.findings import Finding
 
 __all__ = ["Outputs"]
 
-# In fewer samples a step and the dynamics cannot be told apart.
-_LEAST_SAMPLES: Final = 200
 _ROUNDS: Final = 3
 
 
@@ -41,25 +40,36 @@ class Outputs(NamedTuple):
         Outputs, NaN where one is missing.
     u : ndarray, shape (N, m)
         Inputs.
-    spans : list of slice
+    spans : sequence of slice
         Samples of each recording.
     find : callable
-        find(y, u) gives the model of such signals, with its ``log_likelihood``.
+        find(y, u) gives the model of such signals.
     alone : callable
         alone(model, y, u) gives its outputs from inputs alone, shape (N, p).
+    evidence : callable
+        evidence(model, y, u) gives the log-likelihood of what it leaves, with its colour.
+    starts : callable
+        starts(y, u, model) gives outputs that no level disturbs, shape (N, p), NaN where nothing tells them, from the
+        model beside constant levels.
+    joint : callable, optional
+        joint(y, u, levels, columns, begin) gives a model and levels, moved by what the columns add, that are best
+        together, and where another such search may begin. Default: the levels stay as they are.
     index : pandas.Index or None
         Times of the samples of a single recording.
-    sampled : bool
-        Whether the samples are equally far apart.
+    settled : callable, optional
+        settled(best) gives a model beside levels without what no recording can tell. Default: as it is.
     """
 
     y: Array
     u: Array
-    spans: list[slice]
+    spans: Any
     find: Callable[[Array, Array], Any]
     alone: Callable[[Any, Array, Array], Array]
+    evidence: Callable[[Any, Array, Array], float]
+    starts: Callable[[Array, Array, Any], Any]
+    joint: Callable[..., tuple[Any, Array, Any]] | None = None
     index: Any = None
-    sampled: bool = True
+    settled: Callable[[Beside], Beside] = lambda best: best
 
     def beside(self, trend: str) -> Beside:
         """Find the model beside levels that break and outliers of the inputs.
@@ -74,40 +84,82 @@ class Outputs(NamedTuple):
         Beside
             Its levels are 0 in the last sample of each recording.
         """
-        return beside_input_outliers(self.u, lambda u: self._replace(u=u)._beside_levels(trend))
+        return beside_input_outliers(self.u, lambda u: self._replace(u=u).beside_levels(trend))
 
-    def _beside_levels(self, trend: str) -> Beside:
-        """Return the model beside levels that break."""
-        plain = self.find(self.y, self.u)
-        y, line, none = self.y, trend == "line", np.zeros(self.y.shape)
-        if trend in ("none", "constant") or (not line and all(one.is_rounding for one in plain.noise)):
-            return Beside(plain, (), none)
+    def beside_levels(self, trend: str) -> Beside:
+        """Find the model beside levels that break.
+
+        Parameters
+        ----------
+        trend : str
+            As of `beside`.
+
+        Returns
+        -------
+        Beside
+        """
+        plain = self.settled(self._judged(self.find(self.y, self.u), np.zeros(self.y.shape)))
+        line = trend == "line"
+        rounding = all(one.is_rounding for one in np.atleast_1d(np.array(plain.model.noise, dtype=object)))
+        if trend in ("none", "constant") or not self.u.shape[1] or (rounding and not line):
+            return plain
         stage("steps and ramps of the levels of y")
-        model, levels = plain, none
-        found = self._levels(self._of_impulses() if self.sampled else y - self.alone(plain, y, self.u), line)
-        before = None
-        for _ in range(_ROUNDS):
-            times = {place: [(b.kind, b.time) for b in one.breaks] for place, one in found.items()}
-            if not any(times.values()):
-                return Beside(plain, (), none)
-            if times == before:
+        best, kept = plain, -np.inf
+        for output in self.starts(self.y, self.u, plain.model):
+            found, breaks = self._alternated(output, line)
+            if found is None:
+                continue
+            found = self.settled(found)
+            count = sum(len(one.breaks) for one in breaks.values())
+            gain = 2.0 * (found.evidence - plain.evidence)
+            worth = gain - PRICE * np.log(len(self.y)) * count
+            if worth > (kept if line else max(kept, 0.0)):
+                best, kept = found if line else self._named_breaks(found, breaks, gain), worth
+        return best
+
+    def _judged(self, model: Any, levels: Array) -> Beside:
+        """Return a model beside levels, with its evidence."""
+        return Beside(model, (), levels, self.u, evidence=self.evidence(model, self.y - levels, self.u))
+
+    def _alternated(self, output: Array, line: bool) -> tuple[Beside | None, dict[tuple[int, int], Trend]]:
+        """Find levels and model in turns until the breaks stay where they are."""
+        before: Any = None
+        end: Any = None
+        found, kept = None, {}
+        for _ in range(1 if line and self.joint is not None else _ROUNDS):
+            breaks = self._levels(self.y - output, line)
+            times = {place: one.times for place, one in breaks.items() if one.breaks}
+            if not times:
+                return None, {}
+            if times == before and not line:
                 break
-            before, breaks = times, found
-            levels = none.copy()
+            before, kept, levels = times, breaks, np.zeros(self.y.shape)
+            columns = []
             for (i, j), one in breaks.items():
-                levels[self.spans[i], j] = one.values if one.breaks else 0.0
-            model = self.find(y - levels, self.u)
-            found = self._levels(y - self.alone(model, y - levels, self.u), line)
-        count = sum(len(one.breaks) for one in breaks.values())
-        gain = 2.0 * (model.log_likelihood - plain.log_likelihood)
-        if not line and gain < PRICE * np.log(len(y)) * count:
-            return Beside(plain, (), none)
-        findings = []
+                levels[self.spans[i], j] = one.values
+                columns += [self._column(i, j, b) for b in one.breaks]
+            if self.joint is None:
+                model = self.find(self.y - levels, self.u)
+            else:
+                model, levels, end = self.joint(self.y, self.u, levels, columns, end)
+            found = self._judged(model, levels)
+            output = self.alone(model, self.y - levels, self.u)
+        return found, kept
+
+    def _column(self, i: int, j: int, one: Break) -> Array:
+        """Return what a break of 1 adds to the outputs."""
+        part, column = self.spans[i], np.zeros(self.y.shape)
+        column[part, j] = one.column(part.stop - part.start)
+        return column
+
+    def _named_breaks(self, best: Beside, breaks: dict[tuple[int, int], Trend], gain: float) -> Beside:
+        """Return a model with its breaks in words."""
+        findings: list[Finding] = []
         for (i, j), one in breaks.items():
             part = self.spans[i]
             said = [break_finding(b, self.index, gain, part.stop - part.start, self.u[part]) for b in one.breaks]
             findings += self._named(i, j, said)
-        return Beside(model, () if line else tuple(findings), levels)
+        return best._replace(findings=(*findings, *best.findings))
 
     def left(
         self,
@@ -159,22 +211,15 @@ class Outputs(NamedTuple):
 
     # Helpers.
 
-    def _of_impulses(self) -> Array:
-        """Return what is left of the outputs beside long impulse responses, NaN where that tells nothing."""
-        left = np.full(self.y.shape, np.nan)
-        for part in self.spans:
-            for j, own in enumerate(self.y[part].T):
-                if self.u.shape[1] and np.count_nonzero(~np.isnan(own)) >= _LEAST_SAMPLES:
-                    left[part, j] = own - impulse_output(own, self.u[part])
-        return left
-
     def _levels(self, left: Array, line: bool) -> dict[tuple[int, int], Trend]:
         """Return the levels of each output in each recording, by their numbers."""
         found = {}
         for i, part in enumerate(self.spans):
             for j, own in enumerate(left[part].T):
-                if np.count_nonzero(~np.isnan(own)) >= _LEAST_SAMPLES:
-                    found[i, j] = piecewise_level(own, line=line)
+                if np.count_nonzero(~np.isnan(own)) >= LEAST_SAMPLES:
+                    found[i, j] = piecewise_level(own, self.u[part], line)
+                elif line and self.joint is not None:
+                    found[i, j] = Trend(np.zeros(own.size), (Break("ramp", 0, 0.0, 0.0),))
         return found
 
     def _named(self, i: int, j: int, findings: list[Finding]) -> list[Finding]:

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.signal import fftconvolve
 
 from robust_filterpy._checks import Array
+from robust_filterpy.identification.estimation.colour import colour_of
 from robust_filterpy.identification.estimation.limits import Limits
 from robust_filterpy.identification.estimation.missing import CompletedModel
 from robust_filterpy.identification.models.learnt_noise import Noise
@@ -133,14 +134,13 @@ def _step(triangle: Array, damping: float) -> tuple[Array, float]:
     return step, float(np.linalg.norm(R @ step))
 
 
-def sandwich(jacobian: Array, residual: Array, noise: _Noise, carried: Array | None = None) -> Array:
+def sandwich(jacobian: Array, residual: Array, noise: _Noise, shared: int) -> tuple[Array, float]:
     """Return the covariance of the free parameters at an optimum.
 
-    ``(N/(N - n)) R (J'J)^-1 J' diag(psi^2) J (J'J)^-1 / mean(psi')^2`` (Huber, Robust Statistics, 1981, section 7.6),
-    which holds whatever the distribution of the residuals is, as long as one does not tell of another. With a noise for
-    each output, J and psi are weighted by mean(psi')/R of it; directions that nothing depends on have no variance.
-    Residuals that a filter h has made of white noise are taken for that: each moves theta by h'(J'J)^-1 J', with the
-    mean square that they have.
+    ``(N/(N - n)) R (J'J)^-1 J' C J (J'J)^-1 / mean(psi')^2`` with C the covariance of psi: diag(psi^2) where psi is
+    white (Huber, Robust Statistics, 1981, section 7.6), otherwise that of the autoregression that it shows. This holds
+    whatever the distribution of the residuals is. With a noise for each output, J and psi are weighted by mean(psi')/R
+    of it, and each psi has a colour; directions that nothing depends on have no variance.
 
     Parameters
     ----------
@@ -150,28 +150,34 @@ def sandwich(jacobian: Array, residual: Array, noise: _Noise, carried: Array | N
         These residuals.
     noise : Noise or Noises
         Their noise.
-    carried : ndarray, shape (K,), optional
-        h, the impulse response of a filter that makes these of white noise, those of each output by itself.
+    shared : int
+        How many of them, the first ones, are no levels and starts.
 
     Returns
     -------
-    ndarray, shape (n, n)
+    P : ndarray, shape (n, n)
+    colour : float
+        How many times as large the standard deviations are as those of white residuals, in the
+        quadratic mean of those that are shared.
     """
     psi, slope = noise.psi(residual), noise.slope(residual)
     weighted = jacobian * np.broadcast_to(np.sqrt(slope / noise.variance), residual.shape)[:, None]
     size = np.linalg.norm(weighted, axis=0)
     size[size == 0.0] = 1.0
-    # Derivatives of theta by the residuals, (J'J)^-1 J', without forming J'J.
+    # Derivatives of theta by psi, (J'J)^-1 J', without forming J'J.
     left, values, right = np.linalg.svd(weighted / size, full_matrices=False)
     kept = values > 1e-10 * values[0]
-    effect = (right[kept].T / values[kept]) @ left[:, kept].T / size[:, None]
-    if carried is None:
-        effect *= psi / np.sqrt(slope)
-    else:
-        effect *= np.sqrt(slope / noise.variance)
-        rows = [slice(None)] if isinstance(noise, Noise) else [noise.which == j for j in range(len(noise.parts))]
-        effect = np.hstack([
-            fftconvolve(effect[:, own], carried[None, ::-1], axes=1) * np.sqrt(np.mean(residual[own] ** 2))
-            for own in rows
-        ]) / np.linalg.norm(carried)  # fmt: skip
-    return np.asarray(residual.size / (residual.size - int(kept.sum())) * (effect @ effect.T))
+    effect = (right[kept].T / values[kept]) @ left[:, kept].T / size[:, None] / np.sqrt(slope)
+    white = carried = effect * psi
+    outputs = [slice(None)] if isinstance(noise, Noise) else [noise.which == j for j in range(len(noise.parts))]
+    colours = [colour_of(psi[own]).response for own in outputs]
+    if any(h.size > 1 for h in colours):
+        carried = np.hstack([
+            white[:, own] if h.size == 1
+            else fftconvolve(effect[:, own], h[None, ::-1], axes=1) * np.sqrt(np.mean(psi[own] ** 2))
+            for own, h in zip(outputs, colours, strict=True)
+        ])  # fmt: skip
+    more = residual.size / (residual.size - int(kept.sum()))
+    P, plain = more * (carried @ carried.T), more * (white @ white.T)
+    before, after = plain.diagonal()[:shared], P.diagonal()[:shared]
+    return P, float(np.sqrt(np.mean(np.divide(after, before, out=np.ones(before.size), where=before > 0.0))))

@@ -48,6 +48,7 @@ def profiled(
     held: Any,
     others: list[tuple[float, Array]],
     sampled: bool,
+    colour: float = 1.0,
 ) -> tuple[Array, str]:
     """Return the covariance of the free parameters, wider where the loss bends, and how it was found.
 
@@ -69,6 +70,8 @@ def profiled(
         Other ends: how much less likely each is, and its free parameters.
     sampled : bool
         Whether models may be drawn from the likelihood.
+    colour : float, default 1.0
+        How many times as large standard deviations are as those of white residuals.
 
     Returns
     -------
@@ -76,7 +79,7 @@ def profiled(
     found : str
         "profile likelihood", "sampled likelihood", or nothing where the loss does not bend.
     """
-    loss = _Loss.of(model, p, noise, rows, held)
+    loss = _Loss.of(model, p, noise, rows, held, colour)
     places = np.flatnonzero(loss.bent)
     if not places.size:
         return P, ""
@@ -139,14 +142,14 @@ class _Loss(NamedTuple):
     polynomial: Any
 
     @classmethod
-    def of(cls, model: PolynomialModel, p: Array, noise: Noise, rows: Any, held: Any) -> _Loss:
+    def of(cls, model: PolynomialModel, p: Array, noise: Noise, rows: Any, held: Any, colour: float) -> _Loss:
         """Return it, of which as much counts as the sandwich says."""
         places, bent = model.structure.polynomials, np.zeros(model.n, dtype=bool)
         for place in (places.f, places.c, places.d):
             bent[place] = True
         residual = model.residuals(p)[rows]
         square = max(float(np.mean(noise.psi(residual) ** 2)), np.finfo(float).tiny)
-        counted = noise.slope(residual) / square * (1.0 - model.n / residual.size)
+        counted = noise.slope(residual) / square * (1.0 - model.n / residual.size) / colour**2
         return cls(model, p, noise, rows, noise.weights(residual), counted, bent & ~held, ~bent & ~held, bent)
 
     def polynomials(self, p: Array) -> list[Array]:

@@ -35,7 +35,7 @@ from robust_filterpy.identification.models.several_recordings import SeveralReco
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.influence.regression import mad_scale
 
-__all__ = ["End", "Ranked", "ends", "known_part"]
+__all__ = ["End", "Ranked", "ends", "known_part", "searched_again"]
 
 # An outlier in the regressor changes the residuals, and these show which samples are outliers.
 # Where few of them are known yet, parameters that follow the others go astray: the first steps are few.
@@ -113,7 +113,7 @@ class Ranked(NamedTuple):
 
 def ends(
     model: PolynomialModel, missing: Any, influence: Influence | None, R: float | None, limits: Limits | None = None,
-    least: float = ROUNDING**2,
+    least: float = ROUNDING**2, begin: Array | None = None,
 ) -> list[Ranked]:  # fmt: skip
     """Search from every start.
 
@@ -131,12 +131,20 @@ def ends(
         Where theta may be.
     least : float, default 1e-24
         R never becomes smaller.
+    begin : ndarray, shape (n,), optional
+        Free parameters that are the only start.
 
     Returns
     -------
     list of Ranked
         Ends that differ, the best first.
     """
+    if begin is not None:
+        noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, least)
+        end = _searched(model, begin, noise, missing, ("the model before",), _ROUGH, limits)
+        noise = replace(end.noise, influence=START if influence is None else influence)
+        end = _searched(model, end.p, noise, missing, end.starts, _FULL, limits)
+        return _best_first(model, missing, [end], limits)
     if model.na and not model.nf and model.y.size > 2 * _MOST_SEARCHED and len(model.pieces) == 1:
         return _ends_of_long(model, missing, influence, R, limits, least)
     noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, least)
@@ -176,6 +184,27 @@ def _ends_of_long(
         told = Outliers(missing, np.ones(model.y.size - model.first, dtype=bool), end.outliers.threshold)
         found.append(_searched(model, end.p, end.noise, missing, end.starts, _AGAIN, limits, told))
     return _best_first(model, missing, found, limits)
+
+
+def searched_again(model: Any, end: End, missing: Any, limits: Limits | None) -> End:
+    """Return where the search goes on to from an end, for a model with more free parameters.
+
+    Parameters
+    ----------
+    model : PolynomialModel or Levelled
+        The model.
+    end : End
+        Where it begins, with as many free parameters.
+    missing : ndarray of bool, shape (N,)
+        Where the output is missing.
+    limits : Limits or None
+        Where theta may be.
+
+    Returns
+    -------
+    End
+    """
+    return _searched(model, end.p, end.noise, missing, end.starts, _AGAIN, limits, end.outliers)
 
 
 def known_part(model: PolynomialModel, end: End) -> tuple[Array, Array]:
@@ -234,7 +263,7 @@ def _searched(
             break
     found, full = _maximised(model, p, noise, outliers, effort.turns, effort.steps, limits)
     rows = _counting(full, full is model, outliers.wrong)
-    y = full.y if isinstance(full, PolynomialModel) else full.output(found.p)
+    y = full.output(found.p) if isinstance(full, CompletedModel) else full.y
     return End(starts, found.p, found.noise, y, outliers, rows, found.residual, found.converged)
 
 

@@ -19,6 +19,7 @@ from scipy.linalg import hankel, lstsq, toeplitz
 from scipy.signal import lfilter
 
 from robust_filterpy._checks import Array
+from robust_filterpy.identification.models.guard import stabilised
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.influence.regression import mad_scale, robust_regression
 
@@ -41,7 +42,6 @@ _FEWER_POLES: Final = 2
 _POLES: Final = (0.0, 0.8)
 _MOST_EQUAL_POLES: Final = 10
 _ITERATIONS: Final = 15
-_LARGEST_RADIUS: Final = 0.995
 # More samples make no better start.
 _MOST_ROWS: Final = 20_000
 
@@ -169,7 +169,7 @@ def _autoregression(signal: Array, order: int) -> Array:
     if not order:
         return np.ones(1)
     a = -lstsq(toeplitz(correlations[:-1]), np.array(correlations[1:]))[0]
-    return _stabilised(np.concatenate(([1.0], a)))
+    return stabilised(np.concatenate(([1.0], a)))
 
 
 def output_error_starts(model: PolynomialModel, rows: Any) -> Iterator[Start]:
@@ -240,20 +240,7 @@ def _reduced(model: PolynomialModel, responses: Array, order: int) -> Array:
     transition = lstsq(observed[:-1], observed[1:])[0]
     f = np.zeros(nf + 1)
     f[: len(transition) + 1] = np.real(np.poly(transition))
-    return _stabilised(f)
-
-
-def _stabilised(f: Array) -> Array:
-    """Return a polynomial, its leading 1 included, with the roots outside a circle mirrored into it."""
-    roots = np.roots(f)
-    radius = np.abs(roots)
-    far = radius > _LARGEST_RADIUS
-    if not far.any():
-        return f
-    roots[far] *= np.minimum(_LARGEST_RADIUS, 1.0 / radius[far]) / radius[far]
-    stable = np.zeros(f.size)
-    stable[: roots.size + 1] = np.real(np.poly(roots))
-    return stable
+    return stabilised(f)
 
 
 def _refitted(model: PolynomialModel, rows: Any, f: Array) -> Array:
@@ -278,7 +265,7 @@ def _steiglitz_mcbride(model: PolynomialModel, rows: Any, y: Array, f: Array) ->
         filtered = lfilter([1.0], f, y)
         for j in range(1, model.nf + 1):
             X[:, place.start + j - 1] = -np.concatenate((np.zeros(j), filtered[:-j]))[model.first :]
-        f = _stabilised(np.concatenate(([1.0], lstsq(X, filtered[model.first :])[0][place])))
+        f = stabilised(np.concatenate(([1.0], lstsq(X, filtered[model.first :])[0][place])))
         p = _refitted(model, rows, f)
         mean = bounded_mean(model.residuals(p)[rows])
         if mean < least:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -11,8 +10,8 @@ from scipy.signal import dlsim
 
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
-from robust_filterpy.identification.estimation.focus import band
-from robust_filterpy.identification.estimation.focus_of_states import focused_states, require_focus
+from robust_filterpy.identification.estimation.colour import evidence_of_outputs
+from robust_filterpy.identification.estimation.level import of_impulses
 from robust_filterpy.identification.estimation.limits import Limits
 from robust_filterpy.identification.estimation.outputs import Outputs
 from robust_filterpy.identification.estimation.prediction_error import minimised, sandwich
@@ -75,7 +74,6 @@ def identified_state_space(
     influence: Influence | None = None,
     groups: Any = None,
     trend: str = "breaks",
-    focus: Any = None,
 ) -> StateSpaceModel:
     """Find a state-space model of recordings of several outputs.
 
@@ -93,8 +91,6 @@ def identified_state_space(
         Labels of recordings.
     trend : {"constant", "line", "breaks"}, default "breaks"
         What level each output has.
-    focus : (float, float), optional
-        Band that counts, as of `identify`.
 
     Returns
     -------
@@ -108,26 +104,22 @@ def identified_state_space(
     told = recordings(Signals.of(y, u), y, u, groups)
     spans = [slice(b, e) for b, e in zip(told.begins, ends_of(told.begins, len(told.y)), strict=True)]
 
-    edges = None if focus is None else band(focus, told.axis.dt)
-    if edges is not None:
-        require_focus(structure, len(spans))
-
     def find(y: Array, u: Array) -> StateSpaceModel:
         return _modelled(told._replace(y=y, u=u), spans, structure, influence)
-
-    def filtered(y: Array, u: Array, h: Array) -> StateSpaceModel:
-        return _modelled(told._replace(y=y, u=u), [slice(0, len(y))], structure, influence, h)
 
     def each(y: Array, u: Array, of: Any) -> Array:
         return np.concatenate([of(y[part], u[part]) for part in spans])
 
-    whole = Outputs(told.y, told.u, spans, find, lambda model, y, u: each(y, u, model.free_run), told.axis.index)
+    def judged(model: StateSpaceModel, y: Array, u: Array) -> float:
+        return evidence_of_outputs(model.noise, each(y, u, model.residuals), spans)
+
+    whole = Outputs(
+        told.y, told.u, spans, find, lambda model, y, u: each(y, u, model.free_run), judged,
+        lambda y, u, plain: [of_impulses(y, u, spans)], None, told.axis.index,
+    )  # fmt: skip
     with one_thread():
         best = whole.beside(trend)
         model, y, u = best.model, told.y - best.levels, best.u
-        if edges is not None:
-            held = partial(_held, told._replace(y=y, u=u), spans, influence)
-            model = focused_states(y, u, model, edges, filtered, held)
         output = each(y, u, model.free_run)
         left = whole.left(
             best, output, each(y, u, model.residuals), model.operating_point, structure.feedthrough,
@@ -144,9 +136,8 @@ def _modelled(
     spans: list[slice],
     structure: StateSpace,
     influence: Influence | None,
-    carried: Array | None = None,
 ) -> StateSpaceModel:
-    """Return the model of recordings as they are, whose residuals are white or carry over as a filter says."""
+    """Return the model of recordings as they are."""
     rest, units, parts, known = _scaled(told, spans)
     orders = structure.orders
     _require_informative(structure, parts, known, min(orders))
@@ -160,7 +151,7 @@ def _modelled(
             break
     one = tried[best].model.matrices(tried[best].q)
     T = balancing(one.A, one.B, one.C)
-    model = _in_units(tried[best], T, units, told, spans, known, rest, structure, carried)
+    model = _in_units(tried[best], T, units, told, spans, known, rest, structure)
     return replace(model, orders=tuple((n, found.criterion) for n, found in zip(orders, tried, strict=False)))
 
 
@@ -171,24 +162,6 @@ def _driven(model: StateSpaceModel, output: Array) -> Array:
         return deviation
     system = (model.A - model.K @ model.C, model.K, -model.C, np.eye(deviation.shape[1]), 1.0)
     return np.asarray(dlsim(system, deviation)[1])
-
-
-def _held(told: Recordings, spans: list[slice], influence: Influence | None, of: StateSpaceModel) -> StateSpaceModel:
-    """Return the model of recordings with the dynamics of another one: levels, starts, noise."""
-    rest, units, parts, known = _scaled(told, spans)
-    model = StateSpaceResiduals(len(of.A), parts, of.structure.feedthrough, False)
-    rows, zero = np.concatenate([good.ravel() for good in known]), np.zeros
-    matrices = Matrices(
-        of.A, of.B * units.u, of.C / units.y[:, None], of.D * units.u / units.y[:, None], of.K * units.y,
-        zero(model.order), zero(model.outputs),
-    )  # fmt: skip
-    q = model.packed(matrices, zero((len(spans), model.outputs)), zero((len(spans), model.order)))
-    limits = Limits(q[: model.shared], q[: model.shared])
-    begun = _descended(model, Start("held", q), _first_noise(model, rows, influence), rows, limits)
-    found = _settled(begun, influence, limits)
-    return replace(
-        _in_units(found, np.eye(model.order), units, told, spans, known, rest, of.structure), orders=of.orders
-    )
 
 
 def _scaled(told: Recordings, spans: list[slice]) -> tuple[Array, _Units, list[tuple[Array, Array]], list[Any]]:
@@ -377,7 +350,6 @@ def _in_units(
     known: Any,
     rest: Array,
     structure: StateSpace,
-    carried: Array | None = None,
 ) -> StateSpaceModel:
     """Return the model in another basis, for the recordings as they were measured."""
     one, n, p = found.model.matrices(found.q), found.model.order, found.model.outputs
@@ -397,7 +369,7 @@ def _in_units(
     residual = model.residuals(q)
     scaled = tuple(one.times(size) for one, size in zip(found.noise.parts, Sy, strict=True))
     noise = found.noise._replace(parts=scaled)
-    P = sandwich(model.jacobian(q)[rows], residual[rows], noise, carried)
+    P, colour = sandwich(model.jacobian(q)[rows], residual[rows], noise, model.shared)
     weights = np.full(residual.size, np.nan)
     weights[rows] = noise.weights(residual[rows])
     total = rows.sum() / max(rows.sum() - found.free, 1)
@@ -408,7 +380,7 @@ def _in_units(
         P=P[:s, :s], level_std=np.sqrt(np.maximum(P.diagonal()[last], 0.0)),
         noise=tuple(replace(one, R=one.R * total) for one in scaled), weights=weights.reshape(-1, p),
         log_likelihood=noise.log_likelihood(residual[rows]), warning=_doubt(found), end=model.states(q, -1)[-1],
-        operating_point=rest, dt=told.axis.dt, levels=levels,
+        operating_point=rest, dt=told.axis.dt, levels=levels, colour=colour,
     )  # fmt: skip
 
 

@@ -15,12 +15,12 @@ import numpy as np
 from scipy.linalg import lstsq
 
 from robust_filterpy._checks import Array
+from robust_filterpy.identification.models.guard import mirrored
 from robust_filterpy.identification.models.state_space_residuals import Matrices, StateSpaceResiduals
 from robust_filterpy.influence.regression import robust_regression
 
 __all__ = ["Start", "impulse_start", "predictor_start", "refitted"]
 
-_LARGEST_RADIUS: Final = 0.995
 # So many equations for each coefficient of a long regression.
 _EQUATIONS_EACH: Final = 4
 
@@ -184,14 +184,10 @@ def _from(name: str, model: StateSpaceResiduals, known: list[Any], A: Array, C: 
 
 
 def _stabilised(A: Array) -> Array:
-    """Return a matrix with the eigenvalues outside a circle mirrored into it."""
+    """Return a matrix with its eigenvalues mirrored into a circle."""
     values, vectors = np.linalg.eig(A)
-    radius = np.abs(values)
-    if (radius <= _LARGEST_RADIUS).all():
-        return A
-    far = radius > _LARGEST_RADIUS
-    values[far] *= np.minimum(_LARGEST_RADIUS, 1.0 / radius[far]) / radius[far]
-    return np.real(vectors * values @ np.linalg.inv(vectors))
+    inside = mirrored(values)
+    return A if np.array_equal(inside, values) else np.real(vectors * inside @ np.linalg.inv(vectors))
 
 
 def _stacked(model: StateSpaceResiduals, known: list[Any], blocks: Any) -> tuple[Array, Array, Any]:

@@ -61,6 +61,8 @@ class GreyBoxModel(Estimated):
         What the recording has beside the model.
     trends : tuple of (int, ndarray)
         As of a `StateSpaceModel`.
+    colour : float
+        How many times as large standard deviations are as those of white residuals, which P counts.
     """
 
     structure: GreyBox
@@ -75,6 +77,7 @@ class GreyBoxModel(Estimated):
     warning: str
     findings: tuple[Finding, ...] = ()
     trends: tuple[tuple[int, Array], ...] = ()
+    colour: float = 1.0
 
     @property
     def R(self) -> Array:
@@ -89,7 +92,7 @@ class GreyBoxModel(Estimated):
 
     def _summarized(self, level: float) -> Summary:
         """Return the table, with what was found beside the parameters."""
-        facts = facts_of_outputs(self.weights, self.log_likelihood, self.noise)
+        facts = facts_of_outputs(self.weights, self.log_likelihood, self.noise, self.colour)
         names = self.structure.free_names
         return summarized("GreyBox", facts, names, self.theta, self.std, level, self.warning, said(self.findings))
 

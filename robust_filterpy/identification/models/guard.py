@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final, Literal, TypeAlias
+from typing import Any, Final, Literal, TypeAlias
+
+import numpy as np
 
 from robust_filterpy._checks import Array
 
-__all__ = ["GUARDS", "Guard", "are_stable", "is_stable", "restrained"]
+__all__ = ["GUARDS", "Guard", "are_stable", "is_stable", "mirrored", "restrained", "stabilised"]
 
 #: What to do with a step of theta that leaves the stable region.
 Guard: TypeAlias = Literal["none", "reject", "halve"]
@@ -15,6 +17,7 @@ GUARDS: Final[tuple[Guard, ...]] = ("none", "reject", "halve")
 
 # 2^-30 of a step is no step worth taking.
 MOST_HALVINGS: Final = 30
+_LARGEST_RADIUS: Final = 0.995
 
 
 def is_stable(coefficients: Sequence[float]) -> bool:
@@ -67,6 +70,42 @@ def are_stable(theta: Array, parts: Sequence[slice]) -> bool:
     bool
     """
     return all(is_stable(theta[part].tolist()) for part in parts)
+
+
+def mirrored(roots: Any) -> Any:
+    """Return roots, those outside a circle of radius .995 mirrored into it.
+
+    Parameters
+    ----------
+    roots : ndarray of complex, shape (n,)
+        Any.
+
+    Returns
+    -------
+    ndarray of complex, shape (n,)
+    """
+    radius = np.maximum(np.abs(roots), np.finfo(float).tiny)
+    return np.where(radius > _LARGEST_RADIUS, roots * np.minimum(_LARGEST_RADIUS, 1.0 / radius) / radius, roots)
+
+
+def stabilised(f: Array) -> Array:
+    """Return a polynomial, its leading 1 included, with its roots mirrored.
+
+    Parameters
+    ----------
+    f : ndarray, shape (n + 1,)
+        Coefficients of 1, q^-1, ..
+
+    Returns
+    -------
+    ndarray, shape (n + 1,)
+    """
+    roots = np.roots(f)
+    if (np.abs(roots) <= _LARGEST_RADIUS).all():
+        return f
+    stable = np.zeros(f.size)
+    stable[: roots.size + 1] = np.real(np.poly(mirrored(roots)))
+    return stable
 
 
 def restrained(theta: Array, old: Array, parts: Sequence[slice], guard: str) -> tuple[Array, int]:

@@ -27,7 +27,7 @@ from robust_filterpy.identification.models.regressor import Layout, Memory
 from robust_filterpy.identification.models.responses import Responses
 from robust_filterpy.identification.models.signals import measured_output, recorded_input, trend_of
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.models.summary import Summary, focus_text, summarized
+from robust_filterpy.identification.models.summary import Summary, coloured, summarized
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording
 from robust_filterpy.identification.models.unmeasured import measurements
 from robust_filterpy.influence.regression import robust_regression
@@ -109,14 +109,17 @@ class Model(EstimatedPolynomials, Responses):
         `level` of each recording, if there were several; offset, trend and memory are those of the last.
     recordings : tuple of (int, ndarray)
         Fingerprint and trend of each of several recordings.
-    focus : tuple of float or None
-        Band in rad/s (rad a sample without dt) that the fit has counted; None: all frequencies.
     profiled : bool
         Whether P is that of the likelihood: the loss is not quadratic within two standard deviations, or another end is
         nearly as likely.
     sampled : bool
         Whether P is then that of models drawn from the likelihood, rather than of its profile: two pairs of poles or
         more, where one that nearly cancels may be at other places.
+    colour : float
+        How many times as large standard deviations are as those of white residuals: what is left follows itself, and
+        P counts that.
+    evidence : float
+        Log-likelihood with the colour of the residuals.
 
     Notes
     -----
@@ -145,9 +148,10 @@ class Model(EstimatedPolynomials, Responses):
     fingerprint: int = 0
     levels: Array = field(default_factory=lambda: np.zeros(0))
     recordings: tuple[tuple[int, Array], ...] = ()
-    focus: tuple[float, float] | None = None
     profiled: bool = False
     sampled: bool = False
+    colour: float = 1.0
+    evidence: float = float("nan")
 
     def __repr__(self) -> str:
         """Show the parameters with their standard deviations."""
@@ -195,10 +199,9 @@ class Model(EstimatedPolynomials, Responses):
         facts |= {"Log-likelihood": f"{self.log_likelihood:.1f}", "Fit, 1 step": f"{self.own_fit:.2f} %"}
         if self.profiled:
             facts["Intervals"] = "sampled likelihood" if self.sampled else "profile likelihood"
+        facts |= coloured(self.colour)
         if self.levels.size:
             facts["Recordings"] = f"{self.levels.size}, each with a level"
-        if self.focus is not None:
-            facts["Focus"] = focus_text(self.focus, self.dt)
         if self.dt is not None:
             facts["Sampling period"] = f"{self.dt:.6g} s"
         return summarized(str(self.structure), facts, names, theta, std, level, self.warning, said(self.findings))

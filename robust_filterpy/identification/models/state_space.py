@@ -20,7 +20,7 @@ from robust_filterpy.identification.models.signals import measured_outputs, reco
 from robust_filterpy.identification.models.state_space_residuals import StateSpaceResiduals
 from robust_filterpy.identification.models.state_space_structure import Signals, StateSpace
 from robust_filterpy.identification.models.state_space_system import StateSpaceSystem
-from robust_filterpy.identification.models.summary import Summary, facts_of_outputs, focus_text, summarized
+from robust_filterpy.identification.models.summary import Summary, facts_of_outputs, summarized
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording, table
 from robust_filterpy.identification.models.unmeasured import measurements
 from robust_filterpy.influence.regression import robust_regression
@@ -66,8 +66,8 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
     trends : tuple of (int, ndarray)
         Fingerprint of each recording whose levels break, and these, 0 at its end, shape (N, p): methods that are given
         the same y take them off it, and put them back.
-    focus : tuple of float or None
-        Band in rad/s (rad a sample without dt) that the fit has counted; None: all frequencies.
+    colour : float
+        How many times as large standard deviations are as those of white residuals, which P counts.
     """
 
     structure: StateSpace
@@ -90,7 +90,7 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
     levels: Array = field(default_factory=lambda: np.zeros((0, 0)))
     orders: tuple[tuple[int, float], ...] = ()
     trends: tuple[tuple[int, Array], ...] = ()
-    focus: tuple[float, float] | None = None
+    colour: float = 1.0
 
     def __repr__(self) -> str:
         """Show orders, poles and noise."""
@@ -107,10 +107,8 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
 
     def _summarized(self, level: float) -> Summary:
         """Return the table of all entries and the levels, with what was found beside them."""
-        facts = facts_of_outputs(self.weights, self.log_likelihood, self.noise)
+        facts = facts_of_outputs(self.weights, self.log_likelihood, self.noise, self.colour)
         facts["Largest pole"] = f"{np.abs(np.linalg.eigvals(self.A)).max():.4g}"
-        if self.focus is not None:
-            facts["Focus"] = focus_text(self.focus, self.dt)
         if self.dt is not None:
             facts["Sampling period"] = f"{self.dt:.6g} s"
         names = tuple(f"{name}[{i},{j}]" for name, part in self._parts.items() for i, j in np.ndindex(part.shape))

@@ -12,7 +12,7 @@ from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.results import intervals
 from robust_filterpy.identification.models.time_axis import table
 
-__all__ = ["Estimate", "Summary", "facts_of_outputs", "focus_text", "summarized"]
+__all__ = ["Estimate", "Summary", "coloured", "facts_of_outputs", "summarized"]
 
 _WIDTH: Final = 78
 
@@ -115,7 +115,7 @@ class Summary:
         return self.to_text()
 
 
-def facts_of_outputs(weights: Array, log_likelihood: float, noise: tuple[Noise, ...]) -> dict[str, str]:
+def facts_of_outputs(weights: Array, log_likelihood: float, noise: tuple[Noise, ...], colour: float) -> dict[str, str]:
     """Return what a summary says of a model whose outputs have each a noise.
 
     Parameters
@@ -126,6 +126,8 @@ def facts_of_outputs(weights: Array, log_likelihood: float, noise: tuple[Noise, 
         Of what is measured.
     noise : tuple of Noise, length p
         Of each output.
+    colour : float
+        What makes of standard deviations of white residuals those of a coloured one.
 
     Returns
     -------
@@ -137,7 +139,22 @@ def facts_of_outputs(weights: Array, log_likelihood: float, noise: tuple[Noise, 
         share = getattr(one.influence, "contamination", None)
         beside = "" if share is None else f", {100 * share:.1f} % wild"
         facts[f"Noise, output {j}"] = f"{np.sqrt(one.R):.4g}{beside}"
-    return facts
+    return facts | coloured(colour)
+
+
+def coloured(colour: float) -> dict[str, str]:
+    """Return what a summary says of residuals that are not white.
+
+    Parameters
+    ----------
+    colour : float
+        How many times as large standard deviations are as those of white residuals.
+
+    Returns
+    -------
+    dict of str to str
+    """
+    return {} if colour == 1.0 else {"Coloured residuals": f"std times {colour:.2g}"}
 
 
 def summarized(
@@ -183,20 +200,3 @@ def summarized(
     columns = (column.tolist() for column in (theta, std, z, lower, upper))
     rows = tuple(Estimate(*row) for row in zip(names, *columns, strict=True))
     return Summary(title, facts, rows, float(level), warning, found)
-
-
-def focus_text(focus: tuple[float, float], dt: float | None) -> str:
-    """Return a band of frequencies in words.
-
-    Parameters
-    ----------
-    focus : (float, float)
-        Its edges.
-    dt : float or None
-        Sampling period in s.
-
-    Returns
-    -------
-    str
-    """
-    return f"{focus[0]:.4g} to {focus[1]:.4g} rad/{'sample' if dt is None else 's'}"

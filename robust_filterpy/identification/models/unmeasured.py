@@ -1,4 +1,4 @@
-"""What of recorded outputs is no measurement: fill values, a sensor that is stuck, a copy of another signal.
+"""What of recorded outputs is no measurement: fill values, a reading of 1e300, a sensor that is stuck, a copy.
 
 A measured output has noise, and hardly ever the same number twice. A number that many samples have, or a stretch of
 them, while the others are all different, is no rounding; and if inputs moved as much then as at other times, it is no
@@ -33,6 +33,9 @@ _COPIED: Final = 0.9
 # Motion in fewer samples tells nothing of stuck sensors and copies.
 _FEWEST: Final = 8
 _EQUAL: Final = 1e-9
+# A reading that is so many widths of four fifths of the others away, between some that are within so many, is none.
+_BEYOND: Final = 1e6
+_BESIDE: Final = 10.0
 
 
 def measurements(y: Array, u: Array) -> tuple[Array, tuple[Finding, ...]]:
@@ -54,9 +57,12 @@ def measurements(y: Array, u: Array) -> tuple[Array, tuple[Finding, ...]]:
     several = y.ndim > 1 and y.shape[1] > 1
     for j, column in enumerate(y.reshape(len(y), -1).T):
         fills = fill_values(column)
-        signal, held = _without_held(fills.signal, u)
+        signal, wild = _without_wild(fills.signal)
+        signal, held = _without_held(signal, u)
         columns.append(signal)
-        found += [one._replace(text=f"output {j}: " * several + one.text) for one in (*of_fill_values(fills), *held)]
+        found += [
+            one._replace(text=f"output {j}: " * several + one.text) for one in (*of_fill_values(fills), *wild, *held)
+        ]
     for j, column in enumerate(columns):
         others = [*((f"output {i}", one) for i, one in enumerate(columns[:j])), *_named(u)]
         own = f"output {j}" if several else "y"
@@ -87,6 +93,28 @@ def require_motion(y: Array, u: Array) -> None:
             many = f"{values[0]:.6g} in {(signal == values[0]).sum()} of {(~np.isnan(signal)).sum()} samples"
             got = (many if others else "the same value throughout") + f" in output {j}" * (len(columns) > 1)
             raise ValueError(f"y: expected an output that varies, got {got}: the sensor is stuck, or at its limit")
+
+
+def _without_wild(y: Array) -> tuple[Array, list[Finding]]:
+    """Return an output with NaN where it leaves all others by orders of magnitude and is back at once, and that."""
+    places = np.flatnonzero(~np.isnan(y))
+    low, middle, high = np.quantile(y[places], [0.1, 0.5, 0.9]) if places.size else np.zeros(3)
+    away = np.abs(y[places] - middle)
+    wild = away > _BEYOND * (high - low)
+    if not (wild.any() and high > low):
+        return y, []
+    # A shock of the process acts on, and so does a plant that is not stable.
+    edges = np.flatnonzero(np.diff(wild.astype(int), prepend=0, append=0)).reshape(-1, 2)
+    alone = [(a, b) for a, b in edges if a and b < wild.size and max(away[a - 1], away[b]) < _BESIDE * (high - low)]
+    if not alone:
+        return y, []
+    at, signal = np.concatenate([places[a:b] for a, b in alone]), y.copy()
+    signal[at] = np.nan
+    text = (
+        f"y is up to {np.abs(y[at]).max():.3g} in {at.size} samples and at once back among the others, of which four "
+    )
+    text += f"in five are between {low:.6g} and {high:.6g}: taken for missing"
+    return signal, [Finding("wild", text, float("nan"), (int(at[0]), int(at[-1]) + 1))]
 
 
 def _without_held(y: Array, u: Array) -> tuple[Array, list[Finding]]:
