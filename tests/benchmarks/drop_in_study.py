@@ -260,16 +260,16 @@ def frontier(seeds: range, jobs: int, path: Path) -> None:
                       for name in ("a jump of 30", *others)])  # fmt: skip
         print(f"| {length} | " + " | ".join(f"{v[0] / v[1]:.2f}" for v in table[-1]) + " |", flush=True)
     ratios = np.array(table)[:, :, 0] / np.array(table)[:, :, 1]
-    _, ax = plt.subplots(figsize=(7, 5), layout="constrained")
-    for i, name in enumerate(others, 1):
-        ax.plot(ratios[:, 0], ratios[:, i], "o-", label=name)
-    for length, x, y in zip(LENGTHS, ratios[:, 0], ratios[:, 1:].max(axis=1), strict=True):
-        note = f"{length} (default)" if length == spread.RUN_LENGTH else str(length)
-        ax.annotate(note, (x, y), textcoords="offset points", xytext=(4, 6))
-    ax.set(xlabel="a jump of 30 deviations, squared error over the Kalman filter's",
-           ylabel="squared error over who knows the labels",
-           title="How many readings in a row are taken for a jump?")  # fmt: skip
-    ax.legend()
+    _, panels = plt.subplots(1, 2, figsize=(10, 4.2), layout="constrained")
+    panels[0].plot(LENGTHS, ratios[:, 0], "o-", color="black")
+    for i, (name, mark) in enumerate(zip(others, "osD^", strict=True), 1):
+        panels[1].plot(LENGTHS, ratios[:, i], mark + "-", label=name)
+    titles = "What a true jump of 30 deviations costs", "What runs of outliers cost"
+    for axis, title, over in zip(panels, titles, ("Kalman filter's", "filter's that knows the labels"), strict=True):
+        axis.axvline(spread.RUN_LENGTH, color="0.7", linewidth=6, zorder=0, label="default")
+        axis.set(title=title, xticks=LENGTHS, xlabel="outliers in a row that are taken for a jump", ylim=(0, None))
+        axis.set_ylabel(f"squared error over the {over}")
+    panels[1].legend()
     path.parent.mkdir(parents=True, exist_ok=True)
     plt.savefig(path, dpi=150)
     print(f"\nwritten to {path}")
