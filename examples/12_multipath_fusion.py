@@ -88,9 +88,9 @@ def main(argv=None):
         print(f"{name:20} {worst[name]:12.1f} {back[name]:>38}")
     draw(errors, options.out)
     print(
-        f"Conclusion: reflected fixes cost filterpy's filter {worst['Kalman (filterpy)']:.0f} m, and Huber's and Tukey's "
-        f"psi, which soon follow what lasts, {worst['Huber']:.0f} and {worst['Tukey']:.0f} m. With a patience of 12 s "
-        f"Tukey's outlasts them ({worst['Tukey, recovering']:.0f} m), and follows a true jump after "
+        f"Conclusion: reflected fixes cost filterpy's filter {worst['Kalman (filterpy)']:.0f} m, and Huber's and "
+        f"Tukey's psi, which soon follow what lasts, {worst['Huber']:.0f} and {worst['Tukey']:.0f} m. With a patience "
+        f"of 12 s Tukey's outlasts them ({worst['Tukey, recovering']:.0f} m), and follows a true jump after "
         f"{back['Tukey, recovering']} s where the others take {back['Tukey']}."
     )
 
