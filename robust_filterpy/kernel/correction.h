@@ -43,7 +43,7 @@ typedef struct {
 #define correction_work(n, m) ((size_t)(m) * (size_t)((n) + 2 * (m) + 10))
 
 /* Lay a correction out in a workspace; shown: whether v, W and order are wanted. */
-INLINE void correction_begin(const int n, const int m, const int shown, correction *const c, real *work) {
+SIZED void correction_begin(const int n, const int m, const int shown, correction *const c, real *work) {
     c->C = work;
     c->S = c->C + n * m;
     c->W = shown ? c->S + m * m : NULL;
@@ -62,7 +62,7 @@ INLINE void correction_begin(const int n, const int m, const int shown, correcti
 }
 
 /* -log p(z) but for normalizers, gathered so that a logarithm is seldom needed. */
-INLINE void correction_gather(correction *const c, const real loss, const real variance) {
+SIZED void correction_gather(correction *const c, const real loss, const real variance) {
     c->loss += loss;
     if (variance > REAL_PRODUCT || variance < 1 / REAL_PRODUCT) {
         c->loss += REAL(0.5) * real_log(variance);
@@ -77,7 +77,7 @@ INLINE void correction_gather(correction *const c, const real loss, const real v
 
 /* Write y = z - H x, C = H P + M' and S = H P H' + H M + M' H' + R; z is NaN where missing, M (n, m) or NULL.
    Return whether y is ordinary. */
-INLINE int innovate(const int n, const int m, const real *RESTRICT z, const real *RESTRICT x, const real *RESTRICT P,
+SIZED int innovate(const int n, const int m, const real *RESTRICT z, const real *RESTRICT x, const real *RESTRICT P,
                     const real *RESTRICT H, const real *RESTRICT R, const real *M, correction *const c) {
     real *RESTRICT C = c->C, *RESTRICT S = c->S, *RESTRICT y = c->y, *RESTRICT left = c->left;
     real check = 0;
@@ -108,14 +108,14 @@ INLINE int innovate(const int n, const int m, const real *RESTRICT z, const real
 }
 
 /* T_i of one sensor. */
-INLINE real correction_scale(const int scaling, const real variance) {
+SIZED real correction_scale(const int scaling, const real variance) {
     if (scaling == SCALING_UNIT || (scaling == SCALING_BOUNDED && variance < 1)) return 1;
     return 1 / real_sqrt(variance);
 }
 
 /* Return the most plausible of the sensors left: least |e|/s, then least |e|, then least e, then the first; compared
    in single precision, since rounding must not choose the order of those that are equal. */
-INLINE int correction_next(const int m, const int scaling, const real *spread, correction *const c) {
+SIZED int correction_next(const int m, const int scaling, const real *spread, correction *const c) {
     int best = -1;
     float least = 0, least_e = 0, signed_e = 0;
     for (int i = 0; i < m; i++) {
@@ -136,7 +136,7 @@ INLINE int correction_next(const int m, const int scaling, const real *spread, c
 }
 
 /* s psi(e / s), and psi'(e / s) into slope; most often s is 1, and a division takes as long as all else. */
-INLINE real correction_bound(const psi_function *const psi, const real e, const real s, real *const slope) {
+SIZED real correction_bound(const psi_function *const psi, const real e, const real s, real *const slope) {
     real bounded;
     if (s == 1) return psi_of(psi, e, slope);
     bounded = psi_of(psi, e / s, slope);
@@ -145,7 +145,7 @@ INLINE real correction_bound(const psi_function *const psi, const real e, const 
 }
 
 /* P -= d g g'; as d (g g'), since rounding would make (d g) g' unsymmetric. */
-INLINE void correction_shrink(const int n, const real d, const real *RESTRICT g, real *RESTRICT P) {
+SIZED void correction_shrink(const int n, const real d, const real *RESTRICT g, real *RESTRICT P) {
     if (d == 1) {
         for (int k = 0; k < n; k++) {
             const real gk = g[k];
@@ -161,7 +161,7 @@ INLINE void correction_shrink(const int n, const real d, const real *RESTRICT g,
 
 /* Correct x and P in place by the innovations of c; spread is (m), or NULL for 1. Return whether all was ordinary: if
    not, what x and P now hold is of no use. */
-INLINE int correct(const int n, const int m, const correction_rule *const rule, const real *spread, real *RESTRICT x,
+SIZED int correct(const int n, const int m, const correction_rule *const rule, const real *spread, real *RESTRICT x,
                    real *RESTRICT P, correction *const c) {
     real *RESTRICT C = c->C, *RESTRICT S = c->S, *RESTRICT y = c->y;
     real check = 0;
@@ -228,7 +228,7 @@ INLINE int correct(const int n, const int m, const correction_rule *const rule, 
 }
 
 /* Return log p(z). */
-INLINE real correction_log_likelihood(const correction_rule *const rule, const correction *const c) {
+SIZED real correction_log_likelihood(const correction_rule *const rule, const correction *const c) {
     return -c->loss - REAL(0.5) * real_log(c->product) - (real)c->observed * rule->normalizer;
 }
 

@@ -12,7 +12,7 @@
 
 /* out = A B, of each row the columns up to the diagonal at least; four columns at a time, whose sums stay in
    registers. */
-INLINE void predict_columns(const int n, const real *RESTRICT A, const real *RESTRICT B, real *RESTRICT out,
+SIZED void predict_columns(const int n, const real *RESTRICT A, const real *RESTRICT B, real *RESTRICT out,
                             const int lower) {
     for (int i = 0; i < n; i++) {
         const real *RESTRICT row = A + i * n;
@@ -42,7 +42,7 @@ INLINE void predict_columns(const int n, const real *RESTRICT A, const real *RES
 }
 
 /* The same for more states than that: four rows of B at a time. */
-INLINE void predict_blocks(const int n, const real *RESTRICT A, const real *RESTRICT B, real *RESTRICT out,
+SIZED void predict_blocks(const int n, const real *RESTRICT A, const real *RESTRICT B, real *RESTRICT out,
                             const int lower) {
     for (int i = 0; i < n; i++) {
         /* A block beyond the diagonal: what is too much is written over. */
@@ -63,7 +63,7 @@ INLINE void predict_blocks(const int n, const real *RESTRICT A, const real *REST
 }
 
 /* Write x_next and P_next, which are none of the arguments; control is B u, or NULL. Return whether they are finite. */
-INLINE int predict(const int n, const real *RESTRICT x, const real *RESTRICT P, const real *RESTRICT F,
+SIZED int predict(const int n, const real *RESTRICT x, const real *RESTRICT P, const real *RESTRICT F,
                    const real *RESTRICT Q, const real *control, const real alpha_sq, real *RESTRICT x_next,
                    real *RESTRICT P_next, real *RESTRICT work) {
     real *RESTRICT W = work, *RESTRICT transposed = work + n * n;

@@ -15,7 +15,7 @@ typedef struct {
 } psi_function;
 
 /* Write psi(e), and psi'(e) into slope. */
-INLINE real psi_of(const psi_function *const f, const real e, real *const slope) {
+SIZED real psi_of(const psi_function *const f, const real e, real *const slope) {
     const real r = real_abs(e), a = f->a;
     real inner;
     switch (f->kind) {
@@ -49,7 +49,7 @@ INLINE real psi_of(const psi_function *const f, const real e, real *const slope)
 }
 
 /* rho(e), whose derivative psi is. */
-INLINE real psi_rho(const psi_function *const f, const real e) {
+SIZED real psi_rho(const psi_function *const f, const real e) {
     const real r = real_abs(e), a = f->a;
     real inner;
     switch (f->kind) {

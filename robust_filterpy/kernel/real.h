@@ -1,7 +1,8 @@
 /* The number type, and what every other header of the kernel relies on.
 
    Conventions. Matrices are stored by rows, without gaps. Sizes (n states, m sensors) are the first arguments and may
-   be constants: every function is inlined, and then has the loops of its size. What is computed from comes before
+   be constants: a function that is SIZED is inlined, and then has the loops of its size. What is computed from comes
+   before
    what is written; workspaces come from the caller, last, and for each function that wants one there is an
    <function>_work that says how many numbers (a macro, where that has to be a constant in what export_c writes).
    Nothing is allocated and nothing is remembered between calls. A function that can fail returns 1 where the step was
@@ -47,14 +48,19 @@ typedef double real;
 #define real_copysign copysign
 #endif
 
+/* SIZED: always inlined, since its loops gain by a size that is a constant; INLINE: where the compiler thinks it pays. To
+   inline everything into each of nine loops takes minutes and a gigabyte to compile, and gains nothing. */
 #if defined(_MSC_VER) && !defined(__clang__)
 #define INLINE static __inline
+#define SIZED static __forceinline
 #define RESTRICT __restrict
 #elif defined(__GNUC__) || defined(__clang__)
 #define INLINE static inline __attribute__((unused))
+#define SIZED static inline __attribute__((always_inline, unused))
 #define RESTRICT __restrict__
 #else
 #define INLINE static inline
+#define SIZED static inline
 #define RESTRICT restrict
 #endif
 

@@ -28,12 +28,12 @@ typedef struct {
     ptrdiff_t *done;                                               /* (series) first step that was not taken */
 } series_job;
 
-INLINE size_t series_work(const int n, const int m) {
+SIZED size_t series_work(const int n, const int m) {
     return (size_t)(3 * n * (n + 1)) + predict_work(n) + update_work(n, m) + (size_t)(SPREAD_NUMBERS * m);
 }
 
 /* Keep a mean, and a covariance whole, its diagonal, or nothing. */
-INLINE void series_keep(const int n, const int width, const ptrdiff_t row, const real *x, const real *P, real *means,
+SIZED void series_keep(const int n, const int width, const ptrdiff_t row, const real *x, const real *P, real *means,
                         real *covariances) {
     if (means) real_copy(n, x, means + row * n);
     if (!covariances) return;
@@ -43,7 +43,7 @@ INLINE void series_keep(const int n, const int width, const ptrdiff_t row, const
 }
 
 /* Take the steps of series low to high - 1. */
-INLINE void series_span(const int n, const int m, const series_job *const job, const ptrdiff_t low,
+SIZED void series_span(const int n, const int m, const series_job *const job, const ptrdiff_t low,
                         const ptrdiff_t high, real *RESTRICT work) {
     const correction_rule rule = job->rule;
     real *buffer = work + 3 * n * (n + 1), *spare = buffer + predict_work(n);

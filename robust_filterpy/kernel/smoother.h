@@ -35,11 +35,11 @@ typedef struct {
     real *rows, *buffer;                   /* rows: n (r + 3) */
 } smoother_room;
 
-INLINE size_t smoother_work(const ptrdiff_t steps, const int n, const int m, const int r) {
+SIZED size_t smoother_work(const ptrdiff_t steps, const int n, const int m, const int r) {
     return (size_t)steps * (size_t)(m * (n + 1)) + (size_t)(n * (7 * n + m + r + 7) + m * m) + predict_work(n);
 }
 
-INLINE smoother_room smoother_begin(const ptrdiff_t steps, const int n, const int m, const int r, real *work) {
+SIZED smoother_room smoother_begin(const ptrdiff_t steps, const int n, const int m, const int r, real *work) {
     smoother_room room;
     room.Hx = work, room.PH = room.Hx + steps * m, work = room.PH + steps * m * n;
     room.x = work, room.x_next = room.x + n, room.y = room.x_next + n, room.y_taken = room.y + n;
@@ -52,13 +52,13 @@ INLINE smoother_room smoother_begin(const ptrdiff_t steps, const int n, const in
 }
 
 /* The numbers of a series and a step. */
-INLINE const real *smoother_at(const series_matrices *const of, const ptrdiff_t s, const ptrdiff_t k) {
+SIZED const real *smoother_at(const series_matrices *const of, const ptrdiff_t s, const ptrdiff_t k) {
     return of->data + s * of->by_series + k * of->by_step;
 }
 
 /* Take in the factor exp(-d e^2/2 - o e) of e = z - h x: correct x and P in place. Return how sharp it was, d h P h';
    for a sharp one, and whenever joseph says so, P takes Joseph's form. rows: 2 n. */
-INLINE real smoother_take(const int n, const real *RESTRICT h, const real z, const real d, const real o,
+SIZED real smoother_take(const int n, const real *RESTRICT h, const real z, const real d, const real o,
                          const int joseph, real *RESTRICT x, real *RESTRICT P, real *RESTRICT rows) {
     real *RESTRICT p = rows, *RESTRICT k = rows + n;
     real predicted = 0, variance = 0;
@@ -85,7 +85,7 @@ INLINE real smoother_take(const int n, const real *RESTRICT h, const real z, con
 }
 
 /* Filter series s; return how sharp the sharpest measurement was. */
-INLINE real smoother_forward(const int n, const int m, const smoother_job *const job, const ptrdiff_t s,
+SIZED real smoother_forward(const int n, const int m, const smoother_job *const job, const ptrdiff_t s,
                             smoother_room *const room) {
     const int r = job->r;
     real sharp = 0, scale = 1;
@@ -149,7 +149,7 @@ CALLED void smoother_seen(const int n, const int m, const real *H, const real *x
 }
 
 /* Write V = H P_s H' and B = H P L of a step into room, P_s being the smoothed covariance. */
-INLINE void smoother_spread(const int n, const int m, const real *RESTRICT H, const real *RESTRICT PH,
+SIZED void smoother_spread(const int n, const int m, const real *RESTRICT H, const real *RESTRICT PH,
                             const real *RESTRICT L, smoother_room *const room) {
     real *RESTRICT B = room->B, *RESTRICT V = room->V;
     for (int v = 0; v < m; v++) {
@@ -165,7 +165,7 @@ INLINE void smoother_spread(const int n, const int m, const real *RESTRICT H, co
 }
 
 /* s += H'(d e + o) and, where L is wanted, L += H'(d - d V d) H - H'd B - B'd H; fitted is H x_s. */
-INLINE void smoother_gather(const int n, const int m, const real *RESTRICT H, const real *RESTRICT z,
+SIZED void smoother_gather(const int n, const int m, const real *RESTRICT H, const real *RESTRICT z,
                             const real *RESTRICT d, const real *RESTRICT o, const real *RESTRICT fitted,
                             const int wanted, real *RESTRICT s, real *RESTRICT L, const smoother_room *const room) {
     const real *RESTRICT B = room->B, *RESTRICT V = room->V;
@@ -251,7 +251,7 @@ CALLED void smoother_earlier(const int n, const int m, const smoother_job *job, 
 }
 
 /* Smooth one filtered state in place; s and L are score and information of what comes after it. */
-INLINE void smoother_state(const int n, const real *s, const real *L, real *x, real *P, smoother_room *const room) {
+SIZED void smoother_state(const int n, const real *s, const real *L, real *x, real *P, smoother_room *const room) {
     real *moved = room->x_next, *less = room->P_next;
     predict(n, s, L, P, room->none, NULL, 1, moved, less, room->buffer);
     for (int i = 0; i < n; i++) x[i] += moved[i];
@@ -259,7 +259,7 @@ INLINE void smoother_state(const int n, const real *s, const real *L, real *x, r
 }
 
 /* Smooth the filtered series s. */
-INLINE void smoother_backward(const int n, const int m, const smoother_job *const job, const ptrdiff_t s,
+SIZED void smoother_backward(const int n, const int m, const smoother_job *const job, const ptrdiff_t s,
                               const int careful, smoother_room *const room) {
     for (int i = 0; i < n; i++) room->x[i] = room->y[i] = 0;
     for (int i = 0; i < n * n; i++) room->P[i] = room->Y[i] = 0;
@@ -304,7 +304,7 @@ INLINE void smoother_backward(const int n, const int m, const smoother_job *cons
 }
 
 /* Smooth series low to high - 1. */
-INLINE void smoother_span(const int n, const int m, const smoother_job *const job, const ptrdiff_t low,
+SIZED void smoother_span(const int n, const int m, const smoother_job *const job, const ptrdiff_t low,
                           const ptrdiff_t high, real *work) {
     smoother_room room = smoother_begin(job->steps, n, m, job->r, work);
     for (ptrdiff_t s = low; s < high; s++) {

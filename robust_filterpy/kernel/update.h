@@ -36,7 +36,7 @@ CALLED int update_is_positive(const int n, const real *RESTRICT P, real *RESTRIC
    SCALING_LEARNT; M (n, m) or NULL. Return whether all was ordinary: if not, what x and P now hold is of no use, and
    memory is as it was. shown: NULL, or room for S (m, m) and C (m, n) as the filter shows them, those of a P that may
    have grown, without what a sensor is charged. work: update_work, of which c took the beginning. */
-INLINE int update(const int n, const int m, const correction_rule *const rule, const real *RESTRICT z,
+SIZED int update(const int n, const int m, const correction_rule *const rule, const real *RESTRICT z,
                   const real *RESTRICT H, const real *RESTRICT R, const real *M, spread_memory *const memory,
                   real *RESTRICT x, real *RESTRICT P, correction *const c, real *shown, real *work) {
     real *spread = work + correction_work(n, m), *rest = spread + m;
