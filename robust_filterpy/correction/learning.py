@@ -408,7 +408,8 @@ def ordinary_size(
     for own in np.flatnonzero(R.diagonal() > 0.0):
         most = _note(learnt[own, _READINGS], float(readings[own]), _bounded(y[own] / R[own, own] ** 0.5))
         # What others contradict by more than its noise is no motion of the state, however even its changes.
-        most = max(most, float(learnt[own, _PARITY][2]) ** 2)
+        apart = float(learnt[own, _PARITY][2])
+        most = max(most, apart * apart)
         r[own], learnt[own, 0] = min(r[own], most), min(learnt[own, 0], most)
     # Whom the others can stand in for is not who has just been far off, nor one that is followed.
     size = learnt[:, 2 + K : 2 + 2 * K] @ np.array(scales)

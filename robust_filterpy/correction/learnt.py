@@ -189,8 +189,11 @@ def correct(
     if alike and len(part) > 1:
         q = len(process.scales)
         shares = now.probabilities[:q] / now.probabilities[:q].sum(axis=0)
-        innovation = side_by_side.collapse(shares, now.y[:q], now.S[:q], now.parts)
-        shared = _shared(*innovation, N, memory[part], noise, inv)
+        with np.errstate(over="ignore", invalid="ignore"):
+            innovation = side_by_side.collapse(shares, now.y[:q], now.S[:q], now.parts)
+        # So far off that variances are no numbers all together tell nothing.
+        if np.isfinite(innovation[1]).all():
+            shared = _shared(*innovation, N, memory[part], noise, inv)
     while groups:
         group = groups.pop(_most_plausible(now, groups))
         own = rows[group[:1]] if joint else rows[group]
@@ -387,7 +390,9 @@ def _inverted(S: Array, inv: Inverse | None) -> tuple[Array, Array]:
             T = np.array([standardize(one, "innovation")[0] for one in S.reshape(-1, m, m)]).reshape(S.shape)
             return np.swapaxes(T, -1, -2) @ T, -2.0 * np.linalg.slogdet(T)[1]
         diagonals = np.diagonal(factors, axis1=-2, axis2=-1)
-        return np.asarray(np.linalg.inv(S), dtype=float), 2.0 * np.log(diagonals).sum(axis=-1)
+        # Where S is singular but for rounding its factor is not.
+        halves = np.linalg.inv(factors)
+        return np.swapaxes(halves, -1, -2) @ halves, 2.0 * np.log(diagonals).sum(axis=-1)
     # Through `standardize`, which refuses what is no inverse of a covariance.
     inverses = np.array([standardize(one, "innovation", inv)[1] for one in S.reshape(-1, m, m)]).reshape(S.shape)
     values = np.linalg.eigvalsh(0.5 * (inverses + np.swapaxes(inverses, -1, -2)))

@@ -86,3 +86,16 @@ def test_the_definition_says_the_same_of_them(monkeypatch):
     without_kernel(monkeypatch)
     for (H, zs), found in zip(cases, expected, strict=True):
         np.testing.assert_allclose(followed(moving(AdaptiveKalmanFilter, H), zs), found, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("top", [20.0, 140.0, 290.0])
+@pytest.mark.parametrize("H", [[[1.0], [1.0]], [[1.0, 0.0], [0.0, 1.0]]])
+def test_no_recording_is_lost_to_outliers_of_any_size(H, top):
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        kf, zs = AdaptiveKalmanFilter(len(H[0]), 2), rng.normal(size=(300, 2))
+        kf.H, kf.Q = np.array(H), 0.01 * kf.Q
+        wild = rng.choice([-1.0, 1.0], size=zs.shape) * 10.0 ** rng.uniform(0.0, top, size=zs.shape)
+        kf.batch_filter(np.where(rng.random(zs.shape) < 0.4, wild, zs))
+        assert np.linalg.eigvalsh(kf.P).min() > 0.0
