@@ -125,8 +125,12 @@ def _of_recording(noise: Noise, e: Array) -> Noise:
 
 def _portmanteau(c: Array, covariance: Array, full: Array) -> Portmanteau:
     """Return c' Cov(c)^-1 c in the directions of which the fit has left enough."""
-    ridge = np.finfo(float).tiny + 1e-10 * np.trace(full) / len(full)
-    left, directions = eigh(covariance, full + ridge * np.eye(len(full)))
+    size = float(np.trace(full)) / len(full)
+    # Residuals that are rounding have no correlations.
+    if not size > np.finfo(float).tiny:
+        return Portmanteau(0.0, 0, 1.0)
+    c, covariance, full = c / np.sqrt(size), covariance / size, full / size
+    left, directions = eigh(covariance, full + 1e-10 * np.eye(len(full)))
     kept = left > _LEFT
     statistic = float(np.sum((directions.T @ c)[kept] ** 2 / left[kept]))
     degrees = int(kept.sum())

@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 __all__ = ["Fit", "Validation", "Validations", "validate"]
 
 _RIGHT: Final = "nothing is left in the residuals"
+_DYNAMICS: Final = "right: residuals do not follow the inputs"
+_NO_INPUT: Final = "not judged: there is no input"
+_WHITE: Final = "white: residuals do not follow one another"
 # Measured samples for each lag.
 _SAMPLES_EACH: Final = 4
 
@@ -94,19 +97,34 @@ class Validation(Pictured):
     shift: float = 0.0
 
     @property
+    def dynamics(self) -> str:
+        """Whether the model has the dynamics from the inputs, in words; noise of any colour is allowed for."""
+        if self.independence is None:
+            return _NO_INPUT
+        if not self.independence.p_value < 1.0 - self.level:
+            return _DYNAMICS
+        excess = np.abs(self.cross_correlation) / np.maximum(self.cross_bound, np.finfo(float).tiny)
+        worst = int(excess.max(axis=1).argmax())
+        which = f"input {worst}" if len(excess) > 1 else "u"
+        return f"missing: residuals follow {which} at {_lags(excess[worst], 0, self.level)}"
+
+    @property
+    def noise(self) -> str:
+        """Whether the model has the colour of the noise, in words; the intervals of a model that has not are wrong."""
+        if not self.whiteness.p_value < 1.0 - self.level:
+            return _WHITE
+        excess = np.abs(self.autocorrelation) / np.maximum(self.autocorrelation_bound, np.finfo(float).tiny)
+        return f"not white: residuals follow one another at {_lags(excess, 1, self.level)}"
+
+    @property
     def verdict(self) -> str:
-        """What is wrong, in words."""
+        """What is wrong, in words: with the level, the dynamics, the noise."""
         found = [f"the level is {self.shift:+.4g} from the model's"] if self.shift else []
-        if self.independence is not None and self.independence.p_value < 1.0 - self.level:
-            excess = np.abs(self.cross_correlation) / np.maximum(self.cross_bound, np.finfo(float).tiny)
-            several = len(excess) > 1
-            worst = int(excess.max(axis=1).argmax())
-            which = f"input {worst}" if several else "u"
-            found.append(f"dynamics are missing: residuals follow {which} at {_lags(excess[worst], 0, self.level)}")
-        if self.whiteness.p_value < 1.0 - self.level:
-            excess = np.abs(self.autocorrelation) / np.maximum(self.autocorrelation_bound, np.finfo(float).tiny)
-            what = "" if found[bool(self.shift) :] else "the noise is not white: "
-            found.append(f"{what}residuals follow one another at {_lags(excess, 1, self.level)}")
+        missing = self.dynamics.startswith("missing")
+        if missing:
+            found.append(f"dynamics are {self.dynamics}")
+        if self.noise != _WHITE:
+            found.append(self.noise.removeprefix("not white: ") if missing else f"the noise is {self.noise}")
         return "; ".join(found) or _RIGHT
 
     def to_text(self) -> str:
@@ -117,7 +135,7 @@ class Validation(Pictured):
         str
         """
         tests = [("residuals among themselves", self.whiteness), ("residuals and input", self.independence)]
-        lines = [self.verdict]
+        lines = [self.verdict, f"{'dynamics':<28}{self.dynamics}", f"{'noise':<28}{self.noise}"]
         for name, test in tests:
             if test is not None:
                 lines.append(f"{name:<28}chi2({test.degrees}) = {test.statistic:.1f}, p = {test.p_value:.3g}")
@@ -164,10 +182,24 @@ class Validations(Pictured, tuple[Validation, ...]):
     @property
     def verdict(self) -> str:
         """What is wrong, in words, by output."""
-        if len(self) == 1:
-            return self[0].verdict
-        found = [f"output {j}: {one.verdict}" for j, one in enumerate(self) if one.verdict != _RIGHT]
-        return "; ".join(found) or _RIGHT
+        return self._by_output("verdict", _RIGHT)
+
+    @property
+    def dynamics(self) -> str:
+        """Whether the model has the dynamics from the inputs, in words, by output; see `Validation.dynamics`."""
+        return self._by_output("dynamics", _DYNAMICS)
+
+    @property
+    def noise(self) -> str:
+        """Whether the model has the colour of the noise, in words, by output; see `Validation.noise`."""
+        return self._by_output("noise", _WHITE)
+
+    def _by_output(self, name: str, good: str) -> str:
+        """Return what is not good of each output."""
+        said = [getattr(one, name) for one in self]
+        if len(set(said)) == 1 and (len(said) == 1 or said[0] == _NO_INPUT):
+            return str(said[0])
+        return "; ".join(f"output {j}: {text}" for j, text in enumerate(said) if text != good) or good
 
     def to_text(self) -> str:
         """Return the verdict, the statistics and the fits of each output.
@@ -264,8 +296,8 @@ def validate(
     >>> y = simulate_output_error([-1.5, 0.7, 1.0, 0.5], u, noise=noise, rng=2, na=2, nb=2).y
     >>> validate(identify(y, u, OutputError(2, 2)), y, u).verdict
     'nothing is left in the residuals'
-    >>> validate(identify(y, u, OutputError(1, 1)), y, u).verdict.split(":")[0]
-    'dynamics are missing'
+    >>> validate(identify(y, u, OutputError(1, 1)), y, u).dynamics.split(":")[0]
+    'missing'
     """
     model = any_model("model", model, y, u)
     lags, steps = _checks.count("lags", lags, 1), _checks.count("steps", steps, 1)
