@@ -32,7 +32,9 @@ def progress_bar(total: int | None, progress: bool | None, unit: str, name: str)
 
 
 class _NoBar:
-    """Stand in for a progress bar."""
+    """Stand in for a progress bar, whose total may be set as it turns out."""
+
+    total: int | None = None
 
     def update(self) -> None:
         """Ignore a finished run."""
@@ -49,15 +51,14 @@ class _Lines(_NoBar):
 
     def __init__(self, name: str, total: int | None = None, unit: str = "", after: float = _SHORT) -> None:
         """Begin to count."""
-        self.name, self.unit = name, unit.strip()
-        self.of = "" if total is None else f" of {total}"
+        self.name, self.unit, self.total = name, unit.strip(), total
         self.count, self.start = 0, time.monotonic()
         self.next = after
 
     def update(self) -> None:
         """Count, and say so if it is time."""
         self.count += 1
-        self.stage(f"{self.count}{self.of} {self.unit}")
+        self.stage(f"{self.count}{'' if self.total is None else f' of {self.total}'} {self.unit}")
 
     def stage(self, text: str) -> None:
         """Write a line if it is time for one; standard error may have been closed."""

@@ -8,7 +8,7 @@ from robust_filterpy import OutputError, RobustKalmanFilter, _progress, estimate
 from robust_filterpy._progress import progress_bar, stage, stages
 from robust_filterpy.experiments import monte_carlo
 from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
-from robust_filterpy.identification import ARMAX, StateSpace, select_structure
+from robust_filterpy.identification import ARMAX, ARX, ParameterTracker, StateSpace, TrackerBank, select_structure
 
 
 @pytest.fixture
@@ -110,3 +110,26 @@ def test_without_a_standard_error_nothing_is_said(clock, monkeypatch):
     monkeypatch.setattr("sys.stderr", None)
     identify(*recorded(), OutputError(2, 2))
     progress_bar(3, None, "run", "study").update()
+
+
+def test_a_comparison_says_how_many_structures_there_are_to_be(clock, capsys):
+    select_structure(*recorded(), na=[1, 2], nk=[1])
+    counts = [line.split(", ")[1].split() for line in capsys.readouterr().err.splitlines()]
+    assert counts and all(of == "of" and int(done) <= int(total) for done, of, total, _ in counts)
+
+
+@pytest.mark.parametrize(
+    "make", [lambda: ParameterTracker(OutputError(2, 2), start=100), lambda: TrackerBank(1, ARX(2, 2))]
+)
+def test_a_tracker_says_what_a_recording_is_at_and_of_samples_nothing(make, clock, capsys):
+    y, u = recorded(450)
+    wide = isinstance(make(), TrackerBank)
+    made, silent, online = make(), make(), make()
+    made.run(y[:, None] if wide else y, u)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines and all(line.startswith(f"{type(made).__name__}: ") for line in lines)
+    assert any("a model of" in line for line in lines) or any(" of 450" in line for line in lines)
+    silent.run(y[:, None] if wide else y, u, progress=False)
+    for k in range(120):
+        online.update(y[k : k + 1] if wide else y[k], u[k])
+    assert capsys.readouterr().err == ""

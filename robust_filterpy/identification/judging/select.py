@@ -164,13 +164,11 @@ def select_structure(
     bar = progress_bar(None, progress, " structures", "select_structure")
     comparison = _Comparison(grid, measured, signal, criterion, kept if held_out else measured.size, bar)
     responses = () if u is None else _impulse_responses(measured, signal, grid)
-    for orders in grid.beginning([{one.delay, one.sure_delay} - {None} for one in responses]):
-        comparison.try_out(orders)
+    comparison.try_all(grid.beginning([{one.delay, one.sure_delay} - {None} for one in responses]))
     best = None
     while best != comparison.best:
         best = comparison.best
-        for orders in grid.neighbours(best):
-            comparison.try_out(orders)
+        comparison.try_all(grid.neighbours(best))
     late = comparison.tried_on_rest(kept) if share and held_out is None else {}
     bar.close()
     rows = _ranked(comparison.rows(), late)
@@ -228,10 +226,15 @@ class _Comparison:
         """The orders that come first."""
         return min(self.tried, key=lambda orders: self.tried[orders].row.rank)
 
+    def try_all(self, many: Iterable[Orders]) -> None:
+        """Try out those that were not."""
+        new = [orders for orders in dict.fromkeys(many) if orders not in self.tried]
+        self.bar.total = (self.bar.total or 0) + len(new)
+        for orders in new:
+            self.try_out(orders)
+
     def try_out(self, orders: Orders) -> None:
-        """Identify a structure unless it was, and keep its criterion, log-likelihood, residuals and output."""
-        if orders in self.tried:
-            return
+        """Identify a structure, and keep its criterion, log-likelihood, residuals and output."""
         structure, first = self.grid.structure(orders), self.grid.first
         acting = [(i, nb, nk) for i, (nb, nk) in enumerate(structure.inputs) if nb]
         before = max([structure.na, *(nk + nb - 1 for _, nb, nk in acting)])
@@ -278,14 +281,13 @@ class _Comparison:
         if model.trend.size:
             y -= np.pad(model.trend, (y.size - model.trend.size, 0), mode="edge")
         part = _Comparison(self.grid, y, self.u, self.criterion, kept, self.bar)
-        sizes: set[int] = set()
-        for orders in sorted(self.tried, key=lambda orders: self.tried[orders].row.rank):
-            size = self.tried[orders].row.structure.n_theta
-            if size not in sizes:
-                sizes.add(size)
-                # A part may tell too little of a structure that the whole tells of.
-                with suppress(ValueError):
-                    part.try_out(orders)
+        ranked = sorted(self.tried, key=lambda orders: self.tried[orders].row.rank, reverse=True)
+        best_of_size = {self.tried[orders].row.structure.n_theta: orders for orders in ranked}
+        self.bar.total = (self.bar.total or 0) + len(best_of_size)
+        for orders in reversed(best_of_size.values()):
+            # A part may tell too little of a structure that the whole tells of.
+            with suppress(ValueError):
+                part.try_out(orders)
         found = {}
         for row in part.rows() if part.tried else ():
             orders = next(orders for orders, one in part.tried.items() if one.row.structure == row.structure)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import datetime
 import math
+import re
 import sys
 from typing import Any, Final, NamedTuple
 
@@ -248,10 +249,14 @@ def _refuse_unread_times(name: str, index: Any) -> None:
             sys.modules["pandas"].Timestamp(label)
         except (ValueError, TypeError, OverflowError):
             return
-    # A file that spans a change of daylight saving stays text even with parse_dates.
+    # A file that spans a change of daylight saving stays text even with parse_dates. What pandas takes for the month
+    # first is the day in most of the world.
+    text = str(index[0])
+    day_first = "dayfirst=True, " if re.match(r"\d{1,2}\.\d{1,2}\.\d{4}", text) else ""
+    either = "; with dayfirst=True where the day stands first" if re.match(r"\d{1,2}[/-]\d{1,2}[/-]\d{4}", text) else ""
     raise ValueError(
-        f"{name}: expected times in the index, got {type(index[0]).__name__} that reads as a time, {str(index[0])!r} "
-        "in sample 0; df.index = pd.to_datetime(df.index, utc=True)"
+        f"{name}: expected times in the index, got {type(index[0]).__name__} that reads as a time, {text!r} "
+        f"in sample 0; df.index = pd.to_datetime(df.index, {day_first}utc=True){either}"
     )
 
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks, _state
 from robust_filterpy._brief import lines_of
 from robust_filterpy._checks import Array, numbers
+from robust_filterpy._progress import stages
 from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Information, Scaling
 from robust_filterpy.identification.models import coefficients
@@ -338,7 +339,13 @@ class TrackerBank(Returning):
         return BankSample(*(column[:, 0] for column in out[2:]))
 
     def run(
-        self, y: ArrayLike, u: ArrayLike | None = None, R: ArrayLike | None = None, *, keep: str | int = "all"
+        self,
+        y: ArrayLike,
+        u: ArrayLike | None = None,
+        R: ArrayLike | None = None,
+        *,
+        keep: str | int = "all",
+        progress: bool | None = None,
     ) -> BankResult:
         """Take whole recordings; the numbers are those of `update`, sample by sample.
 
@@ -353,6 +360,8 @@ class TrackerBank(Returning):
         keep : {"all", "last"} or int, default "all"
             Which samples to return: all, the last, or every keep-th (samples keep - 1, 2 keep - 1, ..), so that
             memory is bounded.
+        progress : bool, optional
+            Say on standard error what it is at: True at once, False never, None from 2 s on.
 
         Returns
         -------
@@ -379,9 +388,10 @@ class TrackerBank(Returning):
         while k < length:
             chunk = slice(k, min(k + max(1, _CHUNK // (self.n * self.form.layout.n)), length))
             R = None if noise is None else noise[chunk].T
-            now, out, news = track.advance(
-                self.form, self._using(k), now, outputs[chunk].T, signal[chunk].swapaxes(0, 1), R
-            )
+            with stages("TrackerBank", progress):
+                now, out, news = track.advance(
+                    self.form, self._using(k), now, outputs[chunk].T, signal[chunk].swapaxes(0, 1), R
+                )
             said += news
             due = np.flatnonzero((kept >= k) & (kept < chunk.stop))
             for column, part in zip(columns, out, strict=True):

@@ -15,6 +15,7 @@ import numpy as np
 
 from robust_filterpy import kernel
 from robust_filterpy._checks import Array
+from robust_filterpy._progress import stage
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.models.model import Model
@@ -124,6 +125,7 @@ def advance(
     while k < length:
         waiting = _begun(form, using, now)
         part = slice(k, min(k + waiting.looked_at, length))
+        stage(f"sample {k} of {length}")
         if not now.begun.all():
             _only_look_on(now, y, part, out)
         if now.begun.any():
@@ -228,6 +230,7 @@ def _looked(form: Form, now: State, waiting: Unjudged, y: Array, u: Array, shown
 def _with_model(form: Form, now: State, i: int, start: ColdStart) -> tuple[State, News]:
     """Make a model of the samples so far and go on from there."""
     structure = form.structure
+    stage(f"a model of {start.y.size} samples")
     try:
         with warnings.catch_warnings():
             # A short recording leaves several models open, and those to come decide.
@@ -238,8 +241,9 @@ def _with_model(form: Form, now: State, i: int, start: ColdStart) -> tuple[State
                 structure,
                 offset=form.has_offset,
                 R=None if now.scale[i, 3] else float(now.scale[i, 0]),
-                # The samples to come wait.
+                # The samples to come wait, and `run` says itself what it is at.
                 sampled=False,
+                progress=False,
             )
     except ValueError as error:
         failure = str(error)

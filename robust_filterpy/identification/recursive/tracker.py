@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks, _state
 from robust_filterpy._brief import lines_of
 from robust_filterpy._checks import Array
+from robust_filterpy._progress import stages
 from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Information, Scaling
 from robust_filterpy.filters.states import go_on_beside, kept_beside
@@ -350,7 +351,9 @@ class ParameterTracker(Returning, Standing):
             self._put_back(before)
             raise
 
-    def run(self, y: ArrayLike, u: ArrayLike | None = None, R: ArrayLike | None = None) -> TrackingResult:
+    def run(
+        self, y: ArrayLike, u: ArrayLike | None = None, R: ArrayLike | None = None, *, progress: bool | None = None
+    ) -> TrackingResult:
         """Take a whole recording; the numbers are those of `update`, sample by sample.
 
         Parameters
@@ -361,6 +364,8 @@ class ParameterTracker(Returning, Standing):
             Input; the rows phi(k) for a LinearRegression.
         R : array_like, shape (N,), or float, optional
             Variance of the noise in each sample, for sensors that say how sure they are. Default: the filter's R.
+        progress : bool, optional
+            Say on standard error what it is at: True at once, False never, None from 2 s on.
 
         Returns
         -------
@@ -400,7 +405,8 @@ class ParameterTracker(Returning, Standing):
         time = self._time_after(axis, output.size)
         before = self._held()
         try:
-            out = self._advance(output, signal, variances)
+            with stages("ParameterTracker", progress):
+                out = self._advance(output, signal, variances)
             theta, variance = out[:2]
             if self.form.has_offset:
                 theta, variance = theta[:, self.form.own], variance[:, self.form.own]
