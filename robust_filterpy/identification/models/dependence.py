@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from scipy.stats import f as fisher
+from scipy.special import fdtrc
 
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.fit import ROUNDING
@@ -104,7 +104,7 @@ def dependence(
     # Of the residuals as they are: what is sure may still be small.
     size = (followed**2).sum(axis=-1) / np.maximum((unwhitened**2).sum(axis=-1), np.finfo(float).tiny)
     share = np.minimum(size, 1.0) - rank / np.maximum(count, 1) * (1.0 - np.minimum(raw, 1.0))
-    chance = np.where(enough, fisher.sf(odds, np.maximum(rank, 1), np.maximum(freedom, 1)), 1.0)
+    chance = np.where(enough, fdtrc(np.maximum(rank, 1), np.maximum(freedom, 1), odds), 1.0)
     return Dependence(np.where(enough, share, 0.0), chance)
 
 
