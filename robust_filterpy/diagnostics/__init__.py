@@ -3,7 +3,7 @@
 * `findings`: `diagnose`, the symptoms and their likely cause.
 * `recording`: what a filter met, as arrays.
 * `statistics`: figures of the innovations with the bands they should lie in.
-* `candidates`, `search`: changed models, and the one that explains a recording best.
+* `search`: changed models, and the one that explains a recording best.
 
 Imports from below: `influence`, `correction`.
 """

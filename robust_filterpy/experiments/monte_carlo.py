@@ -34,8 +34,8 @@ from robust_filterpy.experiments._runs import (
     outcomes_of,
     root_seed,
     run_numbers,
+    stack_leaves,
 )
-from robust_filterpy.experiments._stacking import stack_leaves
 
 
 class Failure(NamedTuple):

@@ -1,8 +1,15 @@
-"""What `estimate_noise` makes small: minus a recording's likelihood and priors, as a function of logs."""
+"""What `estimate_noise` makes small, as a function of logs; where it is least, from many starts; how sure that is.
+
+The cost is minus a recording's likelihood and priors. One pass through a recording costs little more for a hundred
+noise models than for one: a grid says where to start, and the gradient, the curvature and the steps of all starts of
+Newton's method are evaluated in two passes an iteration.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,7 +17,95 @@ from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
 from robust_filterpy.filters.problem import Problem
 from robust_filterpy.noise._likelihood import log_likelihoods
-from robust_filterpy.noise._search import Ends, descend, valleys
+
+Cost = Callable[[Array], Array]
+_STEP = 1e-2
+# Along an eigenvector of curvature c a step is gradient/(|c| + damping); no coordinate moves farther than by _REACH.
+_DAMPINGS, _REACH = np.array([0.0, 0.3, 3.0, 30.0, 300.0]), 3.0
+#: In units of the cost, which is a log-likelihood: what a further step promises is not worth it.
+_ENOUGH, _MOST = 1e-3, 40
+
+
+class Ends(NamedTuple):
+    """Where each of s starts ended."""
+
+    points: Array
+    """Shape (s, d)."""
+    costs: Array
+    """Shape (s,)."""
+    converged: Array
+    """Whether a further step promises nothing, shape (s,)."""
+
+
+def descend(cost: Cost, starts: Array, lower: Array, upper: Array, name: str) -> Ends:
+    """Return where the cost is least near each start, shape (s, d), within limits of shape (d,) or (s, d).
+
+    A coordinate whose limits are the same stays where they are. The name is what progress calls the search.
+    """
+    points = np.clip(starts, lower, upper)
+    lower, upper = np.broadcast_to(lower, points.shape), np.broadcast_to(upper, points.shape)
+    values, done = cost(points), np.zeros(len(points), dtype=bool)
+    for step in range(1, _MOST + 1):
+        left = np.flatnonzero(~done)
+        if not left.size:
+            break
+        stage(f"{name}: {len(points) - left.size} of {len(points)} at their ends, step {step} of at most {_MOST}")
+        gradients, curvatures = _derivatives(cost, points[left])
+        trials = []
+        for k, g, H in zip(left, gradients, curvatures, strict=True):
+            free = ~(((points[k] <= lower[k]) & (g > 0)) | ((points[k] >= upper[k]) & (g < 0)))
+            free &= lower[k] < upper[k]
+            steps, promised = _steps(np.where(free, g, 0.0), H * np.outer(free, free))
+            done[k] = promised < _ENOUGH
+            trials.append(np.clip(points[k] + steps, lower[k], upper[k]))
+        tried = cost(np.concatenate(trials)).reshape(len(left), -1)
+        best = tried.argmin(axis=1)
+        for k, row, trial, b in zip(left, tried, trials, best.tolist(), strict=True):
+            if not row[b] < values[k]:
+                done[k] = True
+                continue
+            # A valley that is all but flat is walked no farther than pays.
+            done[k] = done[k] or values[k] - row[b] < 0.01 * _ENOUGH
+            points[k], values[k] = trial[b], row[b]
+    return Ends(points, values, done)
+
+
+def valleys(values: Array, most: int) -> list[tuple[int, ...]]:
+    """Return the places on a grid that are lower than their neighbours, the lowest first."""
+    wide = np.pad(values, 1, constant_values=np.inf)
+    low = np.ones(values.shape, dtype=bool)
+    middle = tuple(slice(1, -1) for _ in values.shape)
+    for axis in range(values.ndim):
+        for shift in (-1, 1):
+            low &= values <= np.roll(wide, shift, axis=axis)[middle]
+    places = np.argwhere(low & np.isfinite(values))
+    order = np.argsort([values[tuple(place)] for place in places], kind="stable")[:most]
+    return [tuple(int(i) for i in places[k]) for k in order]
+
+
+def _derivatives(cost: Cost, points: Array) -> tuple[Array, Array]:
+    """Return gradients (s, d) and curvatures (s, d, d) by differences, all in one pass."""
+    d = points.shape[1]
+    unit, (i, j) = _STEP * np.eye(d), np.triu_indices(d, 1)
+    offsets = np.concatenate([np.zeros((1, d)), unit, -unit, unit[i] + unit[j]])
+    found = cost((points[:, None, :] + offsets).reshape(-1, d)).reshape(len(points), -1)
+    middle, up, down, both = np.split(found, [1, 1 + d, 1 + 2 * d], axis=1)
+    curvatures = np.zeros((len(points), d, d))
+    curvatures[:, i, j] = curvatures[:, j, i] = both - up[:, i] - up[:, j] + middle
+    curvatures[:, range(d), range(d)] = up + down - 2 * middle
+    return (up - down) / (2 * _STEP), curvatures / _STEP**2
+
+
+def _steps(g: Array, H: Array) -> tuple[Array, float]:
+    """Return a step for each damping, and what Newton's promises."""
+    curvature, axes = np.linalg.eigh(H)
+    size, along = np.maximum(np.abs(curvature), 1e-6), axes.T @ g
+    steps = -(along / (size + _DAMPINGS[:, None])) @ axes.T
+    far = np.maximum(np.abs(steps).max(axis=1) / _REACH, 1.0)
+    # Downhill where the curvature is negative there is no end in sight: that promises much.
+    promised = 0.5 * float((along**2 / size).sum())
+    return steps / far[:, None], promised
+
 
 # Log of the scale factors, logit of the contamination, log of the scale ratio: where the search may go. Outliers are
 # the fewer and at least three times as large, otherwise the two parts of the mixture could change their roles.
@@ -140,3 +235,66 @@ class NoiseFit:
         lines = tried[rows, low]
         lines[:, :-2] += ((_FINER[1] - _FINER[0]) * shift)[:, None]
         return lines, here - 0.25 * (before - after) * shift
+
+
+# First step of a log factor, by how much the next one is longer, and how well the root of the cost has to fit.
+_FIRST, _LONGER, _FITS, _MOST_HALVINGS = 0.2, 2.0, 0.02, 30
+
+
+def held(problem: NoiseFit, points: Array, factors: np.ndarray, at: Array, name: str) -> Ends:
+    """Return the lowest costs when in each point one factor stands at a value."""
+    rows, (low, high) = np.arange(len(points)), problem.limits
+    low, high = np.tile(low, (len(points), 1)), np.tile(high, (len(points), 1))
+    low[rows, factors] = high[rows, factors] = at
+    return descend(problem.cost, points, low, high, name)
+
+
+def bounds(problem: NoiseFit, ends: Ends, rise: float) -> Array:
+    """Return the logs between which each factor costs less than a rise, infinite where none is reached, (count, 2).
+
+    ends: the best estimate first. Where another end is nearly as likely, the way out begins at the outermost of them.
+    """
+    count = problem.count_R + problem.count_Q
+    best, near = ends.costs[0], ends.points[ends.costs < ends.costs[0] + rise]
+    factors, signs = np.repeat(np.arange(count), 2), np.tile([-1.0, 1.0], count)
+    points = np.array([near[np.argmax(sign * near[:, i])] for i, sign in zip(factors, signs, strict=True)])
+    points = points.reshape(2 * count, ends.points.shape[1])
+    # Along the way out the root of the cost is nearly a straight line.
+    inner = points[np.arange(2 * count), factors].copy()
+    outer, step = np.full(2 * count, np.nan), np.full(2 * count, _FIRST)
+    size, goal = np.zeros(2 * count), np.sqrt(rise)
+    beyond, done = np.full(2 * count, np.nan), np.abs(inner) >= SCALE_LIMIT
+    for _ in range(_MOST_HALVINGS):
+        left = np.flatnonzero(~done)
+        if not left.size:
+            break
+        bracketed = ~np.isnan(outer[left])
+        part = np.clip((goal - size[left]) / np.where(bracketed, beyond[left] - size[left], 1.0), 0.1, 0.9)
+        at = np.where(
+            bracketed, inner[left] + part * (outer[left] - inner[left]), inner[left] + signs[left] * step[left]
+        )
+        at = np.clip(at, -SCALE_LIMIT, SCALE_LIMIT)
+        found = held(problem, points[left], factors[left], at, f"{2 * count - left.size} of {2 * count} ends found")
+        sizes = np.sqrt(np.maximum(found.costs - best, 0.0))
+        for k, a, s, point in zip(left, at, sizes, found.points, strict=True):
+            if s > goal:
+                outer[k], beyond[k] = a, s
+            else:
+                inner[k], size[k], points[k], step[k] = a, s, point, _LONGER * step[k]
+            near_enough = abs(s - goal) < _FITS * goal or abs(outer[k] - inner[k]) < _FITS
+            done[k] = near_enough or (np.isnan(outer[k]) and abs(a) >= SCALE_LIMIT)
+            if near_enough:
+                outer[k] = a
+    return np.where(np.isnan(outer), signs * np.inf, outer).reshape(count, 2)
+
+
+def rises(problem: NoiseFit, point: Array, cost: float, away: float) -> Array:
+    """Return what it costs at least to move each factor away by its log, in the cheaper direction, (count,)."""
+    count = problem.count_R + problem.count_Q
+    factors = np.repeat(np.arange(count), 2)
+    at = point[factors] + np.tile([-away, away], count)
+    points = np.tile(point, (2 * count, 1))
+    points[np.arange(2 * count), factors] = at
+    # Where all else may stay as it is, nothing has to be searched for.
+    costs = np.minimum(problem.cost(points), held(problem, points, factors, at, "last stage, what is determined").costs)
+    return np.minimum(*np.reshape(costs - cost, (count, 2)).T)

@@ -18,9 +18,7 @@ from robust_filterpy._progress import stages
 from robust_filterpy._warning import warn
 from robust_filterpy.correction.policies import Contaminated
 from robust_filterpy.noise._likelihood import log_likelihoods, of_filter, of_tracker, scaled
-from robust_filterpy.noise._problem import LOGIT_LIMITS, SCALE_LIMIT, NoiseFit
-from robust_filterpy.noise._profile import bounds, rises
-from robust_filterpy.noise._search import Ends
+from robust_filterpy.noise._problem import LOGIT_LIMITS, SCALE_LIMIT, Ends, NoiseFit, bounds, rises
 
 __all__ = ["NoiseEstimate", "NoiseIntervals", "estimate_noise"]
 

@@ -3,8 +3,7 @@
 * `smoother`: `smooth` for a filter and its recording, `smooth_series` for many series.
 * `recording`: from filters and lists to whitened arrays, checked.
 * `linear_pass`: one weighted pass of a linear smoother, the definition.
-* `rules`: what is made of the residuals: weights of a psi, or learnt noise.
-* `mixture`: contamination and size of outliers, learnt along the way.
+* `rules`: what is made of the residuals: weights of a psi, or contamination and size of outliers, learnt on the way.
 * `sweeps`: pass after pass until the estimate stays.
 * `readings`: what else of a recording may be left out, and which reading of it is the most probable.
 * `fit`: whether Q and R fit the recording.

@@ -9,8 +9,7 @@ from support import told
 
 from robust_filterpy import ARX, Contaminated, ParameterTracker, RobustKalmanFilter
 from robust_filterpy.noise._likelihood import log_likelihoods, of_filter
-from robust_filterpy.noise._problem import NoiseFit
-from robust_filterpy.noise._search import descend, valleys
+from robust_filterpy.noise._problem import NoiseFit, descend, valleys
 from robust_filterpy.noise.estimation import estimate_noise
 
 F = np.array([[1.0, 1.0], [0.0, 0.95]])

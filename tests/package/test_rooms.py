@@ -14,6 +14,7 @@ ROOMS = (
     "_brief",
     "_checks",
     "_fill_values",
+    "_stamps",
     "_arrays",
     "_documentation",
     "_filterpy",

@@ -10,7 +10,7 @@ from support import told
 
 from robust_filterpy import Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight, smooth
 from robust_filterpy.smoothing import smooth_series
-from robust_filterpy.smoothing.mixture import Belief
+from robust_filterpy.smoothing.rules import Belief
 
 CART = support.with_(support.cart(), Q=0.01 * np.array([[0.25, 0.5], [0.5, 1.0]]), P=10.0 * np.eye(2))
 

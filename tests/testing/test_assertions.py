@@ -33,8 +33,7 @@ from robust_filterpy.testing import (
 from robust_filterpy.testing.assertions.consistency import _correlation
 from robust_filterpy.testing.assertions.contracts import assert_close, assert_unchanged, visible
 from robust_filterpy.testing.scenarios.models import random_stable
-from robust_filterpy.testing.scenarios.runs import load
-from robust_filterpy.testing.scenarios.tracker_runs import TrackerRun
+from robust_filterpy.testing.scenarios.runs import TrackerRun, load
 
 
 def fails(call, *match):

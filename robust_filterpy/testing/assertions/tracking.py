@@ -13,7 +13,7 @@ from robust_filterpy import _checks
 from robust_filterpy.identification.models.guard import is_stable
 from robust_filterpy.testing.assertions.bounds import at_least_one, fail, probability
 from robust_filterpy.testing.assertions.robustness import ratio_of_errors
-from robust_filterpy.testing.scenarios.tracker_runs import TrackerRun, as_tracker_runs
+from robust_filterpy.testing.scenarios.runs import TrackerRun, as_tracker_runs
 
 __all__ = ["assert_interval_coverage", "assert_recovers_parameters", "assert_stable_model", "assert_tracks"]
 

@@ -1,9 +1,9 @@
 """Every promise of an estimator, tested by name.
 
 * `lists`: `check_filter`, `check_tracker`, and lists of checks for pytest.
-* `filter_contracts`, `filter_equations`, `filter_dependence`, `filter_statistics`: the promises of a filter;
+* `filter_contracts`, `filter_equations`: the promises of a filter;
   `filter_subject` makes and moves it.
-* `tracker_contracts`, `tracker_parameters`: the promises of a tracker; `tracker_subject` makes and moves it.
+* `tracker_contracts`: the promises of a tracker; `tracker_subject` makes and moves it.
 * `common`: the promises that both make.
 * `bench`: `Bench`: names, claims, expected failures.
 """

@@ -1,24 +1,43 @@
-"""Promises between the lines: shapes, arrays that stay the caller's, numbers of any type; y, S and the likelihood."""
+"""Promises of a filter beside its equations: shapes, arrays, what it depends on, errors over many recordings."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+from filterpy.kalman import KalmanFilter
 from scipy import stats
 
-from robust_filterpy.testing.assertions.bounds import furthest
-from robust_filterpy.testing.checks.bench import Promise, not_applicable, promise
+from robust_filterpy._checks import Array
+from robust_filterpy.testing.assertions.bounds import apart, furthest
+from robust_filterpy.testing.assertions.consistency import (
+    assert_consistent,
+    assert_innovations_white,
+    assert_unbiased,
+)
+from robust_filterpy.testing.assertions.contracts import assert_same_filter
+from robust_filterpy.testing.assertions.robustness import (
+    SENSOR_UNITS,
+    STATE_UNITS,
+    assert_bounded_influence,
+    assert_missing_is_no_information,
+    assert_recovers_from_jump,
+    assert_sensor_order_irrelevant,
+    assert_unit_equivariant,
+)
+from robust_filterpy.testing.checks.bench import OLD, Promise, not_applicable, promise
 from robust_filterpy.testing.checks.filter_subject import FilterSubject
 from robust_filterpy.testing.scenarios import runs
+from robust_filterpy.testing.scenarios.drawing import draw
+from robust_filterpy.testing.scenarios.models import StateModel
 from robust_filterpy.testing.scenarios.runs import state
 
 #: What is looked at first, and what a filter shows besides x and P.
-PROMISES: list[Promise] = []
+CONTRACTS: list[Promise] = []
 SHOWN: list[Promise] = []
 
 
-@promise(PROMISES)
+@promise(CONTRACTS)
 def state_keeps_its_shape(subject: FilterSubject) -> None:
     """predict and update leave the shapes of x and P as they were, for z as an array, a list or a number."""
     for dims in ((1, 1), (4, 2)):
@@ -35,7 +54,7 @@ def state_keeps_its_shape(subject: FilterSubject) -> None:
                 )
 
 
-@promise(PROMISES)
+@promise(CONTRACTS)
 def arguments_are_not_written_to(subject: FilterSubject) -> None:
     """x, P, F, H, Q, R and z that the caller passed are as they were after predict and update."""
     model = subject.model()
@@ -54,7 +73,7 @@ def arguments_are_not_written_to(subject: FilterSubject) -> None:
         raise AssertionError(f"the caller's {', '.join(written)} changed: copy what is to be written into")
 
 
-@promise(PROMISES)
+@promise(CONTRACTS)
 def same_data_give_the_same_numbers(subject: FilterSubject) -> None:
     """Two filters with the same data agree to the last bit and leave numpy's global random state alone."""
     model = subject.model()
@@ -71,7 +90,7 @@ def _global_state() -> Any:
     return np.random.get_state(legacy=False)["state"]["key"]  # type: ignore[call-overload,index]  # noqa: NPY002
 
 
-@promise(PROMISES)
+@promise(CONTRACTS)
 def integers_are_numbers_like_any_other(subject: FilterSubject) -> None:
     """x, P, F and H as integer arrays give the numbers that they give as floats."""
     model = subject.model().with_(
@@ -155,3 +174,176 @@ def likelihood_integrates_to_one(subject: FilterSubject) -> None:
     integral = float(np.sum(density * sigma * np.cosh(t)) * (t[1] - t[0]))
     if not abs(integral - 1.0) <= 0.02:
         raise AssertionError(f"the likelihood integrates to {integral:.3g} over z, expected 1: it is no density")
+
+
+DEPENDENCE: list[Promise] = []
+
+
+@promise(DEPENDENCE, "memoryless")
+def nothing_is_remembered_but_x_and_P(subject: FilterSubject) -> None:
+    """A filter given the x and P of another goes on as that one does, whatever either has seen before, at any age."""
+    model = subject.model()
+    past = draw(model, OLD, contamination=_outliers(subject), rng=subject.rng).z
+    zs, old = subject.recording(model, 3), subject.new(model)
+    for age, z in enumerate(past):
+        fresh = subject.new(model)
+        fresh.x, fresh.P = np.array(old.x), np.array(old.P)
+        for kf in (fresh, old):
+            runs.step(kf, z, model)
+        off = apart(state(fresh), state(old))
+        if off > 1e-6:
+            raise AssertionError(
+                f"after {age} steps the next one differs by {off:.2g} from that of a new filter with this x and P: "
+                f"something of earlier steps (a gain, a measurement, a covariance) is still used"
+            )
+    fresh = subject.new(model)
+    old.x, old.P = np.array(fresh.x), np.array(fresh.P)
+    for call, z in enumerate(zs):
+        for name in ("update", "predict"):
+            for kf in (fresh, old):
+                if name == "update":
+                    runs.measure(kf, z, model)
+                else:
+                    kf.predict()
+            off = apart(state(fresh), state(old))
+            if off > 1e-6:
+                raise AssertionError(
+                    f"{name} {call + 1} after x and P were set differs by {off:.2g} from that of a new filter: "
+                    f"something of earlier steps (a gain, a measurement, a covariance) is still used"
+                )
+
+
+@promise(DEPENDENCE, "memoryless")
+def matrices_may_change_between_calls(subject: FilterSubject) -> None:
+    """F, H, Q and R that are replaced, or written into, count from the next call."""
+    model, other = subject.model(), subject.model()
+    zs = subject.recording(model, 6)
+    for name in ("F", "H", "Q", "R"):
+        new = getattr(other, name) * (0.5 if name == "F" else 3.0)
+        for way in ("replaced", "written into"):
+            kf = subject.advance(subject.new(model), zs[:3], model)
+            fresh = subject.new(model.with_(**{name: new}))
+            fresh.x, fresh.P = np.array(kf.x), np.array(kf.P)
+            if way == "replaced":
+                setattr(kf, name, new.copy())
+            elif isinstance(getattr(kf, name), np.ndarray) and getattr(kf, name).flags.writeable:
+                getattr(kf, name)[:] = new
+            else:
+                continue
+            changed = model.with_(**{name: new})
+            off = apart(*(state(subject.advance(one, zs[3:], changed)) for one in (fresh, kf)))
+            if off > 1e-6:
+                raise AssertionError(
+                    f"{name} {way} between two steps does not count: {off:.2g} off, an old one is used"
+                )
+
+
+@promise(DEPENDENCE)
+def order_of_sensors_changes_nothing(subject: FilterSubject) -> None:
+    """Permuting the sensors permutes H, R and z and nothing else."""
+    model = subject.model(4, 3)
+    assert_sensor_order_irrelevant(subject.made, draw(model, 20, contamination=_outliers(subject), rng=subject.rng))
+
+
+@promise(DEPENDENCE, "units")
+def units_change_nothing(subject: FilterSubject) -> None:
+    """In other units of the states and of each sensor the estimate is the same in those units."""
+    scenario = draw(subject.model(), 20, contamination=_outliers(subject), rng=subject.rng)
+    for size in (1.0, 1e6):
+        assert_unit_equivariant(subject.made, scenario, state=size * STATE_UNITS, sensors=size * SENSOR_UNITS)
+
+
+def _outliers(subject: FilterSubject) -> str:
+    """Return outliers for a filter that does something about them."""
+    return "mixture" if "robust" in subject.claims else "none"
+
+
+@promise(DEPENDENCE)
+def mirror_image_of_the_data_gives_the_mirror_image(subject: FilterSubject) -> None:
+    """From -x with -z the filter gives -x+ and the same P+: it does not prefer one sign."""
+    model = subject.model()
+    zs = draw(model, 10, contamination=_outliers(subject), rng=subject.rng).z
+    # An outlier of either sign is certain to be among them.
+    zs[4] += 50.0 if "robust" in subject.claims else 0.0
+    (x, P), (x2, P2) = (
+        state(subject.advance(subject.new(one), sign * zs, one))
+        for sign, one in ((1.0, model), (-1.0, model.with_(x=-model.x)))
+    )
+    off = apart((x, P), (-x2, P2))
+    if off > 1e-6:
+        raise AssertionError(f"the mirror image differs by {off:.2g} of a standard deviation: one sign is preferred")
+
+
+@promise(DEPENDENCE, "missing")
+def none_is_no_information(subject: FilterSubject) -> None:
+    """update(None) leaves x and P as they are."""
+    model = subject.model()
+    assert_missing_is_no_information(subject.made, draw(model, 10, rng=subject.rng), components=False)
+
+
+@promise(DEPENDENCE, "nan")
+def nan_is_a_sensor_that_is_not_there(subject: FilterSubject) -> None:
+    """With NaN for a sensor the filter is the one without that sensor; all NaN is no measurement."""
+    model = subject.model(4, 3)
+    assert_missing_is_no_information(subject.made, draw(model, 10, rng=subject.rng))
+
+
+STATISTICS: list[Promise] = []
+
+
+@promise(STATISTICS)
+def ordinary_data_keep_everything_finite(subject: FilterSubject) -> None:
+    """On 50 ordinary measurements x and P stay finite and the error stays below 1000 standard deviations."""
+    model = subject.model()
+    kf = subject.new(model)
+    for k, z in enumerate(subject.recording(model, 50)):
+        runs.step(kf, z, model)
+        x, P = state(kf)
+        if not (np.isfinite(P).all() and furthest(model.H @ x - z, model.R) < 1e3):
+            raise AssertionError(f"after step {k} the state has run away from the measurements, or is not finite")
+
+
+@promise(STATISTICS, "exact")
+def recording_is_filtered_as_by_the_kalman_filter(subject: FilterSubject) -> None:
+    """x and P are those of filterpy's KalmanFilter, call by call, over a recording."""
+    for dims in ((1, 1), (4, 2), (5, 3)):
+        model = subject.model(*dims)
+        zs = subject.recording(model, 40)
+        kf, reference = subject.new(model), runs.load(KalmanFilter(*dims), model)
+
+        def step(one: Any, z: Array, model: StateModel = model) -> None:
+            runs.step(one, z, model)
+
+        reference.x = reference.x.reshape(np.shape(kf.x))
+        assert_same_filter(kf, reference, zs, rtol=1e-6, step=step)
+
+
+@promise(STATISTICS, stochastic=True)
+def errors_are_as_large_as_P_says(subject: FilterSubject) -> None:
+    """NIS and NEES are chi-square: innovations have covariance S, errors have covariance P."""
+    assert_consistent(subject.many()[1], factor=subject.factor, false_alarm=subject.false_alarm)
+
+
+@promise(STATISTICS, stochastic=True)
+def errors_have_mean_zero(subject: FilterSubject) -> None:
+    """Over independent runs the error of each state has mean 0."""
+    assert_unbiased(subject.many()[1], factor=subject.factor, false_alarm=subject.false_alarm)
+
+
+@promise(STATISTICS, stochastic=True)
+def innovations_are_white(subject: FilterSubject) -> None:
+    """An innovation tells nothing about the next ones: all that could be learnt was learnt."""
+    tolerance = 0.0 if subject.is_exact else 0.15
+    assert_innovations_white(subject.many()[1], tolerance=tolerance, false_alarm=subject.false_alarm)
+
+
+@promise(STATISTICS, "robust")
+def influence_of_one_measurement_is_bounded(subject: FilterSubject) -> None:
+    """A measurement of 1e2 to 1e12 standard deviations moves the state by at most ten of its own."""
+    assert_bounded_influence(subject.made, rng=subject.rng)
+
+
+@promise(STATISTICS, "recovers", stochastic=True)
+def a_true_jump_is_followed(subject: FilterSubject) -> None:
+    """A hundred samples after a jump of the state by 30 sigma the estimate is back at the truth."""
+    assert_recovers_from_jump(subject.made, rng=subject.rng)

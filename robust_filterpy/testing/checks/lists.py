@@ -5,11 +5,8 @@ from __future__ import annotations
 from robust_filterpy.testing.checks import (
     common,
     filter_contracts,
-    filter_dependence,
     filter_equations,
-    filter_statistics,
     tracker_contracts,
-    tracker_parameters,
 )
 from robust_filterpy.testing.checks.bench import Bench
 from robust_filterpy.testing.checks.filter_subject import FILTER_TAGS, FilterSubject
@@ -17,19 +14,19 @@ from robust_filterpy.testing.checks.tracker_subject import TRACKER_TAGS, Tracker
 
 #: From what breaks everything to what only shows in the long run, so that the first failure is the one to look at.
 FILTER_PROMISES = (
-    *filter_contracts.PROMISES,
+    *filter_contracts.CONTRACTS,
     *common.CONTRACTS,
     *filter_equations.PROMISES,
     *common.STEPS,
-    *filter_dependence.PROMISES,
+    *filter_contracts.DEPENDENCE,
     *filter_contracts.SHOWN,
-    *filter_statistics.PROMISES,
+    *filter_contracts.STATISTICS,
     *common.STATISTICS,
 )
 TRACKER_PROMISES = (
     *tracker_contracts.ARRAYS,
     *common.CONTRACTS,
-    *tracker_parameters.PROMISES,
+    *tracker_contracts.PARAMETERS,
     *common.STEPS,
     *common.STATISTICS,
     *tracker_contracts.SAMPLES,

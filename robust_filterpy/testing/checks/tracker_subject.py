@@ -17,7 +17,7 @@ from robust_filterpy.testing.checks.bench import Corrected, Subject, not_applica
 from robust_filterpy.testing.scenarios.contamination import Kinds
 from robust_filterpy.testing.scenarios.drawing import draw
 from robust_filterpy.testing.scenarios.plants import Plant, PlantScenario
-from robust_filterpy.testing.scenarios.tracker_runs import TrackerRun, parameters, run_tracker
+from robust_filterpy.testing.scenarios.runs import TrackerRun, parameters, run_tracker
 
 #: What a tracker can claim; `check_tracker` tests all of it that is not in not_claimed.
 TRACKER_TAGS = {

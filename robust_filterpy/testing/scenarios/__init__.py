@@ -3,7 +3,7 @@
 * `drawing`: `draw`, one function for all of them.
 * `models`, `plants`: the systems by name: state estimation, identification.
 * `contamination`: the ways in which a recording goes wrong.
-* `runs`, `tracker_runs`: what a filter or a tracker makes of a scenario, as arrays.
+* `runs`: what a filter or a tracker makes of a scenario, as arrays.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 from robust_filterpy.testing.scenarios.drawing import Scenario, draw
 from robust_filterpy.testing.scenarios.models import StateModel
 from robust_filterpy.testing.scenarios.plants import Plant, PlantScenario
-from robust_filterpy.testing.scenarios.runs import run_filter
-from robust_filterpy.testing.scenarios.tracker_runs import run_tracker
+from robust_filterpy.testing.scenarios.runs import run_filter, run_tracker
 
 __all__ = ["Plant", "PlantScenario", "Scenario", "StateModel", "draw", "run_filter", "run_tracker"]

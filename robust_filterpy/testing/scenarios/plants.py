@@ -33,7 +33,7 @@ from robust_filterpy.plants import random_walk, simulate_arx, simulate_output_er
 from robust_filterpy.plants.parameters import linear_parameters
 from robust_filterpy.plants.servo import simulate_servo
 from robust_filterpy.testing.scenarios.contamination import Kinds, Spoilt, objects, of_noise, spoilt
-from robust_filterpy.testing.scenarios.tracker_runs import TrackerRun, run_tracker
+from robust_filterpy.testing.scenarios.runs import TrackerRun, run_tracker
 
 if TYPE_CHECKING:
     import control
