@@ -39,7 +39,8 @@ class Problem(NamedTuple):
 
     def first(self, steps: int) -> Problem:
         """Return the beginning of the recording."""
-        return Problem(*(part[:steps] for part in self[:6]), *self[6:])
+        zs, F, Q, H, R, Bu = (part[:steps] for part in self[:6])
+        return self._replace(zs=zs, F=F, Q=Q, H=H, R=R, Bu=Bu)
 
 
 def read(
@@ -63,9 +64,9 @@ def read(
     m = stack("H", kf.H, Hs, None, (None, n)).shape[1]
     z = measurement_rows(zs, m)
     shapes = {"F": (Fs, (n, n)), "Q": (Qs, (n, n)), "H": (Hs, (m, n)), "R": (Rs, (m, m))}
-    model = (stack(name, getattr(kf, name), each, len(z), shape) for name, (each, shape) in shapes.items())
+    F, Q, H, R = (stack(name, getattr(kf, name), each, len(z), shape) for name, (each, shape) in shapes.items())
     Bu = _inputs(getattr(kf, "B", None), Bs, us, n, len(z))
-    return Problem(z, *model, Bu, x.ravel(), P, float(getattr(kf, "_alpha_sq", 1.0)))
+    return Problem(z, F, Q, H, R, Bu, x.ravel(), P, float(getattr(kf, "_alpha_sq", 1.0)))
 
 
 def finite(problem: Problem) -> Problem:
@@ -86,6 +87,7 @@ def _inputs(B: Any, Bs: Any, us: Any, n: int, steps: int) -> Array:
             raise ValueError(f"{name}: expected an entry for each of the {steps} measurements, got {found}")
     if B is None and Bs is None:
         raise ValueError("us: expected no inputs for a filter without B; set kf.B")
+    matrices: Any
     us = us[:steps] if isinstance(us, np.ndarray) else list(us)[:steps]
     width = np.size(us[0])
     alike = np.ndim(B if Bs is None else Bs[0]) == 2 and all(u is not None and np.size(u) == width for u in us)
