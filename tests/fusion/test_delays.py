@@ -51,6 +51,7 @@ def test_an_offset_is_no_delay_and_instants_are_as_good():
         assert found[name] == pytest.approx(late, abs=0.02)
 
 
+@pytest.mark.nightly
 def test_a_sensor_by_function_is_compared_with_the_others():
     table = recording(4, length=60.0)
     curved = Sensor(h=lambda x: [x[0] ** 3], jacobian=lambda x: [[3.0 * x[0] ** 2, 0.0]], R=0.09)

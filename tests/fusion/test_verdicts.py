@@ -80,7 +80,7 @@ def test_a_drift_is_told_in_standard_deviations_a_second():
     assert "standard deviations a second since" in fusion.report()
 
 
-@pytest.mark.parametrize("gap", [2.0, 8.0])
+@pytest.mark.parametrize("gap", [2.0, pytest.param(8.0, marks=pytest.mark.nightly)])
 def test_two_sensors_that_fail_one_after_the_other_are_named_one_after_the_other(gap):
     fusion, said = made(), []
     for name, t, z in recording(5200, FAULTS["biased"], 42.0)[0]:
@@ -119,7 +119,7 @@ def said(readings):
     return [(name, verdict.fault) for _, name, verdict in made().run(table).verdicts if verdict.fault != "silent"]
 
 
-@pytest.mark.parametrize("seed", [21, 22, 30])
+@pytest.mark.parametrize("seed", [21, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (22, 30))])
 def test_noise_that_carries_over_from_reading_to_reading_accuses_nobody(seed):
     readings, places = recording(seed, lambda t, x, v, last: x + v, 100.0)
     carried, coloured = dict.fromkeys(RATES, 0.0), []
@@ -132,14 +132,14 @@ def test_noise_that_carries_over_from_reading_to_reading_accuses_nobody(seed):
     assert all(fault == "healthy" for fault in dict(faults).values())
 
 
-@pytest.mark.parametrize("seed", [23, 24])
+@pytest.mark.parametrize("seed", [23, pytest.param(24, marks=pytest.mark.nightly)])
 def test_a_slow_drift_is_no_bias_however_long_it_takes_to_show(seed):
     readings, _ = recording(seed, lambda t, x, v, last: x + v + 0.2 * (t - 30.0), 60.0)
     faults = [fault for name, fault in said(readings) if name == "b" and fault not in ("departs", "healthy")]
     assert faults[:1] == ["drifting"]
 
 
-@pytest.mark.parametrize("seed", [25, 26])
+@pytest.mark.parametrize("seed", [25, pytest.param(26, marks=pytest.mark.nightly)])
 def test_spikes_of_ten_standard_deviations_are_no_noise_that_has_grown(seed):
     turns = np.random.default_rng(seed)
 
@@ -213,21 +213,21 @@ def later(fusion, readings):
     return str(fusion.verdicts()), fusion.estimate().P.tobytes(), fusion.counts
 
 
-@pytest.mark.parametrize("epoch", [None, np.datetime64("2026-01-01", "ns")])
-def test_a_copy_and_a_state_go_on_to_the_last_bit_verdicts_included(epoch):
+# Before the fault, amid it, and long after, when nobody looks any more; each with something that came early.
+@pytest.mark.parametrize("cut", [1060, *(pytest.param(cut, marks=pytest.mark.nightly) for cut in (100, 1700))])
+@pytest.mark.parametrize("epoch", [pytest.param(None, marks=pytest.mark.nightly), np.datetime64("2026-01-01", "ns")])
+def test_a_copy_and_a_state_go_on_to_the_last_bit_verdicts_included(epoch, cut):
     readings, _ = recording(3, FAULTS["biased"])
     if epoch is not None:
         readings = [(n, epoch + np.timedelta64(round(1e9 * t), "ns"), z) for n, t, z in readings]
-    # Before the fault, amid it, and long after, when nobody looks any more; each with something that came early.
-    for cut in (100, 1060, 1700):
-        fusion, other = made(), made()
-        for one in readings[:cut]:
-            fusion.observe(*one)
-        fusion.observe(readings[cut + 8][0], *readings[cut + 8][1:])
-        other.restore(unpack(pack(fusion.state())))
-        copied = copy.deepcopy(fusion)
-        gone = later(fusion, readings[cut:])
-        assert later(other, readings[cut:]) == gone == later(copied, readings[cut:])
+    fusion, other = made(), made()
+    for one in readings[:cut]:
+        fusion.observe(*one)
+    fusion.observe(readings[cut + 8][0], *readings[cut + 8][1:])
+    other.restore(unpack(pack(fusion.state())))
+    copied = copy.deepcopy(fusion)
+    gone = later(fusion, readings[cut:])
+    assert later(other, readings[cut:]) == gone == later(copied, readings[cut:])
 
 
 def test_a_state_is_not_taken_by_a_fusion_that_watches_otherwise():
