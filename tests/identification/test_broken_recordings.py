@@ -243,7 +243,7 @@ def test_an_angle_that_wraps_is_said_and_a_plant_that_switches_is_not():
         identify(switched, u, ARX(1, 1))
 
 
-@pytest.mark.parametrize("seed", [3, 5])
+@pytest.mark.parametrize("seed", [3, pytest.param(5, marks=pytest.mark.nightly)])
 def test_outliers_whose_pattern_is_long_are_no_other_plant(seed):
     rng = np.random.default_rng([78, seed])
     u = rng.choice([-1.0, 1.0], 1000)
@@ -252,6 +252,7 @@ def test_outliers_whose_pattern_is_long_are_no_other_plant(seed):
     assert "another plant" not in [finding.kind for finding in identify(y, u, ARMAX(2, 2, 2)).findings]
 
 
+@pytest.mark.nightly
 def test_a_part_that_is_nearly_all_outliers_is_of_another_plant():
     rng = np.random.default_rng(5402)
     u = rng.choice([-1.0, 1.0], 1500)

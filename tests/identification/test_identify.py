@@ -242,7 +242,11 @@ def test_armax_through_outliers():
 # Units, offsets, what was in motion.
 
 
-@pytest.mark.parametrize("structure", [OutputError(2, 2), ARX(2, 2), ARMAX(2, 2, 1), FIR(4)], ids=str)
+@pytest.mark.parametrize(
+    "structure",
+    [OutputError(2, 2), ARX(2, 2), pytest.param(ARMAX(2, 2, 1), marks=pytest.mark.nightly), FIR(4)],
+    ids=str,
+)
 def test_neither_units_nor_the_offset_change_the_model(structure):
     y, u = output_error_data(length=300)
     y[100:110] = np.nan
@@ -456,6 +460,7 @@ def test_an_output_that_is_slower_than_the_input_is_refused_where_outputs_are_re
         identify(y, u, structure)
 
 
+@pytest.mark.nightly
 def test_a_search_in_which_outliers_touch_every_residual_ends_without_numpys_warnings():
     rng = np.random.default_rng(5)
     poles = np.concatenate((1.02 * np.exp([0.5j, -0.5j]), rng.uniform(0.3, 0.8, 18)))

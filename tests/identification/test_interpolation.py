@@ -125,7 +125,8 @@ def test_predictions_made_together_are_those_made_one_by_one(a, c, d, gap):
     np.testing.assert_allclose(found.weights, w, atol=1e-6)
 
 
-@pytest.mark.parametrize("seed", [101, pytest.param(109, marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", [101, 109])
 def test_outliers_whose_patterns_overlap_do_not_hide_each_other(seed):
     rng = np.random.default_rng([seed, 4])
     poles = rng.uniform(0.3, 0.95, 10) * np.exp(1j * rng.uniform(0.1, 3.0, 10))

@@ -32,6 +32,7 @@ def begun(structure, y, u, at=600):
     return tracker
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("structure", STRUCTURES, ids=str)
 @pytest.mark.parametrize("value", ["last", 0.0, 25.0])
 def test_a_sensor_that_is_stuck_is_said_once_and_teaches_nothing(structure, value):

@@ -91,6 +91,7 @@ def test_what_is_told_is_not_walked_from(too_large):
     assert held.std[0] == 0.0
 
 
+@pytest.mark.nightly
 def test_the_same_recording_gives_the_same_p(too_large):
     y, u, model = too_large
     again = identify(y, u, OutputError(4, 4), trend="constant", progress=False)

@@ -97,6 +97,7 @@ def test_sample_by_sample_is_the_recording():
     np.testing.assert_allclose(one.theta, other.theta, rtol=1e-6)
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("cut", [890, 933])
 @pytest.mark.parametrize("start", [0, 400])
 def test_an_interrupted_tracker_finds_its_loss_at_the_same_sample_bit_for_bit(cut, start):
