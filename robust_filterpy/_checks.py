@@ -103,6 +103,8 @@ def numbers(name: str, value: Any) -> Array:
     """Return value as a float array (None, pandas' NA and masked entries become NaN) or raise TypeError."""
     if isinstance(value, np.ma.MaskedArray):
         value = np.ma.filled(value.astype(float), np.nan)
+    if isinstance(value, bytearray):
+        raise TypeError(f"{name}: expected real numbers, got {shown(value)}")
     try:
         found = np.asarray(value)
         if found.dtype.kind in _NO_NUMBERS:
@@ -153,7 +155,7 @@ def takes(function: Callable[..., Any], name: str) -> bool:
 
 def entries(name: str, values: Any) -> Any:
     """Return values that are read step by step: a table (pandas, polars) as its rows, else as given; or raise."""
-    if isinstance(values, (Mapping, set, frozenset)):
+    if isinstance(values, (Mapping, set, frozenset, str, bytes, bytearray)):
         raise TypeError(f"{name}: expected a sequence with an entry for each step, got a {type(values).__name__}")
     if hasattr(values, "to_numpy") and len(getattr(values, "shape", ())) == 2:
         return np.asarray(values)

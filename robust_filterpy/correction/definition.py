@@ -75,6 +75,8 @@ def innovation_moments(P: Array, H: Array, R: Array, M: Array | None = None) -> 
         C = C + M
         HM = H.dot(M)
         S += HM + HM.T
+    if not np.isfinite(S).all():
+        raise singular(S)
     return C, S
 
 
@@ -256,7 +258,7 @@ def _judge(group: list[int], joint: _Joint, S: Array, choices: Choices, widths: 
             raise _indefinite() if told_apart else singular(S)
         nothing = np.zeros(len(group))
         return _Step((math.inf, math.inf, 0.0), None, nothing, nothing, nothing, nothing, nothing)
-    T, s = group_scaling(block, choices.scaling), float(widths[group].max())
+    T, s = group_scaling(block, choices.scaling), max(float(widths[group].max()), np.finfo(float).tiny)
     e = np.clip(T @ joint.y[group], -_LARGEST, _LARGEST)
     psi, D, weights, psi_deriv, length = choices.influence_on(e, s)
     return _Step(_key(length / s, length, float(e[0]) if len(group) == 1 else 0.0), T, e, psi, D, weights, psi_deriv)
@@ -303,7 +305,7 @@ def _require_positive(P: Array, prior: Array) -> None:
     """Raise if scaling "unit" made P indefinite, or singular where it was not."""
     if not P.size:
         return
-    least = np.linalg.eigvalsh(P)[0]
+    least = np.linalg.eigvalsh(P)[0] if np.isfinite(P).all() else -np.inf
     if least < -1e-13 * np.abs(P).max() or (least <= 0.0 < np.linalg.eigvalsh(prior)[0]):
         raise _indefinite()
 

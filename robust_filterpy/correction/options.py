@@ -177,8 +177,9 @@ class Choices:
         k = len(e)
         # One sensor keeps its sign, for a psi that is not odd.
         size, direction = (float(e[0]), np.ones(1)) if k == 1 else length_and_direction(e)
-        along, psi_deriv = self.psi_of(size / s)
-        weight = along / (size / s) if size != 0.0 else 1.0
+        relative = size / s
+        along, psi_deriv = self.psi_of(relative)
+        weight = along / relative if relative != 0.0 else 1.0
         if self.information == "expected":
             across = radial = _bounded(self.expected if k == 1 else expected_joint_information(self.influence, k))
         else:

@@ -236,6 +236,9 @@ def _seen_by(B: np.ndarray, here: np.ndarray) -> np.ndarray:
     b = np.where(here, np.diag(B), 0.0)
     scale = np.outer(b, b)
     seen = np.where((scale > 0) & (np.minimum.outer(b, b) > 0), B**2 / np.where(scale > 0, scale, 1.0), 0.0)
+    if not np.isfinite(scale).all():
+        root = np.sqrt(np.maximum(b, np.finfo(float).tiny))
+        seen = np.where(np.isfinite(scale), seen, (B / np.outer(root, root)) ** 2)
     np.fill_diagonal(seen, here)
     return seen
 

@@ -24,6 +24,12 @@ __all__ = ["Exported", "Precision", "export_c"]
 
 Precision: TypeAlias = Literal["double", "single"]
 
+# Headers of C, before which one of the same name beside the source would be found.
+_STANDARD = frozenset(
+    "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign stdarg stdatomic "
+    "stdbool stddef stdint stdio stdlib stdnoreturn string tgmath threads time uchar wchar wctype".split()
+)
+
 
 class Exported(NamedTuple):
     """The two files that were written."""
@@ -112,6 +118,10 @@ def export_c(
             f"model: expected a RobustKalmanFilter or a ParameterTracker, got {_checks.shown(type(model).__name__)}; "
             f"{_remedy(model)}"
         )
+    if re.search(rf"\b{name}_\w", _kernel(found.headers), re.IGNORECASE):
+        raise ValueError(
+            f"path: expected a name that the kernel does not use, got {source.name!r}; use my_{source.name}"
+        )
     values = {
         **found.values, "title": comment(found.title), "name": name, "NAME": name.upper(), "real": REALS[precision],
         "largest": "1e150" if precision == "double" else "1e15", "version": __version__,
@@ -161,6 +171,10 @@ def _source(path: Any) -> Path:
         raise ValueError(
             f"path: expected a file name that is a name in C, a letter and then letters, digits and _, "
             f"got {source.name!r}"
+        )
+    if source.stem.lower() in _STANDARD:
+        raise ValueError(
+            f"path: expected another name than a header of C has, got {source.name!r}; use my_{source.stem}.c"
         )
     if not source.parent.is_dir():
         raise ValueError(f"path: expected a folder that exists, got {str(source.parent)!r}; make it first")

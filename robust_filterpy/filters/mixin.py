@@ -127,6 +127,8 @@ class RobustFilterMixin(OptionsMixin, PrintingMixin, StepMixin, StateMixin):
     def _keep(self, last: Any, kept: Any, z: Array, passed: Array | None = None) -> None:
         """Write a correction and the measurement it came from, z of shape (m,), into the attributes."""
         column = np.ndim(self.x) == 2
+        if not (np.isfinite(last.x).all() and np.isfinite(last.P).all()):
+            raise ValueError("update: expected a finite x and P, got NaN or infinity; check z, P and R, or units")
         self._learn(last.memory, len(z), passed)
         self._look(last)
         self.x = last.x[:, None] if column else last.x

@@ -84,9 +84,9 @@ class StateMixin(LearningMixin):
         The continuation is the same to the last bit. What the last correction showed (y, e, weights, ..) is as if there
         had been none.
         """
-        n = self.dim_x
+        n, m = self.dim_x, self.dim_z
         shapes: dict[str, _state.Shape] = {
-            "F": (n, n), "Q": (n, n), "H": (None, n), "R": (None, None), "B": (n, None), "M": (n, None),
+            "F": (n, n), "Q": (n, n), "H": (m, n), "R": (m, m), "B": (n, None), "M": (n, m),
             "K": (n, None), "S": (None, None), "SI": (None, None), "alpha_sq": (), "sigmas_f": (None, n),
         }  # fmt: skip
         optional = {name: shapes[name] for name in self._settings}

@@ -222,7 +222,7 @@ def _advanced(
     z, u = rows.z[order], None if rows.u is None else rows.u[order]
     times = None if rows.times is None else rows.times[order]
     time, grid = entries["time"][:, 0].copy(), entries["grid"].copy()
-    clocks = Clocks(time, *grid.T, entries["elsewhere"].copy())
+    clocks = Clocks(time, grid[:, 0], grid[:, 1], entries["elsewhere"].copy())
     if model.dt is not None:
         # States from before a grid was kept begin one.
         new = np.isnan(grid[:, 0]) & ~np.isnan(time)

@@ -108,6 +108,13 @@ def restored(like: Timeline, found: Any, outcomes: tuple[str, ...]) -> tuple[Tim
         raise _state.StateError("state: expected as many z, controls and spoke as keys, and at most one base")
     if got["kind"] not in range(3):
         raise _state.StateError(f"state: expected kind 0, 1 or 2, got {got['kind']}")
+    if (got["sizes"] <= 0.0).any() or (got["counts"] < 0.0).any():
+        raise _state.StateError("state: expected sizes > 0 and counts >= 0, got less")
+    if np.isnan(got["controls"][got["controlled"] != 0.0]).any():
+        raise _state.StateError("state: expected a control of every entry that is controlled, got NaN")
+    stamps = np.vstack([got["keys"], got["base"], got["earlier"]])
+    if got["kind"] == 2 and (np.abs(stamps) > (2**63 - 1) // _NANO).any():
+        raise _state.StateError("state: expected stamps that nanoseconds hold, got larger ones")
     try:
         require_belief("state: belief", got["belief"])
     except ValueError as error:

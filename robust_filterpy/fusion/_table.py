@@ -131,8 +131,8 @@ def table_columns(table: Any, names: list[str]) -> list[np.ndarray]:
             f"each sensor has a column of its own, table.melt(id_vars=[..]) of pandas makes rows of them"
         )
     found = [column(name) for name in names]
-    if len({len(one) for one in found}) > 1:
-        raise ValueError(f"table: expected columns of one length, got {[len(one) for one in found]}")
+    if len({one.shape for one in found}) > 1 or found[0].ndim != 1:
+        raise ValueError(f"table: expected columns of one length, got shapes {[one.shape for one in found]}")
     return found
 
 

@@ -19,7 +19,11 @@ from robust_filterpy.fusion._times import Clock
 from robust_filterpy.fusion.reacquisition import doubted
 from robust_filterpy.fusion.verdicts import watched
 
-__all__ = ["Entry", "Timeline"]
+__all__ = ["MOST", "MOST_WATCHED", "Entry", "Timeline"]
+
+#: Entries that are kept, however long the window is: one late reading makes all after it be judged anew, and to look
+#: back at sensors costs the more, the more there are.
+MOST, MOST_WATCHED = 50_000, 5000
 
 
 class Entry:
@@ -61,12 +65,14 @@ class Timeline:
     def __init__(self, setup: Setup, base: Moment, window: float, history: int) -> None:
         """Start empty."""
         self.setup, self.base, self.window, self.history = setup, base, window, history
+        self.most = MOST_WATCHED if setup.watches or setup.reacquire is not None else MOST
         self.entries: list[Entry] = []
         self.keys: list[Any] = []
         #: Key of the moment that `base` is of; None before the first stamp, when no time has passed yet.
         self.base_key: float | int | None = None
         #: Entries before this one have their moments.
         self.clean = 0
+        self.judging = False
         #: When each sensor has spoken last, of entries that are no longer kept.
         self.earlier: dict[str, float | int] = {}
         #: How many readings of each sensor could not be used, of entries that are no longer kept.
@@ -89,12 +95,18 @@ class Timeline:
 
     def at(self, key: float | int) -> Entry:
         """Return the entry of a stamp, a new one if there is none; from it on everything is dirty."""
+        self.require_rest()
         i = bisect_left(self.keys, key)
         if i == len(self.keys) or self.keys[i] != key:
             self.entries.insert(i, Entry(key, self.setup.layout.size))
             self.keys.insert(i, key)
         self.clean = min(self.clean, i)
         return self.entries[i]
+
+    def require_rest(self) -> None:
+        """Raise while an entry is judged: a function of a sensor or of the motion has called its own fusion."""
+        if self.judging:
+            raise RuntimeError("fusion: expected no call of it from a function of its own sensors or motion")
 
     def find(self, key: float | int) -> Entry | None:
         """Return the entry of a stamp, if there is one."""
@@ -103,10 +115,15 @@ class Timeline:
 
     def until(self, key: float | int | None = None) -> tuple[Moment, float | int | None, int]:
         """Return what there is after all entries up to a stamp, the last of their keys, and their number."""
+        self.require_rest()
         last = len(self.keys) if key is None else bisect_right(self.keys, key)
-        while self.clean < last:
-            self._judge(self.clean)
-            self.clean += 1
+        self.judging = True
+        try:
+            while self.clean < last:
+                self._judge(self.clean)
+                self.clean += 1
+        finally:
+            self.judging = False
         if not last:
             return self.base, self.base_key, 0
         return self.entries[last - 1].moment, self.keys[last - 1], last  # type: ignore[return-value]
@@ -131,15 +148,18 @@ class Timeline:
         # An entry before this one has been judged.
         return self.entries[i - 1].moment, self.keys[i - 1]  # type: ignore[return-value]
 
-    def forget(self) -> None:
-        """Let go of entries that are neither in the window nor wanted as history; they have been judged for good."""
+    def forget(self) -> bool:
+        """Let go of entries that are neither in the window nor wanted as history, or too many; return if too many."""
         if self.horizon is None:
-            return
+            return False
         closed = bisect_left(self.keys, self.horizon)
-        beyond = closed - self.history
+        crowded = len(self.keys) - self.most > closed
         # A few hundred at a time: to shorten a list costs as much as it has left.
-        if beyond < max(64, self.history // 4):
-            return
+        least = max(64, self.history // 4)
+        beyond = len(self.keys) - self.most if crowded else closed - self.history
+        if beyond < least:
+            return False
+        closed = max(closed, beyond)
         # All that is final is judged while its past is there.
         self.until(self.keys[closed - 1])
         self.base, self.base_key, _ = self.until(self.keys[beyond - 1])
@@ -148,6 +168,7 @@ class Timeline:
         self.unusable = self.failures(self.entries[:beyond])
         del self.entries[:beyond], self.keys[:beyond]
         self.clean -= beyond
+        return crowded
 
     def failures(self, entries: list[Entry]) -> dict[str, int]:
         """Return how many readings of each sensor could not be used, in these entries and those no longer kept."""

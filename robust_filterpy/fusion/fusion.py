@@ -52,7 +52,9 @@ class Fusion:
     sensors : mapping of str to Sensor
         By name. At equal stamps they are judged together, the most plausible first, as one measurement.
     window : float
-        Seconds behind the newest stamp within which a reading is still used.
+        Seconds behind the newest stamp within which a reading is still used, as long as it holds no more than
+        50,000 stamps, 5000 with watch or reacquire; of more, the oldest take nothing more, and a `FusionWarning`
+        says so.
     x0 : array_like, shape (n,), optional
         State at the first stamp, by default 0.
     P0 : array_like, shape (n, n), optional
@@ -191,7 +193,14 @@ class Fusion:
     def _forget(self) -> None:
         """Let go of what is too old."""
         try:
-            self._timeline.forget()
+            if self._timeline.forget() and "(window)" not in self._said:
+                self._said.add("(window)")
+                since = self._clock.stamp(self._timeline.keys[0])
+                warn(
+                    f"window: at most {self._timeline.most} stamps are kept, fewer than came within {self.window:g} s; "
+                    f"a reading of before {since} is refused; stamps that are rounded are fewer",
+                    FusionWarning,
+                )
         except Exception as error:
             # The reading stands; only a motion that raises comes here, and who asks for an estimate is told.
             if "" not in self._said:
@@ -256,8 +265,7 @@ class Fusion:
         self._clock.decide(key)
         outcome = "replaced" if again else "late" if late else "taken"
         self._counts[sensor][outcome] += 1
-        if not late:
-            self._forget()
+        self._forget()
         if layout.sensors[sensor].group is not None and self._counts[sensor]["taken"] == OFTEN:
             self._say_apart(line.readings())
         return outcome
@@ -317,8 +325,7 @@ class Fusion:
         late = bool(line.keys) and key < line.keys[-1]
         line.at(key).control = value.copy()
         self._clock.decide(key)
-        if not late:
-            self._forget()
+        self._forget()
         return "late" if late else "taken"
 
     def estimate(self, t: Any = None) -> Estimate:
@@ -627,4 +634,5 @@ class Fusion:
         ValueError, TypeError
             If an array is missing, does not fit or is not finite; nothing has changed then.
         """
+        self._timeline.require_rest()
         self._timeline, self._clock, self._counts = _keeping.restored(self._timeline, state, OUTCOMES)

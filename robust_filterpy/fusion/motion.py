@@ -307,12 +307,12 @@ class _Chains(NamedTuple):
     """Integrators of which each drives the next, one chain for each axis: coefficients and powers of dt."""
 
     upper: Array
-    ahead: Array
+    ahead: np.ndarray
     scale: Array
     grown: Array
-    powers: Array
+    powers: np.ndarray
     pushed: Array
-    reach: Array
+    reach: np.ndarray
     dim_u: int
 
     def stacks(self, dts: Array) -> tuple[Array, Array, Array]:

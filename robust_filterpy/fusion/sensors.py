@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -219,7 +219,7 @@ class Layout:
         -------
         ndarray, shape (m,)
         """
-        if name not in self.places:
+        if not isinstance(name, Hashable) or name not in self.places:
             raise ValueError(f"sensor: expected one of {list(self.sensors)}, got {_checks.shown(name)}")
         m = self.sensors[name].dim_z
         if isinstance(z, np.ma.MaskedArray):

@@ -142,3 +142,55 @@ def test_fill_values_of_a_recording_are_missing_and_said_once():
             {**table, "value": np.where(gone, -9999.0, z)}
         )
     np.testing.assert_array_equal(found.x, want.x)
+
+
+@pytest.mark.parametrize("watch", [False, True])
+def test_a_window_holds_a_bounded_number_of_stamps_and_what_is_dropped_is_said(watch, monkeypatch):
+    for name in ("MOST", "MOST_WATCHED"):
+        monkeypatch.setattr(f"robust_filterpy.fusion._timeline.{name}", 100)
+    rng = np.random.default_rng(4)
+    late = Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0], R=1.0)}, 1e9, watch=watch)
+    taken = []
+    with pytest.warns(FusionWarning, match="window: at most 100 stamps are kept") as said:
+        for t in (1000.0, *rng.permutation(1000).astype(float)):
+            if late.observe("a", t, np.sin(t)) != "refused":
+                taken.append(t)
+            assert len(late._timeline.keys) <= 100 + 225
+    assert sum("at most" in str(one.message) for one in said) == 1
+    ordered = Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0], R=1.0)}, 1e9, watch=watch)
+    for t in sorted(taken):
+        ordered.observe("a", t, np.sin(t))
+    assert sum(late.counts["a"].values()) == 1001 and 100 < len(taken) < 1001
+    np.testing.assert_array_equal(late.estimate().x, ordered.estimate().x)
+    np.testing.assert_array_equal(late.estimate().P, ordered.estimate().P)
+
+
+@pytest.mark.parametrize("sensor", [["a"], {"a": 1}, np.array(["a"]), None, 3, ("a",), b"a", np.str_("b")])
+def test_a_name_that_is_none_is_refused_with_the_names(sensor):
+    with pytest.raises(ValueError, match=r"sensor: expected one of \['a'\], got"):
+        Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0], R=1.0)}, 5.0).observe(sensor, 0.0, 1.0)
+
+
+@pytest.mark.parametrize("call", [lambda f: f.observe("a", 0.5, 1.0), lambda f: f.observe("a", 9.0, 1.0),
+                                  lambda f: f.estimate(), lambda f: f.restore(f.state())])  # fmt: skip
+def test_a_function_of_a_sensor_does_not_call_its_own_fusion(call):
+    def h(x):
+        call(fusion)
+        return x[:1]
+
+    sensors = {"a": Sensor([1.0, 0.0], R=1.0), "b": Sensor(h=h, jacobian=lambda x: np.array([[1.0, 0.0]]), R=1.0)}
+    fusion = Fusion(constant_velocity(1), sensors, 50.0)
+    fusion.observe("a", 0.0, 1.0)
+    fusion.observe("b", 1.0, 1.0)
+    fusion.observe("a", 2.0, 3.0)
+    with pytest.warns(FusionWarning, match="RuntimeError: .* no call of it from a function of its own"):
+        found = fusion.estimate()
+    assert found.time == 2.0 and fusion.counts["b"]["refused"] == 1 and fusion.counts["a"]["taken"] == 2
+    assert fusion.observe("a", 3.0, 4.0) == "taken"
+
+
+@pytest.mark.parametrize("bad", [b"12", "12", {1: 2}, {1}, 3.0, [[1.0, 2.0]]])
+def test_a_column_that_is_none_is_refused(bad):
+    fusion = Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0], R=1.0)}, 5.0)
+    with pytest.raises(ValueError, match="table: expected columns of one length"):
+        fusion.run({"time": bad, "sensor": bad, "value": bad})
