@@ -1,6 +1,6 @@
 """Recordings that break assumptions at random: how often is the answer right, warned of, or wrong in silence?
 
-    python tests/benchmarks/broken_recordings.py [--draws 1000] [--first 0] [--only identify] [--minutes 3]
+    python tests/benchmarks/broken_recordings.py [--draws 1000] [--first 0] [--only identify] [--minutes 3] [--coloured]
 
 Each draw takes a random plant, outliers or none, and one break or two at once: which, when and how large is random.
 Right is a simulation of fresh inputs that fits the noise-free plant, as it is at the end, by at least 90,
@@ -89,10 +89,31 @@ def gain(rng: Any, y: Any, u: Any, clean: Any) -> tuple[Any, Any, Any]:
     return y + clean * after * change, u, 1.0 + change
 
 
+def slow_noise(rng: Any, y: Any, u: Any, clean: Any) -> tuple[Any, Any]:
+    pole = rng.uniform(0.9, 0.99)
+    noise = lfilter([np.sqrt(1.0 - pole**2)], [1.0, -pole], rng.normal(size=LENGTH))
+    return y + rng.uniform(0.1, 0.5) * np.std(clean) * noise, u
+
+
+def bursts(rng: Any, y: Any, u: Any, clean: Any) -> tuple[Any, Any]:
+    begins = np.flatnonzero(rng.random(LENGTH) < 0.005)
+    wild = np.zeros(LENGTH, dtype=bool)
+    for begin, length in zip(begins, rng.integers(5, 40, begins.size), strict=True):
+        wild[begin : begin + length] = True
+    return y + np.where(wild, rng.uniform(0.5, 3.0) * np.std(clean) * rng.normal(size=LENGTH), 0.0), u
+
+
+def coarse(rng: Any, y: Any, u: Any, clean: Any) -> tuple[Any, Any]:
+    size = rng.uniform(0.2, 0.8) * np.std(clean)
+    return size * np.round(y / size), u
+
+
 BREAKS: tuple[Callable[..., Any], ...] = (fill_value, input_constant, step, ramp, gross, stuck, input_outliers, gain)
+# Other draws, with ``--coloured``: what these leave follows itself, beside a break of the others or none.
+COLOURED: tuple[Callable[..., Any], ...] = (slow_noise, bursts, coarse, step, ramp, input_outliers)
 
 
-def drawn(seed: int) -> Draw:
+def drawn(seed: int, breaks: tuple[Callable[..., Any], ...] = BREAKS) -> Draw:
     """Draw a recording."""
     rng = np.random.default_rng([2700, seed])
     a, b = plant(rng)
@@ -103,12 +124,12 @@ def drawn(seed: int) -> Draw:
     order = a.size - 1
     structure = (OutputError if rng.random() < 0.7 else ARX)(order, order)
     y = clean + noise if structure.nf else clean + lfilter([1.0], a, noise)
-    chosen = rng.choice(len(BREAKS), rng.choice([1, 2]), replace=False)
+    chosen = rng.choice(len(breaks), rng.choice([1, 2]), replace=False)
     broken, signal, times = y, u, 1.0
     for i in chosen:
-        broken, signal, *changed = BREAKS[i](rng, broken, signal, clean)
+        broken, signal, *changed = breaks[i](rng, broken, signal, clean)
         times *= float(np.prod(changed))
-    names = tuple(BREAKS[i].__name__ for i in chosen)
+    names = tuple(breaks[i].__name__ for i in chosen)
     return Draw(broken, signal, y, u, a, b, times, structure, names)
 
 
@@ -177,6 +198,7 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=1000)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--only", choices=CALLS)
+    parser.add_argument("--coloured", action="store_true", help="slow noise, bursts, coarse steps of the sensor")
     parser.add_argument("--minutes", type=float, default=np.inf, help="of processor time for each call")
     options = parser.parse_args()
     for name, call in CALLS.items():
@@ -187,7 +209,7 @@ def main() -> None:
         for seed in range(options.first, options.first + options.draws):
             if time.process_time() > end:
                 break
-            draw = drawn(seed)
+            draw = drawn(seed, COLOURED if options.coloured else BREAKS)
             verdict = judged(call, draw, seed)
             counts[verdict] += 1
             if verdict == "silent and wrong":
