@@ -364,7 +364,13 @@ def weigh_together(learnt: Array, log_together: float, log_apart: float, noise: 
 
 
 def ordinary_size(
-    learnt: Array, readings: Array, z: Array, y: Array, seen: Array, H: Array, R: Array,
+    learnt: Array,
+    readings: Array,
+    z: Array,
+    y: Array,
+    seen: Array,
+    H: Array,
+    R: Array,
     scales: Sequence[float] = SCALES,
 ) -> tuple[Array, Array]:
     """Return r of each sensor, between what its parity and its changes allow, and what is known with this sample's.
@@ -538,11 +544,7 @@ def parity(z: Array, H: Array, R: Array, r: Array) -> list[tuple[int, float, flo
     G = rest / unit[:, None] / unit
     with np.errstate(over="ignore", invalid="ignore"):
         e = G @ z / np.sqrt(((G @ R) * G).sum(axis=1))
-    return [
-        (i, float(e[i]), float(rest[i, i]))
-        for i in range(len(z))
-        if rest[i, i] > _REDUNDANT and np.isfinite(e[i])
-    ]
+    return [(i, float(e[i]), float(rest[i, i])) for i in range(len(z)) if rest[i, i] > _REDUNDANT and np.isfinite(e[i])]
 
 
 class LearntNoise(NamedTuple):

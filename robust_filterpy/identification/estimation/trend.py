@@ -142,7 +142,13 @@ def piecewise_level(r: Array, u: Array, line: bool = False) -> Trend:
     for _ in range(_MOST_BREAKS):
         # A ramp may begin with the recording.
         places = (("step", times), ("ramp", np.concatenate(([0], times))))
-        found = [Break(kind, int(at[fit.scores(kind, at).argmax()]), 0.0, 0.0) for kind, at in places]
+        scores = [fit.scores(kind, at) for kind, at in places]
+        # White residuals make the most of a break: what is little of that is less with a colour.
+        if max(score.max() for score in scores) < 0.5 * PRICE * np.log(N):
+            break
+        found = [
+            Break(kind, int(at[score.argmax()]), 0.0, 0.0) for (kind, at), score in zip(places, scores, strict=True)
+        ]
         tried = [_Fit.of(r, known, u, [*fit.breaks, one]) for one in found]
         least = min(one.scale for one in tried)
         fit = min(tried, key=lambda one: float(_loss(one.residual[known] / least).sum()))
