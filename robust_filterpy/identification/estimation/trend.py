@@ -157,9 +157,11 @@ def piecewise_level(r: Array, u: Array, line: bool = False) -> Trend:
             fit = _Fit.of(r, known, u, [*fit.breaks[:-1], moved])
     steps = resolution(r[known])
     while fit.breaks:
-        without = [_Fit.of(r, known, u, [*fit.breaks[:i], *fit.breaks[i + 1 :]]) for i in range(len(fit.breaks))]
+        count = len(fit.breaks)
+        small = np.ptp(fit.X[:, -count:], axis=0) * np.abs(fit.theta[-count:]) <= steps
+        without = [fit.without(i, r, u) for i in range(count)]
+        without = [one if few else one.moved(r, u, times) for one, few in zip(without, small, strict=True)]
         gains = [2.0 * (fit.evidence - one.evidence) for one in without]
-        small = np.ptp(fit.X[:, -len(gains) :], axis=0) * np.abs(fit.theta[-len(gains) :]) <= steps
         least = int(np.where(small, -np.inf, gains).argmin())
         if not small[least] and gains[least] >= PRICE * np.log(N):
             return fit.trend(gains)
@@ -201,6 +203,21 @@ class _Fit(NamedTuple):
         found = [b._replace(size=float(s), evidence=g) for b, s, g in zip(self.breaks, sizes, gains, strict=True)]
         values = self.X[:, -len(self.breaks) :] @ sizes
         return Trend(values, tuple(sorted(found, key=lambda one: one.time)))
+
+    def without(self, i: int, r: Array, u: Array) -> _Fit:
+        """Return the regression without a break."""
+        return _Fit.of(r, self.known, u, [*self.breaks[:i], *self.breaks[i + 1 :]])
+
+    def moved(self, r: Array, u: Array, times: Any) -> _Fit:
+        """Return the regression with each ramp where it leaves least, given the others."""
+        best, places = self, np.concatenate(([0], times))
+        for i, one in enumerate(self.breaks):
+            if one.kind == "ramp":
+                # Far from the least loss a score tells the place of a ramp roughly: most begin with the recording.
+                for at in (0, int(places[best.without(i, r, u).scores("ramp", places).argmax()])):
+                    moved = [*best.breaks[:i], one._replace(time=at), *best.breaks[i + 1 :]]
+                    best = min(best, _Fit.of(r, self.known, u, moved), key=lambda fit: fit.scale)
+        return best
 
     def change(self) -> Array:
         """Return what the loss would change by, were the last step at each sample."""
