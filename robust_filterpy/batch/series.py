@@ -16,7 +16,6 @@ from robust_filterpy.correction import copies
 from robust_filterpy.correction.copies import Copies
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
-from robust_filterpy.filters._mixture import any_outlier
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.filters.stuck import say_stuck
 from robust_filterpy.influence.functions import Huber, Influence
@@ -234,7 +233,7 @@ def _by_classes(
         taken = learnt_kernel.run(start, given.z[s], model, classes, policy.scales, into, every=given.every)
         if outlying is not None:
             rows = slice(0, taken // given.every)
-            outlier_probability[rows] = any_outlier(outlying[rows], policy.grouping)  # type: ignore[index]
+            outlier_probability[rows] = policy.any_outlier(outlying[rows])  # type: ignore[index]
         return taken
 
     return spread(lambda low, high: np.array([one(s) for s in range(low, high)], dtype=int), len(given.z), n_threads)

@@ -48,7 +48,7 @@ def _bounded(kf: RobustExtendedKalmanFilter, name: str) -> Described:
     """Return what a correction by psi needs."""
     found = described_filter(kf, name)
     needs = """$grouping
-    correction_rule rule = {{$kind, 0, 0, 0}, $scaling, $information, 1, 0, $joint};
+    correction_rule rule = {{$kind, 0, 0, 0, NULL, NULL}, $scaling, $information, 1, 0, $joint};
     correction c;
     real work[update_moments_work(N, M)] = {0};
     int seen = 0;"""

@@ -31,7 +31,7 @@ from robust_filterpy.kernel import learnt as half_step
 from robust_filterpy.kernel.records import Kept as Rows
 from robust_filterpy.kernel.records import State
 
-__all__ = ["Kept", "Mixture", "any_outlier", "ordinary_noise"]
+__all__ = ["Kept", "Mixture", "ordinary_noise"]
 
 
 class Kept(NamedTuple):
@@ -188,6 +188,10 @@ class Mixture:
         """Take the steps of a recording as far as the kernel can, and return the first that was not taken."""
         return half_step.run(state, zs, model, self.classes, self.scales, into, **how)
 
+    def any_outlier(self, outlying: Array) -> Array:
+        """Return the probability that any sensor, the last axis, was an outlier."""
+        return _any_outlier(outlying, self.grouping)
+
     def entries(self, kept: Kept | None, x: Array, P: Array) -> dict[str, Array]:
         """Return the copies as arrays of a state."""
         if kept is None:
@@ -244,7 +248,7 @@ class Mixed(NamedTuple):
     @property
     def outlier_probability(self) -> float:
         """Probability that a component was an outlier; sensors that fail together have one."""
-        return float(any_outlier(self.outlier_probabilities, "joint" if len(self.memory) == 1 else self.together))
+        return float(_any_outlier(self.outlier_probabilities, "joint" if len(self.memory) == 1 else self.together))
 
     def as_arrays(self) -> Correction:
         """Return everything that a correction shows, of the merged prior and ordinary noise as it was learnt before."""
@@ -270,7 +274,7 @@ class Mixed(NamedTuple):
         )  # fmt: skip
 
 
-def any_outlier(outlying: Array, grouping: Any) -> Array:
+def _any_outlier(outlying: Array, grouping: Any) -> Array:
     """Return the probability that any sensor, the last axis, was an outlier; those that fail together have one."""
     m = outlying.shape[-1]
     named = [range(m)] if grouping == "joint" else [] if grouping == "component" else grouping

@@ -70,7 +70,8 @@ class RecordingMixin(RobustFilterMixin):
         covariances, covariances_p = np.zeros((n, dim_x, dim_x)), np.zeros((n, dim_x, dim_x))
         steps = None
         if by_kernel and n:
-            kept = Kept(*(a.reshape(n, -1) for a in (means, covariances, means_p, covariances_p)), scale=scales)
+            rows = [a.reshape(n, -1) for a in (means, covariances, means_p, covariances_p)]
+            kept = Kept(rows[0], rows[1], rows[2], rows[3], scale=scales)
             steps = self._prepared(given, kept, bool(update_first))
         k = 0
         with unchanged_if_refused(self):

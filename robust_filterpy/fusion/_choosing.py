@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.policies import (
     Contaminated,
     Learnt,
@@ -12,8 +11,7 @@ from robust_filterpy.correction.policies import (
     noise_policy,
     process_policy,
 )
-from robust_filterpy.filters._bounded import Bounded
-from robust_filterpy.filters._mixture import Mixture
+from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.fusion._policies import BoundedInfluence, LearntNoise, Policy
 from robust_filterpy.fusion.sensors import Layout
 from robust_filterpy.influence.functions import Influence
@@ -45,12 +43,13 @@ def policy_of(layout: Layout, noise: Any, process: Any, influence: Influence | N
         if isinstance(noise, Contaminated):
             _require_told(layout, "noise that is told")
         # All sensors stand in one vector, in which each fails on its own, or a group together.
-        told = Learnt() if noise is None else noise
-        return LearntNoise(Mixture(told, Scales() if process is None else process, layout.grouping))
+        noise, process = Learnt() if noise is None else noise, Scales() if process is None else process
+        return LearntNoise(RobustKalmanFilter(1, 1, noise=noise, process=process, grouping=layout.grouping).policy)
     if noise is not None or process is not None:
         raise ValueError("influence: expected neither noise nor process beside it")
     _require_told(layout, "influence")
-    return BoundedInfluence(Bounded(Choices(influence, grouping=layout.grouping)))
+    kf = RobustKalmanFilter(1, 1, influence=influence, scaling="innovation", grouping=layout.grouping)
+    return BoundedInfluence(kf.policy)
 
 
 def _require_told(layout: Layout, why: str) -> None:

@@ -19,8 +19,6 @@ from robust_filterpy.correction.copies import Copies, Scales
 from robust_filterpy.correction.learning import describe, usual
 from robust_filterpy.correction.policies import process_scales
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.filters._mixture import Mixture
-from robust_filterpy.filters._policy import Known
 from robust_filterpy.fusion._first_readings import none_yet
 from robust_filterpy.kernel import learnt as learnt_kernel
 from robust_filterpy.kernel.record import weights_of
@@ -50,6 +48,10 @@ class State(NamedTuple):
     """Control input in force, (dim_u,)."""
     trial: Array
     """First readings where nobody told R, (M, ..)."""
+
+    @property
+    def kept(self) -> None:
+        """What a filter's policy keeps besides: nothing that is not here."""
 
 
 class Steps(NamedTuple):
@@ -103,7 +105,7 @@ class _Judged:
 class LearntNoise(_Judged):
     """Copies side by side under noise that is a mixture of classes, learnt or told (`filters._mixture.Mixture`)."""
 
-    def __init__(self, judge: Mixture) -> None:
+    def __init__(self, judge: Any) -> None:
         """Keep the choices."""
         super().__init__(judge)
         self.noise, self.doubt = judge.classes, judge.scales
@@ -162,7 +164,7 @@ class BoundedInfluence(_Judged):
         seen = ~np.isnan(z)
         if not seen.any():
             return state, np.full(len(z), np.nan)
-        found, _ = self.judge.corrected(Known(state.memory, None), state.x, state.P, z, H, R, None, None)
+        found, _ = self.judge.corrected(state, state.x, state.P, z, H, R, None, None)
         if self.judge.learns:
             keeps = (seen & np.broadcast_to(learns, len(z)))[:, None]
             state = state._replace(memory=np.where(keeps, found.memory, state.memory))

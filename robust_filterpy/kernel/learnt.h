@@ -807,7 +807,7 @@ INLINE int learnt_scores(const int m, const learnt_rule *const rule, const int i
 
 /* Score, information and likelihood of g sensors that fail together under every copy: learnt_scores of a vector. Return
    whether all is ordinary. log_density: of all that is likely the most, which w->logs are over. */
-CALLED int learnt_group_scores(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
+CALLED int learnt_group_scores(const int m, const learnt_rule *const rule, const learnt_state *const s,
                                const real *RESTRICT R, const int g, const learnt_parts *const w,
                                real *const log_density) {
     const int copies = learnt_copies(rule), K = rule->K, rows = rule->joint ? 1 : g, size = rule->joint ? g : 1;
@@ -1055,7 +1055,7 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
         }
         if (group > 1) {
             real most = 0;
-            if (!learnt_group_scores(n, m, rule, s, R, group, &w, &most)) return -1;
+            if (!learnt_group_scores(m, rule, s, R, group, &w, &most)) return -1;
             apart += most + REAL(0.5) * LEARNT_LOG_2PI;
         } else {
             learnt_predicted(K, known, w.before);

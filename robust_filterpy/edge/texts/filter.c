@@ -22,7 +22,7 @@ ${name}_status ${name}_update(const ${name}_model *model, ${name}_state *state, 
 {
     ${name}_state next;
 $grouping
-    correction_rule rule = {{$kind, 0, 0, 0}, $scaling, $information, 1, 0, $joint};
+    correction_rule rule = {{$kind, 0, 0, 0, NULL, NULL}, $scaling, $information, 1, 0, $joint};
     correction c;
     real work[update_work(N, M)] = {0};
     if ((model == NULL) || (state == NULL) || (z == NULL)) {
