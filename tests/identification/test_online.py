@@ -191,3 +191,19 @@ def test_matrices_in_any_order_of_memory_serve():
     one.filter.F, other.filter.F, bank.F = F, F.copy(order="C"), F
     for k in range(60):
         assert one.update(y[k], u[k])[0] == other.update(y[k], u[k])[0] == bank.update(y[k : k + 1], u[k])[0][0]
+
+
+@pytest.mark.parametrize("size", [1e9, 1e100, 1e300])
+@pytest.mark.parametrize("at", [100, 600])
+def test_one_reading_of_any_size_is_as_one_that_is_missing(size, at):
+    rng = np.random.default_rng(30)
+    u, y = rng.choice([-1.0, 1.0], 800), np.zeros(800)
+    for k in range(2, 800):
+        y[k] = 1.5 * y[k - 1] - 0.7 * y[k - 2] + u[k - 1] + 0.5 * u[k - 2] + 0.2 * rng.normal()
+    far, missing = y.copy(), y.copy()
+    far[at], missing[at] = size, np.nan
+    one, other = (ParameterTracker(ARX(2, 2)) for _ in range(2))
+    one.run(far, u), other.run(missing, u)
+    for tracker in (one, other):
+        np.testing.assert_allclose(tracker.theta, [-1.5, 0.7, 1.0, 0.5], atol=4.0 * tracker.std.max())
+    np.testing.assert_allclose(one.std, other.std, rtol=0.02)

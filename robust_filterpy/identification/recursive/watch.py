@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -276,14 +277,20 @@ def _tells_nothing(residuals: Array, rounding: float) -> bool:
     return not known.size or bool(np.quantile(known, _NEARLY_ALL) <= rounding)
 
 
+@lru_cache(maxsize=8)
+def _stretches(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return where each stretch of enough samples begins and ends, and how many it has."""
+    first, last = np.triu_indices(size, _IN_A_ROW)
+    return first, last, last - first
+
+
 def _moved(residuals: Array, covariances: Array) -> str:
     """Say which residuals in a row are off zero by more than chance, nothing if none are."""
     scale = mad_scale(residuals - np.median(residuals)) if residuals.size >= _SPAN // 2 else 0.0
     if not scale > 0.0:
         return ""
     sums = np.append(0.0, np.cumsum(np.clip(residuals / scale, -CLIP, CLIP)))
-    first, last = np.triu_indices(sums.size, _IN_A_ROW)
-    n = last - first
+    first, last, n = _stretches(sums.size)
     # Of noise that is still alike two samples later nobody knows how long it stays so.
     r0, r1, r2 = np.maximum(covariances, 0.0)
     variance = (r0 + 2.0 * r1 + 2.0 * r2) * n + 0.1 * r2 * n**2
