@@ -30,6 +30,9 @@ def update(
 ) -> tuple[Any, ...]:
     """Correct a state by a measurement whose influence is bounded: `filterpy.kalman.update` and the choices.
 
+    A function keeps nothing from one call to the next, so no typical innovation is learnt: after several steps x is
+    another one than that of `RobustKalmanFilter` with its default scaling, which is "learnt".
+
     Parameters
     ----------
     x : array_like, shape (dim_x,) or (dim_x, 1), or float

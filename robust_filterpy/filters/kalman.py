@@ -25,6 +25,7 @@ from robust_filterpy._arrays import (
 )
 from robust_filterpy._checks import FLOAT, Array
 from robust_filterpy._filterpy import KalmanFilter
+from robust_filterpy._warning import warn
 from robust_filterpy.correction.definition import Innovation
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
@@ -260,6 +261,12 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         n = shape[0]
         F = _checks.matrix("F", self.F if F is None else F, (n, n), "dim_x")
         noise = process_noise(self.Q, Q, n)
+        if Q is None and n > 1 and np.ndim(self.Q) == 0:
+            everywhere = self._choices.is_linear and self.noise is None
+            noise = np.full((n, n), float(self.Q)) if everywhere else noise
+            does = "is added to every entry of P, as by filterpy" if everywhere else "means times I here"
+            q = f"{float(self.Q):.6g}"
+            warn(f"Q: expected a matrix, got the number {q}, which {does}; use {q}*np.eye({n})")
         B = self.B if B is None else B
         return F, noise, None if B is None or u is None else control_term(B, u, shape)
 
@@ -578,6 +585,9 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         """
         scales = np.empty((len(zs), self.dim_x)) if self.process is not None and hasattr(zs, "__len__") else None
         by_kernel = saver is None and self._steps_are_own()
+        if Qs is None and isinstance(self.Q, (int, float)) and hasattr(zs, "__len__"):
+            # As filterpy passes it to each prediction, where a number means times I.
+            Qs = [self.Q] * len(zs)
         found = self._filter_recording(Given(zs, Fs, Qs, Hs, Rs, Bs, us), update_first, saver, by_kernel, scales)
         self._process_scales = scales
         return found

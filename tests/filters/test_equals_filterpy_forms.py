@@ -114,15 +114,19 @@ def test_integer_arrays(ndim):
 
 @pytest.mark.parametrize("ndim", NDIMS)
 def test_scalars_as_attributes(ndim):
-    """R, P and Q as numbers: Q means times I, as in filterpy's batch_filter (its predict adds it to every entry)."""
+    """R, P and Q as numbers: predict adds Q to every entry of P, as filterpy does, and says so."""
     robust, plain = pair(support.cart(), ndim)
     for kf in (robust, plain):
-        kf.R, kf.Q, kf.P = 5, 0.0001 if kf is robust else 0.0001 * np.eye(2), 7.0
-    support.assert_same_along(robust, plain, range(5))
+        kf.R, kf.Q, kf.P = 5, 0.0001, 7.0
+    with pytest.warns(UserWarning, match=r"Q: expected a matrix, got the number 0.0001, which is added to every entry"):
+        support.assert_same_along(robust, plain, range(5))
     for kf in (robust, plain):
         kf.R = 2.5
         kf.update(3.0)
     support.assert_same_state(robust, plain)
+    # Its batch_filter passes it to each prediction, where it means times I.
+    for ours, theirs in zip(robust.batch_filter([1.0, 2.0]), plain.batch_filter([1.0, 2.0]), strict=True):
+        np.testing.assert_allclose(np.reshape(ours, np.shape(theirs)), theirs, rtol=1e-9)
 
 
 def test_scalar_p_without_a_prediction_is_a_multiple_of_the_identity():
