@@ -27,6 +27,10 @@ _COVARIANCES: Final[dict[str, dict[str, float]]] = {
 }
 
 
+# Numbers that a state held of a sensor's spread before it held more.
+_FORMER: Final = 10
+
+
 class StateError(ValueError):
     """A state that nothing can go on from: damaged, of something else, or of a newer format."""
 
@@ -92,7 +96,7 @@ def checked(
             if name in optional:
                 continue
             raise StateError(f"state: expected {name}, of shape {_text(shape)}, got none")
-        value = _numbers(name, state[name]).copy()
+        value = widened(name, _numbers(name, state[name]).copy(), shape[-1] if shape else None)
         if value.size == 0 and len(shape) != value.ndim and math.prod(size or 0 for size in shape) == 0:
             # Text formats, JSON among them, do not keep the shape of what is empty.
             value = value.reshape([size or 0 for size in shape])
@@ -105,6 +109,14 @@ def checked(
             require_covariance(name, value)
         found[name] = value
     return found
+
+
+def widened(name: str, value: Array, width: int | None) -> Array:
+    """Return what a state holds of sensors, with 0 in the columns that there were not yet when it was stored."""
+    missing = (width or 0) - (value.shape[-1] if value.ndim else 0)
+    if not name.endswith("spread") or value.ndim < 2 or missing <= 0 or value.shape[-1] != _FORMER:
+        return value
+    return np.concatenate((value, np.zeros((*value.shape[:-1], missing))), axis=-1)
 
 
 def require_covariance(name: str, stack: Array) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy._checks import Array, numbers
+from robust_filterpy._state import widened
 from robust_filterpy.batch.arguments import SeriesArguments
 from robust_filterpy.correction import copies
 from robust_filterpy.correction.learning import NoiseClasses
@@ -70,6 +71,7 @@ def continued(kf: RobustKalmanFilter, given: SeriesArguments, state: Mapping[str
         )
     for name in [name for name in stands if name not in ("x", "P")]:
         value = np.array(numbers(f"state[{name!r}]", state[name]), order="C")
+        value = widened(name, value, stands[name].shape[-1])
         if value.shape != stands[name].shape:
             raise ValueError(
                 f"state[{name!r}]: expected shape {stands[name].shape}, got {value.shape}; it goes on with the same "

@@ -188,7 +188,7 @@ def correct_by_custom(
 
     Parameters
     ----------
-    memory : ndarray, shape (m, 10)
+    memory : ndarray, shape (m, 15)
         What is known of the sensors, from `robust_filterpy.correction.spread.begin` or the correction before.
     x, P, choices, skip_singular
         As in `correct`.
@@ -203,15 +203,32 @@ def correct_by_custom(
     """
     z, y, C, S, R, H = innovation
     found = spread.prepared(memory, z, y, S, R, C, P)
-    if (found.growth > 1.0).any():
-        grown = P * np.outer(found.growth, found.growth)
-        H = np.linalg.lstsq(P, C, rcond=None)[0].T if H is None else H
-        gained = (grown - P) @ H.T
-        P, C, S = grown, C + gained, S + H @ gained
+    y = np.where(found.held, np.nan, y)
+    told, R = S, np.asarray(R)
+    if (found.growth > 1.0).any() or found.opened.any():
+        seen = np.linalg.lstsq(P, C, rcond=None)[0].T if H is None else H
+        grown = _opened(P * np.outer(found.growth, found.growth), seen, found.opened)
+        gained = (grown - P) @ seen.T
+        P, C, S = grown, C + gained, S + seen @ gained
     charged = S + np.diag(found.charge) if found.charge.any() else S
     last = correct(x, P, y, C, charged, choices, found.spread(S), skip_singular)
-    rest = np.where(np.isnan(y), np.nan, last.y - (S - R) @ last.score)
-    return last._replace(S=np.array(S), memory=spread.after(found.memory, rest))
+    B = S - R
+    rest = np.where(np.isnan(y), np.nan, last.y - B @ last.score)
+    left = np.diag(B - B @ last.information @ B if H is None else H @ last.P @ H.T)
+    weights = np.where(found.held, 0.0, last.weights)
+    return last._replace(S=np.array(S), weights=weights, memory=spread.after(found.memory, rest, left, told, R))
+
+
+def _opened(P: Array, H: Array, variances: Array) -> Array:
+    """Return P with larger variances of the states that a sensor sees and tells much of, where it has seen a jump.
+
+    Nothing is said of the rest, which follows by its covariances.
+    """
+    for h, variance in zip(H, variances, strict=True):
+        p = np.where(spread.moved(P @ h, np.diag(P)), np.diag(P), 0.0)
+        if variance > 0 and h**2 @ p > 0:
+            P = P + np.diag(variance / (h**2 @ p) * np.where(h != 0, p, 0.0))
+    return P
 
 
 class _Seen(NamedTuple):

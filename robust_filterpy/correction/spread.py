@@ -26,9 +26,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-#: Columns of a memory, shape (m, 10).
-WEIGHT, SPREAD, SHARE, STRANGE, RUN, REST, JUMP, LAST, REPEATS, STEP = range(10)
-NUMBERS = 10
+#: Columns of a memory, shape (m, 15); those of a state that was stored before there were so many begin at 0.
+WEIGHT, SPREAD, SHARE, STRANGE, RUN, REST, JUMP, LAST, REPEATS, STEP, LEFT, GROWTH, USED, HELD, FILLED = range(15)
+NUMBERS = 15
 
 QUARTILE = 0.6744897501960817  #: median of |e| for a normal e of deviation 1
 BEND = 1.345  #: beyond so many spreads an innovation counts as clipped, whatever psi is
@@ -41,7 +41,10 @@ RUN_LENGTH, AGREE = 4, 2.5  #: a jump: so many clipped in a row, each within 2.5
 RARE, RETURN = 0.05, 0.2  #: a share of outliers with which one innovation is a return, if within a fifth of the jump
 SPARED = 0.1  #: states that tell a tenth as much of the prediction as the one that tells most do not jump with it
 WHOLE, MOST_STEPS = 0.01, 1e6  #: a change within so much of a whole number of steps, up to so many, is steps
-LEAST = 0.1  #: of its width is left to a far reading that repeats where none does
+SUDDEN = 4.0  #: what is so many spreads off has not crept there
+STEEP = 1.5  #: a run goes on while it grows by less than half
+HABIT = 0.2  #: a share of repeats from which on one that is merely clipped says something
+FLOOR, STEEPEST = 1e-9, 50.0  #: less of H P H' / R is rounding; its logarithm does not grow by more
 LARGEST_GROWTH = 1e6  #: of S at one jump; makes the gain 1 - 1e-6
 WITNESS, APART, CONTRADICTED = 0.47, 1.5, 2.0  #: see `_charges`
 
@@ -50,13 +53,17 @@ class Prepared(NamedTuple):
     """What a correction begins with under scaling "learnt"; C and S are as told unless P has grown."""
 
     memory: np.ndarray
-    """Memory after the innovation, shape (m, 10)."""
+    """Memory after the innovation, shape (m, 15)."""
     width: np.ndarray
     """Unit of each sensor's threshold, in that of its measurement, shape (m,)."""
     charge: np.ndarray
     """Variance that is a sensor's own noise beyond R, shape (m,)."""
     growth: np.ndarray
     """Factor of each state's standard deviation, shape (n,)."""
+    opened: np.ndarray
+    """Variance that a jump adds to what each sensor sees of the state, shape (m,)."""
+    held: np.ndarray
+    """Which readings say nothing new and are missing therefore, shape (m,)."""
 
     def spread(self, S: np.ndarray) -> np.ndarray:
         """Return s, the width in units of the S that the correction is by, shape (m,)."""
@@ -74,7 +81,7 @@ def begin(m: int) -> np.ndarray:
 
     Returns
     -------
-    ndarray, shape (m, 10)
+    ndarray, shape (m, 15)
         Information that the spread rests on, spread s, share p of far innovations, far ones in a row, clipped ones in
         a row that agree, what the last correction left of z - H x, how far the last jump went, 0 if there was none to
         return from, the last reading, the share of ordinary readings that repeat, and the smallest change of a
@@ -91,7 +98,7 @@ def prepared(
 
     Parameters
     ----------
-    memory : ndarray, shape (m, 10)
+    memory : ndarray, shape (m, 15)
         Memory before; not changed.
     z, y : ndarray, shape (m,)
         Readings and innovation, NaN where missing.
@@ -108,9 +115,13 @@ def prepared(
     """
     memory, here = memory.copy(), np.isfinite(y) & (np.diag(S) > 0)
     told, size = np.sqrt(np.where(here, np.diag(S), 1.0)), np.zeros(len(y))
+    ratio = _ratio(np.diag(S - R), R, S)
+    wider = np.where(here, _wider(memory, ratio), 1.0)
     # Below a number whose square is a number.
-    size[here] = np.minimum(np.abs(y[here]) / told[here], 1e100)
+    size[here] = np.minimum(np.abs(y[here]) / told[here], 1e100) / wider[here]
     coarse = np.where(memory[:, REPEATS] > 0, memory[:, STEP] / BEND, 0.0) / told
+    held = np.array([bool(here[i]) and _holds(memory[i], z[i], size[i], coarse[i]) for i in range(len(y))], dtype=bool)
+    here &= ~held
     for i in np.flatnonzero(here & (size > 0)):
         _learn(memory[i], size[i], coarse[i], math.sqrt(min(max(R[i, i] / S[i, i], 1e-9), 1.0)))
     # Who has no custom yet has shown exact zeros alone: any width will do.
@@ -119,40 +130,70 @@ def prepared(
     seen = _seen_by(B, here)
     charge = _charges(y, s, told, B, seen, here) if here.sum() > 1 else np.zeros(len(y))
     narrowed = np.maximum(s * (1 - YIELD * memory[:, SHARE]), coarse)
-    out, near = here & (size > BEND * narrowed), AGREE * s * told
+    out, near = here & (size > BEND * narrowed), AGREE * s * told * wider
+    for i in np.flatnonzero(here):
+        _note_reading(memory[i], z[i], not out[i] and memory[i, RUN] == 0)
+        if not out[i]:
+            _learn_growth(memory[i], ratio[i])
     _count_runs(memory, y, near, out, here)
-    counts = _weigh_repeats(memory, z, out, here)
     # Back where the state was before a jump.
     back = out & (np.abs(y + memory[:, JUMP]) < np.maximum(near, RETURN * np.abs(memory[:, JUMP])))
     back &= memory[:, JUMP] != 0
     jumped = _jumps(memory, y, B, seen, out, back, charge, here)
-    growth, width = np.ones(len(C)), narrowed * told * counts
+    growth, opened, width = np.ones(len(C)), np.zeros(len(y)), narrowed * told * wider
     for i in np.flatnonzero(jumped):
-        wanted = min((size[i] / (BEND * narrowed[i])) ** 2 - 1, LARGEST_GROWTH) * S[i, i] / B[i, i]
-        growth = np.maximum(growth, np.sqrt(1 + wanted * _moved(C[:, i], np.diag(P))))
+        wanted = min((size[i] / (BEND * narrowed[i])) ** 2 - 1, LARGEST_GROWTH) * S[i, i]
+        # What creeps away is moved by all that correlates; what is suddenly far, by what the sensor sees.
+        if size[i] < SUDDEN * narrowed[i]:
+            growth = np.maximum(growth, np.sqrt(1 + wanted / B[i, i] * moved(C[:, i], np.diag(P))))
+        else:
+            opened[i] = wanted
         # Believed: as large as is usual.
         width[i] = abs(y[i])
         _forgive(memory[i], 0.0 if back[i] else y[i])
-    return Prepared(memory, width, charge, growth)
+    return Prepared(memory, width, charge, growth, opened, held)
 
 
-def after(memory: np.ndarray, rest: np.ndarray) -> np.ndarray:
+def after(memory: np.ndarray, rest: np.ndarray, left: np.ndarray, S: np.ndarray, R: np.ndarray) -> np.ndarray:
     """Return the memory that knows what a correction left over.
 
     Parameters
     ----------
-    memory : ndarray, shape (m, 10)
+    memory : ndarray, shape (m, 15)
         From `prepared`.
     rest : ndarray, shape (m,)
         z - H x after the correction, NaN where missing.
+    left : ndarray, shape (m,)
+        Variance that is left of what each sensor sees of the state.
+    S, R : ndarray, shape (m, m)
+        As told before it.
 
     Returns
     -------
-    ndarray, shape (m, 10)
+    ndarray, shape (m, 15)
     """
     memory, here = memory.copy(), np.isfinite(rest)
-    memory[here, REST] = rest[here]
+    memory[here, REST], memory[here, LEFT] = rest[here], _ratio(left, R, S)[here]
     return memory
+
+
+def _ratio(known: np.ndarray, R: np.ndarray, S: np.ndarray) -> np.ndarray:
+    """Return H P H' / R, R at least what is not rounding of S, shape (m,)."""
+    noise = np.maximum(np.diag(R), 1e-12 * np.diag(S))
+    return np.maximum(known / np.where(noise > 0, noise, 1.0), FLOOR)
+
+
+def _wider(memory: np.ndarray, ratio: np.ndarray) -> np.ndarray:
+    """Return S / R over what would be, had the usual time passed since a sensor's last reading, at least 1 (m,)."""
+    usual = memory[:, LEFT] * np.exp(np.minimum(memory[:, GROWTH], STEEPEST))
+    return np.where(memory[:, USED] > 0, np.maximum((1 + ratio) / (1 + usual), 1.0), 1.0)
+
+
+def _learn_growth(own: np.ndarray, ratio: float) -> None:
+    """Learn how the logarithm of H P H' / R grows from one reading to the next."""
+    if own[LEFT] > 0:
+        own[USED] += 1
+        own[GROWTH] += (math.log(max(ratio, FLOOR) / own[LEFT]) - own[GROWTH]) * max(1 / own[USED], 1 / MEMORY)
 
 
 def _learn(own: np.ndarray, size: float, coarse: float, weight: float) -> None:
@@ -179,31 +220,40 @@ def _forgive(own: np.ndarray, jump: float) -> None:
     """Note a jump: the far ones in a row were no outliers, and where others are rare it may be undone at once."""
     step = _step(own)
     own[SHARE] = max(own[SHARE] - own[STRANGE] * step, 0.0)
-    own[[STRANGE, RUN]] = 0.0
+    own[[STRANGE, RUN, HELD]] = 0.0
     own[JUMP] = jump if own[SHARE] < RARE else 0.0
 
 
-def _weigh_repeats(memory: np.ndarray, z: np.ndarray, out: np.ndarray, here: np.ndarray) -> np.ndarray:
-    """Learn how usual repeats are; return what each reading counts, less than 1 for a far one that repeats (m,)."""
-    counts, alone = np.ones(len(z)), here.sum() == 1
-    for i in np.flatnonzero(here):
-        own = memory[i]
-        change, step, usual = abs(z[i] - own[LAST]), float(own[STEP]), float(own[REPEATS])
-        repeats = step != 0 and change == 0
-        if step == 0:
-            own[STEP] = -1.0
-        elif change > 0:
-            own[STEP] = min(change, step) if step > 0 else change
-            # A change that is no whole number of steps: these readings are not quantized, or more finely.
-            if not (step > 0 and _is_whole(change / step)):
-                own[REPEATS] = 0.0
-        own[LAST] = z[i]
-        if not out[i]:
-            own[REPEATS] += (repeats - own[REPEATS]) * _step(own)
-        elif repeats and not alone:
-            own[STRANGE], own[RUN] = max(own[STRANGE] - (1 - usual), 0.0), max(own[RUN] - (1 - usual), 0.0)
-            counts[i] = max(usual, LEAST)
-    return counts
+def _holds(own: np.ndarray, z: float, size: float, coarse: float) -> bool:
+    """Tell whether a reading says nothing new: a far one that repeats the one before, or goes on doing so.
+
+    Of a sensor of which most readings repeat some count.
+    """
+    counts, before, unit = max(2 * own[REPEATS] - 1, 0.0), own[HELD], max(own[SPREAD], coarse)
+    far = 0 < (BEND if own[REPEATS] < HABIT else FAR) * unit < size
+    if not (own[STEP] != 0 and z == own[LAST] and (far or before > 0)):
+        # One that is near those that were held bears them out.
+        own[RUN] += before if own[RUN] > 0 else 0
+        own[HELD] = 0.0
+        return False
+    own[HELD] = before + 1
+    own[FILLED] += size > FAR * unit
+    return int(own[HELD] * counts + 0.5) == int(before * counts + 0.5)
+
+
+def _note_reading(own: np.ndarray, z: float, ordinary: bool) -> None:
+    """Learn how usual it is that an ordinary reading repeats the one before, and by what steps readings change."""
+    change, step = abs(z - own[LAST]), float(own[STEP])
+    if step == 0:
+        own[STEP] = -1.0
+    elif change > 0 and ordinary:
+        own[STEP] = min(change, step) if step > 0 else change
+        # A change that is no whole number of steps: these readings are not quantized, or more finely.
+        if step > 0 and not _is_whole(change / step):
+            own[REPEATS] = 0.0
+    if ordinary:
+        own[REPEATS] += ((step != 0 and change == 0) - own[REPEATS]) * _step(own)
+    own[LAST] = z
 
 
 def _is_whole(ratio: float) -> bool:
@@ -221,7 +271,7 @@ def settled(memory: np.ndarray) -> np.ndarray:
 
     Parameters
     ----------
-    memory : ndarray, shape (m, 10)
+    memory : ndarray, shape (m, 15)
 
     Returns
     -------
@@ -259,17 +309,18 @@ def _charges(
         low = min(v for v in says if w[others][says <= v].sum() >= total * (0.5 - 1e-9))
         high = max(v for v in says if w[others][says >= v].sum() >= total * (0.5 - 1e-9))
         odd = abs(y[i] - min(max(0.0, low), high)) / told[i]
-        own = max(s[i], odd / CONTRADICTED)
+        own = max(s[i], min(odd, 1e100) / CONTRADICTED)
         if own > APART * usual:
             charge[i] = told[i] ** 2 * ((own / usual) ** 2 - 1)
     return charge
 
 
 def _count_runs(memory: np.ndarray, y: np.ndarray, near: np.ndarray, out: np.ndarray, here: np.ndarray) -> None:
-    """Count each sensor's clipped innovations in a row, of one sign, each where the one before left x."""
+    """Count each sensor's clipped innovations in a row, of one sign, each where the one before left x, or further."""
     rest = memory[:, REST]
     with np.errstate(invalid="ignore"):
-        same = (memory[:, RUN] > 0) & (np.sign(y) == np.sign(rest)) & (np.abs(y - rest) < near)
+        steep = (np.abs(y) >= np.abs(rest)) & (np.abs(y) < STEEP * np.abs(rest))
+        same = (memory[:, RUN] > 0) & (np.sign(y) == np.sign(rest)) & ((np.abs(y - rest) < near) | steep)
     memory[here, RUN] = np.where(out, np.where(same, memory[:, RUN] + 1, 1), 0)[here]
 
 
@@ -285,7 +336,7 @@ def _jumps(
     return jumped
 
 
-def _moved(c: np.ndarray, p: np.ndarray) -> np.ndarray:
+def moved(c: np.ndarray, p: np.ndarray) -> np.ndarray:
     """Return which states have jumped, given their covariances c with a prediction and their variances p."""
     told = np.where(p > 0, c**2 / np.where(p > 0, p, 1.0), 0.0)
     return np.asarray((told > SPARED * told.max()) & (p > 0))

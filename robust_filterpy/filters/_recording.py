@@ -13,7 +13,7 @@ from robust_filterpy.filters._correlated import look_at_recording
 from robust_filterpy.filters.mixin import RobustFilterMixin
 from robust_filterpy.filters.problem import read
 from robust_filterpy.filters.snapshot import unchanged_if_refused
-from robust_filterpy.filters.stuck import look_for_stuck
+from robust_filterpy.filters.stuck import look_for_repeats, look_for_stuck
 from robust_filterpy.kernel import available, series
 from robust_filterpy.kernel.records import Kept
 
@@ -144,6 +144,8 @@ class RecordingMixin(RobustFilterMixin):
         # What else a step leaves in the filter, the filter's own next step sets anew.
         self.x, self.P = state.x.reshape(x.shape).copy(), state.P.copy()
         self._kept = policy.kept_of(self._kept, state)
+        if policy.noise is None and policy.learns:
+            look_for_repeats(self, state.learnt, self._known(steps.zs.shape[1]).memory)
         self._learn(state.learnt, len(state.learnt))
         if policy.noise is None:
             if self._choices.scaling == "innovation":

@@ -16,6 +16,7 @@ from robust_filterpy.filters._held import Held
 from robust_filterpy.filters._insistence import is_near, jump_of, watched
 from robust_filterpy.filters._outlier_share import EVERY
 from robust_filterpy.filters.snapshot import put_back, snapshot
+from robust_filterpy.filters.stuck import look_for_repeats
 from robust_filterpy.kernel.record import judged_of
 
 _extension = kernel.extension()
@@ -87,14 +88,14 @@ class StepMixin(Held):
     def _counted(self, step: Any, *given: Any, R: Any, difference: Any = np.subtract) -> bool:
         """Take a correction, see whether refused ones insist, and look now and then whether most of them clip."""
         if self._policy.unwatched:
-            return bool(step(self, *given))
+            return self._repeated(step(self, *given))
         insists = self._policy.patience is not None
         counts = self._counts_clipped and self._choices.scaling == "innovation"
         looks = counts and (self._updates + 1) % EVERY == 0
         # Psi of the user's may write into anything before it raises.
         called = self._choices.kernel_psi is None
         before = snapshot(self) if insists or called or (looks and self._share.fills(self.dim_z)) else None
-        if not (step(self, *given) if before is None else self._looked(before, step, self, *given)):
+        if not self._repeated(step(self, *given) if before is None else self._looked(before, step, self, *given)):
             return False
         self._updates += counts
         # As it was judged, before P grows.
@@ -104,6 +105,12 @@ class StepMixin(Held):
         if looks:
             self._looked(before, self._share.look, self, judged)
         return True
+
+    def _repeated(self, taken: int) -> bool:
+        """Return whether a step was taken; say it where a far reading repeats the one before."""
+        if taken > 1:
+            look_for_repeats(self, self._memory)
+        return bool(taken)
 
     def _insist(self, R: Any, difference: Callable[[Array, Array], Array]) -> None:
         """Count a correction that the kernel took, and widen P where refused ones have insisted for long enough."""

@@ -22,7 +22,7 @@ from robust_filterpy.filters._sensors import Customs
 from robust_filterpy.filters._step import StepMixin
 from robust_filterpy.filters.snapshot import SLOTS, whole
 from robust_filterpy.filters.states import StateMixin
-from robust_filterpy.filters.stuck import look_for_stuck
+from robust_filterpy.filters.stuck import look_for_repeats, look_for_stuck
 from robust_filterpy.kernel.moments import Taken
 from robust_filterpy.kernel.record import correction_of, weights_of
 
@@ -130,6 +130,8 @@ class RobustFilterMixin(OptionsMixin, PrintingMixin, StepMixin, StateMixin):
         if not (np.isfinite(last.x).all() and np.isfinite(last.P).all()):
             raise ValueError("update: expected a finite x and P, got NaN or infinity; check z, P and R, or units")
         self._learn(last.memory, len(z), passed)
+        if self._policy.noise is None and last.memory is not None:
+            look_for_repeats(self, last.memory)
         self._look(last)
         self.x = last.x[:, None] if column else last.x
         self.P, self._last, self._kept = last.P, last, kept

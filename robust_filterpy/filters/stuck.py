@@ -8,15 +8,17 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy._warning import RobustFilterWarning, warn
+from robust_filterpy.correction.spread import FILLED, HELD
 
 __all__ = ["StuckSensorWarning"]
 
 
 class StuckSensorWarning(RobustFilterWarning):
-    """Say that a sensor repeats its last reading to the last bit, far from where a filter under ``noise=`` expects it.
+    """Say that a sensor repeats its last reading to the last bit, far from where a filter expects it.
 
-    While it does, its readings count as missing: weight 0, outlier probability 1. Given once for each filter. Under
-    ``grouping="joint"``, which keeps no sensor apart, none is seen: name them, ``grouping=((0, 1, 2),)``. A
+    A sensor that is stuck does, and a logger that writes one number where it has none (-9999, 0, 65535). While it does,
+    its readings count as missing: weight 0, under ``noise=`` outlier probability 1. Given once for each filter. Under
+    ``grouping="joint"``, where ``noise=`` keeps no sensor apart, none is seen: name them, ``grouping=((0, 1, 2),)``. A
     `ParameterTracker` and a `TrackerBank` say it of y, from the third such reading in a row, and leave residual and
     weight NaN. To switch it off: ``warnings.simplefilter("ignore", robust_filterpy.filters.StuckSensorWarning)``.
     """
@@ -39,6 +41,24 @@ def look_for_stuck(kf: Any, weights: Array, first: int | None = None) -> None:
         step, sensor = stuck[0].tolist()
         name = type(kf).__name__
         say_stuck(name if first is None else f"{name}: step {first + step}", sensor, kf)
+
+
+def look_for_repeats(kf: Any, memory: Array, before: Array | None = None) -> None:
+    """Warn, once for each filter, if far readings that repeat the one before are taken for missing by custom.
+
+    Parameters
+    ----------
+    kf : RobustKalmanFilter
+        Whose readings they are.
+    memory : ndarray, shape (m, 15)
+        What is known of the sensors.
+    before : ndarray, shape (m, 15), optional
+        What was before a recording; by default one step is looked at.
+    """
+    more = memory[:, FILLED] > (0.0 if before is None else before[:, FILLED])
+    repeats = np.flatnonzero(more & ((memory[:, HELD] > 0.0) | (before is not None)))
+    if len(repeats):
+        say_stuck(type(kf).__name__, int(repeats[0]), kf)
 
 
 def say_stuck(where: str, sensor: int, of: Any = None) -> None:

@@ -13,7 +13,7 @@ PyObject *hold_attribute(held *h, PyObject *owner, enum attribute which) {
 PyObject *answer(held *h, int outcome) {
     while (h->count) Py_DECREF(h->objects[--h->count]);
     if (outcome < 0) return NULL;
-    return PyBool_FromLong(outcome);
+    return outcome > 1 ? PyLong_FromLong(outcome) : PyBool_FromLong(outcome);
 }
 
 int set_attribute(PyObject *owner, enum attribute which, PyObject *value) {

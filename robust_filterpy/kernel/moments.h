@@ -17,7 +17,7 @@ INLINE int update_moments(const int n, const int m, const correction_rule *const
     real *spread = work + correction_work(n, m), *rest = spread + m;
     real *RESTRICT S = work + update_work(n, m), *RESTRICT shown = S + m * m + m * n, check = 0;
     spread_memory *const learnt = (spread_memory *)rest;
-    spread_change change = {NULL, NULL, NULL, 0, 0};
+    spread_change change = {NULL, NULL, NULL, NULL, NULL, 0, 0};
     c->observed = 0;
     for (int i = 0; i < m; i++) {
         const int seen = y[i] == y[i];
@@ -41,9 +41,9 @@ INLINE int update_moments(const int n, const int m, const correction_rule *const
     spread_before(n, m, z, P, R, c, learnt, &change, rest + SPREAD_NUMBERS * m);
     if (change.grows) {
         if (!H) return 0;
-        for (int k = 0; k < n; k++)
-            for (int j = 0; j < n; j++) P[k * n + j] *= change.growth[k] * change.growth[j];
+        spread_open(n, m, H, &change, P, rest + SPREAD_NUMBERS * m + spread_work(n, m));
         (void)innovate(n, m, y, x, P, H, R, NULL, c);
+        spread_leave_out(m, &change, c);
         real_copy(m * m, c->S, S);
         real_copy(m * n, c->C, S + m * m);
     }
@@ -53,10 +53,20 @@ INLINE int update_moments(const int n, const int m, const correction_rule *const
     }
     if (!correct_grouped(n, m, rule, spread, x, P, c)) return 0;
     for (int i = 0; i < m; i++) {
+        real known = S[i * m + i] - R[i * m + i];
         if (c->weights[i] != c->weights[i]) continue;
         learnt[i].rest = shown[i];
         for (int k = 0; k < m; k++) learnt[i].rest -= (S[i * m + k] - R[i * m + k]) * c->v[k];
+        for (int k = 0; !H && k < m; k++) {
+            /* What the k-th of those taken took of what sensor i sees. */
+            real taken = 0;
+            for (int j = 0; j < m; j++) taken += c->W[k * m + j] * (S[i * m + j] - R[i * m + j]);
+            known -= c->d[k] * taken * taken * (rule->joint ? 1 : c->t[k] * c->t[k]);
+        }
+        if (H) known = spread_known(n, H + i * n, P);
+        learnt[i].left = spread_ratio(known, R[i * m + i], change.told[i] * change.told[i]);
     }
+    spread_weigh(m, &change, c);
     for (int i = 0; i < m; i++) memory[i] = learnt[i];
     return 1;
 }

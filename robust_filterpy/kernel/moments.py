@@ -26,7 +26,7 @@ class Taken(NamedTuple):
     record: Array
     """As `robust_filterpy.kernel.record.correction_of` reads it."""
     memory: Array | None
-    """Of the sensors afterwards, shape (m, 10), under scaling "learnt"."""
+    """Of the sensors afterwards, shape (m, 15), under scaling "learnt"."""
 
     @property
     def log_density(self) -> float:
@@ -47,7 +47,7 @@ def correct_linear(
     ----------
     choices : Choices
         Influence function, scaling, information, grouping.
-    memory : ndarray, shape (m, 10)
+    memory : ndarray, shape (m, 15)
         What is known of the sensors; not changed.
     x, P, z, H, R, M
         Shapes (n,), (n, n), (m,) with NaN where missing, (m, n), (m, m) and (n, m).

@@ -396,7 +396,7 @@ static int correct_innovation(const filter_state *now, const sensors *s, const m
     return fine;
 }
 
-/* Give a filter what a correction made; 1, or -1 with an exception. */
+/* Give a filter what a correction made; 1, 2 where a far reading repeats, or -1 with an exception. */
 static int set_corrected(held *h, PyObject *filter, const corrected *made, const customs *c) {
     if (!set_state(h, filter, made->x, made->P, AT_x_post, AT_P_post)) return -1;
     if (set_attribute(filter, AT_z, made->z) < 0 || set_attribute(filter, AT__last, made->record) < 0) return -1;
@@ -407,6 +407,8 @@ static int set_corrected(held *h, PyObject *filter, const corrected *made, const
     }
     for (enum attribute which = AT__y; which <= AT__mahalanobis; which++)
         if (set_attribute(filter, which, Py_None) < 0) return -1;
+    for (npy_intp i = 0; made->memory && i < PyArray_DIM((PyArrayObject *)made->memory, 0); i++)
+        if (learnt_of(made)[i].held > 0 && learnt_of(made)[i].filled > 0) return 2;
     return 1;
 }
 

@@ -36,7 +36,7 @@ def correction_of(values: Array, x: Array, P: Array) -> Correction:
     scaling, rest = SCALINGS[int(values[2])], values[4:]
     y, e, weights, psi_deriv, d, score, order, judged = rest[: 8 * m].reshape(8, m)
     S, C = rest[8 * m : (8 + m) * m].reshape(m, m), rest[(8 + m) * m :].reshape(m, n).T
-    groups = _groups(order[: np.count_nonzero(weights == weights)])
+    groups = _groups(order[: np.count_nonzero(psi_deriv == psi_deriv)])
     information = _information(S - np.diag(S.diagonal() - judged), e, d, groups, scaling)
     return Correction(
         np.ravel(x), P, C, y, S, score, information, e, weights, psi_deriv,

@@ -22,8 +22,13 @@ typedef struct {
     real last;    /* the last reading */
     real repeats; /* share of ordinary readings that repeat the one before to the last bit */
     real step;    /* the smallest change of a reading, -1 before there is one, 0 before any reading */
+    real left;    /* (H P H')_ii / R_ii after the last correction */
+    real growth;  /* by what its logarithm usually grows until the next reading, */
+    real used;    /* the mean of so many */
+    real held;    /* far readings in a row that repeat the one before */
+    real filled;  /* how many were taken for missing in all */
 } spread_memory;
-#define SPREAD_NUMBERS 10
+#define SPREAD_NUMBERS 15
 
 #define SPREAD_QUARTILE REAL(0.6744897501960817) /* median of |e| for a normal e of deviation 1 */
 #define SPREAD_BEND REAL(1.345)                  /* beyond so many spreads an innovation counts as clipped */
@@ -41,22 +46,28 @@ typedef struct {
 #define SPREAD_SPARED REAL(0.1)                  /* states that tell a tenth as much as another do not jump with it */
 #define SPREAD_WHOLE REAL(0.01)                  /* a change within so much of a whole number of steps, */
 #define SPREAD_STEPS REAL(1e6)                   /* up to so many, is steps */
-#define SPREAD_LEAST REAL(0.1)                   /* of its width is left to a far one that repeats */
+#define SPREAD_SUDDEN REAL(4.0)                  /* what is so many spreads off has not crept there */
+#define SPREAD_STEEP REAL(1.5)                   /* a run goes on while it grows by less than half */
+#define SPREAD_HABIT REAL(0.2)                   /* a share of repeats from which a clipped one may say something */
 #define SPREAD_GROWTH REAL(1e6)                  /* the most that S grows by at one jump */
 #define SPREAD_WITNESS REAL(0.47)                /* of the weight of those who see the same */
 #define SPREAD_APART REAL(1.5)                   /* so much wider than they are is a sensor's own noise, */
 #define SPREAD_CONTRADICTED REAL(2.0)            /* as is so far from what they say */
+#define SPREAD_FLOOR REAL(1e-9)                  /* less of H P H' / R is rounding, */
+#define SPREAD_STEEPEST REAL(50.0)               /* and its logarithm does not grow by more */
 #define SPREAD_ROUNDING (1 + REAL(1e-9))          /* of sums of weights */
 
 /* What a correction is to be changed by. */
 typedef struct {
-    real *width;  /* (m) unit of each sensor's innovation, in the unit of z */
+    real *width;  /* (m) unit of each sensor's innovation, in the unit of z; below 0 for what says nothing new */
     real *charge; /* (m) variance that is added to R */
     real *growth; /* (n) what each state's deviation grows by */
+    real *opened; /* (m) variance that a jump adds to what each sensor sees */
+    real *told;   /* (m) root of S_ii as told */
     int charges, grows;
 } spread_change;
 
-#define spread_work(n, m) ((size_t)((n) + 8 * (m)))
+#define spread_work(n, m) ((size_t)((n) + 10 * (m)))
 
 /* What one smallest step of a sensor whose readings repeat asks of its spread, in units of told; none: not above 0. */
 INLINE real spread_coarse(const spread_memory *const own, const real told) {
@@ -129,7 +140,7 @@ CALLED real spread_charge(const int m, const int i, const correction *const c, c
     low = spread_quantile(m, says, seen, 1, total * (REAL(0.5) - REAL(1e-9)));
     high = spread_quantile(m, says, seen, -1, total * (REAL(0.5) - REAL(1e-9)));
     own = real_abs(c->y[i] - real_min(real_max(0, low), high)) / real_sqrt(variance) / SPREAD_CONTRADICTED;
-    own = real_max(s[i], own);
+    own = real_max(s[i], real_min(own, REAL_PRODUCT / SPREAD_CONTRADICTED));
     return own > SPREAD_APART * usual ? variance * (own / usual * (own / usual) - 1) : 0;
 }
 
@@ -146,15 +157,17 @@ CALLED int spread_agreed(const int m, const int i, const correction *const c, co
     return agree > against * SPREAD_ROUNDING;
 }
 
-/* Let the states grow that have jumped with sensor i, whose covariances with its prediction are c (n). */
-INLINE void spread_grow(const int n, const real *RESTRICT P, const real *RESTRICT c, const real wanted,
-                        real *RESTRICT growth) {
+/* What a sensor tells of the state that it tells most of, of its covariances c (n) with its prediction. */
+INLINE real spread_told(const int n, const real *RESTRICT P, const real *RESTRICT c) {
     real most = 0;
     for (int k = 0; k < n; k++)
         if (P[k * n + k] > 0) most = real_max(most, c[k] * c[k] / P[k * n + k]);
-    for (int k = 0; k < n; k++)
-        if (P[k * n + k] > 0 && c[k] * c[k] / P[k * n + k] > SPREAD_SPARED * most)
-            growth[k] = real_max(growth[k], real_sqrt(1 + wanted));
+    return most;
+}
+
+/* Whether state k has jumped, of which it tells c^2 / P. */
+INLINE int spread_moved(const int n, const int k, const real *RESTRICT P, const real *RESTRICT c, const real most) {
+    return P[k * n + k] > 0 && c[k] * c[k] / P[k * n + k] > SPREAD_SPARED * most;
 }
 
 /* How much one more innovation weighs in a share. */
@@ -165,56 +178,96 @@ INLINE real spread_step(const spread_memory *const own) {
 /* Note a jump: the far ones in a row were no outliers, and where others are rare it may be undone at once. */
 INLINE void spread_forgive(spread_memory *const own, const real jump) {
     own->share = real_max(own->share - own->strange * spread_step(own), 0);
-    own->strange = own->run = 0;
+    own->strange = own->run = own->held = 0;
     own->jump = own->share < SPREAD_RARE ? jump : 0;
 }
 
-/* Learn how usual it is that a reading repeats the one before; return what this one counts, less than 1 for a far one
-   that repeats beside other sensors. */
-INLINE real spread_repeat(spread_memory *const own, const real z, const int out, const int alone) {
-    const real change = real_abs(z - own->last), step = own->step, usual = own->repeats;
-    const int repeats = step != 0 && change == 0;
+/* Learn how usual it is that an ordinary reading repeats the one before, and by what steps readings change. */
+INLINE void spread_repeat(spread_memory *const own, const real z, const int ordinary) {
+    const real change = real_abs(z - own->last), step = own->step;
     if (step == 0) {
         own->step = -1;
-    } else if (change > 0) {
-        const real ratio = step > 0 ? change / step : 0;
+    } else if (change > 0 && ordinary) {
+        const real ratio = step > 0 ? change / step : 1;
         own->step = step > 0 ? real_min(change, step) : change;
         /* A change that is no whole number of steps: these readings are not quantized, or more finely. */
         if (!(ratio > REAL(0.5) && ratio < SPREAD_STEPS &&
               real_abs(ratio - (real)(int)(ratio + REAL(0.5))) < SPREAD_WHOLE))
             own->repeats = 0;
     }
+    if (ordinary) own->repeats += ((step != 0 && change == 0 ? 1 : 0) - own->repeats) * spread_step(own);
     own->last = z;
-    if (!out) own->repeats += ((repeats ? 1 : 0) - own->repeats) * spread_step(own);
-    if (!out || !repeats || alone) return 1;
-    own->strange = real_max(own->strange - (1 - usual), 0);
-    own->run = real_max(own->run - (1 - usual), 0);
-    return real_max(usual, SPREAD_LEAST);
 }
 
-/* Learn from the innovations of c and the readings z, before the correction; P and R are those behind c. */
-CALLED void spread_before(const int n, const int m, const real *z, const real *P, const real *R,
-                          const correction *const c, spread_memory *const memory, spread_change *const change,
-                          real *work) {
-    real *s, *told, *size, *out, *seen, coarse;
+/* Whether a reading says nothing new: a clipped one that repeats the one before to the last bit, or goes on doing so. Of
+   a sensor of which most readings repeat some count. */
+INLINE int spread_holds(spread_memory *const own, const real z, const real size, const real coarse) {
+    const real counts = real_max(2 * own->repeats - 1, 0), before = own->held;
+    const real unit = real_max(own->spread, coarse);
+    const int far = unit > 0 && size > (own->repeats < SPREAD_HABIT ? SPREAD_BEND : SPREAD_FAR) * unit;
+    if (own->step == 0 || z != own->last || !(far || before > 0)) {
+        /* One that is near those that were held bears them out. */
+        if (own->run > 0) own->run += before;
+        own->held = 0;
+        return 0;
+    }
+    own->held = before + 1;
+    if (size > SPREAD_FAR * unit) own->filled += 1;
+    return (long long)(own->held * counts + REAL(0.5)) == (long long)(before * counts + REAL(0.5));
+}
+
+/* What S / R of a sensor is over what would be, had the usual time passed since its last reading: at least 1. */
+INLINE real spread_wider(const spread_memory *const own, const real ratio) {
+    if (!(own->used > 0)) return 1;
+    return real_max((1 + ratio) / (1 + own->left * real_exp(real_min(own->growth, SPREAD_STEEPEST))), 1);
+}
+
+/* Learn how H P H' / R grows from one reading to the next. */
+INLINE void spread_grown(spread_memory *const own, const real ratio) {
+    const real grown = own->left > 0 ? real_log(real_max(ratio, SPREAD_FLOOR) / own->left) : 0;
+    if (!(own->left > 0)) return;
+    own->used += 1;
+    own->growth += (grown - own->growth) * real_max(1 / own->used, SPREAD_FADING);
+}
+
+/* H P H' / R of a sensor, R at least what is not rounding of S. */
+INLINE real spread_ratio(const real known, const real R, const real variance) {
+    return real_max(known / real_max(R, REAL(1e-12) * variance), SPREAD_FLOOR);
+}
+
+/* Learn from the innovations of c and the readings z, before the correction; P and R are those behind c. Readings that
+   say nothing new are then left out of c, and have no width. */
+CALLED void spread_before(const int n, const int m, const real *z, const real *P, const real *R, correction *const c,
+                          spread_memory *const memory, spread_change *const change, real *work) {
+    real *s, *told, *size, *out, *ratio, *seen, coarse;
     change->growth = work;
     change->width = work + n;
     change->charge = work + n + m;
-    s = work + n + 2 * m, told = s + m, size = told + m, out = size + m, seen = out + m; /* and m more */
+    change->opened = work + n + 2 * m;
+    change->told = told = work + n + 3 * m;
+    s = told + m, size = s + m, out = size + m, ratio = out + m, seen = ratio + m; /* and m more */
     change->charges = change->grows = 0;
     for (int k = 0; k < n; k++) change->growth[k] = 1;
     for (int i = 0; i < m; i++) {
         const real variance = c->S[i * m + i];
-        change->charge[i] = 0;
+        spread_memory *const own = &memory[i];
+        change->charge[i] = change->opened[i] = 0;
         told[i] = real_sqrt(variance);
+        ratio[i] = spread_ratio(variance - R[i * m + i], R[i * m + i], variance);
+        out[i] = spread_wider(own, ratio[i]); /* until it is known who is clipped */
         /* Below a number whose square is a number. */
-        size[i] = real_min(real_abs(c->y[i]) / told[i], REAL_PRODUCT);
-        coarse = spread_coarse(&memory[i], told[i]);
+        size[i] = real_min(real_abs(c->y[i]) / told[i], REAL_PRODUCT) / out[i];
+        coarse = spread_coarse(own, told[i]);
+        change->width[i] = 0;
+        if (c->left[i] != 0 && spread_holds(own, z[i], size[i], coarse)) {
+            c->left[i] = c->y[i] = 0;
+            c->observed -= 1;
+            change->width[i] = -1;
+        }
         if (c->left[i] != 0 && size[i] > 0)
-            spread_learn(&memory[i], size[i], coarse,
-                         real_sqrt(real_min(real_max(R[i * m + i] / variance, REAL(1e-9)), 1)));
+            spread_learn(own, size[i], coarse, real_sqrt(real_min(real_max(R[i * m + i] / variance, REAL(1e-9)), 1)));
         /* Who has no custom yet has shown exact zeros alone: any width will do. */
-        s[i] = memory[i].weight > 0 ? real_max(memory[i].spread, coarse) : 1;
+        s[i] = own->weight > 0 ? real_max(own->spread, coarse) : 1;
     }
     if (c->observed > 1)
         for (int i = 0; i < m; i++) {
@@ -224,50 +277,112 @@ CALLED void spread_before(const int n, const int m, const real *z, const real *P
         }
     for (int i = 0; i < m; i++) {
         spread_memory *const own = &memory[i];
-        const real y = c->y[i], near = SPREAD_AGREE * s[i] * told[i];
+        const real y = c->y[i], unit = told[i] * out[i], near = SPREAD_AGREE * s[i] * unit, rest = own->rest;
         s[i] = real_max(s[i] * (1 - SPREAD_YIELD * own->share), spread_coarse(own, told[i]));
-        change->width[i] = s[i] * told[i];
-        if (c->left[i] == 0) {
-            out[i] = 0;
+        out[i] = 0;
+        if (c->left[i] == 0) continue;
+        change->width[i] = s[i] * unit;
+        out[i] = size[i] > SPREAD_BEND * s[i];
+        spread_repeat(own, z[i], out[i] == 0 && own->run == 0);
+        if (out[i] == 0) {
+            own->run = 0;
+            spread_grown(own, ratio[i]);
             continue;
         }
-        out[i] = size[i] > SPREAD_BEND * s[i];
-        if (out[i] == 0)
-            own->run = 0;
-        else if (own->run > 0 && (y > 0) == (own->rest > 0) && own->rest != 0 && real_abs(y - own->rest) < near)
+        if (own->run > 0 && rest != 0 && (y > 0) == (rest > 0) &&
+            (real_abs(y - rest) < near ||
+             (real_abs(y) >= real_abs(rest) && real_abs(y) < SPREAD_STEEP * real_abs(rest))))
             own->run += 1;
         else
             own->run = 1;
-        change->width[i] *= spread_repeat(own, z[i], out[i] != 0, c->observed == 1);
         /* Back where the state was before a jump. */
-        if (out[i] != 0 && own->jump != 0 &&
-            real_abs(y + own->jump) < real_max(near, SPREAD_RETURN * real_abs(own->jump)))
-            out[i] = 2;
+        if (own->jump != 0 && real_abs(y + own->jump) < real_max(near, SPREAD_RETURN * real_abs(own->jump))) out[i] = 2;
     }
     for (int i = 0; i < m; i++) {
+        spread_memory *const own = &memory[i];
         const real variance = c->S[i * m + i], b = variance - R[i * m + i];
         real bent, wanted;
-        if (c->left[i] == 0 || (memory[i].run < SPREAD_RUN && out[i] < 2)) continue;
+        if (c->left[i] == 0 || (own->run < SPREAD_RUN && out[i] < 2)) continue;
         if (change->charge[i] > 0 || !(b > 0)) continue;
         if (!spread_agreed(m, i, c, R, out, seen)) continue;
         bent = size[i] / (SPREAD_BEND * s[i]);
-        wanted = real_min(bent * bent - 1, SPREAD_GROWTH) * variance / b;
-        spread_grow(n, P, c->C + i * n, wanted, change->growth);
+        wanted = real_min(bent * bent - 1, SPREAD_GROWTH) * variance;
+        /* What creeps away is moved by all that correlates; what is suddenly far, by what the sensor sees. */
+        if (size[i] < SPREAD_SUDDEN * s[i])
+            for (int k = 0; k < n; k++) {
+                if (spread_moved(n, k, P, c->C + i * n, spread_told(n, P, c->C + i * n)))
+                    change->growth[k] = real_max(change->growth[k], real_sqrt(1 + wanted / b));
+            }
+        else
+            change->opened[i] = wanted;
         change->grows = 1;
         /* Believed: as large as is usual. Nobody else asks for its width or its run any more. */
         change->width[i] = real_abs(c->y[i]);
-        spread_forgive(&memory[i], out[i] < 2 ? c->y[i] : 0);
+        spread_forgive(own, out[i] < 2 ? c->y[i] : 0);
     }
 }
 
-/* Remember what the correction left of z - H x. */
-INLINE void spread_after(const int n, const int m, const real *z, const real *H, const real *x,
+/* Let P grow by what has jumped: growth of all that correlates, and the variances of what each sensor sees and tells much
+   of, where the rest follows by its covariances. c (n) is scratch. */
+CALLED void spread_open(const int n, const int m, const real *H, const spread_change *const change, real *RESTRICT P,
+                        real *RESTRICT c) {
+    for (int k = 0; k < n; k++)
+        for (int j = 0; j < n; j++) P[k * n + j] *= change->growth[k] * change->growth[j];
+    for (int i = 0; i < m; i++) {
+        const real *const h = H + i * n;
+        real most, seen = 0;
+        if (!(change->opened[i] > 0)) continue;
+        for (int k = 0; k < n; k++) {
+            c[k] = 0;
+            for (int j = 0; j < n; j++) c[k] += P[k * n + j] * h[j];
+        }
+        most = spread_told(n, P, c);
+        for (int k = 0; k < n; k++) {
+            if (!spread_moved(n, k, P, c, most)) c[k] = 0;
+            if (c[k] != 0) seen += h[k] * h[k] * P[k * n + k];
+        }
+        for (int k = 0; k < n && seen > 0; k++)
+            if (c[k] != 0 && h[k] != 0) P[k * n + k] += change->opened[i] / seen * P[k * n + k];
+    }
+}
+
+/* Leave out of c, once more, the readings that say nothing new. */
+INLINE void spread_leave_out(const int m, const spread_change *const change, correction *const c) {
+    for (int i = 0; i < m; i++) {
+        if (c->left[i] == 0 || !(change->width[i] < 0)) continue;
+        c->left[i] = c->y[i] = 0;
+        c->observed -= 1;
+    }
+}
+
+/* Let readings that say nothing new weigh nothing. */
+INLINE void spread_weigh(const int m, const spread_change *const change, correction *const c) {
+    for (int i = 0; i < m; i++)
+        if (change->width[i] < 0) c->weights[i] = 0;
+}
+
+/* h P h'. */
+INLINE real spread_known(const int n, const real *RESTRICT h, const real *RESTRICT P) {
+    real known = 0;
+    for (int k = 0; k < n; k++) {
+        real sum = 0;
+        if (h[k] == 0) continue;
+        for (int j = 0; j < n; j++) sum += P[k * n + j] * h[j];
+        known += h[k] * sum;
+    }
+    return known;
+}
+
+/* Remember what the correction left of z - H x, and of H P H' / R. */
+INLINE void spread_after(const int n, const int m, const real *z, const real *H, const real *R, const real *x,
+                         const real *P, const correction *const c, const spread_change *const change,
                          spread_memory *const memory) {
     for (int i = 0; i < m; i++) {
+        if (c->weights[i] != c->weights[i]) continue;
         real predicted = 0;
-        if (z[i] != z[i]) continue;
         for (int k = 0; k < n; k++) predicted += H[i * n + k] * x[k];
         memory[i].rest = z[i] - predicted;
+        memory[i].left = spread_ratio(spread_known(n, H + i * n, P), R[i * m + i], change->told[i] * change->told[i]);
     }
 }
 

@@ -41,7 +41,7 @@ SIZED int update(const int n, const int m, const correction_rule *const rule, co
                   real *RESTRICT x, real *RESTRICT P, correction *const c, real *shown, real *work) {
     real *spread = work + correction_work(n, m), *rest = spread + m;
     spread_memory *const learnt = (spread_memory *)rest;
-    spread_change change = {NULL, NULL, NULL, 0, 0};
+    spread_change change = {NULL, NULL, NULL, NULL, NULL, 0, 0};
     if (!innovate(n, m, z, x, P, H, R, M, c)) return 0;
     if (rule->scaling == SCALING_LEARNT) {
         for (int i = 0; i < m; i++) {
@@ -50,9 +50,9 @@ SIZED int update(const int n, const int m, const correction_rule *const rule, co
         }
         spread_before(n, m, z, P, R, c, learnt, &change, rest + SPREAD_NUMBERS * m);
         if (change.grows) {
-            for (int k = 0; k < n; k++)
-                for (int j = 0; j < n; j++) P[k * n + j] *= change.growth[k] * change.growth[j];
+            spread_open(n, m, H, &change, P, rest + SPREAD_NUMBERS * m + spread_work(n, m));
             if (!innovate(n, m, z, x, P, H, R, M, c)) return 0;
+            spread_leave_out(m, &change, c);
         }
     }
     if (shown) {
@@ -69,12 +69,13 @@ SIZED int update(const int n, const int m, const correction_rule *const rule, co
         spread[i] = change.width[i] / real_sqrt(c->S[i * m + i]);
     }
     if (!correct_grouped(n, m, rule, spread, x, P, c)) return 0;
-    spread_after(n, m, z, H, x, learnt);
+    spread_after(n, m, z, H, R, x, P, c, &change, learnt);
     /* What is not noise of y includes its noise's part in the state, which is not in H x. */
     if (M)
         for (int i = 0; i < m; i++)
-            for (int j = 0; z[i] == z[i] && j < m; j++)
+            for (int j = 0; c->weights[i] == c->weights[i] && j < m; j++)
                 for (int k = 0; k < n; k++) learnt[i].rest -= M[k * m + i] * H[j * n + k] * c->v[j];
+    spread_weigh(m, &change, c);
     for (int i = 0; i < m; i++) memory[i] = learnt[i];
     return 1;
 }

@@ -1,0 +1,150 @@
+"""Gaps, long steps, fill values, jumps: what the default does with recordings of other people."""
+
+import numpy as np
+import pytest
+import support
+from filterpy.kalman import KalmanFilter
+from numpy.testing import assert_allclose, assert_array_equal
+
+from robust_filterpy import RobustKalmanFilter
+from robust_filterpy.correction.spread import NUMBERS
+from robust_filterpy.filters import StuckSensorWarning
+
+
+@pytest.fixture(params=["kernel", "definition"], autouse=True)
+def path(request, monkeypatch):
+    """The kernel where it serves, and the definition alone."""
+    if request.param == "definition":
+        support.without_kernel(monkeypatch)
+    else:
+        support.needs_kernel()
+
+
+def moving(kind, R=1.0, h=1.0, q=1e-3, x=0.0):
+    kf = kind(dim_x=2, dim_z=1)
+    kf.F, kf.Q = white(h, q)
+    kf.H, kf.R, kf.P, kf.x = np.array([[1.0, 0.0]]), R * np.eye(1), 10.0 * np.eye(2), np.array([[x], [0.0]])
+    return kf
+
+
+def white(h, q):
+    return np.array([[1.0, h], [0.0, 1.0]]), q * np.array([[h**3 / 3, h**2 / 2], [h**2 / 2, h]])
+
+
+def settled(R=1.0, seed=0, steps=60):
+    """The default and the Kalman filter after the same ordinary readings, and the Kalman filter's state in both."""
+    rng, pair = np.random.default_rng(seed), [moving(kind, R) for kind in (RobustKalmanFilter, KalmanFilter)]
+    for z in np.cumsum(0.03 * rng.normal(size=steps)) + rng.normal(size=steps):
+        for kf in pair:
+            kf.predict()
+            kf.update(z)
+    pair[0].x, pair[0].P = pair[1].x.copy(), pair[1].P.copy()
+    return pair
+
+
+def gap(kf, size):
+    for _ in range(int(size)):
+        kf.predict()
+
+
+def long_step(kf, size):
+    F, Q = white(float(size), 1e-3)
+    kf.predict(F=F, Q=Q)
+
+
+def opened(kf, size):
+    kf.predict()
+    kf.P = kf.P + np.diag([float(size) ** 2, 0.0])
+
+
+def noisier(kf, size):
+    kf.predict(Q=np.diag([float(size) ** 2, 0.0]))
+
+
+def surer(kf, size):
+    kf.predict()
+    kf.R = kf.R / float(size) ** 2
+
+
+@pytest.mark.parametrize("event", [gap, long_step, opened, noisier, surer])
+@pytest.mark.parametrize("R", [1.0, 25.0])
+def test_as_the_state_becomes_less_certain_x_tends_to_the_kalman_filters(event, R):
+    """An innovation of three of the Kalman filter's standard deviations: only the noise has outliers."""
+    missed = []
+    for size in (1, 1000):
+        ours, theirs = settled(R)
+        for kf in (ours, theirs):
+            event(kf, size)
+        z = theirs.x[0, 0] + 3.0 * np.sqrt((theirs.H @ theirs.P @ theirs.H.T + theirs.R)[0, 0])
+        before = theirs.x[0, 0]
+        ours.update(z)
+        theirs.update(z)
+        missed.append(abs(ours.x[0, 0] - theirs.x[0, 0]) / abs(theirs.x[0, 0] - before))
+    assert missed[1] < 1e-12 and (R > 1.0 or missed[0] > 0.05)
+
+
+@pytest.mark.parametrize("value", [-9999.0, 0.0, 65535.0])
+@pytest.mark.parametrize("run", [4, 40])
+@pytest.mark.filterwarnings("ignore::robust_filterpy.filters.StuckSensorWarning")
+def test_a_run_of_fill_values_is_missing(value, run):
+    rng, worst = np.random.default_rng(run), []
+    x = 20.0 + np.cumsum(0.05 * rng.normal(size=260 + run))
+    z = np.round(x + 0.1 * rng.normal(size=len(x)), 2)
+    z[200 : 200 + run] = value
+    for kind in (RobustKalmanFilter, KalmanFilter):
+        kf = moving(kind, 0.01, q=1e-4, x=20.0)
+        found = [kf.predict() or kf.update(one) or kf.x[0, 0] for one in z]
+        worst.append(np.abs(found - x)[200:].max())
+    assert worst[0] < 0.1 * worst[1]
+
+
+def test_that_a_run_is_missing_is_said_once_and_weighs_nothing():
+    kf, rng = moving(RobustKalmanFilter), np.random.default_rng(1)
+    with pytest.warns(StuckSensorWarning, match="missing") as said:
+        for z in [*rng.normal(size=50), *[-9999.0] * 5, *rng.normal(size=5), *[-9999.0] * 5]:
+            kf.predict()
+            kf.update(z)
+    assert len(said) == 1 and kf.weights == 0.0
+
+
+@pytest.mark.filterwarnings("ignore::robust_filterpy.filters.StuckSensorWarning")
+def test_a_coarse_sensor_at_rest_that_steps_is_followed():
+    rng, kf = np.random.default_rng(3), moving(RobustKalmanFilter, 0.01, q=1e-4, x=20.0)
+    found = []
+    for z in [*np.round(20.0 + 0.3 * rng.normal(size=300)), *[20.0] * 300, *[35.0] * 30]:
+        kf.predict()
+        kf.update(z)
+        found.append(kf.x[0, 0])
+    assert abs(found[-1] - 35.0) < 1.0
+
+
+def test_a_step_of_what_is_measured_leaves_the_speed():
+    rng, kf, worst = np.random.default_rng(5), moving(RobustKalmanFilter, 0.09, 0.1, 1.0), 0.0
+    for k in range(400):
+        kf.predict()
+        kf.update(0.7 * k + (5.0 if k >= 200 else 0.0) + 0.05 * rng.normal())
+        worst = max(worst, abs(kf.x[1, 0] - 7.0) if k >= 190 else 0.0)
+    assert worst < 0.5
+
+
+@pytest.mark.parametrize("far", [1e155, 1e200, 1e300])
+def test_sensors_that_see_the_same_bear_any_finite_reading(far):
+    kf, rng = RobustKalmanFilter(2, 3), np.random.default_rng(0)
+    kf.H, kf.x = np.ones((3, 2)), np.zeros(2)
+    for _ in range(30):
+        kf.predict()
+        kf.update(rng.normal(size=3))
+    kf.predict()
+    kf.update([far, 0.1, 0.2])
+    assert np.abs(kf.x).max() < 1.0
+
+
+def test_a_state_with_fewer_columns_is_read():
+    kf, _ = settled()
+    state = kf.state()
+    state["spread"] = state["spread"][:, :10]
+    other = moving(RobustKalmanFilter)
+    other.restore(state)
+    assert other._memory.shape == (1, NUMBERS)
+    assert_array_equal(other.spread, kf.spread)
+    assert_allclose(other.x, kf.x)
