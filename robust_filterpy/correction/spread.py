@@ -1,22 +1,15 @@
 """How large a sensor's innovations usually are, learnt: the unit of its thresholds under scaling="learnt".
 
-Nothing is an outlier before there is a custom. A memory has ten numbers a sensor; what they do to a correction does
-not depend on a common factor of P, Q and R, on units, on the order of the sensors or on psi. `prepared` comes before a
-correction and `after` behind it::
+Nothing is an outlier before there is a custom. What a memory of fifteen numbers a sensor does to a correction does not
+depend on a common factor of P, Q and R, on units, on the order of the sensors or on psi. `prepared` comes before a
+correction and `after` behind it; B = H P H' as told, B+ what the last correction left of it::
 
-    s_i   the median of |e_i| over .6745, of those that are not far     e_i = y_i / sqrt(S_ii), S as told
+    w_i   max(1, (1 + B/R) / (1 + e^g B+/R)), g the usual growth of log(B/R)  only the noise has outliers
+    s_i   the median of |e_i| / w_i over .6745, of those that are not far     e_i = y_i / sqrt(S_ii), S as told
     p_i   the share of those beyond 3 s_i
-    width s_i (1 - 1.5 p_i) sqrt(S_ii)                                  the unit of psi's threshold
+    width w_i s_i (1 - 1.5 p_i) sqrt(S_ii)                                    the unit of psi's threshold
 
-A sensor that is wider than those which see the same, or contradicted by them, is charged the rest as noise of its own.
-Four clipped innovations in a row, of one sign and height, which the majority of those who see them does not
-contradict, are a jump of the state: P grows until it explains them, for the states that this sensor tells much of. One
-innovation that undoes a jump is a return, where few others are far out.
-
-Beside other sensors, a far reading that is the one before to the last bit pulls, and counts for a jump or another
-custom, only as far as repeats are usual of its sensor: one that is stuck says nothing new, one that is quantized does.
-Where readings repeat, one smallest step between them is never clipped: most |e| of a coarse sensor are far smaller than
-its noise.
+docs/equations.md has the whole rule, and what each number does.
 """
 
 from __future__ import annotations
