@@ -49,10 +49,7 @@ def described_tracker(tracker: ParameterTracker, name: str) -> Described:
     """Return what the C of a tracker is made of, or raise."""
     kf = tracker.filter
     if type(kf) is not RobustKalmanFilter:
-        raise TypeError(
-            f"model.filter: expected a RobustKalmanFilter, got {type(kf).__name__}; "
-            f"influence=Linear() makes the same tracker with the plain Kalman filter"
-        )
+        raise TypeError(f"model.filter: expected a RobustKalmanFilter, of which there is C, got {type(kf).__name__}")
     require_plain(kf, "model.filter")
     if tracker.now.starts:
         raise ValueError(

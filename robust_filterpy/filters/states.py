@@ -197,17 +197,14 @@ def moved_shapes(kf: StateMixin) -> dict[str, _state.Shape]:
     return {**kf._needed(), "x": np.shape(kf.x), **known}
 
 
-def kept_beside(kf: Any) -> dict[str, Array]:
-    """Return what a filter keeps beside x and P, what it knows of its sensor among it: none if it is not ours."""
-    if not isinstance(kf, StateMixin):
-        return {}
+def kept_beside(kf: StateMixin) -> dict[str, Array]:
+    """Return what a filter keeps beside x and P, what it knows of its sensor among it."""
     kept = {**kf._moving(), **kf._sensors_in_state()}
     return {f"filter_{name}": value for name, value in kept.items() if name not in ("x", "P")}
 
 
-def go_on_beside(kf: Any, x: Array, P: Array, state: Any) -> None:
+def go_on_beside(kf: StateMixin, x: Array, P: Array, state: Any) -> None:
     """Restore that from a state that has it, with the x and P it belongs to, or raise; nothing has changed then."""
-    if isinstance(kf, StateMixin):
-        inner = {name.removeprefix("filter_"): state[name] for name in state if name.startswith("filter_")}
-        if all(name in inner for name in kf._needed() if name not in ("x", "P")):
-            kf.restore({"x": np.reshape(x, np.shape(kf.x)), "P": P, **inner})
+    inner = {name.removeprefix("filter_"): state[name] for name in state if name.startswith("filter_")}
+    if all(name in inner for name in kf._needed() if name not in ("x", "P")):
+        kf.restore({"x": np.reshape(x, np.shape(kf.x)), "P": P, **inner})

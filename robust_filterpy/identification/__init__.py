@@ -1,4 +1,4 @@
-"""Recursive identification: the parameters of a linear model, sample by sample, by any filter of filterpy's kind.
+"""Recursive identification: the parameters of a linear model, sample by sample, by a robust filter.
 
 * `models`: structures, a model of a recording, and what follows from it.
 * `estimation`: `identify`, the model of a whole recording, from nothing.

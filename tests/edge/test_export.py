@@ -26,7 +26,7 @@ from c_programs import (
 from support import needs_kernel, without_kernel
 
 import robust_filterpy
-from robust_filterpy import Huber, Linear, RobustKalmanFilter, StudentT
+from robust_filterpy import AdaptiveKalmanFilter, Huber, Linear, RobustKalmanFilter, StudentT
 from robust_filterpy.correction.spread import NUMBERS
 from robust_filterpy.edge import export_c
 from robust_filterpy.identification import ARX, OutputError, ParameterTracker, Structure, TrackerBank
@@ -335,7 +335,7 @@ REFUSED = {
     "asymmetric": (lambda: changed(P=np.array([[1.0, 1e-9], [0.0, 1.0]])), ValueError, "P.T"),
     "negative": (lambda: changed(Q=-np.eye(2)), ValueError, "Q: expected variances"),
     "indefinite": (lambda: changed(Q=np.array([[1.0, 2.0], [2.0, 1.0]])), ValueError, "Q: expected a positive"),
-    "tracker's filter": (lambda: tracker(filter=filterpy.kalman.KalmanFilter), TypeError, "influence=Linear"),
+    "tracker's filter": (lambda: tracker(filter=AdaptiveKalmanFilter), TypeError, "got AdaptiveKalmanFilter"),
     "start": (lambda: tracker(), ValueError, r"run\(y, u\) .* start=0"),
 }
 

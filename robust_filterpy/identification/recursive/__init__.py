@@ -1,4 +1,4 @@
-"""Parameters sample by sample, by any filter of filterpy's kind.
+"""Parameters sample by sample, by a robust filter with theta as its state.
 
 * `tracker`: theta in y = phi' theta + v. `bank`: many actuators at once. Both hold a `State`, advanced by `track`.
 * `standing`: the model of a tracker as it stands. `bank_results`: what a bank returns.
@@ -7,7 +7,7 @@
 * `start`: samples that a model is made of. `handover`: from a model to a recursion. `watch`: whether an actuator is
   lost. `noise_scale`: an R that is followed. `conditioning`: P repaired where it
   has lost digits.
-* `returning`: back to a state that was kept, or to the start; `held`: what a filter holds, put back.
+* `returning`: back to a state that was kept, or to the start.
 * `setup`, `bank_setup`: from arguments to filters and arrays, and what is refused.
 * `tuned`: how fast the parameters drift, from a recording.
 

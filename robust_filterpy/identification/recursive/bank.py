@@ -19,7 +19,7 @@ from robust_filterpy.identification.models.guard import GUARDS, Guard
 from robust_filterpy.identification.models.results import Columns
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.time_axis import recording
-from robust_filterpy.identification.recursive import bank_setup, held, setup, track
+from robust_filterpy.identification.recursive import bank_setup, setup, track
 from robust_filterpy.identification.recursive.bank_results import BankResult, BankSample
 from robust_filterpy.identification.recursive.recursion import GRADIENTS, Gradient, Regressor
 from robust_filterpy.identification.recursive.returning import Returning
@@ -420,7 +420,7 @@ class TrackerBank(Returning):
         chosen = self._choices[i if len(self._choices) > 1 else 0]
         choices = {name: getattr(chosen, name) for name in ("influence", "scaling", "information")}
         kf = setup.make_filter(self.form.layout.n, None, choices)
-        held.apply_settings(kf, self._settings(i))
+        setup.apply_settings(kf, self._settings(i))
         return kf
 
     def _settings(self, i: int) -> dict[str, Array]:

@@ -48,7 +48,7 @@ class Recursion:
         known, gradients, prefiltered, old = y == y, memory.gradients, memory.prefiltered, np.ravel(kf.x)
         weight, event, outlying = math.nan, 0, False
         # Once P has wound up under forgetting theta and P stay.
-        if self.enabled and (getattr(kf, "alpha", 1.0) == 1.0 or np.trace(kf.P) <= self.windup):
+        if self.enabled and (kf.alpha == 1.0 or np.trace(kf.P) <= self.windup):
             kf.predict()
         x = kf.x
         shown = predicted = H.dot(x).item()
@@ -118,16 +118,13 @@ def _corrected(kf: Any, G: Array, y: float, predicted: float, R: float | None, r
         # So that the filter's own innovation, target - G x, is y - phi' theta.
         target = (y - predicted) * factor + G.dot(kf.x).item()
     kf.H = G
-    if R is None:
-        kf.update(target)
-    else:
-        kf.update(target, R=R)
+    kf.update(target, R=R)
     if square * trace > SHARP * r:
         P = kf.P
         mended = repaired(P)
         if mended is not P:
             kf.P = mended
-    return float(np.ravel(getattr(kf, "weights", 1.0))[0])
+    return float(np.ravel(kf.weights)[0])
 
 
 def _followed(kf: Any, scale: NoiseScale, R: float, nu: float, S: float) -> NoiseScale:

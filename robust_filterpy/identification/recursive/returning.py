@@ -59,9 +59,9 @@ class Returning:
 
         Notes
         -----
-        The continuation is the same to the last bit, for filters that hold x and P themselves. What it has warned of is
-        not in a state; a tracker's from before there was a watch in it is watched from here on. Q, F and forgetting are
-        the state's; a warning says which values they replace where it was made with others.
+        The continuation is the same to the last bit. What it has warned of is not in a state; a tracker's from before
+        there was a watch in it is watched from here on. Q, F and forgetting are the state's; a warning says which
+        values they replace where it was made with others.
         """
         before = self._set_by_hand()
         self._go_back(state)

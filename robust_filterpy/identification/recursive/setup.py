@@ -1,4 +1,4 @@
-"""From a tracker's arguments to a filter that carries them, and what may be asked of any filter."""
+"""From a tracker's arguments to a filter that carries them, and what is asked of the filter."""
 
 from __future__ import annotations
 
@@ -10,12 +10,15 @@ import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import FLOAT, Array
+from robust_filterpy._filterpy import KalmanFilter
 from robust_filterpy._warning import warn
+from robust_filterpy.filters.conversion import robust
 from robust_filterpy.filters.kalman import RobustKalmanFilter
-from robust_filterpy.filters.mixin import RobustFilterMixin, leave_unwatched
+from robust_filterpy.filters.mixin import leave_unwatched
 from robust_filterpy.identification.models.guard import are_stable
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.structures import Structure
+from robust_filterpy.influence.functions import Linear
 
 # Before the data have spoken the parameters may be anything of moderate size.
 _VAGUE = 100.0
@@ -51,41 +54,32 @@ def has_offset(offset: Any, structure: Structure, model: Model | None, starts: b
     return usual if offset is None else bool(offset)
 
 
-def make_filter(n: int, given: Any, choices: dict[str, Any]) -> Any:
+def make_filter(n: int, given: Any, choices: dict[str, Any]) -> RobustKalmanFilter:
     """Return the filter that a tracker wraps, or raise if it cannot serve."""
     chosen = {name: value for name, value in choices.items() if value is not None}
-    if given is None:
-        # R is followed, so that S is right: there is no custom of wrong ones to learn.
-        kf = RobustKalmanFilter(n, 1, **{"scaling": "innovation", **chosen})
-        kf.x, kf.P, kf.Q = np.zeros(n), _VAGUE * np.eye(n), np.zeros((n, n))
-        return _unwatched(kf)
-    if chosen:
+    if given is not None and chosen:
         raise ValueError(f"{', '.join(chosen)}: expected only without filter=; set them on the filter that you pass")
-    kf = given
-    if isinstance(given, type) or (callable(given) and not hasattr(given, "update")):
-        kf = given(dim_x=n, dim_z=1)
-    for name in ("x", "P", "H", "predict", "update"):
-        if not hasattr(kf, name):
-            raise TypeError(f"filter: expected x, P, H, predict() and update(z) as filterpy's filters have, no {name}")
-    try:
-        kf.P = _VAGUE * np.eye(n) if kf is not given else kf.P
-        if kf is not given and hasattr(kf, "Q"):
-            kf.Q = np.zeros((n, n))
-    except AttributeError:
+    is_class = isinstance(given, type)
+    makes = issubclass(given, KalmanFilter) if is_class else callable(given) and not isinstance(given, KalmanFilter)
+    # R is followed, so that S is right: there is no custom of wrong ones to learn.
+    options: dict[str, Any] = {"scaling": "innovation", **chosen}
+    kf = RobustKalmanFilter(n, 1, **options) if given is None else given(dim_x=n, dim_z=1) if makes else given
+    if type(kf) is KalmanFilter:
+        kf = robust(kf, influence=Linear(), **options)
+    if not isinstance(kf, RobustKalmanFilter):
         raise TypeError(
-            f"filter: expected P to be an attribute that can be set, {type(kf).__name__} has none"
-        ) from None
+            "filter: expected a RobustKalmanFilter, an AdaptiveKalmanFilter, or filterpy's KalmanFilter itself as the "
+            f"baseline, or the class of one, got {_checks.shown(given)}"
+        )
+    if given is None:
+        kf.x = np.zeros(n)
+    if given is None or makes:
+        kf.P, kf.Q = _VAGUE * np.eye(n), np.zeros((n, n))
     if np.size(kf.x) != n:
         raise ValueError(f"filter: expected dim_x={n} for the structure's parameters, got {np.size(kf.x)}")
-    if getattr(kf, "dim_z", 1) != 1:
+    if kf.dim_z != 1:
         raise ValueError(f"filter: expected dim_z=1, got {kf.dim_z}; a tracker has one output")
-    return _unwatched(kf)
-
-
-def _unwatched(kf: Any) -> Any:
-    """Return the filter, which shall not warn of its samples: the tracker does."""
-    if isinstance(kf, RobustFilterMixin):
-        leave_unwatched(kf)
+    leave_unwatched(kf)
     return kf
 
 
@@ -101,12 +95,7 @@ def configure(kf: Any, structure: Structure, own: np.ndarray, given: Mapping[str
             "leave the unit circle"
         )
     values = checked_values(n, P, Q, R, F)
-    values = {
-        name: value if name == "R" else embedded(getattr(kf, name, np.eye(size)), own, value)
-        for name, value in values.items()
-    }
-    if F is None and (not hasattr(kf, "F") or np.shape(kf.F) != (size, size)):
-        values["F"] = np.eye(size)
+    values = {name: value if name == "R" else embedded(getattr(kf, name), own, value) for name, value in values.items()}
     if forgetting is not None:
         forget(kf, forgetting)
     if theta is not None:
@@ -128,8 +117,7 @@ def embedded(whole: Any, own: np.ndarray, values: Array) -> Array:
 
 def warn_of_default_noise(kf: Any) -> None:
     """Warn if parameters would move by 1 a sample only because filterpy's filters begin with Q = I."""
-    n = np.size(kf.x)
-    if np.array_equal(getattr(kf, "Q", np.zeros(0)), np.eye(n)):
+    if np.array_equal(kf.Q, np.eye(np.size(kf.x))):
         warn(
             "filter: its Q is I, as filterpy's filters begin, so that every parameter is expected to move by 1 a "
             "sample; pass Q=0 for parameters that stand still, or Q=1 if that is meant",
@@ -152,8 +140,6 @@ def checked_values(n: int, P: Any = None, Q: Any = None, R: Any = None, F: Any =
 
 def forget(kf: Any, forgetting: Any) -> None:
     """Give a filter a forgetting factor, or raise."""
-    if not hasattr(kf, "alpha"):
-        raise ValueError(f"forgetting: expected a filter with alpha, {type(kf).__name__} has none; use Q")
     if not 0.0 < _checks.real("forgetting", forgetting) <= 1.0:
         raise ValueError(f"forgetting: expected a number in (0, 1], got {forgetting!r}")
     kf.alpha = 1.0 / math.sqrt(forgetting)
@@ -185,36 +171,28 @@ def covariance(name: str, value: Any, n: int) -> Array:
     return matrix.copy()
 
 
-def noise_variance(kf: Any) -> float:
-    """Return a filter's R as a number, 1 if it has none, or raise."""
-    R = getattr(kf, "R", 1.0)
-    if type(R) is np.ndarray and R.size == 1 and R.dtype == FLOAT and 0.0 < (r := R.item()) < math.inf:
-        return float(r)
-    try:
-        r = float(np.ravel(R)[0])
-    except (TypeError, ValueError, IndexError):
-        r = math.nan
-    if not 0.0 < r < math.inf:
-        raise ValueError(f"R: expected a variance > 0, got {R!r}; NaN in y is for a sample that is missing")
+def noise_variance(kf: RobustKalmanFilter) -> float:
+    """Return a filter's R as a number, or raise."""
+    r = told_variance(kf)
+    if math.isnan(r):
+        raise ValueError(f"R: expected a variance > 0, got {kf.R!r}; NaN in y is for a sample that is missing")
     return r
 
 
-def told_variance(kf: Any) -> float:
+def told_variance(kf: RobustKalmanFilter) -> float:
     """Return that, NaN where it would raise: the next sample that needs it does."""
+    R = kf.R
     try:
-        return noise_variance(kf)
-    except ValueError:
+        r = float(R.item() if type(R) is np.ndarray and R.size == 1 else np.ravel(R)[0])
+    except (TypeError, ValueError, IndexError):
         return math.nan
+    return r if 0.0 < r < math.inf else math.nan
 
 
-def load(kf: Any, theta: Array, P: Array, R: float) -> None:
-    """Let a filter go on from these, where it does not: one that keeps a factor of P would lose digits."""
-    x = kf.x
-    if not (np.ravel(x) == theta).all():
-        kf.x = theta.reshape(np.shape(x)).copy()
-    if not (kf.P == P).all():
-        kf.P = P.copy()
-    if hasattr(kf, "R") and R == R and told_variance(kf) != R:
+def load(kf: RobustKalmanFilter, theta: Array, P: Array, R: float) -> None:
+    """Let a filter go on from these."""
+    kf.x, kf.P = theta.reshape(np.shape(kf.x)).copy(), P.copy()
+    if told_variance(kf) != R == R:
         kf.R = np.array([[R]])
 
 
@@ -237,11 +215,15 @@ def is_plain(kf: Any, n: int) -> bool:
     )
 
 
-def matrix_of(kf: Any, name: str, default: Array) -> Array:
-    """Return F or Q of a filter, a default where it has none of this shape."""
-    value = getattr(kf, name, None)
-    try:
-        found = np.asarray(default if value is None else value, dtype=float)
-    except (TypeError, ValueError):
-        return default
-    return found if found.shape == default.shape else default
+def settings(kf: RobustKalmanFilter) -> dict[str, Array]:
+    """Return what a filter's behaviour depends on besides x and P."""
+    values = {"Q": kf.Q, "R": kf.R, "F": kf.F, "alpha_sq": kf._alpha_sq}
+    return {name: np.array(value, dtype=float) for name, value in values.items() if value is not None}
+
+
+def apply_settings(kf: RobustKalmanFilter, state: Mapping[str, Array]) -> None:
+    """Write them back where they differ."""
+    for name, value in settings(kf).items():
+        if name in state and not np.array_equal(state[name], value):
+            attribute = "_alpha_sq" if name == "alpha_sq" else name
+            setattr(kf, attribute, state[name].item() if state[name].ndim == 0 else state[name])

@@ -127,7 +127,7 @@ class Standing(EstimatedPolynomials, Responses):
     @property
     def forgetting(self) -> float:
         """Forgetting factor, in (0, 1]; may be set."""
-        return float(getattr(self._filter, "alpha", 1.0)) ** -2
+        return float(self._filter.alpha) ** -2
 
     @forgetting.setter
     def forgetting(self, value: float) -> None:
@@ -165,7 +165,7 @@ class Standing(EstimatedPolynomials, Responses):
         """
         setup.require_next_input(self.structure, u)
         values = np.zeros(self.structure.n_inputs) if u is None else one_input(self.structure, u)
-        using = self._using()._replace(F=setup.matrix_of(self._filter, "F", np.eye(self.form.layout.n))[None, None])
+        using = self._using()._replace(F=np.asarray(self._filter.F, dtype=float)[None, None])
         return float(track.predicted(self.form, using, self.now, values[None])[0])
 
     def simulate(self, u: ArrayLike, *, continued: bool = False) -> Array:

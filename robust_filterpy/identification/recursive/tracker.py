@@ -17,6 +17,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._progress import stages
 from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Information, Scaling
+from robust_filterpy.filters.snapshot import put_back, snapshot
 from robust_filterpy.filters.states import go_on_beside, kept_beside
 from robust_filterpy.identification.models.guard import GUARDS, Guard
 from robust_filterpy.identification.models.model import Model
@@ -31,7 +32,7 @@ from robust_filterpy.identification.models.signals import (
 )
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording
-from robust_filterpy.identification.recursive import held, setup, track
+from robust_filterpy.identification.recursive import setup, track
 from robust_filterpy.identification.recursive.handover import gone_on
 from robust_filterpy.identification.recursive.noise_scale import ordinary_mean
 from robust_filterpy.identification.recursive.recursion import GRADIENTS, REGRESSORS, Gradient, Regressor
@@ -69,10 +70,10 @@ class ParameterTracker(Returning, Standing):
         What phi is made of: ARX(..), OutputError(..), .. or what `identify` found, to go on from there. Its theta, P, R
         and constant are then where the tracker begins unless they are given, R is followed, and the memory holds the
         end of the recording.
-    filter : filter object or class, optional
-        Any filter of filterpy's kind with ``x, P, H, predict(), update(z)``, dim_x = structure.n_theta (one more with
-        an offset) and dim_z = 1, or its class: ``filter=filterpy.kalman.KalmanFilter`` is the baseline without
-        robustness. Default: a `RobustKalmanFilter`.
+    filter : RobustKalmanFilter, AdaptiveKalmanFilter or filterpy's KalmanFilter, or the class of one, optional
+        With dim_x = structure.n_theta (one more with an offset) and dim_z = 1.
+        ``filter=filterpy.kalman.KalmanFilter`` is the baseline without robustness, the same as ``influence=Linear()``;
+        an object of it is copied and stays as it is. Default: a `RobustKalmanFilter`.
     theta : array_like, shape (n,), or float, optional
         Parameters to start from, a number standing for all of them. Default: found by the start; 0 with ``start=0``, or
         what filter has.
@@ -118,7 +119,7 @@ class ParameterTracker(Returning, Standing):
     ----------
     structure : Structure
         As given.
-    filter : filter object
+    filter : RobustKalmanFilter
         The filter; Q, R, F and forgetting are read from it and written to it. Its x, P and R are always those of the
         last sample; what it shows of its last correction (y, S, K, weights, ..) is made when this attribute is read.
     form : Form
@@ -135,7 +136,7 @@ class ParameterTracker(Returning, Standing):
     ValueError
         If a shape, a number or an option does not fit, or the model to start from is unstable.
     TypeError
-        If structure or filter is of the wrong kind.
+        If structure or filter is of the wrong kind; no other filter, nor a subclass of filterpy's, is taken.
 
     Warns
     -----
@@ -277,12 +278,18 @@ class ParameterTracker(Returning, Standing):
             setup.configure(kf, structure, own, {"theta": theta, "P": P})
             self.dt = model.dt
         # A program may look at its own filter without asking the tracker.
-        self._shows_at_once = ready
+        self._shows_at_once = kf is filter
         self._unshown: list[tuple[Any, ...]] = []
         self._used: tuple[tuple[Any, ...], track.Settings] | None = None
         self._initial = self.state()
         # The last time that a recording told, and how many samples came after it.
         self._time: tuple[Any, int] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what is made anew, which holds functions."""
+        if self._unshown:
+            self._show()
+        return {**vars(self), "_used": None}
 
     def __repr__(self) -> str:
         """Show the model as it stands."""
@@ -499,7 +506,7 @@ class ParameterTracker(Returning, Standing):
                 return self._used[1]
             rules = track.rules_of((kf.choices,))
         F, Q = (_NONE, _NONE) if rules is None else (plain(kf.F)[None, None], plain(kf.Q)[None, None])
-        alpha_sq = np.array([float(getattr(kf, "_alpha_sq", 1.0))])
+        alpha_sq = np.array([float(kf._alpha_sq)])
         using = track.Settings(
             rules, F, Q, alpha_sq, np.array([bool(self.enabled)]), lambda i: self.filter,
             lambda k, i: "" if first is None else f"sample {first + k}: ",
@@ -591,12 +598,12 @@ class ParameterTracker(Returning, Standing):
 
     def _held(self) -> tuple[Any, ...]:
         """Return what a call changes."""
-        return held.Kept(self._filter), self._now, self._time, self.dt, self._unshown
+        return snapshot(self._filter), self._now, self._time, self.dt, self._unshown
 
     def _put_back(self, before: tuple[Any, ...]) -> None:
         """Undo what was refused, or interrupted."""
         kept, self._now, self._time, self.dt, self._unshown = before
-        kept.put_back(self._filter)
+        put_back(self._filter, kept)
 
     # Interruption.
 
@@ -614,25 +621,25 @@ class ParameterTracker(Returning, Standing):
             autocovariances, how much of them follows the inputs anyway and what is rounding, and score and information
             of the gain in the last blocks; followed: the residuals, predictions and
             inputs it judges that by, (L, 2 + n_inputs);
-            and the filter's Q, R, F and alpha_sq where it has them, and what else it keeps, as ``filter_..``.
+            and the filter's Q, R, F and alpha_sq, and what else it keeps, as ``filter_..``.
             ``format``: version, and name of tracker and structure as character codes. All of float64.
             ``numpy.savez(file, **state)`` stores it.
         """
         arrays = {name: value[0] for name, value in self.now.arrays().items() if name != "kept"}
-        arrays |= {"enabled": np.array(bool(self.enabled)), **held.settings(self._filter), **kept_beside(self._filter)}
+        arrays |= {"enabled": np.array(bool(self.enabled)), **setup.settings(self._filter), **kept_beside(self._filter)}
         return _state.labelled(self.kind, arrays)
 
     def _set_by_hand(self) -> dict[str, Any]:
         """Return what the user may have set of the filter."""
-        return held.settings(self._filter)
+        return setup.settings(self._filter)
 
     def _go_back(self, state: Any) -> None:
         """Take over a state, or raise; nothing has changed then."""
         _state.require_kind(state, self.kind)
-        settings = {name: value.shape for name, value in held.settings(self._filter).items()}
+        settings = {name: value.shape for name, value in setup.settings(self._filter).items()}
         found = checked(state, self.form, (), {}, settings)
         go_on_beside(self.filter, found["theta"], found["P"], state)
-        held.apply_settings(self.filter, found)
+        setup.apply_settings(self.filter, found)
         arrays = {name: value[None] for name, value in found.items()}
         self._take_over(self._now.restored(arrays, np.array([setup.told_variance(self._filter)])))
         self.enabled, self._time = bool(found["enabled"]), None
@@ -656,7 +663,7 @@ class ParameterTracker(Returning, Standing):
         values = {name: value for name, value in {"Q": Q, "forgetting": forgetting}.items() if value is not None}
         for name, value in values.items():
             setattr(found, name, value)
-        settings = held.settings(found._filter)
+        settings = setup.settings(found._filter)
         kept = {name: settings[name] for name in ("Q", "alpha_sq") if name in settings}
         found._initial, found._given = found._initial | kept, found._given | values
         return found
@@ -664,7 +671,7 @@ class ParameterTracker(Returning, Standing):
 
 def continued(tracker: ParameterTracker, settings: dict[str, Array], initial: State, now: State, enabled: bool) -> None:
     """Let a tracker go on from now, and go back to initial when it is reset, both with these settings of its filter."""
-    held.apply_settings(tracker._filter, settings)
+    setup.apply_settings(tracker._filter, settings)
     for state in (initial, now):
         tracker._take_over(state)
         tracker._initial = tracker._initial if state is now else tracker.state()
