@@ -95,15 +95,21 @@ class StepMixin(Held):
         # Psi of the user's may write into anything before it raises.
         called = self._choices.kernel_psi is None
         before = snapshot(self) if insists or called or (looks and self._share.fills(self.dim_z)) else None
-        if not self._repeated(step(self, *given) if before is None else self._looked(before, step, self, *given)):
+        return self._looked(before, self._judged, step, given, insists, counts, looks, R, difference)
+
+    def _judged(
+        self, step: Any, given: Any, insists: bool, counts: bool, looks: bool, R: Any, difference: Any
+    ) -> bool:
+        """Take a correction and look at it, as one: what interrupts or refuses it undoes both."""
+        if not self._repeated(step(self, *given)):
             return False
         self._updates += counts
         # As it was judged, before P grows.
         judged = judged_of(self._last) if looks else None
         if insists:
-            self._looked(before, self._insist, R, difference)
+            self._insist(R, difference)
         if looks:
-            self._looked(before, self._share.look, self, judged)
+            self._share.look(self, judged)
         return True
 
     def _repeated(self, taken: int) -> bool:

@@ -57,7 +57,7 @@ def _through(tracker: ParameterTracker, work: Work, first: int, stop: int) -> No
     if first == stop:
         return
     y, u = measured_output(work.z[first:stop]), None if work.u is None else work.u[first:stop]
-    out = tracker._advance(y, recorded_input(tracker.structure, u, len(y)), None)
+    out = tracker.advance(y, recorded_input(tracker.structure, u, len(y)), None)
     columns: Any = work.columns[first:stop]
     columns[:, :d], columns[:, d : 2 * d] = out.theta[:, own], np.sqrt(np.maximum(out.variance[:, own], 0.0))
     columns[:, 2 * d :] = np.column_stack((out.prediction, out.residual, out.weights, out.guard))

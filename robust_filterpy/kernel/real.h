@@ -56,7 +56,11 @@ typedef double real;
 #define RESTRICT __restrict
 #elif defined(__GNUC__) || defined(__clang__)
 #define INLINE static inline __attribute__((unused))
+#ifdef __OPTIMIZE_SIZE__
+#define SIZED INLINE
+#else
 #define SIZED static inline __attribute__((always_inline, unused))
+#endif
 #define RESTRICT __restrict__
 #else
 #define INLINE static inline

@@ -98,7 +98,7 @@ def test_a_progress_bar_counts_the_structures(capsys):
     pytest.importorskip("tqdm")
     y, u = recorded(length=300)
     found = select_structure(y, u, na=[1, 2], nk=[4], progress=True)
-    assert f"{len(found.rows)} structures" in capsys.readouterr().err
+    assert f"{len(found.rows)}/{len(found.rows)} " in capsys.readouterr().err
 
 
 def test_numbers_of_a_and_b_of_their_own():

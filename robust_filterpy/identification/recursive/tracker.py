@@ -413,7 +413,7 @@ class ParameterTracker(Returning, Standing):
         before = self._held()
         try:
             with stages("ParameterTracker", progress):
-                out = self._advance(output, signal, variances)
+                out = self.advance(output, signal, variances)
             theta, variance = out[:2]
             if self.form.has_offset:
                 theta, variance = theta[:, self.form.own], variance[:, self.form.own]
@@ -498,24 +498,37 @@ class ParameterTracker(Returning, Standing):
     def _using(self, first: int | None = None) -> track.Settings:
         """Return what may have been changed since the last call; first: number of a recording's first sample."""
         kf, n = self._filter, self.form.layout.n
-        rules = None
+        rules, alpha_sq = None, getattr(kf, "_alpha_sq", 1.0)
         if setup.is_plain(kf, n):
-            settings = kf.F, kf.Q, kf._alpha_sq, kf.policy, bool(self.enabled), first
+            settings = kf.F, kf.Q, alpha_sq, kf.policy, bool(self.enabled), first
             # What a sample depends on is made anew where something else has been set.
             if self._used is not None and all(map(operator.is_, self._used[0], settings)):
                 return self._used[1]
             rules = track.rules_of((kf.choices,))
         F, Q = (_NONE, _NONE) if rules is None else (plain(kf.F)[None, None], plain(kf.Q)[None, None])
-        alpha_sq = np.array([float(kf._alpha_sq)])
         using = track.Settings(
-            rules, F, Q, alpha_sq, np.array([bool(self.enabled)]), lambda i: self.filter,
+            rules, F, Q, np.array([float(alpha_sq)]), np.array([bool(self.enabled)]), lambda i: self._shown(),
             lambda k, i: "" if first is None else f"sample {first + k}: ",
         )  # fmt: skip
         self._used = None if rules is None or F.base is not kf.F or Q.base is not kf.Q else (settings, using)
         return using
 
-    def _advance(self, y: Array, u: Array, R: Array | None) -> Columns:
-        """Take the checked samples of a recording; the caller undoes what is refused or interrupted."""
+    def advance(self, y: Array, u: Array, R: Array | None) -> Columns:
+        """Take the checked samples of a recording; the caller undoes what is refused or interrupted.
+
+        Parameters
+        ----------
+        y : ndarray, shape (N,)
+            Outputs, NaN where one is missing.
+        u : ndarray, shape (N, n_inputs)
+            Inputs, without gaps.
+        R : ndarray, shape (N,), or None
+            Variances of the noise.
+
+        Returns
+        -------
+        Columns
+        """
         y, u, R = y[None], u[None], None if R is None else R[None]
         # The filter shows the last measured sample, and the last.
         known = np.flatnonzero(y[0] == y[0])[-1:].tolist()
@@ -554,7 +567,12 @@ class ParameterTracker(Returning, Standing):
 
     @property
     def filter(self) -> Any:
-        """The filter. What it shows of its last correction (y, S, K, weights, ..) is made when this is read."""
+        """The filter. Who has asked for it may keep it: from then on it shows each correction (y, S, K, weights, ..)."""
+        self._shows_at_once = True
+        return self._shown()
+
+    def _shown(self) -> Any:
+        """Return the filter, which shows its last correction."""
         if self._unshown:
             self._show()
         return self._filter
@@ -564,14 +582,15 @@ class ParameterTracker(Returning, Standing):
         kf, pending, self._unshown = self._filter, self._unshown, []
         now = {name: getattr(kf, name) for name in _SET}
         for before, using, y, u, R in pending:
-            kf.F, kf.Q, kf._alpha_sq = using.F[0, 0], using.Q[0, 0], using.alpha_sq.item()
             # The size of its R is that of before, too.
-            kf.R = before.scale[:1, :1].copy()
+            was = using.F[0, 0], using.Q[0, 0], using.alpha_sq.item(), before.scale[:1, :1].copy()
+            for name, value in zip(("F", "Q", "_alpha_sq", "R"), was, strict=True):
+                setattr(kf, name, value)
             try:
                 using = using._replace(rules=None, filter_of=lambda i: kf, place=lambda k, i: "")
                 track.shown(self.form, using, before, (y, u, R))
             except (ValueError, np.linalg.LinAlgError):
-                kf._show_nothing()
+                kf.update(None)
         for name, value in now.items():
             setattr(kf, name, value)
         kf.x_post, kf.P_post = kf.x.copy(), kf.P.copy()
