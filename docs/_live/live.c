@@ -35,13 +35,15 @@ int live_default(const int steps, const double told, const double threshold) {
     return fixed(steps, told, SCALING_LEARNT, threshold);
 }
 
+/* A constant of the file: the compiler leaves out what it does not ask for. */
+static const learnt_rule RULE = {LEARNT_Q, LEARNT_K, PROCESS, SCALES, BEGIN, LEARNT_STAY, LEARNT_JUMP,
+                                  LEARNT_MEMORY, LEARNT_R_MEMORY, 1, NULL, 0, 0, NULL};
+
 int live_learnt(const int steps, const double told) {
     const double R[m * m] = {told};
     enum { COPIES = LEARNT_Q + 1, WIDTH = learnt_width(LEARNT_K) };
     double means[COPIES * n], covariances[COPIES * n * n], belief[(COPIES + 2) * n], known[WIDTH];
     double x[n] = {0}, P[n * n], weight, outlying, likelihood = 0;
-    const learnt_rule rule = {LEARNT_Q, LEARNT_K, PROCESS, SCALES, BEGIN, LEARNT_STAY, LEARNT_JUMP,
-                              LEARNT_MEMORY, LEARNT_R_MEMORY, 1, NULL, 0, 0, NULL};
     learnt_state s = {means, covariances, belief, known};
     for (int i = 0; i < COPIES; i++) {
         real_copy(n, x, means + i * n), real_copy(n * n, START, covariances + i * n * n);
@@ -49,10 +51,10 @@ int live_learnt(const int steps, const double told) {
     real_copy((COPIES + 2) * n, BELIEF, belief);
     real_copy(WIDTH, BEGIN, known);
     for (int k = 0; k < steps; k++) {
-        learnt_predict(n, &rule, &s, F, Q, NULL, 1, work);
+        learnt_predict(n, &RULE, &s, F, Q, NULL, 1, work);
         const double *const z = live_z + k;
-        if (learnt_correct(n, m, &rule, &s, z, z, H, R, NULL, &weight, &outlying, &likelihood, work) < 0) return k;
-        if (!learnt_merge(n, &rule, &s, x, P, work)) return k;
+        if (learnt_correct(n, m, &RULE, &s, z, z, H, R, NULL, &weight, &outlying, &likelihood, work) < 0) return k;
+        if (!learnt_merge(n, &RULE, &s, x, P, work)) return k;
         live_position[k] = x[0];
     }
     return steps;

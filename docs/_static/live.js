@@ -2,7 +2,9 @@
 (async () => {
   "use strict";
   const TOP = 20, MARGIN = { left: 34, bottom: 34 };
-  const bytes = Uint8Array.from(atob(LIVE.wasm), (letter) => letter.charCodeAt(0));
+  const packed = Uint8Array.from(atob(LIVE.wasm), (letter) => letter.charCodeAt(0));
+  const unpacked = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
+  const bytes = await new Response(unpacked).arrayBuffer();
   const math = { log: Math.log, exp: Math.exp, hypot: Math.hypot };
   const c = (await WebAssembly.instantiate(bytes, { env: math })).instance.exports;
   const heap = new Float64Array(c.memory.buffer), Z = c.live_z.value / 8, POSITION = c.live_position.value / 8;

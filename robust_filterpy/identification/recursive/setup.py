@@ -217,7 +217,7 @@ def is_plain(kf: Any, n: int) -> bool:
 
 def settings(kf: RobustKalmanFilter) -> dict[str, Array]:
     """Return what a filter's behaviour depends on besides x and P."""
-    values = {"Q": kf.Q, "R": kf.R, "F": kf.F, "alpha_sq": kf._alpha_sq}
+    values = {name: getattr(kf, name) for name in ("Q", "R", "F")} | {"alpha_sq": vars(kf)["_alpha_sq"]}
     return {name: np.array(value, dtype=float) for name, value in values.items() if value is not None}
 
 

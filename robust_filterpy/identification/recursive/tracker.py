@@ -567,7 +567,7 @@ class ParameterTracker(Returning, Standing):
 
     @property
     def filter(self) -> Any:
-        """The filter. Who has asked for it may keep it: from then on it shows each correction (y, S, K, weights, ..)."""
+        """The filter. From the first time that it is asked for it shows each correction (y, S, K, weights, ..)."""
         self._shows_at_once = True
         return self._shown()
 
