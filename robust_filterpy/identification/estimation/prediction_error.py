@@ -139,8 +139,9 @@ def sandwich(jacobian: Array, residual: Array, noise: _Noise, shared: int) -> tu
 
     ``(N/(N - n)) R (J'J)^-1 J' C J (J'J)^-1 / mean(psi')^2`` with C the covariance of psi: diag(psi^2) where psi is
     white (Huber, Robust Statistics, 1981, section 7.6), otherwise that of the autoregression that it shows. This holds
-    whatever the distribution of the residuals is. With a noise for each output, J and psi are weighted by mean(psi')/R
-    of it, and each psi has a colour; directions that nothing depends on have no variance.
+    whatever the distribution of the residuals is. Rounding counts as white and as no less than R in each sample. With
+    a noise for each output, J and psi are weighted by mean(psi')/R of it, and each psi has a colour; directions that
+    nothing depends on have no variance.
 
     Parameters
     ----------
@@ -168,9 +169,17 @@ def sandwich(jacobian: Array, residual: Array, noise: _Noise, shared: int) -> tu
     left, values, right = np.linalg.svd(weighted / size, full_matrices=False)
     kept = values > 1e-10 * values[0]
     effect = (right[kept].T / values[kept]) @ left[:, kept].T / size[:, None] / np.sqrt(slope)
+    parts = (noise,) if isinstance(noise, Noise) else noise.parts
+    outputs = [slice(None)] if isinstance(noise, Noise) else [noise.which == j for j in range(len(parts))]
+    # What rounding leaves follows the signal: at rest its colour and its zeros say nothing of errors elsewhere.
+    for part, own in zip(parts, outputs, strict=True):
+        if part.is_rounding:
+            psi[own] = np.maximum(np.abs(psi[own]), 1.0)
     white = carried = effect * psi
-    outputs = [slice(None)] if isinstance(noise, Noise) else [noise.which == j for j in range(len(noise.parts))]
-    colours = [colour_of(psi[own]).response for own in outputs]
+    colours = [
+        np.ones(1) if part.is_rounding else colour_of(psi[own]).response
+        for part, own in zip(parts, outputs, strict=True)
+    ]
     if any(h.size > 1 for h in colours):
         carried = np.hstack([
             white[:, own] if h.size == 1

@@ -77,7 +77,7 @@ class Summary:
         str
         """
         half = _WIDTH // 2 - 1
-        cells = [f"{name + ':':<18}{value:>{half - 18}}" for name, value in self.facts.items()]
+        cells = [f"{name + ':':<18}{value:>{half - max(len(name) + 1, 18)}}" for name, value in self.facts.items()]
         pairs = zip(cells[::2], [*cells[1::2], ""][: len(cells[::2])], strict=True)
         lower, upper = (f"{100 * edge:.4g} %" for edge in (0.5 - 0.5 * self.level, 0.5 + 0.5 * self.level))
         lines = [self.title.center(_WIDTH).rstrip(), "=" * _WIDTH, *(f"{a}  {b}".rstrip() for a, b in pairs)]
