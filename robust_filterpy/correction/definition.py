@@ -222,13 +222,14 @@ def correct_by_custom(
 def _opened(P: Array, H: Array, variances: Array) -> Array:
     """Return P with larger variances of the states that a sensor sees and tells much of, where it has seen a jump.
 
-    Nothing is said of the rest, which follows by its covariances.
+    Nothing is said of the rest, which follows by its covariances. The order of the sensors does not matter.
     """
+    most = np.zeros(len(P))
     for h, variance in zip(H, variances, strict=True):
         p = np.where(spread.moved(P @ h, np.diag(P)), np.diag(P), 0.0)
         if variance > 0 and h**2 @ p > 0:
-            P = P + np.diag(variance / (h**2 @ p) * np.where(h != 0, p, 0.0))
-    return P
+            most = np.maximum(most, variance / (h**2 @ p) * np.where(h != 0, p, 0.0))
+    return P + np.diag(most)
 
 
 class _Seen(NamedTuple):

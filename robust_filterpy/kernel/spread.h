@@ -323,11 +323,14 @@ CALLED void spread_before(const int n, const int m, const real *z, const real *P
 }
 
 /* Let P grow by what has jumped: growth of all that correlates, and the variances of what each sensor sees and tells
-   much of, where the rest follows by its covariances. c (n) is scratch. */
+   much of, where the rest follows by its covariances; the order of the sensors does not matter. work: 2 n. */
 CALLED void spread_open(const int n, const int m, const real *H, const spread_change *const change, real *RESTRICT P,
-                        real *RESTRICT c) {
-    for (int k = 0; k < n; k++)
+                        real *RESTRICT work) {
+    real *const c = work, *const added = work + n;
+    for (int k = 0; k < n; k++) {
+        added[k] = 0;
         for (int j = 0; j < n; j++) P[k * n + j] *= change->growth[k] * change->growth[j];
+    }
     for (int i = 0; i < m; i++) {
         const real *const h = H + i * n;
         real most, seen = 0;
@@ -342,8 +345,9 @@ CALLED void spread_open(const int n, const int m, const real *H, const spread_ch
             if (c[k] != 0) seen += h[k] * h[k] * P[k * n + k];
         }
         for (int k = 0; k < n && seen > 0; k++)
-            if (c[k] != 0 && h[k] != 0) P[k * n + k] += change->opened[i] / seen * P[k * n + k];
+            if (c[k] != 0 && h[k] != 0) added[k] = real_max(added[k], change->opened[i] / seen * P[k * n + k]);
     }
+    for (int k = 0; k < n; k++) P[k * n + k] += added[k];
 }
 
 /* Leave out of c, once more, the readings that say nothing new. */

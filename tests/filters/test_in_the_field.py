@@ -148,3 +148,17 @@ def test_a_state_with_fewer_columns_is_read():
     assert other._memory.shape == (1, NUMBERS)
     assert_array_equal(other.spread, kf.spread)
     assert_allclose(other.x, kf.x)
+
+
+def test_what_a_jump_opens_does_not_depend_on_the_order_of_the_sensors():
+    H, rng = np.array([[1.0, 0.2], [0.3, 1.0]]), np.random.default_rng(7)
+    pair, noise = [moving(RobustKalmanFilter) for _ in range(2)], rng.normal(size=(70, 2))
+    for kf, order in zip(pair, ([0, 1], [1, 0]), strict=True):
+        kf.dim_z, kf.H, kf.R = 2, H[order], np.eye(2)
+        for k, y in enumerate(noise):
+            kf.predict()
+            kf.update((y + (300.0 if k >= 60 else 0.0))[order])
+            if k == 63:
+                assert kf.S[0, 0] > 1e3
+    assert_allclose(pair[0].x, pair[1].x, rtol=1e-9)
+    assert_allclose(pair[0].P, pair[1].P, rtol=1e-9)
