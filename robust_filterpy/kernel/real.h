@@ -48,8 +48,8 @@ typedef double real;
 #define real_copysign copysign
 #endif
 
-/* SIZED: always inlined, since its loops gain by a size that is a constant; INLINE: where the compiler thinks it pays. To
-   inline everything into each of nine loops takes minutes and a gigabyte to compile, and gains nothing. */
+/* SIZED: always inlined, since its loops gain by a size that is a constant; INLINE: where the compiler thinks it pays.
+   To inline everything into each of nine loops takes minutes and a gigabyte to compile, and gains nothing. */
 #if defined(_MSC_VER) && !defined(__clang__)
 #define INLINE static __inline
 #define SIZED static __forceinline

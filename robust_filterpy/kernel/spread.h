@@ -199,8 +199,8 @@ INLINE void spread_repeat(spread_memory *const own, const real z, const int ordi
     own->last = z;
 }
 
-/* Whether a reading says nothing new: a clipped one that repeats the one before to the last bit, or goes on doing so. Of
-   a sensor of which most readings repeat some count. */
+/* Whether a reading says nothing new: a clipped one that repeats the one before to the last bit, or goes on doing so.
+   Of a sensor of which most readings repeat some count. */
 INLINE int spread_holds(spread_memory *const own, const real z, const real size, const real coarse) {
     const real counts = real_max(2 * own->repeats - 1, 0), before = own->held;
     const real unit = real_max(own->spread, coarse);
@@ -322,8 +322,8 @@ CALLED void spread_before(const int n, const int m, const real *z, const real *P
     }
 }
 
-/* Let P grow by what has jumped: growth of all that correlates, and the variances of what each sensor sees and tells much
-   of, where the rest follows by its covariances. c (n) is scratch. */
+/* Let P grow by what has jumped: growth of all that correlates, and the variances of what each sensor sees and tells
+   much of, where the rest follows by its covariances. c (n) is scratch. */
 CALLED void spread_open(const int n, const int m, const real *H, const spread_change *const change, real *RESTRICT P,
                         real *RESTRICT c) {
     for (int k = 0; k < n; k++)

@@ -396,4 +396,4 @@ def test_the_programs_of_the_page_run(tmp_path, monkeypatch):
     (tmp_path / "main.c").write_text(re.search(r"```c\n(.*?)```", page, flags=re.S).group(1))
     subprocess.run(["cc", "-std=c99", *WARNINGS, "main.c", "cart.c", "-lm"], check=True)
     lines = subprocess.run(["./a.out"], capture_output=True, text=True, check=True).stdout.splitlines()
-    assert len(lines) == 5 and lines[2].endswith("weight 0.10") and lines[3].endswith("weight nan")
+    assert len(lines) == 5 and lines[2].endswith("weight 0.12") and lines[3].endswith("weight nan")
