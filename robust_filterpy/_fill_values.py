@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -136,7 +137,7 @@ def without_fill_values(name: str, rows: Any) -> tuple[Any, Any]:
         if fills.values:
             found[column] = fills.signal
             said.append(f"{f'component {place[0]}: ' if known[0].size > 1 else ''}{fills.said}")
-    filled = (known & np.isnan(found)).reshape(len(found), -1)
+    filled = (known & np.isnan(found)).reshape(len(found), math.prod(found.shape[1:]))
     if not said:
         return rows, filled
     warn(f"{name}: {'; '.join(said)}")

@@ -118,10 +118,6 @@ def export_c(
             f"model: expected a RobustKalmanFilter or a ParameterTracker, got {_checks.shown(type(model).__name__)}; "
             f"{_remedy(model)}"
         )
-    if re.search(rf"\b{name}_\w", _kernel(found.headers), re.IGNORECASE):
-        raise ValueError(
-            f"path: expected a name that the kernel does not use, got {source.name!r}; use my_{source.name}"
-        )
     values = {
         **found.values, "title": comment(found.title), "name": name, "NAME": name.upper(), "real": REALS[precision],
         "largest": "1e150" if precision == "double" else "1e15", "version": __version__,
@@ -131,6 +127,12 @@ def export_c(
     exported = Exported(source, source.with_suffix(".h"))
     values |= {part: rendered(text, values) for part, text in found.parts.items()}
     texts = (_code(found, values, name, precision), _tidy(rendered(f"{found.header or found.text}.h", values)))
+    own = set(re.findall(rf"\b(?:{name}|{name.upper()})_\w+", re.sub(r"/\*.*?\*/", "", texts[1], flags=re.DOTALL)))
+    if taken := own.intersection(re.findall(r"\w+", _kernel(found.headers))):
+        raise ValueError(
+            f"path: expected a name that the kernel does not use, got {source.name!r}, which makes {min(taken)}; "
+            f"use my_{source.name}"
+        )
     for file, text in zip(exported, texts, strict=True):
         file.write_text(text, encoding="ascii")
     return exported

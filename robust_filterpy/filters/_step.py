@@ -43,7 +43,7 @@ class StepMixin(Held):
 
     def _predict_by_kernel(self, u: Any, B: Any, F: Any, Q: Any) -> bool:
         """Predict by F."""
-        if _extension is None or not self._by_kernel or isinstance(self.Q, (int, float)):  # type: ignore[attr-defined]
+        if _extension is None or not self._by_kernel:
             return False
         predict = _extension.predict if self._policy.noise is None else _extension.predict_mixture
         return bool(predict(self, u, B, F, Q))

@@ -218,6 +218,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         ValueError
             If a shape does not fit or Q is negative or not symmetric; nothing has changed then.
         """
+        Q = self._noise_of_number(Q)
         if not self._predict_by_kernel(u, B, F, Q):
             self._predict(u, B, F, Q)
 
@@ -245,7 +246,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         P : ndarray, shape (dim_x, dim_x)
             Its covariance.
         """
-        found: tuple[Array, Array, Any] = regardless(self._predicted, u, B, F, Q)
+        found: tuple[Array, Array, Any] = regardless(self._predicted, u, B, F, self._noise_of_number(Q))
         return found[:2]
 
     def _predicted(self, u: Any, B: Any, F: Any, Q: Any) -> tuple[Array, Array, Any]:
@@ -261,14 +262,20 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         n = shape[0]
         F = _checks.matrix("F", self.F if F is None else F, (n, n), "dim_x")
         noise = process_noise(self.Q, Q, n)
-        if Q is None and n > 1 and np.ndim(self.Q) == 0:
-            everywhere = self._choices.is_linear and self.noise is None
-            noise = np.full((n, n), float(self.Q)) if everywhere else noise
-            does = "is added to every entry of P, as by filterpy" if everywhere else "means times I here"
-            q = f"{float(self.Q):.6g}"
-            warn(f"Q: expected a matrix, got the number {q}, which {does}; use {q}*np.eye({n})")
         B = self.B if B is None else B
         return F, noise, None if B is None or u is None else control_term(B, u, shape)
+
+    def _noise_of_number(self, Q: Any) -> Any:
+        """Return Q of a prediction; where the filter's own is a number, the matrix that it stands for, and warn."""
+        n = self.dim_x
+        if Q is not None or n == 1 or np.ndim(self.Q):
+            return Q
+        noise = process_noise(self.Q, None, n)
+        everywhere = self._choices.is_linear and self.noise is None
+        does = "is added to every entry of P, as by filterpy" if everywhere else "means times I here"
+        q = f"{float(self.Q):.6g}"
+        warn(f"Q: expected a matrix, got the number {q}, which {does}; use {q}*np.eye({n})")
+        return np.full((n, n), float(self.Q)) if everywhere else noise
 
     @whole
     def predict_steadystate(self, u: ArrayLike | None = 0, B: ArrayLike | None = None) -> None:

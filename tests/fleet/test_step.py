@@ -441,7 +441,8 @@ def fleet(keys=40, seed=2):
     lengths = rng.integers(1, 12, keys)
     device = rng.permutation(np.repeat(np.arange(keys), lengths))
     table = pd.DataFrame({"device": [f"d{i}" for i in device], "z": rng.normal(size=len(device))})
-    table.loc[rng.random(len(table)) < 0.1, "z"] = 40.0
+    # Not one number again and again, which would be a fill value.
+    table.loc[rng.random(len(table)) < 0.1, "z"] += 40.0
     table["u"] = rng.choice([-1.0, 1.0], len(table))
     table["t"] = table.groupby("device").cumcount().astype(float)
     return table
