@@ -10,7 +10,8 @@
 #define correct_grouped correct
 #endif
 
-#define update_work(n, m) (correction_work(n, m) + spread_work(n, m) + (size_t)((m) + SPREAD_NUMBERS * (m) + (n) * ((n) + 1)))
+#define update_work(n, m) \
+    (correction_work(n, m) + spread_work(n, m) + (size_t)((m) + SPREAD_NUMBERS * (m) + (n) * ((n) + 1)))
 
 /* Whether P is positive definite beyond rounding, but for states that are known exactly; L (n, n) is scratch. */
 CALLED int update_is_positive(const int n, const real *RESTRICT P, real *RESTRICT L) {
