@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from robust_filterpy import OutlierShareWarning, RobustKalmanFilter, TukeyBiweight
+from robust_filterpy import RobustFilterWarning, RobustKalmanFilter, TukeyBiweight
 from robust_filterpy.plotting import LOOKS
 
 # %% The recording, on an hourly grid: hours that are missing in it are NaN
@@ -221,13 +221,14 @@ def conclusion(scores: dict[str, Score]) -> str:
         if lost
         else ""
     )
+    stuck = "not while that lasts" if learnt.accepts is None else f"after {learnt.accepts} h"
     never = "not in the rest of the recording" if tukey.accepts is None else f"after {tukey.accepts} h"
     return (
         f"Conclusion: in a stop the Kalman filter is wrong by {worst(kalman)}, Huber by {worst(huber)}, since it "
         f"follows what lasts for hours,\nTukey by {worst(tukey)}. Had the flow stayed low, Huber would believe it "
         f"after {huber.accepts} h and Tukey {never}:\ntake a psi that returns to zero only where disturbances end by "
-        f"themselves.\nThe default learns what is usual: it believes a stop after {learnt.accepts} h, and is wrong by "
-        f"{worst(learnt)}.{lockout}"
+        f"themselves.\nThe default learns what is usual and follows what lasts: it is wrong by {worst(learnt)}. A stop "
+        f"in which the meter\nrepeats one number to the last bit is a stuck sensor to it, believed {stuck}.{lockout}"
     )
 
 
@@ -242,8 +243,8 @@ def main(argv: list[str] | None = None) -> dict[str, Score]:
     flow = load()
     changed = lasting_stop(flow)
     reference = undisturbed(flow)
-    # During a stop every reading is clipped for a day: that is the question here, no surprise.
-    warnings.simplefilter("ignore", OutlierShareWarning)
+    # During a stop every reading is clipped for a day, or repeats: that is the question here, no surprise.
+    warnings.simplefilter("ignore", RobustFilterWarning)
     tracks = {name: track(build(cls, flow, **choices), flow) for name, (cls, choices) in FILTERS.items()}
     lasting = {name: track(build(cls, flow, **choices), changed) for name, (cls, choices) in FILTERS.items()}
     scores = {name: score(tracks[name], reference, lasting[name]) for name in FILTERS}

@@ -77,8 +77,10 @@ def begin(m: int) -> np.ndarray:
     ndarray, shape (m, 15)
         Information that the spread rests on, spread s, share p of far innovations, far ones in a row, clipped ones in
         a row that agree, what the last correction left of z - H x, how far the last jump went, 0 if there was none to
-        return from, the last reading, the share of ordinary readings that repeat, and the smallest change of a
-        reading (-1 before there is one, 0 before any reading). What is left over, the jump, the last reading and the
+        return from, the last reading, the share of ordinary readings that repeat, the smallest change of a reading
+        (-1 before there is one, 0 before any reading), H P H' / R as the last correction left it, the usual growth of
+        its logarithm from there to the next reading, how many readings that rests on, far readings in a row that
+        repeat, and how many were taken for missing in all. What is left over, the jump, the last reading and the
         change have a unit.
     """
     return np.zeros((m, NUMBERS))

@@ -9,10 +9,9 @@ import numpy as np
 from robust_filterpy import _state
 from robust_filterpy._checks import Array
 from robust_filterpy.correction import spread
-from robust_filterpy.filters.states import moved_shapes
 from robust_filterpy.fleet._filters import REFUSED, Work
 from robust_filterpy.identification.models.signals import measured_output, recorded_input
-from robust_filterpy.identification.recursive.tracker import ParameterTracker
+from robust_filterpy.identification.recursive.tracker import ParameterTracker, keeps_spread
 
 # What the model says, not the state.
 _SETTINGS = ("Q", "F", "alpha_sq", _state.LABEL)
@@ -20,7 +19,7 @@ _SETTINGS = ("Q", "F", "alpha_sq", _state.LABEL)
 
 def start(tracker: ParameterTracker) -> dict[str, Array]:
     """Return what a tracker's steps move, as it is; of a sensor of which nothing is known yet, zeros."""
-    unknown = {"filter_spread": spread.begin(1)} if "spread" in moved_shapes(tracker.filter) else {}
+    unknown = {"filter_spread": spread.begin(1)} if keeps_spread(tracker) else {}
     return {**unknown, **{name: value for name, value in tracker.state().items() if name not in _SETTINGS}}
 
 

@@ -49,8 +49,9 @@ def of_tracker(tracker: Any, y: Any, u: Any) -> Problem:
     """Return the linear model that the filter of a copy of a tracker sees in a recording."""
     y = _checks.numbers("zs", _checks.entries("zs", y)).ravel()
     u = np.asarray(u) if hasattr(u, "to_numpy") else u
-    before, tracker = tracker.filter, copy.deepcopy(tracker)
+    tracker = copy.deepcopy(tracker)
     kf = tracker.filter
+    before = copy.deepcopy(kf)
     zs, rows = [], []
     for k, output in enumerate(y):
         tracker.update(output, None if u is None else u[k])

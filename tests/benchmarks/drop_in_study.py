@@ -12,6 +12,8 @@ jump costs: a jump of 30 deviations against bursts and runs at one height.
 from __future__ import annotations
 
 import argparse
+import os
+import sys
 import warnings
 from collections.abc import Callable
 from functools import partial
@@ -45,7 +47,6 @@ from filterpy.kalman import (
     UnscentedKalmanFilter,
 )
 from joblib import Parallel, delayed
-from statsmodels.robust.norms import HuberT
 
 from robust_filterpy import (
     AdaptiveKalmanFilter,
@@ -54,6 +55,7 @@ from robust_filterpy import (
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
+    kernel,
 )
 from robust_filterpy.correction import spread
 from robust_filterpy.filters import CorrelatedInnovationsWarning, StuckSensorWarning
@@ -279,8 +281,7 @@ def _with_length(length: int, name: str, seed: int) -> tuple[float, float]:
     """Return the squared error of the definition with another length of run, and of who knows the labels."""
     row, default = rows()[name], spread.RUN_LENGTH
     case = row.draw(seed)
-    # A norm of another package is corrected by the definition, which reads the length here.
-    kf = RobustKalmanFilter(len(case.x0), len(case.R), influence=HuberT(1.345))
+    kf = RobustKalmanFilter(len(case.x0), len(case.R))
     try:
         spread.RUN_LENGTH = length
         return figure(row, case, path_of(kf, row, case)), figure(row, case, with_labels(case))
@@ -299,6 +300,10 @@ def main(argv: list[str] | None = None) -> None:
     args = parser.parse_args(argv)
     seeds = range(args.seed, args.seed + args.runs)
     if args.frontier is not None:
+        if kernel.available():
+            # The kernel has a length of its own; the definition reads it from `spread`.
+            environment = {**os.environ, "ROBUST_FILTERPY_KERNEL": "off"}
+            os.execve(sys.executable, [sys.executable, __file__, *(sys.argv[1:] if argv is None else argv)], environment)
         frontier(seeds, args.jobs, args.frontier)
         return
     print(f"{args.runs} recordings from seed {args.seed}\n")

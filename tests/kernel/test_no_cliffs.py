@@ -7,7 +7,6 @@ from filterpy.kalman import MerweScaledSigmaPoints
 
 from robust_filterpy import RobustExtendedKalmanFilter, RobustKalmanFilter, RobustUnscentedKalmanFilter
 from robust_filterpy.correction.policies import Contaminated
-from robust_filterpy.filters import _bounded, _mixture
 from robust_filterpy.influence.functions import TukeyBiweight
 
 TOLD, ADAPTIVE = {"noise": Contaminated(0.1, 8.0)}, {"noise": "learnt", "process": "scales"}
@@ -28,19 +27,6 @@ WAYS = {
     "M": {},
     "F and Q": {},
 }
-
-
-@pytest.fixture
-def by_kernel_alone(monkeypatch):
-    """Let no filter ask the definition."""
-    support.needs_kernel()
-
-    def not_asked(*args, **kwargs):
-        raise AssertionError("the definition was asked")
-
-    for name in ("predicted", "corrected", "corrected_by_moments"):
-        for policy in (_bounded.Bounded, _mixture.Mixture):
-            monkeypatch.setattr(policy, name, not_asked)
 
 
 @pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)

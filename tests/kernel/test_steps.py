@@ -7,7 +7,7 @@ import pytest
 import support
 
 from robust_filterpy import Huber, Linear, RobustKalmanFilter, Scales, StudentT, TukeyBiweight
-from robust_filterpy.filters import _bounded, _mixture, _step
+from robust_filterpy.filters import _step
 from robust_filterpy.influence import Hampel
 
 support.needs_kernel()
@@ -378,19 +378,6 @@ KINDS = {
     "every second": lambda a: np.repeat(a, 2, axis=-1)[..., ::2],
     "other bytes": lambda a: a.astype(">f8"),
 }
-
-
-@pytest.fixture
-def by_kernel_alone(monkeypatch):
-    """Let no filter ask the definition."""
-    support.needs_kernel()
-
-    def not_asked(*args, **kwargs):
-        raise AssertionError("the definition was asked")
-
-    for name in ("predicted", "corrected", "corrected_by_moments"):
-        for policy in (_bounded.Bounded, _mixture.Mixture):
-            monkeypatch.setattr(policy, name, not_asked)
 
 
 @pytest.mark.usefixtures("by_kernel_alone")

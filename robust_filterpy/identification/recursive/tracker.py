@@ -18,7 +18,7 @@ from robust_filterpy._progress import stages
 from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Information, Scaling
 from robust_filterpy.filters.snapshot import put_back, snapshot
-from robust_filterpy.filters.states import go_on_beside, kept_beside
+from robust_filterpy.filters.states import go_on_beside, kept_beside, moved_shapes
 from robust_filterpy.identification.models.guard import GUARDS, Guard
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.regressor import Layout
@@ -121,7 +121,8 @@ class ParameterTracker(Returning, Standing):
         As given.
     filter : RobustKalmanFilter
         The filter; Q, R, F and forgetting are read from it and written to it. Its x, P and R are always those of the
-        last sample; what it shows of its last correction (y, S, K, weights, ..) is made when this attribute is read.
+        last sample; what it shows of its last correction (y, S, K, weights, ..) is made when this attribute is read,
+        and from then on with each sample, which costs more: ask for it only if you want that.
     form : Form
         What its recursion is, for what takes the recursion elsewhere (C, a fleet).
     enabled : bool
@@ -657,8 +658,9 @@ class ParameterTracker(Returning, Standing):
         _state.require_kind(state, self.kind)
         settings = {name: value.shape for name, value in setup.settings(self._filter).items()}
         found = checked(state, self.form, (), {}, settings)
-        go_on_beside(self.filter, found["theta"], found["P"], state)
-        setup.apply_settings(self.filter, found)
+        kf = self._shown()
+        go_on_beside(kf, found["theta"], found["P"], state)
+        setup.apply_settings(kf, found)
         arrays = {name: value[None] for name, value in found.items()}
         self._take_over(self._now.restored(arrays, np.array([setup.told_variance(self._filter)])))
         self.enabled, self._time = bool(found["enabled"]), None
@@ -686,6 +688,11 @@ class ParameterTracker(Returning, Standing):
         kept = {name: settings[name] for name in ("Q", "alpha_sq") if name in settings}
         found._initial, found._given = found._initial | kept, found._given | values
         return found
+
+
+def keeps_spread(tracker: ParameterTracker) -> bool:
+    """Return whether a tracker's filter learns how large its innovations usually are."""
+    return "spread" in moved_shapes(tracker._filter)
 
 
 def continued(tracker: ParameterTracker, settings: dict[str, Array], initial: State, now: State, enabled: bool) -> None:

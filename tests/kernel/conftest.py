@@ -1,0 +1,19 @@
+"""What tests of the kernel share."""
+
+import pytest
+import support
+
+from robust_filterpy.filters import _bounded, _mixture
+
+
+@pytest.fixture
+def by_kernel_alone(monkeypatch):
+    """Let no filter ask the definition."""
+    support.needs_kernel()
+
+    def not_asked(*args, **kwargs):
+        raise AssertionError("the definition was asked")
+
+    for name in ("predicted", "corrected", "corrected_by_moments"):
+        for policy in (_bounded.Bounded, _mixture.Mixture):
+            monkeypatch.setattr(policy, name, not_asked)
