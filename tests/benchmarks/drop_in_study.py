@@ -302,8 +302,8 @@ def main(argv: list[str] | None = None) -> None:
     if args.frontier is not None:
         if kernel.available():
             # The kernel has a length of its own; the definition reads it from `spread`.
-            environment = {**os.environ, "ROBUST_FILTERPY_KERNEL": "off"}
-            os.execve(sys.executable, [sys.executable, __file__, *(sys.argv[1:] if argv is None else argv)], environment)
+            command = [sys.executable, __file__, *(sys.argv[1:] if argv is None else argv)]
+            os.execve(sys.executable, command, {**os.environ, "ROBUST_FILTERPY_KERNEL": "off"})
         frontier(seeds, args.jobs, args.frontier)
         return
     print(f"{args.runs} recordings from seed {args.seed}\n")
