@@ -97,9 +97,7 @@ class StepMixin(Held):
         before = snapshot(self) if insists or called or (looks and self._share.fills(self.dim_z)) else None
         return self._looked(before, self._judged, step, given, insists, counts, looks, R, difference)
 
-    def _judged(
-        self, step: Any, given: Any, insists: bool, counts: bool, looks: bool, R: Any, difference: Any
-    ) -> bool:
+    def _judged(self, step: Any, given: Any, insists: bool, counts: bool, looks: bool, R: Any, difference: Any) -> bool:
         """Take a correction and look at it, as one: what interrupts or refuses it undoes both."""
         if not self._repeated(step(self, *given)):
             return False

@@ -288,8 +288,7 @@ class ParameterTracker(Returning, Standing):
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out what is made anew, which holds functions."""
-        if self._unshown:
-            self._show()
+        self._shown()
         return {**vars(self), "_used": None}
 
     def __repr__(self) -> str:
