@@ -1,7 +1,9 @@
 """Sphinx configuration: MyST pages, numpydoc reference, a theme that needs no network."""
 
+import re
 import sys
 import tempfile
+import textwrap
 from pathlib import Path
 
 HERE = Path(__file__).parent
@@ -57,8 +59,23 @@ html_show_copyright = False
 html_copy_source = False
 
 
+def with_figures(app, name, source):
+    """Let the site run the cells of a tutorial one after the other and show what they draw."""
+    if name.startswith("tutorial/"):
+        contexts = iter(["reset"])
+
+        def cell(match):
+            options = f"   :context: {next(contexts, 'close-figs')}\n   :include-source:\n"
+            return "```{eval-rst}\n.. plot::\n" + options + "\n" + textwrap.indent(match[1], "   ") + "```"
+
+        title, _, rest = re.sub(r"(?ms)^```python\n(.*?)```$", cell, source[0]).partition("\n")
+        notebook = f"{name.rpartition('/')[2]}.ipynb"
+        source[0] = f"{title}\n\nAs a notebook: {{download}}`{notebook} <../examples/notebooks/{notebook}>`.\n{rest}"
+
+
 def setup(app):
     """Write the reference and the pages of the examples before Sphinx looks for pages."""
+    app.connect("source-read", with_figures)
 
     def write(_):
         generated.write(HERE, {**generated.api_pages(), **gallery.pages(HERE.parent / "examples", HERE)})

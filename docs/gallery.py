@@ -70,6 +70,8 @@ def pages(examples: Path, docs: Path) -> dict[str, str]:
         figures[stem] = [f"outputs/{stem}/{Path(figure).name}" for figure in drawn]
         found[f"examples/{stem}.rst"] = page(path.name, title, question, rest, figures[stem], printed[stem])
         found[f"examples/notebooks/{stem}.ipynb"] = notebook(path)
+    for path in (docs / "tutorial").glob("*.md"):
+        found[f"examples/notebooks/{path.stem}.ipynb"] = written(jupytext.reads(path.read_text(encoding="utf-8"), "md"))
     found["examples/index.rst"] = gallery(questions, figures)
     return found
 
@@ -186,13 +188,19 @@ def notebook(path: Path) -> str:
     An example reads its options from the command line, which a notebook has none of.
     """
     found = jupytext.reads(path.read_text(encoding="utf-8"), fmt="py:percent")
-    for number, cell in enumerate(found.cells):
-        # nbformat draws these at random, and the page would differ from build to build.
-        cell["id"] = f"cell-{number}"
+    for cell in found.cells:
         cell.source = cell.source.replace('if __name__ == "__main__":\n    main()', "main([])")
         # A notebook does not know its file.
         cell.source = cell.source.replace("Path(__file__)", f'Path("{path.name}")')
-    return str(jupytext.writes(found, fmt="ipynb"))
+    return written(found)
+
+
+def written(notebook) -> str:
+    """Return a notebook as text, the same in each build."""
+    for number, cell in enumerate(notebook.cells):
+        # nbformat draws these at random.
+        cell["id"] = f"cell-{number}"
+    return str(jupytext.writes(notebook, fmt="ipynb"))
 
 
 def escaped(text: str) -> str:

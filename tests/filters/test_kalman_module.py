@@ -3,6 +3,7 @@
 import importlib
 import math
 import pkgutil
+from pathlib import Path
 from types import ModuleType
 
 import filterpy.common
@@ -247,3 +248,12 @@ def test_an_outlier_does_not_carry_the_ensemble_away():
         np.testing.assert_array_equal(kf.sigmas, before)
     with pytest.raises(ValueError, match="N: expected"):
         ensemble(ours, N=1)
+
+
+def test_the_page_on_filterpy_says_what_becomes_of_each_name():
+    page = (Path(__file__).parents[2] / "docs" / "filterpy.md").read_text(encoding="utf-8")
+    table = page.partition("## Every name")[2].partition("## What it does")[0]
+    things = [*vars(theirs).items(), *vars(filterpy.common).items()]
+    names = {name for name, thing in things if str(getattr(thing, "__module__", "")).startswith("filterpy.")}
+    missing = {name for name in names | MODULES | COMMON if f"`{name}`" not in table}
+    assert len(names) > 25 and not missing, missing

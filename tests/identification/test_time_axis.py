@@ -357,3 +357,12 @@ def test_an_index_of_bools_is_none(kind):
     index = pd.Index(pd.array([True, False] * 50, dtype=kind))
     with pytest.raises(ValueError, match="expected times or numbers in the index, got bools"):
         identify(pd.Series(1.0, index=index), pd.Series(1.0, index=index), ARX(1, 1))
+
+
+def test_a_table_of_several_inputs_gives_the_numbers_of_an_array():
+    rng = np.random.default_rng(4)
+    u = rng.normal(size=(60, 2))
+    y = u @ [1.0, 2.0] + 0.1 * rng.normal(size=60)
+    inputs = pd.DataFrame({"first": u[:, 0], "second": u[:, 1]})
+    theta = [ParameterTracker(FIR((1, 1), nk=0)).run(y, signal).theta for signal in (inputs, u)]
+    assert_array_equal(*theta)

@@ -125,7 +125,8 @@ def recorded_input(structure: Any, u: Any, length: int | None) -> Array:
         if n_inputs or length is None:
             raise ValueError(f"u: expected a recording of {n_inputs} input(s) for {structure}, got None")
         return np.zeros((length, 0))
-    signal = input_columns("u", u, n_inputs)
+    # Columns of a table lie one after the other, and the kernel takes rows.
+    signal = np.ascontiguousarray(input_columns("u", u, n_inputs))
     if len(signal) == 0:
         raise ValueError("u: expected a recording of at least one sample, got none")
     if length is not None and len(signal) != length:
