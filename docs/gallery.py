@@ -25,7 +25,7 @@ STORY = {
         "12_multipath_fusion": "Runs of outliers, and coming back",
         "05_imm": "An IMM that keeps its models apart",
         "06_smoothing": "Smoothing",
-        "14_noise_unknown": "Noise that nobody told",
+        "14_noise_unknown": "Noise that is unknown",
         "20_sensors_in_time": "A robot whose sensors lie",
         "13_test_your_own_filter": "A slip that no plot shows",
     },

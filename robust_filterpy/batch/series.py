@@ -162,7 +162,7 @@ def filter_series(
     """
     if state is not None:
         if not (x0 is None and P0 is None and learnt is None):
-            raise ValueError("state: expected none of x0, P0, learnt beside it; it holds them")
+            raise ValueError("state: expected none of x0, P0, `learnt` with it; it holds them")
         if not (isinstance(state, Mapping) and {"x", "P"} <= set(state)):
             raise TypeError(f"state: expected what filter_series returned as state, got {type(state).__name__}")
         x0, P0 = state["x"], state["P"]

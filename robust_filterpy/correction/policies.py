@@ -67,7 +67,7 @@ def process_policy(value: Any) -> Contaminated | Scales | None:
     if isinstance(value, str) and _checks.option("process", value, ("scales",)):
         return Scales()
     if value is not None and not isinstance(value, (Contaminated, Scales)):
-        raise TypeError(f"process: expected None (as told), Contaminated(..), Scales(..) or 'scales', got {value!r}")
+        raise TypeError(f"process: expected None (Q as given), Contaminated(..), Scales(..) or 'scales', got {value!r}")
     _require_unit("process", "Q", value)
     return value
 

@@ -148,7 +148,7 @@ class Diagnosis:
             lines.append(wrapped(text))
         nis = self.nis
         lines.append(
-            f"  normalised innovation squared of unclipped samples {nis.mean:.2f} "
+            f"  normalized innovation squared of unclipped samples {nis.mean:.2f} "
             f"(expected {nis.lower:.2f} to {nis.upper:.2f})"
         )
         sections = [_SECTIONS[cause] for cause in self.causes if cause in _SECTIONS]
@@ -360,11 +360,11 @@ def _many_outliers(z: str, share: float, is_told: bool) -> str:
     """Return the advice for many outliers."""
     if is_told:
         return (
-            f"{z} has more outliers than noise= tells: about {share:.0%} beside ordinary samples; "
+            f"{z} has more outliers than noise= tells: about {share:.0%} among ordinary samples; "
             f"Contaminated({share:.2g}, ..) tells so many, Learnt() learns how many."
         )
     return (
-        f"{z} has more outliers than psi is made for: about {share:.0%} beside ordinary samples; "
+        f"{z} has more outliers than psi is made for: about {share:.0%} among ordinary samples; "
         f"Huber.from_contamination({share:.2g}) is made for them."
     )
 

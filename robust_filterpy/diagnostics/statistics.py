@@ -16,7 +16,7 @@ _LAGS = 10
 
 
 class Band(NamedTuple):
-    """Hold a mean of the normalised innovation squared, what it should be, and a 99 % band around that."""
+    """Hold a mean of the normalized innovation squared, what it should be, and a 99 % band around that."""
 
     mean: float
     expected: float

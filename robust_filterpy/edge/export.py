@@ -104,7 +104,7 @@ def export_c(
     plain, extended = type(model) in (RobustKalmanFilter, AdaptiveKalmanFilter), is_extended(model)
     if (plain or extended) and precision == "single" and mixes(model):  # type: ignore[arg-type]
         raise ValueError(
-            'precision: expected "double" for noise that is told or learnt, whose probabilities are smaller than a '
+            'precision: expected "double" for noise that is given or learned, whose probabilities are smaller than a '
             'float can be, got "single"'
         )
     if plain:

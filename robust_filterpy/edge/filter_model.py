@@ -171,7 +171,7 @@ def require_plain(kf: Any, name: str) -> None:
     if not kf.policy.by_kernel:
         off = ", ".join(f"{word}=None" for word in ("noise", "process", "patience") if getattr(kf, word) is not None)
         raise ValueError(
-            f"{name}: expected bounded influence without patience, or, of a linear filter, noise told or learnt "
+            f"{name}: expected bounded influence without patience, or, of a linear filter, noise given or learned "
             f"sensor by sensor with process=None or Scales, of which there is C, got noise={kf.noise!r}, "
             f"process={kf.process!r}, patience={kf.patience!r}; set {off} before the export"
         )

@@ -120,7 +120,7 @@ def _judge(kf: Any, signs: Signs, where: str) -> None:
     warn(
         f"{kind[0]}{where}: {signs.kept[sensor]} of {signs.pairs[sensor]} innovations of sensor {sensor} have the sign "
         f"of the one before (half is usual): the estimate lags behind, since the state moves as neither the model nor "
-        f"Q foresees (a level on a slope, say), or the noise has a colour; give the model that motion, or a larger Q; "
+        f"Q foresees (a level on a slope, say), or the noise is colored; give the model that motion, or a larger Q; "
         f"robust_filterpy.diagnose tells, and {pointer(STOPPED)}. Switch this off with "
         f'warnings.simplefilter("ignore", robust_filterpy.filters.CorrelatedInnovationsWarning)',
         CorrelatedInnovationsWarning,

@@ -76,7 +76,7 @@ class OptionsMixin(Held):
 
     @property
     def process(self) -> Any:
-        """What the process noise may be: None (as told), `Contaminated` or `Scales`."""
+        """What the process noise may be: None (Q as given), `Contaminated` or `Scales`."""
         return self._policy.process
 
     @process.setter

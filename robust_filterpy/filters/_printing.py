@@ -52,12 +52,12 @@ def _judgement(kf: Any) -> dict[str, Any]:
         if kf.patience is not None:
             names += ["patience", "refused", "recoveries"]
         parts = {name: getattr(kf, name) for name in names}
-        return {**parts, "spread, learnt": kf.spread} if np.isfinite(kf.spread).any() else parts
+        return {**parts, "spread, learned": kf.spread} if np.isfinite(kf.spread).any() else parts
     parts = {name: getattr(kf, name) for name in ("noise", "process", "grouping")}
     if kf.noise_learnt is not None:
-        parts["variances of ordinary noise, learnt"] = np.diag(kf.R_learnt)
-        parts["share of outliers, learnt"] = kf.noise_learnt.contamination
+        parts["variances of ordinary noise, learned"] = np.diag(kf.R_learnt)
+        parts["share of outliers, learned"] = kf.noise_learnt.contamination
         parts["their size over ordinary noise"] = kf.noise_learnt.scale_ratio
     if kf.process is not None:
-        parts["factor of Q, learnt"] = kf.process_scale
+        parts["factor of Q, learned"] = kf.process_scale
     return parts

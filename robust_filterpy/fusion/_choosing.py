@@ -41,12 +41,12 @@ def policy_of(layout: Layout, noise: Any, process: Any, influence: Influence | N
     noise, process = noise_policy(noise), process_policy(process)
     if influence is None:
         if isinstance(noise, Contaminated):
-            _require_told(layout, "noise that is told")
+            _require_told(layout, "noise that is given")
         # All sensors stand in one vector, in which each fails on its own, or a group together.
         noise, process = Learnt() if noise is None else noise, Scales() if process is None else process
         return LearntNoise(RobustKalmanFilter(1, 1, noise=noise, process=process, grouping=layout.grouping).policy)
     if noise is not None or process is not None:
-        raise ValueError("influence: expected neither noise nor process beside it")
+        raise ValueError("influence: expected neither noise nor process with it")
     _require_told(layout, "influence")
     kf = RobustKalmanFilter(1, 1, influence=influence, scaling="innovation", grouping=layout.grouping)
     return BoundedInfluence(kf.policy)

@@ -497,7 +497,7 @@ class Fusion:
             raise ValueError("table: expected a row for each reading, got none")
         found, reasons = found_delays(self._setup, self._begin, rows, float(longest))
         for name, why in reasons.items():
-            warn(f"sensor {name!r}: its delay cannot be told from this recording: {why}", FusionWarning)
+            warn(f"sensor {name!r}: its delay cannot be seen in this recording: {why}", FusionWarning)
         return {name: found[name] + one.delay for name, one in self._setup.layout.sensors.items()}
 
     def verdicts(self, t: Any = None) -> dict[str, Verdict]:

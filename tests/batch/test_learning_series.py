@@ -62,7 +62,7 @@ OPTIONS = {
     "as it is": {},
     "other classes": {"noise": Learnt((1.0, 30.0), 50.0, 10.0), "process": Scales((1.0, 0.1), dwell=20.0)},
     "a process as told": {"process": None},
-    "a noise that is told": {"noise": Contaminated(0.1, 10.0), "process": Scales((1.0, 10.0), jump=1e-6)},
+    "a noise that is given": {"noise": Contaminated(0.1, 10.0), "process": Scales((1.0, 10.0), jump=1e-6)},
     "both told": {"noise": Contaminated(0.1, 10.0), "process": Contaminated(0.05, 20.0)},
     "told, and a process as told": {"noise": Contaminated(0.1, 10.0), "process": None},
     "nothing contaminated": {"noise": Contaminated(0.0), "process": None},

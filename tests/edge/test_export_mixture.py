@@ -86,7 +86,7 @@ def test_c_equals_the_kernel_to_the_last_bit(policy, sizes, tmp_path):
     kf, z, u = made(sum(sizes), *sizes, **POLICIES[policy])
     in_c = InC(kf, tmp_path)
     means, covariances, *_ = copy.deepcopy(kf).batch_filter(z, us=u if sizes[2] else None)
-    # Of noise that is told the last sample that is measured is the definition's, which shows more of it.
+    # Of noise that is given the last sample that is measured is the definition's, which shows more of it.
     last = int(np.flatnonzero(~np.isnan(z).all(axis=1))[-1]) if "told" in policy else len(z)
     for k in range(len(z)):
         assert in_c.predict(u[k]) == in_c.update(z[k]) == c_programs.OK
@@ -148,7 +148,7 @@ def test_odd_numbers_anywhere_do_no_harm(tmp_path):
         ({"noise": Learnt(), "grouping": "joint"}, "double", "sensor by sensor"),
         ({"noise": Learnt(), "process": Contaminated(0.1, 100.0)}, "double", "process=None or Scales"),
         ({"patience": 5}, "double", "patience=5"),
-        ({"noise": Learnt()}, "single", 'expected "double" for noise that is told or learnt'),
+        ({"noise": Learnt()}, "single", 'expected "double" for noise that is given or learned'),
         ({"noise": Learnt(), "inv": np.linalg.pinv}, "double", "numpy.linalg.inv"),
         ({"noise": Learnt(), "update": print}, "double", "filter's own update"),
         ({"noise": Learnt(), "P": -np.eye(2)}, "double", "P: expected"),

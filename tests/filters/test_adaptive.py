@@ -634,7 +634,7 @@ def uncoupled():
 
 
 def test_states_that_nothing_couples_are_filtered_as_by_filters_of_their_own():
-    """Each has its own scale of Q, its own jumps and its own start; noise that is told couples nothing."""
+    """Each has its own scale of Q, its own jumps and its own start; noise that is given couples nothing."""
     options = {"noise": Contaminated(0.1, 100.0), "process": Scales()}
     one, other, whole = uncoupled()
     filters = [make(RobustKalmanFilter, problem, 1, **options) for problem in (whole, one, other)]

@@ -63,7 +63,7 @@ def test_a_sensor_by_function_is_compared_with_the_others():
 
 
 def test_what_a_recording_does_not_tell_is_said():
-    with pytest.warns(FusionWarning, match="cannot be told.*has to change"):
+    with pytest.warns(FusionWarning, match="cannot be seen.*has to change"):
         assert np.isnan(list(made().delays(recording(0, wild=False)).values())).all()
     table = recording(0)
     alone = np.array(table["sensor"]) == "a"

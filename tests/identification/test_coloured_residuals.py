@@ -40,7 +40,7 @@ def test_standard_deviations_count_that_residuals_follow_one_another():
         model = quiet(y, u, OutputError(2, 2), trend="constant")
         inside.append(np.abs(model.theta - truth) < 2.0 * model.std)
     assert np.mean(inside) >= 0.8
-    assert model.colour > 1.3 and "Coloured residuals" in str(model.summary())
+    assert model.colour > 1.3 and "Colored residuals" in str(model.summary())
 
 
 def test_the_colour_of_white_noise_is_white_and_that_of_an_autoregression_is_it():

@@ -153,5 +153,5 @@ def test_what_has_no_continuous_time_is_refused():
         y[k + 1] = -0.8 * y[k] + u[k]
     with pytest.raises(ValueError, match="negative real axis"):
         identify(y, u, OutputError(1, 1)).to_continuous(1.0)
-    with pytest.raises(ValueError, match="at most 1 b's beside 1 poles"):
+    with pytest.raises(ValueError, match="at most 1 b's with 1 poles"):
         identify(y, u, OutputError(1, 2)).to_continuous(1.0)

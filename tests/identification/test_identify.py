@@ -369,7 +369,7 @@ GOOD = np.random.default_rng(0).normal(size=(100, 2))
             OutputError(1, 1),
             {},
             ValueError,
-            "order 2 beside the offset, got persistent excitation of order 0.*offset=False",
+            "order 2 next to the offset, got persistent excitation of order 0.*offset=False",
         ),
         (
             GOOD[:, 0],

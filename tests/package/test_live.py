@@ -62,7 +62,7 @@ def errors(build, measured):
 
 def test_the_text_has_the_errors_without_outliers(build):
     kalman, default, learnt = errors(build, build.recording()[1])
-    said = f"the Kalman filter's error is {kalman} m then, the default's {default} m, that of learned noise {learnt} m"
+    said = f"The Kalman filter's error is {kalman} m then, the default's {default} m, that of learned noise {learnt} m"
     assert said in " ".join((DOCS / "live.md").read_text().split())
 
 

@@ -143,5 +143,5 @@ def test_a_filter_fits_a_screen_and_says_what_it_has_learnt(policy, n):
     lines = str(kf).splitlines()
     assert len(lines) <= 15 and max(map(len, lines)) <= 100
     assert f"{n} states, 2 measured" in lines[0] and "its weights" in str(kf)
-    assert ("learnt" in str(kf)) == (policy in ("default", "learnt"))
+    assert ("learned" in str(kf)) == (policy in ("default", "learnt"))
     assert "SI = " in repr(kf)

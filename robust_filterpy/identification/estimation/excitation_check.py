@@ -55,7 +55,7 @@ def _require_excitation(model: PolynomialModel) -> None:
         return
     lags = max(orders)
     order = next((n for n in range(lags, 0, -1) if _independent(model, n)), 0)
-    kind = " beside the offset" if model.offset else ""
+    kind = " next to the offset" if model.offset else ""
     several = "inputs that together excite" if len(model.inputs) > 1 else "an input that excites"
     raise ValueError(
         f"u: expected {several} {structure} with order {lags}{kind}, got persistent excitation of order {order}; "

@@ -131,7 +131,7 @@ def _modelled(
     end = minimised(model, z, noise, rows, rows, _FIRST_STEPS)
     model.steps = 1
     model.settled(end.p)
-    stage("noise learnt, search again")
+    stage("noise learned, search again")
     learnt = end.noise if influence is not None else end.noise.learnt()
     end = minimised(model, end.p, learnt, rows, rows)
     return _as_model(structure, model, end, rows)

@@ -164,7 +164,7 @@ def realized(structure: Structure, theta: Array) -> tuple[tuple[Array, Array, Ar
         least = min(nk, 1)
         if least + nb > n + 1:
             raise ValueError(
-                f"nb: expected at most {n + 1 - least} b's beside {n} poles, got {nb} for input {i}: more have poles "
+                f"nb: expected at most {n + 1 - least} b's with {n} poles, got {nb} for input {i}: more have poles "
                 "at 0, which nothing in continuous time has; identify one with more poles or fewer b's"
             )
         numerators[i, least : least + nb] = theta[place]

@@ -154,7 +154,7 @@ def coloured(colour: float) -> dict[str, str]:
     -------
     dict of str to str
     """
-    return {} if colour == 1.0 else {"Coloured residuals": f"std times {colour:.2g}"}
+    return {} if colour == 1.0 else {"Colored residuals": f"std times {colour:.2g}"}
 
 
 def summarized(

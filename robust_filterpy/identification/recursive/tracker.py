@@ -489,7 +489,7 @@ class ParameterTracker(Returning, Standing):
         if missing > 0:
             warn(
                 f"y: {missing} missing sample(s) between {before[0]} and {axis.index[0]}, which "  # type: ignore[index]
-                f"the tracker takes for neighbours; give it the gap first, tracker.run(numpy.full({missing}, "
+                f"the tracker takes for successive ones; give it the gap first, tracker.run(numpy.full({missing}, "
                 "numpy.nan), u) with the u of the gap",
                 UserWarning,
             )

@@ -87,7 +87,7 @@ def small_innovations_are_believed(subject: Subject) -> None:
         if not (abs(ratio - 1.0) < 0.01 and other < 0.01):
             why = "" if age == 0 else " where that of a new one is right: something of earlier steps is still used"
             raise AssertionError(
-                f"after {age} samples the step is {ratio:.3g} times the Kalman gain's and {other:.2g} of it beside "
+                f"after {age} samples the step is {ratio:.3g} times the Kalman gain's and {other:.2g} of it across "
                 f"it{why}"
             )
 

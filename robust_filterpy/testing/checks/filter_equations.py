@@ -249,7 +249,7 @@ def nonlinear_sensor_is_linearised_at_the_prediction(subject: FilterSubject) -> 
     # A robust filter's psi is nearly linear for innovations as small as these.
     if off > (_SMALL if subject.is_exact else 0.2):
         raise AssertionError(
-            f"x is off by {off:.2g} of its standard deviations from the filter of the linearised sensor"
+            f"x is off by {off:.2g} of its standard deviations from the filter of the linearized sensor"
         )
 
 

@@ -96,7 +96,7 @@ def prediction_changes_nothing(subject: TrackerSubject) -> None:
             raise AssertionError(f"the prediction of sample {k} is {float(got):.4g}, phi' theta is {wanted:.4g}")
         advance(asked, scenario, k, k + 1)
     if not np.array_equal(theta_of(asked), theta_of(other)):
-        raise AssertionError("asking for predictions changed what was learnt")
+        raise AssertionError("asking for predictions changed what was learned")
 
 
 @promise(SAMPLES, "missing")

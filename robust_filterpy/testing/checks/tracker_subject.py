@@ -23,7 +23,7 @@ from robust_filterpy.testing.scenarios.runs import TrackerRun, parameters, run_t
 TRACKER_TAGS = {
     "exact": "it is recursive least squares to rounding (never tested of a tracker that claims to be robust)",
     "robust": "one wrong output moves the parameters by a bounded amount",
-    "drift": "told Q, it follows parameters that move",
+    "drift": "given Q, it follows parameters that move",
     "linear": "innovations within their noise move the parameters by the Kalman gain",
     "recovers": "what psi cuts off makes nothing certain",
     "missing": "NaN in y is a missing output",

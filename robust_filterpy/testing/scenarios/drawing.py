@@ -141,7 +141,7 @@ def draw(
             build(**options, **({"rng": rng} if "rng" in inspect.signature(build).parameters else {})),
         )
     elif options:
-        raise TypeError(f"{', '.join(options)}: expected only beside the name of a problem, not beside a system")
+        raise TypeError(f"{', '.join(options)}: expected only with the name of a problem, not with a system")
     if isinstance(problem, Plant):
         return draw_plant(problem, steps, contamination, dict(jumps or {}), rng)
     if not isinstance(problem, StateModel):
