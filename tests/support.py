@@ -367,6 +367,11 @@ def draws(few, many):
     return pytest.mark.parametrize("draws", [few, pytest.param(many, marks=pytest.mark.nightly)])
 
 
+def by_night(values, *by_day):
+    """Give the values of a parameter, of which all but some are for the night."""
+    return [value if value in by_day else pytest.param(value, marks=pytest.mark.nightly) for value in values]
+
+
 def told_tracker(structure, **options):
     """The paper's recursion from the first sample: no start, no constant, R told (1 unless given)."""
     own = {} if "filter" in options and not isinstance(options["filter"], type) else {"R": 1.0}

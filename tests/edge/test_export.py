@@ -23,7 +23,7 @@ from c_programs import (
     sensitivity,
     tracker_case,
 )
-from support import needs_kernel, without_kernel
+from support import draws, needs_kernel, without_kernel
 
 import robust_filterpy
 from robust_filterpy import AdaptiveKalmanFilter, Huber, Linear, RobustKalmanFilter, StudentT
@@ -81,37 +81,40 @@ def whole_tracker():
 
 
 @needs_cc
-def test_c_equals_the_definition(tmp_path):
+@draws(2, 8)
+def test_c_equals_the_definition(tmp_path, draws):
     whole = c_programs.case("whole", whole_tracker(), np.random.default_rng(6).normal(size=(60, 2)), 1)
-    together = [filter_case(f"joint{seed}", seed, joint=True) for seed in range(6)]
-    assert sum(case.model.dim_z > 1 for case in together) > 3
-    some = [*cases(range(8)), *together, tracker_case("begun", 1, start=64), unit_tracker(), whole]
+    together = [filter_case(f"joint{seed}", seed, joint=True) for seed in range(draws)]
+    assert any(case.model.dim_z > 1 for case in together)
+    some = [*cases(range(draws)), *together, tracker_case("begun", 1, start=64), unit_tracker(), whole]
     for found, case in zip(compiled(some, tmp_path), some, strict=True):
         assert_equal(found, case)
 
 
 @needs_cc
-def test_c_equals_the_kernel_to_the_last_bit(tmp_path, monkeypatch):
+@draws(4, 12)
+def test_c_equals_the_kernel_to_the_last_bit(tmp_path, monkeypatch, draws):
     monkeypatch.undo()
     needs_kernel()
-    some = [filter_case(f"filter{seed}", seed, extremes=False) for seed in range(50, 62)]
-    some += [filter_case(f"joint{seed}", seed, extremes=False, joint=True) for seed in range(62, 70)]
+    some = [filter_case(f"filter{seed}", seed, extremes=False) for seed in range(50, 50 + draws)]
+    some += [filter_case(f"joint{seed}", seed, extremes=False, joint=True) for seed in range(62, 62 + draws // 2)]
     assert any(case.model.scaling == "learnt" and case.model.dim_z > 1 for case in some)
     for found, case in zip(compiled(some, tmp_path), some, strict=True):
         assert np.array_equal(found, case.expected, equal_nan=True), case.model
 
 
 @needs_cc
-def test_the_c_of_a_tracker_equals_the_kernel_to_the_last_bit(tmp_path, monkeypatch):
+@draws(6, 20)
+def test_the_c_of_a_tracker_equals_the_kernel_to_the_last_bit(tmp_path, monkeypatch, draws):
     monkeypatch.undo()
     needs_kernel()
-    some = [tracker_case(f"tracker{seed}", seed) for seed in range(40, 60)]
+    some = [tracker_case(f"tracker{seed}", seed) for seed in range(40, 40 + draws)]
     some.append(c_programs.case("whole", whole_tracker(), np.random.default_rng(6).normal(size=(60, 2)), 1))
     for one in some:
         # What Python refuses is compared elsewhere.
         one.samples[5, -1], one.samples[9, : one.inputs] = 0.5, 0.1
     some = [one for one in some if one.model.enabled]
-    assert len(some) > 15
+    assert len(some) > 0.7 * draws
     for found, case in zip(compiled(some, tmp_path), some, strict=True):
         y, u = case.samples[:, -1], case.samples[:, : case.inputs]
         theta = case.model.run(y, u).theta
@@ -171,8 +174,8 @@ def test_covariance_that_lost_its_sign_is_mended_as_in_python(tmp_path):
 
 @needs_cc
 def test_single_precision_is_near(tmp_path):
-    some = [filter_case(f"filter{seed}", seed, extremes=False) for seed in range(20, 26)]
-    some += [tracker_case(f"tracker{seed}", seed) for seed in (20, 22, 24)]
+    some = [filter_case(f"filter{seed}", seed, extremes=False) for seed in range(20, 23)]
+    some += [tracker_case("tracker20", 20)]
     for found, case in zip(compiled(some, tmp_path, "single"), some, strict=True):
         assert distance(found, case) < 1e-4, case.model
 
@@ -259,7 +262,7 @@ def test_wrong_use_is_refused_and_changes_nothing(cart):
 
 @needs_cc
 def test_odd_numbers_anywhere_do_no_harm(tmp_path):
-    some = [*cases(range(40, 43)), filter_case("more7", 7), tracker_case("more", 3)]
+    some = [*cases([40]), filter_case("more7", 7), tracker_case("more", 3)]
     assert program(some, tmp_path, part="fuzzed").size == 0
 
 

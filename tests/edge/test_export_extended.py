@@ -138,7 +138,7 @@ class InC:
             "-fno-sanitize-recover=all",
             "-fPIC",
             "-std=c99",
-            "-O2",
+            "-O0",
         ]
         for command in (
             ["cc", *sanitized, *c_programs.WARNINGS, "-c", "one.c"],
@@ -192,6 +192,7 @@ CHOICES = [
 ]
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("cls", [RobustExtendedKalmanFilter, Dragged])
 @pytest.mark.parametrize("choices", CHOICES, ids=str)
 def test_c_equals_the_kernel_to_the_last_bit(cls, choices, tmp_path):
@@ -217,6 +218,7 @@ MIXED = {
 }
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("cls", [RobustExtendedKalmanFilter, Dragged])
 @pytest.mark.parametrize("noise", MIXED.values(), ids=MIXED)
 def test_noise_that_is_learnt_or_told_is_weighed_as_python_does(cls, noise, tmp_path):

@@ -12,7 +12,7 @@ from scipy.integrate import quad
 from scipy.linalg import block_diag
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
-from support import TOLD, cart, load, make, random_problem, simulate, with_, without_kernel
+from support import TOLD, cart, make, random_problem, simulate, with_, without_kernel
 
 from robust_filterpy import (
     ARX,
@@ -133,21 +133,6 @@ def test_the_density_of_a_measurement_integrates_to_one():
     assert total == pytest.approx(1.0, abs=1e-6)
 
 
-@pytest.mark.parametrize("grouping", ["joint", "component"])
-def test_neither_the_order_nor_the_units_of_the_sensors_matter(grouping):
-    problem = random_problem(5, 4, 3)
-    zs, _ = simulate(problem, 80, 5, contamination=0.1, size=15.0)
-    order, units = np.array([2, 0, 1]), np.array([1e3, 1e-2, 7.0])
-    D = np.diag(units)
-    other = with_(problem, H=D @ problem.H[order], R=D @ problem.R[np.ix_(order, order)] @ D)
-    one = make(AdaptiveKalmanFilter, problem, 1, grouping=grouping)
-    two = make(AdaptiveKalmanFilter, other, 1, grouping=grouping)
-    np.testing.assert_allclose(advance(two, zs[:, order] * units), advance(one, zs), rtol=1e-6, atol=1e-8)
-    rows = [0] if grouping == "joint" else order
-    np.testing.assert_allclose(two.learnt, one.learnt[rows], rtol=1e-5, atol=1e-9)
-    np.testing.assert_allclose(two.weights, one.weights[order], rtol=1e-5)
-
-
 @pytest.mark.parametrize("share", [0.0, 0.1])
 @pytest.mark.parametrize("factor", [0.01, 100.0])
 def test_r_comes_back_from_far_off(share, factor):
@@ -231,15 +216,6 @@ def test_the_scale_of_the_process_is_found(scale):
     kf.batch_filter(zs)
     assert kf.process_scale == pytest.approx(scale, rel=0.5)
     assert kf.process_probabilities.sum(axis=0) == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize("jump", [10.0, 100.0])
-def test_a_true_jump_is_believed(jump):
-    problem, truth, zs, _ = moving(5, 400)
-    kf = make(AdaptiveKalmanFilter, problem, 1)
-    path = advance(kf, zs + np.where(np.arange(400) < 200, 0.0, jump))
-    error = np.abs(path[:, 0] - truth[:, 0] - np.where(np.arange(400) < 200, 0.0, jump))
-    assert error[260:].max() < 3.0
 
 
 @pytest.mark.parametrize("kernel", [True, False])
@@ -463,33 +439,6 @@ def test_what_is_handed_on_is_checked(value):
     np.testing.assert_array_equal(kf.learnt, before)
 
 
-def test_an_interrupted_update_teaches_nothing(monkeypatch):
-    problem = random_problem(11, 4, 2)
-    kf = make(AdaptiveKalmanFilter, problem, 1)
-    advance(kf, simulate(problem, 10, 11)[0])
-    kf.predict()
-    before = copy.deepcopy(kf.__dict__)
-    kf.inv = lambda S: 1 / 0
-    with pytest.raises(ZeroDivisionError):
-        kf.update([0.1, 0.2])
-    kf.inv = before["inv"]
-    for name in before:
-        if name != "_choices":
-            np.testing.assert_equal(kf.__dict__[name], before[name], err_msg=name)
-
-
-def test_a_refused_recording_leaves_what_was_learnt():
-    problem = random_problem(12, 4, 2)
-    zs = simulate(problem, 20, 12, contamination=0.2)[0]
-    kf = make(AdaptiveKalmanFilter, problem, 1)
-    kf.batch_filter(zs)
-    learnt, shares = kf.learnt.copy(), kf.process_probabilities
-    with pytest.raises(ValueError, match="step 20"):
-        kf.batch_filter([*zs, [1.0, 2.0, 3.0]])
-    np.testing.assert_array_equal(kf.learnt, learnt)
-    np.testing.assert_array_equal(kf.process_probabilities, shares)
-
-
 def test_a_saver_shows_what_was_learnt_at_each_step():
     problem = random_problem(13, 3, 2)
     kf = make(AdaptiveKalmanFilter, problem)
@@ -543,16 +492,6 @@ def test_what_follows_from_the_noise_cannot_be_set(name, value):
         setattr(AdaptiveKalmanFilter(2, 1), name, value)
 
 
-def test_an_assigned_state_is_every_copys():
-    problem = cart()
-    kf = make(AdaptiveKalmanFilter, problem, 1)
-    advance(kf, simulate(problem, 30, 0)[0])
-    kf.x[0] += 50.0
-    x = kf.x.copy()
-    kf.predict()
-    np.testing.assert_allclose(kf.x, problem.F @ x)
-
-
 @pytest.mark.parametrize("R", [1e-4, 1.0])
 def test_in_a_tracker_r_need_not_be_known(R):
     rng = np.random.default_rng(0)
@@ -569,13 +508,6 @@ def test_in_a_tracker_r_need_not_be_known(R):
     by_class, by_instance, told_wrong, told = errors
     assert by_class == by_instance
     assert by_class < 1.15 * told and by_class < 0.9 * told_wrong
-
-
-def test_load_order_does_not_matter():
-    """Matrices may be set after x and P, as filterpy's users do."""
-    problem = random_problem(0, 3, 1)
-    kf = load(AdaptiveKalmanFilter(3, 1), problem, 1)
-    np.testing.assert_allclose(kf.get_prediction()[0], problem.F @ problem.x[:, 0])
 
 
 def test_the_probability_of_an_outlier_is_that_of_any_sensor():

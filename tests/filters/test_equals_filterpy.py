@@ -93,21 +93,6 @@ def test_update_with_per_call_matrices(ndim, dims):
 
 
 @pytest.mark.parametrize("ndim", NDIMS)
-def test_control_input(ndim):
-    problem = support.random_problem(6, 4, 2, dim_u=3)
-    robust, plain = pair(problem, ndim)
-    us = np.random.default_rng(1).normal(size=(20, 3, 1) if ndim == 2 else (20, 3))
-
-    def step(kf, u_and_z):
-        kf.predict(u_and_z[0])
-        kf.update(u_and_z[1])
-        kf.predict()
-
-    zs = support.simulate(problem, 20, seed=4)[0]
-    support.assert_same_along(robust, plain, zip(us, zs, strict=True), step)
-
-
-@pytest.mark.parametrize("ndim", NDIMS)
 @pytest.mark.parametrize("dims", [(1, 1), (4, 2), (20, 5)])
 def test_update_correlated(ndim, dims):
     problem = support.random_problem(8, *dims)
@@ -120,15 +105,6 @@ def test_update_correlated(ndim, dims):
             kf.update_correlated(z, R=R)
         support.assert_same_state(robust, plain, rtol=1e-9)
         assert robust.log_likelihood == pytest.approx(plain.log_likelihood, rel=1e-9)
-
-
-def test_m_is_not_used_by_update():
-    problem = support.random_problem(8, 4, 2)
-    robust, plain = pair(problem)
-    for kf in (robust, plain):
-        kf.predict()
-        kf.update([1.0, 2.0])
-    support.assert_same_state(robust, plain)
 
 
 @pytest.mark.parametrize("ndim", NDIMS)
@@ -233,21 +209,6 @@ def test_fading_memory(ndim, alpha):
         kf.alpha = alpha
         assert kf.alpha == pytest.approx(alpha)
     support.assert_same_along(robust, plain, support.simulate(problem, 20, seed=4)[0])
-
-
-@pytest.mark.parametrize("ndim", NDIMS)
-def test_get_update_and_get_prediction(ndim):
-    problem = support.random_problem(11, 4, 2, dim_u=1)
-    robust, plain = pair(problem, ndim)
-    u = np.ones((1, 1) if ndim == 2 else 1)
-    for kf in (robust, plain):
-        kf.predict(u)
-        kf.update([1.0, 2.0])
-    support.assert_close(robust.get_prediction(u)[0], plain.get_prediction(u)[0])
-    support.assert_close(robust.get_prediction(u)[1], plain.get_prediction(u)[1])
-    for z in ([1.0, -1.0], None):
-        for ours, theirs in zip(robust.get_update(z), plain.get_update(z), strict=True):
-            support.assert_close(ours, theirs)
 
 
 @pytest.mark.parametrize("ndim", NDIMS)

@@ -1,6 +1,5 @@
 """Without a finite threshold batch_filter and rts_smoother are filterpy's."""
 
-import filterpy.kalman
 import numpy as np
 import pytest
 import support
@@ -98,14 +97,3 @@ def test_batch_filter_with_saver():
     support.assert_close(saver.x, means)
     support.assert_close(saver.P, covariances)
     support.assert_close(means, plain.batch_filter(zs)[0])
-
-
-def test_the_smoother_is_the_procedural_one():
-    """filterpy also has it as a function, with the indices one step apart."""
-    robust = pair(support.cart())[0]
-    means, covariances, *_ = robust.batch_filter(support.simulate(support.cart(), 30, seed=3)[0])
-    n, kf = len(means), support.cart()
-    ours = robust.rts_smoother(means, covariances)
-    theirs = filterpy.kalman.rts_smoother(means, covariances, [kf.F] * n, [kf.Q] * n)
-    for a, b in zip(ours[:2], theirs[:2], strict=True):
-        support.assert_close(a, b)

@@ -2,7 +2,6 @@
 
 import copy
 import itertools
-import pickle
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from filterpy.common import Saver
 from filterpy.kalman import IMMEstimator, KalmanFilter
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
-from support import FILTERPY_2, cart, load, make, paper_problem, random_problem, simulate, told, two_sided, with_
+from support import FILTERPY_2, cart, make, paper_problem, random_problem, simulate, told, two_sided, with_
 
 from robust_filterpy import (
     AdaptiveKalmanFilter,
@@ -139,56 +138,6 @@ def test_a_jump_that_nothing_denies_widens_P():
 
 
 @pytest.mark.parametrize("cls, options", KINDS)
-def test_correction_is_bounded_and_P_positive_definite(cls, options):
-    problem = random_problem(8, 4, 2)
-    rng = np.random.default_rng(8)
-    kf = make(cls, problem, 1, **options)
-    for z in simulate(problem, 300, 8)[0]:
-        bad = rng.random(2) < 0.3
-        kf.predict()
-        kf.update(np.where(bad, rng.choice([-1, 1], 2) * 10.0 ** rng.uniform(0, 300, 2), z))
-        assert np.isfinite(kf.x).all() and np.abs(kf.x).max() < 1e3 and np.isfinite(kf.log_likelihood)
-        assert np.linalg.eigvalsh(kf.P)[0] > 0 and np.abs(kf.P - kf.P.T).max() < 1e-12 * np.abs(kf.P).max()
-
-
-@pytest.mark.parametrize("cls, options", KINDS)
-def test_missing_component_is_a_measurement_without_it(cls, options):
-    problem = random_problem(9, 4, 2)
-    zs = simulate(problem, 30, 9, contamination=0.2)[0]
-    whole, part = make(cls, problem, 1, **options), make(cls, problem, 1, **options)
-    for k, z in enumerate(zs):
-        whole.predict(), part.predict()
-        whole.update([z[0], np.nan])
-        part.update(z[:1], R=problem.R[:1, :1], H=problem.H[:1])
-        np.testing.assert_allclose(whole.x, part.x, rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(whole.P, part.P, rtol=1e-8, atol=1e-12)
-        assert whole.log_likelihood == pytest.approx(part.log_likelihood), k
-        assert np.isnan(whole.weights[1])
-
-
-@pytest.mark.parametrize("cls, options", KINDS)
-@pytest.mark.parametrize("call", [
-    lambda kf: kf.update([1.0, 2.0, 3.0]),
-    lambda kf: kf.update([np.inf, 0.0]),
-    lambda kf: kf.update([1.0, 2.0], R=np.eye(3)),
-    lambda kf: kf.predict(F=np.eye(3)),
-    lambda kf: kf.predict(Q=np.full((4, 4), np.nan)),
-    lambda kf: kf.batch_filter([[1.0, 2.0], [3.0, 4.0], [5.0]]),
-    lambda kf: kf.update_sequential(0, [1.0, 2.0, 3.0]),
-    lambda kf: setattr(kf, "grouping", "all"),
-], ids=range(8))  # fmt: skip
-def test_a_refused_call_changes_nothing(cls, options, call):
-    problem = random_problem(2, 4, 2)
-    kf = make(cls, problem, 1, **options)
-    advance(kf, simulate(problem, 5, 2)[0])
-    kf.predict()
-    before = snapshot(kf)
-    with pytest.raises((ValueError, TypeError)):
-        call(kf)
-    assert_unchanged(before, kf)
-
-
-@pytest.mark.parametrize("cls, options", KINDS)
 def test_looking_changes_nothing(cls, options):
     problem = random_problem(2, 4, 2)
     kf = make(cls, problem, 1, **options)
@@ -210,18 +159,6 @@ def test_looking_changes_nothing(cls, options):
 
 
 @pytest.mark.parametrize("cls, options", KINDS)
-def test_copies_continue_bit_for_bit(cls, options):
-    problem = random_problem(4, 4, 2)
-    zs = simulate(problem, 40, 4, contamination=0.2)[0]
-    kf = make(cls, problem, **options)
-    advance(kf, zs[:20])
-    twins = [copy.copy(kf), copy.deepcopy(kf), pickle.loads(pickle.dumps(kf))]
-    expected = advance(kf, zs[20:])
-    for twin in twins:
-        np.testing.assert_array_equal(advance(twin, zs[20:]), expected)
-
-
-@pytest.mark.parametrize("cls, options", KINDS)
 def test_batch_saver_and_columns(cls, options):
     problem = random_problem(5, 3, 2)
     zs = [*simulate(problem, 15, 5, contamination=0.2)[0], None]
@@ -233,16 +170,6 @@ def test_batch_saver_and_columns(cls, options):
     saver.to_array()
     assert saver.x.shape == (16, 3, 1)
     assert repr(batch).startswith(type(batch).__name__)
-
-
-@pytest.mark.parametrize("cls, options", KINDS)
-def test_correlated_noise_scales_with_the_outlier(cls, options):
-    problem = random_problem(6, 4, 2)
-    kf = make(cls, problem, 1, **options)
-    for z in simulate(problem, 50, 6, contamination=0.2)[0]:
-        kf.predict()
-        kf.update_correlated(z)
-        assert np.linalg.eigvalsh(kf.P)[0] > 0
 
 
 def test_correlated_noise_equals_kalman_for_ordinary_noise():
@@ -261,9 +188,9 @@ def test_correlated_noise_equals_kalman_for_ordinary_noise():
 
 @pytest.mark.parametrize("cls, options", KINDS)
 def test_every_path_that_corrects_is_robust(cls, options):
-    problem = with_(paper_problem(), H=np.eye(2, 4), R=0.1 * np.eye(2))
+    problem = with_(paper_problem(), H=np.eye(2, 4), R=0.1 * np.eye(2), M=np.zeros((4, 2)))
     zs = np.random.default_rng(0).normal(size=(30, 2)) * 0.3
-    for path in ("update", "sequential", "steady"):
+    for path in ("update", "correlated", "sequential", "steady"):
         kf = make(cls, problem, 1, **options)
         advance(kf, zs)
         if path == "steady":
@@ -273,9 +200,10 @@ def test_every_path_that_corrects_is_robust(cls, options):
         else:
             kf.predict()
             before = kf.x.copy()
-            kf.update([1e6, 0.0]) if path == "update" else kf.update_sequential(0, [1e6])
+            correct = {"update": kf.update, "correlated": kf.update_correlated}.get(path)
+            correct([1e6, 0.0]) if correct else kf.update_sequential(0, [1e6])
         assert 0 <= np.abs(kf.x - before).max() < 2.0, path
-        assert np.isfinite(kf.log_likelihood)
+        assert np.isfinite(kf.log_likelihood) and np.linalg.eigvalsh(kf.P)[0] > 0, path
 
 
 @pytest.mark.parametrize("cls", [two_sided, AdaptiveKalmanFilter])
@@ -316,16 +244,6 @@ def test_two_sided_with_a_linear_psi_is_filterpys_interacting_multiple_models():
         np.testing.assert_allclose(ours.process_probabilities[:, 0], theirs.mu, rtol=1e-8)
         np.testing.assert_allclose(ours.x, theirs.x, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(ours.P, theirs.P, rtol=1e-8)
-
-
-def test_two_sided_probabilities_name_the_scale_of_the_process():
-    problem = cart()
-    for scale in (1.0, 100.0):
-        kf = make(two_sided, problem, 1)
-        zs = simulate(with_(problem, Q=scale * problem.Q), 400, 3)[0]
-        advance(kf, zs)
-        assert kf.process_probabilities[kf.process.scales.index(scale), 0] > 0.5
-        assert kf.process_probabilities.sum(axis=0) == pytest.approx(1.0)
 
 
 def test_an_imm_of_these_filters_runs():
@@ -422,10 +340,3 @@ def test_vehicle_of_yang_and_boyd(process):
         assert mean["matched"] < 0.68 * mean["kalman"] and mean["two-sided"] < 0.72 * mean["kalman"]
     else:
         assert mean["matched"] < 1.02 * mean["one-sided"] and mean["two-sided"] < 1.02 * mean["one-sided"]
-
-
-def test_load_is_what_the_filters_were_given():
-    """The helper sets F, H, Q, R before the first predict; the copies must follow an x assigned afterwards."""
-    problem = random_problem(0, 3, 1)
-    kf = load(two_sided(3, 1), problem, 1)
-    np.testing.assert_allclose(kf.get_prediction()[0], problem.F @ problem.x[:, 0])

@@ -185,16 +185,6 @@ def test_bounded_scaling_is_unit_where_s_is_below_one_and_innovation_above():
         support.assert_same_state(one, two, (*support.STATE, "y", "K", "S", "T", "e", "weights"))
 
 
-def test_mahalanobis_distance_keeps_its_meaning_for_gates():
-    kf = robust(influence=Huber())
-    kf.update([30.0, -40.0])
-    gate = support.make(KalmanFilter, support.random_problem(21, 4, 2))
-    gate.update([30.0, -40.0])
-    y = gate.y[:, 0]
-    assert kf.mahalanobis == pytest.approx(np.sqrt(y @ np.linalg.inv(gate.S) @ y), rel=1e-9)
-    assert kf.mahalanobis > 10
-
-
 @pytest.mark.parametrize("served", ["kernel", "definition"])
 @pytest.mark.parametrize("place, growth", [(1e3, None), (1e5, 1e6), (1e9, 1e6)])
 def test_at_a_jump_that_is_believed_S_grows_by_a_million_at_most(served, place, growth, monkeypatch):

@@ -83,30 +83,6 @@ def test_kinematic_kf_refuses_what_it_cannot_mean():
     assert common.kinematic_kf(1, 1, dim_z=2).H.tolist() == [[1.0, 0.0], [1.0, 0.0]]
 
 
-def test_saver_takes_our_filters():
-    kf = common.kinematic_kf(2, 1)
-    saver = common.Saver(kf, save_current=True)
-    for z in ([1.0, 2.0], [np.nan, 3.0], None, [1e9, 4.0]):
-        kf.predict()
-        kf.update(z)
-        saver.save()
-    saver.to_array()
-    assert saver.x.shape == (5, 4, 1) and saver.weights.shape == (5, 2, 1) and saver.P.shape == (5, 4, 4)
-
-
-def test_one_word_changes_in_a_program_with_filterpys_other_classes():
-    """An IMM of two of our filters, from the same module."""
-    rng = np.random.default_rng(0)
-    kfs = [ours.KalmanFilter(2, 1) for _ in range(2)]
-    for kf, q in zip(kfs, (0.001, 1.0), strict=True):
-        kf.F, kf.H, kf.Q = np.array([[1.0, 1.0], [0.0, 1.0]]), np.eye(1, 2), q * np.eye(2)
-    imm = ours.IMMEstimator(kfs, [0.5, 0.5], np.array([[0.95, 0.05], [0.05, 0.95]]))
-    for k in range(30):
-        imm.predict()
-        imm.update(k + rng.normal() + (1e4 if k == 20 else 0.0))
-    assert abs(imm.x[0, 0] - 29.0) < 2.0
-
-
 @pytest.mark.parametrize("ndim", [1, 2])
 def test_update_and_predict_are_filterpys(ndim):
     problem = support.random_problem(1, 3, 2)

@@ -1,11 +1,7 @@
 """Lock-out and capture: what a run of outliers must not do, and a true jump must."""
 
-import copy
-import pickle
-
 import numpy as np
 import pytest
-from filterpy.common import Saver
 from filterpy.kalman import KalmanFilter
 from statsmodels.robust.norms import TrimmedMean
 from support import make, random_problem, recovering, simulate, with_, without_kernel
@@ -134,29 +130,6 @@ def test_recovers_with_every_choice(scaling, information):
     x, zs = recording(1, 50.0)
     kf = level(scaling=scaling, information=information)
     assert np.abs(advance(kf, zs) - x)[-20:].mean() < 1.0
-
-
-def test_copies_saver_batch_and_refusal():
-    _, zs = recording(2, 50.0)
-    kf = level()
-    advance(kf, zs[:56])
-    assert kf.refused > 2
-    twins = [copy.deepcopy(kf), pickle.loads(pickle.dumps(kf))]
-    before = copy.deepcopy(kf.__dict__)
-    for bad in ([1.0, 2.0], np.inf):
-        with pytest.raises(ValueError):
-            kf.update(bad)
-    with pytest.raises(ValueError):
-        kf.batch_filter([*zs[56:], [1.0, 2.0]])
-    for name, value in before.items():
-        if name not in {"_choices", "inv"}:
-            np.testing.assert_equal(kf.__dict__[name], value)
-    saver = Saver(kf)
-    means = kf.batch_filter(zs[56:], saver=saver)[0]
-    saver.to_array()
-    assert saver.recoveries[-1] == 1
-    for twin in twins:
-        np.testing.assert_array_equal(advance(twin, zs[56:]), means[:, 0])
 
 
 def test_a_long_recording_recovers_too():

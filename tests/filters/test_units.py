@@ -4,16 +4,12 @@ import numpy as np
 import pytest
 import support
 from filterpy.common import kinematic_kf
-from filterpy.kalman import MerweScaledSigmaPoints
 from support import recovering, told, two_sided
 
 from robust_filterpy import (
     AdaptiveKalmanFilter,
     Contaminated,
-    RobustCubatureKalmanFilter,
-    RobustExtendedKalmanFilter,
     RobustKalmanFilter,
-    RobustUnscentedKalmanFilter,
     filter_series,
 )
 
@@ -120,52 +116,6 @@ def test_neither_does_a_recording_or_a_series(path, dims):
 
     for run in (batch, series):
         same(run(changed, others), run(problem, zs), run.__name__)
-
-
-def curved(problem):
-    """Return a measurement function that is not linear, and its Jacobian."""
-
-    def hx(x):
-        return problem.H @ (np.ravel(x) + 0.1 * np.sin(np.ravel(x)))
-
-    def jacobian(x):
-        return problem.H * (1.0 + 0.1 * np.cos(np.ravel(x)))
-
-    return hx, jacobian
-
-
-@pytest.mark.parametrize("dims", SIZES)
-@pytest.mark.parametrize("cls", [RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter, RobustCubatureKalmanFilter])
-def test_no_nonlinear_filter_does(cls, dims):
-    def run(problem, zs):
-        n, m, _ = problem.dims
-        hx, jacobian = curved(problem)
-        extended = cls is RobustExtendedKalmanFilter
-        if extended:
-            kf = cls(n, m)
-        else:
-            options = {"points": MerweScaledSigmaPoints(n, 0.5, 2.0, 3.0 - n)} if "Unscented" in cls.__name__ else {}
-            kf = cls(n, m, 1.0, hx, lambda x, dt: problem.F @ x, **options)
-        kf.x, kf.P, kf.Q, kf.R = problem.x[:, 0].copy(), problem.P.copy(), problem.Q, problem.R
-        kf.F = problem.F
-        for z in zs:
-            kf.predict()
-            kf.update(z, jacobian, hx) if extended else kf.update(z)
-        return kf.x, kf.P
-
-    problem, zs, changed, others = recording(10, dims)
-    same(run(changed, others), run(problem, zs), cls.__name__)
-
-
-def test_two_dependent_sensors_are_what_the_issue_of_units_was_about():
-    def corrected(unit):
-        kf = RobustKalmanFilter(2, 2)
-        kf.P, kf.H, kf.R = np.array([[4.0, 3.0], [3.0, 4.0]]), np.diag([1.0, unit]), np.diag([1.0, unit**2])
-        kf.update([10.0, 0.0])
-        return kf.x.ravel()
-
-    np.testing.assert_allclose(corrected(1e-3), corrected(1.0), rtol=1e-12)
-    np.testing.assert_allclose(corrected(1e7), corrected(1.0), rtol=1e-12)
 
 
 @pytest.mark.parametrize("dim, order", [(7, 5), (3, 4)])

@@ -8,8 +8,6 @@ from datetime import datetime, timedelta, timezone
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from support import two_sided
 from test_engines import Store
 from test_state import FILTERS, F, extended, observe, recording, signals
@@ -78,18 +76,6 @@ def test_however_the_samples_are_cut_the_numbers_are_the_same(name, cuts):
     same({k: np.concatenate([part[k] for part in parts]) for k in whole}, whole)
     same(state, whole_state)
     assert list(whole) == [*model.columns, "error"]
-
-
-@settings(max_examples=20, deadline=None)
-@given(st.lists(st.integers(0, 40), max_size=6).map(sorted))
-def test_any_cuts_of_a_filter(cuts):
-    model = MODELS["linear"]()
-    batch = batch_for(model)
-    state, parts = None, []
-    for part in np.split(batch, cuts):
-        state, output = step(model, state, part)
-        parts.append(output["x0"])
-    np.testing.assert_array_equal(np.concatenate(parts), step(model, None, batch)[1]["x0"])
 
 
 @pytest.mark.parametrize("name", MODELS)

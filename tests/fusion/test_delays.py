@@ -9,7 +9,7 @@ LATE = {"a": 0.0, "b": 0.25, "c": 0.07}
 MOTION = constant_velocity(1, 4.0)
 
 
-def recording(seed, late=LATE, wild=True, outliers=0.05, length=120.0):
+def recording(seed, late=LATE, wild=True, outliers=0.05, length=60.0):
     """Three sensors of a place (10, 5, 20 Hz, sigma .3), each stamped so much too late."""
     rng = np.random.default_rng(seed)
     at = np.arange(0.0, length, 0.005)
@@ -53,7 +53,7 @@ def test_an_offset_is_no_delay_and_instants_are_as_good():
 
 @pytest.mark.nightly
 def test_a_sensor_by_function_is_compared_with_the_others():
-    table = recording(4, length=60.0)
+    table = recording(4)
     curved = Sensor(h=lambda x: [x[0] ** 3], jacobian=lambda x: [[3.0 * x[0] ** 2, 0.0]], R=0.09)
     mine = np.array(table["sensor"]) == "b"
     table["value"] = np.where(mine, table["value"] ** 3, table["value"])

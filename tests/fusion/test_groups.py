@@ -128,11 +128,11 @@ def test_a_verdict_is_of_the_whole_group_and_says_with_whom():
     rng = np.random.default_rng(0)
     others = {name: Sensor([1.0, 0.0], R=1.0) for name in ("left", "right")}
     fusion = Fusion(constant_velocity(1, 0.1), pair(**others), 1.0, P0=100.0 * np.eye(2), watch=True)
-    for k in range(480):
+    for k in range(320):
         t = 0.1 * k
         for name, sensor in fusion._setup.layout.sensors.items():
             z = float(sensor.H[0] @ [2.0 * t, 2.0]) + np.sqrt(sensor.R[0, 0]) * rng.normal()
-            fusion.observe(name, t, z + (12.0 if name == "gps" and t > 40.0 else 0.0))
+            fusion.observe(name, t, z + (12.0 if name == "gps" and t > 25.0 else 0.0))
     found = fusion.verdicts()
     assert found["gps"].fault == found["doppler"].fault == "biased"
     assert found["left"].fault == found["right"].fault == "healthy"

@@ -64,23 +64,22 @@ class Stepped:
             self.fusion.estimate(self.t)
 
 
-TRUSTED = {"process": Scales((1.0,), jump=0.0)}
 # Matrices are a motion's and a sensor's here, which check them; a stream has no likelihood, and functions no pickle.
 NOT = ("likelihood", "pickle", "validates")
-
-
-@pytest.mark.parametrize("check", filter_checks(not_claimed=(*NOT, "robust", "recovers")), ids=str)
-def test_linear(check):
-    check(lambda n, m: Stepped(n, m, influence=Linear()))
-
-
-@pytest.mark.parametrize("check", filter_checks(not_claimed=(*NOT, "exact", "recovers")), ids=str)
-def test_huber(check):
-    check(lambda n, m: Stepped(n, m, influence=Huber()))
+KINDS = {
+    "Huber": ({"influence": Huber()}, ("exact", "recovers")),
+    "Linear": ({"influence": Linear()}, ("robust", "recovers")),
+    "learnt": ({"process": Scales((1.0,), jump=0.0)}, ("exact", "recovers", "linear", "memoryless")),
+}
 
 
 @pytest.mark.parametrize(
-    "check", filter_checks(not_claimed=(*NOT, "exact", "recovers", "linear", "memoryless")), ids=str
+    ("name", "check"),
+    [
+        pytest.param(name, check, id=f"{name}-{check}", marks=[pytest.mark.nightly] if k % 4 and i else [])
+        for i, (name, (_, not_claimed)) in enumerate(KINDS.items())
+        for k, check in enumerate(filter_checks(not_claimed=(*NOT, *not_claimed)), i)
+    ],
 )
-def test_learnt(check):
-    check(lambda n, m: Stepped(n, m, **TRUSTED))
+def test_promise(name, check):
+    check(lambda n, m: Stepped(n, m, **KINDS[name][0]))

@@ -42,7 +42,7 @@ def fresh_fit(model):
     return fit_percent(lfilter(B, A, FRESH), np.ravel(response))
 
 
-@pytest.mark.pairwise
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("structure", [ARX(2, 2), OutputError(2, 2), StateSpace(2)], ids=["arx", "oe", "states"])
 @pytest.mark.parametrize("kind", ["step", "pulse", "square"])
 @pytest.mark.parametrize("digits, least", [(None, 99.999), (2, 99.8), (1, 98.5)])

@@ -43,7 +43,7 @@ def recording(seed, length=1000, share=0.1):
     ids=str,
 )
 def test_fill_values_are_gaps_in_any_structure(structure):
-    rng, y, u = recording(1, 600)
+    rng, y, u = recording(1, 300)
     places = rng.random(y.size) < 0.1
     gaps = identify(np.where(places, np.nan, y), u, structure)
     for fill in (9999.0, 9.97e36):
@@ -57,7 +57,7 @@ def test_fill_values_are_gaps_in_any_structure(structure):
 
 
 def test_a_tracker_takes_fill_values_for_gaps():
-    rng, y, u = recording(2)
+    rng, y, u = recording(2, 500)
     places = rng.random(y.size) < 0.1
     one, other = ParameterTracker(OutputError(2, 2)), ParameterTracker(OutputError(2, 2))
     one.run(np.where(places, np.nan, y), u)
@@ -79,10 +79,11 @@ def test_wild_values_of_any_size_that_do_not_repeat_are_outliers(draws):
 # A constant in u.
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("structure", [OutputError(2, 2), ARX(2, 2)], ids=str)
 @pytest.mark.parametrize("constant", [1e4, -1e8])
 def test_a_constant_in_u_changes_nothing(structure, constant):
-    _, y, u = recording(3)
+    _, y, u = recording(3, 400)
     one, other = identify(y, u, structure), identify(y, u + constant, structure)
     np.testing.assert_allclose(other.theta, one.theta, atol=1e-3 * one.std.min())
     np.testing.assert_allclose(other.std, one.std, rtol=1e-3)
@@ -92,7 +93,7 @@ def test_a_constant_in_u_changes_nothing(structure, constant):
 
 
 def test_the_offset_is_that_of_the_input_as_measured():
-    _, y, u = recording(4)
+    _, y, u = recording(4, 300)
     for structure in (OutputError(2, 2), ARX(2, 2)):
         model = identify(y, u + 100.0, structure)
         error = model._equation_error(*model.prepared(y, u + 100.0))
@@ -119,7 +120,7 @@ def free_error(model, y, u):
     return 100.0 * np.linalg.norm(model.simulate(u) - model.level - clean) / np.linalg.norm(clean)
 
 
-@pytest.mark.parametrize("size", [2.0, -4.0])
+@pytest.mark.parametrize("size", [2.0, pytest.param(-4.0, marks=pytest.mark.nightly)])
 def test_a_step_of_the_level_is_found_with_time_and_size(size):
     _, y, u = recording(6)
     size *= np.std(y)
@@ -135,7 +136,7 @@ def test_a_step_of_the_level_is_found_with_time_and_size(size):
 
 
 def test_a_ramp_and_a_line_are_taken_off():
-    _, y, u = recording(7)
+    _, y, u = recording(7, 400)
     broken = y + 3.0 * np.std(y) * np.arange(y.size) / y.size
     with pytest.warns(UserWarning, match="changes by .* a sample"):
         model = identify(broken, u, OutputError(2, 2))
@@ -243,7 +244,8 @@ def test_an_angle_that_wraps_is_said_and_a_plant_that_switches_is_not():
         identify(switched, u, ARX(1, 1))
 
 
-@pytest.mark.parametrize("seed", [3, pytest.param(5, marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", [3, 5])
 def test_outliers_whose_pattern_is_long_are_no_other_plant(seed):
     rng = np.random.default_rng([78, seed])
     u = rng.choice([-1.0, 1.0], 1000)
@@ -318,10 +320,10 @@ def test_outliers_of_the_input_do_not_hide_another_plant(draws):
 
 
 def test_a_tracker_says_that_its_input_has_outliers():
-    rng, y, u = recording(25, share=0.0)
+    rng, y, u = recording(25, 500, share=0.0)
     read = np.where(rng.random(u.size) < 0.03, 10.0 * rng.normal(size=u.size), u)
     with pytest.warns(LostTrackerWarning, match="u has .* values unlike the others"):
-        ParameterTracker(OutputError(2, 2), start=400).run(y, read)
+        ParameterTracker(OutputError(2, 2), start=300).run(y, read)
 
 
 # Outliers of the output in a model that has it in its regressor, and of the process.
@@ -359,6 +361,7 @@ def test_outliers_of_the_process_are_no_other_plant(draws):
         assert not identify(y, u, ARX(2, 2)).findings
 
 
+@pytest.mark.nightly
 def test_where_the_input_stays_far_from_zero_a_drift_may_be_the_gains():
     g = np.random.default_rng(0)
     texts = []

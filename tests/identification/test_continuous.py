@@ -13,19 +13,19 @@ def tank(x, u, p):
     return [p[0] * u[0] - p[1] * np.sqrt(np.maximum(x[0], 1e-9))]
 
 
-def recorded(seed, outliers=0.1):
+def recorded(seed, outliers=0.1, samples=150):
     """A tank with samples at irregular times, one reading in ten ten times as bad."""
     rng = np.random.default_rng(seed)
-    t = np.cumsum(rng.uniform(0.2, 2.0, 300))
-    u = np.repeat(rng.uniform(0.5, 2.0, 30), 10)
-    x, y = 1.0, np.empty(300)
-    for k in range(300):
+    t = np.cumsum(rng.uniform(0.2, 2.0, samples))
+    u = np.repeat(rng.uniform(0.5, 2.0, samples // 10), 10)
+    x, y = 1.0, np.empty(samples)
+    for k in range(samples):
         y[k] = x
-        fine = (t[k + 1] - t[k] if k < 299 else 0.0) / 50
+        fine = (t[k + 1] - t[k] if k < samples - 1 else 0.0) / 50
         for _ in range(50):
             x += fine * (0.4 * u[k] - 0.3 * np.sqrt(max(x, 0.0)))
-    wrong = rng.random(300) < outliers
-    return y + 0.05 * np.where(wrong, 10.0, 1.0) * rng.normal(size=300), u, t
+    wrong = rng.random(samples) < outliers
+    return y + 0.05 * np.where(wrong, 10.0, 1.0) * rng.normal(size=samples), u, t
 
 
 @pytest.mark.parametrize("seeds", [range(1), pytest.param(range(1, 4), marks=pytest.mark.nightly)], ids=["one", "more"])
@@ -41,7 +41,7 @@ def test_physical_parameters_from_irregular_samples_through_outliers(seeds):
     assert model.p["inflow"] == model.theta[0]
     assert "inflow" in str(model.summary())
     assert len(model.to_frame()) == 2
-    assert model.simulate(u, t).shape == (300, 1)
+    assert model.simulate(u, t).shape == (150, 1)
 
 
 def test_a_function_that_takes_no_columns_gives_the_same():
@@ -59,15 +59,15 @@ def test_parameters_that_the_recording_cannot_tell_apart_are_named():
         return [p[0] * p[1] * u[0] - p[2] * x[0]]
 
     rng = np.random.default_rng(6)
-    t, u, y = np.arange(200.0), rng.choice([0.0, 1.0], 200), np.zeros(200)
-    for k in range(199):
+    t, u, y = np.arange(80.0), rng.choice([0.0, 1.0], 80), np.zeros(80)
+    for k in range(79):
         y[k + 1] = np.exp(-0.5) * y[k] + (1 - np.exp(-0.5)) / 0.5 * u[k]
     box = GreyBox(twice, {"area": 2.0, "speed": 0.3, "rate": 0.3}, x0=[0.0])
     with pytest.warns(UserWarning, match="cannot tell area and speed apart"):
-        model = identify(y + 0.02 * rng.normal(size=200), u, box, t=t)
+        model = identify(y + 0.02 * rng.normal(size=80), u, box, t=t)
     assert model.untold == (("area", "speed"),)
     assert np.isinf(model.std[:2]).all() and model.std[2] < 0.05
-    fixed = identify(y + 0.02 * rng.normal(size=200), u, GreyBox(twice, box.p0, x0=[0.0], fixed=["area"]), t=t)
+    fixed = identify(y + 0.02 * rng.normal(size=80), u, GreyBox(twice, box.p0, x0=[0.0], fixed=["area"]), t=t)
     assert not fixed.untold
     assert fixed.p["area"] == 2.0
     assert fixed.p["speed"] == pytest.approx(0.5, rel=0.05)
@@ -88,9 +88,9 @@ def test_several_recordings_and_times_of_an_index():
     index = pd.to_datetime("2024-01-01") + pd.to_timedelta(t, unit="s")
     frame = pd.Series(y, index)
     box = GreyBox(tank, {"inflow": 1.0, "outflow": 1.0}, x0=[1.0])
-    one = identify(frame[:100], u[:100], box)
-    assert np.allclose(one.theta, identify(y[:100], u[:100], box, t=t[:100]).theta, rtol=1e-5)
-    two = identify([frame[:80], frame[80:160]], [u[:80], u[80:160]], box)
+    one = identify(frame[:50], u[:50], box)
+    assert np.allclose(one.theta, identify(y[:50], u[:50], box, t=t[:50]).theta, rtol=1e-5)
+    two = identify([frame[:50], frame[50:100]], [u[:50], u[50:100]], box)
     assert np.abs(two.theta - [0.4, 0.3]).max() < 0.02
     assert two.starts.shape == (2, 1)
 
@@ -100,8 +100,8 @@ def test_several_recordings_and_times_of_an_index():
     [
         (lambda y, u, t: (y, u, None), "expected the times"),
         (lambda y, u, t: (y, u, t[::-1]), "times that increase"),
-        (lambda y, u, t: (y, u[:-1], t), "300 samples like y"),
-        (lambda y, u, t: (np.full(300, np.nan), u, t), "output 0 in recording 0"),
+        (lambda y, u, t: (y, u[:-1], t), "150 samples like y"),
+        (lambda y, u, t: (np.full(150, np.nan), u, t), "output 0 in recording 0"),
         (lambda y, u, t: (np.column_stack((y, y)), u, t), "h: expected one number for each output, 2"),
         (lambda y, u, t: (y[:3], u[:3], t[:3]), "at least 6 measured"),
     ],

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pandas as pd
 import pytest
+import support
 from scipy.signal import lfilter
 
 from robust_filterpy.identification import (
@@ -193,7 +194,7 @@ POLYNOMIALS = {
 }
 # What takes minutes of a physical model is tried of one recording; its level step has a test of its own.
 COSTLY = {"level step", "gaps", "fill values", "operating point", "gap in u", "line", "several", "no trend"}
-# Each makes a model of its own: a fourth of them for each structure on every commit, the next fourth for the next.
+# Each makes a model of its own: an eighth of them for each structure on every commit, the next eighth for the next.
 MADE = (*(one for one in ABILITIES if one in COSTLY), "groups", "fixed", "bounds", "focus", "constant", "times")
 
 
@@ -202,7 +203,7 @@ def abilities(name, often):
     asked = [one for one in ABILITIES if name != "physics" or one not in COSTLY]
     asked += [one for one in POLYNOMIALS if name != "physics"]
     first = list(STRUCTURES).index(name)
-    return [one for one in asked if (one not in MADE or (first + MADE.index(one)) % 4 == 0) == often]
+    return [one for one in asked if (one not in MADE or (first + MADE.index(one)) % 8 == 0) == often]
 
 
 def works_or_says(name, ability):
@@ -234,7 +235,7 @@ def test_every_structure_does_it_or_says_what_it_does_not_take(name, often):
 # What is found beside states and physics.
 
 
-def states(seed, samples=500):
+def states(seed, samples=300):
     """Two outputs of one plant with a tenth of outliers, and its input."""
     rng = np.random.default_rng([62, seed])
     u = np.repeat(rng.choice([-1.0, 1.0], (samples + 2) // 3), 3)[:samples]
@@ -247,7 +248,7 @@ def off(model, u, clean):
 
 
 def test_levels_of_states_that_step_are_taken_off_and_put_back():
-    y, u, clean = states(1)
+    y, u, clean = states(1, 500)
     broken = y + 15.0 * (np.arange(500) >= 250)[:, None] * [1.0, -1.0]
     with pytest.warns(UserWarning, match="output 1: the level of y steps by -1[45]"):
         model = identify(broken, u, StateSpace(2))
@@ -266,13 +267,13 @@ def test_levels_of_states_that_step_are_taken_off_and_put_back():
 def test_inputs_that_states_do_not_follow_are_held_back():
     y, u, clean = states(2)
     rng = np.random.default_rng(3)
-    read = np.where(rng.random(500) < 0.03, 50.0 * rng.normal(size=500), u)
+    read = np.where(rng.random(300) < 0.03, 50.0 * rng.normal(size=300), u)
     with pytest.warns(UserWarning, match="u has .* values unlike the others"):
         assert off(identify(y, read, StateSpace(2)), u, clean) < 0.02
 
 
 def test_a_plant_that_changes_an_angle_and_a_loop_are_said_of_states():
-    y, u, _ = states(4)
+    y, u, _ = states(4, 500)
     with pytest.warns(UserWarning, match="the plant is another one there"):
         identify(y * np.where(np.arange(500) < 300, 1.0, -1.0)[:, None], u, StateSpace(2))
     limit = 0.6 * np.abs(y).max(axis=0)
@@ -289,8 +290,9 @@ def test_a_plant_that_changes_an_angle_and_a_loop_are_said_of_states():
         identify(z, act, StateSpace(1))
 
 
-def test_nothing_is_found_in_an_ordinary_recording():
-    for seed in range(3):
+@support.draws(1, 3)
+def test_nothing_is_found_in_an_ordinary_recording(draws):
+    for seed in range(draws):
         y, u, clean = states(10 + seed)
         with warnings.catch_warnings():
             warnings.simplefilter("error")

@@ -34,6 +34,7 @@ def kinds(y, u, structure):
         return [(finding.kind, finding.text) for finding in identify(y, u, structure).findings]
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize(
     ("structure", "says"),
     [
@@ -49,6 +50,7 @@ def test_feedback_is_found_and_what_it_means_is_said(structure, says, outliers):
     assert says in found["closed loop"]
 
 
+@pytest.mark.pairwise(1)
 @support.draws(1, 5)
 @pytest.mark.parametrize("hold", [1, 4, 30])
 @pytest.mark.parametrize("structure", [OutputError(1, 1), ARX(1, 1)], ids=str)

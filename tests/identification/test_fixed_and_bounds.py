@@ -123,6 +123,7 @@ def test_beside_a_level_that_wanders_and_jumps_the_dynamics_are_found_from_diffe
     assert validate(model, y, u).verdict == "nothing is left in the residuals"
 
 
+@pytest.mark.nightly
 def test_a_tracker_follows_differences_too():
     y, u = wandering(1)
     tracker = ParameterTracker(OutputError(2, 2, integrated=True))

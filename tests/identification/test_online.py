@@ -193,6 +193,7 @@ def test_matrices_in_any_order_of_memory_serve():
         assert one.update(y[k], u[k])[0] == other.update(y[k], u[k])[0] == bank.update(y[k : k + 1], u[k])[0][0]
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("size", [1e9, 1e100, 1e300])
 @pytest.mark.parametrize("at", [100, 600])
 def test_one_reading_of_any_size_is_as_one_that_is_missing(size, at):

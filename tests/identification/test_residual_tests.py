@@ -128,10 +128,11 @@ def test_coloured_noise_is_named_and_is_no_missing_dynamics(draws):
     assert alarms <= 1 + draws // 10
 
 
-def test_bounds_hold_where_noise_and_input_are_coloured_alike():
+@support.draws(6, 20)
+def test_bounds_hold_where_noise_and_input_are_coloured_alike(draws):
     """Without the residuals' autocorrelations a third of the chance correlations would lie outside."""
     outside, b = [], [0.0, 1.0, 0.5, 0.2]
-    for seed in range(20):
+    for seed in range(draws):
         rng = np.random.default_rng([12, seed])
         u = lfilter([1.0], [1.0, -0.9], rng.normal(size=600))
         y = lfilter(b, [1.0], u) + lfilter([1.0], [1.0, -0.9], 0.3 * rng.normal(size=600))
@@ -228,7 +229,7 @@ def test_what_is_no_model_is_refused_by_name(model):
 
 
 @support.draws(2, 5)
-@pytest.mark.parametrize("whose", ["process", "measurement"])
+@pytest.mark.parametrize("whose", support.by_night(["process", "measurement"], "measurement"))
 def test_a_right_armax_is_not_condemned_for_outliers(whose, draws):
     a, b, c = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5], [1.0, 0.7, 0.3]
     condemned = 0
@@ -244,8 +245,8 @@ def test_a_right_armax_is_not_condemned_for_outliers(whose, draws):
 
 def test_a_wrong_armax_is_condemned_through_outliers():
     rng = np.random.default_rng(3)
-    u, e = rng.choice([-1.0, 1.0], 1000), 0.3 * rng.normal(size=1000)
-    wild = np.where(rng.random(1000) < 0.1, 3.0 * rng.normal(size=1000), 0.0)
+    u, e = rng.choice([-1.0, 1.0], 400), 0.3 * rng.normal(size=400)
+    wild = np.where(rng.random(400) < 0.1, 3.0 * rng.normal(size=400), 0.0)
     y = lfilter([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], u) + lfilter([1.0, 0.7, 0.3], [1.0, -1.5, 0.7], e + wild)
     for structure in (ARX(2, 2), ARMAX(1, 2, 1)):
         assert validate(identify(y, u, structure), y, u).verdict != "nothing is left in the residuals"

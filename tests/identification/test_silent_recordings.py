@@ -58,7 +58,7 @@ def last(y):
     return y[:, -1] if y.ndim > 1 else y
 
 
-@pytest.mark.parametrize("name", STRUCTURES)
+@pytest.mark.parametrize("name", support.by_night(STRUCTURES, "output error", "states"))
 def test_a_sensor_that_is_stuck_in_most_samples_is_taken_for_missing(name):
     _, y, u, expected = recording(name, 1)
     last(y)[24:216] = last(y)[24]
@@ -73,7 +73,7 @@ def test_a_sensor_that_is_stuck_in_most_samples_is_taken_for_missing(name):
     assert np.isnan(last(left)[24:216]).all() and np.isnan(left).sum() == 192 + np.isnan(left[:24]).sum()
 
 
-@pytest.mark.parametrize("name", STRUCTURES)
+@pytest.mark.parametrize("name", support.by_night(STRUCTURES, "ARX"))
 def test_a_sensor_that_is_stuck_for_a_short_while_is_taken_for_missing(name):
     _, y, u, expected = recording(name, 9, 700)
     last(y)[300:366] = last(y)[300]
@@ -141,7 +141,7 @@ def test_outputs_that_rest_or_are_rounded_are_not_stuck(draws):
                 assert not {"stuck", "copy"} & {one.kind for one in identify(y, u, FIR(3)).findings}
 
 
-@pytest.mark.parametrize("name", STRUCTURES)
+@pytest.mark.parametrize("name", support.by_night(STRUCTURES, "states", "ARX"))
 def test_a_copy_of_another_signal_is_said(name):
     rng, y, u, _ = recording(name, 4, 60)
     if name == "states":
@@ -155,7 +155,7 @@ def test_a_copy_of_another_signal_is_said(name):
         assert "copy" in {one.kind for one in modelled(name, y, u).findings}
 
 
-@pytest.mark.parametrize("name", STRUCTURES)
+@pytest.mark.parametrize("name", support.by_night(STRUCTURES, "output error", "physics"))
 def test_a_short_recording_of_another_plant_in_a_list_is_said(name):
     parts = [recording(name, 5 + i, 120)[1:3] for i in range(3)]
     same = [y for y, _ in parts]
@@ -169,7 +169,7 @@ def test_a_short_recording_of_another_plant_in_a_list_is_said(name):
         assert modelled(name, same, inputs).findings == ()
 
 
-@pytest.mark.parametrize("name", [*STRUCTURES, "states with a disturbance"])
+@pytest.mark.parametrize("name", support.by_night([*STRUCTURES, "states with a disturbance"], "output error", "states"))
 def test_a_gain_that_changes_in_much_noise_is_said_of_every_structure(name):
     structure = StateSpace(2, disturbance=True) if name not in STRUCTURES else STRUCTURES[name]
     rng, y, u, _ = recording("states" if name not in STRUCTURES else name, 10, 900)
@@ -188,7 +188,7 @@ def test_a_gain_that_changes_in_much_noise_is_said_of_every_structure(name):
         identify(y, u, structure, progress=False, **times)
 
 
-@pytest.mark.parametrize("name", STRUCTURES)
+@pytest.mark.parametrize("name", support.by_night(STRUCTURES, "output error", "states"))
 def test_a_few_wild_inputs_are_held_back_and_not_taken_for_another_plant_or_a_step(name):
     rng, y, u, expected = recording(name, 8, 150)
     read = u.copy()

@@ -82,13 +82,13 @@ def test_python_control_and_the_model_simulate_the_same():
 
 
 def test_a_disturbance_of_the_states_is_predicted():
-    y, u = recorded(6, 800, outliers=0.05, noise=0.1, driven=0.3)
+    y, u = recorded(6, 400, outliers=0.05, noise=0.1, driven=0.3)
     plain, driven = identify(y, u, StateSpace(3)), identify(y, u, StateSpace(3, disturbance=True))
     assert np.nanmedian(np.abs(driven.residuals(y, u))) < 0.8 * np.nanmedian(np.abs(plain.residuals(y, u)))
     assert np.abs(steps(driven) - true_steps()).max() < 0.6
 
 
-@pytest.mark.parametrize("disturbance", [False, True])
+@pytest.mark.parametrize("disturbance", [False, pytest.param(True, marks=pytest.mark.nightly)])
 def test_a_simulation_goes_on_where_a_recording_ended(disturbance):
     y, u = recorded(7, outliers=0.0, noise=1e-3)
     model = identify(y[:400], u[:400], StateSpace(3, disturbance=disturbance))

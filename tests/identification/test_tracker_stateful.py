@@ -120,7 +120,7 @@ def definition(monkeypatch):
 
 @pytest.mark.filterwarnings("ignore::robust_filterpy.identification.LostTrackerWarning")
 @pytest.mark.parametrize(
-    "examples", [pytest.param(25, id="some"), pytest.param(1500, id="many", marks=pytest.mark.slow)]
+    "examples", [pytest.param(15, id="some"), pytest.param(1500, id="many", marks=pytest.mark.slow)]
 )
 def test_any_sequence_of_calls(examples):
     machine = Calls.TestCase

@@ -33,7 +33,7 @@ def begun(structure, y, u, at=600):
 
 
 @pytest.mark.pairwise(1)
-@pytest.mark.parametrize("structure", STRUCTURES, ids=str)
+@pytest.mark.parametrize("structure", support.by_night(STRUCTURES, ARX(2, 2), OutputError(2, 2)), ids=str)
 @pytest.mark.parametrize("value", ["last", 0.0, 25.0])
 def test_a_sensor_that_is_stuck_is_said_once_and_teaches_nothing(structure, value):
     y, u = recording(structure)
@@ -117,7 +117,7 @@ def believed():
     }
 
 
-@pytest.mark.parametrize("name", believed())
+@pytest.mark.parametrize("name", support.by_night(believed(), "coarse", "counts", "at rest"))
 def test_sensors_that_repeat_themselves_are_believed(name):
     y, u = believed()[name]
     with warnings.catch_warnings():

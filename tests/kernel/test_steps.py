@@ -1,7 +1,5 @@
 """A filter's step by the kernel is the definition's, and what the kernel declines it leaves alone."""
 
-import threading
-
 import numpy as np
 import pytest
 import support
@@ -329,23 +327,6 @@ def test_wrong_calls_are_errors():
             call()
     with pytest.raises(AttributeError):
         EXTENSION.predict(object(), None, None, None, None)
-
-
-def test_threads_on_one_filter_leave_a_state_that_is_one():
-    kf = support.make(RobustKalmanFilter, support.random_problem(2, 4, 2))
-
-    def work():
-        for _ in range(300):
-            kf.predict()
-            kf.update([1.0, -1.0])
-
-    threads = [threading.Thread(target=work) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    support.assert_positive_definite(kf.P)
-    assert np.isfinite(kf.x).all()
 
 
 def test_a_diffuse_start_that_cancels_is_for_the_definition():

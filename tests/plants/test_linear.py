@@ -1,7 +1,5 @@
 """Linear plants: against python-control, the recursion written out, and the statistics of a random walk."""
 
-import pickle
-
 import control
 import numpy as np
 import pandas as pd
@@ -297,14 +295,6 @@ def test_a_refused_step_keeps_theta_also_under_C():
     assert path.ravel().tolist() == [1.0, 0.5, 0.5, 0.25]
 
 
-def test_accept_cannot_write_into_the_path():
-    def accept(theta):
-        theta[:] = 7.0
-        return True
-
-    assert (random_walk(THETA, 0, 5, accept=accept) == THETA).all()
-
-
 @pytest.mark.parametrize(("q", "share"), [(1e-6, 0.213), (1e-5, 0.737), (1e-4, 0.980)])
 def test_walks_from_the_papers_mean_leave_the_stable_region_as_often_as_the_notes_say(q, share):
     runs = 300
@@ -332,12 +322,6 @@ def test_a_pole_on_the_circle_is_not_stable():
     assert not stable(1)([-1.0])
     assert not stable(2)([0.0, 1.0])
     assert stable(0)([5.0])
-
-
-def test_stable_can_be_pickled():
-    accept = pickle.loads(pickle.dumps(stable(2)))
-    assert accept(THETA)
-    assert not accept([-2.5, 1.0])
 
 
 @pytest.mark.parametrize(
@@ -370,13 +354,3 @@ def test_random_walk_refuses(arguments, options, error, words):
 def test_stable_refuses(arguments, error):
     with pytest.raises(error):
         stable(*arguments)
-
-
-def test_a_drifting_plant_can_be_followed_by_hand():
-    # theta(k) is what explains y(k): the regression (14) has no residual but the noise.
-    rng = np.random.default_rng(0)
-    u, v = rng.choice((-1.0, 1.0), 300), 0.1 * rng.normal(size=300)
-    path = random_walk(THETA, 1e-5, 300, rng=rng, accept=stable(2))
-    y = simulate_arx(path, u, noise=v, na=2, nb=2).y
-    phi = np.column_stack((-y[1:-1], -y[:-2], u[1:-1], u[:-2]))
-    np.testing.assert_allclose(y[2:] - (phi * path[2:]).sum(1), v[2:], atol=1e-12)
