@@ -11,7 +11,8 @@ from collections.abc import Mapping, Sequence
 
 from robust_filterpy import testing
 from robust_filterpy.testing.checks.bench import Promise
-from robust_filterpy.testing.checks.lists import FILTERS, TRACKERS
+from robust_filterpy.testing.checks.filter_subject import FILTER_TAGS
+from robust_filterpy.testing.checks.lists import FILTER_PROMISES
 from robust_filterpy.testing.scenarios import contamination, models, plants
 
 __all__ = ["page"]
@@ -22,9 +23,9 @@ INTRODUCTION = """\
 ```{index} ! unit test, ! test my filter
 ```
 
-`robust_filterpy.testing` tests a state estimator or a recursive identifier as scikit-learn's `check_estimator` tests a
-classifier. A filter is whatever has `x, P, F, H, Q, R`, `predict()` and `update(z)`; a tracker whatever has `theta` and
-`update(y, u)`. pytest is not needed.
+`robust_filterpy.testing` tests a state estimator as scikit-learn's `check_estimator` tests a classifier. A filter is
+whatever has `x, P, F, H, Q, R`, `predict()` and `update(z)`. For a recursive identifier, whatever has `theta` and
+`update(y, u)`, there are scenarios and assertions. pytest is not needed.
 
 ```python
 from filterpy.kalman import KalmanFilter
@@ -35,7 +36,7 @@ testing.check_filter(KalmanFilter, not_claimed=("robust", "nan", "validates"))
 
 `KalmanFilter` stands for a function of dim_x and dim_z that returns a new filter, whose x, P, F, H, Q and R are then
 set by name. A class that is made in another way goes into one:
-`lambda n, m: MyFilter(F=np.eye(n), H=np.zeros((m, n)), ..)`. `check_tracker` calls `make(structure)`.
+`lambda n, m: MyFilter(F=np.eye(n), H=np.zeros((m, n)), ..)`.
 
 What an estimator does not claim it is not tested for (`not_claimed`); what is known to be broken is listed with its
 reason (`expected_failures={"name": "reason"}`). The error has both names, that of a check and in brackets its claim's.
@@ -71,8 +72,7 @@ def page() -> str:
         _table(contamination.__doc__),
         "## Assertions\n",
         _rows(("assertion", "what it asserts"), [(f"`{name}`", _first_line(name)) for name in assertions]),
-        *_checks("Checks of a filter: `check_filter(make)`", FILTERS.promises, FILTERS.tags),
-        *_checks("Checks of a tracker: `check_tracker(make)`", TRACKERS.promises, TRACKERS.tags),
+        *_checks("Checks of a filter: `check_filter(make)`", FILTER_PROMISES, FILTER_TAGS),
     ]
     return "\n".join(parts)
 

@@ -16,7 +16,7 @@ import scipy.stats
 from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import Contaminated, RobustKalmanFilter, Scales, TukeyBiweight, kernel
-from robust_filterpy.filters import _step
+from robust_filterpy.filters import shell
 from robust_filterpy.identification import ParameterTracker, TrackerBank
 from robust_filterpy.testing import assert_same_filter
 from robust_filterpy.testing.assertions.contracts import assert_close, visible
@@ -353,7 +353,7 @@ def assert_corrected(kf, reference, rtol=1e-9):
 def without_kernel(monkeypatch):
     """Let the definition serve, as where there is no extension."""
     monkeypatch.setattr(kernel, "extension", lambda: None)
-    monkeypatch.setattr(_step, "_extension", None)
+    monkeypatch.setattr(shell, "_extension", None)
 
 
 def needs_kernel():

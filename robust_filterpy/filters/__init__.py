@@ -3,13 +3,13 @@
 * `kalman`: `RobustKalmanFilter`.
 * `extended`, `sigma_point`: nonlinear filters.
 * `adaptive`: `AdaptiveKalmanFilter`, the linear one with noises that are learnt.
-* `_policy`: the contract of what judges measurements; the two that there are: `_bounded` (psi, and the patience of
-  `_insistence`) and `_mixture` (noise told or learnt, copies of the state).
+* `policies`: what judges measurements: psi (and the patience of `_insistence`), or noise told or learnt, copies of the
+  state.
 * `ensemble`: the ensemble Kalman filter.
 * `functions`: filterpy's functions update, predict, batch_filter, rts_smoother.
 * `conversion`: a robust filter made of an existing one.
-* `mixin`, `nonlinear_mixin`: what these classes share, options and what a correction shows.
-* `states`: a filter that is put away and goes on later, and what else keeps its state.
+* `shell`, `nonlinear_mixin`: what these classes share: options, steps by the kernel, what a correction shows.
+* `states`: what a filter holds and has learnt, put away and taken up again.
 * `problem`: a recording of a linear filter, read once.
 * `snapshot`: a call that is refused has not happened.
 * `stuck`: a word where a sensor is stuck.

@@ -10,8 +10,8 @@ import numpy as np
 from robust_filterpy._arrays import process_noise, state_of
 from robust_filterpy._checks import Array, all_covariances, entries, shown
 from robust_filterpy.filters._correlated import look_at_recording
-from robust_filterpy.filters.mixin import RobustFilterMixin
 from robust_filterpy.filters.problem import read
+from robust_filterpy.filters.shell import Shell
 from robust_filterpy.filters.snapshot import unchanged_if_refused
 from robust_filterpy.filters.stuck import look_for_repeats, look_for_stuck
 from robust_filterpy.kernel import available, series
@@ -45,7 +45,7 @@ class Steps(NamedTuple):
     """The last step with a measurement, -1 if there is none."""
 
 
-class RecordingMixin(RobustFilterMixin):
+class RecordingMixin(Shell):
     """Advance a linear filter through a recording: by the compiled loops where they can, else by its own methods."""
 
     __slots__: tuple[str, ...] = ()

@@ -13,7 +13,7 @@ from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
 from robust_filterpy.filters.kalman import RobustKalmanFilter
-from robust_filterpy.filters.mixin import RobustFilterMixin
+from robust_filterpy.filters.shell import Shell
 from robust_filterpy.filters.sigma_point import RobustCubatureKalmanFilter, RobustUnscentedKalmanFilter
 from robust_filterpy.influence.functions import Huber, Influence
 
@@ -73,9 +73,9 @@ def robust(
     (True, True)
     """
     theirs = next((cls for cls in _OURS if isinstance(kf, cls)), None)
-    if theirs is None or isinstance(kf, RobustFilterMixin):
+    if theirs is None or isinstance(kf, Shell):
         names = ", ".join(cls.__name__ for cls in _OURS)
-        mend = "; it is robust already" if isinstance(kf, RobustFilterMixin) else ""
+        mend = "; it is robust already" if isinstance(kf, Shell) else ""
         raise TypeError(f"kf: expected one of filterpy's {names}, got {type(kf).__name__}{mend}")
     user: Any = type(kf)
     cls = _OURS[theirs] if user is theirs else _subclass(user, _OURS[theirs])

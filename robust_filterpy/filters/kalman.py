@@ -30,10 +30,10 @@ from robust_filterpy.correction.definition import Innovation
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.filters._bounded import Bounded, finite_product
 from robust_filterpy.filters._parts import Part, Parts
 from robust_filterpy.filters._recording import Given, RecordingMixin
-from robust_filterpy.filters._step import is_own
+from robust_filterpy.filters.policies import Bounded, finite_product
+from robust_filterpy.filters.shell import is_own
 from robust_filterpy.filters.snapshot import whole
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.kernel import moments

@@ -10,12 +10,12 @@ import numpy as np
 from robust_filterpy._arrays import measured
 from robust_filterpy._checks import Array, described, numbers
 from robust_filterpy.correction.definition import Innovation, innovation_moments
-from robust_filterpy.filters.mixin import RobustFilterMixin
+from robust_filterpy.filters.shell import Shell
 from robust_filterpy.filters.snapshot import unchanged_if_refused
 from robust_filterpy.kernel import moments
 
 
-class NonlinearFilterMixin(RobustFilterMixin):
+class NonlinearFilterMixin(Shell):
     """Correct by an innovation, and run through a recording step by step."""
 
     # A model of the process as a function has no scale of Q to doubt.

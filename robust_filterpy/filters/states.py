@@ -1,35 +1,276 @@
-"""Filters that are put away and go on later, elsewhere: `state` and `restore`."""
+"""What a filter holds and has learnt of its sensors; filters that are put away and go on later, elsewhere."""
 
 from __future__ import annotations
 
 import json
-from typing import Any, ClassVar, Final
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from robust_filterpy import _state
-from robust_filterpy._arrays import state_of
+from robust_filterpy import _checks, _state
+from robust_filterpy._arrays import noise_covariance, state_of
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.spread import NUMBERS
-from robust_filterpy.filters._learning import LearningMixin
-from robust_filterpy.filters._sensors import Customs
+from robust_filterpy.correction.copies import slow
+from robust_filterpy.correction.learning import LearntNoise, describe
+from robust_filterpy.correction.options import Choices
+from robust_filterpy.correction.spread import NUMBERS, SPREAD, WEIGHT
+from robust_filterpy.filters._insistence import Insistence
+from robust_filterpy.filters.policies import Bounded, Known, Mixture, ordinary_noise
 from robust_filterpy.filters.snapshot import whole
+
+if TYPE_CHECKING:
+    from robust_filterpy._filterpy import Assigned
 
 #: Arrays of a state that may hold NaN.
 GAPS: Final = ("insisting",)
+# So many sensors that take turns through `update(z, R, H)` are told apart; the one that was met longest ago gives way.
+_MOST = 32
 
 
-class StateMixin(LearningMixin):
-    """Give a filter's state as plain arrays, and go on from one.
+class Customs(NamedTuple):
+    """Memories of sensors, w numbers each; nothing in here is ever written to.
 
-    A subclass adds to `_moving` and `_needed` what a step moves besides x, P and what its policy knows, and takes it
-    over in `_go_on`.
+    A row of an H that was passed tells the sensor. One that is met for the first time begins with what is known of its
+    place in z, so that an H that varies from step to step goes by places.
     """
 
-    __slots__ = ()
+    places: Array
+    """Of the sensors in z, shape (m, w)."""
+    rows: dict[bytes, Array]
+    """Of those that were met in an H that was passed, by its row, each of shape (w,)."""
+
+    def of(self, begin: Array, keys: list[Any]) -> Array:
+        """Return the memories of some sensors, begin where nothing is known; keys as `sensor_keys` makes them."""
+        found = begin.copy()
+        for i, key in enumerate(keys):
+            place = i if isinstance(key, bytes) else key
+            if key in self.rows:
+                found[i] = self.rows[key]
+            elif place < len(self.places):
+                found[i] = self.places[place]
+        return found
+
+    def updated(self, memory: Array, begin: Array, keys: list[Any]) -> Customs:
+        """Return these with the memories of some sensors replaced, named as in `of`."""
+        places, rows = self.places.copy(), dict(self.rows)
+        for i, (key, one) in enumerate(zip(keys, memory, strict=True)):
+            place = i if isinstance(key, bytes) else key
+            if place >= len(places):
+                places = np.vstack((places, np.tile(begin[:1], (place + 1 - len(places), 1))))
+            places[place] = one
+            if isinstance(key, bytes):
+                rows.pop(key, None)
+                rows[key] = one.copy()
+        for key in list(rows)[: max(len(rows) - _MOST, 0)]:
+            del rows[key]
+        return Customs(places, rows)
+
+
+class StateMixin:
+    """Hold what a step moves and what is learnt of the sensors; give it as plain arrays, and go on from these.
+
+    A subclass adds to `_moving` and `_needed` what a step moves besides x, P and what its policy knows, and takes it
+    over in `_go_on`. Declared are filterpy's attributes that are written to, and those of `snapshot.SLOTS`.
+    """
+
+    # Not a literal: a type checker would then believe that there is no __dict__ at all.
+    __slots__ = tuple(())
 
     #: What else the filter's behaviour depends on: name in a state, attribute. A state without it leaves it as it is.
     _settings: ClassVar[dict[str, str]] = {"Q": "Q", "R": "R"}
+
+    dim_x: int
+    dim_z: int
+    x: Assigned
+    P: Assigned
+    z: Any
+    inv: Any
+    x_prior: Array
+    P_prior: Array
+    x_post: Array
+    P_post: Array
+    _log_likelihood: float | None
+    _likelihood: float | None
+    _mahalanobis: float | None
+
+    _policy: Any
+    _choices: Choices
+    #: What the policy keeps beside x and P.
+    _kept: Any
+    #: Of the sensors by their places in z, by their rows of an H that was passed, by their names.
+    _memory: Array
+    _other_sensors: dict[bytes, Array]
+    _named_sensors: dict[str, Array]
+    #: The last correction, what makes one by `as_arrays`, or the kernel's record.
+    _last: Any
+    _outlier_probability: float
+    #: Made of it when they are asked for.
+    _y: Any
+    _S: Any
+    _SI: Any
+    _K: Any
+    _share: Any
+    _signs: Any
+    _updates: int
+    #: One number for each step of the last recording, None before one.
+    _process_scales: Array | None
+
+    def _known_sensors(self) -> Customs:
+        """Return what is known of the sensors; the array alone is what the kernel reads and replaces."""
+        return Customs(self._memory, self._other_sensors)
+
+    def _keep_sensors(self, value: Customs) -> None:
+        """Keep what is known of the sensors."""
+        self._memory, self._other_sensors = value
+
+    def _known(self, m: int, passed: Array | None = None, first: int = 0) -> Known:
+        """Return what is known before a correction by m sensors, from place `first` in z on or by their rows of H."""
+        learns = self._policy.learns
+        if learns and passed is None and first + m <= len(self._memory):
+            return Known(self._memory[first : first + m], self._kept)
+        begin, keys = self._sensors_of(m, passed, first)
+        return Known(self._known_sensors().of(begin, keys) if learns else begin, self._kept)
+
+    def _sensors_of(self, m: int, passed: Array | None, first: int) -> tuple[Array, list[Any]]:
+        """Return memories without any knowledge, and what tells the m sensors: their places, or their rows of an H."""
+        begin = self._policy.begin(first + m)
+        if self._policy.noise is not None and self._choices.grouping == "joint":
+            return begin, [0]
+        places = list(range(first, first + m))
+        return begin[first:], places if passed is None else sensor_keys(passed, getattr(self, "H", None))
+
+    def _learn(self, memory: Array | None, m: int, passed: Array | None = None, first: int = 0) -> None:
+        """Keep what a correction by m sensors has taught, named as in `_known`."""
+        if memory is None or not self._policy.learns:
+            return
+        if passed is None and first + m <= len(self._memory) and len(memory) == m:
+            places = self._memory.copy()
+            places[first : first + m] = memory
+            self._memory = places
+            return
+        self._keep_sensors(self._known_sensors().updated(memory, *self._sensors_of(m, passed, first)))
+
+    def _spoken(self, sensor: str | int | None, correct: Callable[[], None]) -> None:
+        """Correct by a sensor that is named, None for those that their places or rows of H tell."""
+        if sensor is None:
+            correct()
+            return
+        if not isinstance(sensor, (str, int)) or isinstance(sensor, bool):
+            raise TypeError(f"sensor: expected a name or a number, got {_checks.shown(sensor)}")
+        known, name = self._known_sensors(), str(sensor)
+        self._keep_sensors(Customs(self._named_sensors.get(name, self._policy.begin(self.dim_z)), {}))
+        try:
+            correct()
+            spoken = self._memory
+        finally:
+            self._keep_sensors(known)
+        if self._policy.learns:
+            self._named_sensors = {**self._named_sensors, name: spoken}
+
+    @property
+    def _learns_spread(self) -> bool:
+        """Whether thresholds are in units of the spread; the Kalman filter has none."""
+        return type(self._policy) is Bounded and self._policy.learns
+
+    @property
+    def spread(self) -> Array:
+        """How large each sensor's standardized innovations usually are, shape (dim_z,); NaN before the first.
+
+        Under scaling "learnt" thresholds are in units of this: 1 where P, Q and R are right, 10 where they are told 100
+        times too small.
+        """
+        if not self._learns_spread:
+            return np.full(self.dim_z, np.nan)
+        memory = self._known(self.dim_z).memory
+        return np.where(memory[:, WEIGHT] > 0.0, memory[:, SPREAD], np.nan)
+
+    @property
+    def refused(self) -> int:
+        """Under ``patience=``, how many refused measurements agree so far."""
+        return self._kept.refused if isinstance(self._kept, Insistence) else 0
+
+    @property
+    def recoveries(self) -> int:
+        """Under ``patience=``, how often that many were refused and P was widened."""
+        return self._kept.recoveries if isinstance(self._kept, Insistence) else 0
+
+    @property
+    def outlier_probability(self) -> float:
+        """Under ``noise=``, the probability that a component of the last measurement was an outlier."""
+        return self._outlier_probability
+
+    @property
+    def learnt(self) -> Array | None:
+        """Under ``noise=Learnt(..)``, what is known of the noise: a small array, r (a factor of R) first.
+
+        Keep it, or assign it to another filter with the same R, grouping and scales of noise, which then starts with
+        it. Shape (1 or sensors, 14 + 2 K + K^2); a copy. None where no noise is learnt.
+        """
+        return self._memory.copy() if self._learns_noise else None
+
+    @learnt.setter
+    def learnt(self, value: ArrayLike) -> None:
+        if not self._learns_noise:
+            raise AttributeError(f"learnt: expected a filter with noise=Learnt(..), got noise={self._policy.noise!r}")
+        self._memory, self._other_sensors = self._policy.classes.checked(value, self.dim_z), {}
+        self._named_sensors = {}
+
+    @property
+    def noise_learnt(self) -> LearntNoise | None:
+        """Under ``noise=Learnt(..)``, what has been learnt of the noise: r, contamination, scale ratio, run length."""
+        if not self._learns_noise:
+            return None
+        classes = self._policy.classes
+        return describe(self._memory, np.array(classes.scales), self.dim_z if classes.grouping == "joint" else 1)
+
+    @property
+    def sensors_learnt(self) -> dict[str, LearntNoise] | None:
+        """Under ``noise=Learnt(..)``, what has been learnt of each sensor that `update` was told by `sensor`."""
+        if not self._learns_noise:
+            return None
+        classes = self._policy.classes
+        return {
+            name: describe(known, np.array(classes.scales), len(known) if classes.grouping == "joint" else 1)
+            for name, known in self._named_sensors.items()
+        }
+
+    @property
+    def R_learnt(self) -> Array | None:
+        """Under ``noise=``, the covariance of ordinary noise as learnt, shape (dim_z, dim_z); None without."""
+        if type(self._policy) is not Mixture:
+            return None
+        kf: Any = self
+        return ordinary_noise(noise_covariance(kf.R, None, self.dim_z), self._known(self.dim_z).memory)
+
+    @property
+    def _learns_noise(self) -> bool:
+        """Whether the measurement noise is learnt."""
+        return type(self._policy) is Mixture and self._policy.learns
+
+    @property
+    def process_probabilities(self) -> Array | None:
+        """Under ``noise=``, the probability of each scale of Q for each state, shape (q, dim_x); None without.
+
+        States that neither the model nor a sensor couples have their own, the others of one part the same.
+        """
+        if type(self._policy) is not Mixture:
+            return None
+        if self._kept is None:
+            return np.ones((1, self.dim_x))
+        return slow(self._kept.copies, self._policy.scales)
+
+    @property
+    def process_scale(self) -> Array:
+        """Mean factor of each state's Q in the step before the last measurement, given that measurement.
+
+        Shape (dim_x,), equal for states of one part; 1 if Q is taken as told.
+        """
+        probabilities = self.process_probabilities
+        if probabilities is None:
+            return np.ones(self.dim_x)
+        return np.asarray(np.array(self._policy.scales.scales) @ probabilities)
 
     def state(self) -> dict[str, Array]:
         """Return everything that the filter needs to go on, as plain arrays.
@@ -180,6 +421,17 @@ def _by_name(found: dict[str, Array], key: str) -> dict[str, Array]:
         raise _state.StateError(f"state: expected the names of {len(memories)} sensors in named, got others")
     ends = np.cumsum(list(rows.values()))[:-1]
     return dict(zip(rows, np.split(memories, ends), strict=True))
+
+
+def sensor_keys(passed: Array, own: Any) -> list[Any]:
+    """Return what tells each sensor of an H that was passed: its place in the filter's own, or the bytes of its row."""
+    m = len(passed)
+    known = {}
+    if np.ndim(own) == 2 and np.shape(own)[1] == passed.shape[1]:
+        known = {row.tobytes(): i for i, row in reversed(list(enumerate(np.asarray(own, dtype=float))))}
+    keys = [known.get(row.tobytes(), row.tobytes()) for row in passed]
+    # Sensors that see exactly the same are told apart by their places.
+    return keys if len(set(keys)) == m else list(range(m))
 
 
 # For what keeps states of a filter apart from it, such as a tracker or a fleet.

@@ -8,8 +8,7 @@
 * `_timeline`: what was read when; late readings make the rest be judged anew.
 * `_stepping`: one step, from stamp to stamp, as a pure function.
 * `_first_readings`: how noisy a sensor is whose R nobody told.
-* `_choosing`: which policy its arguments ask for.
-* `_policies`: the other rooms' recursions as pure functions from state to state.
+* `_policies`: which policy its arguments ask for, and its steps as functions from state to state.
 * `_table`: what was read at each stamp, from a table.
 * `recording`: a whole table at once, by the kernel; smoothed on request.
 * `_delays`: how late each sensor's stamps are, from a recording.

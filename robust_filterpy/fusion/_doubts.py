@@ -104,7 +104,7 @@ def opened(setup: Setup, before: Moment, seconds: float, key: Any, z: Array, s: 
 
 def _noise(setup: Setup, state: State) -> Array:
     """Return the variances of ordinary noise as learnt, (M,); of what nobody knows yet, 1."""
-    r = setup.policy.factors(state) * covariance(setup.layout, state.sizes).diagonal()
+    r = setup.policy.factors(state.memory) * covariance(setup.layout, state.sizes).diagonal()
     return np.where(np.isnan(state.sizes), 1.0, r)
 
 
@@ -112,7 +112,7 @@ def stepped(setup: Setup, state: State, doubt: Doubt, seconds: float, z: Array) 
     """Return the hypotheses some seconds later, after what was read."""
     n, owner, first = setup.layout.n, setup.layout.owner, not doubt.agreed
     x, P, quiet = doubt.x.copy(), doubt.P.copy(), doubt.quiet + seconds
-    slack = setup.policy.process(state)
+    slack = setup.policy.slack(state.kept)
     step = setup.motion.over(seconds, x[0, :n], state.u)
     for i in range(len(x)):
         F, Q, drift = step if setup.motion.is_linear or not i else setup.motion.over(seconds, x[i, :n], state.u)
@@ -154,7 +154,7 @@ def _read(
 ) -> bool:
     """Correct all rows by what was read, in place; return whether the sensor agrees with one of them."""
     layout, (x, P, logs), n = setup.layout, rows, setup.layout.n
-    r, (scales, shares) = _noise(setup, state), setup.policy.classes(state)
+    r, (scales, shares) = _noise(setup, state), setup.policy.shares(state.memory)
     scales = np.append(scales, _WILD)
     shares = np.column_stack([shares * (1.0 - _STRAY), np.full(layout.size, _STRAY)])
     seen = [layout.seen_from(row[:n], z) for row in x]

@@ -112,7 +112,7 @@ def bands(line: Any, state: State, seconds: float, level: float) -> tuple[Array,
         Middle and half widths of all components; the last is NaN where the noise is not known yet.
     """
     setup: Setup = line.setup
-    scales, now = setup.policy.classes(state)[0], _ahead(setup, moved(setup, state, seconds))
+    scales, now = setup.policy.shares(state.memory)[0], _ahead(setup, moved(setup, state, seconds))
     wide = _half_width(now, scales, level)
     readings, signal = wide.copy(), np.asarray(ndtri(0.5 + 0.5 * level) * np.sqrt(now.spread))
     apart, then, keys = _looked_back(line, seconds)
@@ -140,9 +140,10 @@ def _ahead(setup: Setup, state: State) -> _Ahead:
     # Readings of 0 differ from what is expected by that, with the sign turned.
     seen = layout.seen_from(state.x, np.zeros(layout.size))
     middle, spread = seen.H @ state.x - seen.z, ((seen.H @ state.P) * seen.H).sum(axis=1)
-    r = np.where(np.isnan(state.sizes), np.nan, policy.factors(state) * covariance(layout, state.sizes).diagonal())
-    shares = np.array(policy.classes(state)[1])
-    shares[np.isnan(policy.contamination(state))] = np.eye(shares.shape[1])[0]
+    R = covariance(layout, state.sizes).diagonal()
+    r = np.where(np.isnan(state.sizes), np.nan, policy.factors(state.memory) * R)
+    shares = np.array(policy.shares(state.memory)[1])
+    shares[np.isnan(policy.contamination(state.memory))] = np.eye(shares.shape[1])[0]
     return _Ahead(middle, spread, r, shares)
 
 

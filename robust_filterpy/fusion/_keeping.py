@@ -8,10 +8,8 @@ import numpy as np
 
 from robust_filterpy import _state
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.copies import require_belief
 from robust_filterpy.fusion._doubts import Doubt
-from robust_filterpy.fusion._first_readings import TRIAL
-from robust_filterpy.fusion._policies import State
+from robust_filterpy.fusion._policies import Policy, arrays, of_arrays
 from robust_filterpy.fusion._stepping import Moment, begun
 from robust_filterpy.fusion._timeline import Timeline
 from robust_filterpy.fusion._times import Clock
@@ -21,6 +19,8 @@ __all__ = ["restored", "state"]
 
 _KINDS = ("", "numbers", "instants")
 _NANO = 1_000_000_000
+# As `arrays` gives them.
+_ARRAYS = ("means", "covariances", "belief", "memory", "x", "P", "sizes", "u", "trial")
 # Fields of a `Watch` that are stamps.
 _STAMPS = ("since", "model_since", "mended")
 
@@ -49,8 +49,7 @@ def state(timeline: Timeline, clock: Clock, counts: Any, outcomes: tuple[str, ..
     watched = _watched(timeline) if timeline.setup.watches else {}
     doubted = {} if timeline.setup.reacquire is None else {"doubt": _of_doubt(timeline.base.doubt)}
     return _state.labelled("Fusion", {
-        "x": base.x, "P": base.P, "means": base.means, "covariances": base.covariances, "belief": base.belief,
-        "memory": base.memory, "sizes": base.sizes, "u": base.u, "trial": base.trial,
+        **dict(zip(_ARRAYS, arrays(timeline.setup.policy, base), strict=True)),
         "kind": _KINDS.index(clock.kind), "base": _split([] if timeline.base_key is None else [timeline.base_key]),
         "keys": _split(timeline.keys), "z": timeline.readings(),
         "controls": np.array(controls).reshape(len(controls), p),
@@ -82,16 +81,14 @@ def restored(like: Timeline, found: Any, outcomes: tuple[str, ...]) -> tuple[Tim
     counts : dict
     """
     layout, base = like.setup.layout, like.base.state
-    q, (n, M), names = len(base.means), (layout.n, layout.size), layout.names
-    p, width = like.setup.motion.dim_u, base.memory.shape[1]
+    policy, M, p, names = like.setup.policy, layout.size, like.setup.motion.dim_u, layout.names
     needed: dict[str, _state.Shape] = {
-        "x": (n,), "P": (n, n), "means": (q, n), "covariances": (q, n, n), "belief": (q + 2, n),
-        "memory": (M, width), "sizes": (M,), "u": (p,), "trial": (M, TRIAL), "kind": (),
+        **{name: part.shape for name, part in zip(_ARRAYS, arrays(policy, base), strict=True)}, "kind": (),
         "base": (None, 2), "keys": (None, 2), "z": (None, M),
         "controls": (None, p), "controlled": (None,), "spoke": (None, len(names)), "earlier_known": (len(names),),
         "earlier": (len(names), 2), "counts": (len(names), len(outcomes)),
     }  # fmt: skip
-    length = _flat(like.base, names).size if like.setup.watches else 0
+    length = _flat(policy, like.base, names).size if like.setup.watches else 0
     if like.setup.watches:
         needed["moments"] = (None, length)
     elif "moments" in found:
@@ -115,10 +112,6 @@ def restored(like: Timeline, found: Any, outcomes: tuple[str, ...]) -> tuple[Tim
     stamps = np.vstack([got["keys"], got["base"], got["earlier"]])
     if got["kind"] == 2 and (np.abs(stamps) > (2**63 - 1) // _NANO).any():
         raise _state.StateError("state: expected stamps that nanoseconds hold, got larger ones")
-    try:
-        require_belief("state: belief", got["belief"])
-    except ValueError as error:
-        raise _state.StateError(str(error)) from None
     clock = Clock(_KINDS[int(got["kind"])])
     keys, start = _joined(got["keys"], clock.kind), _joined(got["base"], clock.kind)
     if any(b <= a for a, b in zip(start[:1] + keys[:-1], keys, strict=False)) and (start[:1] + keys) != sorted(
@@ -126,10 +119,10 @@ def restored(like: Timeline, found: Any, outcomes: tuple[str, ...]) -> tuple[Tim
     ):
         raise _state.StateError("state: expected keys that ascend, after base")
     none = np.full(M, np.nan)
-    stood = State(
-        got["means"], got["covariances"], got["belief"], got["memory"], got["x"], got["P"],
-        got["sizes"], got["u"], got["trial"],
-    )  # fmt: skip
+    try:
+        stood = of_arrays(policy, [got[name] for name in _ARRAYS])
+    except ValueError as error:
+        raise _state.StateError(str(error)) from None
     doubt = _doubt_of(got.get("doubt", np.zeros(0)), like, clock.kind)
     line = Timeline(like.setup, Moment(stood, none, none, doubt=doubt), like.window, like.history)
     line.base_key = start[0] if start else None
@@ -155,16 +148,18 @@ def restored(like: Timeline, found: Any, outcomes: tuple[str, ...]) -> tuple[Tim
 def _watched(timeline: Timeline) -> dict[str, Any]:
     """Return what a fusion that watches has besides: all moments, since a verdict looks back further than is kept."""
     moments = [timeline.base, *(entry.moment for entry in timeline.entries[: timeline.clean])]
-    return {"moments": np.array([_flat(moment, timeline.setup.layout.names) for moment in moments])}
+    policy, names = timeline.setup.policy, timeline.setup.layout.names
+    return {"moments": np.array([_flat(policy, moment, names) for moment in moments])}
 
 
-def _flat(moment: Any, names: tuple[str, ...] = ()) -> Array:
+def _flat(policy: Policy, moment: Any, names: tuple[str, ...]) -> Array:
     """Return a moment that is watched as one vector; what a function of a sensor said when it failed is not in it."""
     watch, failed = moment.watch, {name for name, _ in moment.failed}
     stamps = [*watch.since, watch.model_since, watch.mended]
     numbers = [value for name, value in zip(Watch._fields, watch, strict=True) if name not in _STAMPS]
     known = [[at is not None, *_split([0 if at is None else at])[0]] for at in stamps]
-    parts = [*moment.state, moment.innovation, moment.deviation, *numbers, known, [name in failed for name in names]]
+    parts = [*arrays(policy, moment.state), moment.innovation, moment.deviation, *numbers, known]
+    parts.append([name in failed for name in names])
     # A look that is never due again is at infinity, which no state holds.
     return np.nan_to_num(np.concatenate([np.ravel(np.asarray(part, dtype=float)) for part in parts]), nan=np.nan)
 
@@ -180,11 +175,12 @@ def _unflat(row: Array, like: Timeline, kind: str) -> Moment:
         at += part.size
         return part if shape else float(part)
 
-    state = State(*map(taken, base.state))
+    policy = like.setup.policy
+    state_arrays = [taken(part) for part in arrays(policy, base.state)]
     innovation, deviation = taken(base.innovation), taken(base.deviation)
     numbers = {name: taken(value) for name, value in zip(Watch._fields, base.watch, strict=True) if name not in _STAMPS}
     known = taken(np.zeros((len(like.setup.layout.parties) + 2, 3)))
-    whole = [state.means, state.covariances, state.belief, state.memory, state.x, state.P, known]
+    whole = [*state_arrays[:6], known]
     whole += [value for name, value in numbers.items() if name != "tests"]
     if not all(np.isfinite(part).all() for part in whole):
         raise _state.StateError("state: expected finite numbers in moments, got NaN")
@@ -195,7 +191,7 @@ def _unflat(row: Array, like: Timeline, kind: str) -> Moment:
     failed = taken(np.zeros(len(names)))
     why = tuple((name, "as it was when the state was kept") for name, bad in zip(names, failed, strict=True) if bad)
     watch = Watch(**numbers, since=tuple(stamps[:-2]), model_since=stamps[-2], mended=stamps[-1])
-    return Moment(state, innovation, deviation, watch, why)
+    return Moment(of_arrays(policy, state_arrays), innovation, deviation, watch, why)
 
 
 def _of_doubt(doubt: Doubt | None) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy.fusion._first_readings import compared
-from robust_filterpy.fusion._policies import Policy, State
+from robust_filterpy.fusion._policies import Policy, State, predicted, start, weighed
 from robust_filterpy.fusion._watch import fresh, looked_at
 from robust_filterpy.fusion.motion import Motion
 from robust_filterpy.fusion.sensors import Layout
@@ -64,7 +64,7 @@ def begun(setup: Setup, x: Array, P: Array) -> Moment:
     layout = setup.layout
     sizes, none = np.where(layout.untold, np.nan, 1.0), np.full(layout.size, np.nan)
     watch = fresh(layout.size, len(layout.parties)) if setup.watches else None
-    return Moment(setup.policy.start(x, P, sizes, np.zeros(setup.motion.dim_u)), none, none, watch)
+    return Moment(start(setup.policy, x, P, sizes, np.zeros(setup.motion.dim_u)), none, none, watch)
 
 
 def moved(setup: Setup, state: State, seconds: float) -> State:
@@ -85,7 +85,7 @@ def moved(setup: Setup, state: State, seconds: float) -> State:
     """
     if seconds == 0.0:
         return state
-    return setup.policy.predicted(state, *setup.motion.over(seconds, state.x, state.u))
+    return predicted(setup.policy, state, *setup.motion.over(seconds, state.x, state.u))
 
 
 def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Array | None) -> Moment:
@@ -109,7 +109,7 @@ def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Ar
     Moment
     """
     layout, policy = setup.layout, setup.policy
-    state = policy.predicted(before.state, *setup.motion.over(seconds, before.state.x, before.state.u))
+    state = predicted(policy, before.state, *setup.motion.over(seconds, before.state.x, before.state.u))
     none = np.full(layout.size, np.nan)
     if control is not None:
         state = state._replace(u=control)
@@ -124,17 +124,17 @@ def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Ar
         return Moment(state, none, none, before.watch, seen.failed)
     spread = ((seen.H @ state.P) * seen.H).sum(axis=1)
     R = covariance(layout, state.sizes)
-    deviation = np.sqrt(spread + policy.factors(state) * R.diagonal())
+    deviation = np.sqrt(spread + policy.factors(state.memory) * R.diagonal())
     here, watch, learns = ~np.isnan(y), before.watch, np.ones(layout.size, dtype=bool)
     used = np.where(here, seen.z, np.nan)
     if watch is not None:
-        known = policy.factors(state), policy.contamination(state)
+        known = policy.factors(state.memory), policy.contamination(state.memory)
         watch = looked_at(watch, z, y, spread, R.diagonal(), known, layout.party)
         # Nothing is learnt of a sensor on alarm, and nothing taken from one that lies.
         learns = (watch.fault != 1.0)[layout.party]
         used = np.where(watch.out[layout.party], np.nan, used)
     if not np.isnan(used).all():
-        state = policy.weighed(state, used, seen.H, R, learns)[0]
+        state = weighed(policy, state, used, seen.H, R, learns)[0]
     return Moment(state, y, np.where(here, deviation, np.nan), watch, seen.failed)
 
 

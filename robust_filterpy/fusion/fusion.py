@@ -16,9 +16,9 @@ from robust_filterpy._fill_values import without_fill_values
 from robust_filterpy._warning import warn
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.fusion import _keeping
-from robust_filterpy.fusion._choosing import policy_of
 from robust_filterpy.fusion._delays import found_delays
 from robust_filterpy.fusion._forecasting import forecast
+from robust_filterpy.fusion._policies import policy_of
 from robust_filterpy.fusion._stepping import Moment, Setup, begun, moved
 from robust_filterpy.fusion._table import read, table_columns
 from robust_filterpy.fusion._timeline import Timeline
@@ -369,8 +369,8 @@ class Fusion:
         """
         layout, policy = self._setup.layout, self._setup.policy
         state = self._until()[0].state
-        deviation = np.sqrt(state.sizes * layout.R.diagonal() * policy.factors(state))
-        shares = policy.contamination(state)
+        deviation = np.sqrt(state.sizes * layout.R.diagonal() * policy.factors(state.memory))
+        shares = policy.contamination(state.memory)
         return {name: SensorNoise(deviation[place], shares[place]) for name, place in layout.places.items()}
 
     def forecast(self, times: Any, level: float = 0.95) -> Forecast:

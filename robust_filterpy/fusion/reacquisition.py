@@ -143,5 +143,5 @@ def _as_served(setup: Setup, before: Moment, moment: Moment, doubt: Doubt, same:
         apart = doubt.x[:, :n] - x
         P = np.einsum("i,ijk->jk", p, doubt.P[:, :n, :n] + apart[:, :, None] * apart[:, None, :])
     was, now = before.state, moment.state
-    state = setup.policy.start(x, P, now.sizes, now.u)._replace(memory=was.memory, trial=now.trial)
+    state = now._replace(x=x, P=P, memory=was.memory, kept=setup.policy.start(x, P, len(now.sizes)))
     return moment._replace(state=state, doubt=kept)

@@ -258,11 +258,10 @@ def _smoothed(
     kf = RobustKalmanFilter(motion.dim_x, layout.size, motion.dim_x)
     kf.x, kf.P = _narrowed(begin, filtered, F, Q, drift)
     kf.H, kf.B = layout.H, np.eye(motion.dim_x)
-    root = np.sqrt(np.where(np.isnan(last.state.sizes), 1.0, setup.policy.factors(last.state)))
+    root = np.sqrt(np.where(np.isnan(last.state.sizes), 1.0, setup.policy.factors(last.state.memory)))
     kf.R = covariance(layout, last.state.sizes) * np.multiply.outer(root, root)
     us = np.broadcast_to(drift, (len(dts), motion.dim_x))
-    choices = getattr(setup.policy, "choices", None)
-    found = smooth(kf, rows.zs, Fs=F, Qs=Q, us=us, influence=None if choices is None else choices.influence)
+    found = smooth(kf, rows.zs, Fs=F, Qs=Q, us=us)
     return found.x, found.P, found.weights
 
 

@@ -264,9 +264,9 @@ def _stretch(line: Any, first: int, last: int, worth: Array) -> Stretch:
     F, Q, drift, seconds_, z, H = (np.array(column) for column in zip(*rows, strict=True))
     state = line.stands(first)[0].state
     R = covariance(setup.layout, state.sizes).diagonal()
-    scales, shares = setup.policy.classes(state)
+    scales, shares = setup.policy.shares(state.memory)
     return Stretch(
-        state.x, state.P, F, Q * setup.policy.process(state), drift, seconds_,
+        state.x, state.P, F, Q * setup.policy.slack(state.kept), drift, seconds_,
         np.where(np.isnan(state.sizes), np.nan, z), H, line.stands(first)[0].watch.tests[:, SLOW] * R, scales, shares,
         worth,
     )  # fmt: skip

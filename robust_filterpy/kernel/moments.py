@@ -10,7 +10,7 @@ from robust_filterpy import kernel
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.kernel.record import correction_of
+from robust_filterpy.kernel.record import correction_of, weights_of
 from robust_filterpy.kernel.series import rule
 
 __all__ = ["Taken", "correct", "correct_linear"]
@@ -32,6 +32,11 @@ class Taken(NamedTuple):
     def log_density(self) -> float:
         """Log-likelihood of the innovation under the density of psi."""
         return float(self.record[3])
+
+    @property
+    def weights(self) -> Array:
+        """Of the sensors, shape (m,), NaN where missing."""
+        return weights_of(self.record)
 
     def as_arrays(self) -> Correction:
         """Return everything that led to it."""

@@ -20,8 +20,8 @@ from robust_filterpy import _checks
 from robust_filterpy._arrays import stack
 from robust_filterpy._checks import Array
 from robust_filterpy.filters.conversion import robust
-from robust_filterpy.filters.mixin import RobustFilterMixin
 from robust_filterpy.filters.nonlinear_mixin import innovation_of
+from robust_filterpy.filters.shell import Shell
 from robust_filterpy.smoothing.linear_pass import Model, Smooth
 from robust_filterpy.smoothing.recording import Recording, problem
 
@@ -194,4 +194,4 @@ class SigmaPoints:
 
 def _robust_copy(kf: Any) -> Any:
     """Return a robust filter that may be run."""
-    return copy.deepcopy(kf) if isinstance(kf, RobustFilterMixin) else robust(kf)
+    return copy.deepcopy(kf) if isinstance(kf, Shell) else robust(kf)

@@ -5,13 +5,16 @@ People who filter with something else can use them too: a filter is whatever has
 
 * `scenarios`: recordings with everything known, and what a filter or a tracker makes of them.
 * `assertions`: theorems about such runs, and about what a program relies on.
-* `checks`: every promise of a filter or a tracker, by name: `check_filter`, `check_tracker`, lists for pytest.
+* `checks`: every promise of a filter, by name: `check_filter`, a list for pytest.
 
 Imports from below: `influence`, `diagnostics`, `identification`, `plants`. pytest is not needed.
 """
 
 from __future__ import annotations
 
+from functools import partial
+
+from robust_filterpy._lazy import refuse
 from robust_filterpy.testing import assertions, checks, scenarios
 from robust_filterpy.testing.assertions import *  # noqa: F403
 from robust_filterpy.testing.checks import *  # noqa: F403
@@ -22,3 +25,5 @@ __all__: list[str] = []
 __all__ += assertions.__all__
 __all__ += checks.__all__
 __all__ += scenarios.__all__
+
+__getattr__ = partial(refuse, __name__)

@@ -3,7 +3,7 @@
 import pytest
 import support
 
-from robust_filterpy.filters import _bounded, _mixture
+from robust_filterpy.filters.policies import Bounded, Mixture
 
 
 @pytest.fixture
@@ -15,5 +15,5 @@ def by_kernel_alone(monkeypatch):
         raise AssertionError("the definition was asked")
 
     for name in ("predicted", "corrected", "corrected_by_moments"):
-        for policy in (_bounded.Bounded, _mixture.Mixture):
+        for policy in (Bounded, Mixture):
             monkeypatch.setattr(policy, name, not_asked)

@@ -18,7 +18,7 @@ from robust_filterpy import Huber, RobustKalmanFilter, kernel, smooth
 from robust_filterpy.batch import filter_series
 from robust_filterpy.correction import spread
 from robust_filterpy.correction.options import Choices
-from robust_filterpy.filters import _step
+from robust_filterpy.filters import shell
 from robust_filterpy.identification import ARMAX, BoxJenkins, OutputError
 from robust_filterpy.identification.recursive import track
 from robust_filterpy.kernel import moments
@@ -183,7 +183,7 @@ def test_a_spoilt_filter_does_what_the_definition_does(monkeypatch, options):
                 arguments = (*given, None, None)
                 if extension is not None:
                     outcome([lambda e=entry, a=arguments, kf=kf: getattr(EXTENSION, e)(copy.copy(kf), *a)])
-            monkeypatch.setattr(_step, "_extension", extension)
+            monkeypatch.setattr(shell, "_extension", extension)
             raised = outcome([
                 lambda kf=kf, told=told: kf.predict(told["u"]),
                 lambda kf=kf, told=told: kf.update(told["z"], R=told["told R"]),

@@ -7,7 +7,7 @@ import support
 from robust_filterpy import Huber, Linear, RobustExtendedKalmanFilter, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.correction import definition, spread
 from robust_filterpy.correction.options import Choices
-from robust_filterpy.filters._bounded import Bounded
+from robust_filterpy.filters.policies import Bounded
 from robust_filterpy.influence import Hampel
 from robust_filterpy.kernel import moments
 

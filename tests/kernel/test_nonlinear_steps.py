@@ -16,7 +16,7 @@ from robust_filterpy import (
     TukeyBiweight,
     kernel,
 )
-from robust_filterpy.filters import _step
+from robust_filterpy.filters import shell
 from robust_filterpy.kernel import moments
 
 support.needs_kernel()
@@ -56,7 +56,7 @@ def filters(kind, **options):
 def stepped(kf, z, extension, monkeypatch, **told):
     """Step by an extension, or by the definition alone; what it raises, None if nothing."""
     with monkeypatch.context() as patch, np.errstate(all="ignore"):
-        patch.setattr(_step, "_extension", extension)
+        patch.setattr(shell, "_extension", extension)
         patch.setattr(moments.kernel, "extension", lambda: extension)
         try:
             kf.predict()
@@ -144,7 +144,7 @@ def test_noise_that_is_correlated_with_the_state_is_the_definitions(jump, monkey
         z[g.random(2) < 0.1] = np.nan
         for kf, extension in ((one, EXTENSION), (two, None)):
             with monkeypatch.context() as patch:
-                patch.setattr(_step, "_extension", extension)
+                patch.setattr(shell, "_extension", extension)
                 patch.setattr(moments.kernel, "extension", lambda extension=extension: extension)
                 kf.predict()
                 before = kf.H @ kf.P @ kf.H.T

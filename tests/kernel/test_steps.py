@@ -5,13 +5,13 @@ import pytest
 import support
 
 from robust_filterpy import Huber, Linear, RobustKalmanFilter, Scales, StudentT, TukeyBiweight
-from robust_filterpy.filters import _step
+from robust_filterpy.filters import shell
 from robust_filterpy.influence import Hampel
 
 support.needs_kernel()
 
 INFLUENCES = (Huber(), Linear(), Hampel(), TukeyBiweight(), StudentT())
-EXTENSION = _step._extension
+EXTENSION = shell._extension
 #: Nothing is passed for this call.
 NONE = (None,) * 4
 SHOWN = (
@@ -63,11 +63,11 @@ def test_a_step_is_the_definition(monkeypatch, influence, grouping, scaling, inf
         zs, _ = support.simulate(problem, 25, seed, 0.15, 20.0)
         zs[np.random.default_rng(seed).random(zs.shape) < 0.1] = np.nan
         for z in zs:
-            monkeypatch.setattr(_step, "_extension", EXTENSION)
+            monkeypatch.setattr(shell, "_extension", EXTENSION)
             one.predict()
             one.update(z)
             taken += type(one._last) is np.ndarray
-            monkeypatch.setattr(_step, "_extension", None)
+            monkeypatch.setattr(shell, "_extension", None)
             two.predict()
             two.update(z)
             # After a jump that was believed P is a million times what is left of it.
@@ -90,10 +90,10 @@ def test_among_sensors_that_fail_together_one_that_sees_no_state_is_judged_alone
     for z in zs:
         one.predict()
         assert EXTENSION.correct(one, z, None, None, None)
-        monkeypatch.setattr(_step, "_extension", None)
+        monkeypatch.setattr(shell, "_extension", None)
         two.predict()
         two.update(z)
-        monkeypatch.setattr(_step, "_extension", EXTENSION)
+        monkeypatch.setattr(shell, "_extension", EXTENSION)
         assert_same(one, two, 1e-9)
         # Where nothing is seen of the state, only this tells how it was judged.
         np.testing.assert_allclose(one._arrays().information, two._arrays().information, rtol=1e-6, atol=1e-9)
@@ -137,10 +137,10 @@ def test_noise_that_is_thirty_times_larger_from_now_on_is_learnt_anew_as_by_the_
     for kf in (one, two):
         kf.H[:], kf.Q[:] = 1.0, 0.01
     for z in zs:
-        monkeypatch.setattr(_step, "_extension", EXTENSION)
+        monkeypatch.setattr(shell, "_extension", EXTENSION)
         one.predict()
         one.update(z)
-        monkeypatch.setattr(_step, "_extension", None)
+        monkeypatch.setattr(shell, "_extension", None)
         two.predict()
         two.update(z)
         assert_same(one, two, 1e-9)
@@ -170,7 +170,7 @@ def test_a_step_under_learnt_noise_is_the_definition(monkeypatch, how):
                 # From outside: the copies begin there, by the definition.
                 one.x, two.x = one.x + 1.0, two.x + 1.0
             for kf, extension in ((one, EXTENSION), (two, None)):
-                monkeypatch.setattr(_step, "_extension", extension)
+                monkeypatch.setattr(shell, "_extension", extension)
                 kf.predict(0.1)
                 kf.update(z)
             # Kernel and definition order sums differently, and a mixture of classes doubts at its border.

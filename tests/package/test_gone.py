@@ -5,7 +5,7 @@ import importlib
 import pytest
 
 import robust_filterpy
-from robust_filterpy import batch, noise
+from robust_filterpy import batch, noise, testing
 
 
 @pytest.mark.parametrize(
@@ -15,6 +15,7 @@ from robust_filterpy import batch, noise
         (noise, "tune", "estimate_noise"),
         (batch, "FilterBank", "filter_series"),
         (robust_filterpy, "FilterBank", "filter_series"),
+        (testing, "check_tracker", "assert_tracks"),
     ],
 )
 def test_a_name_that_is_gone_says_what_does_the_same(module, name, mend):

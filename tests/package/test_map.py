@@ -15,7 +15,7 @@ QUESTIONS = {
     "What happens when a tracker is lost?": ("lost", "identification/recursive/watch.py", "LostTrackerWarning"),
     "Who believes that the state has jumped, under patience=?": ("jump", "filters/_insistence.py", "def jump_of"),
     "Where is the weight of a reading computed?": ("weighed", "correction/definition.py", "def correct"),
-    "Why did this step not run in C?": ("kernel, or the definition", "filters/_step.py", "def _correct_by_kernel"),
+    "Why did this step not run in C?": ("kernel, or the definition", "filters/shell.py", "def _correct_by_kernel"),
     "Where does a reading go that arrives late?": ("late reading", "fusion/_timeline.py", "class Timeline"),
     "Who refuses an R that is no covariance?": ("matrices of a user", "_checks.py", "def covariance"),
     "Where are the orders of a model chosen?": ("orders", "identification/judging/select.py", "def select_structure"),

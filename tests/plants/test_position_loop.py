@@ -22,7 +22,7 @@ from robust_filterpy.plants.servo import (
     simulate_servo,
 )
 from robust_filterpy.plants.servo.equations import servo_derivatives
-from robust_filterpy.plants.servo.loop_design import UnstableLoopError, position_gains
+from robust_filterpy.plants.servo.linearization import UnstableLoopError, position_gains
 
 P = PneumaticParameters()
 

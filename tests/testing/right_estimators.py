@@ -5,10 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
-from support import told_tracker
 from wrong_filters import PLAIN, ROBUST, EigenvalueRoots, Textbook, TextbookRobust
-from wrong_trackers import PLAIN as PLAIN_TRACKER
-from wrong_trackers import LeastSquares, RobustLeastSquares
 
 from robust_filterpy import Huber, Linear, RobustExtendedKalmanFilter, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.influence import Hampel
@@ -34,15 +31,4 @@ FILTERS = {
     "Student": (partial(RobustKalmanFilter, influence=StudentT()), ("recovers", *SPREAD)),
     "Tukey": (partial(RobustKalmanFilter, influence=TukeyBiweight()), ("recovers", "likelihood", *SPREAD)),
     "Huber, extended": (RobustExtendedKalmanFilter, SPREAD),
-}
-
-TRACKERS = {
-    "textbook": (LeastSquares, PLAIN_TRACKER),
-    "textbook, robust": (RobustLeastSquares, ("validates",)),
-    "Linear": (partial(told_tracker, influence=Linear()), ("robust",)),
-    "filterpy inside": (partial(told_tracker, filter=KalmanFilter), ("robust",)),
-    "Huber": (told_tracker, ()),
-    "Student": (partial(told_tracker, influence=StudentT(4.0)), ()),
-    "Tukey": (partial(told_tracker, influence=TukeyBiweight()), ()),
-    "Huber, pseudolinear": (partial(told_tracker, gradient="pseudolinear"), ()),
 }

@@ -1,4 +1,4 @@
-"""check_filter and check_tracker: right estimators keep every promise, each wrong one breaks that of its name."""
+"""check_filter: right filters keep every promise, each wrong one breaks that of its name."""
 
 import subprocess
 import sys
@@ -9,20 +9,12 @@ from functools import partial
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
-from right_estimators import FILTERS, TRACKERS
+from right_estimators import FILTERS
 from users_filters import WRONG_FILTERS
-from users_trackers import WRONG_TRACKERS
 from wrong_filters import PLAIN, CutAndCertain, EigenvalueRoots, HardGate, NoSetter, Textbook
 
-from robust_filterpy import ParameterTracker, RobustKalmanFilter
-from robust_filterpy.testing import (
-    ChecksFailed,
-    assert_recovers_from_jump,
-    check_filter,
-    check_tracker,
-    filter_checks,
-    tracker_checks,
-)
+from robust_filterpy import RobustKalmanFilter
+from robust_filterpy.testing import ChecksFailed, assert_recovers_from_jump, check_filter, filter_checks
 
 
 @pytest.mark.parametrize("name", [name for name in FILTERS if name.startswith(("filterpy", "textbook"))])
@@ -33,21 +25,14 @@ def test_right_filters_keep_every_promise(name):
     assert {result.status for result in results} <= {"passed", "skipped"} and len(results) > 30
 
 
-@pytest.mark.parametrize("name", [name for name in TRACKERS if name.startswith(("textbook", "filterpy"))])
-def test_right_trackers_keep_every_promise(name):
-    """Those of this package are in tests/identification."""
-    make, not_claimed = TRACKERS[name]
-    assert {result.status for result in check_tracker(make, not_claimed=not_claimed)} <= {"passed", "skipped"}
-
-
-def fitting(cls, listed):
+def fitting(cls):
     """Return the checks whose name fits the fault."""
-    return [check for check in listed(not_claimed=cls.not_claimed) if check.name in cls.caught_by]
+    return [check for check in filter_checks(not_claimed=cls.not_claimed) if check.name in cls.caught_by]
 
 
-def is_caught(cls, listed):
+def is_caught(cls):
     """Tell whether one of these checks fails."""
-    for check in fitting(cls, listed):
+    for check in fitting(cls):
         try:
             check(cls)
         except AssertionError as error:
@@ -58,26 +43,19 @@ def is_caught(cls, listed):
 
 @pytest.mark.parametrize("cls", WRONG_FILTERS, ids=lambda cls: cls.__name__)
 def test_a_wrong_filter_is_caught_by_the_check_whose_name_fits(cls):
-    assert is_caught(cls, filter_checks), cls.__doc__
-
-
-@pytest.mark.parametrize("cls", WRONG_TRACKERS, ids=lambda cls: cls.__name__)
-def test_a_wrong_tracker_is_caught_by_the_check_whose_name_fits(cls):
-    assert is_caught(cls, tracker_checks), cls.__doc__
+    assert is_caught(cls), cls.__doc__
 
 
 def test_every_check_catches_something_wrong():
     """A check that nothing in the library fails may as well not be there."""
-    for wrong, listed in ((WRONG_FILTERS, filter_checks), (WRONG_TRACKERS, tracker_checks)):
-        names = {name for cls in wrong for name in cls.caught_by}
-        every = {check.name for left_out in ((), ("robust",)) for check in listed(not_claimed=left_out)}
-        assert names <= every
-        assert len(every - names) <= 4, every - names
+    names = {name for cls in WRONG_FILTERS for name in cls.caught_by}
+    every = {check.name for left_out in ((), ("robust",)) for check in filter_checks(not_claimed=left_out)}
+    assert names <= every
+    assert len(every - names) <= 4, every - names
 
 
 def test_there_are_as_many_wrong_ones_as_promised():
-    assert len(WRONG_FILTERS) >= 30 and len(WRONG_TRACKERS) >= 15
-    assert all(cls.__doc__ for cls in (*WRONG_FILTERS, *WRONG_TRACKERS))
+    assert len(WRONG_FILTERS) >= 30 and all(cls.__doc__ for cls in WRONG_FILTERS)
 
 
 def test_the_error_names_every_check_that_failed():
@@ -145,7 +123,6 @@ def test_what_is_not_claimed_is_not_tested():
     every, plain = filter_checks(), filter_checks(not_claimed=("robust", "nan"))
     assert {c.name for c in every if "robust" in c.needs} and not [c for c in plain if c.needs & {"robust", "nan"}]
     assert {c.name for c in plain if "exact" in c.needs} and not [c for c in every if "exact" in c.needs]
-    assert not [c for c in tracker_checks(not_claimed=("robust", "exact")) if "exact" in c.needs]
 
 
 def test_an_expected_failure_is_skipped_with_its_reason_and_warns_when_it_passes():
@@ -161,7 +138,7 @@ def test_an_expected_failure_is_skipped_with_its_reason_and_warns_when_it_passes
 
 
 def test_checks_are_parameters_for_pytest():
-    for check in (*filter_checks(), *tracker_checks()):
+    for check in filter_checks():
         assert check.__name__ == str(check) == check.name
         assert check.theorem.endswith(".") and len(check.theorem) > 20
     assert [check.name for check in filter_checks(seed=3)] == [check.name for check in filter_checks()]
@@ -231,13 +208,6 @@ def test_pytest_is_not_needed():
         ),
         (lambda: filter_checks(false_alarm=1.0), ValueError, "false_alarm"),
         (lambda: filter_checks(seed=-1), ValueError, "seed"),
-        (lambda: check_tracker(lambda structure: None), TypeError, "make: expected a function of a structure"),
-        (
-            lambda: check_tracker(lambda s: ParameterTracker(type(s)(1, 1))),
-            ValueError,
-            "make: ARX.* theta of 4 numbers",
-        ),
-        (lambda: tracker_checks(not_claimed=["nan"]), ValueError, "not_claimed"),
     ],
 )
 def test_bad_input_is_named(call, error, match):

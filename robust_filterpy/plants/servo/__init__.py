@@ -10,15 +10,12 @@
 
 from __future__ import annotations
 
-from robust_filterpy.plants.servo.coefficients import beta_coefficient, random_coefficient
-from robust_filterpy.plants.servo.equations import valve_opening
+from robust_filterpy.plants.servo.equations import pneumatic_servo, valve_opening
 from robust_filterpy.plants.servo.linearization import linearize_servo
 from robust_filterpy.plants.servo.observer import ServoObserver
-from robust_filterpy.plants.servo.parameters import PneumaticParameters
-from robust_filterpy.plants.servo.position_loop import simulate_actuator, simulate_servo
-from robust_filterpy.plants.servo.recording import ServoRecording
+from robust_filterpy.plants.servo.parameters import PneumaticParameters, beta_coefficient, random_coefficient
+from robust_filterpy.plants.servo.position_loop import ServoRecording, simulate_actuator, simulate_servo
 from robust_filterpy.plants.servo.steady_motion import operating_point
-from robust_filterpy.plants.servo.system import pneumatic_servo
 
 __all__ = [
     "PneumaticParameters",

@@ -10,10 +10,9 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy._checks import Array, finite_vector, positive
 
-from .coefficients import BETA_RANGE
 from .equations import servo_derivatives
-from .loop_design import sampled, without_dry_friction
-from .parameters import NOMINAL_ALPHA, PneumaticParameters, as_parameters
+from .linearization import sampled, without_dry_friction
+from .parameters import BETA_RANGE, NOMINAL_ALPHA, PneumaticParameters, as_parameters
 from .steady_motion import STATE_SCALES, operating_point
 
 #: Units of position, velocity, P_a, P_b, force and beta over its nominal value within the filter.

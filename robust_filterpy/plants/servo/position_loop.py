@@ -1,26 +1,198 @@
-"""The pneumatic servo in a sampled position loop, simulated to identification data.
-
-The actuator integrates the valve opening, so an experiment of any length needs a loop that keeps the piston off the
-ends of its stroke. The loop may see the piston through sensors that err, and estimate its motion.
-"""
+"""The pneumatic servo simulated, in a position loop or without one: what drives it, checked, and its recording."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, TypeAlias
+from os import PathLike
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import odeint
 
-from .coefficients import checked
+from robust_filterpy._checks import Array, numbers, positive
+
 from .equations import STATES, servo_derivatives
-from .inputs import ServoInputs, Signal, sampled_reference
-from .linearization import chosen_gains
-from .loop_design import check_loop
-from .parameters import NOMINAL_ALPHA, PneumaticParameters, as_parameters
-from .recording import Array, ServoRecording
+from .linearization import check_loop, chosen_gains
+from .parameters import (
+    ALPHA_RANGE,
+    BETA_RANGE,
+    NOMINAL_ALPHA,
+    Coefficient,
+    PneumaticParameters,
+    as_parameters,
+    checked,
+    coefficient_function,
+)
+from .steady_motion import operating_point
+
+Signal: TypeAlias = "Coefficient | ArrayLike"
+
+
+class ServoInputs:
+    """What drives the plant beside its valve, checked and sampled."""
+
+    def __init__(  # the quantities that both simulations take
+        self,
+        n: int,
+        dt: float,
+        rtol: float,
+        p: PneumaticParameters,
+        alpha: Signal,
+        beta: Signal | None,
+        load: Signal,
+        supply: Signal | None,
+        noise: ArrayLike | None,
+        initial: ArrayLike | None,
+    ) -> None:
+        """Bring every signal to one value a sample."""
+        for name, value in (("dt", dt), ("rtol", rtol)):
+            positive(name, value)
+        self.dt, self.rtol = dt, rtol
+        self.t = t = dt * np.arange(n, dtype=np.float64)
+        self.alpha = _samples(alpha, t, "alpha", ALPHA_RANGE)
+        if beta is None:
+            self.beta = checked(self.alpha * p.discharge_coefficient, "beta", BETA_RANGE)
+        else:
+            self.beta = _samples(beta, t, "beta", BETA_RANGE)
+        self.load = _samples(load, t, "load", (-math.inf, math.inf))
+        pressure = p.supply_pressure if supply is None else supply
+        self.supply = _samples(pressure, t, "supply", (p.atmospheric_pressure, math.inf))
+        self.noise = np.zeros((n, 3)) if noise is None else numbers("noise", noise)
+        if self.noise.shape != (n, 3) or not np.all(np.isfinite(self.noise)):
+            raise ValueError(
+                f"noise: expected finite numbers of shape ({n}, 3), for position, P_a and P_b, got shape "
+                f"{self.noise.shape}"
+            )
+        self.x0 = _initial_state(initial, p, float(self.load[0]))
+
+
+def sampled_reference(reference: ArrayLike | Callable[[float], float], dt: float, duration: float | None) -> Array:
+    """Return the reference at the sampling times."""
+    if callable(reference):
+        if duration is None or not (math.isfinite(duration) and math.isfinite(dt) and dt > 0 and duration >= dt):
+            raise ValueError(
+                f"duration: expected at least dt = {dt} s for a reference that is a function, got {duration}"
+            )
+        r = np.array([float(reference(dt * k)) for k in range(round(duration / dt))])
+    else:
+        if duration is not None:
+            raise ValueError("duration: expected None for a sampled reference, whose length says it")
+        r = np.array(reference, dtype=float)
+    if r.ndim != 1 or r.size == 0:
+        raise ValueError(f"reference: expected a non-empty sequence of positions, got shape {r.shape}")
+    if not np.all(np.isfinite(r)):
+        raise ValueError(
+            f"reference: expected finite positions, got {r[~np.isfinite(r)][0]} at {np.argmin(np.isfinite(r))}"
+        )
+    return r
+
+
+def _samples(value: Signal, t: Array, name: str, limits: tuple[float, float]) -> Array:
+    """Return a signal at the sampling times."""
+    if not callable(value) and not isinstance(value, tuple) and np.ndim(value):
+        samples = checked(value, name, limits)
+        if samples.shape != t.shape:
+            raise ValueError(f"{name}: expected one value for each of the {t.size} samples, got shape {samples.shape}")
+    else:
+        function = coefficient_function(value, name, limits)  # type: ignore[arg-type]
+        samples = np.array([function(now) for now in t.tolist()])
+    if not np.all(np.isfinite(samples)):
+        raise ValueError(f"{name}: expected finite values")
+    return samples.copy()
+
+
+def _initial_state(initial: ArrayLike | None, parameters: PneumaticParameters, load: float) -> Array:
+    """Return the state at t = 0."""
+    if initial is None:
+        point = operating_point(parameters, load=load, velocity=0.0)
+        return np.array([0.0, 0.0, point.P_a, point.P_b])
+    x = np.array(initial, dtype=float)
+    if x.shape != (4,) or not np.all(np.isfinite(x)):
+        raise ValueError(f"initial: expected 4 finite numbers {STATES}, got {initial!r}")
+    if x[2] <= 0 or x[3] <= 0:
+        raise ValueError(f"initial: expected positive absolute pressures, got P_a = {x[2]:g} and P_b = {x[3]:g} Pa")
+    if abs(x[0]) > parameters.stroke / 2:
+        raise ValueError(f"initial: expected a position within +-{parameters.stroke / 2:g} m, got {x[0]:g}")
+    return x
+
+
+class ServoRecording(NamedTuple):
+    """Hold a simulated experiment, N samples each; the inputs of row k act from t[k] to t[k] + dt.
+
+    Attributes
+    ----------
+    t : numpy.ndarray, shape (N,)
+        Times, in s.
+    reference : numpy.ndarray, shape (N,)
+        Reference position, in m (NaN without a loop).
+    valve : numpy.ndarray, shape (N,)
+        Command to the valve, a fraction of the spool's stroke, in [-1, 1]; `valve_opening` makes an opening of it.
+    position, velocity : numpy.ndarray, shape (N,)
+        Motion of the piston at t[k], in m and m/s, free of measurement noise.
+    P_a, P_b : numpy.ndarray, shape (N,)
+        Absolute pressures of the chambers, in Pa, free of measurement noise.
+    alpha, beta : numpy.ndarray, shape (N,)
+        Heat coefficient and bound parameter.
+    load : numpy.ndarray, shape (N,)
+        Load force, in N.
+    supply : numpy.ndarray, shape (N,)
+        Absolute supply pressure, in Pa.
+    position_measured, P_a_measured, P_b_measured : numpy.ndarray, shape (N,)
+        What the sensors said, in m, Pa, Pa.
+    position_estimate, acceleration_estimate : numpy.ndarray, shape (N,)
+        What the controller took for the motion, in m and m/s^2 (NaN without a loop).
+    """
+
+    t: Array
+    reference: Array
+    valve: Array
+    position: Array
+    velocity: Array
+    P_a: Array
+    P_b: Array
+    alpha: Array
+    beta: Array
+    load: Array
+    supply: Array
+    position_measured: Array
+    P_a_measured: Array
+    P_b_measured: Array
+    position_estimate: Array
+    acceleration_estimate: Array
+
+    def to_csv(self, path: str | PathLike[str]) -> None:
+        """Write a table of all signals, one row a sample, with the units in its first line: "t [s],reference [m],..".
+
+        Parameters
+        ----------
+        path : str or path-like
+            File to write; one that is there is overwritten.
+
+        Notes
+        -----
+        Numbers keep all their digits; a signal that does not exist is written as nan.
+        """
+        header = ",".join(f"{name} [{unit}]" for name, unit in UNITS.items())
+        np.savetxt(path, np.column_stack(self), fmt="%.17g", delimiter=",", header=header, comments="")
+
+    def to_mat(self, path: str | PathLike[str]) -> None:
+        """Write a MATLAB file (level 5) with a column vector for each signal and a structure ``units``.
+
+        Parameters
+        ----------
+        path : str or path-like
+            File to write; one that is there is overwritten. ``.mat`` is appended where it is missing.
+        """
+        from scipy.io import savemat
+
+        savemat(str(path), {**self._asdict(), "units": UNITS}, oned_as="column")
+
+
+#: Unit of each signal.
+UNITS = dict(zip(ServoRecording._fields, "s m 1 m m/s Pa Pa 1 1 N Pa m Pa Pa m m/s^2".split(), strict=True))
+
 
 #: Readings (position, P_a, P_b) and the command of the period before; estimated position and acceleration.
 Observer: TypeAlias = Callable[[Array, float], "tuple[float, float]"]

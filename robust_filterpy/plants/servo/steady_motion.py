@@ -9,9 +9,16 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 
-from .coefficients import ALPHA_RANGE, BETA_RANGE, beta_coefficient, checked
 from .equations import dry_friction, port_flow, reduced_flow, servo_derivatives
-from .parameters import NOMINAL_ALPHA, PneumaticParameters, as_parameters
+from .parameters import (
+    ALPHA_RANGE,
+    BETA_RANGE,
+    NOMINAL_ALPHA,
+    PneumaticParameters,
+    as_parameters,
+    beta_coefficient,
+    checked,
+)
 
 #: What one unit of a scaled state and input is: m, m/s, Pa, Pa; command, N. One step of finite differences suits all.
 STATE_SCALES = np.array([1e-2, 1e-1, 1e5, 1e5])

@@ -1,114 +1,24 @@
-"""The machinery of `check_filter` and `check_tracker`: named promises, what is not claimed, what is expected to fail.
+"""The machinery of `check_filter`: named promises, what is not claimed, what is expected to fail.
 
-A promise is a function of a subject (the estimator's factory, a seed, the false-alarm probability) that raises
+A promise is a function of a subject (the filter's factory, a seed, the false-alarm probability) that raises
 AssertionError. Its docstring's first line is the theorem.
 """
 
 from __future__ import annotations
 
-import functools
 import time
 import unittest
 import warnings
-import zlib
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from robust_filterpy import _checks
-from robust_filterpy._checks import Array
-from robust_filterpy.testing.assertions.bounds import probability
-from robust_filterpy.testing.scenarios.contamination import Kinds
+__all__ = ["Check", "CheckResult", "ChecksFailed"]
 
-__all__ = ["Bench", "Check", "CheckResult", "ChecksFailed"]
-
-#: Samples after which an estimator is old.
+#: Samples after which a filter is old.
 OLD = 1200
-
-S = TypeVar("S", bound="Subject")
-
-
-class Corrected(NamedTuple):
-    """Hold what one correction did: the step of x or theta, the Kalman gain's step, and P before and after."""
-
-    step: Array
-    kalman_step: Array
-    P: Array
-    P_after: Array
-
-
-@dataclass(frozen=True)
-class Subject(ABC):
-    """Hold what a promise is tested on, and what the promises that filters and trackers share ask of both.
-
-    Attributes
-    ----------
-    make : callable
-        Returns a new estimator.
-    claims : frozenset of str
-        Tags of what the estimator claims.
-    seed : sequence of int
-        Seed of everything that is drawn.
-    false_alarm : float
-        Probability that a right estimator fails one stochastic check.
-    """
-
-    #: Attributes that hold the estimate.
-    shown: ClassVar[tuple[str, ...]]
-    make: Callable[..., Any]
-    claims: frozenset[str]
-    seed: Sequence[int]
-    false_alarm: float
-
-    @functools.cached_property
-    def rng(self) -> np.random.Generator:
-        """Draws everything that this check draws."""
-        return np.random.default_rng(list(self.seed))
-
-    @property
-    def is_exact(self) -> bool:
-        """Whether the estimator claims to be the Kalman filter, or recursive least squares."""
-        return "exact" in self.claims
-
-    def make_one(self, what: str, needed: Sequence[str], returned: str, *arguments: Any) -> Any:
-        """Make an estimator, or raise TypeError that says what make returned."""
-        if not callable(self.make):
-            raise TypeError(f"make: expected a class or a function of {what}, got {_checks.shown(self.make)}")
-        made = self.make(*arguments)
-        lacking = [name for name in needed if isinstance(made, type) or not hasattr(made, name)]
-        if lacking:
-            raise TypeError(
-                f"make: expected a function of {what} that returns {returned}, got {_checks.shown(made)} without "
-                f"{lacking[0]}"
-            )
-        return made
-
-    @abstractmethod
-    def try_out(self) -> None:
-        """Make one and prepare it, or raise TypeError or ValueError that says what make returned."""
-
-    @abstractmethod
-    def work(self) -> tuple[Callable[[], Any], Sequence[Callable[[Any], Any]]]:
-        """Return what makes prepared estimators, and the calls that take one of them along a recording."""
-
-    @abstractmethod
-    def bad_calls(self) -> Mapping[str, Callable[[Any], Any]]:
-        """Return calls that must be refused, by what is wrong with them."""
-
-    @abstractmethod
-    def covariances(self) -> list[Array]:
-        """Return P along a recording on which rounding errors may grow."""
-
-    @abstractmethod
-    def corrected(self, e: float, age: int = 0, R_ratio: float = 1.0) -> Corrected:
-        """Correct by innovations of e deviations after some samples, R being this many times what it was."""
-
-    @abstractmethod
-    def assert_efficient(self, contamination: Kinds) -> None:
-        """Assert that the squared error is near that of the estimator that is told every label."""
 
 
 def through(estimator: Any, steps: Iterable[Callable[[Any], Any]]) -> Any:
@@ -149,10 +59,10 @@ class Promise:
 
 def promise(
     register: list[Promise], *needs: str, stochastic: bool = False
-) -> Callable[[Callable[[S], None]], Callable[[S], None]]:
+) -> Callable[[Callable[[Any], None]], Callable[[Any], None]]:
     """Return a decorator that puts a function, with the claims without which it is not tested, on a list."""
 
-    def decorate(function: Callable[[S], None]) -> Callable[[S], None]:
+    def decorate(function: Callable[[Any], None]) -> Callable[[Any], None]:
         register.append(Promise(function, frozenset(needs), stochastic))
         return function
 
@@ -183,7 +93,7 @@ class Check(Promise):
     """
 
     expected_failure: str | None
-    subject: Callable[..., Subject]
+    subject: Callable[..., Any]
 
     @property
     def __name__(self) -> str:
@@ -285,135 +195,7 @@ class ChecksFailed(AssertionError):
         super().__init__("\n".join(lines))
 
 
-@dataclass(frozen=True)
-class Bench:
-    """Test every promise that an estimator of one kind claims to keep.
-
-    Attributes
-    ----------
-    tags : mapping of str to str
-        What can be claimed, and its meaning.
-    subject : type of Subject
-        Makes estimators of this kind and moves them.
-    promises : sequence of Promise
-        What is tested, from what breaks everything to what only shows in the long run: the first failure is the one to
-        look at.
-
-    Examples
-    --------
-    >>> from filterpy.kalman import KalmanFilter
-    >>> from robust_filterpy.testing import check_filter
-    >>> results = check_filter(KalmanFilter, not_claimed=("robust", "nan", "validates"))
-    >>> {result.status for result in results} <= {"passed", "skipped"}
-    True
-
-    In a test file::
-
-        @pytest.mark.parametrize("check", filter_checks(not_claimed=("robust",)))
-        def test_my_filter(check):
-            check(MyFilter)
-    """
-
-    tags: Mapping[str, str]
-    subject: type[Subject]
-    promises: Sequence[Promise]
-
-    def checks(
-        self,
-        *,
-        not_claimed: Iterable[str] = (),
-        expected_failures: Mapping[str, str] | None = None,
-        seed: int = 0,
-        false_alarm: float = 1e-6,
-    ) -> list[Check]:
-        """List the checks of an estimator, for ``pytest.mark.parametrize``.
-
-        Parameters
-        ----------
-        not_claimed : iterable of str
-            What the estimator does not claim; an unknown name is refused with all that can be claimed. "exact" is
-            tested only of estimators that do not claim "robust".
-        expected_failures : mapping of str to str, optional
-            Names of checks that are known to fail, and the reason. They are reported as skipped; one that passes warns.
-        seed : int, default 0
-            Seed of all checks.
-        false_alarm : float, default 1e-6
-            Probability that a right estimator fails one of the stochastic checks.
-
-        Returns
-        -------
-        list of Check
-            Each is called with the estimator's factory.
-
-        Raises
-        ------
-        ValueError, TypeError
-            If a tag or a name is unknown, or a number out of range.
-        """
-        if isinstance(not_claimed, str):
-            raise TypeError(f"not_claimed: expected several tags, got the text {not_claimed!r}; use ({not_claimed!r},)")
-        claims = frozenset(self.tags) - {_checks.option("not_claimed", tag, self.tags) for tag in not_claimed}
-        # A robust estimator is not the Kalman filter, nor least squares.
-        claims -= {"exact"} if "robust" in claims else set()
-        expected, names = dict(expected_failures or {}), [entry.name for entry in self.promises]
-        for name in expected:
-            _checks.option("expected_failures", name, names)
-        alpha, seed = probability(false_alarm), _checks.count("seed", seed)
-
-        def subject(make: Callable[..., Any], name: str, other: int | None) -> Subject:
-            start = seed if other is None else _checks.count("seed", other)
-            return self.subject(make, claims, (start, zlib.crc32(name.encode())), alpha)
-
-        return [
-            Check(entry.function, entry.needs, entry.stochastic, expected.get(entry.name), subject)
-            for entry in self.promises
-            if entry.needs <= claims
-        ]
-
-    def check(
-        self,
-        make: Callable[..., Any],
-        *,
-        not_claimed: Iterable[str] = (),
-        expected_failures: Mapping[str, str] | None = None,
-        seed: int = 0,
-        false_alarm: float = 1e-6,
-    ) -> tuple[CheckResult, ...]:
-        """Test every promise that an estimator claims to keep.
-
-        Parameters
-        ----------
-        make : callable
-            Of a filter: ``make(dim_x, dim_z)`` returns a new one with ``x, P, F, H, Q, R``, ``predict()`` and
-            ``update(z)``; a class will do. B, y, S, log_likelihood are tested where it has them, HJacobian where
-            ``update`` asks for it. Of a tracker: ``make(structure)`` returns a new one with ``update(y, u)`` and
-            ``theta``; P, std, R, Q, predict, run, state and restore are tested where it has them.
-        not_claimed, expected_failures, seed, false_alarm
-            As in `checks`.
-
-        Returns
-        -------
-        tuple of CheckResult
-            Name, status, message and seconds of each check.
-
-        Raises
-        ------
-        ChecksFailed
-            An AssertionError that names every check that failed, with its figures.
-        TypeError, ValueError
-            If make returns something else, or a tag or a name is unknown.
-        """
-        checks = self.checks(
-            not_claimed=not_claimed, expected_failures=expected_failures, seed=seed, false_alarm=false_alarm
-        )
-        self.subject(make, frozenset(), (seed,), false_alarm).try_out()
-        results = [_result(check, make) for check in checks]
-        if any(result.status == "failed" for result in results):
-            raise ChecksFailed(results, {check.name: check.needs for check in checks})
-        return tuple(results)
-
-
-def _result(check: Check, make: Callable[..., Any]) -> CheckResult:
+def result_of(check: Check, make: Callable[..., Any]) -> CheckResult:
     """Run one check and say what became of it."""
     start, status, message = time.perf_counter(), "passed", ""
     try:

@@ -7,7 +7,8 @@ import numpy as np
 from robust_filterpy.testing.assertions import contracts
 from robust_filterpy.testing.assertions.bounds import deviations
 from robust_filterpy.testing.assertions.consistency import assert_covariance_stays_one
-from robust_filterpy.testing.checks.bench import OLD, Promise, Subject, promise, through
+from robust_filterpy.testing.checks.bench import OLD, Promise, promise, through
+from robust_filterpy.testing.checks.filter_subject import FilterSubject
 
 #: What is looked at first, in the middle, and at the end.
 CONTRACTS: list[Promise] = []
@@ -16,7 +17,7 @@ STATISTICS: list[Promise] = []
 
 
 @promise(CONTRACTS)
-def estimates_handed_out_stay_as_they_were(subject: Subject) -> None:
+def estimates_handed_out_stay_as_they_were(subject: FilterSubject) -> None:
     """What the estimator showed, kept in a list after each call, is not changed by later calls."""
     new, steps = subject.work()
     estimator, kept = new(), []
@@ -31,7 +32,7 @@ def estimates_handed_out_stay_as_they_were(subject: Subject) -> None:
 
 
 @promise(CONTRACTS)
-def two_estimators_share_nothing(subject: Subject) -> None:
+def two_estimators_share_nothing(subject: FilterSubject) -> None:
     """An estimator at work changes neither another one, nor those made later, nor what these find."""
     new, steps = subject.work()
     idle = new()
@@ -43,18 +44,18 @@ def two_estimators_share_nothing(subject: Subject) -> None:
 
 
 @promise(CONTRACTS)
-def deepcopies_go_on_alike(subject: Subject) -> None:
+def deepcopies_go_on_alike(subject: FilterSubject) -> None:
     """A deepcopy goes on as the original does, bit for bit, and neither moves the other."""
     _round_trip(subject, "deepcopy")
 
 
 @promise(CONTRACTS, "pickle")
-def pickles_go_on_alike(subject: Subject) -> None:
+def pickles_go_on_alike(subject: FilterSubject) -> None:
     """An unpickled estimator goes on as the original does, bit for bit."""
     _round_trip(subject, "pickle")
 
 
-def _round_trip(subject: Subject, way: str) -> None:
+def _round_trip(subject: FilterSubject, way: str) -> None:
     """Copy in the middle of a recording."""
     new, steps = subject.work()
     half = len(steps) // 2
@@ -63,7 +64,7 @@ def _round_trip(subject: Subject, way: str) -> None:
 
 
 @promise(CONTRACTS, "validates")
-def bad_input_is_refused_and_changes_nothing(subject: Subject) -> None:
+def bad_input_is_refused_and_changes_nothing(subject: FilterSubject) -> None:
     """What cannot be right raises ValueError or TypeError; the estimate, and what it is later, are as without it."""
     (new, steps), faults = subject.work(), []
     half = len(steps) // 2
@@ -80,7 +81,7 @@ def bad_input_is_refused_and_changes_nothing(subject: Subject) -> None:
 
 
 @promise(STEPS, "linear")
-def small_innovations_are_believed(subject: Subject) -> None:
+def small_innovations_are_believed(subject: FilterSubject) -> None:
     """An innovation of a hundredth of its deviation makes the step of the Kalman gain, by the P shown, at any age."""
     for age in (0, OLD):
         ratio, other = _share(subject, 0.01, age=age)
@@ -93,7 +94,7 @@ def small_innovations_are_believed(subject: Subject) -> None:
 
 
 @promise(STEPS, "linear")
-def innovations_are_judged_by_their_own_deviation(subject: Subject) -> None:
+def innovations_are_judged_by_their_own_deviation(subject: FilterSubject) -> None:
     """An innovation of half its deviation, the root of S, is ordinary, be R the smallest or the largest part of S."""
     for R_ratio in (1e-4, 1e4):
         ratio, _ = _share(subject, 0.5, R_ratio=R_ratio)
@@ -104,7 +105,7 @@ def innovations_are_judged_by_their_own_deviation(subject: Subject) -> None:
             )
 
 
-def _share(subject: Subject, e: float, *, age: int = 0, R_ratio: float = 1.0) -> tuple[float, float]:
+def _share(subject: FilterSubject, e: float, *, age: int = 0, R_ratio: float = 1.0) -> tuple[float, float]:
     """Return the step in units of the Kalman gain's: along it, and across it."""
     step, wanted, P, _ = subject.corrected(e, age, R_ratio)
     step, wanted = step / deviations(P), wanted / deviations(P)
@@ -113,7 +114,7 @@ def _share(subject: Subject, e: float, *, age: int = 0, R_ratio: float = 1.0) ->
 
 
 @promise(STEPS, "robust", "recovers")
-def what_is_cut_off_makes_nothing_certain(subject: Subject) -> None:
+def what_is_cut_off_makes_nothing_certain(subject: FilterSubject) -> None:
     """A measurement of a hundred deviations makes P shrink by less than half of what an ordinary one does."""
     ordinary, outlier = (_gained(subject, e) for e in (0.01, 100.0))
     if not outlier < 0.5 * ordinary:
@@ -123,25 +124,25 @@ def what_is_cut_off_makes_nothing_certain(subject: Subject) -> None:
         )
 
 
-def _gained(subject: Subject, e: float) -> float:
+def _gained(subject: FilterSubject, e: float) -> float:
     """Return by how much P shrinks, in units of itself."""
     _, _, P, after = subject.corrected(e, age=20)
     return float(np.trace(np.linalg.solve(P, P - after)))
 
 
 @promise(STATISTICS, stochastic=True)
-def clean_data_are_used_well(subject: Subject) -> None:
+def clean_data_are_used_well(subject: FilterSubject) -> None:
     """On clean normal data the squared error is not much more than the Kalman filter's, or that of least squares."""
     subject.assert_efficient("none")
 
 
 @promise(STATISTICS, "robust", stochastic=True)
-def outliers_cost_little(subject: Subject) -> None:
+def outliers_cost_little(subject: FilterSubject) -> None:
     """With one sample in ten of 30 times the noise the squared error stays near that of who knows the labels."""
     subject.assert_efficient({"mixture": {"scale_ratio": 30.0}})
 
 
 @promise(STATISTICS)
-def covariance_stays_one(subject: Subject) -> None:
+def covariance_stays_one(subject: FilterSubject) -> None:
     """P stays symmetric and positive semidefinite, also where rounding errors are not damped."""
     assert_covariance_stays_one(subject.covariances())

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, ClassVar
+from functools import cached_property, partial
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.testing.assertions.robustness import assert_efficient
-from robust_filterpy.testing.checks.bench import Corrected, Subject
 from robust_filterpy.testing.scenarios import runs
 from robust_filterpy.testing.scenarios.contamination import Kinds
 from robust_filterpy.testing.scenarios.drawing import Scenario, draw
@@ -52,11 +52,47 @@ BAD_VALUES: dict[str, tuple[str | None, Any]] = {
 }
 
 
-@dataclass(frozen=True)
-class FilterSubject(Subject):
-    """Make filters, load them and move them."""
+class Corrected(NamedTuple):
+    """Hold what one correction did: the step of x or theta, the Kalman gain's step, and P before and after."""
 
+    step: Array
+    kalman_step: Array
+    P: Array
+    P_after: Array
+
+
+@dataclass(frozen=True)
+class FilterSubject:
+    """Make filters, load them and move them: what a promise is tested on.
+
+    Attributes
+    ----------
+    make : callable
+        Returns a new filter.
+    claims : frozenset of str
+        Tags of what it claims.
+    seed : sequence of int
+        Seed of everything that is drawn.
+    false_alarm : float
+        Probability that a right filter fails one stochastic check.
+    """
+
+    #: Attributes that hold the estimate.
     shown: ClassVar[tuple[str, ...]] = ("x", "P")
+    make: Callable[..., Any]
+    claims: frozenset[str]
+    seed: Sequence[int]
+    false_alarm: float
+
+    @cached_property
+    def rng(self) -> np.random.Generator:
+        """Draws everything that this check draws."""
+        return np.random.default_rng(list(self.seed))
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether the estimator claims to be the Kalman filter."""
+        return "exact" in self.claims
 
     @property
     def factor(self) -> float:
@@ -65,8 +101,17 @@ class FilterSubject(Subject):
 
     def made(self, dim_x: int, dim_z: int) -> Any:
         """Make a filter, or say what make returned."""
-        needed, returned = ("x", "P", "predict", "update"), "a filter with x, P, predict() and update(z)"
-        kf = self.make_one("dim_x and dim_z", needed, returned, dim_x, dim_z)
+        what = "dim_x and dim_z"
+        if not callable(self.make):
+            raise TypeError(f"make: expected a class or a function of {what}, got {_checks.shown(self.make)}")
+        kf = self.make(dim_x, dim_z)
+        needed = ("x", "P", "predict", "update")
+        lacking = [name for name in needed if isinstance(kf, type) or not hasattr(kf, name)]
+        if lacking:
+            raise TypeError(
+                f"make: expected a function of {what} that returns a filter with x, P, predict() and update(z), got "
+                f"{_checks.shown(kf)} without {lacking[0]}"
+            )
         if np.size(kf.x) != dim_x:
             raise ValueError(f"make: expected x of {dim_x} numbers from make({dim_x}, {dim_z}), got {np.size(kf.x)}")
         return kf

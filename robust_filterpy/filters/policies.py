@@ -1,37 +1,69 @@
-"""Noise that is a mixture, told or learnt: copies of the state, each corrected under every class of noise and weighed.
+"""What judges a filter's measurements: one of two policies, and which of them was asked for.
 
-What is kept beside x and P are the copies, one for each scale of the process, and what they merge to: a program that
-assigns x or P from outside has assigned it to every copy.
+`Bounded` lets psi bound what an innovation does, and `patience` how long one that is refused may insist; `Mixture`
+weighs what noise may have been, told or learnt: copies of the state, each corrected under every class of noise and
+weighed; who assigns x or P from outside has assigned it to every copy. A policy never changes. What it knows is the
+filter's, arrays and tuples that are never written to: a memory, one row for each sensor, and what it keeps besides
+(copies of the state, a count). It is handed to every call, and what comes back takes its place when the whole call has
+gone well: so a refused call changes nothing, and a filter is copied, stored and put back without asking the policy. A
+correction is a `Correction`, or has its x, P, memory, weights and log_density and makes one by ``as_arrays``; that of
+`corrected` is by a linear sensor, z of shape (m,) with NaN where missing. Which steps are the kernel's is a policy's
+affair; each that the kernel declines it takes by the definition.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
-from typing import Any, NamedTuple
+from functools import cached_property, partial
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.linalg import block_diag
 
+from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._state import Shape
 from robust_filterpy.correction import copies as side_by_side
+from robust_filterpy.correction import spread
 from robust_filterpy.correction.copies import Copies, Scales
-from robust_filterpy.correction.definition import Innovation, innovation_moments, nothing_observed
-from robust_filterpy.correction.learning import NoiseClasses
-from robust_filterpy.correction.options import Choices, Grouping
-from robust_filterpy.correction.policies import Contaminated, Learnt, noise_classes, process_scales
+from robust_filterpy.correction.definition import (
+    Innovation,
+    correct,
+    correct_by_custom,
+    innovation_moments,
+    nothing_observed,
+)
+from robust_filterpy.correction.learning import NoiseClasses, describe, usual
+from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
+from robust_filterpy.correction.policies import (
+    Contaminated,
+    Learnt,
+    noise_classes,
+    noise_policy,
+    process_policy,
+    process_scales,
+)
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.standardization import ordered_scaling
 from robust_filterpy.correction.whitening import Inverse
-from robust_filterpy.filters._bounded import finite_product
-from robust_filterpy.influence.functions import Huber
+from robust_filterpy.filters._insistence import Insistence, jump_of, nothing_refused, watched
+from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.kernel import learnt as half_step
+from robust_filterpy.kernel import moments, series
 from robust_filterpy.kernel.records import Kept as Rows
 from robust_filterpy.kernel.records import State
 
-__all__ = ["Kept", "Mixture", "ordinary_noise"]
+__all__ = ["Bounded", "Known", "Mixture", "Policy", "finite_product", "ordinary_noise", "policy_of"]
+
+
+class Known(NamedTuple):
+    """What a policy knows before a correction."""
+
+    memory: Array
+    """Of the sensors of this measurement, a row each (one for all that fail together)."""
+    kept: Any
+    """What it keeps besides."""
 
 
 class Kept(NamedTuple):
@@ -55,8 +87,171 @@ class Kept(NamedTuple):
 
 
 @dataclass(frozen=True)
+class Bounded:
+    """Correct by psi."""
+
+    choices: Choices
+    patience: int | None = None
+    noise: ClassVar[None] = None
+    process: ClassVar[None] = None
+    rule: ClassVar[None] = None
+
+    def __post_init__(self) -> None:
+        """Check what stands against what."""
+        if self.patience is None:
+            return
+        _checks.count("patience", self.patience, 2)
+        if self.choices.scaling == "learnt":
+            raise ValueError(
+                "patience: expected scaling 'innovation', 'unit' or 'bounded' with it, got 'learnt', which believes "
+                "four innovations in a row that agree; leave one of the two out"
+            )
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Bounded:
+        """Return self: nothing in here changes."""
+        return self
+
+    # Asked for at every step.
+    @cached_property
+    def by_kernel(self) -> bool:
+        """Whether the kernel's steps are these."""
+        return self.patience is None
+
+    @cached_property
+    def unwatched(self) -> bool:
+        """Whether nothing is looked at after a step of the kernel: whether innovations insist, or clip."""
+        return self.by_kernel and self.choices.scaling != "innovation" and self.choices.kernel_psi is not None
+
+    @property
+    def learns(self) -> bool:
+        """Whether thresholds are in units of the spread; the Kalman filter has none."""
+        return self.choices.by_custom
+
+    def begin(self, sensors: int) -> Array:
+        """Return the memory of sensors of which nothing is known."""
+        return spread.begin(sensors)
+
+    def start(self, x: Array, P: Array, sensors: int) -> Insistence | None:
+        """Return the count, if there is one."""
+        return None if self.patience is None else nothing_refused(sensors)
+
+    def predicted(
+        self, kept: Any, x: Array, P: Array, F: Array, Q: Array, Bu: Array | None, alpha_sq: float
+    ) -> tuple[Array, Array, Any]:
+        """Return x = F x + B u, P = alpha^2 F P F' + Q."""
+        x = F.dot(x)
+        if Bu is not None:
+            x = x + Bu
+        P = F.dot(P).dot(F.T)
+        if alpha_sq != 1.0:
+            P *= alpha_sq
+        P += Q
+        return x, 0.5 * (P + P.T), kept
+
+    def corrected(
+        self, known: Any, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None, inv: Inverse | None
+    ) -> tuple[Correction | moments.Taken, Any]:
+        """Return the correction by a linear sensor."""
+        if self.by_kernel and inv is None:
+            taken = moments.correct_linear(self.choices, known.memory, x, P, z, H, R, M)
+            if taken is not None:
+                return taken, known.kept
+        y = z - finite_product(H, x)
+        return self.corrected_by_moments(known, x, P, Innovation(z, y, *innovation_moments(P, H, R, M), R, H), inv)
+
+    def corrected_by_moments(
+        self, known: Any, x: Array, P: Array, innovation: Innovation, inv: Inverse | None,
+        difference: Callable[[Array, Array], Array] = np.subtract,
+    ) -> tuple[Correction, Any]:  # fmt: skip
+        """Return the correction, P widened where refused innovations have insisted for long enough."""
+        if self.learns:
+            last = correct_by_custom(known.memory, x, P, innovation, self.choices, inv is not None)
+        else:
+            _, y, C, S, _, _ = innovation
+            last = correct(x, P, y, C, S, self.choices, skip_singular=inv is not None)
+        if self.patience is None or known.kept is None:
+            return last, known.kept
+        kept, full = watched(known.kept, self.patience, last, difference)
+        if not full:
+            return last, kept
+        _, _, C, S, R, H = innovation
+        C = C if H is None else P @ H.T
+        jump = jump_of(last, C, S - R if H is None else H @ C)
+        return (last, kept) if jump is None else (last._replace(P=last.P + jump), kept.recovered())
+
+    def current(self, kept: Any, x: Array, P: Array) -> Kept:
+        """Return the one copy that there is."""
+        return alone(x, P)
+
+    def standing(self, kept: Any, x: Array, P: Array, memory: Array) -> State:
+        """Return where a recording begins, in arrays of its own."""
+        none = np.empty((0, len(x)))
+        return State(none, none[:, :, None], none, memory.copy(), x.copy(), P.copy())
+
+    def kept_of(self, kept: Any, state: State) -> Any:
+        """Return what is kept besides where a recording has come to."""
+        return kept
+
+    def advance(self, state: State, zs: Array, model: tuple[Any, ...], into: Rows, **how: Any) -> int:
+        """Take the steps of a recording as far as the kernel can, and return the first that was not taken."""
+        return series.run(self.choices, state, zs, model, into, **how)
+
+    def factors(self, memory: Array) -> Array:
+        """Return what a sensor's innovations are over what was told, in variance, as learnt."""
+        return np.where((memory[:, spread.WEIGHT] > 0) & self.learns, memory[:, spread.SPREAD] ** 2, 1.0)
+
+    def contamination(self, memory: Array) -> Array:
+        """Return the share of far innovations of each sensor, NaN where none is learnt."""
+        return np.where((memory[:, spread.WEIGHT] > 0) & self.learns, memory[:, spread.SHARE], np.nan)
+
+    def shares(self, memory: Array) -> tuple[Array, Array]:
+        """Return the factors of ordinary noise's variance that outliers may have, and their shares."""
+        share = np.clip(np.nan_to_num(self.contamination(memory)), 0.01, 0.4)[:, None]
+        return np.array([1.0, 100.0]), np.concatenate([1.0 - share, share], axis=1)
+
+    def slack(self, kept: Any) -> float:
+        """Return the factor of Q that is thought likely."""
+        return 1.0
+
+    def entries(self, kept: Insistence | None, x: Array, P: Array) -> dict[str, Array]:
+        """Return the count and the refused innovation that the next one is compared with."""
+        if kept is None:
+            return {}
+        return {"counts": np.array([kept.refused, kept.recoveries], dtype=float), "insisting": kept.insisting}
+
+    def shapes(self, n: int) -> dict[str, Shape]:
+        """Return the shapes of these."""
+        return {} if self.patience is None else {"counts": (2,), "insisting": (None,)}
+
+    def resumed(self, found: dict[str, Array], x: Array, P: Array) -> Insistence | None:
+        """Return the count of a state, if it is one."""
+        if self.patience is None:
+            return None
+        counts = found["counts"]
+        if (counts < 0).any() or (counts != np.floor(counts)).any():
+            raise ValueError(f"state: expected whole counts >= 0, got {counts}")
+        return Insistence(int(counts[0]), int(counts[1]), found["insisting"])
+
+
+def alone(x: Array, P: Array) -> Kept:
+    """Return the copy of a filter that trusts its process."""
+    n = len(x)
+    return Kept(x[None], P[None], np.array([np.ones(n), np.zeros(n), np.zeros(n)]), x, P)
+
+
+def finite_product(H: Array, x: Array) -> Array:
+    """Return H x, shape (m,), or raise: NaN would pass for a missing measurement."""
+    predicted = H.dot(x)
+    if not np.isfinite(predicted).all():
+        if not np.isfinite(H).all():
+            raise ValueError("H: expected finite numbers, got NaN or infinity")
+        raise ValueError(f"x: expected finite numbers, got H x = {predicted}")
+    return np.asarray(predicted)
+
+
+@dataclass(frozen=True)
 class Mixture:
-    """Correct by the score of the innovation; how a filter uses it: `robust_filterpy.filters._policy`."""
+    """Correct by the score of the innovation."""
 
     noise: Contaminated | Learnt
     process: Contaminated | Scales | None = None
@@ -108,7 +303,7 @@ class Mixture:
     def current(self, kept: Kept | None, x: Array, P: Array) -> Kept:
         """Return the copies; all of them at x, P if these have been assigned from outside."""
         if kept is None:
-            return Kept(*side_by_side.start(x, P, self.scales), x, P)
+            return alone(x, P)
         if x.tobytes() == kept.x.tobytes() and P.tobytes() == kept.P.tobytes():
             return kept
         count, belief, scales = len(kept.means), kept.belief.copy(), len(self.scales.scales)
@@ -191,6 +386,25 @@ class Mixture:
     def any_outlier(self, outlying: Array) -> Array:
         """Return the probability that any sensor, the last axis, was an outlier."""
         return _any_outlier(outlying, self.grouping)
+
+    def factors(self, memory: Array) -> Array:
+        """Return what a sensor's ordinary noise is over R, in variance, as learnt."""
+        return np.asarray(memory[:, 0])
+
+    def contamination(self, memory: Array) -> Array:
+        """Return the share of outliers of each sensor, as learnt."""
+        return describe(memory, np.array(self.classes.scales)).contamination
+
+    def shares(self, memory: Array) -> tuple[Array, Array]:
+        """Return the factors of ordinary noise's variance that outliers may have, and their shares."""
+        scales = np.array(self.classes.scales)
+        return scales, np.array([usual(row, len(scales)) for row in memory])
+
+    def slack(self, kept: Kept | None) -> float:
+        """Return the factor of Q that is thought likely."""
+        if kept is None:
+            return 1.0
+        return float(np.exp(np.mean(np.log(self.scales.scales) @ side_by_side.slow(kept.copies, self.scales))))
 
     def entries(self, kept: Kept | None, x: Array, P: Array) -> dict[str, Array]:
         """Return the copies as arrays of a state."""
@@ -290,3 +504,57 @@ def ordinary_noise(R: Array, memory: Array) -> Array:
         return np.asarray(R * memory[0, 0])
     r = np.sqrt(memory[: len(R), 0])
     return np.asarray(R * np.multiply.outer(r, r))
+
+
+#: What judges a filter's measurements. Both have the attributes and methods that `Bounded` has.
+Policy: TypeAlias = Bounded | Mixture
+
+
+def policy_of(
+    influence: Influence = Huber(),
+    scaling: Scaling | None = None,
+    information: Information = "realized",
+    grouping: Grouping = "component",
+    noise: Any = None,
+    process: Any = None,
+    patience: int | None = None,
+) -> Policy:
+    """Return the policy that a filter's arguments ask for, or raise where they make no sense together.
+
+    Parameters
+    ----------
+    influence, scaling, information, grouping, noise, process, patience
+        As in `robust_filterpy.RobustKalmanFilter`.
+
+    Returns
+    -------
+    Policy
+
+    Raises
+    ------
+    ValueError, TypeError
+        If one is out of range or stands against another one.
+    """
+    noise, process = noise_policy(noise), process_policy(process)
+    if noise is None:
+        if process is not None:
+            raise ValueError(
+                f"process: expected None without noise=, got {process!r}; how likely a measurement is under each "
+                "process follows from its noise: say noise='learnt' or noise=Contaminated(..), Contaminated(0) for "
+                "noise without outliers"
+            )
+        usual: Scaling = "learnt" if patience is None else "innovation"
+        return Bounded(Choices(influence, usual if scaling is None else scaling, information, grouping), patience)
+    if patience is not None:
+        raise ValueError(
+            f"patience: expected None with noise=, got {patience!r}; there a jump is believed by its probability: say "
+            "process=Scales(jump=..)"
+        )
+    for name, value, usual_ones in (
+        ("influence", influence, (Huber(),)),
+        ("scaling", scaling, (None, "innovation")),
+        ("information", information, ("realized",)),
+    ):
+        if value not in usual_ones:
+            raise ValueError(f"{name}: expected none with noise=, got {value!r}; psi follows from the noise there")
+    return Mixture(noise, process, grouping)

@@ -1,0 +1,495 @@
+"""What every robust filter is: options, steps by the kernel, what a correction shows, a robust log-likelihood."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from filterpy.common import pretty_str
+
+from robust_filterpy import kernel
+from robust_filterpy._arrays import noise_covariance, state_of
+from robust_filterpy._brief import lines_of
+from robust_filterpy._checks import Array
+from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
+from robust_filterpy.correction.result import Correction
+from robust_filterpy.filters._correlated import judges, look_at_signs
+from robust_filterpy.filters._insistence import is_near, jump_of, watched
+from robust_filterpy.filters._outlier_share import EVERY, Share
+from robust_filterpy.filters._parts import log_density
+from robust_filterpy.filters.policies import Mixture, Policy, policy_of
+from robust_filterpy.filters.snapshot import SLOTS, put_back, snapshot, whole
+from robust_filterpy.filters.states import Customs, StateMixin
+from robust_filterpy.filters.stuck import look_for_repeats, look_for_stuck
+from robust_filterpy.kernel.moments import Taken
+from robust_filterpy.kernel.record import correction_of, judged_of, weights_of
+
+_DEFAULT_INVERSE = np.linalg.inv
+Inverse = Callable[[Array], Array]
+_extension = kernel.extension()
+# What a subclass may do in its own way; then the kernel's is not that filter's.
+_METHODS = ("_predicted", "_transition", "_correct", "_measurement", "_corrected", "_inverse")
+
+
+def is_own(cls: type, base: type) -> bool:
+    """Return whether a subclass predicts and corrects as its base does."""
+    return all(getattr(cls, name) is getattr(base, name) for name in _METHODS)
+
+
+def _option(name: str, words: str) -> Any:
+    """Return an option as an attribute: where it is set, the filter goes on by another policy."""
+
+    def read(kf: Any) -> Any:
+        """Return it."""
+        return getattr(kf._policy if name in ("noise", "process", "patience") else kf._choices, name)
+
+    return property(read, lambda kf, value: kf._choose(**{name: value}), doc=words)
+
+
+class _Emptied(NamedTuple):
+    """A correction with nothing observed, made when somebody looks."""
+
+    last: Any
+    #: Of the innovation.
+    log_density: float = 0.0
+
+    def as_arrays(self) -> Correction:
+        """Return what led to it."""
+        last = self.last if type(self.last) is Correction else self.last.as_arrays()
+        zero, none = np.zeros_like(last.y), np.full(last.y.shape, np.nan)
+        return last._replace(y=zero, score=zero, e=zero, weights=none, psi_deriv=none, log_density=0.0, memory=None)
+
+
+class Shell(StateMixin):
+    """Add to a filter of filterpy's the choices of a robust correction and the attributes that show what it did.
+
+    Comes before filterpy's class among the bases. The filter stores its `Correction` in ``_last`` and sets
+    ``_y = _S = _SI = None`` (and ``_K = None``, unless it sets K).
+    """
+
+    __slots__ = SLOTS
+
+    #: Whether z is a column after `update(None)` though x is none, as filterpy has it.
+    _none_is_column = False
+    #: Whether a kind of filter takes ``process=``; only bounded influence is there for members of an ensemble.
+    _takes_process, _takes_mixtures = True, True
+    #: Whether the kernel's linear steps are this class's.
+    _by_kernel = False
+    #: Whether nobody else watches how often the filter clips.
+    _counts_clipped = True
+
+    noise = _option("noise", "How measurements fail: None (psi bounds them), `Contaminated` or `Learnt`.")
+    process = _option("process", "What the process noise may be: None (Q as given), `Contaminated` or `Scales`.")
+    patience: int | None = _option("patience", "How many refused measurements that agree are believed, if any.")
+    scaling: Scaling = _option("scaling", 'Which T: "learnt", "innovation", "unit" or "bounded".')
+    information: Information = _option("information", 'Which D: "realized", "expected" or "weight".')
+    grouping: Grouping = _option("grouping", 'Which sensors fail together: "component" (none), "joint" (all), groups.')
+
+    @property
+    def influence(self) -> Any:
+        """The influence function psi; under ``noise=`` the noise, whose score is psi."""
+        return self._choices.influence if self.noise is None else self.noise
+
+    @influence.setter
+    def influence(self, value: Any) -> None:
+        self._choose(influence=value)
+
+    def _set_policy(self, dim_z: int, *choices: Any) -> None:
+        """Check and keep what was chosen, as `policy_of` takes it; called before filterpy's constructor."""
+        self._policy = policy_of(*choices)
+        self._require_possible(self._policy)
+        self._choices, self._last, self._outlier_probability = self._policy.choices, None, 0.0
+        self._share, self._signs, self._updates, self._process_scales = Share(), None, 0, None
+        self._kept = self._y = self._S = self._SI = self._K = None
+        # The kernel takes arrays of the right shape, from the first measurement on.
+        self._keep_sensors(Customs(self._policy.begin(dim_z), {}))
+        self._named_sensors = {}
+
+    def _start(self) -> None:
+        """Let what is kept beside x and P begin at them; called at the end of a constructor."""
+        x, P = state_of(self)
+        self._kept = self._policy.start(np.ravel(x), P, self.dim_z)
+
+    @property
+    def _inverse(self) -> Inverse | None:
+        """What the user wants S inverted by, None if that is what filterpy does by default."""
+        return None if self.inv is _DEFAULT_INVERSE else self.inv
+
+    @property
+    def choices(self) -> Choices:
+        """What an innovation is judged by: influence, scaling, information, grouping, checked."""
+        return self._choices
+
+    @property
+    def policy(self) -> Policy:
+        """What judges measurements, made of these choices; it never changes."""
+        return self._policy  # type: ignore[no-any-return]
+
+    def _choose(self, **changes: Any) -> None:
+        """Go on with other choices; a mixture that becomes another one starts to learn anew."""
+        old = self._policy
+        for name in {"influence", "scaling", "information"} & changes.keys() if old.noise is not None else ():
+            raise AttributeError(f"{name}: follows from noise={old.noise!r}; set noise=None before")
+        chosen = {"grouping": old.choices.grouping, "noise": old.noise, "process": old.process}
+        if old.noise is None and changes.get("noise") is None:
+            chosen |= {name: getattr(old.choices, name) for name in ("influence", "scaling", "information")}
+        elif "noise" in changes and changes["noise"] is None:
+            chosen["process"] = None
+        policy: Any = policy_of(**{**chosen, "patience": old.patience, **changes})
+        self._require_possible(policy)
+        anew = type(policy) is not type(old) or (isinstance(policy, Mixture) and policy.classes != old.classes)
+        self._policy, self._choices = policy, policy.choices
+        if anew:
+            self._keep_sensors(Customs(policy.begin(self.dim_z), {}))
+        if anew or policy.process != old.process or policy.patience != old.patience:
+            self._start()
+
+    def _require_possible(self, policy: Any) -> None:
+        """Raise for a policy that this kind of filter cannot follow."""
+        name = type(self).__name__
+        if policy.process is not None and not self._takes_process:
+            raise ValueError(
+                f"process: expected None for a {name}, got {policy.process!r}; copies with another Q are for linear "
+                "models (RobustKalmanFilter). Where the state may jump, say patience= without noise="
+            )
+        if not self._takes_mixtures and (policy.noise is not None or policy.patience is not None):
+            raise ValueError(
+                f"noise, patience: expected None for a {name}, whose members move by a bounded innovation; take a "
+                "RobustUnscentedKalmanFilter"
+            )
+
+    def __str__(self) -> str:
+        """Show where the filter stands, how it judges and what it has learnt; `repr` shows every matrix."""
+        parts = {"x": np.ravel(self.x), "std": np.sqrt(np.maximum(np.diag(self.P), 0.0))}
+        z = np.ravel(self.z)
+        if not all(value is None for value in z):
+            parts["last z"] = z
+            parts["its weights"] = np.ravel(self.weights)
+        return "\n".join(
+            [
+                f"{type(self).__name__}: {self.dim_x} states, {self.dim_z} measured; repr() shows every matrix",
+                *lines_of({**parts, **_judgement(self)}),
+            ]
+        )
+
+    def __repr__(self) -> str:
+        """Show the choices and everything that filterpy shows."""
+        lines = super().__repr__().split("\n")
+        names = ["influence", "scaling", "information", "grouping", "spread", "weights", "clipped", "e", "T"]
+        if self.noise is not None:
+            names[:3] = "noise", "process"
+            names[3:4] = "R_learnt", "noise_learnt", "process_scale", "outlier_probability"
+        elif self.patience is not None:
+            names[4:4] = "patience", "refused", "recoveries"
+        return "\n".join(
+            [f"{type(self).__name__} object", *lines[1:], *(pretty_str(name, getattr(self, name)) for name in names)]
+        )
+
+    def _predict_by_kernel(self, u: Any, B: Any, F: Any, Q: Any) -> bool:
+        """Predict by F."""
+        if _extension is None or not self._by_kernel:
+            return False
+        predict = _extension.predict if self._policy.noise is None else _extension.predict_mixture
+        return bool(predict(self, u, B, F, Q))
+
+    def _predict_extended(self, u: Any, moves: bool) -> bool:
+        """Predict by F, or P alone where x has been moved by a function."""
+        if _extension is None:
+            return False
+        return bool(_extension.predict(self, u, None, None, None) if moves else _extension.predict_covariance(self))
+
+    def _correct_by_kernel(self, z: Any, R: Any, H: Any, M: Any) -> bool:
+        """Correct by a linear sensor."""
+        if _extension is None or not self._by_kernel:
+            return False
+        if self._policy.noise is not None:
+            return self._watched(_extension.correct_mixture, z, R, H, M)
+        if self._policy.patience is not None and M is not None:
+            return False
+        return self._counted(_extension.correct, z, R, H, M, R=R)
+
+    def _stepped(
+        self, z: Any, predicted: Any, y: Any, C: Any, S: Any, R: Any,
+        difference: Callable[[Array, Array], Array] = np.subtract,
+    ) -> bool:  # fmt: skip
+        """Correct by a nonlinear sensor, by z and its prediction or by y; C and S, or H and None."""
+        if _extension is None:
+            return False
+        if self._policy.noise is not None:
+            return self._watched(_extension.correct_mixture_innovation, z, predicted, y, C, S, R)
+        return self._counted(_extension.correct_innovation, z, predicted, y, C, S, R, R=R, difference=difference)
+
+    def _watched(self, step: Any, *given: Any) -> bool:
+        """Take a correction under ``noise=``, and look now and then at the signs of innovations."""
+        before = snapshot(self) if judges(self._updates + 1) else None
+        if not step(self, *given):
+            return False
+        self._updates += 1
+        if self._counts_clipped:
+            self._signs = self._looked(before, look_at_signs, self, self._signs, self._last, self._updates)
+        return True
+
+    def _counted(self, step: Any, *given: Any, R: Any, difference: Any = np.subtract) -> bool:
+        """Take a correction, see whether refused ones insist, and look now and then whether most of them clip."""
+        if self._policy.unwatched:
+            return self._repeated(step(self, *given))
+        insists = self._policy.patience is not None
+        counts = self._counts_clipped and self._choices.scaling == "innovation"
+        looks = counts and (self._updates + 1) % EVERY == 0
+        # Psi of the user's may write into anything before it raises.
+        called = self._choices.kernel_psi is None
+        before = snapshot(self) if insists or called or (looks and self._share.fills(self.dim_z)) else None
+        return self._looked(before, self._judged, step, given, insists, counts, looks, R, difference)
+
+    def _judged(self, step: Any, given: Any, insists: bool, counts: bool, looks: bool, R: Any, difference: Any) -> bool:
+        """Take a correction and look at it, as one: what interrupts or refuses it undoes both."""
+        if not self._repeated(step(self, *given)):
+            return False
+        self._updates += counts
+        # As it was judged, before P grows.
+        judged = judged_of(self._last) if looks else None
+        if insists:
+            self._insist(R, difference)
+        if looks:
+            self._share.look(self, judged)
+        return True
+
+    def _repeated(self, taken: int) -> bool:
+        """Return whether a step was taken; say it where a far reading repeats the one before."""
+        if taken > 1:
+            look_for_repeats(self, self._memory)
+        return bool(taken)
+
+    def _insist(self, R: Any, difference: Callable[[Array, Array], Array]) -> None:
+        """Count a correction that the kernel took, and widen P where refused ones have insisted for long enough."""
+        if is_near(self._last):
+            self._kept = self._kept.nearer()
+            return
+        last: Any = self._arrays()
+        kept, full = watched(self._kept, self._policy.patience, last, difference)
+        jump = None
+        if full:
+            kf: Any = self
+            jump = jump_of(last, last.C, last.S - noise_covariance(kf.R, R, len(last.y)))
+        if jump is not None:
+            self.P = last.P + jump
+            self.P_post, self._last, kept = self.P.copy(), last._replace(P=self.P), kept.recovered()
+        self._kept = kept
+
+    def _looked(self, before: tuple[Any, ...] | None, look: Callable[..., Any], *given: Any) -> Any:
+        """Look at a correction; a warning that is made an error refuses the call, and then nothing has changed."""
+        try:
+            return look(*given)
+        except BaseException:
+            if before is not None:
+                put_back(self, before)
+            raise
+
+    @property
+    def weights(self) -> Array:
+        """psi(e)/e of the last correction, shape of y; NaN where a component was missing."""
+        if type(self._last) is np.ndarray:
+            # What wraps a filter asks for these alone at every step; the whole record takes longer than the step.
+            found = weights_of(self._last)
+            return found if np.ndim(self.x) == 1 else found[:, None]
+        return self._shown("weights", np.nan)
+
+    @property
+    def clipped(self) -> np.ndarray:
+        """Whether psi'(e) <= 0 in the last correction, shape of y."""
+        return self._shown("clipped", False)
+
+    @property
+    def e(self) -> Array:
+        """Standardized innovation T y of the last correction, shape of y (paper 29)."""
+        return self._shown("e", 0.0)
+
+    @property
+    def y_bounded(self) -> Array:
+        """Bounded innovation T^-1 psi(T y) of the last correction, shape of y, in the unit of z."""
+        return self._shown("y_bounded", 0.0)
+
+    @property
+    def T(self) -> Array:
+        """Scaling of the last correction, shape (dim_z, dim_z) (paper 36)."""
+        last = self._arrays()
+        return np.eye(self.dim_z) if last is None or not last.order else last.T
+
+    def _look(self, last: Any) -> None:
+        """Count a correction, and look now and then whether most of them clip."""
+        self._updates += 1
+        if self._policy.noise is not None:
+            look_for_stuck(self, last.weights)
+            if self._counts_clipped:
+                self._signs = look_at_signs(self, self._signs, last, self._updates)
+        # Under a mixture psi follows from probabilities, and by custom from what is usual: no share is expected there.
+        expected = self._policy.noise is None and self._choices.scaling == "innovation"
+        if expected and self._counts_clipped and self._updates % EVERY == 0:
+            self._share.look(self, last if isinstance(last, Correction) else last.as_arrays())
+
+    def _look_back(self, weights: Array, y: Array) -> None:
+        """Look whether most corrections of a recording clip, whose weights and innovations have shape (N, m)."""
+        if self._counts_clipped:
+            self._share.look_at_recording(self, weights, y)
+
+    def _keep(self, last: Any, kept: Any, z: Array, passed: Array | None = None) -> None:
+        """Write a correction and the measurement it came from, z of shape (m,), into the attributes."""
+        column = np.ndim(self.x) == 2
+        if not (np.isfinite(last.x).all() and np.isfinite(last.P).all()):
+            raise ValueError("update: expected a finite x and P, got NaN or infinity; check z, P and R, or units")
+        self._learn(last.memory, len(z), passed)
+        if self._policy.noise is None and last.memory is not None:
+            look_for_repeats(self, last.memory)
+        self._look(last)
+        self.x = last.x[:, None] if column else last.x
+        self.P, self._last, self._kept = last.P, last, kept
+        self._outlier_probability = getattr(last, "outlier_probability", 0.0)
+        self.z = z[:, None] if column else z
+        self._y = self._S = self._SI = self._K = None
+        self._as_posterior()
+
+    @whole
+    def _skip(self) -> None:
+        """Do what filterpy does for update(None), and forget the last innovation."""
+        m, column = self.dim_z, np.ndim(self.x) != 1
+        self.z = np.full((m, 1) if column or self._none_is_column else m, None)
+        self.y = np.zeros((m, 1) if column else m)
+        # S, SI and K stay: those that were asked for, and those that the last correction tells on request.
+        self._last, self._outlier_probability = self._emptied(), 0.0
+        self._as_posterior()
+
+    def _as_posterior(self) -> None:
+        """Show x and P as what a correction has made of them, and let its likelihood be computed anew."""
+        self.x_post, self.P_post = np.copy(self.x), np.copy(self.P)
+        self._log_likelihood = self._likelihood = self._mahalanobis = None
+
+    def _emptied(self) -> _Emptied | None:
+        """Return the last correction with nothing observed: the scaling stays, the innovation is forgotten."""
+        last = self._record()
+        return last if last is None or type(last) is _Emptied else _Emptied(last)
+
+    def _log_density(self, y: Array, S: Array) -> float:
+        """Return the log-likelihood of an innovation: the correction of a state without components."""
+        memory = self._known(len(y)).memory if self._learns_spread else None
+        return log_density(y, S, self._choices, memory, self._inverse is not None)
+
+    def _record(self) -> Any:
+        """Return the last correction, or what makes one by `as_arrays`; x_post and P_post belong to it no longer."""
+        return Taken(self.x_post, self.P_post, self._last, None) if type(self._last) is np.ndarray else self._last
+
+    def _arrays(self) -> Correction | None:
+        """Return the last correction, as arrays."""
+        if type(self._last) is np.ndarray:
+            self._last = correction_of(self._last, self.x_post, self.P_post)
+        elif self._last is not None and type(self._last) is not Correction:
+            self._last = self._last.as_arrays()
+        return self._last  # type: ignore[no-any-return]
+
+    def _shown(self, name: str, absent: Any) -> Array:
+        """Return a field of the last correction in the shape that y has for this kind of state."""
+        column, last = np.ndim(self.x) != 1, self._arrays()
+        if last is None:
+            return np.full((self.dim_z, 1) if column else self.dim_z, absent)
+        values = np.array(getattr(last, name))
+        return values[:, None] if column else values
+
+    # y, S, SI and K are filterpy's. Few programs look at them at every step, so they are made when asked for.
+
+    @property
+    def y(self) -> Array:
+        """Innovation z - H x of the last correction, 0 where missing, shape (dim_z, 1) or (dim_z,)."""
+        if self._y is None:
+            self._y = self._shown("y", 0.0)
+        return self._y
+
+    @y.setter
+    def y(self, value: Array) -> None:
+        self._y = value
+
+    @property
+    def S(self) -> Array:
+        """Innovation covariance H P H' + R, shape (dim_z, dim_z)."""
+        if self._S is None:
+            self._S = self._arrays().S  # type: ignore[union-attr]
+        return self._S
+
+    @S.setter
+    def S(self, value: Array) -> None:
+        self._S = value
+
+    @property
+    def SI(self) -> Array:
+        """Inverse of S, shape (dim_z, dim_z)."""
+        if self._SI is None:
+            last = self._arrays()
+            inverse = self._inverse
+            self._SI = last.inverse if inverse is None else inverse(last.S)  # type: ignore[union-attr]
+        return self._SI
+
+    @SI.setter
+    def SI(self, value: Array) -> None:
+        self._SI = value
+
+    @property
+    def K(self) -> Array:
+        """Gain before psi, C T'T, shape (dim_x, dim_z)."""
+        if self._K is None:
+            self._K = self._arrays().K  # type: ignore[union-attr]
+        return self._K
+
+    @K.setter
+    def K(self, value: Array) -> None:
+        self._K = value
+
+    @property
+    def log_likelihood(self) -> float:
+        """Log-likelihood of the last measurement under the density of psi; 0 if it was missing altogether."""
+        if self._log_likelihood is None:
+            last = self._arrays() if type(self._last) is np.ndarray else self._last
+            self._log_likelihood = 0.0 if last is None else last.log_density
+        return self._log_likelihood
+
+    @property
+    def likelihood(self) -> float:
+        """exp(log_likelihood), at least the smallest normal float."""
+        if self._likelihood is None:
+            self._likelihood = max(math.exp(min(self.log_likelihood, 700.0)), sys.float_info.min)
+        return self._likelihood
+
+    @property
+    def mahalanobis(self) -> float:
+        """Length of the innovation in standard deviations, sqrt(y' S^-1 y), the Kalman filter's."""
+        if self._mahalanobis is None:
+            y, last = np.ravel(self.y), self._arrays()
+            # After `update_sequential` S and SI are not those of y.
+            SI = self.SI if last is None or self._inverse is not None else last.inverse
+            peak = float(np.abs(y).max()) or 1.0
+            length = math.sqrt(max(float(y / peak @ SI @ (y / peak)), 0.0))
+            self._mahalanobis = min(peak * length, sys.float_info.max)
+        return self._mahalanobis
+
+
+def _judgement(kf: Any) -> dict[str, Any]:
+    """Return how a filter judges measurements, and what it has learnt of them."""
+    if kf.noise is None:
+        names = ["influence", "scaling", "information", "grouping"]
+        if kf.patience is not None:
+            names += ["patience", "refused", "recoveries"]
+        parts = {name: getattr(kf, name) for name in names}
+        return {**parts, "spread, learned": kf.spread} if np.isfinite(kf.spread).any() else parts
+    parts = {name: getattr(kf, name) for name in ("noise", "process", "grouping")}
+    if kf.noise_learnt is not None:
+        parts["variances of ordinary noise, learned"] = np.diag(kf.R_learnt)
+        parts["share of outliers, learned"] = kf.noise_learnt.contamination
+        parts["their size over ordinary noise"] = kf.noise_learnt.scale_ratio
+    if kf.process is not None:
+        parts["factor of Q, learned"] = kf.process_scale
+    return parts
+
+
+def leave_unwatched(kf: Shell) -> None:
+    """Let a filter count no clipped innovations: what wraps it watches them."""
+    kf._counts_clipped = False
