@@ -32,12 +32,12 @@ def gaussian_log_likelihood(kf):
 @pytest.mark.parametrize(
     "dims, influence, ndim",
     [
-        ((1, 1), Linear(), 2),
-        ((2, 1), Huber(np.inf), 1),
+        pytest.param((1, 1), Linear(), 2, marks=pytest.mark.nightly),
+        pytest.param((2, 1), Huber(np.inf), 1, marks=pytest.mark.nightly),
         ((3, 2), Linear(), 1),
-        ((4, 4), Huber(np.inf), 2),
+        pytest.param((4, 4), Huber(np.inf), 2, marks=pytest.mark.nightly),
         ((7, 4), Linear(), 2),
-        ((20, 5), Huber(np.inf), 2),
+        pytest.param((20, 5), Huber(np.inf), 2, marks=pytest.mark.nightly),
     ],
 )
 def test_equals_kalman_for_infinite_threshold_over_10000_steps(dims, influence, ndim):

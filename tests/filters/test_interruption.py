@@ -109,9 +109,14 @@ def seen(kf):
 
 
 CASES = [(name, call) for name in FILTERS for call in CALLS] + [("by the definition", call) for call in LINEAR]
+BY_DAY = [
+    (name, call) for name, call in CASES if name not in ("patient", "contaminated", "extended, learnt", "cubature")
+]
 
 
-@pytest.mark.parametrize("name, call", CASES)
+@pytest.mark.parametrize(
+    "name, call", [pytest.param(*case, marks=[] if case in BY_DAY else pytest.mark.nightly) for case in CASES]
+)
 def test_an_interrupt_leaves_no_half_step(name, call):
     kf = FILTERS[name]()
     for z in (0.1, 0.2, 5.0, 0.1):

@@ -118,6 +118,7 @@ def test_a_wild_value_leaves_the_weights_of_uncorrelated_sensors_at_1(path, wild
     assert abs(kf.x[0] - before[0]) <= 1.345 * kf.spread[0] * np.sqrt(kf.S[0, 0]) * (1 + 1e-9)
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("m", [2, 3, 4])
 @pytest.mark.parametrize("fault", ["offset", "noisy"])
 def test_one_bad_sensor_among_those_that_see_the_same_costs_little(path, m, fault):
@@ -272,6 +273,7 @@ def square(cls, truth, zs):
     return np.mean((kf.batch_filter(zs)[0] - truth) ** 2)
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("step", [1.0, 2.0, 3.0, 5.0, 8.0])
 def test_a_sensor_that_reads_in_steps_is_followed_as_the_kalman_filter_follows_it(path, step):
     # Most innovations are far smaller than a step: judged by their median alone, each step would be an outlier.

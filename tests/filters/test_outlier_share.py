@@ -199,7 +199,7 @@ def walker(cls, factor, steps=800, seed=10002):
 
 
 # Sensor by sensor the one that fits best comes first, and R a hundred times too small loses less than it did.
-@pytest.mark.parametrize(("factor", "share"), [(100.0, 0.2), (1e4, 0.1)])
+@pytest.mark.parametrize(("factor", "share"), [(100.0, 0.2), pytest.param(1e4, 0.1, marks=pytest.mark.nightly)])
 def test_a_recovering_filter_that_is_told_a_tiny_R_says_that_it_is_lost_and_an_adaptive_one_is_not(factor, share):
     # One that is lost depends on the last bit: of one walk its error is anything.
     with pytest.warns(OutlierShareWarning, match="RobustKalmanFilter"):

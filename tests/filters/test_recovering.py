@@ -55,6 +55,7 @@ def test_without_recovery_a_redescending_psi_locks_out():
     assert np.abs(advance(level(RobustKalmanFilter, influence=TukeyBiweight(), scaling="innovation"), zs) - x)[-1] > 25
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("size", [4.0, -8.0, 30.0, 1e6])
 @pytest.mark.parametrize("run", [1, 5, 10, 11])
 def test_a_run_shorter_than_the_patience_does_not_capture(monkeypatch, run, size):

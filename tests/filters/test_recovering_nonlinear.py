@@ -133,6 +133,7 @@ def test_on_a_linear_model_they_are_the_linear_filter(cls, dims, options):
     assert linear.recoveries > 0
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("cls", CLASSES)
 @pytest.mark.parametrize("jump", [(5.0, 0.0), (0.0, 10.0), (0.0, -15.0)])
 def test_a_track_that_jumps_is_followed(cls, jump):
@@ -147,6 +148,7 @@ def test_a_track_that_jumps_is_followed(cls, jump):
     assert max(lost) > 2.0
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("cls", CLASSES)
 @pytest.mark.parametrize("run, size", [(1, 1e6), (5, -8.0), (11, 4.0), (11, 30.0)])
 def test_a_run_of_outliers_shorter_than_the_patience_is_left_out(cls, run, size):
