@@ -29,6 +29,7 @@ def signals(models, n=800, outliers=0.0, seed=0):
     return models.Signals(u, truth + noise, truth, np.zeros(n), THETA + 0.02)
 
 
+@pytest.mark.nightly
 def test_constant_model_is_found_through_outliers(servo):
     models = servo("models")
     data = signals(models, n=400, outliers=0.1)

@@ -196,7 +196,11 @@ def start_script(tmp_path, pause, runs):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends a signal")
-@pytest.mark.parametrize("send", [os.kill, os.killpg], ids=["parent alone", "whole group, as a terminal does"])
+@pytest.mark.parametrize(
+    "send",
+    [pytest.param(os.kill, marks=pytest.mark.nightly), os.killpg],
+    ids=["parent alone", "whole group, as a terminal does"],
+)
 def test_ctrl_c_returns_what_the_workers_have_done(tmp_path, send):
     process = start_script(tmp_path, pause=0.05, runs=2000)
     assert process.stdout.readline() == "ready\n"

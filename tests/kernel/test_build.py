@@ -20,6 +20,7 @@ sys.exit(done.returncode)
 
 
 @pytest.mark.skipif(not shutil.which("cc") or sys.platform == "win32", reason="no compiler whose use can be read")
+@pytest.mark.nightly
 def test_the_extension_takes_little_to_build(tmp_path):
     """About 10 s and 150 MB; the bounds leave room for slower compilers and machines."""
     if not (ROOT / "setup.py").exists():
