@@ -71,6 +71,7 @@ def page() -> str:
         '`contamination={"bursts": {"length": 8}}`:\n',
         _table(contamination.__doc__),
         "## Assertions\n",
+        "Theorems about one estimator alone, such as a bounded influence, are the checks below.\n",
         _rows(("assertion", "what it asserts"), [(f"`{name}`", _first_line(name)) for name in assertions]),
         *_checks("Checks of a filter: `check_filter(make)`", FILTER_PROMISES, FILTER_TAGS),
     ]

@@ -15,8 +15,9 @@ import numpy as np
 from filterpy.common import Q_discrete_white_noise
 from scipy.linalg import block_diag
 
-from robust_filterpy import Huber, Linear, OutlierShareWarning, RobustKalmanFilter, StudentT, TukeyBiweight
-from robust_filterpy.influence import Hampel
+from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy.filters import OutlierShareWarning
+from robust_filterpy.influence import Hampel, Linear
 
 # Two sensors that fail in 40 % of samples are clipped in most of them, and that is what is drawn here.
 warnings.simplefilter("ignore", OutlierShareWarning)

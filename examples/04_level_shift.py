@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from robust_filterpy import OutlierShareWarning, RobustKalmanFilter, TukeyBiweight
+from robust_filterpy import RobustKalmanFilter, TukeyBiweight
+from robust_filterpy.filters import OutlierShareWarning
 from robust_filterpy.plotting import LOOKS
 
 JUMP, START, RUN, STEPS = 30.0, 100, 10, 300

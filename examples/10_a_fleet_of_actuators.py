@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from robust_filterpy import Linear, OutputError, ParameterTracker
+from robust_filterpy import OutputError, ParameterTracker
 from robust_filterpy.identification import TrackerBank
+from robust_filterpy.influence import Linear
 
 FLEET, STEPS, SIGMA, CONTAMINATION, LIMIT = 200, 800, 0.5, 0.1, 0.8
 LEAKING = np.arange(7, FLEET, 20)

@@ -27,9 +27,11 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from robust_filterpy import Contaminated, Huber, Linear, RobustKalmanFilter, filter_series
+from robust_filterpy import Contaminated, Huber, RobustKalmanFilter, filter_series
 from robust_filterpy.correction import NotPositiveDefiniteError
-from robust_filterpy.experiments import bootstrap_interval, mean_square_error, monte_carlo
+from robust_filterpy.experiments import bootstrap_interval, monte_carlo
+from robust_filterpy.experiments.metrics import mean_square_error
+from robust_filterpy.influence import Linear
 from robust_filterpy.plotting import LOOKS
 
 # %% The problem, equations (31)-(34)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import importlib
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
@@ -19,6 +20,31 @@ _GONE = {
     "check_tracker": "draw('arx', ..), run_tracker(tracker, scenario), assert_tracks and its like test a tracker",
     "FilterBank": "filter_series(z[:, None], .., state=result.state) takes one step of many filters",
 }
+
+#: Names that front pages had, by the module that has them now: found there for one release, with a warning.
+_HOMES = (
+    "correction Scales", "influence Linear",
+    "filters RobustCubatureKalmanFilter RobustEnsembleKalmanFilter OutlierShareWarning",
+    "correction.definition correct", "correction.options Choices", "correction.result Correction",
+    "experiments.metrics Interval mean_square_error", "fleet.models Model", "fusion.motion Motion",
+    "identification.models.grey_box_model GreyBoxModel", "identification.models.results Coefficients TrackingResult",
+    "identification.models.state_space StateSpaceModel", "identification.models.structures Structure",
+    "influence.functions Influence", "plants.drift random_walk stable", "plants.linear Simulation",
+    "plants.excitation.signals bandlimited_pink_spectrum sample_autocovariance",
+    "plants.servo.coefficients beta_coefficient", "plants.servo.linearization linearize_servo",
+    "plants.servo.position_loop simulate_actuator", "plants.servo.equations valve_opening",
+    "plants.servo.recording ServoRecording", "plants.servo.steady_motion operating_point",
+    "plotting.figures plot_fit plot_parameters", "plotting.responses plot_noise_spectrum plot_step",
+    "plotting.workbench plot_comparison plot_structure_selection plot_tuning plot_validation",
+    "testing.assertions.consistency assert_covariance_stays_one",
+    "testing.assertions.contracts assert_refused_call_changes_nothing assert_same_filter assert_state_round_trip",
+    "testing.assertions.tracking assert_interval_coverage assert_stable_model", "testing.scenarios.drawing Scenario",
+    "testing.scenarios.models StateModel", "testing.scenarios.plants Plant PlantScenario",
+    "testing.assertions.robustness assert_sensor_order_irrelevant assert_unit_equivariant",
+    "testing.assertions.robustness assert_missing_is_no_information assert_efficient assert_recovers_from_jump",
+    "testing.assertions.robustness assert_bounded_influence",
+)  # fmt: skip
+_MOVED = {name: f"robust_filterpy.{home}" for home, *names in map(str.split, _HOMES) for name in names}
 
 
 def attach(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
@@ -33,12 +59,32 @@ def attach(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], 
             # Found without this function from now on.
             setattr(sys.modules[package], name, value)
             return value
+        if _has_moved(package, name):
+            return _moved(package, name)
         rooms = [] if name.startswith("_") else _rooms(Path(file).parent, name)
         if not rooms:
             refuse(package, name)
         refuse(package, name, f"it is in {' and in '.join(f'{package}.{room}' for room in rooms)}")
 
     return __getattr__, lambda: sorted(homes), sorted(homes)
+
+
+def elsewhere(package: str) -> Callable[[str], Any]:
+    """Return ``__getattr__`` of a front page: a name that has moved is found, with a warning, another is refused."""
+    return lambda name: _moved(package, name) if _has_moved(package, name) else refuse(package, name)
+
+
+def _has_moved(package: str, name: str) -> bool:
+    """Return whether a front page had a name: of the root's only what other front pages have now."""
+    home = _MOVED.get(name, "")
+    return home.startswith(f"{package}.") and (package.count(".") > 0 or home.count(".") == 1)
+
+
+def _moved(package: str, name: str) -> Any:
+    """Return a name that has moved from a front page, and say where it is."""
+    sentence = f"{package}.{name} has moved: from {_MOVED[name]} import {name}"
+    warnings.warn(sentence, DeprecationWarning, stacklevel=3)
+    return getattr(importlib.import_module(_MOVED[name]), name)
 
 
 def refuse(package: str, name: str, mend: str = "") -> NoReturn:

@@ -1,7 +1,7 @@
-"""`plot()` of a result: its picture is drawn by the room `plotting`, which stands above all others.
+"""`plot()` of a result: its picture is drawn by the package `plotting`, which stands above all others.
 
-Imports between rooms point down, so a result knows the name of its picture and nothing of how it is drawn. `plotting`,
-and with it matplotlib, is imported here, by name, when a picture is asked for.
+Imports between packages point down, so a result knows the name of its picture and nothing of how it is drawn.
+`plotting`, and with it matplotlib, is imported here, by name, when a picture is asked for.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ class Pictured:
 
     __slots__ = ()
 
-    #: Name of the function of `robust_filterpy.plotting` that draws it.
+    #: Module and name of the function of `robust_filterpy.plotting` that draws it.
     picture: ClassVar[str]
 
     def plot(self, **options: Any) -> Any:
@@ -30,4 +30,5 @@ class Pictured:
         -------
         matplotlib.axes.Axes, or ndarray of them
         """
-        return getattr(importlib.import_module("robust_filterpy.plotting"), self.picture)(self, **options)
+        module, _, name = self.picture.partition(".")
+        return getattr(importlib.import_module(f"robust_filterpy.plotting.{module}"), name)(self, **options)

@@ -15,11 +15,11 @@ import scipy.linalg
 import scipy.stats
 from filterpy.kalman import KalmanFilter
 
-from robust_filterpy import Contaminated, RobustKalmanFilter, Scales, TukeyBiweight, kernel
+from robust_filterpy import Contaminated, RobustKalmanFilter, TukeyBiweight, kernel
+from robust_filterpy.correction import Scales
 from robust_filterpy.filters import shell
 from robust_filterpy.identification import ParameterTracker, TrackerBank
-from robust_filterpy.testing import assert_same_filter
-from robust_filterpy.testing.assertions.contracts import assert_close, visible
+from robust_filterpy.testing.assertions.contracts import assert_close, assert_same_filter, visible
 from robust_filterpy.testing.assertions.contracts import assert_unchanged as assert_unchanged
 
 # What 1.4.5 lacks, the tests compare with the definition.

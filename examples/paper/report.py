@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from robust_filterpy.experiments import Interval, bootstrap_interval
+from robust_filterpy.experiments import bootstrap_interval
+from robust_filterpy.experiments.metrics import Interval
 
 RESAMPLES = 1999
 

@@ -7,26 +7,19 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.stats
+from robust_filterpy.plants.servo.recording import ServoRecording
 from servo.experiment import DT, LABELS, NOMINAL, ROBUST, SERVO, STD, TOTAL, Conditions
 
-from robust_filterpy import Huber, Linear
+from robust_filterpy import Huber
 from robust_filterpy.experiments import fit_percent
-from robust_filterpy.identification import (
-    LostTrackerWarning,
-    OutputError,
-    ParameterTracker,
-    TrackingResult,
-    identify,
-)
-from robust_filterpy.influence import Influence
-from robust_filterpy.plants.servo import (
-    PneumaticParameters,
-    ServoRecording,
-    linearize_servo,
-    operating_point,
-    simulate_servo,
-    valve_opening,
-)
+from robust_filterpy.identification import LostTrackerWarning, OutputError, ParameterTracker, identify
+from robust_filterpy.identification.models.results import TrackingResult
+from robust_filterpy.influence import Linear
+from robust_filterpy.influence.functions import Influence
+from robust_filterpy.plants.servo import PneumaticParameters, simulate_servo
+from robust_filterpy.plants.servo.equations import valve_opening
+from robust_filterpy.plants.servo.linearization import linearize_servo
+from robust_filterpy.plants.servo.steady_motion import operating_point
 
 ORDER, P0 = 4, 0.01
 CONSTANT = "constant"

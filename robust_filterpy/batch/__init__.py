@@ -8,11 +8,9 @@ Imports from below: `influence`, `correction`, `kernel`, `filters`.
 
 from __future__ import annotations
 
-from functools import partial
-
-from robust_filterpy._lazy import refuse
+from robust_filterpy._lazy import elsewhere
 from robust_filterpy.batch.series import filter_series
 
 __all__ = ["filter_series"]
 
-__getattr__ = partial(refuse, __name__)
+__getattr__ = elsewhere(__name__)

@@ -8,8 +8,11 @@ Imports from below: `identification`, for `fit_percent`.
 
 from __future__ import annotations
 
-from robust_filterpy.experiments.metrics import Interval, bootstrap_interval, mean_square_error
+from robust_filterpy._lazy import elsewhere
+from robust_filterpy.experiments.metrics import bootstrap_interval
 from robust_filterpy.experiments.monte_carlo import monte_carlo, rerun
 from robust_filterpy.identification.models.fit import fit_percent
 
-__all__ = ["Interval", "bootstrap_interval", "fit_percent", "mean_square_error", "monte_carlo", "rerun"]
+__all__ = ["bootstrap_interval", "fit_percent", "monte_carlo", "rerun"]
+
+__getattr__ = elsewhere(__name__)

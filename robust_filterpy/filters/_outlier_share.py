@@ -25,7 +25,7 @@ class OutlierShareWarning(RobustFilterWarning):
     """Say that a filter clipped most of its last innovations, which no sensor with some outliers explains.
 
     Given once for each class of filter in a process. To switch it off:
-    ``warnings.simplefilter("ignore", robust_filterpy.OutlierShareWarning)``.
+    ``warnings.simplefilter("ignore", robust_filterpy.filters.OutlierShareWarning)``.
     """
 
 
@@ -105,7 +105,7 @@ class Share:
             f"{name}: clipped {share:.0%} of the last {numbers} innovations looked at, where its psi expects "
             f"{expected:.0%}; most likely {cause}: robust_filterpy.diagnose tells, and "
             f"{pointer(STOPPED if keeps else SMALL)}. Switch this off with "
-            f'warnings.simplefilter("ignore", robust_filterpy.OutlierShareWarning)',
+            f'warnings.simplefilter("ignore", robust_filterpy.filters.OutlierShareWarning)',
             OutlierShareWarning,
             of=name,
         )

@@ -123,7 +123,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
 
     See Also
     --------
-    robust_filterpy.correction.correct : The equations as a pure function.
+    robust_filterpy.correction.definition.correct : The equations as a pure function.
 
     Notes
     -----

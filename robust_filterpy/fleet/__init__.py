@@ -9,10 +9,13 @@
 * `reading`: the forms a batch may have; `timeline`: late samples, duplicates and gaps.
 """
 
-from robust_filterpy.fleet.models import FilterModel, Model, TrackerModel
+from robust_filterpy._lazy import elsewhere
+from robust_filterpy.fleet.models import FilterModel, TrackerModel
 from robust_filterpy.fleet.packing import pack, unpack
 from robust_filterpy.fleet.states import States
 from robust_filterpy.fleet.stepping import step
 from robust_filterpy.fleet.table import filter_table, step_table
 
-__all__ = ["FilterModel", "Model", "States", "TrackerModel", "filter_table", "pack", "step", "step_table", "unpack"]
+__all__ = ["FilterModel", "States", "TrackerModel", "filter_table", "pack", "step", "step_table", "unpack"]
+
+__getattr__ = elsewhere(__name__)

@@ -25,15 +25,10 @@ Imports from below: `influence`, `correction`, `kernel`, `filters`, `smoothing`.
 
 from __future__ import annotations
 
+from robust_filterpy._lazy import elsewhere
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.fusion.fusion import Fusion
-from robust_filterpy.fusion.motion import (
-    Motion,
-    constant_acceleration,
-    constant_velocity,
-    from_continuous,
-    from_function,
-)
+from robust_filterpy.fusion.motion import constant_acceleration, constant_velocity, from_continuous, from_function
 from robust_filterpy.fusion.reacquisition import Reacquisition
 from robust_filterpy.fusion.results import FusionWarning
 from robust_filterpy.fusion.sensors import Sensor, angle
@@ -43,7 +38,6 @@ __all__ = [
     "Fusion",
     "FusionWarning",
     "Learnt",
-    "Motion",
     "Reacquisition",
     "Scales",
     "Sensor",
@@ -53,3 +47,5 @@ __all__ = [
     "from_continuous",
     "from_function",
 ]
+
+__getattr__ = elsewhere(__name__)

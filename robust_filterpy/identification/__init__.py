@@ -10,6 +10,7 @@ Imports from below: `influence`, `correction`, `kernel`, `filters`.
 
 from __future__ import annotations
 
+from robust_filterpy._lazy import elsewhere
 from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.judging.compare import compare
 from robust_filterpy.identification.judging.select import select_structure
@@ -25,12 +26,8 @@ from robust_filterpy.identification.models.constructors import (
     OutputError,
 )
 from robust_filterpy.identification.models.grey_box import GreyBox
-from robust_filterpy.identification.models.grey_box_model import GreyBoxModel
 from robust_filterpy.identification.models.model import Model
-from robust_filterpy.identification.models.results import Coefficients, TrackingResult
-from robust_filterpy.identification.models.state_space import StateSpaceModel
 from robust_filterpy.identification.models.state_space_structure import StateSpace
-from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive.bank import TrackerBank
 from robust_filterpy.identification.recursive.tracker import ParameterTracker
 from robust_filterpy.identification.recursive.watch import LostTrackerWarning
@@ -42,21 +39,18 @@ __all__ = [
     "ARX",
     "FIR",
     "BoxJenkins",
-    "Coefficients",
     "GreyBox",
-    "GreyBoxModel",
     "LinearRegression",
     "LostTrackerWarning",
     "Model",
     "OutputError",
     "ParameterTracker",
     "StateSpace",
-    "StateSpaceModel",
-    "Structure",
     "TrackerBank",
-    "TrackingResult",
     "compare",
     "identify",
     "select_structure",
     "validate",
 ]
+
+__getattr__ = elsewhere(__name__)

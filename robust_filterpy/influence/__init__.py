@@ -10,6 +10,9 @@ Imports from below: `robust_filterpy._checks` alone.
 
 from __future__ import annotations
 
-from robust_filterpy.influence.functions import Hampel, Huber, Influence, Linear, StudentT, TukeyBiweight
+from robust_filterpy._lazy import elsewhere
+from robust_filterpy.influence.functions import Hampel, Huber, Linear, StudentT, TukeyBiweight
 
-__all__ = ["Hampel", "Huber", "Influence", "Linear", "StudentT", "TukeyBiweight"]
+__all__ = ["Hampel", "Huber", "Linear", "StudentT", "TukeyBiweight"]
+
+__getattr__ = elsewhere(__name__)

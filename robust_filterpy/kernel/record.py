@@ -1,4 +1,4 @@
-"""What a correction by the kernel left, as `robust_filterpy.correction.Correction`."""
+"""What a correction by the kernel left, as `robust_filterpy.correction.result.Correction`."""
 
 from __future__ import annotations
 

@@ -8,12 +8,10 @@ Imports from below: `influence`, `correction`, `filters`.
 
 from __future__ import annotations
 
-from functools import partial
-
-from robust_filterpy._lazy import refuse
+from robust_filterpy._lazy import elsewhere
 from robust_filterpy.noise.distributions import LeastFavorable, fisher_information
 from robust_filterpy.noise.estimation import estimate_noise
 
 __all__ = ["LeastFavorable", "estimate_noise", "fisher_information"]
 
-__getattr__ = partial(refuse, __name__)
+__getattr__ = elsewhere(__name__)

@@ -12,14 +12,10 @@ test of stability.
 
 from __future__ import annotations
 
-from robust_filterpy.plants.drift import THETA_BAR, random_walk, stable
-from robust_filterpy.plants.linear import Simulation, simulate_arx, simulate_output_error
+from robust_filterpy._lazy import elsewhere
+from robust_filterpy.plants.drift import THETA_BAR
+from robust_filterpy.plants.linear import simulate_arx, simulate_output_error
 
-__all__ = [
-    "THETA_BAR",
-    "Simulation",
-    "random_walk",
-    "simulate_arx",
-    "simulate_output_error",
-    "stable",
-]
+__all__ = ["THETA_BAR", "simulate_arx", "simulate_output_error"]
+
+__getattr__ = elsewhere(__name__)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import support
 
-from robust_filterpy import AdaptiveKalmanFilter, Contaminated, Huber, Learnt, RobustKalmanFilter, Scales, filter_series
-from robust_filterpy.correction import SingularInnovationError
+from robust_filterpy import AdaptiveKalmanFilter, Contaminated, Huber, Learnt, RobustKalmanFilter, filter_series
+from robust_filterpy.correction import Scales, SingularInnovationError
 from robust_filterpy.correction.learning import NoiseClasses
 
 SERIES, N = 3, 25

@@ -36,7 +36,8 @@ from peers import adaptive as adaptive_peers
 from peers import inflation, iskf, similarity, student_t, wolf
 from peers.recursion import filtered
 
-from robust_filterpy import Contaminated, Huber, RobustKalmanFilter, Scales, StudentT, TukeyBiweight
+from robust_filterpy import Contaminated, Huber, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy.correction import Scales
 from robust_filterpy.experiments import bootstrap_interval
 from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter
 

@@ -21,7 +21,8 @@ from filterpy.kalman import KalmanFilter
 from scipy.stats import chi2
 from statsmodels.robust.norms import TrimmedMean
 
-from robust_filterpy import RobustKalmanFilter, Scales
+from robust_filterpy import RobustKalmanFilter
+from robust_filterpy.correction import Scales
 from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "learnt_noise.md"

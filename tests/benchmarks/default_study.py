@@ -21,15 +21,8 @@ from joblib import Parallel, delayed
 from measuring import consistency
 from outlier_problems import gate
 
-from robust_filterpy import (
-    AdaptiveKalmanFilter,
-    Contaminated,
-    Huber,
-    RobustKalmanFilter,
-    Scales,
-    StudentT,
-    TukeyBiweight,
-)
+from robust_filterpy import AdaptiveKalmanFilter, Contaminated, Huber, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy.correction import Scales
 
 STEPS = 800
 #: Whose covariance is judged, in two columns each.

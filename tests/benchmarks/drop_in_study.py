@@ -50,15 +50,18 @@ from joblib import Parallel, delayed
 
 from robust_filterpy import (
     AdaptiveKalmanFilter,
-    OutlierShareWarning,
-    RobustCubatureKalmanFilter,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
     kernel,
 )
 from robust_filterpy.correction import spread
-from robust_filterpy.filters import CorrelatedInnovationsWarning, StuckSensorWarning
+from robust_filterpy.filters import (
+    CorrelatedInnovationsWarning,
+    OutlierShareWarning,
+    RobustCubatureKalmanFilter,
+    StuckSensorWarning,
+)
 
 FIGURE = Path(__file__).parents[2] / "examples" / "figures" / "drop_in_frontier.png"
 OURS: dict[str, Callable[[int, int], Any]] = {

@@ -19,14 +19,14 @@ from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter, MerweScaledSigma
 
 from robust_filterpy import (
     AdaptiveKalmanFilter,
-    Linear,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
-    Scales,
     filter_series,
     kernel,
 )
+from robust_filterpy.correction import Scales
+from robust_filterpy.influence import Linear
 
 SIZES = ((2, 1), (4, 1), (8, 1), (4, 2), (7, 4), (20, 5))
 #: Greatest ratio of the robust filter, by the kernel and by the definition.

@@ -196,7 +196,10 @@ def nonlinear_cases():
         return kf, lambda kf, k: (kf.predict(), kf.update(zs[k]))
 
     def cubature(o):
-        return rf.RobustCubatureKalmanFilter(4, 2, 0.1, h, move, **o), lambda kf, k: (kf.predict(), kf.update(zs[k]))
+        return rf.filters.RobustCubatureKalmanFilter(4, 2, 0.1, h, move, **o), lambda kf, k: (
+            kf.predict(),
+            kf.update(zs[k]),
+        )
 
     def ensemble(o):
         kf = RobustEnsembleKalmanFilter(

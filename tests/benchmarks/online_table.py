@@ -218,7 +218,7 @@ def table():
     for name, made, walk, theirs, cls in (
         ("extended", extended, by_jacobian, ExtendedKalmanFilter, rf.RobustExtendedKalmanFilter),
         ("unscented", sigma, polar, UnscentedKalmanFilter, rf.RobustUnscentedKalmanFilter),
-        ("cubature", cubature, polar, CubatureKalmanFilter, rf.RobustCubatureKalmanFilter),
+        ("cubature", cubature, polar, CubatureKalmanFilter, rf.filters.RobustCubatureKalmanFilter),
     ):
         other = (lambda m=made, c=theirs: m(c)), walk if theirs is not CubatureKalmanFilter else column
         for kind, options in (("default", {}), ("learnt", LEARNT), ("told", TOLD), ("patience", {"patience": 8})):

@@ -12,7 +12,8 @@ from statsmodels.robust.norms import TrimmedMean
 from robust_filterpy import Contaminated, RobustKalmanFilter
 from robust_filterpy.identification import ARX, FIR, OutputError
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.plants import simulate_arx, simulate_output_error, stable
+from robust_filterpy.plants import simulate_arx, simulate_output_error
+from robust_filterpy.plants.drift import stable
 
 
 class Recording(NamedTuple):

@@ -26,7 +26,8 @@ from outlier_problems import (
     vehicle,
 )
 
-from robust_filterpy import Contaminated, Huber, RobustKalmanFilter, Scales, StudentT, TukeyBiweight
+from robust_filterpy import Contaminated, Huber, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy.correction import Scales
 from robust_filterpy.experiments import bootstrap_interval, monte_carlo
 from robust_filterpy.identification import ParameterTracker
 from robust_filterpy.influence import Hampel

@@ -14,13 +14,15 @@ import numpy as np
 import scipy.signal
 from measuring import target
 
-from robust_filterpy import Contaminated, Huber, Linear, StudentT
+from robust_filterpy import Contaminated, Huber, StudentT
 from robust_filterpy.experiments import monte_carlo
 from robust_filterpy.identification import ARMAX, OutputError, ParameterTracker
 from robust_filterpy.identification.models.guard import GUARDS
 from robust_filterpy.identification.recursive.tracker import GRADIENTS
+from robust_filterpy.influence import Linear
 from robust_filterpy.noise import fisher_information
-from robust_filterpy.plants import THETA_BAR, random_walk, simulate_output_error, stable
+from robust_filterpy.plants import THETA_BAR, simulate_output_error
+from robust_filterpy.plants.drift import random_walk, stable
 from robust_filterpy.plants.excitation import bandlimited_pink_autocovariance, receding_horizon_binary
 
 PLANT = np.array([-1.5, 0.7, 1.0, 0.5])

@@ -26,16 +26,16 @@ from scipy.stats import chi2
 from robust_filterpy import (
     Contaminated,
     Huber,
-    Linear,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
-    Scales,
     StudentT,
     TukeyBiweight,
     estimate_noise,
     smooth,
 )
+from robust_filterpy.correction import Scales
 from robust_filterpy.experiments import bootstrap_interval, monte_carlo
+from robust_filterpy.influence import Linear
 from robust_filterpy.smoothing import FixedLagSmoother, smooth_series
 
 LABELS = "told the labels, RTS"

@@ -22,7 +22,8 @@ import filterpy
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from robust_filterpy import Linear, RobustKalmanFilter
+from robust_filterpy import RobustKalmanFilter
+from robust_filterpy.influence import Linear
 from robust_filterpy.testing import ChecksFailed, check_filter
 from robust_filterpy.testing.checks.lists import FILTER_PROMISES as PROMISES
 

@@ -5,10 +5,11 @@ import pytest
 import support
 from numpy.testing import assert_allclose, assert_array_equal
 
-from robust_filterpy import Huber, Linear, StudentT, TukeyBiweight
-from robust_filterpy.correction import Choices, NotPositiveDefiniteError, SingularInnovationError, correct
-from robust_filterpy.correction.definition import embed_block, innovation_moments
-from robust_filterpy.influence import Hampel
+from robust_filterpy import Huber, StudentT, TukeyBiweight
+from robust_filterpy.correction import NotPositiveDefiniteError, SingularInnovationError
+from robust_filterpy.correction.definition import correct, embed_block, innovation_moments
+from robust_filterpy.correction.options import Choices
+from robust_filterpy.influence import Hampel, Linear
 
 pytestmark = pytest.mark.core
 

@@ -10,8 +10,8 @@ from filterpy.kalman import IMMEstimator, KalmanFilter
 from scipy.integrate import quad
 from statsmodels.robust import norms
 
-from robust_filterpy import Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight
-from robust_filterpy.influence import Hampel
+from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy.influence import Hampel, Linear
 from robust_filterpy.noise import LeastFavorable
 
 pytestmark = pytest.mark.core

@@ -10,7 +10,8 @@ import scipy.stats
 import support
 from scipy.integrate import quad
 
-from robust_filterpy import Contaminated, Huber, Linear, RobustKalmanFilter
+from robust_filterpy import Contaminated, Huber, RobustKalmanFilter
+from robust_filterpy.influence import Linear
 from robust_filterpy.influence.information import expected_information
 from robust_filterpy.noise import LeastFavorable, fisher_information
 

@@ -15,12 +15,12 @@ from robust_filterpy import (
     Contaminated,
     Huber,
     Learnt,
-    Linear,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
 )
 from robust_filterpy.diagnostics import diagnose, statistics
 from robust_filterpy.identification import ARX, ParameterTracker
+from robust_filterpy.influence import Linear
 
 N = 500
 DT = 0.5

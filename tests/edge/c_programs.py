@@ -11,11 +11,11 @@ from string import Template
 import numpy as np
 from support import random_problem, spd
 
-from robust_filterpy import Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.correction import NotPositiveDefiniteError, SingularInnovationError
 from robust_filterpy.edge import export_c
 from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError, ParameterTracker
-from robust_filterpy.influence import Hampel
+from robust_filterpy.influence import Hampel, Linear
 
 OK, BAD_ARGUMENT, SINGULAR, INDEFINITE, NOT_FINITE = range(5)
 WARNINGS = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow", "-Wdouble-promotion"]

@@ -26,11 +26,13 @@ from c_programs import (
 from support import draws, needs_kernel, without_kernel
 
 import robust_filterpy
-from robust_filterpy import AdaptiveKalmanFilter, Huber, Linear, RobustKalmanFilter, StudentT
+from robust_filterpy import AdaptiveKalmanFilter, Huber, RobustKalmanFilter, StudentT
 from robust_filterpy.correction.spread import NUMBERS
 from robust_filterpy.edge import export_c
-from robust_filterpy.identification import ARX, OutputError, ParameterTracker, Structure, TrackerBank
+from robust_filterpy.identification import ARX, OutputError, ParameterTracker, TrackerBank
+from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive.conditioning import repaired
+from robust_filterpy.influence import Linear
 
 needs_cc = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from support import needs_kernel
 
-from robust_filterpy import Contaminated, Huber, Learnt, Linear, RobustExtendedKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy import Contaminated, Huber, Learnt, RobustExtendedKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.edge import export_c
-from robust_filterpy.influence import Hampel
+from robust_filterpy.influence import Hampel, Linear
 
 pytestmark = [
     pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler"),

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from support import needs_kernel, random_problem
 
-from robust_filterpy import AdaptiveKalmanFilter, Contaminated, Learnt, RobustKalmanFilter, Scales
+from robust_filterpy import AdaptiveKalmanFilter, Contaminated, Learnt, RobustKalmanFilter
+from robust_filterpy.correction import Scales
 from robust_filterpy.edge import export_c
 
 pytestmark = [

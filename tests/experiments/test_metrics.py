@@ -5,7 +5,8 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
-from robust_filterpy.experiments import bootstrap_interval, fit_percent, mean_square_error
+from robust_filterpy.experiments import bootstrap_interval, fit_percent
+from robust_filterpy.experiments.metrics import mean_square_error
 
 
 def test_mean_square_error_is_the_loop_over_runs_and_steps():

@@ -14,16 +14,8 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 from support import TOLD, cart, make, random_problem, simulate, with_, without_kernel
 
-from robust_filterpy import (
-    ARX,
-    AdaptiveKalmanFilter,
-    Contaminated,
-    Learnt,
-    ParameterTracker,
-    RobustKalmanFilter,
-    Scales,
-)
-from robust_filterpy.correction import copies
+from robust_filterpy import ARX, AdaptiveKalmanFilter, Contaminated, Learnt, ParameterTracker, RobustKalmanFilter
+from robust_filterpy.correction import Scales, copies
 
 # How probable the classes are before anything has been seen.
 SHARES = np.array([0.85, 0.05, 0.05, 0.05])

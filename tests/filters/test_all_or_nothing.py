@@ -10,13 +10,12 @@ from support import recovering, told, two_sided
 
 from robust_filterpy import (
     AdaptiveKalmanFilter,
-    RobustCubatureKalmanFilter,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
     kernel,
 )
-from robust_filterpy.filters import snapshot
+from robust_filterpy.filters import RobustCubatureKalmanFilter, snapshot
 from robust_filterpy.filters.snapshot import _copied
 from robust_filterpy.influence import Huber
 

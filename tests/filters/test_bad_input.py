@@ -9,16 +9,15 @@ from filterpy.kalman import MerweScaledSigmaPoints
 
 from robust_filterpy import (
     Huber,
-    Linear,
-    RobustCubatureKalmanFilter,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
     StudentT,
     TukeyBiweight,
 )
-from robust_filterpy.influence import Hampel
-from robust_filterpy.testing import assert_refused_call_changes_nothing
+from robust_filterpy.filters import RobustCubatureKalmanFilter
+from robust_filterpy.influence import Hampel, Linear
+from robust_filterpy.testing.assertions.contracts import assert_refused_call_changes_nothing
 
 pytestmark = pytest.mark.core
 

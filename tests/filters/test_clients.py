@@ -25,7 +25,9 @@ import numpy as np
 sys.path.append(os.environ["CLIENT"])
 built = 0
 if os.environ["FILTER"] != "filterpy":
-    from robust_filterpy import Huber, Linear, OutlierShareWarning, RobustKalmanFilter
+    from robust_filterpy import Huber, RobustKalmanFilter
+    from robust_filterpy.filters import OutlierShareWarning
+    from robust_filterpy.influence import Linear
 
     # A tracker of boxes tells its filter guesses of the noise; that this is said is another test's business.
     warnings.simplefilter("ignore", OutlierShareWarning)

@@ -9,8 +9,8 @@ import support
 from filterpy.common import Q_discrete_white_noise, Saver, kinematic_kf
 from filterpy.kalman import IMMEstimator, KalmanFilter, MMAEFilterBank
 
-from robust_filterpy import Linear, RobustKalmanFilter, StudentT, TukeyBiweight
-from robust_filterpy.influence import Hampel
+from robust_filterpy import RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy.influence import Hampel, Linear
 
 pytestmark = pytest.mark.core
 

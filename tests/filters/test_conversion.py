@@ -16,15 +16,9 @@ from filterpy.kalman import (
     UnscentedKalmanFilter,
 )
 
-from robust_filterpy import (
-    Huber,
-    Linear,
-    RobustCubatureKalmanFilter,
-    RobustExtendedKalmanFilter,
-    RobustKalmanFilter,
-    RobustUnscentedKalmanFilter,
-    robust,
-)
+from robust_filterpy import Huber, RobustExtendedKalmanFilter, RobustKalmanFilter, RobustUnscentedKalmanFilter, robust
+from robust_filterpy.filters import RobustCubatureKalmanFilter
+from robust_filterpy.influence import Linear
 
 pytestmark = pytest.mark.core
 

@@ -9,7 +9,8 @@ import scipy.stats
 import support
 from filterpy.kalman import KalmanFilter
 
-from robust_filterpy import Huber, Linear, RobustKalmanFilter
+from robust_filterpy import Huber, RobustKalmanFilter
+from robust_filterpy.influence import Linear
 
 pytestmark = pytest.mark.core
 

@@ -6,7 +6,8 @@ import support
 from filterpy.common import inv_diagonal
 from filterpy.kalman import KalmanFilter
 
-from robust_filterpy import Linear, RobustKalmanFilter
+from robust_filterpy import RobustKalmanFilter
+from robust_filterpy.influence import Linear
 
 pytestmark = pytest.mark.core
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import support
 
-from robust_filterpy import Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.correction import NotPositiveDefiniteError
-from robust_filterpy.influence import Hampel
+from robust_filterpy.influence import Hampel, Linear
 
 pytestmark = pytest.mark.core
 

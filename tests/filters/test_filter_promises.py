@@ -12,15 +12,14 @@ from robust_filterpy import (
     AdaptiveKalmanFilter,
     Contaminated,
     Huber,
-    Linear,
-    RobustCubatureKalmanFilter,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
     StudentT,
     TukeyBiweight,
 )
-from robust_filterpy.influence import Hampel
+from robust_filterpy.filters import RobustCubatureKalmanFilter
+from robust_filterpy.influence import Hampel, Linear
 from robust_filterpy.testing import draw, filter_checks, run_filter
 from robust_filterpy.testing.assertions.robustness import assert_efficient, assert_recovers_from_jump
 

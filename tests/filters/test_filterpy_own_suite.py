@@ -36,7 +36,8 @@ import pytest
 kalman = importlib.import_module(os.environ["PACKAGE"] + ".kalman")
 plain = kalman.KalmanFilter
 if os.environ["SWAP"] == "yes":
-    from robust_filterpy import Linear, RobustKalmanFilter
+    from robust_filterpy import RobustKalmanFilter
+    from robust_filterpy.influence import Linear
 
     class KalmanFilter(RobustKalmanFilter):
         def __init__(self, dim_x, dim_z, dim_u=0):

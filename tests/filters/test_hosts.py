@@ -8,14 +8,13 @@ from support import recovering, told, two_sided
 from robust_filterpy import (
     AdaptiveKalmanFilter,
     Huber,
-    Linear,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
     StudentT,
     TukeyBiweight,
     filter_series,
 )
-from robust_filterpy.influence import Hampel
+from robust_filterpy.influence import Hampel, Linear
 
 SIZES = [1e-300, 1e-160, 1.0, 1e20, 1e160, 1e300]
 READ = ("x", "P", "log_likelihood", "likelihood", "mahalanobis", "y_bounded", "weights")

@@ -5,7 +5,8 @@ import warnings
 import numpy as np
 import pytest
 
-from robust_filterpy import Contaminated, Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy import Contaminated, Huber, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy.influence import Linear
 
 SIZES = 10.0 ** np.array([-300, -160, -10, 0, 0, 10, 150, 160, 200, 300, 307])
 SENTENCES = ("expected", "S = H P H' + R: ", 'scaling="unit" would make P indefinite')

@@ -18,9 +18,9 @@ from robust_filterpy import (
     ParameterTracker,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
-    Scales,
     StudentT,
 )
+from robust_filterpy.correction import Scales
 
 NONE = Contaminated(0.0)
 BOTH = {"grouping": "joint", "noise": Contaminated(0.1, 10.0), "process": Contaminated(0.2, 6.0)}

@@ -10,13 +10,13 @@ from interruption import half_steps
 from robust_filterpy import (
     Contaminated,
     Learnt,
-    RobustCubatureKalmanFilter,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
-    Scales,
     TukeyBiweight,
 )
+from robust_filterpy.correction import Scales
+from robust_filterpy.filters import RobustCubatureKalmanFilter
 from robust_filterpy.filters.ensemble import RobustEnsembleKalmanFilter
 
 F, H = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[1.0, 0.0]])

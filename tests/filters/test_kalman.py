@@ -7,8 +7,8 @@ import support
 from filterpy.kalman import KalmanFilter
 from statsmodels.robust import norms
 
-from robust_filterpy import Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight
-from robust_filterpy.influence import Hampel
+from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy.influence import Hampel, Linear
 from robust_filterpy.influence.information import expected_information
 
 pytestmark = pytest.mark.core

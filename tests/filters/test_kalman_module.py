@@ -13,8 +13,9 @@ import pytest
 import support
 
 import robust_filterpy.kalman as ours
-from robust_filterpy import Huber, Linear, RobustKalmanFilter, common
+from robust_filterpy import Huber, RobustKalmanFilter, common
 from robust_filterpy.filters.ensemble import RobustEnsembleKalmanFilter
+from robust_filterpy.influence import Linear
 
 pytestmark = pytest.mark.core
 OURS = {

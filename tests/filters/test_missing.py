@@ -5,7 +5,8 @@ import pytest
 import support
 from filterpy.kalman import KalmanFilter
 
-from robust_filterpy import Linear, RobustKalmanFilter
+from robust_filterpy import RobustKalmanFilter
+from robust_filterpy.influence import Linear
 
 pytestmark = pytest.mark.core
 

@@ -13,8 +13,6 @@ from support import recovering
 from robust_filterpy import (
     ARX,
     AdaptiveKalmanFilter,
-    Linear,
-    OutlierShareWarning,
     ParameterTracker,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
@@ -22,7 +20,9 @@ from robust_filterpy import (
     TukeyBiweight,
     _warning,
 )
+from robust_filterpy.filters import OutlierShareWarning
 from robust_filterpy.identification import LostTrackerWarning
+from robust_filterpy.influence import Linear
 
 
 #: Only this scaling expects a share of clipped innovations; a learnt spread follows what is told too small.

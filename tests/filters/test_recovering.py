@@ -6,8 +6,8 @@ from filterpy.kalman import KalmanFilter
 from statsmodels.robust.norms import TrimmedMean
 from support import make, random_problem, recovering, simulate, with_, without_kernel
 
-from robust_filterpy import Huber, Linear, RobustKalmanFilter, TukeyBiweight
-from robust_filterpy.influence import Hampel
+from robust_filterpy import Huber, RobustKalmanFilter, TukeyBiweight
+from robust_filterpy.influence import Hampel, Linear
 
 pytestmark = pytest.mark.core
 

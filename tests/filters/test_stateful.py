@@ -16,9 +16,9 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from robust_filterpy import Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight, filter_series
+from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight, filter_series
 from robust_filterpy.correction.options import GROUPINGS, INFORMATIONS
-from robust_filterpy.influence import Hampel
+from robust_filterpy.influence import Hampel, Linear
 
 PSIS = [Huber(), Huber(3.0), Linear(), Hampel(), TukeyBiweight(), StudentT()]
 SEED = int(os.environ.get("ROBUST_FILTERPY_SEED", "20001"))

@@ -9,11 +9,11 @@ from support import recovering, told, two_sided
 
 from robust_filterpy import (
     AdaptiveKalmanFilter,
-    RobustCubatureKalmanFilter,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
 )
+from robust_filterpy.filters import RobustCubatureKalmanFilter
 
 F = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.1], [0.0, 0.0, 0.95]])
 H = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.2]])

@@ -14,12 +14,11 @@ from robust_filterpy import (
     Contaminated,
     OutputError,
     ParameterTracker,
-    RobustCubatureKalmanFilter,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
 )
-from robust_filterpy.filters import RobustEnsembleKalmanFilter
+from robust_filterpy.filters import RobustCubatureKalmanFilter, RobustEnsembleKalmanFilter
 from robust_filterpy.fleet import pack, unpack
 from robust_filterpy.identification import ARMA, ARMAX, FIR, BoxJenkins, TrackerBank
 from robust_filterpy.smoothing import FixedLagSmoother

@@ -15,10 +15,10 @@ from robust_filterpy.identification import (
     OutputError,
     ParameterTracker,
     StateSpace,
-    Structure,
     identify,
     validate,
 )
+from robust_filterpy.identification.models.structures import Structure
 
 A, B = np.array([1.0, -1.5, 0.7]), np.array([0.0, 1.0, 0.5])
 THETA = np.array([-1.5, 0.7, 1.0, 0.5])

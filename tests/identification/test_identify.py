@@ -12,7 +12,7 @@ import support
 from scipy.signal import lfilter
 from statsmodels.tsa.statespace.sarimax import SARIMAX
 
-from robust_filterpy import Huber, Linear, TukeyBiweight
+from robust_filterpy import Huber, TukeyBiweight
 from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError, identify
 from robust_filterpy.identification.estimation import prediction_error
@@ -20,6 +20,7 @@ from robust_filterpy.identification.estimation.cleaning import THRESHOLDS, _even
 from robust_filterpy.identification.estimation.starts import output_error_starts
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
+from robust_filterpy.influence import Linear
 
 A, B = np.array([1.0, -1.5, 0.7]), np.array([0.0, 1.0, 0.5])
 THETA = np.array([-1.5, 0.7, 1.0, 0.5])

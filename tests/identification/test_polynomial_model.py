@@ -4,18 +4,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from robust_filterpy.identification import (
-    AR,
-    ARMA,
-    ARMAX,
-    ARX,
-    FIR,
-    BoxJenkins,
-    LinearRegression,
-    OutputError,
-    Structure,
-)
+from robust_filterpy.identification import AR, ARMA, ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
+from robust_filterpy.identification.models.structures import Structure
 
 STRUCTURES = [
     ARX(2, 2),

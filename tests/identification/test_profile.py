@@ -5,9 +5,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import lfilter
 
-from robust_filterpy import Linear
 from robust_filterpy.identification import ARX, OutputError, identify
 from robust_filterpy.identification.estimation import estimate
+from robust_filterpy.influence import Linear
 
 
 @pytest.fixture

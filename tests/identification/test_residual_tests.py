@@ -9,9 +9,10 @@ import support
 from scipy.signal import lfilter
 from statsmodels.stats.diagnostic import acorr_ljungbox
 
-from robust_filterpy import ARX, Linear, OutputError, identify
+from robust_filterpy import ARX, OutputError, identify
 from robust_filterpy.identification import ARMAX, FIR, compare, validate
 from robust_filterpy.identification.models.dependence import whitening_of
+from robust_filterpy.influence import Linear
 
 A, B = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5]
 THETA = np.array([-1.5, 0.7, 1.0, 0.5])

@@ -7,18 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robust_filterpy.identification import (
-    AR,
-    ARMA,
-    ARMAX,
-    ARX,
-    FIR,
-    BoxJenkins,
-    LinearRegression,
-    OutputError,
-    Structure,
-)
+from robust_filterpy.identification import AR, ARMA, ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError
 from robust_filterpy.identification.models.guard import is_stable, restrained
+from robust_filterpy.identification.models.structures import Structure
 
 
 def shifted(signal, lag):

@@ -12,9 +12,9 @@ import pytest
 import support
 from filterpy.kalman import InformationFilter, KalmanFilter, SquareRootKalmanFilter
 
-from robust_filterpy import AdaptiveKalmanFilter, Contaminated, Huber, Linear, RobustKalmanFilter
+from robust_filterpy import AdaptiveKalmanFilter, Contaminated, Huber, RobustKalmanFilter
 from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError, ParameterTracker
-from robust_filterpy.influence import Hampel
+from robust_filterpy.influence import Hampel, Linear
 from robust_filterpy.plants import simulate_arx, simulate_output_error
 
 PLANT = np.array([-1.5, 0.7, 1.0, 0.5])

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import support
 
-from robust_filterpy import Contaminated, Huber, Linear
+from robust_filterpy import Contaminated, Huber
 from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError
 from robust_filterpy.identification.models.guard import GUARDS
 from robust_filterpy.identification.recursive import bank as bank_module
 from robust_filterpy.identification.recursive import track
 from robust_filterpy.identification.recursive.recursion import GRADIENTS
-from robust_filterpy.influence import Hampel
+from robust_filterpy.influence import Hampel, Linear
 from robust_filterpy.plants import simulate_output_error
 
 N, LENGTH = 5, 90

@@ -7,18 +7,12 @@ import numpy as np
 import pytest
 from support import told_tracker
 
-from robust_filterpy import Linear, StudentT, TukeyBiweight
+from robust_filterpy import StudentT, TukeyBiweight
 from robust_filterpy.identification import ARX, FIR, OutputError
-from robust_filterpy.testing import (
-    assert_interval_coverage,
-    assert_recovers_parameters,
-    assert_refused_call_changes_nothing,
-    assert_stable_model,
-    assert_state_round_trip,
-    assert_tracks,
-    draw,
-    run_tracker,
-)
+from robust_filterpy.influence import Linear
+from robust_filterpy.testing import assert_recovers_parameters, assert_tracks, draw, run_tracker
+from robust_filterpy.testing.assertions.contracts import assert_refused_call_changes_nothing, assert_state_round_trip
+from robust_filterpy.testing.assertions.tracking import assert_interval_coverage, assert_stable_model
 from robust_filterpy.testing.scenarios.plants import Plant
 
 TRACKERS = {

@@ -10,9 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support import two_sided
 
-from robust_filterpy import Contaminated, Huber, Linear, TukeyBiweight
+from robust_filterpy import Contaminated, Huber, TukeyBiweight
 from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError
-from robust_filterpy.plants import random_walk, simulate_arx, simulate_output_error, stable
+from robust_filterpy.influence import Linear
+from robust_filterpy.plants import simulate_arx, simulate_output_error
+from robust_filterpy.plants.drift import random_walk, stable
 
 PLANT = np.array([-1.5, 0.7, 1.0, 0.5])
 ARX44 = np.array([-1.2, 0.5, -0.1, 0.05, 1.0, 0.5, -0.3, 0.2])

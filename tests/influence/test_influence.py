@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from statsmodels.robust import norms
 
-from robust_filterpy import Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight, filter_series
+from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight, filter_series
 from robust_filterpy.correction.options import Choices
-from robust_filterpy.influence import Hampel
+from robust_filterpy.influence import Hampel, Linear
 from robust_filterpy.influence.information import expected_information
 
 OURS = [Huber(), Huber(0.5), Linear(), Hampel(), Hampel(1.5, 3.5, 8.0), TukeyBiweight(), StudentT(), StudentT(1.5)]

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import support
 
-from robust_filterpy import Huber, Linear, RobustExtendedKalmanFilter, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy import Huber, RobustExtendedKalmanFilter, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.correction import definition, spread
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.filters.policies import Bounded
-from robust_filterpy.influence import Hampel
+from robust_filterpy.influence import Hampel, Linear
 from robust_filterpy.kernel import moments
 
 support.needs_kernel()

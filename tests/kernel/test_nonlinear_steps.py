@@ -8,15 +8,14 @@ from hostile import spoilt
 
 from robust_filterpy import (
     Huber,
-    Linear,
-    RobustCubatureKalmanFilter,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
     TukeyBiweight,
     kernel,
 )
-from robust_filterpy.filters import shell
+from robust_filterpy.filters import RobustCubatureKalmanFilter, shell
+from robust_filterpy.influence import Linear
 from robust_filterpy.kernel import moments
 
 support.needs_kernel()

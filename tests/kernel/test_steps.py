@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import support
 
-from robust_filterpy import Huber, Linear, RobustKalmanFilter, Scales, StudentT, TukeyBiweight
+from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy.correction import Scales
 from robust_filterpy.filters import shell
-from robust_filterpy.influence import Hampel
+from robust_filterpy.influence import Hampel, Linear
 
 support.needs_kernel()
 

@@ -6,22 +6,15 @@ import numpy as np
 import pytest
 import support
 
-from robust_filterpy import Contaminated, Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight, kernel
+from robust_filterpy import Contaminated, Huber, RobustKalmanFilter, StudentT, TukeyBiweight, kernel
 from robust_filterpy.correction import NotPositiveDefiniteError
 from robust_filterpy.correction.options import INFORMATIONS, SCALINGS
-from robust_filterpy.identification import (
-    ARMAX,
-    ARX,
-    FIR,
-    BoxJenkins,
-    LinearRegression,
-    OutputError,
-    Structure,
-)
+from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError
 from robust_filterpy.identification.models.guard import GUARDS
+from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive import track
 from robust_filterpy.identification.recursive.recursion import GRADIENTS
-from robust_filterpy.influence import Hampel
+from robust_filterpy.influence import Hampel, Linear
 from robust_filterpy.plants import simulate_output_error
 
 pytestmark = pytest.mark.skipif(not kernel.available(), reason="the kernel was not built")

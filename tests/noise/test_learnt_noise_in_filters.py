@@ -8,7 +8,6 @@ from robust_filterpy import (
     ARX,
     Contaminated,
     ParameterTracker,
-    RobustCubatureKalmanFilter,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
@@ -17,6 +16,7 @@ from robust_filterpy import (
     robust,
     smooth,
 )
+from robust_filterpy.filters import RobustCubatureKalmanFilter
 
 TRUTH = Contaminated(0.15, 10.0, scale=0.5)
 

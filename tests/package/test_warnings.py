@@ -5,8 +5,8 @@ import warnings
 
 import pytest
 
-from robust_filterpy import OutlierShareWarning, RobustFilterWarning, _warning
-from robust_filterpy.filters import CorrelatedInnovationsWarning, StuckSensorWarning
+from robust_filterpy import RobustFilterWarning, _warning
+from robust_filterpy.filters import CorrelatedInnovationsWarning, OutlierShareWarning, StuckSensorWarning
 from robust_filterpy.fusion import FusionWarning
 from robust_filterpy.identification import LostTrackerWarning
 

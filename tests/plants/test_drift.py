@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from robust_filterpy.plants import random_walk
+from robust_filterpy.plants.drift import random_walk
 
 
 def test_one_parameter_walks_too_and_its_steps_have_the_variance_that_was_told():

@@ -9,13 +9,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from robust_filterpy import Contaminated
-from robust_filterpy.plants import (
-    THETA_BAR,
-    random_walk,
-    simulate_arx,
-    simulate_output_error,
-    stable,
-)
+from robust_filterpy.plants import THETA_BAR, simulate_arx, simulate_output_error
+from robust_filterpy.plants.drift import random_walk, stable
 from robust_filterpy.plants.parameters import LinearParameters, linear_parameters
 
 SIMULATORS = (simulate_arx, simulate_output_error)

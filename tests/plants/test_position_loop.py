@@ -13,16 +13,15 @@ from scipy.integrate import solve_ivp
 
 from robust_filterpy.plants.servo import (
     PneumaticParameters,
-    linearize_servo,
-    operating_point,
     pneumatic_servo,
     position_loop,
     random_coefficient,
-    simulate_actuator,
     simulate_servo,
 )
 from robust_filterpy.plants.servo.equations import servo_derivatives
-from robust_filterpy.plants.servo.linearization import UnstableLoopError, position_gains
+from robust_filterpy.plants.servo.linearization import UnstableLoopError, linearize_servo, position_gains
+from robust_filterpy.plants.servo.position_loop import simulate_actuator
+from robust_filterpy.plants.servo.steady_motion import operating_point
 
 P = PneumaticParameters()
 

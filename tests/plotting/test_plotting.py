@@ -106,7 +106,7 @@ def test_weights_lie_between_zero_and_one(ax, batch, run, kind):
 
 def test_parameters_have_paths_bands_and_one_truth_in_the_legend(ax, run):
     result, _ = run
-    assert plotting.plot_parameters(result, truth=[-0.8, 1.0], names=["a1", "b1"], ax=ax) is ax
+    assert plotting.figures.plot_parameters(result, truth=[-0.8, 1.0], names=["a1", "b1"], ax=ax) is ax
     assert labels(ax) == ["±2 sigma", "a1", "b1", "true"]
     assert len(ax.lines) == 4 and len(ax.collections) == 2
     np.testing.assert_array_equal(ax.lines[1].get_ydata(), result.theta[:, 1])
@@ -116,39 +116,39 @@ def test_parameters_have_paths_bands_and_one_truth_in_the_legend(ax, run):
 def test_the_first_band_does_not_flatten_the_paths(ax, run):
     result, _ = run
     assert result.std.max() > 5.0
-    plotting.plot_parameters(result, truth=[-0.8, 1.0], ax=ax)
+    plotting.figures.plot_parameters(result, truth=[-0.8, 1.0], ax=ax)
     low, high = ax.get_ylim()
     assert low < -0.8 and 1.0 < high and high - low < 5.0
 
 
 def test_lines_differ_without_colour(ax, run):
-    plotting.plot_parameters(run[0], ax=ax)
+    plotting.figures.plot_parameters(run[0], ax=ax)
     styles = {line.get_linestyle() for line in ax.lines}
     assert len(styles) == len(ax.lines)
 
 
 def test_fit_says_the_percentage(ax):
     y = np.sin(np.arange(50.0))
-    assert plotting.plot_fit(y, y, unit="mm", ax=ax) is ax
+    assert plotting.figures.plot_fit(y, y, unit="mm", ax=ax) is ax
     assert labels(ax) == ["measured", "simulated (fit 100.0 %)"]
     assert ax.get_ylabel() == "output [mm]"
 
 
 def test_fit_of_the_mean_is_zero(ax):
     y = np.sin(np.arange(50.0))
-    plotting.plot_fit(y, np.full(50, y.mean()), ax=ax)
+    plotting.figures.plot_fit(y, np.full(50, y.mean()), ax=ax)
     assert labels(ax)[1] == "simulated (fit 0.0 %)"
 
 
 def test_fit_takes_a_run(ax, run):
     result, y = run
-    plotting.plot_fit(y, result, ax=ax)
+    plotting.figures.plot_fit(y, result, ax=ax)
     np.testing.assert_array_equal(ax.lines[1].get_ydata(), result.prediction)
 
 
 def test_without_axes_there_is_a_new_figure(run):
     before = set(plt.get_fignums())
-    ax = plotting.plot_parameters(run[0])
+    ax = plotting.figures.plot_parameters(run[0])
     assert set(plt.get_fignums()) - before == {ax.figure.number}
     plt.close(ax.figure)
 
@@ -161,7 +161,7 @@ def test_without_axes_there_is_a_new_figure(run):
         (lambda m, c: plotting.plot_states(m, c, states=2), "states: expected numbers below 2"),
         (lambda m, c: plotting.plot_states(m, c, names=["a"]), "names: expected 2"),
         (lambda m, c: plotting.plot_states(m, c, truth=[1.0]), "truth: expected shape"),
-        (lambda m, c: plotting.plot_fit(m[:, 0], m), "simulated: expected 120"),
+        (lambda m, c: plotting.figures.plot_fit(m[:, 0], m), "simulated: expected 120"),
     ],
 )
 def test_what_does_not_fit_is_named_and_nothing_drawn(batch, call, match):
@@ -172,7 +172,7 @@ def test_what_does_not_fit_is_named_and_nothing_drawn(batch, call, match):
 
 
 @pytest.mark.parametrize("plot", [
-    plotting.plot_states, plotting.plot_innovations, plotting.plot_weights, plotting.plot_parameters,
+    plotting.plot_states, plotting.plot_innovations, plotting.plot_weights, plotting.figures.plot_parameters,
 ])  # fmt: skip
 @pytest.mark.parametrize("source", [RobustKalmanFilter(2, 1), None])
 def test_a_filter_is_no_source(plot, source):

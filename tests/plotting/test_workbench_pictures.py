@@ -155,7 +155,7 @@ def test_a_run_has_the_names_and_the_dates_of_its_recording(recording):
     assert labels(ax) == ["±2 sigma", "a1", "b1"]
     assert_array_equal(ax.lines[0].get_xdata(orig=True), recording.index.to_numpy())
     assert plotting.plot_weights(result).get_xlabel() == "time"
-    assert plotting.plot_fit(recording.y, result.prediction).get_xlabel() == "time"
+    assert plotting.figures.plot_fit(recording.y, result.prediction).get_xlabel() == "time"
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,8 @@ import pytest
 import support
 from interruption import half_steps
 
-from robust_filterpy import Linear, smooth
+from robust_filterpy import smooth
+from robust_filterpy.influence import Linear
 from robust_filterpy.kalman import FixedLagSmoother
 
 CART = support.with_(support.cart(), Q=0.01 * np.array([[0.25, 0.5], [0.5, 1.0]]), P=10.0 * np.eye(2))

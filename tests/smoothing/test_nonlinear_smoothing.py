@@ -11,7 +11,8 @@ from filterpy.kalman import (
 )
 from scipy.optimize import least_squares
 
-from robust_filterpy import Linear, RobustUnscentedKalmanFilter, smooth
+from robust_filterpy import RobustUnscentedKalmanFilter, smooth
+from robust_filterpy.influence import Linear
 
 F = np.array([[1.0, 1.0], [0.0, 1.0]])
 Q = np.array([[0.02, 0.0], [0.0, 0.01]])

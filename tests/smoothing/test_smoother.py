@@ -8,7 +8,8 @@ from filterpy.kalman import KalmanFilter
 from statsmodels.robust.norms import HuberT
 from support import told
 
-from robust_filterpy import Huber, Linear, RobustKalmanFilter, StudentT, TukeyBiweight, smooth
+from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight, smooth
+from robust_filterpy.influence import Linear
 from robust_filterpy.smoothing import smooth_series
 from robust_filterpy.smoothing.rules import Belief
 

@@ -8,7 +8,8 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from support import without_kernel
 
-from robust_filterpy import Huber, Linear, smooth
+from robust_filterpy import Huber, smooth
+from robust_filterpy.influence import Linear
 from robust_filterpy.smoothing import smooth_series
 
 G = np.array([0.5, 1.0])

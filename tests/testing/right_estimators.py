@@ -7,8 +7,8 @@ from functools import partial
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
 from wrong_filters import PLAIN, ROBUST, EigenvalueRoots, Textbook, TextbookRobust
 
-from robust_filterpy import Huber, Linear, RobustExtendedKalmanFilter, RobustKalmanFilter, StudentT, TukeyBiweight
-from robust_filterpy.influence import Hampel
+from robust_filterpy import Huber, RobustExtendedKalmanFilter, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy.influence import Hampel, Linear
 
 #: The spread of the innovations is learnt, and remembered.
 SPREAD = ("memoryless",)

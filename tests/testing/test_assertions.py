@@ -11,27 +11,27 @@ import wrong_trackers
 from filterpy.kalman import KalmanFilter
 from support import told_tracker
 
-from robust_filterpy import Linear, ParameterTracker, RobustKalmanFilter, TukeyBiweight
-from robust_filterpy.testing import (
-    assert_bounded_influence,
-    assert_efficient,
-    assert_interval_coverage,
-    assert_missing_is_no_information,
-    assert_recovers_from_jump,
-    assert_recovers_parameters,
+from robust_filterpy import ParameterTracker, RobustKalmanFilter, TukeyBiweight
+from robust_filterpy.influence import Linear
+from robust_filterpy.testing import assert_recovers_parameters, assert_tracks, draw, run_filter, run_tracker
+from robust_filterpy.testing.assertions.consistency import _correlation
+from robust_filterpy.testing.assertions.contracts import (
+    assert_close,
     assert_refused_call_changes_nothing,
     assert_same_filter,
-    assert_sensor_order_irrelevant,
-    assert_stable_model,
     assert_state_round_trip,
-    assert_tracks,
-    assert_unit_equivariant,
-    draw,
-    run_filter,
-    run_tracker,
+    assert_unchanged,
+    visible,
 )
-from robust_filterpy.testing.assertions.consistency import _correlation
-from robust_filterpy.testing.assertions.contracts import assert_close, assert_unchanged, visible
+from robust_filterpy.testing.assertions.robustness import (
+    assert_bounded_influence,
+    assert_efficient,
+    assert_missing_is_no_information,
+    assert_recovers_from_jump,
+    assert_sensor_order_irrelevant,
+    assert_unit_equivariant,
+)
+from robust_filterpy.testing.assertions.tracking import assert_interval_coverage, assert_stable_model
 from robust_filterpy.testing.scenarios.models import random_stable
 from robust_filterpy.testing.scenarios.runs import TrackerRun, load
 

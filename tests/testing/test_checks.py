@@ -14,7 +14,8 @@ from users_filters import WRONG_FILTERS
 from wrong_filters import PLAIN, CutAndCertain, EigenvalueRoots, HardGate, NoSetter, Textbook
 
 from robust_filterpy import RobustKalmanFilter
-from robust_filterpy.testing import ChecksFailed, assert_recovers_from_jump, check_filter, filter_checks
+from robust_filterpy.testing import ChecksFailed, check_filter, filter_checks
+from robust_filterpy.testing.assertions.robustness import assert_recovers_from_jump
 
 
 @pytest.mark.parametrize("name", [name for name in FILTERS if name.startswith(("filterpy", "textbook"))])

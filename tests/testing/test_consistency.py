@@ -9,14 +9,8 @@ from filterpy.common import Saver
 from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import RobustKalmanFilter
-from robust_filterpy.testing import (
-    assert_consistent,
-    assert_covariance_stays_one,
-    assert_innovations_white,
-    assert_unbiased,
-    draw,
-    run_filter,
-)
+from robust_filterpy.testing import assert_consistent, assert_innovations_white, assert_unbiased, draw, run_filter
+from robust_filterpy.testing.assertions.consistency import assert_covariance_stays_one
 from robust_filterpy.testing.scenarios.runs import FilterRun
 
 

@@ -7,9 +7,9 @@ import scipy.stats
 from filterpy.kalman import KalmanFilter
 
 from robust_filterpy.identification import ARX
-from robust_filterpy.testing import StateModel, assert_consistent, draw, run_filter
+from robust_filterpy.testing import assert_consistent, draw, run_filter
 from robust_filterpy.testing.scenarios.contamination import CONTAMINATIONS
-from robust_filterpy.testing.scenarios.models import MODELS, random_stable
+from robust_filterpy.testing.scenarios.models import MODELS, StateModel, random_stable
 from robust_filterpy.testing.scenarios.plants import PLANTS
 from robust_filterpy.testing.scenarios.runs import FilterRun, load
 

@@ -68,7 +68,7 @@ class Comparison(Pictured):
         When the samples were taken, if the recording was a pandas object.
     """
 
-    picture = "plot_comparison"
+    picture = "workbench.plot_comparison"
 
     rows: tuple[Compared, ...]
     measured: Array

@@ -109,7 +109,7 @@ class Selection(Pictured):
         What the search for the delay of each input began with; empty without input, or where it excites too little.
     """
 
-    picture = "plot_structure_selection"
+    picture = "workbench.plot_structure_selection"
 
     rows: tuple[Candidate, ...]
     best: Model

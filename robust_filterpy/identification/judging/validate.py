@@ -82,7 +82,7 @@ class Validation(Pictured):
         the noise. Correlations are those beside it.
     """
 
-    picture = "plot_validation"
+    picture = "workbench.plot_validation"
 
     autocorrelation: Array
     autocorrelation_bound: Array
@@ -177,7 +177,7 @@ class Validation(Pictured):
 class Validations(Pictured, tuple[Validation, ...]):
     """What a model of several outputs leaves in the residuals of each: a `Validation` for each output."""
 
-    picture = "plot_validation"
+    picture = "workbench.plot_validation"
 
     @property
     def verdict(self) -> str:

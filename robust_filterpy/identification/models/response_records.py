@@ -40,7 +40,7 @@ class FrequencyResponse(Pictured):
         Where the bands are those of sampled parameters, since the delta method fails.
     """
 
-    picture = "plot_bode"
+    picture = "responses.plot_bode"
 
     omega: Array
     response: Any
@@ -113,7 +113,7 @@ class StepResponse(Pictured):
         Where the bands are those of sampled parameters.
     """
 
-    picture = "plot_step"
+    picture = "responses.plot_step"
 
     time: Array
     response: Array
@@ -162,7 +162,7 @@ class NoiseSpectrum(Pictured):
         Where the bands are those of sampled parameters.
     """
 
-    picture = "plot_noise_spectrum"
+    picture = "responses.plot_noise_spectrum"
 
     omega: Array
     density: Array

@@ -186,7 +186,7 @@ class TrackingResult(Pictured, _Recorded):
         When the samples were taken, if the recording was a pandas object.
     """
 
-    picture = "plot_parameters"
+    picture = "figures.plot_parameters"
 
     names: tuple[str, ...] = ()
     index: Any = None

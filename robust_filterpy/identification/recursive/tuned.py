@@ -71,7 +71,7 @@ class TunedTracker(Pictured):
         What makes the choice doubtful, in words; empty if nothing does.
     """
 
-    picture = "plot_tuning"
+    picture = "workbench.plot_tuning"
 
     tracker: ParameterTracker
     rows: tuple[Tried, ...]

@@ -8,18 +8,9 @@ Imports from below: `_checks` alone.
 
 from __future__ import annotations
 
-from robust_filterpy.plants.excitation.signals import (
-    bandlimited_pink_autocovariance,
-    bandlimited_pink_spectrum,
-    prbs,
-    receding_horizon_binary,
-    sample_autocovariance,
-)
+from robust_filterpy._lazy import elsewhere
+from robust_filterpy.plants.excitation.signals import bandlimited_pink_autocovariance, prbs, receding_horizon_binary
 
-__all__ = [
-    "bandlimited_pink_autocovariance",
-    "bandlimited_pink_spectrum",
-    "prbs",
-    "receding_horizon_binary",
-    "sample_autocovariance",
-]
+__all__ = ["bandlimited_pink_autocovariance", "prbs", "receding_horizon_binary"]
+
+__getattr__ = elsewhere(__name__)

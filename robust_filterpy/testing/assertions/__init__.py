@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+from robust_filterpy._lazy import elsewhere
 from robust_filterpy.testing.assertions import consistency, contracts, robustness, tracking
 from robust_filterpy.testing.assertions.consistency import *  # noqa: F403
 from robust_filterpy.testing.assertions.contracts import *  # noqa: F403
@@ -20,3 +21,5 @@ __all__ += consistency.__all__
 __all__ += contracts.__all__
 __all__ += robustness.__all__
 __all__ += tracking.__all__
+
+__getattr__ = elsewhere(__name__)

@@ -23,12 +23,7 @@ from robust_filterpy.diagnostics.statistics import bulk
 from robust_filterpy.testing.assertions.bounds import at_least_one, band, fail, probability, times
 from robust_filterpy.testing.scenarios.runs import FilterRun, Runs, as_runs
 
-__all__ = [
-    "assert_consistent",
-    "assert_covariance_stays_one",
-    "assert_innovations_white",
-    "assert_unbiased",
-]
+__all__ = ["assert_consistent", "assert_innovations_white", "assert_unbiased"]
 
 # NEES is looked at so often along the runs.
 _INSTANTS = 5

@@ -19,14 +19,7 @@ from robust_filterpy.testing.scenarios.drawing import Scenario, draw
 from robust_filterpy.testing.scenarios.models import StateModel, random_stable
 from robust_filterpy.testing.scenarios.runs import FilterRun, Runs, as_runs
 
-__all__ = [
-    "assert_bounded_influence",
-    "assert_efficient",
-    "assert_missing_is_no_information",
-    "assert_recovers_from_jump",
-    "assert_sensor_order_irrelevant",
-    "assert_unit_equivariant",
-]
+__all__ = []
 
 Make = Callable[[int, int], Any]
 

@@ -15,7 +15,7 @@ from robust_filterpy.testing.assertions.bounds import at_least_one, fail, probab
 from robust_filterpy.testing.assertions.robustness import ratio_of_errors
 from robust_filterpy.testing.scenarios.runs import TrackerRun, as_tracker_runs
 
-__all__ = ["assert_interval_coverage", "assert_recovers_parameters", "assert_stable_model", "assert_tracks"]
+__all__ = ["assert_recovers_parameters", "assert_tracks"]
 
 
 def assert_recovers_parameters(runs: Any, *, factor: float = 2.0, false_alarm: float = 1e-6) -> None:

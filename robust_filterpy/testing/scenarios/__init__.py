@@ -8,9 +8,10 @@
 
 from __future__ import annotations
 
-from robust_filterpy.testing.scenarios.drawing import Scenario, draw
-from robust_filterpy.testing.scenarios.models import StateModel
-from robust_filterpy.testing.scenarios.plants import Plant, PlantScenario
+from robust_filterpy._lazy import elsewhere
+from robust_filterpy.testing.scenarios.drawing import draw
 from robust_filterpy.testing.scenarios.runs import run_filter, run_tracker
 
-__all__ = ["Plant", "PlantScenario", "Scenario", "StateModel", "draw", "run_filter", "run_tracker"]
+__all__ = ["draw", "run_filter", "run_tracker"]
+
+__getattr__ = elsewhere(__name__)

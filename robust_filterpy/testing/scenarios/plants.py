@@ -29,7 +29,8 @@ from robust_filterpy._checks import Array
 from robust_filterpy.identification import ARMAX, ARX, FIR, OutputError, ParameterTracker
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.influence import Linear
-from robust_filterpy.plants import random_walk, simulate_arx, simulate_output_error, stable
+from robust_filterpy.plants import simulate_arx, simulate_output_error
+from robust_filterpy.plants.drift import random_walk, stable
 from robust_filterpy.plants.parameters import linear_parameters
 from robust_filterpy.plants.servo import simulate_servo
 from robust_filterpy.testing.scenarios.contamination import Kinds, Spoilt, objects, of_noise, spoilt
