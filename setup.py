@@ -1,6 +1,7 @@
 """Build the kernel, where there is a C compiler; everything else is in setup.cfg."""
 
 import os
+import subprocess
 import sys
 import sysconfig
 from concurrent.futures import ThreadPoolExecutor
@@ -13,10 +14,20 @@ ROOM = Path("robust_filterpy/kernel")
 # Never -ffast-math: loading a library built with it makes the whole process flush subnormal numbers.
 # Python itself is compiled with -fwrapv, under which loops over the sizes of small matrices are a third as fast.
 # Of what -O3 adds, only vectorised loops make the kernel faster; the rest makes compiling longer.
-FLAGS = ["-std=c99", "-g0", "-O2", "-ftree-loop-vectorize", "-ftree-slp-vectorize", "-fvect-cost-model=dynamic"]
-FLAGS += ["-fno-wrapv", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"]
+FLAGS = ["-std=c99", "-g0", "-O2", "-fno-wrapv", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"]
+# clang, which gcc is on macOS, does so by itself and refuses to be asked.
+GCC_ONLY = ["-ftree-loop-vectorize", "-ftree-slp-vectorize", "-fvect-cost-model=dynamic"]
 # One binary for all versions of Python, except those without the interpreter's lock.
 STABLE = not sysconfig.get_config_var("Py_GIL_DISABLED") and sys.implementation.name == "cpython"
+
+
+def is_clang(compiler):
+    """Tell whether it says so."""
+    try:
+        said = subprocess.run([compiler.compiler_so[0], "--version"], capture_output=True, text=True, check=False)
+    except OSError:
+        return False
+    return "clang" in said.stdout
 
 
 class BuildExtension(build_ext):
@@ -32,7 +43,8 @@ class BuildExtension(build_ext):
                 extension.extra_compile_args = ["/O2", "/std:c11", "/fp:precise"]
             else:
                 # For a build with sanitizers, say.
-                extension.extra_compile_args = FLAGS + os.environ.get("ROBUST_FILTERPY_CFLAGS", "").split()
+                flags = FLAGS if is_clang(self.compiler) else FLAGS + GCC_ONLY
+                extension.extra_compile_args = flags + os.environ.get("ROBUST_FILTERPY_CFLAGS", "").split()
         compile_in_turn = self.compiler.compile
 
         def compile_side_by_side(sources, **options):

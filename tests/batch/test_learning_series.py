@@ -145,7 +145,7 @@ def test_a_state_is_not_written_into_and_a_refused_series_stays_refused():
 def test_a_state_that_does_not_fit_is_refused():
     problem, zs = problem_and_series()
     state, model = learning(zs, *arguments(problem)).state, arguments(problem)[:4]
-    with pytest.raises(ValueError, match="none of x0, P0, learnt"):
+    with pytest.raises(ValueError, match=r"none of x0, P0, `?learnt`?"):
         learning(zs, *arguments(problem), state=state)
     with pytest.raises(TypeError, match="state: expected what filter_series"):
         learning(zs, *model, state=state["learnt"])

@@ -6,7 +6,7 @@ import support
 from filterpy.common import Saver
 
 from robust_filterpy import Contaminated, Huber, RobustKalmanFilter
-from robust_filterpy.filters import _bounded, _mixture
+from robust_filterpy.filters import policies
 
 support.needs_kernel()
 
@@ -16,13 +16,13 @@ N = 1500
 @pytest.fixture
 def count(monkeypatch):
     """Count the steps that the kernel took, so that no test passes because they were not used."""
-    return counted(monkeypatch, _bounded.Bounded)
+    return counted(monkeypatch, policies.Bounded)
 
 
 @pytest.fixture
 def count_mixture(monkeypatch):
     """Count them under noise=."""
-    return counted(monkeypatch, _mixture.Mixture)
+    return counted(monkeypatch, policies.Mixture)
 
 
 def counted(monkeypatch, policy):

@@ -61,6 +61,8 @@ def test_a_motion_comes_back_the_same(name):
             for a, b in zip(motion.over(dt, x, u), other.over(dt, x, u), strict=True):
                 np.testing.assert_array_equal(a, b)
         assert other.names == motion.names and repr(other) == repr(motion)
+        # The same stretch comes again and again.
+        assert other.matrices(0.3) is other.matrices(0.3)
 
 
 @pytest.mark.parametrize("options", OPTIONS)
