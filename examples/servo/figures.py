@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import matplotlib.pyplot as plt
 import numpy as np
-from robust_filterpy.plants.servo.recording import ServoRecording
 from servo.experiment import DT, NOMINAL, NONE, ROBUST, Conditions, motion
 from servo.models import CONSTANT, EVERY, ORDER, Model, frozen_gain, gain_of, sliding_gain
 from servo.study import INSTANTS, at
@@ -16,6 +15,7 @@ from servo.study import INSTANTS, at
 from robust_filterpy.identification import Model as PolynomialModel
 from robust_filterpy.plants.servo import PneumaticParameters
 from robust_filterpy.plants.servo.linearization import linearize_servo
+from robust_filterpy.plants.servo.position_loop import ServoRecording
 from robust_filterpy.plotting import LOOKS
 
 STYLE = {NOMINAL: {**LOOKS["Kalman"], "linewidth": 1.1}, ROBUST: {**LOOKS["Huber"], "linewidth": 1.3}}

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.stats
-from robust_filterpy.plants.servo.recording import ServoRecording
 from servo.experiment import DT, LABELS, NOMINAL, ROBUST, SERVO, STD, TOTAL, Conditions
 
 from robust_filterpy import Huber
@@ -19,6 +18,7 @@ from robust_filterpy.influence.functions import Influence
 from robust_filterpy.plants.servo import PneumaticParameters, simulate_servo
 from robust_filterpy.plants.servo.equations import valve_opening
 from robust_filterpy.plants.servo.linearization import linearize_servo
+from robust_filterpy.plants.servo.position_loop import ServoRecording
 from robust_filterpy.plants.servo.steady_motion import operating_point
 
 ORDER, P0 = 4, 0.01

@@ -12,9 +12,7 @@ Imports from below: `influence`, `diagnostics`, `identification`, `plants`. pyte
 
 from __future__ import annotations
 
-from functools import partial
-
-from robust_filterpy._lazy import refuse
+from robust_filterpy._lazy import elsewhere
 from robust_filterpy.testing import assertions, checks, scenarios
 from robust_filterpy.testing.assertions import *  # noqa: F403
 from robust_filterpy.testing.checks import *  # noqa: F403
@@ -26,4 +24,4 @@ __all__ += assertions.__all__
 __all__ += checks.__all__
 __all__ += scenarios.__all__
 
-__getattr__ = partial(refuse, __name__)
+__getattr__ = elsewhere(__name__)

@@ -5,7 +5,7 @@ import importlib
 import pytest
 
 import robust_filterpy
-from robust_filterpy import batch, noise, testing
+from robust_filterpy import _lazy, batch, noise, testing
 
 
 @pytest.mark.parametrize(
@@ -30,3 +30,21 @@ def test_a_name_that_never_was_is_refused_in_python_s_own_words():
     for room in ("batch", "noise"):
         with pytest.raises(AttributeError, match="has no attribute 'filter_searies'"):
             importlib.import_module(f"robust_filterpy.{room}").filter_searies  # noqa: B018
+
+
+def test_a_name_that_has_moved_is_found_where_it_was_and_says_where_it_is():
+    assert len(_lazy._MOVED) > 30
+    for name, home in _lazy._MOVED.items():
+        thing, parts = getattr(importlib.import_module(home), name), home.split(".")
+        # The front pages around its new home, but for those that are of a package alone.
+        fronts = [".".join(parts[:n]) for n in range(2, len(parts))] or ["robust_filterpy"]
+        for front in set(fronts) - {"robust_filterpy.identification.models"}:
+            page = importlib.import_module(front)
+            with pytest.warns(DeprecationWarning, match=f"{name} has moved: from {home} import {name}$"):
+                assert getattr(page, name) is thing
+            assert name not in page.__all__
+
+
+def test_a_name_that_moved_from_a_package_was_never_the_root_s():
+    with pytest.raises(AttributeError):
+        robust_filterpy.Coefficients  # noqa: B018

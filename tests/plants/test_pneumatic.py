@@ -8,12 +8,11 @@ from dataclasses import replace
 import control
 import numpy as np
 import pytest
-from robust_filterpy.plants.servo.coefficients import beta_coefficient
 from scipy.integrate import quad, solve_ivp
 
 from robust_filterpy.plants.servo import PneumaticParameters, pneumatic_servo
 from robust_filterpy.plants.servo.equations import reduced_flow, servo_derivatives, valve_opening
-from robust_filterpy.plants.servo.parameters import critical_ratio
+from robust_filterpy.plants.servo.parameters import beta_coefficient, critical_ratio
 from robust_filterpy.plants.servo.position_loop import simulate_actuator
 from robust_filterpy.plants.servo.steady_motion import operating_point
 

@@ -10,23 +10,12 @@
 
 from __future__ import annotations
 
-from robust_filterpy.plants.servo.equations import pneumatic_servo, valve_opening
-from robust_filterpy.plants.servo.linearization import linearize_servo
+from robust_filterpy._lazy import elsewhere
+from robust_filterpy.plants.servo.equations import pneumatic_servo
 from robust_filterpy.plants.servo.observer import ServoObserver
-from robust_filterpy.plants.servo.parameters import PneumaticParameters, beta_coefficient, random_coefficient
-from robust_filterpy.plants.servo.position_loop import ServoRecording, simulate_actuator, simulate_servo
-from robust_filterpy.plants.servo.steady_motion import operating_point
+from robust_filterpy.plants.servo.parameters import PneumaticParameters, random_coefficient
+from robust_filterpy.plants.servo.position_loop import simulate_servo
 
-__all__ = [
-    "PneumaticParameters",
-    "ServoObserver",
-    "ServoRecording",
-    "beta_coefficient",
-    "linearize_servo",
-    "operating_point",
-    "pneumatic_servo",
-    "random_coefficient",
-    "simulate_actuator",
-    "simulate_servo",
-    "valve_opening",
-]
+__all__ = ["PneumaticParameters", "ServoObserver", "pneumatic_servo", "random_coefficient", "simulate_servo"]
+
+__getattr__ = elsewhere(__name__)
