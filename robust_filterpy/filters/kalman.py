@@ -32,6 +32,7 @@ from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters._parts import Part, Parts
 from robust_filterpy.filters._recording import Given, RecordingMixin
+from robust_filterpy.filters._rounding import without_rounding
 from robust_filterpy.filters.policies import Bounded, finite_product
 from robust_filterpy.filters.shell import is_own
 from robust_filterpy.filters.snapshot import whole
@@ -398,9 +399,12 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
 
     def _corrected(self, x: Array, P: Array, values: Any, H: Array, R: Array, M: Any, known: Any) -> tuple[Any, Any]:
         """Return the correction of x by checked values, and what the policy keeps beside it; changes nothing."""
-        return self._policy.corrected(  # type: ignore[no-any-return]
-            known, x.ravel(), P, np.atleast_1d(values), H, R, M, self._inverse
-        )
+
+        def correct(known: Any, P: Array) -> Any:
+            """Correct with this P."""
+            return self._policy.corrected(known, x.ravel(), P, np.atleast_1d(values), H, R, M, self._inverse)
+
+        return without_rounding(self, correct, known, P, H, R)  # type: ignore[no-any-return]
 
     def get_update(self, z: ArrayLike | None = None) -> tuple[Array, Array]:
         """Return what `update` would make of x and P, and change nothing.

@@ -10,6 +10,7 @@ import numpy as np
 from robust_filterpy._arrays import measured
 from robust_filterpy._checks import Array, described, numbers
 from robust_filterpy.correction.definition import Innovation, innovation_moments
+from robust_filterpy.filters._rounding import without_rounding
 from robust_filterpy.filters.shell import Shell
 from robust_filterpy.filters.snapshot import unchanged_if_refused
 from robust_filterpy.kernel import moments
@@ -36,13 +37,15 @@ class NonlinearFilterMixin(Shell):
             taken = moments.correct(self._choices, known.memory, P, z, y, C, S, R)
             if taken is not None:
                 return taken, known.kept
-        H = None
-        if S is None:
-            H = C
-            C, S = innovation_moments(P, H, R)
-        return self._policy.corrected_by_moments(  # type: ignore[no-any-return]
-            known, np.zeros(len(P)), P, Innovation(z, y, C, S, R, H), self._inverse, difference_of(residual, shape)
-        )
+
+        def correct(known: Any, P: Array) -> Any:
+            """Correct with the moments of P, where C is a Jacobian."""
+            cross, spread = innovation_moments(P, C, R) if S is None else (C, S)
+            innovation = Innovation(z, y, cross, spread, R, C if S is None else None)
+            difference = difference_of(residual, shape)
+            return self._policy.corrected_by_moments(known, np.zeros(len(P)), P, innovation, self._inverse, difference)
+
+        return without_rounding(self, correct, known, P, C if S is None else None, R)
 
     def _filtered(self, zs: Any, columns: dict[str, Any], step: Callable[..., None], saver: Any) -> tuple[Array, Array]:
         """Do a step for each measurement, with what each of the columns has for it; all of them or none."""
