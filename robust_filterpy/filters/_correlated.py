@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,12 +10,15 @@ import numpy as np
 from robust_filterpy._checks import Array
 from robust_filterpy._documentation import STOPPED, pointer
 from robust_filterpy._warning import RobustFilterWarning, warn
+from robust_filterpy.filters.policies import ordinary_noise
 
 __all__ = ["CorrelatedInnovationsWarning", "Signs", "judges", "look_at_recording", "look_at_signs"]
 
 #: Updates of a period, those of them that are looked at (when a start is over, before a short recording is), and how
 #: many signs must be kept: a fair coin does that once in six hundred thousand periods.
 _PERIOD, _FIRST, _LAST, _KEPT = 240, 9, 57, 40
+#: An innovation of fewer standard deviations is what a start leaves where there is no noise: it has no sign.
+_NO_LAG = 0.1
 
 
 class CorrelatedInnovationsWarning(RobustFilterWarning):
@@ -83,7 +87,7 @@ def look_at_signs(kf: Any, signs: Signs | None, last: Any, updates: int) -> Sign
     return signs
 
 
-def look_at_recording(kf: Any, y: Array, first: int) -> None:
+def look_at_recording(kf: Any, y: Array, first: int, variances: Callable[[list[int]], Array]) -> None:
     """Look at a recording as `look_at_signs` does.
 
     Parameters
@@ -94,22 +98,31 @@ def look_at_recording(kf: Any, y: Array, first: int) -> None:
         Innovations, NaN where missing.
     first : int
         Step that the first row belongs to.
+    variances : callable
+        Returns those of some rows of y, shape (rows, m).
     """
     seen = np.flatnonzero(~np.isnan(y).all(axis=1))
     for begin in range(0, len(seen), _PERIOD):
         signs = Signs(y.shape[1])
         window = seen[begin + _FIRST - 1 : begin + _LAST].tolist()
-        for k in window:
-            signs.count(y[k].tolist())
         if len(window) > _LAST - _FIRST:
+            for one in _signed(y[window], variances(window)):
+                signs.count(one)
             _judge(kf, signs, f": step {first + window[-1]}")
 
 
 def _innovation_of(last: Any) -> list[float]:
-    """Return the innovation of a correction, NaN where missing."""
-    if hasattr(last, "prior_x"):
-        return (last.z - last.H.dot(last.prior_x)).tolist()  # type: ignore[no-any-return]
-    return np.where(np.isnan(last.weights), np.nan, last.y).tolist()  # type: ignore[no-any-return]
+    """Return the innovation of a correction, NaN where missing, 0 where it is no lag."""
+    if not hasattr(last, "prior_x"):
+        return _signed(np.where(np.isnan(last.weights), np.nan, last.y), last.S.diagonal())
+    H, R = last.H, ordinary_noise(last.R, last.before)
+    noise = R if last.curvature is None else R + last.curvature
+    return _signed(last.z - H.dot(last.prior_x), (H.dot(last.prior_P) * H).sum(axis=1) + noise.diagonal())
+
+
+def _signed(y: Array, variances: Array) -> Any:
+    """Return innovations as lists, 0 where one is no lag."""
+    return np.where(np.abs(y) < _NO_LAG * np.sqrt(variances), 0.0, y).tolist()
 
 
 def _judge(kf: Any, signs: Signs, where: str) -> None:

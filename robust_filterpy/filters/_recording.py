@@ -10,6 +10,7 @@ import numpy as np
 from robust_filterpy._arrays import process_noise, state_of
 from robust_filterpy._checks import Array, all_covariances, entries, shown
 from robust_filterpy.filters._correlated import look_at_recording
+from robust_filterpy.filters.policies import ordinary_noise
 from robust_filterpy.filters.problem import read
 from robust_filterpy.filters.shell import Shell
 from robust_filterpy.filters.snapshot import unchanged_if_refused
@@ -153,7 +154,15 @@ class RecordingMixin(Shell):
             return taken
         look_for_stuck(self, weights[k:taken], k)
         if self._counts_clipped:
-            look_at_recording(self, _innovations(steps, k, taken), k)
+            _, _, H, R, _ = (np.broadcast_to(rows, (len(steps.zs), *rows.shape[1:]))[k:taken] for rows in steps.model)
+
+            def variances(some: list[int]) -> Array:
+                """Return those of the innovations of some steps, with the noise as it is learnt at the end."""
+                P = steps.kept.covariances_p[k:taken][some].reshape(-1, *self.P.shape)
+                noise = ordinary_noise(R[some], state.learnt)
+                return np.diagonal(H[some] @ P @ H[some].swapaxes(1, 2) + noise, axis1=1, axis2=2)
+
+            look_at_recording(self, _innovations(steps, k, taken), k, variances)
         return taken
 
 

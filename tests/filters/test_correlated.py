@@ -125,3 +125,22 @@ def test_nothing_is_said_of_a_filter_that_follows(seed):
             kf = level()
             kf.Q[0, 0] = 0.01
             way(kf, zs)
+
+
+@pytest.mark.filterwarnings("error::robust_filterpy.filters.CorrelatedInnovationsWarning")
+@pytest.mark.parametrize("seed", range(8))
+def test_nothing_is_said_of_a_signal_without_noise_that_the_model_follows(seed):
+    """A start leaves innovations of one sign, that fall; rounding has a sign too."""
+    rng = np.random.default_rng([seed, 11])
+    for n in (1, 2, 3):
+        kf = AdaptiveKalmanFilter(n, 1) if seed % 2 else RobustKalmanFilter(n, 1, noise="learnt")
+        kf.F = np.triu(np.ones((n, n))) if n < 3 else np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
+        kf.H, unit = np.eye(1, n), 10.0 ** rng.uniform(-6, 6)
+        kf.P, kf.R = np.eye(n) * 10.0 ** rng.uniform(0, 4) * unit**2, np.eye(1) * unit**2
+        kf.Q = np.eye(n) * unit**2 * rng.choice([0.0, 1e-6, 1e-2, 1.0])
+        x, zs = rng.normal(size=n) * unit * 10.0 ** -np.arange(n), []
+        for _ in range(600):
+            zs.append(x[:1])
+            x = kf.F @ x
+        copy.deepcopy(kf).batch_filter(zs)
+        online(kf, zs)
