@@ -43,7 +43,8 @@ class Finding:
     cause : str
         "R too small", "R too large", "Q too small", "Q too large", "R and Q too small", "R and Q too large",
         "wrong H", "lost units", "level shift", "state jump", "bias", "correlated noise", "coupled noise",
-        "saturation", "frozen sensor", "wrong start", "more outliers", "S too small", "S too large" or "not white".
+        "saturation", "frozen sensor", "wrapping", "wrong start", "more outliers", "S too small", "S too large" or
+        "not white".
     sensor : int or None
         Component of z that it is about, None for all.
     value : float
@@ -308,6 +309,10 @@ def _findings(recording: FilterRecord, e: Array, figures: dict[str, Any]) -> lis
             text = f"z[{i}] saturates: {share:.0%} of its samples are exactly {limit:.6g}, the end of its range."
             findings.append(Finding("saturation", i, limit, math.nan, text + " Pass them as NaN (missing)."))
             z[z[:, i] == limit, i] = np.nan
+        elif recording.model is not None and (period := statistics.wraps(z[:, i])) is not None:
+            text = f"z[{i}] wraps at {period:.6g}, which a linear filter takes for a jump: pass it unwrapped, by"
+            text += f" numpy.unwrap(z, period={period:.6g}), or take a filter with a residual function."
+            findings.append(Finding("wrapping", i, period, math.nan, text))
         elif run:
             text = f"z[{i}] is frozen: {run} successive samples are exactly the same. Pass them as NaN (missing)."
             findings.append(Finding("frozen sensor", i, float(run), math.nan, text))

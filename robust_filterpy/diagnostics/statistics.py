@@ -13,6 +13,8 @@ from robust_filterpy.diagnostics.recording import FilterRecord, threshold
 
 # Correlations that tell whether innovations are white.
 _LAGS = 10
+# Where angles, hours and counters begin anew.
+_PERIODS = (360.0, 2.0 * math.pi, 180.0, math.pi, 400.0, 24.0, *(2.0**bits for bits in (8, 10, 12, 16, 32)))
 
 
 class Band(NamedTuple):
@@ -171,3 +173,23 @@ def breaks_loose(z: Array, value: float) -> bool:
         return False
     steps = np.abs(np.diff(z))
     return bool(abs(z[at[-1] + 1] - value) > 5.0 * np.median(steps[steps > 0]))
+
+
+def wraps(z: Array) -> float | None:
+    """Return the period at which an angle or a counter begins anew, None if it does not.
+
+    Where it jumps by more than half of a period it lies near both ends of the range, and without the period it moves
+    there as it moves elsewhere.
+    """
+    z = z[~np.isnan(z)]
+    for period in _PERIODS:
+        for low in (0.0, -0.5 * period):
+            inside = z[(z >= low) & (z <= low + period)]
+            steps = np.diff(inside)
+            jumps = np.abs(steps) > 0.5 * period
+            if len(inside) < max(20, 0.95 * len(z)) or not jumps.any() or np.ptp(inside) < 0.9 * period:
+                continue
+            moves = np.abs(steps - period * np.round(steps / period))
+            if np.quantile(moves, 0.9) < 0.1 * period and moves[jumps].mean() < 3.0 * moves[~jumps].mean():
+                return period
+    return None

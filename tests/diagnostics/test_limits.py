@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from robust_filterpy import RobustKalmanFilter, diagnose
+from robust_filterpy.diagnostics import statistics
 
 
 def level(x=0.0, P=1.0, Q=0.01):
@@ -55,3 +56,42 @@ def test_a_right_start_is_not_called_wrong():
     for seed in range(10001, 10011):
         assert "wrong start" not in diagnose(level(), recording(150, seed)).causes
         assert "wrong start" not in diagnose(level(Q=1e-4), recording(150, seed)).causes
+
+
+def turning(seed, period, n=400):
+    """Return a heading that turns, wrapped at a period: from 0, or symmetric about it."""
+    rng = np.random.default_rng([seed, 5])
+    walk = np.cumsum(np.cumsum(rng.normal(size=n)) * 2e-4 + rng.choice([-1, 1]) * 4e-3) + rng.random()
+    walk += 2e-3 * rng.normal(size=n)
+    z = (walk % 1.0 - rng.choice([0.0, 0.5])) * period
+    z[rng.random(n) < 0.05] = np.nan
+    return z, walk * period
+
+
+@pytest.mark.parametrize("period", [360.0, 2 * np.pi, 400.0, 24.0, 2.0**16], ids="deg rad gon hours counter".split())
+@pytest.mark.parametrize("seed", range(6))
+def test_a_signal_that_wraps_is_called_so_with_its_period(period, seed):
+    z, walk = turning(seed, period)
+    assert np.nanmax(np.abs(np.diff(z))) > period / 2
+    kf = RobustKalmanFilter(2, 1)
+    kf.F, kf.H = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]])
+    kf.R, kf.P = np.eye(1) * (2e-3 * period) ** 2, np.diag([1.0, 1e-4]) * period**2
+    kf.Q = np.array([[0.25, 0.5], [0.5, 1.0]]) * (2e-4 * period) ** 2
+    (found,) = diagnose(kf, z).findings
+    assert found.cause == "wrapping" and found.value == pytest.approx(period)
+    assert f"wraps at {period:.6g}" in found.text and "numpy.unwrap" in found.text
+    assert statistics.wraps(walk) is None
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_only_jumps_does_not_wrap(seed):
+    rng = np.random.default_rng([seed, 6])
+    step, there = np.arange(400), recording(400, seed)
+    for z in (
+        180.0 + there + np.where(step > 200, 160.0, -160.0),
+        180.0 + there + 170.0 * np.sign(np.sin(step / 15.0)),
+        step % 97 + 0.1 * there,
+        rng.random(400) * 360.0,
+        np.where(rng.random(400) < 0.1, 359.0, 5.0 + there),
+    ):
+        assert statistics.wraps(z) is None
