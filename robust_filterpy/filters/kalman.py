@@ -596,9 +596,9 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         """
         scales = np.empty((len(zs), self.dim_x)) if self.process is not None and hasattr(zs, "__len__") else None
         by_kernel = saver is None and self._steps_are_own()
-        if Qs is None and isinstance(self.Q, (int, float)) and hasattr(zs, "__len__"):
-            # As filterpy passes it to each prediction, where a number means times I.
-            Qs = [self.Q] * len(zs)
+        if Qs is None and self.dim_x > 1 and np.ndim(self.Q) == 0 and hasattr(zs, "__len__"):
+            # As filterpy passes it to each prediction: a number means times I there, an array without axes does not.
+            Qs = [self.Q if np.isscalar(self.Q) else self._noise_of_number(None)] * len(zs)
         found = self._filter_recording(Given(zs, Fs, Qs, Hs, Rs, Bs, us), update_first, saver, by_kernel, scales)
         self._process_scales = scales
         return found

@@ -98,3 +98,30 @@ def test_batch_filter_with_saver():
     support.assert_close(saver.x, means)
     support.assert_close(saver.P, covariances)
     support.assert_close(means, plain.batch_filter(zs)[0])
+
+
+def test_the_smoother_is_the_procedural_one():
+    """filterpy also has it as a function, with the indices one step apart."""
+    robust = pair(support.cart())[0]
+    means, covariances, *_ = robust.batch_filter(support.simulate(support.cart(), 30, seed=3)[0])
+    n, kf = len(means), support.cart()
+    ours = robust.rts_smoother(means, covariances)
+    theirs = filterpy.kalman.rts_smoother(means, covariances, [kf.F] * n, [kf.Q] * n)
+    for a, b in zip(ours[:2], theirs[:2], strict=True):
+        support.assert_close(a, b)
+
+
+@pytest.mark.filterwarnings("ignore:Q. expected a matrix")
+@pytest.mark.parametrize("Q", [0.25, 1, np.float32(0.25), np.float64(0.25), np.int64(1), np.array(0.25)], ids=repr)
+def test_a_number_as_q_is_what_it_is_in_filterpy(Q):
+    zs, found = [1.0, 2.0, None, 3.0], []
+    for make in (KalmanFilter, lambda n, m: RobustKalmanFilter(n, m, influence=Linear())):
+        steps, whole = make(2, 1), make(2, 1)
+        for kf in (steps, whole):
+            kf.F, kf.H, kf.Q = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]]), Q
+        for z in zs:
+            steps.predict()
+            steps.update(z)
+        found.append((steps.P, *whole.batch_filter(zs)))
+    for theirs, ours in zip(*found, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-12)
