@@ -37,6 +37,7 @@ WHOLE, MOST_STEPS = 0.01, 1e6  #: a change within so much of a whole number of s
 SUDDEN = 4.0  #: what is so many spreads off has not crept there
 STEEP = 1.5  #: a run goes on while it grows by less than half
 HABIT = 0.2  #: a share of repeats from which on one that is merely clipped says something
+ROUNDED = 1e-13  #: an innovation of so much of the reading and of its standard deviation is rounding
 FLOOR, STEEPEST = 1e-9, 50.0  #: less of H P H' / R is rounding; its logarithm does not grow by more
 LARGEST_GROWTH = 1e6  #: of S at one jump; makes the gain 1 - 1e-6
 WITNESS, APART, CONTRADICTED = 0.47, 1.5, 2.0  #: see `_charges`
@@ -117,9 +118,11 @@ def prepared(
     coarse = np.where(memory[:, REPEATS] > 0, memory[:, STEP] / BEND, 0.0) / told
     held = np.array([bool(here[i]) and _holds(memory[i], z[i], size[i], coarse[i]) for i in range(len(y))], dtype=bool)
     here &= ~held
-    for i in np.flatnonzero(here & (size > 0)):
+    # A custom does not begin with rounding: of a state that was set from the reading itself, say.
+    begins = (memory[:, WEIGHT] > 0) | (np.abs(y) > ROUNDED * (np.abs(z) + told))
+    for i in np.flatnonzero(here & begins & (size > 0)):
         _learn(memory[i], size[i], coarse[i], math.sqrt(min(max(R[i, i] / S[i, i], 1e-9), 1.0)))
-    # Who has no custom yet has shown exact zeros alone: any width will do.
+    # Who has no custom yet has shown zeros alone: any width will do.
     s = np.where(memory[:, WEIGHT] > 0, np.maximum(memory[:, SPREAD], coarse), 1.0)
     B = S - R
     seen = _seen_by(B, here)

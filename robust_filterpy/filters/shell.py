@@ -235,7 +235,7 @@ class Shell(StateMixin):
     def _counted(self, step: Any, *given: Any, R: Any, difference: Any = np.subtract) -> bool:
         """Take a correction, see whether refused ones insist, and look now and then whether most of them clip."""
         if self._policy.unwatched:
-            return self._repeated(step(self, *given))
+            return bool(step(self, *given))
         insists = self._policy.patience is not None
         counts = self._counts_clipped and self._choices.scaling == "innovation"
         looks = counts and (self._updates + 1) % EVERY == 0
@@ -246,7 +246,7 @@ class Shell(StateMixin):
 
     def _judged(self, step: Any, given: Any, insists: bool, counts: bool, looks: bool, R: Any, difference: Any) -> bool:
         """Take a correction and look at it, as one: what interrupts or refuses it undoes both."""
-        if not self._repeated(step(self, *given)):
+        if not step(self, *given):
             return False
         self._updates += counts
         # As it was judged, before P grows.
@@ -256,12 +256,6 @@ class Shell(StateMixin):
         if looks:
             self._share.look(self, judged)
         return True
-
-    def _repeated(self, taken: int) -> bool:
-        """Return whether a step was taken; say it where a far reading repeats the one before."""
-        if taken > 1:
-            look_for_repeats(self, self._memory)
-        return bool(taken)
 
     def _insist(self, R: Any, difference: Callable[[Array, Array], Array]) -> None:
         """Count a correction that the kernel took, and widen P where refused ones have insisted for long enough."""

@@ -396,7 +396,7 @@ static int correct_innovation(const filter_state *now, const sensors *s, const m
     return fine;
 }
 
-/* Give a filter what a correction made; 1, 2 where a far reading repeats, or -1 with an exception. */
+/* Give a filter what a correction made; 1, or -1 with an exception. */
 static int set_corrected(held *h, PyObject *filter, const corrected *made, const customs *c) {
     if (!set_state(h, filter, made->x, made->P, AT_x_post, AT_P_post)) return -1;
     if (set_attribute(filter, AT_z, made->z) < 0 || set_attribute(filter, AT__last, made->record) < 0) return -1;
@@ -407,9 +407,16 @@ static int set_corrected(held *h, PyObject *filter, const corrected *made, const
     }
     for (enum attribute which = AT__y; which <= AT__mahalanobis; which++)
         if (set_attribute(filter, which, Py_None) < 0) return -1;
-    for (npy_intp i = 0; made->memory && i < PyArray_DIM((PyArrayObject *)made->memory, 0); i++)
-        if (learnt_of(made)[i].held > 0 && learnt_of(made)[i].filled > 0) return 2;
     return 1;
+}
+
+/* Whether a sensor's far reading repeats for the first time: that is said, which may refuse the call, so that it is the
+   definition's. */
+static int is_to_be_said(const sensors *s, const corrected *made) {
+    for (npy_intp i = 0; made->memory && i < s->m; i++)
+        if (learnt_of(made)[i].filled > ((const spread_memory *)s->memory)[i].filled &&
+            ((const spread_memory *)s->memory)[i].filled == 0) return 1;
+    return 0;
 }
 
 static int take_correction(held *h, PyObject *filter, PyObject *z, PyObject *const given[3]) {
@@ -431,6 +438,7 @@ static int take_correction(held *h, PyObject *filter, PyObject *z, PyObject *con
     z = as_plain(h, z);
     if (!z) return -1;
     outcome = called_outcome(correct_linear(h, &now, &s, z, &made));
+    if (outcome > 0 && is_to_be_said(&s, &made)) return 0;
     return outcome > 0 ? set_corrected(h, filter, &made, &c) : outcome;
 }
 
@@ -476,6 +484,7 @@ static int take_innovation(held *h, PyObject *filter, PyObject *const given[6]) 
         for (npy_intp i = 0; i < s.m; i++) y[i] = numbers_of(made.z)[i] - at[i];
     }
     outcome = called_outcome(correct_innovation(&now, &s, &innovation, &made));
+    if (outcome > 0 && is_to_be_said(&s, &made)) return 0;
     return outcome > 0 ? set_corrected(h, filter, &made, NULL) : outcome;
 }
 

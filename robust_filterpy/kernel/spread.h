@@ -53,6 +53,7 @@ typedef struct {
 #define SPREAD_WITNESS REAL(0.47)                /* of the weight of those who see the same */
 #define SPREAD_APART REAL(1.5)                   /* so much wider than they are is a sensor's own noise, */
 #define SPREAD_CONTRADICTED REAL(2.0)            /* as is so far from what they say */
+#define SPREAD_ROUNDED REAL_PIVOT                /* an innovation of so much of reading and deviation is rounding */
 #define SPREAD_FLOOR REAL(1e-9)                  /* less of H P H' / R is rounding, */
 #define SPREAD_STEEPEST REAL(50.0)               /* and its logarithm does not grow by more */
 #define SPREAD_ROUNDING (1 + REAL(1e-9))          /* of sums of weights */
@@ -264,9 +265,11 @@ CALLED void spread_before(const int n, const int m, const real *z, const real *P
             c->observed -= 1;
             change->width[i] = -1;
         }
-        if (c->left[i] != 0 && size[i] > 0)
+        /* A custom does not begin with rounding: of a state that was set from the reading itself, say. */
+        if (c->left[i] != 0 && size[i] > 0 &&
+            (own->weight > 0 || real_abs(c->y[i]) > SPREAD_ROUNDED * (real_abs(z[i]) + told[i])))
             spread_learn(own, size[i], coarse, real_sqrt(real_min(real_max(R[i * m + i] / variance, REAL(1e-9)), 1)));
-        /* Who has no custom yet has shown exact zeros alone: any width will do. */
+        /* Who has no custom yet has shown zeros alone: any width will do. */
         s[i] = own->weight > 0 ? real_max(own->spread, coarse) : 1;
     }
     if (c->observed > 1)

@@ -100,17 +100,6 @@ def test_batch_filter_with_saver():
     support.assert_close(means, plain.batch_filter(zs)[0])
 
 
-def test_the_smoother_is_the_procedural_one():
-    """filterpy also has it as a function, with the indices one step apart."""
-    robust = pair(support.cart())[0]
-    means, covariances, *_ = robust.batch_filter(support.simulate(support.cart(), 30, seed=3)[0])
-    n, kf = len(means), support.cart()
-    ours = robust.rts_smoother(means, covariances)
-    theirs = filterpy.kalman.rts_smoother(means, covariances, [kf.F] * n, [kf.Q] * n)
-    for a, b in zip(ours[:2], theirs[:2], strict=True):
-        support.assert_close(a, b)
-
-
 @pytest.mark.filterwarnings("ignore:Q. expected a matrix")
 @pytest.mark.parametrize("Q", [0.25, 1, np.float32(0.25), np.float64(0.25), np.int64(1), np.array(0.25)], ids=repr)
 def test_a_number_as_q_is_what_it_is_in_filterpy(Q):

@@ -201,3 +201,17 @@ def test_at_a_jump_that_is_believed_S_grows_by_a_million_at_most(served, place, 
     # The fourth reading that says the same is believed.
     assert np.flatnonzero(np.array(grown) > 1e-6).tolist() == [63]
     assert grown[63] == pytest.approx(growth, rel=1e-9) if growth else 1e5 < grown[63] < 1e6
+
+
+@pytest.mark.parametrize("first", [0.0, 1.5e-14, -1e-13, 1e-11])
+def test_a_first_innovation_of_rounding_is_no_custom(first):
+    """The state was set from the first reading, by way of a computation, and that reading is then taken once more."""
+    zs = 100.0 + 0.3 * np.arange(60) + np.random.default_rng(0).normal(size=60)
+    found = []
+    for off in (0.0, first):
+        kf = RobustKalmanFilter(2, 1)
+        kf.F, kf.H, kf.Q = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]]), 0.01 * np.eye(2)
+        kf.P, kf.x = 10.0 * np.eye(2), np.array([[zs[0]], [0.0]])
+        kf.update(zs[0] + off)
+        found.append(kf.batch_filter(zs[1:])[0])
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-9)

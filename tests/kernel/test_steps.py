@@ -379,7 +379,7 @@ def test_matrices_and_measurements_of_other_kinds_are_the_kernels(kind, noise):
         setattr(other, name, KINDS[kind](np.array(values, dtype=float)))
     given = {name: getattr(other, name) for name in whole}
     for k in range(12):
-        z = np.array([k, 40.0 if k == 7 else 2.0])
+        z = np.array([k, 40.0 if k == 7 else 2.0 + k % 2])
         for kf, seen in ((plain, z), (other, KINDS[kind](z))):
             kf.predict(u=1.0)
             kf.update(seen)
