@@ -8,12 +8,12 @@ from filterpy.common import kinematic_kf
 
 from robust_filterpy import (
     AdaptiveKalmanFilter,
-    Linear,
     RobustExtendedKalmanFilter,
     RobustFilterWarning,
     RobustKalmanFilter,
 )
 from robust_filterpy.correction import SingularInnovationError
+from robust_filterpy.influence import Linear
 
 
 class Extended(RobustExtendedKalmanFilter):
