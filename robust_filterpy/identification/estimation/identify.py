@@ -19,6 +19,7 @@ from robust_filterpy.identification.estimation.grey_box import identified_grey_b
 from robust_filterpy.identification.estimation.level import (
     TRENDS,
     Beside,
+    Settled,
     beside_input_outliers,
     output_of,
     undisturbed_outputs,
@@ -238,7 +239,7 @@ def _of_polynomials(y: Any, u: Any, structure: Any, told: _Told) -> Model:
         raise TypeError(f"offset: expected True or False, got {_checks.shown(offset)}")
     if not isinstance(told.sampled, (bool, np.bool_)):
         raise TypeError(f"sampled: expected True or False, got {_checks.shown(told.sampled)}")
-    if trend is not None:
+    if trend is not None and not isinstance(trend, Settled):
         _checks.option("trend", trend, TRENDS)
         if not offset and trend != "none":
             raise ValueError(f'trend: expected "none" with offset=False, got {_checks.shown(trend)}; leave offset out')
@@ -259,7 +260,7 @@ def _of_polynomials(y: Any, u: Any, structure: Any, told: _Told) -> Model:
     return replace(found, findings=findings)
 
 
-def _in_recording(problem: Problem, recorded: Recordings, chosen: str) -> tuple[Model, tuple[Finding, ...]]:
+def _in_recording(problem: Problem, recorded: Recordings, chosen: str | Settled) -> tuple[Model, tuple[Finding, ...]]:
     """Return the model beside whatever else a recording has, and that."""
     y, spans = recorded.y, problem.spans
     several = len(spans) > 1
@@ -292,8 +293,10 @@ def _in_recording(problem: Problem, recorded: Recordings, chosen: str) -> tuple[
         return whole._replace(u=u).beside_levels(chosen)
 
     # A row of the caller's regressor is no input that is held.
-    rows = problem.structure.takes_phi
-    best = without_leverage(problem, y) if rows else beside_input_outliers(problem.u, beside)
+    if problem.structure.takes_phi:
+        best = without_leverage(problem, y)
+    else:
+        best = beside_input_outliers(problem.u, beside, chosen if isinstance(chosen, Settled) else None)
     model, findings, levels = best.model, best.findings, best.levels[:, 0]
     acted = problem.of_inputs(best.u) if best.held else problem
     if several:

@@ -13,7 +13,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.cleaning import cleaned
 from robust_filterpy.identification.estimation.estimate import Problem, estimated
-from robust_filterpy.identification.estimation.trend import PRICE, impulse_output
+from robust_filterpy.identification.estimation.trend import PRICE, Break, Trend, impulse_output
 from robust_filterpy.identification.models import gain
 from robust_filterpy.identification.models.dependence import LAGS, autocovariances, dependence, whitening_of
 from robust_filterpy.identification.models.findings import Finding
@@ -24,6 +24,7 @@ __all__ = [
     "LEAST_SAMPLES",
     "TRENDS",
     "Beside",
+    "Settled",
     "another_gain",
     "beside_input_outliers",
     "break_finding",
@@ -92,6 +93,62 @@ class Beside(NamedTuple):
     u: Any = None
     held: bool = False
     evidence: float = float("nan")
+
+
+class Settled(NamedTuple):
+    """What a recording of one output has beside one model of it, for others of the same recording.
+
+    Attributes
+    ----------
+    trend : Trend
+        Steps and ramps of its level.
+    input : Finding or None
+        Says that outliers of its inputs are held back.
+    """
+
+    trend: Trend
+    input: Finding | None
+
+    @classmethod
+    def of(cls, model: Model, samples: int) -> Settled:
+        """Return what a model has beside it.
+
+        Parameters
+        ----------
+        model : Model
+            Of one recording.
+        samples : int
+            Of this.
+
+        Returns
+        -------
+        Settled
+        """
+        values = model.trend if model.trend.size else np.zeros(samples)
+        input = next((one for one in model.findings if one.kind == "input outliers"), None)
+        breaks = [
+            Break(one.kind, one.place[0], 0.0, one.evidence) for one in model.findings if one.kind in ("step", "ramp")
+        ]
+        if breaks:
+            sizes = np.linalg.lstsq(np.column_stack([one.column(samples) for one in breaks]), values, rcond=None)[0]
+            breaks = [one._replace(size=float(size)) for one, size in zip(breaks, sizes, strict=True)]
+        return cls(Trend(values, tuple(breaks)), input)
+
+    def after(self, first: int) -> Settled:
+        """Return the same for the recording from a sample on.
+
+        Parameters
+        ----------
+        first : int
+            The sample.
+
+        Returns
+        -------
+        Settled
+        """
+        breaks = [one._replace(time=max(one.time - first, 0)) for one in self.trend.breaks]
+        kept = tuple(one for one in breaks if one.kind == "ramp" or one.time)
+        return self._replace(trend=Trend(self.trend.values[first:], kept))
 
 
 def without_endless_motion(problem: Problem, y: Array, best: Beside) -> Beside:
@@ -340,7 +397,7 @@ def _parts(samples: int, others: bool) -> Any:
     return found if others or len(found) > 1 else found[:0]
 
 
-def beside_input_outliers(u: Array, find: Callable[[Array], Beside]) -> Beside:
+def beside_input_outliers(u: Array, find: Callable[[Array], Beside], settled: Settled | None = None) -> Beside:
     """Find the model of inputs, and that with values far outside the others held back, and take it if much likelier.
 
     Parameters
@@ -349,6 +406,8 @@ def beside_input_outliers(u: Array, find: Callable[[Array], Beside]) -> Beside:
         Inputs.
     find : callable
         find(u) gives the model of such inputs, with its ``log_likelihood``, beside what its outputs have.
+    settled : Settled, optional
+        Says whether they are held back. Default: both ways are tried.
 
     Returns
     -------
@@ -358,9 +417,13 @@ def beside_input_outliers(u: Array, find: Callable[[Array], Beside]) -> Beside:
     -----
     Both ways from the beginning: what an outlier of u leaves looks like steps of the level, or like slow motion.
     """
+    if settled is not None and settled.input is not None:
+        other, _ = _held_back(u)
+        held = find(other)
+        return held._replace(u=other, held=True, findings=(*held.findings, settled.input))
     told = find(u)._replace(u=u)
     other, places = _held_back(u)
-    if not places.size:
+    if settled is not None or not places.size:
         return told
     stage("the model without outliers of u")
     try:

@@ -17,6 +17,7 @@ from robust_filterpy.identification.estimation.feedback import feedback
 from robust_filterpy.identification.estimation.level import (
     LEAST_SAMPLES,
     Beside,
+    Settled,
     another_gain,
     beside_input_outliers,
     break_finding,
@@ -86,22 +87,25 @@ class Outputs(NamedTuple):
         """
         return beside_input_outliers(self.u, lambda u: self._replace(u=u).beside_levels(trend))
 
-    def beside_levels(self, trend: str) -> Beside:
+    def beside_levels(self, trend: str | Settled) -> Beside:
         """Find the model beside levels that break.
 
         Parameters
         ----------
-        trend : str
-            As of `beside`.
+        trend : str or Settled
+            As of `beside`, or what another model of the recording has beside it.
 
         Returns
         -------
         Beside
         """
+        if isinstance(trend, Settled) and trend.trend.breaks:
+            breaks = {(0, 0): trend.trend}
+            return self._named_breaks(self.settled(self._fitted(breaks)[0]), breaks, np.inf)
         plain = self.settled(self._judged(self.find(self.y, self.u), np.zeros(self.y.shape)))
         line = trend == "line"
         rounding = all(one.is_rounding for one in np.atleast_1d(np.array(plain.model.noise, dtype=object)))
-        if trend in ("none", "constant") or not self.u.shape[1] or (rounding and not line):
+        if trend not in ("line", "breaks") or not self.u.shape[1] or (rounding and not line):
             return plain
         stage("steps and ramps of the levels of y")
         best, kept = plain, -np.inf
@@ -133,18 +137,22 @@ class Outputs(NamedTuple):
                 return None, {}
             if times == before and not line:
                 break
-            before, kept, levels = times, breaks, np.zeros(self.y.shape)
-            columns = []
-            for (i, j), one in breaks.items():
-                levels[self.spans[i], j] = one.values
-                columns += [self._column(i, j, b) for b in one.breaks]
-            if self.joint is None:
-                model = self.find(self.y - levels, self.u)
-            else:
-                model, levels, end = self.joint(self.y, self.u, levels, columns, end)
-            found = self._judged(model, levels)
-            output = self.alone(model, self.y - levels, self.u)
+            before, kept = times, breaks
+            found, end = self._fitted(breaks, end)
+            output = self.alone(found.model, self.y - found.levels, self.u)
         return found, kept
+
+    def _fitted(self, breaks: dict[tuple[int, int], Trend], begin: Any = None) -> tuple[Beside, Any]:
+        """Find the model beside breaks at given places, and where another such search may begin."""
+        levels, columns = np.zeros(self.y.shape), []
+        for (i, j), one in breaks.items():
+            levels[self.spans[i], j] = one.values
+            columns += [self._column(i, j, b) for b in one.breaks]
+        if self.joint is None:
+            model = self.find(self.y - levels, self.u)
+        else:
+            model, levels, begin = self.joint(self.y, self.u, levels, columns, begin)
+        return self._judged(model, levels), begin
 
     def _column(self, i: int, j: int, one: Break) -> Array:
         """Return what a break of 1 adds to the outputs."""

@@ -1,7 +1,9 @@
 """select_structure: the orders and the delay of a model, by a robust information criterion.
 
 All structures are compared on the same samples: the recording is cut for each of them such that its first residual
-belongs to the same sample. Their residuals have the noise that `learnt_noise` learns from them, by the same rule:
+belongs to the same sample. Steps and ramps of the level and outliers of the inputs are those that the largest structure
+has beside it: what each looked for itself would be parameters that the criterion does not count. Their residuals have
+the noise that `learnt_noise` learns from them, by the same rule:
 
     criterion = -2 log-likelihood + price n,   price = log(samples) for "bic", 2 for "aic"
 
@@ -29,6 +31,8 @@ from robust_filterpy._progress import progress_bar
 from robust_filterpy._warning import warn
 from robust_filterpy.identification.estimation.cleaning import THRESHOLDS
 from robust_filterpy.identification.estimation.identify import identify
+from robust_filterpy.identification.estimation.level import Settled
+from robust_filterpy.identification.estimation.trend import PRICE, Trend
 from robust_filterpy.identification.judging.grid import Grid, Kind, Orders
 from robust_filterpy.identification.judging.selection import Candidate, ImpulseResponse, Selection
 from robust_filterpy.identification.models.constructors import FIR, OutputError
@@ -162,9 +166,16 @@ def select_structure(
         raise ValueError(f"held_out: expected a share in [0, 0.5], got {_checks.shown(held_out)}")
     kept = measured.size - round(share * measured.size)
     bar = progress_bar(None, progress, " structures", "select_structure")
-    comparison = _Comparison(grid, measured, signal, criterion, kept if held_out else measured.size, bar)
     responses = () if u is None else _impulse_responses(measured, signal, grid)
-    comparison.try_all(grid.beginning([{one.delay, one.sure_delay} - {None} for one in responses]))
+    beginning = list(grid.beginning([{one.delay, one.sure_delay} - {None} for one in responses]))
+    largest = max((grid.structure(orders) for orders in beginning), key=lambda one: one.n_theta)
+    compared = kept if held_out else measured.size
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        inputs = signal[:compared] if largest.n_inputs else None
+        settled = Settled.of(identify(measured[:compared], inputs, largest, sampled=False, progress=False), compared)
+    comparison = _Comparison(grid, measured, signal, criterion, compared, bar, settled)
+    comparison.try_all(beginning)
     best = None
     while best != comparison.best:
         best = comparison.best
@@ -173,7 +184,8 @@ def select_structure(
     bar.close()
     rows = _ranked(comparison.rows(), late)
     structure = rows[0].structure
-    model = identify(measured, None if u is None else signal, structure, progress=False)
+    trend: Any = None if held_out else settled
+    model = identify(measured, None if u is None else signal, structure, trend=trend, progress=False)
     missing = (one for one in lies if one.kind != "copy")
     model = replace(model, dt=axis.dt, findings=(*missing, *model.findings))
     return Selection(rows, model, criterion, comparison.samples, responses)
@@ -210,9 +222,11 @@ class _Tried(NamedTuple):
 class _Comparison:
     """The structures that were tried, on the same samples."""
 
-    def __init__(self, grid: Grid, y: Array, u: Array, criterion: str, kept: int, bar: Any) -> None:
+    def __init__(
+        self, grid: Grid, y: Array, u: Array, criterion: str, kept: int, bar: Any, settled: Settled
+    ) -> None:  # fmt: skip
         """Keep the recording, and apart what comes after the samples that are kept."""
-        self.grid, self.criterion, self.bar = grid, criterion, bar
+        self.grid, self.criterion, self.bar, self.settled = grid, criterion, bar, settled
         self.rest = (y[kept:], u[kept:]) if kept < y.size else None
         self.y, self.u = y, u = y[:kept], u[:kept]
         self.tried: dict[Orders, _Tried] = {}
@@ -242,11 +256,13 @@ class _Comparison:
         with warnings.catch_warnings():
             # A structure with too many parameters leaves the model open; the best one warns again.
             warnings.simplefilter("ignore", UserWarning)
-            model = identify(y, u, structure, sampled=False, progress=False)
+            trend: Any = self.settled.after(first - before)
+            model = identify(y, u, structure, trend=trend, sampled=False, progress=False)
         residual, output = (signal[before:] for signal in _signals(model, y, u))
         likelihood = self._cleaned_likelihood(model) if structure.na + structure.nd else self._log_likelihood(residual)
         price = _CRITERIA[self.criterion](self.samples)
-        value = -2.0 * likelihood + price * (structure.n_theta + 1)
+        breaks = PRICE * math.log(self.samples) * len(self.settled.trend.breaks)
+        value = -2.0 * likelihood + price * (structure.n_theta + 1) + breaks
         b = [structure.polynomials.b[i].start for i, _, _ in acting]
         shows_delay = bool((model.theta[b] ** 2 > price * model.P.diagonal()[b]).all())
         row = Candidate(structure, value, float("nan"), likelihood, shows_delay)
@@ -280,7 +296,8 @@ class _Comparison:
             return {}
         if model.trend.size:
             y -= np.pad(model.trend, (y.size - model.trend.size, 0), mode="edge")
-        part = _Comparison(self.grid, y, self.u, self.criterion, kept, self.bar)
+        flat = self.settled._replace(trend=Trend(np.zeros(kept), ()))
+        part = _Comparison(self.grid, y, self.u, self.criterion, kept, self.bar, flat)
         ranked = sorted(self.tried, key=lambda orders: self.tried[orders].row.rank, reverse=True)
         best_of_size = {self.tried[orders].row.structure.n_theta: orders for orders in ranked}
         self.bar.total = (self.bar.total or 0) + len(best_of_size)
