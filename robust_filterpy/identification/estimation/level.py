@@ -7,13 +7,14 @@ from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from scipy.signal import lfilter
 from scipy.stats import norm
 
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.cleaning import cleaned
 from robust_filterpy.identification.estimation.estimate import Problem, estimated
-from robust_filterpy.identification.estimation.trend import PRICE, Break, Trend, impulse_output
+from robust_filterpy.identification.estimation.trend import LAGS_OF_IMPULSES, PRICE, Break, Trend, impulse_output
 from robust_filterpy.identification.models import gain
 from robust_filterpy.identification.models.dependence import LAGS, autocovariances, dependence, whitening_of
 from robust_filterpy.identification.models.findings import Finding
@@ -40,8 +41,8 @@ __all__ = [
 TRENDS: Final = ("none", "constant", "line", "breaks")
 #: In fewer samples a step and the dynamics cannot be told apart.
 LEAST_SAMPLES: Final = 200
-# A pole that leaves so much after the impulse response of `impulse_output` calls for a model of the differences.
-_SLOW: Final = 0.995
+# A share of its response that the impulse response of `impulse_output` leaves out calls for a model of the differences.
+_SLOW: Final = 0.7
 # Motion counts if its size in the second half is this share of y's; it never dies if (1 - |pole|) N is below the other.
 _SMALL: Final = 0.05
 _ENDLESS: Final = 0.1
@@ -220,15 +221,21 @@ def undisturbed_outputs(problem: Problem, y: Array, plain: Model) -> Iterator[Ar
     ndarray, shape (N,)
     """
     yield of_impulses(y[:, None], problem.u, problem.spans)[:, 0]
-    parts = plain.parts
-    slow = np.abs(np.roots(np.convolve(parts.a, parts.f))).max(initial=0.0) > _SLOW
-    if slow and len(problem.begins) == 1:
+    if _is_slow(plain, len(y)) and len(problem.begins) == 1:
         try:
             differences = problem._replace(u=np.diff(problem.u, axis=0), rest=np.zeros(problem.rest.size))
             found = estimated(differences, np.diff(y)).model
         except ValueError:
             return
         yield replace(found, operating_point=problem.rest).simulate(problem.u)
+
+
+def _is_slow(model: Model, samples: int) -> bool:
+    """Tell whether much of a model's response comes later than the lags of `impulse_output`."""
+    parts, impulse = model.parts, np.eye(1, samples).ravel()
+    with np.errstate(all="ignore"):
+        sizes = [np.abs(lfilter(b, np.convolve(parts.a, parts.f), impulse)) for b in parts.b]
+        return any(size[LAGS_OF_IMPULSES:].sum() > _SLOW * size.sum() for size in sizes)
 
 
 def of_impulses(y: Array, u: Array, spans: Any) -> Array:

@@ -57,14 +57,18 @@ _UNMOVED: Final = 0.2
 
 
 class _Effort(NamedTuple):
-    """How often outliers are looked for, steps of the parameters in between, turns of weights and steps at the end."""
+    """How often outliers are looked for, steps of the parameters in between, turns of weights and steps at the end.
+
+    Where no outlier is in a regressor, a step of so many standard deviations ends the search.
+    """
 
     cleanings: int
     steps: int
     turns: int
+    near: float = 0.0
 
 
-_ROUGH: Final = _Effort(4, 2, 1)
+_ROUGH: Final = _Effort(4, 2, 1, _NEAR)
 _FULL: Final = _Effort(10, 10, 10)
 # From where the search in a part of the recording ended.
 _AGAIN: Final = _Effort(1, 10, 10)
@@ -150,8 +154,16 @@ def ends(
     noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, least)
     found = [_searched(model, s.p, noise, missing, (s.name,), _ROUGH, limits) for s in _starts(model, missing, noise)]
     loss = START if influence is None else influence
-    rough = [(end, replace(end.noise, influence=loss)) for end, _ in _best_first(model, missing, found, limits)]
-    found = [_searched(model, end.p, noise, missing, end.starts, _FULL, limits) for end, noise in rough]
+    same, worst = _SAME, np.inf
+    if not (model.na or model.structure.nc or model.structure.nd):
+        # No outlier is in a regressor: all that is left to find is within the precision of the search.
+        same, worst = max(_SAME, _NEAR * (model.n / model.y.size) ** 0.5), _HOPELESS
+    rough = [end for end, excess in _best_first(model, missing, found, limits, same) if excess < worst]
+    noises = [replace(end.noise, influence=loss) for end in rough]
+    found = [
+        _searched(model, end.p, noise, missing, end.starts, _FULL, limits)
+        for end, noise in zip(rough, noises, strict=True)
+    ]
     return _best_first(model, missing, found, limits)
 
 
@@ -251,7 +263,7 @@ def _searched(
     for turn in range(effort.cleanings):
         if turn:
             stage(f"{int((outliers.wrong & ~missing).sum())} outliers taken for missing, search again")
-        found, _ = _maximised(model, p, noise, outliers, 1, effort.steps, limits)
+        found, _ = _maximised(model, p, noise, outliers, 1, effort, limits)
         moved = np.inf if told is None else mad_scale(model.residuals(found.p) - model.residuals(p))
         p, noise = found.p, found.noise
         if np.isnan(noise.R) or moved < _UNMOVED * noise.R**0.5:
@@ -261,20 +273,21 @@ def _searched(
         outliers = again
         if settled:
             break
-    found, full = _maximised(model, p, noise, outliers, effort.turns, effort.steps, limits)
+    found, full = _maximised(model, p, noise, outliers, effort.turns, effort, limits)
     rows = _counting(full, full is model, outliers.wrong)
     y = full.output(found.p) if isinstance(full, CompletedModel) else full.y
     return End(starts, found.p, found.noise, y, outliers, rows, found.residual, found.converged)
 
 
 def _maximised(
-    model: PolynomialModel, p: Array, noise: Noise, outliers: Outliers, turns: int, steps: int,
+    model: PolynomialModel, p: Array, noise: Noise, outliers: Outliers, turns: int, effort: _Effort,
     limits: Limits | None = None,
 ) -> tuple[Optimum, PolynomialModel | CompletedModel]:  # fmt: skip
     """Minimise the loss with outliers in the regressor as unknowns; weights of residuals take turns with the rest."""
     if not (outliers.wrong.any() and response(model, p).size > 1):
         rows = _counting(model, True, outliers.wrong)
-        return minimised(model, p, noise, rows, rows, limits=limits), model
+        near = 0.0 if model.na or model.structure.nc or model.structure.nd else effort.near
+        return minimised(model, p, noise, rows, rows, limits=limits, precision=near), model
     weights = outliers.counts.astype(float)
     for _ in range(turns):
         full = CompletedModel(model, outliers.wrong, weights)
@@ -283,7 +296,7 @@ def _maximised(
             # Outliers are in every residual: nothing shows the noise, and the search from another start goes on.
             return Optimum(p, replace(noise, R=np.nan), full.residuals(p), False), full
         before = full.residuals(p)
-        found = minimised(full, p, noise, full.conditioned, clear, steps, limits, _NEAR if turns == 1 else 0.0)
+        found = minimised(full, p, noise, full.conditioned, clear, effort.steps, limits, _NEAR if turns == 1 else 0.0)
         moved = np.linalg.norm(found.residual - before)
         p, noise, weights = found.p, found.noise, found.noise.weights(found.residual)
         if moved <= _SETTLED * np.linalg.norm(found.residual):
@@ -296,7 +309,9 @@ def _counting(model: Any, measured: bool, unknown: Any) -> Any:
     return model.conditioned & ~unknown[model.first :] if measured else model.conditioned
 
 
-def _best_first(model: PolynomialModel, missing: Any, found: list[End], limits: Limits | None = None) -> list[Ranked]:
+def _best_first(
+    model: PolynomialModel, missing: Any, found: list[End], limits: Limits | None = None, same: float = _SAME
+) -> list[Ranked]:
     """Sort ends by what the data say for them, and join those that are the same.
 
     Of two optima with the same loss the wider one is the likelier (Laplace's approximation of the evidence): a narrow
@@ -334,7 +349,7 @@ def _best_first(model: PolynomialModel, missing: Any, found: list[End], limits: 
     ranked: list[Ranked] = []
     for i in np.argsort(losses, kind="stable"):
         for j, (end, excess) in enumerate(ranked):
-            if mad_scale(end.residual - found[i].residual) < _SAME * np.sqrt(noise.R):
+            if mad_scale(end.residual - found[i].residual) < same * np.sqrt(noise.R):
                 ranked[j] = Ranked(end._replace(starts=(*end.starts, *found[i].starts)), excess)
                 break
         else:

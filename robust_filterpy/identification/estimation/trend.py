@@ -21,7 +21,7 @@ from robust_filterpy.identification.estimation.starts import robust_regression
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.influence.regression import mad_scale, resolution
 
-__all__ = ["PRICE", "Break", "Trend", "impulse_output", "piecewise_level"]
+__all__ = ["LAGS_OF_IMPULSES", "PRICE", "Break", "Trend", "impulse_output", "piecewise_level"]
 
 #: A break must explain so many times log N, in units of twice the log-likelihood.
 PRICE: Final = 6.0
@@ -33,7 +33,8 @@ _EDGE: Final = 0.02
 _LEAST_EDGE: Final = 10
 # What was in motion in the beginning looks like a step: so much is left out.
 _BEGINNING: Final = 0.03
-_LAGS: Final = 60
+#: The longest impulse response.
+LAGS_OF_IMPULSES: Final = 60
 # Means of so many samples of an input are what a plant makes of it where it is slow.
 _SLOW: Final = (1, 4, 16, 64)
 
@@ -99,7 +100,7 @@ def impulse_output(y: Array, u: Array) -> Array:
     -------
     ndarray, shape (N,)
     """
-    lags = max(min(_LAGS, y.size // (8 * u.shape[1])), 2)
+    lags = max(min(LAGS_OF_IMPULSES, y.size // (8 * u.shape[1])), 2)
     columns = [np.concatenate((np.full(j, c[0]), c[: c.size - j])) - c.mean() for c in u.T for j in range(lags)]
     X, known = np.column_stack((*columns, np.ones(y.size))), ~np.isnan(y)
     level, before = Trend(np.zeros(y.size), ()), None
