@@ -117,6 +117,7 @@ def test_loop_is_that_of_the_mass_form_to_a_tenth_of_a_micrometre(alpha):
     assert np.ptp(positions) > 0.05
 
 
+@pytest.mark.nightly
 @FORMS
 def test_actuator_is_that_of_the_mass_form_from_stop_to_stop(alpha):
     world, valve = physics(), 0.25 * np.sign(np.sin(3 * DT * np.arange(N) + 0.1))
