@@ -23,6 +23,8 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+import pytest
+
 SEEN = 0.9
 # Tests that are run for a line, at most.
 MOST = 40
@@ -166,6 +168,10 @@ def seen(copy: Path, tests: Iterable[str], limit: float, **environment: str) -> 
         )
     except subprocess.TimeoutExpired:
         return "(none within the limit)"
+    if done.returncode == pytest.ExitCode.USAGE_ERROR:
+        raise SystemExit(f"pytest was not asked for tests that there are: {done.stderr[-1000:]}")
+    if done.returncode == pytest.ExitCode.NO_TESTS_COLLECTED:
+        return "(none by day)"
     said = re.findall(r"^(?:FAILED|ERROR) (\S+)", done.stdout, flags=re.M)
     return said[0] if said else "(all pass)" if done.returncode == 0 else f"a process that ends with {done.returncode}"
 
