@@ -36,18 +36,11 @@ def test_noiseless_arx_gives_theta_back():
 
 
 @pytest.mark.parametrize("gradient", ["filtered", "pseudolinear"])
-def test_noiseless_output_error_leaves_the_truth_where_it_is(gradient):
-    u = white(500)
-    y = simulate_output_error(PLANT, u, na=2, nb=2).y
-    result = support.told_tracker(OutputError(2, 2), theta=PLANT, Q=1e-6, R=0.01, gradient=gradient).run(y, u)
-    assert np.abs(result.theta - PLANT).max() < 1e-10
-
-
-@pytest.mark.parametrize("gradient", ["filtered", "pseudolinear"])
-def test_noiseless_armax_leaves_the_truth_where_it_is(gradient):
-    theta, u = np.array([*PLANT, -1.0, 0.2]), white(500)
+@pytest.mark.parametrize("structure, c", [(OutputError(2, 2), []), (ARMAX(2, 2, 2), [-1.0, 0.2])], ids=str)
+def test_without_noise_the_truth_stays_where_it_is(structure, c, gradient):
+    theta, u = np.array([*PLANT, *c]), white(500)
     y = simulate_arx(PLANT, u, na=2, nb=2).y
-    result = support.told_tracker(ARMAX(2, 2, 2), theta=theta, Q=1e-6, R=0.01, gradient=gradient).run(y, u)
+    result = support.told_tracker(structure, theta=theta, Q=1e-6, R=0.01, gradient=gradient).run(y, u)
     assert np.abs(result.theta - theta).max() < 1e-10
 
 
