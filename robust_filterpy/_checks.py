@@ -196,22 +196,7 @@ def described(found: Array) -> str:
 
 
 def covariance(name: str, stack: Array, slack: float = TOLD, gathered: float = 0.0) -> None:
-    """Raise ValueError unless a matrix, or every matrix of a stack, is a covariance, in whatever units.
-
-    Parameters
-    ----------
-    name : str
-        What the message calls it; in a stack of several with the index of the first that is none.
-    stack : ndarray, shape (.., n, n)
-        Matrices.
-    slack : float
-        How far below 0 an eigenvalue may be where the variances are 1; `GATHERED` for what comes out of a long
-        recursion, infinite for a Q, since programs live with one that is slightly indefinite, filterpy's own tests
-        among them: P + Q is what matters.
-    gathered : float
-        What rounding alone may have left of a variance of 0, as a share of the largest one: `ROUNDING` for what comes
-        out of a recursion.
-    """
+    """Raise ValueError unless a matrix, or every matrix of a stack, is a covariance, in whatever units."""
     bad = ~are_covariances(stack, slack, gathered)
     if not bad.any():
         return

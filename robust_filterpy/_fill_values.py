@@ -103,25 +103,6 @@ def fill_values(signal: Array) -> FillValues:
 
 def without_fill_values(name: str, rows: Any) -> tuple[Any, Any]:
     """Return measurements with NaN for the fill values of each component, and warn of them; else the argument itself.
-
-    Parameters
-    ----------
-    name : str
-        Of the argument, for the warning.
-    rows : sequence of length N
-        Numbers, arrays of one shape, None.
-
-    Returns
-    -------
-    rows : ndarray, shape (N, ..)
-        The argument itself if there are none, or if it cannot be read as numbers of one shape.
-    filled : ndarray of bool, shape (N, m)
-        Where the fill values stood.
-
-    Warns
-    -----
-    UserWarning
-        If there are fill values.
     """
     try:
         if isinstance(rows, np.ndarray) and rows.dtype != object:

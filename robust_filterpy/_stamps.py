@@ -23,26 +23,7 @@ _FIRST, _LAST, _LONGEST = 1678, 2261, 106_000
 
 
 def read(name: str, stamp: Any, loose: bool = False) -> float | int:
-    """Return a stamp as a float of seconds or, of an instant, as a whole number of nanoseconds since 1970.
-
-    Parameters
-    ----------
-    name : str
-        What a message calls it.
-    stamp : float, numpy.datetime64 (UTC), pandas.Timestamp or datetime with a time zone
-        When.
-    loose : bool, default False
-        Whether it may be text as ISO 8601 has it, with a time zone, a duration, or any number, too.
-
-    Returns
-    -------
-    float or int
-
-    Raises
-    ------
-    ValueError, TypeError
-        If it is no time, has no time zone, or nanoseconds do not hold it.
-    """
+    """Return a stamp as a float of seconds or, of an instant, as a whole number of nanoseconds since 1970."""
     stamp = stamp[()] if isinstance(stamp, np.ndarray) and not stamp.ndim else stamp
     for convert in ("to_datetime64", "to_timedelta64"):
         stamp = getattr(stamp, convert)() if hasattr(stamp, convert) else stamp
@@ -75,21 +56,7 @@ def read(name: str, stamp: Any, loose: bool = False) -> float | int:
 
 
 def column(values: Any, loose: bool = False) -> tuple[np.ndarray, dict[int, str]]:
-    """Return the stamps of a column as `read` returns each, and what is wrong with those that are none.
-
-    Parameters
-    ----------
-    values : array_like, shape (N,)
-        Stamps.
-    loose : bool, default False
-        As in `read`.
-
-    Returns
-    -------
-    keys : ndarray, shape (N,)
-        Of float64 (seconds, NaN where there is none), int64 (nanoseconds, 0 where there is none), or both as objects.
-    wrong : dict of int to str
-    """
+    """Return the stamps of a column as `read` returns each, and what is wrong with those that are none."""
     values = np.asarray(values)
     keys, odd = np.zeros(0), np.arange(len(values))
     if values.dtype.kind == "M" or (values.dtype.kind == "m" and loose):
@@ -124,17 +91,7 @@ def as_numpy(series: Any) -> np.ndarray:
 
 
 def seconds(keys: np.ndarray) -> Array:
-    """Return the keys of a column in seconds, instants since 1970.
-
-    Parameters
-    ----------
-    keys : ndarray, shape (N,)
-        From `column`.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-    """
+    """Return the keys of a column in seconds, instants since 1970."""
     if keys.dtype == object:
         return np.array([seconds(np.array([np.nan if key is None else key]))[0] for key in keys])
     # Whole seconds first, or the nanoseconds would be rounded away.

@@ -22,17 +22,7 @@ _LOST = ("x", "P", "means", "covariances")
 
 
 def began(kf: RobustKalmanFilter, given: SeriesArguments, learnt: ArrayLike | None) -> dict[str, Array]:
-    """Return where series stand that begin, or raise.
-
-    Parameters
-    ----------
-    kf : RobustKalmanFilter
-        Whose policy judges their measurements.
-    given : SeriesArguments
-        x and P of each series.
-    learnt : array_like, shape (g, w) or (series, g, w), optional
-        What is known of the noise.
-    """
+    """Return where series stand that begin, or raise."""
     (series, n), m = given.x.shape, given.z.shape[2]
     policy: Any = kf.policy
     stands, is_mixture = {"x": given.x, "P": given.P}, kf.noise is not None
@@ -54,15 +44,7 @@ def began(kf: RobustKalmanFilter, given: SeriesArguments, learnt: ArrayLike | No
 
 
 def continued(kf: RobustKalmanFilter, given: SeriesArguments, state: Mapping[str, Any]) -> dict[str, Array]:
-    """Return a copy of where an earlier part of the same series has ended, or raise.
-
-    Parameters
-    ----------
-    kf, given
-        As in `began`.
-    state : mapping of str to ndarray
-        What `filter_series` returned as state.
-    """
+    """Return a copy of where an earlier part of the same series has ended, or raise."""
     stands = began(kf, given, None)
     if set(state) != set(stands):
         raise ValueError(

@@ -323,10 +323,8 @@ def _starts(model: LinearModel, z: Array) -> list[Repair]:
 
 
 def unseen(model: LinearModel, z: Array) -> tuple[str, ...]:
-    """Return which noises, ten times too large or too small, a recording of this kind would not show.
-
-    By trial: recordings are drawn from the repaired model, with the same gaps, and the repair is looked for in them.
-    """
+    """Return which noises, ten times too large or too small, a recording of this kind would not show."""
+    # By trial: recordings are drawn from the repaired model, with the same gaps, and the repair is looked for in them.
     rng, found = np.random.default_rng(0), []
     for name in ("R", "Q") if model.Q.any() else ("R",):
         for word, factor in (("too large", 0.1), ("too small", 10.0)):

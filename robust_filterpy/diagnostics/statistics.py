@@ -33,10 +33,8 @@ def normalized(recording: FilterRecord) -> Array:
 
 
 def bulk(e: Array) -> tuple[float, float]:
-    """Return the scale of the ordinary values by the median, and the share of outliers beside them.
-
-    The median of |e| belongs to a higher quantile of the ordinary values the more outliers there are.
-    """
+    """Return the scale of the ordinary values by the median, and the share of outliers beside them."""
+    # The median of |e| belongs to a higher quantile of the ordinary values the more outliers there are.
     size = np.abs(e[~np.isnan(e)])
     if not len(size):
         return math.nan, math.nan
@@ -102,10 +100,8 @@ def whiteness(e: Array) -> tuple[float, float]:
 
 
 def unclipped_nis(recording: FilterRecord) -> Band:
-    """Return the mean of y' S^-1 y over the samples of which nothing is clipped, and what it should be.
-
-    What is left after clipping has the moments of a truncated normal (joint: chi-square) distribution.
-    """
+    """Return the mean of y' S^-1 y over the samples of which nothing is clipped, and what it should be."""
+    # What is left after clipping has the moments of a truncated normal (joint: chi-square) distribution.
     k, m = threshold(recording.influence), recording.y.shape[1]
     if not math.isfinite(k) or recording.scaling != "innovation":
         k = 3.0
@@ -135,11 +131,9 @@ def unclipped_nis(recording: FilterRecord) -> Band:
 
 
 def saturated(z: Array) -> float | None:
-    """Return the value at which a sensor sticks at the end of its range, None if it does not.
-
-    The extreme value comes back, with neighbours in time, far more often than the second extreme one: a coarse
-    sensor repeats every value.
-    """
+    """Return the value at which a sensor sticks at the end of its range, None if it does not."""
+    # The extreme value comes back, with neighbours in time, far more often than the second extreme one: a coarse sensor
+    # repeats every value.
     z = z[~np.isnan(z)]
     values, counts = np.unique(z, return_counts=True)
     if len(values) < 20:
@@ -163,10 +157,8 @@ def frozen(z: Array) -> int:
 
 
 def breaks_loose(z: Array, value: float) -> bool:
-    """Tell a sensor that was frozen at its extreme value: once, and what comes next is far from it.
-
-    A signal that saturates comes back the way it went.
-    """
+    """Tell a sensor that was frozen at its extreme value: once, and what comes next is far from it."""
+    # A signal that saturates comes back the way it went.
     z = z[~np.isnan(z)]
     at = np.flatnonzero(z == value)
     if len(at) != at[-1] - at[0] + 1 or at[-1] == len(z) - 1:

@@ -228,34 +228,12 @@ def _number(value: Any) -> float:
 
 
 def say(said: Reasons, row: int, sentence: str) -> None:
-    """Add what is wrong with a row.
-
-    Parameters
-    ----------
-    said : dict of int to str
-        What is wrong with some of the rows, written into.
-    row : int
-        Row.
-    sentence : str
-        What is wrong with it.
-    """
+    """Add what is wrong with a row."""
     said[row] = f"{said[row]}; {sentence}" if row in said else sentence
 
 
 def seconds(values: np.ndarray, said: Reasons) -> Array:
-    """Return times as seconds, shape (N,); dates count from 1970. NaN where there is none, which is named.
-
-    Parameters
-    ----------
-    values : ndarray, shape (N,)
-        Numbers, dates of numpy (in UTC), or of Python with a time zone, or text as ISO 8601 has it, with one.
-    said : dict of int to str
-        What is wrong with a row is added.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-    """
+    """Return times as seconds, shape (N,); dates count from 1970. NaN where there is none, which is named."""
     keys, wrong = _stamps.column(values, loose=True)
     for row, sentence in wrong.items():
         say(said, row, sentence)

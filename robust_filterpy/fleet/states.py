@@ -237,25 +237,7 @@ FLEET: dict[str, _state.Shape] = {
 
 
 def taken(states: Any, model: Model) -> States:
-    """Return states in columns, from a mapping of key to state, from an Arrow table, or from nothing.
-
-    Parameters
-    ----------
-    states : States, mapping, table, or None
-        What the call before returned, or was made of it.
-    model : FilterModel or TrackerModel
-        Whose states they are to be.
-
-    Returns
-    -------
-    States
-        Those that are damaged or of something else are its odd ones.
-
-    Raises
-    ------
-    TypeError
-        If states is none of this.
-    """
+    """Return states in columns, from a mapping of key to state, from an Arrow table, or from nothing."""
     if states is None:
         return States(model.label, [], {name: _empty(0, shape) for name, shape in model.shapes.items()})
     if isinstance(states, States) and np.array_equal(states.label, model.label):

@@ -168,25 +168,7 @@ class Batch(NamedTuple):
 def advance(
     model: Model, entries: dict[str, np.ndarray], known: np.ndarray, rows: Rows, order: np.ndarray, starts: np.ndarray
 ) -> Outcome:
-    """Take the samples of many keys, whose states are written over.
-
-    Parameters
-    ----------
-    model : Model
-        What all keys have in common.
-    entries : dict of str to ndarray
-        States in columns, a row for each key.
-    known : ndarray of bool, shape (K,)
-        Which keys have had a sample.
-    rows : Rows
-        Samples in the order of the batch.
-    order, starts : ndarray of int
-        The rows in the order of the keys, and where each key's begin; rows of nobody are not among them.
-
-    Returns
-    -------
-    Outcome
-    """
+    """Take the samples of many keys, whose states are written over."""
     if model.expires is None or rows.times is None or not len(order):
         return _advanced(model, entries, known, rows, order, starts)
     ages = silences(rows.times[order], starts, entries["time"][:, 0])

@@ -59,27 +59,7 @@ class Placed(NamedTuple):
 
 
 def placed(times: Array | None, starts: np.ndarray, clocks: Clocks, dt: float | None, instants: bool = False) -> Placed:
-    """Return where the samples of each key stand after those before them.
-
-    Parameters
-    ----------
-    times : ndarray, shape (N,), or None
-        In seconds, those of a key together, NaN where there is none; None if each sample is a step.
-    starts : ndarray of int, shape (K + 1,)
-        First row of each key, and the end.
-    clocks : Clocks
-        Where the last samples stand.
-    dt : float, optional
-        Sampling period in seconds, which makes steps of what is missing between samples; without it each sample is
-        a step. A sample belongs to the nearest step of a grid that begins with the first one, unless it lies
-        half way between two; the grid follows a clock that drifts, by a twentieth of what each sample is off.
-    instants : bool, default False
-        Whether times were instants, and are named as such in UTC, rather than as seconds.
-
-    Returns
-    -------
-    Placed
-    """
+    """Return where the samples of each key stand after those before them."""
     counts = np.diff(starts)
     step = np.arange(starts[-1]) - np.repeat(starts[:-1], counts)
     if times is None or not len(times):
@@ -222,20 +202,6 @@ class _Line:
 
 def strays(times: Array, starts: np.ndarray, dt: float) -> np.ndarray:
     """Return which samples, in the order of their times, lie so far before all others of their key that they are none.
-
-    Parameters
-    ----------
-    times : ndarray, shape (N,)
-        Those of a key together, in order, NaN where there is none.
-    starts : ndarray of int, shape (K + 1,)
-        First row of each key, and the end.
-    dt : float
-        Sampling period in seconds.
-
-    Returns
-    -------
-    ndarray of int
-        Fewer of a key than after which another clock is followed, and than half of its samples.
     """
     after = np.flatnonzero(np.diff(times) > _LONGEST * dt) + 1
     begins = starts[np.searchsorted(starts, after, side="right") - 1]
@@ -245,22 +211,7 @@ def strays(times: Array, starts: np.ndarray, dt: float) -> np.ndarray:
 
 
 def silences(times: Array, starts: np.ndarray, last: Array) -> Array:
-    """Return how long after its key's latest sample so far each one comes, shape (N,), NaN where there is none.
-
-    Parameters
-    ----------
-    times : ndarray, shape (N,)
-        Those of a key together, NaN where there is none.
-    starts : ndarray of int, shape (K + 1,)
-        First row of each key, and the end.
-    last : ndarray, shape (K,)
-        When the sample before them came, NaN if there was none.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Negative for late samples.
-    """
+    """Return how long after its key's latest sample so far each one comes, shape (N,), NaN where there is none."""
     n, counts = len(times), np.diff(starts)
     of = np.repeat(np.arange(len(counts)), counts)
     timed = np.where(np.isnan(times), -np.inf, times)
@@ -276,22 +227,7 @@ def silences(times: Array, starts: np.ndarray, last: Array) -> Array:
 
 
 def grouped(keys: Sequence[object] | None, n: int) -> tuple[list[object], np.ndarray, np.ndarray]:
-    """Return the keys, the rows in the order of the keys, and where each key's rows begin.
-
-    Parameters
-    ----------
-    keys : sequence of length n, or None
-        Whose each row is; None if all are of one.
-    n : int
-        Number of rows.
-
-    Returns
-    -------
-    names : list
-        In the order in which they come first.
-    order : ndarray of int, shape (n,)
-    starts : ndarray of int, shape (K + 1,)
-    """
+    """Return the keys, the rows in the order of the keys, and where each key's rows begin."""
     if keys is None:
         return [None], np.arange(n), np.array([0, n])
     if isinstance(keys, np.ndarray):

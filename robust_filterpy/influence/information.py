@@ -57,10 +57,8 @@ def expected_information(influence: Any, noise: Any = None) -> float:
 
 @np.errstate(under="ignore")
 def expected_joint_information(influence: Any, dim: int) -> float:
-    """Return the mean of tr(D)/dim for psi applied to the length of a standard normal vector in R^dim.
-
-    One component alone is not joined to anything: it counts as under grouping "component".
-    """
+    """Return the mean of tr(D)/dim for psi applied to the length of a standard normal vector in R^dim."""
+    # One component alone is not joined to anything: it counts as under grouping "component".
     if dim == 1:
         return expected_information(influence)
     return _under_chi(influence, dim)

@@ -28,17 +28,7 @@ def mad_scale(residual: Array) -> float:
 
 
 def size_of(signal: Array) -> float:
-    """Return how large a signal is about 0: by its median, unless that is rounding since it mostly rests.
-
-    Parameters
-    ----------
-    signal : ndarray, shape (N,)
-        In the order of time, outliers among it; N >= 1.
-
-    Returns
-    -------
-    float
-    """
+    """Return how large a signal is about 0: by its median, unless that is rounding since it mostly rests."""
     usual, moving = mad_scale(signal), moving_size(signal)
     if usual > _STEPS * resolution(signal) and usual > _NOTHING * moving:
         return usual
@@ -46,32 +36,12 @@ def size_of(signal: Array) -> float:
 
 
 def moving_size(signal: Array) -> float:
-    """Return how large a signal becomes about 0 where it moves; wild values that come one by one do not count.
-
-    Parameters
-    ----------
-    signal : ndarray, shape (N,)
-        In the order of time; N >= 1.
-
-    Returns
-    -------
-    float
-    """
+    """Return how large a signal becomes about 0 where it moves; wild values that come one by one do not count."""
     return float(np.quantile(np.abs(median_filter(signal, _IN_A_ROW, mode="nearest")), 0.99))
 
 
 def resolution(signal: Array) -> float:
-    """Return the least step between the values of a signal that is rounded, 0 if it does not repeat its values.
-
-    Parameters
-    ----------
-    signal : ndarray, shape (N,)
-        Without gaps.
-
-    Returns
-    -------
-    float
-    """
+    """Return the least step between the values of a signal that is rounded, 0 if it does not repeat its values."""
     values, counts = np.unique(signal, return_counts=True)
     if 2 * values.size > counts.sum() or values.size < 2:
         return 0.0
@@ -85,21 +55,7 @@ def resolution(signal: Array) -> float:
 
 
 def robust_regression(X: Array, y: Array, steps: int = 10) -> Array:
-    """Return the coefficients of a linear regression by Huber's weights, good enough to begin with.
-
-    Parameters
-    ----------
-    X : ndarray, shape (N, n)
-        Regressors.
-    y : ndarray, shape (N,)
-        What they explain, outliers among it.
-    steps : int, default 10
-        Weighted least-squares problems to solve at most.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-    """
+    """Return the coefficients of a linear regression by Huber's weights, good enough to begin with."""
     weights, theta = np.ones(y.size), np.zeros(X.shape[1])
     # A single gross outlier would spoil the residuals of the first fit, and with them its weight.
     centre = np.median(y)

@@ -80,10 +80,8 @@ def _checked(data: Problem) -> Problem:
 
 
 def _narrowed(data: Problem) -> Problem:
-    """Narrow P where it is a hundred times as wide as the first readings are large, or wider.
-
-    It tells nothing there but costs digits: next to a variance of 1e13 one of .01 is lost in rounding.
-    """
+    """Narrow P where it is a hundred times as wide as the first readings are large, or wider."""
+    # It tells nothing there but costs digits: next to a variance of 1e13 one of .01 is lost in rounding.
     n = len(data.x)
     steps = min(_FIRST_READINGS * n, len(data.zs))
     F, H, Bu = (np.broadcast_to(a, (len(data.zs), *a.shape[1:])) for a in (data.F, data.H, data.Bu))
@@ -119,12 +117,9 @@ def scaled(covariance: Array, logs: Array) -> Array:
 
 
 def log_likelihoods(data: Problem, logs_R: Array, logs_Q: Array, share: Array, ratio: Array) -> Array:
-    """Return the log-likelihood of the recording for each of p candidates, which advance together.
-
-    Each step merges two hypotheses, ordinary or outlier, by moments: what `correction.copies` does
-    for one filter, for many noise models at once. The candidates are the last axis of every
-    array, which numpy is quickest with.
-    """
+    """Return the log-likelihood of the recording for each of p candidates, which advance together."""
+    # Each step merges two hypotheses, ordinary or outlier, by moments: what `correction.copies` does for one filter,
+    # for many noise models at once. The candidates are the last axis of every array, which numpy is quickest with.
     p, n = len(share), len(data.x)
     F, Q, Bu = (np.broadcast_to(a, (len(data.zs), *a.shape[1:])) for a in (data.F, data.Q, data.Bu))
     x, P = np.tile(data.x[:, None], p), np.tile(data.P[..., None], p)
@@ -198,11 +193,10 @@ def _seen(data: Problem, k: int, seen: np.ndarray, logs_R: Array) -> _Sensors:
 
 
 def _conditioned(P: Array, y: Array, rows: Array, own: Array, sizes: Array) -> tuple[Array, Array, Array, Array]:
-    """Condition on one row after another, under each hypothesis: exact also where R is next to nothing.
-
-    y (m, p) and rows (m, n, p): innovations and their rows of H; own (m,) times sizes (h, p): their variances. Returns
-    the sums of squares and of log variances, (h, p), by how much x moves, (h, n, p), and its covariance, (h, n, n, p).
-    """
+    """Condition on one row after another, under each hypothesis: exact also where R is next to nothing."""
+    # y (m, p) and rows (m, n, p): innovations and their rows of H; own (m,) times sizes (h, p): their variances.
+    # Returns the sums of squares and of log variances, (h, p), by how much x moves, (h, n, p), and its covariance, (h,
+    # n, n, p).
     left, moved = np.repeat(P[None], len(sizes), axis=0), np.zeros((len(sizes), *rows.shape[1:]))
     squares, logs = np.zeros(sizes.shape), np.zeros(sizes.shape)
     for i, variance in enumerate(own):

@@ -38,10 +38,8 @@ class Ends(NamedTuple):
 
 
 def descend(cost: Cost, starts: Array, lower: Array, upper: Array, name: str) -> Ends:
-    """Return where the cost is least near each start, shape (s, d), within limits of shape (d,) or (s, d).
-
-    A coordinate whose limits are the same stays where they are. The name is what progress calls the search.
-    """
+    """Return where the cost is least near each start, shape (s, d), within limits of shape (d,) or (s, d)."""
+    # A coordinate whose limits are the same stays where they are. The name is what progress calls the search.
     points = np.clip(starts, lower, upper)
     lower, upper = np.broadcast_to(lower, points.shape), np.broadcast_to(upper, points.shape)
     values, done = cost(points), np.zeros(len(points), dtype=bool)
@@ -123,10 +121,8 @@ _PRIOR_ORDINARY, _PRIOR_LOG_RATIO = 10.0, np.log(10.0)
 
 @dataclass(frozen=True)
 class NoiseFit:
-    """Hold a recording, which variances share a factor, and what the user knows of the outliers.
-
-    A point has the logs of R's factors, those of Q's, the logit of the contamination and the log of the scale ratio.
-    """
+    """Hold a recording, which variances share a factor, and what the user knows of the outliers."""
+    # A point has the logs of R's factors, those of Q's, the logit of the contamination and the log of the scale ratio.
 
     data: Problem
     groups_R: Array
@@ -216,11 +212,9 @@ class NoiseFit:
         return np.asarray(starts)
 
     def _along_ratios(self, grid: Array, values: Array, steps: int) -> tuple[Array, Array]:
-        """Return for each ratio of Q to R where the cost is lowest, and the cost.
-
-        The floor of a valley bends round where both noises count alike, and a grid that hits it here and misses it
-        there shows hills that are none.
-        """
+        """Return for each ratio of Q to R where the cost is lowest, and the cost."""
+        # The floor of a valley bends round where both noises count alike, and a grid that hits it here and misses it
+        # there shows hills that are none.
         ratios = range(1 - values.shape[0], values.shape[1])
         lows = [np.diagonal(values, ratio).argmin() for ratio in ratios]
         lines = np.array([np.diagonal(grid, ratio)[:, low] for ratio, low in zip(ratios, lows, strict=True)])
@@ -250,10 +244,8 @@ def held(problem: NoiseFit, points: Array, factors: np.ndarray, at: Array, name:
 
 
 def bounds(problem: NoiseFit, ends: Ends, rise: float) -> Array:
-    """Return the logs between which each factor costs less than a rise, infinite where none is reached, (count, 2).
-
-    ends: the best estimate first. Where another end is nearly as likely, the way out begins at the outermost of them.
-    """
+    """Return the logs between which each factor costs less than a rise, infinite where none is reached, (count, 2)."""
+    # ends: the best estimate first. Where another end is nearly as likely, the way out begins at the outermost of them.
     count = problem.count_R + problem.count_Q
     best, near = ends.costs[0], ends.points[ends.costs < ends.costs[0] + rise]
     factors, signs = np.repeat(np.arange(count), 2), np.tile([-1.0, 1.0], count)

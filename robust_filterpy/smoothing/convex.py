@@ -73,11 +73,9 @@ def _ratio(psi: Array, e: Array) -> Array:
 def _second_order(
     model: Model, influence: Any, e: Array, psi: Array, joint: bool, observed: Array, held: float
 ) -> tuple[Model, tuple[Array, Array], Callable[[Array], Array]]:
-    """Return the linear problem of a Newton step: model, factors d and o, and the way back from its components.
-
-    The second derivative of rho(\\|e\\|) is psi' along e and psi/\\|e\\| across it, so clipped measurements are
-    reflected until e points along one component. held: what psi' is at least, in units of psi/e.
-    """
+    """Return the linear problem of a Newton step: model, factors d and o, and the way back from its components."""
+    # The second derivative of rho(|e|) is psi' along e and psi/|e| across it, so clipped measurements are reflected
+    # until e points along one component. held: what psi' is at least, in units of psi/e.
     if not joint or e.shape[-1] == 1:
         d = np.where(observed, np.maximum(influence.psi_deriv(e), held * _ratio(psi, e)), 0.0)
         return model, (d, psi - d * e), lambda values: values

@@ -34,10 +34,8 @@ _ROUNDING, _TINY = 1e-6, 1e-30
 
 
 def misfits(model: Model, fit: Fit, weights: Array) -> list[str]:
-    """Return what is said of Q and R for each series, nothing where they fit.
-
-    weights (series, steps, m): how much each measurement was believed, NaN where it is missing.
-    """
+    """Return what is said of Q and R for each series, nothing where they fit."""
+    # weights (series, steps, m): how much each measurement was believed, NaN where it is missing.
     smooth = fit.smooth
     believed, measured = np.asarray(weights > _BELIEVED), ~np.isnan(weights)
     count = np.maximum(measured.sum(axis=1), 1)

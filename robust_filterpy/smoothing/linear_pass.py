@@ -96,25 +96,7 @@ def smoothing_pass(
     process: bool = False,
     into: Smooth | None = None,
 ) -> Smooth:
-    """Smooth all series once: by the kernel (``kernel/smoother.h``), else by the definition.
-
-    Parameters
-    ----------
-    model : Model
-        Matrices.
-    weighting : Weighting
-        What each measurement and each step weighs.
-    spread : bool
-        Whether H P_s H' is wanted; without it a pass takes half of the time, and neither of the following is to be had.
-    states, process : bool
-        Whether x and P, and score and information, are wanted. x and P come unasked where they are the only way.
-    into : Smooth, optional
-        What an earlier pass of this kind returned, to be written over: fresh memory costs a sixth of a long pass.
-
-    Returns
-    -------
-    Smooth
-    """
+    """Smooth all series once: by the kernel (``kernel/smoother.h``), else by the definition."""
     out = _room(model, weighting, spread, states, process) if into is None else into
     sharpest = _passed(model, weighting, out)
     if sharpest > _SHARP and out.spread.shape[1] and not out.x.shape[1]:

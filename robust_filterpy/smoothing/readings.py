@@ -30,10 +30,8 @@ _TYPICAL = 0.6745
 
 
 def doubted_stretches(recording: Recording, outliers: np.ndarray) -> list[np.ndarray]:
-    """Return what else may be left out of one series, each (steps,) of bool; nothing where outliers come one by one.
-
-    outliers (steps,): which samples a search from the usual start has left out.
-    """
+    """Return what else may be left out of one series, each (steps,) of bool; nothing where outliers come one by one."""
+    # outliers (steps,): which samples a search from the usual start has left out.
     if not len(_rows(outliers)):
         return []
     rows, steps = _rows(outliers, by_chance=True), len(outliers)
@@ -49,14 +47,11 @@ def doubted_stretches(recording: Recording, outliers: np.ndarray) -> list[np.nda
 
 
 def log_probability(recording: Recording, outliers: Array, jumps: Array, noise: Array, process: Array) -> float:
-    """Return log p(z, which are outliers) of one series, a constant apart.
-
-    outliers (steps, m), jumps (steps,): which measurements, and which steps of the process, are large; noise (2, m)
-    and process (2,): share of the large ones and their standard deviation over that of the others.
-
-    Outliers in a row either have nothing to do with each other, or one offset and ordinary noise: whatever is more
-    probable, row by row.
-    """
+    """Return log p(z, which are outliers) of one series, a constant apart."""
+    # outliers (steps, m), jumps (steps,): which measurements, and which steps of the process, are large; noise (2, m)
+    # and process (2,): share of the large ones and their standard deviation over that of the others.
+    # Outliers in a row either have nothing to do with each other, or one offset and ordinary noise: whatever is more
+    # probable, row by row.
     F, G, c, H, z, x0, P0 = recording.model
     if c.any():
         z = z - _moved_by(c, F, H, z.shape[1])

@@ -28,24 +28,7 @@ class Recording(NamedTuple):
 def linear_recording(
     kf: Any, zs: Any, Fs: Any = None, Qs: Any = None, Hs: Any = None, Rs: Any = None, Bs: Any = None, us: Any = None
 ) -> Recording:
-    """Return the problem of a linear filter and a recording.
-
-    Parameters
-    ----------
-    kf : KalmanFilter
-        Of filterpy or of this package, with x, P, F, H, Q, R (and B) set.
-    zs, Fs, Qs, Hs, Rs, Bs, us : sequence of length N
-        As in `RobustKalmanFilter.batch_filter`.
-
-    Returns
-    -------
-    Recording
-
-    Raises
-    ------
-    TypeError, ValueError
-        If something is missing or does not fit; the argument is named.
-    """
+    """Return the problem of a linear filter and a recording."""
     absent = [name for name in ("x", "P", "F", "H", "Q", "R") if not hasattr(kf, name)]
     if absent:
         raise TypeError(f"kf: expected a filter of filterpy's kind, got {type(kf).__name__} without {absent[0]}")

@@ -42,10 +42,8 @@ _BLOCK = 2048
 
 
 class Belief(NamedTuple):
-    """What is believed before the recording: one outlier in ten samples, and two of eight times the ordinary size.
-
-    Each is a number or an array of shape (series, kinds).
-    """
+    """What is believed before the recording: one outlier in ten samples, and two of eight times the ordinary size."""
+    # Each is a number or an array of shape (series, kinds).
 
     outliers: Array | float = 1.0
     samples: Array | float = 10.0
@@ -120,10 +118,8 @@ class Verdict(NamedTuple):
 def judge_components(
     smooth: Smooth, z: Array, weighting: Weighting, mixture: Mixture, counted: np.ndarray, temperature: Array
 ) -> tuple[Verdict, Array, Array]:
-    """Judge each component by itself: return the verdict and the next factor d, o.
-
-    counted (series, steps, m): which components there are; temperature: what squares of residuals are divided by.
-    """
+    """Judge each component by itself: return the verdict and the next factor d, o."""
+    # counted (series, steps, m): which components there are; temperature: what squares of residuals are divided by.
     verdict = Verdict(np.empty(z.shape), np.empty(z.shape), np.empty(z.shape, dtype=bool))
     factor = np.empty(z.shape), np.empty(z.shape)
     for start in range(0, z.shape[1], _BLOCK):
@@ -170,10 +166,8 @@ def _judged(
 def judge_measurements(
     e: Array, V: Array, d: Array, mixture: Mixture, counted: np.ndarray, temperature: Array
 ) -> Verdict:
-    """Judge whole measurements with noise N(0, s I), s = 1 or r^2, and present factors of equal precision d.
-
-    e (series, steps, m) and V (.., m, m): residual and its covariance; counted (.., m): which components there are.
-    """
+    """Judge whole measurements with noise N(0, s I), s = 1 or r^2, and present factors of equal precision d."""
+    # e (series, steps, m) and V (.., m, m): residual and its covariance; counted (.., m): which components there are.
     m = e.shape[-1]
     e = e * counted / np.sqrt(temperature)
     V = V * (counted[..., :, None] & counted[..., None, :])
@@ -198,11 +192,9 @@ def judge_measurements(
 
 
 def judge_steps(score: Array, information: Array, now: Array, mixture: Mixture, counted: Array) -> Verdict:
-    """Judge process noises w ~ N(0, s I) with s = 1 or r^2, each from what everything else says of it.
-
-    score (series, steps, k) and information (.., k, k): of that likelihood, with ``now`` (series, steps, 1) the present
-    s; counted (.., k): which parts of w there are.
-    """
+    """Judge process noises w ~ N(0, s I) with s = 1 or r^2, each from what everything else says of it."""
+    # score (series, steps, k) and information (.., k, k): of that likelihood, with ``now`` (series, steps, 1) the
+    # present s; counted (.., k): which parts of w there are.
     k = score.shape[-1]
     logs, squares = [], []
     for s in (np.ones((len(now), 1, 1)), mixture.variance):
@@ -218,10 +210,8 @@ def judge_steps(score: Array, information: Array, now: Array, mixture: Mixture, 
 
 
 def eliminated(M: Array, right: Array) -> tuple[Array, Array]:
-    """Return M^-1 right and log det M, (.., 1), for stacks of positive definite matrices.
-
-    Elimination on all of them together takes a tenth of the time of a call of LAPACK for each.
-    """
+    """Return M^-1 right and log det M, (.., 1), for stacks of positive definite matrices."""
+    # Elimination on all of them together takes a tenth of the time of a call of LAPACK for each.
     k = M.shape[-1]
     M = np.array(np.moveaxis(M, (-2, -1), (0, 1)), order="C")
     right = np.array(np.moveaxis(right, (-2, -1), (0, 1)), order="C")

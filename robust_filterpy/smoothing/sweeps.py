@@ -46,13 +46,11 @@ def reweighted(
     trajectory: Any = None,
     start: Weighting | None = None,
 ) -> Fit:
-    """Sweep until every series has converged, or ``limit`` times.
-
-    observed (series, steps, m): which components there are. A series that has converged keeps its weights, so that it
-    ends with the same numbers whatever else is smoothed with it. trajectory: what makes a new model of a nonlinear
-    problem after each sweep; the states in the result are then deviations from where it was before the last one.
-    start: weights from an earlier search; then no sweep is graduated.
-    """
+    """Sweep until every series has converged, or ``limit`` times."""
+    # observed (series, steps, m): which components there are. A series that has converged keeps its weights, so that it
+    # ends with the same numbers whatever else is smoothed with it. trajectory: what makes a new model of a nonlinear
+    # problem after each sweep; the states in the result are then deviations from where it was before the last one.
+    # start: weights from an earlier search; then no sweep is graduated.
     series = len(observed)
     tolerance = min(measurement.tolerance, process.tolerance, _LINEAR)
     doubted = not isinstance(process, Ordinary)

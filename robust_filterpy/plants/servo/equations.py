@@ -69,20 +69,8 @@ def valve_opening(command: ArrayLike, dead_band: float) -> Any:
 
 
 def servo_derivatives(parameters: PneumaticParameters) -> Derivatives:
-    """Return the right-hand side of eq (7) as a lean function of floats.
-
-    Everything that runs this plant (`pneumatic_servo`, the fast simulation, the linearization) calls this function.
-
-    Parameters
-    ----------
-    parameters : PneumaticParameters
-
-    Returns
-    -------
-    callable
-        ``(y, v, P_a, P_b, valve, load, alpha, beta, supply) -> (y', v', P_a', P_b')``, SI units, see `pneumatic_servo`;
-        without its last argument the supply pressure is the parameters'.
-    """
+    """Return the right-hand side of eq (7) as a lean function of floats."""
+    # Everything that runs this plant (`pneumatic_servo`, the fast simulation, the linearization) calls this function.
     p = parameters
     area_a, area_b, atmosphere, mean_supply = p.area_a, p.area_b, p.atmospheric_pressure, p.supply_pressure
     middle = p.dead_length + p.stroke / 2
@@ -126,13 +114,11 @@ def servo_derivatives(parameters: PneumaticParameters) -> Derivatives:
 
 
 def reduced_flow(kappa: float, laminar_ratio: float) -> Callable[[float], float]:
-    """Return f-bar of eq (5), of the pressure downstream over that upstream.
-
-    Constant (0.6847 for air) below the critical ratio, where the flow is choked. From laminar_ratio to 1 it is the
-    straight line down to 0; at 1 there is no such line, and the slope there is infinite: an ODE solver then chatters
-    where a chamber has reached the outer pressure. The mass flow through an orifice of area A is
-    ``C_d A P_up f-bar(P_down/P_up) / sqrt(R T)``.
-    """
+    """Return f-bar of eq (5), of the pressure downstream over that upstream."""
+    # Constant (0.6847 for air) below the critical ratio, where the flow is choked. From laminar_ratio to 1 it is the
+    # straight line down to 0; at 1 there is no such line, and the slope there is infinite: an ODE solver then chatters
+    # where a chamber has reached the outer pressure. The mass flow through an orifice of area A is ``C_d A P_up
+    # f-bar(P_down/P_up) / sqrt(R T)``.
     critical = critical_ratio(kappa)
     factor, low, high = 2 * kappa / (kappa - 1), 2 / kappa, (kappa + 1) / kappa
     choked = math.sqrt(factor * (critical**low - critical**high))

@@ -129,21 +129,7 @@ class ServoObserver:
         return float(np.ravel(self.filter.x)[5] * self._nominal)
 
     def __call__(self, z: Sequence[float] | ArrayLike, valve: float, R: ArrayLike | None = None) -> MotionEstimate:
-        """Take the readings of one sample.
-
-        Parameters
-        ----------
-        z : array_like, shape (3,)
-            Position, P_a and P_b as read, in m, Pa, Pa.
-        valve : float
-            Command of the period before, a fraction of the spool's stroke.
-        R : array_like, shape (3, 3), optional
-            Covariance of this sample's noise, in m and Pa; by default that of `std`.
-
-        Returns
-        -------
-        MotionEstimate
-        """
+        """Take the readings of one sample."""
         kf, units = self.filter, _SCALES[_MEASURED]
         F, moved = self._moved(valve)
         # The filter's own prediction is linear: an input makes up for what is not.

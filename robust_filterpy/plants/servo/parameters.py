@@ -296,29 +296,7 @@ def random_coefficient(
 
 
 def coefficient_function(value: Coefficient, name: str, limits: tuple[float, float]) -> Callable[[float], float]:
-    """Return a coefficient as a function of time that refuses to leave its range.
-
-    Parameters
-    ----------
-    value : float, callable or pair of array_like, each of shape (k,)
-        A constant, a function of time in s, or ``(times, values)``, interpolated linearly and held at its ends.
-    name : str
-        What error messages call it.
-    limits : (float, float)
-        The range, both ends included.
-
-    Returns
-    -------
-    callable
-        float -> float.
-
-    Raises
-    ------
-    ValueError
-        If a value leaves the range: at once for numbers and paths, when it is called for a function.
-    TypeError
-        If `value` is none of the three.
-    """
+    """Return a coefficient as a function of time that refuses to leave its range."""
     if callable(value):
 
         def function(t: float) -> float:

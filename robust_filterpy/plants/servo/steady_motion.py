@@ -131,10 +131,8 @@ def coefficients_at(p: PneumaticParameters, alpha: float, beta: float | None) ->
 def state_matrices(
     p: PneumaticParameters, point: ServoOperatingPoint, alpha: float, beta: float
 ) -> tuple[Array, Array]:
-    """Return A (4, 4) and B (4, 2) of the equations at a point, for x / STATE_SCALES and u / INPUT_SCALES.
-
-    Forward differences: where the valve is about to open (velocity 0), the derivative is that of the opening valve.
-    """
+    """Return A (4, 4) and B (4, 2) of the equations at a point, for x / STATE_SCALES and u / INPUT_SCALES."""
+    # Forward differences: where the valve is about to open (velocity 0), the derivative is that of the opening valve.
     from scipy.optimize import approx_fprime
 
     derivatives, scales = servo_derivatives(p), np.concatenate((STATE_SCALES, INPUT_SCALES))
