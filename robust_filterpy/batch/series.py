@@ -16,8 +16,9 @@ from robust_filterpy.correction import copies
 from robust_filterpy.correction.copies import Copies
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
+from robust_filterpy.correction.spread import FILLED
 from robust_filterpy.filters.kalman import RobustKalmanFilter
-from robust_filterpy.filters.stuck import say_stuck
+from robust_filterpy.filters.stuck import say_stuck_among
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.kernel import learnt as learnt_kernel
 from robust_filterpy.kernel import series as kernel
@@ -174,14 +175,15 @@ def filter_series(
     )  # fmt: skip
     is_mixture = kf.noise is not None
     stands = began(kf, given, learnt) if state is None else continued(kf, given, state)
+    before = None if is_mixture or "spread" not in stands else stands["spread"][:, :, FILLED].copy()
     shown = Shown(np.empty(kept.means.shape[:2]), np.empty(kept.means.shape)) if is_mixture else Shown(None, None)
     by_kernel = _by_classes if is_mixture else _by_psi
     for s, start in enumerate(by_kernel(kf.policy, given, stands, shown, threads(n_threads)).tolist()):
         if start < steps:
             _by_filter(kf, given, stands, shown, s, start)
-    stuck = np.argwhere(kept.weights == 0.0) if is_mixture else np.zeros((0, 3), dtype=int)
-    if len(stuck):
-        say_stuck(f"filter_series: series {stuck[0, 0]}", int(stuck[0, 2]))
+    if is_mixture or before is not None:
+        stuck = (kept.weights == 0.0).any(axis=1) if before is None else stands["spread"][:, :, FILLED] > before
+        say_stuck_among("filter_series", "series", stuck)
     return FilteredSeries(
         kept.means, given.covariances(covariance), kept.log_likelihood, kept.weights, *shown, stands
     )  # fmt: skip

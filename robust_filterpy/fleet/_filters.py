@@ -16,8 +16,10 @@ from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Choices
+from robust_filterpy.correction.spread import FILLED
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.filters.states import moved_shapes
+from robust_filterpy.filters.stuck import say_stuck_among
 from robust_filterpy.kernel import series as kernel
 from robust_filterpy.kernel.records import Model, Output
 
@@ -105,8 +107,13 @@ def advance(kf: Any, update: Mapping[str, Any], series: Plain | None, work: Work
     good &= np.isfinite(memory).all(axis=(1, 2))
     for i in np.flatnonzero(~good).tolist():
         _explain(copy.deepcopy(kf), work, i)
+    before = memory.copy()
     for rows in _groups(good, steps, kf):
         _together(series, kf, update, work, rows)
+    if memory.size:
+        # Of a key it is said once: its state knows.
+        memory = _moving(work)[2]
+        say_stuck_among("step", "key", (before[:, :, FILLED] == 0.0) & (memory[:, :, FILLED] > 0.0))
 
 
 def _moving(work: Work) -> tuple[Array, Array, Array]:

@@ -4,11 +4,20 @@ import copy
 import warnings
 
 import numpy as np
+import pandas as pd
 import pytest
 from filterpy.kalman import MerweScaledSigmaPoints
 
-from robust_filterpy import AdaptiveKalmanFilter, RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter, filter_series
+from robust_filterpy import (
+    AdaptiveKalmanFilter,
+    RobustExtendedKalmanFilter,
+    RobustKalmanFilter,
+    RobustUnscentedKalmanFilter,
+    filter_series,
+)
 from robust_filterpy.filters import StuckSensorWarning
+from robust_filterpy.fleet import FilterModel, step_table
+from robust_filterpy.influence import TukeyBiweight
 
 
 def recording(rng, m=1):
@@ -143,3 +152,34 @@ def test_a_filter_of_a_class_that_is_not_hashable_is_looked_at_too():
         for z in zs:
             kf.predict()
             kf.update(z)
+
+
+def test_series_and_keys_say_it_once_with_how_many_there_are():
+    rng = np.random.default_rng(4)
+    zs = rng.normal(size=(5, 60, 1))
+    zs[2:4, 40:44] = -9999.0
+    model = [*[np.eye(1)] * 4, np.zeros(1), np.eye(1)]
+    with pytest.warns(StuckSensorWarning, match="filter_series: series 2 and 1 more of 5: sensor 0"):
+        filter_series(zs, *model)
+    with pytest.warns(StuckSensorWarning, match="filter_series: series 2 and 1 more of 5"):
+        filter_series(zs, *model, noise="learnt")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", StuckSensorWarning)
+        filter_series(zs[:2], *model)
+        # What psi refuses is not stuck.
+        filter_series(zs, *model, influence=TukeyBiweight(), scaling="innovation")
+
+
+def test_a_stream_says_it_once_for_each_key():
+    kf = RobustKalmanFilter(1, 1)
+    kf.F, kf.H, kf.Q = np.eye(1), np.eye(1), 0.01 * np.eye(1)
+    model, states, said = FilterModel(kf), None, []
+    zs = np.random.default_rng(5).normal(size=(3, 60))
+    zs[0, 30:33] = zs[0, 50:53] = zs[2, 45:48] = -9999.0
+    for k in range(0, 60, 5):
+        table = pd.DataFrame({"device": np.repeat(["a", "b", "c"], 5), "z0": zs[:, k : k + 5].ravel()})
+        with warnings.catch_warnings(record=True) as found:
+            warnings.simplefilter("always", StuckSensorWarning)
+            states, _ = step_table(model, states, table)
+        said += [(k, str(w.message)[:16]) for w in found]
+    assert said == [(30, "step: key 0 of 3"), (45, "step: key 2 of 3")]
