@@ -155,7 +155,8 @@ def takes(function: Callable[..., Any], name: str) -> bool:
 
 def entries(name: str, values: Any) -> Any:
     """Return values that are read step by step: a table (pandas, polars) as its rows, else as given; or raise."""
-    if isinstance(values, (Mapping, set, frozenset, str, bytes, bytearray)):
+    single = isinstance(values, np.ndarray) and values.ndim == 0
+    if single or isinstance(values, (Mapping, set, frozenset, str, bytes, bytearray)):
         raise TypeError(f"{name}: expected a sequence with an entry for each step, got a {type(values).__name__}")
     if hasattr(values, "to_numpy") and len(getattr(values, "shape", ())) == 2:
         return np.asarray(values)

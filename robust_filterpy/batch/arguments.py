@@ -98,6 +98,7 @@ def threads(n_threads: int | None) -> int:
 
 def spread(part: Callable[[int, int], np.ndarray], series: int, n_threads: int) -> np.ndarray:
     """Call part(low, high) over all series, which lets go of the interpreter, on threads; join the results."""
+    n_threads = min(n_threads, max(series, 1))
     edges = np.unique(np.linspace(0, series, 4 * n_threads + 1).astype(int)).tolist() if n_threads > 1 else [0, series]
     spans = list(itertools.pairwise(edges))
     if len(spans) < 2:

@@ -75,6 +75,8 @@ def of_filter(kf: Any, zs: Any, per_step: dict[str, Any]) -> FilterRecord:
     """Run a copy of the filter over zs."""
     zs = _checks.entries("zs", zs)
     per_step = {name: _checks.entries(name, values) for name, values in per_step.items()}
+    if not hasattr(zs, "__len__"):
+        raise TypeError(f"zs: expected a sequence of measurements, got {_checks.shown(zs)}")
     if len(zs) == 0:
         raise ValueError("zs: expected at least one measurement, got none")
     kf = copy.deepcopy(kf)

@@ -310,8 +310,8 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
 
     @alpha.setter
     def alpha(self, value: float) -> None:
-        if not 1.0 <= _checks.real("alpha", value) < math.inf:
-            raise ValueError(f"alpha: expected a finite number >= 1, got {_checks.shown(value)}")
+        if not 1.0 <= _checks.real("alpha", value) < 1e154:
+            raise ValueError(f"alpha: expected a number >= 1 whose square is finite, got {_checks.shown(value)}")
         self._alpha_sq = float(value) ** 2
 
     def update(
@@ -594,6 +594,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
             As in `predict` and `update`, with the step named. After these, an interrupt, or an error of the saver or
             of psi, the filter is as it was before the call; what the saver has kept by then it keeps.
         """
+        zs = _checks.entries("zs", zs)
         scales = np.empty((len(zs), self.dim_x)) if self.process is not None and hasattr(zs, "__len__") else None
         by_kernel = saver is None and self._steps_are_own()
         if Qs is None and self.dim_x > 1 and np.ndim(self.Q) == 0 and hasattr(zs, "__len__"):

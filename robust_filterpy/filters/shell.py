@@ -13,7 +13,7 @@ from filterpy.common import pretty_str
 from robust_filterpy import kernel
 from robust_filterpy._arrays import noise_covariance, state_of
 from robust_filterpy._brief import lines_of
-from robust_filterpy._checks import Array
+from robust_filterpy._checks import Array, shown
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters._correlated import judges, look_at_signs
@@ -116,7 +116,11 @@ class Shell(StateMixin):
     @property
     def _inverse(self) -> Inverse | None:
         """What the user wants S inverted by, None if that is what filterpy does by default."""
-        return None if self.inv is _DEFAULT_INVERSE else self.inv
+        if self.inv is _DEFAULT_INVERSE:
+            return None
+        if not callable(self.inv):
+            raise TypeError(f"inv: expected a function such as numpy.linalg.pinv, got {shown(self.inv)}")
+        return self.inv
 
     @property
     def choices(self) -> Choices:

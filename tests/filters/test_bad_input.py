@@ -8,6 +8,7 @@ import support
 from filterpy.kalman import MerweScaledSigmaPoints
 
 from robust_filterpy import (
+    AdaptiveKalmanFilter,
     Huber,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
@@ -517,3 +518,21 @@ class NoRepr:
 def test_a_message_shows_a_value_as_its_user_wrote_it_and_the_ends_of_a_long_one(value, words):
     with pytest.raises(REFUSED, match=words):
         Huber(value)
+
+
+@pytest.mark.parametrize("make", [RobustKalmanFilter, AdaptiveKalmanFilter])
+@pytest.mark.parametrize("value", [np.array("x"), np.ma.masked, np.array(1.0)], ids=["text", "masked", "number"])
+@pytest.mark.parametrize("name", ["zs", "Fs", "us", "Rs"])
+def test_an_array_without_axes_is_no_sequence(make, name, value):
+    kf = make(2, 1)
+    given = {"zs": [1.0, 2.0], name: value}
+    refuse(kf, lambda kf: kf.batch_filter(**given), match=f"^{name}: expected a sequence")
+
+
+@pytest.mark.parametrize("noise", [None, "learnt"])
+def test_what_is_no_function_is_named_as_inverse(noise):
+    kf = RobustKalmanFilter(2, 1, noise=noise)
+    kf.inv = "pinv"
+    refuse(kf, lambda kf: kf.update(1.0), match="^inv: expected a function such as numpy.linalg.pinv")
+    with pytest.raises(ValueError, match="^alpha: expected a number >= 1"):
+        kf.alpha = 1e200

@@ -295,7 +295,7 @@ def input_columns(name: str, u: Any, n_inputs: int) -> Array:
 def _input_orders(name: str, value: Any) -> Orders:
     """Return an order, or one for each input, as int or tuple of int, or raise."""
     if isinstance(value, (list, tuple, np.ndarray)):
-        if len(value) == 0:
+        if np.size(value) == 0 or np.ndim(value) == 0:
             raise ValueError(f"{name}: expected at least one input's order, got {value!r}")
         return tuple(count(f"{name}[{i}]", entry) for i, entry in enumerate(value))
     return count(name, value)
