@@ -534,5 +534,5 @@ def test_what_is_no_function_is_named_as_inverse(noise):
     kf = RobustKalmanFilter(2, 1, noise=noise)
     kf.inv = "pinv"
     refuse(kf, lambda kf: kf.update(1.0), match="^inv: expected a function such as numpy.linalg.pinv")
-    with pytest.raises(ValueError, match="^alpha: expected a number >= 1"):
+    with pytest.raises(ValueError, match=r"^alpha: expected a number >= 1"):
         kf.alpha = 1e200
