@@ -3,10 +3,11 @@
 q copies take the process noise for s_j Q; from one step to the next the scale stays with probability 1 - 1/dwell. One
 more, the candidate, is for a state that has jumped, to which Q says nothing. It begins where an innovation is beyond
 three standard deviations, at the place that the measurement tells, with a P in which it would be just three, since what
-has moved one state may have moved all (`with_candidate`). Since it is made to fit, that measurement is no evidence for
+has moved one state may have moved all (`with_candidates`). Since it is made to fit, that measurement is no evidence for
 it, and no later one is worth more than a hundred to one, so that samples have to agree, however wild. It is hidden
 until it is more likely than not (`merged`), taken over when it is all but certain (`settled`) and dropped when it has
-lost, so that there is one at a time. A start is a jump from a guess, with a probability of .2.
+lost, so that there is one at a time; a reading that is far from it and from all others decides (`decided`). A start is
+a jump from a guess, with a probability of .2.
 
 States of which none moves, or is measured, with another's are parts of their own: the axes of a point that moves, a
 box's centre and its shape. Each part has its own probabilities of the copies, its own jumps and its own candidate, so
@@ -26,10 +27,7 @@ from scipy.sparse.csgraph import connected_components
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 
-__all__ = [
-    "Copies", "Scales", "collapse", "coupled", "far_off", "merged", "predict", "require_belief", "settled", "slow",
-    "start", "with_candidate",
-]  # fmt: skip
+__all__ = ["Copies", "Scales", "collapse", "coupled", "merged", "predict", "require_belief", "start"]
 
 # Chance that the state is not where the start says.
 _START = 0.2
@@ -243,20 +241,7 @@ def require_belief(name: str, belief: Array) -> None:
 
 
 def slow(copies: Copies, process: Scales) -> Array:
-    """Return the probabilities of the scales of Q if nothing has jumped.
-
-    Parameters
-    ----------
-    copies : Copies
-        With probabilities.
-    process : Scales
-        Which copies there are.
-
-    Returns
-    -------
-    ndarray, shape (q, n)
-        With a column for each state, and sums of 1.
-    """
+    """Return the probabilities of the scales of Q if nothing has jumped, shape (q, n)."""
     found = copies.belief[: len(process.scales)]
     return np.asarray(found / found.sum(axis=0))
 
@@ -309,34 +294,52 @@ def predict(
     )
 
 
-def with_candidate(copies: Copies, z: Array, H: Array, noise: Array, process: Scales) -> tuple[Copies, np.ndarray]:
-    """Return the copies, a candidate in each part that has none and an innovation asks for one, and where it is new.
+def decided(
+    copies: Copies, z: Array, H: Array, noise: Array, process: Scales, chances: Array
+) -> tuple[Copies, np.ndarray, np.ndarray]:
+    """Return the copies once a reading that is far from a candidate and from all others has decided between them.
 
-    Parameters
-    ----------
-    copies : Copies
-        Before the correction, coupled as H has it.
-    z : ndarray, shape (m,)
-        Measurement, finite.
-    H : ndarray, shape (m, n)
-        Measurement matrix.
-    noise : ndarray, shape (m,)
-        Variances of ordinary noise.
-    process : Scales
-        Which copies there are.
-
-    Returns
-    -------
-    copies : Copies
-    new : ndarray of bool, shape (n,)
-        Which states are of a part whose candidate, if any, is new.
+    With it, which states are of a part that may have a new candidate, and of one whose candidate has been believed;
+    `chances` is how often a reading of each sensor has begun a jump.
     """
     (x, P, belief), q, parts = copies, len(process.scales), copies.parts
-    new = np.isin(parts, parts[(H != 0.0).any(axis=0)])
+    new, believed = np.zeros((2, len(parts)), dtype=bool)
     if process.jump == 0.0:
-        return copies, np.zeros(len(parts), dtype=bool)
-    new &= belief[q] < _DROPPED * process.jump
-    belief, shares = belief.copy(), slow(copies, process)
+        return copies, new, believed
+    new = np.isin(parts, parts[(H != 0.0).any(axis=0)]) & (belief[q] < _DROPPED * process.jump)
+    far = far_off(copies, z, H, noise, process), _asked(x[q], P[q], z, H, noise, np.inf)[1] > _ASKS
+    for i in np.flatnonzero(np.logical_and(*far)):
+        own = parts == parts[np.argmax(H[i] != 0.0)]
+        chance = float(belief[q, own][0])
+        if not new[own][0] and (chance > 0.5 or chance < chances[i]):
+            new |= own
+            believed |= own & (chance > 0.5)
+    return _from_candidate(copies, believed, process), new, believed
+
+
+class Begun(NamedTuple):
+    """Which sensors the candidates have begun with, arrays of shape (m,)."""
+
+    y: Array
+    """Innovation where it has, else 0."""
+    variance: Array
+    """Of the innovation."""
+    alone: np.ndarray
+    """Whether no other sensor asked for a jump of that part from there."""
+
+
+def with_candidates(
+    copies: Copies, z: Array, H: Array, noise: Array, process: Scales, new: np.ndarray
+) -> tuple[Copies, Begun]:
+    """Return the copies, a candidate in each new part where an innovation asks for one, and who asked.
+
+    The copies are coupled as H has it; noise (m,) is the variance of ordinary noise.
+    """
+    (x, P, belief), q, parts = copies, len(process.scales), copies.parts
+    begun = Begun(np.zeros(len(z)), np.ones(len(z)), np.zeros(len(z), dtype=bool))
+    if process.jump == 0.0:
+        return copies, begun
+    belief, shares, seen = belief.copy(), slow(copies, process), parts[np.argmax(H != 0.0, axis=1)]
     at, spread = collapse(shares, x[:q], P[:q], parts)
     chance = np.zeros(len(parts))
     heard = ~(H != 0.0)[:, new].any(axis=1)
@@ -347,7 +350,11 @@ def with_candidate(copies: Copies, z: Array, H: Array, noise: Array, process: Sc
         if not asks[i] > _ASKS:
             break
         heard[i] = True
-        own = parts == parts[np.argmax(H[i] != 0.0)]
+        own = parts == seen[i]
+        first = not begun.y[seen == seen[i]].any()
+        begun.alone[seen == seen[i]] = False
+        if first:
+            begun.y[i], begun.variance[i], begun.alone[i] = y[i], H[i] @ spread @ H[i] + noise[i], True
         chance[own] = belief[-2, own]
         at, spread = _moved(at, spread, y[i], H[i], noise[i], own)
     belief[:q, new] = ((1.0 - chance) * shares)[:, new]
@@ -357,7 +364,7 @@ def with_candidate(copies: Copies, z: Array, H: Array, noise: Array, process: Sc
         np.concatenate([x[:q], np.where(new, at, x[q])[None]]),
         np.concatenate([P[:q], np.where(within, spread, P[q])[None]]),
         belief,
-    ), new
+    ), begun
 
 
 def _moved(at: Array, spread: Array, y: float, h: Array, noise: float, own: np.ndarray) -> tuple[Array, Array]:
@@ -379,17 +386,7 @@ def _moved(at: Array, spread: Array, y: float, h: Array, noise: float, own: np.n
 
 
 def far_off(copies: Copies, z: Array, H: Array, noise: Array, process: Scales) -> Array:
-    """Return which sensors ask for a jump, shape (m,).
-
-    Parameters
-    ----------
-    copies, z, H, noise, process
-        As `with_candidate` takes them.
-
-    Returns
-    -------
-    ndarray of bool, shape (m,)
-    """
+    """Return which sensors ask for a jump, shape (m,)."""
     q = len(process.scales)
     at = collapse(slow(copies, process), copies.x[:q], copies.P[:q], copies.parts)
     return np.asarray(_asked(*at, z, H, noise, np.inf)[1] > _ASKS)
@@ -407,32 +404,25 @@ def _asked(
     return y, asks
 
 
-def settled(copies: Copies, seen: np.ndarray, process: Scales) -> Copies:
-    """Return the copies after a correction: a candidate that is all but certain is where every copy goes on from.
-
-    Parameters
-    ----------
-    copies : Copies
-        Copies after the correction.
-    seen : ndarray of bool, shape (n,)
-        Which states are of a part that was measured.
-    process : Scales
-        Which copies there are.
-
-    Returns
-    -------
-    Copies
-    """
-    (x, P, belief), q = copies, len(process.scales)
+def settled(copies: Copies, seen: np.ndarray, process: Scales) -> tuple[Copies, np.ndarray]:
+    """Return the copies after a correction, and where a candidate is all but certain: that part goes on from it."""
+    q = len(process.scales)
     if process.jump == 0.0:
-        return copies
-    belief = belief.copy()
+        return copies, np.zeros(len(seen), dtype=bool)
+    belief = copies.belief.copy()
     belief[-2, seen] = 0.0
-    taken = belief[q] > _TAKEN
-    if taken.any():
-        belief[:q, taken], belief[q, taken] = slow(copies, process)[:, taken], 0.0
-        x, P = np.where(taken, x[q], x), np.where(taken[:, None] & taken, P[q], P)
-    return Copies(x, P, belief)
+    believed = belief[q] > _TAKEN
+    return _from_candidate(copies._replace(belief=belief), believed, process), believed
+
+
+def _from_candidate(copies: Copies, states: np.ndarray, process: Scales) -> Copies:
+    """Return the copies, all of the parts that have these states where the candidate is."""
+    if not states.any():
+        return copies
+    (x, P, belief), q = copies, len(process.scales)
+    belief = belief.copy()
+    belief[:q, states], belief[q, states] = slow(copies, process)[:, states], 0.0
+    return Copies(np.where(states, x[q], x), np.where(states[:, None] & states, P[q], P), belief)
 
 
 def merged(copies: Copies, process: Scales) -> tuple[Array, Array]:

@@ -23,13 +23,16 @@ A sensor that repeats its last reading though it seldom does and its noise is wh
 (`robust_filterpy.correction.repeats`), far from the prediction, is stuck, and tells nothing of the state (`repeated`).
 Where repeats are usual, no reading that repeats the one before tells of r, which would fall to nothing.
 
-All that is known of a sensor is one row of numbers, ``[r, n, shares (K), last (K), counts (K, K), together, parity (4),
-change (4), reading (2)]``: r stands on n ordinary samples; the shares of the classes of late; the probabilities of the
-last sample's class; how often class i was followed by class j; the probability that it fails with the others; the last
-parity, its lag-one covariance, its variance, how many there were; what the last correction left of the reading, the
-last change and the scale of their differences, in standard deviations that R gives, and how many readings there were;
-the last reading in the same unit, and one over the share of readings that repeat, with a minus sign if the last reading
-repeated the one before.
+How often a reading has begun a jump that was believed, and how far the last one went, is learnt too (`jumped`): a far
+reading that is as far is believed at once where that is more likely than an outlier (`began`).
+
+All that is known of a sensor is one row of numbers, ``[r, n, shares (K), last (K), counts (K, K), together, less,
+jumps (5), parity (4), change (4), reading (2)]``: r stands on n ordinary samples; the shares of the classes of late;
+the probabilities of the last sample's class; how often class i was followed by class j; the probability that it fails
+with the others; how much likelier a tenth of r is; what is known of jumps; the last parity, its lag-one covariance, its
+variance, how many there were; what the last correction left of the reading, the last change and the scale of their
+differences, in standard deviations that R gives, and how many readings there were; the last reading in the same unit,
+and one over the share of readings that repeat, with a minus sign if the last reading repeated the one before.
 `robust_filterpy.correction.learnt` corrects a state between `predicted` and `learn`.
 """
 
@@ -51,8 +54,7 @@ from robust_filterpy.correction import repeats
 from robust_filterpy.correction.options import Grouping, checked_grouping
 
 __all__ = [
-    "SCALES", "LearntNoise", "NoiseClasses", "describe", "learn", "ordinary_size", "predicted", "start", "together",
-    "usual", "weigh_together",
+    "SCALES", "LearntNoise", "NoiseClasses", "describe", "learn", "ordinary_size", "predicted", "start", "usual",
 ]  # fmt: skip
 
 #: Factors of the variance: a standard deviation of 1, 3.2, 10 and 32 times the ordinary one.
@@ -76,7 +78,13 @@ _MOST = 8.0 / 6.0
 # Standard deviations beyond which a reading is as far as any other.
 _WILDEST = 1e6
 # Numbers of a row that tell of failing together, of parity, of changes and readings.
-_TOGETHER, _LESS, _PARITY, _READINGS, _TAIL = -12, -11, slice(-10, -6), slice(-repeats.WIDTH, None), 12
+_TOGETHER, _LESS, _JUMPS, _PARITY, _TAIL = -17, -16, slice(-15, -10), slice(-10, -6), 17
+_READINGS, _COUNT = slice(-repeats.WIDTH, None), -3
+# Of jumps: the chance that a reading begins one, the last one and at which reading it was believed, what a candidate
+# began with, and how many outliers there were since.
+_CHANCE, _SIZE, _AT, _BEGAN, _OUTLIERS = range(5)
+# Of a sensor with more outliers than that a run of them may be no jump; within three deviations it returns.
+_RARE, _RETURNS = 0.2, 3.0
 # A sensor is redundant if the others leave at least this part of its variance unexplained by the state.
 _REDUNDANT = 1e-6
 # Its noise is a fifth of its parity or more where the colour of that counts fully.
@@ -150,7 +158,7 @@ class NoiseClasses:
 
         Parameters
         ----------
-        learnt : array_like, shape (1 or more, 14 + 2 K + K^2)
+        learnt : array_like, shape (1 or more, 19 + 2 K + K^2)
             A row for each sensor.
         dim_z : int
             Number of sensors.
@@ -199,7 +207,7 @@ def start(classes: int, probabilities: Sequence[float] | None = None) -> Array:
 
     Returns
     -------
-    ndarray, shape (14 + 2 K + K^2,)
+    ndarray, shape (19 + 2 K + K^2,)
         As the head of this module orders it.
     """
     return _start(classes, None if probabilities is None else tuple(probabilities)).copy()
@@ -223,7 +231,7 @@ def predicted(known: Array, classes: int) -> Array:
 
     Parameters
     ----------
-    known : ndarray, shape (14 + 2 K + K^2,)
+    known : ndarray, shape (19 + 2 K + K^2,)
         What is known of the sensor.
     classes : int
         K.
@@ -241,7 +249,7 @@ def usual(known: Array, classes: int) -> Array:
 
     Parameters
     ----------
-    known : ndarray, shape (14 + 2 K + K^2,)
+    known : ndarray, shape (19 + 2 K + K^2,)
         What is known of the sensor.
     classes : int
         K.
@@ -259,7 +267,7 @@ def learn(known: Array, posterior: Array, r: float, excess: float, part: float, 
 
     Parameters
     ----------
-    known : ndarray, shape (14 + 2 K + K^2,)
+    known : ndarray, shape (19 + 2 K + K^2,)
         What was known of the sensor.
     posterior : ndarray, shape (K,)
         Probabilities of the sample's classes.
@@ -274,7 +282,7 @@ def learn(known: Array, posterior: Array, r: float, excess: float, part: float, 
 
     Returns
     -------
-    ndarray, shape (14 + 2 K + K^2,)
+    ndarray, shape (19 + 2 K + K^2,)
 
     Notes
     -----
@@ -299,6 +307,8 @@ def learn(known: Array, posterior: Array, r: float, excess: float, part: float, 
         after[0], after[1], after[_LESS] = max(_LESS_SCALE * after[0], 1e-8), _PRIOR_R, 0.0
     after[2 : 2 + K] += 1.0 / noise.r_memory * (posterior - known[2 : 2 + K])
     last, counts = _chain(known, K)
+    after[_JUMPS][_OUTLIERS] += last[0] * (1.0 - ordinary)
+    after[_JUMPS][_CHANCE] *= 1.0 - 1.0 / min(max(known[_COUNT], 1.0), noise.memory)
     joint = (last / counts.sum(axis=1))[:, None] * counts
     expected = joint.sum(axis=0)
     joint *= np.divide(posterior, expected, out=np.zeros(K), where=expected > 0.0)
@@ -324,37 +334,62 @@ def _chain(known: Array, K: int) -> tuple[Array, Array]:
     return known[2 + K : 2 + 2 * K], known[2 + 2 * K : -_TAIL].reshape(K, K)
 
 
-def together(learnt: Array) -> float:
-    """Return the probability that sensors fail together.
+def is_known(known: Array) -> bool:
+    """Return whether a sensor has been read so often that its changes tell something."""
+    return bool(known[_COUNT] > _FIRST_CHANGES)
 
-    Parameters
-    ----------
-    learnt : ndarray, shape (m, 14 + 2 K + K^2)
-        What is known of each sensor.
 
-    Returns
-    -------
-    float
+def jump_chances(learnt: Array) -> Array:
+    """Return how often a reading of each sensor has begun a jump, shape (m,)."""
+    return learnt[:, _JUMPS][:, _CHANCE].copy()
+
+
+def jumped(learnt: Array, believed: np.ndarray, noise: NoiseClasses) -> Array:
+    """Return what is known once the candidates of the parts that some sensors see are believed.
+
+    What was refused on the way was no outlier; what returns at once to where it was before had been one, not a jump.
     """
+    learnt, K = learnt.copy(), len(noise.scales)
+    prior = _chain(start(K), K)[1][0, 1:]
+    for i in np.flatnonzero(believed):
+        own, counts, readings = learnt[i, _JUMPS], _chain(learnt[i], K)[1], float(learnt[i, _COUNT])
+        began, own[_BEGAN] = float(own[_BEGAN]), 0.0
+        if began == 0.0 or not readings > _FIRST_CHANGES or counts[:, 1:].sum() > _RARE * counts.sum():
+            continue
+        returns = readings - own[_AT] < _FIRST_CHANGES and abs(began + own[_SIZE]) < _RETURNS
+        each = 1.0 / min(readings, noise.memory)
+        own[_CHANCE] = max(own[_CHANCE] + (-each if returns else each), 0.0)
+        own[_SIZE], own[_AT] = began, readings
+        less = min(own[_OUTLIERS] / counts[0, 1:].sum(), 1.0) * np.maximum(counts[0, 1:] - prior, 0.0)
+        counts[0, 1:] -= less
+        counts[0, 0] += less.sum()
+    return learnt
+
+
+def began(learnt: Array, parts: Array, y: Array, variances: Array, alone: np.ndarray, R: Array) -> tuple[Array, Array]:
+    """Return what is known once candidates have begun, and odds times density of a jump like the sensor's last one.
+
+    Without its factor (2 pi)^(-1/2); 0 for a reading that repeats the one before, or that another sensor contradicts.
+    """
+    learnt, odds = learnt.copy(), np.zeros(len(y))
+    for i in np.flatnonzero(y):
+        learnt[parts == parts[i], _JUMPS.start + _BEGAN] = 0.0
+        own, variance = learnt[i, _JUMPS], float(variances[i] + learnt[i, _JUMPS][_SIZE] ** 2 * R[i])
+        if not R[i] > 0.0:
+            continue
+        own[_BEGAN], own[_OUTLIERS] = _bounded(y[i] / R[i] ** 0.5), 0.0
+        if alone[i] and not np.signbit(learnt[i, -1]):
+            odds[i] = own[_CHANCE] / (1.0 - own[_CHANCE]) * math.exp(-0.5 * y[i] / variance * y[i]) / variance**0.5
+    return learnt, odds
+
+
+def together(learnt: Array) -> float:
+    """Return the probability that sensors fail together."""
     return float(np.mean(learnt[:, _TOGETHER]))
 
 
 def weigh_together(learnt: Array, log_together: float, log_apart: float, noise: NoiseClasses) -> Array:
-    """Return what is known once a sample has been weighed under both: one class for all sensors, or one for each.
-
-    Parameters
-    ----------
-    learnt : ndarray, shape (m, 14 + 2 K + K^2)
-        What is known of each sensor.
-    log_together, log_apart : float
-        Logarithms of the sample's densities.
-    noise : NoiseClasses
-        Memories: how sensors fail may change.
-
-    Returns
-    -------
-    ndarray, shape (m, 14 + 2 K + K^2)
-    """
+    """Return what is known once a sample has been weighed under both: one class for all sensors, or one for each."""
     known, before = learnt.copy(), together(learnt)
     before += (_PRIOR_TOGETHER - before) / noise.memory
     evidence = min(max(log_together - log_apart, -_LOG_EVIDENCE), _LOG_EVIDENCE)
@@ -385,7 +420,7 @@ def ordinary_size(
 
     Parameters
     ----------
-    learnt : ndarray, shape (m, 14 + 2 K + K^2)
+    learnt : ndarray, shape (m, 19 + 2 K + K^2)
         What is known of each sensor.
     readings : ndarray, shape (m,)
         What the sensors said.
@@ -406,7 +441,7 @@ def ordinary_size(
     -------
     r : ndarray, shape (m,)
         Factors of R for this sample.
-    learnt : ndarray, shape (m, 14 + 2 K + K^2)
+    learnt : ndarray, shape (m, 19 + 2 K + K^2)
         What is known, with this sample's parity and change.
     """
     r, learnt, coloured, K = learnt[:, 0].copy(), learnt.copy(), [], len(scales)
@@ -471,21 +506,7 @@ def _note(row: Array, z: float, y: float) -> float:
 
 
 def repeated(learnt: Array, z: Array, R: Array) -> Array:
-    """Return which sensors repeat their last reading to the last bit, though they seldom do and their noise is white.
-
-    Parameters
-    ----------
-    learnt : ndarray, shape (m, 14 + 2 K + K^2)
-        What is known of each sensor.
-    z : ndarray, shape (m,)
-        What the sensors said.
-    R : ndarray, shape (m, m)
-        Covariance of the measurement noise as the filter was given it.
-
-    Returns
-    -------
-    ndarray of bool, shape (m,)
-    """
+    """Return which sensors repeat their last reading to the last bit, though they seldom do, with white noise."""
     return repeats.again(learnt[:, _READINGS], _in_deviations(z, R), learnt[:, 0])
 
 
@@ -502,21 +523,7 @@ def _bounded(number: float) -> float:
 
 
 def left_over(learnt: Array, rest: Array, R: Array) -> Array:
-    """Return what is known, with what a correction left of each reading.
-
-    Parameters
-    ----------
-    learnt : ndarray, shape (m, 14 + 2 K + K^2)
-        What is known of each sensor.
-    rest : ndarray, shape (m,)
-        z - H x.
-    R : ndarray, shape (m, m)
-        Covariance of the measurement noise as the filter was given it.
-
-    Returns
-    -------
-    ndarray, shape (m, 14 + 2 K + K^2)
-    """
+    """Return what is known, with what a correction left of each reading, z - H x."""
     learnt = learnt.copy()
     for i in np.flatnonzero(R.diagonal() > 0.0):
         learnt[i, _READINGS][0] = _bounded(rest[i] / R[i, i] ** 0.5)
@@ -569,7 +576,7 @@ def describe(learnt: Array, scales: Array, sensors: int = 1) -> LearntNoise:
 
     Parameters
     ----------
-    learnt : ndarray, shape (g, 14 + 2 K + K^2)
+    learnt : ndarray, shape (g, 19 + 2 K + K^2)
         A row for each sensor that fails on its own.
     scales : ndarray, shape (K,)
         Factors of the variance.

@@ -39,6 +39,8 @@ _REACH = 8.0
 _WIDEST = 1e12
 # What a sample is worth for a jump at most, 100 to 1: so many have to agree, however wild they are.
 _LOG_EVIDENCE = math.log(100.0)
+# One that is worth so much for a jump tells nothing of the scale of Q: a jump and a larger Q explain the same.
+_LOG_TELLS = math.log(30.0)
 # A variance that has shrunk to this part of what it was is rounding.
 _CANCELLED = 1e-13
 
@@ -183,7 +185,14 @@ def correct(
         r, memory[part] = learning.ordinary_size(
             memory[part], readings[part], z, z - H @ at, H @ spread @ H.T, H, R, noise.scales
         )
-    copies, new = side_by_side.with_candidate(copies, z, H, r * R.diagonal(), process)
+    seen, noisy = np.argmax(H != 0.0, axis=1), r * R.diagonal()
+    chances = learning.jump_chances(memory[part]) if alike else np.zeros(len(part))
+    copies, new, believed = side_by_side.decided(copies, z, H, noisy, process, chances)
+    if alike:
+        memory[part] = learning.jumped(memory[part], believed[seen], noise)
+    copies, begun = side_by_side.with_candidates(copies, z, H, noisy, process, new)
+    if alike:
+        memory[part], chances = learning.began(memory[part], copies.parts[seen], *begun, R.diagonal())
     now, N = _begin(copies, z, H, R, r, M)
     first, log_density, shared, belief = now.S, 0.0, None, copies.belief.copy()
     if alike and len(part) > 1:
@@ -205,21 +214,26 @@ def correct(
         before[len(process.scales) :] = _chance(learning.usual, memory[own], noise)
         found = _scores(now.y[:, group], S, N[group[:, None], group], before, noise.scales, inv, joint, shared)
         own_part, fresh = now.parts[group[0]], bool(new[int(now.parts[group[0]])])
-        shares, log_total = _weighed(now.probabilities[:, group[0]], found.log_densities, len(process.scales), fresh)
+        shares, log_total = _weighed(
+            now.probabilities[:, group[0]], found.log_densities, len(process.scales), fresh, float(chances[group[0]]),
+            alike and learning.is_known(memory[own[0]]),
+        )  # fmt: skip
         posterior = shares @ found.given
         if noise.learns:
             ordinary = shares * found.given[:, 0]
             energies, parts = (ordinary @ a / max(float(ordinary.sum()), 1e-300) for a in found[4:])
             for k, row in enumerate(own):
-                noisy = float(parts[k])
-                excess = (float(energies[k]) - 1.0) / noisy if noisy > 0.0 else 0.0
-                memory[row] = learning.learn(memory[row], posterior, float(r[group[k]]), excess, noisy, noise)
+                share = float(parts[k])
+                excess = (float(energies[k]) - 1.0) / share if share > 0.0 else 0.0
+                memory[row] = learning.learn(memory[row], posterior, float(r[group[k]]), excess, share, noise)
         log_density += log_total
         weights[part[group]], outlying[part[group]] = posterior @ (1.0 / np.array(noise.scales)), 1.0 - posterior[0]
         now = _taken(now, group, found, shares)
         belief[:-2, copies.parts == own_part] = shares[:, None]
     corrected = Copies(now.x, 0.5 * (now.P + np.swapaxes(now.P, 1, 2)), belief)
-    corrected = side_by_side.settled(corrected, np.isin(copies.parts, now.parts), process)
+    corrected, believed = side_by_side.settled(corrected, np.isin(copies.parts, now.parts), process)
+    if alike:
+        memory[part] = learning.jumped(memory[part], believed[seen], noise)
     if shared is not None:
         memory[part] = learning.weigh_together(memory[part], shared.log_density, log_density, noise)
     if follows:
@@ -342,18 +356,25 @@ def _scores(
     return _Scores(a, b + a[:, :, None] * a[:, None, :], given, peaks + np.log(totals), energies, parts)
 
 
-def _weighed(probabilities: Array, log_densities: Array, q: int, fresh: bool) -> tuple[Array, float]:
+def _weighed(
+    probabilities: Array, log_densities: Array, q: int, fresh: bool, like_before: float, sensor_is_known: bool
+) -> tuple[Array, float]:
     """Return the probabilities of the copies given a group, and log p(y); q of them are for scales of Q."""
     shares, log_total = _normalized(np.log(np.maximum(probabilities[:q], 1e-300)) + log_densities[:q])
     if len(probabilities) == q:
         return shares, log_total
-    log_total -= math.log(max(float(probabilities[:q].sum()), 1e-300))
-    # A candidate is made to fit what it begins with, which is no evidence for it.
+    candidate, slow = float(probabilities[q]), np.maximum(probabilities[:q], 1e-300)
+    log_total -= math.log(float(slow.sum()))
+    # What tells for a jump so much tells nothing of the scale of Q.
+    if sensor_is_known and candidate > 0.0 and log_densities[q] > log_total + _LOG_TELLS:
+        shares = slow / slow.sum()
+    # A candidate is made to fit what it begins with, which is no evidence for it, unless that is like the jumps before.
     own = log_total if fresh else min(float(log_densities[q]), log_total + _LOG_EVIDENCE)
-    candidate = float(probabilities[q])
+    if like_before > 0.0 and candidate > 0.0:
+        own = float(np.logaddexp(own, math.log((1.0 - candidate) / candidate * like_before) - 0.5 * _LOG_2PI))
     parts = np.array([math.log(max(1.0 - candidate, 1e-300)) + log_total, math.log(max(candidate, 1e-300)) + own])
-    (slow, jumped), log_total = _normalized(parts)
-    return np.append(slow * shares, jumped if candidate > 0.0 else 0.0), log_total
+    (slow_share, jumped), log_total = _normalized(parts)
+    return np.append(slow_share * shares, jumped if candidate > 0.0 else 0.0), log_total
 
 
 def _taken(now: _Part, group: np.ndarray, found: _Scores, shares: Array) -> _Part:

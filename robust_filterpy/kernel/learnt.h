@@ -3,7 +3,7 @@
    q copies take the process noise for s_j Q. If jumps are possible there is one more for a state that has jumped, the
    candidate, whose probability is 0 while there is none. Each sensor is conditioned on by the score of its mixture of classes
    and the derivative of it, the most plausible first, under every copy. What is known of a sensor is a row of numbers:
-   [r, n, shares (K), last (K), counts (K, K), together, parity (4), change (4), reading (2)]. */
+   [r, n, shares (K), last (K), counts (K, K), together, less, jumps (5), parity (4), change (4), reading (2)]. */
 #ifndef ROBUST_FILTERPY_LEARNT_H
 #define ROBUST_FILTERPY_LEARNT_H
 
@@ -17,7 +17,7 @@
 #define LEARNT_PARITY_FROM REAL(0.15)
 #define LEARNT_PARITY_OVER REAL(0.30)
 #define LEARNT_PARITY_SAMPLES REAL(20.0)
-#define LEARNT_TAIL (2 + LEARNT_PARITY + REPEATS_WIDTH) /* first whether it fails with others */
+#define LEARNT_TAIL (2 + JUMPS_WIDTH + LEARNT_PARITY + REPEATS_WIDTH) /* first whether it fails with others */
 #define LEARNT_LESS REAL(0.1)
 #define LEARNT_FOR_LESS REAL(6.9077552789821371)
 #define LEARNT_COLOUR REAL(0.99)       /* noise that never changes is an offset, of which no reading rids a filter */
@@ -33,8 +33,15 @@
 #define LEARNT_LEFT REAL(0.01)        /* of a jump's square, left of the variance of what a sensor sees: less is rounding */
 #define LEARNT_UNLIKELY REAL(1e-30)   /* of a scale that one of two parts contradicts, left where they become one */
 #define LEARNT_EVIDENCE REAL(100.0)   /* a sample is not worth more for a jump */
+#define LEARNT_TELLS REAL(30.0)       /* one that is worth so much for a jump tells nothing of the scale of Q */
 #define LEARNT_TAKEN REAL(0.999)      /* a candidate that is so probable is taken over */
 #define LEARNT_DROPPED REAL(0.01)     /* one whose probability is this part of a jump's is dropped, or is this where parts join */
+
+#define LEARNT_RARE REAL(0.2)          /* of a sensor with more outliers than that a run of them may be no jump */
+
+/* The chance that a reading begins a jump; the last jump in standard deviations of R, and at which reading it was believed;
+   the innovation that a candidate began with, 0 if none did with this sensor, and how many outliers there were since. */
+enum jumps_row { JUMPS_CHANCE, JUMPS_SIZE, JUMPS_AT, JUMPS_BEGAN, JUMPS_OUTLIERS, JUMPS_WIDTH };
 
 /* What a filter is told of its noises. */
 typedef struct {
@@ -85,6 +92,11 @@ INLINE real *learnt_part(const int n, const learnt_rule *const rule, const learn
 /* What is known of sensor i. */
 INLINE real *learnt_known(const learnt_rule *const rule, const learnt_state *const s, const int i) {
     return s->memory + (rule->joint ? 0 : i * learnt_width(rule->K));
+}
+
+/* What is known of jumps that sensor i has seen, NULL where nothing is learnt of them. */
+INLINE real *learnt_jumps(const learnt_rule *const rule, const learnt_state *const s, const int i) {
+    return rule->learns && !rule->joint && rule->named == 0 ? s->memory + (i + 1) * learnt_width(rule->K) - LEARNT_TAIL + 2 : NULL;
 }
 
 /* Whether each part is named by its first state. */
@@ -293,6 +305,8 @@ INLINE void learnt_learn(const learnt_rule *const rule, const real *RESTRICT p, 
             counts[i * K + j] = prior[i * K + j] + keep * (counts[i * K + j] - prior[i * K + j]) + moved;
         }
     }
+    for_less[1 + JUMPS_OUTLIERS] += last[0] * (1 - p[0]);
+    for_less[1 + JUMPS_CHANCE] *= 1 - 1 / real_min(real_max(known[width - REPEATS_WIDTH + REPEATS_COUNT], 1), rule->memory);
     for (int j = 0; j < K; j++) last[j] = p[j];
     /* Ordinary is what most samples are. */
     if (K > 1 && shares[0] < REAL(0.5)) {
@@ -390,7 +404,7 @@ INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule
             for (int j = 0; j < m; j++) rest[i * m + j] -= out[i] * out[j] / length;
     }
     for (int i = 0; i < m; i++) {
-        real *RESTRICT known = s->memory + i * width + width - LEARNT_TAIL + 2;
+        real *RESTRICT known = s->memory + i * width + width - LEARNT_TAIL + 2 + JUMPS_WIDTH;
         real e = 0, variance = 0;
         colour[i] = 0;
         if (!(left[i] > 0 && rest[i * m + i] > LEARNT_REDUNDANT)) continue;
@@ -439,20 +453,24 @@ INLINE real learnt_reading(const real z, const real R) {
     return real_min(real_max(z / real_sqrt(R), -REAL_MAX), REAL_MAX);
 }
 
+/* Whether an innovation is so far from a mean that it asks for a jump. */
+INLINE int learnt_asks(const int n, const real *RESTRICT x, const real *RESTRICT P, const real z, const real *RESTRICT h,
+                       const real noise) {
+    real rest = z, seen = 0;
+    for (int k = 0; k < n; k++) {
+        rest -= h[k] * x[k];
+        for (int j = 0; j < n; j++) seen += h[k] * P[k * n + j] * h[j];
+    }
+    return seen > 0 && rest * rest / (seen + noise) > LEARNT_ASKS;
+}
+
 /* Whether a sensor is stuck: it repeats its last reading to the last bit, though it seldom does and its noise is white, and
    that was an outlier, or it asks for a jump of the copies that have not jumped. */
 INLINE int learnt_stuck(const int n, const learnt_rule *const rule, const real *RESTRICT at, const real *RESTRICT spread,
                         const real z, const real said, const real *RESTRICT h, const real R, const real *RESTRICT known) {
-    const real r = known[0];
-    real rest = z, seen = 0, asks;
     if (!(rule->learns && R > 0)) return 0;
-    if (!repeats_again(learnt_reading(said, R), r, known + learnt_width(rule->K) - REPEATS_WIDTH)) return 0;
-    for (int k = 0; k < n; k++) {
-        rest -= h[k] * at[k];
-        for (int j = 0; j < n; j++) seen += h[k] * spread[k * n + j] * h[j];
-    }
-    asks = rest * rest / (seen + r * R);
-    return (seen > 0 && asks > LEARNT_ASKS) || known[2 + rule->K] < REAL(0.5);
+    if (!repeats_again(learnt_reading(said, R), known[0], known + learnt_width(rule->K) - REPEATS_WIDTH)) return 0;
+    return learnt_asks(n, at, spread, z, h, known[0] * R) || known[2 + rule->K] < REAL(0.5);
 }
 
 /* Let r of each sensor be no more than eight times what the differences of unforeseen changes from reading to reading
@@ -469,7 +487,7 @@ INLINE void learnt_changes(const int n, const int m, const learnt_rule *const ru
         repeats_note_change(learnt_left(n, at, z[i], H + i * n, R[i * m + i]), row);
         if (!(row[REPEATS_COUNT] > LEARNT_FIRST_CHANGES + 1)) continue;
         /* What others contradict by more than its noise is no motion of the state, however even its changes. */
-        const real apart = known[width - LEARNT_TAIL + 4];
+        const real apart = known[width - LEARNT_TAIL + 4 + JUMPS_WIDTH];
         most = real_max(real_max(1, row[REPEATS_SCALE] * row[REPEATS_SCALE] * LEARNT_MOST), apart * apart);
         r[i] = real_min(r[i], most);
         known[0] = real_min(known[0], most);
@@ -477,7 +495,7 @@ INLINE void learnt_changes(const int n, const int m, const learnt_rule *const ru
 }
 
 #define learnt_correct_work(n, m, copies, K) \
-    ((size_t)((copies) * ((m) * (1 + (n) + (m)) + (K) + 6 + (n)) + (n) * (2 + (n)) + 5 * (m) + 5 * (K) + (m) * (m)) + \
+    ((size_t)((copies) * ((m) * (1 + (n) + (m)) + (K) + 6 + (n)) + (n) * (2 + (n)) + 6 * (m) + 5 * (K) + (m) * (m)) + \
      learnt_parity_work(m))
 
 /* What the copies are while sensor after sensor is taken. */
@@ -490,7 +508,8 @@ typedef struct {
     real *at, *spread; /* (n), (n, n) mean and covariance over the copies that have not jumped */
     real *direction; /* (n) in which a candidate has jumped */
     real *left, *r, *start; /* (m) 1 where not yet used; factors of R; the largest S_ii at the beginning */
-    real *head, *fresh; /* (m) first state of the part that a sensor sees; whether a candidate there is new */
+    real *head, *fresh; /* (m) first state of the part that a sensor sees; whether a candidate there is new, 2 where it began */
+    real *alike; /* (m) odds and density of a jump like the sensor's last one, where its reading alone began a candidate */
     real *before, *usual, *after, *weights, *shared; /* (K) shared: of the class that all sensors are in, if of one */
     real together; /* probability that they are */
     /* Of sensors that fail together, taken at once: their places (m), under each copy score and information (m), (m, m),
@@ -528,6 +547,27 @@ INLINE real learnt_innovations(const int n, const int m, const int copy, const l
     return check;
 }
 
+/* Note with which sensor a candidate has begun, and how likely it is a jump like those that this sensor has seen: no reading
+   that repeats the one before, nor one that another contradicts. */
+INLINE void learnt_note_began(const int m, const learnt_rule *const rule, const learnt_state *const s, const int i,
+                              const real y, const real S, const real R, const learnt_parts *const w) {
+    real *const own = learnt_jumps(rule, s, i);
+    const real variance = S + w->r[i] * R + (own ? own[JUMPS_SIZE] * own[JUMPS_SIZE] * R : 0);
+    int first = own != NULL;
+    for (int j = 0; own && j < m; j++) {
+        if (!(w->left[j] > 0 && w->head[j] == w->head[i])) continue;
+        if (w->fresh[j] > 1) first = 0, w->alike[j] = 0;
+    }
+    if (!first) return;
+    for (int j = 0; j < m; j++)
+        if (w->left[j] > 0 && w->head[j] == w->head[i]) learnt_jumps(rule, s, j)[JUMPS_BEGAN] = 0;
+    w->fresh[i] = 2;
+    if (!(R > 0)) return;
+    own[JUMPS_BEGAN] = real_min(real_max(y / real_sqrt(R), -LEARNT_WILDEST), LEARNT_WILDEST), own[JUMPS_OUTLIERS] = 0;
+    if (real_copysign(1, s->memory[(i + 1) * learnt_width(rule->K) - 1]) > 0)
+        w->alike[i] = own[JUMPS_CHANCE] / (1 - own[JUMPS_CHANCE]) * real_exp(REAL(-0.5) * y * y / variance) / real_sqrt(variance);
+}
+
 /* Let a candidate begin in each part where an innovation asks for it, where the measurement says: as if what a sensor sees
    of each state were independent, so that the others keep what they have. P is so wide that the innovation does not ask any
    more, or would not if that state alone had moved; less what it tells by Joseph's form, as the gain is not C / S. */
@@ -539,7 +579,7 @@ INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule
     real *const x = s->x + q * n, *const P = s->P + q * n * n, *const d = w->direction;
     const real *const y = w->y + q * m, *const S = w->S + q * m * m;
     real *const waits = w->start;
-    for (int i = 0; i < m; i++) waits[i] = w->left[i] > 0 && w->fresh[i] > 0;
+    for (int i = 0; i < m; i++) waits[i] = w->left[i] > 0 && w->fresh[i] > 0, w->alike[i] = 0;
     for (;;) {
         real most = LEARNT_ASKS, seen = 0;
         int i = -1;
@@ -550,6 +590,7 @@ INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule
         }
         if (i < 0) return;
         waits[i] = 0;
+        learnt_note_began(m, rule, s, i, y[i], S[i * m + i], R[i * m + i], w);
         const real noise = w->r[i] * R[i * m + i], *RESTRICT h = H + i * n;
         const real square = real_min(y[i] * y[i], LEARNT_FAR * (S[i * m + i] + noise)), most_of = square / LEARNT_ASKS;
         const real times = (most_of - noise) / S[i * m + i];
@@ -603,13 +644,72 @@ INLINE void learnt_couple(const int n, const int m, const learnt_rule *const rul
         if (w->left[i] > 0) w->head[i] = part[(int)w->head[i]];
 }
 
-/* Drop candidates that have lost: in their place a new one may begin, where all others are. */
+/* Learn from a candidate that a sensor began and that is believed now: how often that happens, and how far. What was refused
+   on the way was no outlier; what returns at once to where it was before had been one, not a jump. */
+INLINE void learnt_jumped(const learnt_rule *const rule, const learnt_state *const s, const int i) {
+    const int K = rule->K, width = learnt_width(K);
+    real *const jumps = learnt_jumps(rule, s, i), *const counts = s->memory + i * width + 2 + 2 * K;
+    real outliers = 0, all = 0, began, readings;
+    if (!jumps) return;
+    readings = s->memory[(i + 1) * width - REPEATS_WIDTH + REPEATS_COUNT], began = jumps[JUMPS_BEGAN];
+    jumps[JUMPS_BEGAN] = 0;
+    for (int k = 0; k < K * K; k++) all += counts[k], outliers += k % K ? counts[k] : 0;
+    if (began == 0 || !(readings > LEARNT_FIRST_CHANGES) || outliers > LEARNT_RARE * all) return;
+    const real back = real_abs(began + jumps[JUMPS_SIZE]), each = 1 / real_min(readings, rule->memory);
+    const int returns = readings - jumps[JUMPS_AT] < LEARNT_FIRST_CHANGES && back * back < LEARNT_ASKS;
+    jumps[JUMPS_CHANCE] = real_max(jumps[JUMPS_CHANCE] + (returns ? -each : each), 0);
+    jumps[JUMPS_SIZE] = began, jumps[JUMPS_AT] = readings;
+    outliers = 0;
+    for (int k = 1; k < K; k++) outliers += counts[k];
+    for (int k = 1; k < K; k++) {
+        const real less = real_min(jumps[JUMPS_OUTLIERS] / outliers, 1)
+                          * real_max(counts[k] - rule->begin[2 + 2 * K + k], 0);
+        counts[k] -= less, counts[0] += less;
+    }
+}
+
+/* Let every copy of a state's part go on from where the candidate is. */
+INLINE void learnt_settle(const int n, const learnt_rule *const rule, learnt_state *const s, const real head) {
+    const real *const part = learnt_part(n, rule, s);
+    const int q = rule->q;
+    for (int o = 0; o < n; o++) {
+        if (part[o] != head) continue;
+        s->p[q * n + o] = 0;
+        learnt_normalize(n, o, q, s->p);
+        for (int c = 0; c < q; c++) {
+            s->x[c * n + o] = s->x[q * n + o];
+            for (int k = 0; k < n; k++)
+                if (part[k] == head) s->P[(c * n + o) * n + k] = s->P[(q * n + o) * n + k];
+        }
+    }
+}
+
+/* Drop candidates that have lost: in their place a new one may begin, where all others are. A reading that is far from them
+   and from all others decides: who is more likely than not is believed, who has gained nothing is dropped. */
 INLINE void learnt_refresh(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
-                           const learnt_parts *const w) {
+                           const real *RESTRICT z, const real *RESTRICT H, const real *RESTRICT R,
+                           const learnt_parts *const w, real *RESTRICT work) {
     const int q = rule->q, jumps = rule->jump > 0;
     const real *const part = learnt_part(n, rule, s);
+    int believed = 0;
     for (int i = 0; i < m; i++)
         if (w->left[i] > 0) w->fresh[i] = jumps && s->p[q * n + (int)w->head[i]] < LEARNT_DROPPED * rule->jump;
+    for (int i = 0; i < m && jumps; i++) {
+        const real noise = w->r[i] * R[i * m + i];
+        real chance;
+        if (!(w->left[i] > 0) || w->fresh[i] > 0 || !learnt_asks(n, w->at, w->spread, z[i], H + i * n, noise) ||
+            !learnt_asks(n, s->x + q * n, s->P + q * n * n, z[i], H + i * n, noise))
+            continue;
+        chance = s->p[q * n + (int)w->head[i]];
+        if (!(chance > REAL(0.5) || chance < (learnt_jumps(rule, s, i) ? *learnt_jumps(rule, s, i) : 0))) continue;
+        if (chance > REAL(0.5)) learnt_settle(n, rule, s, w->head[i]), believed = 1;
+        for (int j = 0; j < m; j++) {
+            if (!(w->left[j] > 0 && w->head[j] == w->head[i])) continue;
+            if (chance > REAL(0.5)) learnt_jumped(rule, s, j);
+            w->fresh[j] = 1;
+        }
+    }
+    if (believed) learnt_slow(n, rule, s, w->at, w->spread, work);
     for (int o = 0; jumps && o < n; o++) {
         int drops = 0;
         for (int i = 0; i < m; i++) drops |= w->left[i] > 0 && w->head[i] == part[o] && w->fresh[i] > 0;
@@ -1002,7 +1102,8 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
     w.start = w.r + m;
     w.head = w.start + m;
     w.fresh = w.head + m;
-    w.before = w.fresh + m;
+    w.alike = w.fresh + m;
+    w.before = w.alike + m;
     w.usual = w.before + K;
     w.after = w.usual + K;
     w.weights = w.after + K;
@@ -1038,7 +1139,7 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
         learnt_changes(n, m, rule, s, w.at, z, readings, H, R, w.left, w.r);
         learnt_sizes(n, m, rule, s, w.spread, z, H, R, w.left, w.r, work);
     }
-    learnt_refresh(n, m, rule, s, &w);
+    learnt_refresh(n, m, rule, s, z, H, R, &w, work);
     if (!learnt_begin(n, m, rule, s, H, R, M, z, &w)) return -1;
     if (follows && !grouped && count > 1 && !learnt_together(n, m, rule, s, R, &w, &together, work)) return -1;
     for (int turn = 0, group; turn < count; turn += group) {
@@ -1070,7 +1171,13 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
                 evidence += real_max(p[c * n], REAL(1e-300)) * w.logs[c];
             }
             evidence /= others;
+            /* What tells for a jump so much tells nothing of the scale of Q. */
+            const int known_well = learnt_jumps(rule, s, i) &&
+                                   known[width - REPEATS_WIDTH + REPEATS_COUNT] > LEARNT_FIRST_CHANGES;
+            for (int c = 0; c < q && known_well && p[q * n] > 0 && w.logs[q] > LEARNT_TELLS * evidence; c++)
+                w.logs[c] = evidence;
             w.logs[q] = w.fresh[i] > 0 ? evidence : real_min(w.logs[q], LEARNT_EVIDENCE * evidence);
+            if (w.alike[i] > 0 && p[q * n] > 0) w.logs[q] += (1 - p[q * n]) / p[q * n] * w.alike[i];
         }
         for (int c = 0; c < copies; c++) {
             w.shares[c] = (c < q ? real_max(p[c * n], REAL(1e-300)) : p[c * n]) * w.logs[c];
@@ -1134,16 +1241,13 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
             if (weights[i] > 0) s->memory[i * width + width - LEARNT_TAIL] = odds / (1 + odds);
     }
     for (int o = 0; copies > q && o < n; o++) {
-        for (int i = 0; i < m; i++)
-            if (weights[i] > 0 && w.head[i] == part[o]) learnt_unseen(n, rule, s)[o] = 0;
-        if (!(s->p[q * n + o] > LEARNT_TAKEN)) continue;
-        s->p[q * n + o] = 0;
-        learnt_normalize(n, o, q, s->p);
-        for (int c = 0; c < q; c++) {
-            s->x[c * n + o] = s->x[q * n + o];
-            for (int k = 0; k < n; k++)
-                if (part[k] == part[o]) s->P[(c * n + o) * n + k] = s->P[(q * n + o) * n + k];
+        const int believed = s->p[q * n + o] > LEARNT_TAKEN;
+        for (int i = 0; i < m; i++) {
+            if (!(weights[i] > 0 && w.head[i] == part[o])) continue;
+            learnt_unseen(n, rule, s)[o] = 0;
+            if (believed) learnt_jumped(rule, s, i);
         }
+        if (believed) learnt_settle(n, rule, s, part[o]);
     }
     if (follows) {
         learnt_slow(n, rule, s, w.at, w.spread, work);

@@ -52,6 +52,8 @@ RULES: dict[str, tuple[tuple[str, str], ...]] = {
     "parts of the state": (("(F[i * n + k] != 0 || Q[i * n + k] != 0)", "1"),),
     "a candidate for a jump": (("rule->jump * (1 - unseen[i])", "0"),),
     "a sample is worth 100 to 1 for it": (("real_min(w.logs[q], LEARNT_EVIDENCE * evidence)", "w.logs[q]"),),
+    "nor tells of the scale of Q": (("known_well && p[q * n] > 0 && w.logs[q] > LEARNT_TELLS * evidence", "0"),),
+    "how often the state jumps": (("returns ? -each : each", "0"),),
     "it knows no last class": (("c < rule->q ? w->before : w->usual", "w->before"),),
     "it is hidden while less likely than not": (("!(work[q * n + i] > REAL(0.5))", "0"),),
     "a start elsewhere, with .2": (
@@ -77,7 +79,9 @@ RULES: dict[str, tuple[tuple[str, str], ...]] = {
     "a tenth of r, by Page's sum": (("*for_less > LEARNT_FOR_LESS", "0"),),
     "repeats teach nothing of r": (("real_copysign(1, known[width - 1]) < 0", "0"),),
     "repeats teach where they are rare": (("-known[width - 1] >= REPEATS_RARE", "0"),),
-    "stuck sensors are left out": (("(seen > 0 && asks > LEARNT_ASKS) || known[2 + rule->K] < REAL(0.5)", "0"),),
+    "stuck sensors are left out": (
+        ("learnt_asks(n, at, spread, z, h, known[0] * R) || known[2 + rule->K] < REAL(0.5)", "0"),
+    ),
     "only after changes like white noise": (("row[REPEATS_SCALE] * row[REPEATS_SCALE] >= r", "1"),),
     "r is capped by changes": (("real_max(1, row[REPEATS_SCALE] * row[REPEATS_SCALE] * LEARNT_MOST)", "REAL_MAX"),),
     "parity: a floor of r": (

@@ -76,12 +76,46 @@ def test_of_two_sensors_the_one_that_has_gone_off_is_left():
     assert np.sqrt(errors[0] / errors[1]) < 0.17
 
 
+def test_a_position_that_steps_is_not_taken_for_speed():
+    for seed in range(4):
+        kf = moving(AdaptiveKalmanFilter, r=0.09)
+        kf.F[0, 1], kf.Q = 0.1, np.array([[1e-3 / 3, 5e-3], [5e-3, 0.1]])
+        noise = 0.05 * np.random.default_rng(seed).normal(size=400)
+        found = followed(kf, 0.7 * np.arange(400) + 5.0 * (np.arange(400) >= 200) + noise)
+        # filterpy's is off by 7.3.
+        assert np.abs(found[190:, 1] - 7.0).max() < 1.0 and abs(found[-1, 0] - 284.3) < 0.1
+
+
+def jumping(seed, size, every):
+    rng = np.random.default_rng(seed)
+    x = np.cumsum(np.cumsum(np.sqrt(1e-3) * rng.normal(size=1000)))
+    x += np.cumsum(np.where(np.arange(1000) % every == 0, size * rng.choice([-1.0, 1.0], 1000), 0.0))
+    return x, x + rng.normal(size=1000)
+
+
+@pytest.mark.parametrize("size, every, limit", [(30.0, 200, 1.3), (8.0, 100, 1.6)])
+def test_how_many_readings_a_jump_needs_is_learnt(size, every, limit):
+    cases = [jumping(seed, size, every) for seed in range(10, 16)]
+    ours, theirs = (
+        [np.square(followed(moving(kind, x=x[0]), zs)[:, 0] - x).mean() for x, zs in cases]
+        for kind in (AdaptiveKalmanFilter, KalmanFilter)
+    )
+    assert np.sqrt(np.mean(ours) / np.mean(theirs)) < limit
+
+
+def test_after_jumps_no_outlier_that_is_farther_than_they_went_is_believed():
+    x, zs = jumping(3, 30.0, 200)
+    zs[950:953] += 1e4
+    assert np.abs(followed(moving(AdaptiveKalmanFilter, x=x[0]), zs)[900:, 0] - x[900:]).max() < 10.0
+
+
 def test_the_definition_says_the_same_of_them(monkeypatch):
     rng = np.random.default_rng(0)
     hardly = 100.0 * (np.arange(150) // 50 % 2) + rng.normal(size=150)
     biased = rng.normal(size=(170, 2)) + np.outer(np.arange(170) >= 60, [0.0, 8.0])
     fills = np.where(np.arange(120) // 20 == 3, -9999.0, np.round(rng.normal(size=120), 1))
     cases = (((1.0, 0.0, 1e-3),), hardly), (((1.0, 0.0), (1.0, 0.0)), biased), (((1.0, 0.0),), fills)
+    cases = (*cases, (((1.0, 0.0),), jumping(10, 30.0, 60)[1][:300]))
     expected = [followed(moving(AdaptiveKalmanFilter, H), zs) for H, zs in cases]
     without_kernel(monkeypatch)
     for (H, zs), found in zip(cases, expected, strict=True):
