@@ -17,6 +17,7 @@
 * `search`: all of these together, and which of several ends to believe;
 * `limits`: parameters that are fixed, or between bounds;
 * `profile`: intervals where the loss is not quadratic;
+* `wandering`: and where cancelling poles may be anywhere;
 * `wraps`: an output that comes back at the other end of its range;
 * `threads`: one thread of linear algebra, since the matrices are small.
 

@@ -73,6 +73,8 @@ class Problem(NamedTuple):
         First sample of each recording, for several that follow each other.
     limits : Limits or None
         Where theta may be.
+    sampled : bool
+        Whether models may be drawn from the likelihood, for their covariance.
     """
 
     structure: Structure
@@ -85,6 +87,7 @@ class Problem(NamedTuple):
     moving: bool = True
     begins: tuple[int, ...] = (0,)
     limits: Limits | None = None
+    sampled: bool = True
 
     @property
     def spans(self) -> tuple[slice, ...]:
@@ -296,9 +299,9 @@ def _as_model(
     # What is held has no variance, and what the others then have.
     jacobian[:, held] = 0.0
     P, colour = sandwich(jacobian, shown, noise, n)
-    P, bent = np.where(held | held[:, None], 0.0, P), False
+    P, way = np.where(held | held[:, None], 0.0, P), ""
     if not (end.outliers.wrong.any() and response(model, p).size > 1):
-        P, bent = profiled(model, p, noise, rows, P, held, others, colour)
+        P, way = profiled(model, p, noise, rows, P, held, others, problem.sampled, colour)
     weights = np.full(missing.size, np.nan)
     weights[model.first :] = noise.weights(residual)
     weights[end.outliers.wrong] = 0.0
@@ -321,9 +324,10 @@ def _as_model(
         endings=(),
         warning="",
         memory=filled_memory(*(inner.of(-1, q) if isinstance(inner, SeveralRecordings) else (inner, q))),
-        profiled=bent,
+        profiled=way != "",
         colour=colour,
         evidence=evidence(noise, residual, rows),
+        sampled=way == "sampled likelihood",
     )
 
 

@@ -58,6 +58,7 @@ def identify(
     groups: ArrayLike | None = None,
     fixed: Mapping[str, float] | None = None,
     bounds: Mapping[str, Any] | None = None,
+    sampled: bool = True,
     progress: bool | None = None,
 ) -> Model: ...
 
@@ -101,6 +102,7 @@ def identify(
     t: ArrayLike | None = None,
     fixed: Mapping[str, float] | None = None,
     bounds: Mapping[str, Any] | None = None,
+    sampled: bool = True,
     progress: bool | None = None,
 ) -> Model | StateSpaceModel | GreyBoxModel:
     """Find the model of a recording with outliers, from nothing but the recording.
@@ -141,6 +143,10 @@ def identify(
     bounds : dict of str to (float, float), optional
         Between which numbers others are, None or inf for no limit: ``{"b1": (0, None)}``. A parameter that ends at a
         bound is named by ``warning``.
+    sampled : bool, default True
+        Whether P comes from models drawn from the likelihood where the loss is not quadratic and a pole that a zero
+        nearly cancels may be at other places, which takes seconds; False: from its profile, for a model that is one of
+        many. For structures of polynomials.
     progress : bool, optional
         Write on standard error, less and less often, what the search is at: True from the beginning, False never, None
         from 2 s on.
@@ -194,7 +200,7 @@ def identify(
     """
     found: Model | StateSpaceModel | GreyBoxModel
     with stages("identify", progress):
-        told = _Told(influence, offset, R, trend, groups, t, fixed, bounds)
+        told = _Told(influence, offset, R, trend, groups, t, fixed, bounds, sampled)
         if isinstance(structure, (StateSpace, GreyBox)):
             found = _of_outputs(y, u, structure, told)
         else:
@@ -216,6 +222,7 @@ class _Told(NamedTuple):
     t: Any
     fixed: Any
     bounds: Any
+    sampled: Any
 
 
 def _of_polynomials(y: Any, u: Any, structure: Any, told: _Told) -> Model:
@@ -230,6 +237,8 @@ def _of_polynomials(y: Any, u: Any, structure: Any, told: _Told) -> Model:
         raise TypeError(f"influence: expected an influence function such as Huber(), got {got}")
     if not isinstance(offset, (bool, np.bool_)):
         raise TypeError(f"offset: expected True or False, got {_checks.shown(offset)}")
+    if not isinstance(told.sampled, (bool, np.bool_)):
+        raise TypeError(f"sampled: expected True or False, got {_checks.shown(told.sampled)}")
     if trend is not None and not isinstance(trend, Settled):
         _checks.option("trend", trend, TRENDS)
         if not offset and trend != "none":
@@ -242,7 +251,7 @@ def _of_polynomials(y: Any, u: Any, structure: Any, told: _Told) -> Model:
     problem = Problem(
         structure, signal, operating_point(signal) if moves else np.zeros(signal.shape[1]), told.influence, has_offset,
         None if told.R is None else _checks.positive("R", told.R), dt, begins=recorded.begins,
-        limits=limits if limits.any else None,
+        limits=limits if limits.any else None, sampled=bool(told.sampled),
     )  # fmt: skip
     # Noise that is summed up has steps of its own.
     chosen = trend or ("breaks" if moves and not structure.integrated else "constant")
@@ -311,6 +320,7 @@ def _of_outputs(y: Any, u: Any, structure: StateSpace | GreyBox, told: _Told) ->
     kept = {
         "offset": (True, "it says itself what y has"), "R": (None, "it learns the noise of each output"),
         "fixed": (None, own), "bounds": (None, own),
+        "sampled": (True, "its P is the curvature at the minimum"),
     }  # fmt: skip
     for name, (only, mend) in kept.items():
         value = getattr(told, name)

@@ -223,8 +223,8 @@ def undisturbed_outputs(problem: Problem, y: Array, plain: Model) -> Iterator[Ar
     yield of_impulses(y[:, None], problem.u, problem.spans)[:, 0]
     if _is_slow(plain, len(y)) and len(problem.begins) == 1:
         try:
-            differences = problem._replace(u=np.diff(problem.u, axis=0), rest=np.zeros(problem.rest.size))
-            found = estimated(differences, np.diff(y)).model
+            u, rest = np.diff(problem.u, axis=0), np.zeros(problem.rest.size)
+            found = estimated(problem._replace(u=u, rest=rest, sampled=False), np.diff(y)).model
         except ValueError:
             return
         yield replace(found, operating_point=problem.rest).simulate(problem.u)

@@ -5,6 +5,9 @@ of nineteen of twenty. So the loss is looked at along each principal axis of the
 is linear in the residuals (B, A, the constant, the start) at its best there: the profile of the likelihood. Where it
 rises more slowly than a quadratic, the axis becomes as long as the farther of the two places at which it has risen by
 2. Other ends that are nearly as likely count by their odds.
+
+With two pairs of poles or more, those that nearly cancel may be at other places, of which this tells nothing: there the
+likelihood is walked through instead (`wandering`).
 """
 
 from __future__ import annotations
@@ -14,6 +17,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from robust_filterpy._checks import Array
+from robust_filterpy._progress import stage
+from robust_filterpy.identification.estimation.wandering import Place, Sections, wandered
 from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.identification.models.uncertainty import principal_axes
@@ -28,6 +33,8 @@ _FARTHEST: Final = 16.0
 _HALVINGS: Final = 6
 # Ends so much less likely than the best count beside it.
 _CLOSE: Final = 4.0
+# A walk may begin at an end that is less likely still, since it leaves it.
+_WORTH_A_WALK: Final = 10.0
 # Weights of the residuals and what is linear take turns.
 _TURNS: Final = 2
 
@@ -40,9 +47,10 @@ def profiled(
     P: Array,
     held: Any,
     others: list[tuple[float, Array]],
+    sampled: bool,
     colour: float = 1.0,
-) -> tuple[Array, bool]:
-    """Return the covariance of the free parameters, wider where the loss bends, and whether it does.
+) -> tuple[Array, str]:
+    """Return the covariance of the free parameters, wider where the loss bends, and how it was found.
 
     Parameters
     ----------
@@ -60,24 +68,38 @@ def profiled(
         Parameters without a variance.
     others : list of (float, ndarray), each of shape (n,)
         Other ends: how much less likely each is, and its free parameters.
+    sampled : bool
+        Whether models may be drawn from the likelihood.
     colour : float, default 1.0
         How many times as large standard deviations are as those of white residuals.
 
     Returns
     -------
     P : ndarray, shape (n, n)
-    bent : bool
+    found : str
+        "profile likelihood", "sampled likelihood", or nothing where the loss does not bend.
     """
     loss = _Loss.of(model, p, noise, rows, held, colour)
     places = np.flatnonzero(loss.bent)
     if not places.size:
-        return P, False
+        return P, ""
     own = P[np.ix_(places, places)]
     axes, least = principal_axes(own), loss.at(p[places])
     reach = np.array([max(_reach(loss, p[places], sign * axis, least) for sign in (-1.0, 1.0)) for axis in axes])
     close = [(excess, end) for excess, end in others if excess < _CLOSE]
     if (reach <= 1.0).all() and not close:
-        return P, False
+        return P, ""
+    sections = Sections.of(loss.polynomials(p))
+    if (
+        sampled
+        and len(sections.places) > 1
+        and sections.are_stable(sections.values)
+        and not held[loss.polynomial].any()
+    ):
+        begins = [sections, *(Sections.of(loss.polynomials(end)) for excess, end in others if excess < _WORTH_A_WALK)]
+        stage("models drawn from the likelihood, for their covariance")
+        begins = [each for each in begins if each.are_stable(each.values)]
+        return wandered(loss.best, p, own, begins), "sampled likelihood"
     longer = axes * np.maximum(reach, 1.0)[:, None]
     wider = longer.T @ longer
     total = 1.0 + sum(np.exp(-excess) for excess, _ in close)
@@ -86,7 +108,7 @@ def profiled(
         wider += np.exp(-excess) / total * np.outer(apart, apart)
     # What is linear follows as the linearization says.
     follows = P[:, places] @ np.linalg.pinv(own)
-    return P + follows @ (wider - own) @ follows.T, True
+    return P + follows @ (wider - own) @ follows.T, "profile likelihood"
 
 
 def _reach(loss: _Loss, center: Array, axis: Array, least: float) -> float:
@@ -117,6 +139,7 @@ class _Loss(NamedTuple):
     counted: float
     bent: Any
     linear: Any
+    polynomial: Any
 
     @classmethod
     def of(cls, model: PolynomialModel, p: Array, noise: Noise, rows: Any, held: Any, colour: float) -> _Loss:
@@ -127,20 +150,41 @@ class _Loss(NamedTuple):
         residual = model.residuals(p)[rows]
         square = max(float(np.mean(noise.psi(residual) ** 2)), np.finfo(float).tiny)
         counted = noise.slope(residual) / square * (1.0 - model.n / residual.size) / colour**2
-        return cls(model, p, noise, rows, noise.weights(residual), counted, bent & ~held, ~bent & ~held)
+        return cls(model, p, noise, rows, noise.weights(residual), counted, bent & ~held, ~bent & ~held, bent)
+
+    def polynomials(self, p: Array) -> list[Array]:
+        """Return those of C, D and F that have roots, in the order in which they stand in p."""
+        places = self.model.structure.polynomials
+        standing = sorted((places.f, places.c, places.d), key=lambda place: place.start)
+        return [np.append(1.0, p[place]) for place in standing if place.stop > place.start]
 
     def at(self, bent: Array) -> float:
         """Return the least loss for these C, D and F, infinite where they are not stable."""
+        return self.best(bent).loss
+
+    def best(self, bent: Array) -> Place:
+        """Return the least loss for these C, D and F, where it is, and how sure what is linear is there."""
         p, weights = self.p.copy(), self.weights
         p[self.bent] = bent
         if not self.model.is_stable(p):
-            return np.inf
+            return Place(np.inf, p, lambda: np.zeros((p.size, p.size)))
         residual, X = self.model.residuals(p)[self.rows], self.model.jacobian(p)[self.rows][:, self.linear]
         size = np.linalg.norm(X, axis=0)
-        X = X / np.where(size > 0.0, size, 1.0)
+        size = np.where(size > 0.0, size, 1.0)
+        X = X / size
         for _ in range(_TURNS):
             weighted = X.T * weights
             square = weighted @ X + 1e-12 * np.eye(size.size)
-            residual = residual - X @ np.linalg.solve(square, weighted @ residual)
+            step = np.linalg.solve(square, weighted @ residual)
+            residual = residual - X @ step
+            p[self.linear] -= step / size
             weights = self.noise.weights(residual)
-        return self.counted * self.noise.cost(residual)
+
+        def spread() -> Array:
+            """Return the covariance of what is linear."""
+            found = np.zeros((p.size, p.size))
+            own = np.linalg.inv(square) / np.outer(size, size)
+            found[np.ix_(self.linear, self.linear)] = self.noise.variance / self.counted * own
+            return found
+
+        return Place(self.counted * self.noise.cost(residual), p, spread)

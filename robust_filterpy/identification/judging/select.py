@@ -173,7 +173,7 @@ def select_structure(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         inputs = signal[:compared] if largest.n_inputs else None
-        settled = Settled.of(identify(measured[:compared], inputs, largest, progress=False), compared)
+        settled = Settled.of(identify(measured[:compared], inputs, largest, sampled=False, progress=False), compared)
     comparison = _Comparison(grid, measured, signal, criterion, compared, bar, settled)
     comparison.try_all(beginning)
     best = None
@@ -257,7 +257,7 @@ class _Comparison:
             # A structure with too many parameters leaves the model open; the best one warns again.
             warnings.simplefilter("ignore", UserWarning)
             trend: Any = self.settled.after(first - before)
-            model = identify(y, u, structure, trend=trend, progress=False)
+            model = identify(y, u, structure, trend=trend, sampled=False, progress=False)
         residual, output = (signal[before:] for signal in _signals(model, y, u))
         likelihood = self._cleaned_likelihood(model) if structure.na + structure.nd else self._log_likelihood(residual)
         price = _CRITERIA[self.criterion](self.samples)

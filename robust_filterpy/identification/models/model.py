@@ -112,6 +112,9 @@ class Model(EstimatedPolynomials, Responses):
     profiled : bool
         Whether P is that of the likelihood: the loss is not quadratic within two standard deviations, or another end is
         nearly as likely.
+    sampled : bool
+        Whether P is then that of models drawn from the likelihood, rather than of its profile: two pairs of poles or
+        more, where one that nearly cancels may be at other places.
     colour : float
         How many times as large standard deviations are as those of white residuals: what is left follows itself, and
         P counts that.
@@ -146,6 +149,7 @@ class Model(EstimatedPolynomials, Responses):
     levels: Array = field(default_factory=lambda: np.zeros(0))
     recordings: tuple[tuple[int, Array], ...] = ()
     profiled: bool = False
+    sampled: bool = False
     colour: float = 1.0
     evidence: float = float("nan")
 
@@ -194,7 +198,7 @@ class Model(EstimatedPolynomials, Responses):
             facts["Scale ratio"] = f"{self.noise.influence.scale_ratio:.3g}"
         facts |= {"Log-likelihood": f"{self.log_likelihood:.1f}", "Fit, 1 step": f"{self.own_fit:.2f} %"}
         if self.profiled:
-            facts["Intervals"] = "profile likelihood"
+            facts["Intervals"] = "sampled likelihood" if self.sampled else "profile likelihood"
         facts |= coloured(self.colour)
         if self.levels.size:
             facts["Recordings"] = f"{self.levels.size}, each with a level"

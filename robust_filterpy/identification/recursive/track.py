@@ -242,6 +242,7 @@ def _with_model(form: Form, now: State, i: int, start: ColdStart) -> tuple[State
                 offset=form.has_offset,
                 R=None if now.scale[i, 3] else float(now.scale[i, 0]),
                 # The samples to come wait, and `run` says itself what it is at.
+                sampled=False,
                 progress=False,
             )
     except ValueError as error:
