@@ -21,7 +21,7 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-from mutations import seen
+from mutations import seen, seen_by_what_passes
 
 ROOT = Path(__file__).parents[2]
 HEADERS = ROOT / "robust_filterpy" / "kernel"
@@ -149,6 +149,8 @@ def main() -> None:
     parser.add_argument("--pick", type=int, nargs="*", default=())
     args = parser.parse_args()
     total, killed = Counter[str](), Counter[str]()
+    passing: set[str] = set()
+    failing: set[str] = set()
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder)
         for name in ("robust_filterpy", "tests", "examples", "docs"):
@@ -160,7 +162,13 @@ def main() -> None:
         for k, (path, number, right, spoilt, _) in enumerate(chosen, 1):
             if args.pick and k not in args.pick:
                 continue
-            by = seen(copy, dict.fromkeys((*TESTS.get(path.name, ()), *EVERY)), args.limit, MUTATION=str(k))
+            tests = list(dict.fromkeys((*TESTS.get(path.name, ()), *EVERY)))
+            by = seen_by_what_passes(
+                lambda without, tests=tests, k=k: seen(copy, tests, args.limit, without, MUTATION=str(k)),
+                lambda test: seen(copy, [test], args.limit, MUTATION="0"),
+                passing,
+                failing,
+            )
             total[path.name] += 1
             survived = by.startswith("(")
             killed[path.name] += not survived

@@ -127,7 +127,8 @@ def run(package, tests, directory, swap, names=()):
 def outcomes(request, tmp_path_factory):
     requirement, package = request.param
     pytest.importorskip(package)
-    archive = source_distribution(requirement, request.config.cache.mkdir(requirement.replace("==", "-")))
+    name, cache = requirement.replace("==", "-"), getattr(request.config, "cache", None)
+    archive = source_distribution(requirement, cache.mkdir(name) if cache else tmp_path_factory.mktemp(name))
     directory = tmp_path_factory.mktemp(package)
     tests = directory / "tests"
     tests.mkdir()
