@@ -174,6 +174,7 @@ def test_covariance_that_lost_its_sign_is_mended_as_in_python(tmp_path):
         assert np.array_equal(np.reshape(found, (4, 4)), P) == (values[0] > 0.0)
 
 
+@pytest.mark.nightly
 @needs_cc
 def test_single_precision_is_near(tmp_path):
     some = [filter_case(f"filter{seed}", seed, extremes=False) for seed in range(20, 23)]
@@ -262,6 +263,7 @@ def test_wrong_use_is_refused_and_changes_nothing(cart):
     assert list(huge)[:6] == [0.0, 0.0, 1e308, 0.0, 0.0, 1e308] and list(state) == start
 
 
+@pytest.mark.nightly
 @needs_cc
 def test_odd_numbers_anywhere_do_no_harm(tmp_path):
     some = [*cases([40]), filter_case("more7", 7), tracker_case("more", 3)]

@@ -136,6 +136,7 @@ def test_what_the_kernel_declines_is_refused_and_changes_nothing(tmp_path):
     assert vague.update(1.0) == c_programs.SINGULAR and list(vague.state) == before
 
 
+@pytest.mark.nightly
 def test_odd_numbers_anywhere_do_no_harm(tmp_path):
     some = []
     for k, policy in enumerate(POLICIES.values()):

@@ -29,6 +29,7 @@ def reproduce(out, *arguments):
     )
 
 
+@pytest.mark.nightly
 def test_only_makes_the_figures_asked_for(tmp_path):
     done = reproduce(tmp_path, "--jobs", 1, "--only", 1, 2, 7)
     assert done.returncode == 0, done.stderr

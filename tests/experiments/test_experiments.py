@@ -214,6 +214,7 @@ def test_ctrl_c_returns_what_the_workers_have_done(tmp_path, send):
     assert_allclose(float(total), np.sum(expected), rtol=1e-12)
 
 
+@pytest.mark.nightly
 def test_trial_of_a_script_runs_in_worker_processes(tmp_path):
     process = start_script(tmp_path, pause=0, runs=30)
     output, _ = process.communicate(timeout=60)

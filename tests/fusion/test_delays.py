@@ -42,6 +42,7 @@ def test_delays_are_found_and_then_there_are_none(seed):
         assert again[name] == pytest.approx(d, abs=0.02)
 
 
+@pytest.mark.nightly
 def test_an_offset_is_no_delay_and_instants_are_as_good():
     table = recording(3)
     table["value"] = table["value"] + np.where(np.array(table["sensor"]) == "b", 5.0, 0.0)
@@ -62,6 +63,7 @@ def test_a_sensor_by_function_is_compared_with_the_others():
     assert found["b"] - found["a"] == pytest.approx(0.25, abs=0.06)
 
 
+@pytest.mark.nightly
 def test_what_a_recording_does_not_tell_is_said():
     with pytest.warns(FusionWarning, match="cannot be seen.*has to change"):
         assert np.isnan(list(made().delays(recording(0, wild=False)).values())).all()

@@ -124,6 +124,7 @@ def test_a_name_that_nobody_shares_joins_the_components_of_one_sensor():
     assert found[0][1] > 0.5 > 0.1 > found[1][1]
 
 
+@pytest.mark.nightly
 def test_a_verdict_is_of_the_whole_group_and_says_with_whom():
     rng = np.random.default_rng(0)
     others = {name: Sensor([1.0, 0.0], R=1.0) for name in ("left", "right")}

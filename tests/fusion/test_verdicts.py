@@ -4,6 +4,7 @@ import copy
 
 import numpy as np
 import pytest
+from support import by_night
 
 from robust_filterpy.fleet import pack, unpack
 from robust_filterpy.fusion import Fusion, FusionWarning, Sensor, constant_velocity
@@ -43,7 +44,7 @@ FAULTS = {
 }
 
 
-@pytest.fixture(scope="module", params=FAULTS)
+@pytest.fixture(scope="module", params=by_night(FAULTS, "biased"))
 def told(request):
     readings, places = recording(3, FAULTS[request.param])
     fusion = made()
@@ -150,6 +151,7 @@ def test_spikes_of_ten_standard_deviations_are_no_noise_that_has_grown(seed):
     assert faults[:1] == ["spikes"]
 
 
+@pytest.mark.nightly
 def test_a_sensor_that_has_recovered_is_let_in_again():
     readings, _ = recording(3, lambda t, x, v, last: x + v + (6.0 if t < 40.0 else 0.0), 60.0)
     fusion = made()
@@ -193,6 +195,7 @@ def test_a_stamp_from_the_future_sends_nobody_to_the_cables():
     assert "of its readings were refused: check the clocks" in fusion.report() and "cable" not in fusion.report()
 
 
+@pytest.mark.nightly
 def test_any_order_of_arrival_gives_the_same_verdicts_and_bits():
     readings, _ = recording(3, FAULTS["biased"], 40.0)
     rng = np.random.default_rng(0)

@@ -83,6 +83,7 @@ def test_bounds_are_kept_and_said():
     assert 0.35 <= model.p["outflow"] < 0.352
 
 
+@pytest.mark.nightly
 def test_several_recordings_and_times_of_an_index():
     y, u, t = recorded(8)
     index = pd.to_datetime("2024-01-01") + pd.to_timedelta(t, unit="s")

@@ -99,6 +99,7 @@ def test_right_states_driven_by_noise_pass_and_without_it_said_they_do_not(outli
     assert "residuals follow one another" in validate(identify(*first, StateSpace(3)), *second).verdict
 
 
+@pytest.mark.nightly
 def test_right_physics_passes_at_irregular_times(box):
     for seed in range(2):
         y, u, t = cascade(seed)
@@ -201,6 +202,7 @@ def test_each_output_has_a_validation_and_all_of_them_a_text_and_a_table(states)
     assert found.to_frame()["output 1", "autocorrelation"][3] == found[1].autocorrelation[2]
 
 
+@pytest.mark.nightly
 def test_predictions_further_ahead_come_to_the_free_run():
     y, u = recorded(14, 0.0, 0.3)
     model = identify(y, u, StateSpace(3, disturbance=True))

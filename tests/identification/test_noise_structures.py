@@ -105,6 +105,7 @@ def test_without_robustness_box_and_jenkins_is_least_squares():
     np.testing.assert_allclose(model.std, np.sqrt(covariance.diagonal()), rtol=0.1)
 
 
+@pytest.mark.nightly
 @support.draws(1, 3)
 def test_with_noise_that_wanders_it_is_much_closer_than_an_output_error_model(draws):
     worse, better = [], []
@@ -196,7 +197,7 @@ def test_the_gradient_is_the_derivative_of_the_prediction():
     np.testing.assert_allclose(found.filter.H[0], derivative, rtol=1e-5, atol=1e-7)
 
 
-@pytest.mark.parametrize("structure", [BJ, AR(2), ARMA(2, 1)], ids=str)
+@pytest.mark.parametrize("structure", support.by_night([BJ, AR(2), ARMA(2, 1)], ARMA(2, 1)), ids=str)
 def test_the_tracker_of_a_model_predicts_the_next_sample(structure):
     y, u = recorded(301, level=20.0, share=0.0)
     if not structure.n_inputs:
@@ -234,6 +235,7 @@ def test_the_guard_keeps_f_and_c_stable(guard):
     assert max(radii) < 1.0
 
 
+@pytest.mark.nightly
 def test_a_continued_simulation_lets_the_disturbance_die_out():
     y, u = recorded(300, share=0.0)
     tracker = ParameterTracker(identify(y, u, BJ))

@@ -101,6 +101,7 @@ def test_a_progress_bar_counts_the_structures(capsys):
     assert f"{len(found.rows)}/{len(found.rows)} " in capsys.readouterr().err
 
 
+@pytest.mark.nightly
 def test_numbers_of_a_and_b_of_their_own():
     y, u = recorded(a=[1.0, -0.8], b=[1.0, 0.7, 0.4])
     assert select_structure(y, u, na=range(3), nb=range(1, 5)).best.structure == OutputError(1, 3, 4)
@@ -153,6 +154,7 @@ def test_without_input_the_order_is_that_of_statsmodels():
         assert row.log_likelihood == pytest.approx(AutoReg(y, row.structure.na, hold_back=4).fit().llf, abs=2.0)
 
 
+@pytest.mark.nightly
 def test_an_input_that_excites_few_lags_tries_all_delays():
     t = np.arange(400)
     u = np.sin(0.2 * t) + np.sin(0.9 * t) + np.sin(1.9 * t)
@@ -283,7 +285,7 @@ def test_fill_values_are_said_and_are_findings_of_the_best_model():
     assert [one.kind for one in found.best.findings] == ["fill value"] and "-9999" in repr(found.best)
 
 
-@pytest.mark.parametrize("broken", ["step", "input outliers"])
+@pytest.mark.parametrize("broken", support.by_night(["step", "input outliers"], "step"))
 def test_what_breaks_in_the_recording_takes_no_orders_from_it(broken):
     rng = np.random.default_rng(6)
     u = rng.choice([-1.0, 1.0], 800)

@@ -81,6 +81,7 @@ def test_python_control_and_the_model_simulate_the_same():
     assert np.allclose(model.simulate(u), run)
 
 
+@pytest.mark.nightly
 def test_a_disturbance_of_the_states_is_predicted():
     y, u = recorded(6, 400, outliers=0.05, noise=0.1, driven=0.3)
     plain, driven = identify(y, u, StateSpace(3)), identify(y, u, StateSpace(3, disturbance=True))
@@ -190,7 +191,10 @@ def test_responses_are_drawn_and_tabled_and_the_model_reduced():
         model.reduced(4)
 
 
-@pytest.mark.parametrize("structure", [StateSpace(2), StateSpace(2, feedthrough=True, disturbance=True)])
+@pytest.mark.parametrize(
+    "structure",
+    [pytest.param(StateSpace(2), marks=pytest.mark.nightly), StateSpace(2, feedthrough=True, disturbance=True)],
+)
 def test_a_summary_has_every_entry_with_what_was_found_beside(structure):
     y, u = recorded(5, samples=300)
     y[50:60, 0] = np.nan

@@ -86,6 +86,7 @@ def test_a_tracker_that_has_lost_its_plant_says_so_in_time_and_starts_anew():
     np.testing.assert_allclose(tracker.theta, THETA * [1.0, 1.0, 2.0, 2.0], atol=0.15)
 
 
+@pytest.mark.nightly
 def test_sample_by_sample_is_the_recording():
     y, u = broken(2)
     one, other = ParameterTracker(OutputError(2, 2)), ParameterTracker(OutputError(2, 2))
@@ -230,6 +231,7 @@ def faint(seed, gain, constant=0.0, length=1500):
 NUMERATOR = np.array([1.0, 0.5, -0.3, 0.2])
 
 
+@pytest.mark.pairwise(1)
 @support.draws(1, 2)
 @pytest.mark.parametrize("constant", [0.0, 5e6])
 @pytest.mark.parametrize("gain", [0.5, 1.5])
@@ -292,6 +294,7 @@ def test_an_input_that_moves_once_tells_a_gain_only_once():
     assert gain.changed(scores) == 0.0
 
 
+@pytest.mark.nightly
 @support.draws(3, 12)
 def test_coloured_noise_and_an_input_that_hardly_moves_are_no_other_gain(draws):
     for seed in range(draws):
@@ -341,7 +344,7 @@ def test_a_level_that_moves_is_said_and_the_model_is_found_again(structure, chan
 
 
 @support.draws(2, 6)
-@pytest.mark.parametrize("structure", [OutputError(2, 2), ARX(2, 2)], ids=str)
+@pytest.mark.parametrize("structure", support.by_night([OutputError(2, 2), ARX(2, 2)], OutputError(2, 2)), ids=str)
 def test_a_level_that_stays_is_not_said(structure, draws):
     for seed in range(draws):
         y, noise, u = quiet(seed, size=3.0)

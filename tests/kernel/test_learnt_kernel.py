@@ -150,6 +150,7 @@ def test_arrays_that_do_not_fit_are_refused():
             run(wrong, zs, model, noise, process, Kept())
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("noise, process", OPTIONS[:-1])
 @pytest.mark.parametrize("couples", ["nothing", "R", "H", "F"])
 def test_parts_that_nothing_couples_are_apart_by_both(couples, noise, process):

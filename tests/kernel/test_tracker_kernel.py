@@ -87,7 +87,7 @@ CASES = [
 ]
 
 
-@pytest.mark.pairwise
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("options", [{}, {"Q": 1e-4}, {"forgetting": 0.97}, {"influence": Hampel()}], ids=str)
 @pytest.mark.parametrize(("structure", "gradient", "guard"), CASES, ids=str)
 def test_the_kernel_gives_the_numbers_of_update(structure, gradient, guard, options, handed_back):

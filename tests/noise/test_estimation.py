@@ -201,6 +201,7 @@ def level(**matrices):
     return kf
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("sentinel", by_night([999999.0, -1e200], -1e200))
 def test_two_sentinel_values_are_two_outliers(sentinel):
     zs = random_walk(0)
@@ -327,6 +328,7 @@ def test_apply_passes_the_mixture_to_a_filter_that_has_a_place_for_it():
     assert kf.noise.scale_ratio == found.scale_ratio
 
 
+@pytest.mark.nightly
 def test_an_interval_ends_where_the_best_of_the_others_costs_what_the_level_allows():
     """The others are fitted anew with the factor told; chi2(.9)/2 with one degree of freedom is 1.353 nats."""
     zs, outliers = random_walk(5, 300), {"contamination": 0.05, "scale_ratio": 10.0}

@@ -126,7 +126,11 @@ def test_no_page_is_written_in_tex(path):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.nightly] if name in LONG else []) for name in SNIPPETS]
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.nightly] if name in LONG or k % 3 else [])
+        for k, name in enumerate(SNIPPETS)
+    ],
 )
 def test_program_runs(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -71,6 +71,7 @@ def test_the_sampling_period_is_on_the_axis(model):
     assert axes[0].get_legend().get_window_extent().x0 >= axes[0].get_window_extent().x1
 
 
+@pytest.mark.nightly
 def test_bands_hold_the_true_response():
     """Of 20 recordings and 6 frequencies 95 % are to be within; a band of one standard deviation would hold 68 %."""
     omega = np.geomspace(0.02, 2.0, 6)

@@ -53,6 +53,7 @@ def test_a_burst_after_ten_good_samples_is_not_followed(length, off, q, grouping
         assert np.abs(error / sd).max() < 6.0
 
 
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize("gap", [100, 400])
 @pytest.mark.parametrize("P0", [1e4, 1e6, 1e8])
 def test_a_sensor_that_starts_late_is_smoothed_from_where_it_starts(P0, gap, monkeypatch):
