@@ -80,6 +80,7 @@ def restored(like: Timeline, found: Any, outcomes: tuple[str, ...]) -> tuple[Tim
     clock : Clock
     counts : dict
     """
+    _state.require_kind(found, "Fusion")
     layout, base = like.setup.layout, like.base.state
     policy, M, p, names = like.setup.policy, layout.size, like.setup.motion.dim_u, layout.names
     needed: dict[str, _state.Shape] = {

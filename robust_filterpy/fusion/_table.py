@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -55,8 +55,8 @@ def read(
     Rows
     """
     layout = setup.layout
+    stamps, who, *columns = table_columns(table, time, sensor, value)
     chosen = [value] if isinstance(value, str) else list(value)
-    stamps, who, *columns = table_columns(table, [time, sensor, *chosen])
     keys, wrong = clock.keys(stamps)
     values = np.column_stack([_checks.numbers(name, column) for name, column in zip(chosen, columns, strict=True)])
     if np.isinf(values).any():
@@ -94,15 +94,17 @@ def read(
     return Rows(every, zs, _held(us, where[len(keys) :], len(every), setup.motion.dim_u), duplicates)
 
 
-def table_columns(table: Any, names: list[str]) -> list[np.ndarray]:
+def table_columns(table: Any, time: str, sensor: str, value: str | Sequence[str]) -> list[np.ndarray]:
     """Return columns of a data frame or a dict by name, or raise.
 
     Parameters
     ----------
     table : data frame or dict
         Where they are.
-    names : list of str
-        Which.
+    time, sensor : str
+        Which columns.
+    value : str or sequence of str
+        Column, or columns.
 
     Returns
     -------
@@ -124,6 +126,12 @@ def table_columns(table: Any, names: list[str]) -> list[np.ndarray]:
                 f"table: expected a data frame in memory, or a dict of columns, got {type(table).__name__}"
             ) from None
         there, column = frame.columns, lambda name: as_numpy(frame[name])
+    names = [time, sensor, *(value if np.ndim(value) == 1 else [value])]
+    if len(names) < 3 or not all(isinstance(name, (str, int)) for name in names):
+        raise TypeError(
+            f"time, sensor, value: expected names of columns, one of the first two and one or a list of the last, got "
+            f"{_checks.shown(time)}, {_checks.shown(sensor)}, {_checks.shown(value)}"
+        )
     missing = [name for name in names if name not in there]
     if missing:
         raise ValueError(
@@ -138,7 +146,7 @@ def table_columns(table: Any, names: list[str]) -> list[np.ndarray]:
 
 def _indices(names: tuple[str, ...], who: np.ndarray) -> np.ndarray:
     """Return each row's sensor as its place among the declared, or raise."""
-    unique, inverse = np.unique(np.asarray(who, dtype=object).astype(str), return_inverse=True)
+    unique, inverse = np.unique(np.array([str(name) for name in who.tolist()]), return_inverse=True)
     unknown = [name for name in unique.tolist() if name not in names]
     if unknown:
         raise ValueError(f"sensor: expected names among {list(names)}, got {unknown[:5]}; leave their rows out")

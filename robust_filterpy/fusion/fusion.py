@@ -131,6 +131,8 @@ class Fusion:
         _checks.covariance("P0", P)
         if not isinstance(reacquire, (Reacquisition, type(None))):
             raise TypeError(f"reacquire: expected Reacquisition(..) or None, got {_checks.shown(reacquire)}")
+        if not isinstance(watch, (bool, np.bool_)):
+            raise TypeError(f"watch: expected True or False, got {_checks.shown(watch)}")
         if reacquire is not None and watch:
             raise ValueError("reacquire: expected it or watch=True, got both; each leaves sensors out of the state")
         self._clock = Clock()
@@ -594,8 +596,7 @@ class Fusion:
         moving, names = copy.deepcopy(self), self._setup.motion.names
         if state is not None:
             moving.restore(state)
-        chosen = [value] if isinstance(value, str) else list(value)
-        stamps, who, *columns = table_columns(table, [time, sensor, *chosen])
+        stamps, who, *columns = table_columns(table, time, sensor, value)
         known = np.full((len(stamps), 2, len(names)), np.nan)
         outcomes, errors = np.full((2, len(stamps)), None, dtype=object)
         for k, (t, name, *z) in enumerate(zip(stamps, who.tolist(), *columns, strict=True)):
