@@ -27,7 +27,9 @@ def read(name: str, stamp: Any, loose: bool = False) -> float | int:
     stamp = stamp[()] if isinstance(stamp, np.ndarray) and not stamp.ndim else stamp
     for convert in ("to_datetime64", "to_timedelta64"):
         stamp = getattr(stamp, convert)() if hasattr(stamp, convert) else stamp
-    refusal = f"{name}: expected a time, got {_shown(stamp)}"
+    # A sentence takes as long as all the rest.
+    usual = type(stamp) is float and abs(stamp) < _NO_SECONDS
+    refusal = "" if usual else f"{name}: expected a time, got {_shown(stamp)}"
     if isinstance(stamp, str):
         if not loose:
             raise TypeError(f"{refusal}, which is text; pandas.to_datetime(.., utc=True) reads it")

@@ -179,6 +179,11 @@ class Bounded:
         jump = jump_of(last, C, S - R if H is None else H @ C)
         return (last, kept) if jump is None else (last._replace(P=last.P + jump), kept.recovered())
 
+    def weighed(self, known: Any, x: Array, P: Array, z: Array, H: Array, R: Array) -> tuple[Any, ...]:
+        """Return x, P, memory, weights and what is kept after a correction that nobody looks at."""
+        found, kept = self.corrected(known, x, P, z, H, R, None, None)
+        return found.x, found.P, found.memory, found.weights, kept
+
     def current(self, kept: Any, x: Array, P: Array) -> Kept:
         """Return the one copy that there is."""
         return alone(x, P)
@@ -328,19 +333,28 @@ class Mixture:
         self, known: Any, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None, inv: Inverse | None
     ) -> tuple[Correction | Mixed, Kept | None]:
         """Return the correction of every copy, merged."""
-        kept = self.current(known.kept, x, P)
-        # Raises where H x is not finite.
-        finite_product(H, x)
-        found, *merged_to = half_step.correct(kept.copies, known.memory, z, H, R, self.classes, self.scales, M, inv)
+        found, kept, after = self._corrected(known, x, P, z, H, R, M, inv)
         if np.isnan(found.weights).all():
             ordinary = ordinary_noise(R, known.memory)
             return nothing_observed(x, P, H.dot(P).dot(H.T) + ordinary, len(H)), known.kept
-        after = Kept(*found.copies, *merged_to)
         record = Mixed(
             after.x.copy(), after.P.copy(), *found[1:], kept.x.copy(), kept.P.copy(), H.copy(), R.copy(),
             None if M is None else M.copy(), z, known.memory, together=self._named,
         )  # fmt: skip
         return record, None if known.kept is None else after
+
+    def _corrected(self, known: Any, x: Array, P: Array, z: Array, H: Array, R: Array, *also: Any) -> Any:
+        """Return what every copy makes of z, and the copies before and after it."""
+        kept = self.current(known.kept, x, P)
+        # Raises where H x is not finite.
+        finite_product(H, x)
+        found, *merged_to = half_step.correct(kept.copies, known.memory, z, H, R, self.classes, self.scales, *also)
+        return found, kept, Kept(*found.copies, *merged_to)
+
+    def weighed(self, known: Any, x: Array, P: Array, z: Array, H: Array, R: Array) -> tuple[Any, ...]:
+        """Return x, P, memory, weights and what is kept after a correction that nobody looks at."""
+        found, _, after = self._corrected(known, x, P, z, H, R)
+        return after.x, after.P, found.memory, found.weights, None if known.kept is None else after
 
     def corrected_by_moments(
         self, known: Any, x: Array, P: Array, innovation: Innovation, inv: Inverse | None,

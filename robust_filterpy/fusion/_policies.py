@@ -87,7 +87,7 @@ def predicted(policy: Policy, state: State, F: Array, Q: Array, drift: Array) ->
     """Return the state after a stretch of time."""
     x, P, kept = policy.predicted(state.kept, state.x, state.P, F, Q, drift, 1.0)
     require_finite_prediction(x, P)
-    return state._replace(x=x, P=P, kept=kept)
+    return State(x, P, state.memory, kept, *state[4:])
 
 
 def weighed(policy: Policy, state: State, z: Array, H: Array, R: Array, learns: Any) -> tuple[State, Array]:
@@ -95,12 +95,13 @@ def weighed(policy: Policy, state: State, z: Array, H: Array, R: Array, learns: 
     seen = ~np.isnan(z)
     if not seen.any():
         return state, np.full(len(z), np.nan)
-    found, kept = policy.corrected(state, state.x, state.P, z, H, R, None, None)
-    memory = state.memory
-    if found.memory is not None:
+    x, P, memory, weights, kept = policy.weighed(state, state.x, state.P, z, H, R)
+    if memory is None:
+        memory = state.memory
+    elif learns is not True or policy.noise is None:
         keeps = np.broadcast_to(learns, len(z)) & (seen | (policy.noise is not None))
-        memory = np.where(keeps[:, None], found.memory, memory)
-    return state._replace(x=found.x, P=found.P, memory=memory, kept=kept), found.weights
+        memory = np.where(keeps[:, None], memory, state.memory)
+    return State(x, P, memory, kept, *state[4:]), weights
 
 
 def series(

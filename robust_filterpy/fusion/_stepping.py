@@ -118,14 +118,16 @@ def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Ar
     seen = layout.seen_from(state.x, z)
     y = seen.z - seen.H @ state.x
     # What goes round in circles is compared as the difference to what was expected.
-    state = aged(state, seconds, np.where(layout.is_curved, y, seen.z))
-    y = np.where(np.isnan(state.sizes), np.nan, y)
+    if layout.any_untold:
+        state = aged(state, seconds, np.where(layout.is_curved, y, seen.z))
+    if layout.any_untold:
+        y = np.where(np.isnan(state.sizes), np.nan, y)
     if np.isnan(y).all():
         return Moment(state, none, none, before.watch, seen.failed)
     spread = ((seen.H @ state.P) * seen.H).sum(axis=1)
     R = covariance(layout, state.sizes)
     deviation = np.sqrt(spread + policy.factors(state.memory) * R.diagonal())
-    here, watch, learns = ~np.isnan(y), before.watch, np.ones(layout.size, dtype=bool)
+    here, watch, learns = ~np.isnan(y), before.watch, True
     used = np.where(here, seen.z, np.nan)
     if watch is not None:
         known = policy.factors(state.memory), policy.contamination(state.memory)
@@ -133,7 +135,7 @@ def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Ar
         # Nothing is learnt of a sensor on alarm, and nothing taken from one that lies.
         learns = (watch.fault != 1.0)[layout.party]
         used = np.where(watch.out[layout.party], np.nan, used)
-    if not np.isnan(used).all():
+    if watch is None or not np.isnan(used).all():
         state = weighed(policy, state, used, seen.H, R, learns)[0]
     return Moment(state, y, np.where(here, deviation, np.nan), watch, seen.failed)
 
@@ -179,7 +181,7 @@ def covariance(layout: Layout, sizes: Array) -> Array:
     -------
     ndarray, shape (M, M)
     """
-    if not layout.untold.any():
+    if not layout.any_untold:
         return layout.R
     root = np.sqrt(np.where(np.isnan(sizes), 1.0, sizes))
     return np.asarray(layout.R * np.multiply.outer(root, root))

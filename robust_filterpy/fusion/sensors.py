@@ -200,6 +200,7 @@ class Layout:
                 self.untold[place] = True
             else:
                 self.R[place, place] = sensor.R
+        self.any_untold = bool(self.untold.any())
         self.is_curved = np.repeat(
             [s.h is not None for s in self.sensors.values()], [s.dim_z for s in self.sensors.values()]
         )
