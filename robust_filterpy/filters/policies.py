@@ -35,6 +35,7 @@ from robust_filterpy.correction.definition import (
     nothing_observed,
 )
 from robust_filterpy.correction.learning import NoiseClasses, describe, usual
+from robust_filterpy.correction.learnt import Corrected
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.policies import (
     Contaminated,
@@ -343,7 +344,9 @@ class Mixture:
         )  # fmt: skip
         return record, None if known.kept is None else after
 
-    def _corrected(self, known: Any, x: Array, P: Array, z: Array, H: Array, R: Array, *also: Any) -> Any:
+    def _corrected(
+        self, known: Any, x: Array, P: Array, z: Array, H: Array, R: Array, *also: Any
+    ) -> tuple[Corrected, Kept, Kept]:
         """Return what every copy makes of z, and the copies before and after it."""
         kept = self.current(known.kept, x, P)
         # Raises where H x is not finite.
