@@ -10,19 +10,18 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array
-from robust_filterpy.batch._standing import began, continued, refuse
-from robust_filterpy.batch.arguments import SeriesArguments, series_arguments, spread, threads
+from robust_filterpy.batch.arguments import SeriesArguments, began, continued, refuse, series_arguments, spread, threads
 from robust_filterpy.correction import copies
 from robust_filterpy.correction.copies import Copies
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.correction.spread import FILLED
 from robust_filterpy.filters.kalman import RobustKalmanFilter
-from robust_filterpy.filters.stuck import say_stuck_among
+from robust_filterpy.filters.notices import say_stuck_among
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.kernel import learnt as learnt_kernel
 from robust_filterpy.kernel import series as kernel
-from robust_filterpy.kernel.records import Model
+from robust_filterpy.kernel.series import Model
 
 __all__ = ["FilteredSeries", "filter_series"]
 

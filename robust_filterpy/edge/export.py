@@ -10,9 +10,8 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 from robust_filterpy import _checks, kernel
 from robust_filterpy._filterpy import ExtendedKalmanFilter
 from robust_filterpy._version import __version__
-from robust_filterpy.edge.extended_model import described_extended, is_extended
 from robust_filterpy.edge.filter_model import described_filter
-from robust_filterpy.edge.mixture_model import described_mixture, mixes
+from robust_filterpy.edge.mixture_model import described_extended, described_mixture, is_extended, mixes
 from robust_filterpy.edge.text import REALS, Described, comment, rendered, table
 from robust_filterpy.edge.tracker_model import described_tracker
 from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter

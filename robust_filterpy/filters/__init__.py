@@ -12,7 +12,7 @@
 * `states`: what a filter holds and has learnt, put away and taken up again.
 * `problem`: a recording of a linear filter, read once.
 * `snapshot`: a call that is refused has not happened.
-* `stuck`: a word where a sensor is stuck.
+* `notices`: what a filter says once.
 
 Each is imported when it is first used. Imports from below: `influence`, `correction`, `kernel`.
 """

@@ -1,10 +1,10 @@
-from robust_filterpy.filters._correlated import CorrelatedInnovationsWarning as CorrelatedInnovationsWarning
-from robust_filterpy.filters._outlier_share import OutlierShareWarning as OutlierShareWarning
 from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter as AdaptiveKalmanFilter
 from robust_filterpy.filters.conversion import robust as robust
 from robust_filterpy.filters.ensemble import RobustEnsembleKalmanFilter as RobustEnsembleKalmanFilter
 from robust_filterpy.filters.extended import RobustExtendedKalmanFilter as RobustExtendedKalmanFilter
 from robust_filterpy.filters.kalman import RobustKalmanFilter as RobustKalmanFilter
+from robust_filterpy.filters.notices import CorrelatedInnovationsWarning as CorrelatedInnovationsWarning
+from robust_filterpy.filters.notices import OutlierShareWarning as OutlierShareWarning
+from robust_filterpy.filters.notices import StuckSensorWarning as StuckSensorWarning
 from robust_filterpy.filters.sigma_point import RobustCubatureKalmanFilter as RobustCubatureKalmanFilter
 from robust_filterpy.filters.sigma_point import RobustUnscentedKalmanFilter as RobustUnscentedKalmanFilter
-from robust_filterpy.filters.stuck import StuckSensorWarning as StuckSensorWarning

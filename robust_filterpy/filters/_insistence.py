@@ -19,7 +19,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import length_and_direction
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.standardization import ordered_scaling
-from robust_filterpy.kernel.record import moments_of
+from robust_filterpy.kernel.moments import moments_of
 
 __all__ = ["Insistence", "jump_of", "nothing_refused", "watched"]
 

@@ -9,14 +9,13 @@ import numpy as np
 
 from robust_filterpy._arrays import process_noise, state_of
 from robust_filterpy._checks import Array, all_covariances, entries, shown
-from robust_filterpy.filters._correlated import look_at_recording
+from robust_filterpy.filters.notices import look_at_recording, look_for_repeats, look_for_stuck
 from robust_filterpy.filters.policies import ordinary_noise
 from robust_filterpy.filters.problem import read
 from robust_filterpy.filters.shell import Shell
 from robust_filterpy.filters.snapshot import unchanged_if_refused
-from robust_filterpy.filters.stuck import look_for_repeats, look_for_stuck
 from robust_filterpy.kernel import available, series
-from robust_filterpy.kernel.records import Kept
+from robust_filterpy.kernel.series import Kept
 
 
 class Given(NamedTuple):
@@ -39,7 +38,7 @@ class Steps(NamedTuple):
     model: tuple[Array, ...]
     """F, Q, H, R, B u, one a step or one for all."""
     kept: Any
-    """A `robust_filterpy.kernel.records.Kept`."""
+    """A `robust_filterpy.kernel.series.Kept`."""
     options: dict[str, Any]
     """How far memory fades, and whether a step corrects first."""
     last_seen: int

@@ -52,8 +52,8 @@ from robust_filterpy.filters._insistence import Insistence, jump_of, nothing_ref
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.kernel import learnt as half_step
 from robust_filterpy.kernel import moments, series
-from robust_filterpy.kernel.records import Kept as Rows
-from robust_filterpy.kernel.records import State
+from robust_filterpy.kernel.series import Kept as Rows
+from robust_filterpy.kernel.series import State
 
 __all__ = ["Bounded", "Known", "Mixture", "Policy", "finite_product", "ordinary_noise", "policy_of"]
 

@@ -16,16 +16,13 @@ from robust_filterpy._brief import lines_of
 from robust_filterpy._checks import Array, shown
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.filters._correlated import judges, look_at_signs
 from robust_filterpy.filters._insistence import is_near, jump_of, watched
-from robust_filterpy.filters._outlier_share import EVERY, Share
 from robust_filterpy.filters._parts import log_density
+from robust_filterpy.filters.notices import EVERY, Share, judges, look_at_signs, look_for_repeats, look_for_stuck
 from robust_filterpy.filters.policies import Mixture, Policy, policy_of
 from robust_filterpy.filters.snapshot import SLOTS, put_back, snapshot, whole
 from robust_filterpy.filters.states import Customs, StateMixin
-from robust_filterpy.filters.stuck import look_for_repeats, look_for_stuck
-from robust_filterpy.kernel.moments import Taken
-from robust_filterpy.kernel.record import correction_of, judged_of, weights_of
+from robust_filterpy.kernel.moments import Taken, correction_of, judged_of, weights_of
 
 _DEFAULT_INVERSE = np.linalg.inv
 Inverse = Callable[[Array], Array]

@@ -4,19 +4,16 @@
 * `results`: what it answers with, and how it warns.
 * `motion`: how the state moves during any length of time.
 * `sensors`: what a sensor measures, and the one vector in which all of them stand.
-* `_times`: stamps, numbers or instants.
 * `_timeline`: what was read when; late readings make the rest be judged anew.
 * `_stepping`: one step, from stamp to stamp, as a pure function.
-* `_first_readings`: how noisy a sensor is whose R nobody told.
-* `_policies`: which policy its arguments ask for, and its steps as functions from state to state.
-* `_table`: what was read at each stamp, from a table.
+* `_policies`: which policy its arguments ask for, and its steps as functions from state to state; R by first readings.
+* `_table`: stamps, numbers or instants; what was read at each stamp, from a table.
 * `recording`: a whole table at once, by the kernel; smoothed on request.
 * `_delays`: how late each sensor's stamps are, from a recording.
 * `verdicts`: what is the matter with a sensor, since when, and what helps.
 * `_watch`: cheap tests of every reading, which raise an alarm.
 * `_faults`: the recent past, judged anew under every fault of every sensor.
 * `reacquisition`: after a blackout or a jump, the sensor or the state being wrong, both carried until one is sure.
-* `_doubts`: those hypotheses, beside each other.
 * `_forecasting`: bands for what is to come.
 * `_keeping`: a fusion as plain arrays, and back.
 

@@ -20,7 +20,7 @@ from scipy.special import ndtr, ndtri
 from robust_filterpy._checks import Array
 from robust_filterpy.fusion._policies import State
 from robust_filterpy.fusion._stepping import Setup, covariance, moved
-from robust_filterpy.fusion._times import Clock
+from robust_filterpy.fusion._table import Clock
 from robust_filterpy.fusion.results import Forecast
 
 __all__ = ["bands", "forecast"]

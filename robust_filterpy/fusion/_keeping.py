@@ -8,12 +8,12 @@ import numpy as np
 
 from robust_filterpy import _state
 from robust_filterpy._checks import Array
-from robust_filterpy.fusion._doubts import Doubt
 from robust_filterpy.fusion._policies import Policy, arrays, of_arrays
 from robust_filterpy.fusion._stepping import Moment, begun
+from robust_filterpy.fusion._table import Clock
 from robust_filterpy.fusion._timeline import Timeline
-from robust_filterpy.fusion._times import Clock
 from robust_filterpy.fusion._watch import Watch
+from robust_filterpy.fusion.reacquisition import Doubt
 
 __all__ = ["restored", "state"]
 

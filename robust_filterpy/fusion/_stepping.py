@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robust_filterpy._checks import Array
-from robust_filterpy.fusion._first_readings import compared
-from robust_filterpy.fusion._policies import Policy, State, predicted, start, weighed
+from robust_filterpy.fusion._policies import Policy, State, compared, predicted, start, weighed
 from robust_filterpy.fusion._watch import fresh, looked_at
 from robust_filterpy.fusion.motion import Motion
 from robust_filterpy.fusion.sensors import Layout

@@ -15,7 +15,7 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy.fusion._stepping import Moment, Setup, advanced
-from robust_filterpy.fusion._times import Clock
+from robust_filterpy.fusion._table import Clock
 from robust_filterpy.fusion.reacquisition import doubted
 from robust_filterpy.fusion.verdicts import watched
 

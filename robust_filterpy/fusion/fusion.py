@@ -20,9 +20,8 @@ from robust_filterpy.fusion._delays import found_delays
 from robust_filterpy.fusion._forecasting import forecast
 from robust_filterpy.fusion._policies import policy_of
 from robust_filterpy.fusion._stepping import Moment, Setup, begun, moved
-from robust_filterpy.fusion._table import read, table_columns
+from robust_filterpy.fusion._table import Clock, read, table_columns
 from robust_filterpy.fusion._timeline import Timeline
-from robust_filterpy.fusion._times import Clock
 from robust_filterpy.fusion.motion import Motion
 from robust_filterpy.fusion.reacquisition import Reacquisition
 from robust_filterpy.fusion.recording import Recording, fused

@@ -13,9 +13,8 @@ from robust_filterpy._warning import warn
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.fusion._policies import series
 from robust_filterpy.fusion._stepping import Moment, Setup, advanced, aged, covariance
-from robust_filterpy.fusion._table import Rows
+from robust_filterpy.fusion._table import Clock, Rows, written
 from robust_filterpy.fusion._timeline import Timeline
-from robust_filterpy.fusion._times import Clock, written
 from robust_filterpy.fusion.sensors import Layout
 from robust_filterpy.fusion.verdicts import LONGEST, Verdict, described, of_all
 from robust_filterpy.smoothing.smoother import smooth

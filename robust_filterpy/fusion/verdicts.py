@@ -19,7 +19,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.fusion import _faults
 from robust_filterpy.fusion._faults import Found, Stretch
 from robust_filterpy.fusion._stepping import Moment, advanced, covariance
-from robust_filterpy.fusion._times import Clock, written
+from robust_filterpy.fusion._table import Clock, written
 from robust_filterpy.fusion._watch import FAULTS, SLOW, Watch, alarmed, calm, colour, recovered, worth
 from robust_filterpy.fusion.sensors import Layout
 

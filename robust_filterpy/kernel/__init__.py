@@ -7,9 +7,9 @@ everywhere. ``ROBUST_FILTERPY_KERNEL=off`` in the environment makes that so, for
 The headers (``real.h`` says how they are written) know nothing of Python and are what `robust_filterpy.edge.export_c`
 writes for microcontrollers: C99, sizes as arguments, workspaces from the caller, no allocation, no state of their own.
 
-* `records`, `series`: series and recordings, from Python. `record`: what one correction left.
+* `series`: series and recordings, from Python.
 * `learnt`: steps under learnt noise (``learnt.h``); of one filter as one call, ``mixture.c``.
-* `moments`: a correction by an innovation of which only moments are known, for nonlinear filters.
+* `moments`: a correction of arrays, also by an innovation of which only moments are known; what one correction left.
 * ``real.h``: the number type. ``psi.h``: psi, psi', rho.
 * ``prediction.h``, ``correction.h`` (``joint.h`` where all sensors fail together): one step. ``series.h``: many of
   many. ``smoother.h``: a smoother's pass.

@@ -15,8 +15,7 @@ from robust_filterpy.correction.copies import Copies, Scales
 from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.learnt import Corrected
 from robust_filterpy.correction.whitening import Inverse
-from robust_filterpy.kernel.records import Kept, State
-from robust_filterpy.kernel.series import plain
+from robust_filterpy.kernel.series import Kept, State, plain
 
 __all__ = ["Kept", "State", "begin", "correct", "predict", "rule", "run"]
 

@@ -276,7 +276,7 @@ static int take_sensors(held *h, PyObject *const given[3], PyObject *const own[6
     return take_more(s, n, given[2], memory);
 }
 
-/* What a correction leaves: see robust_filterpy.kernel.record, which reads it. Not the innovations, S and C. */
+/* What a correction leaves: see robust_filterpy.kernel.moments, which reads it. Not the innovations, S and C. */
 static void begin_record(double *values, npy_intp n, npy_intp m, const correction_rule *rule, const correction *c) {
     double *const vectors = values + 4;
     values[0] = (double)n;

@@ -19,7 +19,7 @@ int take_control(PyObject *B, PyObject *u, npy_intp n, double **control);
 int take_measurement(PyObject *object, npy_intp m, double *z);
 PyObject *given_or(held *h, PyObject *given, PyObject *own); /* plain; own where given is None; NULL with an exception */
 
-/* Sensors by their places in z, or, of an H that is passed, by its rows: robust_filterpy.filters._sensors in C. */
+/* Sensors by their places in z, or, of an H that is passed, by its rows: robust_filterpy.filters.states in C. */
 #define CUSTOMS_MOST 32 /* rows that are remembered */
 #define CUSTOMS_NOW 16  /* sensors at once */
 typedef struct {

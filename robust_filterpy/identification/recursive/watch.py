@@ -11,7 +11,7 @@ import numpy as np
 from robust_filterpy._checks import Array
 from robust_filterpy._documentation import STOPPED, pointer
 from robust_filterpy._warning import RobustFilterWarning
-from robust_filterpy.filters.stuck import StuckSensorWarning
+from robust_filterpy.filters.notices import StuckSensorWarning
 from robust_filterpy.identification.models import gain
 from robust_filterpy.identification.models.dependence import (
     CLIP,

@@ -1,7 +1,6 @@
 """Inputs with a prescribed spectrum.
 
 * `signals`: band-limited 1/f noise, binary signals with a prescribed autocovariance (paper 54-57).
-* `receding_horizon`: the search behind them.
 
 Imports from below: `_checks` alone.
 """

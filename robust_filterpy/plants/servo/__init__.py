@@ -1,11 +1,10 @@
 """The pneumatic servo of the paper's section 2: its equations, linear models of it, and experiments with it.
 
-* `parameters`, `coefficients`: its constants, its uncertain alpha and beta.
-* `equations`, `system`: equations (1)-(7) as functions of floats, and as a python-control system.
-* `steady_motion`, `linearization`: its steady motions, and linear models about them.
-* `loop_design`, `position_loop`: a position loop, stable by its gains, and the loop simulated.
+* `parameters`: its constants, its uncertain alpha and beta.
+* `equations`: equations (1)-(7) as functions of floats, and as a python-control system.
+* `steady_motion`, `linearization`: its steady motions, linear models about them, gains by which its loop is stable.
+* `position_loop`: the loop simulated: what drives it, its recording, with files of it for other tools.
 * `observer`: estimates the motion in the loop from sensors that err.
-* `inputs`, `recording`: what drives an experiment, and its recording, with files of it for other tools.
 """
 
 from __future__ import annotations

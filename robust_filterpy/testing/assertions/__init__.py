@@ -4,7 +4,6 @@
 * `robustness`: bounded influence, the way back from a jump, efficiency; units, order, missing samples.
 * `contracts`: refused calls, copies, two filters that are the same.
 * `tracking`: parameters found and followed, stable models, honest intervals.
-* `bounds`: the exact bounds that these share, and their words.
 """
 
 from __future__ import annotations

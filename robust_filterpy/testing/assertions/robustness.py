@@ -13,7 +13,7 @@ from scipy import stats
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.testing.assertions.bounds import apart, fail, furthest, probability
+from robust_filterpy.testing.assertions.contracts import apart, fail, furthest, probability
 from robust_filterpy.testing.scenarios import runs
 from robust_filterpy.testing.scenarios.drawing import Scenario, draw
 from robust_filterpy.testing.scenarios.models import StateModel, random_stable

@@ -11,7 +11,7 @@ from scipy import stats
 
 from robust_filterpy import _checks
 from robust_filterpy.identification.models.guard import is_stable
-from robust_filterpy.testing.assertions.bounds import at_least_one, fail, probability
+from robust_filterpy.testing.assertions.contracts import at_least_one, fail, probability
 from robust_filterpy.testing.assertions.robustness import ratio_of_errors
 from robust_filterpy.testing.scenarios.runs import TrackerRun, as_tracker_runs
 

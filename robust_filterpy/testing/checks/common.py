@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from robust_filterpy.testing.assertions import contracts
-from robust_filterpy.testing.assertions.bounds import deviations
 from robust_filterpy.testing.assertions.consistency import assert_covariance_stays_one
+from robust_filterpy.testing.assertions.contracts import deviations
 from robust_filterpy.testing.checks.bench import OLD, Promise, promise, through
 from robust_filterpy.testing.checks.filter_subject import FilterSubject
 

@@ -9,13 +9,12 @@ from filterpy.kalman import KalmanFilter
 from scipy import stats
 
 from robust_filterpy._checks import Array
-from robust_filterpy.testing.assertions.bounds import apart, furthest
 from robust_filterpy.testing.assertions.consistency import (
     assert_consistent,
     assert_innovations_white,
     assert_unbiased,
 )
-from robust_filterpy.testing.assertions.contracts import assert_same_filter
+from robust_filterpy.testing.assertions.contracts import apart, assert_same_filter, furthest
 from robust_filterpy.testing.assertions.robustness import (
     SENSOR_UNITS,
     STATE_UNITS,

@@ -6,7 +6,7 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 
 from robust_filterpy._checks import Array, takes
-from robust_filterpy.testing.assertions.bounds import deviations, furthest
+from robust_filterpy.testing.assertions.contracts import deviations, furthest
 from robust_filterpy.testing.checks.bench import OLD, Promise, not_applicable, promise
 from robust_filterpy.testing.checks.filter_subject import FilterSubject
 from robust_filterpy.testing.scenarios import runs

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from robust_filterpy import _checks
-from robust_filterpy.testing.assertions.bounds import probability
+from robust_filterpy.testing.assertions.contracts import probability
 from robust_filterpy.testing.checks import common, filter_contracts, filter_equations
 from robust_filterpy.testing.checks.bench import Check, CheckResult, ChecksFailed, result_of
 from robust_filterpy.testing.checks.filter_subject import FILTER_TAGS, FilterSubject

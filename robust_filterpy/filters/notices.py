@@ -1,0 +1,326 @@
+"""What a filter says once: that it clips far too often, its innovations keep their sign, or a sensor is stuck."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+from robust_filterpy._documentation import SMALL, STOPPED, pointer
+from robust_filterpy._warning import RobustFilterWarning, warn, was_said
+from robust_filterpy.correction.spread import FILLED, HELD
+from robust_filterpy.filters.policies import ordinary_noise
+
+__all__ = ["CorrelatedInnovationsWarning", "OutlierShareWarning", "StuckSensorWarning"]
+
+#: Only every so many updates are looked at, so that it costs nothing.
+EVERY = 3
+# Innovations, and updates, that a window needs at least; half of it tells when nearly all of them are clipped.
+_NUMBERS, _UPDATES = 64, 16
+_NEARLY_ALL = 0.8
+# More than this of what psi expects unclipped is too much; half a window is only sure of more.
+_HALF, _SURER = 0.5, 0.7
+
+
+class OutlierShareWarning(RobustFilterWarning):
+    """Say that a filter clipped most of its last innovations, which no sensor with some outliers explains.
+
+    Given once for each class of filter in a process. To switch it off:
+    ``warnings.simplefilter("ignore", robust_filterpy.filters.OutlierShareWarning)``.
+    """
+
+
+class Share:
+    """Count the clipped innovations of a window of updates."""
+
+    def __init__(self) -> None:
+        """Start an empty window."""
+        self.numbers = self.updates = self.clipped = self.kept = 0
+        self.sign = 0.0
+
+    def fills(self, m: int) -> bool:
+        """Return whether one more correction, by m sensors at most, can fill the window."""
+        return self.updates + 1 >= _UPDATES and (self.numbers + m >= _NUMBERS or self._tells_early(m))
+
+    def _tells_early(self, m: int = 0) -> bool:
+        """Return whether nearly all of half a window are clipped, were m more to be."""
+        return self.numbers + m >= _NUMBERS // 2 and self.clipped + m > _NEARLY_ALL * (self.numbers + m)
+
+    def look(self, kf: Any, last: Any) -> None:
+        """Count one correction, and judge the window when it is full."""
+        e = np.ravel(last.e).tolist()
+        observed = [d for d in np.ravel(last.psi_deriv).tolist() if d == d]
+        sign = sum(1.0 if number > 0.0 else -1.0 for number in e)
+        self.numbers += len(observed)
+        self.updates += 1
+        self.clipped += sum(d <= 0.0 for d in observed)
+        self.kept += sign * self.sign > 0.0
+        self.sign = sign
+        if self.updates >= _UPDATES and (self.numbers >= _NUMBERS or self._tells_early()):
+            share, numbers, keeps = self.clipped / self.numbers, self.numbers, self.kept > 0.75 * self.updates
+            least = _HALF if numbers >= _NUMBERS else _SURER
+            self.__init__()  # type: ignore[misc]
+            if kf.scaling == "innovation":
+                self._judge(kf, share, least, numbers, keeps, len(e))
+
+    def look_at_recording(self, kf: Any, weights: Array, y: Array) -> None:
+        """Judge windows of a recording's corrections, each of as many as `look` takes.
+
+        Parameters
+        ----------
+        kf : RobustKalmanFilter
+            Whose they are; of scaling "innovation".
+        weights : ndarray, shape (N, m)
+            psi(e)/e, NaN where missing.
+        y : ndarray, shape (N, m)
+            Innovations, of which only the signs matter.
+        """
+        seen = ~np.isnan(weights).all(axis=1)
+        weights, signs = weights[seen][::EVERY], np.sign(y[seen][::EVERY])
+        here = ~np.isnan(weights)
+        clipped, signs = weights < _weight_at_clip(kf.influence), np.sign(np.where(here, signs, 0.0).sum(axis=1))
+        length = max(_UPDATES, -(-_NUMBERS // weights.shape[1]))
+        for first in range(0, len(weights) - length + 1, length):
+            window = slice(first, first + length)
+            numbers, sign = int(here[window].sum()), signs[window]
+            keeps = (sign[1:] * sign[:-1] > 0.0).sum() > 0.75 * length
+            if numbers >= _NUMBERS // 2:
+                least = _HALF if numbers >= _NUMBERS else _SURER
+                self._judge(kf, float(clipped[window].sum()) / numbers, least, numbers, bool(keeps), weights.shape[1])
+
+    def _judge(self, kf: Any, share: float, least: float, numbers: int, keeps: bool, m: int) -> None:
+        """Warn if too much of what psi expects unclipped is clipped, more than one jump or run of outliers clips."""
+        if share > least and not was_said(OutlierShareWarning, type(kf).__name__):
+            expected = _expected(kf.influence, kf.grouping, m)
+            if share > expected + least * (1.0 - expected):
+                self._warn(type(kf).__name__, share, expected, numbers, keeps)
+
+    def _warn(self, name: str, share: float, expected: float, numbers: int, keeps: bool) -> None:
+        """Warn once for each class."""
+        cause = (
+            "Q is too small (innovations keep their sign)"
+            if keeps
+            else "R is too small, or most measurements hold an outlier"
+        )
+        warn(
+            f"{name}: clipped {share:.0%} of the last {numbers} innovations looked at, where its psi expects "
+            f"{expected:.0%}; most likely {cause}: robust_filterpy.diagnose tells, and "
+            f"{pointer(STOPPED if keeps else SMALL)}. Switch this off with "
+            f'warnings.simplefilter("ignore", robust_filterpy.filters.OutlierShareWarning)',
+            OutlierShareWarning,
+            of=name,
+        )
+
+
+def _weight_at_clip(influence: Any) -> float:
+    """Return psi(e)/e of the largest e up to which psi' > 0; what is clipped has less."""
+    grid = np.linspace(0.0, 50.0, 50_001)
+    inside = np.asarray(influence.psi_deriv(grid)) > 0.0
+    last = len(grid) - 1 if inside.all() else max(int(np.argmin(inside)) - 1, 0)
+    return float(np.asarray(influence.weights(grid[[last]]))[0])
+
+
+def _expected(influence: Any, grouping: str, m: int) -> float:
+    """Return the share of clipped innovations with as many outliers as psi is made for."""
+    from scipy import stats
+
+    grid = np.linspace(0.0, 10.0, 2001)
+    density = stats.chi(m if grouping == "joint" else 1).pdf(grid)
+    ordinary = float(density[np.asarray(influence.psi_deriv(grid)) <= 0.0].sum() / density.sum())
+    contamination = float(getattr(influence, "contamination", 0.0) or 0.0)
+    return ordinary + contamination * (1.0 - ordinary)
+
+
+#: Updates of a period, those of them that are looked at (when a start is over, before a short recording is), and how
+#: many signs must be kept: a fair coin does that once in six hundred thousand periods.
+_PERIOD, _FIRST, _LAST, _KEPT = 240, 9, 57, 40
+#: An innovation of fewer standard deviations is what a start leaves where there is no noise: it has no sign.
+_NO_LAG = 0.1
+
+
+class CorrelatedInnovationsWarning(RobustFilterWarning):
+    """Say that the innovations of a filter under ``noise=`` keep their sign.
+
+    Most often the state moves as neither the model nor Q foresees, and the estimate lags behind: a filter that learns
+    its noise may take that for a noisy sensor, and lag more than the Kalman filter does. Else the noise is colored.
+    Given once for each kind of filter (class and sizes) in a process. To switch it off:
+    ``warnings.simplefilter("ignore", robust_filterpy.filters.CorrelatedInnovationsWarning)``.
+    """
+
+
+class Signs:
+    """Count for each sensor how often its innovation has the sign of the one before."""
+
+    def __init__(self, m: int) -> None:
+        """Start without any."""
+        self.last, self.kept, self.pairs = [0.0] * m, [0] * m, [0] * m
+
+    def count(self, y: list[float]) -> None:
+        """Count an innovation; NaN and 0 have no sign."""
+        for i, (now, before) in enumerate(zip(y, self.last, strict=True)):
+            if now > 0.0 or now < 0.0:
+                self.pairs[i] += before != 0.0
+                self.kept[i] += now * before > 0.0
+                self.last[i] = 1.0 if now > 0.0 else -1.0
+
+    def keeper(self) -> int | None:
+        """Return a sensor whose innovations nearly all keep their sign, None if there is none."""
+        return next((i for i, kept in enumerate(self.kept) if kept >= _KEPT), None)
+
+
+def judges(updates: int) -> bool:
+    """Return whether the update of this number may give a warning."""
+    return updates % _PERIOD == _LAST
+
+
+def look_at_signs(kf: Any, signs: Signs | None, last: Any, updates: int) -> Signs | None:
+    """Count the signs of a correction's innovations now and then, and warn if they hardly ever change.
+
+    Parameters
+    ----------
+    kf : RobustKalmanFilter
+        Whose correction it is.
+    signs : Signs or None
+        What was counted before.
+    last : Mixed or Correction
+        The correction.
+    updates : int
+        How many the filter has had, this one among them.
+
+    Returns
+    -------
+    Signs or None
+        What is counted now.
+    """
+    place = updates % _PERIOD
+    if not _FIRST <= place <= _LAST:
+        return signs
+    y = _innovation_of(last)
+    if signs is None or place == _FIRST or len(signs.last) != len(y):
+        signs = Signs(len(y))
+    signs.count(y)
+    if place == _LAST:
+        _judge(kf, signs, "")
+    return signs
+
+
+def look_at_recording(kf: Any, y: Array, first: int, variances: Callable[[list[int]], Array]) -> None:
+    """Look at a recording as `look_at_signs` does.
+
+    Parameters
+    ----------
+    kf : RobustKalmanFilter
+        Whose recording it is.
+    y : ndarray, shape (N, m)
+        Innovations, NaN where missing.
+    first : int
+        Step that the first row belongs to.
+    variances : callable
+        Returns those of some rows of y, shape (rows, m).
+    """
+    seen = np.flatnonzero(~np.isnan(y).all(axis=1))
+    for begin in range(0, len(seen), _PERIOD):
+        signs = Signs(y.shape[1])
+        window = seen[begin + _FIRST - 1 : begin + _LAST].tolist()
+        if len(window) > _LAST - _FIRST:
+            for one in _signed(y[window], variances(window)):
+                signs.count(one)
+            _judge(kf, signs, f": step {first + window[-1]}")
+
+
+def _innovation_of(last: Any) -> list[float]:
+    """Return the innovation of a correction, NaN where missing, 0 where it is no lag."""
+    if not hasattr(last, "prior_x"):
+        return _signed(np.where(np.isnan(last.weights), np.nan, last.y), last.S.diagonal())
+    H, R = last.H, ordinary_noise(last.R, last.before)
+    noise = R if last.curvature is None else R + last.curvature
+    return _signed(last.z - H.dot(last.prior_x), (H.dot(last.prior_P) * H).sum(axis=1) + noise.diagonal())
+
+
+def _signed(y: Array, variances: Array) -> Any:
+    """Return innovations as lists, 0 where one is no lag."""
+    return np.where(np.abs(y) < _NO_LAG * np.sqrt(variances), 0.0, y).tolist()
+
+
+def _judge(kf: Any, signs: Signs, where: str) -> None:
+    """Warn, once for each kind of filter, if the signs of a sensor's innovations hardly ever change."""
+    kind, sensor = (type(kf).__name__, int(kf.dim_x), int(kf.dim_z)), signs.keeper()
+    if sensor is None:
+        return
+    warn(
+        f"{kind[0]}{where}: {signs.kept[sensor]} of {signs.pairs[sensor]} innovations of sensor {sensor} have the sign "
+        f"of the one before (half is usual): the estimate lags behind, since the state moves as neither the model nor "
+        f"Q foresees (a level on a slope, say), or the noise is colored; give the model that motion, or a larger Q; "
+        f"robust_filterpy.diagnose tells, and {pointer(STOPPED)}. Switch this off with "
+        f'warnings.simplefilter("ignore", robust_filterpy.filters.CorrelatedInnovationsWarning)',
+        CorrelatedInnovationsWarning,
+        of=kind,
+    )
+
+
+class StuckSensorWarning(RobustFilterWarning):
+    """Say that a sensor repeats its last reading to the last bit, far from where a filter expects it.
+
+    A sensor that is stuck does, and a logger that writes one number where it has none (-9999, 0, 65535). While it does,
+    its readings count as missing: weight 0, under ``noise=`` outlier probability 1. Given once for each filter. Under
+    ``grouping="joint"``, where ``noise=`` keeps no sensor apart, none is seen: name them, ``grouping=((0, 1, 2),)``. A
+    `ParameterTracker` and a `TrackerBank` say it of y, from the third such reading in a row, and leave residual and
+    weight NaN. To switch it off: ``warnings.simplefilter("ignore", robust_filterpy.filters.StuckSensorWarning)``.
+    """
+
+
+def look_for_stuck(kf: Any, weights: Array, first: int | None = None) -> None:
+    """Warn, once for each filter, if a sensor is stuck.
+
+    Parameters
+    ----------
+    kf : RobustKalmanFilter
+        Whose readings they are.
+    weights : ndarray, shape (m,) or (N, m)
+        Of a correction, or of those of a recording: 0 where a sensor is stuck, and nowhere else under ``noise=``.
+    first : int, optional
+        Step of a recording that the first row belongs to.
+    """
+    stuck = np.argwhere(np.atleast_2d(weights) == 0.0)
+    if len(stuck):
+        step, sensor = stuck[0].tolist()
+        name = type(kf).__name__
+        say_stuck(name if first is None else f"{name}: step {first + step}", sensor, kf)
+
+
+def look_for_repeats(kf: Any, memory: Array, before: Array | None = None) -> None:
+    """Warn, once for each filter, if far readings that repeat the one before are taken for missing by custom.
+
+    Parameters
+    ----------
+    kf : RobustKalmanFilter
+        Whose readings they are.
+    memory : ndarray, shape (m, 15)
+        What is known of the sensors.
+    before : ndarray, shape (m, 15), optional
+        What was before a recording; by default one step is looked at.
+    """
+    more = memory[:, FILLED] > (0.0 if before is None else before[:, FILLED])
+    repeats = np.flatnonzero(more & ((memory[:, HELD] > 0.0) | (before is not None)))
+    if len(repeats):
+        say_stuck(type(kf).__name__, int(repeats[0]), kf)
+
+
+def say_stuck(where: str, sensor: int, of: Any = None) -> None:
+    """Warn of a sensor, of a filter's once."""
+    warn(
+        f"{where}: sensor {sensor} is stuck: it repeats its last reading to the last bit, more than three standard "
+        f"deviations from its prediction; it counts as missing (weight 0) for as long as it does",
+        StuckSensorWarning,
+        of=of,
+    )
+
+
+def say_stuck_among(where: str, of: str, stuck: Array) -> None:
+    """Warn of those of many, series or keys, that have a sensor that is stuck; shape (count, m), bool."""
+    if stuck.any():
+        first, sensor = np.argwhere(stuck)[0].tolist()
+        more = int(stuck.any(axis=1).sum()) - 1
+        say_stuck(f"{where}: {of} {first}{f' and {more} more' if more else ''} of {len(stuck)}", sensor)
