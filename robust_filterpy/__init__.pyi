@@ -9,7 +9,6 @@ from robust_filterpy.filters import RobustExtendedKalmanFilter as RobustExtended
 from robust_filterpy.filters import RobustUnscentedKalmanFilter as RobustUnscentedKalmanFilter
 from robust_filterpy.filters import robust as robust
 from robust_filterpy.filters.kalman import RobustKalmanFilter as RobustKalmanFilter
-from robust_filterpy.filters.notices import OutlierShareWarning as OutlierShareWarning
 from robust_filterpy.identification import ARX as ARX
 from robust_filterpy.identification import OutputError as OutputError
 from robust_filterpy.identification import ParameterTracker as ParameterTracker
