@@ -18,8 +18,8 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.spread import FILLED
 from robust_filterpy.filters.kalman import RobustKalmanFilter
-from robust_filterpy.filters.states import moved_shapes
 from robust_filterpy.filters.notices import say_stuck_among
+from robust_filterpy.filters.states import moved_shapes
 from robust_filterpy.kernel import series as kernel
 from robust_filterpy.kernel.series import Model, Output
 
